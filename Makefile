@@ -1,0 +1,45 @@
+# Two commands do everything themselves: `make run` flies, `make test` tests. PYTHON chooses the interpreter (3.11 or newer).
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+
+.DEFAULT_GOAL := help
+.PHONY: help run test check format figures bench clean
+
+help: ## list the targets
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
+
+$(VENV)/.run: pyproject.toml
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Outrider needs Python 3.11 or newer: make PYTHON=python3.11 ...")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.run
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,window]'
+	@touch $@
+
+run: $(VENV)/.run ## fly the escort scenario as three processes over Zenoh (ARGS="..." for more)
+	$(BIN)/outrider run $(ARGS)
+
+test: $(VENV)/.dev ## install and run the test suite
+	$(BIN)/python -m pytest $(ARGS)
+
+check: $(VENV)/.dev ## format, lint, types, import contracts
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: $(VENV)/.dev ## format and mend what can be mended
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+figures: $(VENV)/.run ## the paper's figures and the table of their claims
+	$(BIN)/outrider figures $(ARGS)
+
+bench: $(VENV)/.run ## the speed of each layer beside its limit
+	$(BIN)/outrider bench $(ARGS)
+
+clean: ## remove the environment and what runs have written
+	rm -rf $(VENV) runs figures

@@ -1,0 +1,1 @@
+"""Who decides, knowing only what it may."""

@@ -1,0 +1,1 @@
+"""The control laws of the paper, one file a section."""

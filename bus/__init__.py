@@ -1,0 +1,1 @@
+"""How processes talk: what may be said, by whom, and how it travels."""

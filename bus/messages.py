@@ -1,0 +1,304 @@
+"""Every message, as a frozen struct: the information contract in types.
+
+JSON by msgspec. Unknown fields are refused, numbers carry bounds. SI units; positions are in the world frame,
+relative positions are p_delta = p_a - p_g, from the UGV to the UAV. No message to a UAV has a field for the UGV's velocity,
+input or goal, and none to a UGV for the UAV's.
+"""
+
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta
+
+Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6)]
+"""A component of a position [m], a velocity [m/s] or an acceleration [m/s²]."""
+NonNegative = Annotated[float, Meta(ge=0.0, le=1e12)]
+Positive = Annotated[float, Meta(gt=0.0, le=1e12)]
+Tick = Annotated[int, Meta(ge=0, le=2**53)]
+Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
+Text = Annotated[str, Meta(max_length=500)]
+Vector = tuple[Coordinate, Coordinate]
+Covariance = tuple[NonNegative, Coordinate, NonNegative]
+"""xx, xy and yy of a symmetric 2 x 2 matrix [m²]."""
+
+
+class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of every message."""
+
+
+class Limits(Message, frozen=True, kw_only=True):
+    """Bounds of a double integrator (1); None where there is none."""
+
+    max_speed: Positive | None
+    """v_max [m/s]."""
+    max_acceleration: Positive | None
+    """u_max [m/s²]."""
+
+
+class Area(Message, frozen=True, kw_only=True):
+    """Q: the rectangle [0, width] x [0, height] and the grid on it."""
+
+    width: Positive
+    height: Positive
+    cell: Positive
+
+
+class Region(Message, frozen=True, kw_only=True):
+    """A rectangle of ground [m] that is covered from the start."""
+
+    lower: Vector
+    upper: Vector
+
+
+class Sensor(Message, frozen=True, kw_only=True):
+    """The UAV's downward sensor (2)."""
+
+    model: Name = "hill"
+    """A row of `sim.field.SENSORS`."""
+    peak: Positive = 1.0
+    """M_a [1/s]."""
+    range: Positive = 5.0
+    """r [m]."""
+
+
+class Law(Message, frozen=True, kw_only=True):
+    """Which control law the UAV flies, and its parameters (section VI of the paper)."""
+
+    name: Name = "logarithmic"
+    """A row of `agents.control.laws.LAWS`."""
+    speed_gain: Positive = 10.0
+    """k_v of (11) [1/s]."""
+    reference_speed: Positive | None = None
+    """v_ref of (10) [m/s]; None: the UAV's largest speed."""
+    weight_gain: Positive = 20.0
+    """k_beta of (19)."""
+    weight_limit: Positive = 100.0
+    """Upper limit of beta_3 (footnote 2 of the paper)."""
+    a_c: Coordinate = -3.0
+    """A_c of (15) [1/s]."""
+    b_c: Coordinate = -3.0
+    """B_c of (15) [1/s]."""
+    c_c: Coordinate = -8.0 / 3.0
+    """C_c of (15) [1/s²]."""
+    d_c: Coordinate = -3.0
+    """D_c of (15) [1/s²]."""
+    circle_radius: Positive | None = None
+    """r_pv of (25) [m]; None: the switching radius."""
+    circle_rate: Coordinate = 0.1
+    """omega_pv of (25) [rad/s]; negative is clockwise."""
+
+
+class Detector(Message, frozen=True, kw_only=True):
+    """What the UAV knows of its own detector of the UGV."""
+
+    noise: NonNegative = 0.0
+    """Standard deviation per axis [m]."""
+    cut: Positive | None = 3.0
+    """Noise vectors are cut at this many standard deviations; None: not cut."""
+    period: Positive
+    """Time between two looks [s]."""
+
+
+class Estimator(Message, frozen=True, kw_only=True):
+    """The Kalman filter on the detections."""
+
+    enabled: bool = True
+    """False: the newest detection is taken as it is and held."""
+    gate: Positive = 18.4
+    """Largest normalized innovation squared that is believed (chi-square, 2 degrees: 1 in 10,000)."""
+    patience: Annotated[int, Meta(ge=1, le=1_000_000)] = 5
+    """Detections refused in a row after which the filter starts anew from the newest."""
+    manoeuvre: Positive = 0.7
+    """Standard deviation of the UGV's acceleration per axis, as a share of its bound."""
+
+
+class UavBriefing(Message, frozen=True, kw_only=True):
+    """All a UAV is told, once, when it joins."""
+
+    vehicle: Name
+    dt: Positive
+    """Time between two ticks [s]."""
+    area: Area
+    limits: Limits
+    target_limits: Limits
+    """The bounds of the UGV it escorts."""
+    visibility_radius: Positive
+    """r_v [m]."""
+    sensor: Sensor
+    desired_coverage: Positive
+    """C* of (4)."""
+    covered: tuple[Region, ...] = ()
+    """Ground covered from the start."""
+    law: Law
+    detector: Detector
+    estimator: Estimator
+    key: Tick
+    """Key of the pilot's own random numbers, below 2**53; tells nothing of the run's seed."""
+
+
+class UgvBriefing(Message, frozen=True, kw_only=True):
+    """All a UGV is told, once, when it joins."""
+
+    vehicle: Name
+    dt: Positive
+    area: Area
+    limits: Limits
+    driver: Name
+    """A row of `agents.drivers.DRIVERS`."""
+    goals: tuple[Vector, ...]
+    """Waypoints [m], in order."""
+    goal_tolerance: Positive
+    """epsilon: a goal counts as reached nearer than this [m]."""
+    key: Tick
+
+
+class Detection(Message, frozen=True, kw_only=True):
+    """One noisy look of the UAV at the UGV."""
+
+    time: NonNegative
+    """When it was taken [s]."""
+    relative_position: Vector
+    """p_a - p_g with noise [m]."""
+
+
+class RelativeInformation(Message, frozen=True, kw_only=True):
+    """What a UAV radios to its UGV: relative information, and how much it has seen."""
+
+    time: NonNegative
+    relative_position: Vector
+    """The estimate of p_a - p_g [m]."""
+    coverage_error: NonNegative
+    """e(t) of (4) on the UAV's own map [m²]."""
+
+
+class UavObservation(Message, frozen=True, kw_only=True):
+    """What a UAV perceives at a tick."""
+
+    tick: Tick
+    time: NonNegative
+    position: Vector
+    velocity: Vector
+    detections: tuple[Detection, ...] = ()
+    over: bool = False
+    """True: the run has ended at this tick and no command is awaited."""
+
+
+class UgvObservation(Message, frozen=True, kw_only=True):
+    """What a UGV perceives at a tick."""
+
+    tick: Tick
+    time: NonNegative
+    position: Vector
+    velocity: Vector
+    radio: tuple[RelativeInformation, ...] = ()
+    over: bool = False
+
+
+class UavReport(Message, frozen=True, kw_only=True):
+    """What a UAV tells observers of itself; no vehicle reads it."""
+
+    estimate: Vector
+    """Where it believes the UGV to be [m]."""
+    covariance: Covariance
+    """Of that estimate [m²]."""
+    age: NonNegative
+    """Time since the newest detection that was believed [s]."""
+    refused: Tick
+    """Detections refused by the gate so far."""
+
+
+class UavCommand(Message, frozen=True, kw_only=True):
+    """A UAV's answer to its observation of the same tick."""
+
+    tick: Tick
+    acceleration: Vector
+    radio: tuple[RelativeInformation, ...] = ()
+    report: UavReport | None = None
+
+
+class UgvCommand(Message, frozen=True, kw_only=True):
+    """A UGV's answer to its observation of the same tick."""
+
+    tick: Tick
+    acceleration: Vector
+
+
+class VehicleTruth(Message, frozen=True, kw_only=True):
+    """The true state of one vehicle."""
+
+    position: Vector
+    velocity: Vector
+    acceleration: Vector
+    """Applied since the last tick, after the bounds."""
+
+
+class EscortTruth(Message, frozen=True, kw_only=True):
+    """How one UAV and the UGV it escorts truly stand."""
+
+    uav: Name
+    ugv: Name
+    distance: NonNegative
+    """|p_a - p_g| [m]."""
+    coverage_error: NonNegative
+    """e(t) of (4) with the true p_g [m²]."""
+    detection: Vector | None
+    """The relative position detected at this tick [m], if any."""
+    report: UavReport | None
+    """What the UAV said of itself at the last tick."""
+
+
+class Truth(Message, frozen=True, kw_only=True):
+    """Everything but the grid, for observers."""
+
+    tick: Tick
+    time: NonNegative
+    vehicles: dict[Name, VehicleTruth]
+    escorts: tuple[EscortTruth, ...]
+
+
+class CoverageMap(Message, frozen=True, kw_only=True):
+    """The coverage as bytes: 255 is the desired coverage or more."""
+
+    tick: Tick
+    columns: Annotated[int, Meta(ge=1)]
+    rows: Annotated[int, Meta(ge=1)]
+    cell: Positive
+    cells: bytes
+    """Row by row from y = 0 (base64 in JSON)."""
+
+
+class VehicleStatus(Message, frozen=True, kw_only=True):
+    """How a vehicle's process stands."""
+
+    present: bool
+    missing_commands: Tick = 0
+    """Ticks without a usable command."""
+    refused_messages: Tick = 0
+    """Messages that did not decode or answered another tick."""
+    last_fault: Text = ""
+
+
+class Status(Message, frozen=True, kw_only=True):
+    """How the run stands, for observers, a few times a second."""
+
+    scenario: Text
+    seed: int
+    tick: Tick
+    ticks: Tick
+    """Ticks that the run will have."""
+    time: NonNegative
+    realtime_factor: NonNegative
+    """Simulated seconds per second of wall time, lately."""
+    vehicles: dict[Name, VehicleStatus]
+    over: bool = False
+
+
+Observation = UavObservation | UgvObservation
+Command = UavCommand | UgvCommand
+Briefing = UavBriefing | UgvBriefing
+
+
+def as_plain(message: Message) -> dict[str, Any]:
+    """The message as plain dictionaries and lists, for summaries and JSON files."""
+    plain: dict[str, Any] = msgspec.to_builtins(message)
+    return plain

@@ -1,0 +1,1 @@
+"""What is true: the vehicles, the ground, the detections and the clock."""

@@ -1,0 +1,56 @@
+"""What each vehicle is told when it joins: its own row of the scenario, and nothing of the others' but their bounds."""
+
+import math
+
+from bus.messages import Briefing, Detector, Limits, UavBriefing, UgvBriefing
+from sim.randomness import pilot_key
+from sim.scenario import Scenario, Uav, Ugv
+
+
+def _bound(value: float) -> float | None:
+    return None if math.isinf(value) else value
+
+
+def _limits(vehicle: Uav | Ugv) -> Limits:
+    return Limits(max_speed=_bound(vehicle.max_speed), max_acceleration=_bound(vehicle.max_acceleration))
+
+
+def briefing(scenario: Scenario, name: str, seed: int) -> Briefing:
+    """The briefing of the vehicle `name` in a run with this seed.
+
+    Raises:
+        KeyError: If the scenario has no such vehicle.
+    """
+    vehicles = {vehicle.name: (index, vehicle) for index, vehicle in enumerate(scenario.vehicles)}
+    index, vehicle = vehicles[name]
+    key = pilot_key(seed, index)
+    if isinstance(vehicle, Ugv):
+        return UgvBriefing(
+            vehicle=name,
+            dt=scenario.dt,
+            area=scenario.area,
+            limits=_limits(vehicle),
+            driver=vehicle.driver,
+            goals=vehicle.goals,
+            goal_tolerance=vehicle.goal_tolerance,
+            key=key,
+        )
+    return UavBriefing(
+        vehicle=name,
+        dt=scenario.dt,
+        area=scenario.area,
+        limits=_limits(vehicle),
+        target_limits=_limits(vehicles[vehicle.escorts][1]),
+        visibility_radius=scenario.visibility.radius,
+        sensor=scenario.sensor,
+        desired_coverage=scenario.coverage.desired,
+        covered=scenario.coverage.covered,
+        law=scenario.law,
+        detector=Detector(
+            noise=scenario.detections.noise,
+            cut=_bound(scenario.noise_cut),
+            period=scenario.detection_period * scenario.dt,
+        ),
+        estimator=scenario.estimator,
+        key=key,
+    )
