@@ -72,7 +72,7 @@ def _open_cache() -> Path | None:
 
 _FOLDER = _open_cache()
 if _FOLDER is not None:
-    numba.config.CACHE_DIR = str(_FOLDER)
+    numba.config.CACHE_DIR = str(_FOLDER)  # type: ignore[attr-defined]
 
 
 def compiled(function: _F) -> _F:

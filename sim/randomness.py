@@ -76,9 +76,7 @@ def uniform(seed: int, purpose: int, who: int, tick: int, index: int) -> float:
 
 
 @compiled
-def cut_normal_vector(
-    sigma: float, cut: float, seed: int, purpose: int, who: int, tick: int, index: int
-) -> tuple[float, float]:
+def cut_normal_vector(sigma: float, cut: float, seed: int, purpose: int, who: int, tick: int, index: int) -> tuple[float, float]:
     r"""A Gaussian vector of standard deviation sigma per axis, given that its norm is at most cut * sigma.
 
     Drawn by inversion of the Rayleigh distribution, $\|n\| = \sigma\sqrt{-2\ln(1 - u(1 - e^{-k^2/2}))}$, which is what

@@ -70,3 +70,11 @@ def speed_to_stop_within(distance: float, u_max: float, dt: float) -> float:
 def goal_reached(p_x: float, p_y: float, goal_x: float, goal_y: float, tolerance: float) -> bool:
     r"""Whether a goal counts as reached: $\|p_g - \bar p\| < \epsilon$ (section II of the paper)."""
     return norm(p_x - goal_x, p_y - goal_y) < tolerance
+
+
+@compiled
+def stopping_distance(speed: float, u_max: float) -> float:
+    r"""Way to a stop [m] from `speed` [m/s] at the deceleration `u_max` [m/s²]: $v^2 / (2u)$; 0 where it has no bound."""
+    if math.isinf(u_max):
+        return 0.0
+    return speed * speed / (2.0 * u_max)

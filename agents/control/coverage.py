@@ -1,0 +1,140 @@
+"""Dynamic coverage for a double integrator, section III of the paper: (7), (8), (10) to (12), and the border of Q."""
+
+import math
+
+from sim.compile import compiled
+from sim.vehicles import norm, stopping_distance
+
+ZERO_GRADIENT = 1e-9
+"""u_cov counts as zero below this share of its integrand's size: on a grid a symmetric sum is never exactly zero."""
+
+
+@compiled
+def symmetry_breaker(q_x: float, q_y: float, p_ax: float, p_ay: float, k: float) -> tuple[float, float]:
+    r"""The way out of symmetry, towards the nearest uncovered point, Klodt 2015, eq. (7): $\tilde u_{cov} = k(\tilde q - p_a)$."""
+    return k * (q_x - p_ax), k * (q_y - p_ay)
+
+
+@compiled
+def is_zero_gradient(u_cov_x: float, u_cov_y: float, size: float) -> bool:
+    """Whether u_cov = 0 in the sense of (8), relative to the size of its integrand."""
+    return norm(u_cov_x, u_cov_y) <= ZERO_GRADIENT * size
+
+
+@compiled
+def single_integrator_command(u_cov_x: float, u_cov_y: float, size: float, other_x: float, other_y: float) -> tuple[float, float]:
+    r"""What a single integrator would do, Klodt 2015, eq. (8): $u_{si} = u_{cov}$, or $\tilde u_{cov}$ where $u_{cov} = 0$.
+
+    Args:
+        u_cov_x, u_cov_y: u_cov of (6).
+        size: The size of its integrand, from the same sum.
+        other_x, other_y: The symmetry breaker of (7).
+    """
+    if is_zero_gradient(u_cov_x, u_cov_y, size):
+        return other_x, other_y
+    return u_cov_x, u_cov_y
+
+
+@compiled
+def desired_velocity(u_si_x: float, u_si_y: float, v_ref: float) -> tuple[float, float]:
+    """The first term of (10): v_ref [m/s] along u_si; zero where u_si is, since then there is no direction."""
+    length = norm(u_si_x, u_si_y)
+    if length == 0.0:
+        return 0.0, 0.0
+    return u_si_x / length * v_ref, u_si_y / length * v_ref
+
+
+@compiled
+def velocity_error(u_si_x: float, u_si_y: float, v_ref: float, v_ax: float, v_ay: float, uncovered: bool) -> tuple[float, float]:
+    r"""Error of the velocity [m/s], Klodt 2015, eq. (10).
+
+    $$ e_{vel} = \frac{u_{si}}{\|u_{si}\|} v_{ref} - \dot p_a \text{ where } e(t) \ne 0, \quad -\dot p_a \text{ where } e(t) = 0 $$
+
+    Args:
+        u_si_x, u_si_y: u_si of (8).
+        v_ref: Nominal speed [m/s].
+        v_ax, v_ay: Velocity of the UAV [m/s].
+        uncovered: Whether e(t) is not 0.
+    """
+    if not uncovered:
+        return -v_ax, -v_ay
+    w_x, w_y = desired_velocity(u_si_x, u_si_y, v_ref)
+    return w_x - v_ax, w_y - v_ay
+
+
+@compiled
+def coverage_control(e_vel_x: float, e_vel_y: float, k_v: float) -> tuple[float, float]:
+    r"""The coverage law [m/s²], Klodt 2015, eq. (11): $u_{a,cov} = k_v e_{vel}$."""
+    return k_v * e_vel_x, k_v * e_vel_y
+
+
+@compiled
+def approach_control(
+    q_x: float, q_y: float, p_ax: float, p_ay: float, v_ax: float, v_ay: float, k_v: float, v_ref: float
+) -> tuple[float, float]:
+    r"""The coverage law on the way to an uncovered point [m/s²], Klodt 2015, eq. (12).
+
+    $$ u_{a,cov} = \frac{k_v v_{ref}}{\|\tilde q - p_a\|}(\tilde q - p_a) - k_v \dot p_a $$
+
+    It is (11) with (7), (8) and (10) put in, and written by them.
+    """
+    u_x, u_y = symmetry_breaker(q_x, q_y, p_ax, p_ay, 1.0)
+    e_x, e_y = velocity_error(u_x, u_y, v_ref, v_ax, v_ay, True)
+    return coverage_control(e_x, e_y, k_v)
+
+
+@compiled
+def border_distance(v_max: float, u_max: float, dt: float) -> float:
+    r"""The safety distance to the border of Q [m]: $v_a^2/(2u_a)$ (after Proposition 1 of the paper), and one tick more."""
+    if math.isinf(v_max):
+        return 0.0
+    return stopping_distance(v_max, u_max) + v_max * dt
+
+
+@compiled
+def _outward(p: float, size: float, margin: float) -> float:
+    """Which way is out, on one axis, for a vehicle nearer to the border than the margin: -1, 1, or 0 if it is not near."""
+    if p < margin and p <= 0.5 * size:
+        return -1.0
+    if size - p < margin:
+        return 1.0
+    return 0.0
+
+
+@compiled
+def keep_off_border(
+    u_x: float,
+    u_y: float,
+    p_ax: float,
+    p_ay: float,
+    v_ax: float,
+    v_ay: float,
+    k_v: float,
+    width: float,
+    height: float,
+    margin: float,
+    dt: float,
+) -> tuple[float, float]:
+    """The coverage law, held inside Q: within the margin of a side nothing of it points outward.
+
+    There an outward velocity is braked first, with all that the vehicle has, and only then it may turn along the border.
+    It limits the coverage term alone: tracking wins, and since Q is convex it points inward.
+
+    Args:
+        u_x, u_y: u_a,cov of (11) [m/s²].
+        p_ax, p_ay: Position of the UAV [m].
+        v_ax, v_ay: Its velocity [m/s].
+        k_v: Gain of (11) [1/s]; u + k_v v is k_v times the desired velocity, whose outward part is dropped.
+        width, height: Q [m].
+        margin: `border_distance` [m].
+        dt: Length of a tick [s].
+    """
+    out_x, out_y = _outward(p_ax, width, margin), _outward(p_ay, height, margin)
+    fast_x, fast_y = out_x * v_ax > 0.0, out_y * v_ay > 0.0
+    if fast_x or fast_y:
+        return (-v_ax / dt if fast_x else 0.0), (-v_ay / dt if fast_y else 0.0)
+    if out_x * (u_x + k_v * v_ax) > 0.0:
+        u_x = -k_v * v_ax
+    if out_y * (u_y + k_v * v_ay) > 0.0:
+        u_y = -k_v * v_ay
+    return u_x, u_y

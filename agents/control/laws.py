@@ -1,0 +1,265 @@
+"""The laws a UAV can fly, put together from the equations: a table of names, and one compiled function for all of them."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from agents.control.coverage import (
+    border_distance,
+    coverage_control,
+    is_zero_gradient,
+    keep_off_border,
+    single_integrator_command,
+    symmetry_breaker,
+    velocity_error,
+)
+from agents.control.orbit import circle, orbit_control
+from agents.control.tracking import tracking_output, tracking_step
+from agents.control.visibility import raw_switching_radius, switching_radius
+from agents.control.weighting import combine, linear_weights, logarithmic_weights, switching_weights
+from bus.errors import ScenarioError
+from bus.messages import Law, UavBriefing
+from sim.compile import FloatArray, compiled
+from sim.field import SENSORS, coverage_gradient, is_uncovered, nearest_uncovered
+from sim.randomness import START_DIRECTION, uniform
+from sim.vehicles import norm
+
+TRACKING, COVERAGE, LINEAR, SWITCHING, LOGARITHMIC, CIRCLE, WEIGHTED, PATH = range(8)
+LAWS = {
+    "tracking": TRACKING,
+    "coverage": COVERAGE,
+    "linear": LINEAR,
+    "switching": SWITCHING,
+    "logarithmic": LOGARITHMIC,
+    "circle": CIRCLE,
+    "weighted": WEIGHTED,
+    "path": PATH,
+}
+"""Laws by name. `weighted` and `path` take a function of the user's own."""
+
+_X_C, _Q, _HELD = 0, 2, 4  # rows of the state: x_c (2), the held point of (7) (2), whether there is one
+STATE_SIZE = 5
+
+_ON_THE_SPOT = 1e-9
+"""Nearer than this [m] a point gives no direction."""
+
+
+class LawParameters(NamedTuple):
+    """What a law needs to know, as plain numbers: SI units, infinite where there is no bound."""
+
+    law: int
+    dt: float
+    width: float
+    height: float
+    cell: float
+    u_max: float
+    r_s: float
+    r_o: float
+    sensor: int
+    peak: float
+    reach: float
+    desired: float
+    k_v: float
+    v_ref: float
+    k_beta: float
+    beta_limit: float
+    a_c: float
+    b_c: float
+    c_c: float
+    d_c: float
+    r_pv: float
+    omega: float
+    margin: float
+    key: int
+
+
+class OwnTerms(NamedTuple):
+    """What a function of the user's own says at this tick: the weights, or the virtual point and its second derivative."""
+
+    alpha: float = 1.0
+    beta: float = 0.0
+    p_vx: float = 0.0
+    p_vy: float = 0.0
+    a_vx: float = 0.0
+    a_vy: float = 0.0
+
+
+def _row(table: dict[str, int], name: str, field: str) -> int:
+    try:
+        return table[name]
+    except KeyError:
+        raise ScenarioError(f"{field} = {name!r}: unknown; allowed: {', '.join(table)}") from None
+
+
+def _number(bound: float | None) -> float:
+    return math.inf if bound is None else float(bound)
+
+
+def law_parameters(briefing: UavBriefing, law: Law) -> LawParameters:
+    """The numbers of one law for one UAV.
+
+    Raises:
+        ScenarioError: If the law or the sensor is unknown, or the UAV is too weak for the law's switching radius.
+    """
+    v_a, u_a = _number(briefing.limits.max_speed), _number(briefing.limits.max_acceleration)
+    v_g = _number(briefing.target_limits.max_speed)
+    code = _row(LAWS, law.name, "law.name")
+    v_ref = law.reference_speed if law.reference_speed is not None else v_a
+    free = code in (TRACKING, COVERAGE)  # these two never ask for r_s
+    radius = raw_switching_radius if free else switching_radius
+    r_s = float(radius(briefing.visibility_radius, v_a, v_g, u_a))
+    return LawParameters(
+        law=code,
+        dt=float(briefing.dt),
+        width=float(briefing.area.width),
+        height=float(briefing.area.height),
+        cell=float(briefing.area.cell),
+        u_max=u_a,
+        r_s=r_s,
+        r_o=float(briefing.visibility_radius + briefing.sensor.range),
+        sensor=_row(SENSORS, briefing.sensor.model, "sensor.model"),
+        peak=float(briefing.sensor.peak),
+        reach=float(briefing.sensor.range),
+        desired=float(briefing.desired_coverage),
+        k_v=float(law.speed_gain),
+        v_ref=float(v_ref),
+        k_beta=float(law.weight_gain),
+        beta_limit=float(law.weight_limit),
+        a_c=float(law.a_c),
+        b_c=float(law.b_c),
+        c_c=float(law.c_c),
+        d_c=float(law.d_c),
+        r_pv=float(law.circle_radius if law.circle_radius is not None else r_s),
+        omega=float(law.circle_rate),
+        margin=float(border_distance(v_a, u_a, briefing.dt)),
+        key=briefing.key,
+    )
+
+
+def initial_state() -> FloatArray:
+    """The state of a law that has not flown yet: x_c = 0, no point held. Shape (STATE_SIZE,)."""
+    return np.zeros(STATE_SIZE)
+
+
+@compiled
+def way_to_uncovered(
+    parameters: LawParameters,
+    coverage: FloatArray,
+    state: FloatArray,
+    tick: int,
+    p_ax: float,
+    p_ay: float,
+    p_gx: float,
+    p_gy: float,
+) -> tuple[bool, float, float]:
+    """The symmetry breaker (7) with its point held until it is covered or leaves the support of the density.
+
+    Returns:
+        Whether anything is uncovered at all, and the direction.
+    """
+    c = parameters
+    held = state[_HELD] != 0.0 and is_uncovered(coverage, state[_Q], state[_Q + 1], p_gx, p_gy, c.r_o, c.desired, c.cell)
+    if not held:
+        held, state[_Q], state[_Q + 1] = nearest_uncovered(
+            coverage, p_ax, p_ay, p_gx, p_gy, c.r_o, c.desired, c.cell, c.key, tick
+        )
+        state[_HELD] = 1.0 if held else 0.0
+    if not held:
+        return False, 0.0, 0.0
+    u_x, u_y = symmetry_breaker(state[_Q], state[_Q + 1], p_ax, p_ay, 1.0)
+    if norm(u_x, u_y) < _ON_THE_SPOT:
+        # Deviation: (10) would divide by zero right over the point. Any direction is as good: draw one.
+        angle = 2.0 * math.pi * uniform(c.key, START_DIRECTION, 0, tick, 0)
+        u_x, u_y = math.cos(angle), math.sin(angle)
+    return True, u_x, u_y
+
+
+@compiled
+def coverage_term(
+    parameters: LawParameters,
+    coverage: FloatArray,
+    state: FloatArray,
+    tick: int,
+    p_ax: float,
+    p_ay: float,
+    v_ax: float,
+    v_ay: float,
+    p_gx: float,
+    p_gy: float,
+) -> tuple[float, float]:
+    """Section III as a whole, u_a,cov [m/s²]: (6), (7) where that is zero, (8), (10), (11), and the border of Q."""
+    c = parameters
+    u_cov_x, u_cov_y, size = coverage_gradient(
+        coverage, p_ax, p_ay, p_gx, p_gy, c.r_o, c.desired, c.sensor, c.peak, c.reach, c.cell
+    )
+    uncovered, other_x, other_y = True, 0.0, 0.0
+    if is_zero_gradient(u_cov_x, u_cov_y, size):
+        uncovered, other_x, other_y = way_to_uncovered(parameters, coverage, state, tick, p_ax, p_ay, p_gx, p_gy)
+    u_si_x, u_si_y = single_integrator_command(u_cov_x, u_cov_y, size, other_x, other_y)
+    e_x, e_y = velocity_error(u_si_x, u_si_y, c.v_ref, v_ax, v_ay, uncovered)
+    u_x, u_y = coverage_control(e_x, e_y, c.k_v)
+    return keep_off_border(u_x, u_y, p_ax, p_ay, v_ax, v_ay, c.k_v, c.width, c.height, c.margin, c.dt)
+
+
+@compiled
+def weights(parameters: LawParameters, own: OwnTerms, distance: float) -> tuple[float, float]:
+    """Alpha and beta of the law at this distance [m]."""
+    c = parameters
+    if c.law == LINEAR:
+        return linear_weights(distance, c.r_s)
+    if c.law == SWITCHING:
+        return switching_weights(distance, c.r_s)
+    if c.law == LOGARITHMIC:
+        return logarithmic_weights(distance, c.r_s, c.k_beta, c.beta_limit)
+    if c.law == WEIGHTED:
+        return own.alpha, own.beta
+    if c.law == COVERAGE:
+        return 0.0, 1.0
+    return 1.0, 0.0
+
+
+@compiled
+def uav_control(
+    parameters: LawParameters,
+    own: OwnTerms,
+    coverage: FloatArray,
+    state: FloatArray,
+    tick: int,
+    p_ax: float,
+    p_ay: float,
+    v_ax: float,
+    v_ay: float,
+    p_gx: float,
+    p_gy: float,
+) -> tuple[float, float]:
+    """The UAV's command [m/s²] under any law, before the bound of (1).
+
+    Args:
+        parameters: Of the law.
+        own: What the user's function says at this tick, for the laws `weighted` and `path`.
+        coverage: The UAV's own map, up to now.
+        state: The law's state, changed in place.
+        tick: Now.
+        p_ax, p_ay: Position of the UAV [m].
+        v_ax, v_ay: Its velocity [m/s].
+        p_gx, p_gy: Where it believes the UGV to be [m].
+    """
+    c = parameters
+    x, y = p_ax - p_gx, p_ay - p_gy
+    distance = norm(x, y)
+    orbiting = c.law == CIRCLE or c.law == PATH
+    p_vx, p_vy, a_vx, a_vy = own.p_vx, own.p_vy, own.a_vx, own.a_vy
+    if c.law == CIRCLE:
+        p_vx, p_vy, a_vx, a_vy = circle(tick * c.dt, c.r_pv, c.omega)
+    if orbiting:
+        x, y = x - p_vx, y - p_vy
+    u_tr_x, u_tr_y = tracking_output(state[_X_C], state[_X_C + 1], x, y, c.c_c, c.d_c)
+    state[_X_C], state[_X_C + 1] = tracking_step(state[_X_C], state[_X_C + 1], x, y, c.a_c, c.b_c, c.dt)
+    if orbiting:
+        return orbit_control(u_tr_x, u_tr_y, a_vx, a_vy)
+    if c.law == TRACKING:
+        return u_tr_x, u_tr_y
+    u_cov_x, u_cov_y = coverage_term(parameters, coverage, state, tick, p_ax, p_ay, v_ax, v_ay, p_gx, p_gy)
+    alpha, beta = weights(parameters, own, distance)
+    return combine(alpha, beta, u_tr_x, u_tr_y, u_cov_x, u_cov_y)

@@ -1,0 +1,124 @@
+"""Virtual point tracking, section V.B of the paper: (20) to (25). The circle is shipped; any path with two derivatives will do."""
+
+import math
+from collections.abc import Callable
+
+from bus.errors import ScenarioError
+from sim.compile import compiled
+
+Path = Callable[[float], tuple[tuple[float, float], tuple[float, float]]]
+"""A path of one's own: time [s] to p_v [m], relative to the UGV, and its second derivative [m/s²]."""
+
+
+@compiled
+def desired_position(p_gx: float, p_gy: float, p_vx: float, p_vy: float) -> tuple[float, float]:
+    r"""Where the UAV ought to be [m], Klodt 2015, eq. (20): $p_d(t) = p_g(t) + p_v(t)$."""
+    return p_gx + p_vx, p_gy + p_vy
+
+
+@compiled
+def path_error_acceleration(u_ax: float, u_ay: float, a_dx: float, a_dy: float) -> tuple[float, float]:
+    r"""Acceleration of the path error $p_{\Delta,d} = p_a - p_d$ [m/s²], Klodt 2015, eq. (21).
+
+    $$ \ddot p_{\Delta,d} = u_a - \ddot p_d $$
+    """
+    return u_ax - a_dx, u_ay - a_dy
+
+
+@compiled
+def virtual_error_acceleration(u_ax: float, u_ay: float, a_vx: float, a_vy: float) -> tuple[float, float]:
+    r"""The same while the UGV keeps its velocity, so that $\ddot p_d = \ddot p_v$, Klodt 2015, eq. (22).
+
+    $$ \ddot p_{\Delta,d} = u_a - \ddot p_v $$
+    """
+    return path_error_acceleration(u_ax, u_ay, a_vx, a_vy)
+
+
+@compiled
+def orbit_error_acceleration(u_tr_x: float, u_tr_y: float, a_vx: float, a_vy: float) -> tuple[float, float]:
+    r"""The path error under the law (24) is a double integrator driven by the tracking law [m/s²], Klodt 2015, eq. (23).
+
+    $$ \ddot p_{\Delta,d} = u_{a,tr} $$
+    """
+    u_ax, u_ay = orbit_control(u_tr_x, u_tr_y, a_vx, a_vy)
+    return virtual_error_acceleration(u_ax, u_ay, a_vx, a_vy)
+
+
+@compiled
+def orbit_control(u_tr_x: float, u_tr_y: float, a_vx: float, a_vy: float) -> tuple[float, float]:
+    r"""Tracking of the virtual point [m/s²], Klodt 2015, eq. (24): $u_a = \ddot p_v + u_{a,tr}(p_\Delta - p_v)$."""
+    return a_vx + u_tr_x, a_vy + u_tr_y
+
+
+@compiled
+def circle(t: float, r_pv: float, omega: float) -> tuple[float, float, float, float]:
+    r"""A virtual point on a circle, Klodt 2015, eq. (25): $p_v = r_{pv}(\cos\omega t, \sin\omega t)$.
+
+    Args:
+        t: Time [s].
+        r_pv: Radius [m].
+        omega: Rate [rad/s].
+
+    Returns:
+        p_v [m] and its second derivative [m/s²], x before y.
+    """
+    x, y = r_pv * math.cos(omega * t), r_pv * math.sin(omega * t)
+    return x, y, -omega * omega * x, -omega * omega * y
+
+
+def largest_circle_rate(r_pv: float, v_a: float, v_g: float, u_a: float) -> float:
+    r"""The largest $|\omega|$ [rad/s] at which the circle can be flown around any UGV (Remark 3 of the paper).
+
+    The UAV needs the speed $r_{pv}\omega + v_g \le v_a$ and the acceleration $r_{pv}\omega^2 \le u_a$.
+
+    Args:
+        r_pv: Radius [m].
+        v_a: Largest speed of the UAV [m/s].
+        v_g: Largest speed of the UGV [m/s].
+        u_a: Largest acceleration of the UAV [m/s²].
+    """
+    return min((v_a - v_g) / r_pv, math.sqrt(u_a / r_pv))
+
+
+def check_path(
+    path: Path, duration: float, r_v: float, v_a: float, v_g: float, u_a: float, samples: int = 2000
+) -> tuple[str, ...]:
+    """Hold a path of one's own against what (5), (20) to (24) and the vehicle ask of it.
+
+    Returns:
+        Warnings, one a line, where the vehicle cannot follow it; each names the time and the bound.
+
+    Raises:
+        ScenarioError: If it is no path: not two finite vectors, not inside r_v, or the second derivative is not one.
+    """
+    step = min(1e-3, duration / samples)
+    fastest, hardest = (0.0, 0.0), (0.0, 0.0)
+    for index in range(samples + 1):
+        t = step + index * (duration - 2.0 * step) / samples
+        try:
+            (before, _), (here, acceleration), (after, _) = path(t - step), path(t), path(t + step)
+            values = [float(value) for pair in (before, here, after, acceleration) for value in pair]
+        except (TypeError, ValueError, ArithmeticError) as error:
+            raise ScenarioError(f"path at t = {t:.6g} s: {error}; it must return ((x, y), (x'', y''))") from error
+        if len(values) != 8 or not all(math.isfinite(value) for value in values):
+            raise ScenarioError(f"path at t = {t:.6g} s: {values}; it must return ((x, y), (x'', y'')), all finite")
+        b_x, b_y, x, y, c_x, c_y, a_x, a_y = values
+        if math.hypot(x, y) >= r_v:
+            raise ScenarioError(
+                f"path at t = {t:.6g} s lies {math.hypot(x, y):.6g} m from the UGV; allowed: less than r_v = {r_v:g} m"
+            )
+        found = math.hypot((c_x - 2.0 * x + b_x) / step**2 - a_x, (c_y - 2.0 * y + b_y) / step**2 - a_y)
+        if found > 1e-2 * (1.0 + math.hypot(a_x, a_y)):
+            raise ScenarioError(f"path at t = {t:.6g} s: its second derivative is off by {found:.3g} m/s²")
+        fastest = max(fastest, (math.hypot(c_x - b_x, c_y - b_y) / (2.0 * step), t))
+        hardest = max(hardest, (math.hypot(a_x, a_y), t))
+    warnings = []
+    if fastest[0] + v_g > v_a * (1.0 + 1e-6):
+        warnings.append(
+            f"path: cannot be flown: {fastest[0]:.4g} m/s at t = {fastest[1]:.4g} s; allowed up to v_a - v_g = {v_a - v_g:.4g} m/s"
+        )
+    if hardest[0] > u_a * (1.0 + 1e-6):
+        warnings.append(
+            f"path: cannot be flown: {hardest[0]:.4g} m/s² at t = {hardest[1]:.4g} s; allowed up to u_a = {u_a:.4g} m/s²"
+        )
+    return tuple(warnings)

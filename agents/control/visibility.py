@@ -1,0 +1,43 @@
+"""The visibility constraint (5) and the radius from which only tracking acts (18)."""
+
+from bus.errors import ScenarioError
+from sim.compile import compiled
+from sim.vehicles import norm, stopping_distance
+
+
+@compiled
+def is_visible(p_ax: float, p_ay: float, p_gx: float, p_gy: float, r_v: float) -> bool:
+    r"""Whether the UAV surely sees the UGV, Klodt 2015, eq. (5): $\|p_a - p_g\| < r_v$. Positions and r_v in [m]."""
+    return norm(p_ax - p_gx, p_ay - p_gy) < r_v
+
+
+@compiled
+def raw_switching_radius(r_v: float, v_a: float, v_g: float, u_a: float) -> float:
+    r"""The right side of (18) in one phase, $r_v - (v_a + v_g)^2 / (2 u_a)$ [m], whatever its sign."""
+    return r_v - stopping_distance(v_a + v_g, u_a)
+
+
+def switching_radius(r_v: float, v_a: float, v_g: float, u_a: float) -> float:
+    r"""Distance from which only tracking acts, Klodt 2015, eq. (18).
+
+    $$ r_s = r_v - \frac{(v_a + v_g)^2}{2 u_a} $$
+
+    The paper prints the same value as two phases, braking and catching up:
+    $r_v - \frac{1}{u_a}\left(v_g (v_a + v_g) + \frac12 (v_a^2 - v_g^2)\right)$.
+
+    Args:
+        r_v: Visibility radius [m].
+        v_a: Largest speed of the UAV [m/s].
+        v_g: Largest speed of the UGV [m/s].
+        u_a: Largest acceleration of the UAV [m/s²]; infinite means that it stops on the spot.
+
+    Raises:
+        ScenarioError: If r_s is not positive: the UAV is too weak for this radius.
+    """
+    r_s: float = raw_switching_radius(r_v, v_a, v_g, u_a)
+    if not r_s > 0.0:
+        raise ScenarioError(
+            f"r_s = {r_s:.6g} m: the UAV (v_a {v_a:g} m/s, u_a {u_a:g} m/s²) is too weak to keep a UGV of {v_g:g} m/s "
+            f"within r_v = {r_v:g} m; r_s must be positive"
+        )
+    return r_s

@@ -1,0 +1,119 @@
+"""The UAV's pilot: observation in, command out."""
+
+from agents.control.laws import PATH, WEIGHTED, LawParameters, OwnTerms, initial_state, law_parameters, uav_control
+from agents.control.orbit import Path
+from agents.control.weighting import Weighting, check_weighting
+from agents.estimator import Estimate, RelativeEstimator
+from bus.errors import ScenarioError
+from bus.messages import RelativeInformation, UavBriefing, UavCommand, UavObservation, UavReport, Vector
+from sim.compile import FloatArray
+from sim.field import accumulate, cover, coverage_error, empty_coverage
+from sim.vehicles import brake, clip_norm, norm
+
+RADIO_PERIOD = 0.2
+"""Time between two radio messages to the UGV [s]."""
+
+_NOTHING_OWN = OwnTerms()
+
+
+class UavPilot:
+    """Any of the laws, on the filter's estimate and the UAV's own map. Pure: no input or output of its own.
+
+    Args:
+        briefing: What the UAV is told when it joins.
+        weighting: A weighting of one's own, for the law `weighted`.
+        path: A path of one's own, for the law `path`.
+
+    Raises:
+        ScenarioError: If the briefing asks for what cannot be flown, or the user's function is missing or does not fit.
+    """
+
+    def __init__(self, briefing: UavBriefing, *, weighting: Weighting | None = None, path: Path | None = None) -> None:
+        self._briefing = briefing
+        self._parameters: LawParameters = law_parameters(briefing, briefing.law)
+        self._weighting, self._path = weighting, path
+        self._check_own_functions()
+        self.coverage: FloatArray = empty_coverage(briefing.area.width, briefing.area.height, briefing.area.cell)
+        """The UAV's own map, built from its own track. Shape (rows, columns)."""
+        for region in briefing.covered:
+            cover(self.coverage, region.lower, region.upper, briefing.area.cell, briefing.desired_coverage)
+        self.estimator = RelativeEstimator(
+            detector=briefing.detector,
+            target=briefing.target_limits,
+            dt=briefing.dt,
+            settings=briefing.estimator,
+        )
+        self._state = initial_state()
+        self._tick: int | None = None
+        self._radio_ticks = max(1, round(RADIO_PERIOD / briefing.dt))
+
+    def _check_own_functions(self) -> None:
+        law = self._parameters.law
+        if law == WEIGHTED:
+            if self._weighting is None:
+                raise ScenarioError("law.name = 'weighted': needs a weighting, given to the UAV as module:function")
+            check_weighting(self._weighting, self._parameters.r_s)
+        if law == PATH and self._path is None:
+            raise ScenarioError("law.name = 'path': needs a path, given to the UAV as module:function")
+
+    def act(self, observation: UavObservation) -> UavCommand:
+        """The command for this observation."""
+        self._look(observation)
+        estimate = self.estimator.update(
+            time=observation.time, own_position=observation.position, detections=observation.detections
+        )
+        if estimate is None:
+            return UavCommand(tick=observation.tick, acceleration=self._wait(observation))
+        return UavCommand(
+            tick=observation.tick,
+            acceleration=self._steer(observation, estimate.position),
+            radio=self._radio(observation, estimate),
+            report=UavReport(
+                estimate=estimate.position,
+                covariance=estimate.covariance,
+                age=estimate.age,
+                refused=estimate.refused,
+            ),
+        )
+
+    def _look(self, observation: UavObservation) -> None:
+        """Add to the map what was seen since the last observation (3)."""
+        elapsed = 0 if self._tick is None else observation.tick - self._tick
+        self._tick = observation.tick
+        if elapsed > 0:
+            c = self._parameters
+            p_x, p_y = observation.position
+            accumulate(self.coverage, p_x, p_y, c.sensor, c.peak, c.reach, c.cell, elapsed * c.dt)
+
+    def _wait(self, observation: UavObservation) -> Vector:
+        """Before the first detection: stay where it is."""
+        v_x, v_y = observation.velocity
+        u_x, u_y = brake(v_x, v_y, self._parameters.u_max, self._parameters.dt)
+        return u_x, u_y
+
+    def _steer(self, observation: UavObservation, target: Vector) -> Vector:
+        c = self._parameters
+        (p_x, p_y), (v_x, v_y) = observation.position, observation.velocity
+        own = self._own_terms(observation, norm(p_x - target[0], p_y - target[1]))
+        u_x, u_y = uav_control(c, own, self.coverage, self._state, observation.tick, p_x, p_y, v_x, v_y, target[0], target[1])
+        u_x, u_y = clip_norm(u_x, u_y, c.u_max)
+        return u_x, u_y
+
+    def _own_terms(self, observation: UavObservation, distance: float) -> OwnTerms:
+        if self._parameters.law == WEIGHTED and self._weighting is not None:
+            alpha, beta = self._weighting(distance, self._parameters.r_s)
+            return OwnTerms(alpha=float(alpha), beta=float(beta))
+        if self._parameters.law == PATH and self._path is not None:
+            (p_x, p_y), (a_x, a_y) = self._path(observation.time)
+            return OwnTerms(p_vx=float(p_x), p_vy=float(p_y), a_vx=float(a_x), a_vy=float(a_y))
+        return _NOTHING_OWN
+
+    def _radio(self, observation: UavObservation, estimate: Estimate) -> tuple[RelativeInformation, ...]:
+        if observation.tick % self._radio_ticks:
+            return ()
+        c = self._parameters
+        (p_x, p_y), (g_x, g_y) = observation.position, estimate.position
+        error = coverage_error(self.coverage, g_x, g_y, c.r_o, c.desired, c.cell)
+        return (
+            RelativeInformation(time=observation.time, relative_position=(p_x - g_x, p_y - g_y), coverage_error=max(0.0, error)),
+        )

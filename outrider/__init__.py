@@ -1,0 +1,28 @@
+"""Outrider: a UAV that flies as the outrider of a ground vehicle, and never loses sight of it.
+
+The front door for people: `outrider.load_scenario`, `outrider.run`, `outrider.parallel_env`. What stands behind a name is loaded when it is used.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from outrider.run import run as run
+    from sim.env import parallel_env as parallel_env
+    from sim.scenario import load_scenario as load_scenario
+    from sim.scenario import scenario_names as scenario_names
+
+_WHERE = {
+    "load_scenario": "sim.scenario",
+    "parallel_env": "sim.env",
+    "run": "outrider.run",
+    "scenario_names": "sim.scenario",
+}
+
+__all__ = ["load_scenario", "parallel_env", "run", "scenario_names"]
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - a module's names have any type
+    if name in _WHERE:
+        return getattr(import_module(_WHERE[name]), name)
+    raise AttributeError(f"module 'outrider' has no attribute {name!r}")

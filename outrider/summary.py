@@ -1,0 +1,120 @@
+"""The numbers that sum up a flight."""
+
+import math
+
+import msgspec
+import numpy as np
+
+from agents.control.visibility import raw_switching_radius
+from sim.flight import Flight
+from sim.recorder import platform_row
+
+
+class Process(msgspec.Struct, frozen=True, kw_only=True):
+    """One operating-system process of a run."""
+
+    name: str
+    pid: int
+
+
+class Summary(msgspec.Struct, frozen=True, kw_only=True):
+    """What `outrider run --json` prints. Over all escorts; a number that does not exist is None."""
+
+    scenario: str
+    seed: int
+    law: str
+    dt: float
+    """[s]"""
+    ticks: int
+    complete: bool
+    """Whether the flight reached the scenario's end."""
+    ticks_per_second: float
+    """Wall time, from the first tick to the last."""
+    max_distance: float
+    """[m]"""
+    mean_distance: float
+    """[m]"""
+    visibility_radius: float
+    """r_v [m]"""
+    visibility_violations: int
+    """Ticks with a distance of r_v or more."""
+    switching_radius: float | None
+    """r_s of (18) [m]"""
+    crossings: int
+    """How often the distance rose to r_s or beyond."""
+    initial_error: float
+    """e(0) [m²]"""
+    mean_error: float
+    """[m²]"""
+    final_error: float
+    """[m²]"""
+    detections: int
+    estimate_rmse: float | None
+    """Root of the mean squared distance between estimated and true p_g [m]."""
+    detection_rmse: float | None
+    """The same of the raw detections [m]."""
+    missing_commands: dict[str, int]
+    """Ticks for which a vehicle had no usable command."""
+    deterministic: bool
+    """Whether every command came in time, so that the hash is the scenario's and the seed's alone."""
+    first_missing_tick: int | None
+    trajectory_sha256: str
+    platform: dict[str, str]
+    processes: list[Process] = []
+
+
+def _rms(errors: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float | None:
+    squares = (errors**2).sum(axis=-1)
+    found = squares[~np.isnan(squares)]
+    return math.sqrt(float(found.mean())) if found.size else None
+
+
+def switching_radius_of(flight: Flight, escort: int = 0) -> float | None:
+    """r_s of (18) [m] for one escort; None where it has no finite value."""
+    world = flight.world
+    a, g = world.escorts[escort]
+    v_a, u_a = world.bounds[a].tolist()
+    r_s: float = raw_switching_radius(world.parameters.r_v, v_a, float(world.bounds[g, 0]), u_a)
+    return r_s if math.isfinite(r_s) else None
+
+
+def summarize(flight: Flight, *, seconds: float, processes: tuple[Process, ...] = ()) -> Summary:
+    """Sum up what was flown so far.
+
+    Args:
+        flight: At least one state must have been taken down.
+        seconds: Wall time of the ticks [s].
+        processes: Who flew it.
+    """
+    scenario, recorder, world = flight.scenario, flight.recorder, flight.world
+    distance, error = recorder.escorts[:, :, 0], recorder.escorts[:, :, 1]
+    p_a, p_g = recorder.states[:, world.escorts[:, 0], :2], recorder.states[:, world.escorts[:, 1], :2]
+    radii = [switching_radius_of(flight, k) for k in range(len(world.uavs))]
+    beyond = distance >= np.array([math.inf if r_s is None else r_s for r_s in radii])
+    return Summary(
+        scenario=scenario.name,
+        seed=flight.seed,
+        law=scenario.law.name,
+        dt=scenario.dt,
+        ticks=recorder.ticks,
+        complete=flight.over,
+        ticks_per_second=recorder.ticks / seconds if seconds > 0.0 else 0.0,
+        max_distance=float(distance.max()),
+        mean_distance=float(distance.mean()),
+        visibility_radius=scenario.visibility.radius,
+        visibility_violations=int((distance >= scenario.visibility.radius).sum()),
+        switching_radius=radii[0],
+        crossings=int((beyond[1:] & ~beyond[:-1]).sum()),
+        initial_error=float(error[0].mean()),
+        mean_error=float(error.mean()),
+        final_error=float(error[-1].mean()),
+        detections=int((~np.isnan(recorder.escorts[:, :, 2])).sum()),
+        estimate_rmse=_rms(recorder.escorts[:, :, 4:6] - p_g),
+        detection_rmse=_rms(recorder.escorts[:, :, 2:4] - (p_a - p_g)),
+        missing_commands=dict(flight.missing),
+        deterministic=flight.first_missing is None,
+        first_missing_tick=flight.first_missing,
+        trajectory_sha256=recorder.sha256(),
+        platform=platform_row(),
+        processes=list(processes),
+    )

@@ -1,0 +1,113 @@
+"""What a flight was: the record of every tick, its hash, and the numbers that sum it up."""
+
+import csv
+import hashlib
+import math
+import platform
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from bus.messages import UavReport
+from sim.compile import FloatArray
+from sim.world import World
+
+_ROOM = 1024
+
+
+class Recorder:
+    """Arrays that grow with the flight; row k is tick k.
+
+    Args:
+        world: The world that is recorded.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self.ticks = 0
+        """Number of complete ticks: those whose commands were applied."""
+        self.rows = 0
+        """Number of states taken down: one more than complete ticks, once the flight is over."""
+        vehicles, uavs = len(world.names), len(world.uavs)
+        self._states: FloatArray = np.empty((_ROOM, vehicles, 6))  # p, v at k; then the command applied during k
+        self._escorts: FloatArray = np.empty((_ROOM, uavs, 6))  # distance, e, detection, estimate
+
+    def _make_room(self) -> None:
+        if self.ticks == len(self._states):
+            self._states = np.concatenate((self._states, np.empty_like(self._states)))
+            self._escorts = np.concatenate((self._escorts, np.empty_like(self._escorts)))
+
+    def before(self) -> None:
+        """Take down the state at tick k, before the world steps."""
+        self._make_room()
+        self._states[self.ticks, :, 0:2] = self._world.position
+        self._states[self.ticks, :, 2:4] = self._world.velocity
+        self._escorts[self.ticks, :, 0:2] = self._world.measure()
+        self._escorts[self.ticks, :, 2:4] = self._world.detections
+        self._escorts[self.ticks, :, 4:6] = np.nan
+        self._states[self.ticks, :, 4:6] = np.nan
+        self.rows = self.ticks + 1
+
+    def after(self, reports: list[UavReport | None]) -> None:
+        """Take down what was applied during tick k, after the world has stepped, and what the UAVs reported."""
+        self._states[self.ticks, :, 4:6] = self._world.acceleration
+        for k, report in enumerate(reports):
+            if report is not None:
+                self._escorts[self.ticks, k, 4:6] = report.estimate
+        self.ticks += 1
+
+    @property
+    def states(self) -> FloatArray:
+        """Position [m], velocity [m/s] and applied acceleration [m/s²] of each vehicle, shape (rows, vehicles, 6).
+
+        The last row of a flight that is over has no acceleration: NaN.
+        """
+        return self._states[: self.rows]
+
+    @property
+    def escorts(self) -> FloatArray:
+        """Distance [m], e(t) [m²], detected p_delta [m], estimated p_g [m] of each UAV, shape (rows, UAVs, 6); NaN where none."""
+        return self._escorts[: self.rows]
+
+    def sha256(self, ticks: int | None = None) -> str:
+        """The trajectory's hash over the first `ticks` complete ticks (all of them by default).
+
+        For each tick in order and each vehicle in name order: p and v, then the command applied; little-endian float64,
+        -0.0 written as 0.0.
+        """
+        complete = self._states[: self.ticks if ticks is None else min(ticks, self.ticks)]
+        return hashlib.sha256((complete + 0.0).astype("<f8").tobytes()).hexdigest()
+
+    def _rows(self) -> Iterator[list[float | int | str]]:
+        dt = self._world.parameters.dt
+        for k in range(self.rows):
+            numbers = [*self._states[k].ravel().tolist(), *self._escorts[k].ravel().tolist()]
+            yield [k, k * dt, *("" if math.isnan(number) else number for number in numbers)]
+
+    def write(self, path: Path) -> None:
+        """Write the trajectory as CSV with a header that carries the units; numbers survive exactly, none is an empty field."""
+        header = ["tick", "time [s]"]
+        for name in self._world.names:
+            header += [f"{name}.{field}" for field in ("x [m]", "y [m]", "vx [m/s]", "vy [m/s]", "ux [m/s2]", "uy [m/s2]")]
+        for uav in self._world.uavs:
+            header += [f"{uav.name}.{field}" for field in ("distance [m]", "coverage_error [m2]")]
+            header += [f"{uav.name}.{field}" for field in ("detected_x [m]", "detected_y [m]")]
+            header += [f"{uav.name}.{field}" for field in ("estimate_x [m]", "estimate_y [m]")]
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(header)
+            writer.writerows(self._rows())
+
+
+def platform_row() -> dict[str, str]:
+    """What the bits of a trajectory depend on besides scenario and seed."""
+    return {
+        "python": platform.python_version(),
+        "numpy": version("numpy"),
+        "numba": version("numba"),
+        "c_library": " ".join(platform.libc_ver()),
+        "machine": platform.machine(),
+        "system": platform.system(),
+    }
