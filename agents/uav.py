@@ -76,6 +76,10 @@ class UavPilot:
             ),
         )
 
+    def prepare(self) -> None:
+        """Work ahead for the next observation, while the simulator is busy; changes nothing but when it is done."""
+        self.estimator.prepare()
+
     def _look(self, observation: UavObservation) -> None:
         """Add to the map what was seen since the last observation (3)."""
         elapsed = 0 if self._tick is None else observation.tick - self._tick

@@ -22,3 +22,6 @@ class UgvPilot:
     def act(self, observation: UgvObservation) -> UgvCommand:
         """The command for this observation."""
         return UgvCommand(tick=observation.tick, acceleration=self._driver.drive(observation))
+
+    def prepare(self) -> None:
+        """Nothing to work ahead."""

@@ -79,7 +79,7 @@ def fly(
         seed: Of all random numbers.
         weighting: For the law `weighted`, instead of the scenario's.
         path: For the law `path`, instead of the scenario's.
-        on_tick: Called after each tick with the flight.
+        on_tick: Called after each tick with the flight, which it may stop.
 
     Returns:
         The flight with its record, and the summary.
@@ -87,11 +87,7 @@ def fly(
     flight = Flight(scenario, seed)
     exchange = InProcess(make_pilots(scenario, seed, weighting=weighting, path=path))
     started = time.perf_counter()
-    try:
-        flight.fly(exchange, on_tick=None if on_tick is None else lambda: on_tick(flight))
-    except KeyboardInterrupt:
-        if not flight.recorder.rows:
-            raise
+    flight.fly(exchange, on_tick=None if on_tick is None else lambda: on_tick(flight))
     return flight, summarize(flight, seconds=time.perf_counter() - started)
 
 

@@ -97,7 +97,7 @@ def summarize(flight: Flight, *, seconds: float, processes: tuple[Process, ...] 
         law=scenario.law.name,
         dt=scenario.dt,
         ticks=recorder.ticks,
-        complete=flight.over,
+        complete=flight.complete,
         ticks_per_second=recorder.ticks / seconds if seconds > 0.0 else 0.0,
         max_distance=float(distance.max()),
         mean_distance=float(distance.mean()),

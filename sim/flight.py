@@ -57,6 +57,7 @@ class Flight:
         """The first such tick."""
         self.reports: list[UavReport | None] = [None] * len(self.world.uavs)
         """What each UAV last said of itself."""
+        self._stopped = False
         self._commands: FloatArray = np.zeros((len(self.world.names), 2))
         self._silent = np.zeros(len(self.world.names), dtype=np.int64)  # ticks since the last command
         self._hold_ticks = round(scenario.hold / scenario.dt)
@@ -64,9 +65,18 @@ class Flight:
         self._radio: dict[str, list[RelativeInformation]] = {name: [] for name in self.world.names}
 
     @property
-    def over(self) -> bool:
+    def complete(self) -> bool:
         """Whether the scenario's last tick has been flown."""
         return self.world.tick >= self.scenario.ticks
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing more is flown: complete, or stopped."""
+        return self._stopped or self.complete
+
+    def stop(self) -> None:
+        """End the flight before the next command acts."""
+        self._stopped = True
 
     def observations(self) -> dict[str, Observation]:
         """What each vehicle perceives at this tick: its own row and nothing else."""
@@ -129,7 +139,10 @@ class Flight:
         while not self.over:
             exchange.publish(self.observations())
             self.recorder.before()  # while the vehicles think
-            self.apply(exchange.collect(self.world.tick))
+            commands = exchange.collect(self.world.tick)
+            if self._stopped:
+                break
+            self.apply(commands)
             if on_tick is not None:
                 on_tick()
         self.recorder.before()
@@ -159,3 +172,11 @@ class Flight:
                 for k, uav in enumerate(world.uavs)
             ),
         )
+
+
+def warm_up(scenario: Scenario) -> None:
+    """Let all that a flight compiles be compiled or loaded, with a world that nobody sees."""
+    flight = Flight(scenario, scenario.seed)
+    flight.recorder.before()
+    flight.apply({})
+    flight.observations()

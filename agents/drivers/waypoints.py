@@ -34,7 +34,7 @@ class WaypointDriver:
 
     def __init__(self, briefing: UgvBriefing) -> None:
         self._briefing = briefing
-        self._goals = briefing.goals
+        self._goals = tuple((float(x), float(y)) for x, y in briefing.goals)
         self._index = 0
         self._v_max = briefing.limits.max_speed or math.inf
         self._u_max = briefing.limits.max_acceleration or math.inf

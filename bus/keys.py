@@ -1,0 +1,218 @@
+"""THE table: which message travels on which key, who writes it and who reads it. Everything else is derived from it.
+
+A key is `outrider/<run>/<vehicle>/<topic>`, or `outrider/<run>/<topic>` where no vehicle is meant.
+"""
+
+import re
+from dataclasses import dataclass
+from enum import StrEnum
+
+from bus.errors import AccessDenied
+from bus.messages import (
+    CoverageMap,
+    Message,
+    Status,
+    Truth,
+    UavBriefing,
+    UavCommand,
+    UavObservation,
+    UgvBriefing,
+    UgvCommand,
+    UgvObservation,
+)
+
+ROOT = "outrider"
+SIMULATOR_NAME = "simulator"
+"""The simulator's name on the bus; no vehicle may bear it."""
+
+
+class Role(StrEnum):
+    """Who a process is."""
+
+    SIMULATOR = "simulator"
+    UAV = "uav"
+    UGV = "ugv"
+    OBSERVER = "observer"
+
+
+class Delivery(StrEnum):
+    """How a message travels."""
+
+    EVERY = "every"
+    """Each one arrives, in order; the writer waits rather than lose one."""
+    NEWEST = "newest"
+    """Old ones may be dropped; the writer never waits."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Key:
+    """One row of the table."""
+
+    topic: str
+    vehicle: Role | None
+    """The kind of vehicle whose key this is; None: the key has no vehicle in it."""
+    message: type[Message]
+    writer: Role
+    readers: tuple[Role, ...]
+    delivery: Delivery
+
+    def expression(self, run: str, vehicle: str = "") -> str:
+        """The key of one vehicle (or of none) in one run."""
+        middle = f"{vehicle}/" if self.vehicle is not None else ""
+        return f"{ROOT}/{run}/{middle}{self.topic}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Party:
+    """Who a process is, by role and name: `uav_0` is not `uav_1`."""
+
+    role: Role
+    name: str
+
+
+UAV_BRIEFING = Key(
+    topic="briefing",
+    vehicle=Role.UAV,
+    message=UavBriefing,
+    writer=Role.SIMULATOR,
+    readers=(Role.UAV,),
+    delivery=Delivery.EVERY,
+)
+UGV_BRIEFING = Key(
+    topic="briefing",
+    vehicle=Role.UGV,
+    message=UgvBriefing,
+    writer=Role.SIMULATOR,
+    readers=(Role.UGV,),
+    delivery=Delivery.EVERY,
+)
+UAV_OBSERVATION = Key(
+    topic="observation",
+    vehicle=Role.UAV,
+    message=UavObservation,
+    writer=Role.SIMULATOR,
+    readers=(Role.UAV,),
+    delivery=Delivery.EVERY,
+)
+UGV_OBSERVATION = Key(
+    topic="observation",
+    vehicle=Role.UGV,
+    message=UgvObservation,
+    writer=Role.SIMULATOR,
+    readers=(Role.UGV,),
+    delivery=Delivery.EVERY,
+)
+UAV_COMMAND = Key(
+    topic="command",
+    vehicle=Role.UAV,
+    message=UavCommand,
+    writer=Role.UAV,
+    readers=(Role.SIMULATOR,),
+    delivery=Delivery.EVERY,
+)
+UGV_COMMAND = Key(
+    topic="command",
+    vehicle=Role.UGV,
+    message=UgvCommand,
+    writer=Role.UGV,
+    readers=(Role.SIMULATOR,),
+    delivery=Delivery.EVERY,
+)
+TRUTH = Key(
+    topic="truth",
+    vehicle=None,
+    message=Truth,
+    writer=Role.SIMULATOR,
+    readers=(Role.OBSERVER,),
+    delivery=Delivery.NEWEST,
+)
+COVERAGE = Key(
+    topic="coverage",
+    vehicle=None,
+    message=CoverageMap,
+    writer=Role.SIMULATOR,
+    readers=(Role.OBSERVER,),
+    delivery=Delivery.NEWEST,
+)
+STATUS = Key(
+    topic="status",
+    vehicle=None,
+    message=Status,
+    writer=Role.SIMULATOR,
+    readers=(Role.OBSERVER,),
+    delivery=Delivery.NEWEST,
+)
+
+KEYS: tuple[Key, ...] = (
+    UAV_BRIEFING,
+    UGV_BRIEFING,
+    UAV_OBSERVATION,
+    UGV_OBSERVATION,
+    UAV_COMMAND,
+    UGV_COMMAND,
+    TRUTH,
+    COVERAGE,
+    STATUS,
+)
+
+BRIEFING = {Role.UAV: UAV_BRIEFING, Role.UGV: UGV_BRIEFING}
+OBSERVATION = {Role.UAV: UAV_OBSERVATION, Role.UGV: UGV_OBSERVATION}
+COMMAND = {Role.UAV: UAV_COMMAND, Role.UGV: UGV_COMMAND}
+
+_TOKEN = "alive"  # noqa: S105 - the last part of a liveliness token's key
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+
+
+def check_run_name(run: str) -> str:
+    """The run's name, if it can be part of a key.
+
+    Raises:
+        ValueError: If it cannot.
+    """
+    if not _NAME.fullmatch(run):
+        raise ValueError(f"run = {run!r}: allowed are 1 to 64 letters, digits, '_', '.' and '-', first a letter or digit")
+    return run
+
+
+def token(run: str, party: Party) -> str:
+    """The liveliness token of a party: there while its process is."""
+    return f"{ROOT}/{run}/{party.name}/{_TOKEN}"
+
+
+def token_owner(expression: str) -> str:
+    """Whose token this is."""
+    return expression.split("/")[-2]
+
+
+def any_vehicle(run: str, topic: str) -> str:
+    """The keys of all vehicles for one topic; what the simulator subscribes to."""
+    return f"{ROOT}/{run}/*/{topic}"
+
+
+def vehicle_of(expression: str) -> str:
+    """The vehicle in a key of one."""
+    return expression.split("/")[-2]
+
+
+def _own(key: Key, party: Party, vehicle: str) -> bool:
+    return key.vehicle is None or party.role not in (Role.UAV, Role.UGV) or (party.role is key.vehicle and party.name == vehicle)
+
+
+def check_writes(key: Key, party: Party, vehicle: str = "") -> None:
+    """Refuse what the table does not give.
+
+    Raises:
+        AccessDenied: If this party may not write this key of this vehicle.
+    """
+    if party.role is not key.writer or not _own(key, party, vehicle):
+        raise AccessDenied(f"{party.name} ({party.role}) may not write {vehicle or 'the'} {key.topic}")
+
+
+def check_reads(key: Key, party: Party, vehicle: str = "") -> None:
+    """Refuse what the table does not give.
+
+    Raises:
+        AccessDenied: If this party may not read this key of this vehicle.
+    """
+    if party.role not in key.readers or not _own(key, party, vehicle):
+        raise AccessDenied(f"{party.name} ({party.role}) may not read {vehicle or 'the'} {key.topic}")

@@ -1,0 +1,31 @@
+"""`outrider check`: whether a scenario can be flown."""
+
+from typing import Annotated
+
+import typer
+
+
+def command(
+    file: Annotated[str, typer.Argument(help="A TOML file, or a shipped scenario's name.")],
+    changes: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Any field of the scenario; may be repeated.")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+) -> None:
+    """Validate a scenario: exit code 0 if it can be flown, 2 and one line naming file, field and value if not.
+
+    Example: outrider check my-scenario.toml
+    """
+    from outrider.cli.console import OUT, print_json, print_warnings
+    from sim.scenario import load_scenario
+    from sim.scenario_checks import scenario_warnings
+
+    scenario = load_scenario(file, overrides=changes or ())
+    if json:
+        print_json({"scenario": scenario.name, "valid": True, "warnings": list(scenario_warnings(scenario))})
+        return
+    print_warnings(scenario)
+    vehicles = ", ".join(vehicle.name for vehicle in scenario.vehicles)
+    OUT.print(
+        f"{scenario.name}: can be flown ({vehicles}; law {scenario.law.name}; {scenario.duration:g} s, {scenario.ticks} ticks)"
+    )

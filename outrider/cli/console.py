@@ -1,0 +1,101 @@
+"""What the terminal shows: results on stdout, everything on the way on stderr."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import msgspec
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from outrider.summary import Summary
+from sim.scenario import Scenario
+from sim.scenario_checks import scenario_warnings
+
+ERR = Console(stderr=True, highlight=False)
+OUT = Console(highlight=False)
+
+
+def print_json(value: object) -> None:
+    """One JSON object on stdout."""
+    sys.stdout.write(msgspec.json.format(msgspec.json.encode(value), indent=2).decode() + "\n")
+    sys.stdout.flush()
+
+
+def print_warnings(scenario: Scenario) -> None:
+    """What can be flown but will not do what one may expect."""
+    for line in scenario_warnings(scenario):
+        ERR.print(f"[yellow]warning:[/] {line}")
+
+
+class FlightProgress:
+    """A bar that fills with simulated time."""
+
+    def __init__(self, progress: Progress, task: TaskID, dt: float) -> None:
+        self._progress, self._task, self._dt = progress, task, dt
+
+    def show(self, tick: int) -> None:
+        """The flight has come to this tick."""
+        if tick:
+            self._progress.update(self._task, description="flying", completed=tick, seconds=tick * self._dt)
+
+    def say(self, line: str) -> None:
+        """Print a line above the bar."""
+        self._progress.console.print(f"[yellow]{line}[/]")
+
+
+@contextmanager
+def flight_progress(scenario: Scenario, waiting: str) -> Iterator[FlightProgress]:
+    """A progress bar for one flight, on stderr."""
+    columns = (
+        TextColumn("[bold]{task.description}"),
+        BarColumn(bar_width=40, complete_style="blue", finished_style="blue"),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TextColumn("{task.fields[seconds]:>7.1f} s simulated"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=ERR, transient=not ERR.is_terminal) as progress:
+        task = progress.add_task(waiting, total=scenario.ticks, seconds=0.0)
+        yield FlightProgress(progress, task, scenario.dt)
+
+
+def _meters(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f} m"
+
+
+def print_summary(summary: Summary, files: list[Path]) -> None:
+    """The table that a run ends with."""
+    table = Table(title=f"{summary.scenario}, law {summary.law}, seed {summary.seed}", title_justify="left", show_header=False)
+    table.add_column(style="bold")
+    table.add_column(justify="right")
+    kept = summary.visibility_violations == 0
+    rows = [
+        ("flown", f"{summary.ticks * summary.dt:.2f} s in {summary.ticks} ticks" + ("" if summary.complete else " (cut short)")),
+        ("speed", f"{summary.ticks_per_second:,.0f} ticks/s"),
+        ("UGV in sight (5)", "[green]always[/]" if kept else f"[red]lost in {summary.visibility_violations} ticks[/]"),
+        ("largest distance", f"{_meters(summary.max_distance)} of r_v = {summary.visibility_radius:g} m"),
+        ("mean distance", _meters(summary.mean_distance)),
+        ("switching radius r_s (18)", f"{_meters(summary.switching_radius)}, reached {summary.crossings} times"),
+        (
+            "coverage error e (4)",
+            f"start {summary.initial_error:.1f}, mean {summary.mean_error:.1f}, end {summary.final_error:.1f} m²",
+        ),
+        ("RMS error of the estimate", _meters(summary.estimate_rmse)),
+        ("RMS error of the detections", _meters(summary.detection_rmse)),
+    ]
+    missing = {name: count for name, count in summary.missing_commands.items() if count}
+    if missing:
+        rows.append(("missing commands", ", ".join(f"{name} {count}" for name, count in missing.items())))
+    rows += (
+        [("processes", ", ".join(f"{process.name} ({process.pid})" for process in summary.processes))]
+        if summary.processes
+        else []
+    )
+    for row in rows:
+        table.add_row(*row)
+    OUT.print(table)
+    OUT.print(f"  trajectory_sha256 {summary.trajectory_sha256}", soft_wrap=True)
+    for file in files:
+        OUT.print(f"  {file}", soft_wrap=True)

@@ -1,0 +1,39 @@
+"""`outrider figures`: the paper's figures and what they claim."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("figures"),
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+) -> None:
+    """Draw figures 1 to 5 of the paper and print the table of their claims, each with its number.
+
+    Exit code 1 if a claim does not hold.
+
+    Example: outrider figures --out figures
+    """
+    from rich.progress import Progress
+    from rich.table import Table
+
+    from outrider.cli.console import ERR, OUT, print_json
+    from outrider.figures import make_figures
+
+    with Progress(console=ERR, transient=True) as progress:
+        task = progress.add_task("drawing", total=1.0)
+        claims = make_figures(out, on_progress=lambda what, share: progress.update(task, description=what, completed=share))
+    if json:
+        print_json({"claims": claims, "folder": str(out)})
+    else:
+        table = Table(title="What the paper's figures claim", title_justify="left")
+        for heading in ("figure", "claim", "found", "holds"):
+            table.add_column(heading, no_wrap=heading in ("figure", "holds"))
+        for claim in claims:
+            table.add_row(claim.figure, claim.claim, claim.value, "[green]yes[/]" if claim.holds else "[red]no[/]")
+        OUT.print(table)
+        OUT.print(f"  {out}/figure-1.png ... figure-5.png", soft_wrap=True)
+    if not all(claim.holds for claim in claims):
+        raise typer.Exit(1)

@@ -1,0 +1,88 @@
+"""The command line's table, and what becomes of its errors: one clear line, and an exit code."""
+
+import logging
+import signal
+import sys
+from collections.abc import Callable
+from types import FrameType
+
+import typer
+
+from bus.errors import OutriderError, ScenarioError
+from outrider.cli import bench, check, figures, run, scenarios, simulator, vehicles
+
+COMMANDS: dict[str, Callable[..., None]] = {
+    "run": run.command,
+    "simulator": simulator.command,
+    "uav": vehicles.uav,
+    "ugv": vehicles.ugv,
+    "scenarios": scenarios.command,
+    "check": check.command,
+    "figures": figures.command,
+    "bench": bench.command,
+}
+
+
+def _about() -> None:
+    """Outrider: a UAV that flies as the outrider of a ground vehicle, and never loses sight of it.
+
+    Example: outrider run escort --seed 3
+    """
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        sys.stdout.write(f"outrider {version('outrider')}\n")
+        raise typer.Exit
+
+
+def _app() -> typer.Typer:
+    app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="markdown")
+
+    @app.callback(help=_about.__doc__)
+    def about(
+        version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version and stop."),
+    ) -> None:
+        pass
+
+    for name, command in COMMANDS.items():
+        app.command(name)(command)
+    return app
+
+
+def _end(_signal: int, _frame: FrameType | None) -> None:
+    raise SystemExit(128 + signal.SIGTERM)
+
+
+def _fail(line: str, code: int) -> int:
+    sys.stderr.write(f"outrider: {' '.join(line.split())}\n")
+    return code
+
+
+def _run() -> int:
+    try:
+        return int(_app()(standalone_mode=False) or 0)
+    except ScenarioError as error:
+        return _fail(str(error), 2)
+    except OutriderError as error:
+        return _fail(str(error), 1)
+    except BrokenPipeError:
+        return 1
+    except OSError as error:
+        return _fail(f"{error.filename or 'output'}: {error.strerror or error}", 1)
+    except KeyboardInterrupt:
+        return _fail("interrupted", 130)
+    except Exception as error:
+        told = getattr(error, "format_message", None)  # typer's own errors, of whichever click it carries
+        if told is None:
+            raise
+        return _fail(f"{told()} (outrider --help tells more)", int(getattr(error, "exit_code", 2)))
+
+
+def main() -> None:
+    """Run the command line."""
+    logging.basicConfig(format="%(name)s: %(message)s", level=logging.WARNING)
+    signal.signal(signal.SIGTERM, _end)
+    sys.exit(_run())

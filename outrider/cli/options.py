@@ -1,0 +1,70 @@
+"""Options that several commands share, and how they become a scenario."""
+
+import re
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bus.errors import ScenarioError
+
+if TYPE_CHECKING:
+    from sim.scenario import Scenario
+
+ScenarioName = Annotated[str, typer.Argument(help="A shipped scenario's name, or a TOML file.")]
+Seed = Annotated[
+    int | None, typer.Option(help="Seed of all random numbers; the scenario's own by default.", min=0, max=2**53 - 1)
+]
+Duration = Annotated[float | None, typer.Option(help="Simulated time in s, instead of the scenario's.")]
+LawName = Annotated[
+    str | None,
+    typer.Option("--law", help="tracking, coverage, linear, switching, logarithmic, circle, weighted or path."),
+]
+DriverName = Annotated[str | None, typer.Option("--driver", help="Who drives the UGVs: waypoints.")]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Any field of the scenario, such as detections.noise=0.2; may be repeated."),
+]
+Weighting = Annotated[str, typer.Option(help="A weighting of your own as module:function, for the law `weighted`.")]
+VirtualPath = Annotated[str, typer.Option("--path", help="A path of your own as module:function, for the law `path`.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else there.")]
+Leash = Annotated[bool, typer.Option(hidden=True, help="End when standard input closes: the parent has gone.")]
+
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:17447"
+DEFAULT_RUN = "flight"
+
+
+def scenario_of(
+    name: str,
+    *,
+    seed: int | None = None,
+    duration: float | None = None,
+    law: str | None = None,
+    driver: str | None = None,
+    changes: list[str] | None = None,
+    weighting: str = "",
+    path: str = "",
+) -> "tuple[Scenario, list[str]]":
+    """The scenario that the options ask for, and the same options as `--set` arguments for another process.
+
+    Raises:
+        ScenarioError: If it cannot be flown.
+    """
+    from sim.scenario import load_scenario  # a vehicle's process, which shares these options, must not load it
+
+    overrides = list(changes or ())
+    quoted = {"law.name": law, "custom.weighting": weighting, "custom.path": path}
+    overrides += [f'{key}="{_plain(key, value)}"' for key, value in quoted.items() if value]
+    if duration is not None:
+        overrides.append(f"duration={duration!r}")
+    if seed is not None:
+        overrides.append(f"seed={seed}")
+    if driver:
+        count = len(load_scenario(name, overrides=overrides).ugv)
+        overrides += [f'ugv.{k}.driver="{_plain("driver", driver)}"' for k in range(count)]
+    return load_scenario(name, overrides=overrides), overrides
+
+
+def _plain(field: str, value: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9_.:-]+", value):
+        raise ScenarioError(f"{field} = {value!r}: allowed are letters, digits, '_', '.', ':' and '-'")
+    return value

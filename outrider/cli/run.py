@@ -1,0 +1,117 @@
+"""`outrider run`: the main job."""
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from outrider.cli.options import DriverName, Duration, Json, LawName, ScenarioName, Seed, Set, VirtualPath, Weighting
+
+if TYPE_CHECKING:
+    from outrider.cli.console import FlightProgress
+    from outrider.cli.stopping import Stop
+    from outrider.launch import Outcome
+    from sim.scenario import Scenario
+
+
+def command(
+    scenario: ScenarioName = "escort",
+    seed: Seed = None,
+    duration: Duration = None,
+    law: LawName = None,
+    driver: DriverName = None,
+    changes: Set = None,
+    weighting: Weighting = "",
+    path: VirtualPath = "",
+    in_process: Annotated[bool, typer.Option("--in-process", help="Without a bus, all in this process.")] = False,
+    deadline: Annotated[float, typer.Option(help="Seconds to wait for the commands of one tick.", min=0.01)] = 10.0,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for trajectory, picture and summary; a new one in runs/ by default.")
+    ] = None,
+    files: Annotated[bool, typer.Option(help="Write files at all.")] = True,
+    picture: Annotated[bool, typer.Option(help="Draw the picture.")] = True,
+    json: Json = False,
+) -> None:
+    """Fly a scenario as three operating-system processes over Zenoh: simulator, UAV and UGV.
+
+    Ends with a table of numbers, a picture and the trajectory. Ctrl-C ends the run and keeps what was flown.
+
+    Example: outrider run escort --seed 3 --law switching
+    """
+    from outrider.cli.console import flight_progress, print_json, print_summary, print_warnings
+    from outrider.cli.options import scenario_of
+    from outrider.cli.stopping import stop_on_signals
+    from outrider.output import default_folder, write_summary
+
+    flown, overrides = scenario_of(
+        scenario, seed=seed, duration=duration, law=law, driver=driver, changes=changes, weighting=weighting, path=path
+    )
+    print_warnings(flown)
+    folder = (out or default_folder(flown.name)) if files else None
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made shows before the flight, not after it
+    with stop_on_signals() as stop:
+        if in_process:
+            outcome = _fly_here(flown, folder, picture, stop)
+        else:
+            from outrider.launch import launch
+
+            with flight_progress(flown, "starting (the first start compiles)") as progress:
+                outcome = launch(
+                    flown,
+                    scenario,
+                    overrides,
+                    out=folder,
+                    picture=picture,
+                    deadline=deadline,
+                    on_tick=progress.show,
+                    on_event=progress.say,
+                    stop=lambda: stop.count,
+                )
+        if outcome.summary is not None and folder is not None:
+            write_summary(outcome.summary, folder)
+    if outcome.summary is not None:
+        if json:
+            print_json(outcome.summary)
+        else:
+            print_summary(outcome.summary, outcome.files)
+    _end(outcome, stop)
+
+
+def _fly_here(flown: "Scenario", folder: Path | None, picture: bool, stop: "Stop") -> "Outcome":
+    from outrider.cli.console import flight_progress
+    from outrider.launch import Outcome
+    from outrider.output import write_flight
+    from outrider.run import fly
+    from sim.flight import Flight
+
+    shown = 0.0
+
+    def follow(flight: Flight, progress: "FlightProgress") -> None:
+        nonlocal shown
+        if stop:
+            flight.stop()
+        now = time.monotonic()
+        if now - shown > 0.1 or flight.over:
+            shown = now
+            progress.show(flight.world.tick)
+
+    with flight_progress(flown, "compiling") as progress:
+        flight, summary = fly(flown, flown.seed, on_tick=lambda flight: follow(flight, progress))
+    outcome = Outcome(summary=summary)
+    if folder is not None:
+        try:
+            outcome.files = write_flight(flight, summary, folder, picture=picture)
+        except OSError as error:
+            outcome.fault = f"{error.filename or folder}: {error.strerror or error}"
+    return outcome
+
+
+def _end(outcome: "Outcome", stop: "Stop") -> None:
+    from bus.errors import PeerLost
+
+    if stop:
+        raise typer.Exit(stop.exit_code)
+    if outcome.fault:
+        raise PeerLost(outcome.fault)

@@ -1,0 +1,39 @@
+"""Ctrl-C and SIGTERM as a wish, not as an exception in the middle of a tick."""
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+
+class Stop:
+    """Which signal has asked for the end, if any."""
+
+    def __init__(self) -> None:
+        self.signal: int | None = None
+        self.count = 0
+
+    def __bool__(self) -> bool:
+        return self.signal is not None
+
+    def handle(self, number: int, _frame: FrameType | None) -> None:
+        """Take the signal down."""
+        self.signal = number
+        self.count += 1
+
+    @property
+    def exit_code(self) -> int:
+        """As a shell would say it."""
+        return 0 if self.signal is None else 128 + self.signal
+
+
+@contextmanager
+def stop_on_signals() -> Iterator[Stop]:
+    """While this lasts, SIGINT and SIGTERM only set a flag."""
+    stop = Stop()
+    before = {number: signal.signal(number, stop.handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

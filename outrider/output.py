@@ -1,0 +1,61 @@
+"""What a run leaves behind in its folder: the trajectory, the picture and the summary."""
+
+from datetime import datetime
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from outrider.summary import Summary
+from sim.flight import Flight
+
+TRAJECTORY = "trajectory.csv"
+PICTURE = "flight.png"
+COVERAGE = "coverage.npy"
+SUMMARY = "summary.json"
+
+
+def default_folder(scenario: str) -> Path:
+    """A folder that no run before has used, named by time and scenario."""
+    stamp = datetime.now().astimezone().strftime("%Y%m%d-%H%M%S")
+    folder = Path("runs") / f"{stamp}-{scenario or 'scenario'}"
+    taken = 1
+    while folder.exists():
+        taken += 1
+        folder = Path("runs") / f"{stamp}-{scenario or 'scenario'}-{taken}"
+    return folder
+
+
+def write_summary(summary: Summary, folder: Path) -> Path:
+    """Write the summary as JSON."""
+    path = folder / SUMMARY
+    path.write_bytes(msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n")
+    return path
+
+
+def write_flight(flight: Flight, summary: Summary, folder: Path, *, picture: bool = True) -> list[Path]:
+    """Write all there is of a flight.
+
+    Args:
+        flight: What was flown.
+        summary: Its summary.
+        folder: Is made if it is not there; files of an earlier run in it are replaced.
+        picture: Whether to draw it.
+
+    Returns:
+        The files.
+
+    Raises:
+        OSError: If a file cannot be written; what could be written before it is there.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    flight.recorder.write(folder / TRAJECTORY)
+    files = [folder / TRAJECTORY, write_summary(summary, folder)]
+    np.save(folder / COVERAGE, flight.world.coverage)
+    files.append(folder / COVERAGE)
+    if picture:
+        from outrider.render import draw_flight  # noqa: PLC0415 - matplotlib is slow to load
+
+        draw_flight(flight, folder / PICTURE)
+        files.append(folder / PICTURE)
+    return files

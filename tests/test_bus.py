@@ -1,0 +1,273 @@
+"""The bus, with real Zenoh sessions over real sockets."""
+
+import math
+import random
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import get_args, get_type_hints
+
+import msgspec
+import pytest
+
+from bus import messages
+from bus.errors import AccessDenied, BusError
+from bus.keys import (
+    COVERAGE,
+    KEYS,
+    STATUS,
+    TRUTH,
+    UAV_COMMAND,
+    UAV_OBSERVATION,
+    UGV_COMMAND,
+    UGV_OBSERVATION,
+    Key,
+    Party,
+    Role,
+    check_reads,
+    check_run_name,
+    check_writes,
+)
+from bus.messages import Detection, Message, UavCommand, UavObservation, UgvCommand
+from bus.session import Session, open_session
+
+NAMES = {Role.SIMULATOR: "simulator", Role.UAV: "uav_0", Role.UGV: "ugv_0", Role.OBSERVER: "watcher"}
+
+
+def party(role: Role) -> Party:
+    return Party(role=role, name=NAMES[role])
+
+
+@pytest.fixture
+def endpoint(tmp_path: Path) -> str:
+    return f"unixsock-stream/{tmp_path / 'bus.sock'}"
+
+
+@pytest.fixture
+def sessions(endpoint: str) -> Iterator[dict[Role, Session]]:
+    """A router and one client for each other role."""
+    with ExitStack() as stack:
+        opened = {Role.SIMULATOR: stack.enter_context(open_session(party(Role.SIMULATOR), "run", listen=(endpoint,)))}
+        for role in (Role.UAV, Role.UGV, Role.OBSERVER):
+            opened[role] = stack.enter_context(open_session(party(role), "run", connect=endpoint))
+        yield opened
+
+
+def sample(kind: object, rng: random.Random) -> object:
+    """A valid value of any type that messages are made of."""
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        hints = get_type_hints(kind, include_extras=True)
+        return kind(**{name: sample(hints[name], rng) for name in kind.__struct_fields__})
+    parts = get_args(kind)
+    if kind in (float, messages.Coordinate):
+        return rng.uniform(-1e6, 1e6)
+    if kind in (messages.NonNegative, messages.Positive):
+        return rng.uniform(1e-9, 1e9)
+    if kind is messages.Name:
+        return "vehicle_" + str(rng.randrange(100))
+    if kind is messages.Text:
+        return "text ∞ " + str(rng.random())
+    if kind is bool:
+        return rng.random() < 0.5
+    if kind is bytes:
+        return rng.randbytes(20)
+    if isinstance(kind, type) and issubclass(kind, int):
+        return rng.randrange(2**53)
+    if parts and parts[0] is int:
+        return rng.randrange(1, 1000)
+    origin = getattr(kind, "__origin__", None)
+    if origin is dict:
+        return {str(sample(parts[0], rng)): sample(parts[1], rng) for _ in range(2)}
+    if origin is tuple and parts[-1] is Ellipsis:
+        return tuple(sample(parts[0], rng) for _ in range(rng.randrange(3)))
+    if origin is tuple:
+        return tuple(sample(part, rng) for part in parts)
+    if type(None) in parts:
+        return None if rng.random() < 0.3 else sample(next(part for part in parts if part is not type(None)), rng)
+    raise AssertionError(f"no sample for {kind}")
+
+
+@pytest.mark.parametrize("key", KEYS, ids=lambda key: key.message.__name__)
+def test_every_row_round_trips_to_its_reader_with_the_same_bits(sessions: dict[Role, Session], key: Key) -> None:
+    reader = key.readers[0]
+    vehicle = NAMES.get(key.vehicle, "") if key.vehicle else ""
+    inbox = sessions[reader].inbox(key, vehicle)
+    outbox = sessions[key.writer].outbox(key, vehicle)
+    rng = random.Random(7)
+    for _ in range(5):
+        sent = sample(key.message, rng)
+        assert isinstance(sent, Message)
+        _send_until_read(outbox.send, sent, inbox.receive)
+
+
+def _send_until_read(send, sent: Message, receive) -> None:
+    for _ in range(50):  # the first may go before the subscription has arrived
+        send(sent)
+        letter = receive(0.2)
+        if letter is not None:
+            assert letter.message == sent
+            while receive(0.1) is not None:
+                pass
+            return
+    raise AssertionError("nothing arrived")
+
+
+@pytest.mark.parametrize("key", KEYS, ids=lambda key: key.message.__name__)
+@pytest.mark.parametrize("role", list(Role))
+def test_every_wrong_role_is_denied_at_our_own_api(key: Key, role: Role) -> None:
+    who = party(role)
+    own = NAMES.get(key.vehicle, "") if key.vehicle else ""
+    if role is key.writer:
+        check_writes(key, who, own)
+    else:
+        with pytest.raises(AccessDenied, match=who.name):
+            check_writes(key, who, own)
+    if role in key.readers:
+        check_reads(key, who, own)
+    else:
+        with pytest.raises(AccessDenied, match=who.name):
+            check_reads(key, who, own)
+
+
+def test_a_vehicle_is_denied_the_row_of_another_of_its_kind() -> None:
+    other = Party(role=Role.UAV, name="uav_1")
+    with pytest.raises(AccessDenied, match="uav_1"):
+        check_reads(UAV_OBSERVATION, other, "uav_0")
+    with pytest.raises(AccessDenied, match="uav_1"):
+        check_writes(UAV_COMMAND, other, "uav_0")
+    check_reads(UAV_OBSERVATION, other, "uav_1")
+
+
+def test_a_denied_reader_and_writer_never_reach_the_bus(sessions: dict[Role, Session]) -> None:
+    for key, vehicle in ((UGV_OBSERVATION, "ugv_0"), (UGV_COMMAND, "ugv_0"), (TRUTH, ""), (COVERAGE, ""), (STATUS, "")):
+        with pytest.raises(AccessDenied):
+            sessions[Role.UAV].inbox(key, vehicle)
+        with pytest.raises(AccessDenied):
+            sessions[Role.UAV].outbox(key, vehicle)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e308])
+def test_nonsense_is_refused_before_it_is_sent(sessions: dict[Role, Session], bad: float) -> None:
+    outbox = sessions[Role.UAV].outbox(UAV_COMMAND, "uav_0")
+    with pytest.raises(ValueError, match="command"):
+        outbox.send(UavCommand(tick=1, acceleration=(bad, 0.0)))
+    with pytest.raises(ValueError, match="command"):
+        outbox.send(UavCommand(tick=-1, acceleration=(0.0, 0.0)))
+
+
+GARBAGE = [
+    b"{",
+    b"\xff\xfe",
+    b"null",
+    b'{"tick":1}',
+    b'{"tick":1,"acceleration":[null,0.0]}',
+    b'{"tick":1,"acceleration":[1e308,0.0]}',
+    b'{"tick":1,"acceleration":[0.0,0.0],"velocity":[0.0,0.0]}',
+    b'{"tick":1,"acceleration":[0.0,0.0,0.0]}',
+    b"[" * 100_000,
+    b'"' + b"x" * (2 << 20) + b'"',
+]
+
+
+def test_what_does_not_decode_is_counted_named_and_dropped(sessions: dict[Role, Session]) -> None:
+    inbox = sessions[Role.SIMULATOR].inbox_of_all({"uav_0": UAV_COMMAND, "ugv_0": UGV_COMMAND})
+    raw = sessions[Role.UGV]._zenoh
+    good = UgvCommand(tick=3, acceleration=(0.0, 0.1))
+    outbox = sessions[Role.UGV].outbox(UGV_COMMAND, "ugv_0")
+    for payload in GARBAGE:
+        raw.put("outrider/run/ugv_0/command", payload)
+    outbox.send(good)
+    letter = inbox.receive(10.0)
+    assert letter is not None
+    assert (letter.sender, letter.message) == ("ugv_0", good)
+    assert inbox.refused == {"uav_0": 0, "ugv_0": len(GARBAGE)}
+    assert "bytes; allowed" in inbox.fault["ugv_0"]
+
+
+def test_a_stranger_in_the_run_is_not_heard(sessions: dict[Role, Session]) -> None:
+    inbox = sessions[Role.SIMULATOR].inbox_of_all({"uav_0": UAV_COMMAND, "ugv_0": UGV_COMMAND})
+    sessions[Role.UGV]._zenoh.put("outrider/run/nobody/command", b'{"tick":1,"acceleration":[0.0,0.0]}')
+    sessions[Role.UGV]._zenoh.put("outrider/another/ugv_0/command", b'{"tick":1,"acceleration":[0.0,0.0]}')
+    assert inbox.receive(0.5) is None
+
+
+def test_receive_gives_up_after_its_patience(sessions: dict[Role, Session]) -> None:
+    import time
+
+    inbox = sessions[Role.UAV].inbox(UAV_OBSERVATION, "uav_0")
+    started = time.monotonic()
+    assert inbox.receive(0.3) is None
+    assert 0.25 < time.monotonic() - started < 5.0
+
+
+def test_tokens_tell_who_comes_and_goes(endpoint: str) -> None:
+    import queue
+
+    seen: queue.SimpleQueue[tuple[str, bool]] = queue.SimpleQueue()
+    with open_session(party(Role.SIMULATOR), "run", listen=(endpoint,)) as simulator:
+        with open_session(party(Role.UAV), "run", connect=endpoint) as early:
+            early.announce()
+            simulator.watch("*", lambda name, present: seen.put((name, present)))
+            assert seen.get(timeout=10.0) == ("uav_0", True)
+            with open_session(party(Role.UGV), "run", connect=endpoint) as late:
+                late.announce()
+                assert seen.get(timeout=10.0) == ("ugv_0", True)
+            assert seen.get(timeout=10.0) == ("ugv_0", False)
+        assert seen.get(timeout=10.0) == ("uav_0", False)
+
+
+def test_telemetry_knows_whether_it_is_wanted(sessions: dict[Role, Session]) -> None:
+    outbox = sessions[Role.SIMULATOR].outbox(TRUTH)
+    assert not outbox.wanted
+    inbox = sessions[Role.OBSERVER].inbox(TRUTH)
+    for _ in range(100):
+        if outbox.wanted:
+            break
+        inbox.receive(0.05)
+    assert outbox.wanted
+
+
+def test_a_missing_router_is_named() -> None:
+    from bus import session
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(session._CLIENT, "connect/timeout_ms", 300)
+        with (
+            pytest.raises(BusError, match=r"no router at tcp/127\.0\.0\.1:1"),
+            open_session(party(Role.UAV), "run", connect="tcp/127.0.0.1:1"),
+        ):
+            pass
+
+
+def test_an_endpoint_in_use_is_named() -> None:
+    import socket
+
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        address = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        with (
+            pytest.raises(BusError, match="cannot listen on tcp"),
+            open_session(party(Role.SIMULATOR), "run", listen=(address,)),
+        ):
+            pass
+
+
+@pytest.mark.parametrize("bad", ["", "a/b", "*", "../x", "-x", "x" * 65])
+def test_a_run_name_that_cannot_be_a_key_is_refused(bad: str) -> None:
+    with pytest.raises(ValueError, match="run"):
+        check_run_name(bad)
+
+
+def test_floats_survive_the_bus_exactly() -> None:
+    rng = random.Random(1)
+    for _ in range(2000):
+        numbers = [rng.uniform(-40.0, 40.0) for _ in range(6)]
+        sent = UavObservation(
+            tick=1,
+            time=rng.random(),
+            position=(numbers[0], numbers[1]),
+            velocity=(numbers[2], numbers[3]),
+            detections=(Detection(time=0.1, relative_position=(numbers[4], numbers[5])),),
+        )
+        assert msgspec.json.decode(msgspec.json.encode(sent), type=UavObservation) == sent

@@ -1,0 +1,167 @@
+"""The information contract, layers one and two: types and imports. These tests try to break it."""
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import get_args, get_type_hints
+
+import msgspec
+import pytest
+
+from bus import keys, messages
+from bus.keys import KEYS, Role
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def _fields_within(kind: object, seen: set[object] | None = None) -> set[str]:
+    """Names of all fields of a message and of the structs inside it."""
+    seen = set() if seen is None else seen
+    if kind in seen:
+        return set()
+    seen.add(kind)
+    names: set[str] = set()
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        for name, hint in get_type_hints(kind, include_extras=False).items():
+            if name in kind.__struct_fields__:
+                names |= {name} | _fields_within(hint, seen)
+    for part in get_args(kind):
+        names |= _fields_within(part, seen)
+    return names
+
+
+TO_UAV = [key.message for key in KEYS if Role.UAV in key.readers]
+TO_UGV = [key.message for key in KEYS if Role.UGV in key.readers]
+
+
+def test_the_uav_is_told_these_fields_and_no_others() -> None:
+    fields = set().union(*(_fields_within(kind) for kind in TO_UAV))
+    observation = {"tick", "time", "position", "velocity", "detections", "relative_position", "over"}
+    bounds = {"limits", "target_limits", "max_speed", "max_acceleration"}
+    map_and_sensor = {"area", "width", "height", "cell", "sensor", "model", "peak", "range", "desired_coverage", "covered"}
+    region = {"lower", "upper"}
+    detector = {"detector", "noise", "cut", "period", "estimator", "enabled", "gate", "patience", "manoeuvre"}
+    law = _fields_within(messages.Law)
+    run = {"vehicle", "dt", "visibility_radius", "law", "key"}
+    assert fields == observation | bounds | map_and_sensor | region | detector | law | run
+
+
+def test_the_ugv_is_told_these_fields_and_no_others() -> None:
+    fields = set().union(*(_fields_within(kind) for kind in TO_UGV))
+    observation = {"tick", "time", "position", "velocity", "radio", "relative_position", "coverage_error", "over"}
+    briefing = {"vehicle", "dt", "area", "width", "height", "cell", "limits", "max_speed", "max_acceleration"}
+    task = {"driver", "goals", "goal_tolerance", "key"}
+    assert fields == observation | briefing | task
+
+
+@pytest.mark.parametrize("kind", TO_UAV)
+def test_no_message_to_the_uav_names_goal_path_input_or_plan(kind: type[messages.Message]) -> None:
+    forbidden = {"goal", "goals", "waypoints", "driver", "acceleration", "command", "input", "plan", "truth", "seed", "vehicles"}
+    assert not _fields_within(kind) & forbidden
+
+
+@pytest.mark.parametrize("kind", TO_UGV)
+def test_no_message_to_the_ugv_names_the_uavs_velocity_input_or_law(kind: type[messages.Message]) -> None:
+    forbidden = {"law", "acceleration", "command", "estimate", "detections", "detector", "truth", "seed", "vehicles"}
+    assert not _fields_within(kind) & forbidden
+    nested = _fields_within(messages.RelativeInformation)
+    assert nested == {"time", "relative_position", "coverage_error"}
+
+
+def test_what_a_uav_can_radio_has_no_velocity_and_no_input() -> None:
+    radio = get_type_hints(messages.UavCommand)["radio"]
+    assert _fields_within(radio) == {"time", "relative_position", "coverage_error"}
+    assert "radio" not in messages.UgvCommand.__struct_fields__
+
+
+def test_an_observation_smuggled_with_another_vehicles_velocity_is_refused() -> None:
+    smuggled = (
+        b'{"tick":1,"time":0.05,"position":[1.0,1.0],"velocity":[0.0,0.0],'
+        b'"detections":[{"time":0.05,"relative_position":[1.0,0.0],"velocity":[0.1,0.0]}]}'
+    )
+    with pytest.raises(msgspec.ValidationError, match="unknown field `velocity`"):
+        msgspec.json.decode(smuggled, type=messages.UavObservation)
+
+
+def test_the_pilots_key_does_not_tell_the_runs_seed() -> None:
+    from sim.briefing import briefing
+    from sim.scenario import load_scenario
+
+    scenario = load_scenario("escort")
+    for seed in (0, 1, 2**53 - 1):
+        for vehicle in scenario.vehicles:
+            text = msgspec.json.encode(briefing(scenario, vehicle.name, seed)).decode()
+            assert f'"key":{seed},' not in text
+            assert "seed" not in text
+
+
+def test_the_contract_names_every_part_of_the_simulator_that_is_no_model_on_board() -> None:
+    import tomllib
+
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
+    forbidden = next(set(c["forbidden_modules"]) for c in contracts if c["source_modules"] == ["agents"])
+    modules = {f"sim.{path.stem}" for path in (ROOT / "sim").glob("*.py")} | {
+        f"sim.{path.parent.name}" for path in (ROOT / "sim").glob("*/__init__.py")
+    }
+    on_board = {"sim.__init__", "sim.vehicles", "sim.field", "sim.randomness", "sim.compile"}
+    assert forbidden == (modules - on_board) | {"outrider"}
+
+
+def test_the_import_contracts_hold() -> None:
+    run = subprocess.run(
+        [str(Path(sys.executable).parent / "lint-imports"), "--no-cache"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
+
+
+def test_the_import_contracts_catch_an_agent_that_reads_the_world(tmp_path: Path) -> None:
+    import shutil
+
+    for package in ("agents", "sim", "bus", "outrider"):
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    spy = tmp_path / "agents" / "uav.py"
+    spy.write_text(spy.read_text(encoding="utf-8") + "\nfrom sim.world import World\n", encoding="utf-8")
+    run = subprocess.run(
+        [str(Path(sys.executable).parent / "lint-imports"), "--no-cache"],
+        cwd=tmp_path,
+        env={"PYTHONPATH": str(tmp_path), "PATH": "/usr/bin:/bin"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 1
+    assert "agents.uav -> sim.world" in run.stdout
+
+
+@pytest.mark.parametrize("command", ["uav", "ugv"])
+def test_a_vehicles_process_never_loads_the_world_nor_a_scenario(command: str) -> None:
+    code = (
+        "import sys; from outrider.cli import main, vehicles; import agents.process, agents.uav, agents.ugv, outrider.own, outrider.leash;"
+        "print(sorted(n for n in sys.modules if n.split('.')[0] in ('sim', 'outrider')))"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(eval(run.stdout))  # noqa: S307 - a list of names that we have printed
+    assert "sim.field" in loaded
+    assert not loaded & {"sim.world", "sim.server", "sim.scenario", "sim.env", "sim.flight", "sim.briefing", "sim.detection"}
+    assert hasattr(__import__("outrider.cli.vehicles", fromlist=[command]), command)
+
+
+def test_no_other_distribution_installs_our_package_names() -> None:
+    from importlib.metadata import packages_distributions
+
+    owners = packages_distributions()
+    for package in ("agents", "sim", "bus"):
+        others = [name for name in owners.get(package, []) if name != "outrider"]
+        assert not others, (
+            f"the distribution {others[0]} installs a package `{package}` too, so one hides the other "
+            "(openai-agents does, for one): uninstall it from this environment"
+        )
+
+
+def test_every_row_of_the_key_table_has_one_writer_and_readers_that_differ() -> None:
+    assert len({(key.topic, key.vehicle) for key in KEYS}) == len(KEYS)
+    for key in KEYS:
+        assert key.readers
+        assert key.writer not in key.readers
+    assert set(keys.BRIEFING) == set(keys.OBSERVATION) == set(keys.COMMAND) == {Role.UAV, Role.UGV}

@@ -1,0 +1,519 @@
+"""The Kalman filter on relative detections: its equations, its consistency, and what it does when detections fail."""
+
+import hashlib
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from filterpy.common import Q_discrete_white_noise
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
+from agents.estimator import Estimate, RelativeEstimator, acceleration_deviation, cut_variance, motion
+from bus.messages import Detection, Detector, Estimator, Limits
+from sim.randomness import DETECTION_NOISE, cut_normal_vector
+
+DT = 0.05
+SIGMA = 0.1
+UGV = Limits(max_speed=0.2, max_acceleration=0.1)
+FREE = Limits(max_speed=None, max_acceleration=0.1)  # no caps: the plain Kalman filter
+VARIANCE = cut_variance(sigma=SIGMA, cut=3.0)  # of the detections, per axis
+PUSH = np.array([[DT * DT / 2, 0], [0, DT * DT / 2], [DT, 0], [0, DT]])  # a tick's acceleration to the state
+H = np.eye(2, 4)
+
+
+def make(noise=SIGMA, cut=3.0, target=UGV, dt=DT, **chosen):
+    detector = Detector(noise=noise, cut=cut, period=dt)
+    return RelativeEstimator(detector=detector, target=target, dt=dt, settings=Estimator(**chosen))
+
+
+def look(estimator, tick, seen=None, own=(0.0, 0.0), dt=DT) -> Estimate | None:
+    """One call; `seen` is the detected position of the UGV in the world, or None."""
+    detections = ()
+    if seen is not None:
+        detections = (Detection(time=tick * dt, relative_position=(own[0] - seen[0], own[1] - seen[1])),)
+    return estimator.update(time=tick * dt, own_position=own, detections=detections)
+
+
+def cut_noise(seed, count, sigma=SIGMA, cut=3.0):
+    return np.array([cut_normal_vector(sigma, cut, seed, DETECTION_NOISE, 0, k, 0) for k in range(count)])
+
+
+def model(target=FREE, ticks=1):
+    """F and Q, added up tick by tick."""
+    deviation = acceleration_deviation(target=target, manoeuvre=Estimator().manoeuvre, dt=DT)
+    F, Q, step = np.eye(4), np.zeros((4, 4)), np.eye(4)
+    step[0, 2] = step[1, 3] = DT
+    for _ in range(ticks):
+        Q = step @ Q @ step.T + deviation**2 * PUSH @ PUSH.T
+        F = step @ F
+    return F, Q
+
+
+def squared(errors, covariances):
+    """Normalized squares e' P^-1 e of many errors at once."""
+    return np.einsum("...i,...i", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
+
+
+def within(average, degrees, count):
+    """Whether an average of `count` chi-squares lies in its two-sided 99.9 % interval; prints both."""
+    lower, upper = chi2.ppf([0.0005, 0.9995], degrees * count) / count
+    print(f"average {average:.4f}, interval [{lower:.4f}, {upper:.4f}]")  # noqa: T201
+    return lower <= average <= upper
+
+
+# The equations
+
+
+@pytest.mark.parametrize("target", [FREE, UGV])
+def test_equals_the_equations_written_out_by_hand(target):
+    rng = np.random.default_rng(1)
+    estimator = make(target=target, gate=1e12)
+    R = VARIANCE * np.eye(2)
+    x = P = None
+    tick = 0
+    for _ in range(300):
+        ticks = int(rng.choice([1, 1, 1, 1, 2, 7]))
+        tick += ticks
+        own = rng.normal(size=2)
+        z = np.array([20.0, 20.0]) + rng.normal(size=2) * 0.3 if rng.random() < 0.8 or x is None else None
+        estimate = look(estimator, tick, z, own=tuple(own))
+        if x is None:
+            x, P = np.array([*z, 0.0, 0.0]), estimator.covariance
+            continue
+        F, Q = model(target, ticks=ticks)
+        x, P = F @ x, F @ P @ F.T + Q
+        if z is not None:
+            nu, S = z - H @ x, H @ P @ H.T + R
+            K = P @ H.T @ np.linalg.inv(S)
+            x, P = x + K @ nu, (np.eye(4) - K @ H) @ P
+            assert estimator.innovation_squared == pytest.approx(nu @ np.linalg.solve(S, nu), rel=1e-9)
+            if target.max_speed is not None:
+                x[2:] *= min(1.0, target.max_speed / np.linalg.norm(x[2:]))
+        np.testing.assert_allclose(estimator.state, x, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(estimator.covariance, P, rtol=1e-9, atol=1e-12)
+        assert estimate.position == tuple(estimator.state[:2])
+        assert estimate.velocity == tuple(estimator.state[2:])
+        assert estimate.covariance == pytest.approx((P[0, 0], 0.0, P[1, 1]), rel=1e-9)
+
+
+def test_equals_batch_least_squares_over_the_whole_trajectory():
+    # Unknown are the first state and each tick's acceleration; the estimate is a linear function of their least squares.
+    rng = np.random.default_rng(2)
+    estimator = make(target=FREE, gate=1e12)
+    F, _ = model()
+    deviation = acceleration_deviation(target=FREE, manoeuvre=Estimator().manoeuvre, dt=DT)
+    count = 60
+    size = 4 + 2 * count
+    to_state = np.eye(4, size)
+    information, right = np.zeros((size, size)), np.zeros(size)
+    information[4:, 4:] = np.eye(2 * count) / deviation**2
+    truth = np.array([5.0, -3.0, 0.2, 0.1])
+    for k in range(count + 1):
+        if k:
+            w = deviation * rng.normal(size=2)
+            truth = F @ truth + PUSH @ w
+            to_state = F @ to_state
+            to_state[:, 2 + 2 * k : 4 + 2 * k] += PUSH
+        seen = truth[:2] + SIGMA * rng.normal(size=2) if k % 7 in (0, 1, 3) else None
+        look(estimator, k, seen)
+        if k == 0:
+            prior = np.linalg.inv(estimator.covariance)
+            information[:4, :4] += prior
+            right[:4] += prior @ [*seen, 0.0, 0.0]
+        elif seen is not None:
+            A = H @ to_state
+            information += A.T @ A / VARIANCE
+            right += A.T @ seen / VARIANCE
+        covariance = to_state @ np.linalg.inv(information) @ to_state.T
+        state = to_state @ np.linalg.solve(information, right)
+        np.testing.assert_allclose(estimator.state, state, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(estimator.covariance, covariance, rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize("ticks", [1, 2, 3, 20, 1000])
+def test_motion_over_n_ticks_is_n_motions_over_one(ticks):
+    deviation = acceleration_deviation(target=UGV, manoeuvre=0.7, dt=DT)
+    F, Q = model(UGV, ticks=ticks)
+    ours = motion(ticks=ticks, dt=DT, deviation=deviation)
+    np.testing.assert_allclose(ours[0], F, rtol=1e-12)
+    np.testing.assert_allclose(ours[1], Q, rtol=1e-10, atol=1e-18)
+
+
+def test_process_noise_is_filterpys_discrete_white_noise():
+    reference = Q_discrete_white_noise(2, dt=DT, var=0.3**2, block_size=2, order_by_dim=False)
+    np.testing.assert_allclose(motion(ticks=1, dt=DT, deviation=0.3)[1], reference, rtol=1e-12)
+
+
+def test_process_noise_does_not_depend_on_how_finely_time_is_cut():
+    coarse = motion(ticks=20, dt=0.05, deviation=acceleration_deviation(target=UGV, manoeuvre=0.7, dt=0.05))[1]
+    fine = motion(ticks=200, dt=0.005, deviation=acceleration_deviation(target=UGV, manoeuvre=0.7, dt=0.005))[1]
+    np.testing.assert_allclose(coarse, fine, rtol=2e-3)
+
+
+def test_process_noise_of_the_default_ugv():
+    # 0.7 u held for half of v / u = 1 s instead of for one tick of 0.05 s.
+    assert acceleration_deviation(target=UGV, manoeuvre=0.7, dt=DT) == pytest.approx(0.07 * math.sqrt(20.0))
+
+
+def test_a_vehicle_without_bound_on_acceleration_may_change_its_velocity_within_a_tick():
+    boundless = Limits(max_speed=0.2, max_acceleration=None)
+    assert acceleration_deviation(target=boundless, manoeuvre=1.0, dt=DT) * DT == pytest.approx(0.2)
+    unknown = Limits(max_speed=None, max_acceleration=None)
+    assert acceleration_deviation(target=unknown, manoeuvre=1.0, dt=DT) > 9.0
+
+
+@pytest.mark.parametrize("cut", [0.3, 1.0, 2.0, 3.0])
+def test_variance_of_cut_noise_against_monte_carlo(cut):
+    draws = np.random.default_rng(3).normal(size=(1_500_000, 2))
+    kept = draws[np.einsum("ij,ij->i", draws, draws) <= cut * cut]
+    error = np.std(kept**2) / math.sqrt(kept.size)
+    assert cut_variance(sigma=1.0, cut=cut) == pytest.approx(np.mean(kept**2), abs=4.5 * error)
+    shipped = cut_noise(4, 20_000, sigma=0.3, cut=cut)
+    assert cut_variance(sigma=0.3, cut=cut) == pytest.approx(np.mean(shipped**2), rel=0.03)
+
+
+def test_variance_of_cut_noise_at_its_limits():
+    assert cut_variance(sigma=0.3, cut=None) == 0.3**2
+    assert cut_variance(sigma=0.3, cut=math.inf) == 0.3**2
+    assert cut_variance(sigma=0.3, cut=40.0) == 0.3**2
+    assert cut_variance(sigma=0.3, cut=1e-3) == pytest.approx((1e-3 * 0.3) ** 2 / 4.0, rel=1e-6)
+    assert cut_variance(sigma=0.0, cut=3.0) == 0.0
+    around = [cut_variance(sigma=1.0, cut=math.sqrt(2e-4) * (1.0 + step)) for step in (-1e-9, 1e-9)]
+    assert around[0] == pytest.approx(around[1], rel=1e-8)
+
+
+# Consistency
+
+
+def fly_the_model(seed, count, cut):
+    """A UGV that is drawn from the filter's own model: errors, covariances and NIS."""
+    rng = np.random.default_rng(seed)
+    estimator = make(target=FREE, cut=cut, gate=1e12)
+    F, _ = model()
+    deviation = acceleration_deviation(target=FREE, manoeuvre=Estimator().manoeuvre, dt=DT)
+    noise = cut_noise(seed, count, cut=cut) if cut else SIGMA * rng.normal(size=(count, 2))
+    truth = np.array([20.0, 20.0, *(10.0 * rng.normal(size=2))])
+    errors, covariances, innovations = [], [], []
+    for k in range(count):
+        if k:
+            truth = F @ truth + deviation * PUSH @ rng.normal(size=2)
+        look(estimator, k, truth[:2] + noise[k])
+        errors.append(truth - estimator.state)
+        covariances.append(estimator.covariance)
+        if k:
+            innovations.append(estimator.innovation_squared)
+    return errors, covariances, innovations
+
+
+@pytest.mark.parametrize("cut", [None, 3.0, 1.0])
+def test_is_consistent_when_the_ugv_moves_as_the_model_says(cut):
+    seeds, count = 250, 100
+    flights = [fly_the_model(seed, count, cut) for seed in range(seeds)]
+    nees = squared(np.array([f[0] for f in flights]), np.array([f[1] for f in flights]))
+    for k in (1, 10, 40, count - 1):
+        assert within(nees[:, k].mean(), 4, seeds)
+    assert within(np.mean([f[2] for f in flights]), 2, seeds * (count - 1))
+
+
+def drive(seed, count, legs):
+    """A real UGV: straight legs at v_g,max, as fast as it may and as it can stop, a stop at each corner."""
+    rng = np.random.default_rng(seed)
+    v_max, u_max = UGV.max_speed, UGV.max_acceleration
+    corner, states = np.array([20.0, 20.0]), []
+    while len(states) < count:
+        length, angle = rng.uniform(*legs), rng.uniform(0.0, 2.0 * math.pi)
+        along = np.array([math.cos(angle), math.sin(angle)])
+        s = v = 0.0
+        while len(states) < count and (length - s > 0.01 or v > 0.0):
+            states.append([*(corner + s * along), *(v * along)])
+            can_stop = math.sqrt((u_max * DT) ** 2 + 2.0 * u_max * max(length - s, 0.0)) - u_max * DT
+            after = v + min(max(min(v_max, can_stop) - v, -u_max * DT), u_max * DT)
+            s, v = s + 0.5 * (v + after) * DT, after if after > 2e-3 else 0.0
+        corner = corner + s * along
+    return np.array(states)
+
+
+@pytest.fixture(scope="module", params=[(1.0, 8.0), (0.2, 0.8)], ids=["waypoints", "restless"])
+def real_flights(request):
+    """100 flights of 50 s over a real UGV, seen with cut noise by a UAV that flies a circle."""
+    truths, states, covariances, innovations, seen, refused = [], [], [], [], [], 0
+    for seed in range(100):
+        estimator, truth = make(), drive(seed, 1000, request.param)
+        z = truth[:, :2] + cut_noise(seed, len(truth))
+        for k, (x, y) in enumerate(z.tolist()):
+            own = (20.0 + 3.0 * math.cos(0.005 * k), 20.0 + 3.0 * math.sin(0.005 * k))
+            estimate = look(estimator, k, (x, y), own=own)
+            states.append(estimator.state)
+            covariances.append(estimator.covariance)
+            innovations.append(estimator.innovation_squared)
+        truths.append(truth)
+        seen.append(z)
+        refused += estimate.refused
+    shape = (len(truths), len(truth))
+    errors = np.reshape(states, (*shape, 4)) - np.array(truths)
+    nees = squared(errors, np.reshape(covariances, (*shape, 4, 4)))
+    nis = np.reshape(innovations, shape)[:, 1:].astype(float)
+    return errors, nees, nis, np.array(seen) - np.array(truths)[:, :, :2], refused
+
+
+def test_is_not_too_sure_of_a_real_ugv(real_flights):
+    _, nees, nis, _, _ = real_flights
+    flights, count = nis.shape
+    upper_nees = chi2.ppf(0.9995, 4 * flights) / flights
+    upper_nis = chi2.ppf(0.9995, 2 * flights * count) / (flights * count)
+    print(f"NEES {nees.mean():.3f} <= {upper_nees:.3f}, NIS {nis.mean():.4f} <= {upper_nis:.4f}")  # noqa: T201
+    assert nees.mean() <= upper_nees
+    assert nis.mean() <= upper_nis
+
+
+def test_estimate_is_nearer_to_a_real_ugv_than_its_detections(real_flights):
+    errors, _, _, noise, _ = real_flights
+    ratio = math.sqrt(np.mean(errors[:, :, :2] ** 2) / np.mean(noise**2))
+    print(f"RMS of the estimate / RMS of the detections: {ratio:.3f}")  # noqa: T201
+    assert ratio < 0.8
+
+
+def test_gate_lets_a_real_ugv_through(real_flights):
+    assert real_flights[4] <= 2  # of 100,000; 1 in 10,000 were allowed to uncut noise
+
+
+# When detections fail
+
+
+def settled(target=UGV, ticks=400, speed=0.1, **chosen):
+    """A filter that has followed a UGV along x for a while; the next tick is `ticks`."""
+    estimator, noise = make(target=target, **chosen), cut_noise(9, ticks)
+    for k in range(ticks):
+        look(estimator, k, (20.0 + speed * k * DT + noise[k, 0], 20.0 + noise[k, 1]))
+    return estimator
+
+
+def test_nothing_is_believed_before_the_first_detection():
+    estimator = make()
+    assert all(look(estimator, k) is None for k in range(5))
+    first = look(estimator, 5, (3.0, 4.0), own=(1.0, 1.0))
+    assert first.position == (3.0, 4.0)
+    assert first.velocity == (0.0, 0.0)
+    assert first.covariance == (VARIANCE, 0.0, VARIANCE)
+    assert (first.age, first.refused) == (0.0, 0)
+
+
+def test_outlier_is_refused_and_moves_nothing():
+    hit, alone = settled(), settled()
+    outlier = look(hit, 400, (25.0, 20.0))
+    nothing = look(alone, 400)
+    assert (outlier.refused, nothing.refused) == (1, 0)
+    assert outlier.position == nothing.position
+    assert outlier.age == nothing.age == DT
+    np.testing.assert_array_equal(hit.state, alone.state)
+    np.testing.assert_array_equal(hit.covariance, alone.covariance)
+    assert hit.innovation_squared > Estimator().gate
+
+
+def test_starts_anew_after_as_many_refusals_in_a_row_as_it_has_patience():
+    estimator = settled(patience=5)
+    for k in range(400, 404):
+        assert look(estimator, k, (30.0, 25.0)).position != (30.0, 25.0)
+    anew = look(estimator, 404, (30.0, 25.0))
+    assert anew.position == (30.0, 25.0)
+    assert anew.velocity == (0.0, 0.0)
+    assert (anew.age, anew.refused) == (0.0, 5)
+    after = look(estimator, 405, (30.0, 25.05))
+    assert after.refused == 5
+
+
+def test_a_believed_detection_between_outliers_restores_patience():
+    estimator = settled(patience=3, speed=0.0)
+    for k in range(400, 440):
+        estimate = look(estimator, k, (20.0, 20.0) if k % 3 == 0 else (30.0, 20.0))
+    assert estimate.position == pytest.approx((20.0, 20.0), abs=0.1)
+    assert estimate.refused == 27
+
+
+def test_coasting_goes_straight_on_while_age_and_covariance_grow():
+    estimator = settled()
+    before = look(estimator, 400)
+    for k in range(401, 600):
+        after = look(estimator, k)
+        assert after.age == pytest.approx((k - 399) * DT)
+        assert after.velocity == before.velocity
+        assert after.covariance[0] > before.covariance[0]
+        assert after.position[0] == pytest.approx(before.position[0] + DT * before.velocity[0])
+        before = after
+
+
+def test_speed_is_never_believed_beyond_the_ugvs():
+    estimator = make()
+    for k in range(100):  # seen at 1 m/s: five times what it can
+        estimate = look(estimator, k, (20.0 + 1.0 * k * DT, 20.0))
+        assert math.hypot(*estimate.velocity) <= UGV.max_speed * (1.0 + 1e-12)
+    assert math.hypot(*estimate.velocity) == pytest.approx(UGV.max_speed, rel=0.05)
+
+
+@given(
+    gaps=st.lists(st.sampled_from([1, 1, 1, 2, 30, 5_000, 10_000_000]), min_size=1, max_size=12),
+    noise=st.sampled_from([0.0, 0.1, 1.0]),
+    speed=st.floats(0.01, 30.0),
+    acceleration=st.one_of(st.none(), st.floats(0.01, 10.0)),
+)
+@settings(max_examples=80, deadline=None)
+def test_uncertainty_while_coasting_is_bounded_by_what_the_ugv_can_do(gaps, noise, speed, acceleration):
+    estimator = make(noise=noise, target=Limits(max_speed=speed, max_acceleration=acceleration))
+    for k in range(4):
+        start = look(estimator, k, (20.0, 20.0))
+    tick = 3
+    for gap in gaps:
+        tick += gap
+        now = look(estimator, tick)
+        P = estimator.covariance
+        for axis in (0, 1):
+            reach = math.sqrt(start.covariance[2 * axis]) + speed * now.age
+            assert math.sqrt(P[axis, axis]) <= reach * (1.0 + 1e-9)
+            assert math.sqrt(P[axis + 2, axis + 2]) <= speed * (1.0 + 1e-9)
+        np.testing.assert_allclose(P, P.T, rtol=1e-12)
+        d = np.sqrt(np.diag(P))
+        assert np.linalg.eigvalsh(P / np.outer(d, d))[0] > -1e-9
+    assert now.age == pytest.approx((tick - 3) * DT)
+    assert look(estimator, tick + 1, (20.0, 20.0)).age == 0.0
+
+
+def test_one_long_gap_and_many_ticks_end_in_the_same_place():
+    for target in (FREE, UGV):
+        leap, walk = settled(target), settled(target)
+        at_once = look(leap, 399 + 50)
+        for k in range(400, 400 + 50):
+            step_by_step = look(walk, k)
+        assert at_once.position == pytest.approx(step_by_step.position, abs=1e-9)
+        assert at_once.age == step_by_step.age
+        np.testing.assert_allclose(leap.covariance, walk.covariance, rtol=1e-6 if target is FREE else 0.2, atol=1e-12)
+
+
+def test_a_detection_after_a_long_gap_is_let_in_again():
+    soon, late = settled(speed=0.2), settled(speed=0.2)
+    moved = (20.0 + 0.2 * 400 * DT - 1.5, 20.0)  # 1.5 m from where the UGV was going
+    assert look(soon, 401, moved).refused == 1
+    for k in range(400, 600):
+        look(late, k)
+    back = look(late, 600, moved)  # 10 s later: it may have turned
+    assert (back.refused, back.age) == (0, 0.0)
+    assert back.position == pytest.approx(moved, abs=0.2)
+
+
+def test_detections_of_another_time_are_refused():
+    used, unused = settled(), settled()
+    late = Detection(time=390 * DT, relative_position=(-22.0, -20.0))
+    estimate = used.update(time=400 * DT, own_position=(0.0, 0.0), detections=(late, late))
+    assert estimate.refused == 2
+    assert estimate.position == look(unused, 400).position
+    assert make().update(time=1.0, own_position=(0.0, 0.0), detections=(late,)) is None
+
+
+def test_duplicates_count_once_and_the_same_time_is_predicted_once():
+    once, twice = settled(), settled()
+    first, second = (
+        Detection(time=400 * DT, relative_position=(-22.0, -20.0)),
+        Detection(time=400 * DT, relative_position=(-22.1, -20.0)),
+    )
+    expected = once.update(time=400 * DT, own_position=(0.0, 0.0), detections=(first,))
+    twice.update(time=400 * DT, own_position=(0.0, 0.0), detections=())
+    assert twice.update(time=400 * DT, own_position=(0.0, 0.0), detections=(first, second)) == expected
+    assert twice.update(time=400 * DT, own_position=(0.0, 0.0), detections=(first,)) == expected
+    np.testing.assert_array_equal(once.covariance, twice.covariance)
+
+
+def test_time_that_goes_back_or_falls_between_ticks_is_an_error():
+    estimator = settled()
+    for time in (398 * DT, 399.5 * DT):
+        with pytest.raises(ValueError, match="whole number of ticks"):
+            estimator.update(time=time, own_position=(0.0, 0.0), detections=())
+    with pytest.raises(ValueError, match="dt"):
+        make(dt=math.inf)
+
+
+def test_switched_off_it_holds_the_newest_detection_as_it_is():
+    estimator = make(enabled=False)
+    assert look(estimator, 0) is None
+    look(estimator, 1, (20.0, 20.0))
+    jumped = look(estimator, 2, (35.0, 11.0), own=(30.0, 10.0))
+    assert jumped.position == (35.0, 11.0)
+    for k in range(3, 50):
+        held = look(estimator, k, own=(5.0, 5.0))
+    assert held.position == (35.0, 11.0)
+    assert held.velocity == (0.0, 0.0)
+    assert held.covariance == (VARIANCE, 0.0, VARIANCE)
+    assert held.age == pytest.approx(47 * DT)
+    assert held.refused == 0
+
+
+@pytest.mark.parametrize("acceleration", [0.1, None])
+def test_without_noise_it_follows_exactly_and_refuses_nothing(acceleration):
+    estimator = make(noise=0.0, target=Limits(max_speed=0.2, max_acceleration=acceleration))
+    for k, truth in enumerate(drive(5, 1500, (0.2, 2.0)).tolist()):
+        estimate = look(estimator, k, truth[:2])
+        assert estimate.position == pytest.approx(tuple(truth[:2]), abs=1e-6)
+        assert 0.0 < estimate.covariance[0] < 1e-11
+    assert estimate.refused == 0
+
+
+def test_a_ugv_first_seen_at_full_speed_is_believed():
+    estimator = make(noise=0.0)
+    for k in range(20):
+        estimate = look(estimator, k, (20.0 + 0.2 * k * DT, 20.0))
+    assert estimate.refused == 0
+    assert estimate.velocity == pytest.approx((0.2, 0.0), abs=1e-3)
+
+
+def test_a_ugv_that_turns_within_a_tick_is_followed_where_its_acceleration_has_no_bound():
+    estimator, noise = make(target=Limits(max_speed=0.2, max_acceleration=None)), cut_noise(6, 2000)
+    x, errors = 20.0, []
+    for k in range(2000):
+        x += (0.2 if k // 100 % 2 else -0.2) * DT
+        estimate = look(estimator, k, (x + noise[k, 0], 20.0 + noise[k, 1]))
+        errors.append((estimate.position[0] - x, estimate.position[1] - 20.0))
+    assert estimate.refused == 0
+    assert np.std(errors) < 0.6 * SIGMA
+
+
+# The same bits
+
+_FLIGHT = """
+import hashlib, math, struct
+from agents.estimator import RelativeEstimator
+from bus.messages import Detection, Detector, Estimator, Limits
+digest = hashlib.sha256()
+estimator = RelativeEstimator(detector=Detector(noise=0.1, period=0.05), dt=0.05, settings=Estimator(),
+                              target=Limits(max_speed=0.2, max_acceleration=0.1))
+for k in range(1500):
+    seen = (math.sin(0.37 * k * k) * 0.1 - 0.01 * k, math.sin(0.73 * k * k) * 0.1 + (5.0 if k % 97 == 96 else 0.0))
+    detections = (Detection(time=k * 0.05, relative_position=seen),) if k % 5 else ()
+    e = estimator.update(time=k * 0.05, own_position=(0.001 * k, 0.0), detections=detections)
+    if e:
+        digest.update(struct.pack("<9d", *e.position, *e.velocity, *e.covariance, e.age, e.refused))
+        digest.update(estimator.covariance.tobytes())
+result = digest.hexdigest()
+"""
+
+
+def fly_here():
+    names: dict[str, str] = {}
+    exec(_FLIGHT, names)  # noqa: S102
+    return names["result"]
+
+
+def test_same_bits_in_two_runs_and_in_another_process():
+    here = fly_here()
+    assert len(here) == len(hashlib.sha256().hexdigest())
+    assert fly_here() == here
+    root = Path(__file__).resolve().parent.parent
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": "7"}
+    there = subprocess.run(
+        [sys.executable, "-c", _FLIGHT + "print(result)"],
+        capture_output=True, text=True, check=True, cwd=root, env=environment,
+    )  # fmt: skip
+    assert there.stdout.strip() == here
