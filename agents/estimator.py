@@ -162,7 +162,8 @@ class RelativeEstimator:
         self._filter.H = np.eye(2, 4)
         self._filter.R = self._variance * np.eye(2)
         self._filter.inv = _inverse  # filterpy's own hook; LAPACK on 2 x 2 costs half of its update
-        self._prepared: tuple[FloatArray, FloatArray] | None = None  # the prediction for the next tick
+        self._ahead: tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray]] | None = None  # x, P and gain at the next tick
+        self._weighed: tuple[FloatArray, FloatArray] | None = None  # gain and covariance for a detection at this one
         self._time: float | None = None
         self._age: int | None = None  # ticks; None: nothing was ever believed
         self._looked = False  # a detection of this very time has been taken up
@@ -229,17 +230,29 @@ class RelativeEstimator:
                 self._predict(ticks)
 
     def prepare(self) -> None:
-        """Predict the next tick already now, while nobody waits. It changes no later estimate, only when it is there."""
-        if self._age is not None and self._settings.enabled and self._prepared is None:
-            posterior = (self._filter.x, self._filter.P)
-            self._predict(1)
-            self._prepared = (self._filter.x, self._filter.P)
-            self._filter.x, self._filter.P = posterior
+        """Work ahead to the next tick, while nobody waits; it changes no estimate, only when it is there.
+
+        Neither the prediction nor the gain depends on what will be detected.
+        """
+        if self._age is None or not self._settings.enabled or self._ahead is not None:
+            return
+        posterior = (self._filter.x, self._filter.P)
+        self._predict(1)
+        self._ahead = (self._filter.x, self._filter.P, self._weigh())
+        self._filter.x, self._filter.P = posterior
+
+    def _weigh(self) -> tuple[FloatArray, FloatArray]:
+        """The gain K for a detection at this tick, and the covariance after it: filterpy's update for an innovation of zero."""
+        prior = (self._filter.x, self._filter.P)
+        self._filter.update(prior[0][:2], H=self._filter.H)  # H is passed so that filterpy takes z as it is
+        weighed = (self._filter.K, self._filter.P)
+        self._filter.x, self._filter.P = prior
+        return weighed
 
     def _predict(self, ticks: int) -> None:
-        prepared, self._prepared = self._prepared, None
-        if prepared is not None and ticks == 1:
-            self._filter.x, self._filter.P = prepared
+        ahead, self._ahead, self._weighed = self._ahead, None, None
+        if ahead is not None and ticks == 1:
+            self._filter.x, self._filter.P, self._weighed = ahead
             return
         matrices = self._motions.get(ticks)
         if matrices is None:
@@ -271,7 +284,7 @@ class RelativeEstimator:
                 self._start(x, y)
 
     def _start(self, x: float, y: float) -> None:
-        self._prepared = None
+        self._ahead = self._weighed = None
         self._filter.x = np.array([x, y, 0.0, 0.0])
         self._filter.P = self._first_covariance.copy()
         self._age = 0
@@ -288,11 +301,11 @@ class RelativeEstimator:
         return squared <= self._settings.gate
 
     def _correct(self, x: float, y: float) -> None:
-        self._prepared = None
-        # H is passed so that filterpy takes z as it is.
-        self._filter.update(np.array([x, y]), H=self._filter.H)
-        state = self._filter.x
-        state[2], state[3] = clip_norm(x=state.item(2), y=state.item(3), limit=self._speed)
+        gain, covariance = self._weighed or self._weigh()
+        state = self._filter.x + gain @ (np.array([x, y]) - self._filter.x[:2])
+        state[2], state[3] = clip_norm(state.item(2), state.item(3), self._speed)
+        self._filter.x, self._filter.P = state, covariance
+        self._ahead = None
         self._age = 0
         self._refused_in_a_row = 0
 

@@ -151,16 +151,17 @@ class Inbox:
             self._wake()
 
     def _open(self, sample: zenoh.Sample) -> Letter | None:
+        payload = sample.payload.to_bytes()
         expression = str(sample.key_expr)
         sender = vehicle_of(expression)
         decoder = self._decoders.get(sender)
-        if len(sample.payload) == 0 or decoder is None:
+        if not payload or decoder is None:
             return None  # a wake-up, or nobody of this run
-        if len(sample.payload) > _LARGEST:
-            self._refuse(sender, expression, f"{len(sample.payload)} bytes; allowed up to {_LARGEST}")
+        if len(payload) > _LARGEST:
+            self._refuse(sender, expression, f"{len(payload)} bytes; allowed up to {_LARGEST}")
             return None
         try:
-            return Letter(sender=sender, message=decoder.decode(sample.payload.to_bytes()))
+            return Letter(sender=sender, message=decoder.decode(payload))
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             self._refuse(sender, expression, str(error))
             return None

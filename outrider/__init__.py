@@ -1,6 +1,7 @@
 """Outrider: a UAV that flies as the outrider of a ground vehicle, and never loses sight of it.
 
-The front door for people: `outrider.load_scenario`, `outrider.run`, `outrider.parallel_env`. What stands behind a name is loaded when it is used.
+The front door for people: `outrider.load_scenario`, `outrider.run`, `outrider.parallel_env`. What stands behind a name is
+loaded when it is used.
 """
 
 from importlib import import_module

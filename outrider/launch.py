@@ -267,7 +267,7 @@ def _has_ended_early(
     on_tick: Callable[[int], None],
     on_event: Callable[[str], None],
 ) -> bool:
-    """Whether a vehicle's process that has ended did so before the run was over: the simulator's last report may be on its way."""
+    """Whether a vehicle's process that has ended did so before the run was over; the last report may be on its way."""
     if child.ended != 0:
         return True
     with contextlib.suppress(queue.Empty):

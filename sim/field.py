@@ -1,7 +1,7 @@
 r"""The coverage field: sensor (2), accumulation (3), error (4), density (9) and the integral of (6), on a grid.
 
-The grid's cells are squares with their centres at (i + ½)·cell; arrays are [row, column], row 0 at y = 0. The kernels walk the rows
-that a disc meets and, in each, the chord. Sums go through a row buffer and a fixed number of lanes, so the bits do not
+The grid's cells are squares with their centres at (i + ½)·cell; arrays are [row, column], row 0 at y = 0. The kernels walk
+the rows that a disc meets and, in each, the chord. Sums go through a row buffer and a fixed number of lanes, so the bits do not
 depend on who calls, nor on how the compiler arranges the loop.
 
 A sensor is a pair, the quality $S(\rho^2)$ and its slope $dS/d\rho^2$, with a range: a new one is one branch in each of the two
@@ -73,8 +73,8 @@ def density(rho2: float, r_o: float) -> float:
 
     $$ \phi = \cos(\pi \rho / r_o) + 1 \text{ inside } r_o, \quad 0 \text{ outside} $$
 
-    Written as $(1 - s)^2 g(s)$ with $s = (\rho/r_o)^2$ and g a polynomial (Chebyshev interpolation on [0, 1]): no cosine, no root, never
-    negative, and within 2e-13 of the formula.
+    Written as $(1 - s)^2 g(s)$ with $s = (\rho/r_o)^2$ and g a polynomial (Chebyshev interpolation on [0, 1]): no cosine, no
+    root, never negative, and within 2e-13 of the formula.
 
     Args:
         rho2: Squared distance from the UGV [m²].

@@ -127,7 +127,6 @@ class Flight:
             if isinstance(command, UavCommand):
                 self._radio[self.world.uavs[self._uav_row[name]].escorts].extend(command.radio)
         self.world.step(self._commands)
-        self.recorder.after(self.reports)
 
     def fly(self, exchange: Exchange, *, on_tick: Callable[[], None] | None = None) -> None:
         """Fly to the end.
@@ -138,14 +137,14 @@ class Flight:
         """
         while not self.over:
             exchange.publish(self.observations())
-            self.recorder.before()  # while the vehicles think
+            self.recorder.record(self.reports)  # while the vehicles think
             commands = exchange.collect(self.world.tick)
             if self._stopped:
                 break
             self.apply(commands)
             if on_tick is not None:
                 on_tick()
-        self.recorder.before()
+        self.recorder.record(self.reports)
         exchange.publish(self.observations())
 
     def truth(self) -> Truth:
@@ -177,6 +176,6 @@ class Flight:
 def warm_up(scenario: Scenario) -> None:
     """Let all that a flight compiles be compiled or loaded, with a world that nobody sees."""
     flight = Flight(scenario, scenario.seed)
-    flight.recorder.before()
+    flight.recorder.record(flight.reports)
     flight.apply({})
     flight.observations()

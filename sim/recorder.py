@@ -34,29 +34,33 @@ class Recorder:
         self._states: FloatArray = np.empty((_ROOM, vehicles, 6))  # p, v at k; then the command applied during k
         self._escorts: FloatArray = np.empty((_ROOM, uavs, 6))  # distance, e, detection, estimate
 
-    def _make_room(self) -> None:
-        if self.ticks == len(self._states):
+    def _make_room(self, k: int) -> None:
+        if k == len(self._states):
             self._states = np.concatenate((self._states, np.empty_like(self._states)))
             self._escorts = np.concatenate((self._escorts, np.empty_like(self._escorts)))
 
-    def before(self) -> None:
-        """Take down the state at tick k, before the world steps."""
-        self._make_room()
-        self._states[self.ticks, :, 0:2] = self._world.position
-        self._states[self.ticks, :, 2:4] = self._world.velocity
-        self._escorts[self.ticks, :, 0:2] = self._world.measure()
-        self._escorts[self.ticks, :, 2:4] = self._world.detections
-        self._escorts[self.ticks, :, 4:6] = np.nan
-        self._states[self.ticks, :, 4:6] = np.nan
-        self.rows = self.ticks + 1
+    def record(self, reports: list[UavReport | None]) -> None:
+        """Take down the state at this tick and, with it, what was applied and reported during the one before.
 
-    def after(self, reports: list[UavReport | None]) -> None:
-        """Take down what was applied during tick k, after the world has stepped, and what the UAVs reported."""
-        self._states[self.ticks, :, 4:6] = self._world.acceleration
-        for k, report in enumerate(reports):
-            if report is not None:
-                self._escorts[self.ticks, k, 4:6] = report.estimate
-        self.ticks += 1
+        Called once at each tick, best while the vehicles think; again at the same tick it changes nothing.
+
+        Args:
+            reports: What each UAV reported at the tick before; None where it did not.
+        """
+        k = self._world.tick
+        self._make_room(k)
+        if k:
+            self._states[k - 1, :, 4:6] = self._world.acceleration
+            for uav, report in enumerate(reports):
+                if report is not None:
+                    self._escorts[k - 1, uav, 4:6] = report.estimate
+        self._states[k, :, 0:2] = self._world.position
+        self._states[k, :, 2:4] = self._world.velocity
+        self._states[k, :, 4:6] = np.nan
+        self._escorts[k, :, 0:2] = self._world.measure()
+        self._escorts[k, :, 2:4] = self._world.detections
+        self._escorts[k, :, 4:6] = np.nan
+        self.ticks, self.rows = k, k + 1
 
     @property
     def states(self) -> FloatArray:

@@ -1,19 +1,20 @@
 """A run described: typed, read from TOML, refused where it is impossible."""
 
 import math
-import re
-import tomllib
-from collections.abc import Sequence
-from difflib import get_close_matches
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
+from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Annotated
 
 import msgspec
 from msgspec import Meta
 
 from bus.errors import ScenarioError
 from bus.messages import Area, Estimator, Law, Name, NonNegative, Positive, Region, Sensor, Text, Vector
+from sim.scenario_checks import check_scenario
+from sim.scenario_faults import near, one_line
+from sim.scenario_reading import apply_override, as_raw, parse_override, parse_toml, typed
 
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 Bound = Annotated[float, Meta(gt=0.0)]
@@ -45,7 +46,7 @@ class Detections(_Table, frozen=True, kw_only=True):
 
     noise: NonNegative = 0.0
     """Standard deviation per axis [m]."""
-    cut: Annotated[float, Meta(ge=0.0)] = 3.0
+    cut: NonNegative = 3.0
     """The noise vector's norm is cut at this many standard deviations; 0 switches the cut off."""
     rate: Positive = 20.0
     """Looks per second [1/s]; a whole number of ticks must fit between two."""
@@ -86,6 +87,9 @@ class Custom(_Table, frozen=True, kw_only=True):
     """t -> ((x, y), (x'', y'')), relative to the UGV, for the law `path`."""
 
 
+_DEFAULT_AREA = Area(width=40.0, height=40.0, cell=0.25)
+
+
 class Scenario(_Table, frozen=True, kw_only=True):
     """One run. SI units; the area's lower left corner is the origin."""
 
@@ -99,7 +103,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     """Length of a tick [s]."""
     hold: NonNegative = 0.5
     """How long the last command is held when none comes [s]; then the vehicle brakes."""
-    area: Area = Area(width=40.0, height=40.0, cell=0.25)
+    area: Area = _DEFAULT_AREA
     sensor: Sensor = Sensor()
     visibility: Visibility = Visibility()
     coverage: Coverage = Coverage()
@@ -132,126 +136,62 @@ class Scenario(_Table, frozen=True, kw_only=True):
 
 
 DEFAULT_SCENARIO = "escort"
-_SHIPPED = files("sim") / "scenarios"
+
+
+def _shipped() -> dict[str, Traversable]:
+    """The shipped scenarios by name."""
+    entries = (files("sim") / "scenarios").iterdir()
+    return {entry.name.removesuffix(".toml"): entry for entry in entries if entry.name.endswith(".toml")}
 
 
 def scenario_names() -> tuple[str, ...]:
     """Names of the shipped scenarios, the default first."""
-    names = sorted(entry.name.removesuffix(".toml") for entry in _SHIPPED.iterdir() if entry.name.endswith(".toml"))
-    return tuple(sorted(names, key=lambda name: name != DEFAULT_SCENARIO))
+    return tuple(sorted(_shipped(), key=lambda name: (name != DEFAULT_SCENARIO, name)))
 
 
-def _text(source: str | Path) -> tuple[str, str]:
-    """The scenario's name and its TOML text."""
-    shipped = scenario_names()
-    if isinstance(source, str) and source in shipped:
-        return source, (_SHIPPED / f"{source}.toml").read_text(encoding="utf-8")
-    path = Path(source)
-    if path.suffix != ".toml" and not path.exists():
-        near = get_close_matches(str(source), shipped, n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        raise ScenarioError(
-            f"no scenario {str(source)!r}; {hint}shipped are {', '.join(shipped)}; a file of your own ends in .toml"
-        )
+def _read(source: str | Path, file: str) -> str:
+    """The TOML text of a shipped scenario or of a file."""
     try:
-        return path.stem, path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ScenarioError(f"{path}: cannot be read: {error.strerror}") from error
+        return (_shipped().get(str(source)) or Path(source)).read_bytes().decode("utf-8-sig")
+    except FileNotFoundError as error:
+        shipped = scenario_names()
+        meant = near(Path(source).stem, shipped)
+        raise ScenarioError(f"{file}: no such file or scenario{meant}; allowed: a TOML file, or {', '.join(shipped)}") from error
     except UnicodeDecodeError as error:
-        raise ScenarioError(f"{path}: is not text in UTF-8 ({error.reason} at byte {error.start})") from error
+        raise ScenarioError(f"{file}: byte {error.start}: not UTF-8, {error.reason}; allowed: text in UTF-8") from error
+    except (OSError, ValueError) as error:  # a ValueError: a NUL in the path
+        reason = one_line(str(getattr(error, "strerror", None) or error))
+        raise ScenarioError(f"{file}: cannot be read: {reason}; allowed: a TOML file") from error
 
 
-def _step_into(table: object, part: str, override: str) -> object:
-    """One step along an override's key, making tables on the way."""
-    if isinstance(table, list):
-        if not part.isdigit() or int(part) >= len(table):
-            raise ScenarioError(f"--set {override}: {part!r} is no entry of a list of {len(table)}; they count from 0")
-        return table[int(part)]
-    if not isinstance(table, dict):
-        raise ScenarioError(f"--set {override}: {part!r} is no table")
-    return table.setdefault(part, {})
+def _changes(overrides: Mapping[str, object] | Sequence[str], file: str) -> list[tuple[str, object]]:
+    if isinstance(overrides, Mapping):
+        return [(str(key), as_raw(value, file=file)) for key, value in overrides.items()]
+    changes = [overrides] if isinstance(overrides, str) else overrides
+    return [parse_override(change, file=file) for change in changes]
 
 
-def _override(raw: dict[str, Any], override: str) -> None:
-    key, separator, text = override.partition("=")
-    parts = key.strip().split(".")
-    if not separator or not all(parts):
-        raise ScenarioError(f"--set {override}: allowed is KEY=VALUE, such as detections.noise=0.2 or uav.0.max_speed=0.5")
-    try:
-        value = tomllib.loads(f"value = {text.strip()}")["value"]
-    except (tomllib.TOMLDecodeError, KeyError):
-        value = text.strip()
-    table: object = raw
-    for part in parts[:-1]:
-        table = _step_into(table, part, override)
-    if isinstance(table, list):
-        _step_into(table, parts[-1], override)
-        table[int(parts[-1])] = value
-    elif isinstance(table, dict):
-        table[parts[-1]] = value
-    else:
-        raise ScenarioError(f"--set {override}: {'.'.join(parts[:-1])} is no table")
-
-
-def _value_at(raw: object, path: list[str]) -> object:
-    for part in path:
-        raw = raw[int(part)] if isinstance(raw, list) else raw[part]  # type: ignore[index]
-    return raw
-
-
-def _translate(error: msgspec.ValidationError, raw: object) -> str:
-    """A validation error as `field = value: what is wrong`."""
-    text, _, where = str(error).partition(" - at `$")
-    path = [part for part in re.split(r"[.\[\]`]+", where) if part]
-    unknown = re.search(r"unknown field `(.*)`", text)
-    if unknown:
-        allowed = _allowed_fields(path)
-        near = get_close_matches(unknown.group(1), allowed, n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        return f"{'.'.join([*path, unknown.group(1)])}: unknown field; {hint}allowed: {', '.join(allowed)}"
-    if not path:
-        return text
-    try:
-        value = f" = {_value_at(raw, path)!r}"
-    except (KeyError, IndexError, TypeError, ValueError):
-        value = ""
-    return f"{'.'.join(path)}{value}: {text[0].lower()}{text[1:]}"
-
-
-def _allowed_fields(path: list[str]) -> list[str]:
-    kind: Any = Scenario
-    for part in path:
-        if part.isdigit():
-            continue
-        kind = get_type_hints(kind)[part]
-        if get_args(kind):
-            kind = get_args(kind)[0]
-    return list(kind.__struct_fields__)
-
-
-def load_scenario(source: str | Path = DEFAULT_SCENARIO, *, overrides: Sequence[str] = ()) -> Scenario:
+def load_scenario(source: str | Path = DEFAULT_SCENARIO, *, overrides: Mapping[str, object] | Sequence[str] = ()) -> Scenario:
     """Read and validate a scenario.
 
     Args:
         source: A shipped name, or a TOML file.
-        overrides: Changes as `key=value`, such as `uav.0.max_speed=0.5`; the value as TOML writes it, or plain text.
+        overrides: Changes made before anything is validated: fields and their values, or texts such as
+            `uav.0.max_speed=0.5`, the value as TOML writes it or else plain text.
+
+    Returns:
+        The scenario; its name is the file's, without its ending, where none is given.
 
     Raises:
-        ScenarioError: If it cannot be read or cannot be flown: one line with file, field, value and what is allowed.
+        ScenarioError: If it cannot be read or cannot be flown; one line with file, field, value, what is wrong and allowed.
     """
-    from sim.scenario_checks import check_scenario  # noqa: PLC0415 - the checks need the types of this file
-
-    name, text = _text(source)
-    try:
-        raw: dict[str, Any] = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise ScenarioError(f"{source}: no valid TOML: {error}") from error
-    for override in overrides:
-        _override(raw, override)
-    try:
-        scenario = msgspec.convert(raw, Scenario)
-    except msgspec.ValidationError as error:
-        raise ScenarioError(f"{source}: {_translate(error, raw)}") from error
+    file = one_line(str(source)) or "."
+    raw = parse_toml(_read(source, file), file=file)
+    for key, value in _changes(overrides, file):
+        apply_override(raw, key, value, file=file)
+    if isinstance(raw.get("area"), dict):
+        raw["area"] = {**msgspec.to_builtins(_DEFAULT_AREA), **raw["area"]}
+    scenario = typed(raw, Scenario, file=file)
     if not scenario.name:
-        scenario = msgspec.structs.replace(scenario, name=name)
-    return check_scenario(scenario, source=str(source))
+        scenario = msgspec.structs.replace(scenario, name=one_line(Path(source).stem))
+    return check_scenario(scenario, source=file)

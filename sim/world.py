@@ -207,7 +207,9 @@ class World:
         )
 
     def measure(self) -> FloatArray:
-        """Distance [m] and e(t) (4) with the true p_g [m²] of each escort at this tick. Shape (UAVs, 2); a view, overwritten next time.
+        """Distance [m] and e(t) (4) with the true p_g [m²] of each escort at this tick.
+
+        Shape (UAVs, 2); a view, overwritten next time.
 
         Apart from `step`, because nobody needs it before the vehicles have answered.
         """

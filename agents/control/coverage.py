@@ -11,7 +11,7 @@ ZERO_GRADIENT = 1e-9
 
 @compiled
 def symmetry_breaker(q_x: float, q_y: float, p_ax: float, p_ay: float, k: float) -> tuple[float, float]:
-    r"""The way out of symmetry, towards the nearest uncovered point, Klodt 2015, eq. (7): $\tilde u_{cov} = k(\tilde q - p_a)$."""
+    r"""The way out of symmetry, to the nearest uncovered point, Klodt 2015, eq. (7): $\tilde u_{cov} = k(\tilde q - p_a)$."""
     return k * (q_x - p_ax), k * (q_y - p_ay)
 
 
@@ -48,7 +48,8 @@ def desired_velocity(u_si_x: float, u_si_y: float, v_ref: float) -> tuple[float,
 def velocity_error(u_si_x: float, u_si_y: float, v_ref: float, v_ax: float, v_ay: float, uncovered: bool) -> tuple[float, float]:
     r"""Error of the velocity [m/s], Klodt 2015, eq. (10).
 
-    $$ e_{vel} = \frac{u_{si}}{\|u_{si}\|} v_{ref} - \dot p_a \text{ where } e(t) \ne 0, \quad -\dot p_a \text{ where } e(t) = 0 $$
+    $$ e_{vel} = \frac{u_{si}}{\|u_{si}\|} v_{ref} - \dot p_a \text{ where } e(t) \ne 0,
+    \quad -\dot p_a \text{ where } e(t) = 0 $$
 
     Args:
         u_si_x, u_si_y: u_si of (8).

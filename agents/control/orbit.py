@@ -1,4 +1,4 @@
-"""Virtual point tracking, section V.B of the paper: (20) to (25). The circle is shipped; any path with two derivatives will do."""
+"""Virtual point tracking, section V.B of the paper: (20) to (25). The circle is shipped; any path with two derivatives does."""
 
 import math
 from collections.abc import Callable
@@ -115,7 +115,8 @@ def check_path(
     warnings = []
     if fastest[0] + v_g > v_a * (1.0 + 1e-6):
         warnings.append(
-            f"path: cannot be flown: {fastest[0]:.4g} m/s at t = {fastest[1]:.4g} s; allowed up to v_a - v_g = {v_a - v_g:.4g} m/s"
+            f"path: cannot be flown: {fastest[0]:.4g} m/s at t = {fastest[1]:.4g} s; "
+            f"allowed up to v_a - v_g = {v_a - v_g:.4g} m/s"
         )
     if hardest[0] > u_a * (1.0 + 1e-6):
         warnings.append(

@@ -24,8 +24,10 @@ def goal_control(
     distance = norm(d_x, d_y)
     w_x, w_y = 0.0, 0.0
     if distance > 0.0:
-        speed = min(v_max, speed_to_stop_within(distance, u_max, dt))
-        w_x, w_y = d_x / distance * speed, d_y / distance * speed
+        e_x, e_y = d_x / distance, d_y / distance
+        rest = distance - 0.5 * dt * max(v_x * e_x + v_y * e_y, 0.0)  # half of the coming tick goes at the old speed
+        speed = min(v_max, speed_to_stop_within(rest, u_max, dt))
+        w_x, w_y = e_x * speed, e_y * speed
     return clip_norm((w_x - v_x) / dt, (w_y - v_y) / dt, u_max)
 
 

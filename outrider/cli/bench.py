@@ -14,10 +14,11 @@ def command(
 
     Example: outrider bench --only lockstep
     """
-    from outrider.bench import measure
-    from outrider.cli.console import ERR, OUT, print_json
     from rich.progress import Progress
     from rich.table import Table
+
+    from outrider.bench import measure
+    from outrider.cli.console import ERR, OUT, print_json
 
     with Progress(console=ERR, transient=True) as progress:
         task = progress.add_task("measuring", total=1.0)

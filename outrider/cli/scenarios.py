@@ -10,9 +10,9 @@ def command(json: Annotated[bool, typer.Option("--json", help="Print one JSON ob
 
     Example: outrider scenarios
     """
-    from outrider.cli.console import OUT, print_json
     from rich.table import Table
 
+    from outrider.cli.console import OUT, print_json
     from sim.scenario import load_scenario, scenario_names
 
     shipped = [load_scenario(name) for name in scenario_names()]

@@ -43,10 +43,10 @@ def command(
     from bus.session import open_session
     from outrider.cli.console import ERR, flight_progress, print_json, print_summary, print_warnings
     from outrider.cli.options import scenario_of
-    from outrider.reports import Reports
     from outrider.cli.stopping import stop_on_signals
     from outrider.leash import hold
     from outrider.output import write_flight
+    from outrider.reports import Reports
     from outrider.summary import summarize
     from sim.compile import compiling
     from sim.flight import warm_up

@@ -1,0 +1,59 @@
+"""Scenarios for the tests of laws and worlds, and a UAV's law without its pilot."""
+
+from typing import Any
+
+from agents.control.laws import LawParameters, law_parameters
+from bus.messages import Law, UavBriefing
+from sim.briefing import briefing
+from sim.compile import FloatArray
+from sim.flight import Flight
+from sim.scenario import Scenario, Uav, Ugv
+
+V_A, U_A, V_G, U_G = 0.6, 0.3, 0.2, 0.1  # the paper's vehicles: speeds [m/s], accelerations [m/s²]
+R, R_V, DESIRED = 5.0, 4.75, 2.0
+R_O = R_V + R
+R_S = R_V - (V_A + V_G) ** 2 / (2.0 * U_A)
+DT = 0.05
+
+HERE = (20.0, 20.0)
+UAV, UGV = Uav(position=HERE), Ugv(position=HERE)
+"""The paper's vehicles, at rest in the middle of the paper's area."""
+
+
+def escort(
+    law: str | Law = "logarithmic",
+    *,
+    uav: Uav = UAV,
+    ugv: Ugv = UGV,
+    **fields: Any,
+) -> Scenario:
+    """One UAV that escorts one UGV; `fields` are the scenario's."""
+    return Scenario(law=Law(name=law) if isinstance(law, str) else law, uav=(uav,), ugv=(ugv,), **fields)
+
+
+def told(scenario: Scenario, seed: int = 0) -> UavBriefing:
+    """What the scenario's UAV is told."""
+    message = briefing(scenario, scenario.uav[0].name, seed)
+    assert isinstance(message, UavBriefing)
+    return message
+
+
+def parameters(scenario: Scenario, seed: int = 0) -> LawParameters:
+    """The numbers of the law that the scenario's UAV flies."""
+    return law_parameters(told(scenario, seed), scenario.law)
+
+
+def tracks(flight: Flight) -> tuple[FloatArray, FloatArray]:
+    """p, v and u of the UAV and of the UGV of a flight with one of each, shape (rows, 6)."""
+    states = flight.recorder.states
+    return states[:, flight.world.names.index("uav_0")], states[:, flight.world.names.index("ugv_0")]
+
+
+def distances(flight: Flight) -> FloatArray:
+    """The true distance at each tick [m]."""
+    return flight.recorder.escorts[:, 0, 0]
+
+
+def errors(flight: Flight) -> FloatArray:
+    """e(t) of (4) at each tick [m²]."""
+    return flight.recorder.escorts[:, 0, 1]

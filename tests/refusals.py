@@ -1,0 +1,40 @@
+"""How tests see a scenario refused."""
+
+from pathlib import Path
+
+import pytest
+
+from bus.errors import ScenarioError
+from sim.scenario import load_scenario
+
+SHIPPED = (
+    "escort",
+    "circle",
+    "circle-too-fast",
+    "figure-1-bounded",
+    "figure-1-high-gain",
+    "figure-1-low-gain",
+    "figure-3-linear",
+    "figure-3-logarithmic",
+    "figure-3-switching",
+    "scenario-1",
+    "scenario-2",
+)
+SMALL = "[[uav]]\nposition = [6.0, 21.0]\n[[ugv]]\nposition = [6.0, 20.0]\ngoals = [[34.0, 20.0]]\n"
+"""As little as a scenario needs."""
+
+
+def refusal(source="escort", overrides=()) -> str:
+    """The one line with which a scenario is refused."""
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario(source, overrides=overrides)
+    line = str(caught.value)
+    assert len(line.splitlines()) == 1
+    assert line.isprintable()
+    return line
+
+
+def written(folder: Path, content: bytes) -> Path:
+    path = folder / "mine.toml"
+    path.write_bytes(content)
+    return path

@@ -1,0 +1,192 @@
+"""The picture of one flight."""
+
+import math
+import struct
+import subprocess
+import sys
+
+import matplotlib as mpl
+import msgspec
+import numpy as np
+import pytest
+
+from bus.messages import Area, Law
+from outrider.render import SIZE, draw_flight, flight_figure
+from outrider.run import fly
+from sim.flight import Flight
+from sim.scenario import Detections, Scenario, Uav, Ugv
+
+NOISY = Detections(noise=0.1, dropout=0.1)
+GOALS = ((26.0, 20.0), (26.0, 26.0))
+
+
+def scenario(law="logarithmic", *, uav=None, **fields):
+    one = Uav(position=(20.0, 21.0), **(uav or {}))
+    fields = {"name": "test", "duration": 10.0, "detections": NOISY, **fields}
+    return Scenario(law=Law(name=law), uav=(one,), ugv=(Ugv(position=(20.0, 20.0), goals=GOALS),), **fields)
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return fly(scenario(), 3)[0]
+
+
+def png_size(path):
+    head = path.read_bytes()[:24]
+    assert head[:8] == b"\x89PNG\r\n\x1a\n"
+    return struct.unpack(">II", head[16:24])
+
+
+def words(figure):
+    return [text.get_text() for text in figure.texts]
+
+
+def panel(figure, title):
+    return next(axes for axes in figure.axes if axes.get_title(loc="left").startswith(title))
+
+
+def limits(axes):
+    """The names of the radii that are drawn over time."""
+    return [text.get_text() for text in axes.texts]
+
+
+def test_picture_is_a_png_of_its_size_and_light_enough_for_a_web_page(flight, tmp_path):
+    draw_flight(flight, tmp_path / "flight.png")
+    assert png_size(tmp_path / "flight.png") == SIZE
+    assert 20_000 < (tmp_path / "flight.png").stat().st_size < 400_000
+
+
+def test_same_flight_gives_the_same_bytes_whatever_the_users_settings_are(flight, tmp_path):
+    draw_flight(flight, tmp_path / "a.png")
+    with mpl.rc_context({"font.size": 20.0, "axes.facecolor": "black", "savefig.dpi": 50, "text.usetex": False}):
+        before = dict(mpl.rcParams)
+        draw_flight(flight, tmp_path / "b.png")
+        assert dict(mpl.rcParams) == before
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_a_run_loads_no_matplotlib_and_drawing_no_pyplot():
+    code = (
+        "import sys, outrider.run, outrider.output; print('matplotlib' in sys.modules); "
+        "import outrider.figures; print('matplotlib' in sys.modules, 'matplotlib.pyplot' in sys.modules)"
+    )
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert told.split() == ["False", "True", "False"]
+
+
+def test_every_panel_names_its_quantities_and_units(flight):
+    figure = flight_figure(flight)
+    labels = [axes.get_ylabel() for axes in figure.axes]
+    assert labels == ["y [m]", "coverage C/C*", r"$\|p_\Delta\|$ [m]", "e(t) [m²]", "error [m]"]
+    assert figure.axes[0].get_xlabel() == "x [m]"
+    assert panel(figure, "Estimate").get_xlabel() == "time [s]"  # the lowest of those that share it
+    assert len({axes.get_xlim() for axes in figure.axes[2:]}) == 1
+
+
+def test_header_tells_scenario_law_seed_distance_and_margin(flight):
+    told = " ".join(words(flight_figure(flight)))
+    farthest = flight.recorder.escorts[:, 0, 0].max()
+    for part in ("test", "law logarithmic", "seed 3", f"{farthest:.2f} m", f"margin {4.75 - farthest:.2f} m"):
+        assert part in told
+
+
+def test_map_shows_the_share_of_the_coverage_wanted(flight):
+    shown = flight_figure(flight).axes[0].images[0].get_array()
+    np.testing.assert_array_equal(shown, np.minimum(flight.world.coverage / 2.0, 1.0))
+
+
+def test_lines_are_the_recorded_flight(flight):
+    figure = flight_figure(flight)
+    np.testing.assert_array_equal(panel(figure, "Distance").lines[0].get_ydata(), flight.recorder.escorts[:, 0, 0])
+    np.testing.assert_array_equal(panel(figure, "Ground").lines[0].get_ydata(), flight.recorder.escorts[:, 0, 1])
+    np.testing.assert_allclose(panel(figure, "Ground").lines[0].get_xdata(), np.arange(201) * 0.05)
+
+
+def test_without_noise_there_is_no_panel_for_it():
+    figure = flight_figure(fly(scenario(detections=Detections(), duration=1.0), 0)[0])
+    assert [axes.get_ylabel() for axes in figure.axes] == ["y [m]", "coverage C/C*", r"$\|p_\Delta\|$ [m]", "e(t) [m²]"]
+
+
+@pytest.mark.parametrize("ticks", [0, 1, 3])
+def test_a_flight_cut_short_is_drawn(ticks, tmp_path):
+    flown = Flight(scenario(), 0)
+    flown.recorder.record(flown.reports)
+    if ticks:
+        flown = fly(scenario(), 0, on_tick=lambda flight: flight.stop() if flight.world.tick == ticks else None)[0]
+    assert flown.recorder.rows == ticks + 1
+    draw_flight(flown, tmp_path / "flight.png")
+    assert png_size(tmp_path / "flight.png") == SIZE
+
+
+def test_nothing_flown_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="nothing to draw"):
+        draw_flight(Flight(scenario(), 0), tmp_path / "flight.png")
+    assert not (tmp_path / "flight.png").exists()
+
+
+def test_two_pairs_have_colors_and_names_of_their_own(tmp_path):
+    uavs = (Uav(name="uav_0", escorts="ugv_1", position=(9.0, 8.0)), Uav(name="uav_1", escorts="ugv_0", position=(30.0, 28.0)))
+    ugvs = (Ugv(name="ugv_0", position=(30.0, 27.0), goals=GOALS), Ugv(name="ugv_1", position=(8.0, 8.0)))
+    flown = fly(Scenario(name="pairs", duration=5.0, detections=NOISY, uav=uavs, ugv=ugvs), 1)[0]
+    figure = flight_figure(flown)
+    lines = panel(figure, "Distance").get_legend_handles_labels()
+    assert lines[1] == ["uav_0", "uav_1"]
+    assert len({line.get_color() for line in lines[0]}) == 2
+    circles = [patch for patch in figure.axes[0].patches if patch.get_radius() == 4.75]
+    assert sorted(tuple(circle.center) for circle in circles) == sorted(map(tuple, flown.recorder.states[-1, 2:, :2]))
+    draw_flight(flown, tmp_path / "flight.png")
+
+
+def test_a_uav_that_never_sees_its_ugv_is_drawn(tmp_path):
+    flown, summary = fly(scenario(detections=Detections(noise=0.1, dropout=1.0)), 0)
+    assert summary.detections == 0
+    draw_flight(flown, tmp_path / "flight.png")
+    assert png_size(tmp_path / "flight.png") == SIZE
+
+
+@pytest.mark.parametrize(
+    ("uav", "drawn"),
+    [({}, True), ({"max_speed": math.inf, "max_acceleration": math.inf}, False), ({"max_speed": 3.0}, False)],
+    ids=["paper", "unbounded", "too fast to stop in time"],
+)
+def test_r_s_is_drawn_only_where_it_is_a_circle_of_its_own(uav, drawn):
+    law = Law(name="coverage", reference_speed=0.6)
+    figure = flight_figure(fly(msgspec.structs.replace(scenario(uav=uav, duration=1.0), law=law), 0)[0])
+    assert ("$r_s$" in limits(panel(figure, "Distance"))) is drawn
+    assert "$r_v$" in limits(panel(figure, "Distance"))
+    radii = sorted({round(patch.get_radius(), 3) for patch in figure.axes[0].patches})
+    assert radii == ([3.683, 4.75, 5.0] if drawn else [4.75, 5.0])
+
+
+def test_lost_sight_is_shaded_and_said():
+    flown, summary = fly(scenario("coverage", duration=60.0, detections=Detections()), 0)
+    assert summary.visibility_violations > 0
+    figure = flight_figure(flown)
+    veil = panel(figure, "Distance").collections[0].get_paths()
+    lost = np.flatnonzero(flown.recorder.escorts[:, 0, 0] >= 4.75) * 0.05
+    assert min(path.get_extents().x0 for path in veil) == pytest.approx(lost[0], abs=0.051)
+    assert f"UGV out of sight for {summary.visibility_violations * 0.05:.2f} s" in words(figure)
+
+
+def test_sight_that_is_kept_is_not_shaded(flight):
+    assert not any(len(path.vertices) for path in panel(flight_figure(flight), "Distance").collections[0].get_paths())
+
+
+@pytest.mark.parametrize("area", [(200.0, 12.0), (12.0, 200.0)])
+def test_a_narrow_area_is_drawn(area, tmp_path):
+    one = scenario(duration=1.0, area=Area(width=area[0], height=area[1], cell=0.5))
+    place = {"position": (6.0, 6.0)}
+    flown = fly(msgspec.structs.replace(one, uav=(Uav(**place),), ugv=(Ugv(**place, goals=((8.0, 8.0),)),)), 0)[0]
+    draw_flight(flown, tmp_path / "flight.png")
+    assert png_size(tmp_path / "flight.png") == SIZE
+
+
+def test_a_name_is_no_formula(tmp_path):
+    flown = fly(scenario(name="$x_{ $ " + "long " * 30, duration=0.5), 0)[0]
+    draw_flight(flown, tmp_path / "flight.png")
+    assert max(map(len, words(flight_figure(flown)))) < 150
+
+
+def test_a_folder_that_is_not_there_is_an_oserror(flight, tmp_path):
+    with pytest.raises(OSError, match="nowhere"):
+        draw_flight(flight, tmp_path / "nowhere" / "flight.png")
