@@ -9,18 +9,20 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from outrider.run import run as run
-    from sim.env import parallel_env as parallel_env
+    from sim.env.parallel import parallel_env as parallel_env
+    from sim.env.rewards import RewardWeights as RewardWeights
     from sim.scenario import load_scenario as load_scenario
     from sim.scenario import scenario_names as scenario_names
 
 _WHERE = {
+    "RewardWeights": "sim.env.rewards",
     "load_scenario": "sim.scenario",
-    "parallel_env": "sim.env",
+    "parallel_env": "sim.env.parallel",
     "run": "outrider.run",
     "scenario_names": "sim.scenario",
 }
 
-__all__ = ["load_scenario", "parallel_env", "run", "scenario_names"]
+__all__ = ["RewardWeights", "load_scenario", "parallel_env", "run", "scenario_names"]
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - a module's names have any type

@@ -76,7 +76,7 @@ def run_in_process() -> Pair:
 
 def env_step() -> Pair:
     """`parallel_env().step` with random actions, beside the world alone."""
-    from sim.env import parallel_env  # noqa: PLC0415 - pettingzoo is loaded only where it is used
+    from sim.env.parallel import parallel_env  # noqa: PLC0415 - pettingzoo is loaded only where it is used
 
     env = parallel_env("escort")
     env.reset(seed=1)

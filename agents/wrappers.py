@@ -1,0 +1,85 @@
+"""Wrappers for the environment: what an agent may compute from its own row, put into that row."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from pettingzoo.utils import BaseParallelWrapper  # type: ignore[import-untyped]
+
+from agents.estimator import RelativeEstimator
+from bus.layout import Row, UavRow, uav_observation
+from bus.messages import UavBriefing
+
+_RELATIVE = [UavRow._fields.index("relative_x"), UavRow._fields.index("relative_y")]
+
+
+class EstimateWrapper(BaseParallelWrapper):  # type: ignore[misc]
+    """Puts the filter's estimate in the place of the UAVs' raw detections; everything else stays.
+
+    The row keeps its layout. `detected` is 1 from the first detection on, `relative_x` and `relative_y` are the UAV's own
+    position minus the estimate of p_g, `age` is the time since the newest detection that the filter believed. An estimate has
+    no largest distance, so the space of the relative position is unbounded.
+
+    Args:
+        env: The environment, or a wrapper of it whose UAVs still have their own rows.
+    """
+
+    def __init__(self, env: Any) -> None:  # noqa: ANN401 - PettingZoo has no types
+        super().__init__(env)
+        self._filters: dict[str, RelativeEstimator] = {}
+        self._briefings: dict[str, UavBriefing] = {}
+        for agent in env.possible_agents:
+            told = env.unwrapped.briefing(agent)
+            if isinstance(told, UavBriefing):
+                self._briefings[agent] = told
+        self._spaces = {agent: self._without_bounds(env.observation_space(agent)) for agent in self._briefings}
+
+    @staticmethod
+    def _without_bounds(space: spaces.Space[Any]) -> spaces.Space[Any]:
+        if isinstance(space, spaces.Dict):
+            return spaces.Dict({**space.spaces, "row": EstimateWrapper._without_bounds(space.spaces["row"])})
+        if not isinstance(space, spaces.Box):
+            raise TypeError(f"EstimateWrapper needs UAVs that observe their rows, not {space}")
+        low, high = space.low.copy(), space.high.copy()
+        low[_RELATIVE], high[_RELATIVE] = -np.inf, np.inf
+        return spaces.Box(low, high, dtype=space.low.dtype.type)
+
+    def observation_space(self, agent: str) -> spaces.Space[Any]:
+        """The space of an agent's observations."""
+        return self._spaces[agent] if agent in self._spaces else self.env.observation_space(agent)
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Begin an episode, with new filters."""
+        observations, infos = self.env.reset(seed=seed, options=options)
+        self._filters = {
+            agent: RelativeEstimator(detector=told.detector, target=told.target_limits, dt=told.dt, settings=told.estimator)
+            for agent, told in self._briefings.items()
+        }
+        return self._estimated(observations), infos
+
+    def step(self, actions: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
+        """Let all vehicles act for one tick."""
+        observations, *rest = self.env.step(actions)
+        return self._estimated(observations), *rest
+
+    def _estimated(self, observations: dict[str, Any]) -> dict[str, Any]:
+        estimated = dict(observations)
+        for agent in self._filters.keys() & observations.keys():
+            seen = observations[agent]
+            if isinstance(seen, dict):
+                estimated[agent] = seen | {"row": self._replace(agent, seen["row"])}
+            else:
+                estimated[agent] = self._replace(agent, seen)
+        return estimated
+
+    def _replace(self, agent: str, row: Row) -> Row:
+        """The row with the estimate in it, once there is one."""
+        observation = uav_observation(row, dt=self._briefings[agent].dt)
+        (p_x, p_y), time = observation.position, observation.time
+        estimate = self._filters[agent].update(time=time, own_position=(p_x, p_y), detections=observation.detections)
+        if estimate is None:
+            return row
+        (g_x, g_y), age = estimate.position, estimate.age
+        entries = UavRow._make(row.tolist())._replace(detected=1.0, relative_x=p_x - g_x, relative_y=p_y - g_y, age=age)
+        return np.array(entries, dtype=row.dtype)

@@ -1,0 +1,62 @@
+"""The paper's pilots as policies for the environment: the baseline for whoever trains."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from agents.control.orbit import Path as VirtualPath
+from agents.control.weighting import Weighting
+from agents.uav import UavPilot
+from bus.layout import uav_observation, ugv_observation
+from outrider.run import Pilot, make_pilots
+from sim.compile import FloatArray
+
+Policy = Callable[[npt.NDArray[np.floating[Any]] | Mapping[str, npt.NDArray[np.floating[Any]]]], FloatArray]
+"""A vehicle's observation in, its acceleration [m/s²] out."""
+
+
+class _Crew:
+    """The pilots of one environment, new ones for each episode."""
+
+    def __init__(self, env: Any, weighting: Weighting | None, path: VirtualPath | None) -> None:  # noqa: ANN401
+        self._env = env.unwrapped
+        self._weighting, self._path = weighting, path
+        self._board()
+
+    def _board(self) -> None:
+        env = self._env
+        self._episode: int = env.episode
+        self._pilots: dict[str, Pilot] = make_pilots(env.scenario, env.episode_seed, weighting=self._weighting, path=self._path)
+
+    def act(
+        self, name: str, observation: npt.NDArray[np.floating[Any]] | Mapping[str, npt.NDArray[np.floating[Any]]]
+    ) -> FloatArray:
+        if self._episode != self._env.episode:
+            self._board()
+        row = observation["row"] if isinstance(observation, Mapping) else observation
+        pilot, dt = self._pilots[name], self._env.scenario.dt
+        if isinstance(pilot, UavPilot):
+            return np.array(pilot.act(uav_observation(row, dt=dt)).acceleration)
+        return np.array(pilot.act(ugv_observation(row, dt=dt)).acceleration)
+
+
+def pilots(env: Any, *, weighting: Weighting | None = None, path: VirtualPath | None = None) -> dict[str, Policy]:  # noqa: ANN401
+    """A policy for each agent of the environment: the scenario's law for a UAV, its driver for a UGV.
+
+    Each knows what it would know over the bus: its briefing, and then the rows of its own observations. They have a memory, so
+    call each once a tick; with a new episode they begin anew by themselves. With float64 rows they fly the same bits as
+    `outrider.run` with the same scenario and seed.
+
+    Args:
+        env: The environment, or a wrapper of it.
+        weighting: For the law `weighted`, instead of the scenario's.
+        path: For the law `path`, instead of the scenario's.
+
+    Raises:
+        ScenarioError: If the scenario asks for a law or a driver that cannot be had.
+    """
+    crew = _Crew(env, weighting, path)
+    return {name: partial(crew.act, name) for name in env.possible_agents}

@@ -1,0 +1,47 @@
+"""The agents' actions as the world's commands, or a line that says what is allowed."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from sim.compile import FloatArray
+
+LARGEST = 1e6
+"""Larger components are nonsense [m/s²]; the same limit as on the bus."""
+
+
+def take_actions(actions: Mapping[str, npt.ArrayLike], names: Sequence[str], commands: FloatArray) -> None:
+    """Put each agent's action in its row.
+
+    Args:
+        actions: An acceleration [m/s²] for each agent.
+        names: The agents, in the order of the rows.
+        commands: Changed in place; shape (agents, 2).
+
+    Raises:
+        ValueError: If an action is missing, of no agent, or not two finite numbers.
+    """
+    if len(actions) != len(names) or any(name not in actions for name in names):
+        given = ", ".join(map(str, actions)) or "nobody"
+        raise ValueError(f"actions for: {given}; needed is one for each of: {', '.join(names)}")
+    for k, name in enumerate(names):
+        x, y = _pair(name, actions[name])
+        if not (-LARGEST <= x <= LARGEST and -LARGEST <= y <= LARGEST):
+            raise ValueError(f"action of {name} = [{x}, {y}]: must be two finite numbers, at most {LARGEST:g} m/s² in size")
+        commands[k, 0] = x
+        commands[k, 1] = y
+
+
+def _pair(name: str, action: npt.ArrayLike) -> list[float]:
+    if isinstance(action, np.ndarray) and action.shape == (2,) and action.dtype.kind == "f":
+        plain: list[float] = action.tolist()
+        return plain
+    try:
+        pair = np.asarray(action)
+    except (TypeError, ValueError):  # a ragged list
+        pair = np.empty(0, dtype=object)
+    if pair.shape != (2,) or pair.dtype.kind not in "fiu":
+        raise ValueError(f"action of {name} = {action!r}: must be two numbers, the acceleration x and y [m/s²]")
+    values: list[float] = pair.astype(np.float64).tolist()
+    return values

@@ -1,0 +1,293 @@
+"""The world as a PettingZoo environment: a thin shell over `sim.world.World`.
+
+`bus.layout` says what each entry of an observation means, `sim.env.rewards` what is paid, `sim.env.seats` who gets what.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+from gymnasium import logger, spaces
+from gymnasium.error import ResetNeeded
+from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
+
+from bus.layout import state_names
+from bus.messages import Briefing
+from sim.briefing import briefing
+from sim.compile import FloatArray
+from sim.env.actions import take_actions
+from sim.env.patch import CoveragePatch, OwnMaps
+from sim.env.rewards import RewardWeights
+from sim.env.seats import Moment, UavSeat, UgvSeat, all_arrived, seats
+from sim.env.seeds import Seeds
+from sim.env.spaces import action_space, observation_space
+from sim.env.state import state_array, state_space
+from sim.env.view import View
+from sim.field import empty_coverage
+from sim.scenario import Scenario, load_scenario
+from sim.scenario_checks import check_scenario
+from sim.world import World
+
+Array = npt.NDArray[np.floating[Any]]
+Observation = Array | dict[str, Array]
+
+_DEFAULT_REWARDS = RewardWeights()
+
+
+class OutriderEnv(ParallelEnv):  # type: ignore[misc]
+    """A UAV escorts a UGV, sees as much ground around it as it can, and never loses sight of it.
+
+    Agents are the scenario's vehicles. An action is an acceleration [m/s²], held for one tick; the bound of (1) is on its norm,
+    and a longer one is shortened. An observation is the vehicle's own row and nothing else; the whole truth is in `state()`.
+    A UAV observes
+
+    | index | name | meaning | unit | range |
+    |---|---|---|---|---|
+    | 0 | `time` | time since the start of the episode | s | 0 … T |
+    | 1 | `x` | own position, x | m | 0 … W |
+    | 2 | `y` | own position, y | m | 0 … H |
+    | 3 | `vx` | own velocity, x | m/s | -v_max … v_max |
+    | 4 | `vy` | own velocity, y | m/s | -v_max … v_max |
+    | 5 | `detected` | 1 where the UGV is detected at this tick, else 0 | - | 0 … 1 |
+    | 6 | `relative_x` | detected p_a - p_g, x; 0 where not detected | m | -d_max … d_max |
+    | 7 | `relative_y` | detected p_a - p_g, y; 0 where not detected | m | -d_max … d_max |
+    | 8 | `age` | time since the newest detection; T before the first | s | 0 … T |
+
+    and a UGV
+
+    | index | name | meaning | unit | range |
+    |---|---|---|---|---|
+    | 0 | `time` | time since the start of the episode | s | 0 … T |
+    | 1 | `x` | own position, x | m | 0 … W |
+    | 2 | `y` | own position, y | m | 0 … H |
+    | 3 | `vx` | own velocity, x | m/s | -v_max … v_max |
+    | 4 | `vy` | own velocity, y | m/s | -v_max … v_max |
+    | 5 | `underway` | 1 while a goal is still to be reached, else 0 | - | 0 … 1 |
+    | 6 | `goal_x` | goal, x; the last one stays when reached; 0 without goals | m | 0 … W |
+    | 7 | `goal_y` | goal, y; the last one stays when reached; 0 without goals | m | 0 … H |
+
+    The letters of the ranges are explained in `bus.layout.SYMBOLS`; all agents end together. `docs/environment.md` is the
+    environment's page.
+
+    Args:
+        scenario: A shipped name, a file, or a scenario.
+        duration: Length of an episode [s], instead of the scenario's: then the episode is truncated.
+        rewards: What the vehicles are paid for.
+        end_on_sight_lost: Whether the episode terminates when a UAV is r_v or more from its UGV: the promise is broken.
+        end_on_goals_reached: Whether it terminates when every UGV that has goals has reached them all.
+        coverage_patch: Pixels and meters per pixel of a picture of the UAV's own map, which makes its observation a
+            dictionary with `row` and `coverage`; None: no picture.
+        coverage_in_state: Whether min(C / C*, 1) of every cell, row by row from y = 0, ends the state.
+        dtype: Of observations and state. With float64 the paper's pilots fly the same bits as in `outrider.run`.
+        render_mode: None, "rgb_array" or "human".
+
+    Raises:
+        ScenarioError: If the scenario cannot be flown, or its duration is no whole number of ticks.
+        ValueError: If another argument is not allowed.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - as PettingZoo declares it
+        "name": "outrider_v0",
+        "render_modes": ["human", "rgb_array"],
+        "render_fps": 20,
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario = "escort",
+        *,
+        duration: float | None = None,
+        rewards: RewardWeights = _DEFAULT_REWARDS,
+        end_on_sight_lost: bool = True,
+        end_on_goals_reached: bool = False,
+        coverage_patch: CoveragePatch | tuple[int, float] | None = None,
+        coverage_in_state: bool = False,
+        dtype: type[np.floating] = np.float64,
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ValueError(f"render_mode = {render_mode!r}; allowed: None, 'human', 'rgb_array'")
+        if dtype not in {np.float32, np.float64}:
+            raise ValueError(f"dtype = {dtype!r}; allowed: np.float32, np.float64")
+        loaded = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+        self.scenario = check_scenario(loaded if duration is None else msgspec.structs.replace(loaded, duration=duration))
+        """What is flown."""
+        self.render_mode = render_mode
+        self.end_on_sight_lost = end_on_sight_lost
+        self.end_on_goals_reached = end_on_goals_reached
+        self.coverage_in_state = coverage_in_state
+        self._patch = None if coverage_patch is None else CoveragePatch(*coverage_patch)
+        self._dtype = dtype
+        if self._patch is not None:
+            self._patch.check()
+        vehicles = self.scenario.vehicles
+        self.possible_agents: list[str] = [vehicle.name for vehicle in vehicles]
+        self.agents: list[str] = []
+        area = self.scenario.area
+        cells = empty_coverage(area.width, area.height, area.cell).size if coverage_in_state else 0
+        self._seats = seats(self.scenario, rewards)
+        self.action_spaces = {vehicle.name: action_space(vehicle) for vehicle in vehicles}
+        self.observation_spaces = {
+            vehicle.name: observation_space(self.scenario, vehicle, self._patch, dtype) for vehicle in vehicles
+        }
+        self.state_space = state_space(self.scenario, self._seats, cells=cells, dtype=dtype)
+        self.state_names = state_names((seat.name, seat.state_row) for seat in self._seats)
+        """Names of the state's entries, but for the cells."""
+        self.episode = 0
+        """Number of the episode, from 1 with the first reset."""
+        self._seeds = Seeds(self.scenario.seed)
+        self._commands: FloatArray = np.zeros((len(vehicles), 2))
+        self._world: World | None = None
+        self._view = None if render_mode is None else View(render_mode, self.metadata["render_fps"])
+
+    @property
+    def episode_seed(self) -> int:
+        """Of this episode's random numbers; before the first reset, the one that it takes by default."""
+        return self._seeds.current
+
+    def observation_space(self, agent: str) -> spaces.Space[Any]:
+        """The space of an agent's observations."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Space[Any]:
+        """The space of an agent's actions; larger ones are shortened to its bound, not refused."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
+        """Begin an episode.
+
+        Args:
+            seed: Of all its random numbers. Without one, the first episode has the scenario's seed, and each later one
+                a seed derived from the last that was given and the number of episodes since.
+            options: Not used.
+
+        Returns:
+            Observations and infos by agent.
+        """
+        self._seeds.begin(seed)
+        self.episode += 1
+        self._world = World(self.scenario, self.episode_seed)
+        self._maps = OwnMaps(self._world, needed=self._patch is not None)
+        self.agents = list(self.possible_agents)
+        self._moment = Moment.of(self._world)
+        for seat in self._seats:
+            seat.begin(self._moment)
+        self._follow()
+        return self._observations(), {seat.name: seat.info() for seat in self._seats}
+
+    def step(
+        self, actions: Mapping[str, npt.ArrayLike]
+    ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        """Let all vehicles act for one tick.
+
+        Args:
+            actions: An acceleration [m/s²] for each agent, two finite numbers.
+
+        Returns:
+            Observations, rewards, terminations, truncations and infos by agent.
+
+        Raises:
+            ResetNeeded: If no episode is going on.
+            ValueError: If an action is missing, of no agent, or not two finite numbers; nothing has happened then.
+        """
+        world = self.world
+        if not self.agents:
+            raise ResetNeeded("step() after the end of the episode: call reset() first")
+        take_actions(actions, self.possible_agents, self._commands)
+        world.step(self._commands)
+        moment = self._moment = Moment.of(world)
+        for seat in self._seats:
+            seat.advance(moment)
+        self._maps.look(world)
+        left = self.scenario.ticks - moment.tick
+        lost = self.end_on_sight_lost and any(seat.lost for seat in self._seats)
+        terminated = lost or (self.end_on_goals_reached and all_arrived(self._seats))
+        truncated = left <= 0
+        ticks_lost = 1 + left if lost else 1
+        names = self.agents
+        rewards = {seat.name: seat.reward(moment, ticks_lost) for seat in self._seats}
+        if terminated or truncated:
+            self.agents = []
+        self._follow()
+        return (
+            self._observations(),
+            rewards,
+            dict.fromkeys(names, terminated),
+            dict.fromkeys(names, truncated),
+            {seat.name: seat.info() for seat in self._seats},
+        )
+
+    def _observations(self) -> dict[str, Observation]:
+        """A new array for each vehicle, which nobody changes later."""
+        return {seat.name: self._observe(seat) for seat in self._seats}
+
+    def _observe(self, seat: UavSeat | UgvSeat) -> Observation:
+        row: Array = np.array(seat.row(self._moment), dtype=self._dtype)
+        if self._patch is None or isinstance(seat, UgvSeat):
+            return row
+        picture = self._maps.patch(seat.escort, self.world, self._patch)
+        return {"row": row, "coverage": picture.astype(self._dtype, copy=False)}
+
+    @property
+    def world(self) -> World:
+        """The true world of this episode.
+
+        Raises:
+            ResetNeeded: Before the first reset.
+        """
+        if self._world is None:
+            raise ResetNeeded("there is no world yet: call reset() first")
+        return self._world
+
+    def state(self) -> Array:
+        """The whole truth as a flat array, for centralized critics: time, coverage, then each vehicle in name order.
+
+        `state_names` names the entries; with `coverage_in_state` the cells of the grid follow.
+        """
+        return state_array(self.world, self._moment, self._seats, with_cells=self.coverage_in_state, dtype=self._dtype)
+
+    def metrics(self) -> dict[str, dict[str, float]]:
+        """How each vehicle truly stands, and the terms of its last reward: for people and logs, not for policies."""
+        moment = Moment.of(self.world)
+        return {seat.name: seat.metrics(moment) for seat in self._seats}
+
+    def briefing(self, agent: str) -> Briefing:
+        """What this vehicle would be told on the bus when it joins this episode: its limits, area, law, own goals.
+
+        Raises:
+            ValueError: If there is no such agent.
+        """
+        if agent not in self.action_spaces:
+            raise ValueError(f"agent = {agent!r}; allowed: {', '.join(self.possible_agents)}")
+        return briefing(self.scenario, agent, self.episode_seed)
+
+    def _follow(self) -> None:
+        if self._view is not None:
+            self._view.follow(self.world, self._moment)
+
+    def render(self) -> npt.NDArray[np.uint8] | None:
+        """A picture of this moment, shape (rows, columns, 3); with the mode "human" it is shown in a window instead.
+
+        Raises:
+            ResetNeeded: Before the first reset.
+            OutriderError: If there is no display, or no pygame.
+        """
+        if self._view is None:
+            logger.warn("render() draws nothing: the environment was made without render_mode='human' or 'rgb_array'")
+            return None
+        return self._view.render(self.world, self._moment)
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._view is not None:
+            self._view.close()
+
+
+parallel_env = OutriderEnv
+"""The environment under PettingZoo's usual name."""

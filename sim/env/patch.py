@@ -1,0 +1,74 @@
+"""The coverage around a UAV as a small picture, for policies that learn."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sim.compile import FloatArray, compiled
+from sim.field import accumulate
+from sim.world import World
+
+
+class CoveragePatch(NamedTuple):
+    """A square picture of the UAV's own map, centred on the UAV; rows go north, columns east."""
+
+    pixels: int
+    """Rows, and columns."""
+    meters_per_pixel: float
+
+    def check(self) -> None:
+        """Refuse what cannot be drawn.
+
+        Raises:
+            ValueError: If it has no pixels, or too many, or no size.
+        """
+        if not (1 <= self.pixels <= 1024 and self.pixels == int(self.pixels)):
+            raise ValueError(f"coverage_patch: pixels = {self.pixels!r}; must be a whole number from 1 to 1024")
+        if not 0.0 < self.meters_per_pixel < 1e6:
+            raise ValueError(f"coverage_patch: meters_per_pixel = {self.meters_per_pixel!r}; must be positive and finite")
+
+
+@compiled
+def _sample(coverage: FloatArray, p_x: float, p_y: float, desired: float, cell: float, scale: float, picture: FloatArray) -> None:
+    """Fill the picture with min(C / C*, 1) of the cell under each pixel's centre; 1 outside Q: there is nothing to see."""
+    rows, columns = coverage.shape
+    count = picture.shape[0]
+    middle = 0.5 * (count - 1)
+    for j in range(count):
+        row = np.floor((p_y + (j - middle) * scale) / cell)
+        for i in range(count):
+            column = np.floor((p_x + (i - middle) * scale) / cell)
+            if 0.0 <= row < rows and 0.0 <= column < columns:
+                picture[j, i] = min(coverage[int(row), int(column)] / desired, 1.0)
+            else:
+                picture[j, i] = 1.0
+
+
+class OwnMaps:
+    """What each UAV has seen itself. One UAV's map is the world's; each of several has one of its own.
+
+    Args:
+        world: At its start.
+        needed: Whether anybody looks at the maps.
+    """
+
+    def __init__(self, world: World, *, needed: bool) -> None:
+        self._shared = not needed or len(world.uavs) == 1
+        self._maps = [world.coverage] if self._shared else [world.coverage.copy() for _ in world.uavs]
+
+    def look(self, world: World) -> None:
+        """Add what each UAV sees at this tick, as the world does (3)."""
+        if self._shared:
+            return
+        w = world.parameters
+        for own, (uav, _) in zip(self._maps, world.escorts, strict=True):
+            x, y = world.position[uav].tolist()
+            accumulate(own, x, y, w.sensor, w.peak, w.reach, w.cell, w.dt)
+
+    def patch(self, escort: int, world: World, patch: CoveragePatch) -> FloatArray:
+        """The picture around one UAV, row 0 in the south. Shape (pixels, pixels)."""
+        x, y = world.position[world.escorts[escort, 0]].tolist()
+        picture = np.empty((patch.pixels, patch.pixels))
+        w = world.parameters
+        _sample(self._maps[escort], x, y, w.desired, w.cell, float(patch.meters_per_pixel), picture)
+        return picture

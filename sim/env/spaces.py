@@ -1,0 +1,56 @@
+"""The spaces of actions and observations, from the scenario and the layout of the rows."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from gymnasium import spaces
+
+from bus.layout import UavRow, UgvRow, bounds
+from sim.env.patch import CoveragePatch
+from sim.scenario import Scenario, Uav, Ugv
+
+FREE_ACCELERATION = 10.0
+"""Bound of the action space of a vehicle whose acceleration has none [m/s²]: about what gravity gives."""
+
+_ROUNDING = 1.0 + 2.0**-50  # a few last places: clipping to a length rounds
+
+
+def extent_of(scenario: Scenario, vehicle: Uav | Ugv) -> dict[str, float]:
+    """The values of `bus.layout.SYMBOLS` for one vehicle."""
+    area, noise = scenario.area, scenario.detections.noise
+    sight = max(scenario.sensor.range, scenario.visibility.radius) + (noise * scenario.noise_cut if noise > 0.0 else 0.0)
+    return {
+        "T": scenario.ticks * scenario.dt,
+        "W": area.width,
+        "H": area.height,
+        "v_max": vehicle.max_speed * _ROUNDING,
+        "d_max": sight * _ROUNDING,
+        "D": math.hypot(area.width, area.height) * _ROUNDING,
+        "E": 2.0 * scenario.coverage.desired**2 * area.width * area.height,
+    }
+
+
+def box(low: Sequence[float], high: Sequence[float], dtype: type[np.floating]) -> spaces.Box:
+    """A box between these bounds, which are brought to the type first."""
+    return spaces.Box(np.array(low, dtype=dtype), np.array(high, dtype=dtype), dtype=dtype)
+
+
+def action_space(vehicle: Uav | Ugv) -> spaces.Box:
+    """The square [-u_max, u_max]² [m/s²]; the world shortens a vector that is longer than u_max."""
+    limit = FREE_ACCELERATION if math.isinf(vehicle.max_acceleration) else float(vehicle.max_acceleration)
+    return box([-limit, -limit], [limit, limit], np.float64)
+
+
+def observation_space(
+    scenario: Scenario, vehicle: Uav | Ugv, patch: CoveragePatch | None, dtype: type[np.floating]
+) -> spaces.Box | spaces.Dict:
+    """The vehicle's row; for a UAV with a patch, row and coverage."""
+    extent = extent_of(scenario, vehicle)
+    if isinstance(vehicle, Ugv):
+        return box(*bounds(UgvRow, extent), dtype)
+    row = box(*bounds(UavRow, extent), dtype)
+    if patch is None:
+        return row
+    picture = spaces.Box(0.0, 1.0, (patch.pixels, patch.pixels), dtype)
+    return spaces.Dict({"row": row, "coverage": picture})

@@ -1,0 +1,72 @@
+"""Who looks at the environment: nobody, a caller who wants pictures, or a person. What draws is loaded with the first picture."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sim.env.seats import Moment
+from sim.world import World
+
+if TYPE_CHECKING:
+    from sim.env.render import Picture
+    from sim.env.window import Window
+
+
+class View:
+    """One environment's pictures.
+
+    Args:
+        mode: "rgb_array" or "human".
+        rate: Pictures per second that a person is shown.
+    """
+
+    def __init__(self, mode: str, rate: float) -> None:
+        self._mode, self._rate = mode, rate
+        self._tracks: list[list[list[float]]] = []
+        self._picture: Picture | None = None
+        self._window: Window | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """A copy of an environment draws on a canvas and in a window of its own."""
+        return self.__dict__ | {"_picture": None, "_window": None}
+
+    def follow(self, world: World, moment: Moment) -> None:
+        """Take in the next tick, and show it where a person looks; tick 0 begins anew."""
+        if moment.tick == 0:
+            self._tracks = []
+        self._tracks.append(moment.position)
+        if self._mode == "human":
+            self.render(world, moment)
+
+    def render(self, world: World, moment: Moment) -> npt.NDArray[np.uint8] | None:
+        """The picture of this moment; None where it is shown to a person instead.
+
+        Raises:
+            OutriderError: If there is no display, or no pygame.
+        """
+        if self._mode == "human":
+            self._show(world, moment)
+            return None
+        return self._draw(world, moment)
+
+    def _draw(self, world: World, moment: Moment) -> npt.NDArray[np.uint8]:
+        from sim.env.render import Picture  # noqa: PLC0415 - matplotlib is loaded when someone looks
+
+        if self._picture is None:
+            self._picture = Picture(world)
+        return self._picture.draw(world, moment, self._tracks)
+
+    def _show(self, world: World, moment: Moment) -> None:
+        from sim.env.window import Window  # noqa: PLC0415 - so is pygame
+
+        if self._window is None:
+            self._window = Window(f"Outrider: {world.scenario.name}", self._rate)
+        if not self._window.closed:
+            self._window.show(self._draw(world, moment))
+
+    def close(self) -> None:
+        """Close the window; the next picture opens another."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None

@@ -1,0 +1,180 @@
+"""The paper's pilots drive the environment, and the filter fits into its rows."""
+
+import copy
+import hashlib
+import math
+import runpy
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from agents.estimator import RelativeEstimator
+from agents.wrappers import EstimateWrapper
+from bus.layout import UavRow, uav_observation
+from bus.messages import Law
+from outrider.env_pilots import pilots
+from outrider.run import fly
+from sim.env.parallel import parallel_env
+from sim.scenario import Custom, Detections, Scenario, Uav, Ugv, load_scenario
+
+ROOT = Path(__file__).parent.parent
+EXAMPLE, PAGE = ROOT / "examples" / "environment.py", ROOT / "docs" / "environment.md"
+NOISY = Scenario(
+    name="noisy",
+    duration=100.0,
+    detections=Detections(noise=0.1, dropout=0.3, rate=10.0),
+    uav=(Uav(position=(11.0, 10.0)), Uav(name="uav_1", escorts="ugv_1", position=(30.0, 31.0))),
+    ugv=(
+        Ugv(position=(10.0, 10.0), goals=((20.0, 10.0), (20.0, 20.0))),
+        Ugv(name="ugv_1", position=(30.0, 30.0), goals=((25.0, 25.0),)),
+    ),
+)
+ABOVE = Scenario(
+    name="above: every direction is as good, and the pilot's own random numbers choose",
+    duration=100.0,
+    uav=(Uav(position=(10.0, 10.0)),),
+    ugv=(Ugv(position=(10.0, 10.0), goals=((20.0, 10.0),)),),
+)
+
+
+def record(env, policies, observations):
+    """Fly to the end; position, velocity and applied acceleration of each tick, in the order of the trajectory's hash."""
+    world, rows = env.unwrapped.world, []
+    while env.agents:
+        before = (world.position.copy(), world.velocity.copy())
+        observations, *_ = env.step({name: policies[name](observations[name]) for name in env.agents})
+        rows.append(np.hstack((*before, world.acceleration)))
+    return np.array(rows)
+
+
+def sha256(states):
+    return hashlib.sha256((states + 0.0).astype("<f8").tobytes()).hexdigest()
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("scenario", [load_scenario("escort"), NOISY, ABOVE], ids=["escort", "noisy", "above"])
+def test_pilots_fly_the_same_bits_in_the_environment_as_in_a_run(scenario, seed):
+    env = parallel_env(scenario)
+    observations, _ = env.reset(seed=seed)
+    states = record(env, pilots(env), observations)
+    flight, summary = fly(scenario, seed)
+    assert len(states) == summary.ticks >= 2000
+    np.testing.assert_array_equal(states, flight.recorder.states[:-1])
+    assert sha256(states) == summary.trajectory_sha256
+
+
+@pytest.mark.parametrize("scenario", [NOISY, ABOVE], ids=["noisy", "above"])
+def test_another_seed_flies_another_trajectory(scenario):
+    env = parallel_env(scenario, duration=20.0)
+    hashes = {sha256(record(env, pilots(env), env.reset(seed=seed)[0])) for seed in range(5)}
+    assert len(hashes) > 1  # there are but a few directions to choose from
+
+
+def test_pilots_begin_anew_with_each_episode():
+    env = parallel_env(NOISY, duration=20.0)
+    policies = pilots(env)
+    first, other, again = (sha256(record(env, policies, env.reset(seed=seed)[0])) for seed in (1, None, 1))
+    fresh = parallel_env(NOISY, duration=20.0)
+    fresh.reset(seed=1)
+    assert first == again
+    assert other == sha256(record(fresh, pilots(fresh), fresh.reset()[0])) != first
+
+
+def test_pilots_also_fly_float32_rows_and_rows_with_a_picture():
+    for options in ({"dtype": np.float32}, {"coverage_patch": (8, 1.0)}):
+        env = parallel_env(NOISY, duration=50.0, **options)
+        observations, _ = env.reset(seed=1)
+        record(env, pilots(env), observations)
+        assert env.world.tick == 1000  # sight was never lost
+        assert env.metrics()["uav_0"]["visibility_violations"] == 0
+
+
+def test_pilots_take_a_weighting_of_ones_own():
+    own = msgspec.structs.replace(NOISY, law=Law(name="weighted"), custom=Custom(weighting="mine:weighting"))
+    env = parallel_env(own, duration=20.0)
+    observations, _ = env.reset(seed=1)
+
+    def weighting(distance, r_s):
+        return min(1.0, distance / r_s), max(0.0, 1.0 - distance / r_s)
+
+    _, summary = fly(env.scenario, 1, weighting=weighting)
+    assert sha256(record(env, pilots(env, weighting=weighting), observations)) == summary.trajectory_sha256
+
+
+def test_the_page_prints_the_example():
+    code = EXAMPLE.read_text(encoding="utf-8").split('"""')[2].strip().replace("  # noqa: T201", "")
+    assert f"```python\n{code}\n```" in PAGE.read_text(encoding="utf-8")
+
+
+def test_the_example_runs_as_it_stands(capsys):
+    runpy.run_path(str(EXAMPLE))
+    printed = capsys.readouterr().out
+    assert "'visibility_violations': 0" in printed
+
+
+# -- the estimate in the place of the detection
+
+
+def rows_of(env, ticks, seed=1):
+    observations, _ = env.reset(seed=seed)
+    yield observations
+    rng = np.random.default_rng(0)
+    for _ in range(ticks):
+        actions = {name: rng.uniform(-0.05, 0.05, 2) for name in env.agents}
+        yield env.step(actions)[0]
+
+
+def test_wrapped_rows_hold_the_filters_estimate_and_leave_the_rest():
+    raw, wrapped = parallel_env(NOISY), EstimateWrapper(parallel_env(NOISY))
+    told = raw.briefing("uav_0")
+    own = RelativeEstimator(detector=told.detector, target=told.target_limits, dt=told.dt, settings=told.estimator)
+    silent = 0
+    for plain, estimated in zip(rows_of(raw, 300), rows_of(wrapped, 300), strict=True):
+        seen = uav_observation(plain["uav_0"], dt=told.dt)
+        estimate = own.update(time=seen.time, own_position=seen.position, detections=seen.detections)
+        before, after = UavRow(*plain["uav_0"]), UavRow(*estimated["uav_0"])
+        silent += not before.detected
+        assert after[:5] == before[:5]
+        if estimate is None:
+            assert after == before
+        else:
+            p_delta = (before.x - estimate.position[0], before.y - estimate.position[1])
+            assert after[5:] == (1.0, *p_delta, estimate.age)
+        assert estimated["ugv_0"].tobytes() == plain["ugv_0"].tobytes()
+    assert silent > 50
+
+
+def test_estimates_are_nearer_to_the_truth_than_detections():
+    raw, wrapped = parallel_env(NOISY, end_on_sight_lost=False), EstimateWrapper(parallel_env(NOISY, end_on_sight_lost=False))
+    errors = {"raw": [], "filter": []}
+    for plain, estimated in zip(rows_of(raw, 1500), rows_of(wrapped, 1500), strict=True):
+        truth = raw.world.position[0] - raw.world.position[2]
+        for name, row in (("raw", UavRow(*plain["uav_0"])), ("filter", UavRow(*estimated["uav_0"]))):
+            if row.detected:
+                errors[name].append(math.dist((row.relative_x, row.relative_y), truth))
+    assert len(errors["filter"]) > len(errors["raw"])
+    assert np.mean(errors["filter"]) < 0.8 * np.mean(errors["raw"])
+
+
+@pytest.mark.parametrize("options", [{}, {"dtype": np.float32}, {"coverage_patch": (8, 1.0)}])
+def test_wrapped_environment_keeps_to_its_spaces_and_to_its_seed(options):
+    env, twin = (EstimateWrapper(parallel_env(NOISY, **options)) for _ in range(2))
+    list(rows_of(twin, 30, seed=9))  # another episode leaves nothing behind
+    kept = []
+    for ours, theirs in zip(rows_of(env, 200), rows_of(twin, 200), strict=True):
+        kept.append((ours, copy.deepcopy(ours)))
+        for name, observation in ours.items():
+            assert env.observation_space(name).contains(observation)
+            assert str(observation) == str(theirs[name])
+    assert all(str(now) == str(then) for now, then in kept)
+    assert env.observation_space("uav_0") is env.observation_space("uav_0")
+    assert env.observation_space("ugv_0") is env.env.observation_space("ugv_0")
+    assert env.state().tobytes() == twin.state().tobytes()
+
+
+def test_wrapper_leaves_the_row_alone_until_there_is_a_detection():
+    env = EstimateWrapper(parallel_env(msgspec.structs.replace(NOISY, detections=Detections(dropout=1.0))))
+    for rows in rows_of(env, 5):
+        assert UavRow(*rows["uav_0"])[5:] == (0.0, 0.0, 0.0, 100.0)

@@ -1,0 +1,194 @@
+"""What the environment pays for, and when an episode ends."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from sim.env.parallel import parallel_env
+from sim.env.rewards import RewardWeights, full_error
+from sim.scenario import Scenario, Uav, Ugv
+
+STILL = np.zeros(2)
+
+
+def scenario(*, duration=60.0, goals=((14.0, 20.0),)):
+    return Scenario(duration=duration, uav=(Uav(position=(12.0, 20.0)),), ugv=(Ugv(position=(10.0, 20.0), goals=goals),))
+
+
+TWO = Scenario(
+    duration=60.0,
+    uav=(
+        Uav(name="uav_0", escorts="ugv_0", position=(12.0, 20.0)),
+        Uav(name="uav_1", escorts="ugv_1", position=(22.0, 20.0)),
+    ),
+    ugv=(Ugv(name="ugv_0", position=(12.0, 20.0), goals=((12.2, 20.0),)), Ugv(name="ugv_1", position=(22.0, 20.0))),
+)
+
+
+def flee(env, ticks=10**6):
+    """The UAV flies straight away from the UGV, which stays."""
+    env.reset(seed=0)
+    total = []
+    for _ in range(ticks):
+        _, rewards, terminations, truncations, _ = env.step({"uav_0": [0.3, 0.0], "ugv_0": STILL})
+        total.append(rewards["uav_0"])
+        if not env.agents:
+            break
+    return total, terminations, truncations
+
+
+def test_full_error_is_the_papers_anchor():
+    assert full_error(9.75, 2.0) == pytest.approx(8.0 * math.pi * 9.75**2 * (0.5 - 2.0 / math.pi**2), rel=1e-15)
+    assert full_error(9.75, 2.0) == pytest.approx(710.44, abs=0.005)
+
+
+def test_full_error_is_what_the_world_measures_on_uncovered_ground():
+    env = parallel_env(scenario())
+    env.reset(seed=0)
+    assert env.metrics()["uav_0"]["uncovered_share"] == pytest.approx(1.0, abs=1e-5)
+
+
+def test_uav_pays_for_uncovered_ground_by_the_second():
+    env = parallel_env(scenario())
+    env.reset(seed=0)
+    for _ in range(100):
+        _, rewards, *_ = env.step({"uav_0": [0.01, 0.02], "ugv_0": [0.05, 0.0]})
+        error = env.world.measure()[0, 1]
+        assert rewards["uav_0"] == pytest.approx(-error / full_error(9.75, 2.0) * 0.05, rel=1e-12)
+    assert error < 0.9 * full_error(9.75, 2.0)
+
+
+def test_weights_scale_their_own_terms():
+    weights = RewardWeights(uncovered=3.0, sight_lost=7.0, out_of_sight=11.0, progress=13.0, goal=17.0, effort=19.0)
+    plain, scaled = parallel_env(scenario()), parallel_env(scenario(), rewards=weights)
+    for env in (plain, scaled):
+        env.reset(seed=0)
+    while plain.agents:
+        actions = {"uav_0": [0.3, 0.0], "ugv_0": [-0.1, 0.0]}
+        _, rewards, *_ = plain.step(actions)
+        _, _, *_ = scaled.step(actions)
+        base, large = plain.metrics(), scaled.metrics()
+        assert rewards["uav_0"] == pytest.approx(sum(v for k, v in base["uav_0"].items() if k.startswith("reward_")))
+        for name, term in (("uncovered", 3.0), ("sight_lost", 0.7), ("out_of_sight", 5.5)):
+            assert large["uav_0"][f"reward_{name}"] == pytest.approx(term * base["uav_0"][f"reward_{name}"])
+        assert large["ugv_0"]["reward_progress"] == pytest.approx(13.0 * base["ugv_0"]["reward_progress"])
+        assert large["uav_0"]["reward_effort"] == pytest.approx(-19.0 * 0.3**2 * 0.05)
+        assert large["ugv_0"]["reward_effort"] == pytest.approx(-19.0 * 0.1**2 * 0.05)
+    assert base["uav_0"]["reward_sight_lost"] == -10.0
+
+
+def test_losing_sight_ends_the_episode_and_is_paid_to_its_end():
+    env = parallel_env(scenario())
+    rewards, terminations, truncations = flee(env)
+    assert terminations == {"uav_0": True, "ugv_0": True}
+    assert truncations == {"uav_0": False, "ugv_0": False}
+    assert env.metrics()["uav_0"]["distance"] >= 4.75
+    assert env.metrics()["uav_0"]["margin"] <= 0.0
+    assert env.metrics()["uav_0"]["visibility_violations"] == 1
+    left = 60.0 - env.world.time + 0.05
+    assert env.metrics()["uav_0"]["reward_out_of_sight"] == pytest.approx(-2.0 * left)
+    assert rewards[-1] == pytest.approx(-2.0 * left - 10.0 + env.metrics()["uav_0"]["reward_uncovered"])
+
+
+def test_losing_sight_early_never_pays():
+    """Else a learner would flee from the ground it is charged for."""
+    fled = sum(flee(parallel_env(scenario()))[0])
+    lazy = parallel_env(scenario(goals=()))
+    lazy.reset(seed=0)
+    stayed = 0.0
+    while lazy.agents:
+        stayed += lazy.step({"uav_0": STILL, "ugv_0": STILL})[1]["uav_0"]
+    assert lazy.world.time == pytest.approx(60.0)
+    assert fled < -60.0 < stayed
+
+
+def test_where_losing_sight_goes_on_it_is_charged_once_and_then_by_the_tick():
+    env = parallel_env(scenario(duration=30.0), end_on_sight_lost=False)
+    rewards, terminations, truncations = flee(env)
+    assert len(rewards) == 600
+    assert terminations == {"uav_0": False, "ugv_0": False}
+    assert truncations == {"uav_0": True, "ugv_0": True}
+    lost = env.metrics()["uav_0"]["visibility_violations"]
+    assert 100 < lost < 600
+    assert min(rewards) < -10.0
+    assert sum(reward < -10.0 for reward in rewards) == 1
+    assert all(-10.0 < reward <= -2.0 * 0.05 for reward in rewards[-lost + 1 :])
+
+
+def test_one_lost_ugv_ends_the_episode_of_all_and_only_its_uav_pays():
+    env = parallel_env(TWO)
+    env.reset(seed=0)
+    actions = dict.fromkeys(env.agents, STILL) | {"uav_1": [0.3, 0.0]}
+    while env.agents:
+        _, rewards, terminations, *_ = env.step(actions)
+    assert set(terminations.values()) == {True}
+    assert rewards["uav_1"] < -10.0 < -1.0 < rewards["uav_0"]
+
+
+def test_ugv_gains_by_coming_nearer_and_by_arriving():
+    env = parallel_env(scenario(goals=((11.0, 20.0), (11.0, 21.0))), end_on_sight_lost=False)
+    env.reset(seed=0)
+    gains, reached, turn = [], [], None
+    for tick in range(400):
+        action = [0.1, 0.0] if turn is None else [-0.1, 0.1]
+        _, rewards, _, _, infos = env.step({"uav_0": STILL, "ugv_0": action})
+        gains.append(rewards["ugv_0"])
+        reached.append(infos["ugv_0"]["goals_reached"])
+        if turn is None and reached[-1] == 1:
+            turn = tick
+            assert sum(gains) == pytest.approx(5.0 + 1.0 - math.dist(env.world.position[1], (11.0, 20.0)))
+    assert turn is not None
+    away = parallel_env(scenario())
+    away.reset(seed=0)
+    assert sum(away.step({"uav_0": STILL, "ugv_0": [-0.1, 0.0]})[1]["ugv_0"] for _ in range(20)) < 0.0
+
+
+def test_ugv_that_has_arrived_or_has_no_goal_gains_nothing_more():
+    for goals, bonus in (((), 0.0), (((10.1, 20.0),), 5.0)):
+        env = parallel_env(scenario(goals=goals), end_on_sight_lost=False)
+        env.reset(seed=0)
+        gains = [env.step({"uav_0": STILL, "ugv_0": [0.1, 0.0]})[1]["ugv_0"] for _ in range(200)]
+        assert sum(gain > 1.0 for gain in gains) == (1 if bonus else 0)
+        assert gains[-1] == 0.0
+
+
+def test_reaching_all_goals_ends_the_episode_where_that_is_wanted():
+    for wanted in (False, True):
+        env = parallel_env(TWO, end_on_goals_reached=wanted, end_on_sight_lost=False, duration=20.0)
+        env.reset(seed=0)
+        while env.agents:
+            *_, terminations, truncations, infos = env.step(dict.fromkeys(env.agents, STILL) | {"ugv_0": [0.1, 0.0]})
+        assert set(terminations.values()) == {wanted}
+        assert set(truncations.values()) == {not wanted}
+        assert infos["ugv_0"]["goals_reached"] == 1
+
+
+def test_without_any_goal_the_episode_does_not_end_by_reaching_all():
+    env = parallel_env(scenario(goals=()), end_on_goals_reached=True, duration=1.0)
+    env.reset(seed=0)
+    while env.agents:
+        *_, terminations, truncations, _ = env.step({"uav_0": STILL, "ugv_0": STILL})
+    assert not any(terminations.values())
+    assert all(truncations.values())
+
+
+@pytest.mark.parametrize(("duration", "ticks"), [(None, 1200), (0.05, 1), (100.0, 2000)])
+def test_episode_is_truncated_at_its_duration(duration, ticks):
+    env = parallel_env(scenario(), duration=duration)
+    env.reset(seed=0)
+    count = 0
+    while env.agents:
+        *_, terminations, truncations, _ = env.step({"uav_0": STILL, "ugv_0": STILL})
+        count += 1
+    assert count == ticks
+    assert all(truncations.values())
+    assert not any(terminations.values())
+
+
+@pytest.mark.parametrize("field", [field.name for field in dataclasses.fields(RewardWeights)])
+@pytest.mark.parametrize("value", [-1.0, math.nan, math.inf])
+def test_bad_weights_are_refused(field, value):
+    with pytest.raises(ValueError, match=field):
+        RewardWeights(**{field: value})

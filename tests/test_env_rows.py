@@ -1,0 +1,258 @@
+"""What the environment's arrays hold: each entry where the layout says, and nothing that a vehicle must not know."""
+
+import math
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from bus.layout import SYMBOLS, UavRow, UavState, UgvRow, UgvState, fields, table, uav_observation, ugv_observation
+from bus.messages import Region
+from sim.env.parallel import OutriderEnv, parallel_env
+from sim.flight import Flight
+from sim.scenario import Coverage, Detections, Scenario, Uav, Ugv
+from sim.world import World
+
+PAGE = Path(__file__).parent.parent / "docs" / "environment.md"
+
+
+def scenario(*, uav=(12.0, 10.0), ugv=(10.0, 10.0), goals=((14.0, 10.0), (14.0, 16.0)), velocity=(0.0, 0.0), **detections):
+    return Scenario(
+        duration=60.0,
+        detections=Detections(**detections),
+        uav=(Uav(position=uav),),
+        ugv=(Ugv(position=ugv, goals=goals, velocity=velocity),),
+    )
+
+
+TWO = Scenario(
+    duration=60.0,
+    uav=(Uav(name="uav_0", position=(12.0, 10.0)), Uav(name="uav_1", position=(14.0, 10.0))),
+    ugv=(Ugv(position=(12.0, 12.0)),),
+)
+
+
+def drive(env, uav, ugv, ticks):
+    """Rows of both, tick by tick, under constant actions."""
+    observations, infos = env.reset(seed=1)
+    rows = [(observations, infos)]
+    for _ in range(ticks):
+        observations, _, _, _, infos = env.step({"uav_0": uav, "ugv_0": ugv})
+        rows.append((observations, infos))
+    return rows
+
+
+# -- the layout
+
+
+@pytest.mark.parametrize("row", [UavRow, UgvRow])
+def test_docstring_and_page_print_the_table_of_the_layout(row):
+    lines = [line.strip() for line in OutriderEnv.__doc__.splitlines()]
+    printed = table(row)
+    assert printed in "\n".join(lines)
+    assert printed in PAGE.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("row", [UavState, UgvState])
+def test_page_prints_the_tables_of_the_state(row):
+    assert table(row) in PAGE.read_text(encoding="utf-8")
+
+
+def test_page_explains_every_symbol_of_the_ranges():
+    page = PAGE.read_text(encoding="utf-8")
+    assert all(f"| `{symbol}` | {meaning} |" in page for symbol, meaning in SYMBOLS.items())
+
+
+@pytest.mark.parametrize("row", [UavRow, UgvRow, UavState, UgvState])
+def test_every_entry_has_meaning_unit_and_range(row):
+    for field in fields(row).values():
+        assert field.meaning
+        assert {field.low.lstrip("-"), field.high.lstrip("-")} <= {"0", "1", *SYMBOLS}
+
+
+def test_rows_hold_what_the_vehicles_perceive_over_the_bus():
+    """The same world, told in messages and in rows."""
+    told = scenario(noise=0.1, dropout=0.3, rate=10.0)
+    env, flight = parallel_env(told), Flight(told, 3)
+    rows, _ = env.reset(seed=3)
+    seen = set()
+    for tick in range(200):
+        messages = flight.observations()
+        assert uav_observation(rows["uav_0"], dt=told.dt) == messages["uav_0"]
+        assert ugv_observation(rows["ugv_0"], dt=told.dt) == messages["ugv_0"]
+        seen.add(bool(messages["uav_0"].detections))
+        action = np.array([0.1 * math.cos(tick), 0.1])
+        rows, *_ = env.step({"uav_0": action, "ugv_0": action})
+        flight.world.step(np.array([action, action]))
+    assert seen == {False, True}
+
+
+def test_age_counts_from_the_newest_detection_and_is_the_whole_episode_before_the_first():
+    env = parallel_env(scenario(rate=4.0))
+    ages = [UavRow(*rows["uav_0"]).age for rows, _ in drive(env, [0.0, 0.0], [0.0, 0.0], 7)]
+    np.testing.assert_allclose(ages, [0.0, 0.05, 0.1, 0.15, 0.2, 0.0, 0.05, 0.1], atol=1e-12)
+    blind = parallel_env(scenario(dropout=1.0))
+    for rows, _ in drive(blind, [0.0, 0.0], [0.0, 0.0], 3):
+        row = UavRow(*rows["uav_0"])
+        assert (row.detected, row.relative_x, row.relative_y, row.age) == (0.0, 0.0, 0.0, 60.0)
+
+
+def test_ugv_row_turns_to_the_next_goal_and_keeps_the_last():
+    env = parallel_env(scenario(goals=((10.02, 10.0), (10.3, 10.0))), end_on_sight_lost=False)
+    rows = [UgvRow(*rows["ugv_0"]) for rows, _ in drive(env, [0.0, 0.0], [0.1, 0.0], 60)]
+    assert (rows[0].goal_x, rows[0].underway) == (10.3, 1.0)  # the first is within the tolerance
+    arrived = next(k for k, row in enumerate(rows) if not row.underway)
+    assert abs(rows[arrived].x - 10.3) < 0.05 <= abs(rows[arrived - 1].x - 10.3)
+    assert (rows[-1].goal_x, rows[-1].goal_y, rows[-1].underway) == (10.3, 10.0, 0.0)
+
+
+def test_ugv_without_goals_has_zeros():
+    env = parallel_env(scenario(goals=()))
+    row = UgvRow(*env.reset()[0]["ugv_0"])
+    assert (row.underway, row.goal_x, row.goal_y) == (0.0, 0.0, 0.0)
+
+
+# -- the information contract
+
+
+def test_uav_perceives_nothing_of_the_ugv_but_its_detections():
+    """Another velocity, other goals, other actions of a UGV that is not detected: not a bit of the UAV's changes."""
+    options = {"end_on_sight_lost": False, "coverage_patch": (9, 1.0)}
+    still = parallel_env(scenario(dropout=1.0), **options)
+    fast = parallel_env(scenario(dropout=1.0, ugv=(11.0, 9.0), velocity=(0.2, 0.0), goals=((20.0, 20.0),)), **options)
+    for (a, info), (b, other) in zip(
+        drive(still, [0.1, 0.0], [0.0, 0.0], 100), drive(fast, [0.1, 0.0], [0.1, 0.05], 100), strict=True
+    ):
+        assert a["uav_0"]["row"].tobytes() == b["uav_0"]["row"].tobytes()
+        assert a["uav_0"]["coverage"].tobytes() == b["uav_0"]["coverage"].tobytes()
+        assert info["uav_0"] == other["uav_0"] == {}
+
+
+def test_uav_sees_where_a_detected_ugv_is_but_not_how_it_moves_or_where_it_goes():
+    slow = parallel_env(scenario(noise=0.1)).reset(seed=1)[0]["uav_0"]
+    fast = parallel_env(scenario(noise=0.1, velocity=(0.1, 0.1), goals=((1.0, 1.0),))).reset(seed=1)[0]["uav_0"]
+    assert UavRow(*slow).detected
+    assert slow.tobytes() == fast.tobytes()
+
+
+def test_ugv_perceives_nothing_of_the_uav():
+    env = parallel_env(scenario(), end_on_sight_lost=False)
+    away = parallel_env(scenario(uav=(8.0, 13.0)), end_on_sight_lost=False)
+    for (a, info), (b, other) in zip(
+        drive(env, [0.1, 0.3], [0.1, 0.0], 100), drive(away, [-0.3, 0.0], [0.1, 0.0], 100), strict=True
+    ):
+        assert a["ugv_0"].tobytes() == b["ugv_0"].tobytes()
+        assert info["ugv_0"] == other["ugv_0"]
+        assert info["ugv_0"].keys() == {"goals_reached"}
+
+
+def test_with_noise_the_true_relative_position_is_in_no_row():
+    env = parallel_env(scenario(noise=0.2, uav=(12.123, 10.456)))
+    rows, _ = env.reset(seed=1)
+    for _ in range(50):
+        p_delta = env.world.position[0] - env.world.position[1]
+        assert np.abs(rows["uav_0"][:, np.newaxis] - p_delta).min() > 1e-9
+        rows, *_ = env.step({"uav_0": [0.05, 0.01], "ugv_0": [0.05, 0.03]})
+
+
+# -- the coverage patch
+
+
+def brute_patch(coverage, x, y, desired, cell, pixels, scale):
+    picture = np.ones((pixels, pixels))
+    for j in range(pixels):
+        for i in range(pixels):
+            q_x = x + (i - (pixels - 1) / 2) * scale
+            q_y = y + (j - (pixels - 1) / 2) * scale
+            column, row = math.floor(q_x / cell), math.floor(q_y / cell)
+            if 0 <= row < coverage.shape[0] and 0 <= column < coverage.shape[1]:
+                picture[j, i] = min(1.0, coverage[row, column] / desired)
+    return picture
+
+
+@pytest.mark.parametrize(("pixels", "scale"), [(1, 1.0), (8, 0.25), (9, 1.7), (32, 0.5)])
+def test_patch_is_the_map_around_the_uav_and_covered_outside_the_area(pixels, scale):
+    env = parallel_env(scenario(uav=(1.0, 2.0), ugv=(2.0, 2.0)), coverage_patch=(pixels, scale))
+    env.reset(seed=0)
+    for _ in range(40):
+        rows, *_ = env.step({"uav_0": [0.3, 0.1], "ugv_0": [0.0, 0.0]})
+    x, y = env.world.position[0]
+    expected = brute_patch(env.world.coverage, x, y, 2.0, 0.25, pixels, scale)
+    np.testing.assert_allclose(rows["uav_0"]["coverage"], expected, rtol=1e-15)
+    if pixels * scale > 10.0:
+        assert rows["uav_0"]["coverage"][0, 0] == 1.0  # beyond the south-west corner
+        assert rows["uav_0"]["coverage"][-1, -1] == 0.0  # unseen
+    assert isinstance(rows["ugv_0"], np.ndarray)
+
+
+def test_of_several_uavs_each_sees_its_own_map_alone():
+    """What the other has seen is not in the picture; what was covered from the start is in both."""
+    two = Scenario(
+        duration=60.0,
+        coverage=Coverage(covered=(Region(lower=(0.0, 0.0), upper=(8.0, 40.0)),)),
+        uav=TWO.uav,
+        ugv=TWO.ugv,
+    )
+    envs = [parallel_env(two, coverage_patch=(21, 1.0), end_on_sight_lost=False) for _ in range(2)]
+    alone = World(msgspec.structs.replace(two, uav=TWO.uav[:1]), 0)
+    for env in envs:
+        env.reset(seed=0)
+    for _ in range(60):
+        rows = [
+            env.step({"uav_0": [0.1, 0.1], "uav_1": other, "ugv_0": [0.0, 0.0]})[0]
+            for env, other in zip(envs, ([0.3, 0.0], [-0.3, 0.0]), strict=True)
+        ]
+        alone.step(np.array([[0.1, 0.1], [0.0, 0.0]]))
+    assert rows[0]["uav_0"]["coverage"].tobytes() == rows[1]["uav_0"]["coverage"].tobytes()
+    x, y = alone.position[0]
+    np.testing.assert_array_equal(rows[0]["uav_0"]["coverage"], brute_patch(alone.coverage, x, y, 2.0, 0.25, 21, 1.0))
+    assert (envs[0].world.coverage > alone.coverage + 0.1).any()
+
+
+# -- the state
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_state_is_the_whole_truth_under_its_names(dtype):
+    env = parallel_env(scenario(noise=0.1, rate=4.0), dtype=dtype)
+    drive(env, [0.1, 0.2], [0.1, 0.0], 33)
+    world, state = env.world, env.state()
+    named = dict(zip(env.state_names, state.tolist(), strict=True))
+    distance, error = world.measure()[0]
+    truth = {
+        "time": 1.65,
+        "covered": (world.coverage >= 2.0).mean(),
+        "seen": np.minimum(world.coverage / 2.0, 1.0).mean(),
+        "uav_0.x": world.position[0, 0],
+        "uav_0.y": world.position[0, 1],
+        "uav_0.vx": world.velocity[0, 0],
+        "uav_0.vy": world.velocity[0, 1],
+        "uav_0.distance": distance,
+        "uav_0.coverage_error": error,
+        "uav_0.age": 3 * 0.05,
+        "ugv_0.x": world.position[1, 0],
+        "ugv_0.y": world.position[1, 1],
+        "ugv_0.vx": world.velocity[1, 0],
+        "ugv_0.vy": world.velocity[1, 1],
+        "ugv_0.underway": 1.0,
+        "ugv_0.goal_x": 14.0,
+        "ugv_0.goal_y": 10.0,
+    }
+    assert list(truth) == env.state_names
+    assert state.dtype == dtype
+    assert distance > 1.0
+    np.testing.assert_allclose([named[name] for name in truth], list(truth.values()), rtol=1e-12 if dtype is np.float64 else 1e-6)
+
+
+def test_state_ends_with_the_map_where_it_is_asked_for():
+    env = parallel_env(scenario(), coverage_in_state=True)
+    drive(env, [0.1, 0.2], [0.1, 0.0], 33)
+    cells = env.state()[len(env.state_names) :]
+    np.testing.assert_array_equal(cells.reshape(160, 160), np.minimum(env.world.coverage / 2.0, 1.0))
+
+
+def test_state_of_several_vehicles_is_in_name_order():
+    names = parallel_env(TWO).state_names
+    assert [name for name in names if name.endswith(".x")] == ["uav_0.x", "uav_1.x", "ugv_0.x"]
+    assert parallel_env(TWO).state_space.shape == (len(names),)
