@@ -19,6 +19,7 @@ import msgspec
 
 from bus.errors import BusError, PeerLost
 from bus.keys import SIMULATOR_NAME
+from outrider.cores import keep_apart
 from outrider.reports import Report
 from outrider.summary import Process, Summary
 from sim.scenario import Scenario, Uav
@@ -157,6 +158,7 @@ def launch(
     picture: bool = True,
     deadline: float = 10.0,
     join_timeout: float = 120.0,
+    pin: bool = True,
     on_tick: Callable[[int], None],
     on_event: Callable[[str], None],
     stop: Callable[[], int],
@@ -171,6 +173,7 @@ def launch(
         picture: Whether it draws.
         deadline: How long it waits for the commands of one tick [s].
         join_timeout: How long it waits for the vehicles [s].
+        pin: Whether the UAVs keep to one half of the processor cores and the others to the other half.
         on_tick: Called with the tick, some times a second.
         on_event: Called with a line for a person.
         stop: How often somebody has asked for the end: once ends the run in order, twice at once.
@@ -203,6 +206,9 @@ def launch(
         _wait_for_socket(folder / "bus.sock", children[0], stop)
         if not stop():
             children += [Child(v.name, _vehicle_arguments(v.name, scenario, endpoint, run)) for v in scenario.vehicles]
+            if pin:
+                uavs = {uav.name for uav in scenario.uav}
+                keep_apart({child.pid: child.name in uavs for child in children})
         outcome = _follow(children, lines, on_tick, on_event, stop)
         if outcome.summary is not None:
             for child in children:

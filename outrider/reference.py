@@ -1,60 +1,64 @@
-"""The field's kernels once more, slow and plain: whole grids and masks in NumPy.
+"""The field of `sim.field` once more, as the paper prints it: NumPy on the whole grid, with masks. Slow, and plain to check.
 
-The tests hold the compiled kernels against it, and `outrider bench` measures against it. Arguments and units are those of
-`sim.field`.
+The tests hold the compiled kernels against it, and `outrider bench` measures against it.
 """
 
 import numpy as np
 import numpy.typing as npt
 
-from sim.compile import FloatArray
-from sim.field import PLATEAU
+from sim.field import HILL, PLATEAU
 
-_Bools = npt.NDArray[np.bool_]
+FloatGrid = npt.NDArray[np.float64]
+BoolGrid = npt.NDArray[np.bool_]
 
-
-def _squared_distance(shape: tuple[int, ...], x: float, y: float, cell: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Offsets of all cell centres from a point, and their squared length, each of the grid's shape."""
-    rows, columns = shape
-    d_x, d_y = np.meshgrid((np.arange(columns) + 0.5) * cell - x, (np.arange(rows) + 0.5) * cell - y)
-    return d_x, d_y, d_x**2 + d_y**2
-
-
-def quality(sensor: int, rho2: FloatArray, peak: float, reach: float) -> FloatArray:
-    """(2), and the second sensor."""
-    inside: _Bools = rho2 <= reach**2
-    share = (rho2 / reach**2) ** 2 if sensor == PLATEAU else rho2 / reach**2
-    return np.where(inside, peak * (share - 1.0) ** 2, 0.0)
+_QUALITY = {
+    HILL: lambda rho, peak, reach: peak / reach**4 * (rho**2 - reach**2) ** 2,
+    PLATEAU: lambda rho, peak, reach: peak * (1.0 - rho**4 / reach**4) ** 2,
+}
+_SLOPE = {  # dS/d(rho²)
+    HILL: lambda rho, peak, reach: 2.0 * peak / reach**4 * (rho**2 - reach**2),
+    PLATEAU: lambda rho, peak, reach: -4.0 * peak * rho**2 / reach**4 * (1.0 - rho**4 / reach**4),
+}
 
 
-def slope(sensor: int, rho2: FloatArray, peak: float, reach: float) -> FloatArray:
-    """dS/d(rho²)."""
-    inside: _Bools = rho2 <= reach**2
-    if sensor == PLATEAU:
-        return np.where(inside, 4.0 * peak / reach**4 * rho2 * ((rho2 / reach**2) ** 2 - 1.0), 0.0)
-    return np.where(inside, 2.0 * peak / reach**4 * (rho2 - reach**2), 0.0)
+def centres(coverage: FloatGrid, cell: float) -> tuple[FloatGrid, FloatGrid]:
+    """X and y of the cells' centres [m], each in the shape of the grid."""
+    rows, columns = coverage.shape
+    x, y = np.meshgrid((np.arange(columns) + 0.5) * cell, (np.arange(rows) + 0.5) * cell)
+    return x, y
 
 
-def density(rho2: FloatArray, r_o: float) -> FloatArray:
-    """(9) as it is printed."""
-    return np.where(rho2 <= r_o**2, np.cos(np.pi * np.sqrt(rho2) / r_o) + 1.0, 0.0)
+def distances(coverage: FloatGrid, p_x: float, p_y: float, cell: float) -> FloatGrid:
+    """Distance of each cell's centre from a point [m]."""
+    x, y = centres(coverage, cell)
+    return np.sqrt((x - p_x) ** 2 + (y - p_y) ** 2)
+
+
+def sensor_quality(sensor: int, rho: FloatGrid, peak: float, reach: float) -> FloatGrid:
+    """S of (2) at the distances rho [m]."""
+    return np.where(rho <= reach, _QUALITY[sensor](rho, peak, reach), 0.0)
+
+
+def density(rho: FloatGrid, r_o: float) -> FloatGrid:
+    """Phi of (9) at the distances rho [m]."""
+    return np.where(rho <= r_o, np.cos(rho / r_o * np.pi) + 1.0, 0.0)
 
 
 def accumulate(
-    coverage: FloatArray, p_x: float, p_y: float, sensor: int, peak: float, reach: float, cell: float, duration: float
-) -> None:
-    """(3)."""
-    coverage += quality(sensor, _squared_distance(coverage.shape, p_x, p_y, cell)[2], peak, reach) * duration
+    coverage: FloatGrid, p_x: float, p_y: float, sensor: int, peak: float, reach: float, cell: float, duration: float
+) -> FloatGrid:
+    """(3): C after one look; arguments as in `sim.field.accumulate`, but C is not changed."""
+    return coverage + sensor_quality(sensor, distances(coverage, p_x, p_y, cell), peak, reach) * duration
 
 
-def coverage_error(coverage: FloatArray, p_gx: float, p_gy: float, r_o: float, desired: float, cell: float) -> float:
-    """(4)."""
-    weight = density(_squared_distance(coverage.shape, p_gx, p_gy, cell)[2], r_o)
-    return float((np.maximum(0.0, desired - coverage) ** 2 * weight).sum() * cell**2)
+def coverage_error(coverage: FloatGrid, p_gx: float, p_gy: float, r_o: float, desired: float, cell: float) -> float:
+    """(4): e(t) [m²]; arguments as in `sim.field.coverage_error`."""
+    phi = density(distances(coverage, p_gx, p_gy, cell), r_o)
+    return float((np.maximum(0.0, desired - coverage) ** 2 * phi).sum() * cell**2)
 
 
 def coverage_gradient(
-    coverage: FloatArray,
+    coverage: FloatGrid,
     p_ax: float,
     p_ay: float,
     p_gx: float,
@@ -66,8 +70,35 @@ def coverage_gradient(
     reach: float,
     cell: float,
 ) -> tuple[float, float]:
-    """(6) with k = 1."""
-    d_x, d_y, rho2 = _squared_distance(coverage.shape, p_ax, p_ay, cell)
-    weight = density(_squared_distance(coverage.shape, p_gx, p_gy, cell)[2], r_o)
-    terms = 2.0 * np.maximum(0.0, desired - coverage) * 2.0 * slope(sensor, rho2, peak, reach) * weight * cell**2
-    return float((terms * -d_x).sum()), float((terms * -d_y).sum())
+    """(6): u_cov with k = 1; arguments as in `sim.field.coverage_gradient`."""
+    x, y = centres(coverage, cell)
+    rho = distances(coverage, p_ax, p_ay, cell)
+    slope = np.where(rho <= reach, 2.0 * _SLOPE[sensor](rho, peak, reach), 0.0)
+    lack = 2.0 * np.maximum(0.0, desired - coverage)
+    weight = lack * slope * density(distances(coverage, p_gx, p_gy, cell), r_o)
+    return float((weight * (p_ax - x)).sum() * cell**2), float((weight * (p_ay - y)).sum() * cell**2)
+
+
+def error_decrease(
+    coverage: FloatGrid,
+    p_ax: float,
+    p_ay: float,
+    p_gx: float,
+    p_gy: float,
+    r_o: float,
+    desired: float,
+    sensor: int,
+    peak: float,
+    reach: float,
+    cell: float,
+) -> float:
+    r"""$-\dot e$ while the UGV stands: $\int h'(C^* - C)\, S_a(p_a, q)\, \phi\, dq$; arguments as in `coverage_gradient`."""
+    quality = sensor_quality(sensor, distances(coverage, p_ax, p_ay, cell), peak, reach)
+    lack = 2.0 * np.maximum(0.0, desired - coverage)
+    return float((lack * quality * density(distances(coverage, p_gx, p_gy, cell), r_o)).sum() * cell**2)
+
+
+def uncovered(coverage: FloatGrid, p_gx: float, p_gy: float, r_o: float, desired: float, cell: float) -> BoolGrid:
+    """The cells that fulfil conditions 1 and 2 of (7)."""
+    x, y = centres(coverage, cell)
+    return (coverage < desired) & ((x - p_gx) ** 2 + (y - p_gy) ** 2 < r_o**2)

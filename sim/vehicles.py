@@ -58,10 +58,11 @@ def brake(v_x: float, v_y: float, u_max: float, dt: float) -> tuple[float, float
 def speed_to_stop_within(distance: float, u_max: float, dt: float) -> float:
     r"""The largest speed [m/s] from which a sampled vehicle still stops within `distance` [m].
 
-    It may fly one more tick before it brakes: $v\,dt + v^2/(2u) = d$.
+    It may fly one more tick before it brakes: $v\,dt + v^2/(2u) = d$. A caller whose speed changes within the coming tick
+    takes off what that tick still goes at the old one.
     """
     if math.isinf(u_max):
-        return distance / dt
+        return max(distance, 0.0) / dt
     reach = u_max * dt
     return math.sqrt(reach * reach + 2.0 * u_max * max(distance, 0.0)) - reach
 

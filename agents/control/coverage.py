@@ -1,7 +1,5 @@
 """Dynamic coverage for a double integrator, section III of the paper: (7), (8), (10) to (12), and the border of Q."""
 
-import math
-
 from sim.compile import compiled
 from sim.vehicles import norm, stopping_distance
 
@@ -86,10 +84,11 @@ def approach_control(
 
 @compiled
 def border_distance(v_max: float, u_max: float, dt: float) -> float:
-    r"""The safety distance to the border of Q [m]: $v_a^2/(2u_a)$ (after Proposition 1 of the paper), and one tick more."""
-    if math.isinf(v_max):
-        return 0.0
-    return stopping_distance(v_max, u_max) + v_max * dt
+    r"""The safety distance to the border of Q [m]: $v_a^2/(2u_a)$ (after Proposition 1 of the paper), and a tick and a half.
+
+    One tick passes before the border is seen, and a sampled stop takes up to half a tick's way more than the formula.
+    """
+    return stopping_distance(v_max, u_max) + 1.5 * v_max * dt
 
 
 @compiled

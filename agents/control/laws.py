@@ -132,7 +132,7 @@ def law_parameters(briefing: UavBriefing, law: Law) -> LawParameters:
         d_c=float(law.d_c),
         r_pv=float(law.circle_radius if law.circle_radius is not None else r_s),
         omega=float(law.circle_rate),
-        margin=float(border_distance(v_a, u_a, briefing.dt)),
+        margin=float(border_distance(v_a if math.isfinite(v_a) else v_ref, u_a, briefing.dt)),
         key=briefing.key,
     )
 

@@ -25,6 +25,9 @@ def command(
     weighting: Weighting = "",
     path: VirtualPath = "",
     in_process: Annotated[bool, typer.Option("--in-process", help="Without a bus, all in this process.")] = False,
+    pin: Annotated[
+        bool, typer.Option(help="Give the UAVs one half of the processor cores: faster, unless the machine is busy otherwise.")
+    ] = True,
     deadline: Annotated[float, typer.Option(help="Seconds to wait for the commands of one tick.", min=0.01)] = 10.0,
     out: Annotated[
         Path | None, typer.Option(help="Folder for trajectory, picture and summary; a new one in runs/ by default.")
@@ -65,6 +68,7 @@ def command(
                     out=folder,
                     picture=picture,
                     deadline=deadline,
+                    pin=pin,
                     on_tick=progress.show,
                     on_event=progress.say,
                     stop=lambda: stop.count,

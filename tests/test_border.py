@@ -1,0 +1,144 @@
+"""The border of Q: the coverage law never crosses it, wherever the UGV stands."""
+
+import math
+
+import numpy as np
+import pytest
+from flights import DT, R_V, U_A, V_A, errors, escort, tracks
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from properties import PROPERTY
+
+from agents.control.coverage import border_distance, coverage_control, keep_off_border
+from bus.messages import Area, Law, Sensor
+from outrider.run import fly
+from sim.scenario import Detections, Uav, Ugv, Visibility
+from sim.vehicles import norm, step_vehicle
+
+WIDTH, HEIGHT = 16.0, 12.0
+MARGIN = border_distance(V_A, U_A, DT)
+speeds = st.floats(-V_A, V_A)
+
+
+def test_the_safety_distance_is_the_papers_and_at_most_two_ticks_more() -> None:
+    assert V_A**2 / (2.0 * U_A) + V_A * DT <= MARGIN <= V_A**2 / (2.0 * U_A) + 2.0 * V_A * DT
+    assert border_distance(V_A, math.inf, DT) <= 2.0 * V_A * DT
+
+
+def _kept(u: tuple[float, float], p: tuple[float, float], v: tuple[float, float]) -> tuple[float, float]:
+    return keep_off_border(*u, *p, *v, 10.0, WIDTH, HEIGHT, MARGIN, DT)
+
+
+@given(st.floats(MARGIN, WIDTH - MARGIN), st.floats(MARGIN, HEIGHT - MARGIN), st.floats(-9.0, 9.0), speeds, speeds)
+@settings(PROPERTY)
+def test_away_from_the_border_the_law_is_left_alone(x: float, y: float, u: float, v_x: float, v_y: float) -> None:
+    assert _kept((u, -u), (x, y), (v_x, v_y)) == (u, -u)
+
+
+@given(st.floats(0.0, 1.0), st.floats(-9.0, 9.0), st.floats(-9.0, 9.0), speeds, speeds)
+@settings(PROPERTY, max_examples=300)
+def test_at_a_side_nothing_of_the_law_points_out(depth: float, u_x: float, u_y: float, v_x: float, v_y: float) -> None:
+    """At x near 0; the other sides are the same by reflection."""
+    p = (0.999 * depth * MARGIN, 0.5 * HEIGHT)
+    a_x, a_y = _kept((u_x, u_y), p, (v_x, v_y))
+    if v_x < 0.0:
+        assert (a_x, a_y) == (-v_x / DT, 0.0)
+    else:
+        assert a_x == (-10.0 * v_x if u_x + 10.0 * v_x < 0.0 else u_x)
+        assert a_y == u_y
+    mirrored = _kept((-u_x, u_y), (WIDTH - p[0], p[1]), (-v_x, v_y))
+    assert mirrored == pytest.approx((-a_x, a_y), abs=1e-12)
+    turned = keep_off_border(u_y, u_x, p[1], p[0], v_y, v_x, 10.0, HEIGHT, WIDTH, MARGIN, DT)
+    assert turned == pytest.approx((a_y, a_x), abs=1e-12)
+
+
+@given(st.integers(0, 2**32), st.floats(0.0, math.tau), st.sampled_from((1.0, 10.0, 39.0)))
+@settings(PROPERTY, max_examples=150)
+def test_whatever_the_law_wants_it_never_crosses_the_border(seed: int, course: float, k_v: float) -> None:
+    """At full speed from anywhere outside the margin, wanting another direction every few ticks, most of them outward."""
+    rng = np.random.default_rng(seed)
+    start = (rng.uniform(MARGIN, WIDTH - MARGIN), rng.uniform(MARGIN, HEIGHT - MARGIN))
+    state, wanted = (*start, V_A * math.cos(course), V_A * math.sin(course)), course
+    for _ in range(600):
+        if rng.random() < 0.1:
+            wanted = rng.normal(course, 1.0)
+        w_x, w_y = V_A * math.cos(wanted), V_A * math.sin(wanted)
+        u = coverage_control(w_x - state[2], w_y - state[3], k_v)
+        u = keep_off_border(*u, *state, k_v, WIDTH, HEIGHT, MARGIN, DT)
+        *state, _, _ = step_vehicle(*state, *u, V_A, U_A, DT)
+        assert 0.0 < state[0] < WIDTH
+        assert 0.0 < state[1] < HEIGHT
+
+
+@pytest.mark.parametrize("u_max", [50.0, math.inf])
+def test_a_uav_that_stops_within_a_tick_never_crosses_the_border(u_max: float) -> None:
+    margin = border_distance(V_A, u_max, DT)
+    state = (1.01 * margin, 0.5 * HEIGHT, -V_A, 0.0)
+    for _ in range(20):
+        u = coverage_control(-V_A - state[2], -state[3], 10.0)
+        u = keep_off_border(*u, *state, 10.0, WIDTH, HEIGHT, margin, DT)
+        *state, _, _ = step_vehicle(*state, *u, V_A, u_max, DT)
+        assert state[0] > 0.0
+
+
+def test_a_uav_without_bounds_never_reaches_the_border() -> None:
+    scenario = escort(
+        Law(name="coverage", speed_gain=1.0, reference_speed=V_A),
+        uav=Uav(position=(7.0, 1.5), max_speed=math.inf, max_acceleration=math.inf),
+        ugv=Ugv(position=(6.9, 0.0)),
+        area=Area(width=WIDTH, height=HEIGHT, cell=0.5),
+        sensor=Sensor(range=2.0),
+        visibility=Visibility(radius=1.6),
+        duration=45.0,
+    )
+    uav, _ = tracks(fly(scenario, 0)[0])
+    assert (uav[:, 1] > 0.0).all()
+
+
+edges = {"x": st.sampled_from((0.0, 0.3, WIDTH - 0.3, WIDTH)), "y": st.sampled_from((0.0, 0.3, HEIGHT - 0.3, HEIGHT))}
+anywhere = {"x": st.floats(0.0, WIDTH), "y": st.floats(0.0, HEIGHT)}
+places = st.tuples(edges["x"], edges["y"]) | st.tuples(edges["x"], anywhere["y"]) | st.tuples(anywhere["x"], edges["y"])
+
+
+@given(
+    places,
+    st.tuples(st.floats(0.01, 0.99), st.floats(0.01, 0.99)),
+    st.floats(0.0, V_A) | st.just(V_A),
+    st.floats(0.0, math.tau),
+    st.sampled_from((1.0, 10.0, 20.0, 30.0)),
+    st.lists(places, max_size=2),
+)
+@settings(PROPERTY, max_examples=40)
+def test_the_coverage_law_never_reaches_the_border(
+    ugv: tuple[float, float],
+    share: tuple[float, float],
+    speed: float,
+    course: float,
+    k_v: float,
+    goals: list[tuple[float, float]],
+) -> None:
+    start, velocity = (share[0] * WIDTH, share[1] * HEIGHT), (speed * math.cos(course), speed * math.sin(course))
+    stop = speed / (2.0 * U_A) + 2.0 * DT  # a UAV that could not stop in time is not asked to
+    assume(0.0 < start[0] + stop * velocity[0] < WIDTH and 0.0 < start[1] + stop * velocity[1] < HEIGHT)
+    assume(norm(start[0] - ugv[0], start[1] - ugv[1]) < R_V)
+    scenario = escort(
+        Law(name="coverage", speed_gain=k_v),
+        uav=Uav(position=start, velocity=velocity),
+        ugv=Ugv(position=ugv, goals=tuple(goals)),
+        area=Area(width=WIDTH, height=HEIGHT, cell=0.5),
+        detections=Detections(rate=20.0),
+        duration=45.0,
+    )
+    uav, _ = tracks(fly(scenario, 0)[0])
+    assert (uav[:, :2] > 0.0).all()  # the world's walls hold a vehicle at 0, so it never touched them
+    assert (uav[:, :2] < (WIDTH, HEIGHT)).all()
+
+
+@pytest.mark.parametrize("ugv", [(0.0, 0.0), (16.0, 6.0), (15.7, 11.7)])
+def test_ground_at_the_border_is_covered_too(ugv: tuple[float, float]) -> None:
+    """Proposition 1 in a corner and at a side."""
+    inside = (min(max(ugv[0], 1.0), WIDTH - 1.0), min(max(ugv[1], 1.0), HEIGHT - 1.0))
+    area = Area(width=WIDTH, height=HEIGHT, cell=0.5)
+    flight, summary = fly(escort("coverage", uav=Uav(position=inside), ugv=Ugv(position=ugv), area=area, duration=200.0), 0)
+    assert summary.final_error == 0.0
+    assert np.flatnonzero(errors(flight) == 0.0)[0] > 0

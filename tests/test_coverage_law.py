@@ -1,0 +1,172 @@
+"""Dynamic coverage, (8) and (10) to (12): the law's parts, Proposition 1, and the start right above the UGV."""
+
+import math
+
+import numpy as np
+import pytest
+from flights import DESIRED, DT, HERE, U_A, V_A, errors, escort, parameters, told, tracks
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from properties import PROPERTY
+
+from agents.control.coverage import (
+    approach_control,
+    coverage_control,
+    desired_velocity,
+    is_zero_gradient,
+    single_integrator_command,
+    velocity_error,
+)
+from agents.control.laws import coverage_term, initial_state
+from agents.uav import UavPilot
+from bus.messages import Area, Detection, Law, Sensor, UavObservation
+from outrider.run import fly
+from sim.field import SENSORS
+from sim.scenario import Scenario, Uav, Ugv, Visibility
+from sim.vehicles import clip_norm, norm, step_vehicle
+
+numbers = st.floats(-100.0, 100.0)
+UNBOUNDED = {"max_speed": math.inf, "max_acceleration": math.inf}
+
+
+@given(numbers, numbers, st.floats(1e-6, 1e6))
+@settings(PROPERTY)
+def test_the_gradient_counts_unless_it_is_zero_beside_its_integrand(x: float, y: float, size: float) -> None:
+    chosen = single_integrator_command(x, y, size, 7.0, 8.0)
+    zero = math.hypot(x, y) / size < 1e-9
+    assert is_zero_gradient(x, y, size) == zero
+    assert chosen == ((7.0, 8.0) if zero else (x, y))
+
+
+def test_no_integrand_is_a_zero_gradient() -> None:
+    assert single_integrator_command(0.0, 0.0, 0.0, 7.0, 8.0) == (7.0, 8.0)
+
+
+@given(numbers, numbers, numbers, numbers, st.floats(0.01, 5.0))
+@settings(PROPERTY)
+def test_the_velocity_error_leads_to_the_nominal_speed_along_the_command(
+    x: float, y: float, v_x: float, v_y: float, v_ref: float
+) -> None:
+    e_x, e_y = velocity_error(x, y, v_ref, v_x, v_y, True)
+    wanted = (e_x + v_x, e_y + v_y)
+    assert wanted == pytest.approx(desired_velocity(x, y, v_ref), abs=1e-12)
+    if norm(x, y) > 1e-100:
+        assert math.hypot(*wanted) == pytest.approx(v_ref, abs=1e-11)
+        assert wanted[0] * x + wanted[1] * y == pytest.approx(v_ref * math.hypot(x, y), rel=1e-9)
+
+
+@given(numbers, numbers, numbers, numbers)
+@settings(PROPERTY)
+def test_where_all_is_covered_the_velocity_error_brakes(x: float, y: float, v_x: float, v_y: float) -> None:
+    assert velocity_error(x, y, 0.6, v_x, v_y, False) == (-v_x, -v_y)
+
+
+def test_without_a_direction_the_velocity_error_is_finite() -> None:
+    assert velocity_error(0.0, 0.0, 0.6, 0.3, -0.2, True) == (-0.3, 0.2)
+
+
+def test_the_coverage_law_is_the_gain_times_the_velocity_error() -> None:
+    assert coverage_control(0.25, -0.5, 10.0) == (2.5, -5.0)
+
+
+@given(*[numbers] * 6, st.floats(0.1, 30.0), st.floats(0.1, 2.0))
+@settings(PROPERTY)
+def test_the_approach_is_the_printed_one(
+    q_x: float, q_y: float, p_x: float, p_y: float, v_x: float, v_y: float, k_v: float, v_ref: float
+) -> None:
+    distance = math.hypot(q_x - p_x, q_y - p_y)
+    if distance > 1e-9:
+        pull = k_v * v_ref / distance
+        wanted = (pull * (q_x - p_x) - k_v * v_x, pull * (q_y - p_y) - k_v * v_y)
+        assert approach_control(q_x, q_y, p_x, p_y, v_x, v_y, k_v, v_ref) == pytest.approx(wanted, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize(("v_max", "u_max"), [(V_A, U_A), (math.inf, math.inf)])
+@pytest.mark.parametrize("k_v", [0.5, 2.0, 10.0, 20.0, 30.0])
+def test_the_approach_reaches_its_point_and_stays_near_it(v_max: float, u_max: float, k_v: float) -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(5):
+        (q_x, q_y), start = rng.uniform(0.0, 15.0, (2, 2)).tolist()
+        state, closest, farthest = (*start, *clip_norm(*rng.uniform(-V_A, V_A, 2).tolist(), V_A)), math.inf, 0.0
+        for tick in range(1600):
+            u = approach_control(q_x, q_y, *state, k_v, V_A)
+            *state, _, _ = step_vehicle(*state, *u, v_max, u_max, DT)
+            distance = norm(state[0] - q_x, state[1] - q_y)
+            closest = min(closest, distance)
+            farthest = max(farthest, distance if tick > 1000 else 0.0)
+        assert closest < V_A * DT
+        assert farthest < V_A**2 / (2.0 * U_A) + 2.0 * V_A * DT
+
+
+def _standing(k_v: float, sensor: str, **limits: float) -> Scenario:
+    return escort(
+        Law(name="coverage", speed_gain=k_v, reference_speed=V_A),
+        uav=Uav(position=(4.0, 4.0), **limits),
+        ugv=Ugv(position=(4.0, 4.0)),
+        area=Area(width=9.0, height=8.0, cell=0.25),
+        sensor=Sensor(model=sensor, range=2.0),
+        visibility=Visibility(radius=1.5),
+        duration=110.0,
+    )
+
+
+@pytest.mark.parametrize("limits", [{}, UNBOUNDED], ids=["bounded", "unbounded"])
+@pytest.mark.parametrize("sensor", SENSORS)
+@pytest.mark.parametrize("k_v", [1.0, 10.0])
+def test_coverage_around_a_standing_ugv_ends_with_nothing_uncovered(k_v: float, sensor: str, limits: dict[str, float]) -> None:
+    """Proposition 1; and then, (10), the UAV brakes."""
+    flight, summary = fly(_standing(k_v, sensor, **limits), 0)
+    assert summary.initial_error > 90.0
+    assert summary.final_error == 0.0
+    assert (np.diff(errors(flight)) <= 0.0).all()
+    assert np.abs(tracks(flight)[0][-1, 2:4]).max() < 1e-9
+
+
+def test_over_covered_ground_the_law_brakes_with_its_gain() -> None:
+    c = parameters(escort("coverage"))
+    coverage = np.full((160, 160), DESIRED)
+    found = coverage_term(c, coverage, initial_state(), 0, *HERE, 0.3, -0.2, 21.0, 20.0)
+    assert found == pytest.approx((-c.k_v * 0.3, c.k_v * 0.2), rel=1e-15)
+
+
+def test_the_gain_of_the_gradient_drops_out() -> None:
+    coverage = np.random.default_rng(1).uniform(0.0, 2.0, (160, 160))
+    c = parameters(escort("coverage"))
+    one, ten = (
+        coverage_term(c._replace(peak=peak), coverage, initial_state(), 0, 21.0, 22.0, 0.1, 0.0, *HERE) for peak in (1.0, 10.0)
+    )
+    assert one == pytest.approx(ten, rel=1e-12)
+
+
+LAWS = ("coverage", "linear", "switching", "logarithmic")
+PLACES = {"cell centre": (20.125, 20.125), "cell corner": (20.0, 20.0)}
+
+
+def _first_command(law: str, place: tuple[float, float], seed: int) -> tuple[float, float]:
+    """What the UAV does when it first sees the UGV, exactly below."""
+    pilot = UavPilot(told(escort(law), seed))
+    looks = (Detection(time=0.0, relative_position=(0.0, 0.0)),)
+    return pilot.act(UavObservation(tick=0, time=0.0, position=place, velocity=(0.0, 0.0), detections=looks)).acceleration
+
+
+@pytest.mark.parametrize("place", PLACES.values(), ids=PLACES.keys())
+@pytest.mark.parametrize("law", LAWS)
+def test_right_above_the_ugv_the_uav_sets_off_at_full_size_in_a_direction_of_its_keys(
+    law: str, place: tuple[float, float]
+) -> None:
+    commands = [_first_command(law, place, seed) for seed in range(40)]
+    for u_x, u_y in commands:
+        assert norm(u_x, u_y) == pytest.approx(U_A, rel=1e-12)
+    directions = {(round(u_x, 9), round(u_y, 9)) for u_x, u_y in commands}
+    assert len(directions) == (4 if place == PLACES["cell corner"] else 40)
+
+
+@pytest.mark.parametrize("place", PLACES.values(), ids=PLACES.keys())
+@pytest.mark.parametrize("law", LAWS)
+def test_right_above_the_ugv_the_uav_leaves_and_lowers_the_error(law: str, place: tuple[float, float]) -> None:
+    scenario = escort(law, uav=Uav(position=place), ugv=Ugv(position=place), duration=10.0)
+    flight, summary = fly(scenario, 3)
+    assert summary.max_distance > 1.0
+    assert summary.final_error < summary.initial_error
+    assert np.isfinite(flight.recorder.states[:-1]).all()
+    assert norm(*tracks(flight)[0][0, 4:6]) == pytest.approx(U_A, rel=1e-12)

@@ -1,0 +1,90 @@
+"""The detections: when the UGV is found, and how the noise spreads."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from properties import PROPERTY
+
+from sim.detection import detect, detection_chance
+
+R_V, R = 4.75, 5.0
+LOOKS = 4000
+
+
+def _looks(
+    distance: float, dropout: float, sigma: float = 0.0, cut: float = 3.0, seed: int = 1
+) -> list[tuple[bool, float, float]]:
+    return [detect(0.6 * distance, -0.8 * distance, R_V, R, dropout, sigma, cut, seed, 0, tick) for tick in range(LOOKS)]
+
+
+def _spread(share: float) -> float:
+    """Four standard deviations of a share among the looks."""
+    return 4.0 * math.sqrt(max(share * (1.0 - share), 1e-12) / LOOKS)
+
+
+@pytest.mark.parametrize("distance", [0.0, 2.0, 4.749999])
+def test_within_the_visibility_radius_every_look_finds_the_ugv(distance: float) -> None:
+    assert all(found for found, _, _ in _looks(distance, dropout=0.0))
+
+
+@pytest.mark.parametrize("distance", [R, 5.000001, 80.0])
+def test_from_the_sensors_range_on_no_look_finds_it(distance: float) -> None:
+    assert not any(found for found, _, _ in _looks(distance * (1.0 + 1e-12), dropout=0.0))
+
+
+@pytest.mark.parametrize("distance", [4.75, 4.8, 4.875, 4.95])
+@pytest.mark.parametrize("dropout", [0.0, 0.3])
+def test_between_them_the_share_of_finds_falls_linearly(distance: float, dropout: float) -> None:
+    share = sum(found for found, _, _ in _looks(distance, dropout)) / LOOKS
+    wanted = (1.0 - dropout) * (R - distance) / (R - R_V)
+    assert share == pytest.approx(wanted, abs=_spread(wanted))
+
+
+@pytest.mark.parametrize("dropout", [0.0, 0.05, 0.5, 1.0])
+def test_dropouts_have_their_share(dropout: float) -> None:
+    share = sum(not found for found, _, _ in _looks(2.0, dropout)) / LOOKS
+    assert share == pytest.approx(dropout, abs=_spread(dropout))
+
+
+@given(st.floats(0.0, 10.0), st.floats(0.0, 1.0))
+@settings(PROPERTY)
+def test_the_chance_is_a_probability_that_never_grows_with_the_distance(distance: float, dropout: float) -> None:
+    near, far = detection_chance(distance, R_V, R, dropout), detection_chance(distance + 0.1, R_V, R, dropout)
+    assert 0.0 <= far <= near <= 1.0
+
+
+def test_a_look_that_finds_nothing_says_nothing() -> None:
+    found, x, y = detect(6.0, 0.0, R_V, R, 0.0, 0.1, 3.0, 1, 0, 0)
+    assert not found
+    assert math.isnan(x)
+    assert math.isnan(y)
+
+
+def test_a_look_without_noise_is_the_truth() -> None:
+    assert all((x, y) == (0.6 * 3.0, -0.8 * 3.0) for _, x, y in _looks(3.0, dropout=0.0))
+
+
+@pytest.mark.parametrize("cut", [1.0, 3.0, math.inf])
+def test_the_noise_has_no_bias_the_variance_of_its_cut_and_stays_within_it(cut: float) -> None:
+    sigma = 0.2
+    noise = np.array([(x - 1.8, y + 2.4) for _, x, y in _looks(3.0, dropout=0.0, sigma=sigma, cut=cut)])
+    h = 0.5 * cut * cut
+    variance = sigma**2 * (1.0 - (h / math.expm1(h) if h < 700.0 else 0.0))
+    assert np.hypot(*noise.T).max() <= cut * sigma + 1e-14
+    assert noise.mean(axis=0) == pytest.approx([0.0, 0.0], abs=4.0 * sigma / math.sqrt(LOOKS))
+    assert noise.var(axis=0) == pytest.approx([variance, variance], rel=4.0 * math.sqrt(2.0 / LOOKS))
+
+
+def test_noise_and_dropouts_are_drawn_apart() -> None:
+    kept = [look for look in _looks(3.0, dropout=0.5, sigma=0.2) if look[0]]
+    whole = _looks(3.0, dropout=0.0, sigma=0.2)
+    assert 0 < len(kept) < len(whole)
+    assert set(kept) < set(whole)
+
+
+def test_each_uav_and_each_seed_has_noise_of_its_own() -> None:
+    looks = {detect(1.0, 1.0, R_V, R, 0.0, 0.2, 3.0, seed, uav, 7) for seed in range(5) for uav in range(4)}
+    assert len(looks) == 20

@@ -1,0 +1,230 @@
+"""The field: sensor (2), accumulation (3), error (4), density (9) and the integral of (6), against NumPy and against calculus."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from properties import PROPERTY
+
+from agents.control.coverage import is_zero_gradient
+from outrider import reference
+from outrider.reference import FloatGrid
+from sim.field import (
+    SENSORS,
+    accumulate,
+    cover,
+    coverage_error,
+    coverage_gradient,
+    density,
+    empty_coverage,
+    penalty,
+    penalty_slope,
+    sensor_quality,
+    sensor_slope,
+)
+
+R, R_V, DESIRED = 5.0, 4.75, 2.0
+R_O = R_V + R
+
+
+@dataclass(frozen=True)
+class Place:
+    """A patch of ground, partly covered, with both vehicles on it or beside it."""
+
+    coverage: FloatGrid
+    cell: float
+    p_ax: float
+    p_ay: float
+    p_gx: float
+    p_gy: float
+    reach: float
+    r_o: float
+    sensor: int
+
+
+@st.composite
+def places(draw: st.DrawFn) -> Place:
+    """Areas that are no squares, cells of many sizes, vehicles inside Q, on its border and outside."""
+    cell = draw(st.sampled_from((0.1, 0.25, 0.37, 1.0)))
+    rows, columns = draw(st.integers(1, 60)), draw(st.integers(1, 60))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    coverage = rng.uniform(0.0, 2.0 * DESIRED, (rows, columns)) * (rng.random((rows, columns)) < draw(st.floats(0.0, 1.0)))
+    x = st.sampled_from((0.0, columns * cell, 0.5 * columns * cell)) | st.floats(-3.0, columns * cell + 3.0)
+    y = st.sampled_from((0.0, rows * cell, 0.5 * rows * cell)) | st.floats(-3.0, rows * cell + 3.0)
+    reach = draw(st.floats(0.05, 8.0))
+    return Place(
+        coverage=coverage,
+        cell=cell,
+        p_ax=draw(x),
+        p_ay=draw(y),
+        p_gx=draw(x),
+        p_gy=draw(y),
+        reach=reach,
+        r_o=reach * draw(st.floats(1.01, 2.0)),
+        sensor=draw(st.sampled_from(sorted(SENSORS.values()))),
+    )
+
+
+@given(places())
+@settings(PROPERTY, max_examples=300)
+def test_accumulation_is_the_quality_times_the_time_on_every_cell(place: Place) -> None:
+    arguments = (place.p_ax, place.p_ay, place.sensor, 1.7, place.reach, place.cell, 0.05)
+    kernel = place.coverage.copy()
+    accumulate(kernel, *arguments)
+    wanted = reference.accumulate(place.coverage, *arguments)
+    np.testing.assert_allclose(kernel, wanted, rtol=1e-12, atol=1e-12 * 1.7 * 0.05)
+
+
+@given(places())
+@settings(PROPERTY, max_examples=300)
+def test_error_is_the_integral_over_the_whole_grid(place: Place) -> None:
+    arguments = (place.coverage, place.p_gx, place.p_gy, place.r_o, DESIRED, place.cell)
+    wanted = reference.coverage_error(*arguments)
+    assert coverage_error(*arguments) == pytest.approx(wanted, rel=1e-12, abs=1e-12 * DESIRED**2 * place.cell**2)
+
+
+@given(places())
+@settings(PROPERTY, max_examples=300)
+def test_gradient_is_the_integral_over_the_whole_grid(place: Place) -> None:
+    arguments = (place.coverage, place.p_ax, place.p_ay, place.p_gx, place.p_gy, place.r_o, DESIRED)
+    arguments += (place.sensor, 1.7, place.reach, place.cell)
+    u_x, u_y, size = coverage_gradient(*arguments)
+    assert (u_x, u_y) == pytest.approx(reference.coverage_gradient(*arguments), rel=1e-12, abs=1e-12 * size)
+
+
+@pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS.keys())
+def test_gradient_points_where_the_error_falls_fastest(sensor: int) -> None:
+    rng = np.random.default_rng(7)
+    for _ in range(20):
+        coverage = rng.uniform(0.0, 1.5 * DESIRED, (80, 60))
+        p_ax, p_ay, p_gx, p_gy = rng.uniform(-1.0, 16.0, 4)
+        rest = (p_gx, p_gy, R_O, DESIRED, sensor, 1.0, R, 0.25)
+
+        def decrease(d_x: float, d_y: float, rest=rest, coverage=coverage, p=(p_ax, p_ay)) -> float:
+            return reference.error_decrease(coverage, p[0] + d_x, p[1] + d_y, *rest)
+
+        d = 1e-4
+        slope_x, slope_y = (decrease(d, 0.0) - decrease(-d, 0.0)) / (2 * d), (decrease(0.0, d) - decrease(0.0, -d)) / (2 * d)
+        u_x, u_y, size = coverage_gradient(coverage, p_ax, p_ay, *rest)
+        assert (u_x, u_y) == pytest.approx((slope_x, slope_y), abs=1e-7 * size)
+
+
+@pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS.keys())
+@pytest.mark.parametrize("p", [(20.0, 20.0), (20.125, 20.125), (20.0, 20.125), (6.5, 20.0)])
+def test_gradient_vanishes_in_symmetric_states_and_only_there(sensor: int, p: tuple[float, float]) -> None:
+    coverage = empty_coverage(40.0, 40.0, 0.25)
+    rest = (*p, R_O, DESIRED, sensor, 1.0, R, 0.25)
+    assert is_zero_gradient(*coverage_gradient(coverage, *p, *rest))
+    assert not is_zero_gradient(*coverage_gradient(coverage, p[0] + 1e-6, p[1], *rest))
+
+
+def test_gradient_over_even_ground_points_to_the_ugv() -> None:
+    coverage = empty_coverage(40.0, 40.0, 0.25)
+    u_x, u_y, size = coverage_gradient(coverage, 23.0, 20.0, 20.0, 20.0, R_O, DESIRED, SENSORS["hill"], 1.0, R, 0.25)
+    assert u_x < -0.1 * size
+    assert abs(u_y) < 1e-12 * size
+
+
+@pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS.keys())
+def test_sensor_slope_is_the_derivative_of_its_quality(sensor: int) -> None:
+    rho2 = np.linspace(0.01, 2.0 * R**2, 4001)
+    d = 1e-4
+    slope = np.array([sensor_slope(sensor, s, 1.3, R) for s in rho2])
+    difference = np.array([sensor_quality(sensor, s + d, 1.3, R) - sensor_quality(sensor, s - d, 1.3, R) for s in rho2])
+    np.testing.assert_allclose(slope, difference / (2 * d), atol=1e-6)
+
+
+@pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS.keys())
+def test_sensor_falls_from_its_peak_to_nothing_at_its_range(sensor: int) -> None:
+    quality = np.array([sensor_quality(sensor, rho**2, 1.3, R) for rho in np.linspace(0.0, R, 501)])
+    assert quality[0] == 1.3
+    assert quality[-1] == 0.0
+    assert (np.diff(quality) <= 0.0).all()
+    for rho in (R, math.nextafter(R, 9.0), 2.0 * R, 1e6):
+        assert sensor_quality(sensor, rho**2, 1.3, R) == 0.0
+        assert sensor_slope(sensor, rho**2, 1.3, R) == 0.0
+
+
+@given(st.floats(0.0, 9.0), st.floats(0.1, 10.0), st.floats(0.1, 8.0))
+@settings(PROPERTY)
+def test_hill_is_the_printed_sensor(rho: float, peak: float, reach: float) -> None:
+    wanted = peak / reach**4 * (rho**2 - reach**2) ** 2 if rho <= reach else 0.0
+    assert sensor_quality(SENSORS["hill"], rho**2, peak, reach) == pytest.approx(wanted, rel=1e-12, abs=1e-14 * peak)
+
+
+def test_sensors_differ() -> None:
+    qualities = {sensor_quality(sensor, 0.5 * R**2, 1.0, R) for sensor in SENSORS.values()}
+    assert len(qualities) == len(SENSORS)
+
+
+def test_a_look_of_the_hill_sees_a_third_of_its_cylinder() -> None:
+    coverage = empty_coverage(12.0, 12.0, 0.05)
+    accumulate(coverage, 6.0, 6.0, SENSORS["hill"], 1.5, R, 0.05, 2.0)
+    assert coverage.sum() * 0.05**2 == pytest.approx(2.0 * 1.5 * math.pi * R**2 / 3.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("offset", [0.0, 1.3, 4.0, 4.99, 5.01])
+def test_coverage_after_flying_past_is_the_integral_over_time(offset: float) -> None:
+    """C = M/(r⁴v) ∫ (l² - s²)² ds over the chord 2l, which is 16/15 M l⁵ / (r⁴ v)."""
+    coverage, v, dt = np.zeros((1, 1)), 0.6, 0.005
+    for k in range(round(12.0 / (v * dt))):
+        accumulate(coverage, 0.5 - 6.0 + (k + 0.5) * v * dt, 0.5 + offset, SENSORS["hill"], 1.0, R, 1.0, dt)
+    half = math.sqrt(max(0.0, R**2 - offset**2))
+    assert coverage[0, 0] == pytest.approx(16.0 / 15.0 * half**5 / (R**4 * v), rel=1e-5, abs=1e-12)
+
+
+def test_density_is_the_printed_cosine_and_never_negative() -> None:
+    rho = np.linspace(0.0, R_O, 20001)
+    phi = np.array([density(d * d, R_O) for d in rho])
+    assert np.abs(phi - (np.cos(np.pi * rho / R_O) + 1.0)).max() < 1e-12
+    assert (phi >= 0.0).all()
+    assert phi[0] == pytest.approx(2.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("rho", [R_O, math.nextafter(R_O, 99.0), 10.0, 1e3, 1e9])
+def test_density_is_nothing_from_its_radius_on(rho: float) -> None:
+    assert density(rho * rho, R_O) == 0.0
+
+
+@given(st.floats(-10.0, 10.0))
+@settings(PROPERTY)
+def test_penalty_punishes_lack_alone_and_its_slope_is_its_derivative(lack: float) -> None:
+    d = 1e-6
+    assert penalty(lack) == max(0.0, lack) ** 2
+    assert penalty_slope(lack) == pytest.approx((penalty(lack + d) - penalty(lack - d)) / (2 * d), abs=1e-5)
+
+
+def test_error_of_bare_ground_is_the_analytic_value() -> None:
+    coverage = empty_coverage(40.0, 40.0, 0.25)
+    wanted = 8.0 * math.pi * R_O**2 * (0.5 - 2.0 / math.pi**2)
+    assert wanted == pytest.approx(710.44, abs=0.01)
+    assert coverage_error(coverage, 20.0, 20.0, R_O, DESIRED, 0.25) == pytest.approx(wanted, abs=1e-3)
+    assert coverage_error(coverage, 17.3, 22.1, R_O, DESIRED, 0.25) == pytest.approx(wanted, abs=1e-3)
+
+
+def test_error_converges_with_the_grid() -> None:
+    wanted = 8.0 * math.pi * R_O**2 * (0.5 - 2.0 / math.pi**2)
+    off = [abs(coverage_error(empty_coverage(40.0, 40.0, h), 19.9, 20.3, R_O, DESIRED, h) - wanted) for h in (2.0, 0.5, 0.125)]
+    assert off[0] > 4.0 * off[1] > 16.0 * off[2]
+
+
+def test_error_is_nothing_where_all_is_covered_and_only_there() -> None:
+    coverage = np.full((160, 160), DESIRED)
+    assert coverage_error(coverage, 20.0, 20.0, R_O, DESIRED, 0.25) == 0.0
+    coverage[80, 80] = math.nextafter(DESIRED, 0.0)
+    assert coverage_error(coverage, 20.0, 20.0, R_O, DESIRED, 0.25) > 0.0
+    assert coverage_error(coverage, 35.0, 35.0, R_O, DESIRED, 0.25) == 0.0  # it is not near the UGV
+
+
+def test_covered_ground_keeps_the_larger_value() -> None:
+    coverage = empty_coverage(3.0, 2.0, 0.5)
+    assert coverage.shape == (4, 6)
+    coverage[0, 0], coverage[3, 5] = 9.0, 9.0
+    cover(coverage, (0.0, 0.0), (1.25, 0.75), 0.5, DESIRED)
+    wanted = np.zeros((4, 6))
+    wanted[:2, :3] = DESIRED  # centres at 0.25, 0.75 and 1.25 m
+    wanted[0, 0], wanted[3, 5] = 9.0, 9.0
+    np.testing.assert_array_equal(coverage, wanted)

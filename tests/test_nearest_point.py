@@ -1,0 +1,141 @@
+"""The symmetry breaker (7): the nearest uncovered point, ties drawn at random, and how long a point is held."""
+
+import numpy as np
+import pytest
+from flights import DESIRED, HERE, R_O, escort, parameters
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from properties import PROPERTY
+from scipy import stats
+
+from agents.control.coverage import symmetry_breaker
+from agents.control.laws import initial_state, way_to_uncovered
+from outrider import reference
+from sim.field import cover, empty_coverage, is_uncovered, nearest_uncovered
+
+CELL = 0.25
+Answer = tuple[bool, float, float]
+
+
+@st.composite
+def _searches(draw: st.DrawFn) -> tuple[np.ndarray, float, float, float, float, float, float]:
+    """Ground with few uncovered cells, both vehicles on it or beside it, r_o and the cell's width."""
+    rows, columns = draw(st.integers(1, 40)), draw(st.integers(1, 40))
+    cell = draw(st.sampled_from((0.25, 0.4, 1.0)))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    coverage = np.where(rng.random((rows, columns)) < draw(st.sampled_from((0.0, 0.01, 0.1, 1.0))), 1.0, 2.0 * DESIRED)
+    points = st.floats(-2.0, 42 * cell) | st.sampled_from((0.0, cell, 3.5 * cell))
+    return coverage, draw(points), draw(points), draw(points), draw(points), draw(st.floats(0.2, 15.0)), cell
+
+
+@given(_searches(), st.integers(0, 2**53 - 1))
+@settings(PROPERTY, max_examples=300)
+def test_no_uncovered_point_is_nearer(search: tuple[np.ndarray, float, float, float, float, float, float], key: int) -> None:
+    coverage, p_ax, p_ay, p_gx, p_gy, r_o, cell = search
+    found, q_x, q_y = nearest_uncovered(coverage, p_ax, p_ay, p_gx, p_gy, r_o, DESIRED, cell, key, 0)
+    candidates = reference.uncovered(coverage, p_gx, p_gy, r_o, DESIRED, cell)
+    assert found == candidates.any()
+    if found:
+        assert candidates[int(q_y / cell), int(q_x / cell)]
+        assert is_uncovered(coverage, q_x, q_y, p_gx, p_gy, r_o, DESIRED, cell)
+        least = reference.distances(coverage, p_ax, p_ay, cell)[candidates].min()
+        assert np.hypot(q_x - p_ax, q_y - p_ay) == pytest.approx(least, rel=1e-9)
+
+
+def _corner(key: int, tick: int = 0) -> Answer:
+    """The nearest of the four cells around a corner of the grid, all uncovered."""
+    coverage = empty_coverage(40.0, 40.0, CELL)
+    return nearest_uncovered(coverage, *HERE, *HERE, R_O, DESIRED, CELL, key, tick)
+
+
+@pytest.mark.parametrize("by", ["key", "tick"])
+def test_each_of_four_equals_is_drawn_about_equally(by: str) -> None:
+    answers = [_corner(key=k, tick=3) if by == "key" else _corner(key=5, tick=k) for k in range(2000)]
+    points, counts = np.unique(answers, axis=0, return_counts=True)
+    assert {(x, y) for _, x, y in points.tolist()} == {(20.0 + i, 20.0 + j) for i in (-0.125, 0.125) for j in (-0.125, 0.125)}
+    assert stats.chisquare(counts).pvalue > 1e-3
+
+
+def test_the_same_key_and_tick_draw_the_same_point() -> None:
+    assert all(_corner(key, tick) == _corner(key, tick) for key in range(20) for tick in range(3))
+
+
+def test_a_nearer_point_wins_whatever_is_drawn() -> None:
+    coverage = empty_coverage(40.0, 40.0, CELL)
+    for key in range(50):
+        _, x, y = nearest_uncovered(coverage, 20.001, 20.002, *HERE, R_O, DESIRED, CELL, key, 0)
+        assert (x, y) == (20.125, 20.125)
+
+
+def test_the_symmetry_breaker_points_from_the_uav_to_the_point() -> None:
+    assert symmetry_breaker(3.0, 1.0, 1.0, 2.0, 0.5) == (1.0, -0.5)
+
+
+class _Search:
+    """`way_to_uncovered` with a map and a state of its own; the UAV stands at (20, 20)."""
+
+    def __init__(self) -> None:
+        self.c = parameters(escort("coverage"))
+        self.coverage = np.full((160, 160), DESIRED)
+        self.state = initial_state()
+        self.tick = 0
+
+    def uncover(self, x: float, y: float, value: float = 0.0) -> None:
+        self.coverage[int(y / CELL), int(x / CELL)] = value
+
+    def way(self, ugv: tuple[float, float] = HERE) -> Answer:
+        self.tick += 1
+        return way_to_uncovered(self.c, self.coverage, self.state, self.tick, *HERE, *ugv)
+
+
+def test_the_point_is_held_until_it_is_covered() -> None:
+    search = _Search()
+    search.uncover(25.125, 20.125)
+    assert search.way() == (True, 5.125, 0.125)
+    search.uncover(18.125, 20.125)  # a nearer one
+    assert search.way() == (True, 5.125, 0.125)
+    search.uncover(25.125, 20.125, value=0.999 * DESIRED)  # nearly covered
+    assert search.way() == (True, 5.125, 0.125)
+    search.uncover(25.125, 20.125, value=DESIRED)
+    assert search.way() == (True, -1.875, 0.125)
+
+
+def test_the_point_is_held_until_it_leaves_the_support_of_the_density() -> None:
+    search = _Search()
+    search.uncover(25.125, 20.125)
+    search.uncover(12.125, 20.125)
+    assert search.way() == (True, 5.125, 0.125)
+    assert search.way(ugv=(25.125 - 0.999 * R_O, 20.125)) == (True, 5.125, 0.125)
+    assert search.way(ugv=(25.125 - 1.001 * R_O, 20.125)) == (True, -7.875, 0.125)
+
+
+def test_where_nothing_is_uncovered_there_is_no_way_and_no_point_is_kept() -> None:
+    search = _Search()
+    search.uncover(25.125, 20.125)
+    search.way()
+    search.uncover(25.125, 20.125, value=DESIRED)
+    assert search.way() == (False, 0.0, 0.0)
+    search.uncover(25.125, 20.125)
+    search.uncover(18.125, 20.125)
+    assert search.way() == (True, -1.875, 0.125)
+
+
+def test_ground_outside_the_support_is_no_goal() -> None:
+    search = _Search()
+    search.uncover(20.125 + R_O, 20.125)
+    assert search.way() == (False, 0.0, 0.0)
+
+
+def test_right_over_the_point_any_direction_is_drawn_with_the_key() -> None:
+    coverage = empty_coverage(40.0, 40.0, CELL)
+    cover(coverage, (0.0, 0.0), (40.0, 40.0), CELL, DESIRED)
+    coverage[80, 80] = 0.0
+    place = (20.125, 20.125)
+    angles = []
+    for key in range(400):
+        c = parameters(escort("coverage"))._replace(key=key)
+        found, x, y = way_to_uncovered(c, coverage, initial_state(), 0, *place, *place)
+        assert found
+        assert np.hypot(x, y) == pytest.approx(1.0, rel=1e-12)
+        angles.append(np.arctan2(y, x))
+    assert stats.kstest(np.array(angles) / (2.0 * np.pi) + 0.5, "uniform").pvalue > 1e-3

@@ -1,0 +1,189 @@
+"""The pilots: the UGV's way along its goals, and what the UAV makes of its own observations."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from flights import DT, HERE, R_V, U_A, U_G, V_G, escort, told, tracks
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from properties import PROPERTY
+
+from agents.drivers.waypoints import WaypointDriver, goal_control
+from agents.uav import UavPilot
+from agents.ugv import UgvPilot
+from bus.errors import ScenarioError
+from bus.messages import Area, Detection, Law, Limits, Sensor, UavCommand, UavObservation, UgvBriefing, UgvObservation
+from outrider.run import InProcess, fly, make_pilots
+from sim.briefing import briefing
+from sim.flight import Flight
+from sim.scenario import Detections, Uav, Ugv
+from sim.vehicles import goal_reached, norm, step_vehicle
+
+Point = tuple[float, float]
+points = st.tuples(st.floats(0.0, 20.0), st.floats(0.0, 20.0))
+speeds = st.sampled_from((0.05, V_G, 1.0, 5.0))
+accelerations = st.sampled_from((0.05, U_G, 1.0, 10.0, math.inf))
+ticks = st.sampled_from((0.02, DT, 0.2))
+
+
+def _driver(
+    goals: tuple[Point, ...], *, v_max: float = V_G, u_max: float = U_G, dt: float = DT, tolerance: float = 0.05
+) -> WaypointDriver:
+    limits = Limits(max_speed=v_max, max_acceleration=None if math.isinf(u_max) else u_max)
+    area = Area(width=20.0, height=20.0, cell=0.5)
+    return WaypointDriver(
+        UgvBriefing(
+            vehicle="ugv_0", dt=dt, area=area, limits=limits, driver="waypoints", goals=goals, goal_tolerance=tolerance, key=0
+        )
+    )
+
+
+def _drive(
+    driver: WaypointDriver, start: Point, count: int, *, v_max: float = V_G, u_max: float = U_G, dt: float = DT
+) -> np.ndarray:
+    """p, v and the command before its bound at each tick, from rest."""
+    state, rows = (*start, 0.0, 0.0), []
+    for tick in range(count):
+        u = driver.drive(UgvObservation(tick=tick, time=tick * dt, position=tuple(state[:2]), velocity=tuple(state[2:])))
+        rows.append((*state, *u))
+        *state, _, _ = step_vehicle(*state, *u, v_max, u_max, dt)
+    return np.array(rows)
+
+
+def _along(rows: np.ndarray, start: Point, goal: Point) -> tuple[np.ndarray, np.ndarray]:
+    """Way to go along the line from start to goal, and distance from that line [m]."""
+    (a, b), g = np.subtract(goal, start) / max(math.dist(start, goal), 1e-300), rows[:, :2] - goal
+    return -(g @ (a, b)), np.abs(g @ (-b, a))
+
+
+def _ticks_for(way: float, v_max: float, u_max: float, dt: float) -> int:
+    """Enough for the way, gathering speed and braking."""
+    return math.ceil((way / v_max + 2.0 * v_max / u_max) / dt) + 400
+
+
+@given(points, points, speeds, accelerations, ticks)
+@settings(PROPERTY, max_examples=60)
+def test_the_ugv_drives_straight_to_its_goal_and_stands_there(
+    start: Point, goal: Point, v_max: float, u_max: float, dt: float
+) -> None:
+    count = min(_ticks_for(math.dist(start, goal), v_max, u_max, dt), 20000)
+    rows = _drive(_driver((goal,), v_max=v_max, u_max=u_max, dt=dt), start, count, v_max=v_max, u_max=u_max, dt=dt)
+    assert _along(rows, start, goal)[1].max() < 1e-9
+    if count < 20000:
+        assert rows[-1, :2] == pytest.approx(goal, abs=1e-3)
+        assert np.abs(rows[-1, 2:]).max() < 1e-2 * v_max
+    assert np.hypot(rows[:, 4], rows[:, 5]).max() <= u_max * (1.0 + 1e-12)
+
+
+@given(st.floats(0.01, 20.0), speeds, accelerations, ticks)
+@settings(PROPERTY, max_examples=60)
+def test_the_ugv_never_overshoots_its_last_goal(way: float, v_max: float, u_max: float, dt: float) -> None:
+    goal = (way, 3.0)
+    count = min(_ticks_for(way, v_max, u_max, dt), 5000)
+    rows = _drive(_driver((goal,), v_max=v_max, u_max=u_max, dt=dt), (0.0, 3.0), count, v_max=v_max, u_max=u_max, dt=dt)
+    assert _along(rows, (0.0, 3.0), goal)[0].min() > -1e-9
+
+
+def test_the_papers_ugv_drives_at_its_largest_speed_and_stands_on_its_goal() -> None:
+    rows = _drive(_driver(((7.3, 3.0),)), (0.0, 3.0), 1600)
+    assert rows[-1, :2] == pytest.approx((7.3, 3.0), abs=1e-9)
+    assert rows[:, 2].max() == pytest.approx(V_G, rel=1e-12)
+
+
+@given(st.lists(points, min_size=2, max_size=4), st.sampled_from((0.05, 0.5)))
+@settings(PROPERTY, max_examples=20)
+def test_a_goal_stays_until_it_is_nearer_than_the_tolerance(goals: list[Point], tolerance: float) -> None:
+    rows = _drive(_driver(tuple(goals), v_max=1.0, u_max=0.5, tolerance=tolerance), (1.0, 1.0), 1500, v_max=1.0, u_max=0.5)
+    at = 0
+    for p_x, p_y, v_x, v_y, u_x, u_y in rows.tolist():
+        while at < len(goals) - 1 and goal_reached(p_x, p_y, *goals[at], tolerance):
+            at += 1
+        assert (u_x, u_y) == goal_control(p_x, p_y, v_x, v_y, *goals[at], 1.0, 0.5, DT)
+
+
+@given(st.lists(points, min_size=2, max_size=3))
+@settings(PROPERTY, max_examples=20)
+def test_the_papers_ugv_keeps_to_the_lines_between_its_goals(goals: list[Point]) -> None:
+    rows = _drive(_driver(tuple(goals)), (10.0, 10.0), 4000)
+    lines = [_along(rows, *ends)[1] for ends in pairwise([(10.0, 10.0), *goals]) if math.dist(*ends) > 0.1]
+    corners = [np.hypot(*(rows[:, :2] - goal).T) for goal in goals]
+    assert np.min([*lines, *corners], axis=0).max() < 0.1
+
+
+def test_a_ugv_without_goals_brakes_and_stays() -> None:
+    rows = _drive(_driver(()), HERE, 5)
+    assert (rows[:, 2:] == 0.0).all()
+    command = _driver(()).drive(UgvObservation(tick=0, time=0.0, position=HERE, velocity=(0.2, 0.0)))
+    assert command == pytest.approx((-U_G, 0.0), abs=1e-15)
+
+
+def test_the_ugvs_acceleration_and_speed_stay_within_their_bounds_in_flight() -> None:
+    ugv = Ugv(position=HERE, goals=((22.0, 20.0), (20.0, 22.0), (24.0, 24.0)))
+    _, track = tracks(fly(escort("tracking", ugv=ugv, duration=80.0), 0)[0])
+    assert np.hypot(track[:-1, 4], track[:-1, 5]).max() == pytest.approx(U_G, rel=1e-12)
+    assert np.hypot(track[:, 2], track[:, 3]).max() <= V_G * (1.0 + 1e-15)
+    assert track[-1, :2] == pytest.approx((24.0, 24.0), abs=1e-6)
+
+
+def test_an_unknown_driver_law_or_sensor_is_named() -> None:
+    with pytest.raises(ScenarioError, match=r"driver = 'nobody': unknown; allowed: .*waypoints"):
+        UgvPilot(briefing(escort(ugv=Ugv(position=HERE, driver="nobody")), "ugv_0", 0))
+    with pytest.raises(ScenarioError, match=r"law.name = 'best': unknown; allowed: .*logarithmic"):
+        UavPilot(told(escort("best")))
+    with pytest.raises(ScenarioError, match=r"sensor.model = 'eye': unknown; allowed: hill, plateau"):
+        UavPilot(told(escort(sensor=Sensor(model="eye"))))
+
+
+def _seen(tick: int, relative: Point | None, velocity: Point = (0.0, 0.0)) -> UavObservation:
+    looks = () if relative is None else (Detection(time=tick * DT, relative_position=relative),)
+    return UavObservation(tick=tick, time=tick * DT, position=HERE, velocity=velocity, detections=looks)
+
+
+def test_before_the_first_detection_the_uav_brakes() -> None:
+    command = UavPilot(told(escort())).act(_seen(0, None, velocity=(0.3, 0.4)))
+    assert command.acceleration == pytest.approx((-0.6 * U_A, -0.8 * U_A), rel=1e-12)
+    assert command.report is None
+
+
+def test_a_uav_that_never_sees_its_ugv_stands_still() -> None:
+    far = escort(uav=Uav(position=(5.0, 5.0), velocity=(0.3, 0.0)), ugv=Ugv(position=(30.0, 30.0)), duration=20.0)
+    uav, _ = tracks(fly(far, 0)[0])
+    assert (uav[-100:, 2:4] == 0.0).all()
+    assert uav[-1, 0] == pytest.approx(5.0 + 0.3**2 / (2.0 * U_A), abs=0.3 * DT)
+
+
+def test_the_uavs_command_is_within_its_bound() -> None:
+    for law in ("tracking", "switching", "logarithmic", "circle"):
+        u_x, u_y = UavPilot(told(escort(law))).act(_seen(0, (R_V, 1.0))).acceleration
+        assert norm(u_x, u_y) <= U_A * (1.0 + 1e-15)
+
+
+def test_the_uav_reports_where_it_believes_the_ugv_to_be() -> None:
+    command = UavPilot(told(escort())).act(_seen(0, (1.5, -2.0)))
+    assert command.report is not None
+    assert command.report.estimate == (18.5, 22.0)
+    assert command.radio[0].relative_position == (1.5, -2.0)
+
+
+def test_the_same_observations_get_the_same_commands() -> None:
+    def answers(seed: int) -> list[UavCommand]:
+        pilot = UavPilot(told(escort("logarithmic"), seed))
+        return [pilot.act(_seen(tick, (0.0, 0.0))) for tick in range(50)]
+
+    assert answers(3) == answers(3)
+    assert answers(3) != answers(4)
+
+
+@pytest.mark.parametrize("sensor", ["hill", "plateau"])
+def test_the_uavs_own_map_is_the_worlds(sensor: str) -> None:
+    ugv = Ugv(position=HERE, goals=((25.0, 23.0),))
+    noisy = Detections(noise=0.1, dropout=0.2)
+    scenario = escort(Law(name="logarithmic"), ugv=ugv, sensor=Sensor(model=sensor), detections=noisy, duration=30.0)
+    flight, pilots = Flight(scenario, 1), make_pilots(scenario, 1)
+    flight.fly(InProcess(pilots))
+    pilot = pilots["uav_0"]
+    assert isinstance(pilot, UavPilot)
+    pilot.act(flight.observations()["uav_0"])  # it has not looked from its last place yet
+    assert pilot.coverage.tobytes() == flight.world.coverage.tobytes()

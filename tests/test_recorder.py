@@ -1,0 +1,75 @@
+"""The record of a flight: its hash as documented, and a file from which every number comes back."""
+
+import csv
+import hashlib
+import math
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from flights import DT, HERE, escort
+
+from outrider.run import fly
+from sim.flight import Flight
+from sim.scenario import Detections, Uav, Ugv
+
+
+@pytest.fixture(scope="module")
+def flight() -> Flight:
+    """Longer than the recorder's first arrays, with looks that fail and velocities of -0.0."""
+    scenario = escort(
+        "logarithmic",
+        uav=Uav(position=HERE, velocity=(-0.0, -0.0)),
+        ugv=Ugv(position=(20.0, 21.0), velocity=(0.0, -0.0), goals=((26.0, 21.0),)),
+        detections=Detections(noise=0.1, dropout=0.2, rate=10.0),
+        duration=60.0,
+    )
+    return fly(scenario, 6)[0]
+
+
+def _documented(flight: Flight, ticks: int) -> str:
+    """For each tick, each vehicle in name order: p and v at k, then the command applied during k; -0.0 as 0.0."""
+    digest = hashlib.sha256()
+    for row in flight.recorder.states[:ticks].tolist():
+        for vehicle in row:
+            digest.update(struct.pack("<6d", *(0.0 if number == 0.0 else number for number in vehicle)))
+    return digest.hexdigest()
+
+
+def test_the_hash_is_the_documented_one(flight: Flight) -> None:
+    states = flight.recorder.states
+    assert (np.signbit(states) & (states == 0.0)).any()
+    assert flight.recorder.ticks == 1200
+    assert flight.recorder.sha256() == _documented(flight, 1200)
+    assert flight.recorder.sha256(ticks=100) == _documented(flight, 100)
+    assert flight.recorder.sha256(ticks=10**9) == flight.recorder.sha256()
+
+
+def test_vehicles_are_recorded_in_name_order_with_the_command_of_their_tick(flight: Flight) -> None:
+    assert flight.world.names == ("uav_0", "ugv_0")
+    states = flight.recorder.states
+    assert states[0, :, :2].tolist() == [[20.0, 20.0], [20.0, 21.0]]
+    moved = states[:-1, :, :2] + 0.5 * DT * (states[:-1, :, 2:4] + states[1:, :, 2:4])
+    np.testing.assert_allclose(states[1:, :, :2], moved, rtol=1e-13)
+    faster = states[:-1, :, 2:4] + DT * states[:-1, :, 4:6]
+    below = np.hypot(*np.moveaxis(faster, -1, 0)) < (0.6, 0.2)
+    np.testing.assert_allclose(states[1:, :, 2:4][below], faster[below], atol=1e-14)
+    assert np.isnan(states[-1, :, 4:6]).all()
+    assert not np.isnan(states[:-1]).any()
+
+
+def test_the_file_gives_back_every_number_exactly(flight: Flight, tmp_path: Path) -> None:
+    flight.recorder.write(tmp_path / "trajectory.csv")
+    with (tmp_path / "trajectory.csv").open(newline="", encoding="utf-8") as file:
+        header, *rows = csv.reader(file)
+    found = np.array([[math.nan if field == "" else float(field) for field in row] for row in rows])
+    recorder = flight.recorder
+    count = recorder.rows
+    time = np.arange(count) * DT
+    wanted = np.column_stack((np.arange(count), time, recorder.states.reshape(count, -1), recorder.escorts.reshape(count, -1)))
+    assert found.tobytes() == wanted.tobytes()
+    assert len(header) == len(rows[0]) == wanted.shape[1]
+    assert header[:4] == ["tick", "time [s]", "uav_0.x [m]", "uav_0.y [m]"]
+    assert all(" [" in name for name in header[1:])
+    assert "nan" not in (tmp_path / "trajectory.csv").read_text(encoding="utf-8")

@@ -1,0 +1,184 @@
+"""Weighing tracking against coverage: (17), the three weightings with (19), Proposition 2's conditions, and one's own."""
+
+import math
+
+import numpy as np
+import pytest
+from flights import HERE, R_S, escort, parameters
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from properties import PROPERTY
+
+from agents.control.laws import OwnTerms, coverage_term, initial_state, uav_control, weights
+from agents.control.tracking import tracking_output
+from agents.control.weighting import (
+    Weighting,
+    check_weighting,
+    combine,
+    linear_weights,
+    logarithmic_weights,
+    switching_weights,
+)
+from bus.errors import ScenarioError
+from bus.messages import Law
+from outrider.run import fly
+from sim.scenario import Ugv
+from sim.vehicles import norm
+
+K_BETA, LIMIT = 20.0, 100.0
+SHIPPED = ("linear", "switching", "logarithmic")
+numbers = st.floats(-100.0, 100.0)
+radii = st.floats(0.1, 20.0)
+shares = st.floats(0.0, 0.999999)
+
+
+@given(*[numbers] * 6)
+@settings(PROPERTY)
+def test_the_combined_law_is_the_weighted_sum(a: float, b: float, t_x: float, t_y: float, c_x: float, c_y: float) -> None:
+    assert combine(a, b, t_x, t_y, c_x, c_y) == pytest.approx((a * t_x + b * c_x, a * t_y + b * c_y), rel=1e-14, abs=1e-11)
+    assert combine(1.0, 0.0, t_x, t_y, c_x, c_y) == (t_x, t_y)
+    assert combine(0.0, 1.0, t_x, t_y, c_x, c_y) == (c_x, c_y)
+
+
+@given(radii, shares)
+@settings(PROPERTY)
+def test_linear_weights_share_the_command_by_the_distance(r_s: float, share: float) -> None:
+    alpha, beta = linear_weights(share * r_s, r_s)
+    assert alpha == pytest.approx(share, abs=1e-15)
+    assert alpha + beta == pytest.approx(1.0, rel=1e-15)
+
+
+@given(radii, shares)
+@settings(PROPERTY)
+def test_switching_weights_are_all_or_nothing(r_s: float, share: float) -> None:
+    assert switching_weights(share * r_s, r_s) == (0.0, 1.0)
+
+
+@given(radii, st.floats(1e-9, 0.999999), st.floats(0.1, 50.0))
+@settings(PROPERTY)
+def test_logarithmic_weights_follow_the_logarithm_up_to_their_limit(r_s: float, share: float, k_beta: float) -> None:
+    alpha, beta = logarithmic_weights(share * r_s, r_s, k_beta, LIMIT)
+    assert alpha == 1.0
+    assert beta == pytest.approx(min(-k_beta * math.log(share), LIMIT), rel=1e-9, abs=1e-13 * k_beta)
+
+
+def test_the_logarithmic_weight_stays_at_its_limit_down_to_no_distance() -> None:
+    below = R_S * math.exp(-LIMIT / K_BETA)
+    for distance in (0.0, 5e-324, 1e-9, 0.999 * below):
+        assert logarithmic_weights(distance, R_S, K_BETA, LIMIT) == (1.0, LIMIT)
+    assert logarithmic_weights(1.001 * below, R_S, K_BETA, LIMIT)[1] < LIMIT
+
+
+@pytest.mark.parametrize("law", ["linear", "logarithmic"])
+def test_linear_and_logarithmic_weights_are_continuous_at_the_switching_radius(law: str) -> None:
+    c = parameters(escort(law))
+    for gap in (1e-3, 1e-6, 1e-9):
+        assert weights(c, OwnTerms(), R_S - gap) == pytest.approx((1.0, 0.0), abs=10.0 * gap)
+
+
+@pytest.mark.parametrize("law", SHIPPED)
+@given(st.floats(1.0, 1e6))
+@settings(PROPERTY)
+def test_shipped_weights_fulfil_the_conditions_of_proposition_2(law: str, share: float) -> None:
+    c = parameters(escort(law))
+    assert weights(c, OwnTerms(), c.r_s) == (1.0, 0.0)
+    assert weights(c, OwnTerms(), share * c.r_s) == (1.0, 0.0)
+    alpha, beta = weights(c, OwnTerms(), c.r_s / share)
+    assert 0.0 <= alpha <= 1.0
+    assert 0.0 <= beta <= LIMIT
+
+
+@pytest.mark.parametrize("law", SHIPPED)
+def test_coverage_counts_no_more_the_farther_the_uav_is(law: str) -> None:
+    c = parameters(escort(law))
+    beta = np.array([weights(c, OwnTerms(), d)[1] for d in np.linspace(0.0, 2.0 * R_S, 400)])
+    assert (np.diff(beta) <= 0.0).all()
+    assert beta[0] > beta[-1] == 0.0
+
+
+@pytest.mark.parametrize("law", [*SHIPPED, "coverage", "weighted"])
+@pytest.mark.parametrize("place", [(20.5, 21.0), (22.5, 18.0), (24.5, 20.0)])
+def test_every_law_weighs_the_same_two_terms(law: str, place: tuple[float, float]) -> None:
+    c, own = parameters(escort(law)), OwnTerms(alpha=0.3, beta=0.9)
+    coverage = np.random.default_rng(2).uniform(0.0, 3.0, (160, 160))
+    state = initial_state()
+    state[:2] = 0.4, -1.0
+    x, y = place[0] - HERE[0], place[1] - HERE[1]
+    tracking = tracking_output(0.4, -1.0, x, y, c.c_c, c.d_c)
+    covering = coverage_term(c, coverage, state.copy(), 3, *place, 0.2, 0.1, *HERE)
+    wanted = combine(*weights(c, own, norm(x, y)), *tracking, *covering)
+    assert uav_control(c, own, coverage, state, 3, *place, 0.2, 0.1, *HERE) == pytest.approx(wanted, rel=1e-12)
+
+
+def _linear(distance: float, r_s: float) -> tuple[float, float]:
+    alpha = distance / r_s if distance < r_s else 1.0
+    return alpha, 1.0 - alpha
+
+
+GOOD: dict[str, Weighting] = {
+    "linear": _linear,
+    "shipped switching": switching_weights,
+    "shipped logarithmic": lambda d, r_s: logarithmic_weights(d, r_s, K_BETA, LIMIT),
+    "cosine": lambda d, r_s: (1.0, 5.0 * (1.0 + math.cos(math.pi * d / r_s)) if d < r_s else 0.0),
+}
+
+
+@pytest.mark.parametrize("weighting", GOOD.values(), ids=GOOD.keys())
+def test_a_weighting_within_proposition_2_is_accepted(weighting: Weighting) -> None:
+    check_weighting(weighting, R_S)
+
+
+def _from(distance: float, bad: object) -> Weighting:
+    """A linear weighting that goes wrong from this distance on."""
+    return lambda d, r_s: bad if d >= distance else _linear(d, r_s)
+
+
+BAD: dict[str, tuple[float, object]] = {
+    "coverage never ends": (R_S, (1.0, 1e-9)),
+    "tracking at half strength outside": (2.0 * R_S, (0.5, 0.0)),
+    "negative alpha": (1.0, (-0.1, 1.0)),
+    "negative beta": (1.5, (1.0, -1e-12)),
+    "not a number": (2.0, (math.nan, 0.5)),
+    "infinite": (0.0, (1.0, math.inf)),
+    "one number": (0.5, 1.0),
+    "three numbers": (0.5, (1.0, 0.0, 0.0)),
+    "nothing": (0.5, None),
+    "text": (0.5, ("1", "0")),
+}
+
+
+@pytest.mark.parametrize(("distance", "bad"), BAD.values(), ids=BAD.keys())
+def test_a_weighting_against_proposition_2_is_refused_at_its_distance(distance: float, bad: object) -> None:
+    with pytest.raises(ScenarioError, match=r"^weighting at a distance of [\d.]+ m") as refused:
+        check_weighting(_from(distance, bad), R_S)
+    named = float(str(refused.value).split("distance of ")[1].split(" m")[0])
+    assert distance - 1e-5 <= named <= distance + R_S / 2000 + 1e-5
+
+
+def test_a_weighting_that_fails_is_refused_at_its_distance() -> None:
+    with pytest.raises(ScenarioError, match=r"distance of 0 m: .*must return alpha and beta"):
+        check_weighting(lambda d, r_s: (1.0, -math.log(d / r_s)), R_S)
+
+
+def test_the_weighted_law_needs_a_weighting_that_fits() -> None:
+    scenario = escort("weighted", duration=1.0)
+    with pytest.raises(ScenarioError, match="needs a weighting"):
+        fly(scenario, 0)
+    with pytest.raises(ScenarioError, match="Proposition 2"):
+        fly(scenario, 0, weighting=lambda d, r_s: (0.0, 1.0))
+
+
+def test_a_linear_weighting_of_ones_own_flies_the_bits_of_the_linear_law() -> None:
+    ugv = Ugv(position=HERE, goals=((25.0, 20.0), (25.0, 26.0)))
+    _, shipped = fly(escort("linear", ugv=ugv, duration=60.0), 0)
+    _, own = fly(escort("weighted", ugv=ugv, duration=60.0), 0, weighting=_linear)
+    _, other = fly(escort("weighted", ugv=ugv, duration=60.0), 0, weighting=GOOD["cosine"])
+    assert own.trajectory_sha256 == shipped.trajectory_sha256 != other.trajectory_sha256
+    assert own.max_distance > 1.0
+    assert other.visibility_violations == 0
+
+
+def test_the_limit_of_the_logarithmic_weight_is_the_scenarios() -> None:
+    c = parameters(escort(Law(name="logarithmic", weight_gain=3.0, weight_limit=7.0)))
+    assert weights(c, OwnTerms(), 0.0) == (1.0, 7.0)
+    assert weights(c, OwnTerms(), R_S / math.e)[1] == pytest.approx(3.0, rel=1e-12)
