@@ -96,7 +96,7 @@ def ugv_maker() -> MakePilot:
     return make
 
 
-def _warm_up(role: Role) -> None:
+def warm_up(role: Role) -> None:
     """Let a pilot that nobody waits for answer a few times, so that all its code is compiled or loaded."""
     area, limits = Area(width=10.0, height=10.0, cell=0.5), Limits(max_speed=0.6, max_acceleration=0.3)
     common = {"vehicle": "nobody", "dt": 0.05, "area": area, "limits": limits, "key": 1}
@@ -166,7 +166,7 @@ def fly(party: Party, make_pilot: MakePilot, *, connect: str, run: str, join_tim
         ScenarioError: If the briefing asks for what the pilot cannot fly.
     """
     with compiling():
-        _warm_up(party.role)  # before the token: nobody must wait for a compiler
+        warm_up(party.role)  # before the token: nobody must wait for a compiler
     presence = _Presence()
     with open_session(party, run, connect=connect) as session:
         briefings = session.inbox(BRIEFING[party.role], party.name)

@@ -1,6 +1,6 @@
 """The UAV's pilot: observation in, command out."""
 
-from agents.control.laws import PATH, WEIGHTED, LawParameters, OwnTerms, initial_state, law_parameters, uav_control
+from agents.control.laws import PATH, WEIGHTED, LawParameters, OwnTerms, bounded_uav_control, initial_state, law_parameters
 from agents.control.orbit import Path
 from agents.control.weighting import Weighting, check_weighting
 from agents.estimator import Estimate, RelativeEstimator
@@ -8,7 +8,7 @@ from bus.errors import ScenarioError
 from bus.messages import RelativeInformation, UavBriefing, UavCommand, UavObservation, UavReport, Vector
 from sim.compile import FloatArray
 from sim.field import accumulate, cover, coverage_error, empty_coverage
-from sim.vehicles import brake, clip_norm, norm
+from sim.vehicles import brake, norm
 
 RADIO_PERIOD = 0.2
 """Time between two radio messages to the UGV [s]."""
@@ -96,20 +96,21 @@ class UavPilot:
         return u_x, u_y
 
     def _steer(self, observation: UavObservation, target: Vector) -> Vector:
-        c = self._parameters
         (p_x, p_y), (v_x, v_y) = observation.position, observation.velocity
-        own = self._own_terms(observation, norm(p_x - target[0], p_y - target[1]))
-        u_x, u_y = uav_control(c, own, self.coverage, self._state, observation.tick, p_x, p_y, v_x, v_y, target[0], target[1])
-        u_x, u_y = clip_norm(u_x, u_y, c.u_max)
+        own = self._own_terms(observation, target) if self._parameters.law in (WEIGHTED, PATH) else _NOTHING_OWN
+        u_x, u_y = bounded_uav_control(
+            self._parameters, own, self.coverage, self._state, observation.tick, p_x, p_y, v_x, v_y, target[0], target[1]
+        )
         return u_x, u_y
 
-    def _own_terms(self, observation: UavObservation, distance: float) -> OwnTerms:
-        if self._parameters.law == WEIGHTED and self._weighting is not None:
-            alpha, beta = self._weighting(distance, self._parameters.r_s)
+    def _own_terms(self, observation: UavObservation, target: Vector) -> OwnTerms:
+        if self._weighting is not None and self._parameters.law == WEIGHTED:
+            (p_x, p_y), (g_x, g_y) = observation.position, target
+            alpha, beta = self._weighting(norm(p_x - g_x, p_y - g_y), self._parameters.r_s)
             return OwnTerms(alpha=float(alpha), beta=float(beta))
-        if self._parameters.law == PATH and self._path is not None:
-            (p_x, p_y), (a_x, a_y) = self._path(observation.time)
-            return OwnTerms(p_vx=float(p_x), p_vy=float(p_y), a_vx=float(a_x), a_vy=float(a_y))
+        if self._path is not None:
+            (v_x, v_y), (a_x, a_y) = self._path(observation.time)
+            return OwnTerms(p_vx=float(v_x), p_vy=float(v_y), a_vx=float(a_x), a_vy=float(a_y))
         return _NOTHING_OWN
 
     def _radio(self, observation: UavObservation, estimate: Estimate) -> tuple[RelativeInformation, ...]:

@@ -127,16 +127,14 @@ class Inbox:
         started = self._since = time.monotonic()
         try:
             while True:
-                try:
-                    sample = self._subscriber.recv()
-                except zenoh.ZError as error:
-                    raise BusError(f"the session is gone: {error}") from error
-                letter = self._open(sample)
+                letter = self._open(self._subscriber.recv())
                 if letter is not None:
                     return letter
                 if self._poked or time.monotonic() - started >= patience:
                     self._poked = False
                     return None
+        except zenoh.ZError as error:
+            raise BusError(f"the session is gone: {error}") from error
         finally:
             self._since = None
 

@@ -58,6 +58,7 @@ class Flight:
         self.reports: list[UavReport | None] = [None] * len(self.world.uavs)
         """What each UAV last said of itself."""
         self._stopped = False
+        self._ticks = scenario.ticks
         self._commands: FloatArray = np.zeros((len(self.world.names), 2))
         self._silent = np.zeros(len(self.world.names), dtype=np.int64)  # ticks since the last command
         self._hold_ticks = round(scenario.hold / scenario.dt)
@@ -67,7 +68,7 @@ class Flight:
     @property
     def complete(self) -> bool:
         """Whether the scenario's last tick has been flown."""
-        return self.world.tick >= self.scenario.ticks
+        return self.world.tick >= self._ticks
 
     @property
     def over(self) -> bool:
@@ -81,7 +82,7 @@ class Flight:
     def observations(self) -> dict[str, Observation]:
         """What each vehicle perceives at this tick: its own row and nothing else."""
         world = self.world
-        tick, time = world.tick, world.time
+        tick, time, over = world.tick, world.time, self.over
         positions, velocities = world.position.tolist(), world.velocity.tolist()
         detections = world.detections.tolist()
         seen: dict[str, Observation] = {}
@@ -91,13 +92,11 @@ class Flight:
                 found = detections[self._uav_row[name]]
                 looks = (Detection(time=time, relative_position=tuple(found)),) if found[0] == found[0] else ()
                 seen[name] = UavObservation(
-                    tick=tick, time=time, position=position, velocity=velocity, detections=looks, over=self.over
+                    tick=tick, time=time, position=position, velocity=velocity, detections=looks, over=over
                 )
             else:
                 radio = tuple(self._radio[name])
-                seen[name] = UgvObservation(
-                    tick=tick, time=time, position=position, velocity=velocity, radio=radio, over=self.over
-                )
+                seen[name] = UgvObservation(tick=tick, time=time, position=position, velocity=velocity, radio=radio, over=over)
         return seen
 
     def _take(self, k: int, name: str, command: Command | None) -> None:
@@ -116,16 +115,17 @@ class Flight:
 
     def apply(self, commands: Mapping[str, Command]) -> None:
         """Let these commands act for one tick; messages that the UAVs radio arrive at the next one."""
-        for name in self._radio:
-            self._radio[name] = []
+        for messages in self._radio.values():
+            messages.clear()
         for k, name in enumerate(self.world.names):
             command = commands.get(name)
             self._take(k, name, command)
-            if name in self._uav_row:
-                uav = self._uav_row[name]
-                self.reports[uav] = command.report if isinstance(command, UavCommand) else None
-            if isinstance(command, UavCommand):
-                self._radio[self.world.uavs[self._uav_row[name]].escorts].extend(command.radio)
+            uav = self._uav_row.get(name)
+            if uav is not None:
+                self.reports[uav] = None
+                if isinstance(command, UavCommand):
+                    self.reports[uav] = command.report
+                    self._radio[self.world.uavs[uav].escorts].extend(command.radio)
         self.world.step(self._commands)
 
     def fly(self, exchange: Exchange, *, on_tick: Callable[[], None] | None = None) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from bus.errors import PeerLost
 from bus.keys import BRIEFING, COMMAND, COVERAGE, OBSERVATION, STATUS, TRUTH, Key, Role
 from bus.messages import Command, CoverageMap, Observation, Status, UavCommand, UgvCommand, VehicleStatus
-from bus.session import Outbox, Session
+from bus.session import Letter, Outbox, Session
 from sim.briefing import briefing
 from sim.flight import Flight
 from sim.scenario import Scenario, Uav
@@ -57,6 +57,8 @@ class Server:
         self.started = 0.0
         """Wall clock at the first tick [s]."""
         self._deadline = deadline
+        self._patience = min(deadline, 0.2)  # between two looks at who is still there
+        self._awaited: set[str] = set()
         self._join_timeout = join_timeout
         self._on_event = on_event
         self._stop = stop
@@ -121,39 +123,45 @@ class Server:
 
     def publish(self, observations: Mapping[str, Observation]) -> None:
         """Give each vehicle that is there its observation of this tick."""
+        self._awaited = set()
         for name, observation in observations.items():
             seat = self._seats[name]
             if seat.present:
                 seat.observations.send(observation)
+                self._awaited.add(name)
         self._inform()
 
     def collect(self, tick: int) -> dict[str, Command]:
-        """Wait for the command of every vehicle that is there, or for the deadline."""
+        """Wait for the command of every vehicle that was given this tick's observation, or for the deadline."""
         commands: dict[str, Command] = {}
+        awaited = self._awaited
         started = time.monotonic()
         self._heed_stop()
-        while any(seat.present and name not in commands for name, seat in self._seats.items()):
-            letter = self._commands.receive(min(self._deadline, 0.2))
-            if letter is None:
-                self._follow_changes()
-                self._heed_stop()
-                if self.flight.over:
-                    break
-                late = time.monotonic() - started
-                if late >= self._deadline:
-                    self._name_late([name for name in self._seats if name not in commands], tick, late)
-                    break
-            elif isinstance(letter.message, UavCommand | UgvCommand):
-                self._take(letter.sender, letter.message, tick, commands)
+        while awaited:
+            letter = self._commands.receive(self._patience)
+            if letter is not None:
+                self._take(letter, tick, commands)
+                continue
+            self._follow_changes()
+            self._heed_stop()
+            awaited.intersection_update(name for name, seat in self._seats.items() if seat.present)
+            late = time.monotonic() - started
+            if self.flight.over:
+                break
+            if awaited and late >= self._deadline:
+                self._name_late(sorted(awaited), tick, late)
+                break
         return commands
 
-    def _take(self, name: str, command: Command, tick: int, commands: dict[str, Command]) -> None:
-        if command.tick != tick:
-            self._refuse(name, f"answered tick {command.tick} at tick {tick}")
+    def _take(self, letter: Letter, tick: int, commands: dict[str, Command]) -> None:
+        name, command = letter.sender, letter.message
+        if not isinstance(command, UavCommand | UgvCommand) or command.tick != tick:
+            self._refuse(name, f"answered tick {getattr(command, 'tick', None)} at tick {tick}")
         elif name in commands:
             self._refuse(name, f"answered tick {tick} twice")
         else:
             commands[name] = command
+            self._awaited.discard(name)
 
     def _refuse(self, name: str, fault: str) -> None:
         self._seats[name].refused += 1

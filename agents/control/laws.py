@@ -23,7 +23,7 @@ from bus.messages import Law, UavBriefing
 from sim.compile import FloatArray, compiled
 from sim.field import SENSORS, coverage_gradient, is_uncovered, nearest_uncovered
 from sim.randomness import START_DIRECTION, uniform
-from sim.vehicles import norm
+from sim.vehicles import clip_norm, norm
 
 TRACKING, COVERAGE, LINEAR, SWITCHING, LOGARITHMIC, CIRCLE, WEIGHTED, PATH = range(8)
 LAWS = {
@@ -263,3 +263,22 @@ def uav_control(
     u_cov_x, u_cov_y = coverage_term(parameters, coverage, state, tick, p_ax, p_ay, v_ax, v_ay, p_gx, p_gy)
     alpha, beta = weights(parameters, own, distance)
     return combine(alpha, beta, u_tr_x, u_tr_y, u_cov_x, u_cov_y)
+
+
+@compiled
+def bounded_uav_control(
+    parameters: LawParameters,
+    own: OwnTerms,
+    coverage: FloatArray,
+    state: FloatArray,
+    tick: int,
+    p_ax: float,
+    p_ay: float,
+    v_ax: float,
+    v_ay: float,
+    p_gx: float,
+    p_gy: float,
+) -> tuple[float, float]:
+    """`uav_control` within the bound of (1) [m/s²]; the same arguments."""
+    u_x, u_y = uav_control(parameters, own, coverage, state, tick, p_ax, p_ay, v_ax, v_ay, p_gx, p_gy)
+    return clip_norm(u_x, u_y, parameters.u_max)

@@ -84,11 +84,14 @@ def command(
 
 
 def _fly_here(flown: "Scenario", folder: Path | None, picture: bool, stop: "Stop") -> "Outcome":
+    from agents.process import warm_up as warm_up_pilot
+    from bus.keys import Role
     from outrider.cli.console import flight_progress
     from outrider.launch import Outcome
     from outrider.output import write_flight
     from outrider.run import fly
-    from sim.flight import Flight
+    from sim.compile import compiling
+    from sim.flight import Flight, warm_up
 
     shown = 0.0
 
@@ -102,6 +105,10 @@ def _fly_here(flown: "Scenario", folder: Path | None, picture: bool, stop: "Stop
             progress.show(flight.world.tick)
 
     with flight_progress(flown, "compiling") as progress:
+        with compiling():
+            warm_up(flown)
+            for role in (Role.UAV, Role.UGV):
+                warm_up_pilot(role)
         flight, summary = fly(flown, flown.seed, on_tick=lambda flight: follow(flight, progress))
     outcome = Outcome(summary=summary)
     if folder is not None:
