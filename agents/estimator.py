@@ -162,8 +162,8 @@ class RelativeEstimator:
         self._filter.H = np.eye(2, 4)
         self._filter.R = self._variance * np.eye(2)
         self._filter.inv = _inverse  # filterpy's own hook; LAPACK on 2 x 2 costs half of its update
-        self._ahead: tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray]] | None = None  # x, P and gain at the next tick
-        self._weighed: tuple[FloatArray, FloatArray] | None = None  # gain and covariance for a detection at this one
+        self._ahead: tuple[FloatArray, FloatArray, tuple[list[float], FloatArray]] | None = None  # x, P and gain at the next tick
+        self._weighed: tuple[list[float], FloatArray] | None = None  # gain and covariance for a detection at this one
         self._time: float | None = None
         self._age: int | None = None  # ticks; None: nothing was ever believed
         self._looked = False  # a detection of this very time has been taken up
@@ -241,11 +241,11 @@ class RelativeEstimator:
         self._ahead = (self._filter.x, self._filter.P, self._weigh())
         self._filter.x, self._filter.P = posterior
 
-    def _weigh(self) -> tuple[FloatArray, FloatArray]:
-        """The gain K for a detection at this tick, and the covariance after it: filterpy's update for an innovation of zero."""
+    def _weigh(self) -> tuple[list[float], FloatArray]:
+        """Gain K, row by row, for a detection at this tick, and the covariance after it: filterpy's update without innovation."""
         prior = (self._filter.x, self._filter.P)
         self._filter.update(prior[0][:2], H=self._filter.H)  # H is passed so that filterpy takes z as it is
-        weighed = (self._filter.K, self._filter.P)
+        weighed = (self._filter.K.ravel().tolist(), self._filter.P)
         self._filter.x, self._filter.P = prior
         return weighed
 
@@ -301,10 +301,12 @@ class RelativeEstimator:
         return squared <= self._settings.gate
 
     def _correct(self, x: float, y: float) -> None:
-        gain, covariance = self._weighed or self._weigh()
-        state = self._filter.x + gain @ (np.array([x, y]) - self._filter.x[:2])
-        state[2], state[3] = clip_norm(state.item(2), state.item(3), self._speed)
-        self._filter.x, self._filter.P = state, covariance
+        K, covariance = self._weighed or self._weigh()
+        p_x, p_y, v_x, v_y = self._filter.x.tolist()
+        nu_x, nu_y = x - p_x, y - p_y
+        v_x, v_y = clip_norm(v_x + K[4] * nu_x + K[5] * nu_y, v_y + K[6] * nu_x + K[7] * nu_y, self._speed)
+        self._filter.x = np.array([p_x + K[0] * nu_x + K[1] * nu_y, p_y + K[2] * nu_x + K[3] * nu_y, v_x, v_y])
+        self._filter.P = covariance
         self._ahead = None
         self._age = 0
         self._refused_in_a_row = 0

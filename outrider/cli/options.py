@@ -29,6 +29,18 @@ VirtualPath = Annotated[str, typer.Option("--path", help="A path of your own as 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else there.")]
 Leash = Annotated[bool, typer.Option(hidden=True, help="End when standard input closes: the parent has gone.")]
 
+
+def _run_name(name: str) -> str:
+    from bus.keys import check_run_name
+
+    try:
+        return check_run_name(name)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
+
+
+RunName = Annotated[str, typer.Option("--run", help="Name of the run.", envvar="OUTRIDER_RUN", callback=_run_name)]
+
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:17447"
 DEFAULT_RUN = "flight"
 

@@ -13,6 +13,7 @@ from outrider.cli.options import (
     Json,
     LawName,
     Leash,
+    RunName,
     ScenarioName,
     Seed,
     Set,
@@ -22,7 +23,7 @@ from outrider.cli.options import (
 def command(
     scenario: ScenarioName = "escort",
     listen: Annotated[list[str] | None, typer.Option(help=f"Endpoint to listen on; {DEFAULT_ENDPOINT} by default.")] = None,
-    run: Annotated[str, typer.Option(help="Name of the run.", envvar="OUTRIDER_RUN")] = DEFAULT_RUN,
+    run: RunName = DEFAULT_RUN,
     seed: Seed = None,
     duration: Duration = None,
     law: LawName = None,

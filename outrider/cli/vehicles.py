@@ -4,17 +4,16 @@ from typing import Annotated
 
 import typer
 
-from outrider.cli.options import DEFAULT_ENDPOINT, DEFAULT_RUN, Leash, VirtualPath, Weighting
+from outrider.cli.options import DEFAULT_ENDPOINT, DEFAULT_RUN, Leash, RunName, VirtualPath, Weighting
 
 Connect = Annotated[str, typer.Option(help="Endpoint of the simulator's router.", envvar="OUTRIDER_CONNECT")]
-Run = Annotated[str, typer.Option(help="Name of the run to join.", envvar="OUTRIDER_RUN")]
 JoinTimeout = Annotated[float, typer.Option(help="Seconds to wait for a simulator that is not there.", min=0.0)]
 
 
 def uav(
     connect: Connect = DEFAULT_ENDPOINT,
     name: Annotated[str, typer.Option(help="The UAV's name in the scenario.", envvar="OUTRIDER_NAME")] = "uav_0",
-    run: Run = DEFAULT_RUN,
+    run: RunName = DEFAULT_RUN,
     join_timeout: JoinTimeout = 30.0,
     weighting: Weighting = "",
     path: VirtualPath = "",
@@ -39,7 +38,7 @@ def uav(
 def ugv(
     connect: Connect = DEFAULT_ENDPOINT,
     name: Annotated[str, typer.Option(help="The UGV's name in the scenario.", envvar="OUTRIDER_NAME")] = "ugv_0",
-    run: Run = DEFAULT_RUN,
+    run: RunName = DEFAULT_RUN,
     join_timeout: JoinTimeout = 30.0,
     leash: Leash = False,
 ) -> None:

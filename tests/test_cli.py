@@ -1,0 +1,128 @@
+"""The command line: help with examples, one clear line for bad input, one JSON object where it is asked for."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from outrider.cli.main import COMMANDS
+
+OUTRIDER = [sys.executable, "-m", "outrider"]
+
+
+def outrider(*arguments: str, cwd: Path | None = None) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run([*OUTRIDER, *arguments], capture_output=True, text=True, check=False, timeout=120, cwd=cwd)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help_with_an_example(name: str) -> None:
+    run = outrider(name, "--help")
+    assert run.returncode == 0
+    assert f"Example: outrider {name}" in " ".join(run.stdout.split())
+
+
+BAD = {
+    "unknown command": (["fly"], "No such command"),
+    "unknown option": (["run", "--fast"], "No such option"),
+    "not a number": (["run", "--seed", "x"], "--seed"),
+    "negative seed": (["run", "--seed", "-1"], "--seed"),
+    "unknown scenario": (["run", "escrot"], "did you mean"),
+    "missing file": (["run", "nowhere.toml"], "nowhere.toml"),
+    "unknown law": (["run", "--law", "fancy"], 'law.name = "fancy"'),
+    "unknown driver": (["run", "--driver", "ghost"], 'driver = "ghost"'),
+    "unknown field": (["run", "--set", "law.nmae=1"], "law.nmae"),
+    "bad override": (["run", "--set", "nonsense"], "nonsense"),
+    "impossible": (["run", "--set", "visibility.radius=5.5"], "visibility.radius = 5.5"),
+    "negative time": (["run", "--duration", "-1"], "duration = -1"),
+    "no whole tick": (["run", "--duration", "0.07"], "duration = 0.07"),
+    "weighting missing": (["run", "--law", "weighted"], "custom.weighting"),
+    "weighting not there": (["run", "--in-process", "--law", "weighted", "--weighting", "nowhere:f"], "nowhere"),
+    "weighting quoted": (["run", "--law", "weighted", "--weighting", 'a"b:c'], "custom.weighting"),
+    "check": (["check", "nowhere.toml"], "nowhere.toml"),
+    "bench row": (["bench", "--only", "nothing"], "no such row"),
+    "run name": (["uav", "--run", "a/b"], "run = 'a/b'"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_gets_one_line_exit_code_2_and_no_traceback(case: str, tmp_path: Path) -> None:
+    arguments, told = BAD[case]
+    run = outrider(*arguments, cwd=tmp_path)
+    assert run.returncode == 2, run.stderr
+    assert told in run.stderr
+    assert len(run.stderr.strip().splitlines()) == 1
+    assert run.stdout == ""
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_router_is_one_line_and_exit_code_1(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from bus import session
+    from outrider.cli import main
+
+    monkeypatch.setitem(session._CLIENT, "connect/timeout_ms", 300)
+    monkeypatch.setattr(sys, "argv", ["outrider", "uav", "--connect", "tcp/127.0.0.1:1"])
+    assert main._run() == 1
+    line = capsys.readouterr().err
+    assert "no router at tcp/127.0.0.1:1" in line
+    assert len(line.strip().splitlines()) == 1
+
+
+def test_a_folder_that_cannot_be_written_shows_before_the_flight(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("a file", encoding="utf-8")
+    run = outrider("run", "--out", str(tmp_path / "taken"))
+    assert run.returncode == 1
+    assert "taken" in run.stderr
+    assert len(run.stderr.strip().splitlines()) == 1
+
+
+def test_a_run_leaves_its_files_and_prints_one_json_object(tmp_path: Path) -> None:
+    run = outrider("run", "--in-process", "--duration", "2", "--out", str(tmp_path / "mine"), "--json")
+    assert run.returncode == 0, run.stderr
+    summary = json.loads(run.stdout)
+    wanted = (
+        "scenario, seed, law, dt, ticks, ticks_per_second, max_distance, mean_distance, visibility_violations, switching_radius, "
+        "crossings, initial_error, mean_error, final_error, estimate_rmse, detection_rmse, trajectory_sha256, processes"
+    )
+    assert set(wanted.split(", ")) <= set(summary)
+    assert summary["processes"] == []
+    assert json.loads((tmp_path / "mine" / "summary.json").read_text(encoding="utf-8")) == summary
+    assert {path.name for path in (tmp_path / "mine").iterdir()} == {
+        "trajectory.csv",
+        "flight.png",
+        "coverage.npy",
+        "summary.json",
+    }
+
+
+def test_json_of_the_lists(tmp_path: Path) -> None:
+    scenarios = json.loads(outrider("scenarios", "--json").stdout)["scenarios"]
+    assert scenarios[0]["name"] == "escort"
+    assert json.loads(outrider("check", "escort", "--json").stdout) == {"scenario": "escort", "valid": True, "warnings": []}
+    rows = json.loads(outrider("bench", "--only", "kernel_vs_numpy", "--repeats", "1", "--json").stdout)["rows"]
+    assert set(rows[0]) == {"name", "value", "unit", "reference", "reference_value", "ratio"}
+    assert rows[0]["value"] > 0.0
+
+
+def test_a_circle_that_cannot_be_flown_warns_and_flies() -> None:
+    run = outrider("run", "circle-too-fast", "--in-process", "--no-files", "--duration", "5")
+    assert run.returncode == 0
+    assert "0.1086 rad/s" in " ".join(run.stderr.split())
+
+
+def test_a_weighting_of_ones_own_flies_over_the_bus(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "def careful(distance, r_s):\n    share = min(distance / r_s, 1.0)\n    return share, 1.0 - share\n", encoding="utf-8"
+    )
+    own = ["--law", "weighted", "--weighting", "mine:careful"]
+    hashes = set()
+    for arguments in (own, [*own, "--in-process"], ["--law", "linear", "--in-process"]):
+        run = outrider("run", "escort", *arguments, "--duration", "20", "--no-files", "--json", cwd=tmp_path)
+        assert run.returncode == 0, run.stderr
+        hashes.add(json.loads(run.stdout)["trajectory_sha256"])
+    assert len(hashes) == 1
+
+
+def test_the_version_is_told() -> None:
+    assert outrider("--version").stdout.startswith("outrider ")
