@@ -188,6 +188,7 @@ def launch(
         settings = [argument for override in overrides for argument in ("--set", override)]
         output = ["--out", str(out)] if out else []
         drawing = [] if picture else ["--no-picture"]
+        leash = ["--leash-folder", str(folder)]
         timing = ["--deadline", str(deadline), "--join-timeout", str(join_timeout)]
         simulator_arguments = [
             "simulator",
@@ -201,6 +202,7 @@ def launch(
             *output,
             *drawing,
             *timing,
+            *leash,
         ]
         children.append(Child(SIMULATOR_NAME, simulator_arguments, lines))
         _wait_for_socket(folder / "bus.sock", children[0], stop)

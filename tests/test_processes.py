@@ -166,12 +166,14 @@ def test_a_vehicle_that_cannot_fly_says_why_with_its_last_words() -> None:
     assert "Traceback" not in run.stderr
 
 
-def test_children_end_when_their_parent_is_killed() -> None:
+def test_children_end_and_leave_nothing_when_their_parent_is_killed() -> None:
+    before = sockets()
     with flying("escort", "--duration", "20000", "--no-files") as run:
         children = family(run.pid)
         run.kill()
         run.wait()
         wait_until(lambda: not any(alive(child) for child in children))
+    assert sockets() <= before
 
 
 def free_port() -> int:

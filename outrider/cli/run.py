@@ -124,8 +124,11 @@ def _fly_here(flown: "Scenario", folder: Path | None, picture: bool, stop: "Stop
 
 def _end(outcome: "Outcome", stop: "Stop") -> None:
     from bus.errors import PeerLost
+    from outrider.cli.console import ERR
 
     if stop:
+        if outcome.summary is None:
+            ERR.print("outrider: interrupted before the first tick; nothing was flown")
         raise typer.Exit(stop.exit_code)
     if outcome.fault:
         raise PeerLost(outcome.fault)

@@ -35,6 +35,7 @@ def command(
     json: Json = False,
     events: Annotated[bool, typer.Option(hidden=True, help="Report on stdout as JSON lines, for a parent process.")] = False,
     leash: Leash = False,
+    leash_folder: Annotated[Path | None, typer.Option(hidden=True, help="Removed when the parent has gone.")] = None,
 ) -> None:
     """Simulate: wait for the scenario's vehicles, fly it with them in lockstep, and sum it up.
 
@@ -54,7 +55,7 @@ def command(
     from sim.server import Server
 
     if leash:
-        hold()
+        hold(leash_folder)
     flown, _ = scenario_of(scenario, seed=seed, duration=duration, law=law, changes=changes)
     with compiling():
         warm_up(flown)
