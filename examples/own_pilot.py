@@ -5,26 +5,21 @@ Start `outrider simulator` and `outrider ugv` in two terminals, and this file in
 
 from agents.process import fly
 from bus.keys import Party, Role
-from bus.messages import Message, UavCommand, UavObservation
+from bus.messages import UavCommand
 
 
 class Hover:
-    """Brakes, and drifts towards where the UGV is detected."""
-
-    def __init__(self, briefing: Message) -> None:
+    def __init__(self, briefing):
         pass
 
-    def answer(self, observation: Message) -> UavCommand:
-        """The command for this observation."""
-        assert isinstance(observation, UavObservation)  # noqa: S101 - an example
+    def answer(self, observation):
         (look, *_) = observation.detections or [None]
         x, y = look.relative_position if look else (0.0, 0.0)
         v_x, v_y = observation.velocity
         return UavCommand(tick=observation.tick, acceleration=(-0.2 * x - v_x, -0.2 * y - v_y))
 
-    def prepare(self) -> None:
-        """Nothing to work ahead."""
+    def prepare(self):
+        pass
 
 
-if __name__ == "__main__":
-    fly(Party(role=Role.UAV, name="uav_0"), Hover, connect="tcp/127.0.0.1:17447", run="flight")
+fly(Party(role=Role.UAV, name="uav_0"), Hover, connect="tcp/127.0.0.1:17447", run="flight")

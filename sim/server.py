@@ -136,9 +136,10 @@ class Server:
         commands: dict[str, Command] = {}
         awaited = self._awaited
         started = time.monotonic()
+        patience = self._patience
         self._heed_stop()
         while awaited:
-            letter = self._commands.receive(self._patience)
+            letter = self._commands.receive(patience)
             if letter is not None:
                 self._take(letter, tick, commands)
                 continue
@@ -146,6 +147,7 @@ class Server:
             self._heed_stop()
             awaited.intersection_update(name for name, seat in self._seats.items() if seat.present)
             late = time.monotonic() - started
+            patience = min(self._patience, max(0.0, self._deadline - late))
             if self.flight.over:
                 break
             if awaited and late >= self._deadline:
