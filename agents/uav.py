@@ -1,7 +1,16 @@
 """The UAV's pilot: observation in, command out."""
 
-from agents.control.laws import PATH, WEIGHTED, LawParameters, OwnTerms, bounded_uav_control, initial_state, law_parameters
-from agents.control.orbit import Path
+from agents.control.laws import (
+    PATH,
+    WEIGHTED,
+    LawParameters,
+    OwnTerms,
+    bounded_uav_control,
+    initial_state,
+    law_parameters,
+    number,
+)
+from agents.control.orbit import Path, check_path
 from agents.control.weighting import Weighting, check_weighting
 from agents.estimator import Estimate, RelativeEstimator
 from bus.errors import ScenarioError
@@ -12,6 +21,9 @@ from sim.vehicles import brake, norm
 
 RADIO_PERIOD = 0.2
 """Time between two radio messages to the UGV [s]."""
+
+_PATH_HORIZON = 600.0
+"""How far ahead a path of one's own is checked [s]: a pilot does not know how long the run will be."""
 
 _NOTHING_OWN = OwnTerms()
 
@@ -53,8 +65,12 @@ class UavPilot:
             if self._weighting is None:
                 raise ScenarioError("law.name = 'weighted': needs a weighting, given to the UAV as module:function")
             check_weighting(self._weighting, self._parameters.r_s)
-        if law == PATH and self._path is None:
-            raise ScenarioError("law.name = 'path': needs a path, given to the UAV as module:function")
+        if law == PATH:
+            if self._path is None:
+                raise ScenarioError("law.name = 'path': needs a path, given to the UAV as module:function")
+            bounds = (self._briefing.limits, self._briefing.target_limits)
+            (v_a, u_a), (v_g, _) = ((number(b.max_speed), number(b.max_acceleration)) for b in bounds)
+            check_path(self._path, _PATH_HORIZON, self._briefing.visibility_radius, v_a, v_g, u_a)
 
     def act(self, observation: UavObservation) -> UavCommand:
         """The command for this observation."""

@@ -40,6 +40,8 @@ BAD = {
     "weighting missing": (["run", "--law", "weighted"], "custom.weighting"),
     "weighting not there": (["run", "--in-process", "--law", "weighted", "--weighting", "nowhere:f"], "nowhere"),
     "weighting quoted": (["run", "--law", "weighted", "--weighting", 'a"b:c'], "custom.weighting"),
+    "weighting that does not fit": (["run", "--law", "weighted", "--weighting", "json:dumps"], "weighting at a distance"),
+    "path that does not fit": (["run", "--law", "path", "--path", "math:sin"], "path at t ="),
     "check": (["check", "nowhere.toml"], "nowhere.toml"),
     "bench row": (["bench", "--only", "nothing"], "no such row"),
     "run name": (["uav", "--run", "a/b"], "run = 'a/b'"),
@@ -126,3 +128,16 @@ def test_a_weighting_of_ones_own_flies_over_the_bus(tmp_path: Path) -> None:
 
 def test_the_version_is_told() -> None:
     assert outrider("--version").stdout.startswith("outrider ")
+
+
+def test_a_path_that_cannot_be_followed_warns_with_the_bound(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "import math\n\ndef path(t):\n    x, y = 2 * math.cos(t), 2 * math.sin(t)\n    return (x, y), (-x, -y)\n",
+        encoding="utf-8",
+    )
+    run = outrider("run", "--law", "path", "--path", "mine:path", "--in-process", "--duration", "2", "--no-files", cwd=tmp_path)
+    assert run.returncode == 0
+    told = " ".join(run.stderr.split())
+    assert "cannot be flown: 2 m/s" in told
+    assert "v_a - v_g = 0.4 m/s" in told
+    assert "u_a = 0.3 m/s²" in told

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from outrider.launch import Child
 from outrider.run import fly
 from sim.scenario import load_scenario, scenario_names
 
@@ -157,13 +158,15 @@ def test_a_simulator_that_dies_ends_the_run_with_its_name() -> None:
     assert sockets() <= before
 
 
-def test_a_vehicle_that_cannot_fly_says_why_with_its_last_words() -> None:
-    run = outrider("run", "escort", "--no-files", "--law", "weighted", "--weighting", "json:dumps")
-    assert run.returncode != 0
-    line = run.stderr.strip().splitlines()[-1]
-    assert "uav_0" in line
-    assert "weighting at a distance" in line
-    assert "Traceback" not in run.stderr
+def test_a_child_that_fails_leaves_its_last_words() -> None:
+    child = Child("uav_0", ["uav", "--run", "a/b"])
+    try:
+        assert child.wait(30.0)
+        assert "uav_0 (pid" in child.epitaph()
+        assert "ended with exit code 2" in child.epitaph()
+        assert "run = 'a/b'" in child.epitaph()
+    finally:
+        child.close()
 
 
 def test_children_end_and_leave_nothing_when_their_parent_is_killed() -> None:

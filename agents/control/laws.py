@@ -92,7 +92,8 @@ def _row(table: dict[str, int], name: str, field: str) -> int:
         raise ScenarioError(f"{field} = {name!r}: unknown; allowed: {', '.join(table)}") from None
 
 
-def _number(bound: float | None) -> float:
+def number(bound: float | None) -> float:
+    """A bound of a message as a number: infinite where there is none."""
     return math.inf if bound is None else float(bound)
 
 
@@ -102,8 +103,8 @@ def law_parameters(briefing: UavBriefing, law: Law) -> LawParameters:
     Raises:
         ScenarioError: If the law or the sensor is unknown, or the UAV is too weak for the law's switching radius.
     """
-    v_a, u_a = _number(briefing.limits.max_speed), _number(briefing.limits.max_acceleration)
-    v_g = _number(briefing.target_limits.max_speed)
+    v_a, u_a = number(briefing.limits.max_speed), number(briefing.limits.max_acceleration)
+    v_g = number(briefing.target_limits.max_speed)
     code = _row(LAWS, law.name, "law.name")
     v_ref = law.reference_speed if law.reference_speed is not None else v_a
     free = code in (TRACKING, COVERAGE)  # these two never ask for r_s

@@ -24,7 +24,7 @@ def command(
     if json:
         print_json({"scenario": scenario.name, "valid": True, "warnings": list(scenario_warnings(scenario))})
         return
-    print_warnings(scenario)
+    print_warnings(scenario_warnings(scenario))
     vehicles = ", ".join(vehicle.name for vehicle in scenario.vehicles)
     OUT.print(
         f"{scenario.name}: can be flown ({vehicles}; law {scenario.law.name}; {scenario.duration:g} s, {scenario.ticks} ticks)"

@@ -1,7 +1,7 @@
 """What the terminal shows: results on stdout, everything on the way on stderr."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -12,7 +12,6 @@ from rich.table import Table
 
 from outrider.summary import Summary
 from sim.scenario import Scenario
-from sim.scenario_checks import scenario_warnings
 
 ERR = Console(stderr=True, highlight=False)
 OUT = Console(highlight=False)
@@ -24,9 +23,9 @@ def print_json(value: object) -> None:
     sys.stdout.flush()
 
 
-def print_warnings(scenario: Scenario) -> None:
+def print_warnings(lines: Iterable[str]) -> None:
     """What can be flown but will not do what one may expect."""
-    for line in scenario_warnings(scenario):
+    for line in lines:
         ERR.print(f"[yellow]warning:[/] {line}")
 
 

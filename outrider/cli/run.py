@@ -46,14 +46,13 @@ def command(
     from outrider.cli.options import scenario_of
     from outrider.cli.stopping import stop_on_signals
     from outrider.output import default_folder, write_summary
-    from outrider.own import load_function
+    from outrider.own import check_own_functions
+    from sim.scenario_checks import scenario_warnings
 
     flown, overrides = scenario_of(
         scenario, seed=seed, duration=duration, law=law, driver=driver, changes=changes, weighting=weighting, path=path
     )
-    load_function(flown.custom.weighting, what="custom.weighting")  # what is not there shows here, not in a child
-    load_function(flown.custom.path, what="custom.path")
-    print_warnings(flown)
+    print_warnings((*scenario_warnings(flown), *check_own_functions(flown)))  # what does not fit shows here, not in a child
     folder = (out or default_folder(flown.name)) if files else None
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made shows before the flight, not after it

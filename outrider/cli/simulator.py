@@ -52,6 +52,7 @@ def command(
     from outrider.summary import summarize
     from sim.compile import compiling
     from sim.flight import warm_up
+    from sim.scenario_checks import scenario_warnings
     from sim.server import Server
 
     if leash:
@@ -62,7 +63,7 @@ def command(
     endpoints = tuple(listen or (DEFAULT_ENDPOINT,))
     reports = Reports(enabled=events)
     if not events:
-        print_warnings(flown)
+        print_warnings(scenario_warnings(flown))
         ERR.print(f"listening on {', '.join(endpoints)}, run {run}: waiting for {', '.join(v.name for v in flown.vehicles)}")
     with stop_on_signals() as stop:
         party = Party(role=Role.SIMULATOR, name=SIMULATOR_NAME)
