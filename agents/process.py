@@ -3,7 +3,7 @@
 import gc
 import time
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
 import msgspec
 
@@ -13,64 +13,23 @@ from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.errors import PeerLost
 from bus.keys import BRIEFING, COMMAND, OBSERVATION, SIMULATOR_NAME, Party, Role
-from bus.messages import (
-    Area,
-    Command,
-    Detection,
-    Detector,
-    Estimator,
-    Law,
-    Limits,
-    Message,
-    RelativeInformation,
-    Sensor,
-    UavBriefing,
-    UavObservation,
-    UgvBriefing,
-    UgvObservation,
-)
+from bus.messages import Command, Message, UavBriefing, UavObservation, UgvBriefing, UgvObservation
 from bus.session import Inbox, open_session
 from sim.compile import compiling
 
 
 class Pilot(Protocol):
-    """A pilot as the loop sees it."""
+    """A pilot as the loop sees it; the key table says which messages it gets."""
 
-    def answer(self, observation: Message) -> Command:
+    def act(self, observation: Any) -> Command:  # noqa: ANN401 - a UAV's or a UGV's observation
         """The command for this observation."""
 
     def prepare(self) -> None:
         """Work ahead once the command is on its way."""
 
 
-MakePilot = Callable[[Message], Pilot]
+MakePilot = Callable[[Any], Pilot]
 """Makes a pilot from its briefing."""
-
-
-class _UavSeat:
-    """A UAV pilot that takes its messages from the bus."""
-
-    def __init__(self, pilot: UavPilot) -> None:
-        self._act = pilot.act
-        self.prepare = pilot.prepare
-
-    def answer(self, observation: Message) -> Command:
-        if not isinstance(observation, UavObservation):
-            raise TypeError(f"a UAV cannot use a {type(observation).__name__}")
-        return self._act(observation)
-
-
-class _UgvSeat:
-    """A UGV pilot that takes its messages from the bus."""
-
-    def __init__(self, pilot: UgvPilot) -> None:
-        self._act = pilot.act
-        self.prepare = pilot.prepare
-
-    def answer(self, observation: Message) -> Command:
-        if not isinstance(observation, UgvObservation):
-            raise TypeError(f"a UGV cannot use a {type(observation).__name__}")
-        return self._act(observation)
 
 
 def uav_maker(*, weighting: Weighting | None = None, path: Path | None = None) -> MakePilot:
@@ -81,46 +40,42 @@ def uav_maker(*, weighting: Weighting | None = None, path: Path | None = None) -
         path: A path of one's own, for the law `path`.
     """
 
-    def make(briefing: Message) -> Pilot:
-        return _UavSeat(UavPilot(msgspec.convert(briefing, UavBriefing), weighting=weighting, path=path))
+    def make(briefing: UavBriefing) -> Pilot:
+        return UavPilot(briefing, weighting=weighting, path=path)
 
     return make
 
 
-def ugv_maker() -> MakePilot:
-    """Makes UGV pilots with the driver that their briefing names."""
-
-    def make(briefing: Message) -> Pilot:
-        return _UgvSeat(UgvPilot(msgspec.convert(briefing, UgvBriefing)))
-
-    return make
+_SOMEBODY = {
+    "vehicle": "nobody",
+    "dt": 0.05,
+    "area": {"width": 10.0, "height": 10.0, "cell": 0.5},
+    "limits": {"max_speed": 0.6, "max_acceleration": 0.3},
+    "key": 1,
+}
+_UAV = _SOMEBODY | {
+    "target_limits": {"max_speed": 0.2, "max_acceleration": 0.1},
+    "visibility_radius": 4.75,
+    "sensor": {},
+    "desired_coverage": 2.0,
+    "law": {},
+    "detector": {"noise": 0.1, "period": 0.05},
+    "estimator": {},
+}
+_UGV = _SOMEBODY | {"driver": "waypoints", "goals": [[1.0, 1.0], [9.0, 9.0]], "goal_tolerance": 0.05}
 
 
 def warm_up(role: Role) -> None:
     """Let a pilot that nobody waits for answer a few times, so that all its code is compiled or loaded."""
-    area, limits = Area(width=10.0, height=10.0, cell=0.5), Limits(max_speed=0.6, max_acceleration=0.3)
-    common = {"vehicle": "nobody", "dt": 0.05, "area": area, "limits": limits, "key": 1}
-    slower = Limits(max_speed=0.2, max_acceleration=0.1)
-    if role is Role.UAV:
-        briefing: Message = UavBriefing(
-            **common,  # type: ignore[arg-type]
-            target_limits=slower,
-            visibility_radius=4.75,
-            sensor=Sensor(),
-            desired_coverage=2.0,
-            law=Law(),
-            detector=Detector(noise=0.1, period=0.05),
-            estimator=Estimator(),
-        )
-    else:
-        briefing = UgvBriefing(**common, driver="waypoints", goals=((1.0, 1.0), (9.0, 9.0)), goal_tolerance=0.05)  # type: ignore[arg-type]
-    pilot = (uav_maker() if role is Role.UAV else ugv_maker())(briefing)
+    uav, ugv = UavPilot(msgspec.convert(_UAV, UavBriefing)), UgvPilot(msgspec.convert(_UGV, UgvBriefing))
     for tick in range(3):
-        seen = {"tick": tick, "time": tick * 0.05, "position": (5.0, 5.0), "velocity": (0.0, 0.0)}
-        look = Detection(time=tick * 0.05, relative_position=(1.0, 0.0))
-        heard = RelativeInformation(time=0.0, relative_position=(1.0, 0.0), coverage_error=1.0)
-        pilot.answer(UavObservation(**seen, detections=(look,)) if role is Role.UAV else UgvObservation(**seen, radio=(heard,)))  # type: ignore[arg-type]
-        pilot.prepare()
+        seen = {"tick": tick, "time": tick * 0.05, "position": [5.0, 5.0], "velocity": [0.0, 0.0]}
+        if role is Role.UAV:
+            look = {"time": seen["time"], "relative_position": [1.0, 0.0]}
+            uav.act(msgspec.convert(seen | {"detections": [look]}, UavObservation))
+            uav.prepare()
+        else:
+            ugv.act(msgspec.convert(seen, UgvObservation))
 
 
 class _Presence:
@@ -181,6 +136,6 @@ def fly(party: Party, make_pilot: MakePilot, *, connect: str, run: str, join_tim
             observation = _await(observations, presence, join_timeout, "an observation")
             if getattr(observation, "over", False):
                 return sent
-            commands.send(pilot.answer(observation))
+            commands.send(pilot.act(observation))
             pilot.prepare()
             sent += 1

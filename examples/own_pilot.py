@@ -12,7 +12,7 @@ class Hover:
     def __init__(self, briefing):
         pass
 
-    def answer(self, observation):
+    def act(self, observation):
         (look, *_) = observation.detections or [None]
         x, y = look.relative_position if look else (0.0, 0.0)
         v_x, v_y = observation.velocity

@@ -46,11 +46,12 @@ def ugv(
 
     Example: outrider ugv --connect tcp/127.0.0.1:17447 --name ugv_0
     """
-    from agents.process import fly, ugv_maker
+    from agents.process import fly
+    from agents.ugv import UgvPilot
     from bus.keys import Party, Role
 
     _hold(leash)
-    fly(Party(role=Role.UGV, name=name), ugv_maker(), connect=connect, run=run, join_timeout=join_timeout)
+    fly(Party(role=Role.UGV, name=name), UgvPilot, connect=connect, run=run, join_timeout=join_timeout)
 
 
 def _hold(leash: bool) -> None:
