@@ -11,21 +11,26 @@ from agents.control.orbit import Path
 from agents.control.weighting import Weighting
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
-from bus.errors import PeerLost
+from bus.access import Credential
+from bus.errors import BusError, PeerLost
 from bus.keys import BRIEFING, COMMAND, OBSERVATION, SIMULATOR_NAME, Party, Role
-from bus.messages import Command, Message, UavBriefing, UavObservation, UgvBriefing, UgvObservation
-from bus.session import Inbox, open_session
+from bus.messages import Briefing, Command, UavBriefing, UavObservation, UgvBriefing, UgvObservation
+from bus.session import Outbox, Session, open_session
 from sim.compile import compiling
+
+_ROOM = 1024
+"""Observations that wait for a pilot that is slower than the clock; the oldest make room."""
 
 
 class Pilot(Protocol):
-    """A pilot as the loop sees it; the key table says which messages it gets."""
+    """A pilot as the loop sees it; the key table says which messages it gets.
+
+    It may have two methods more: `prepare()`, called once its command is on its way, to work ahead while nobody waits; and
+    `perceive(observation)`, called with what it was too slow to answer.
+    """
 
     def act(self, observation: Any) -> Command:  # noqa: ANN401 - a UAV's or a UGV's observation
         """The command for this observation."""
-
-    def prepare(self) -> None:
-        """Work ahead once the command is on its way."""
 
 
 MakePilot = Callable[[Any], Pilot]
@@ -82,27 +87,123 @@ class _Presence:
     """Whether the simulator is there, as the bus tells it."""
 
     def __init__(self) -> None:
-        self.present = False
-        self.since = time.monotonic()
+        self._sessions: set[str] = set()
+        self._since = time.monotonic()
 
-    def change(self, _name: str, present: bool) -> None:
-        self.present = present
-        self.since = time.monotonic()
+    def change(self, _name: str, session: str, present: bool) -> None:
+        (self._sessions.add if present else self._sessions.discard)(session)
+        self._since = time.monotonic()
 
     def absent_for(self) -> float:
-        return 0.0 if self.present else time.monotonic() - self.since
+        return 0.0 if self._sessions else time.monotonic() - self._since
 
 
-def _await(inbox: Inbox, presence: _Presence, limit: float, what: str) -> Message:
-    while True:
-        letter = inbox.receive(1.0)
-        if letter is not None:
-            return letter.message
-        if presence.absent_for() > limit:
-            raise PeerLost(f"the simulator has been away for {limit:g} s while {what} was awaited")
+class _Seat:
+    """A vehicle's place in the run as its own process sees it: it waits for messages, but not for ever.
+
+    A simulator that has lost sight of this process briefs it anew, and so does one that has been started anew. A briefing
+    tells all of the vehicle's past, so whatever is older than it counts no more.
+
+    Args:
+        session: The vehicle's session.
+        limit: How long the simulator may be away [s].
+    """
+
+    def __init__(self, session: Session, limit: float) -> None:
+        party = session.party
+        self._session, self._limit = session, limit
+        self._presence = _Presence()
+        self._briefings = session.inbox(BRIEFING[party.role], party.name)
+        self._observations = session.inbox(OBSERVATION[party.role], party.name, newest=_ROOM)
+        self._simulator, self._first = "", 0  # who has briefed it, and the first tick that is not past
+        session.watch(SIMULATOR_NAME, self._presence.change)
+        session.announce()
+
+    def _mind_absence(self, what: str) -> None:
+        if self._presence.absent_for() > self._limit:
+            who = "simulator" if self._session.connected else "router"
+            raise PeerLost(f"the {who} has been away for {self._limit:g} s while {self._session.party.name} awaited {what}")
+
+    def briefing(self) -> Briefing:
+        """The next whole briefing, its parts put together.
+
+        Raises:
+            PeerLost: If the simulator stays away.
+        """
+        past: list[Any] = []
+        while True:
+            letter = self._briefings.receive(1.0)
+            if letter is None:
+                self._mind_absence("its briefing")
+                continue
+            told: Any = letter.message
+            if not told.past or told.past[0].tick == 0:
+                past = []  # a new one begins
+            past += told.past
+            if not told.more:
+                self._simulator, self._first = letter.session, len(past)
+                whole: Briefing = msgspec.structs.replace(told, past=tuple(past))
+                return whole
+
+    def look(self) -> tuple[Briefing | None, list[Any]]:
+        """Wait for observations: a briefing that has come before them, and those that have arrived since, the oldest first.
+
+        Raises:
+            PeerLost: If the simulator stays away.
+        """
+        while True:
+            letter = self._observations.receive(1.0)
+            if letter is None:
+                self._mind_absence("an observation")
+                continue
+            told = None
+            while self._briefings.holds_any():
+                told = self.briefing()
+            letters = [letter, *self._observations.waiting()]
+            return told, [seen.message for seen in letters if seen.session == self._simulator and self._is_new(seen.message)]
+
+    def _is_new(self, observation: Any) -> bool:  # noqa: ANN401 - a UAV's or a UGV's observation
+        return bool(observation.tick >= self._first)
 
 
-def fly(party: Party, make_pilot: MakePilot, *, connect: str, run: str, join_timeout: float = 30.0) -> int:
+def _take_over(make_pilot: MakePilot, told: Briefing) -> Pilot:
+    """A pilot as it would be now if it had flown from the start: it acts on all of its past, and nobody hears it."""
+    pilot = make_pilot(msgspec.structs.replace(told, past=()))
+    for seen in told.past:
+        pilot.act(seen)
+    gc.freeze()  # what is here stays: the collector need not look at it again
+    return pilot
+
+
+def _answer(pilot: Pilot, seen: list[Any], commands: Outbox, name: str) -> None:
+    """Answer the newest observation; those that came before it are too late to be answered, but not to be seen.
+
+    Raises:
+        BusError: If the pilot's command is nonsense.
+    """
+    perceive = getattr(pilot, "perceive", None)
+    if perceive is not None:
+        for missed in seen[:-1]:
+            perceive(missed)
+    command = pilot.act(seen[-1])
+    try:
+        commands.send(command)
+    except ValueError as error:
+        raise BusError(f"{name}: the pilot's answer to tick {seen[-1].tick} cannot be sent: {error}") from error
+    prepare = getattr(pilot, "prepare", None)
+    if prepare is not None:
+        prepare()
+
+
+def fly(
+    party: Party,
+    make_pilot: MakePilot,
+    *,
+    connect: str,
+    run: str,
+    credential: Credential | None = None,
+    join_timeout: float = 30.0,
+) -> int:
     """Join a run, fly the vehicle until the run is over, and leave.
 
     Args:
@@ -110,6 +211,7 @@ def fly(party: Party, make_pilot: MakePilot, *, connect: str, run: str, join_tim
         make_pilot: Makes the pilot from its briefing.
         connect: Endpoint of the router.
         run: Name of the run.
+        credential: By what the router knows the vehicle.
         join_timeout: How long to wait for a simulator that is not there [s].
 
     Returns:
@@ -117,25 +219,24 @@ def fly(party: Party, make_pilot: MakePilot, *, connect: str, run: str, join_tim
 
     Raises:
         PeerLost: If the simulator does not come, or goes away for longer than that.
-        BusError: If the router cannot be reached.
+        BusError: If the router cannot be reached, or the pilot's command is nonsense.
+        AccessDenied: If the router does not know the credential.
         ScenarioError: If the briefing asks for what the pilot cannot fly.
     """
     with compiling():
         warm_up(party.role)  # before the token: nobody must wait for a compiler
-    presence = _Presence()
-    with open_session(party, run, connect=connect) as session:
-        briefings = session.inbox(BRIEFING[party.role], party.name)
-        observations = session.inbox(OBSERVATION[party.role], party.name)
+    with open_session(party, run, connect=connect, credential=credential) as session:
         commands = session.outbox(COMMAND[party.role], party.name)
-        session.watch(SIMULATOR_NAME, presence.change)
-        session.announce()
-        pilot = make_pilot(_await(briefings, presence, join_timeout, "the briefing"))
-        gc.freeze()  # what is here stays: the collector need not look at it again
+        seat = _Seat(session, join_timeout)
+        pilot = _take_over(make_pilot, seat.briefing())
         sent = 0
         while True:
-            observation = _await(observations, presence, join_timeout, "an observation")
-            if getattr(observation, "over", False):
+            told, seen = seat.look()
+            if told is not None:
+                pilot = _take_over(make_pilot, told)
+            if not seen:
+                continue
+            if seen[-1].over:
                 return sent
-            commands.send(pilot.act(observation))
-            pilot.prepare()
+            _answer(pilot, seen, commands, party.name)
             sent += 1

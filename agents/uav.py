@@ -74,10 +74,7 @@ class UavPilot:
 
     def act(self, observation: UavObservation) -> UavCommand:
         """The command for this observation."""
-        self._look(observation)
-        estimate = self.estimator.update(
-            time=observation.time, own_position=observation.position, detections=observation.detections
-        )
+        estimate = self.perceive(observation)
         if estimate is None:
             return UavCommand(tick=observation.tick, acceleration=self._wait(observation))
         return UavCommand(
@@ -91,6 +88,11 @@ class UavPilot:
                 refused=estimate.refused,
             ),
         )
+
+    def perceive(self, observation: UavObservation) -> Estimate | None:
+        """Take an observation into the map and the filter, also one that comes too late to be answered."""
+        self._look(observation)
+        return self.estimator.update(time=observation.time, own_position=observation.position, detections=observation.detections)
 
     def prepare(self) -> None:
         """Work ahead for the next observation, while the simulator is busy; changes nothing but when it is done."""

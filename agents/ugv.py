@@ -22,6 +22,3 @@ class UgvPilot:
     def act(self, observation: UgvObservation) -> UgvCommand:
         """The command for this observation."""
         return UgvCommand(tick=observation.tick, acceleration=self._driver.drive(observation))
-
-    def prepare(self) -> None:
-        """Nothing to work ahead."""

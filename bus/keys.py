@@ -9,7 +9,9 @@ from enum import StrEnum
 
 from bus.errors import AccessDenied
 from bus.messages import (
+    Control,
     CoverageMap,
+    Drive,
     Message,
     Status,
     Truth,
@@ -22,8 +24,6 @@ from bus.messages import (
 )
 
 ROOT = "outrider"
-SIMULATOR_NAME = "simulator"
-"""The simulator's name on the bus; no vehicle may bear it."""
 
 
 class Role(StrEnum):
@@ -32,7 +32,13 @@ class Role(StrEnum):
     SIMULATOR = "simulator"
     UAV = "uav"
     UGV = "ugv"
+    OPERATOR = "operator"
     OBSERVER = "observer"
+
+
+SIMULATOR_NAME, OPERATOR_NAME, OBSERVER_NAME = Role.SIMULATOR.value, Role.OPERATOR.value, Role.OBSERVER.value
+STAFF = {SIMULATOR_NAME: Role.SIMULATOR, OPERATOR_NAME: Role.OPERATOR, OBSERVER_NAME: Role.OBSERVER}
+"""The names on the bus that no vehicle may bear, and whose they are."""
 
 
 class Delivery(StrEnum):
@@ -118,12 +124,28 @@ UGV_COMMAND = Key(
     readers=(Role.SIMULATOR,),
     delivery=Delivery.EVERY,
 )
+OPERATOR = Key(
+    topic="operator",
+    vehicle=Role.UGV,
+    message=Drive,
+    writer=Role.OPERATOR,
+    readers=(Role.SIMULATOR,),
+    delivery=Delivery.EVERY,
+)
+CONTROL = Key(
+    topic="control",
+    vehicle=None,
+    message=Control,
+    writer=Role.OPERATOR,
+    readers=(Role.SIMULATOR,),
+    delivery=Delivery.EVERY,
+)
 TRUTH = Key(
     topic="truth",
     vehicle=None,
     message=Truth,
     writer=Role.SIMULATOR,
-    readers=(Role.OBSERVER,),
+    readers=(Role.OBSERVER, Role.OPERATOR),
     delivery=Delivery.NEWEST,
 )
 COVERAGE = Key(
@@ -131,7 +153,7 @@ COVERAGE = Key(
     vehicle=None,
     message=CoverageMap,
     writer=Role.SIMULATOR,
-    readers=(Role.OBSERVER,),
+    readers=(Role.OBSERVER, Role.OPERATOR),
     delivery=Delivery.NEWEST,
 )
 STATUS = Key(
@@ -139,7 +161,7 @@ STATUS = Key(
     vehicle=None,
     message=Status,
     writer=Role.SIMULATOR,
-    readers=(Role.OBSERVER,),
+    readers=(Role.OBSERVER, Role.OPERATOR),
     delivery=Delivery.NEWEST,
 )
 
@@ -150,6 +172,8 @@ KEYS: tuple[Key, ...] = (
     UGV_OBSERVATION,
     UAV_COMMAND,
     UGV_COMMAND,
+    OPERATOR,
+    CONTROL,
     TRUTH,
     COVERAGE,
     STATUS,
@@ -174,14 +198,15 @@ def check_run_name(run: str) -> str:
     return run
 
 
-def token(run: str, party: Party) -> str:
-    """The liveliness token of a party: there while its process is."""
-    return f"{ROOT}/{run}/{party.name}/{_TOKEN}"
+def token(run: str, name: str, session: str) -> str:
+    """The liveliness token of one session of a party: there while its process is. `*` stands for any name or session."""
+    return f"{ROOT}/{run}/{name}/{_TOKEN}/{session}"
 
 
-def token_owner(expression: str) -> str:
-    """Whose token this is."""
-    return expression.split("/")[-2]
+def token_owner(expression: str) -> tuple[str, str]:
+    """Whose token this is, and of which session."""
+    parts = expression.split("/")
+    return parts[-3], parts[-1]
 
 
 def any_vehicle(run: str, topic: str) -> str:
@@ -196,6 +221,16 @@ def vehicle_of(expression: str) -> str:
 
 def _own(key: Key, party: Party, vehicle: str) -> bool:
     return key.vehicle is None or party.role not in (Role.UAV, Role.UGV) or (party.role is key.vehicle and party.name == vehicle)
+
+
+def written_by(party: Party) -> tuple[Key, ...]:
+    """The rows that a party may write, for its own vehicle if it is one."""
+    return tuple(key for key in KEYS if party.role is key.writer)
+
+
+def read_by(party: Party) -> tuple[Key, ...]:
+    """The rows that a party may read, for its own vehicle if it is one."""
+    return tuple(key for key in KEYS if party.role in key.readers)
 
 
 def check_writes(key: Key, party: Party, vehicle: str = "") -> None:

@@ -5,6 +5,7 @@ relative positions are p_delta = p_a - p_g, from the UGV to the UAV. No message 
 input or goal, and none to a UGV for the UAV's.
 """
 
+from enum import StrEnum
 from typing import Annotated, Any
 
 import msgspec
@@ -113,7 +114,7 @@ class Estimator(Message, frozen=True, kw_only=True):
 
 
 class UavBriefing(Message, frozen=True, kw_only=True):
-    """All a UAV is told, once, when it joins."""
+    """All a UAV is told when it joins. One that joins again is told its own past too, in parts: each is a briefing of its own."""
 
     vehicle: Name
     dt: Positive
@@ -134,10 +135,14 @@ class UavBriefing(Message, frozen=True, kw_only=True):
     estimator: Estimator
     key: Tick
     """Key of the pilot's own random numbers, below 2**53; tells nothing of the run's seed."""
+    past: "tuple[UavObservation, ...]" = ()
+    """What it has perceived so far in this run, tick by tick; where its process was away, without detections."""
+    more: bool = False
+    """Whether another part of the past follows."""
 
 
 class UgvBriefing(Message, frozen=True, kw_only=True):
-    """All a UGV is told, once, when it joins."""
+    """All a UGV is told when it joins; its past as a UAV's."""
 
     vehicle: Name
     dt: Positive
@@ -150,6 +155,8 @@ class UgvBriefing(Message, frozen=True, kw_only=True):
     goal_tolerance: Positive
     """epsilon: a goal counts as reached nearer than this [m]."""
     key: Tick
+    past: "tuple[UgvObservation, ...]" = ()
+    more: bool = False
 
 
 class Detection(Message, frozen=True, kw_only=True):
@@ -223,6 +230,33 @@ class UgvCommand(Message, frozen=True, kw_only=True):
     acceleration: Vector
 
 
+class Drive(Message, frozen=True, kw_only=True):
+    """What a person at a UGV's wheel wants; exactly one of velocity and goal, or neither to brake."""
+
+    driver: Text
+    """Who is at the wheel."""
+    velocity: Vector | None = None
+    """Desired velocity [m/s]."""
+    goal: Vector | None = None
+    """Where to go [m]."""
+
+
+class Action(StrEnum):
+    """What a `Control` does."""
+
+    PAUSE = "pause"
+    RESUME = "resume"
+    STEP = "step"
+
+
+class Control(Message, frozen=True, kw_only=True):
+    """What an operator wants of the simulator; takes effect at the next tick."""
+
+    action: Action
+    ticks: Annotated[int, Meta(ge=1, le=1_000_000)] = 1
+    """How far a step goes."""
+
+
 class VehicleTruth(Message, frozen=True, kw_only=True):
     """The true state of one vehicle."""
 
@@ -268,13 +302,19 @@ class CoverageMap(Message, frozen=True, kw_only=True):
 
 
 class VehicleStatus(Message, frozen=True, kw_only=True):
-    """How a vehicle's process stands."""
+    """How a vehicle's process stands, and what has gone wrong with it so far."""
 
     present: bool
     missing_commands: Tick = 0
-    """Ticks without a usable command."""
-    refused_messages: Tick = 0
-    """Messages that did not decode or answered another tick."""
+    """Ticks for which no new command was there."""
+    stale_commands: Tick = 0
+    """Commands that were used after the tick they answer."""
+    lost: Tick = 0
+    """How often its process went away during the run."""
+    rejoined: Tick = 0
+    """How often it came back."""
+    refused: dict[Text, Tick] = {}
+    """Messages and sessions that were refused, by cause."""
     last_fault: Text = ""
 
 
@@ -289,6 +329,11 @@ class Status(Message, frozen=True, kw_only=True):
     time: NonNegative
     realtime_factor: NonNegative
     """Simulated seconds per second of wall time, lately."""
+    wanted_factor: NonNegative | None = None
+    """What the clock is to keep; None: lockstep, as fast as it goes."""
+    late_ticks: Tick = 0
+    """Ticks that the clock could not keep."""
+    paused: bool = False
     vehicles: dict[Name, VehicleStatus]
     over: bool = False
 

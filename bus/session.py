@@ -2,6 +2,7 @@
 
 import json
 import logging
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -12,12 +13,13 @@ from typing import Any
 import msgspec
 import zenoh
 
-from bus.errors import BusError
+from bus.access import Credential, CredentialSet, client_settings, router_settings
+from bus.errors import AccessDenied, BusError
 from bus.keys import (
+    ROOT,
     Delivery,
     Key,
     Party,
-    Role,
     any_vehicle,
     check_reads,
     check_run_name,
@@ -66,6 +68,8 @@ class Letter:
 
     sender: str
     """The vehicle in its key; empty where there is none."""
+    session: str
+    """The session that sent it, as it says itself; empty where it does not say."""
     message: Message
 
 
@@ -77,6 +81,7 @@ class Outbox:
         self._encoder = msgspec.json.Encoder()
         self._decoder = msgspec.json.Decoder(key.message)
         self._topic = key.topic
+        self._source = zenoh.SourceInfo(publisher.id, 0)
         self.wanted = False
         """Whether anybody reads it now."""
         self._listener = publisher.declare_matching_listener(self._see)
@@ -97,7 +102,7 @@ class Outbox:
         except msgspec.ValidationError as error:
             raise ValueError(f"{self._topic}: {error}") from error
         try:
-            self._publisher.put(payload)
+            self._publisher.put(payload, source_info=self._source)
         except zenoh.ZError as error:
             raise BusError(f"cannot send {self._topic}: {error}") from error
 
@@ -111,6 +116,7 @@ class Inbox:
         self._subscriber: zenoh.Subscriber[zenoh.Handler[zenoh.Sample]] | None = None
         self._since: float | None = None
         self._poked = False
+        self._peeked: Letter | None = None
         self.refused: dict[str, int] = dict.fromkeys(decoders, 0)
         """How many messages of each sender did not decode."""
         self.fault: dict[str, str] = dict.fromkeys(decoders, "")
@@ -120,14 +126,21 @@ class Inbox:
         """Read from this subscriber."""
         self._subscriber = subscriber
 
-    def receive(self, patience: float) -> Letter | None:
-        """The next message, or None after `patience` [s] without one, or once somebody has called `poke`."""
+    def _open_subscriber(self) -> "zenoh.Subscriber[zenoh.Handler[zenoh.Sample]]":
         if self._subscriber is None:
             raise BusError("the inbox is closed")
+        return self._subscriber
+
+    def receive(self, patience: float) -> Letter | None:
+        """The next message, or None after `patience` [s] without one, or once somebody has called `poke`."""
+        if self._peeked is not None:
+            peeked, self._peeked = self._peeked, None
+            return peeked
+        subscriber = self._open_subscriber()
         started = self._since = time.monotonic()
         try:
             while True:
-                letter = self._open(self._subscriber.recv())
+                letter = self._open(subscriber.recv())
                 if letter is not None:
                     return letter
                 if self._poked or time.monotonic() - started >= patience:
@@ -137,6 +150,26 @@ class Inbox:
             raise BusError(f"the session is gone: {error}") from error
         finally:
             self._since = None
+
+    def waiting(self) -> Iterator[Letter]:
+        """The messages that are there already, without waiting for any."""
+        if self._peeked is not None:
+            letter, self._peeked = self._peeked, None
+            yield letter
+        subscriber = self._open_subscriber()
+        try:
+            while (sample := subscriber.try_recv()) is not None:
+                opened = self._open(sample)
+                if opened is not None:
+                    yield opened
+        except zenoh.ZError as error:
+            raise BusError(f"the session is gone: {error}") from error
+
+    def holds_any(self) -> bool:
+        """Whether a message is there already; it stays."""
+        if self._peeked is None:
+            self._peeked = next(self.waiting(), None)
+        return self._peeked is not None
 
     def poke(self) -> None:
         """Make `receive` return; may be called from any thread."""
@@ -159,15 +192,18 @@ class Inbox:
             self._refuse(sender, expression, f"{len(payload)} bytes; allowed up to {_LARGEST}")
             return None
         try:
-            return Letter(sender=sender, message=decoder.decode(payload))
+            message = decoder.decode(payload)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             self._refuse(sender, expression, str(error))
             return None
+        source = sample.source_info
+        return Letter(sender=sender, session="" if source is None else str(source.source_id.zid), message=message)
 
     def _refuse(self, sender: str, expression: str, reason: str) -> None:
         self.refused[sender] += 1
         self.fault[sender] = reason[:500]
-        _LOG.warning("refused a message on %s: %s", expression, reason)
+        if self.refused[sender] & (self.refused[sender] - 1) == 0:  # the 1st, 2nd, 4th, 8th ...: a flood must not fill a log
+            _LOG.warning("refused a message on %s: %s (%d so far)", expression, reason[:500], self.refused[sender])
 
 
 class Session:
@@ -176,13 +212,16 @@ class Session:
     Use `open_session`.
     """
 
-    def __init__(self, zenoh_session: zenoh.Session, party: Party, run: str) -> None:
+    def __init__(self, zenoh_session: zenoh.Session, party: Party, run: str, *, hosts: bool) -> None:
         self._zenoh = zenoh_session
+        self._hosts = hosts
         self._inboxes: list[Inbox] = []
         self._kept: list[object] = []
         self._closing = threading.Event()
         self.party = party
         self.run = run
+        self.id = str(zenoh_session.zid())
+        """Which session this is; no other has the same."""
         self._alarm = threading.Thread(target=self._nudge_all, name="outrider-alarm", daemon=True)
         self._alarm.start()
 
@@ -195,6 +234,11 @@ class Session:
         """Stop the reminders; the Zenoh session closes with its `with`."""
         self._closing.set()
         self._alarm.join()
+
+    @property
+    def connected(self) -> bool:
+        """Whether a client has its router now; a router always has itself."""
+        return self._hosts or bool(self._zenoh.info.routers_zid())
 
     def outbox(self, key: Key, vehicle: str = "") -> Outbox:
         """A writer of one key.
@@ -212,16 +256,22 @@ class Session:
         self._kept.append(publisher)
         return Outbox(publisher, key)
 
-    def inbox(self, key: Key, vehicle: str = "") -> Inbox:
+    def inbox(self, key: Key, vehicle: str = "", *, newest: int = 0) -> Inbox:
         """A reader of one key.
+
+        Args:
+            key: The row.
+            vehicle: Whose.
+            newest: How many messages wait at most, the oldest making room for the newest; 0: the writer waits when
+                the inbox is full, or the newest one alone is kept where the table says so.
 
         Raises:
             AccessDenied: If the table does not give it to this party.
         """
         check_reads(key, self.party, vehicle)
         expression = key.expression(self.run, vehicle)
-        newest = key.delivery is Delivery.NEWEST
-        return self._subscribe(expression, expression, {vehicle_of(expression): key}, newest=newest)
+        kept = newest or (1 if key.delivery is Delivery.NEWEST else 0)
+        return self._subscribe(expression, expression, {vehicle_of(expression): key}, kept=kept)
 
     def inbox_of_all(self, keys: Mapping[str, Key]) -> Inbox:
         """One reader for the same topic of several vehicles, in the order of arrival.
@@ -235,16 +285,16 @@ class Session:
         for vehicle, key in keys.items():
             check_reads(key, self.party, vehicle)
         topic = next(iter(keys.values())).topic
-        return self._subscribe(any_vehicle(self.run, topic), f"outrider/{self.run}/-/{topic}", keys, newest=False)
+        return self._subscribe(any_vehicle(self.run, topic), f"{ROOT}/{self.run}/-/{topic}", keys, kept=0)
 
-    def _subscribe(self, expression: str, wake_expression: str, keys: Mapping[str, Key], *, newest: bool) -> Inbox:
+    def _subscribe(self, expression: str, wake_expression: str, keys: Mapping[str, Key], *, kept: int) -> Inbox:
         def wake() -> None:
             if not self._closing.is_set():
                 self._zenoh.put(wake_expression, b"", allowed_destination=zenoh.Locality.SESSION_LOCAL)
 
         decoders = {vehicle: msgspec.json.Decoder(key.message) for vehicle, key in keys.items()}
         inbox = Inbox(wake, decoders)
-        handler: Any = zenoh.handlers.RingChannel(1) if newest else zenoh.handlers.FifoChannel(_ROOM)
+        handler: Any = zenoh.handlers.RingChannel(kept) if kept else zenoh.handlers.FifoChannel(_ROOM)
         subscriber = self._zenoh.declare_subscriber(expression, handler)
         inbox.attach(subscriber)
         self._kept.append(subscriber)
@@ -252,26 +302,89 @@ class Session:
         return inbox
 
     def announce(self) -> None:
-        """Declare this process present, until it leaves or dies."""
-        self._kept.append(self._zenoh.liveliness().declare_token(token(self.run, self.party)))
+        """Declare this session present, until it leaves or dies."""
+        self._kept.append(self._zenoh.liveliness().declare_token(token(self.run, self.party.name, self.id)))
 
-    def watch(self, party_name: str, on_change: Callable[[str, bool], None]) -> None:
-        """Tell when a party comes or goes, those that are there already included.
+    def watch(self, party_name: str, on_change: Callable[[str, str, bool], None]) -> None:
+        """Tell when a session of a party comes or goes, those that are there already included.
 
         Args:
             party_name: Whom to watch; `*` is everybody.
-            on_change: Called with a name and whether it is present, from a thread of Zenoh's: keep it short.
+            on_change: Called with a name, a session and whether it is present, from a thread of Zenoh's: keep it short.
         """
 
         def see(sample: zenoh.Sample) -> None:
-            on_change(token_owner(str(sample.key_expr)), sample.kind == zenoh.SampleKind.PUT)
+            on_change(*token_owner(str(sample.key_expr)), sample.kind == zenoh.SampleKind.PUT)
 
-        expression = token(self.run, Party(role=Role.OBSERVER, name=party_name))
+        expression = token(self.run, party_name, "*")
         self._kept.append(self._zenoh.liveliness().declare_subscriber(expression, see, history=True))
 
 
+def _open_zenoh(settings: Mapping[str, Any], what: str) -> zenoh.Session:
+    try:
+        return zenoh.open(_config(settings))
+    except zenoh.ZError as error:
+        raise BusError(f"{what} ({str(error).splitlines()[0].partition(' at /')[0]})") from error
+
+
+def _open_router(listen: tuple[str, ...], given: CredentialSet | None) -> zenoh.Session:
+    with router_settings(given) as access:
+        settings = _COMMON | _ROUTER | access | {"listen/endpoints": list(listen)}
+        return _open_zenoh(settings, f"cannot listen on {', '.join(listen)}: is it in use?")
+
+
+def _answers(endpoint: str) -> bool:
+    """Whether somebody listens there: then it was not the way that failed."""
+    protocol, _, address = endpoint.partition("/")
+    try:
+        if protocol == "unixsock-stream":
+            with socket.socket(socket.AF_UNIX) as probe:
+                probe.settimeout(1.0)
+                probe.connect(address)
+            return True
+        host, _, port = address.rpartition(":")
+        with socket.create_connection((host.strip("[]"), int(port)), timeout=1.0):
+            return protocol == "tcp"
+    except (OSError, ValueError):
+        return False
+
+
+def _open_client(connect: str, credential: Credential | None) -> zenoh.Session:
+    settings = _COMMON | _CLIENT | client_settings(credential) | {"connect/endpoints": [connect]}
+    try:
+        return _open_zenoh(settings, f"no router at {connect}: is the simulator running there?")
+    except BusError as error:
+        if not _answers(connect):
+            raise
+        who = "without credentials" if credential is None else f"as {credential.name}: is the password the run's?"
+        raise AccessDenied(f"the router at {connect} refuses this process {who}") from error
+
+
 @contextmanager
-def open_session(party: Party, run: str, *, connect: str = "", listen: tuple[str, ...] = ()) -> Iterator[Session]:
+def open_router(listen: tuple[str, ...], given: CredentialSet | None) -> Iterator[None]:
+    """A router and nothing else: it takes no part in the run.
+
+    Args:
+        listen: Endpoints to listen on.
+        given: Everybody's credentials; None lets everybody in to everything.
+
+    Raises:
+        BusError: If an endpoint is not free.
+    """
+    with _open_router(listen, given):
+        yield
+
+
+@contextmanager
+def open_session(
+    party: Party,
+    run: str,
+    *,
+    connect: str = "",
+    listen: tuple[str, ...] = (),
+    credential: Credential | None = None,
+    given: CredentialSet | None = None,
+) -> Iterator[Session]:
     """Join the bus.
 
     Args:
@@ -279,24 +392,20 @@ def open_session(party: Party, run: str, *, connect: str = "", listen: tuple[str
         run: Name of the run.
         connect: Endpoint of the router, such as `tcp/127.0.0.1:7447`; then this process is its client.
         listen: Endpoints to listen on; then this process is the router.
+        credential: By what a client is known.
+        given: By what a router knows its clients; None lets everybody in to everything.
 
     Raises:
         ValueError: If the run's name cannot be part of a key.
         BusError: If the router cannot be reached, or an endpoint is not free.
+        AccessDenied: If the router does not know the credential.
     """
     check_run_name(run)
-    if listen:
-        settings = _COMMON | _ROUTER | {"listen/endpoints": list(listen)}
-        what = f"cannot listen on {', '.join(listen)}: is it in use?"
-    else:
-        settings = _COMMON | _CLIENT | {"connect/endpoints": [connect]}
-        what = f"no router at {connect}: is the simulator running there?"
-    try:
-        opened = zenoh.open(_config(settings))
-    except zenoh.ZError as error:
-        raise BusError(f"{what} ({str(error).splitlines()[0]})") from error
+    if credential is not None and credential.party != party:
+        raise AccessDenied(f"{party.name} ({party.role}) cannot use the credentials of {credential.name} ({credential.role})")
+    opened = _open_router(listen, given) if listen else _open_client(connect, credential)
     with opened as zenoh_session:
-        session = Session(zenoh_session, party, run)
+        session = Session(zenoh_session, party, run, hosts=bool(listen))
         try:
             yield session
         finally:

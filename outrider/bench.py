@@ -14,7 +14,7 @@ import numpy as np
 
 from bus.errors import ScenarioError
 from outrider import reference
-from outrider.launch import launch
+from outrider.launch import NOBODY, launch
 from outrider.raw_lockstep import ticks_per_second
 from outrider.run import InProcess, fly, make_pilots
 from sim.compile import FloatArray, compiled
@@ -62,7 +62,7 @@ def _payloads(scenario: Scenario) -> tuple[bytes, bytes]:
 def lockstep() -> Pair:
     """Three processes with everything computed, beside a bare exchange of the same payloads."""
     scenario = load_scenario("escort")
-    outcome = launch(scenario, "escort", (), out=None, on_tick=lambda _tick: None, on_event=lambda _line: None, stop=lambda: 0)
+    outcome = launch(scenario, "escort", (), NOBODY, out=None)
     bare = ticks_per_second(*_payloads(scenario), scenario.ticks)
     return (outcome.summary.ticks_per_second if outcome.summary else 0.0), bare
 

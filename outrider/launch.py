@@ -10,24 +10,27 @@ import sys
 import tempfile
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import IO
 
 import msgspec
 
+from bus.access import ROUTER_FILE, new_credentials, write_credentials
 from bus.errors import BusError, PeerLost
 from bus.keys import SIMULATOR_NAME
 from outrider.cores import keep_apart
 from outrider.reports import Report
 from outrider.summary import Process, Summary
-from sim.scenario import Scenario, Uav
+from sim.scenario import Scenario
 
 _PATIENCE = 10.0
 """How long a process may take to end when it was asked to [s]."""
 _LAST_WORDS = 12
 """Lines of a child's standard error that are kept."""
+_LIVES = 3
+"""A process that dies more often than this while the clock stands still is not started again."""
 
 
 class Child:
@@ -146,72 +149,70 @@ class Outcome(msgspec.Struct, kw_only=True):
     summary: Summary | None = None
     files: list[Path] = []
     fault: str = ""
-    """Why it ended early, for a person; empty if it did not."""
+    """What failed on the way, for a person; empty where nothing did."""
+
+
+class Watcher(msgspec.Struct, frozen=True, kw_only=True):
+    """Who follows a run, and can end it."""
+
+    on_tick: Callable[[int], None]
+    """Called with the tick, some times a second."""
+    on_event: Callable[[str], None]
+    """Called with a line for a person."""
+    stop: Callable[[], int]
+    """How often somebody has asked for the end: once ends the run in order, twice at once."""
+
+
+NOBODY = Watcher(on_tick=lambda _tick: None, on_event=lambda _line: None, stop=lambda: 0)
 
 
 def launch(
     scenario: Scenario,
     source: str,
     overrides: Sequence[str],
+    watcher: Watcher,
     *,
     out: Path | None,
     picture: bool = True,
+    realtime: float | None = None,
     deadline: float = 10.0,
     join_timeout: float = 120.0,
+    respawn: bool = False,
     pin: bool = True,
-    on_tick: Callable[[int], None],
-    on_event: Callable[[str], None],
-    stop: Callable[[], int],
+    secured: bool = True,
 ) -> Outcome:
     """Fly a scenario as one process for the simulator and one for each vehicle, over Zenoh on a private socket.
+
+    Each process has credentials of its own, made for this run alone and gone with it.
 
     Args:
         scenario: What is flown.
         source: The same as a name or file, for the simulator's process.
         overrides: The same as `--set` arguments.
+        watcher: Who follows the run.
         out: Where the simulator writes.
         picture: Whether it draws.
+        realtime: Simulated seconds per second of wall time; None: lockstep.
         deadline: How long it waits for the commands of one tick [s].
         join_timeout: How long it waits for the vehicles [s].
+        respawn: Whether a vehicle's process that dies is started again.
         pin: Whether the UAVs keep to one half of the processor cores and the others to the other half.
-        on_tick: Called with the tick, some times a second.
-        on_event: Called with a line for a person.
-        stop: How often somebody has asked for the end: once ends the run in order, twice at once.
+        secured: Whether there are credentials and access control; False only to measure what they cost.
 
     Returns:
         The summary of what was flown, if anything was; and the fault that ended it early.
     """
     with _private_folder() as folder, _family() as children:
-        endpoint = f"unixsock-stream/{folder / 'bus.sock'}"
         run = f"run-{os.getpid()}-{secrets.token_hex(4)}"
-        lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-        settings = [argument for override in overrides for argument in ("--set", override)]
-        output = ["--out", str(out)] if out else []
-        drawing = [] if picture else ["--no-picture"]
-        leash = ["--leash-folder", str(folder)]
+        crew = _Crew(scenario, folder, run, children, pin=pin, secured=secured)
         timing = ["--deadline", str(deadline), "--join-timeout", str(join_timeout)]
-        simulator_arguments = [
-            "simulator",
-            source,
-            "--listen",
-            endpoint,
-            "--run",
-            run,
-            "--events",
-            *settings,
-            *output,
-            *drawing,
-            *timing,
-            *leash,
-        ]
-        children.append(Child(SIMULATOR_NAME, simulator_arguments, lines))
-        _wait_for_socket(folder / "bus.sock", children[0], stop)
-        if not stop():
-            children += [Child(v.name, _vehicle_arguments(v.name, scenario, endpoint, run)) for v in scenario.vehicles]
-            if pin:
-                uavs = {uav.name for uav in scenario.uav}
-                keep_apart({child.pid: child.name in uavs for child in children})
-        outcome = _follow(children, lines, on_tick, on_event, stop)
+        pace = (["--realtime", str(realtime)] if realtime is not None else []) + (["--respawn"] if respawn else [])
+        settings = [argument for override in overrides for argument in ("--set", override)]
+        output = (["--out", str(out)] if out else []) + ([] if picture else ["--no-picture"])
+        crew.start_simulator(source, [*settings, *output, *timing, *pace], watcher)
+        if not watcher.stop():
+            crew.start_vehicles()
+        outcome = _follow(crew, watcher, respawn=respawn)
         if outcome.summary is not None:
             for child in children:
                 child.wait(2.0 if outcome.summary.complete else 0.5)
@@ -220,81 +221,125 @@ def launch(
         return outcome
 
 
-def _vehicle_arguments(name: str, scenario: Scenario, endpoint: str, run: str) -> list[str]:
-    common = ["--name", name, "--connect", endpoint, "--run", run]
-    if any(isinstance(v, Uav) and v.name == name for v in scenario.vehicles):
-        own = [("--weighting", scenario.custom.weighting), ("--path", scenario.custom.path)]
-        return ["uav", *common, *(argument for option, value in own if value for argument in (option, value))]
-    return ["ugv", *common]
+class _Crew:
+    """The run's processes, the simulator's first.
+
+    Args:
+        scenario: What is flown.
+        folder: The run's private folder.
+        run: Its name.
+        children: Where they are kept, so that they are ended whatever happens.
+        pin: Whether they are given cores.
+        secured: Whether they are given credentials.
+    """
+
+    def __init__(self, scenario: Scenario, folder: Path, run: str, children: list[Child], *, pin: bool, secured: bool) -> None:
+        self.children = children
+        self.lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        """What the simulator reports."""
+        self._scenario, self._folder, self._run, self._pin = scenario, folder, run, pin
+        self._socket = folder / "bus.sock"
+        self._endpoint = f"unixsock-stream/{self._socket}"
+        self._uavs = {uav.name for uav in scenario.uav}
+        self._files: dict[str, Path] = {}
+        if secured:
+            given = new_credentials(run, (uav.name for uav in scenario.uav), (ugv.name for ugv in scenario.ugv))
+            self._files = write_credentials(given, folder / "credentials")
+
+    @property
+    def simulator(self) -> Child:
+        """The simulator's process."""
+        return self.children[0]
+
+    def _known_as(self, name: str) -> list[str]:
+        return ["--credentials", str(self._files[name])] if self._files else []
+
+    def start_simulator(self, source: str, settings: list[str], watcher: Watcher) -> None:
+        """Start it and wait until its router listens: before that a client would only try in vain."""
+        arguments = ["simulator", source, "--listen", self._endpoint, "--run", self._run, "--events"]
+        arguments += [*self._known_as(ROUTER_FILE), *settings, "--leash-folder", str(self._folder)]
+        self.children.append(Child(SIMULATOR_NAME, arguments, self.lines))
+        while not self._socket.exists() and self.simulator.ended is None and not watcher.stop():
+            time.sleep(0.02)
+
+    def _start(self, name: str) -> Child:
+        common = ["--name", name, "--connect", self._endpoint, "--run", self._run, *self._known_as(name)]
+        if name not in self._uavs:
+            return Child(name, ["ugv", *common])
+        custom = self._scenario.custom
+        own = [("--weighting", custom.weighting), ("--path", custom.path)]
+        return Child(name, ["uav", *common, *(argument for option, value in own if value for argument in (option, value))])
+
+    def start_vehicles(self) -> None:
+        """Start a process for each."""
+        self.children += [self._start(vehicle.name) for vehicle in self._scenario.vehicles]
+        self._give_cores()
+
+    def start_again(self, dead: Child) -> None:
+        """Put a new process in the place of one that has ended."""
+        place = self.children.index(dead)
+        dead.close()
+        self.children[place] = self._start(dead.name)
+        self._give_cores()
+
+    def _give_cores(self) -> None:
+        if self._pin:
+            keep_apart({child.pid: child.name in self._uavs for child in self.children})
 
 
-def _wait_for_socket(path: Path, simulator: Child, stop: Callable[[], int]) -> None:
-    """Until the router listens: before that a client would only try in vain."""
-    while not path.exists() and simulator.ended is None and not stop():
-        time.sleep(0.02)
-
-
-def _follow(
-    children: list[Child],
-    lines: "queue.SimpleQueue[bytes | None]",
-    on_tick: Callable[[int], None],
-    on_event: Callable[[str], None],
-    stop: Callable[[], int],
-) -> Outcome:
+def _follow(crew: _Crew, watcher: Watcher, *, respawn: bool) -> Outcome:
     """Until the simulator's process has ended, whoever made it end."""
-    simulator, outcome, asked = children[0], Outcome(), False
+    simulator, outcome, asked = crew.simulator, Outcome(), False
+    tick, deaths, mourned = 0, Counter[str](), set[int]()
+
+    def read(line: bytes) -> None:
+        nonlocal tick
+        report = msgspec.json.decode(line, type=Report)
+        if report.tick is not None:
+            if report.tick > tick:
+                deaths.clear()
+            tick = report.tick
+            watcher.on_tick(report.tick)
+        if report.event is not None:
+            watcher.on_event(report.event)
+        if report.summary is not None:
+            outcome.summary = report.summary
+        if report.files is not None:
+            outcome.files = [Path(file) for file in report.files]
+
+    def bury(dead: Child) -> bool:
+        """A vehicle's process has failed; whether the run must end for it."""
+        mourned.add(dead.pid)
+        deaths[dead.name] += 1
+        again = respawn and deaths[dead.name] <= _LIVES and tick > 0
+        epitaph = dead.epitaph()
+        watcher.on_event(epitaph + (": started again" if again else ""))
+        if again:
+            crew.start_again(dead)
+        else:
+            outcome.fault = outcome.fault or epitaph
+        return tick == 0
+
     while True:
-        if stop() and not asked:
+        if watcher.stop() and not asked:
             asked = True
             simulator.ask_to_end()
-        if stop() > 1:
+        if watcher.stop() > 1:
             raise BusError("killed before the end")
         if not asked and outcome.summary is None:
-            dead = next((child for child in children[1:] if child.ended is not None), None)
-            if dead is not None and _has_ended_early(dead, lines, outcome, on_tick, on_event):
-                outcome.fault = dead.epitaph()
-                asked = True
-                simulator.ask_to_end()
+            dead = [child for child in crew.children[1:] if child.ended not in (None, 0) and child.pid not in mourned]
+            for child in dead:
+                if bury(child):
+                    asked = True
+                    simulator.ask_to_end()
         with contextlib.suppress(queue.Empty):
-            line = lines.get(timeout=0.1)
+            line = crew.lines.get(timeout=0.1)
             if line is None:
                 break
-            _read(line, outcome, on_tick, on_event)
+            read(line)
     simulator.wait(_PATIENCE)
-    if outcome.summary is None and not outcome.fault and not stop():
+    if outcome.summary is None and not outcome.fault and not watcher.stop():
         raise PeerLost(simulator.epitaph())
-    if simulator.ended not in (0, None) and not stop() and not outcome.fault:
+    if simulator.ended not in (0, None) and not watcher.stop() and not outcome.fault:
         outcome.fault = simulator.last_words() or simulator.epitaph()
     return outcome
-
-
-def _has_ended_early(
-    child: Child,
-    lines: "queue.SimpleQueue[bytes | None]",
-    outcome: Outcome,
-    on_tick: Callable[[int], None],
-    on_event: Callable[[str], None],
-) -> bool:
-    """Whether a vehicle's process that has ended did so before the run was over; the last report may be on its way."""
-    if child.ended != 0:
-        return True
-    with contextlib.suppress(queue.Empty):
-        while outcome.summary is None:
-            line = lines.get(timeout=_PATIENCE)
-            if line is None:
-                lines.put(None)
-                break
-            _read(line, outcome, on_tick, on_event)
-    return outcome.summary is None
-
-
-def _read(line: bytes, outcome: Outcome, on_tick: Callable[[int], None], on_event: Callable[[str], None]) -> None:
-    report = msgspec.json.decode(line, type=Report)
-    if report.tick is not None:
-        on_tick(report.tick)
-    if report.event is not None:
-        on_event(report.event)
-    if report.summary is not None:
-        outcome.summary = report.summary
-    if report.files is not None:
-        outcome.files = [Path(file) for file in report.files]

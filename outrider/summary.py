@@ -1,11 +1,13 @@
 """The numbers that sum up a flight."""
 
 import math
+from collections.abc import Mapping
 
 import msgspec
 import numpy as np
 
 from agents.control.visibility import raw_switching_radius
+from bus.messages import VehicleStatus
 from sim.flight import Flight
 from sim.recorder import platform_row
 
@@ -54,7 +56,15 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     detection_rmse: float | None
     """The same of the raw detections [m]."""
     missing_commands: dict[str, int]
-    """Ticks for which a vehicle had no usable command."""
+    """Ticks for which a vehicle had no new command."""
+    faults: dict[str, dict[str, int]] = {}
+    """What went wrong with a vehicle's process, by cause: how often; empty where nothing did."""
+    realtime: float | None = None
+    """The factor that the clock was to keep; None in lockstep."""
+    realtime_factor: float
+    """Simulated seconds per second of wall time, over the whole flight."""
+    late_ticks: int = 0
+    """Ticks that the clock could not keep."""
     deterministic: bool
     """Whether every command came in time, so that the hash is the scenario's and the seed's alone."""
     first_missing_tick: int | None
@@ -78,13 +88,38 @@ def switching_radius_of(flight: Flight, escort: int = 0) -> float | None:
     return r_s if math.isfinite(r_s) else None
 
 
-def summarize(flight: Flight, *, seconds: float, processes: tuple[Process, ...] = ()) -> Summary:
+def _faults(vehicles: Mapping[str, VehicleStatus]) -> dict[str, dict[str, int]]:
+    """All that went wrong, by vehicle and cause, without the zeros."""
+    found: dict[str, dict[str, int]] = {}
+    for name, status in vehicles.items():
+        counts = {
+            "lost": status.lost,
+            "joined again": status.rejoined,
+            "no new command": status.missing_commands,
+            "late command used": status.stale_commands,
+            **status.refused,
+        }
+        if any(counts.values()):
+            found[name] = {cause: count for cause, count in counts.items() if count}
+    return found
+
+
+def summarize(
+    flight: Flight,
+    *,
+    seconds: float,
+    vehicles: Mapping[str, VehicleStatus] | None = None,
+    realtime: float | None = None,
+    late_ticks: int = 0,
+) -> Summary:
     """Sum up what was flown so far.
 
     Args:
         flight: At least one state must have been taken down.
         seconds: Wall time of the ticks [s].
-        processes: Who flew it.
+        vehicles: How their processes did.
+        realtime: The factor that the clock was to keep.
+        late_ticks: Ticks that it could not keep.
     """
     scenario, recorder, world = flight.scenario, flight.recorder, flight.world
     distance, error = recorder.escorts[:, :, 0], recorder.escorts[:, :, 1]
@@ -112,9 +147,12 @@ def summarize(flight: Flight, *, seconds: float, processes: tuple[Process, ...] 
         estimate_rmse=_rms(recorder.escorts[:, :, 4:6] - p_g),
         detection_rmse=_rms(recorder.escorts[:, :, 2:4] - (p_a - p_g)),
         missing_commands=dict(flight.missing),
+        faults=_faults(vehicles or {}),
+        realtime=realtime,
+        realtime_factor=recorder.ticks * scenario.dt / seconds if seconds > 0.0 else 0.0,
+        late_ticks=late_ticks,
         deterministic=flight.first_missing is None,
         first_missing_tick=flight.first_missing,
         trajectory_sha256=recorder.sha256(),
         platform=platform_row(),
-        processes=list(processes),
     )

@@ -3,7 +3,8 @@
 The same loop serves the pilots in this process and the three processes over the bus, so both fly the same bits.
 """
 
-from collections.abc import Callable, Mapping
+from array import array
+from collections.abc import Callable, Collection, Mapping
 from typing import Protocol
 
 import numpy as np
@@ -35,7 +36,12 @@ class Exchange(Protocol):
         """Give each vehicle its observation of this tick."""
 
     def collect(self, tick: int) -> Mapping[str, Command]:
-        """The commands for this tick; a vehicle without a usable one is missing."""
+        """The newest command of each vehicle that has a new one; none answers a later tick than this."""
+
+
+def _looks(time: float, found: list[float]) -> tuple[Detection, ...]:
+    """The detection of one tick, if there was one."""
+    return (Detection(time=time, relative_position=(found[0], found[1])),) if found[0] == found[0] else ()
 
 
 class Flight:
@@ -52,18 +58,21 @@ class Flight:
         self.world = World(scenario, seed)
         self.recorder = Recorder(self.world)
         self.missing: dict[str, int] = dict.fromkeys(self.world.names, 0)
-        """Ticks for which a vehicle had no usable command."""
+        """Ticks for which a vehicle had no new command."""
+        self.stale: dict[str, int] = dict.fromkeys(self.world.names, 0)
+        """Commands of a vehicle that were used after the tick they answer."""
         self.first_missing: int | None = None
-        """The first such tick."""
+        """The first tick at which a vehicle's command was missing or stale."""
         self.reports: list[UavReport | None] = [None] * len(self.world.uavs)
         """What each UAV last said of itself."""
         self._stopped = False
         self._ticks = scenario.ticks
         self._commands: FloatArray = np.zeros((len(self.world.names), 2))
-        self._silent = np.zeros(len(self.world.names), dtype=np.int64)  # ticks since the last command
+        self._answered = [-1] * len(self.world.names)  # the tick that each vehicle's newest command answers
         self._hold_ticks = round(scenario.hold / scenario.dt)
         self._uav_row = {uav.name: k for k, uav in enumerate(self.world.uavs)}
         self._radio: dict[str, list[RelativeInformation]] = {name: [] for name in self.world.names}
+        self._heard = {ugv.name: array("d") for ugv in scenario.ugv}  # tick, time, relative position, error; message by message
 
     @property
     def complete(self) -> bool:
@@ -89,8 +98,7 @@ class Flight:
         for k, name in enumerate(world.names):
             position, velocity = tuple(positions[k]), tuple(velocities[k])
             if name in self._uav_row:
-                found = detections[self._uav_row[name]]
-                looks = (Detection(time=time, relative_position=tuple(found)),) if found[0] == found[0] else ()
+                looks = _looks(time, detections[self._uav_row[name]])
                 seen[name] = UavObservation(
                     tick=tick, time=time, position=position, velocity=velocity, detections=looks, over=over
                 )
@@ -99,17 +107,52 @@ class Flight:
                 seen[name] = UgvObservation(tick=tick, time=time, position=position, velocity=velocity, radio=radio, over=over)
         return seen
 
+    def past(self, name: str, begin: int, end: int, unheard: Collection[int]) -> tuple[Observation, ...]:
+        """What a vehicle has perceived from tick `begin` up to `end`, for a process that joins again.
+
+        Args:
+            name: The vehicle.
+            begin: First tick.
+            end: The tick after the last one; all must have been recorded.
+            unheard: Ticks whose observation it was not sent: of those it is told its own motion and nothing else.
+        """
+        k, dt = self.world.names.index(name), self.world.parameters.dt
+        states = self.recorder.states[begin:end, k, :4].tolist()
+        uav = self._uav_row.get(name)
+        found = self.recorder.escorts[begin:end, uav, 2:4].tolist() if uav is not None else []
+        heard = self._heard_between(name, begin, end) if uav is None else {}
+        seen: list[Observation] = []
+        for tick, (x, y, v_x, v_y) in enumerate(states, begin):
+            time, known = tick * dt, tick not in unheard
+            if uav is not None:
+                looks = _looks(time, found[tick - begin]) if known else ()
+                seen.append(UavObservation(tick=tick, time=time, position=(x, y), velocity=(v_x, v_y), detections=looks))
+            else:
+                radio = tuple(heard.get(tick, ())) if known else ()
+                seen.append(UgvObservation(tick=tick, time=time, position=(x, y), velocity=(v_x, v_y), radio=radio))
+        return tuple(seen)
+
+    def _heard_between(self, name: str, begin: int, end: int) -> dict[int, list[RelativeInformation]]:
+        messages: dict[int, list[RelativeInformation]] = {}
+        rows = np.frombuffer(self._heard[name]).reshape(-1, 5)
+        for tick, time, x, y, error in rows[(rows[:, 0] >= begin) & (rows[:, 0] < end)].tolist():
+            message = RelativeInformation(time=time, relative_position=(x, y), coverage_error=error)
+            messages.setdefault(int(tick), []).append(message)
+        return messages
+
     def _take(self, k: int, name: str, command: Command | None) -> None:
-        """Put a vehicle's command in its row; hold the last one for a while where there is none, then brake."""
+        """Put a vehicle's command in its row; hold the last one for a while where there is no new one, then brake."""
+        tick = self.world.tick
         if command is not None:
-            self._silent[k] = 0
+            self._answered[k] = command.tick
             self._commands[k] = command.acceleration
-            return
-        self.missing[name] += 1
-        if self.first_missing is None:
-            self.first_missing = self.world.tick
-        self._silent[k] += 1
-        if self._silent[k] > self._hold_ticks:
+            self.stale[name] += command.tick < tick
+        else:
+            self.missing[name] += 1
+        age = tick - self._answered[k]
+        if age and self.first_missing is None:
+            self.first_missing = tick
+        if age > self._hold_ticks:
             v_x, v_y = self.world.velocity[k].tolist()
             self._commands[k] = brake(v_x, v_y, float(self.world.bounds[k, 1]), self.scenario.dt)
 
@@ -125,8 +168,15 @@ class Flight:
                 self.reports[uav] = None
                 if isinstance(command, UavCommand):
                     self.reports[uav] = command.report
-                    self._radio[self.world.uavs[uav].escorts].extend(command.radio)
+                    self._pass_on(self.world.uavs[uav].escorts, command.radio)
         self.world.step(self._commands)
+
+    def _pass_on(self, ugv: str, messages: tuple[RelativeInformation, ...]) -> None:
+        """What a UAV has radioed reaches its UGV at the next tick."""
+        self._radio[ugv].extend(messages)
+        for message in messages:
+            row = (self.world.tick + 1, message.time, *message.relative_position, message.coverage_error)
+            self._heard[ugv].extend(row)
 
     def fly(self, exchange: Exchange, *, on_tick: Callable[[], None] | None = None) -> None:
         """Fly to the end.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from bus.keys import SIMULATOR_NAME
+from bus.keys import STAFF
 from sim.scenario_faults import Fault, is_whole
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def numbers_are_finite(s: Scenario) -> Iterator[Fault]:
 
 def names_are_different(s: Scenario) -> Iterator[Fault]:
     """Each vehicle has a name of its own, which is not the simulator's."""
-    taken = [SIMULATOR_NAME]
+    taken = [*STAFF]
     for path, vehicle in vehicles(s):
         if vehicle.name in taken:
             yield Fault(f"{path}.name", vehicle.name, "the name is taken", f"any other than {', '.join(taken)}")

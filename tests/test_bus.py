@@ -4,6 +4,7 @@ import math
 import random
 from collections.abc import Iterator
 from contextlib import ExitStack
+from enum import Enum
 from pathlib import Path
 from typing import get_args, get_type_hints
 
@@ -31,7 +32,13 @@ from bus.keys import (
 from bus.messages import Detection, Message, UavCommand, UavObservation, UgvCommand
 from bus.session import Session, open_session
 
-NAMES = {Role.SIMULATOR: "simulator", Role.UAV: "uav_0", Role.UGV: "ugv_0", Role.OBSERVER: "watcher"}
+NAMES = {
+    Role.SIMULATOR: "simulator",
+    Role.UAV: "uav_0",
+    Role.UGV: "ugv_0",
+    Role.OPERATOR: "operator",
+    Role.OBSERVER: "observer",
+}
 
 
 def party(role: Role) -> Party:
@@ -48,7 +55,7 @@ def sessions(endpoint: str) -> Iterator[dict[Role, Session]]:
     """A router and one client for each other role."""
     with ExitStack() as stack:
         opened = {Role.SIMULATOR: stack.enter_context(open_session(party(Role.SIMULATOR), "run", listen=(endpoint,)))}
-        for role in (Role.UAV, Role.UGV, Role.OBSERVER):
+        for role in set(Role) - {Role.SIMULATOR}:
             opened[role] = stack.enter_context(open_session(party(role), "run", connect=endpoint))
         yield opened
 
@@ -67,6 +74,8 @@ def sample(kind: object, rng: random.Random) -> object:
         return "vehicle_" + str(rng.randrange(100))
     if kind is messages.Text:
         return "text ∞ " + str(rng.random())
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return rng.choice(list(kind))
     if kind is bool:
         return rng.random() < 0.5
     if kind is bytes:
@@ -203,17 +212,17 @@ def test_receive_gives_up_after_its_patience(sessions: dict[Role, Session]) -> N
 def test_tokens_tell_who_comes_and_goes(endpoint: str) -> None:
     import queue
 
-    seen: queue.SimpleQueue[tuple[str, bool]] = queue.SimpleQueue()
+    seen: queue.SimpleQueue[tuple[str, str, bool]] = queue.SimpleQueue()
     with open_session(party(Role.SIMULATOR), "run", listen=(endpoint,)) as simulator:
         with open_session(party(Role.UAV), "run", connect=endpoint) as early:
             early.announce()
-            simulator.watch("*", lambda name, present: seen.put((name, present)))
-            assert seen.get(timeout=10.0) == ("uav_0", True)
+            simulator.watch("*", lambda *change: seen.put(change))
+            assert seen.get(timeout=10.0) == ("uav_0", early.id, True)
             with open_session(party(Role.UGV), "run", connect=endpoint) as late:
                 late.announce()
-                assert seen.get(timeout=10.0) == ("ugv_0", True)
-            assert seen.get(timeout=10.0) == ("ugv_0", False)
-        assert seen.get(timeout=10.0) == ("uav_0", False)
+                assert seen.get(timeout=10.0) == ("ugv_0", late.id, True)
+            assert seen.get(timeout=10.0) == ("ugv_0", late.id, False)
+        assert seen.get(timeout=10.0) == ("uav_0", early.id, False)
 
 
 def test_telemetry_knows_whether_it_is_wanted(sessions: dict[Role, Session]) -> None:

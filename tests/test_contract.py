@@ -42,7 +42,7 @@ def test_the_uav_is_told_these_fields_and_no_others() -> None:
     region = {"lower", "upper"}
     detector = {"detector", "noise", "cut", "period", "estimator", "enabled", "gate", "patience", "manoeuvre"}
     law = _fields_within(messages.Law)
-    run = {"vehicle", "dt", "visibility_radius", "law", "key"}
+    run = {"vehicle", "dt", "visibility_radius", "law", "key", "past", "more"}
     assert fields == observation | bounds | map_and_sensor | region | detector | law | run
 
 
@@ -50,8 +50,14 @@ def test_the_ugv_is_told_these_fields_and_no_others() -> None:
     fields = set().union(*(_fields_within(kind) for kind in TO_UGV))
     observation = {"tick", "time", "position", "velocity", "radio", "relative_position", "coverage_error", "over"}
     briefing = {"vehicle", "dt", "area", "width", "height", "cell", "limits", "max_speed", "max_acceleration"}
-    task = {"driver", "goals", "goal_tolerance", "key"}
+    task = {"driver", "goals", "goal_tolerance", "key", "past", "more"}
     assert fields == observation | briefing | task
+
+
+def test_the_past_that_a_vehicle_is_told_is_its_own_observations_and_nothing_else() -> None:
+    for told, seen in ((messages.UavBriefing, messages.UavObservation), (messages.UgvBriefing, messages.UgvObservation)):
+        assert get_args(get_type_hints(told)["past"]) == (seen, ...)
+        assert get_type_hints(told)["more"] is bool
 
 
 @pytest.mark.parametrize("kind", TO_UAV)

@@ -4,103 +4,17 @@ import json
 import os
 import signal
 import subprocess
-import sys
-import tempfile
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from processes import OUTRIDER, alive, child_of, family, flying, nothing_left_behind, outrider, run_json, wait_until
 
-from bus.keys import STATUS, Party, Role
-from bus.messages import Status
-from bus.session import open_session
 from outrider.launch import Child
 from outrider.run import fly
 from sim.scenario import load_scenario, scenario_names
 
-OUTRIDER = [sys.executable, "-m", "outrider"]
-
-
-def outrider(*arguments: str, timeout: float = 120.0) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run([*OUTRIDER, *arguments], capture_output=True, text=True, check=False, timeout=timeout)
-
-
-def run_json(*arguments: str) -> dict[str, object]:
-    run = outrider("run", *arguments, "--json", "--no-files")
-    assert run.returncode == 0, run.stderr
-    summary: dict[str, object] = json.loads(run.stdout)
-    return summary
-
-
-def family(pid: int) -> list[int]:
-    """Children of a process, by the kernel's own list."""
-    text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii")
-    return [int(child) for child in text.split()]
-
-
-def alive(pid: int) -> bool:
-    try:
-        return "Z" not in Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()[0]
-    except (FileNotFoundError, ProcessLookupError):
-        return False
-
-
-def wait_until(condition, seconds: float = 30.0) -> None:
-    limit = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < limit, "waited in vain"
-        time.sleep(0.02)
-
-
-@pytest.fixture(autouse=True)
-def nothing_left_behind(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Each test has a folder for temporary things of its own, which must be empty in the end; its path is short, for sockets."""
-    with tempfile.TemporaryDirectory(prefix="o-") as folder:
-        monkeypatch.setenv("TMPDIR", folder)
-        yield
-        wait_until(lambda: not os.listdir(folder))
-
-
-def wait_for_tick(run: "subprocess.Popen[str]") -> None:
-    """Until the run has flown for a moment, as an observer on its bus sees it."""
-    words = command_line(child_of(run, "simulator")).split()
-    endpoint, name = words[words.index("--listen") + 1], words[words.index("--run") + 1]
-    wait_until(lambda: Path(endpoint.removeprefix("unixsock-stream/")).exists())
-    with open_session(Party(role=Role.OBSERVER, name="watcher"), name, connect=endpoint) as session:
-        inbox = session.inbox(STATUS)
-        limit = time.monotonic() + 60.0
-        while time.monotonic() < limit:
-            letter = inbox.receive(1.0)
-            if letter is not None and isinstance(letter.message, Status) and letter.message.tick > 20:
-                return
-    raise AssertionError("the run never flew")
-
-
-@contextmanager
-def flying(*arguments: str) -> Iterator["subprocess.Popen[str]"]:
-    """A run in the background that is under way: all its children are there and it has flown for a moment."""
-    run = subprocess.Popen([*OUTRIDER, "run", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        wait_until(lambda: len(family(run.pid)) == 3)
-        wait_for_tick(run)
-        yield run
-    finally:
-        if run.poll() is None:
-            run.kill()
-            run.wait()
-        for stream in (run.stdout, run.stderr):
-            if stream:
-                stream.close()
-
-
-def command_line(pid: int) -> str:
-    return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
-
-
-def child_of(run: "subprocess.Popen[str]", what: str) -> int:
-    return next(pid for pid in family(run.pid) if f" outrider {what} " in command_line(pid))
+__all__ = ["nothing_left_behind"]
+pytestmark = pytest.mark.usefixtures("nothing_left_behind")
 
 
 @pytest.mark.parametrize("name", scenario_names())
@@ -151,15 +65,19 @@ def test_ctrl_c_ends_all_processes_and_keeps_what_was_flown(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("victim", ["uav", "ugv"])
-def test_a_vehicle_that_dies_ends_the_run_with_its_name(victim: str, tmp_path: Path) -> None:
-    with flying("escort", "--duration", "20000", "--out", str(tmp_path), "--json") as run:
+def test_a_vehicle_that_dies_brakes_and_the_run_ends_with_its_name(victim: str, tmp_path: Path) -> None:
+    with flying("escort", "--duration", "2000", "--no-picture", "--out", str(tmp_path), "--json") as run:
         children = family(run.pid)
         os.kill(child_of(run, victim), signal.SIGKILL)
         out, err = run.communicate(timeout=60)
         assert run.returncode == 1
     assert f"{victim}_0 (pid" in err
     assert "killed by signal 9" in err
-    assert json.loads(out)["ticks"] > 0
+    summary = json.loads(out)
+    assert summary["ticks"] == 40_000
+    assert summary["complete"] is True
+    assert summary["deterministic"] is False
+    assert summary["faults"][f"{victim}_0"]["lost"] == 1
     assert (tmp_path / "trajectory.csv").stat().st_size > 0
     assert not any(alive(child) for child in children)
 

@@ -20,7 +20,12 @@ ESCORT = load_scenario("escort")
 
 BROKEN = [
     (world_checks.numbers_are_finite, ["uav.0.max_speed=1e13"], "uav.0.max_speed = 10000000000000.0", "up to 1e+12, or inf"),
-    (world_checks.names_are_different, ["uav.0.name=ugv_0"], 'ugv.0.name = "ugv_0"', "any other than simulator, ugv_0"),
+    (
+        world_checks.names_are_different,
+        ["uav.0.name=ugv_0"],
+        'ugv.0.name = "ugv_0"',
+        "simulator, operator, observer, ugv_0",
+    ),
     (world_checks.names_are_different, ["uav.0.name=simulator"], 'uav.0.name = "simulator"', "any other than simulator"),
     (world_checks.names_are_different, ['uav.0.name="a\\n"'], 'uav.0.name = "a\\n"', "lower-case letters"),
     (world_checks.escorts_are_there, ["uav.0.escorts=ugv_1"], 'uav.0.escorts = "ugv_1"', "ugv_0"),

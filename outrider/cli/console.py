@@ -69,11 +69,11 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
     table = Table(title=f"{summary.scenario}, law {summary.law}, seed {summary.seed}", title_justify="left", show_header=False)
     table.add_column(style="bold")
     table.add_column(justify="right")
-    kept = summary.visibility_violations == 0
+    seen = summary.visibility_violations == 0
     rows = [
         ("flown", f"{summary.ticks * summary.dt:.2f} s in {summary.ticks} ticks" + ("" if summary.complete else " (cut short)")),
         ("speed", f"{summary.ticks_per_second:,.0f} ticks/s"),
-        ("UGV in sight (5)", "[green]always[/]" if kept else f"[red]lost in {summary.visibility_violations} ticks[/]"),
+        ("UGV in sight (5)", "[green]always[/]" if seen else f"[red]lost in {summary.visibility_violations} ticks[/]"),
         ("largest distance", f"{_meters(summary.max_distance)} of r_v = {summary.visibility_radius:g} m"),
         ("mean distance", _meters(summary.mean_distance)),
         ("switching radius r_s (18)", f"{_meters(summary.switching_radius)}, reached {summary.crossings} times"),
@@ -84,9 +84,11 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
         ("RMS error of the estimate", _meters(summary.estimate_rmse)),
         ("RMS error of the detections", _meters(summary.detection_rmse)),
     ]
-    missing = {name: count for name, count in summary.missing_commands.items() if count}
-    if missing:
-        rows.append(("missing commands", ", ".join(f"{name} {count}" for name, count in missing.items())))
+    if summary.realtime is not None:
+        kept = f"{summary.realtime_factor:.3f} of {summary.realtime:g}, {summary.late_ticks} ticks late"
+        rows.append(("real time", kept))
+    for name, counts in summary.faults.items():
+        rows.append((f"faults of {name}", ", ".join(f"{cause} {count}" for cause, count in counts.items())))
     rows += (
         [("processes", ", ".join(f"{process.name} ({process.pid})" for process in summary.processes))]
         if summary.processes

@@ -9,13 +9,15 @@ from types import FrameType
 import typer
 
 from bus.errors import OutriderError, ScenarioError
-from outrider.cli import bench, check, figures, run, scenarios, simulator, vehicles
+from outrider.cli import bench, check, credentials, figures, router, run, scenarios, simulator, vehicles
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "run": run.command,
     "simulator": simulator.command,
     "uav": vehicles.uav,
     "ugv": vehicles.ugv,
+    "router": router.command,
+    "credentials": credentials.command,
     "scenarios": scenarios.command,
     "check": check.command,
     "figures": figures.command,

@@ -1,6 +1,7 @@
 """Options that several commands share, and how they become a scenario."""
 
 import re
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -8,6 +9,8 @@ import typer
 from bus.errors import ScenarioError
 
 if TYPE_CHECKING:
+    from bus.access import Credential
+    from bus.keys import Role
     from sim.scenario import Scenario
 
 ScenarioName = Annotated[str, typer.Argument(help="A shipped scenario's name, or a TOML file.")]
@@ -40,6 +43,33 @@ def _run_name(name: str) -> str:
 
 
 RunName = Annotated[str, typer.Option("--run", help="Name of the run.", envvar="OUTRIDER_RUN", callback=_run_name)]
+
+Connect = Annotated[str, typer.Option(help="Endpoint of the router.", envvar="OUTRIDER_CONNECT")]
+CredentialFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--credentials", help="File with this process' name and password (outrider credentials).", envvar="OUTRIDER_CREDENTIALS"
+    ),
+]
+RouterCredentials = Annotated[
+    Path | None,
+    typer.Option("--credentials", help="The router's file of all credentials (router.json).", envvar="OUTRIDER_CREDENTIALS"),
+]
+Insecure = Annotated[
+    bool,
+    typer.Option("--insecure", help="Listen beyond this machine without credentials: anybody may read and write everything."),
+]
+RealTime = Annotated[
+    float | None,
+    typer.Option(
+        "--realtime",
+        metavar="F",
+        help="Keep the wall clock: F simulated seconds a second, waiting for nobody. Lockstep by default.",
+        envvar="OUTRIDER_REALTIME",
+        min=1e-3,
+        max=1e4,
+    ),
+]
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:17447"
 DEFAULT_RUN = "flight"
@@ -80,3 +110,55 @@ def _plain(field: str, value: str) -> str:
     if not re.fullmatch(r"[A-Za-z0-9_.:-]+", value):
         raise ScenarioError(f"{field} = {value!r}: allowed are letters, digits, '_', '.', ':' and '-'")
     return value
+
+
+def is_local(endpoint: str) -> bool:
+    """Whether only processes of this machine can reach an endpoint."""
+    protocol, _, address = endpoint.partition("/")
+    host = address.rpartition(":")[0].strip("[]")
+    return protocol.startswith("unix") or host in ("127.0.0.1", "localhost", "::1")
+
+
+def check_endpoints(endpoints: tuple[str, ...], *, secured: bool, insecure: bool) -> None:
+    """Refuse to let strangers in by mistake.
+
+    Raises:
+        ScenarioError: If an endpoint is none, or can be reached from other machines while nothing protects it.
+    """
+    for endpoint in endpoints:
+        protocol, separator, address = endpoint.partition("/")
+        if not (protocol and separator and address):
+            raise ScenarioError(f"endpoint {endpoint!r}: allowed are protocol/address, such as {DEFAULT_ENDPOINT}")
+        if not (secured or insecure or is_local(endpoint)):
+            raise ScenarioError(
+                f"endpoint {endpoint}: other machines reach it, and there are no credentials; "
+                "make some with `outrider credentials`, or say --insecure"
+            )
+
+
+def credential_of(file: Path | None, role: "Role", name: str) -> "Credential | None":
+    """By what this process is known: from its file, or its password from OUTRIDER_PASSWORD; None without either.
+
+    Raises:
+        AccessDenied: If the file is not this party's.
+        ScenarioError: If the password cannot be one.
+    """
+    import os
+
+    import msgspec
+
+    from bus.access import Credential, read_credential
+    from bus.errors import AccessDenied
+
+    if file is not None:
+        found = read_credential(file)
+        if (found.role, found.name) != (role, name):
+            raise AccessDenied(f"{file}: the credentials of {found.name} ({found.role}), not of {name} ({role})")
+        return found
+    password = os.environ.get("OUTRIDER_PASSWORD")
+    if not password:
+        return None
+    try:
+        return msgspec.convert({"name": name, "role": role.value, "password": password}, Credential)
+    except msgspec.ValidationError as error:
+        raise ScenarioError(f"OUTRIDER_PASSWORD or name: {error}") from error

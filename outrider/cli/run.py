@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from outrider.cli.options import DriverName, Duration, Json, LawName, ScenarioName, Seed, Set, VirtualPath, Weighting
+from outrider.cli.options import DriverName, Duration, Json, LawName, RealTime, ScenarioName, Seed, Set, VirtualPath, Weighting
 
 if TYPE_CHECKING:
     from outrider.cli.console import FlightProgress
@@ -28,6 +28,11 @@ def command(
     pin: Annotated[
         bool, typer.Option(help="Give the UAVs one half of the processor cores: faster, unless the machine is busy otherwise.")
     ] = True,
+    realtime: RealTime = None,
+    respawn: Annotated[
+        bool,
+        typer.Option("--respawn", help="Start a vehicle's process again if it dies; in lockstep the clock waits."),
+    ] = False,
     deadline: Annotated[float, typer.Option(help="Seconds to wait for the commands of one tick.", min=0.01)] = 10.0,
     out: Annotated[
         Path | None, typer.Option(help="Folder for trajectory, picture and summary; a new one in runs/ by default.")
@@ -38,7 +43,8 @@ def command(
 ) -> None:
     """Fly a scenario as three operating-system processes over Zenoh: simulator, UAV and UGV.
 
-    Ends with a table of numbers, a picture and the trajectory. Ctrl-C ends the run and keeps what was flown.
+    Ends with a table of numbers, a picture and the trajectory. Ctrl-C ends the run and keeps what was flown. A vehicle whose
+    process dies brakes, and the run goes on without it; with --respawn it is started again and flies on.
 
     Example: outrider run escort --seed 3 --law switching
     """
@@ -49,6 +55,8 @@ def command(
     from outrider.own import check_own_functions
     from sim.scenario_checks import scenario_warnings
 
+    if in_process and (realtime is not None or respawn):
+        raise typer.BadParameter("--realtime and --respawn need processes; leave --in-process out")
     flown, overrides = scenario_of(
         scenario, seed=seed, duration=duration, law=law, driver=driver, changes=changes, weighting=weighting, path=path
     )
@@ -60,20 +68,21 @@ def command(
         if in_process:
             outcome = _fly_here(flown, folder, picture, stop)
         else:
-            from outrider.launch import launch
+            from outrider.launch import Watcher, launch
 
             with flight_progress(flown, "starting (the first start compiles)") as progress:
+                watcher = Watcher(on_tick=progress.show, on_event=progress.say, stop=lambda: stop.count)
                 outcome = launch(
                     flown,
                     scenario,
                     overrides,
+                    watcher,
                     out=folder,
                     picture=picture,
+                    realtime=realtime,
                     deadline=deadline,
+                    respawn=respawn,
                     pin=pin,
-                    on_tick=progress.show,
-                    on_event=progress.say,
-                    stop=lambda: stop.count,
                 )
         if outcome.summary is not None and folder is not None:
             write_summary(outcome.summary, folder)

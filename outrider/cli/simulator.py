@@ -2,34 +2,62 @@
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from outrider.cli.options import (
     DEFAULT_ENDPOINT,
     DEFAULT_RUN,
-    Duration,
+    CredentialFile,
+    DriverName,
+    Insecure,
     Json,
     LawName,
     Leash,
+    RealTime,
     RunName,
-    ScenarioName,
-    Seed,
     Set,
+    check_endpoints,
+    credential_of,
 )
+
+if TYPE_CHECKING:
+    from bus.access import Credential, CredentialSet
 
 
 def command(
-    scenario: ScenarioName = "escort",
-    listen: Annotated[list[str] | None, typer.Option(help=f"Endpoint to listen on; {DEFAULT_ENDPOINT} by default.")] = None,
+    scenario: Annotated[
+        str, typer.Argument(help="A shipped scenario's name, or a TOML file.", envvar="OUTRIDER_SCENARIO")
+    ] = "escort",
+    listen: Annotated[
+        list[str] | None, typer.Option(help=f"Host the router, on this endpoint; {DEFAULT_ENDPOINT} by default.")
+    ] = None,
+    connect: Annotated[
+        str, typer.Option(help="Use the router at this endpoint instead of hosting one.", envvar="OUTRIDER_CONNECT")
+    ] = "",
     run: RunName = DEFAULT_RUN,
-    seed: Seed = None,
-    duration: Duration = None,
+    credentials: CredentialFile = None,
+    insecure: Insecure = False,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            help="Seed of all random numbers; the scenario's own by default.", min=0, max=2**53 - 1, envvar="OUTRIDER_SEED"
+        ),
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Simulated time in s, instead of the scenario's.", envvar="OUTRIDER_DURATION")
+    ] = None,
     law: LawName = None,
+    driver: DriverName = None,
     changes: Set = None,
+    realtime: RealTime = None,
     deadline: Annotated[float, typer.Option(help="Seconds to wait for the commands of one tick.", min=0.01)] = 10.0,
-    join_timeout: Annotated[float, typer.Option(help="Seconds to wait for all vehicles.", min=0.0)] = 30.0,
+    join_timeout: Annotated[
+        float,
+        typer.Option(help="Seconds to wait for vehicles, or a router that is away.", min=0.0, envvar="OUTRIDER_JOIN_TIMEOUT"),
+    ] = 30.0,
+    respawn: Annotated[bool, typer.Option("--respawn", help="Let the clock stand still until a lost vehicle is back.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for trajectory, picture and summary; none by default.")] = None,
     picture: Annotated[bool, typer.Option(help="Draw the picture too.")] = True,
     json: Json = False,
@@ -37,7 +65,10 @@ def command(
     leash: Leash = False,
     leash_folder: Annotated[Path | None, typer.Option(hidden=True, help="Removed when the parent has gone.")] = None,
 ) -> None:
-    """Simulate: wait for the scenario's vehicles, fly it with them in lockstep, and sum it up.
+    """Simulate: wait for the scenario's vehicles, fly it with them, and sum it up.
+
+    In lockstep it goes as fast as they answer; with --realtime it keeps the wall clock. Where it hosts the router its credentials
+    are the file with everybody's (router.json), where it uses another its own (simulator.json).
 
     Example: outrider simulator escort --listen tcp/127.0.0.1:17447 --out runs/mine
     """
@@ -57,26 +88,33 @@ def command(
 
     if leash:
         hold(leash_folder)
-    flown, _ = scenario_of(scenario, seed=seed, duration=duration, law=law, changes=changes)
+    flown, _ = scenario_of(scenario, seed=seed, duration=duration, law=law, driver=driver, changes=changes)
+    endpoints = () if connect else tuple(listen or (DEFAULT_ENDPOINT,))
+    given, credential = _credentials(credentials, hosts=not connect)
+    check_endpoints(endpoints or (connect,), secured=given is not None or bool(connect), insecure=insecure)
     with compiling():
         warm_up(flown)
-    endpoints = tuple(listen or (DEFAULT_ENDPOINT,))
     reports = Reports(enabled=events)
     if not events:
         print_warnings(scenario_warnings(flown))
-        ERR.print(f"listening on {', '.join(endpoints)}, run {run}: waiting for {', '.join(v.name for v in flown.vehicles)}")
+        where = f"using the router at {connect}" if connect else f"listening on {', '.join(endpoints)}"
+        ERR.print(f"{where}, run {run}: waiting for {', '.join(v.name for v in flown.vehicles)}")
+        if endpoints and given is None:
+            ERR.print("no credentials: every process that reaches this endpoint may read and write everything")
     with stop_on_signals() as stop:
         party = Party(role=Role.SIMULATOR, name=SIMULATOR_NAME)
         with (
-            open_session(party, run, listen=endpoints) as session,
+            open_session(party, run, connect=connect, listen=endpoints, credential=credential, given=given) as session,
             reports.progress() if events else flight_progress(flown, "waiting") as progress,
         ):
             server = Server(
                 session,
                 flown,
                 flown.seed,
+                realtime=realtime,
                 deadline=deadline,
                 join_timeout=join_timeout,
+                respawn=respawn,
                 on_event=progress.say,
                 stop=lambda: bool(stop),
             )
@@ -90,16 +128,28 @@ def command(
                     progress.show(flight.world.tick)
 
             flight = server.flight
-            server.fly(on_tick=on_tick)
-            seconds = time.perf_counter() - server.started
-    if not flight.recorder.rows:
-        raise typer.Exit(stop.exit_code)
-    summary = summarize(flight, seconds=seconds)
-    reports.summary(summary)  # first of all, so that a full disk does not take it
-    files = write_flight(flight, summary, out, picture=picture) if out else []
-    reports.files(files)
-    if json:
-        print_json(summary)
-    elif not events:
-        print_summary(summary, files)
+            try:
+                server.fly(on_tick=on_tick)
+            finally:
+                seconds = time.perf_counter() - server.started
+                vehicles, late_ticks = server.vehicles(), server.late_ticks
+                if flight.recorder.rows:  # also where the router was lost for good: what was flown is kept
+                    summary = summarize(flight, seconds=seconds, vehicles=vehicles, realtime=realtime, late_ticks=late_ticks)
+                    reports.summary(summary)  # first of all, so that a full disk does not take it
+                    files = write_flight(flight, summary, out, picture=picture) if out else []
+                    reports.files(files)
+                    if json:
+                        print_json(summary)
+                    elif not events:
+                        print_summary(summary, files)
     raise typer.Exit(stop.exit_code)
+
+
+def _credentials(file: Path | None, *, hosts: bool) -> "tuple[CredentialSet | None, Credential | None]":
+    """What the router inside needs to know its clients, or what the client of another router is known by."""
+    from bus.access import read_credentials
+    from bus.keys import SIMULATOR_NAME, Role
+
+    if hosts:
+        return (None if file is None else read_credentials(file)), None
+    return None, credential_of(file, Role.SIMULATOR, SIMULATOR_NAME)

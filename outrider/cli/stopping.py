@@ -1,6 +1,7 @@
 """Ctrl-C and SIGTERM as a wish, not as an exception in the middle of a tick."""
 
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -12,6 +13,7 @@ class Stop:
     def __init__(self) -> None:
         self.signal: int | None = None
         self.count = 0
+        self._asked = threading.Event()
 
     def __bool__(self) -> bool:
         return self.signal is not None
@@ -20,6 +22,12 @@ class Stop:
         """Take the signal down."""
         self.signal = number
         self.count += 1
+        self._asked.set()
+
+    def wait(self) -> None:
+        """Sleep until a signal asks for the end."""
+        while not self._asked.wait(1.0):  # in pieces: a signal's handler runs between two of them
+            pass
 
     @property
     def exit_code(self) -> int:

@@ -1,0 +1,237 @@
+"""When a tick is over: in lockstep, when all have answered; in real time, when the clock says so."""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from bus.errors import PeerLost
+from bus.messages import Command, Observation
+from bus.session import Session
+from sim.seats import Seats
+
+_LOOK_AROUND = 0.2
+"""While it waits, a pace looks this often [s] at who is still there and whether somebody wants the end."""
+_NAP = 0.05
+"""Longest sleep of the clock in one piece [s]."""
+_BEHIND = 1.0
+"""A clock that is further behind than this [s] of wall time starts anew: a burst of ticks would leave nobody time to answer."""
+_LATE = 0.5
+"""A tick that ends later than it should by more than this share of its length is late."""
+
+NothingAsked = Callable[[], bool]
+
+
+class Pace(Protocol):
+    """How the exchange with the vehicles goes on from tick to tick."""
+
+    late_ticks: int
+    """Ticks that the clock could not keep."""
+    factor: float | None
+    """Simulated seconds per second that it is to keep; None: as fast as it goes."""
+
+    def publish(self, observations: Mapping[str, Observation]) -> None:
+        """Give each vehicle its observation."""
+
+    def collect(self, tick: int, over: NothingAsked) -> dict[str, Command]:
+        """Wait until this tick is over, and return the newest command of each vehicle that has a new one.
+
+        Args:
+            tick: Now.
+            over: Asked now and then whether the flight has been ended meanwhile.
+        """
+
+    def restart(self) -> None:
+        """The clock has stood still: count from now."""
+
+
+@dataclass(slots=True)
+class _Wait:
+    """Since when a vehicle is awaited, and how long it may take [s]."""
+
+    since: float
+    limit: float
+    patient: bool
+    """Whether it is waited for also where it is not there."""
+
+
+class Lockstep:
+    """Waits for every vehicle's command, as fast as they answer.
+
+    Args:
+        session: The simulator's session.
+        seats: The vehicles' places.
+        deadline: How long the commands of one tick may take [s].
+        patience: How long a vehicle may take to come back where it is waited for, and the router to do so at all [s].
+        respawn: Whether the clock stands still for a vehicle that was lost.
+        on_event: Called with one line for a person.
+    """
+
+    factor: float | None = None
+    late_ticks = 0
+
+    def __init__(
+        self,
+        session: Session,
+        seats: Seats,
+        *,
+        deadline: float,
+        patience: float,
+        respawn: bool,
+        on_event: Callable[[str], None],
+    ) -> None:
+        self._session = session
+        self._seats = seats
+        self._deadline = deadline
+        self._patience = patience
+        self._respawn = respawn
+        self._on_event = on_event
+        self._look_around = min(deadline, _LOOK_AROUND)
+        self._observations: Mapping[str, Observation] = {}
+        self._awaited: dict[str, _Wait] = {}
+        self._given_up: set[str] = set()
+        self._alone_since: float | None = None
+
+    def restart(self) -> None:
+        """Nothing: lockstep has no clock."""
+
+    def publish(self, observations: Mapping[str, Observation]) -> None:
+        """Give each vehicle its observation."""
+        self._observations = observations
+        given = self._seats.send(observations)
+        now = time.monotonic()
+        self._awaited = {name: _Wait(now, self._deadline, patient=False) for name in given}
+        self._given_up -= given
+        if self._respawn:
+            gone = observations.keys() - given - self._given_up
+            self._awaited |= {name: _Wait(now, self._patience, patient=True) for name in gone}
+
+    def collect(self, tick: int, over: NothingAsked) -> dict[str, Command]:
+        """Wait for the commands of all who were given this tick's observation, each no longer than it may take."""
+        commands: dict[str, Command] = {}
+        awaited, patience = self._awaited, self._look_around
+        while awaited:
+            letter = self._seats.commands.receive(patience)
+            if letter is not None:
+                if self._seats.take(letter, tick, commands, oldest=tick):
+                    awaited.pop(letter.sender, None)
+                continue
+            self._seats.follow()
+            if over():
+                break
+            patience = self._look_around
+            if self._bus_is_there():
+                self._mind_the_absent()
+                self._give_up(tick)
+                rest = min((wait.since + wait.limit for wait in awaited.values()), default=0.0) - time.monotonic()
+                patience = min(patience, max(rest, 0.0))
+        return commands
+
+    def _bus_is_there(self) -> bool:
+        """Whether the router is; without it nobody can be blamed, and the clock stands still.
+
+        Raises:
+            PeerLost: If it does not come back.
+        """
+        now = time.monotonic()
+        if self._session.connected:
+            if self._alone_since is not None:
+                self._alone_since = None
+                self._on_event("the router is back")
+                for name in self._awaited:
+                    self._awaited[name] = _Wait(now, self._patience, patient=True)  # the vehicles have to find it again too
+            return True
+        if self._alone_since is None:
+            self._alone_since = now
+            self._on_event("the router is lost; the clock stands still")
+        if now - self._alone_since > self._patience:
+            raise PeerLost(f"the router has been away for {self._patience:g} s")
+        return False
+
+    def _mind_the_absent(self) -> None:
+        """Do without those who have gone, or wait for them; give those who are back what they have missed."""
+        now = time.monotonic()
+        for name in self._awaited.keys() & set(self._seats.absent):
+            if self._respawn and not self._awaited[name].patient:
+                self._awaited[name] = _Wait(now, self._patience, patient=True)
+            elif not self._awaited[name].patient:
+                del self._awaited[name]
+        back = [name for name in self._seats.unbriefed if name in self._awaited]
+        for name in self._seats.send({name: self._observations[name] for name in back}):
+            self._awaited[name] = _Wait(now, self._patience, patient=self._respawn)  # it has all its past to work through
+
+    def _give_up(self, tick: int) -> None:
+        now = time.monotonic()
+        late = [name for name, wait in self._awaited.items() if now - wait.since >= wait.limit]
+        absent = set(self._seats.absent)
+        for name in late:
+            waited = now - self._awaited.pop(name).since
+            if name in absent:
+                self._given_up.add(name)
+                self._on_event(f"{name} has not come back within {waited:.1f} s; it brakes and the run goes on")
+            else:
+                self._seats.name_late([name], tick, waited)
+
+
+class RealTime:
+    """Keeps the wall clock, waits for nobody, and takes the newest command that has arrived.
+
+    The end of tick k is due at (k + 1) dt / F after the start: computed, never summed, so it does not drift.
+
+    Args:
+        seats: The vehicles' places.
+        dt: Length of a tick [s].
+        factor: F, simulated seconds per second of wall time.
+        on_event: Called with one line for a person.
+    """
+
+    def __init__(self, seats: Seats, *, dt: float, factor: float, on_event: Callable[[str], None]) -> None:
+        self.factor: float | None = factor
+        self.late_ticks = 0
+        self._seats = seats
+        self._period = dt / factor
+        self._on_event = on_event
+        self._start: float | None = None
+        self._first = 0
+        self._restart = True
+
+    def restart(self) -> None:
+        """The clock has stood still: count from now."""
+        self._restart = True
+
+    def publish(self, observations: Mapping[str, Observation]) -> None:
+        """Give each vehicle its observation; a long past goes out in parts, one a tick."""
+        self._seats.follow()
+        self._seats.send(observations, parts=1)
+
+    def _due(self, tick: int) -> float:
+        """When this tick's end is due [s], on the monotonic clock."""
+        now = time.monotonic()
+        if self._restart or self._start is None:
+            self._start, self._first, self._restart = now, tick, False
+        due = self._start + (tick + 1 - self._first) * self._period
+        if now - due > _BEHIND:
+            self._on_event(f"the clock is {now - due:.1f} s behind at tick {tick}; it goes on from here")
+            self._start, self._first = now, tick
+            due = now + self._period
+            self.late_ticks += 1
+        return due
+
+    def collect(self, tick: int, over: NothingAsked) -> dict[str, Command]:
+        """Sleep until the tick is over; then take what has come."""
+        commands: dict[str, Command] = {}
+        due = self._due(tick)
+        while not over():
+            self._take(tick, commands)
+            rest = due - time.monotonic()
+            if rest <= 0.0:
+                break
+            time.sleep(min(rest, _NAP))
+        if time.monotonic() - due > _LATE * self._period:
+            self.late_ticks += 1
+        self._take(tick, commands)
+        return commands
+
+    def _take(self, tick: int, commands: dict[str, Command]) -> None:
+        for letter in self._seats.commands.waiting():
+            self._seats.take(letter, tick, commands)

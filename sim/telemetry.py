@@ -1,0 +1,76 @@
+"""What the simulator tells observers: the truth, the map and the status, to whoever listens, and never in the tick's way."""
+
+import time
+from collections.abc import Callable
+
+from bus.keys import COVERAGE, STATUS, TRUTH
+from bus.messages import CoverageMap, Status
+from bus.session import Session
+from sim.flight import Flight
+from sim.pace import Pace
+from sim.seats import Seats
+
+_PERIOD = 0.2
+"""Wall time between two status messages, and between two maps [s]."""
+
+
+class Telemetry:
+    """Sends what is wanted.
+
+    Args:
+        session: The simulator's session.
+        flight: What is flown.
+        seats: The vehicles' places.
+        pace: How time goes on.
+        paused: Asked whether the clock stands still.
+    """
+
+    def __init__(self, session: Session, flight: Flight, seats: Seats, pace: Pace, paused: Callable[[], bool]) -> None:
+        self._flight, self._seats, self._pace, self._paused = flight, seats, pace, paused
+        self._truth, self._map, self._status = (session.outbox(key) for key in (TRUTH, COVERAGE, STATUS))
+        self._due = 0.0
+        self._last = (0.0, 0)
+
+    def send(self, *, at_once: bool = False) -> None:
+        """Send the truth at each tick, status and map a few times a second.
+
+        Args:
+            at_once: Send all, whenever the last ones were.
+        """
+        if self._truth.wanted:
+            self._truth.send(self._flight.truth())
+        now = time.monotonic()
+        if now < self._due and not at_once:
+            return
+        self._due = now + _PERIOD
+        self._seats.follow()
+        if self._status.wanted:
+            self._status.send(self.status(now))
+        if self._map.wanted:
+            self._map.send(self._coverage_map())
+
+    def status(self, now: float) -> Status:
+        """How the run stands, `now` on the monotonic clock [s]."""
+        flight, world = self._flight, self._flight.world
+        before, tick = self._last
+        self._last = (now, world.tick)
+        elapsed = now - before
+        return Status(
+            scenario=flight.scenario.name,
+            seed=flight.seed,
+            tick=world.tick,
+            ticks=flight.scenario.ticks,
+            time=world.time,
+            realtime_factor=(world.tick - tick) * flight.scenario.dt / elapsed if before and elapsed > 0.0 else 0.0,
+            wanted_factor=self._pace.factor,
+            late_ticks=self._pace.late_ticks,
+            paused=self._paused(),
+            vehicles=self._seats.statuses(),
+            over=flight.over,
+        )
+
+    def _coverage_map(self) -> CoverageMap:
+        world = self._flight.world
+        rows, columns = world.coverage.shape
+        share = (world.coverage * (255.0 / world.parameters.desired)).clip(0.0, 255.0).astype("u1")
+        return CoverageMap(tick=world.tick, rows=rows, columns=columns, cell=world.parameters.cell, cells=share.tobytes())

@@ -1,0 +1,342 @@
+"""The information contract, layer three: what the router enforces, tried with real sessions that do not ask our API first."""
+
+import stat
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from bus import access, session
+from bus.access import (
+    Credential,
+    CredentialSet,
+    access_control,
+    client_settings,
+    grants,
+    new_credentials,
+    read_credential,
+    read_credentials,
+    write_credentials,
+)
+from bus.errors import AccessDenied
+from bus.keys import KEYS, STAFF, Party, Role, check_reads, check_writes, token
+from bus.session import open_router, open_session
+
+RUN = "run"
+GIVEN = new_credentials(RUN, ["uav_0", "uav_1"], ["ugv_0", "ugv_1"])
+NAMES = [credential.name for credential in GIVEN.parties]
+VEHICLES = {Role.UAV: ["uav_0", "uav_1"], Role.UGV: ["ugv_0", "ugv_1"]}
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A refused client shows it by trying in vain; here not for long."""
+    monkeypatch.setitem(session._CLIENT, "connect/timeout_ms", 700)
+
+
+@pytest.fixture
+def endpoint(tmp_path: Path) -> str:
+    return f"unixsock-stream/{tmp_path / 'bus.sock'}"
+
+
+def raw(endpoint: str, credential: Credential | None, **settings: Any) -> zenoh.Session:
+    """A session that asks nobody's leave."""
+    wanted = session._COMMON | session._CLIENT | client_settings(credential) | {"connect/endpoints": [endpoint]}
+    return zenoh.open(session._config(wanted | {name.replace("__", "/"): value for name, value in settings.items()}))
+
+
+def concrete() -> list[tuple[Any, str, str]]:
+    """Every row of the table for every vehicle: row, vehicle, key."""
+    found = []
+    for key in KEYS:
+        for vehicle in VEHICLES[key.vehicle] if key.vehicle else [""]:
+            found.append((key, vehicle, key.expression(RUN, vehicle)))
+    return found
+
+
+def may(check: Any, key: Any, name: str, vehicle: str) -> bool:
+    try:
+        check(key, GIVEN.of(name).party, vehicle)
+    except AccessDenied:
+        return False
+    return True
+
+
+Arrived = set[tuple[str, str, str]]
+"""Reader, key and writer."""
+
+
+def received(inboxes: dict[str, list[Any]]) -> Arrived:
+    """All that has arrived."""
+    found = set()
+    for reader, subscribers in inboxes.items():
+        for subscriber in subscribers:
+            while (sample := subscriber.try_recv()) is not None:
+                found.add((reader, str(sample.key_expr), sample.payload.to_string()))
+    return found
+
+
+def gather(inboxes: dict[str, list[Any]], wanted: Arrived, say: Any) -> Arrived:
+    """What arrives until all that is wanted has, and for a while after that."""
+    found: Arrived = set()
+    rest = 3
+    for _ in range(100):
+        say()
+        limit = time.monotonic() + 0.2
+        while time.monotonic() < limit:
+            found |= received(inboxes)
+        rest -= found >= wanted
+        if not rest:
+            break
+    return found
+
+
+@contextmanager
+def everybody(endpoint: str) -> Iterator[dict[str, zenoh.Session]]:
+    """A router of its own, and a raw client for each party."""
+    with ExitStack() as stack:
+        stack.enter_context(open_router((endpoint,), GIVEN))
+        yield {credential.name: stack.enter_context(raw(endpoint, credential)) for credential in GIVEN.parties}
+
+
+def test_every_row_reaches_its_readers_from_its_writer_and_nobody_else(endpoint: str) -> None:
+    """All parties write to every key and read every key, each for itself and with the widest keys there are."""
+    wanted = {
+        (reader, expression, writer)
+        for key, vehicle, expression in concrete()
+        for reader in NAMES
+        for writer in NAMES
+        if reader != writer and may(check_reads, key, reader, vehicle) and may(check_writes, key, writer, vehicle)
+    }
+    assert len(wanted) >= 20
+    with everybody(endpoint) as sessions:
+        expressions = [row[2] for row in concrete()]
+        inboxes = {
+            name: [
+                opened.declare_subscriber(expression, zenoh.handlers.FifoChannel(10_000))
+                for expression in (*expressions, "**", "outrider/**", f"outrider/{RUN}/*/command")
+            ]
+            for name, opened in sessions.items()
+        }
+        remote = zenoh.Locality.REMOTE
+        publishers = {
+            name: [opened.declare_publisher(expression, allowed_destination=remote) for expression in expressions]
+            for name, opened in sessions.items()
+        }
+
+        def say() -> None:
+            for name, opened in sessions.items():
+                for publisher in publishers[name]:
+                    publisher.put(name.encode())
+                for expression in expressions:  # and without a declaration
+                    opened.put(expression, name.encode(), allowed_destination=remote)
+
+        assert gather(inboxes, wanted, say) == wanted
+
+
+def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulators_alone(endpoint: str) -> None:
+    seen: dict[str, set[str]] = {name: set() for name in NAMES}
+    with everybody(endpoint) as sessions:
+        kept: list[object] = []
+        for name, opened in sessions.items():
+            for expression in (token(RUN, "*", "*"), token(RUN, "simulator", "*"), "outrider/**"):
+                kept.append(
+                    opened.liveliness().declare_subscriber(
+                        expression, lambda sample, name=name: seen[name].add(str(sample.key_expr)), history=True
+                    )
+                )
+        for name, opened in sessions.items():
+            for owner in NAMES:
+                kept.append(opened.liveliness().declare_token(token(RUN, owner, f"by_{name}")))
+        limit = time.monotonic() + 10.0
+        wanted = {token(RUN, name, f"by_{name}") for name in NAMES}
+        while time.monotonic() < limit and not seen["simulator"] >= wanted:
+            time.sleep(0.05)
+        time.sleep(0.3)
+    own = {name: {token(RUN, owner, f"by_{name}") for owner in NAMES} for name in NAMES}  # a session hears itself
+    assert seen["simulator"] - own["simulator"] == wanted - own["simulator"]
+    for name in set(NAMES) - {"simulator"}:
+        assert seen[name] - own[name] == {token(RUN, "simulator", "by_simulator")}
+
+
+def test_nobody_can_ask_the_router_or_another_for_anything(endpoint: str) -> None:
+    with everybody(endpoint) as sessions:
+        answered = sessions["ugv_0"].declare_queryable("outrider/**", lambda query: query.reply(query.key_expr, b"secret"))
+        for name in set(NAMES) - {"ugv_0"}:
+            own = str(sessions[name].zid())
+            for selector in ("outrider/**", "@/**", "**"):
+                replies = [reply.ok for reply in sessions[name].get(selector, timeout=0.3) if reply.ok is not None]
+                assert all(own in str(reply.key_expr) for reply in replies)  # of itself it knows anyway
+        answered.undeclare()
+
+
+def stranger(kind: str) -> Credential | None:
+    fake = "x" * 32
+    if kind == "no password":
+        return None
+    if kind == "a wrong password":
+        return Credential(name="uav_0", role=Role.UAV, password=fake)
+    if kind == "another's name with its own password":
+        return Credential(name="ugv_0", role=Role.UGV, password=GIVEN.of("uav_0").password)
+    return Credential(name="nobody", role=Role.UAV, password=fake)
+
+
+STRANGERS = ["no password", "a wrong password", "another's name with its own password", "an unknown name"]
+
+
+@pytest.mark.parametrize("kind", STRANGERS)
+@pytest.mark.parametrize("mode", ["client", "peer", "router"])
+def test_a_stranger_gets_nothing(endpoint: str, kind: str, mode: str) -> None:
+    simulator = GIVEN.of("simulator")
+    with ExitStack() as stack:
+        hosted = stack.enter_context(open_session(simulator.party, RUN, listen=(endpoint,), given=GIVEN))
+        remote = zenoh.Locality.REMOTE
+        publishers = [hosted._zenoh.declare_publisher(e, allowed_destination=remote) for _, _, e in concrete()]
+        commands = hosted._zenoh.declare_subscriber("outrider/**", zenoh.handlers.FifoChannel(100))
+        try:
+            opened = stack.enter_context(
+                raw(endpoint, stranger(kind), mode=mode, scouting__gossip__enabled=True, listen__endpoints=[])
+            )
+        except zenoh.ZError:
+            return  # it was not even let in
+        inbox = opened.declare_subscriber("outrider/**", zenoh.handlers.FifoChannel(100))
+        limit = time.monotonic() + 1.0
+        while time.monotonic() < limit:
+            for publisher in publishers:
+                publisher.put(b"secret")
+            for _, _, expression in concrete():
+                opened.put(expression, b"evil", allowed_destination=remote)
+        assert inbox.try_recv() is None
+        assert commands.try_recv() is None
+
+
+def test_a_known_peer_with_gossip_gets_no_more_than_a_client(endpoint: str) -> None:
+    simulator = GIVEN.of("simulator")
+    with ExitStack() as stack:
+        hosted = stack.enter_context(open_session(simulator.party, RUN, listen=(endpoint,), given=GIVEN))
+        stack.enter_context(raw(endpoint, GIVEN.of("ugv_0")))
+        peer = stack.enter_context(raw(endpoint, GIVEN.of("uav_0"), mode="peer", scouting__gossip__enabled=True))
+        expressions = [row[2] for row in concrete()]
+        inboxes = {"uav_0": [peer.declare_subscriber(e, zenoh.handlers.FifoChannel(1000)) for e in (*expressions, "**")]}
+        publishers = [hosted._zenoh.declare_publisher(e, allowed_destination=zenoh.Locality.REMOTE) for e in expressions]
+
+        def say() -> None:
+            for publisher in publishers:
+                publisher.put(b"simulator")
+
+        own = {("uav_0", f"outrider/{RUN}/uav_0/{topic}", "simulator") for topic in ("observation", "briefing")}
+        assert gather(inboxes, own, say) == own
+        assert [str(zid) for zid in peer.info.peers_zid()] == []
+
+
+def test_a_refused_client_is_told_why(endpoint: str) -> None:
+    uav = GIVEN.of("uav_0")
+    wrong = Credential(name="uav_0", role=Role.UAV, password="x" * 32)
+    with open_router((endpoint,), GIVEN):
+        for credential, told in ((None, "without credentials"), (wrong, "as uav_0: is the password the run's")):
+            with pytest.raises(AccessDenied, match=told), open_session(uav.party, RUN, connect=endpoint, credential=credential):
+                pass
+        with (
+            pytest.raises(AccessDenied, match="cannot use the credentials of uav_0"),
+            open_session(GIVEN.of("ugv_0").party, RUN, connect=endpoint, credential=uav),
+        ):
+            pass
+
+
+def test_the_grants_are_the_table_and_nothing_more() -> None:
+    for credential in GIVEN.parties:
+        party, own = credential.party, set()
+        for key, vehicle, expression in concrete():
+            if may(check_writes, key, party.name, vehicle):
+                own.add(("put", "ingress", expression))
+            if may(check_reads, key, party.name, vehicle):
+                own.add(("put", "egress", expression))
+        given = [grant for grant in grants(party, RUN) if grant.message == "put"]
+        for message, flow, expression in own:
+            assert any(
+                (grant.message, grant.flow) == (message, flow)
+                and any(zenoh.KeyExpr(wide).includes(zenoh.KeyExpr(expression)) for wide in grant.keys)
+                for grant in given
+            )
+        for grant in given:
+            for key, _, expression in concrete():
+                if any(zenoh.KeyExpr(wide).includes(zenoh.KeyExpr(expression)) for wide in grant.keys):
+                    assert (grant.message, grant.flow, expression) in own, (party, key)
+
+
+def test_nothing_is_allowed_by_default_and_no_grant_is_wider_than_its_run() -> None:
+    rules = access_control(GIVEN)
+    assert rules["default_permission"] == "deny"
+    assert {rule["permission"] for rule in rules["rules"]} == {"allow"}
+    assert all(key.startswith(f"outrider/{RUN}/") and "**" not in key for rule in rules["rules"] for key in rule["key_exprs"])
+    assert {name for subject in rules["subjects"] for name in subject["usernames"]} == set(NAMES)
+
+
+def test_credentials_are_private_random_and_read_back(tmp_path: Path) -> None:
+    files = write_credentials(GIVEN, tmp_path / "made")
+    assert {path.name for path in files.values()} == {f"{name}.json" for name in ("router", *NAMES)}
+    assert stat.S_IMODE((tmp_path / "made").stat().st_mode) == 0o700
+    assert {stat.S_IMODE(path.stat().st_mode) for path in files.values()} == {0o600}
+    assert read_credentials(files["router"]) == GIVEN
+    assert {read_credential(files[name]) for name in NAMES} == set(GIVEN.parties)
+    for name in NAMES:  # nobody's file tells another's password
+        text = files[name].read_text(encoding="utf-8")
+        assert [other for other in NAMES if GIVEN.of(other).password in text] == [name]
+    again = new_credentials(RUN, ["uav_0", "uav_1"], ["ugv_0", "ugv_1"])
+    assert not {c.password for c in again.parties} & {c.password for c in GIVEN.parties}
+    with pytest.raises(FileExistsError):
+        write_credentials(GIVEN, tmp_path / "made")
+
+
+def test_credentials_that_cannot_be_used_are_refused_in_one_line(tmp_path: Path) -> None:
+    files = write_credentials(GIVEN, tmp_path / "made")
+    files["uav_0"].chmod(0o644)
+    with pytest.raises(AccessDenied, match="others can read"):
+        read_credential(files["uav_0"])
+    with pytest.raises(AccessDenied, match="cannot read"):
+        read_credential(tmp_path / "nowhere.json")
+    with pytest.raises(AccessDenied, match="not a party's credentials"):
+        read_credential(files["router"])
+    with pytest.raises(AccessDenied, match="not a router's credentials"):
+        read_credentials(files["ugv_0"])
+
+
+def test_a_password_is_never_shown() -> None:
+    secret = GIVEN.of("uav_0")
+    assert secret.password not in repr(secret)
+    assert secret.password not in repr(GIVEN)
+
+
+def test_the_routers_list_of_passwords_is_gone_once_it_is_open(
+    endpoint: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    private = tmp_path / "private"
+    private.mkdir()
+    monkeypatch.setattr(access.tempfile, "tempdir", str(private))
+    seen: list[int] = []
+    original = access.write_private
+
+    def spy(path: Path, content: bytes) -> None:
+        original(path, content)
+        seen.append(stat.S_IMODE(path.stat().st_mode))
+
+    monkeypatch.setattr(access, "write_private", spy)
+    with open_router((endpoint,), GIVEN):
+        assert seen == [0o600]
+        assert not list(private.iterdir())
+        with raw(endpoint, GIVEN.of("uav_0")):
+            pass
+
+
+def test_two_parties_cannot_have_one_name() -> None:
+    for uavs, ugvs in ((["a"], ["a"]), (["simulator"], ["a"]), (["a", "a"], ["b"])):
+        with pytest.raises(ValueError, match="one name"):
+            new_credentials(RUN, uavs, ugvs)
+    assert set(STAFF) <= set(NAMES)
+    with pytest.raises(AccessDenied, match="no credentials for uav_7"):
+        CredentialSet(run=RUN, parties=GIVEN.parties).of("uav_7")
+    assert GIVEN.of("uav_0").party == Party(role=Role.UAV, name="uav_0")
