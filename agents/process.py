@@ -15,7 +15,7 @@ from bus.access import Credential
 from bus.errors import BusError, PeerLost
 from bus.keys import BRIEFING, COMMAND, OBSERVATION, SIMULATOR_NAME, Party, Role
 from bus.messages import Briefing, Command, UavBriefing, UavObservation, UgvBriefing, UgvObservation
-from bus.session import Outbox, Session, open_session
+from bus.session import Letter, Outbox, Session, open_session
 from sim.compile import compiling
 
 _ROOM = 1024
@@ -115,7 +115,7 @@ class _Seat:
         self._presence = _Presence()
         self._briefings = session.inbox(BRIEFING[party.role], party.name)
         self._observations = session.inbox(OBSERVATION[party.role], party.name, newest=_ROOM)
-        self._simulator, self._first = "", 0  # who has briefed it, and the first tick that is not past
+        self._simulator, self._first = "", 0  # who has briefed it, and the first tick that is still to be seen
         session.watch(SIMULATOR_NAME, self._presence.change)
         session.announce()
 
@@ -160,10 +160,15 @@ class _Seat:
             while self._briefings.holds_any():
                 told = self.briefing()
             letters = [letter, *self._observations.waiting()]
-            return told, [seen.message for seen in letters if seen.session == self._simulator and self._is_new(seen.message)]
+            return told, [seen.message for seen in letters if self._is_new(seen)]
 
-    def _is_new(self, observation: Any) -> bool:  # noqa: ANN401 - a UAV's or a UGV's observation
-        return bool(observation.tick >= self._first)
+    def _is_new(self, letter: Letter) -> bool:
+        """Whether an observation is of the run it was briefed for, and neither past nor a copy of one that it has seen."""
+        observation: Any = letter.message
+        if letter.session != self._simulator or observation.tick < self._first:
+            return False
+        self._first = observation.tick + 1
+        return True
 
 
 def _take_over(make_pilot: MakePilot, told: Briefing) -> Pilot:

@@ -139,13 +139,14 @@ class Inbox:
         subscriber = self._open_subscriber()
         started = self._since = time.monotonic()
         try:
-            while True:
+            while not self._poked:
                 letter = self._open(subscriber.recv())
                 if letter is not None:
                     return letter
-                if self._poked or time.monotonic() - started >= patience:
-                    self._poked = False
-                    return None
+                if time.monotonic() - started >= patience:
+                    break
+            self._poked = False
+            return None
         except zenoh.ZError as error:
             raise BusError(f"the session is gone: {error}") from error
         finally:
@@ -172,9 +173,10 @@ class Inbox:
         return self._peeked is not None
 
     def poke(self) -> None:
-        """Make `receive` return; may be called from any thread."""
+        """Make `receive` return, now or when it is called next; may be called from any thread."""
         self._poked = True
-        self._wake()
+        if self._since is not None:
+            self._wake()
 
     def nudge(self) -> None:
         """Let a reader that has waited for a while look at the clock."""
@@ -218,6 +220,7 @@ class Session:
         self._inboxes: list[Inbox] = []
         self._kept: list[object] = []
         self._closing = threading.Event()
+        self._gate = threading.Lock()
         self.party = party
         self.run = run
         self.id = str(zenoh_session.zid())
@@ -232,7 +235,8 @@ class Session:
 
     def close(self) -> None:
         """Stop the reminders; the Zenoh session closes with its `with`."""
-        self._closing.set()
+        with self._gate:
+            self._closing.set()
         self._alarm.join()
 
     @property
@@ -289,8 +293,9 @@ class Session:
 
     def _subscribe(self, expression: str, wake_expression: str, keys: Mapping[str, Key], *, kept: int) -> Inbox:
         def wake() -> None:
-            if not self._closing.is_set():
-                self._zenoh.put(wake_expression, b"", allowed_destination=zenoh.Locality.SESSION_LOCAL)
+            with self._gate:  # Zenoh's session cannot be used while another thread closes it
+                if not self._closing.is_set():
+                    self._zenoh.put(wake_expression, b"", allowed_destination=zenoh.Locality.SESSION_LOCAL)
 
         decoders = {vehicle: msgspec.json.Decoder(key.message) for vehicle, key in keys.items()}
         inbox = Inbox(wake, decoders)

@@ -1,0 +1,349 @@
+"""The seats of a run, with real sessions: second sessions, vehicles that come back with their past, real time, pause and step."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from agents import process
+from agents.uav import UavPilot
+from agents.ugv import UgvPilot
+from bus.access import new_credentials
+from bus.keys import COMMAND, CONTROL, STATUS, Party, Role
+from bus.messages import Action, Control, Status, UavCommand, UgvCommand
+from bus.session import Session, open_session
+from outrider.run import fly
+from sim.flight import Flight
+from sim.scenario import Scenario, load_scenario
+from sim.server import Server
+
+GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"])
+PILOT = {"uav_0": UavPilot, "ugv_0": UgvPilot}
+
+
+class Gone(Exception):
+    """A vehicle's process that ends without a word."""
+
+
+class Vehicle:
+    """A vehicle's process as a thread: the real loop and the real pilot, watched.
+
+    Args:
+        endpoint: Of the router.
+        name: The vehicle.
+        until: It is gone once this tick has been answered.
+        on_tick: Called with each tick before it acts.
+    """
+
+    def __init__(self, endpoint: str, name: str, until: int | None, on_tick: Callable[[int], None]) -> None:
+        self.name = name
+        self.seen: list[Any] = []
+        """All it has acted on, its past first."""
+        self._endpoint, self._until, self._on_tick = endpoint, until, on_tick
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def join(self) -> None:
+        self._thread.join(60.0)
+        assert not self._thread.is_alive()
+
+    def _run(self) -> None:
+        credential = GIVEN.of(self.name)
+        with suppress(Gone):
+            process.fly(credential.party, self._make, connect=self._endpoint, run="run", credential=credential)
+
+    def _make(self, told: Any) -> "Vehicle":
+        self._pilot = PILOT[self.name](told)
+        self.seen.clear()
+        return self
+
+    def act(self, observation: Any) -> Any:
+        self._on_tick(observation.tick)
+        if self._until is not None and observation.tick > self._until:
+            raise Gone
+        self.seen.append(observation)
+        return self._pilot.act(observation)
+
+
+class Stage:
+    """A server, and what it says."""
+
+    def __init__(self, stack: ExitStack, folder: Path, scenario: Scenario, **options: Any) -> None:
+        self.endpoint = f"unixsock-stream/{folder / 'bus.sock'}"
+        self.events: list[str] = []
+        simulator = GIVEN.of("simulator").party
+        session = stack.enter_context(open_session(simulator, "run", listen=(self.endpoint,), given=GIVEN))
+        self.server = Server(session, scenario, scenario.seed, on_event=self.events.append, **options)
+        self.vehicles: list[Vehicle] = []
+        self._stack = stack
+
+    def start(self, name: str, *, until: int | None = None, on_tick: Callable[[int], None] = lambda _tick: None) -> Vehicle:
+        self.vehicles.append(Vehicle(self.endpoint, name, until, on_tick))
+        return self.vehicles[-1]
+
+    def client(self, name: str) -> Session:
+        credential = GIVEN.of(name)
+        return self._stack.enter_context(open_session(credential.party, "run", connect=self.endpoint, credential=credential))
+
+    def fly(self, on_tick: Callable[[], None] | None = None) -> Flight:
+        flight = self.server.fly(on_tick=on_tick)
+        for vehicle in self.vehicles:
+            vehicle.join()
+        return flight
+
+
+@contextmanager
+def stage(folder: Path, ticks: int, **options: Any) -> Iterator[Stage]:
+    scenario = load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}"])
+    with ExitStack() as stack:
+        yield Stage(stack, folder, scenario, **options)
+
+
+def whole(ticks: int) -> Flight:
+    scenario = load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}"])
+    return fly(scenario, scenario.seed)[0]
+
+
+@pytest.mark.parametrize("victim", ["uav_0", "ugv_0"])
+def test_a_vehicle_that_comes_back_with_its_past_flies_the_same_bits(victim: str, tmp_path: Path) -> None:
+    """More ticks than one part of a briefing holds; the newcomer knows nothing but what it is told."""
+    with stage(tmp_path, 1500, respawn=True) as run:
+        run.start("uav_0" if victim == "ugv_0" else "ugv_0")
+        run.start(victim, until=1233)
+        second = threading.Event()
+
+        def come_back() -> None:
+            if run.server.flight.world.tick == 1234 and not second.is_set():
+                second.set()
+                run.start(victim)
+
+        flight = run.fly(come_back)
+        statuses = run.server.vehicles()
+    first, later = (vehicle for vehicle in run.vehicles if vehicle.name == victim)
+    assert [seen.tick for seen in first.seen] == list(range(1234))
+    assert [seen.tick for seen in later.seen] == list(range(1500))
+    assert flight.recorder.sha256() == whole(1500).recorder.sha256()
+    assert flight.first_missing is None
+    assert (statuses[victim].lost, statuses[victim].rejoined) == (1, 1)
+    assert run.events == [f"{victim} is lost at tick 1234", f"{victim} has joined again at tick 1234"]
+
+
+def test_a_past_is_what_the_vehicle_has_perceived(tmp_path: Path) -> None:
+    scenario = load_scenario("escort", overrides=["duration=20.0"])
+    flight = Flight(scenario, 7)
+    pilots = {name: PILOT[name](told) for name, told in _briefings(scenario).items()}
+    seen: dict[str, list[Any]] = {name: [] for name in pilots}
+    for _ in range(300):
+        observations = flight.observations()
+        flight.recorder.record(flight.reports)
+        for name, observation in observations.items():
+            seen[name].append(observation)
+        flight.apply({name: pilots[name].act(observation) for name, observation in observations.items()})
+    assert any(observation.radio for observation in seen["ugv_0"])
+    assert any(not observation.detections for observation in seen["uav_0"])
+    for name in pilots:
+        assert list(flight.past(name, 0, 300, ())) == seen[name]
+        assert list(flight.past(name, 120, 180, ())) == seen[name][120:180]
+        deaf = flight.past(name, 0, 300, range(100, 200))
+        assert [o for k, o in enumerate(deaf) if not 100 <= k < 200] == [
+            o for k, o in enumerate(seen[name]) if not 100 <= k < 200
+        ]
+        assert not any(getattr(o, "detections", ()) or getattr(o, "radio", ()) for o in deaf[100:200])
+        assert [o.position for o in deaf] == [o.position for o in seen[name]]
+
+
+def _briefings(scenario: Scenario) -> dict[str, Any]:
+    from sim.briefing import briefing
+
+    return {vehicle.name: briefing(scenario, vehicle.name, scenario.seed) for vehicle in scenario.vehicles}
+
+
+def test_a_lost_vehicle_brakes_and_one_that_returns_is_told_nothing_it_has_missed(tmp_path: Path) -> None:
+    """Without respawn the clock does not wait; what was detected while nobody was there stays unknown."""
+    with stage(tmp_path, 20_000) as run:
+        run.start("ugv_0")
+        run.start("uav_0", until=100)
+        flight, started = run.server.flight, threading.Event()
+        returned: list[int] = []
+
+        def come_back() -> None:
+            if flight.world.tick >= 150 and not started.is_set():
+                started.set()
+                run.start("uav_0")
+            if not returned and run.server.vehicles()["uav_0"].rejoined:
+                returned.append(flight.world.tick)
+            if returned and flight.world.tick == returned[0] + 60:
+                flight.stop()
+
+        run.fly(come_back)
+    later = run.vehicles[2].seen
+    back = 101 + flight.missing["uav_0"]
+    assert 150 < back <= returned[0] + 1
+    assert [seen.tick for seen in later[:back]] == list(range(back))
+    assert sum(bool(seen.detections) for seen in later[:101]) > 50
+    assert not any(seen.detections for seen in later[102:back])
+    assert sum(bool(seen.detections) for seen in later[back:]) > 20
+    assert flight.first_missing == 101
+    assert (abs(flight.recorder.states[165:back, 0, 2:4]) < 1e-9).all()
+
+
+def test_a_vehicle_that_does_not_come_back_is_given_up_once(tmp_path: Path) -> None:
+    with stage(tmp_path, 60, respawn=True, join_timeout=0.4) as run:
+        run.start("ugv_0")
+        run.start("uav_0", until=20)
+        flight = run.fly()
+    assert flight.complete
+    assert flight.missing == {"uav_0": 39, "ugv_0": 0}
+    assert [event for event in run.events if "has not come back within 0." in event] == run.events[1:]
+    assert len(run.events) == 2
+
+
+def test_the_first_session_keeps_the_seat_and_a_second_one_is_counted_named_and_ignored(tmp_path: Path) -> None:
+    with stage(tmp_path, 400) as run:
+        first = run.start("uav_0")
+        run.start("ugv_0")
+        intruder: dict[str, Any] = {}
+
+        def intrude() -> None:
+            tick = run.server.flight.world.tick
+            if tick == 100:
+                intruder["session"] = run.client("uav_0")
+                intruder["commands"] = intruder["session"].outbox(COMMAND[Role.UAV], "uav_0")
+                intruder["session"].announce()
+                wait_until(lambda: intruder["commands"].wanted)
+            if tick >= 100:
+                for answered in (tick, tick + 1):
+                    intruder["commands"].send(UavCommand(tick=answered, acceleration=(0.3, 0.0)))
+
+        flight = run.fly(intrude)
+        status = run.server.vehicles()["uav_0"]
+    assert flight.recorder.sha256() == whole(400).recorder.sha256()
+    assert status.refused["comes from a second session"] >= 300
+    assert status.refused.keys() == {"comes from a second session"}
+    assert intruder["session"].id in run.events[0]
+    assert len(run.events) == 1
+    assert [seen.tick for seen in first.seen] == list(range(400))
+
+
+def test_the_second_session_takes_the_seat_when_the_first_has_gone(tmp_path: Path) -> None:
+    with stage(tmp_path, 300, respawn=True) as run:
+        run.start("ugv_0")
+        run.start("uav_0", until=150)
+        spare = threading.Event()
+
+        def stand_by() -> None:
+            if run.server.flight.world.tick == 50 and not spare.is_set():
+                spare.set()
+                run.start("uav_0")
+                wait_until(lambda: run.server.vehicles()["uav_0"].refused != {})
+
+        flight = run.fly(stand_by)
+    assert flight.recorder.sha256() == whole(300).recorder.sha256()
+    assert [seen.tick for seen in run.vehicles[2].seen] == list(range(300))
+
+
+def wait_until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
+    limit = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < limit, "waited in vain"
+        time.sleep(0.005)
+
+
+def test_real_time_keeps_the_clock_and_flies_the_lockstep_bits_if_all_are_in_time(tmp_path: Path) -> None:
+    with stage(tmp_path, 100, realtime=2.0) as run:
+        run.start("uav_0")
+        run.start("ugv_0")
+        started: list[float] = []
+        flight = run.fly(lambda: started.append(time.monotonic()))
+    seconds = started[-1] - started[0]
+    assert seconds >= 99 * 0.025 - 0.05  # never faster than asked for; how much slower is the machine's affair
+    if flight.first_missing is None:
+        assert flight.recorder.sha256() == whole(100).recorder.sha256()
+    assert flight.missing["uav_0"] + flight.missing["ugv_0"] < 100
+
+
+def test_in_real_time_a_slow_vehicle_degrades_itself_only(tmp_path: Path) -> None:
+    """The UAV takes 0.1 s for an answer where a tick lasts 0.025 s: its commands are used late, the UGV's in time."""
+    with stage(tmp_path, 160, realtime=2.0) as run:
+        uav = run.start("uav_0", on_tick=lambda _tick: time.sleep(0.1))
+        run.start("ugv_0")
+        flight = run.fly()
+        status = run.server.vehicles()
+    assert len(uav.seen) < 80  # it answers the newest, and does not fall further and further behind
+    assert uav.seen[-1].tick > 140
+    assert flight.complete
+    assert status["uav_0"].stale_commands >= 3
+    assert status["uav_0"].missing_commands > 60
+    assert status["ugv_0"].missing_commands < 20
+
+
+def test_in_real_time_a_command_is_used_by_its_age_and_then_the_vehicle_brakes() -> None:
+    """Commands are held for `hold` after the tick they answer, however late they have come."""
+    scenario = load_scenario("escort", overrides=["duration=5.0", "hold=0.2"])
+    flight = Flight(scenario, 7)
+    ugv = flight.world.names.index("ugv_0")
+
+    def step(answered: int | None) -> float:
+        commands: dict[str, Any] = {"uav_0": UavCommand(tick=flight.world.tick, acceleration=(0.0, 0.0))}
+        if answered is not None:
+            commands["ugv_0"] = UgvCommand(tick=answered, acceleration=(0.05, 0.0))
+        flight.apply(commands)
+        return float(flight.world.acceleration[ugv, 0])
+
+    assert [step(0), step(None), step(None), step(None), step(None)] == [0.05] * 5  # ticks 0 to 4: up to 0.2 s old
+    assert step(None) < 0.0  # tick 5: too old
+    assert step(3) == 0.05  # tick 6: late, 3 ticks old
+    assert step(None) == 0.05  # tick 7: 4 ticks old
+    assert step(None) < 0.0  # tick 8
+    assert step(3) <= 0.0  # tick 9: what comes too late is not flown
+    assert flight.first_missing == 1
+    assert flight.missing["ugv_0"] == 7
+
+
+def test_a_flight_can_be_paused_stepped_and_resumed(tmp_path: Path) -> None:
+    seen: list[Status] = []
+    with stage(tmp_path, 300) as run:
+        run.start("uav_0")
+        run.start("ugv_0")
+        operator = run.client("operator")
+        controls, statuses = operator.outbox(CONTROL), operator.inbox(STATUS)
+
+        def operate() -> None:
+            wait_until(lambda: controls.wanted)
+            controls.send(Control(action=Action.PAUSE))
+            paused = _await(statuses, lambda status: status.paused)
+            controls.send(Control(action=Action.STEP, ticks=5))
+            stepped = _await(statuses, lambda status: status.paused and status.tick == paused.tick + 5)
+            seen.extend((paused, stepped))
+            controls.send(Control(action=Action.RESUME))
+
+        hand = threading.Thread(target=operate)
+        hand.start()
+        flight = run.fly(lambda: time.sleep(0.001))
+        hand.join(30.0)
+    assert len(seen) == 2
+    assert flight.complete
+    assert flight.recorder.sha256() == whole(300).recorder.sha256()
+
+
+def _await(statuses: Any, wanted: Callable[[Status], bool]) -> Status:
+    limit = time.monotonic() + 20.0
+    while time.monotonic() < limit:
+        letter = statuses.receive(0.5)
+        if letter is not None and wanted(letter.message):
+            return letter.message
+    raise AssertionError("never came")
+
+
+def test_an_observer_cannot_pause(tmp_path: Path) -> None:
+    from bus.errors import AccessDenied
+
+    with stage(tmp_path, 3) as run:
+        observer = run.client("observer")
+        with pytest.raises(AccessDenied, match="observer"):
+            observer.outbox(CONTROL)
+        assert Party(role=Role.OBSERVER, name="observer") == observer.party
