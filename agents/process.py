@@ -151,16 +151,15 @@ class _Seat:
         Raises:
             PeerLost: If the simulator stays away.
         """
+        told = None
         while True:
             letter = self._observations.receive(1.0)
-            if letter is None:
-                self._mind_absence("an observation")
-                continue
-            told = None
             while self._briefings.holds_any():
                 told = self.briefing()
-            letters = [letter, *self._observations.waiting()]
-            return told, [seen.message for seen in letters if self._is_new(seen)]
+            if letter is not None:
+                letters = [letter, *self._observations.waiting()]
+                return told, [seen.message for seen in letters if self._is_new(seen)]
+            self._mind_absence("an observation")
 
     def _is_new(self, letter: Letter) -> bool:
         """Whether an observation is of the run it was briefed for, and neither past nor a copy of one that it has seen."""

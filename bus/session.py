@@ -110,16 +110,16 @@ class Outbox:
 class Inbox:
     """Reads one topic, in order. What does not decode is counted, logged and dropped."""
 
-    def __init__(self, wake: Callable[[], None], decoders: Mapping[str, msgspec.json.Decoder[Any]]) -> None:
+    def __init__(self, wake: Callable[[], None], decoders: Mapping[str, tuple[str, msgspec.json.Decoder[Any]]]) -> None:
         self._wake = wake
-        self._decoders = decoders
+        self._decoders = decoders  # sender and decoder by key
         self._subscriber: zenoh.Subscriber[zenoh.Handler[zenoh.Sample]] | None = None
         self._since: float | None = None
         self._poked = False
         self._peeked: Letter | None = None
-        self.refused: dict[str, int] = dict.fromkeys(decoders, 0)
+        self.refused: dict[str, int] = {sender: 0 for sender, _ in decoders.values()}
         """How many messages of each sender did not decode."""
-        self.fault: dict[str, str] = dict.fromkeys(decoders, "")
+        self.fault: dict[str, str] = {sender: "" for sender, _ in decoders.values()}
         """Why the last of them did not."""
 
     def attach(self, subscriber: "zenoh.Subscriber[zenoh.Handler[zenoh.Sample]]") -> None:
@@ -172,6 +172,23 @@ class Inbox:
             self._peeked = next(self.waiting(), None)
         return self._peeked is not None
 
+    def close(self) -> None:
+        """Read no more. Until that has been done, what still comes is read and dropped: a full inbox would hold up the end."""
+        subscriber, self._subscriber = self._subscriber, None
+        if subscriber is None:
+            return
+        handler = subscriber.handler
+        leaving = threading.Thread(target=subscriber.undeclare)
+        leaving.start()
+        while leaving.is_alive():
+            try:
+                while handler.try_recv() is not None:
+                    pass
+            except zenoh.ZError:
+                break
+            leaving.join(0.001)
+        leaving.join()
+
     def poke(self) -> None:
         """Make `receive` return, now or when it is called next; may be called from any thread."""
         self._poked = True
@@ -186,10 +203,10 @@ class Inbox:
     def _open(self, sample: zenoh.Sample) -> Letter | None:
         payload = sample.payload.to_bytes()
         expression = str(sample.key_expr)
-        sender = vehicle_of(expression)
-        decoder = self._decoders.get(sender)
-        if not payload or decoder is None:
-            return None  # a wake-up, or nobody of this run
+        known = self._decoders.get(expression)
+        if not payload or known is None:
+            return None  # a wake-up; nobody of this run; or a pattern, which nobody writes who means well
+        sender, decoder = known
         if len(payload) > _LARGEST:
             self._refuse(sender, expression, f"{len(payload)} bytes; allowed up to {_LARGEST}")
             return None
@@ -202,10 +219,11 @@ class Inbox:
         return Letter(sender=sender, session="" if source is None else str(source.source_id.zid), message=message)
 
     def _refuse(self, sender: str, expression: str, reason: str) -> None:
+        reason = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in reason[:500])
         self.refused[sender] += 1
-        self.fault[sender] = reason[:500]
+        self.fault[sender] = reason
         if self.refused[sender] & (self.refused[sender] - 1) == 0:  # the 1st, 2nd, 4th, 8th ...: a flood must not fill a log
-            _LOG.warning("refused a message on %s: %s (%d so far)", expression, reason[:500], self.refused[sender])
+            _LOG.warning("refused a message on %s: %s (%d so far)", expression, reason, self.refused[sender])
 
 
 class Session:
@@ -234,10 +252,12 @@ class Session:
                 inbox.nudge()
 
     def close(self) -> None:
-        """Stop the reminders; the Zenoh session closes with its `with`."""
+        """Stop the reminders and the reading; the Zenoh session closes with its `with`."""
         with self._gate:
             self._closing.set()
         self._alarm.join()
+        for inbox in self._inboxes:
+            inbox.close()
 
     @property
     def connected(self) -> bool:
@@ -275,7 +295,7 @@ class Session:
         check_reads(key, self.party, vehicle)
         expression = key.expression(self.run, vehicle)
         kept = newest or (1 if key.delivery is Delivery.NEWEST else 0)
-        return self._subscribe(expression, expression, {vehicle_of(expression): key}, kept=kept)
+        return self._subscribe(expression, expression, {expression: (vehicle_of(expression), key)}, kept=kept)
 
     def inbox_of_all(self, keys: Mapping[str, Key]) -> Inbox:
         """One reader for the same topic of several vehicles, in the order of arrival.
@@ -289,20 +309,20 @@ class Session:
         for vehicle, key in keys.items():
             check_reads(key, self.party, vehicle)
         topic = next(iter(keys.values())).topic
-        return self._subscribe(any_vehicle(self.run, topic), f"{ROOT}/{self.run}/-/{topic}", keys, kept=0)
+        known = {key.expression(self.run, vehicle): (vehicle, key) for vehicle, key in keys.items()}
+        return self._subscribe(any_vehicle(self.run, topic), f"{ROOT}/{self.run}/-/{topic}", known, kept=0)
 
-    def _subscribe(self, expression: str, wake_expression: str, keys: Mapping[str, Key], *, kept: int) -> Inbox:
+    def _subscribe(self, expression: str, wake_expression: str, known: Mapping[str, tuple[str, Key]], *, kept: int) -> Inbox:
         def wake() -> None:
             with self._gate:  # Zenoh's session cannot be used while another thread closes it
                 if not self._closing.is_set():
                     self._zenoh.put(wake_expression, b"", allowed_destination=zenoh.Locality.SESSION_LOCAL)
 
-        decoders = {vehicle: msgspec.json.Decoder(key.message) for vehicle, key in keys.items()}
+        decoders = {own: (sender, msgspec.json.Decoder(key.message)) for own, (sender, key) in known.items()}
         inbox = Inbox(wake, decoders)
         handler: Any = zenoh.handlers.RingChannel(kept) if kept else zenoh.handlers.FifoChannel(_ROOM)
         subscriber = self._zenoh.declare_subscriber(expression, handler)
         inbox.attach(subscriber)
-        self._kept.append(subscriber)
         self._inboxes.append(inbox)
         return inbox
 
@@ -409,9 +429,12 @@ def open_session(
     if credential is not None and credential.party != party:
         raise AccessDenied(f"{party.name} ({party.role}) cannot use the credentials of {credential.name} ({credential.role})")
     opened = _open_router(listen, given) if listen else _open_client(connect, credential)
-    with opened as zenoh_session:
-        session = Session(zenoh_session, party, run, hosts=bool(listen))
+    session = Session(opened, party, run, hosts=bool(listen))
+    try:
+        yield session
+    finally:
+        session.close()
         try:
-            yield session
-        finally:
-            session.close()
+            opened.close()  # type: ignore[no-untyped-call]
+        except zenoh.ZError as error:  # what was to be said has been said
+            _LOG.warning("the session did not close in time: %s", str(error).partition(" at /")[0])

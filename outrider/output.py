@@ -1,5 +1,6 @@
 """What a run leaves behind in its folder: the trajectory, the picture and the summary."""
 
+from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
@@ -46,16 +47,27 @@ def write_flight(flight: Flight, summary: Summary, folder: Path, *, picture: boo
         The files.
 
     Raises:
-        OSError: If a file cannot be written; what could be written before it is there.
+        OSError: If a file cannot be written; all that can be are there.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    flight.recorder.write(folder / TRAJECTORY)
-    files = [folder / TRAJECTORY, write_summary(summary, folder)]
-    np.save(folder / COVERAGE, flight.world.coverage)
-    files.append(folder / COVERAGE)
+    work: dict[str, Callable[[Path], object]] = {  # the smallest first: what is there when the disk is full is there
+        SUMMARY: lambda path: write_summary(summary, path.parent),
+        COVERAGE: lambda path: np.save(path, flight.world.coverage),
+        TRAJECTORY: flight.recorder.write,
+    }
     if picture:
         from outrider.render import draw_flight  # noqa: PLC0415 - matplotlib is slow to load
 
-        draw_flight(flight, folder / PICTURE)
-        files.append(folder / PICTURE)
+        work[PICTURE] = lambda path: draw_flight(flight, path)
+    files: list[Path] = []
+    faults: list[OSError] = []
+    for name, write in work.items():
+        path = folder / name
+        try:
+            write(path)
+            files.append(path)
+        except OSError as error:
+            faults.append(OSError(error.errno, error.strerror or str(error), str(path)))  # a failed write does not know its file
+    if faults:
+        raise faults[0]
     return files

@@ -19,7 +19,8 @@ _BEHIND = 1.0
 _LATE = 0.5
 """A tick that ends later than it should by more than this share of its length is late."""
 
-NothingAsked = Callable[[], bool]
+Idle = Callable[[], bool]
+"""Called now and then while a pace waits; returns whether the flight has been ended."""
 
 
 class Pace(Protocol):
@@ -33,12 +34,12 @@ class Pace(Protocol):
     def publish(self, observations: Mapping[str, Observation]) -> None:
         """Give each vehicle its observation."""
 
-    def collect(self, tick: int, over: NothingAsked) -> dict[str, Command]:
+    def collect(self, tick: int, idle: Idle) -> dict[str, Command]:
         """Wait until this tick is over, and return the newest command of each vehicle that has a new one.
 
         Args:
             tick: Now.
-            over: Asked now and then whether the flight has been ended meanwhile.
+            idle: Called now and then meanwhile.
         """
 
     def restart(self) -> None:
@@ -106,18 +107,20 @@ class Lockstep:
             gone = observations.keys() - given - self._given_up
             self._awaited |= {name: _Wait(now, self._patience, patient=True) for name in gone}
 
-    def collect(self, tick: int, over: NothingAsked) -> dict[str, Command]:
+    def collect(self, tick: int, idle: Idle) -> dict[str, Command]:
         """Wait for the commands of all who were given this tick's observation, each no longer than it may take."""
         commands: dict[str, Command] = {}
         awaited, patience = self._awaited, self._look_around
+        look = time.monotonic() + patience
         while awaited:
             letter = self._seats.commands.receive(patience)
             if letter is not None:
                 if self._seats.take(letter, tick, commands, oldest=tick):
                     awaited.pop(letter.sender, None)
-                continue
+                if time.monotonic() < look:  # a flood of letters must not keep us from looking around
+                    continue
             self._seats.follow()
-            if over():
+            if idle():
                 break
             patience = self._look_around
             if self._bus_is_there():
@@ -125,6 +128,7 @@ class Lockstep:
                 self._give_up(tick)
                 rest = min((wait.since + wait.limit for wait in awaited.values()), default=0.0) - time.monotonic()
                 patience = min(patience, max(rest, 0.0))
+            look = time.monotonic() + patience
         return commands
 
     def _bus_is_there(self) -> bool:
@@ -217,11 +221,11 @@ class RealTime:
             self.late_ticks += 1
         return due
 
-    def collect(self, tick: int, over: NothingAsked) -> dict[str, Command]:
+    def collect(self, tick: int, idle: Idle) -> dict[str, Command]:
         """Sleep until the tick is over; then take what has come."""
         commands: dict[str, Command] = {}
         due = self._due(tick)
-        while not over():
+        while not idle():
             self._take(tick, commands)
             rest = due - time.monotonic()
             if rest <= 0.0:

@@ -67,7 +67,7 @@ class Server:
             PeerLost: If one does not come in time; it is named.
         """
         limit = time.monotonic() + self._join_timeout
-        while not self._over():
+        while not self._idle():
             self._seats.follow()
             for name in self._seats.unbriefed:
                 self._seats.brief(name)
@@ -77,23 +77,25 @@ class Server:
             if time.monotonic() > limit:
                 raise PeerLost(f"{' and '.join(missing)} did not join within {self._join_timeout:g} s")
             self._seats.commands.receive(0.2)
-            self._telemetry.send()
 
-    def _over(self) -> bool:
+    def _idle(self) -> bool:
+        """While the simulator waits for whatever it is: heed who wants the end, and tell observers how it stands."""
         if self._stop():
             self.flight.stop()
+        self._telemetry.refresh()
         return self.flight.over
 
     def publish(self, observations: Mapping[str, Observation]) -> None:
         """Give each vehicle that is there its observation of this tick, and observers what they listen to."""
         self._heed_controls()
         self._pace.publish(observations)
-        self._telemetry.send()
+        self._telemetry.tell()
 
     def collect(self, tick: int) -> dict[str, Command]:
         """The commands for this tick, once it is over."""
-        self._over()
-        return self._pace.collect(tick, self._over)
+        if self._stop():
+            self.flight.stop()
+        return self._pace.collect(tick, self._idle)
 
     def _heed_controls(self) -> None:
         """Take in what operators want, and stand still for as long as they want it."""
@@ -105,12 +107,11 @@ class Server:
             self._steps = max(0, self._steps - 1)
 
     def _stand_still(self) -> None:
-        self._telemetry.send(at_once=True)
-        while self._paused and not self._steps and not self._over():
+        self._telemetry.refresh(at_once=True)
+        while self._paused and not self._steps and not self._idle():
             letter = self._controls.receive(0.2)
             if letter is not None:
                 self._heed(letter.message)
-            self._telemetry.send()
         self._pace.restart()
 
     def _heed(self, control: object) -> None:
@@ -142,5 +143,5 @@ class Server:
         self.started = time.perf_counter()
         if not self.flight.over:
             self.flight.fly(self, on_tick=on_tick)
-            self._telemetry.send(at_once=True)
+            self._telemetry.refresh(at_once=True)
         return self.flight

@@ -31,14 +31,18 @@ class Telemetry:
         self._due = 0.0
         self._last = (0.0, 0)
 
-    def send(self, *, at_once: bool = False) -> None:
-        """Send the truth at each tick, status and map a few times a second.
-
-        Args:
-            at_once: Send all, whenever the last ones were.
-        """
+    def tell(self) -> None:
+        """Send the truth of this tick, and the rest if it is time."""
         if self._truth.wanted:
             self._truth.send(self._flight.truth())
+        self.refresh()
+
+    def refresh(self, *, at_once: bool = False) -> None:
+        """Send status and map a few times a second.
+
+        Args:
+            at_once: Send them whenever the last ones were.
+        """
         now = time.monotonic()
         if now < self._due and not at_once:
             return

@@ -7,15 +7,17 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
+import zenoh
 
 from agents import process
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.access import new_credentials
-from bus.keys import COMMAND, CONTROL, STATUS, Party, Role
+from bus.keys import BRIEFING, COMMAND, CONTROL, OBSERVATION, STATUS, Party, Role
 from bus.messages import Action, Control, Status, UavCommand, UgvCommand
-from bus.session import Session, open_session
+from bus.session import Session, open_router, open_session
 from outrider.run import fly
 from sim.flight import Flight
 from sim.scenario import Scenario, load_scenario
@@ -76,8 +78,8 @@ class Stage:
         self.endpoint = f"unixsock-stream/{folder / 'bus.sock'}"
         self.events: list[str] = []
         simulator = GIVEN.of("simulator").party
-        session = stack.enter_context(open_session(simulator, "run", listen=(self.endpoint,), given=GIVEN))
-        self.server = Server(session, scenario, scenario.seed, on_event=self.events.append, **options)
+        self.server_session = stack.enter_context(open_session(simulator, "run", listen=(self.endpoint,), given=GIVEN))
+        self.server = Server(self.server_session, scenario, scenario.seed, on_event=self.events.append, **options)
         self.vehicles: list[Vehicle] = []
         self._stack = stack
 
@@ -347,3 +349,97 @@ def test_an_observer_cannot_pause(tmp_path: Path) -> None:
         with pytest.raises(AccessDenied, match="observer"):
             observer.outbox(CONTROL)
         assert Party(role=Role.OBSERVER, name="observer") == observer.party
+
+
+@pytest.mark.parametrize("payload", [b'{"tick":999999,"acceleration":[0,0]}', b'{"tick":-1}'], ids=["readable", "unreadable"])
+def test_a_flood_of_letters_neither_stops_the_clock_nor_the_end(payload: bytes, tmp_path: Path) -> None:
+    """The UGV answers nothing and never stops talking: it is late like any other, and the session closes while it goes on."""
+    over = threading.Event()
+    with stage(tmp_path, 8, deadline=0.3) as run:
+        ugv = run.client("ugv_0")
+        ugv.announce()
+        uav = run.start("uav_0")
+        flooding = ugv._zenoh.declare_publisher("outrider/run/ugv_0/command", congestion_control=zenoh.CongestionControl.BLOCK)
+
+        def flood() -> None:
+            while not over.is_set():
+                flooding.put(payload)
+
+        tap = threading.Thread(target=flood)
+        tap.start()
+        started = time.monotonic()
+        try:
+            flight = run.fly()
+            elapsed = time.monotonic() - started
+            refused = run.server.vehicles()["ugv_0"].refused
+            run.server_session.close()
+        finally:
+            over.set()
+            tap.join()
+    assert flight.complete
+    assert flight.missing == {"uav_0": 0, "ugv_0": 8}
+    assert elapsed < 15.0
+    assert sum(refused.values()) > 100
+    assert [seen.tick for seen in uav.seen] == list(range(8))
+    assert "ugv_0 is late: no command for tick 0 after 0.3 s" in run.events
+
+
+def test_a_vehicle_that_talks_to_another_run_is_late_in_its_own(tmp_path: Path) -> None:
+    with stage(tmp_path, 3, deadline=0.2) as run:
+        run.start("uav_0")
+        lost = run.client("ugv_0")
+        lost.announce()
+        elsewhere = lost._zenoh.declare_publisher("outrider/another/ugv_0/command")
+
+        def talk() -> None:
+            elsewhere.put(b'{"tick":%d,"acceleration":[0.1,0.0]}' % run.server.flight.world.tick)
+
+        flight = run.fly(talk)
+        status = run.server.vehicles()["ugv_0"]
+    assert flight.missing == {"uav_0": 0, "ugv_0": 3}
+    assert (flight.recorder.states[:, 1, 2:4] == 0.0).all()
+    assert status.last_fault.startswith("no command for tick 2 after 0.")
+    assert [event.split(":")[0] for event in run.events] == ["ugv_0 is late"] * 3
+
+
+def test_a_vehicle_acts_once_on_each_observation_of_its_own_run_alone(tmp_path: Path) -> None:
+    """A simulator that says everything twice, interrupts a briefing, and is preceded by what another has left behind."""
+    endpoint = f"unixsock-stream/{tmp_path / 'bus.sock'}"
+    scenario = load_scenario("escort", overrides=["duration=5.0"])
+    told = _briefings(scenario)["uav_0"]
+    flight = Flight(scenario, 7)
+    observations: list[Any] = []
+    for _ in range(12):
+        observations.append(flight.observations()["uav_0"])
+        flight.apply({})
+    party, uav = GIVEN.of("simulator").party, GIVEN.of("uav_0")
+    with ExitStack() as stack:
+        stack.enter_context(open_router((endpoint,), GIVEN))
+        old, new = (
+            stack.enter_context(open_session(party, "run", connect=endpoint, credential=GIVEN.of("simulator"))) for _ in range(2)
+        )
+        writers = [(s.outbox(BRIEFING[Role.UAV], "uav_0"), s.outbox(OBSERVATION[Role.UAV], "uav_0")) for s in (old, new)]
+        answers = new.inbox(COMMAND[Role.UAV], "uav_0")
+        new.announce()
+        vehicle = Vehicle(endpoint, uav.name, None, lambda _tick: None)
+        wait_until(lambda: writers[0][0].wanted and writers[1][1].wanted)
+        (old_briefing, old_sight), (briefing, sight) = writers
+        part = msgspec.structs.replace
+        old_briefing.send(part(told, past=tuple(observations[:2]), more=True))  # interrupted
+        briefing.send(part(told, past=tuple(observations[:3]), more=True))
+        briefing.send(part(told, past=tuple(observations[3:5])))
+        wait_until(lambda: len(vehicle.seen) == 5)
+        old_sight.send(observations[11])
+        for k in (4, 5, 5, 6, 5, 7):
+            sight.send(observations[k])
+        wait_until(lambda: vehicle.seen[-1].tick == 7)
+        ticks = set()
+        while 7 not in ticks:
+            letter = answers.receive(5.0)
+            assert letter is not None
+            ticks.add(letter.message.tick)  # type: ignore[attr-defined]
+        sight.send(part(observations[8], over=True))
+        vehicle.join()
+    assert [seen.tick for seen in vehicle.seen] == sorted({seen.tick for seen in vehicle.seen})
+    assert [seen.tick for seen in vehicle.seen][:6] == [0, 1, 2, 3, 4, 5] or vehicle.seen[5].tick in (6, 7)
+    assert ticks <= {5, 6, 7}

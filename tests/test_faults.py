@@ -1,0 +1,308 @@
+"""Runs that meet what real deployments do to them: real processes, killed, frozen, cut off, and back again."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from processes import (
+    OUTRIDER,
+    alive,
+    await_status,
+    child_of,
+    family,
+    flying,
+    nothing_left_behind,
+    observing,
+    outrider,
+    wait_until,
+)
+
+from bus.access import read_credential
+from bus.keys import Party, Role
+from bus.session import open_session
+from outrider.run import fly
+from sim.scenario import load_scenario
+
+__all__ = ["nothing_left_behind"]
+pytestmark = pytest.mark.usefixtures("nothing_left_behind")
+
+SECONDS = 400.0
+"""Simulated time of a run that is long enough to be disturbed, and short enough to be flown in a few seconds."""
+
+
+@pytest.fixture(scope="module")
+def undisturbed() -> str:
+    """The hash of that run when nothing happens to it."""
+    return fly(load_scenario("escort", overrides=[f"duration={SECONDS}"]), 7)[1].trajectory_sha256
+
+
+def finished(run: "subprocess.Popen[str]", seconds: float = 90.0) -> tuple[dict[str, object], str]:
+    """Summary and standard error of a run that has come to its end."""
+    out, err = run.communicate(timeout=seconds)
+    assert run.returncode == 0, err
+    return json.loads(out), err
+
+
+@pytest.mark.parametrize("victim", ["uav", "ugv"])
+@pytest.mark.parametrize("blow", ["SIGKILL", "SIGTERM"])
+def test_with_respawn_a_killed_vehicle_changes_no_bit(victim: str, blow: str, undisturbed: str) -> None:
+    with flying("escort", "--duration", str(SECONDS), "--respawn", "--no-files", "--json") as run:
+        before = child_of(run, victim)
+        os.kill(before, getattr(signal, blow))
+        summary, err = finished(run)
+    assert summary["trajectory_sha256"] == undisturbed
+    assert summary["deterministic"] is True
+    assert summary["faults"] == {f"{victim}_0": {"lost": 1, "joined again": 1}}
+    assert f"{victim}_0 is lost at tick" in err
+    assert f"{victim}_0 has joined again at tick" in err
+    assert not alive(before)
+
+
+@pytest.mark.parametrize("victim", ["uav", "ugv"])
+def test_with_respawn_a_frozen_vehicle_changes_no_bit(victim: str, undisturbed: str) -> None:
+    with flying("escort", "--duration", str(SECONDS), "--respawn", "--no-files", "--json") as run:
+        frozen = child_of(run, victim)
+        os.kill(frozen, signal.SIGSTOP)
+        with observing(run) as session:
+            await_status(session, lambda status: status.vehicles[f"{victim}_0"].lost == 1)
+        os.kill(frozen, signal.SIGCONT)
+        summary, _ = finished(run)
+    assert summary["trajectory_sha256"] == undisturbed
+    assert summary["deterministic"] is True
+
+
+def test_in_real_time_a_vehicle_brakes_while_its_process_is_away_and_flies_on_when_it_is_back() -> None:
+    with flying("escort", "--duration", "150", "--realtime", "20", "--respawn", "--no-files", "--json") as run:
+        os.kill(child_of(run, "uav"), signal.SIGKILL)
+        with observing(run) as session:
+            gone = await_status(session, lambda status: not status.vehicles["uav_0"].present)
+            back = await_status(session, lambda status: status.vehicles["uav_0"].rejoined == 1)
+            later = await_status(session, lambda status: status.tick > back.tick + 200)
+        summary, _ = finished(run)
+    assert gone.wanted_factor == 20.0
+    assert back.tick > gone.tick  # nobody waited
+    missed = later.vehicles["uav_0"].missing_commands
+    assert missed >= 10
+    faults = summary["faults"]
+    assert isinstance(faults, dict)
+    assert faults["uav_0"]["lost"] == faults["uav_0"]["joined again"] == 1
+    assert faults["uav_0"]["no new command"] < missed + 300  # it flies again
+    assert summary["complete"] is True
+    assert summary["realtime"] == 20.0
+
+
+def test_a_vehicle_that_cannot_live_is_not_started_for_ever(tmp_path: Path) -> None:
+    (tmp_path / "deadly.py").write_text(
+        "import os\n\ndef weighting(distance, r_s):\n"
+        "    if 'OUTRIDER_DIES' in os.environ and distance > 2.0 and distance < r_s:\n        os._exit(3)\n"
+        "    return (1.0, 0.0) if distance >= r_s else (0.5, 0.5)\n",
+        encoding="utf-8",
+    )
+    code = (
+        "import sys\nfrom outrider.cli import main\nimport outrider.own as own\n"
+        "own.check_own_functions = lambda scenario: ()\nsys.argv[0] = 'outrider'\nmain.main()\n"
+    )
+    arguments = ["run", "--law", "weighted", "--weighting", "deadly:weighting", "--respawn", "--no-files", "--json"]
+    environment = os.environ | {"OUTRIDER_DIES": "1"}
+    run = subprocess.run(
+        [OUTRIDER[0], "-c", code, *arguments],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=150,
+        check=False,
+    )
+    assert run.returncode == 1
+    assert "uav_0 (pid" in run.stderr
+    assert "ended with exit code 3" in run.stderr
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+    return port
+
+
+def answers(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+class Scattered:
+    """The processes of a run, each started by hand, around a router of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        made = outrider("credentials", str(folder / "credentials"), "--run", "mine", "--json")
+        assert made.returncode == 0, made.stderr
+        self._files = json.loads(made.stdout)["files"]
+        self.processes: list[subprocess.Popen[str]] = []
+
+    def start(self, kind: str, *arguments: str, name: str = "") -> "subprocess.Popen[str]":
+        common = ["--credentials", self._files[name or kind]]
+        if kind != "router":
+            common += ["--run", "mine", "--connect", self.endpoint]
+        process = subprocess.Popen(
+            [*OUTRIDER, kind, *arguments, *common], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        self.processes.append(process)
+        return process
+
+    def router(self) -> "subprocess.Popen[str]":
+        router = self.start("router", "--listen", self.endpoint)
+        port = int(self.endpoint.rpartition(":")[2])
+        wait_until(lambda: answers(port))
+        return router
+
+    def simulator(self, *arguments: str) -> "subprocess.Popen[str]":
+        return self.start("simulator", "escort", "--duration", str(SECONDS), "--json", *arguments)
+
+    def vehicles(self, *arguments: str) -> "list[subprocess.Popen[str]]":
+        return [self.start(name[:3], *arguments, name=name) for name in ("uav_0", "ugv_0")]
+
+    def wait_for_tick(self, tick: int) -> None:
+        """Until the run has come so far, as an observer sees it."""
+        credential = read_credential(Path(self._files["observer"]))
+        observer = Party(role=Role.OBSERVER, name="observer")
+        with open_session(observer, "mine", connect=self.endpoint, credential=credential) as session:
+            await_status(session, lambda status: status.tick > tick)
+
+
+@contextmanager
+def scattered(folder: Path) -> Iterator[Scattered]:
+    run = Scattered(folder)
+    try:
+        yield run
+    finally:
+        for process in run.processes:
+            if process.poll() is None:
+                process.kill()
+            process.wait()
+            for stream in (process.stdout, process.stderr):
+                if stream:
+                    stream.close()
+
+
+def test_a_router_that_dies_and_comes_back_changes_no_bit(tmp_path: Path, undisturbed: str) -> None:
+    with scattered(tmp_path) as run:
+        router = run.router()
+        simulator = run.simulator()
+        vehicles = run.vehicles()
+        run.wait_for_tick(500)
+        router.kill()
+        router.wait()
+        run.router()
+        summary, err = finished(simulator)
+        assert [vehicle.wait(30.0) for vehicle in vehicles] == [0, 0]
+    assert summary["trajectory_sha256"] == undisturbed
+    assert summary["deterministic"] is True
+    assert "the router is lost; the clock stands still" in err
+
+
+def test_without_its_router_every_process_ends_and_says_who_is_missing(tmp_path: Path) -> None:
+    with scattered(tmp_path) as run:
+        router = run.router()
+        simulator = run.simulator("--join-timeout", "4")
+        vehicles = run.vehicles("--join-timeout", "4")
+        run.wait_for_tick(100)
+        router.kill()
+        router.wait()
+        out, err = simulator.communicate(timeout=60)
+        assert simulator.returncode == 1
+        assert "the router has been away for 4 s" in err
+        assert "Traceback" not in err
+        assert json.loads(out)["ticks"] > 100  # what was flown is kept
+        for vehicle in vehicles:
+            _, err = vehicle.communicate(timeout=60)
+            assert vehicle.returncode == 1
+            assert "the router has been away for 4 s" in err
+            assert len(err.strip().splitlines()) == 1
+
+
+def test_vehicles_wait_for_a_simulator_that_dies_and_fly_with_the_next_one(tmp_path: Path, undisturbed: str) -> None:
+    with scattered(tmp_path) as run:
+        run.router()
+        simulator = run.simulator()
+        vehicles = run.vehicles()
+        run.wait_for_tick(500)
+        simulator.kill()
+        simulator.wait()
+        summary, _ = finished(run.simulator())
+        assert [vehicle.wait(30.0) for vehicle in vehicles] == [0, 0]
+    assert summary["trajectory_sha256"] == undisturbed
+
+
+def test_without_their_simulator_vehicles_end_and_say_who_is_missing(tmp_path: Path) -> None:
+    with scattered(tmp_path) as run:
+        run.router()
+        simulator = run.simulator()
+        vehicles = run.vehicles("--join-timeout", "2")
+        run.wait_for_tick(100)
+        simulator.kill()
+        for vehicle in vehicles:
+            _, err = vehicle.communicate(timeout=60)
+            assert vehicle.returncode == 1
+            assert "the simulator has been away for 2 s" in err
+            assert len(err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("command", ["router", "simulator"])
+def test_a_port_in_use_is_named(command: str) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        run = outrider(command, "--listen", endpoint)
+    assert run.returncode == 1
+    assert f"cannot listen on {endpoint}: is it in use?" in " ".join(run.stderr.split())
+    assert "Traceback" not in run.stderr
+
+
+def test_a_full_disk_takes_the_file_and_not_the_result(tmp_path: Path) -> None:
+    """/dev/full answers every write as a full disk does."""
+    for name in ("trajectory.csv", "flight.png"):
+        (tmp_path / name).symlink_to("/dev/full")
+    run = outrider("run", "escort", "--duration", "20", "--out", str(tmp_path), "--json")
+    assert run.returncode == 1
+    assert "No space left on device" in run.stderr
+    assert "trajectory.csv" in run.stderr
+    assert "Traceback" not in run.stderr
+    summary = json.loads(run.stdout)
+    assert summary["ticks"] == 400
+    assert (
+        json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["trajectory_sha256"] == summary["trajectory_sha256"]
+    )
+    assert (tmp_path / "coverage.npy").stat().st_size > 100_000
+
+
+def test_credentials_go_with_the_run_however_it_ends() -> None:
+    with flying("escort", "--duration", "20000", "--no-files") as run:
+        children = family(run.pid)
+        folder = Path(os.environ["TMPDIR"])
+        assert len(list(folder.glob("outrider-*/credentials/*.json"))) == 6
+        assert {path.stat().st_mode & 0o777 for path in folder.glob("outrider-*/credentials/*.json")} == {0o600}
+        run.kill()
+        run.wait()
+        wait_until(lambda: not any(alive(child) for child in children))
+        wait_until(lambda: not list(folder.iterdir()))
+
+
+def test_a_late_vehicle_is_named_on_the_terminal() -> None:
+    with flying("escort", "--duration", str(SECONDS), "--deadline", "0.3", "--no-files", "--json") as run:
+        frozen = child_of(run, "ugv")
+        os.kill(frozen, signal.SIGSTOP)
+        time.sleep(0.6)  # less than it takes until it counts as gone
+        os.kill(frozen, signal.SIGCONT)
+        summary, err = finished(run)
+    assert "ugv_0 is late: no command for tick" in " ".join(err.split())
+    assert "after 0." in err
+    assert summary["deterministic"] is False

@@ -1,0 +1,230 @@
+"""Garbage through a live bus: what decodes arrives, what does not is counted, and nothing else happens."""
+
+import gc
+import os
+import random
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import cache
+from pathlib import Path
+
+import msgspec
+import pytest
+import zenoh
+from mutations import LARGEST, REFUSALS, mutated
+
+from bus.keys import (
+    BRIEFING,
+    COMMAND,
+    CONTROL,
+    OBSERVATION,
+    OPERATOR,
+    STATUS,
+    TRUTH,
+    UAV_COMMAND,
+    UAV_OBSERVATION,
+    UGV_COMMAND,
+    Key,
+    Party,
+    Role,
+)
+from bus.messages import UavCommand, UgvCommand
+from bus.session import Inbox, Session, open_session
+from sim.flight import Flight
+from sim.scenario import load_scenario
+from sim.server import Server
+
+STREAM = 20_000
+TICKS, GARBAGE_PER_TICK = 200, 5
+
+SENTINEL = UgvCommand(tick=2**53, acceleration=(1e6, -1e6))
+COMMANDS = {"uav_0": UAV_COMMAND, "ugv_0": UGV_COMMAND}
+SIMULATOR, UGV = Party(role=Role.SIMULATOR, name="simulator"), Party(role=Role.UGV, name="ugv_0")
+
+
+def refuses(key: Key, payload: bytes) -> bool:
+    """Whether no reader may be given this."""
+    try:
+        msgspec.json.decode(payload, type=key.message)
+    except REFUSALS:
+        return True
+    return len(payload) > LARGEST
+
+
+@cache
+def stream() -> tuple[tuple[str, bytes], ...]:
+    """What one client sends: mutations, wake-ups of its own making, and payloads of more and of exactly 1 MiB."""
+    rng = random.Random(12)
+    sent = [(name, mutated(COMMANDS[name], rng)) for name in rng.choices(list(COMMANDS), k=STREAM)]
+    good = msgspec.json.encode(UgvCommand(tick=1, acceleration=(0.0, 0.0)))
+    for size in (LARGEST, LARGEST + 1, *[LARGEST + 1000] * 20):
+        sent.insert(rng.randrange(len(sent)), (rng.choice(list(COMMANDS)), good.ljust(size)))
+    for _ in range(200):
+        sent.insert(rng.randrange(len(sent)), (rng.choice(list(COMMANDS)), b""))
+    return tuple((name, payload) for name, payload in sent if payload != msgspec.json.encode(SENTINEL))
+
+
+class Wire:
+    """A simulator's inbox of all commands, and a client that may put anything on their keys."""
+
+    def __init__(self, simulator: Session, client: Session) -> None:
+        self.client = client
+        self.inbox: Inbox = simulator.inbox_of_all(COMMANDS)
+        self._publishers = {name: publisher(client, key.expression("run", name)) for name, key in COMMANDS.items()}
+        while not all(each.matching_status.matching for each in self._publishers.values()):
+            self.inbox.receive(0.02)
+
+    def carry(self, sent: tuple[tuple[str, bytes], ...]) -> list[tuple[str, object]]:
+        """Send all and then the sentinel, from another thread; return what the inbox gives before the sentinel."""
+        writer = threading.Thread(target=self._send, args=(sent,))
+        writer.start()
+        read: list[tuple[str, object]] = []
+        while (letter := self.inbox.receive(20.0)) is not None and letter.message != SENTINEL:
+            read.append((letter.sender, letter.message))
+        writer.join(20.0)
+        assert letter is not None, "the sentinel is lost"
+        return read
+
+    def _send(self, sent: tuple[tuple[str, bytes], ...]) -> None:
+        for name, payload in sent:
+            self._publishers[name].put(payload)
+        self._publishers["ugv_0"].put(msgspec.json.encode(SENTINEL))
+
+
+def publisher(session: Session, expression: str) -> zenoh.Publisher:
+    """A writer that waits rather than lose one, of any key."""
+    return session._zenoh.declare_publisher(expression, congestion_control=zenoh.CongestionControl.BLOCK)
+
+
+@pytest.fixture
+def wire(tmp_path: Path) -> Iterator[Wire]:
+    endpoint = f"unixsock-stream/{tmp_path / 'bus.sock'}"
+    with open_session(SIMULATOR, "run", listen=(endpoint,)) as simulator, open_session(UGV, "run", connect=endpoint) as client:
+        yield Wire(simulator, client)
+
+
+def test_an_inbox_gives_exactly_what_decodes_and_counts_exactly_what_does_not(wire: Wire) -> None:
+    sent = [(name, payload) for name, payload in stream() if payload]
+    refused = [name for name, payload in sent if refuses(COMMANDS[name], payload)]
+    taken = [
+        (name, msgspec.json.decode(payload, type=COMMANDS[name].message))
+        for name, payload in sent
+        if not refuses(COMMANDS[name], payload)
+    ]
+    assert len(sent) >= STREAM
+    assert min(len(taken), len(refused)) > 0.05 * STREAM
+    assert wire.carry(stream()) == taken
+    assert wire.inbox.refused == {name: refused.count(name) for name in COMMANDS}
+    assert all(0 < len(fault) <= 500 for fault in wire.inbox.fault.values())
+    assert wire.carry(()) == []
+
+
+def resident() -> int:
+    """Memory of this process that is in use [bytes]."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def test_garbage_leaves_nothing_behind(wire: Wire) -> None:
+    measured = []
+    for _ in range(3):
+        wire.carry(stream())
+        gc.collect()
+        measured.append((sys.getallocatedblocks(), len(gc.get_objects()), resident()))
+    _, warm, after = measured
+    assert after[0] - warm[0] < 500, measured  # of 20,000 payloads
+    assert after[1] - warm[1] < 500, measured
+    assert after[2] - warm[2] < 10e6, measured  # of 24 MB
+
+
+FOREIGN: tuple[tuple[Key, str], ...] = ((UAV_COMMAND, "uav_0"), (UAV_OBSERVATION, "uav_0"), (OPERATOR, "ugv_0"), (CONTROL, ""))
+UNHEARD: tuple[tuple[Key, str], ...] = ((UGV_COMMAND, "nobody"), (TRUTH, ""), (STATUS, ""))
+"""Keys that nobody reads in this run."""
+
+
+def undecodable(key: Key, rng: random.Random) -> bytes:
+    while not (payload := mutated(key, rng)) or not refuses(key, payload):
+        pass
+    return payload
+
+
+class Vehicle(threading.Thread):
+    """Answers every observation at once; before it does, it may write whatever it likes."""
+
+    def __init__(self, session: Session, before: Callable[[], None]) -> None:
+        super().__init__()
+        role, name = session.party.role, session.party.name
+        self.observations = session.inbox(OBSERVATION[role], name)
+        self._briefings = session.inbox(BRIEFING[role], name)
+        self._outbox = session.outbox(COMMAND[role], name)
+        self._command = UavCommand if role is Role.UAV else UgvCommand
+        self._before = before
+        session.announce()
+
+    def run(self) -> None:
+        assert self._briefings.receive(20.0) is not None
+        while (letter := self.observations.receive(20.0)) is not None and not letter.message.over:
+            self._before()
+            self._outbox.send(self._command(tick=letter.message.tick, acceleration=(0.01, 0.0)))
+
+
+class Flood:
+    """All the garbage that one vehicle's session writes, on its own key and on others."""
+
+    def __init__(self, session: Session) -> None:
+        own = ((UGV_COMMAND, "ugv_0"),) * GARBAGE_PER_TICK
+        self._rng = random.Random(13)
+        self._writers = [(key, publisher(session, key.expression("run", vehicle))) for key, vehicle in (*own, *FOREIGN, *UNHEARD)]
+
+    def __call__(self) -> None:
+        for key, writer in self._writers:
+            writer.put(undecodable(key, self._rng))
+
+
+@contextmanager
+def flown(folder: Path, *, flooded: bool) -> Iterator[tuple[Flight, Server, Vehicle, list[str]]]:
+    """A run with two vehicles that are honest, and that one of them floods with garbage or not."""
+    folder.mkdir()
+    endpoint, events = f"unixsock-stream/{folder / 'bus.sock'}", []
+    scenario = load_scenario("escort", overrides=[f"duration={TICKS * 0.05!r}"])
+    with ExitStack() as stack:
+        simulator = stack.enter_context(open_session(SIMULATOR, "run", listen=(endpoint,)))
+        server = Server(simulator, scenario, 3, on_event=events.append)
+        ours = stack.enter_context(open_session(Party(role=Role.UAV, name="uav_0"), "run", connect=endpoint))
+        theirs = stack.enter_context(open_session(UGV, "run", connect=endpoint))
+        uav, ugv = Vehicle(ours, lambda: None), Vehicle(theirs, Flood(theirs) if flooded else lambda: None)
+        for vehicle in (uav, ugv):
+            vehicle.start()
+        flight = server.fly()
+        for vehicle in (uav, ugv):
+            vehicle.join(20.0)
+            assert not vehicle.is_alive()
+        yield flight, server, uav, events
+
+
+def test_a_flood_of_garbage_is_counted_and_changes_nothing_of_a_flight(tmp_path: Path) -> None:
+    with flown(tmp_path / "honest", flooded=False) as (flight, _, _, events):
+        undisturbed = flight.recorder.sha256()
+        assert not events
+    with flown(tmp_path / "flooded", flooded=True) as (flight, server, uav, events):
+        vehicles = server.vehicles()
+    assert flight.complete
+    assert flight.missing == flight.stale == {"uav_0": 0, "ugv_0": 0}
+    assert flight.recorder.sha256() == undisturbed
+    assert vehicles["ugv_0"].refused == {"does not decode": TICKS * GARBAGE_PER_TICK}
+    assert vehicles["uav_0"].refused == {"does not decode": TICKS}
+    assert uav.observations.refused == {"uav_0": TICKS}
+    assert len(events) == 2
+
+
+@pytest.mark.parametrize("expression", ["**", "outrider/**", "*/run/ugv_0/*", "outrider/*/ugv_0/command"])
+def test_what_is_put_on_a_pattern_is_nobodys_message(wire: Wire, expression: str) -> None:
+    wire.client._zenoh.put(expression, b'{"tick":1,"acceleration":[0,0]}')
+    assert wire.carry(()) == []
+
+
+def test_a_fault_is_one_printable_line(wire: Wire) -> None:
+    wire.carry((("ugv_0", b'{"tick":1,"acceleration":[0,0],"a\\n\\u001b[2J":0}'),))
+    assert "\\x1b" in wire.inbox.fault["ugv_0"]
+    assert wire.inbox.fault["ugv_0"].isprintable()
