@@ -4,7 +4,7 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help run test check format figures bench clean
+.PHONY: help run test check format figures bench soak compose-test clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
@@ -40,6 +40,12 @@ figures: $(VENV)/.run ## the paper's figures and the table of their claims
 
 bench: $(VENV)/.run ## the speed of each layer beside its limit
 	$(BIN)/outrider bench $(ARGS)
+
+soak: $(VENV)/.dev ## an hour of simulated time with random kills: memory, trajectory, nothing left behind
+	$(BIN)/python tools/soak.py $(ARGS)
+
+compose-test: $(VENV)/.run ## the containers, built, flown, killed, paused and cut off; needs a Docker engine
+	$(BIN)/python tools/compose_test.py $(ARGS)
 
 clean: ## remove the environment and what runs have written
 	rm -rf $(VENV) runs figures

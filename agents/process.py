@@ -14,7 +14,7 @@ from agents.ugv import UgvPilot
 from bus.access import Credential
 from bus.errors import BusError, PeerLost
 from bus.keys import BRIEFING, COMMAND, OBSERVATION, SIMULATOR_NAME, Party, Role
-from bus.messages import Briefing, Command, UavBriefing, UavObservation, UgvBriefing, UgvObservation
+from bus.messages import Command, UavBriefing, UavObservation, UgvBriefing, UgvObservation
 from bus.session import Letter, Outbox, Session, open_session
 from sim.compile import compiling
 
@@ -106,59 +106,64 @@ class _Seat:
 
     Args:
         session: The vehicle's session.
+        make_pilot: Makes the pilot from its briefing.
         limit: How long the simulator may be away [s].
     """
 
-    def __init__(self, session: Session, limit: float) -> None:
+    def __init__(self, session: Session, make_pilot: MakePilot, limit: float) -> None:
         party = session.party
-        self._session, self._limit = session, limit
+        self._session, self._make_pilot, self._limit = session, make_pilot, limit
         self._presence = _Presence()
         self._briefings = session.inbox(BRIEFING[party.role], party.name)
         self._observations = session.inbox(OBSERVATION[party.role], party.name, newest=_ROOM)
         self._simulator, self._first = "", 0  # who has briefed it, and the first tick that is still to be seen
         session.watch(SIMULATOR_NAME, self._presence.change)
         session.announce()
+        self.pilot = self._take_over()
 
     def _mind_absence(self, what: str) -> None:
         if self._presence.absent_for() > self._limit:
             who = "simulator" if self._session.connected else "router"
             raise PeerLost(f"the {who} has been away for {self._limit:g} s while {self._session.party.name} awaited {what}")
 
-    def briefing(self) -> Briefing:
-        """The next whole briefing, its parts put together.
+    def _take_over(self) -> Pilot:
+        """Wait for a briefing: a pilot as it would be now if it had flown from the start.
 
-        Raises:
-            PeerLost: If the simulator stays away.
+        It acts on all of its past, and nobody hears it. A briefing that is interrupted begins anew.
         """
-        past: list[Any] = []
+        pilot: Pilot | None = None
         while True:
             letter = self._briefings.receive(1.0)
             if letter is None:
                 self._mind_absence("its briefing")
                 continue
             told: Any = letter.message
-            if not told.past or told.past[0].tick == 0:
-                past = []  # a new one begins
-            past += told.past
+            begins = not told.past or told.past[0].tick == 0
+            if begins:
+                pilot, self._first = self._make_pilot(msgspec.structs.replace(told, past=())), 0
+            if pilot is None:
+                continue  # the rest of one whose beginning was for somebody else
+            for seen in told.past:
+                pilot.act(seen)
+                self._first = seen.tick + 1
             if not told.more:
-                self._simulator, self._first = letter.session, len(past)
-                whole: Briefing = msgspec.structs.replace(told, past=tuple(past))
-                return whole
+                self._simulator = letter.session
+                gc.freeze()  # what is here stays: the collector need not look at it again
+                return pilot
 
-    def look(self) -> tuple[Briefing | None, list[Any]]:
-        """Wait for observations: a briefing that has come before them, and those that have arrived since, the oldest first.
+    def look(self) -> list[Any]:
+        """Wait for observations: those that have arrived since, the oldest first. A briefing makes a new pilot before them.
 
         Raises:
             PeerLost: If the simulator stays away.
         """
-        told = None
         while True:
             letter = self._observations.receive(1.0)
             while self._briefings.holds_any():
-                told = self.briefing()
+                self.pilot = self._take_over()
             if letter is not None:
                 letters = [letter, *self._observations.waiting()]
-                return told, [seen.message for seen in letters if self._is_new(seen)]
+                return [seen.message for seen in letters if self._is_new(seen)]
             self._mind_absence("an observation")
 
     def _is_new(self, letter: Letter) -> bool:
@@ -168,15 +173,6 @@ class _Seat:
             return False
         self._first = observation.tick + 1
         return True
-
-
-def _take_over(make_pilot: MakePilot, told: Briefing) -> Pilot:
-    """A pilot as it would be now if it had flown from the start: it acts on all of its past, and nobody hears it."""
-    pilot = make_pilot(msgspec.structs.replace(told, past=()))
-    for seen in told.past:
-        pilot.act(seen)
-    gc.freeze()  # what is here stays: the collector need not look at it again
-    return pilot
 
 
 def _answer(pilot: Pilot, seen: list[Any], commands: Outbox, name: str) -> None:
@@ -231,16 +227,13 @@ def fly(
         warm_up(party.role)  # before the token: nobody must wait for a compiler
     with open_session(party, run, connect=connect, credential=credential) as session:
         commands = session.outbox(COMMAND[party.role], party.name)
-        seat = _Seat(session, join_timeout)
-        pilot = _take_over(make_pilot, seat.briefing())
+        seat = _Seat(session, make_pilot, join_timeout)
         sent = 0
         while True:
-            told, seen = seat.look()
-            if told is not None:
-                pilot = _take_over(make_pilot, told)
+            seen = seat.look()
             if not seen:
                 continue
             if seen[-1].over:
                 return sent
-            _answer(pilot, seen, commands, party.name)
+            _answer(seat.pilot, seen, commands, party.name)
             sent += 1

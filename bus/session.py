@@ -386,21 +386,6 @@ def _open_client(connect: str, credential: Credential | None) -> zenoh.Session:
 
 
 @contextmanager
-def open_router(listen: tuple[str, ...], given: CredentialSet | None) -> Iterator[None]:
-    """A router and nothing else: it takes no part in the run.
-
-    Args:
-        listen: Endpoints to listen on.
-        given: Everybody's credentials; None lets everybody in to everything.
-
-    Raises:
-        BusError: If an endpoint is not free.
-    """
-    with _open_router(listen, given):
-        yield
-
-
-@contextmanager
 def open_session(
     party: Party,
     run: str,

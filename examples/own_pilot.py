@@ -18,8 +18,5 @@ class Hover:
         v_x, v_y = observation.velocity
         return UavCommand(tick=observation.tick, acceleration=(-0.2 * x - v_x, -0.2 * y - v_y))
 
-    def prepare(self):
-        pass
-
 
 fly(Party(role=Role.UAV, name="uav_0"), Hover, connect="tcp/127.0.0.1:17447", run="flight")

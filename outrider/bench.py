@@ -8,13 +8,17 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
-from bus.errors import ScenarioError
+from bus.errors import BusError, ScenarioError
 from outrider import reference
-from outrider.launch import NOBODY, launch
+from outrider.launch import NOBODY, Outcome, launch
+from outrider.pairs import pairs_toml
 from outrider.raw_lockstep import ticks_per_second
 from outrider.run import InProcess, fly, make_pilots
 from sim.compile import FloatArray, compiled
@@ -59,12 +63,40 @@ def _payloads(scenario: Scenario) -> tuple[bytes, bytes]:
     return msgspec.json.encode(observations["uav_0"]), msgspec.json.encode(commands["uav_0"])
 
 
+def _flown(outcome: Outcome) -> float:
+    """Ticks a second of a run that has come to its end; a rate of half a run would be no measurement.
+
+    Raises:
+        BusError: If it has not.
+    """
+    if outcome.summary is None or not outcome.summary.complete or outcome.fault:
+        raise BusError(f"the run that was to be measured failed: {outcome.fault or 'it was cut short'}")
+    return outcome.summary.ticks_per_second
+
+
 def lockstep() -> Pair:
     """Three processes with everything computed, beside a bare exchange of the same payloads."""
     scenario = load_scenario("escort")
-    outcome = launch(scenario, "escort", (), NOBODY, out=None)
-    bare = ticks_per_second(*_payloads(scenario), scenario.ticks)
-    return (outcome.summary.ticks_per_second if outcome.summary else 0.0), bare
+    rate = _flown(launch(scenario, "escort", (), NOBODY, out=None))
+    return rate, ticks_per_second(*_payloads(scenario), scenario.ticks)
+
+
+def access_control() -> Pair:
+    """Lockstep with credentials and access control, beside the same without."""
+    scenario = load_scenario("escort")
+    closed, opened = (_flown(launch(scenario, "escort", (), NOBODY, out=None, secured=secured)) for secured in (True, False))
+    return closed, opened
+
+
+def pairs(count: int) -> Pair:
+    """So many UAVs with their UGVs in lockstep, each in a process of its own, beside a bare exchange among as many peers."""
+    with tempfile.TemporaryDirectory(prefix="outrider-pairs-") as folder:
+        path = Path(folder) / f"pairs-{count}.toml"
+        path.write_text(pairs_toml(count, seconds=round(max(10.0, 200.0 / count))), encoding="utf-8")
+        scenario = load_scenario(path)
+        outcome = launch(scenario, str(path), (), NOBODY, out=None, deadline=120.0, join_timeout=900.0)
+    escort = load_scenario("escort")
+    return _flown(outcome), ticks_per_second(*_payloads(escort), scenario.ticks, peers=2 * count)
 
 
 def run_in_process() -> Pair:
@@ -164,21 +196,38 @@ def first_tick() -> Pair:
     return _one_tick(None), cold
 
 
-ROWS: dict[str, tuple[Callable[[], Pair], str, str]] = {
-    "lockstep": (lockstep, "ticks/s", "bare three-process exchange"),
-    "run_in_process": (run_in_process, "ticks/s", "world_step"),
-    "env_step": (env_step, "steps/s", "world_step"),
-    "world_step": (world_step, "steps/s", "its kernels alone, compiled"),
-    "kernel_vs_numpy": (kernel_vs_numpy, "passes/s", "plain NumPy"),
-    "first_tick": (first_tick, "s", "with an empty compile cache"),
+class Layer(NamedTuple):
+    """How a layer is measured."""
+
+    work: Callable[[], Pair]
+    unit: str
+    """Of both numbers."""
+    reference: str
+    """What the second number is."""
+    most: int = 1_000
+    """It is measured no more often than this: what takes minutes is measured once."""
+
+
+BARE = "bare exchange among as many processes"
+ROWS: dict[str, Layer] = {
+    "lockstep": Layer(lockstep, "ticks/s", "bare three-process exchange"),
+    "access_control": Layer(access_control, "ticks/s", "lockstep without credentials"),
+    "run_in_process": Layer(run_in_process, "ticks/s", "world_step"),
+    "env_step": Layer(env_step, "steps/s", "world_step"),
+    "world_step": Layer(world_step, "steps/s", "its kernels alone, compiled"),
+    "kernel_vs_numpy": Layer(kernel_vs_numpy, "passes/s", "plain NumPy"),
+    "first_tick": Layer(first_tick, "s", "with an empty compile cache"),
+    "pairs_1": Layer(partial(pairs, 1), "ticks/s", BARE),
+    "pairs_5": Layer(partial(pairs, 5), "ticks/s", BARE),
+    "pairs_10": Layer(partial(pairs, 10), "ticks/s", BARE, 2),
+    "pairs_50": Layer(partial(pairs, 50), "ticks/s", BARE, 1),
 }
-"""Each layer: its measurement, the unit of both numbers, and what the reference is."""
 
 
 def _measure(name: str, repeats: int) -> Iterator[Pair]:
-    work = ROWS[name][0]
-    for _ in range(repeats):
-        yield work()
+    layer = ROWS[name]
+    for _ in range(min(repeats, layer.most)):
+        yield layer.work()
 
 
 def measure(only: list[str], repeats: int, *, on_progress: Progress | None = None) -> list[Row]:
@@ -198,17 +247,17 @@ def measure(only: list[str], repeats: int, *, on_progress: Progress | None = Non
     rows: list[Row] = []
     names = only or list(ROWS)
     for done, name in enumerate(names):
-        pairs: list[Pair] = []
+        found: list[Pair] = []
         for pair in _measure(name, repeats):
-            pairs.append(pair)
+            found.append(pair)
             if on_progress is not None:
-                on_progress(name, (done + len(pairs) / repeats) / len(names))
-        rows.append(_row(name, pairs))
+                on_progress(name, (done + len(found) / min(repeats, ROWS[name].most)) / len(names))
+        rows.append(_row(name, found))
     return rows
 
 
 def _row(name: str, pairs: list[Pair]) -> Row:
-    _, unit, beside = ROWS[name]
+    unit, beside = ROWS[name].unit, ROWS[name].reference
     references = [other for _, other in pairs if other is not None]
     ratios = [(other / value if unit == "s" else value / other) for value, other in pairs if other]
     return Row(

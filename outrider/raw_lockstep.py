@@ -1,6 +1,6 @@
-"""The limit of a lockstep tick: three processes that exchange the same payloads over Zenoh and compute nothing.
+"""The limit of a lockstep tick: processes that exchange the same payloads over Zenoh and compute nothing.
 
-Run as a module it is one of the two peers.
+Run as a module it is one of the peers.
 """
 
 import subprocess
@@ -10,8 +10,6 @@ import time
 from pathlib import Path
 
 import zenoh
-
-_PEERS = ("a", "b")
 
 
 def _settings(mode: str, endpoint: str) -> zenoh.Config:
@@ -34,39 +32,41 @@ def _peer(name: str, endpoint: str, answer: bytes) -> None:
             publisher.put(answer)
 
 
-def ticks_per_second(observation: bytes, answer: bytes, ticks: int) -> float:
+def ticks_per_second(observation: bytes, answer: bytes, ticks: int, *, peers: int = 2) -> float:
     """How many lockstep ticks a second a bare exchange of these payloads reaches.
 
     Args:
-        observation: Sent to each of two peers at each tick.
+        observation: Sent to each peer at each tick.
         answer: Sent back by each.
         ticks: How many.
+        peers: Processes that answer.
     """
+    names = [f"peer_{k}" for k in range(peers)]
     with tempfile.TemporaryDirectory(prefix="outrider-") as folder:
         endpoint = f"unixsock-stream/{Path(folder) / 'raw.sock'}"
         with zenoh.open(_settings("router", endpoint)) as session:
             subscriber = session.declare_subscriber("raw/*/command", zenoh.handlers.FifoChannel(256))
             publishers = [
                 session.declare_publisher(f"raw/{name}/observation", congestion_control=zenoh.CongestionControl.BLOCK)
-                for name in _PEERS
+                for name in names
             ]
-            peers = [
-                subprocess.Popen([sys.executable, "-m", "outrider.raw_lockstep", name, endpoint, answer.hex()]) for name in _PEERS
+            processes = [
+                subprocess.Popen([sys.executable, "-m", "outrider.raw_lockstep", name, endpoint, answer.hex()]) for name in names
             ]
             try:
-                for _ in _PEERS:
+                for _ in names:
                     subscriber.recv()
                 started = time.perf_counter()
                 for _ in range(ticks):
                     for publisher in publishers:
                         publisher.put(observation)
-                    for _ in _PEERS:
+                    for _ in names:
                         subscriber.recv()
                 seconds = time.perf_counter() - started
                 for publisher in publishers:
                     publisher.put(b"over")
             finally:
-                for peer in peers:
+                for peer in processes:
                     try:
                         peer.wait(5.0)
                     except subprocess.TimeoutExpired:

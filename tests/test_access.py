@@ -3,7 +3,7 @@
 import stat
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from bus.access import (
 )
 from bus.errors import AccessDenied
 from bus.keys import KEYS, STAFF, Party, Role, check_reads, check_writes, token
-from bus.session import open_router, open_session
+from bus.session import Session, open_session
 
 RUN = "run"
 GIVEN = new_credentials(RUN, ["uav_0", "uav_1"], ["ugv_0", "ugv_1"])
@@ -41,6 +41,11 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def endpoint(tmp_path: Path) -> str:
     return f"unixsock-stream/{tmp_path / 'bus.sock'}"
+
+
+def router(endpoint: str) -> AbstractContextManager[Session]:
+    """A router that takes no part in the run but as an observer."""
+    return open_session(GIVEN.of("observer").party, RUN, listen=(endpoint,), given=GIVEN)
 
 
 def raw(endpoint: str, credential: Credential | None, **settings: Any) -> zenoh.Session:
@@ -99,7 +104,7 @@ def gather(inboxes: dict[str, list[Any]], wanted: Arrived, say: Any) -> Arrived:
 def everybody(endpoint: str) -> Iterator[dict[str, zenoh.Session]]:
     """A router of its own, and a raw client for each party."""
     with ExitStack() as stack:
-        stack.enter_context(open_router((endpoint,), GIVEN))
+        stack.enter_context(router(endpoint))
         yield {credential.name: stack.enter_context(raw(endpoint, credential)) for credential in GIVEN.parties}
 
 
@@ -236,7 +241,7 @@ def test_a_known_peer_with_gossip_gets_no_more_than_a_client(endpoint: str) -> N
 def test_a_refused_client_is_told_why(endpoint: str) -> None:
     uav = GIVEN.of("uav_0")
     wrong = Credential(name="uav_0", role=Role.UAV, password="x" * 32)
-    with open_router((endpoint,), GIVEN):
+    with router(endpoint):
         for credential, told in ((None, "without credentials"), (wrong, "as uav_0: is the password the run's")):
             with pytest.raises(AccessDenied, match=told), open_session(uav.party, RUN, connect=endpoint, credential=credential):
                 pass
@@ -325,7 +330,7 @@ def test_the_routers_list_of_passwords_is_gone_once_it_is_open(
         seen.append(stat.S_IMODE(path.stat().st_mode))
 
     monkeypatch.setattr(access, "write_private", spy)
-    with open_router((endpoint,), GIVEN):
+    with router(endpoint):
         assert seen == [0o600]
         assert not list(private.iterdir())
         with raw(endpoint, GIVEN.of("uav_0")):

@@ -157,8 +157,8 @@ class Scattered:
         self.processes.append(process)
         return process
 
-    def router(self) -> "subprocess.Popen[str]":
-        router = self.start("router", "--listen", self.endpoint)
+    def router(self, *arguments: str) -> "subprocess.Popen[str]":
+        router = self.start("router", "--listen", self.endpoint, *arguments)
         port = int(self.endpoint.rpartition(":")[2])
         wait_until(lambda: answers(port))
         return router
@@ -190,6 +190,15 @@ def scattered(folder: Path) -> Iterator[Scattered]:
             for stream in (process.stdout, process.stderr):
                 if stream:
                     stream.close()
+
+
+def test_a_router_for_one_run_ends_with_it(tmp_path: Path) -> None:
+    with scattered(tmp_path) as run:
+        router = run.router("--once")
+        vehicles = run.vehicles()
+        summary, _ = finished(run.simulator())
+        assert summary["complete"] is True
+        assert [process.wait(30.0) for process in (*vehicles, router)] == [0, 0, 0]
 
 
 def test_a_router_that_dies_and_comes_back_changes_no_bit(tmp_path: Path, undisturbed: str) -> None:

@@ -17,7 +17,7 @@ from agents.ugv import UgvPilot
 from bus.access import new_credentials
 from bus.keys import BRIEFING, COMMAND, CONTROL, OBSERVATION, STATUS, Party, Role
 from bus.messages import Action, Control, Status, UavCommand, UgvCommand
-from bus.session import Session, open_router, open_session
+from bus.session import Session, open_session
 from outrider.run import fly
 from sim.flight import Flight
 from sim.scenario import Scenario, load_scenario
@@ -414,7 +414,7 @@ def test_a_vehicle_acts_once_on_each_observation_of_its_own_run_alone(tmp_path: 
         flight.apply({})
     party, uav = GIVEN.of("simulator").party, GIVEN.of("uav_0")
     with ExitStack() as stack:
-        stack.enter_context(open_router((endpoint,), GIVEN))
+        stack.enter_context(open_session(GIVEN.of("observer").party, "run", listen=(endpoint,), given=GIVEN))
         old, new = (
             stack.enter_context(open_session(party, "run", connect=endpoint, credential=GIVEN.of("simulator"))) for _ in range(2)
         )

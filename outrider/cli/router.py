@@ -1,10 +1,14 @@
 """`outrider router`: the meeting point of processes in several containers or on several machines."""
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from outrider.cli.options import DEFAULT_ENDPOINT, Insecure, RouterCredentials, check_endpoints
+from outrider.cli.options import DEFAULT_ENDPOINT, DEFAULT_RUN, Insecure, RouterCredentials, RunName, check_endpoints
+
+if TYPE_CHECKING:
+    from bus.session import Session
+    from outrider.cli.stopping import Stop
 
 
 def command(
@@ -13,6 +17,8 @@ def command(
         typer.Option(help=f"Endpoint to listen on; {DEFAULT_ENDPOINT} by default; may be repeated.", envvar="OUTRIDER_LISTEN"),
     ] = None,
     credentials: RouterCredentials = None,
+    run: RunName = DEFAULT_RUN,
+    once: Annotated[bool, typer.Option("--once", help="End with the run: when its simulator has said that it is over.")] = False,
     insecure: Insecure = False,
 ) -> None:
     """Route messages between the processes of a run, and let each have its own keys only.
@@ -22,14 +28,40 @@ def command(
     Example: outrider router --listen tcp/0.0.0.0:17447 --credentials credentials/router.json
     """
     from bus.access import read_credentials
-    from bus.session import open_router
+    from bus.errors import ScenarioError
+    from bus.keys import OBSERVER_NAME, Party, Role
+    from bus.session import open_session
     from outrider.cli.console import ERR
     from outrider.cli.stopping import stop_on_signals
 
     endpoints = tuple(listen or (DEFAULT_ENDPOINT,))
     given = None if credentials is None else read_credentials(credentials)
     check_endpoints(endpoints, secured=given is not None, insecure=insecure)
-    with stop_on_signals() as stop, open_router(endpoints, given):
-        who = "anybody" if given is None else f"{', '.join(c.name for c in given.parties)} in the run {given.run}"
-        ERR.print(f"routing on {', '.join(endpoints)} for {who}", soft_wrap=True)
-        stop.wait()
+    if given is not None and run not in (given.run, DEFAULT_RUN):
+        raise ScenarioError(f"--run {run}: the credentials in {credentials} are for the run {given.run}")
+    name = run if given is None else given.run
+    observer = Party(role=Role.OBSERVER, name=OBSERVER_NAME)
+    with stop_on_signals() as stop, open_session(observer, name, listen=endpoints, given=given) as session:
+        who = "anybody" if given is None else ", ".join(credential.name for credential in given.parties)
+        ERR.print(f"routing on {', '.join(endpoints)} for {who} in the run {name}", soft_wrap=True)
+        if once:
+            _until_over(session, stop)
+        else:
+            stop.wait()
+
+
+def _until_over(session: "Session", stop: "Stop") -> None:
+    """Until the simulator has said that the run is over, and has gone: one that dies may come back."""
+    import threading
+
+    from bus.keys import SIMULATOR_NAME, STATUS
+    from bus.messages import Status
+
+    present = threading.Event()
+    session.watch(SIMULATOR_NAME, lambda _name, _session, there: present.set() if there else present.clear())
+    statuses = session.inbox(STATUS)
+    over = False
+    while not stop and not (over and not present.is_set()):
+        letter = statuses.receive(0.5)
+        if letter is not None and isinstance(letter.message, Status):
+            over = letter.message.over
