@@ -1,0 +1,55 @@
+# One image for every role: docker build -t outrider:0.1.0 .
+# Behind a package mirror, give pip's configuration as a secret, which leaves no trace: docker build --secret id=pip_conf,src=pip.conf .
+
+ARG PYTHON=python:3.11-slim
+
+# What builds stays in the first stages.
+FROM ${PYTHON} AS tools
+ENV PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_ROOT_USER_ACTION=ignore PIP_NO_CACHE_DIR=1 PIP_CONSTRAINT=/build/constraints.txt
+WORKDIR /build
+COPY constraints.txt ./
+RUN --mount=type=secret,id=pip_conf,target=/etc/pip.conf python -m pip install hatchling
+
+FROM ${PYTHON} AS needs
+COPY pyproject.toml ./
+RUN python -c "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['dependencies'], sep='\n')" >/needs.txt
+
+# The dependencies from their list alone: while that stays the same, no change of the project installs them anew. Without the test
+# suites that some of them bring along.
+FROM tools AS dependencies
+COPY --from=needs /needs.txt ./
+RUN --mount=type=secret,id=pip_conf,target=/etc/pip.conf \
+    python -m venv --without-pip /opt/outrider && \
+    python -m pip --python /opt/outrider/bin/python install --requirement needs.txt && \
+    cd /opt/outrider/lib/python3*/site-packages && find numba scipy matplotlib mpl_toolkits -type d -name tests -prune -exec rm -r {} +
+
+FROM tools AS project
+COPY pyproject.toml README.md LICENSE ./
+COPY bus bus
+COPY sim sim
+COPY agents agents
+COPY outrider outrider
+RUN python -m pip wheel --no-deps --no-build-isolation --wheel-dir /wheels .
+
+FROM ${PYTHON}
+LABEL org.opencontainers.image.title="Outrider" org.opencontainers.image.licenses="Apache-2.0"
+# Both folders can be written by any user, so that `user:` may be one of the host's; a container has only one.
+RUN groupadd --gid 1000 outrider && useradd --uid 1000 --gid 1000 --no-create-home --home-dir /tmp outrider && \
+    install -d -m 1777 -o outrider -g outrider /var/cache/outrider /runs
+COPY --from=dependencies /opt/outrider /opt/outrider
+RUN --mount=from=project,source=/wheels,target=/wheels \
+    python -m pip --no-cache-dir --disable-pip-version-check --python /opt/outrider/bin/python install --no-deps --no-index /wheels/*.whl
+ENV PATH=/opt/outrider/bin:$PATH PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1 \
+    OUTRIDER_CACHE=/var/cache/outrider MPLCONFIGDIR=/var/cache/outrider/matplotlib
+USER 1000:1000
+WORKDIR /runs
+# A flight compiles all that the roles need, and its picture fills the cache of fonts: no container does it at its start.
+RUN outrider run escort --in-process --duration 1 --out /tmp/flight && rm -r /tmp/flight && \
+    python -c "from agents.process import warm_up; from bus.keys import Role; warm_up(Role.UAV); warm_up(Role.UGV)" && \
+    chmod -R a+rwX /var/cache/outrider
+# Healthy is what reaches its router; the router reaches itself.
+HEALTHCHECK --interval=10s --timeout=3s --start-period=30s --retries=3 CMD ["python", "-c", "import os, socket; \
+host, _, port = os.environ.get('OUTRIDER_CONNECT', 'tcp/127.0.0.1:17447').rpartition('/')[2].rpartition(':'); \
+socket.create_connection((host.strip('[]'), int(port)), 2).close()"]
+ENTRYPOINT ["outrider"]
+CMD ["--help"]

@@ -1,0 +1,604 @@
+"""Flies in containers and disturbs them: builds the image, flies, kills, pauses, cuts off, and listens where it must not.
+
+    make compose-test
+
+Exit code 0: all checks hold; 1: one does not; 77: there is no Docker engine with Compose here, so nothing was checked.
+It publishes no port, writes only to a temporary folder, and removes every container, network, volume and image that it has made.
+"""
+
+import contextlib
+import json
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+NO_ENGINE = 77
+RUN = "flight"
+LONG = "1000"  # s of simulated time: some ten seconds of flight, long enough to be disturbed
+ENDLESS = "100000"
+LARGEST = 1000  # MB that the image may have
+PIP_SETTINGS = {"PIP_INDEX_URL": "index-url", "PIP_TRUSTED_HOST": "trusted-host"}  # for a package mirror
+Json = dict[str, Any]
+
+# These run inside the containers, where the project's own packages are.
+FOLLOW = """
+import os, sys, time
+from pathlib import Path
+from bus.access import read_credentials
+from bus.keys import STATUS, Party, Role
+from bus.session import open_session
+given = read_credentials(Path(os.environ["OUTRIDER_CREDENTIALS"]))
+observer = Party(role=Role.OBSERVER, name="observer")
+with open_session(observer, given.run, connect="tcp/127.0.0.1:17447", credential=given.of("observer")) as session:
+    inbox, limit = session.inbox(STATUS), time.monotonic() + 40
+    while time.monotonic() < limit:
+        letter = inbox.receive(1.0)
+        if letter is not None and letter.message.tick >= int(sys.argv[1]):
+            sys.exit(0)
+sys.exit("the flight has not come to tick " + sys.argv[1])
+"""
+LISTEN = """
+import json, os, sys, time
+import zenoh
+zenoh.init_log_from_env_or("off")
+name, password, seconds, spoiled, *keys = sys.argv[1:]
+if password == "own":
+    told = json.load(open(os.environ["OUTRIDER_CREDENTIALS"]))
+    password = next(party for party in told.get("parties", [told]) if party["name"] == name)["password"]
+config = zenoh.Config()
+settings = {
+    "mode": "client", "scouting/multicast/enabled": False, "connect/timeout_ms": 2000, "connect/exit_on_failure": True,
+    "connect/endpoints": [os.environ.get("OUTRIDER_CONNECT", "tcp/127.0.0.1:17447")],
+}
+if name:
+    settings |= {"transport/auth/usrpwd/user": name, "transport/auth/usrpwd/password": password}
+for setting, value in settings.items():
+    config.insert_json5(setting, json.dumps(value))
+try:
+    session = zenoh.open(config)
+except zenoh.ZError:
+    print(json.dumps("refused"))
+    sys.exit()
+heard = {}
+def count(sample):
+    key = str(sample.key_expr)  # by what has come, whichever subscription it came to
+    heard[key] = heard.get(key, 0) + 1
+with session:
+    kept = [session.declare_subscriber(key, count) for key in keys]
+    for key in filter(None, spoiled.split(",")):
+        session.put(key, b"nonsense", allowed_destination=zenoh.Locality.REMOTE)
+    time.sleep(float(seconds))
+print(json.dumps(heard))
+"""
+KILL = """
+import os
+from pathlib import Path
+for process in Path("/proc").iterdir():
+    if process.name.isdigit() and process.name not in ("1", str(os.getpid())):
+        words = (process / "cmdline").read_bytes().split(b"\\0")
+        if any(word.endswith(b"/bin/outrider") for word in words):
+            os.kill(int(process.name), 9)
+"""
+ANSWER = """
+import socket
+with socket.create_server(("0.0.0.0", 9000)) as server:
+    while True:
+        server.accept()[0].close()
+"""
+CALL = """
+import json, socket, sys
+def call(host, port):
+    try:
+        socket.create_connection((host, int(port)), 2).close()
+    except ConnectionRefusedError:
+        return "refused"  # somebody was there to refuse
+    except OSError as error:
+        return "unreachable"
+    return "open"
+print(json.dumps({target: call(*target.rsplit(":", 1)) for target in sys.argv[1:]}))
+"""
+WAYS_OUT = """
+from pathlib import Path
+routes = [line.split() for line in Path("/proc/net/route").read_text().splitlines()[1:]]
+print(sum(route[1] == "00000000" for route in routes))
+"""
+PILOT = """
+import os
+from pathlib import Path
+from agents.process import fly
+from bus.access import read_credential
+from bus.messages import UavCommand
+class Hover:
+    def __init__(self, briefing):
+        pass
+    def act(self, observation):
+        (look, *_) = observation.detections or [None]
+        x, y = look.relative_position if look else (0.0, 0.0)
+        v_x, v_y = observation.velocity
+        return UavCommand(tick=observation.tick, acceleration=(-0.2 * x - v_x, -0.2 * y - v_y))
+credential = read_credential(Path(os.environ["OUTRIDER_CREDENTIALS"]))
+fly(credential.party, Hover, connect=os.environ["OUTRIDER_CONNECT"], run=os.environ["OUTRIDER_RUN"], credential=credential)
+"""
+PILOT_IMAGE = 'ARG BASE\nFROM ${BASE}\nCOPY pilot.py /pilot.py\nENTRYPOINT ["python", "/pilot.py"]\n'
+
+
+class CheckFailed(Exception):
+    """A check does not hold; says why."""
+
+
+def expect(holds: bool, otherwise: str) -> None:
+    """Go on if it holds.
+
+    Raises:
+        CheckFailed: If not.
+    """
+    if not holds:
+        raise CheckFailed(otherwise)
+
+
+def say(line: str) -> None:
+    """Print a line at once."""
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
+
+
+class Docker:
+    """The engine, and a Compose project of its own name with files in a folder of its own."""
+
+    def __init__(self, program: str, folder: Path) -> None:
+        name = f"outrider-test-{os.getpid()}"
+        root = os.getuid() == 0
+        self.program, self.folder, self.project = program, folder, name
+        self.image, self.pilot_image = f"{name}:image", f"{name}:pilot"
+        self.runs = folder / "runs"
+        self.runs.mkdir()
+        if root:
+            os.chown(self.runs, 1000, 1000)
+        user = "1000:1000" if root else f"{os.getuid()}:{os.getgid()}"
+        kept = {key: value for key, value in os.environ.items() if not key.startswith(("OUTRIDER_", "COMPOSE_"))}
+        self.environment = kept | {
+            "COMPOSE_PROJECT_NAME": name,
+            "OUTRIDER_IMAGE": self.image,
+            "OUTRIDER_UAV_IMAGE": self.pilot_image,
+            "OUTRIDER_SECRETS": str(folder / "credentials"),
+            "OUTRIDER_RUNS": str(self.runs),
+            "OUTRIDER_USER": user,
+            "OUTRIDER_RUN": RUN,
+        }
+
+    def __call__(self, *words: str, limit: float = 60.0, check: bool = True, **more: str) -> str:
+        """Run `docker WORDS`, with more environment; its output.
+
+        Raises:
+            CheckFailed: If it fails or takes too long.
+        """
+        what = " ".join(words[:6])
+        try:
+            done = subprocess.run(
+                [self.program, *words],
+                cwd=ROOT,
+                env=self.environment | more,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                text=True,
+                timeout=limit,
+                check=False,
+            )
+        except subprocess.TimeoutExpired as error:
+            raise CheckFailed(f"docker {what} ... has not ended within {limit:g} s") from error
+        if check and done.returncode:
+            last = " / ".join((done.stderr.strip() or done.stdout.strip()).splitlines()[-4:])
+            raise CheckFailed(f"docker {what} ... ended with {done.returncode}: {last}")
+        return done.stdout
+
+    def compose(self, *words: str, limit: float = 60.0, check: bool = True, **more: str) -> str:
+        """Run `docker compose WORDS`."""
+        return self("compose", *words, limit=limit, check=check, **more)
+
+    def python(self, service: str, script: str, *words: str) -> str:
+        """Run a script in a service's container."""
+        return self.compose("exec", "-T", service, "python", "-c", script, *words)
+
+    def container(self, service: str) -> str:
+        """The id of a service's container."""
+        return self.compose("ps", "--all", "--quiet", service).strip()
+
+    def inspect(self, what: str) -> Json:
+        """All that is known of an image or a container."""
+        found: Json = json.loads(self("inspect", what))[0]
+        return found
+
+    def clean(self) -> None:
+        """Remove all that belongs to the project."""
+        for words in (
+            ("compose", "--profile", "*", "down", "--volumes", "--remove-orphans", "--timeout", "2"),
+            ("image", "rm", "--force", self.pilot_image, self.image),
+        ):
+            with contextlib.suppress(CheckFailed):
+                self(*words, limit=120.0, check=False)
+
+    @contextlib.contextmanager
+    def flying(self, *, duration: str, at_tick: int = 1000, **more: str) -> Iterator[None]:
+        """While the stack flies, from some tick on; it is taken down afterwards."""
+        try:
+            self.compose("up", "--detach", limit=90.0, OUTRIDER_DURATION=duration, **more)
+            self.python("router", FOLLOW, str(at_tick))
+            yield
+        finally:
+            self.down()
+
+    def down(self) -> None:
+        """Take the stack down and forget its volumes."""
+        self.compose("--profile", "*", "down", "--volumes", "--timeout", "5", limit=90.0, check=False)
+
+    def landed(self) -> tuple[int, str]:
+        """Wait for the simulator's end: its exit code, and what it said."""
+        container = self.container("simulator")
+        code = int(self("wait", container, limit=120.0))
+        return code, self.compose("logs", "--no-log-prefix", "simulator")
+
+    def summary(self) -> Json:
+        """What the last flight has left behind; it is there once only."""
+        path = self.runs / RUN / "summary.json"
+        expect(path.exists(), "the simulator has left no summary")
+        found: Json = json.loads(path.read_text())
+        path.unlink()
+        return found
+
+    def reference(self, duration: str | None = None) -> Json:
+        """The same flight in one process, in the same image."""
+        words = ["run", "escort", "--in-process", "--no-files", "--json"] + (["--duration", duration] if duration else [])
+        apart = ["--rm", "--network=none", "--read-only", "--tmpfs=/tmp", "--volume=/var/cache/outrider"]
+        found: Json = json.loads(self("run", *apart, self.image, *words))
+        return found
+
+
+def same_flight(flown: Json, reference: Json) -> str:
+    """What to say of two flights with the same bits.
+
+    Raises:
+        CheckFailed: If they have not.
+    """
+    for field in ("platform", "ticks", "trajectory_sha256"):
+        expect(flown[field] == reference[field], f"{field} is {flown[field]}, in one process {reference[field]}")
+    expect(flown["complete"] and flown["deterministic"], f"first missing command at tick {flown['first_missing_tick']}")
+    return f"{flown['ticks']} ticks, {flown['ticks_per_second']:,.0f} ticks/s, sha256 {flown['trajectory_sha256'][:12]}"
+
+
+class Checks:
+    """The checks, in the order in which they run."""
+
+    def __init__(self, docker: Docker) -> None:
+        self.docker = docker
+        self._references: dict[str | None, Json] = {}
+
+    def _reference(self, duration: str | None = None) -> Json:
+        if duration not in self._references:
+            self._references[duration] = self.docker.reference(duration)
+        return self._references[duration]
+
+    def build(self) -> str:
+        """The image is built, small, and not root's."""
+        docker = self.docker
+        words = ["build", "--tag", docker.image]
+        proxies = [name for name in os.environ if name.upper() in ("HTTP_PROXY", "HTTPS_PROXY", "NO_PROXY")]
+        for name in proxies:
+            words += ["--build-arg", name]  # predefined: handed on from here, and no part of the image
+        if any(host in os.environ[name] for name in proxies for host in ("127.0.0.1", "localhost")):
+            words.append("--network=host")
+        index = [f"{key} = {os.environ[name]}" for name, key in PIP_SETTINGS.items() if name in os.environ]
+        if index:
+            pip = docker.folder / "pip.conf"
+            pip.write_text("\n".join(["[global]", *index]) + "\n")
+            words += ["--secret", f"id=pip_conf,src={pip}"]
+        docker(*words, ".", limit=900.0, DOCKER_BUILDKIT="1")
+        image = docker.inspect(docker.image)
+        size = image["Size"] / 1e6
+        user = image["Config"]["User"]
+        expect(user == "1000:1000", f"it runs as {user!r}")
+        expect("Healthcheck" in image["Config"], "it has no health check")
+        expect(size < LARGEST, f"it has {size:.0f} MB; allowed are {LARGEST} MB")
+        return f"{size:.0f} MB, user {user}"
+
+    def credentials(self) -> str:
+        """`docker compose run credentials` makes them."""
+        docker = self.docker
+        docker.compose("run", "--rm", "credentials")
+        files = sorted((docker.folder / "credentials").glob("*.json"))
+        modes = {path.stat().st_mode & 0o777 for path in files}
+        expect(modes == {0o600}, f"modes {[oct(mode) for mode in modes]}")
+        return ", ".join(path.stem for path in files)
+
+    def escort(self) -> str:
+        """`docker compose up` flies the escort scenario to its end."""
+        docker, told = self.docker, ""
+        for words in (("up",), *(("up", "--exit-code-from", "simulator"),) * 2):
+            docker.compose(*words, limit=120.0)
+            told = same_flight(docker.summary(), self._reference())
+            if words == ("up",):
+                self._all_end_well()
+            docker.down()
+        return told + "; three times, exit 0"
+
+    def _all_end_well(self) -> None:
+        """Nothing goes on running once the flight is over."""
+        for service in ("router", "simulator", "uav", "ugv"):
+            code = self.docker("wait", self.docker.container(service), limit=20.0).strip()
+            expect(code == "0", f"{service} ended with {code}")
+
+    def failure(self) -> str:
+        """A flight that cannot be flown ends with the simulator's exit code."""
+        words = ["compose", "up", "--exit-code-from", "simulator"]
+        done = subprocess.run(
+            [self.docker.program, *words],
+            cwd=ROOT,
+            env=self.docker.environment | {"OUTRIDER_SCENARIO": "no-such-scenario"},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=90,
+            check=False,
+        )
+        self.docker.down()
+        expect(done.returncode == 2, f"exit code {done.returncode}")
+        return "exit code 2"
+
+    def _disturbed(self, disturb: Callable[[], None], *, lost: str) -> str:
+        """Fly, disturb, and compare with the undisturbed flight."""
+        reference = self._reference(LONG)
+        with self.docker.flying(duration=LONG):
+            disturb()
+            code, log = self.docker.landed()
+        expect(code == 0, f"the simulator ended with {code}: {log[-300:]}")
+        found = re.search(rf"{lost} is lost(?: at tick (\d+))?", log)
+        expect(found is not None, f"the simulator has not noticed: {log[-300:]}")
+        told = same_flight(self.docker.summary(), reference)
+        at = found.group(1) if found else None
+        return f"lost at tick {at}; {told}" if at else told
+
+    def kill(self) -> str:
+        """The UAV's process is killed with SIGKILL, and Docker starts it again."""
+        return self._disturbed(lambda: void(self.docker.python("uav", KILL)), lost="uav_0")
+
+    def pause(self) -> str:
+        """The UAV's container stands still for 3 s."""
+
+        def disturb() -> None:
+            self.docker.compose("pause", "uav")
+            time.sleep(3)
+            self.docker.compose("unpause", "uav")
+
+        return self._disturbed(disturb, lost="uav_0")
+
+    def disconnect(self) -> str:
+        """The UGV's container is off its network for 3 s."""
+
+        def disturb() -> None:
+            docker, container, network = self.docker, self.docker.container("ugv"), f"{self.docker.project}_ugv"
+            docker("network", "disconnect", network, container)
+            time.sleep(3)
+            docker("network", "connect", "--alias", "ugv", network, container)
+
+        return self._disturbed(disturb, lost="ugv_0")
+
+    def router(self) -> str:
+        """The router's container is killed, and started again."""
+
+        def disturb() -> None:
+            container = self.docker.container("router")
+            self.docker("kill", container)
+            time.sleep(1)
+            self.docker("start", container)
+
+        return self._disturbed(disturb, lost="the router")
+
+    def router_crash(self) -> str:
+        """The router's process is killed with SIGKILL, and Docker starts it again."""
+        return self._disturbed(lambda: void(self.docker.python("router", KILL)), lost="the router")
+
+    def networks(self) -> str:
+        """The UAV's container reaches the router and nobody else."""
+        docker = self.docker
+        with docker.flying(duration=ENDLESS, at_tick=100):
+            addresses = {}
+            for service in ("ugv", "simulator"):
+                docker.compose("exec", "--detach", service, "python", "-c", ANSWER)
+                (network,) = docker.inspect(docker.container(service))["NetworkSettings"]["Networks"].values()
+                addresses[service] = network["IPAddress"]
+            time.sleep(1)
+            others = [f"{host}:9000" for service, address in addresses.items() for host in (service, address)]
+            for service, address in addresses.items():  # somebody does listen there
+                heard = json.loads(docker.python("router", CALL, f"{service}:9000", f"{address}:9000"))
+                expect(set(heard.values()) == {"open"}, f"the router, which shares a network with {service}, finds {heard}")
+            found = json.loads(docker.python("uav", CALL, "router:17447", *others))
+            with socket.create_server(("", 0)) as host:  # a service of the host, on all of its addresses
+                gateway = docker.inspect(f"{docker.project}_uav")["IPAM"]["Config"][0]["Gateway"].partition("/")[0]
+                outside = json.loads(docker.python("uav", CALL, f"{gateway}:{host.getsockname()[1]}"))
+            expect(docker.python("uav", WAYS_OUT).strip() == "0", "it has a way out of its network")
+            expect(found.pop("router:17447") == "open", "it does not reach the router")
+            expect(set((found | outside).values()) == {"unreachable"}, f"found {found | outside}")
+            return f"router: open; {', '.join(addresses)} by name and address, and the host: unreachable; no way out"
+
+    def keys(self) -> str:
+        """The UAV's container hears its own keys only, writes its own only, and strangers do not get in."""
+        docker, prefix = self.docker, f"outrider/{RUN}"
+        own = f"{prefix}/uav_0/observation"
+        topics = ("ugv_0/observation", "ugv_0/command", "ugv_0/briefing", "truth", "status", "*/observation")
+        others = [f"{prefix}/{topic}" for topic in topics]
+
+        def listen(service: str, name: str, password: str, *keys: str, spoiled: str = "") -> Any:  # noqa: ANN401 - JSON
+            return json.loads(docker.python(service, LISTEN, name, password, "2", spoiled, *keys))
+
+        with docker.flying(duration=ENDLESS), ThreadPoolExecutor() as pool:
+            spoiled = f"{prefix}/ugv_0/command,{prefix}/uav_0/command"
+            asked = {
+                "uav": pool.submit(listen, "uav", "uav_0", "own", own, *others, "**", spoiled=spoiled),
+                "ugv": pool.submit(listen, "ugv", "ugv_0", "own", others[0]),
+                "simulator": pool.submit(listen, "simulator", "simulator", "own", others[1]),
+                "observer": pool.submit(listen, "router", "observer", "own", *others[3:5]),
+            }
+            heard = {who: answer.result() for who, answer in asked.items()}
+            for who, allowed in {"ugv": others[:1], "simulator": others[1:2], "observer": others[3:5]}.items():
+                expect(set(heard[who]) == set(allowed), f"{who} should hear {allowed}, and hears {heard[who]}")
+            expect(set(heard["uav"]) == {own}, f"the UAV should hear {own}, and hears {heard['uav']}")
+            strangers = {
+                "a wrong password": listen("uav", "uav_0", "wrong-password", own),
+                "no password": listen("uav", "", "", own),
+                "another's name": listen("uav", "ugv_0", "own-is-not-known-here", others[0]),
+            }
+            expect(set(strangers.values()) == {"refused"}, f"strangers: {strangers}")
+            docker.compose("stop", "simulator", limit=60.0)
+            faults = docker.summary()["faults"]
+            expect("uav_0" in faults and "ugv_0" not in faults, f"nonsense in the commands of: {list(faults)}")
+        return f"{heard['uav'][own]} of its own observations, nothing else; strangers are refused; it cannot write for the UGV"
+
+    def realtime(self) -> str:
+        """The real-time profile keeps the clock."""
+        docker = self.docker
+        docker.compose(
+            "up",
+            "--exit-code-from",
+            "simulator-realtime",
+            "simulator-realtime",
+            limit=120.0,
+            OUTRIDER_REALTIME="10",
+            OUTRIDER_DURATION="60",
+        )
+        flown = docker.summary()
+        docker.down()
+        factor = flown["realtime_factor"]
+        expect(flown["complete"] and abs(factor - 10.0) < 0.5, f"factor {factor:.2f} instead of 10")
+        return f"factor {factor:.3f} of 10, {flown['late_ticks']} of {flown['ticks']} ticks late"
+
+    def override(self) -> str:
+        """The override file puts the user's own image in the UAV's place."""
+        docker = self.docker
+        (docker.folder / "pilot").mkdir()
+        (docker.folder / "pilot" / "pilot.py").write_text(PILOT)
+        (docker.folder / "pilot" / "Dockerfile").write_text(PILOT_IMAGE)
+        docker(
+            "build",
+            "--tag",
+            docker.pilot_image,
+            "--build-arg",
+            f"BASE={docker.image}",
+            str(docker.folder / "pilot"),
+            limit=120.0,
+            DOCKER_BUILDKIT="1",
+        )
+        files = ("-f", "docker-compose.yml", "-f", "docker-compose.override.example.yml")
+        docker.compose(*files, "up", "--exit-code-from", "simulator", limit=120.0)
+        flown = docker.summary()
+        docker.down()
+        missing = flown["missing_commands"]
+        expect(flown["complete"] and not any(missing.values()), f"commands that are missing: {missing}")
+        expect(flown["trajectory_sha256"] != self._reference()["trajectory_sha256"], "it flew like the image's own pilot")
+        return f"flown to the end, mean distance {flown['mean_distance']:.2f} m"
+
+    def stop(self) -> str:
+        """SIGTERM in mid-flight ends every container soon, and the flight so far is kept."""
+        docker = self.docker
+        with docker.flying(duration=ENDLESS):
+            services = ("simulator", "uav", "ugv", "router")
+            containers = [docker.container(service) for service in services]
+            started = time.monotonic()
+            docker("stop", *containers)  # all at once: Compose would let the vehicles see the flight's end first
+            seconds = time.monotonic() - started
+            codes = {service: docker.inspect(docker.container(service))["State"]["ExitCode"] for service in services}
+            flown = docker.summary()
+        expect(seconds < 8, f"it took {seconds:.1f} s")
+        expect(all(code in (0, 143) for code in codes.values()), f"exit codes {codes}")
+        expect(not flown["complete"] and flown["ticks"] > 0, "the flight so far is not kept")
+        return f"{seconds:.1f} s, exit codes {', '.join(f'{name} {code}' for name, code in codes.items())}"
+
+
+def void(_: object) -> None:
+    """Nothing: for what is done for its effect."""
+
+
+ORDER = (
+    "build",
+    "credentials",
+    "escort",
+    "failure",
+    "networks",
+    "keys",
+    "kill",
+    "pause",
+    "disconnect",
+    "router",
+    "router_crash",
+    "realtime",
+    "override",
+    "stop",
+)
+
+
+def engine() -> str | None:
+    """Where docker is, if there is an engine that answers, and Compose."""
+    program = shutil.which("docker")
+    if program is None:
+        return None
+    for words in (["info"], ["compose", "version"]):
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            if not subprocess.run([program, *words], capture_output=True, timeout=30, check=False).returncode:
+                continue
+        return None
+    return program
+
+
+def run_checks(docker: Docker, chosen: list[str]) -> bool:
+    """Run them, print a line for each, and say whether all hold."""
+    checks = Checks(docker)
+    failed = []
+    for name in chosen:
+        check: Callable[[], str] = getattr(checks, name)
+        say(f"      {name}: {(check.__doc__ or '').splitlines()[0]}")
+        started = time.monotonic()
+        try:
+            told, verdict = check(), "ok"
+        except CheckFailed as error:
+            told, verdict = str(error), "FAIL"
+            failed.append(name)
+            docker.down()
+        say(f"{verdict:<6}{name:<14}{time.monotonic() - started:6.1f} s  {told}")
+        if failed and name in ("build", "credentials"):
+            break  # without these there is nothing to try
+    say(f"{len(failed)} of {len(chosen)} checks do not hold: {', '.join(failed)}" if failed else f"all {len(chosen)} checks hold")
+    return not failed
+
+
+def _interrupted(_number: int, _frame: FrameType | None) -> None:
+    raise SystemExit(143)
+
+
+def main() -> int:
+    """Run all checks, or those that are named after the always needed first two."""
+    program = engine()
+    if program is None:
+        say("compose-test: skipped, no Docker engine with Compose v2 answers here")
+        return NO_ENGINE
+    signal.signal(signal.SIGTERM, _interrupted)
+    chosen = [name for name in ORDER if not sys.argv[1:] or name in ("build", "credentials", *sys.argv[1:])]
+    with tempfile.TemporaryDirectory(prefix="outrider-compose-", ignore_cleanup_errors=True) as folder:
+        docker = Docker(program, Path(folder))
+        try:
+            return 0 if run_checks(docker, chosen) else 1
+        finally:
+            docker.clean()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
