@@ -109,11 +109,6 @@ def call(host, port):
     return "open"
 print(json.dumps({target: call(*target.rsplit(":", 1)) for target in sys.argv[1:]}))
 """
-WAYS_OUT = """
-from pathlib import Path
-routes = [line.split() for line in Path("/proc/net/route").read_text().splitlines()[1:]]
-print(sum(route[1] == "00000000" for route in routes))
-"""
 PILOT = """
 import os
 from pathlib import Path
@@ -152,6 +147,17 @@ def say(line: str) -> None:
     """Print a line at once."""
     sys.stdout.write(line + "\n")
     sys.stdout.flush()
+
+
+def own_address() -> str:
+    """The host's address on its way to the world outside; nothing is sent to find it."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))
+        except OSError:
+            return "127.0.0.1"
+        address: str = probe.getsockname()[0]
+        return address
 
 
 class Docker:
@@ -425,11 +431,11 @@ class Checks:
             found = json.loads(docker.python("uav", CALL, "router:17447", *others))
             with socket.create_server(("", 0)) as host:  # a service of the host, on all of its addresses
                 gateway = docker.inspect(f"{docker.project}_uav")["IPAM"]["Config"][0]["Gateway"].partition("/")[0]
-                outside = json.loads(docker.python("uav", CALL, f"{gateway}:{host.getsockname()[1]}"))
-            expect(docker.python("uav", WAYS_OUT).strip() == "0", "it has a way out of its network")
+                port = host.getsockname()[1]
+                outside = json.loads(docker.python("uav", CALL, *(f"{address}:{port}" for address in {gateway, own_address()})))
             expect(found.pop("router:17447") == "open", "it does not reach the router")
             expect(set((found | outside).values()) == {"unreachable"}, f"found {found | outside}")
-            return f"router: open; {', '.join(addresses)} by name and address, and the host: unreachable; no way out"
+            return f"router: open; {', '.join(addresses)} by name and address, the host, near and far: unreachable"
 
     def keys(self) -> str:
         """The UAV's container hears its own keys only, writes its own only, and strangers do not get in."""
