@@ -161,10 +161,15 @@ class _Seat:
             letter = self._observations.receive(1.0)
             while self._briefings.holds_any():
                 self.pilot = self._take_over()
-            if letter is not None:
-                letters = [letter, *self._observations.waiting()]
-                return [seen.message for seen in letters if self._is_new(seen)]
-            self._mind_absence("an observation")
+            if letter is None:
+                self._mind_absence("an observation")
+                continue
+            seen = []
+            while letter is not None:
+                if self._is_new(letter):
+                    seen.append(letter.message)
+                letter = self._observations.next_waiting()
+            return seen
 
     def _is_new(self, letter: Letter) -> bool:
         """Whether an observation is of the run it was briefed for, and neither past nor a copy of one that it has seen."""

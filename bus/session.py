@@ -152,24 +152,24 @@ class Inbox:
         finally:
             self._since = None
 
-    def waiting(self) -> Iterator[Letter]:
-        """The messages that are there already, without waiting for any."""
+    def next_waiting(self) -> Letter | None:
+        """The next message if it is there already; None without waiting if not."""
         if self._peeked is not None:
-            letter, self._peeked = self._peeked, None
-            yield letter
+            peeked, self._peeked = self._peeked, None
+            return peeked
         subscriber = self._open_subscriber()
         try:
             while (sample := subscriber.try_recv()) is not None:
-                opened = self._open(sample)
-                if opened is not None:
-                    yield opened
+                letter = self._open(sample)
+                if letter is not None:
+                    return letter
         except zenoh.ZError as error:
             raise BusError(f"the session is gone: {error}") from error
+        return None
 
     def holds_any(self) -> bool:
         """Whether a message is there already; it stays."""
-        if self._peeked is None:
-            self._peeked = next(self.waiting(), None)
+        self._peeked = self.next_waiting()
         return self._peeked is not None
 
     def close(self) -> None:

@@ -18,6 +18,11 @@ def halves(cores: set[int]) -> tuple[set[int], set[int]]:
     return set(ordered[:middle]), set(ordered[middle:])
 
 
+def can_be_kept_apart(vehicles: int) -> bool:
+    """Whether so few share the cores that each finds its own as it left it; many are divided better by the system."""
+    return vehicles <= 2 * (os.cpu_count() or 1)
+
+
 def keep_apart(pids: Mapping[int, bool]) -> None:
     """Give the processes that are true the second half of this process' cores, and the others the first.
 

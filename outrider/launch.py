@@ -20,7 +20,7 @@ import msgspec
 from bus.access import ROUTER_FILE, new_credentials, write_credentials
 from bus.errors import BusError, PeerLost
 from bus.keys import SIMULATOR_NAME
-from outrider.cores import keep_apart
+from outrider.cores import can_be_kept_apart, keep_apart
 from outrider.reports import Report
 from outrider.summary import Process, Summary
 from sim.scenario import Scenario
@@ -196,7 +196,7 @@ def launch(
         deadline: How long it waits for the commands of one tick [s].
         join_timeout: How long it waits for the vehicles [s].
         respawn: Whether a vehicle's process that dies is started again.
-        pin: Whether the UAVs keep to one half of the processor cores and the others to the other half.
+        pin: Whether the UAVs keep to one half of the processor cores and the others to the other half, if there are few of them.
         secured: Whether there are credentials and access control; False only to measure what they cost.
 
     Returns:
@@ -237,7 +237,8 @@ class _Crew:
         self.children = children
         self.lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         """What the simulator reports."""
-        self._scenario, self._folder, self._run, self._pin = scenario, folder, run, pin
+        self._scenario, self._folder, self._run = scenario, folder, run
+        self._pin = pin and can_be_kept_apart(len(scenario.vehicles))
         self._socket = folder / "bus.sock"
         self._endpoint = f"unixsock-stream/{self._socket}"
         self._uavs = {uav.name for uav in scenario.uav}

@@ -237,5 +237,5 @@ class RealTime:
         return commands
 
     def _take(self, tick: int, commands: dict[str, Command]) -> None:
-        for letter in self._seats.commands.waiting():
+        while (letter := self._seats.commands.next_waiting()) is not None:
             self._seats.take(letter, tick, commands)

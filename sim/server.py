@@ -99,7 +99,7 @@ class Server:
 
     def _heed_controls(self) -> None:
         """Take in what operators want, and stand still for as long as they want it."""
-        for letter in self._controls.waiting():
+        while (letter := self._controls.next_waiting()) is not None:
             self._heed(letter.message)
         if self._paused and not self.flight.over:
             if not self._steps:
