@@ -45,6 +45,15 @@ BAD = {
     "check": (["check", "nowhere.toml"], "nowhere.toml"),
     "bench row": (["bench", "--only", "nothing"], "no such row"),
     "run name": (["uav", "--run", "a/b"], "run = 'a/b'"),
+    "router for strangers": (["router", "--listen", "tcp/0.0.0.0:17447"], "there are no credentials"),
+    "simulator for strangers": (["simulator", "--listen", "tcp/[::]:17447"], "there are no credentials"),
+    "no endpoint": (["router", "--listen", "17447"], "endpoint '17447'"),
+    "no endpoint to go to": (["uav", "--connect", "nowhere"], "endpoint 'nowhere'"),
+    "unknown protocol": (["uav", "--connect", "carrier-pigeon/roof"], "carrier-pigeon"),
+    "credentials not there": (["uav", "--credentials", "nowhere.json"], "nowhere.json"),
+    "owner": (["credentials", "--owner", "me"], "--owner 'me'"),
+    "clock without processes": (["run", "--in-process", "--realtime", "1"], "--realtime"),
+    "clock that stands": (["run", "--realtime", "0"], "--realtime"),
 }
 
 
@@ -141,3 +150,68 @@ def test_a_path_that_cannot_be_followed_warns_with_the_bound(tmp_path: Path) -> 
     assert "cannot be flown: 2 m/s" in told
     assert "v_a - v_g = 0.4 m/s" in told
     assert "u_a = 0.3 m/s²" in told
+
+
+def test_credentials_are_made_once_and_each_party_gets_its_own(tmp_path: Path) -> None:
+    made = outrider("credentials", "mine", "--run", "night", "--json", cwd=tmp_path)
+    assert made.returncode == 0, made.stderr
+    files = json.loads(made.stdout)["files"]
+    assert set(files) == {"router", "simulator", "uav_0", "ugv_0", "operator", "observer"}
+    again = outrider("credentials", "mine", cwd=tmp_path)
+    assert again.returncode == 1
+    assert "never overwritten" in again.stderr
+    borrowed = outrider("uav", "--credentials", files["ugv_0"], cwd=tmp_path)
+    assert borrowed.returncode == 2
+    assert "the credentials of ugv_0 (ugv), not of uav_0 (uav)" in borrowed.stderr
+    another = outrider("router", "--credentials", files["router"], "--run", "day", cwd=tmp_path)
+    assert another.returncode == 2
+    assert "for the run night" in another.stderr
+
+
+def test_a_password_may_come_from_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from bus.access import read_credential
+    from bus.errors import ScenarioError
+    from bus.keys import Role
+    from outrider.cli.options import credential_of
+
+    made = outrider("credentials", "mine", "--json", cwd=tmp_path)
+    known = read_credential(tmp_path / json.loads(made.stdout)["files"]["uav_0"])
+    assert credential_of(None, Role.UAV, "uav_0") is None
+    monkeypatch.setenv("OUTRIDER_PASSWORD", known.password)
+    assert credential_of(None, Role.UAV, "uav_0") == known
+    monkeypatch.setenv("OUTRIDER_PASSWORD", "a b")
+    with pytest.raises(ScenarioError, match="OUTRIDER_PASSWORD"):
+        credential_of(None, Role.UAV, "uav_0")
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "local"),
+    [
+        ("tcp/127.0.0.1:1", True),
+        ("tcp/localhost:1", True),
+        ("tcp/[::1]:1", True),
+        ("unixsock-stream//tmp/x", True),
+        ("tcp/0.0.0.0:1", False),
+        ("tcp/[::]:1", False),
+        ("tls/10.0.0.1:1", False),
+        ("udp/host:1", False),
+    ],
+)
+def test_only_this_machines_endpoints_need_no_credentials(endpoint: str, local: bool) -> None:
+    from outrider.cli.options import is_local
+
+    assert is_local(endpoint) is local
+
+
+def test_many_pairs_can_be_flown() -> None:
+    from outrider.pairs import pairs_toml
+    from sim.scenario import load_scenario
+
+    for count in (1, 5, 50):
+        path = Path(__file__).with_name("nowhere.toml")
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Path, "read_bytes", lambda _self, count=count: pairs_toml(count, seconds=10).encode())
+            scenario = load_scenario(path)
+        assert len(scenario.uav) == len(scenario.ugv) == count
+    with pytest.raises(ValueError, match="count = 0"):
+        pairs_toml(0, seconds=10)

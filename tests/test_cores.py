@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import PROPERTY
 
-from outrider.cores import halves, keep_apart
+from outrider.cores import can_be_kept_apart, halves, keep_apart
 
 
 @given(st.sets(st.integers(0, 255), min_size=1))
@@ -39,3 +39,10 @@ def test_a_process_that_has_gone_is_no_trouble() -> None:
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
     keep_apart({gone.pid: True})
+
+
+def test_few_vehicles_are_kept_apart_and_many_are_not() -> None:
+    cores = os.cpu_count() or 1
+    assert can_be_kept_apart(2)
+    assert can_be_kept_apart(2 * cores)
+    assert not can_be_kept_apart(2 * cores + 1)

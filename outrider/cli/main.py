@@ -8,7 +8,7 @@ from types import FrameType
 
 import typer
 
-from bus.errors import OutriderError, ScenarioError
+from bus.errors import AccessDenied, OutriderError, ScenarioError
 from outrider.cli import bench, check, credentials, figures, router, run, scenarios, simulator, vehicles
 
 COMMANDS: dict[str, Callable[..., None]] = {
@@ -66,7 +66,7 @@ def _fail(line: str, code: int) -> int:
 def _run() -> int:
     try:
         return int(_app()(standalone_mode=False) or 0)
-    except ScenarioError as error:
+    except (ScenarioError, AccessDenied) as error:
         return _fail(str(error), 2)
     except OutriderError as error:
         return _fail(str(error), 1)

@@ -112,6 +112,9 @@ def _plain(field: str, value: str) -> str:
     return value
 
 
+_PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream")
+
+
 def is_local(endpoint: str) -> bool:
     """Whether only processes of this machine can reach an endpoint."""
     protocol, _, address = endpoint.partition("/")
@@ -127,8 +130,10 @@ def check_endpoints(endpoints: tuple[str, ...], *, secured: bool, insecure: bool
     """
     for endpoint in endpoints:
         protocol, separator, address = endpoint.partition("/")
-        if not (protocol and separator and address):
-            raise ScenarioError(f"endpoint {endpoint!r}: allowed are protocol/address, such as {DEFAULT_ENDPOINT}")
+        if protocol not in _PROTOCOLS or not separator or not address:
+            raise ScenarioError(
+                f"endpoint {endpoint!r}: allowed are protocol/address, such as {DEFAULT_ENDPOINT}, with {', '.join(_PROTOCOLS)}"
+            )
         if not (secured or insecure or is_local(endpoint)):
             raise ScenarioError(
                 f"endpoint {endpoint}: other machines reach it, and there are no credentials; "

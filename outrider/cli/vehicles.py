@@ -13,6 +13,7 @@ from outrider.cli.options import (
     RunName,
     VirtualPath,
     Weighting,
+    check_endpoints,
     credential_of,
 )
 
@@ -43,6 +44,7 @@ def uav(
     from outrider.own import load_function
 
     _hold(leash)
+    check_endpoints((connect,), secured=True, insecure=False)
     maker = uav_maker(
         weighting=load_function(weighting, what="weighting"),
         path=load_function(path, what="path"),
@@ -70,6 +72,7 @@ def ugv(
     from bus.keys import Party, Role
 
     _hold(leash)
+    check_endpoints((connect,), secured=True, insecure=False)
     credential = credential_of(credentials, Role.UGV, name)
     fly(Party(role=Role.UGV, name=name), UgvPilot, connect=connect, run=run, credential=credential, join_timeout=join_timeout)
 
