@@ -1,19 +1,18 @@
-"""Opening, closing, publishing, awaiting, joining and leaving: the only file that speaks Zenoh."""
+"""Opening, closing, joining and leaving: with its boxes the only place that speaks Zenoh."""
 
 import json
 import logging
 import socket
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 import msgspec
 import zenoh
 
 from bus.access import Credential, CredentialSet, client_settings, router_settings
+from bus.boxes import WAKE_PERIOD, Inbox, Letter, Outbox
 from bus.errors import AccessDenied, BusError
 from bus.keys import (
     ROOT,
@@ -28,15 +27,12 @@ from bus.keys import (
     token_owner,
     vehicle_of,
 )
-from bus.messages import Message
+
+__all__ = ["Inbox", "Letter", "Outbox", "Session", "open_session"]
 
 _LOG = logging.getLogger("outrider.bus")
 _ROOM = 256
 """Messages that wait in an inbox before their writers must."""
-_WAKE_PERIOD = 0.1
-"""A waiting reader looks up this often [s], for deadlines and for peers that come and go."""
-_LARGEST = 1 << 20
-"""Larger payloads [bytes] are refused unread."""
 
 _COMMON: dict[str, Any] = {
     "scouting/multicast/enabled": False,
@@ -62,170 +58,6 @@ def _config(settings: Mapping[str, Any]) -> zenoh.Config:
     return config
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Letter:
-    """A message that has arrived."""
-
-    sender: str
-    """The vehicle in its key; empty where there is none."""
-    session: str
-    """The session that sent it, as it says itself; empty where it does not say."""
-    message: Message
-
-
-class Outbox:
-    """Writes one key."""
-
-    def __init__(self, publisher: zenoh.Publisher, key: Key) -> None:
-        self._publisher = publisher
-        self._encoder = msgspec.json.Encoder()
-        self._decoder = msgspec.json.Decoder(key.message)
-        self._topic = key.topic
-        self._source = zenoh.SourceInfo(publisher.id, 0)
-        self.wanted = False
-        """Whether anybody reads it now."""
-        self._listener = publisher.declare_matching_listener(self._see)
-
-    def _see(self, status: Any) -> None:  # noqa: ANN401 - Zenoh's stub says bool, its library gives a MatchingStatus
-        self.wanted = bool(status.matching)
-
-    def send(self, message: Message) -> None:
-        """Send a message.
-
-        Raises:
-            ValueError: If it breaks its own type's bounds (NaN and infinity do); nothing was sent.
-            BusError: If the session is gone.
-        """
-        payload = self._encoder.encode(message)
-        try:
-            self._decoder.decode(payload)  # what the reader will do: NaN has become null, 1e308 is out of bounds
-        except msgspec.ValidationError as error:
-            raise ValueError(f"{self._topic}: {error}") from error
-        try:
-            self._publisher.put(payload, source_info=self._source)
-        except zenoh.ZError as error:
-            raise BusError(f"cannot send {self._topic}: {error}") from error
-
-
-class Inbox:
-    """Reads one topic, in order. What does not decode is counted, logged and dropped."""
-
-    def __init__(self, wake: Callable[[], None], decoders: Mapping[str, tuple[str, msgspec.json.Decoder[Any]]]) -> None:
-        self._wake = wake
-        self._decoders = decoders  # sender and decoder by key
-        self._subscriber: zenoh.Subscriber[zenoh.Handler[zenoh.Sample]] | None = None
-        self._since: float | None = None
-        self._poked = False
-        self._peeked: Letter | None = None
-        self.refused: dict[str, int] = {sender: 0 for sender, _ in decoders.values()}
-        """How many messages of each sender did not decode."""
-        self.fault: dict[str, str] = {sender: "" for sender, _ in decoders.values()}
-        """Why the last of them did not."""
-
-    def attach(self, subscriber: "zenoh.Subscriber[zenoh.Handler[zenoh.Sample]]") -> None:
-        """Read from this subscriber."""
-        self._subscriber = subscriber
-
-    def _open_subscriber(self) -> "zenoh.Subscriber[zenoh.Handler[zenoh.Sample]]":
-        if self._subscriber is None:
-            raise BusError("the inbox is closed")
-        return self._subscriber
-
-    def receive(self, patience: float) -> Letter | None:
-        """The next message, or None after `patience` [s] without one, or once somebody has called `poke`."""
-        if self._peeked is not None:
-            peeked, self._peeked = self._peeked, None
-            return peeked
-        subscriber = self._open_subscriber()
-        started = self._since = time.monotonic()
-        try:
-            while not self._poked:
-                letter = self._open(subscriber.recv())
-                if letter is not None:
-                    return letter
-                if time.monotonic() - started >= patience:
-                    break
-            self._poked = False
-            return None
-        except zenoh.ZError as error:
-            raise BusError(f"the session is gone: {error}") from error
-        finally:
-            self._since = None
-
-    def next_waiting(self) -> Letter | None:
-        """The next message if it is there already; None without waiting if not."""
-        if self._peeked is not None:
-            peeked, self._peeked = self._peeked, None
-            return peeked
-        subscriber = self._open_subscriber()
-        try:
-            while (sample := subscriber.try_recv()) is not None:
-                letter = self._open(sample)
-                if letter is not None:
-                    return letter
-        except zenoh.ZError as error:
-            raise BusError(f"the session is gone: {error}") from error
-        return None
-
-    def holds_any(self) -> bool:
-        """Whether a message is there already; it stays."""
-        self._peeked = self.next_waiting()
-        return self._peeked is not None
-
-    def close(self) -> None:
-        """Read no more. Until that has been done, what still comes is read and dropped: a full inbox would hold up the end."""
-        subscriber, self._subscriber = self._subscriber, None
-        if subscriber is None:
-            return
-        handler = subscriber.handler
-        leaving = threading.Thread(target=subscriber.undeclare)
-        leaving.start()
-        while leaving.is_alive():
-            try:
-                while handler.try_recv() is not None:
-                    pass
-            except zenoh.ZError:
-                break
-            leaving.join(0.001)
-        leaving.join()
-
-    def poke(self) -> None:
-        """Make `receive` return, now or when it is called next; may be called from any thread."""
-        self._poked = True
-        if self._since is not None:
-            self._wake()
-
-    def nudge(self) -> None:
-        """Let a reader that has waited for a while look at the clock."""
-        if self._since is not None and time.monotonic() - self._since >= _WAKE_PERIOD:
-            self._wake()
-
-    def _open(self, sample: zenoh.Sample) -> Letter | None:
-        payload = sample.payload.to_bytes()
-        expression = str(sample.key_expr)
-        known = self._decoders.get(expression)
-        if not payload or known is None:
-            return None  # a wake-up; nobody of this run; or a pattern, which nobody writes who means well
-        sender, decoder = known
-        if len(payload) > _LARGEST:
-            self._refuse(sender, expression, f"{len(payload)} bytes; allowed up to {_LARGEST}")
-            return None
-        try:
-            message = decoder.decode(payload)
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            self._refuse(sender, expression, str(error))
-            return None
-        source = sample.source_info
-        return Letter(sender=sender, session="" if source is None else str(source.source_id.zid), message=message)
-
-    def _refuse(self, sender: str, expression: str, reason: str) -> None:
-        reason = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in reason[:500])
-        self.refused[sender] += 1
-        self.fault[sender] = reason
-        if self.refused[sender] & (self.refused[sender] - 1) == 0:  # the 1st, 2nd, 4th, 8th ...: a flood must not fill a log
-            _LOG.warning("refused a message on %s: %s (%d so far)", expression, reason, self.refused[sender])
-
-
 class Session:
     """One process on the bus, in one run.
 
@@ -247,7 +79,7 @@ class Session:
         self._alarm.start()
 
     def _nudge_all(self) -> None:
-        while not self._closing.wait(_WAKE_PERIOD):
+        while not self._closing.wait(WAKE_PERIOD):
             for inbox in tuple(self._inboxes):
                 inbox.nudge()
 
