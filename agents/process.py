@@ -9,6 +9,7 @@ import msgspec
 
 from agents.control.orbit import Path
 from agents.control.weighting import Weighting
+from agents.drivers.policy import Policy
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.access import Credential
@@ -47,6 +48,20 @@ def uav_maker(*, weighting: Weighting | None = None, path: Path | None = None) -
 
     def make(briefing: UavBriefing) -> Pilot:
         return UavPilot(briefing, weighting=weighting, path=path)
+
+    return make
+
+
+def ugv_maker(*, policy: Policy | None = None, policy_name: str = "policy") -> MakePilot:
+    """Makes UGV pilots.
+
+    Args:
+        policy: A policy of one's own, for the driver `policy`.
+        policy_name: What it is called in errors.
+    """
+
+    def make(briefing: UgvBriefing) -> Pilot:
+        return UgvPilot(briefing, policy=policy, policy_name=policy_name)
 
     return make
 
@@ -116,7 +131,8 @@ class _Seat:
         self._presence = _Presence()
         self._briefings = session.inbox(BRIEFING[party.role], party.name)
         self._observations = session.inbox(OBSERVATION[party.role], party.name, newest=_ROOM)
-        self._simulator, self._first = "", 0  # who has briefed it, and the first tick that is still to be seen
+        self._flight: tuple[str, int] = ("", 0)  # who has briefed it for which flight
+        self._first = 0  # the first tick of it that is still to be seen
         session.watch(SIMULATOR_NAME, self._presence.change)
         session.announce()
         self.pilot = self._take_over()
@@ -147,7 +163,7 @@ class _Seat:
                 pilot.act(seen)
                 self._first = seen.tick + 1
             if not told.more:
-                self._simulator = letter.session
+                self._flight = (letter.session, told.episode)
                 gc.freeze()  # what is here stays: the collector need not look at it again
                 return pilot
 
@@ -172,9 +188,13 @@ class _Seat:
             return seen
 
     def _is_new(self, letter: Letter) -> bool:
-        """Whether an observation is of the run it was briefed for, and neither past nor a copy of one that it has seen."""
+        """Whether an observation is of the flight it was briefed for, and neither past nor a copy of one that it has seen."""
         observation: Any = letter.message
-        if letter.session != self._simulator or observation.tick < self._first:
+        if (letter.session, observation.episode) != self._flight:
+            return False
+        if observation.over:
+            return True  # a flight that is stopped ends at a tick that has been seen
+        if observation.tick < self._first:
             return False
         self._first = observation.tick + 1
         return True

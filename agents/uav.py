@@ -14,7 +14,7 @@ from agents.control.orbit import Path, check_path
 from agents.control.weighting import Weighting, check_weighting
 from agents.estimator import Estimate, RelativeEstimator
 from bus.errors import ScenarioError
-from bus.messages import RelativeInformation, UavBriefing, UavCommand, UavObservation, UavReport, Vector
+from bus.messages import Law, RelativeInformation, UavBriefing, UavCommand, UavObservation, UavReport, Vector
 from sim.compile import FloatArray
 from sim.field import accumulate, cover, coverage_error, empty_coverage
 from sim.vehicles import brake, norm
@@ -74,6 +74,8 @@ class UavPilot:
 
     def act(self, observation: UavObservation) -> UavCommand:
         """The command for this observation."""
+        if observation.law is not None:
+            self._fly(observation.law)
         estimate = self.perceive(observation)
         if estimate is None:
             return UavCommand(tick=observation.tick, acceleration=self._wait(observation))
@@ -93,6 +95,11 @@ class UavPilot:
         """Take an observation into the map and the filter, also one that comes too late to be answered."""
         self._look(observation)
         return self.estimator.update(time=observation.time, own_position=observation.position, detections=observation.detections)
+
+    def _fly(self, law: Law) -> None:
+        """Take another law; map, filter and the state of the law before stay."""
+        self._parameters = law_parameters(self._briefing, law)
+        self._check_own_functions()
 
     def prepare(self) -> None:
         """Work ahead for the next observation, while the simulator is busy; changes nothing but when it is done."""

@@ -1,5 +1,6 @@
 """The UGV's pilot: observation in, command out."""
 
+from agents.drivers.policy import Policy, PolicyDriver
 from agents.drivers.table import DRIVERS, Driver
 from bus.errors import ScenarioError
 from bus.messages import UgvBriefing, UgvCommand, UgvObservation
@@ -8,17 +9,36 @@ from bus.messages import UgvBriefing, UgvCommand, UgvObservation
 class UgvPilot:
     """Answers each observation with the driver's acceleration. Pure: no input or output of its own.
 
+    Another driver may take the wheel in the middle of a flight; it begins with what it perceives then.
+
+    Args:
+        briefing: What the UGV is told when it joins.
+        driver: Who drives instead of the briefing's driver.
+        policy: A function of the user's own, for the driver `policy`.
+        policy_name: What it is called in errors.
+
     Raises:
-        ScenarioError: If the briefing names an unknown driver.
+        ScenarioError: If the briefing names an unknown driver, or one that needs a policy where there is none.
     """
 
-    def __init__(self, briefing: UgvBriefing, *, driver: Driver | None = None) -> None:
-        if driver is None:
-            if briefing.driver not in DRIVERS:
-                raise ScenarioError(f"driver = {briefing.driver!r}: unknown; allowed: {', '.join(DRIVERS)}")
-            driver = DRIVERS[briefing.driver](briefing)
-        self._driver = driver
+    def __init__(
+        self, briefing: UgvBriefing, *, driver: Driver | None = None, policy: Policy | None = None, policy_name: str = "policy"
+    ) -> None:
+        self._briefing = briefing
+        self._policy, self._policy_name = policy, policy_name
+        self._driver = driver or self._seat(briefing.driver)
+
+    def _seat(self, name: str) -> Driver:
+        if name == "policy":
+            if self._policy is None:
+                raise ScenarioError("driver = 'policy': needs a policy, given to the UGV as module:function")
+            return PolicyDriver(self._briefing, policy=self._policy, name=self._policy_name)
+        if name not in DRIVERS:
+            raise ScenarioError(f"driver = {name!r}: unknown; allowed: {', '.join(DRIVERS)}")
+        return DRIVERS[name](self._briefing)
 
     def act(self, observation: UgvObservation) -> UgvCommand:
         """The command for this observation."""
+        if observation.driver is not None:
+            self._driver = self._seat(observation.driver)
         return UgvCommand(tick=observation.tick, acceleration=self._driver.drive(observation))

@@ -139,6 +139,17 @@ class UavBriefing(Message, frozen=True, kw_only=True):
     """What it has perceived so far in this run, tick by tick; where its process was away, without detections."""
     more: bool = False
     """Whether another part of the past follows."""
+    episode: Tick = 0
+    """Which flight of the run this is for."""
+
+
+class ScriptStep(Message, frozen=True, kw_only=True):
+    """What a scripted UGV wants from a time on."""
+
+    time: NonNegative
+    """[s]"""
+    velocity: Vector
+    """[m/s]"""
 
 
 class UgvBriefing(Message, frozen=True, kw_only=True):
@@ -154,9 +165,14 @@ class UgvBriefing(Message, frozen=True, kw_only=True):
     """Waypoints [m], in order."""
     goal_tolerance: Positive
     """epsilon: a goal counts as reached nearer than this [m]."""
+    script: tuple[ScriptStep, ...] = ()
+    """What the driver `script` wants, in the order of time."""
+    hold: NonNegative = 0.5
+    """How long an operator's last word counts [s]; then the driver `teleop` brakes."""
     key: Tick
     past: "tuple[UgvObservation, ...]" = ()
     more: bool = False
+    episode: Tick = 0
 
 
 class Detection(Message, frozen=True, kw_only=True):
@@ -186,8 +202,23 @@ class UavObservation(Message, frozen=True, kw_only=True):
     position: Vector
     velocity: Vector
     detections: tuple[Detection, ...] = ()
+    law: Law | None = None
+    """The law to fly from this tick on; None: the one before."""
     over: bool = False
     """True: the run has ended at this tick and no command is awaited."""
+    episode: Tick = 0
+    """Which flight of the run; a reset begins the next."""
+
+
+class Drive(Message, frozen=True, kw_only=True):
+    """What an operator at a UGV's wheel wants: a velocity, or a goal; neither means to brake."""
+
+    driver: Text
+    """Who is at the wheel."""
+    velocity: Vector | None = None
+    """Desired velocity [m/s]."""
+    goal: Vector | None = None
+    """Where to go [m]."""
 
 
 class UgvObservation(Message, frozen=True, kw_only=True):
@@ -198,7 +229,12 @@ class UgvObservation(Message, frozen=True, kw_only=True):
     position: Vector
     velocity: Vector
     radio: tuple[RelativeInformation, ...] = ()
+    operator: tuple[Drive, ...] = ()
+    """What operators have said that has come to the vehicle at this tick, the oldest first."""
+    driver: Name | None = None
+    """Who sits at the wheel from this tick on, a row of `agents.drivers.table.DRIVERS`; None: who sat there before."""
     over: bool = False
+    episode: Tick = 0
 
 
 class UavReport(Message, frozen=True, kw_only=True):
@@ -230,31 +266,41 @@ class UgvCommand(Message, frozen=True, kw_only=True):
     acceleration: Vector
 
 
-class Drive(Message, frozen=True, kw_only=True):
-    """What a person at a UGV's wheel wants; exactly one of velocity and goal, or neither to brake."""
-
-    driver: Text
-    """Who is at the wheel."""
-    velocity: Vector | None = None
-    """Desired velocity [m/s]."""
-    goal: Vector | None = None
-    """Where to go [m]."""
-
-
 class Action(StrEnum):
     """What a `Control` does."""
 
     PAUSE = "pause"
     RESUME = "resume"
     STEP = "step"
+    SPEED = "speed"
+    RESET = "reset"
+    LAW = "law"
+    DRIVER = "driver"
 
 
 class Control(Message, frozen=True, kw_only=True):
-    """What an operator wants of the simulator; takes effect at the next tick."""
+    """What an operator wants of the simulator; takes effect at the next tick. Only the fields of its action count."""
 
     action: Action
     ticks: Annotated[int, Meta(ge=1, le=1_000_000)] = 1
-    """How far a step goes."""
+    """STEP: how far."""
+    factor: Annotated[float, Meta(ge=1e-3, le=1e4)] | None = None
+    """SPEED: simulated seconds per second of wall time; None: lockstep, as fast as it goes."""
+    seed: Tick | None = None
+    """RESET: of the new flight; None: the same again."""
+    law: Law | None = None
+    """LAW: what the UAVs fly."""
+    vehicle: Name | None = None
+    """DRIVER: which UGV; None: every one."""
+    driver: Name | None = None
+    """DRIVER: who takes its wheel."""
+
+
+class Change(Message, frozen=True, kw_only=True):
+    """A control that has taken effect, and when."""
+
+    tick: Tick
+    control: Control
 
 
 class VehicleTruth(Message, frozen=True, kw_only=True):
@@ -264,6 +310,8 @@ class VehicleTruth(Message, frozen=True, kw_only=True):
     velocity: Vector
     acceleration: Vector
     """Applied since the last tick, after the bounds."""
+    command: Vector
+    """What it was asked for since the last tick, before the bounds [m/s²]; where it was silent, what stood in for it."""
 
 
 class EscortTruth(Message, frozen=True, kw_only=True):
@@ -318,6 +366,22 @@ class VehicleStatus(Message, frozen=True, kw_only=True):
     last_fault: Text = ""
 
 
+class Geometry(Message, frozen=True, kw_only=True):
+    """What a picture of the run needs, and does not change."""
+
+    area: Area
+    visibility_radius: Positive
+    """r_v [m]."""
+    sensor_range: Positive
+    """r [m]."""
+    switching_radius: Coordinate | None
+    """r_s of (18) of the first escort [m]; None where it has no finite value."""
+    dt: Positive
+    """[s]"""
+    uavs: dict[Name, Name]
+    """Each UAV, and the UGV it escorts."""
+
+
 class Status(Message, frozen=True, kw_only=True):
     """How the run stands, for observers, a few times a second."""
 
@@ -334,6 +398,13 @@ class Status(Message, frozen=True, kw_only=True):
     late_ticks: Tick = 0
     """Ticks that the clock could not keep."""
     paused: bool = False
+    law: Name = "logarithmic"
+    """What the UAVs fly now."""
+    drivers: dict[Name, Name] = {}
+    """Who drives each UGV now."""
+    changes: tuple[Change, ...] = ()
+    """The last controls that have taken effect, the newest last; not more than 20."""
+    geometry: Geometry | None = None
     vehicles: dict[Name, VehicleStatus]
     over: bool = False
 

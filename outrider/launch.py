@@ -211,7 +211,7 @@ def launch(
         output = (["--out", str(out)] if out else []) + ([] if picture else ["--no-picture"])
         crew.start_simulator(source, [*settings, *output, *timing, *pace], watcher)
         if not watcher.stop():
-            crew.start_vehicles()
+            crew.start_vehicles(watcher)
         outcome = _follow(crew, watcher, respawn=respawn)
         if outcome.summary is not None:
             for child in children:
@@ -265,15 +265,22 @@ class _Crew:
 
     def _start(self, name: str) -> Child:
         common = ["--name", name, "--connect", self._endpoint, "--run", self._run, *self._known_as(name)]
-        if name not in self._uavs:
-            return Child(name, ["ugv", *common])
         custom = self._scenario.custom
+        if name not in self._uavs:
+            return Child(name, ["ugv", *common, *(["--policy", custom.policy] if custom.policy else [])])
         own = [("--weighting", custom.weighting), ("--path", custom.path)]
         return Child(name, ["uav", *common, *(argument for option, value in own if value for argument in (option, value))])
 
-    def start_vehicles(self) -> None:
-        """Start a process for each."""
-        self.children += [self._start(vehicle.name) for vehicle in self._scenario.vehicles]
+    def start_vehicles(self, watcher: Watcher) -> None:
+        """Start a process for each, and say what one of the user's own needs to know."""
+        for vehicle in self._scenario.vehicles:
+            if getattr(vehicle, "driver", "") == "external":
+                known = " ".join(self._known_as(vehicle.name))
+                watcher.on_event(
+                    f"{vehicle.name} is yours: --connect {self._endpoint} --run {self._run} --name {vehicle.name} {known}"
+                )
+            else:
+                self.children.append(self._start(vehicle.name))
         self._give_cores()
 
     def start_again(self, dead: Child) -> None:

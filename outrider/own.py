@@ -54,6 +54,7 @@ def check_own_functions(scenario: "Scenario") -> tuple[str, ...]:
     """
     weighting = load_function(scenario.custom.weighting, what="custom.weighting")
     path = load_function(scenario.custom.path, what="custom.path")
+    load_function(scenario.custom.policy, what="custom.policy")
     ugvs = {ugv.name: ugv for ugv in scenario.ugv}
     warnings: list[str] = []
     for uav in scenario.uav:

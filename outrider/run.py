@@ -31,13 +31,14 @@ def make_pilots(
     """
     weighting = weighting or load_function(scenario.custom.weighting, what="custom.weighting")
     path = path or load_function(scenario.custom.path, what="custom.path")
+    policy = load_function(scenario.custom.policy, what="custom.policy")
     pilots: dict[str, Pilot] = {}
     for vehicle in scenario.vehicles:
         told = briefing(scenario, vehicle.name, seed)
         if isinstance(told, UavBriefing):
             pilots[vehicle.name] = UavPilot(told, weighting=weighting, path=path)
         else:
-            pilots[vehicle.name] = UgvPilot(told)
+            pilots[vehicle.name] = UgvPilot(told, policy=policy, policy_name=scenario.custom.policy)
     return pilots
 
 
@@ -47,6 +48,9 @@ class InProcess:
     def __init__(self, pilots: Mapping[str, Pilot]) -> None:
         self._pilots = pilots
         self._observations: Mapping[str, Observation] = {}
+
+    def begin(self, tick: int) -> None:
+        """Nobody operates a run in one process."""
 
     def publish(self, observations: Mapping[str, Observation]) -> None:
         """Keep the observations for the pilots."""

@@ -33,6 +33,8 @@ def briefing(scenario: Scenario, name: str, seed: int) -> Briefing:
             driver=vehicle.driver,
             goals=vehicle.goals,
             goal_tolerance=vehicle.goal_tolerance,
+            script=vehicle.script,
+            hold=scenario.hold,
             key=key,
         )
     return UavBriefing(

@@ -11,7 +11,7 @@ import msgspec
 from msgspec import Meta
 
 from bus.errors import ScenarioError
-from bus.messages import Area, Estimator, Law, Name, NonNegative, Positive, Region, Sensor, Text, Vector
+from bus.messages import Area, Estimator, Law, Name, NonNegative, Positive, Region, ScriptStep, Sensor, Text, Vector
 from sim.scenario_checks import check_scenario
 from sim.scenario_faults import near, one_line
 from sim.scenario_reading import apply_override, as_raw, parse_override, parse_toml, typed
@@ -76,15 +76,19 @@ class Ugv(_Table, frozen=True, kw_only=True):
     driver: Name = "waypoints"
     goals: tuple[Vector, ...] = ()
     goal_tolerance: Positive = 0.05
+    script: tuple[ScriptStep, ...] = ()
+    """For the driver `script`: what it wants from a time on, in the order of time."""
 
 
 class Custom(_Table, frozen=True, kw_only=True):
-    """Functions of the user's own, as `module:function`; they are loaded by the UAV's process alone and never travel."""
+    """Functions of the user's own, as `module:function`; each is loaded by its vehicle's process alone and never travels."""
 
     weighting: Text = ""
     """(distance, r_s) -> (alpha, beta), for the law `weighted`."""
     path: Text = ""
     """t -> ((x, y), (x'', y'')), relative to the UGV, for the law `path`."""
+    policy: Text = ""
+    """(observation, briefing) -> (acceleration x, y), for the driver `policy`."""
 
 
 _DEFAULT_AREA = Area(width=40.0, height=40.0, cell=0.25)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from sim.field import SENSORS
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
 
 LAW_NAMES = ("tracking", "coverage", "linear", "switching", "logarithmic", "circle", "weighted", "path")
 """The laws; the agents' own table may not be imported here, a test holds the two equal."""
-DRIVER_NAMES = ("waypoints",)
-"""The drivers; likewise."""
+DRIVER_NAMES = ("waypoints", "wander", "script", "evade", "teleop", "policy", "external")
+"""The drivers; likewise. `policy` is a function of the user's own, `external` a process of the user's own."""
 SENSOR_NAMES = tuple(SENSORS)
 """The sensor models."""
 
@@ -31,7 +32,7 @@ _OWN_FUNCTION = {"weighted": "weighting", "path": "path"}
 _ROUNDING = 1e-9
 
 
-def _switching_radius(s: Scenario, uav: Uav, ugv: Ugv) -> float:
+def switching_radius(s: Scenario, uav: Uav, ugv: Ugv) -> float:
     """r_s of (18) [m], whatever its sign."""
     return s.visibility.radius - float(stopping_distance(uav.max_speed + ugv.max_speed, uav.max_acceleration))
 
@@ -62,6 +63,23 @@ def own_functions_are_named(s: Scenario) -> Iterator[Fault]:
             yield Fault(f"custom.{field}", named, "names no function", "module:function")
         elif s.law.name == law and not named:
             yield Fault(f"custom.{field}", named, f"the law {law!r} needs it", "module:function")
+    if s.custom.policy and not _names_a_function(s.custom.policy):
+        yield Fault("custom.policy", s.custom.policy, "names no function", "module:function")
+    elif not s.custom.policy and any(ugv.driver == "policy" for ugv in s.ugv):
+        yield Fault("custom.policy", s.custom.policy, "the driver 'policy' needs it", "module:function")
+
+
+def scripts_are_in_order(s: Scenario) -> Iterator[Fault]:
+    """A UGV that is driven by its script has one, each step later than the one before."""
+    for k, ugv in enumerate(s.ugv):
+        times = [step.time for step in ugv.script]
+        if ugv.driver == "script" and not times:
+            yield Fault(
+                f"ugv.{k}.script", [], "the driver 'script' needs it", "steps such as { time = 0.0, velocity = [0.2, 0.0] }"
+            )
+        for n, (earlier, later) in enumerate(pairwise(times), 1):
+            if not later > earlier:
+                yield Fault(f"ugv.{k}.script.{n}.time", later, f"not after {earlier:g} s", "times that rise")
 
 
 def switching_radius_is_positive(s: Scenario) -> Iterator[Fault]:
@@ -69,7 +87,7 @@ def switching_radius_is_positive(s: Scenario) -> Iterator[Fault]:
     if s.law.name in _WITHOUT_SWITCHING_RADIUS:
         return
     for path, uav, ugv in escorts(s):
-        r_s = _switching_radius(s, uav, ugv)
+        r_s = switching_radius(s, uav, ugv)
         if r_s == -math.inf:
             wrong = "r_s of (18) does not exist without a bound of the speed"
             yield Fault(f"{path}.max_speed", uav.max_speed, wrong, "finite speeds, or max_acceleration = inf too")
@@ -112,7 +130,7 @@ def circle_is_within_sight(s: Scenario) -> Iterator[Fault]:
     for path, uav, ugv in escorts(s):
         if radius is not None and radius >= r_v:
             yield Fault("law.circle_radius", radius, "the circle lies out of sight", f"less than r_v = {r_v:g} m")
-        elif radius is None and _switching_radius(s, uav, ugv) >= r_v:
+        elif radius is None and switching_radius(s, uav, ugv) >= r_v:
             wrong = f"missing, and r_s = r_v since {path}.max_acceleration = inf"
             yield Fault("law.circle_radius", None, wrong, f"less than r_v = {r_v:g} m")
 
@@ -121,6 +139,7 @@ CHECKS: tuple[Check, ...] = (
     *WORLD_CHECKS,
     names_are_known,
     own_functions_are_named,
+    scripts_are_in_order,
     switching_radius_is_positive,
     reference_speed_is_possible,
     controller_is_stable,
@@ -169,7 +188,7 @@ def _circle_warnings(s: Scenario) -> Iterator[str]:
         return
     rate = abs(s.law.circle_rate)
     for _, uav, ugv in escorts(s):
-        radius = s.law.circle_radius or _switching_radius(s, uav, ugv)
+        radius = s.law.circle_radius or switching_radius(s, uav, ugv)
         spare = uav.max_speed - ugv.max_speed
         bound = min(spare / radius, math.sqrt(uav.max_acceleration / radius))
         if rate > bound * (1.0 + _ROUNDING):

@@ -76,6 +76,14 @@ class Seats:
         self.commands = session.inbox_of_all(keys)
         session.watch("*", self._note)
 
+    def fly(self, flight: Flight) -> None:
+        """Another flight begins: everybody is briefed anew."""
+        self._flight = flight
+        for seat in self._seats.values():
+            seat.newest = -1
+            seat.unheard.clear()
+            seat.owed = 0 if seat.sessions else None
+
     def _note(self, name: str, session: str, present: bool) -> None:
         """A session comes or goes; called from a thread of Zenoh's."""
         self._changes.put((name, session, present))
@@ -152,7 +160,7 @@ class Seats:
             end = min(seat.owed + PART, now)
             told = briefing(self._flight.scenario, name, self._flight.seed)
             past = self._flight.past(name, seat.owed, end, seat.unheard)
-            seat.briefings.send(msgspec.structs.replace(told, past=past, more=end < now))
+            seat.briefings.send(msgspec.structs.replace(told, past=past, more=end < now, episode=self._flight.episode))
             sent += 1
             seat.owed = end if end < now else None
         return seat.owed is None

@@ -4,9 +4,9 @@ import time
 from collections.abc import Callable, Mapping
 
 from bus.errors import PeerLost
-from bus.keys import CONTROL
-from bus.messages import Action, Command, Control, Observation, Status, VehicleStatus
+from bus.messages import Change, Command, Observation, Status, VehicleStatus
 from bus.session import Session
+from sim.desk import Desk
 from sim.flight import Flight
 from sim.pace import Lockstep, Pace, RealTime
 from sim.scenario import Scenario
@@ -48,16 +48,14 @@ class Server:
         self._join_timeout = join_timeout
         self._stop = stop
         self._seats = Seats(session, self.flight, on_event)
-        self._pace: Pace = (
-            Lockstep(session, self._seats, deadline=deadline, patience=join_timeout, respawn=respawn, on_event=on_event)
-            if realtime is None
-            else RealTime(self._seats, dt=scenario.dt, factor=realtime, on_event=on_event)
-        )
-        self._controls = session.inbox(CONTROL)
-        self._paused = False
-        self._steps = 0
-        """Ticks that are still to be stepped through before the clock stands still again."""
-        self._telemetry = Telemetry(session, self.flight, self._seats, self._pace, lambda: self._paused)
+
+        def make_pace(factor: float | None) -> Pace:
+            if factor is not None:
+                return RealTime(self._seats, dt=scenario.dt, factor=factor, on_event=on_event)
+            return Lockstep(session, self._seats, deadline=deadline, patience=join_timeout, respawn=respawn, on_event=on_event)
+
+        self._desk = Desk(session, self.flight, make_pace, realtime, on_event)
+        self._telemetry = Telemetry(session, self.flight, self._seats, self._desk)
         session.announce()
 
     def join(self) -> None:
@@ -85,39 +83,33 @@ class Server:
         self._telemetry.refresh()
         return self.flight.over
 
+    def begin(self, tick: int) -> None:
+        """Do what operators want, and stand still for as long as they want it."""
+        desk = self._desk
+        desk.heed()
+        if desk.paused and not self.flight.over:
+            if not desk.steps:
+                self._stand_still()
+            desk.steps = max(0, desk.steps - 1)
+        desk.listen()
+
+    def _stand_still(self) -> None:
+        desk = self._desk
+        self._telemetry.refresh(at_once=True)
+        while desk.paused and not desk.steps and not self._idle():
+            desk.heed(patience=0.2)
+        desk.pace.restart()
+
     def publish(self, observations: Mapping[str, Observation]) -> None:
         """Give each vehicle that is there its observation of this tick, and observers what they listen to."""
-        self._heed_controls()
-        self._pace.publish(observations)
+        self._desk.pace.publish(observations)
         self._telemetry.tell()
 
     def collect(self, tick: int) -> dict[str, Command]:
         """The commands for this tick, once it is over."""
         if self._stop():
             self.flight.stop()
-        return self._pace.collect(tick, self._idle)
-
-    def _heed_controls(self) -> None:
-        """Take in what operators want, and stand still for as long as they want it."""
-        while (letter := self._controls.next_waiting()) is not None:
-            self._heed(letter.message)
-        if self._paused and not self.flight.over:
-            if not self._steps:
-                self._stand_still()
-            self._steps = max(0, self._steps - 1)
-
-    def _stand_still(self) -> None:
-        self._telemetry.refresh(at_once=True)
-        while self._paused and not self._steps and not self._idle():
-            letter = self._controls.receive(0.2)
-            if letter is not None:
-                self._heed(letter.message)
-        self._pace.restart()
-
-    def _heed(self, control: object) -> None:
-        if isinstance(control, Control):
-            self._paused = control.action is not Action.RESUME
-            self._steps = control.ticks if control.action is Action.STEP else 0
+        return self._desk.pace.collect(tick, self._idle)
 
     def status(self, now: float) -> Status:
         """How the run stands, `now` on the monotonic clock [s]."""
@@ -129,9 +121,14 @@ class Server:
         return self._seats.statuses()
 
     @property
+    def changes(self) -> tuple[Change, ...]:
+        """What operators have changed so far, and when."""
+        return tuple(self._desk.changes)
+
+    @property
     def late_ticks(self) -> int:
         """Ticks that the clock could not keep."""
-        return self._pace.late_ticks
+        return self._desk.late_ticks
 
     def fly(self, *, on_tick: Callable[[], None] | None = None) -> Flight:
         """Wait for the vehicles, fly to the end (or to `flight.stop()`), and tell everybody that it is over.
@@ -141,7 +138,14 @@ class Server:
         """
         self.join()
         self.started = time.perf_counter()
-        if not self.flight.over:
+        while not self.flight.over:
             self.flight.fly(self, on_tick=on_tick)
-            self._telemetry.refresh(at_once=True)
+            again = self._desk.next_flight()
+            if again is not None:
+                self.flight = again
+                self._seats.fly(again)
+                self._telemetry.fly(again)
+                self._desk.pace.restart()
+                self.started = time.perf_counter()
+        self._telemetry.refresh(at_once=True)
         return self.flight

@@ -1,17 +1,37 @@
 """What the simulator tells observers: the truth, the map and the status, to whoever listens, and never in the tick's way."""
 
+import math
 import time
-from collections.abc import Callable
 
 from bus.keys import COVERAGE, STATUS, TRUTH
-from bus.messages import CoverageMap, Status
+from bus.messages import CoverageMap, Geometry, Status
 from bus.session import Session
+from sim.desk import Desk
 from sim.flight import Flight
-from sim.pace import Pace
+from sim.scenario import Scenario
+from sim.scenario_checks import switching_radius
 from sim.seats import Seats
 
 _PERIOD = 0.2
 """Wall time between two status messages, and between two maps [s]."""
+
+
+_SHOWN = 20
+"""Changes that a status shows."""
+
+
+def _geometry(scenario: Scenario) -> Geometry:
+    ugvs = {ugv.name: ugv for ugv in scenario.ugv}
+    uav = scenario.uav[0]
+    radius = switching_radius(scenario, uav, ugvs[uav.escorts])
+    return Geometry(
+        area=scenario.area,
+        visibility_radius=scenario.visibility.radius,
+        sensor_range=scenario.sensor.range,
+        switching_radius=radius if math.isfinite(radius) else None,
+        dt=scenario.dt,
+        uavs={uav.name: uav.escorts for uav in scenario.uav},
+    )
 
 
 class Telemetry:
@@ -21,15 +41,19 @@ class Telemetry:
         session: The simulator's session.
         flight: What is flown.
         seats: The vehicles' places.
-        pace: How time goes on.
-        paused: Asked whether the clock stands still.
+        desk: The operators' desk: how time goes on, and what they have changed.
     """
 
-    def __init__(self, session: Session, flight: Flight, seats: Seats, pace: Pace, paused: Callable[[], bool]) -> None:
-        self._flight, self._seats, self._pace, self._paused = flight, seats, pace, paused
+    def __init__(self, session: Session, flight: Flight, seats: Seats, desk: Desk) -> None:
+        self._flight, self._seats, self._desk = flight, seats, desk
+        self._geometry = _geometry(flight.scenario)
         self._truth, self._map, self._status = (session.outbox(key) for key in (TRUTH, COVERAGE, STATUS))
         self._due = 0.0
         self._last = (0.0, 0)
+
+    def fly(self, flight: Flight) -> None:
+        """Another flight begins."""
+        self._flight, self._last = flight, (0.0, 0)
 
     def tell(self) -> None:
         """Send the truth of this tick, and the rest if it is time."""
@@ -66,9 +90,13 @@ class Telemetry:
             ticks=flight.scenario.ticks,
             time=world.time,
             realtime_factor=(world.tick - tick) * flight.scenario.dt / elapsed if before and elapsed > 0.0 else 0.0,
-            wanted_factor=self._pace.factor,
-            late_ticks=self._pace.late_ticks,
-            paused=self._paused(),
+            wanted_factor=self._desk.pace.factor,
+            late_ticks=self._desk.late_ticks,
+            paused=self._desk.paused,
+            law=flight.law.name,
+            drivers=dict(flight.drivers),
+            changes=tuple(self._desk.changes)[-_SHOWN:],
+            geometry=self._geometry,
             vehicles=self._seats.statuses(),
             over=flight.over,
         )

@@ -70,6 +70,8 @@ def sample(kind: object, rng: random.Random) -> object:
         return rng.uniform(-1e6, 1e6)
     if kind in (messages.NonNegative, messages.Positive):
         return rng.uniform(1e-9, 1e9)
+    if parts and parts[0] is float:
+        return rng.uniform(0.01, 100.0)
     if kind is messages.Name:
         return "vehicle_" + str(rng.randrange(100))
     if kind is messages.Text:

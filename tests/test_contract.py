@@ -36,7 +36,7 @@ TO_UGV = [key.message for key in KEYS if Role.UGV in key.readers]
 
 def test_the_uav_is_told_these_fields_and_no_others() -> None:
     fields = set().union(*(_fields_within(kind) for kind in TO_UAV))
-    observation = {"tick", "time", "position", "velocity", "detections", "relative_position", "over"}
+    observation = {"tick", "time", "position", "velocity", "detections", "relative_position", "over", "episode"}
     bounds = {"limits", "target_limits", "max_speed", "max_acceleration"}
     map_and_sensor = {"area", "width", "height", "cell", "sensor", "model", "peak", "range", "desired_coverage", "covered"}
     region = {"lower", "upper"}
@@ -48,10 +48,11 @@ def test_the_uav_is_told_these_fields_and_no_others() -> None:
 
 def test_the_ugv_is_told_these_fields_and_no_others() -> None:
     fields = set().union(*(_fields_within(kind) for kind in TO_UGV))
-    observation = {"tick", "time", "position", "velocity", "radio", "relative_position", "coverage_error", "over"}
+    observation = {"tick", "time", "position", "velocity", "radio", "relative_position", "coverage_error", "over", "episode"}
+    operator = {"operator", "driver", "goal"}
     briefing = {"vehicle", "dt", "area", "width", "height", "cell", "limits", "max_speed", "max_acceleration"}
-    task = {"driver", "goals", "goal_tolerance", "key", "past", "more"}
-    assert fields == observation | briefing | task
+    task = {"driver", "goals", "goal_tolerance", "script", "hold", "key", "past", "more"}
+    assert fields == observation | operator | briefing | task
 
 
 def test_the_past_that_a_vehicle_is_told_is_its_own_observations_and_nothing_else() -> None:

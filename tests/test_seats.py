@@ -2,112 +2,20 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 import zenoh
+from staging import GIVEN, PILOT, Vehicle, await_status, stage, wait_until, whole
 
-from agents import process
-from agents.uav import UavPilot
-from agents.ugv import UgvPilot
-from bus.access import new_credentials
 from bus.keys import BRIEFING, COMMAND, CONTROL, OBSERVATION, STATUS, Party, Role
 from bus.messages import Action, Control, Status, UavCommand, UgvCommand
-from bus.session import Session, open_session
-from outrider.run import fly
+from bus.session import open_session
 from sim.flight import Flight
 from sim.scenario import Scenario, load_scenario
-from sim.server import Server
-
-GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"])
-PILOT = {"uav_0": UavPilot, "ugv_0": UgvPilot}
-
-
-class Gone(Exception):
-    """A vehicle's process that ends without a word."""
-
-
-class Vehicle:
-    """A vehicle's process as a thread: the real loop and the real pilot, watched.
-
-    Args:
-        endpoint: Of the router.
-        name: The vehicle.
-        until: It is gone once this tick has been answered.
-        on_tick: Called with each tick before it acts.
-    """
-
-    def __init__(self, endpoint: str, name: str, until: int | None, on_tick: Callable[[int], None]) -> None:
-        self.name = name
-        self.seen: list[Any] = []
-        """All it has acted on, its past first."""
-        self._endpoint, self._until, self._on_tick = endpoint, until, on_tick
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def join(self) -> None:
-        self._thread.join(60.0)
-        assert not self._thread.is_alive()
-
-    def _run(self) -> None:
-        credential = GIVEN.of(self.name)
-        with suppress(Gone):
-            process.fly(credential.party, self._make, connect=self._endpoint, run="run", credential=credential)
-
-    def _make(self, told: Any) -> "Vehicle":
-        self._pilot = PILOT[self.name](told)
-        self.seen.clear()
-        return self
-
-    def act(self, observation: Any) -> Any:
-        self._on_tick(observation.tick)
-        if self._until is not None and observation.tick > self._until:
-            raise Gone
-        self.seen.append(observation)
-        return self._pilot.act(observation)
-
-
-class Stage:
-    """A server, and what it says."""
-
-    def __init__(self, stack: ExitStack, folder: Path, scenario: Scenario, **options: Any) -> None:
-        self.endpoint = f"unixsock-stream/{folder / 'bus.sock'}"
-        self.events: list[str] = []
-        simulator = GIVEN.of("simulator").party
-        self.server_session = stack.enter_context(open_session(simulator, "run", listen=(self.endpoint,), given=GIVEN))
-        self.server = Server(self.server_session, scenario, scenario.seed, on_event=self.events.append, **options)
-        self.vehicles: list[Vehicle] = []
-        self._stack = stack
-
-    def start(self, name: str, *, until: int | None = None, on_tick: Callable[[int], None] = lambda _tick: None) -> Vehicle:
-        self.vehicles.append(Vehicle(self.endpoint, name, until, on_tick))
-        return self.vehicles[-1]
-
-    def client(self, name: str) -> Session:
-        credential = GIVEN.of(name)
-        return self._stack.enter_context(open_session(credential.party, "run", connect=self.endpoint, credential=credential))
-
-    def fly(self, on_tick: Callable[[], None] | None = None) -> Flight:
-        flight = self.server.fly(on_tick=on_tick)
-        for vehicle in self.vehicles:
-            vehicle.join()
-        return flight
-
-
-@contextmanager
-def stage(folder: Path, ticks: int, **options: Any) -> Iterator[Stage]:
-    scenario = load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}"])
-    with ExitStack() as stack:
-        yield Stage(stack, folder, scenario, **options)
-
-
-def whole(ticks: int) -> Flight:
-    scenario = load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}"])
-    return fly(scenario, scenario.seed)[0]
 
 
 @pytest.mark.parametrize("victim", ["uav_0", "ugv_0"])
@@ -248,13 +156,6 @@ def test_the_second_session_takes_the_seat_when_the_first_has_gone(tmp_path: Pat
     assert [seen.tick for seen in run.vehicles[2].seen] == list(range(300))
 
 
-def wait_until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
-    limit = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < limit, "waited in vain"
-        time.sleep(0.005)
-
-
 def test_real_time_keeps_the_clock_and_flies_the_lockstep_bits_if_all_are_in_time(tmp_path: Path) -> None:
     with stage(tmp_path, 100, realtime=2.0) as run:
         run.start("uav_0")
@@ -317,9 +218,9 @@ def test_a_flight_can_be_paused_stepped_and_resumed(tmp_path: Path) -> None:
         def operate() -> None:
             wait_until(lambda: controls.wanted)
             controls.send(Control(action=Action.PAUSE))
-            paused = _await(statuses, lambda status: status.paused)
+            paused = await_status(statuses, lambda status: status.paused)
             controls.send(Control(action=Action.STEP, ticks=5))
-            stepped = _await(statuses, lambda status: status.paused and status.tick == paused.tick + 5)
+            stepped = await_status(statuses, lambda status: status.paused and status.tick == paused.tick + 5)
             seen.extend((paused, stepped))
             controls.send(Control(action=Action.RESUME))
 
@@ -330,15 +231,6 @@ def test_a_flight_can_be_paused_stepped_and_resumed(tmp_path: Path) -> None:
     assert len(seen) == 2
     assert flight.complete
     assert flight.recorder.sha256() == whole(300).recorder.sha256()
-
-
-def _await(statuses: Any, wanted: Callable[[Status], bool]) -> Status:
-    limit = time.monotonic() + 20.0
-    while time.monotonic() < limit:
-        letter = statuses.receive(0.5)
-        if letter is not None and wanted(letter.message):
-            return letter.message
-    raise AssertionError("never came")
 
 
 def test_an_observer_cannot_pause(tmp_path: Path) -> None:

@@ -3,6 +3,10 @@
 from collections.abc import Callable
 from typing import Protocol
 
+from agents.drivers.evade import EvadeDriver
+from agents.drivers.script import ScriptDriver
+from agents.drivers.teleop import TeleopDriver
+from agents.drivers.wander import WanderDriver
 from agents.drivers.waypoints import WaypointDriver
 from bus.messages import UgvBriefing, UgvObservation
 
@@ -16,4 +20,8 @@ class Driver(Protocol):
 
 DRIVERS: dict[str, Callable[[UgvBriefing], Driver]] = {
     "waypoints": WaypointDriver,
+    "wander": WanderDriver,
+    "script": ScriptDriver,
+    "evade": EvadeDriver,
+    "teleop": TeleopDriver,
 }

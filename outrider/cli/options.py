@@ -22,12 +22,19 @@ LawName = Annotated[
     str | None,
     typer.Option("--law", help="tracking, coverage, linear, switching, logarithmic, circle, weighted or path."),
 ]
-DriverName = Annotated[str | None, typer.Option("--driver", help="Who drives the UGVs: waypoints.")]
+DriverName = Annotated[
+    str | None,
+    typer.Option(
+        "--driver",
+        help="Who drives the UGVs: waypoints, wander, script, evade, teleop, policy, or external (a process of your own).",
+    ),
+]
 Set = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Any field of the scenario, such as detections.noise=0.2; may be repeated."),
 ]
 Weighting = Annotated[str, typer.Option(help="A weighting of your own as module:function, for the law `weighted`.")]
+PolicyName = Annotated[str, typer.Option("--policy", help="A policy of your own as module:function, for the driver `policy`.")]
 VirtualPath = Annotated[str, typer.Option("--path", help="A path of your own as module:function, for the law `path`.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else there.")]
 Leash = Annotated[bool, typer.Option(hidden=True, help="End when standard input closes: the parent has gone.")]
@@ -85,6 +92,7 @@ def scenario_of(
     changes: list[str] | None = None,
     weighting: str = "",
     path: str = "",
+    policy: str = "",
 ) -> "tuple[Scenario, list[str]]":
     """The scenario that the options ask for, and the same options as `--set` arguments for another process.
 
@@ -94,7 +102,7 @@ def scenario_of(
     from sim.scenario import load_scenario  # a vehicle's process, which shares these options, must not load it
 
     overrides = list(changes or ())
-    quoted = {"law.name": law, "custom.weighting": weighting, "custom.path": path}
+    quoted = {"law.name": law, "custom.weighting": weighting, "custom.path": path, "custom.policy": policy}
     overrides += [f'{key}="{_plain(key, value)}"' for key, value in quoted.items() if value]
     if duration is not None:
         overrides.append(f"duration={duration!r}")

@@ -6,7 +6,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from outrider.cli.options import DriverName, Duration, Json, LawName, RealTime, ScenarioName, Seed, Set, VirtualPath, Weighting
+from outrider.cli.options import (
+    DriverName,
+    Duration,
+    Json,
+    LawName,
+    PolicyName,
+    RealTime,
+    ScenarioName,
+    Seed,
+    Set,
+    VirtualPath,
+    Weighting,
+)
 
 if TYPE_CHECKING:
     from outrider.cli.console import FlightProgress
@@ -24,6 +36,7 @@ def command(
     changes: Set = None,
     weighting: Weighting = "",
     path: VirtualPath = "",
+    policy: PolicyName = "",
     in_process: Annotated[bool, typer.Option("--in-process", help="Without a bus, all in this process.")] = False,
     pin: Annotated[
         bool, typer.Option(help="Give the UAVs one half of the processor cores: faster, unless the machine is busy otherwise.")
@@ -57,9 +70,10 @@ def command(
 
     if in_process and (realtime is not None or respawn):
         raise typer.BadParameter("--realtime and --respawn need processes; leave --in-process out")
-    flown, overrides = scenario_of(
-        scenario, seed=seed, duration=duration, law=law, driver=driver, changes=changes, weighting=weighting, path=path
-    )
+    own = {"weighting": weighting, "path": path, "policy": policy}
+    flown, overrides = scenario_of(scenario, seed=seed, duration=duration, law=law, driver=driver, changes=changes, **own)
+    if in_process and any(ugv.driver == "external" for ugv in flown.ugv):
+        raise typer.BadParameter("--driver external is another process; leave --in-process out")
     print_warnings((*scenario_warnings(flown), *check_own_functions(flown)))  # what does not fit shows here, not in a child
     folder = (out or default_folder(flown.name)) if files else None
     if folder is not None:

@@ -123,16 +123,15 @@ def command(
             def on_tick() -> None:
                 nonlocal shown
                 now = time.monotonic()
-                if now - shown > 0.1 or flight.over:
+                if now - shown > 0.1 or server.flight.over:
                     shown = now
-                    progress.show(flight.world.tick)
+                    progress.show(server.flight.world.tick)
 
-            flight = server.flight
             try:
                 server.fly(on_tick=on_tick)
             finally:
                 seconds = time.perf_counter() - server.started
-                vehicles, late_ticks = server.vehicles(), server.late_ticks
+                flight, vehicles, late_ticks = server.flight, server.vehicles(), server.late_ticks
                 if flight.recorder.rows:  # also where the router was lost for good: what was flown is kept
                     summary = summarize(flight, seconds=seconds, vehicles=vehicles, realtime=realtime, late_ticks=late_ticks)
                     reports.summary(summary)  # first of all, so that a full disk does not take it

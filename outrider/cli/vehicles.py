@@ -10,6 +10,7 @@ from outrider.cli.options import (
     Connect,
     CredentialFile,
     Leash,
+    PolicyName,
     RunName,
     VirtualPath,
     Weighting,
@@ -59,6 +60,7 @@ def ugv(
     run: RunName = DEFAULT_RUN,
     credentials: CredentialFile = None,
     join_timeout: JoinTimeout = 30.0,
+    policy: PolicyName = "",
     leash: Leash = False,
 ) -> None:
     """Drive one UGV: join the run, answer every observation with a command, leave when it is over.
@@ -67,14 +69,15 @@ def ugv(
 
     Example: outrider ugv --connect tcp/127.0.0.1:17447 --name ugv_0
     """
-    from agents.process import fly
-    from agents.ugv import UgvPilot
+    from agents.process import fly, ugv_maker
     from bus.keys import Party, Role
+    from outrider.own import load_function
 
     _hold(leash)
     check_endpoints((connect,), secured=True, insecure=False)
     credential = credential_of(credentials, Role.UGV, name)
-    fly(Party(role=Role.UGV, name=name), UgvPilot, connect=connect, run=run, credential=credential, join_timeout=join_timeout)
+    maker = ugv_maker(policy=load_function(policy, what="policy"), policy_name=policy)
+    fly(Party(role=Role.UGV, name=name), maker, connect=connect, run=run, credential=credential, join_timeout=join_timeout)
 
 
 def _hold(leash: bool) -> None:

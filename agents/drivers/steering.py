@@ -1,0 +1,83 @@
+"""The wheel that every driver turns: a velocity, a goal or a halt, always within the UGV's bounds."""
+
+import math
+
+from agents.drivers.waypoints import goal_control
+from bus.messages import UgvBriefing, UgvObservation
+from sim.compile import compiled
+from sim.vehicles import brake, clip_norm, norm
+
+LARGEST = 1e6
+"""No message carries a larger component [m/s], [m/s²]: the bound of a UGV that has none."""
+
+EARLY = 1e-6
+"""A time counts as come this share of a tick before it: tick times dt may round below it."""
+
+
+@compiled
+def velocity_control(
+    v_x: float, v_y: float, w_x: float, w_y: float, v_max: float, u_max: float, dt: float
+) -> tuple[float, float]:
+    r"""The acceleration [m/s²] that takes the velocity straight towards a wanted one.
+
+    $$ u = clip_{u_{max}}\left(\frac{clip_{v_{max}}(w) - v}{dt}\right) $$
+
+    The next velocity lies between v and a vector within v_max: where v keeps the bound, so does it.
+
+    Args:
+        v_x, v_y: Velocity [m/s].
+        w_x, w_y: The wanted velocity [m/s], of any finite length.
+        v_max, u_max: Bounds [m/s], [m/s²].
+        dt: Length of a tick [s].
+    """
+    w_x, w_y = clip_norm(w_x, w_y, v_max)
+    return clip_norm((w_x - v_x) / dt, (w_y - v_y) / dt, u_max)
+
+
+def _bound(limit: float | None) -> float:
+    return LARGEST if limit is None else min(float(limit), LARGEST)
+
+
+class Steering:
+    """Turns what a driver wants into an acceleration that keeps both bounds. Remembers nothing.
+
+    Args:
+        briefing: What the UGV is told when it joins.
+    """
+
+    def __init__(self, briefing: UgvBriefing) -> None:
+        self.v_max = _bound(briefing.limits.max_speed)
+        """[m/s]"""
+        self.u_max = _bound(briefing.limits.max_acceleration)
+        """[m/s²]"""
+        self.dt = float(briefing.dt)
+        """Length of a tick [s]."""
+
+    def to_velocity(self, observation: UgvObservation, wanted: tuple[float, float]) -> tuple[float, float]:
+        """The acceleration [m/s²] towards a wanted velocity [m/s], which is shortened to v_max where it is longer."""
+        (v_x, v_y), (w_x, w_y) = observation.velocity, wanted
+        u_x, u_y = velocity_control(v_x, v_y, float(w_x), float(w_y), self.v_max, self.u_max, self.dt)
+        return u_x, u_y
+
+    def to_goal(self, observation: UgvObservation, goal: tuple[float, float], *, speed: float = math.inf) -> tuple[float, float]:
+        """The acceleration [m/s²] towards a goal [m], by the paper's driver, no faster than `speed` [m/s]."""
+        (p_x, p_y), (v_x, v_y) = observation.position, observation.velocity
+        u_x, u_y = goal_control(p_x, p_y, v_x, v_y, float(goal[0]), float(goal[1]), min(speed, self.v_max), self.u_max, self.dt)
+        return u_x, u_y
+
+    def to_rest(self, observation: UgvObservation) -> tuple[float, float]:
+        """The acceleration [m/s²] that stops the UGV as soon as it can."""
+        v_x, v_y = observation.velocity
+        u_x, u_y = brake(v_x, v_y, self.u_max, self.dt)
+        return u_x, u_y
+
+    def within(self, observation: UgvObservation, wanted: tuple[float, float]) -> tuple[float, float]:
+        """A finite acceleration [m/s²] of anybody's, shortened to u_max and turned off where it would go beyond v_max."""
+        u_x, u_y = wanted
+        size = max(abs(u_x), abs(u_y))
+        if size > LARGEST:  # its square may be too large for a number
+            u_x, u_y = u_x / size * LARGEST, u_y / size * LARGEST
+        u_x, u_y = clip_norm(u_x, u_y, self.u_max)
+        v_x, v_y = observation.velocity
+        w_x, w_y = v_x + u_x * self.dt, v_y + u_y * self.dt
+        return self.to_velocity(observation, (w_x, w_y)) if norm(w_x, w_y) > self.v_max else (u_x, u_y)

@@ -1,0 +1,35 @@
+"""A person at the wheel, over a link that may fall silent."""
+
+from agents.drivers.steering import EARLY, Steering
+from bus.messages import Drive, UgvBriefing, UgvObservation
+
+
+class TeleopDriver:
+    """Does what the operator said last: drives at a velocity, or to a goal, or brakes.
+
+    Whatever is asked for, the UGV keeps its bounds: a velocity longer than v_max is shortened to it, and a goal is driven to as
+    the paper's driver does. Where a message has both, the velocity counts. A word counts for `hold` seconds, a goal no longer
+    than a velocity: when nothing has come for longer, the UGV brakes and stands until the operator speaks again.
+
+    It knows nothing of what was said before it took the wheel, so it begins by braking. It does not look where it goes: Q has
+    walls.
+    """
+
+    def __init__(self, briefing: UgvBriefing) -> None:
+        self._steering = Steering(briefing)
+        self._hold = float(briefing.hold) + EARLY * self._steering.dt
+        self._word: Drive | None = None
+        self._heard = 0.0  # when that came [s]
+
+    def drive(self, observation: UgvObservation) -> tuple[float, float]:
+        """The acceleration [m/s²] for this observation."""
+        if observation.operator:
+            self._word, self._heard = observation.operator[-1], observation.time
+        word = self._word
+        if word is None or observation.time - self._heard > self._hold:
+            return self._steering.to_rest(observation)
+        if word.velocity is not None:
+            return self._steering.to_velocity(observation, word.velocity)
+        if word.goal is not None:
+            return self._steering.to_goal(observation, word.goal)
+        return self._steering.to_rest(observation)

@@ -1,0 +1,26 @@
+"""A UGV that is nobody's Python: plain Zenoh and JSON, as any language would speak them. It drives a circle.
+
+Start `outrider simulator escort --realtime 1` and `outrider uav` in two terminals, and this file in a third.
+"""
+
+import json
+import math
+
+import zenoh
+
+config = zenoh.Config()
+config.insert_json5("mode", '"client"')
+config.insert_json5("connect/endpoints", '["tcp/127.0.0.1:17447"]')
+# With credentials: transport/auth/usrpwd/user and .../password, from ugv_0.json.
+with zenoh.open(config) as session:
+    mine = "outrider/flight/ugv_0"
+    observations = session.declare_subscriber(f"{mine}/observation", zenoh.handlers.RingChannel(16))
+    commands = session.declare_publisher(f"{mine}/command")
+    here = session.liveliness().declare_token(f"{mine}/alive/{session.zid()}")
+    for sample in observations:
+        seen = json.loads(sample.payload.to_bytes())
+        if seen.get("over"):
+            break
+        wanted = [0.2 * math.cos(0.1 * seen["time"]), 0.2 * math.sin(0.1 * seen["time"])]
+        push = [w - v for w, v in zip(wanted, seen["velocity"], strict=True)]
+        commands.put(json.dumps({"tick": seen["tick"], "acceleration": push}))

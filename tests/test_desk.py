@@ -1,0 +1,177 @@
+"""The operators' desk, with real sessions: laws, drivers, speed and new flights while the vehicles fly."""
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from staging import await_status, stage, wait_until, whole
+
+from bus.keys import CONTROL, OPERATOR, STATUS
+from bus.messages import Action, Control, Drive, Law
+
+
+def operating(run: Any, work: Callable[[Any, Any], None]) -> Callable[[], None]:
+    """Let an operator work while the run flies; to be called when it is over."""
+    operator = run.client("operator")
+    controls, statuses = operator.outbox(CONTROL), operator.inbox(STATUS)
+    faults: list[BaseException] = []
+
+    def body() -> None:
+        try:
+            wait_until(lambda: controls.wanted)
+            work(controls.send, lambda wanted: await_status(statuses, wanted))
+        except BaseException as error:  # noqa: BLE001 - told in the test's own thread
+            faults.append(error)
+            run.server.flight.stop()
+
+    hand = threading.Thread(target=body)
+    hand.start()
+
+    def end() -> None:
+        hand.join(60.0)
+        if faults:
+            raise faults[0]
+
+    return end
+
+
+def test_another_law_is_flown_from_its_tick_on(tmp_path: Path) -> None:
+    with stage(tmp_path, 100_000) as run:
+        run.start("uav_0")
+        run.start("ugv_0")
+
+        def work(send: Any, status: Any) -> None:
+            status(lambda s: s.tick > 50)
+            send(Control(action=Action.LAW, law=Law(name="tracking")))
+            changed = status(lambda s: s.law == "tracking")
+            status(lambda s: s.tick > changed.tick + 1500)
+            run.server.flight.stop()
+
+        end = operating(run, work)
+        flight = run.fly()
+        end()
+    tick = run.server.changes[0].tick
+    before = whole(tick).recorder.states
+    assert np.array_equal(flight.recorder.states[:tick, :, :4], before[:tick, :, :4])
+    assert not np.array_equal(flight.recorder.states[: tick + 60, 0, :2], whole(tick + 60).recorder.states[: tick + 60, 0, :2])
+    assert flight.recorder.escorts[-1, 0, 0] < 0.6  # it hovers over its UGV
+    assert any(f"an operator: law tracking at tick {tick}" in event for event in run.events)
+
+
+@pytest.mark.parametrize(
+    ("control", "told"),
+    [
+        (Control(action=Action.LAW, law=Law(name="fancy")), "fancy"),
+        (Control(action=Action.LAW), "law is missing"),
+        (Control(action=Action.LAW, law=Law(name="weighted")), "custom.weighting"),
+        (Control(action=Action.DRIVER, driver="ghost"), "ghost"),
+        (Control(action=Action.DRIVER, vehicle="ugv_7", driver="teleop"), "ugv_7"),
+        (Control(action=Action.DRIVER), "driver"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_named_and_changes_nothing(control: Control, told: str, tmp_path: Path) -> None:
+    with stage(tmp_path, 300) as run:
+        run.start("uav_0")
+        run.start("ugv_0")
+        refused = threading.Event()
+
+        def work(send: Any, status: Any) -> None:
+            send(control)
+            wait_until(lambda: bool(run.events))
+            refused.set()
+
+        end = operating(run, work)
+        flight = run.fly(lambda: wait_until(refused.is_set) if run.server.flight.world.tick == 100 else None)
+        end()
+    assert flight.recorder.sha256() == whole(300).recorder.sha256()
+    assert "is refused" in run.events[0]
+    assert told in run.events[0]
+    assert not run.server.changes
+
+
+def test_a_reset_begins_a_new_flight_with_its_own_seed_and_new_pilots(tmp_path: Path) -> None:
+    with stage(tmp_path, 400) as run:
+        vehicles = [run.start("uav_0"), run.start("ugv_0")]
+        resets = iter((7, 8))
+
+        def work(send: Any, status: Any) -> None:
+            for seed in resets:
+                status(lambda s: 30 < s.tick < 390)
+                send(Control(action=Action.RESET, seed=seed))
+                status(lambda s, seed=seed: s.seed == seed and s.changes)
+
+        held = threading.Event()
+        end = operating(run, work)
+        flight = run.fly(lambda: held.wait(0.002) and None)
+        end()
+        status = run.server.status(1.0)
+    assert flight.complete
+    assert (flight.seed, flight.episode) == (8, 2)
+    assert flight.first_missing is None
+    assert status.vehicles["uav_0"].lost == 0
+    assert [seen.tick for seen in vehicles[0].seen] == list(range(400))  # of the last flight: the pilot before is gone
+    assert {seen.episode for seen in vehicles[0].seen} == {2}
+    from outrider.run import fly
+
+    assert flight.recorder.sha256() == fly(flight.scenario, 8)[0].recorder.sha256()
+
+
+def test_the_speed_can_be_changed_while_flying_and_changes_no_bit(tmp_path: Path) -> None:
+    with stage(tmp_path, 600) as run:
+        run.start("uav_0")
+        run.start("ugv_0")
+        slow: list[float | None] = []
+
+        def work(send: Any, status: Any) -> None:
+            send(Control(action=Action.SPEED, factor=5.0))
+            slow.append(status(lambda s: s.wanted_factor == 5.0).wanted_factor)
+            send(Control(action=Action.SPEED))
+            slow.append(status(lambda s: s.wanted_factor is None).wanted_factor)
+
+        end = operating(run, work)
+        flight = run.fly()
+        end()
+    assert slow == [5.0, None]
+    assert flight.complete
+    if flight.first_missing is None:
+        assert flight.recorder.sha256() == whole(600).recorder.sha256()
+
+
+def test_an_operator_takes_the_wheel_drives_is_silent_and_hands_back(tmp_path: Path) -> None:
+    """Through the bus, the simulator and the UGV's own driver: bounded, braking in silence, without a jump."""
+    with stage(tmp_path, 100_000, realtime=10.0) as run:
+        run.start("uav_0")
+        run.start("ugv_0")
+        seen: dict[str, int] = {}
+
+        def work(send: Any, status: Any) -> None:
+            wheel = run.client("operator").outbox(OPERATOR, "ugv_0")
+            wait_until(lambda: wheel.wanted)
+            before = status(lambda s: s.tick > 100)
+            assert before.drivers == {"ugv_0": "waypoints"}
+            send(Control(action=Action.DRIVER, vehicle="ugv_0", driver="teleop"))
+            seen["taken"] = status(lambda s: s.drivers["ugv_0"] == "teleop").tick
+            limit = seen["taken"] + 150
+            while run.server.flight.world.tick < limit:
+                wheel.send(Drive(driver="a person", velocity=(0.0, -1e5)))
+                wait_until(lambda tick=run.server.flight.world.tick: run.server.flight.world.tick > tick + 2)
+            seen["silent"] = run.server.flight.world.tick
+            seen["still"] = status(lambda s: s.tick > seen["silent"] + 80).tick
+            send(Control(action=Action.DRIVER, vehicle="ugv_0", driver="waypoints"))
+            seen["back"] = status(lambda s: s.drivers["ugv_0"] == "waypoints").tick
+            status(lambda s: s.tick > seen["back"] + 80)
+            run.server.flight.stop()
+
+        end = operating(run, work)
+        flight = run.fly()
+        end()
+    v = flight.recorder.states[:, 1, 2:4]
+    assert v[seen["silent"]] == pytest.approx([0.0, -0.2], abs=0.02)
+    assert np.hypot(*v[seen["still"]]) < 1e-6
+    assert np.hypot(*v[-1]) > 0.1
+    assert np.hypot(v[:, 0], v[:, 1]).max() <= 0.2 + 1e-12
+    assert np.hypot(*np.diff(v, axis=0).T).max() <= 0.1 * 0.05 + 1e-12
+    assert [change.control.driver for change in run.server.changes] == ["teleop", "waypoints"]

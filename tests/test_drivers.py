@@ -1,0 +1,570 @@
+"""Who sits in the UGV: every driver within its bounds whatever it hears, and each one's own promises."""
+
+import math
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from flights import distances
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from properties import PROPERTY
+
+from agents.drivers.evade import EvadeDriver
+from agents.drivers.policy import PolicyDriver
+from agents.drivers.script import ScriptDriver
+from agents.drivers.table import Driver
+from agents.drivers.teleop import TeleopDriver
+from agents.drivers.wander import WanderDriver
+from agents.drivers.waypoints import WaypointDriver
+from agents.ugv import UgvPilot
+from bus.errors import ScenarioError
+from bus.messages import Area, Drive, Limits, RelativeInformation, ScriptStep, UgvBriefing, UgvCommand, UgvObservation
+from outrider.run import InProcess, make_pilots
+from sim.briefing import briefing
+from sim.flight import Flight
+from sim.scenario import load_scenario
+from sim.vehicles import norm, step_vehicle
+
+Point = tuple[float, float]
+Hears = Callable[[int, Point], dict[str, Any]]
+"""What a UGV hears at a tick at a place: fields of its observation."""
+
+DT, V_G, U_G = 0.05, 0.2, 0.1
+MIDDLE = (10.0, 10.0)
+
+
+def _told(**fields: Any) -> UgvBriefing:
+    v_max, u_max = fields.pop("v_max", V_G), fields.pop("u_max", U_G)
+    side = fields.pop("side", 20.0)
+    usual: dict[str, Any] = {
+        "vehicle": "ugv_0",
+        "dt": DT,
+        "area": Area(width=side, height=side, cell=0.5),
+        "limits": Limits(
+            max_speed=None if math.isinf(v_max) else v_max,
+            max_acceleration=None if math.isinf(u_max) else u_max,
+        ),
+        "driver": "waypoints",
+        "goals": ((3.0, 4.0), (18.0, 1.0)),
+        "goal_tolerance": 0.05,
+        "script": (ScriptStep(time=1.0, velocity=(1e6, -1e6)), ScriptStep(time=7.0, velocity=(-0.1, 0.05))),
+        "key": 7,
+    }
+    return UgvBriefing(**usual | fields)
+
+
+def _wild(observation: UgvObservation, told: UgvBriefing) -> list[float]:
+    """A policy that asks for anything."""
+    size = 10.0 ** (observation.tick % 300)
+    return [size * math.cos(observation.tick), -size * math.sin(7 * observation.tick)]
+
+
+def _policy(told: UgvBriefing) -> PolicyDriver:
+    return PolicyDriver(told, policy=_wild, name="tests:_wild")
+
+
+DRIVERS: dict[str, Callable[[UgvBriefing], Driver]] = {
+    "waypoints": WaypointDriver,
+    "wander": WanderDriver,
+    "script": ScriptDriver,
+    "evade": EvadeDriver,
+    "teleop": TeleopDriver,
+    "policy": _policy,
+}
+
+
+def _nothing(tick: int, place: Point) -> dict[str, Any]:
+    return {}
+
+
+def _observe(tick: int, state: tuple[float, ...], heard: dict[str, Any], dt: float = DT) -> UgvObservation:
+    return UgvObservation(tick=tick, time=tick * dt, position=(state[0], state[1]), velocity=(state[2], state[3]), **heard)
+
+
+def _drive(
+    driver: Driver,
+    count: int,
+    *,
+    start: Point = MIDDLE,
+    velocity: Point = (0.0, 0.0),
+    begin: int = 0,
+    dt: float = DT,
+    hears: Hears = _nothing,
+) -> tuple[np.ndarray, list[UgvObservation]]:
+    """Position, velocity and command at each tick, with no bound but the driver's own, and what it was shown."""
+    state, rows, seen = (*start, *velocity), [], []
+    for tick in range(begin, begin + count):
+        seen.append(_observe(tick, state, hears(tick, state[:2]), dt))
+        u = driver.drive(seen[-1])
+        rows.append((*state, *u))
+        *state, _, _ = step_vehicle(*state, *u, math.inf, math.inf, dt)
+    rows.append((*state, 0.0, 0.0))
+    return np.array(rows), seen
+
+
+def _assert_within(rows: np.ndarray, v_max: float, u_max: float) -> None:
+    assert np.isfinite(rows).all()
+    assert np.hypot(rows[:, 4], rows[:, 5]).max() <= u_max * (1.0 + 1e-12)
+    assert np.hypot(rows[:, 2], rows[:, 3]).max() <= v_max * (1.0 + 1e-12)
+
+
+anywhere = st.floats(-1e6, 1e6, allow_nan=False)
+anything = st.tuples(anywhere, anywhere)
+drives = st.builds(Drive, driver=st.just("somebody"), velocity=st.none() | anything, goal=st.none() | anything | st.just(MIDDLE))
+places = st.tuples(st.floats(0.0, 20.0), st.floats(0.0, 20.0))
+relatives = st.tuples(st.floats(-6.0, 6.0), st.floats(-6.0, 6.0)) | anything
+radios = st.builds(
+    RelativeInformation,
+    time=st.floats(0.0, 30.0) | st.floats(0.0, 1e12),
+    relative_position=relatives,
+    coverage_error=st.just(1.0),
+)
+hearings = st.dictionaries(
+    st.integers(0, 59),
+    st.fixed_dictionaries(
+        {"operator": st.lists(drives, max_size=2).map(tuple), "radio": st.lists(radios, max_size=2).map(tuple)}
+    ),
+    max_size=25,
+)
+speeds = st.sampled_from((0.05, V_G, 1.0, 5.0))
+accelerations = st.sampled_from((0.05, U_G, 1.0, 10.0, math.inf))
+steps = st.sampled_from((0.02, DT, 0.2))
+headings = st.tuples(st.floats(0.0, 1.0), st.floats(0.0, math.tau))
+
+
+def _velocity(heading: tuple[float, float], v_max: float) -> Point:
+    return heading[0] * v_max * math.cos(heading[1]), heading[0] * v_max * math.sin(heading[1])
+
+
+@pytest.mark.parametrize("name", DRIVERS)
+@given(hearings, places, headings, st.integers(0, 100_000), speeds, accelerations, steps)
+@settings(PROPERTY, max_examples=60)
+def test_whatever_it_hears_and_whenever_it_takes_the_wheel_a_driver_keeps_the_bounds(
+    name: str,
+    heard: dict[int, dict[str, Any]],
+    start: Point,
+    heading: tuple[float, float],
+    begin: int,
+    v_max: float,
+    u_max: float,
+    dt: float,
+) -> None:
+    driver = DRIVERS[name](_told(v_max=v_max, u_max=u_max, dt=dt))
+    rows, _ = _drive(
+        driver,
+        60,
+        start=start,
+        velocity=_velocity(heading, v_max),
+        begin=begin,
+        dt=dt,
+        hears=lambda tick, _: heard.get(tick - begin, {}),
+    )
+    _assert_within(rows, v_max, u_max)
+
+
+@pytest.mark.parametrize("name", [name for name in DRIVERS if name != "waypoints"])
+@given(hearings, st.sampled_from((V_G, math.inf)))
+@settings(PROPERTY, max_examples=30)
+def test_a_ugv_without_bounds_is_still_asked_for_what_a_message_can_hold(
+    name: str, heard: dict[int, dict[str, Any]], v_max: float
+) -> None:
+    driver = DRIVERS[name](_told(v_max=v_max, u_max=math.inf))
+    for tick in range(60):
+        command = UgvCommand(tick=tick, acceleration=driver.drive(_observe(tick, (*MIDDLE, 0.1, -0.1), heard.get(tick, {}))))
+        assert msgspec.json.decode(msgspec.json.encode(command), type=UgvCommand) == command
+
+
+@given(st.lists(st.sampled_from(sorted(DRIVERS)), min_size=2, max_size=5), hearings)
+@settings(PROPERTY, max_examples=40)
+def test_drivers_that_take_turns_in_one_flight_jump_no_further_than_the_bounds_allow(
+    names: list[str], heard: dict[int, dict[str, Any]]
+) -> None:
+    at, velocity = MIDDLE, (0.0, 0.0)
+    for turn, name in enumerate(names):
+        rows, _ = _drive(
+            DRIVERS[name](_told()),
+            60,
+            start=at,
+            velocity=velocity,
+            begin=60 * turn,
+            hears=lambda tick, _: heard.get(tick % 60, {}),
+        )
+        _assert_within(rows, V_G, U_G)
+        assert np.hypot(*np.diff(rows[:, 2:4], axis=0).T).max() <= U_G * DT * (1.0 + 1e-9)
+        at, velocity = tuple(rows[-1, :2]), tuple(rows[-1, 2:4])
+
+
+@pytest.mark.parametrize("name", DRIVERS)
+@given(hearings, st.integers(0, 1000))
+@settings(PROPERTY, max_examples=20)
+def test_a_driver_that_is_told_its_past_again_gives_the_same_bits(
+    name: str, heard: dict[int, dict[str, Any]], begin: int
+) -> None:
+    told = _told(v_max=1.0, u_max=0.5)
+    first, other, again = (DRIVERS[name](told) for _ in range(3))
+    rows, seen = _drive(first, 150, begin=begin, hears=lambda tick, _: heard.get((tick - begin) % 60, {}))
+    for row, observation in zip(rows, seen, strict=False):
+        other.drive(_observe(observation.tick, (1.0, 19.0, -0.3, 0.3), {}))  # another vehicle of the same process
+        assert again.drive(observation) == (row[4], row[5])
+
+
+# teleop
+
+FULL = Drive(driver="somebody", velocity=(V_G, 0.0))
+
+
+def _says(**words: Drive) -> Hears:
+    """What an operator says at which ticks: `t3=...`."""
+    return lambda tick, _: {"operator": (words[f"t{tick}"],)} if f"t{tick}" in words else {}
+
+
+def _ticks_to_rest(v_max: float, u_max: float, dt: float) -> int:
+    return math.ceil(v_max / (u_max * dt) - 1e-9) + 1
+
+
+@given(st.lists(drives, min_size=1, max_size=3), headings, speeds, accelerations, steps, st.sampled_from((0.0, 0.4, 1.0)))
+@settings(PROPERTY)
+def test_when_the_operator_falls_silent_the_ugv_comes_to_rest_in_time_and_stays_there(
+    words: list[Drive], heading: tuple[float, float], v_max: float, u_max: float, dt: float, hold: float
+) -> None:
+    driver = TeleopDriver(_told(v_max=v_max, u_max=u_max, dt=dt, hold=hold))
+    still = 1 + round(hold / dt) + _ticks_to_rest(v_max, u_max, dt)
+    rows, _ = _drive(
+        driver,
+        still + 50,
+        velocity=_velocity(heading, v_max),
+        dt=dt,
+        hears=lambda tick, _: {"operator": tuple(words)} if tick == 0 else {},
+    )
+    assert np.abs(rows[still:, 2:4]).max() <= 1e-12 * v_max
+    assert np.ptp(rows[still:, :2], axis=0).max() <= 1e-9
+
+
+def test_an_operators_word_counts_for_hold_seconds_to_the_tick() -> None:
+    for since in range(60):  # tick * dt rounds differently at each
+        driver = TeleopDriver(_told(hold=0.5))
+        rows, _ = _drive(driver, 20, velocity=(0.1, 0.0), begin=since, hears=_says(**{f"t{since}": FULL}))
+        assert (rows[:11, 4] > 0.0).all()
+        assert rows[11, 4] == pytest.approx(-U_G, rel=1e-9)
+
+
+@given(drives, drives)
+@settings(PROPERTY)
+def test_the_operators_newest_word_counts(old: Drive, new: Drive) -> None:
+    both, one = TeleopDriver(_told()), TeleopDriver(_told())
+    for tick in range(3):
+        state = (*MIDDLE, 0.05, 0.1)
+        first = both.drive(_observe(tick, state, {"operator": (old, new)} if tick == 0 else {}))
+        assert first == one.drive(_observe(tick, state, {"operator": (new,)} if tick == 0 else {}))
+
+
+@given(anything)
+@settings(PROPERTY)
+def test_a_velocity_beyond_the_bound_is_driven_at_the_bound_in_its_direction(wanted: Point) -> None:
+    word = Drive(driver="somebody", velocity=wanted)
+    rows, _ = _drive(TeleopDriver(_told()), 100, hears=lambda tick, _: {"operator": (word,)})
+    scale = min(1.0, V_G / max(math.hypot(*wanted), 1e-300))
+    assert rows[-1, 2:4] == pytest.approx((wanted[0] * scale, wanted[1] * scale), abs=1e-12)
+
+
+@given(places)
+@settings(PROPERTY, max_examples=20)
+def test_a_living_operators_goal_is_reached_and_stood_on(goal: Point) -> None:
+    word = Drive(driver="somebody", goal=goal)
+    rows, _ = _drive(
+        TeleopDriver(_told(v_max=1.0, u_max=0.5)), 600, hears=lambda tick, _: {"operator": (word,)} if tick % 8 == 0 else {}
+    )
+    assert rows[-1, :2] == pytest.approx(goal, abs=1e-3)
+
+
+def test_nobody_at_the_wheel_and_an_empty_word_both_brake() -> None:
+    nobody, _ = _drive(TeleopDriver(_told()), 80, velocity=(V_G, 0.0))
+    empty, _ = _drive(TeleopDriver(_told()), 80, velocity=(V_G, 0.0), hears=_says(t0=Drive(driver="somebody")))
+    stopped, _ = _drive(TeleopDriver(_told()), 80, hears=_says(t0=FULL, t5=Drive(driver="somebody")))
+    for rows in (nobody, empty, stopped):
+        assert np.abs(rows[-30:, 2:4]).max() <= 1e-15
+    assert nobody[-1, 0] - MIDDLE[0] == pytest.approx(V_G**2 / (2.0 * U_G), abs=V_G * DT)
+
+
+def test_an_operator_who_comes_back_drives_on() -> None:
+    rows, _ = _drive(TeleopDriver(_told()), 160, hears=_says(t0=FULL, t100=FULL))
+    assert rows[99, 2] == pytest.approx(0.0, abs=1e-15)
+    assert rows[111, 2] == pytest.approx(11 * U_G * DT)
+
+
+# script
+
+
+def _script(*steps: tuple[float, Point], **fields: Any) -> ScriptDriver:
+    return ScriptDriver(_told(script=tuple(ScriptStep(time=time, velocity=v) for time, v in steps), **fields))
+
+
+def test_a_script_brakes_before_its_first_step_and_keeps_its_last() -> None:
+    rows, _ = _drive(_script((3.0, (0.0, 0.1)), (6.0, (0.1, 0.0))), 400, velocity=(V_G, 0.0))
+    assert rows[41:60, 2:4] == pytest.approx(0.0, abs=1e-15)
+    assert rows[60, 5] == pytest.approx(U_G)
+    assert rows[100, 2:4] == pytest.approx((0.0, 0.1))
+    assert rows[119, 4] == pytest.approx(0.0, abs=1e-12)
+    assert rows[120, 4] > 0.05
+    assert rows[-1, 2:4] == pytest.approx((0.1, 0.0))
+
+
+@given(st.integers(1, 2000), steps)
+@settings(PROPERTY)
+def test_a_step_begins_at_the_first_tick_of_its_time(tick: int, dt: float) -> None:
+    for time in (tick * dt, round(tick * dt, 9)):  # as it is computed, and as a person writes it
+        driver = _script((time, (V_G, 0.0)), dt=dt)
+        before, after = (driver.drive(_observe(k, (*MIDDLE, 0.0, 0.0), {}, dt)) for k in (tick - 1, tick))
+        assert before == (0.0, 0.0)
+        assert after[0] > 0.0
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 10.0), anything), max_size=5), st.integers(0, 300))
+@settings(PROPERTY)
+def test_a_script_taken_up_late_is_where_it_would_have_been(steps: list[tuple[float, Point]], tick: int) -> None:
+    late, whole = _script(*steps), _script(*steps)
+    for k in range(tick):
+        whole.drive(_observe(k, (*MIDDLE, 0.0, 0.0), {}))
+    now = _observe(tick, (*MIDDLE, 0.1, 0.1), {})
+    assert late.drive(now) == whole.drive(now)
+
+
+def test_of_a_scripts_steps_the_last_whose_time_has_come_counts_also_when_they_are_not_in_order() -> None:
+    driver = _script((2.0, (0.0, V_G)), (1.0, (V_G, 0.0)), (2.0, (0.0, -V_G)))
+    u = [driver.drive(_observe(tick, (*MIDDLE, 0.0, 0.0), {})) for tick in (10, 30, 50)]
+    assert u == [(0.0, 0.0), pytest.approx((U_G, 0.0)), pytest.approx((0.0, -U_G))]
+
+
+def test_an_empty_script_stands() -> None:
+    rows, _ = _drive(_script(), 100, velocity=(V_G, 0.0))
+    assert np.abs(rows[-30:, 2:4]).max() <= 1e-15
+
+
+# wander
+
+
+@given(st.integers(0, 2**53 - 1), speeds, accelerations, steps, st.sampled_from((2.0, 20.0)))
+@settings(PROPERTY, max_examples=40)
+def test_a_wanderer_never_comes_to_the_border(key: int, v_max: float, u_max: float, dt: float, side: float) -> None:
+    driver = WanderDriver(_told(key=key, v_max=v_max, u_max=u_max, dt=dt, side=side))
+    rows, _ = _drive(driver, 1500, start=(side / 2, side / 2), dt=dt)
+    assert rows[:, :2].min() > 0.0
+    assert rows[:, :2].max() < side
+
+
+@given(st.integers(0, 2**53 - 1))
+@settings(PROPERTY, max_examples=10)
+def test_a_wanderer_reaches_one_goal_after_the_other(key: int) -> None:
+    driver = WanderDriver(_told(key=key, v_max=1.0, u_max=0.5))
+    goals: list[Point | None] = []
+
+    def notes(tick: int, place: Point) -> dict[str, Any]:
+        goals.append(driver.goal)
+        return {}
+
+    rows, _ = _drive(driver, 6000, hears=notes)
+    assert np.hypot(rows[:, 2], rows[:, 3]).max() == pytest.approx(1.0, rel=1e-9)
+    changes = [tick for tick, (a, b) in enumerate(pairwise(goals)) if a != b]
+    assert len(changes) > 10
+    for tick in changes[1:]:
+        goal = goals[tick]
+        assert goal is not None
+        assert math.dist(rows[tick, :2], goal) < 0.05
+        assert min(*goal, 20.0 - goal[0], 20.0 - goal[1]) >= driver.margin
+
+
+def test_wanderers_of_other_keys_go_other_ways_and_all_over_the_area() -> None:
+    goals = []
+    for key in range(400):
+        driver = WanderDriver(_told(key=key))
+        driver.drive(_observe(0, (*MIDDLE, 0.0, 0.0), {}))
+        goals.append(driver.goal)
+    places = np.array(goals)
+    assert len(set(goals)) == 400
+    assert places.min(axis=0) == pytest.approx((0.5, 0.5), abs=0.5)
+    assert places.max(axis=0) == pytest.approx((19.5, 19.5), abs=0.5)
+    assert abs(np.corrcoef(places.T)[0, 1]) < 0.2
+
+
+# evade
+
+
+def _shadowed(place: Callable[[float], Point]) -> Hears:
+    """Radio messages of a UAV that flies a known way, five a second and a tick late."""
+
+    def hears(tick: int, at: Point) -> dict[str, Any]:
+        if tick % 4 != 1:
+            return {}
+        time = (tick - 1) * DT
+        x, y = place(time)
+        return {"radio": (RelativeInformation(time=time, relative_position=(x - at[0], y - at[1]), coverage_error=1.0),)}
+
+    return hears
+
+
+class _Straight(EvadeDriver):
+    """Without the seeded turns, which would hide what is looked at."""
+
+    def _turned(self, direction: Point, time: float) -> Point:
+        return direction
+
+
+def test_it_leaves_behind_a_uav_that_flies_off() -> None:
+    rows, _ = _drive(_Straight(_told()), 100, hears=_shadowed(lambda t: (9.0 - 0.6 * t, 10.0)))
+    assert rows[-1, 2:4] == pytest.approx((V_G, 0.0), abs=1e-3)
+
+
+def test_it_reverses_when_the_uav_comes_up_fast_and_keeps_on_when_that_has_passed() -> None:
+    rows, _ = _drive(_Straight(_told()), 160, hears=_shadowed(lambda t: (7.0 + 0.6 * t, 10.0)))
+    assert rows[15, 2] > 0.02  # it has heard nothing of the UAV's speed yet
+    assert rows[130:, 2].max() < -0.95 * V_G
+
+
+def test_it_turns_off_sharply_now_and_then_when_its_key_says() -> None:
+    turns = []
+    for key in (1, 2, 3):
+        rows, _ = _drive(
+            EvadeDriver(_told(key=key, side=1000.0)), 2000, start=(500.0, 500.0), hears=_shadowed(lambda t: (499.0, 500.0))
+        )
+        u = rows[:-1, 4:6]
+        turns.append([tick for tick in range(1, 2000) if np.hypot(*u[tick - 1]) < 0.02 and np.hypot(*u[tick]) > 0.09])
+        assert 5 <= len(turns[-1]) <= 15
+    assert turns[0] != turns[1] != turns[2] != turns[0]
+
+
+@given(places, headings, speeds, st.sampled_from((0.05, U_G, 1.0, 10.0)), st.integers(0, 2**53 - 1), st.sampled_from((4.0, 20.0)))
+@settings(PROPERTY, max_examples=40)
+def test_it_neither_runs_into_the_border_nor_gets_stuck_there(
+    uav: Point, circling: tuple[float, float], v_max: float, u_max: float, key: int, side: float
+) -> None:
+    driver = EvadeDriver(_told(v_max=v_max, u_max=u_max, key=key, side=side))
+    (share, phase), speed = circling, WanderDriver(_told(v_max=v_max, u_max=u_max, side=side)).speed
+    x, y = uav[0] * side / 20.0, uav[1] * side / 20.0
+    hears = _shadowed(lambda t: (x + share * math.cos(phase + 0.5 * t), y + share * math.sin(phase + 0.5 * t)))
+    rows, _ = _drive(driver, 2500, start=(side / 2, side / 2), hears=hears)
+    assert rows[:, :2].min() >= 0.0
+    assert rows[:, :2].max() <= side
+    lasting = min(2500, math.ceil(20.0 * speed / u_max / DT) + 200)
+    pace = np.hypot(rows[:, 2], rows[:, 3])
+    assert min(pace[k : k + lasting].max() for k in range(0, 2501 - lasting, 50)) > 0.5 * speed
+
+
+def test_a_corner_is_left_again() -> None:
+    rows, _ = _drive(EvadeDriver(_told()), 20000, hears=_shadowed(lambda t: (14.0, 14.5)))
+    corner = np.hypot(rows[:, 0], rows[:, 1])
+    arrived = int(np.argmax(corner < 2.0))
+    assert 0 < arrived < 5000
+    assert corner[arrived:].max() > 3.0
+    assert np.hypot(rows[:, 2], rows[:, 3])[arrived:].mean() > 0.5 * V_G
+
+
+def test_it_wanders_until_it_hears_the_uav_and_again_when_that_falls_silent() -> None:
+    hears = _shadowed(lambda t: (9.0, 10.0))
+    evader, wanderer = EvadeDriver(_told()), WanderDriver(_told())
+    for tick in range(300):
+        state = (*MIDDLE, 0.05, 0.0)
+        heard = hears(tick, MIDDLE) if 100 <= tick < 150 else {}
+        same = evader.drive(_observe(tick, state, heard)) == wanderer.drive(_observe(tick, state, {}))
+        if tick != 149 + 100:  # five seconds to the tick, which round
+            assert same == (tick < 101 or tick > 149 + 100)
+
+
+def _flown(law: str, driver: Callable[[UgvBriefing], Driver], seed: int) -> Flight:
+    scenario = load_scenario("escort", overrides={"law.name": law})
+    pilots, told = make_pilots(scenario, seed), briefing(scenario, "ugv_0", seed)
+    assert isinstance(told, UgvBriefing)
+    pilots["ugv_0"] = UgvPilot(told, driver=driver(told))
+    flight = Flight(scenario, seed)
+    flight.fly(InProcess(pilots))
+    return flight
+
+
+@pytest.mark.parametrize("law", ["linear", "logarithmic"])
+@pytest.mark.parametrize("seed", [7, 8])
+def test_in_flight_it_gets_further_from_the_uav_than_the_papers_driver(law: str, seed: int) -> None:
+    evading, papers = (distances(_flown(law, driver, seed)).max() for driver in (EvadeDriver, WaypointDriver))
+    assert evading > papers
+    assert evading < 4.75
+
+
+# policy
+
+
+def _asked(answer: object, velocity: Point = (0.0, 0.0)) -> Point:
+    driver = PolicyDriver(_told(), policy=lambda observation, told: answer, name="mine:drive")
+    return driver.drive(_observe(12, (*MIDDLE, *velocity), {}))
+
+
+@pytest.mark.parametrize(
+    "answer", [(0.03, -0.01), [0.03, -0.01], np.array([0.03, -0.01]), (np.float64(0.03), -0.01)], ids=lambda a: type(a).__name__
+)
+def test_a_policys_answer_within_the_bounds_is_taken_as_it_is(answer: object) -> None:
+    assert _asked(answer) == (0.03, -0.01)
+
+
+@pytest.mark.parametrize("answer", [(1, 1), (1e308, 1e308), (7e5, 7e5), np.array([3, 3]), np.array([5.0, 5.0], dtype=np.float32)])
+def test_a_policys_answer_beyond_the_bound_is_shortened(answer: object) -> None:
+    assert _asked(answer) == pytest.approx((U_G / math.sqrt(2.0), U_G / math.sqrt(2.0)), rel=1e-12)
+
+
+def test_a_policy_cannot_drive_beyond_the_largest_speed() -> None:
+    u_x, u_y = _asked((0.1, 0.0), velocity=(V_G, 0.0))
+    assert (u_x, u_y) == pytest.approx((0.0, 0.0), abs=1e-12)
+    u_x, u_y = _asked((0.0, 0.1), velocity=(V_G, 0.0))
+    assert norm(V_G + u_x * DT, u_y * DT) <= V_G * (1.0 + 1e-12)
+    assert u_y > 0.09
+
+
+NONSENSE = [
+    None,
+    0.1,
+    (),
+    (0.1,),
+    (0.1, 0.2, 0.3),
+    [[0.1, 0.2]],
+    (math.nan, 0.0),
+    (0.0, -math.inf),
+    ("0.1", "0.2"),
+    (True, False),
+    (0.1j, 0.2),
+    ([0.1], [0.1, 0.2]),
+    {"x": 0.1, "y": 0.2},
+    (10**400, 0),
+    "a\nb",
+    np.zeros((50, 50)),
+]
+
+
+@pytest.mark.parametrize("answer", NONSENSE, ids=range(len(NONSENSE)))
+def test_a_policys_nonsense_is_named_in_one_line(answer: object) -> None:
+    with pytest.raises(
+        ScenarioError, match=r"^policy = 'mine:drive': tick 12: returned .+; allowed: two finite numbers"
+    ) as caught:
+        _asked(answer)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 250
+    if isinstance(answer, tuple) and len(answer) == 3:
+        assert "(0.1, 0.2, 0.3)" in str(caught.value)
+
+
+def test_a_policy_that_raises_is_named_in_one_line() -> None:
+    def broken(observation: UgvObservation, told: UgvBriefing) -> object:
+        raise KeyError("no\nsuch weights")
+
+    driver = PolicyDriver(_told(), policy=broken, name="mine:broken")
+    with pytest.raises(ScenarioError, match=r"^policy = 'mine:broken': tick 3: raised KeyError: .*weights") as caught:
+        driver.drive(_observe(3, (*MIDDLE, 0.0, 0.0), {}))
+    assert "\n" not in str(caught.value)
+    assert isinstance(caught.value.__cause__, KeyError)
+
+
+def test_a_policy_is_given_the_observation_and_the_briefing() -> None:
+    told, given_ = _told(), []
+    driver = PolicyDriver(told, policy=lambda observation, briefing: given_.append((observation, briefing)) or (0, 0), name="m:f")
+    seen = _observe(4, (*MIDDLE, 0.0, 0.0), {})
+    driver.drive(seen)
+    assert given_ == [(seen, told)]
