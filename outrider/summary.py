@@ -1,13 +1,13 @@
 """The numbers that sum up a flight."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import msgspec
 import numpy as np
 
 from agents.control.visibility import raw_switching_radius
-from bus.messages import VehicleStatus
+from bus.messages import Action, Change, VehicleStatus
 from sim.flight import Flight
 from sim.recorder import platform_row
 
@@ -65,12 +65,18 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """Simulated seconds per second of wall time, over the whole flight."""
     late_ticks: int = 0
     """Ticks that the clock could not keep."""
+    changes: list[Change] = []
+    """What operators have changed while it flew, and at which tick."""
     deterministic: bool
-    """Whether every command came in time, so that the hash is the scenario's and the seed's alone."""
+    """Whether every command came in time and no operator had a hand in it: the hash is the scenario's and the seed's alone."""
     first_missing_tick: int | None
     trajectory_sha256: str
     platform: dict[str, str]
     processes: list[Process] = []
+
+
+_FLOWN = (Action.LAW, Action.DRIVER)
+"""What operators do that changes a trajectory."""
 
 
 def _rms(errors: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float | None:
@@ -111,6 +117,7 @@ def summarize(
     vehicles: Mapping[str, VehicleStatus] | None = None,
     realtime: float | None = None,
     late_ticks: int = 0,
+    changes: Sequence[Change] = (),
 ) -> Summary:
     """Sum up what was flown so far.
 
@@ -120,6 +127,7 @@ def summarize(
         vehicles: How their processes did.
         realtime: The factor that the clock was to keep.
         late_ticks: Ticks that it could not keep.
+        changes: What operators have changed.
     """
     scenario, recorder, world = flight.scenario, flight.recorder, flight.world
     distance, error = recorder.escorts[:, :, 0], recorder.escorts[:, :, 1]
@@ -151,7 +159,8 @@ def summarize(
         realtime=realtime,
         realtime_factor=recorder.ticks * scenario.dt / seconds if seconds > 0.0 else 0.0,
         late_ticks=late_ticks,
-        deterministic=flight.first_missing is None,
+        changes=list(changes),
+        deterministic=flight.first_missing is None and not any(change.control.action in _FLOWN for change in changes),
         first_missing_tick=flight.first_missing,
         trajectory_sha256=recorder.sha256(),
         platform=platform_row(),

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Mapping
 
 from bus.errors import PeerLost
-from bus.messages import Change, Command, Observation, Status, VehicleStatus
+from bus.messages import Action, Change, Command, Observation, Status, VehicleStatus
 from bus.session import Session
 from sim.desk import Desk
 from sim.flight import Flight
@@ -122,8 +122,10 @@ class Server:
 
     @property
     def changes(self) -> tuple[Change, ...]:
-        """What operators have changed so far, and when."""
-        return tuple(self._desk.changes)
+        """What operators have changed in this flight so far, and when."""
+        changes = self._desk.changes
+        begun = max((n + 1 for n, change in enumerate(changes) if change.control.action is Action.RESET), default=0)
+        return tuple(changes[begun:])
 
     @property
     def late_ticks(self) -> int:

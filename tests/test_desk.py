@@ -175,3 +175,37 @@ def test_an_operator_takes_the_wheel_drives_is_silent_and_hands_back(tmp_path: P
     assert np.hypot(v[:, 0], v[:, 1]).max() <= 0.2 + 1e-12
     assert np.hypot(*np.diff(v, axis=0).T).max() <= 0.1 * 0.05 + 1e-12
     assert [change.control.driver for change in run.server.changes] == ["teleop", "waypoints"]
+
+
+def change(flight: Any) -> None:
+    """What operators do to a flight at fixed ticks."""
+    tick = flight.world.tick
+    if tick == 60:
+        flight.seat("ugv_0", "wander")
+    if tick == 100:
+        flight.order(Law(name="linear"))
+    if tick == 150:
+        flight.seat("ugv_0", "teleop")
+    if 150 <= tick < 220 and tick % 4 == 0:
+        flight.say("ugv_0", Drive(driver="a person", velocity=(0.15, -0.1)))
+
+
+@pytest.mark.parametrize("victim", ["uav_0", "ugv_0"])
+def test_a_vehicle_that_comes_back_knows_what_was_changed_and_said(victim: str, tmp_path: Path) -> None:
+    from outrider.run import fly
+    from sim.scenario import load_scenario
+
+    expected = fly(load_scenario("escort", overrides=["duration=20.0"]), 7, on_tick=change)[0]
+    with stage(tmp_path, 400, respawn=True) as run:
+        run.start("uav_0" if victim == "ugv_0" else "ugv_0")
+        run.start(victim, until=205)
+
+        def on_tick() -> None:
+            change(run.server.flight)
+            if run.server.flight.world.tick == 206:
+                run.start(victim)
+
+        flight = run.fly(on_tick)
+    assert flight.first_missing is None
+    assert flight.recorder.sha256() == expected.recorder.sha256()
+    assert flight.recorder.sha256() != whole(400).recorder.sha256()

@@ -19,7 +19,7 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", README, flags=re.DOTALL)
 
 
-@pytest.mark.parametrize("example", ["environment", "own_pilot"])
+@pytest.mark.parametrize("example", ["environment", "own_pilot", "external_ugv"])
 def test_the_examples_are_shown_as_they_are(example: str) -> None:
     text = (ROOT / "examples" / f"{example}.py").read_text(encoding="utf-8")
     assert text.split('"""')[2].strip() in README

@@ -87,6 +87,10 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
     if summary.realtime is not None:
         kept = f"{summary.realtime_factor:.3f} of {summary.realtime:g}, {summary.late_ticks} ticks late"
         rows.append(("real time", kept))
+    for change in summary.changes:
+        control = change.control
+        what = control.driver or (control.law.name if control.law else "")
+        rows.append((f"operator at {change.tick * summary.dt:.2f} s", f"{control.action} {what}".strip()))
     for name, counts in summary.faults.items():
         rows.append((f"faults of {name}", ", ".join(f"{cause} {count}" for cause, count in counts.items())))
     rows += (

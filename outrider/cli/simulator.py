@@ -133,7 +133,14 @@ def command(
                 seconds = time.perf_counter() - server.started
                 flight, vehicles, late_ticks = server.flight, server.vehicles(), server.late_ticks
                 if flight.recorder.rows:  # also where the router was lost for good: what was flown is kept
-                    summary = summarize(flight, seconds=seconds, vehicles=vehicles, realtime=realtime, late_ticks=late_ticks)
+                    summary = summarize(
+                        flight,
+                        seconds=seconds,
+                        vehicles=vehicles,
+                        realtime=realtime,
+                        late_ticks=late_ticks,
+                        changes=server.changes,
+                    )
                     reports.summary(summary)  # first of all, so that a full disk does not take it
                     files = write_flight(flight, summary, out, picture=picture) if out else []
                     reports.files(files)
