@@ -15,6 +15,7 @@ from bus.messages import Area, Estimator, Law, Name, NonNegative, Positive, Regi
 from sim.scenario_checks import check_scenario
 from sim.scenario_faults import near, one_line
 from sim.scenario_reading import apply_override, as_raw, parse_override, parse_toml, typed
+from sim.scenario_tracks import with_tracks
 
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 Bound = Annotated[float, Meta(gt=0.0)]
@@ -78,6 +79,8 @@ class Ugv(_Table, frozen=True, kw_only=True):
     goal_tolerance: Positive = 0.05
     script: tuple[ScriptStep, ...] = ()
     """For the driver `script`: what it wants from a time on, in the order of time."""
+    track: Text = ""
+    """Instead of a script: the trajectory.csv of an earlier run, whose track of this UGV is driven again."""
 
 
 class Custom(_Table, frozen=True, kw_only=True):
@@ -198,4 +201,4 @@ def load_scenario(source: str | Path = DEFAULT_SCENARIO, *, overrides: Mapping[s
     scenario = typed(raw, Scenario, file=file)
     if not scenario.name:
         scenario = msgspec.structs.replace(scenario, name=one_line(Path(source).stem))
-    return check_scenario(scenario, source=file)
+    return check_scenario(with_tracks(scenario, file=file), source=file)
