@@ -174,6 +174,7 @@ def launch(
     *,
     out: Path | None,
     picture: bool = True,
+    record: Path | None = None,
     realtime: float | None = None,
     deadline: float = 10.0,
     join_timeout: float = 120.0,
@@ -192,6 +193,7 @@ def launch(
         watcher: Who follows the run.
         out: Where the simulator writes.
         picture: Whether it draws.
+        record: Where it records every tick.
         realtime: Simulated seconds per second of wall time; None: lockstep.
         deadline: How long it waits for the commands of one tick [s].
         join_timeout: How long it waits for the vehicles [s].
@@ -209,6 +211,7 @@ def launch(
         pace = (["--realtime", str(realtime)] if realtime is not None else []) + (["--respawn"] if respawn else [])
         settings = [argument for override in overrides for argument in ("--set", override)]
         output = (["--out", str(out)] if out else []) + ([] if picture else ["--no-picture"])
+        output += ["--record", str(record)] if record else []
         crew.start_simulator(source, [*settings, *output, *timing, *pace], watcher)
         if not watcher.stop():
             crew.start_vehicles(watcher)

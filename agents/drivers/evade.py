@@ -3,9 +3,9 @@
 import math
 
 from agents.drivers.steering import Steering
-from agents.drivers.wander import _WANDER, WanderDriver
+from agents.drivers.wander import WanderDriver
 from bus.messages import RelativeInformation, UgvBriefing, UgvObservation
-from sim.randomness import uniform
+from sim.randomness import WANDER, uniform
 from sim.vehicles import norm
 
 _SMOOTHING = 1.0  # time constant of the UAV's estimated velocity [s]: a difference of two estimates is mostly noise
@@ -152,4 +152,4 @@ class EvadeDriver:
 
     def _draw(self, time: float, index: int) -> float:
         """A number in [0, 1) for the slot of this time."""
-        return uniform(self._briefing.key, _WANDER, 0, int(time / (_SLOT * self._lead)), index)
+        return uniform(self._briefing.key, WANDER, 0, int(time / (_SLOT * self._lead)), index)

@@ -2,10 +2,8 @@
 
 from agents.drivers.steering import Steering
 from bus.messages import UgvBriefing, UgvObservation
-from sim.randomness import uniform
+from sim.randomness import WANDER, uniform
 from sim.vehicles import goal_reached, speed_to_stop_within, stopping_distance
-
-_WANDER = 6  # purpose of the draws; to become `sim.randomness.WANDER`
 
 
 class WanderDriver:
@@ -38,6 +36,6 @@ class WanderDriver:
     def _draw(self, tick: int) -> tuple[float, float]:
         area, margin, key = self._briefing.area, self.margin, self._briefing.key
         return (
-            margin + (area.width - 2.0 * margin) * uniform(key, _WANDER, 0, tick, 0),
-            margin + (area.height - 2.0 * margin) * uniform(key, _WANDER, 0, tick, 1),
+            margin + (area.width - 2.0 * margin) * uniform(key, WANDER, 0, tick, 0),
+            margin + (area.height - 2.0 * margin) * uniform(key, WANDER, 0, tick, 1),
         )

@@ -9,7 +9,21 @@ from types import FrameType
 import typer
 
 from bus.errors import AccessDenied, OutriderError, ScenarioError
-from outrider.cli import bench, check, credentials, figures, router, run, scenarios, simulator, vehicles
+from outrider.cli import (
+    bench,
+    check,
+    credentials,
+    drive,
+    figures,
+    record,
+    render,
+    replay,
+    router,
+    run,
+    scenarios,
+    simulator,
+    vehicles,
+)
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "run": run.command,
@@ -18,6 +32,10 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "ugv": vehicles.ugv,
     "router": router.command,
     "credentials": credentials.command,
+    "drive": drive.command,
+    "record": record.command,
+    "replay": replay.command,
+    "render": render.command,
     "scenarios": scenarios.command,
     "check": check.command,
     "figures": figures.command,

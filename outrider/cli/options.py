@@ -66,6 +66,9 @@ Insecure = Annotated[
     bool,
     typer.Option("--insecure", help="Listen beyond this machine without credentials: anybody may read and write everything."),
 ]
+Record = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Record every tick into this MCAP file; needs the extra [record].")
+]
 RealTime = Annotated[
     float | None,
     typer.Option(

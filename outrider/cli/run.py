@@ -13,6 +13,7 @@ from outrider.cli.options import (
     LawName,
     PolicyName,
     RealTime,
+    Record,
     ScenarioName,
     Seed,
     Set,
@@ -41,6 +42,7 @@ def command(
     pin: Annotated[
         bool, typer.Option(help="Give the UAVs one half of the processor cores: faster, unless the machine is busy otherwise.")
     ] = True,
+    record: Record = None,
     realtime: RealTime = None,
     respawn: Annotated[
         bool,
@@ -80,7 +82,7 @@ def command(
         folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made shows before the flight, not after it
     with stop_on_signals() as stop:
         if in_process:
-            outcome = _fly_here(flown, folder, picture, stop)
+            outcome = _fly_here(flown, folder, picture, record, stop)
         else:
             from outrider.launch import Watcher, launch
 
@@ -93,6 +95,7 @@ def command(
                     watcher,
                     out=folder,
                     picture=picture,
+                    record=record,
                     realtime=realtime,
                     deadline=deadline,
                     respawn=respawn,
@@ -108,7 +111,7 @@ def command(
     _end(outcome, stop)
 
 
-def _fly_here(flown: "Scenario", folder: Path | None, picture: bool, stop: "Stop") -> "Outcome":
+def _fly_here(flown: "Scenario", folder: Path | None, picture: bool, record: Path | None, stop: "Stop") -> "Outcome":
     from agents.process import warm_up as warm_up_pilot
     from bus.keys import Role
     from outrider.cli.console import flight_progress
@@ -119,9 +122,16 @@ def _fly_here(flown: "Scenario", folder: Path | None, picture: bool, stop: "Stop
     from sim.flight import Flight, warm_up
 
     shown = 0.0
+    recorder = None
+    if record is not None:
+        from outrider.recording.writer import FlightRecorder
+
+        recorder = FlightRecorder(record, flown, flown.seed)
 
     def follow(flight: Flight, progress: "FlightProgress") -> None:
         nonlocal shown
+        if recorder is not None:
+            recorder.tick(flight)
         if stop:
             flight.stop()
         now = time.monotonic()
@@ -136,9 +146,12 @@ def _fly_here(flown: "Scenario", folder: Path | None, picture: bool, stop: "Stop
                 warm_up_pilot(role)
         flight, summary = fly(flown, flown.seed, on_tick=lambda flight: follow(flight, progress))
     outcome = Outcome(summary=summary)
+    if recorder is not None and record is not None:
+        recorder.close()
+        outcome.files.append(record)
     if folder is not None:
         try:
-            outcome.files = write_flight(flight, summary, folder, picture=picture)
+            outcome.files += write_flight(flight, summary, folder, picture=picture)
         except OSError as error:
             outcome.fault = f"{error.filename or folder}: {error.strerror or error}"
     return outcome

@@ -1,6 +1,7 @@
 """`outrider simulator`: the process that knows the truth, with the router inside."""
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,6 +17,7 @@ from outrider.cli.options import (
     LawName,
     Leash,
     RealTime,
+    Record,
     RunName,
     Set,
     check_endpoints,
@@ -24,6 +26,9 @@ from outrider.cli.options import (
 
 if TYPE_CHECKING:
     from bus.access import Credential, CredentialSet
+    from outrider.recording.writer import FlightRecorder
+    from sim.scenario import Scenario
+    from sim.server import Server
 
 
 def command(
@@ -58,6 +63,7 @@ def command(
         typer.Option(help="Seconds to wait for vehicles, or a router that is away.", min=0.0, envvar="OUTRIDER_JOIN_TIMEOUT"),
     ] = 30.0,
     respawn: Annotated[bool, typer.Option("--respawn", help="Let the clock stand still until a lost vehicle is back.")] = False,
+    record: Record = None,
     out: Annotated[Path | None, typer.Option(help="Folder for trajectory, picture and summary; none by default.")] = None,
     picture: Annotated[bool, typer.Option(help="Draw the picture too.")] = True,
     json: Json = False,
@@ -107,6 +113,7 @@ def command(
             open_session(party, run, connect=connect, listen=endpoints, credential=credential, given=given) as session,
             reports.progress() if events else flight_progress(flown, "waiting") as progress,
         ):
+            log: list[Callable[[str], None]] = [progress.say]
             server = Server(
                 session,
                 flown,
@@ -115,13 +122,18 @@ def command(
                 deadline=deadline,
                 join_timeout=join_timeout,
                 respawn=respawn,
-                on_event=progress.say,
+                on_event=lambda line: _tell(log, line),
                 stop=lambda: bool(stop),
             )
+            recorder = None if record is None else _recorder(record, flown, server)
+            if recorder is not None:
+                log.append(recorder.event)
             shown = 0.0
 
             def on_tick() -> None:
                 nonlocal shown
+                if recorder is not None:
+                    recorder.tick(server.flight)
                 now = time.monotonic()
                 if now - shown > 0.1 or server.flight.over:
                     shown = now
@@ -143,12 +155,26 @@ def command(
                     )
                     reports.summary(summary)  # first of all, so that a full disk does not take it
                     files = write_flight(flight, summary, out, picture=picture) if out else []
+                    if recorder is not None and record is not None:
+                        recorder.close()
+                        files.append(record)
                     reports.files(files)
                     if json:
                         print_json(summary)
                     elif not events:
                         print_summary(summary, files)
     raise typer.Exit(stop.exit_code)
+
+
+def _tell(listeners: "list[Callable[[str], None]]", line: str) -> None:
+    for listener in listeners:
+        listener(line)
+
+
+def _recorder(path: Path, flown: "Scenario", server: "Server") -> "FlightRecorder":
+    from outrider.recording.writer import FlightRecorder
+
+    return FlightRecorder(path, flown, flown.seed, vehicles=server.vehicles)
 
 
 def _credentials(file: Path | None, *, hosts: bool) -> "tuple[CredentialSet | None, Credential | None]":

@@ -1,0 +1,120 @@
+"""`outrider drive`: an operator's seat in a terminal."""
+
+import contextlib
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from outrider.cli.options import DEFAULT_ENDPOINT, DEFAULT_RUN, Connect, CredentialFile, RunName, check_endpoints, credential_of
+
+if TYPE_CHECKING:
+    from bus.messages import Status
+    from bus.session import Session
+    from outrider.cli.stopping import Stop
+
+
+def command(
+    connect: Connect = DEFAULT_ENDPOINT,
+    run: RunName = DEFAULT_RUN,
+    credentials: CredentialFile = None,
+    vehicle: Annotated[str, typer.Option(help="Which UGV to drive.")] = "ugv_0",
+    speed: Annotated[float, typer.Option(help="How fast a pressed key drives, in m/s.", min=0.05, max=20.0)] = 0.2,
+    back: Annotated[
+        str, typer.Option(metavar="DRIVER", help="Who gets the wheel in the end; by default who had it before.")
+    ] = "",
+) -> None:
+    """Drive a UGV from this terminal, and see how its escort fares. Over SSH and in containers too (`ssh -t`, `docker run -it`).
+
+    Watching changes nothing; the first of the keys WASD, arrows or space takes the wheel. A held key drives that way, two pressed
+    at once drive diagonally. A terminal does not tell when a key is let go: a press counts for 0.7 s and its repeats prolong it,
+    then the UGV brakes. So it does whenever nothing is heard of its operator.
+
+    Space brakes, + and - set the speed, z shows the whole area, h hands the wheel back, q (or Ctrl-C) hands it back and leaves.
+
+    In lockstep simulated time runs about 100 times faster than a hand: give the simulator --realtime 1.
+
+    Example: outrider drive --connect tcp/127.0.0.1:17447 --credentials credentials/operator.json
+    """
+    from bus.errors import ScenarioError
+    from bus.keys import OPERATOR_NAME, Party, Role
+    from bus.session import open_session
+    from outrider.cli.stopping import stop_on_signals
+
+    try:
+        from outrider.drive.terminal import check_terminal
+    except ImportError as error:
+        raise ScenarioError(f"drive: {error.name} is missing; it drives on Unix terminals only") from error
+    check_terminal()
+    check_endpoints((connect,), secured=True, insecure=False)
+    credential = credential_of(credentials, Role.OPERATOR, OPERATOR_NAME)
+    operator = Party(role=Role.OPERATOR, name=OPERATOR_NAME)
+    with open_session(operator, run, connect=connect, credential=credential) as session:
+        with stop_on_signals() as stop:
+            first = _await_run(session, vehicle, stop)
+        if first is None:
+            raise typer.Exit(stop.exit_code)
+        code = _drive(session, vehicle, first, speed=speed, back=back)
+    if code:
+        raise typer.Exit(code)
+
+
+def _await_run(session: "Session", vehicle: str, stop: "Stop") -> "Status | None":
+    """The first status; None if a signal came before it.
+
+    Raises:
+        ScenarioError: If the run has no such UGV.
+    """
+    from bus.errors import ScenarioError
+    from bus.keys import STATUS
+    from bus.messages import Status
+    from outrider.cli.console import ERR
+    from outrider.drive.link import ugvs_of
+
+    statuses = session.inbox(STATUS)
+    letter = statuses.receive(1.0)
+    if letter is None and not stop:
+        ERR.print(f"waiting for the simulator of the run {session.run}; Ctrl-C leaves", soft_wrap=True)
+    while letter is None and not stop:
+        letter = statuses.receive(0.5)
+    statuses.close()
+    if letter is None or not isinstance(letter.message, Status):
+        return None
+    known = ugvs_of(letter.message)
+    if known and vehicle not in known:
+        raise ScenarioError(f"--vehicle {vehicle}: no UGV of this run; there {_are(known)}")
+    return letter.message
+
+
+def _are(names: tuple[str, ...]) -> str:
+    return f"is {names[0]}" if len(names) == 1 else f"are {', '.join(names)}"
+
+
+def _drive(session: "Session", vehicle: str, first: "Status", *, speed: float, back: str) -> int:
+    """Drive until the operator leaves; the exit code."""
+    from bus.errors import ScenarioError
+    from outrider.drive.terminal import ending, know_colours, quiet_logs
+
+    know_colours()
+    try:
+        from outrider.drive.screen import DriveApp
+    except ImportError as error:
+        raise ScenarioError("drive: needs textual: pip install 'outrider[drive]'") from error
+    from outrider.cli.console import ERR
+    from outrider.drive.link import Link
+
+    link = Link(session, vehicle, speed=speed, back=back, status=first)
+    app = DriveApp(link, session.run)
+    with ending(link) as end, quiet_logs() as warnings:
+        link.start()
+        try:
+            app.run(mouse=False)
+        except OSError:
+            if not end.code:
+                raise
+        finally:
+            link.leave()
+            link.wait(5.0)
+    with contextlib.suppress(OSError):  # the terminal may have gone
+        for line in (*dict.fromkeys(warnings), link.farewell()):
+            ERR.print(line, soft_wrap=True)
+    return end.code or app.return_value or app.return_code or 0

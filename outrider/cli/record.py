@@ -1,0 +1,131 @@
+"""`outrider record`: the record of a run in progress, and the repair of one that was killed."""
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from outrider.cli.options import (
+    DEFAULT_ENDPOINT,
+    DEFAULT_RUN,
+    Connect,
+    CredentialFile,
+    Json,
+    RunName,
+    Set,
+    check_endpoints,
+    credential_of,
+)
+
+if TYPE_CHECKING:
+    from bus.session import Session
+    from outrider.cli.stopping import Stop
+    from outrider.recording.writer import RunRecorder
+
+
+def command(
+    out: Annotated[
+        Path | None, typer.Argument(help="The file to write, such as run.mcap; one that is there is replaced.")
+    ] = None,
+    repair: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Save what is whole of a killed recording; nothing is recorded.")
+    ] = None,
+    connect: Connect = DEFAULT_ENDPOINT,
+    run: RunName = DEFAULT_RUN,
+    credentials: CredentialFile = None,
+    scenario: Annotated[
+        str, typer.Option(help="What is flown there, name or file: with it the flight can be drawn and flown again.")
+    ] = "",
+    changes: Set = None,
+    json: Json = False,
+) -> None:
+    """Record a run in progress into an MCAP file: an observer, who disturbs nobody. Ends with the run, or at Ctrl-C.
+
+    The run's own `--record` keeps every tick whatever happens; an observer of a fast run in lockstep may miss some, and says so.
+    A recording whose process was killed can be replayed as it is; with --repair every whole record of it goes to a new file,
+    FILE with the ending .repaired.mcap, that any program for MCAP opens.
+
+    Example: outrider record run.mcap --connect tcp/127.0.0.1:17447 --credentials credentials/observer.json
+
+    Example: outrider record --repair run.mcap
+    """
+    if repair is not None:
+        _repair(repair, out or repair.with_suffix(".repaired.mcap"), json=json)
+        return
+    if out is None:
+        raise typer.BadParameter("name the file to write, such as: outrider record run.mcap")
+    from bus.keys import OBSERVER_NAME, Party, Role
+    from bus.session import open_session
+    from outrider.cli.console import ERR, print_json
+    from outrider.cli.options import scenario_of
+    from outrider.cli.stopping import stop_on_signals
+    from outrider.recording.writer import RunRecorder
+
+    check_endpoints((connect,), secured=True, insecure=False)
+    known = scenario_of(scenario, changes=changes)[0] if scenario else None
+    credential = credential_of(credentials, Role.OBSERVER, OBSERVER_NAME)
+    party = Party(role=Role.OBSERVER, name=OBSERVER_NAME)
+    with (
+        stop_on_signals() as stop,
+        open_session(party, run, connect=connect, credential=credential) as session,
+    ):
+        recorder = RunRecorder(session, out, known)
+        try:
+            lost = _follow(session, recorder, stop)
+        finally:
+            recorder.close()
+    found = {**recorder.counts(), "file": str(out), "bytes": out.stat().st_size, "router_lost": lost}
+    if json:
+        print_json(found)
+    else:
+        ERR.print(f"{out}: {recorder.story()}", soft_wrap=True)
+    if lost:
+        from bus.errors import PeerLost
+
+        raise PeerLost(f"the router at {connect} has gone; what came before it went is in {out}")
+
+
+def _follow(session: "Session", recorder: "RunRecorder", stop: "Stop") -> bool:
+    """Record until the run is over or somebody wants the end; whether it was the router that went."""
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    from outrider.cli.console import ERR
+
+    columns = (
+        TextColumn("[bold]{task.description}"),
+        BarColumn(bar_width=40, complete_style="blue", finished_style="blue"),
+        TextColumn("{task.fields[seconds]:>7.1f} s simulated, {task.fields[missing]} ticks missing"),
+    )
+    alone_since: float | None = None
+    with Progress(*columns, console=ERR, transient=True) as progress:
+        task = progress.add_task("waiting for the run", total=None, seconds=0.0, missing=0)
+        while not stop and not recorder.over:
+            recorder.take(0.2)
+            progress.update(
+                task,
+                description="recording" if recorder.ticks else "waiting for the run",
+                completed=recorder.newest_tick,
+                total=recorder.ticks_of_run,
+                seconds=recorder.newest_time,
+                missing=recorder.missing_ticks,
+            )
+            if session.connected:
+                alone_since = None
+            else:
+                alone_since = alone_since or time.monotonic()
+                if time.monotonic() - alone_since > 3.0:
+                    return True
+    return False
+
+
+def _repair(killed: Path, out: Path, *, json: bool) -> None:
+    from outrider.cli.console import ERR, print_json
+    from outrider.recording.reader import repair
+
+    saved = repair(killed, out)
+    if json:
+        print_json({"file": str(out), "messages": saved.messages, "lost_bytes": saved.lost_bytes, "reason": saved.reason})
+        return
+    what = f"{saved.reason}, {saved.lost_bytes} bytes lost" if saved.reason else "nothing was wrong with it"
+    ERR.print(f"{out}: {saved.messages} messages of {killed} ({what})", soft_wrap=True)

@@ -1,0 +1,39 @@
+"""`outrider render`: a recording as a picture or a film."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    file: Annotated[Path, typer.Argument(help="A recording, also one whose process was killed.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="What to make, by its ending: .png, .gif, or .mp4 (needs ffmpeg).")],
+    fps: Annotated[int, typer.Option(help="Frames per second of a film.", min=1, max=50)] = 20,
+    speed: Annotated[float, typer.Option(help="Simulated seconds per second of a film.", min=0.01, max=10_000.0)] = 10.0,
+    flight: Annotated[
+        int | None, typer.Option(help="Which flight of a run that was reset, from 0; the last one by default.")
+    ] = None,
+) -> None:
+    """Draw a recorded flight: the picture of a whole run as PNG, or a film from above as GIF or MP4.
+
+    Example: outrider render run.mcap -o run.gif --speed 20
+    """
+    from rich.progress import Progress
+
+    from outrider.cli.console import ERR
+    from outrider.recording.film import check_output, render
+    from outrider.recording.reader import flight_of
+
+    check_output(out)
+    recording = flight_of(file, flight)
+    with Progress(console=ERR, transient=True) as progress:
+        task = progress.add_task("drawing", total=None)
+        render(
+            recording,
+            out,
+            fps=fps,
+            speed=speed,
+            on_frame=lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    ERR.print(f"{out}: {out.stat().st_size / 1e6:.2f} MB", soft_wrap=True)

@@ -1,0 +1,167 @@
+"""`outrider replay`: what a recording tells, and whether it flies the same again."""
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from outrider.cli.options import Json
+
+if TYPE_CHECKING:
+    from outrider.recording.reader import Recording
+
+
+def command(
+    file: Annotated[Path, typer.Argument(help="A recording, also one whose process was killed.")],
+    refly: Annotated[
+        bool, typer.Option("--refly", help="Fly the recorded commands through the simulator again and compare every tick.")
+    ] = False,
+    speed: Annotated[
+        float | None, typer.Option(help="Play it, this many simulated seconds a second; Ctrl-C ends it.", min=0.01, max=1e6)
+    ] = None,
+    flight: Annotated[
+        int | None, typer.Option(help="Which flight of a run that was reset, from 0; the last one by default.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Tell what is in a recording: the run's numbers, and whether the file is whole.
+
+    With --refly the recorded commands go through the same simulator again, without pilots: exit code 0 where every position,
+    velocity and applied command is the same to the last bit, 1 at the first that is not, which is named.
+
+    Example: outrider replay run.mcap --refly
+    """
+    from outrider.recording.reader import flight_of
+
+    recording = flight_of(file, flight)
+    if refly:
+        _refly(recording, json=json)
+        return
+    if speed is not None:
+        _play(recording, speed)
+    _tell(recording, json=json)
+
+
+def _refly(recording: "Recording", *, json: bool) -> None:
+    from outrider.cli.console import ERR, OUT, print_json
+    from outrider.recording.refly import refly
+
+    with ERR.status("flying it again"):
+        found = refly(recording)
+    same, where = found.difference is None, found.difference
+    if json:
+        told: dict[str, Any] = {
+            "file": str(recording.path),
+            "same": same,
+            "ticks": found.ticks,
+            "trajectory_sha256": found.trajectory_sha256,
+            "recorded_sha256": found.recorded_sha256,
+            "difference": None
+            if where is None
+            else {
+                "tick": where.tick,
+                "vehicle": where.vehicle,
+                "field": where.field,
+                "recorded": where.recorded,
+                "flown": where.flown,
+            },
+            "note": found.note,
+        }
+        print_json(told)
+    else:
+        verdict = "[green]the same to the last bit[/]" if same else f"[red]differs from {where}[/]"
+        OUT.print(f"{recording.path}: {found.ticks} ticks flown again, {verdict}", soft_wrap=True)
+        OUT.print(f"  trajectory_sha256 {found.trajectory_sha256}", soft_wrap=True)
+        if found.note:
+            OUT.print(f"  {found.note}", soft_wrap=True)
+    if not same:
+        raise typer.Exit(1)
+
+
+def _play(recording: "Recording", speed: float) -> None:
+    """Let simulated time pass at this speed."""
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    from outrider.cli.console import ERR
+    from outrider.cli.stopping import stop_on_signals
+
+    truths = recording.truths
+    begin, end = truths[0].time, truths[-1].time
+    columns = (
+        TextColumn("{task.fields[seconds]:>7.1f} s"),
+        BarColumn(bar_width=40, complete_style="blue", finished_style="blue"),
+        TextColumn("distance {task.fields[distance]:.2f} m, e = {task.fields[error]:.1f} m²"),
+    )
+    with Progress(*columns, console=ERR, transient=True) as progress, stop_on_signals() as stop:
+        task = progress.add_task("", total=max(end - begin, 1e-9), seconds=begin, distance=0.0, error=0.0)
+        started, row = time.monotonic(), 0
+        while not stop and row < len(truths):
+            now = begin + (time.monotonic() - started) * speed
+            while row < len(truths) and truths[row].time <= now:
+                row += 1
+            shown = truths[max(row - 1, 0)]
+            distance, error = max((escort.distance, escort.coverage_error) for escort in shown.escorts)
+            progress.update(task, completed=shown.time - begin, seconds=shown.time, distance=distance, error=error)
+            time.sleep(0.05)
+    if stop:
+        raise typer.Exit(stop.exit_code)
+
+
+def _tell(recording: "Recording", *, json: bool) -> None:
+    import msgspec
+
+    from outrider.cli.console import OUT, print_json, print_summary
+    from outrider.recording.refly import from_the_start, restore
+    from outrider.summary import summarize
+
+    told = _facts(recording)
+    if recording.head.scenario is not None and from_the_start(recording):
+        seconds = _wall_time(recording)
+        restored = restore(recording)
+        summary = msgspec.structs.replace(summarize(restored, seconds=seconds), platform=recording.head.platform)
+        if json:
+            print_json({**msgspec.to_builtins(summary), **told})
+            return
+        print_summary(summary, [])
+    elif json:
+        print_json(told)
+        return
+    else:
+        OUT.print(
+            f"{told['scenario']}, seed {told['seed']}: recorded by an observer, ticks {told['first_tick']} to {told['last_tick']}"
+        )
+        OUT.print(f"  distance: largest {told['max_distance']:.3f} m, mean {told['mean_distance']:.3f} m")
+    whole = "whole" if told["whole"] else f"not whole: {told['reason']}"
+    missing = f", {told['missing_ticks']} ticks missing" if told["missing_ticks"] else ""
+    size = f"{told['bytes'] / 1e6:.2f} MB, {told['bytes_per_minute'] / 1e6:.2f} MB per simulated minute"
+    OUT.print(f"  {recording.path}: {size}, {whole}{missing}", soft_wrap=True)
+
+
+def _wall_time(recording: "Recording") -> float:
+    """What the flight took [s], from the speeds that its status told; 0: not known."""
+    factors, flown = recording.factors, recording.truths[-1].time - recording.truths[0].time
+    return flown * sum(1.0 / factor for factor in factors) / len(factors) if factors else 0.0
+
+
+def _facts(recording: "Recording") -> dict[str, Any]:
+    """What can be told of any recording."""
+    truths, damage = recording.truths, recording.damage
+    distances = [escort.distance for truth in truths for escort in truth.escorts]
+    minutes = (truths[-1].time - truths[0].time) / 60.0
+    return {
+        "file": str(recording.path),
+        "flight": recording.number,
+        "scenario": recording.head.name,
+        "seed": recording.head.seed,
+        "recorded_with": recording.head.outrider,
+        "first_tick": truths[0].tick,
+        "last_tick": truths[-1].tick,
+        "missing_ticks": recording.missing_ticks,
+        "max_distance": max(distances, default=None),
+        "mean_distance": sum(distances) / len(distances) if distances else None,
+        "whole": not damage.reason,
+        "reason": damage.reason,
+        "bytes": damage.size,
+        "bytes_per_minute": damage.size / minutes if minutes > 0.0 else 0.0,
+    }

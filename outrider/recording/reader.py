@@ -1,0 +1,327 @@
+"""Reading a recording as a stream, up to its last whole record: a killed file reads like one that was closed."""
+
+import struct
+import zlib
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO, TypeVar
+
+import msgspec
+
+from bus.errors import ScenarioError
+from bus.messages import CoverageMap, Message, Status, Truth
+from outrider.recording.schemas import (
+    COMMANDS,
+    COVERAGE,
+    EXTRA,
+    SCENARIO,
+    STATUS,
+    TRUTH,
+    Commands,
+    Head,
+    Topic,
+    read_head,
+    scenario_in,
+)
+from sim.scenario import Scenario
+
+try:  # an extra
+    import zstandard
+    from mcap import records
+    from mcap.data_stream import ReadDataStream
+    from mcap.exceptions import McapError
+    from mcap.opcode import Opcode
+    from mcap.stream_reader import breakup_chunk
+    from mcap.writer import Writer
+except ImportError as absent:
+    raise ScenarioError(EXTRA) from absent
+
+Sent = TypeVar("Sent", bound=Message)
+
+_MAGIC = b"\x89MCAP0\r\n"
+_HEAD = 9
+"""Bytes before a record's content: its kind and its length."""
+_KINDS: dict[int, type[Any]] = {
+    Opcode.HEADER: records.Header,
+    Opcode.SCHEMA: records.Schema,
+    Opcode.CHANNEL: records.Channel,
+    Opcode.CHUNK: records.Chunk,
+}
+_BROKEN = (McapError, struct.error, UnicodeDecodeError, ValueError, zlib.error, zstandard.ZstdError, RuntimeError, MemoryError)
+"""What the libraries raise on bytes that are no record."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Damage:
+    """Where a file stops making sense."""
+
+    end: int = 0
+    """Bytes that could be read."""
+    size: int = 0
+    """Bytes that are there."""
+    reason: str = ""
+    """Empty: the file was closed as it should be."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entry:
+    """One message of a recording."""
+
+    topic: str
+    time: int
+    """On the file's clock [ns]."""
+    data: bytes
+
+
+def _open(path: Path) -> BinaryIO:
+    try:
+        file = path.open("rb")
+    except (OSError, ValueError) as error:
+        raise ScenarioError(f"{path}: {getattr(error, 'strerror', None) or error}; allowed: an MCAP file") from error
+    if file.read(len(_MAGIC)) != _MAGIC:
+        file.close()
+        raise ScenarioError(f"{path}: not an MCAP file; allowed: a recording of Outrider's")
+    return file
+
+
+def _parse(kind: int, content: bytes) -> list[Any]:
+    """The records in one record of the file: those of a chunk, or itself."""
+    if kind == Opcode.MESSAGE:
+        return [records.Message.read(ReadDataStream(BytesIO(content)), len(content))]
+    if kind not in _KINDS:
+        return []  # indexes and statistics, which a stream has no use for
+    record = _KINDS[kind].read(ReadDataStream(BytesIO(content)))
+    return list(breakup_chunk(record, validate_crc=True)) if kind == Opcode.CHUNK else [record]
+
+
+def stream(path: Path, damage: Damage | None = None) -> Iterator[Any]:
+    """Every whole record of the data section: header, schemas, channels and messages as the library `mcap` has them.
+
+    Args:
+        path: The file.
+        damage: Is told where and why reading ended.
+
+    Raises:
+        ScenarioError: If it is no MCAP file.
+    """
+    told = damage if damage is not None else Damage()
+    with _open(path) as file:
+        told.size = path.stat().st_size
+        told.end = len(_MAGIC)
+        while True:
+            head = file.read(_HEAD)
+            if len(head) < _HEAD:
+                told.reason = "it ends without a footer"
+                return
+            kind, length = struct.unpack("<BQ", head)
+            if length > told.size - told.end - _HEAD:
+                told.reason = "it ends within a record"
+                return
+            if kind == Opcode.DATA_END:
+                told.end = told.size
+                return
+            try:
+                found = _parse(kind, file.read(length))
+            except _BROKEN as error:
+                told.reason = f"damaged at byte {told.end}: {' '.join(str(error).split()) or type(error).__name__}"
+                return
+            told.end += _HEAD + length
+            yield from found
+
+
+def entries(path: Path, topics: Collection[str] = (), damage: Damage | None = None) -> Iterator[Entry]:
+    """The messages in the order in which they were written.
+
+    Args:
+        path: The file.
+        topics: Which channels; none: all.
+        damage: Is told where and why reading ended.
+
+    Raises:
+        ScenarioError: If it is no MCAP file, or nothing whole is in it.
+    """
+    names: dict[int, str] = {}
+    for record in stream(path, damage):
+        if isinstance(record, records.Channel):
+            names[record.id] = record.topic
+        elif isinstance(record, records.Message) and record.channel_id in names:
+            topic = names[record.channel_id]
+            if not topics or topic in topics:
+                yield Entry(topic=topic, time=record.log_time, data=record.data)
+
+
+def _decoded(path: Path, entry: Entry, decoder: "msgspec.json.Decoder[Sent]") -> Sent:
+    try:
+        return decoder.decode(entry.data)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ScenarioError(f"{path}: {entry.topic} at {entry.time / 1e9:g} s: {error}; allowed: what Outrider writes") from error
+
+
+def _all(path: Path, topic: Topic, kind: type[Sent], flight: int | None) -> Iterator[Sent]:
+    decoder = msgspec.json.Decoder(kind)
+    number = -1
+    for entry in entries(path, (SCENARIO.name, topic.name)):
+        if entry.topic == SCENARIO.name:
+            number += 1
+        elif flight is None or flight == number:
+            yield _decoded(path, entry, decoder)
+
+
+def truths(path: Path, *, flight: int | None = None) -> Iterator[Truth]:
+    """Every Truth in the file, read as a stream.
+
+    Args:
+        path: The file.
+        flight: Of which of its flights, from 0; None: of all, one after the other.
+
+    Raises:
+        ScenarioError: If the file cannot be read.
+    """
+    return _all(path, TRUTH, Truth, flight)
+
+
+def coverages(path: Path, *, flight: int | None = None) -> Iterator[CoverageMap]:
+    """Every map of the ground; as `truths`."""
+    return _all(path, COVERAGE, CoverageMap, flight)
+
+
+def statuses(path: Path, *, flight: int | None = None) -> Iterator[Status]:
+    """Every Status; as `truths`."""
+    return _all(path, STATUS, Status, flight)
+
+
+@dataclass(slots=True, kw_only=True)
+class Recording:
+    """One flight of a file, without its maps."""
+
+    path: Path
+    number: int
+    """Which flight of the file, from 0."""
+    head: Head
+    truths: list[Truth] = field(default_factory=list)
+    commands: dict[int, Commands] = field(default_factory=dict)
+    """By tick."""
+    factors: list[float] = field(default_factory=list)
+    """Simulated seconds per second of wall time, as the run's status told now and then."""
+    damage: Damage = field(default_factory=Damage)
+
+    @property
+    def scenario(self) -> Scenario:
+        """What was flown.
+
+        Raises:
+            ScenarioError: If the file does not tell, or this version cannot fly it.
+        """
+        return scenario_in(self.head, file=str(self.path))
+
+    @property
+    def missing_ticks(self) -> int:
+        """Ticks between the first and the last that are not in the file."""
+        return self.truths[-1].tick - self.truths[0].tick + 1 - len(self.truths) if self.truths else 0
+
+
+def load(path: Path) -> list[Recording]:
+    """The flights of a file.
+
+    Raises:
+        ScenarioError: If it is no MCAP file, not one of Outrider's, of another version, or nothing whole is in it.
+    """
+    damage = Damage()
+    flights: list[Recording] = []
+    decoders: dict[str, msgspec.json.Decoder[Any]] = {t.name: msgspec.json.Decoder(t.message) for t in (TRUTH, COMMANDS, STATUS)}
+    seen = 0
+    for entry in entries(path, damage=damage):
+        seen += 1
+        if entry.topic == SCENARIO.name:
+            head = read_head(entry.data, file=str(path))
+            flights.append(Recording(path=path, number=len(flights), head=head, damage=damage))
+            continue
+        decoder = decoders.get(entry.topic)
+        if decoder is None or not flights:
+            continue
+        message = _decoded(path, entry, decoder)
+        if isinstance(message, Truth):
+            flights[-1].truths.append(message)
+        elif isinstance(message, Commands):
+            flights[-1].commands[message.tick] = message
+        elif isinstance(message, Status):
+            flights[-1].factors += [message.realtime_factor] if message.realtime_factor > 0.0 else []
+    if not flights:
+        why = damage.reason or "closed, and empty"
+        what = "nothing whole is in it" if not seen else f"no {SCENARIO.name} in it: not a recording of Outrider's"
+        raise ScenarioError(f"{path}: {what} ({why})")
+    return flights
+
+
+def flight_of(path: Path, number: int | None = None) -> Recording:
+    """One flight of a file: the last that has a truth, unless one is asked for.
+
+    Args:
+        path: The file.
+        number: Which, from 0; negative counts from the end.
+
+    Raises:
+        ScenarioError: If the file cannot be read, or has no such flight, or no tick is in it.
+    """
+    flights = load(path)
+    if number is None:
+        flown = [flight for flight in flights if flight.truths]
+        if not flown:
+            raise ScenarioError(f"{path}: no tick in it: the run was over before it began, or the file was cut off there")
+        return flown[-1]
+    if not -len(flights) <= number < len(flights):
+        raise ScenarioError(f"{path}: flight {number}: allowed are 0 to {len(flights) - 1}")
+    if not flights[number].truths:
+        raise ScenarioError(f"{path}: flight {number}: no tick in it")
+    return flights[number]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Repair:
+    """What a repair has saved."""
+
+    messages: int
+    lost_bytes: int
+    reason: str
+    """What was wrong; empty: nothing."""
+
+
+def repair(path: Path, out: Path) -> Repair:
+    """Write every whole record of a file into a new one that any reader of MCAP opens.
+
+    Args:
+        path: The killed file.
+        out: The new one; replaced if it is there.
+
+    Raises:
+        ScenarioError: If there is nothing to save, or both are the same file.
+        OSError: If the new file cannot be written.
+    """
+    if out.exists() and out.samefile(path):
+        raise ScenarioError(f"{out}: is the file to be repaired; allowed: another one")
+    damage = Damage()
+    found = stream(path, damage)
+    first = next(found, None)
+    if first is None:
+        raise ScenarioError(f"{path}: nothing whole is in it ({damage.reason})")
+    messages = 0
+    schemas, channels = {0: 0}, dict[int, int]()
+    with out.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile=getattr(first, "profile", ""), library=f"outrider repair of {path.name}")
+        for record in found:
+            if isinstance(record, records.Schema) and record.id not in schemas:
+                schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
+            elif isinstance(record, records.Channel) and record.id not in channels:
+                channels[record.id] = writer.register_channel(
+                    record.topic, record.message_encoding, schemas.get(record.schema_id, 0), dict(record.metadata)
+                )
+            elif isinstance(record, records.Message) and record.channel_id in channels:
+                messages += 1
+                writer.add_message(
+                    channels[record.channel_id], record.log_time, record.data, record.publish_time, record.sequence
+                )
+        writer.finish()  # type: ignore[no-untyped-call]
+    return Repair(messages=messages, lost_bytes=damage.size - damage.end, reason=damage.reason)

@@ -1,0 +1,163 @@
+"""Flying a recording again: the same commands through the same simulator, without pilots; and the recorded flight as it was."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from bus.errors import ScenarioError
+from bus.messages import Truth
+from outrider.recording.reader import Recording
+from sim.flight import Flight
+from sim.recorder import platform_row
+
+_FIELDS = ("position", "velocity", "acceleration")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Difference:
+    """The first number that is not the same."""
+
+    tick: int
+    vehicle: str
+    field: str
+    recorded: tuple[float, float]
+    flown: tuple[float, float]
+
+    def __str__(self) -> str:
+        """One line for a person."""
+        return f"tick {self.tick}, {self.vehicle}: {self.field} recorded {self.recorded}, flown again {self.flown}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reflight:
+    """A recording flown again."""
+
+    flight: Flight
+    ticks: int
+    """Ticks that were flown again."""
+    recorded_sha256: str
+    """`trajectory_sha256` of the recorded numbers."""
+    trajectory_sha256: str
+    """The same of the flight."""
+    difference: Difference | None
+    """None: every position, velocity and applied command is the same to the last bit."""
+    note: str
+    """Why there may be a difference, or why it was not flown to the end; empty: nothing to say."""
+
+
+def from_the_start(recording: Recording) -> bool:
+    """Whether it holds the flight from its first tick."""
+    return bool(recording.truths) and recording.truths[0].tick == 0
+
+
+def _new_flight(recording: Recording) -> Flight:
+    scenario = recording.scenario
+    flight = Flight(scenario, recording.head.seed)
+    if not from_the_start(recording):
+        where = f"begins at tick {recording.truths[0].tick}" if recording.truths else "is empty"
+        raise ScenarioError(f"{recording.path}: {where}; allowed: a recording from the first tick on")
+    if set(recording.truths[0].vehicles) != set(flight.world.names):
+        raise ScenarioError(f"{recording.path}: its vehicles are not those of its scenario {scenario.name!r}")
+    return flight
+
+
+def _without_gap(recording: Recording) -> int:
+    """How many truths follow each other from the first on."""
+    return next((k for k, truth in enumerate(recording.truths) if truth.tick != k), len(recording.truths))
+
+
+def _put(flight: Flight, truth: Truth) -> None:
+    """Make the world's state the recorded one, and take it down."""
+    world = flight.world
+    for k, name in enumerate(world.names):
+        vehicle = truth.vehicles[name]
+        world.position[k], world.velocity[k], world.acceleration[k] = vehicle.position, vehicle.velocity, vehicle.acceleration
+    escorts = {escort.uav: escort for escort in truth.escorts}
+    for k, uav in enumerate(world.uavs):
+        found = escorts[uav.name].detection
+        world.detections[k] = found if found is not None else (np.nan, np.nan)
+    flight.recorder.record([escorts[uav.name].report for uav in world.uavs])
+
+
+def restore(recording: Recording) -> Flight:
+    """The recorded flight, with its record and its ground, as if it had just been flown.
+
+    Every state is the recorded one; the ground is what the UAVs saw from there. Ticks that an observer missed are bridged
+    with the last command that is known.
+
+    Raises:
+        ScenarioError: If the file does not tell the scenario, or does not begin with the first tick.
+    """
+    flight = _new_flight(recording)
+    _put(flight, recording.truths[0])
+    for truth in recording.truths[1:]:
+        for k, name in enumerate(flight.world.names):
+            flight.commands[k] = truth.vehicles[name].command
+        while flight.world.tick < truth.tick - 1:
+            flight.world.step(flight.commands)
+            flight.recorder.record([None] * len(flight.world.uavs))
+        flight.world.step(flight.commands)
+        _put(flight, truth)
+    return flight
+
+
+def _commands(recording: Recording, flight: Flight) -> Iterator[bool]:
+    """Put the commands of each tick into the flight's array; ends where one is not in the file."""
+    for tick in range(_without_gap(recording) - 1):
+        asked = recording.commands.get(tick)
+        if asked is None or set(asked.accelerations) != set(flight.world.names):
+            return
+        for k, name in enumerate(flight.world.names):
+            flight.commands[k] = asked.accelerations[name]
+        yield True
+
+
+def _difference(flight: Flight, truth: Truth) -> Difference | None:
+    world = flight.world
+    arrays = (world.position, world.velocity, world.acceleration)
+    for k, name in enumerate(world.names):
+        for field, array in zip(_FIELDS, arrays, strict=True):
+            recorded, flown = getattr(truth.vehicles[name], field), (float(array[k, 0]), float(array[k, 1]))
+            if recorded != flown:
+                return Difference(tick=truth.tick, vehicle=name, field=field, recorded=recorded, flown=flown)
+    return None
+
+
+def refly(recording: Recording) -> Reflight:
+    """Fly the recorded commands again and compare every tick with what was recorded.
+
+    Raises:
+        ScenarioError: If the file does not tell the scenario, or does not begin with the first tick.
+    """
+    flight, copy = _new_flight(recording), _new_flight(recording)  # the copy only hashes what was recorded
+    difference = _difference(flight, recording.truths[0])
+    flight.recorder.record(flight.reports)
+    _put(copy, recording.truths[0])
+    for _ in _commands(recording, flight):
+        flight.world.step(flight.commands)
+        flight.recorder.record(flight.reports)
+        truth = recording.truths[flight.world.tick]
+        copy.world.tick = truth.tick
+        _put(copy, truth)
+        difference = difference or _difference(flight, truth)
+    return Reflight(
+        flight=flight,
+        ticks=flight.recorder.ticks,
+        recorded_sha256=copy.recorder.sha256(),
+        trajectory_sha256=flight.recorder.sha256(),
+        difference=difference,
+        note=_note(recording, flight, difference),
+    )
+
+
+def _note(recording: Recording, flight: Flight, difference: Difference | None) -> str:
+    notes = []
+    here, there = platform_row(), recording.head.platform
+    if difference is not None and here != there:
+        other = ", ".join(f"{key} {there.get(key)} there, {here[key]} here" for key in here if here[key] != there.get(key))
+        notes.append(f"recorded on another platform ({other}): compare to 1e-9")
+    missing = recording.truths[-1].tick - flight.recorder.ticks
+    if missing:
+        notes.append(f"flown again to tick {flight.recorder.ticks}: the next is not in the file, which has {missing} more")
+    return "; ".join(notes)

@@ -1,0 +1,168 @@
+"""What stands in a recording: its channels, their JSON schemas, and the head that says what was flown.
+
+Times are simulated: nanoseconds since the first tick. One file holds one run; a run that was reset has several flights, one after
+the other, each with a head of its own.
+"""
+
+import math
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta
+
+from agents.control.visibility import raw_switching_radius
+from bus.errors import ScenarioError
+from bus.messages import CoverageMap, Message, Name, NonNegative, Status, Text, Tick, Truth, Vector
+from sim.recorder import platform_row
+from sim.scenario import Scenario
+from sim.scenario_checks import check_scenario
+from sim.scenario_reading import apply_override, typed
+
+FORMAT = 1
+"""Of the file. Another number cannot be read."""
+PROFILE = "outrider"
+"""In the MCAP header."""
+EXTRA = "recording needs the extra: pip install 'outrider[record]'"
+
+
+class Head(Message, frozen=True, kw_only=True):
+    """What was flown; the first message of each flight."""
+
+    format: int = FORMAT
+    outrider: Text
+    """Version that wrote the file."""
+    episode: Tick = 0
+    """Which flight of the run."""
+    start: NonNegative = 0.0
+    """Where this flight's tick 0 lies on the file's clock [s]."""
+    name: Text
+    """Of the scenario."""
+    seed: Tick
+    platform: dict[str, str]
+    """What the bits depend on besides scenario and seed."""
+    scenario: dict[str, Any] | None = None
+    """All of it; None: whoever recorded did not know it."""
+    infinite: tuple[str, ...] = ()
+    """Fields of the scenario that are infinite: JSON has no such number and they are null there."""
+
+
+class Commands(Message, frozen=True, kw_only=True):
+    """What each vehicle was asked for during a tick, before the bounds: what is needed to fly it again."""
+
+    tick: Tick
+    accelerations: dict[Name, Vector]
+    """[m/s²]"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Topic:
+    """One of our own channels."""
+
+    name: str
+    message: type[Message]
+
+
+SCENARIO = Topic(name="/scenario", message=Head)
+TRUTH = Topic(name="/truth", message=Truth)
+COMMANDS = Topic(name="/commands", message=Commands)
+STATUS = Topic(name="/status", message=Status)
+COVERAGE = Topic(name="/coverage", message=CoverageMap)
+TOPICS = (SCENARIO, TRUTH, COMMANDS, STATUS, COVERAGE)
+
+
+def inlined_schema(message: type[Message]) -> dict[str, Any]:
+    """The JSON schema of a message without references: foxglove-sdk refuses the `$ref` that msgspec puts on top."""
+    schema = msgspec.json.schema(message)
+    definitions: dict[str, Any] = schema.pop("$defs", {})
+
+    def resolved(part: Any) -> Any:  # noqa: ANN401 - JSON
+        if isinstance(part, list):
+            return [resolved(entry) for entry in part]
+        if not isinstance(part, dict):
+            return part
+        target = part.get("$ref")
+        if target is None:
+            return {key: resolved(value) for key, value in part.items()}
+        beside = {key: resolved(value) for key, value in part.items() if key != "$ref"}
+        return {**resolved(definitions[str(target).rpartition("/")[2]]), **beside}
+
+    found: dict[str, Any] = resolved(schema)
+    return found
+
+
+def _infinite(value: object, path: str) -> list[str]:
+    if isinstance(value, float):
+        return [path] if math.isinf(value) else []
+    pairs = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list | tuple) else ()
+    return [found for key, part in pairs for found in _infinite(part, f"{path}.{key}" if path else str(key))]
+
+
+def head_of(scenario: Scenario, seed: int, *, episode: int = 0, start: float = 0.0) -> Head:
+    """The head of a flight whose scenario is known.
+
+    Args:
+        scenario: What is flown.
+        seed: Of all random numbers.
+        episode: Which flight of the run.
+        start: Where its tick 0 lies on the file's clock [s].
+    """
+    plain: dict[str, Any] = msgspec.to_builtins(scenario)
+    return Head(
+        outrider=version("outrider"),
+        episode=episode,
+        start=start,
+        name=scenario.name,
+        seed=seed,
+        platform=platform_row(),
+        scenario=plain,
+        infinite=tuple(_infinite(plain, "")),
+    )
+
+
+def unknown_head(name: str, seed: int, *, episode: int = 0, start: float = 0.0) -> Head:
+    """The head of a run of which an observer knows no more than its name and seed; as `head_of`."""
+    return Head(outrider=version("outrider"), episode=episode, start=start, name=name, seed=seed, platform=platform_row())
+
+
+def scenario_in(head: Head, *, file: str) -> Scenario:
+    """The scenario that was flown, every bit of it.
+
+    Raises:
+        ScenarioError: If it is not there, or this version cannot fly it.
+    """
+    if head.scenario is None:
+        raise ScenarioError(f"{file}: recorded by an observer without the scenario; allowed: a file recorded with --scenario")
+    raw: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(head.scenario))  # a copy to put the infinite ones into
+    for field in head.infinite:
+        apply_override(raw, field, math.inf, file=file)
+    return check_scenario(typed(raw, Scenario, file=file), source=file)
+
+
+def inner_radius(scenario: Scenario, ugv: str) -> float | None:
+    """r_s of (18) around a UGV [m], the smallest of its UAVs; None where it is no circle of its own."""
+    vehicles = {vehicle.name: vehicle for vehicle in scenario.vehicles}
+    r_v, v_g = scenario.visibility.radius, vehicles[ugv].max_speed
+    uavs = [uav for uav in scenario.uav if uav.escorts == ugv]
+    radii = [float(raw_switching_radius(r_v, uav.max_speed, v_g, uav.max_acceleration)) for uav in uavs]
+    return min((r_s for r_s in radii if 0.0 < r_s < r_v), default=None)
+
+
+class _AnyFormat(msgspec.Struct, frozen=True):
+    format: Annotated[int, Meta(ge=0)]
+
+
+def read_head(data: bytes, *, file: str) -> Head:
+    """The head from its JSON.
+
+    Raises:
+        ScenarioError: If it is none, or of another version of the format.
+    """
+    try:
+        written = msgspec.json.decode(data, type=_AnyFormat).format
+        if written != FORMAT:
+            raise ScenarioError(f"{file}: a recording of format {written}; allowed: {FORMAT}, which this version reads")
+        return msgspec.json.decode(data, type=Head)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ScenarioError(f"{file}: {SCENARIO.name}: {error}; allowed: the head that Outrider writes") from error

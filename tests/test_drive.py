@@ -1,0 +1,522 @@
+"""An operator's seat, in a real pseudo-terminal: what keys become on the bus, what the screen says, and how it is left."""
+
+import codecs
+import fcntl
+import math
+import os
+import pty
+import re
+import select
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import pytest
+from processes import await_status, nothing_left_behind, wait_until
+from test_faults import scattered
+
+from bus.access import read_credential
+from bus.keys import CONTROL, OPERATOR, STATUS, TRUTH, Party, Role
+from bus.messages import Action, Area, Control, Drive, EscortTruth, Geometry, Status, Truth, VehicleStatus, VehicleTruth
+from bus.session import Session, open_session
+from outrider.drive.canvas import Canvas
+from outrider.drive.link import Link, View
+from outrider.drive.palette import BACKGROUND
+from outrider.drive.panel import History, banner, numbers
+from outrider.drive.topview import Trails, draw
+from outrider.drive.wheel import FIRST, HIGHEST, LOWEST, REPEAT, Heading, Wheel
+
+__all__ = ["nothing_left_behind"]
+
+CHILD = (
+    "import fcntl, sys, termios\n"
+    "if sys.stdin.isatty(): fcntl.ioctl(0, termios.TIOCSCTTY, 0)\n"
+    "from outrider.cli import drive, main\nmain.COMMANDS['drive'] = drive.command\nmain.main()\n"
+)
+
+
+class Screen:
+    """A terminal as far as these tests need one: text at its place, the cursor, the alternate screen."""
+
+    def __init__(self, columns: int, rows: int) -> None:
+        self.resize(columns, rows)
+        self.modes: dict[str, bool] = {}
+        self._rest = ""
+
+    def resize(self, columns: int, rows: int) -> None:
+        self.cells = [[" "] * columns for _ in range(rows)]
+        self._x = self._y = 0
+
+    def feed(self, text: str) -> None:
+        text = self._rest + text
+        cut = re.search(r"\x1b(?:\[[^@-~]*)?$", text)
+        text, self._rest = (text[: cut.start()], cut[0]) if cut else (text, "")
+        for found in re.finditer(r"\x1b(?:\[([?<>=]?)([\d;:]*)([$ ]?[@-~])|[^\[])|\r|\n|[^\x00-\x1f]", text):
+            self._take(found[0], found[1], found[2], found[3])
+
+    def _take(self, piece: str, mark: str, numbers: str, kind: str) -> None:
+        if kind == "H" and not mark:
+            row, _, column = numbers.partition(";")
+            self._y, self._x = int(row or 1) - 1, int(column or 1) - 1
+        elif kind in ("h", "l") and mark == "?":
+            self.modes[numbers] = kind == "h"
+        elif piece == "\r":
+            self._x = 0
+        elif piece == "\n":
+            self._y += 1
+        elif not piece.startswith("\x1b"):
+            if self._y < len(self.cells) and self._x < len(self.cells[0]):
+                self.cells[self._y][self._x] = piece
+            self._x += 1
+
+    @property
+    def text(self) -> str:
+        return "\n".join("".join(row).rstrip() for row in self.cells)
+
+
+class Seat:
+    """`outrider drive` in a pseudo-terminal of its own."""
+
+    def __init__(self, *arguments: str, columns: int = 80, rows: int = 24) -> None:
+        self.master, self.slave = pty.openpty()
+        self.screen = Screen(columns, rows)
+        self.told = ""
+        self._decode = codecs.getincrementaldecoder("utf-8")().decode
+        self._set_size(columns, rows)
+        self.before = termios.tcgetattr(self.slave)
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", CHILD, "drive", *arguments],
+            stdin=self.slave,
+            stdout=self.slave,
+            stderr=self.slave,
+            start_new_session=True,
+            env=os.environ | {"TERM": "xterm-256color", "COLORTERM": "truecolor"},
+        )
+
+    def _set_size(self, columns: int, rows: int) -> None:
+        fcntl.ioctl(self.master, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
+
+    def resize(self, columns: int, rows: int) -> None:
+        self.screen.resize(columns, rows)
+        self._set_size(columns, rows)
+
+    def read(self, patience: float = 0.02) -> None:
+        while select.select([self.master], [], [], patience)[0]:
+            text = self._decode(os.read(self.master, 65536))
+            self.told += text
+            self.screen.feed(text)
+            patience = 0.0
+
+    def waiting(self) -> int:
+        """How many bytes the terminal holds that nobody has read."""
+        return int(struct.unpack("i", fcntl.ioctl(self.master, termios.FIONREAD, bytes(4)))[0])
+
+    def press(self, keys: str) -> None:
+        os.write(self.master, keys.encode())
+
+    def until(self, condition: Callable[[], object], seconds: float = 15.0) -> None:
+        limit = time.monotonic() + seconds
+        while not condition():
+            self.read()
+            assert time.monotonic() < limit, f"waited in vain before this screen:\n{self.screen.text}\n{self.told[-500:]!r}"
+
+    def until_shown(self, *texts: str) -> None:
+        self.until(lambda: all(text in self.screen.text for text in texts))
+
+    def hold(self, key: str, condition: Callable[[], object], seconds: float = 15.0) -> None:
+        """Hold a key, as a terminal repeats it, until something is so."""
+        limit = time.monotonic() + seconds
+        while not condition():
+            self.press(key)
+            self.read(0.05)
+            assert time.monotonic() < limit, f"held in vain before this screen:\n{self.screen.text}"
+
+    def ends(self) -> int:
+        self.until(lambda: self.process.poll() is not None)
+        self.read()
+        return int(self.process.returncode)
+
+    def left_as_it_was(self) -> bool:
+        modes = self.screen.modes
+        return termios.tcgetattr(self.slave) == self.before and modes["25"] and not modes["1049"] and not modes.get("2004")
+
+    def hang_up(self) -> None:
+        os.close(self.master)
+        os.close(self.slave)
+        self.master = self.slave = -1
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        for descriptor in (self.master, self.slave):
+            with suppress(OSError):
+                os.close(descriptor)
+
+
+@contextmanager
+def seat(*arguments: str, columns: int = 80, rows: int = 24) -> Iterator[Seat]:
+    one = Seat(*arguments, columns=columns, rows=rows)
+    try:
+        yield one
+    finally:
+        one.close()
+
+
+GEOMETRY = Geometry(
+    area=Area(width=40.0, height=40.0, cell=0.25),
+    visibility_radius=4.75,
+    sensor_range=5.0,
+    switching_radius=3.68,
+    dt=0.05,
+    uavs={"uav_0": "ugv_0"},
+)
+
+
+def a_status(**changes: object) -> Status:
+    fields: dict[str, object] = {
+        "scenario": "scripted",
+        "seed": 7,
+        "tick": 100,
+        "ticks": 4000,
+        "time": 5.0,
+        "realtime_factor": 1.0,
+        "wanted_factor": 1.0,
+        "drivers": {"ugv_0": "script"},
+        "geometry": GEOMETRY,
+        "vehicles": {name: VehicleStatus(present=True) for name in ("uav_0", "ugv_0")},
+    }
+    return Status(**(fields | changes))  # type: ignore[arg-type]
+
+
+def a_truth(tick: int = 100, distance: float = 1.25) -> Truth:
+    def at(x: float, y: float, speed: float) -> VehicleTruth:
+        return VehicleTruth(position=(x, y), velocity=(speed, 0.0), acceleration=(0.0, 0.0), command=(0.0, 0.0))
+
+    escort = EscortTruth(uav="uav_0", ugv="ugv_0", distance=distance, coverage_error=321.5, detection=None, report=None)
+    return Truth(
+        tick=tick,
+        time=tick * 0.05,
+        vehicles={"uav_0": at(10.0 + distance, 10.0, 0.3), "ugv_0": at(10.0, 10.0, 0.2)},
+        escorts=(escort,),
+    )
+
+
+class Scripted:
+    """A simulator that flies nothing: it tells a status, does what controls ask for, and keeps all it hears."""
+
+    def __init__(self, session: Session) -> None:
+        self.controls: list[Control] = []
+        self.drives: list[Drive] = []
+        self.drivers = {"ugv_0": "script"}
+        self.tick = 100
+        self._over = threading.Event()
+        self._statuses, self._truths = session.outbox(STATUS), session.outbox(TRUTH)
+        self._controls, self._drives = session.inbox(CONTROL), session.inbox_of_all({"ugv_0": OPERATOR})
+        session.announce()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._over.wait(0.03):
+            while (letter := self._controls.next_waiting()) is not None:
+                assert isinstance(letter.message, Control)
+                self.controls.append(letter.message)
+                self.drivers[letter.message.vehicle or ""] = letter.message.driver or ""
+            while (letter := self._drives.next_waiting()) is not None:
+                assert isinstance(letter.message, Drive)
+                self.drives.append(letter.message)
+            self.tick += 1
+            self._statuses.send(a_status(tick=self.tick, time=self.tick * 0.05, drivers=dict(self.drivers)))
+            self._truths.send(a_truth(self.tick))
+
+    def asked(self, driver: str) -> int:
+        return sum(one == Control(action=Action.DRIVER, vehicle="ugv_0", driver=driver) for one in self.controls)
+
+    def close(self) -> None:
+        self._over.set()
+        self._thread.join()
+
+
+@contextmanager
+def scripted(endpoint: str) -> Iterator[Scripted]:
+    with open_session(Party(role=Role.SIMULATOR, name="simulator"), "mine", connect=endpoint) as session:
+        one = Scripted(session)
+        try:
+            yield one
+        finally:
+            one.close()
+
+
+@pytest.fixture(scope="module")
+def endpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A router's."""
+    where = f"unixsock-stream/{tmp_path_factory.mktemp('r') / 's'}"
+    with open_session(Party(role=Role.OBSERVER, name="observer"), "mine", listen=(where,)):
+        yield where
+
+
+def arguments(endpoint: str, *more: str) -> tuple[str, ...]:
+    return ("--connect", endpoint, "--run", "mine", *more)
+
+
+def test_keys_take_the_wheel_drive_brake_and_give_it_back_and_the_terminal_is_as_before(endpoint: str) -> None:
+    with scripted(endpoint) as simulator, seat(*arguments(endpoint)) as one:
+        one.until_shown("script drives ugv_0", "distance uav_0", "1.25 m", "+3.50 m", "e(t)", "321.5 m²", "▲", "■", "x 1.00")
+        assert not simulator.controls  # to look on changes nothing
+        assert termios.tcgetattr(one.slave) != one.before
+        one.hold("d", lambda: len(simulator.drives) > 5)
+        assert simulator.asked("teleop") == 1
+        assert all(word == Drive(driver="operator", velocity=(0.2, 0.0)) for word in simulator.drives)
+        one.until_shown("YOU DRIVE ugv_0")
+        one.until(lambda: simulator.drives[-1].velocity is None)  # nobody holds the key any more
+        one.hold("\x1b[A", lambda: simulator.drives[-1].velocity == (0.0, 0.2))
+        heard = len(simulator.drives)
+        one.press(" ")
+        one.until(lambda: simulator.drives[-1] == Drive(driver="operator"))
+        assert len(simulator.drives) <= heard + 2  # at once, not when the key has run out
+        one.press("h")
+        one.until_shown("script drives ugv_0")
+        one.hold("S", lambda: simulator.drives[-1].velocity == (0.0, -0.2))
+        assert simulator.asked("teleop") == 2
+        one.press("q")
+        assert one.ends() == 0
+        assert simulator.asked("script") == 2
+        assert simulator.drivers == {"ugv_0": "script"}
+        assert one.left_as_it_was()
+        assert "ugv_0 is handed back to script" in one.told
+
+
+def test_a_simulator_that_goes_is_told_and_the_next_one_is_driven_too(endpoint: str) -> None:
+    with seat(*arguments(endpoint, "--speed", "0.1", "--back", "waypoints")) as one:
+        one.until(lambda: "waiting for the simulator of the run mine" in one.told)
+        with scripted(endpoint) as simulator:
+            one.until_shown("script drives ugv_0")
+            one.hold("a", lambda: simulator.drives)
+            assert simulator.drives[0].velocity == (-0.1, 0.0)
+            one.until_shown("YOU DRIVE")
+        one.until_shown("THE SIMULATOR HAS GONE")
+        with scripted(endpoint) as simulator:
+            one.until_shown("drives ugv_0")
+            one.until(lambda: "GONE" not in one.screen.text)
+            one.hold("w", lambda: simulator.drivers["ugv_0"] == "teleop" and simulator.drives)
+            assert simulator.drives[-1].velocity == (0.0, 0.1)
+            one.resize(46, 20)
+            one.until_shown("YOU DRIVE", "distance uav_0", "1.25 m", "e(t)")
+            assert "■" not in one.screen.text  # no room for a map
+            one.resize(120, 40)
+            one.until_shown("■", "hand back")
+            one.press("q")
+            assert one.ends() == 0
+            assert simulator.controls[-1].driver == "waypoints"
+
+
+@pytest.mark.parametrize(("way", "code"), [("ctrl-c", 130), ("SIGTERM", 143), ("hang-up", 129), ("at once", 0), ("stuck", 143)])
+def test_however_it_ends_the_wheel_is_given_back(way: str, code: int, endpoint: str) -> None:
+    with scripted(endpoint) as simulator, seat(*arguments(endpoint)) as one:
+        one.until_shown("script drives ugv_0")
+        if way == "at once":
+            one.press("dq")
+            assert one.ends() == code
+            tick = simulator.tick
+            wait_until(lambda: simulator.tick > tick + 5)  # whatever was on its way has been heard
+            assert simulator.drivers == {"ugv_0": "script"}
+            return
+        one.hold("d", lambda: simulator.drivers["ugv_0"] == "teleop")
+        if way == "stuck":  # nobody reads what the screen writes, as over a frozen SSH connection
+            wait_until(lambda: one.waiting() > 3000)
+            wait_until(lambda: simulator.drives[-1].velocity is None)
+        if way == "ctrl-c":
+            one.press("\x03")
+        elif way == "hang-up":
+            one.hang_up()
+        else:
+            one.process.send_signal(signal.SIGTERM)
+        if way in ("hang-up", "stuck"):
+            assert one.process.wait(15.0) == code
+        else:
+            assert one.ends() == code
+            assert one.left_as_it_was()
+        if way == "stuck":
+            assert termios.tcgetattr(one.slave) == one.before
+        wait_until(lambda: simulator.drivers["ugv_0"] == "script")
+
+
+def test_a_wheel_taken_before_any_news_came_is_given_back_too(endpoint: str) -> None:
+    simulator, operator = Party(role=Role.SIMULATOR, name="simulator"), Party(role=Role.OPERATOR, name="operator")
+    with (
+        open_session(simulator, "silent", connect=endpoint) as mute,
+        open_session(operator, "silent", connect=endpoint) as session,
+    ):
+        controls = mute.inbox(CONTROL)
+        mute.announce()
+        link = Link(session, "ugv_0", speed=0.2, status=a_status())
+        link.start()
+        asked = []
+        for driver in ("teleop", "script"):
+            wait_until(lambda: link.press(Heading.EAST) or controls.holds_any(), 10.0)  # type: ignore[func-returns-value]
+            letter = controls.next_waiting()
+            assert letter is not None
+            asked.append((driver, letter.message))
+            link.leave()
+        assert link.wait(10.0)
+        assert asked == [(driver, Control(action=Action.DRIVER, vehicle="ugv_0", driver=driver)) for driver, _ in asked]
+        assert "nobody has confirmed" in link.farewell()
+
+
+def test_an_unknown_vehicle_is_refused_with_those_that_there_are(endpoint: str) -> None:
+    with scripted(endpoint), seat(*arguments(endpoint, "--vehicle", "ugv_7")) as one:
+        assert one.ends() == 2
+        assert "--vehicle ugv_7: no UGV of this run; there is ugv_0" in one.told
+        assert "1049" not in one.screen.modes
+
+
+def test_without_a_terminal_there_is_one_clear_line() -> None:
+    run = subprocess.run(
+        [sys.executable, "-c", CHILD, "drive"], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert run.returncode == 2
+    assert run.stderr == "outrider: drive: standard input is no terminal; over SSH use `ssh -t`, in a container `-it`\n"
+
+
+@pytest.mark.usefixtures("nothing_left_behind")
+def test_an_operator_drives_a_flight_in_real_time_and_nothing_jumps(tmp_path: Path) -> None:
+    with scattered(tmp_path) as run:
+        run.router()
+        simulator = run.simulator("--realtime", "4")
+        run.vehicles()
+        files = tmp_path / "credentials"
+        observer = Party(role=Role.OBSERVER, name="observer")
+        own = arguments(run.endpoint, "--credentials", str(files / "operator.json"))
+        with (
+            open_session(observer, "mine", connect=run.endpoint, credential=read_credential(files / "observer.json")) as session,
+            seat(*own) as one,
+        ):
+            truths = session.inbox(TRUTH)
+            seen: list[VehicleTruth] = []
+
+            def heads_west() -> bool:
+                letter = truths.next_waiting()
+                if letter is not None and isinstance(letter.message, Truth):
+                    seen.append(letter.message.vehicles["ugv_0"])
+                return bool(seen) and seen[-1].velocity[0] < -0.15
+
+            one.until_shown("waypoints drives ugv_0", "4.75 m")
+            one.hold("\x1b[D", heads_west)
+            one.until_shown("YOU DRIVE")
+            assert max(math.hypot(*state.acceleration) for state in seen) <= 0.1 + 1e-9
+            one.press("q")
+            assert one.ends() == 0
+            assert one.left_as_it_was()
+            assert "ugv_0 is handed back to waypoints" in one.told
+            after = await_status(session, lambda status: status.drivers == {"ugv_0": "waypoints"})
+            sat = [change.control.driver for change in after.changes]
+            assert list(dict.fromkeys(sat)) == ["teleop", "waypoints"]
+        simulator.kill()
+
+
+def test_a_key_counts_for_a_moment_and_its_repeats_prolong_it() -> None:
+    wheel = Wheel(0.2)
+    assert wheel.velocity(0.0) is None
+    wheel.press(Heading.EAST, 10.0)
+    assert wheel.velocity(10.0 + 0.99 * FIRST) == (0.2, 0.0)
+    assert wheel.velocity(10.0 + FIRST) is None
+    wheel.press(Heading.EAST, 20.0)
+    wheel.press(Heading.EAST, 20.0 + 0.9 * FIRST)
+    assert wheel.velocity(20.0 + 0.9 * FIRST + 0.99 * REPEAT) == (0.2, 0.0)
+    assert wheel.velocity(20.0 + 0.9 * FIRST + REPEAT) is None
+    wheel.press(Heading.WEST, 30.0)
+    wheel.release()
+    assert wheel.velocity(30.0) is None
+
+
+def test_two_keys_at_once_are_a_diagonal_and_one_after_the_other_a_turn() -> None:
+    wheel = Wheel(0.2)
+    wheel.press(Heading.NORTH, 0.0)
+    wheel.press(Heading.EAST, 0.1)
+    assert wheel.velocity(0.1) == pytest.approx((0.2 / math.sqrt(2.0), 0.2 / math.sqrt(2.0)))
+    wheel.press(Heading.EAST, 0.6)  # only the last key of a chord is repeated
+    assert wheel.velocity(0.9) == pytest.approx((0.2 / math.sqrt(2.0), 0.2 / math.sqrt(2.0)))
+    wheel.press(Heading.SOUTH, 0.95)
+    assert wheel.velocity(0.95) == (0.0, -0.2)
+    wheel.press(Heading.NORTH, 1.0)  # opposite keys never add up to nothing
+    assert wheel.velocity(1.0) == (0.0, 0.2)
+
+
+def test_the_speed_keeps_its_bounds() -> None:
+    wheel = Wheel(0.2)
+    wheel.faster(1)
+    assert wheel.speed == pytest.approx(0.25)
+    wheel.faster(-100)
+    assert wheel.speed == LOWEST
+    wheel.faster(10_000)
+    assert wheel.speed == HIGHEST
+
+
+@pytest.mark.parametrize(
+    ("view", "words"),
+    [
+        (View(connected=False, present=False, status=a_status()), "THE ROUTER HAS GONE"),
+        (View(present=False, status=a_status()), "THE SIMULATOR HAS GONE"),
+        (View(age=7.0, status=a_status()), "NO NEWS FROM THE SIMULATOR for 7 s"),
+        (View(fault="cannot send", status=a_status()), "TROUBLE: cannot send"),
+        (View(status=a_status(over=True), present=False), "the flight is over"),
+        (View(status=a_status(paused=True), driver="script"), "script drives ugv_0 (paused)"),
+        (View(status=a_status(), driver="script", asked=True), "taking the wheel"),
+        (View(status=a_status(), driver="teleop"), "YOU DRIVE ugv_0 · braking"),
+        (View(status=a_status(), driver="teleop", wanted=(0.1, 0.0)), "YOU DRIVE ugv_0 · driving"),
+    ],
+)
+def test_the_banner_says_what_matters_most(view: View, words: str) -> None:
+    assert words in banner(view, "ugv_0", leaving=False).text
+
+
+def test_the_panel_says_what_is_lost_and_what_is_too_fast_and_lives_with_knowing_nothing() -> None:
+    history = History()
+    status = a_status(
+        realtime_factor=120.0, wanted_factor=None, vehicles={"uav_0": VehicleStatus(present=False, lost=2, missing_commands=5)}
+    )
+    history.follow(status)
+    text = numbers(View(status=status, truth=a_truth(distance=5.0)), "ugv_0", history).plain
+    assert "too fast to drive: --realtime 1" in text
+    assert "-0.25 m" in text
+    assert "lost 2x, missed 5, AWAY" in text
+    assert all(len(line) <= 32 for line in text.splitlines())
+    assert "distance" in numbers(View(), "ugv_0", History()).plain
+
+
+def characters(canvas: Canvas) -> list[str]:
+    return ["".join(segment.text for segment in canvas.row(row)) for row in range(canvas.height)]
+
+
+def test_the_map_shows_the_vehicles_where_they_are_and_the_limit_of_sight_around_the_ugv() -> None:
+    trails = Trails()
+    trails.follow(a_truth())
+    view = View(status=a_status(), truth=a_truth(distance=3.0))
+    rows = characters(draw(view, "ugv_0", trails, width=44, height=21, wide=False))
+    ugv = next((row.index("■"), k) for k, row in enumerate(rows) if "■" in row)
+    uav = next((row.index("▲"), k) for k, row in enumerate(rows) if "▲" in row)
+    assert uav[1] == ugv[1]
+    metres_per_cell = 3.0 / (uav[0] - ugv[0])
+    line = rows[ugv[1]]
+    rim = max(k for k, letter in enumerate(line) if "\u2800" < letter <= "\u28ff") - ugv[0]
+    assert rim * metres_per_cell == pytest.approx(4.75, abs=1.0)
+    for wide in (False, True):
+        for width, height in ((1, 1), (3, 2), (200, 60)):
+            drawn = characters(draw(view, "ugv_0", trails, width=width, height=height, wide=wide))
+            assert [len(row) for row in drawn] == [width] * height
+    assert "no position yet" in characters(draw(View(), "ugv_0", trails, width=30, height=4, wide=False))[1]
+
+
+def test_dots_are_where_braille_has_them() -> None:
+    canvas = Canvas(2, 1, BACKGROUND)
+    for x, y in ((0, 0), (1, 3), (2, 2), (-1, 0), (0, 4), (4, 0)):
+        canvas.dot(x, y, "#ffffff")
+    assert characters(canvas) == ["⢁⠄"]

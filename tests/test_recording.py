@@ -1,0 +1,602 @@
+"""Recordings: exact, whole after a kill up to the last half second, flown again to the same bits, drawn."""
+
+import hashlib
+import json
+import math
+import os
+import signal
+import struct
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import typer
+from flights import HERE, escort
+from typer.testing import CliRunner
+
+pytest.importorskip("foxglove", reason="the extra [record] is not installed")
+pytest.importorskip("mcap", reason="the extra [record] is not installed")
+
+from mcap.reader import make_reader
+
+from bus.errors import ScenarioError
+from bus.keys import KEYS, SIMULATOR_NAME, Party, Role
+from bus.messages import Law, UavCommand
+from bus.session import open_session
+from outrider.cli import record, render, replay
+from outrider.recording.reader import Damage, Recording, coverages, entries, flight_of, load, repair, statuses, stream, truths
+from outrider.recording.refly import refly, restore
+from outrider.recording.schemas import TOPICS, head_of, inlined_schema, read_head, scenario_in
+from outrider.recording.writer import FlightRecorder, RecordingFile
+from outrider.run import InProcess, fly, make_pilots
+from outrider.summary import summarize
+from sim.flight import Flight
+from sim.scenario import Detections, Scenario, Uav, Ugv
+from sim.server import Server
+
+SCENARIO = escort(
+    "logarithmic",
+    uav=Uav(position=HERE, velocity=(-0.0, 0.1)),
+    ugv=Ugv(position=(20.0, 21.0), goals=((26.0, 21.0), (12.0, 25.0))),
+    detections=Detections(noise=0.1, dropout=0.1, rate=10.0),
+    duration=40.0,
+    name="recorded",
+)
+SEED = 5
+
+
+def recorded(path: Path, scenario: Scenario = SCENARIO, seed: int = SEED) -> Flight:
+    recorder = FlightRecorder(path, scenario, seed)
+    flight, _ = fly(scenario, seed, on_tick=recorder.tick)
+    recorder.close()
+    return flight
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Flight]:
+    path = tmp_path_factory.mktemp("recording") / "run.mcap"
+    return path, recorded(path)
+
+
+def plain(path: Path) -> dict[str, list[tuple[int, bytes]]]:
+    """What the library `mcap` finds by itself: time and data of each channel, in its order."""
+    found: dict[str, list[tuple[int, bytes]]] = {}
+    with path.open("rb") as file:
+        for _, channel, message in make_reader(file, validate_crcs=True).iter_messages():
+            found.setdefault(channel.topic, []).append((message.log_time, message.data))
+    return found
+
+
+@pytest.mark.parametrize("message", [*{key.message for key in KEYS}, *(topic.message for topic in TOPICS)])
+def test_no_schema_refers_to_another(message: type[Any]) -> None:
+    schema = inlined_schema(message)
+    text = json.dumps(schema)
+    assert "$ref" not in text
+    assert "$defs" not in text
+    assert schema["type"] == "object"
+    assert set(schema["properties"]) == set(message.__struct_fields__)
+
+
+def test_a_closed_file_opens_in_the_plain_reader_with_every_message_in_time_order(flown: tuple[Path, Flight]) -> None:
+    path, flight = flown
+    found = plain(path)
+    viewers = {"/tf", "/scene", "/grid", "/log", "/pose/uav_0", "/pose/ugv_0"}
+    assert set(found) == {topic.name for topic in TOPICS} | viewers
+    ticks = flight.recorder.ticks
+    assert [stamp for stamp, _ in found["/truth"]] == [round(k * SCENARIO.dt * 1e9) for k in range(ticks + 1)]
+    assert len(found["/commands"]) == ticks
+    assert len(found["/coverage"]) == len(found["/grid"]) >= SCENARIO.duration
+    with path.open("rb") as file:
+        times = [message.log_time for _, _, message in make_reader(file).iter_messages()]
+        file.seek(0)
+        summary = make_reader(file).get_summary()
+    assert times == sorted(times)
+    assert summary is not None
+    for schema in summary.schemas.values():
+        assert schema.encoding in {"jsonschema", "protobuf"}
+        assert b"$ref" not in schema.data or schema.encoding == "protobuf"
+    written = [entry.time for entry in entries(path)]
+    assert written == sorted(written)
+    assert len(written) == len(times)
+
+
+def test_every_float_comes_back_exactly(flown: tuple[Path, Flight]) -> None:
+    path, flight = flown
+    states, escorts = flight.recorder.states, flight.recorder.escorts
+    digest = hashlib.sha256()
+    rows = list(truths(path))
+    for k, truth in enumerate(rows):
+        assert truth.tick == k
+        assert truth.time == k * SCENARIO.dt
+        for n, name in enumerate(flight.world.names):
+            vehicle = truth.vehicles[name]
+            assert struct.pack("<4d", *vehicle.position, *vehicle.velocity) == states[k, n, :4].tobytes()  # -0.0 too
+            if k:
+                assert vehicle.acceleration == tuple(states[k - 1, n, 4:6])
+        seen = truth.escorts[0]
+        assert (seen.distance, seen.coverage_error) == tuple(escorts[k, 0, :2])
+        assert (seen.detection is None) == math.isnan(escorts[k, 0, 2])
+        assert seen.detection is None or seen.detection == tuple(escorts[k, 0, 2:4])
+        assert (seen.report is None) == (k == 0)
+        assert seen.report is None or seen.report.estimate == tuple(escorts[k - 1, 0, 4:6])
+    for before, after in pairwise(rows):
+        for name in flight.world.names:
+            numbers = (*before.vehicles[name].position, *before.vehicles[name].velocity, *after.vehicles[name].acceleration)
+            digest.update(struct.pack("<6d", *(0.0 if number == 0.0 else number for number in numbers)))
+    assert digest.hexdigest() == flight.recorder.sha256()
+
+
+def test_refly_gives_the_live_flights_hash(flown: tuple[Path, Flight]) -> None:
+    path, flight = flown
+    found = refly(flight_of(path))
+    assert found.difference is None
+    assert found.note == ""
+    assert found.ticks == flight.recorder.ticks
+    assert found.trajectory_sha256 == found.recorded_sha256 == flight.recorder.sha256()
+
+
+def test_a_command_is_what_was_asked_for_before_the_bounds(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    recorder, flight = FlightRecorder(path, SCENARIO, SEED), Flight(SCENARIO, SEED)
+    asked = [(0.1 * k, -7.0 / 3.0) for k in range(30)]
+    for k, u in enumerate(asked):
+        flight.recorder.record(flight.reports)
+        flight.apply({"uav_0": UavCommand(tick=k, acceleration=u)})  # beyond u_max; the UGV is silent and brakes in the end
+        recorder.tick(flight)
+    flight.recorder.record(flight.reports)
+    recorder.close()
+    recording = flight_of(path)
+    assert [recording.commands[k].accelerations["uav_0"] for k in range(30)] == asked
+    assert [truth.vehicles["uav_0"].command for truth in recording.truths[1:]] == asked
+    assert all(math.hypot(*truth.vehicles["uav_0"].acceleration) < 0.3 + 1e-12 for truth in recording.truths)
+    assert refly(recording).trajectory_sha256 == flight.recorder.sha256()
+
+
+@pytest.mark.parametrize(("tick", "vehicle"), [(0, "uav_0"), (300, "ugv_0"), (799, "uav_0")])
+def test_a_changed_command_is_found_at_its_tick(flown: tuple[Path, Flight], tick: int, vehicle: str) -> None:
+    recording = flight_of(flown[0])
+    asked = recording.commands[tick]
+    changed = {**asked.accelerations, vehicle: (asked.accelerations[vehicle][0] * 0.5 + 1e-9, 0.0)}
+    recording.commands[tick] = msgspec.structs.replace(asked, accelerations=changed)
+    found = refly(recording)
+    assert found.difference is not None
+    assert (found.difference.tick, found.difference.vehicle) == (tick + 1, vehicle)
+    assert found.trajectory_sha256 != found.recorded_sha256 == flown[1].recorder.sha256()
+
+
+def test_the_restored_flight_sums_up_like_the_live_one(flown: tuple[Path, Flight]) -> None:
+    path, flight = flown
+    restored = restore(flight_of(path))
+    assert summarize(restored, seconds=1.0) == summarize(flight, seconds=1.0)
+    assert (restored.world.coverage == flight.world.coverage).all()
+
+
+def test_infinite_bounds_survive(tmp_path: Path) -> None:
+    scenario = escort(
+        Law(name="tracking"),
+        uav=Uav(position=HERE, max_speed=math.inf, max_acceleration=math.inf),
+        ugv=Ugv(position=(20.0, 21.0), goals=((26.0, 21.0),)),
+        duration=2.0,
+    )
+    flight = recorded(tmp_path / "run.mcap", scenario)
+    recording = flight_of(tmp_path / "run.mcap")
+    assert recording.scenario == scenario
+    assert set(recording.head.infinite) == {"uav.0.max_speed", "uav.0.max_acceleration"}
+    assert refly(recording).trajectory_sha256 == flight.recorder.sha256()
+
+
+def test_the_scenario_comes_back_whole(flown: tuple[Path, Flight]) -> None:
+    recording = flight_of(flown[0])
+    assert recording.scenario == SCENARIO
+    assert recording.head.seed == SEED
+    assert scenario_in(head_of(SCENARIO, 1), file="x") == SCENARIO
+
+
+def test_the_map_is_the_ground(flown: tuple[Path, Flight]) -> None:
+    path, flight = flown
+    maps = list(coverages(path))
+    assert [ground.tick for ground in maps[:3]] == [0, 1, 21]
+    last = maps[-1]
+    assert last.tick == flight.recorder.ticks
+    share = (flight.world.coverage * (255.0 / SCENARIO.coverage.desired)).clip(0.0, 255.0).astype("u1")
+    assert last.cells == share.tobytes()
+    assert (last.rows, last.columns) == flight.world.coverage.shape
+
+
+def test_status_and_log_tell_how_it_went(tmp_path: Path) -> None:
+    blind = escort("coverage", ugv=Ugv(position=(20.0, 21.0), goals=((30.0, 21.0),)), duration=60.0)
+    path = tmp_path / "run.mcap"
+    recorder = FlightRecorder(path, blind, 0)
+    recorder.event("everybody is here")
+
+    def follow(flight: Flight) -> None:
+        recorder.tick(flight)
+        if flight.world.tick == 100:
+            recorder.event("somebody coughed", 100)
+
+    flight, _ = fly(blind, 0, on_tick=follow)
+    recorder.close()
+    told = list(statuses(path))
+    assert told[-1].over
+    assert not told[0].over
+    assert told[-1].tick == flight.recorder.ticks
+    log = plain(path)["/log"]
+    assert any(b"everybody is here" in data and time == 50_000_000 for time, data in log)
+    assert any(b"somebody coughed" in data and time == 5_000_000_000 for time, data in log)
+    assert (flight.recorder.escorts[:, 0, 0] >= blind.visibility.radius).any()
+    first = int((flight.recorder.escorts[:, 0, 0] >= blind.visibility.radius).argmax())
+    assert any(b"lost sight" in data and time == round(first * blind.dt * 1e9) for time, data in log)
+
+
+def test_a_run_that_is_reset_has_several_flights_in_one_file(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    recorder = FlightRecorder(path, SCENARIO, SEED)
+    flights = [Flight(SCENARIO, SEED), Flight(SCENARIO, 9, episode=1)]
+    for flight in flights:
+        flight.fly(
+            InProcess(make_pilots(flight.scenario, flight.seed)),
+            on_tick=lambda flight=flight: (recorder.tick(flight), flight.world.tick == 60 and flight.stop()),  # type: ignore[misc]
+        )
+    recorder.close()
+    found = load(path)
+    assert [flight.head.seed for flight in found] == [SEED, 9]
+    assert [len(flight.truths) for flight in found] == [61, 61]
+    assert [refly(flight).trajectory_sha256 for flight in found] == [flight.recorder.sha256() for flight in flights]
+    times = [entry.time for entry in entries(path)]
+    assert times == sorted(times)
+    assert flight_of(path).number == 1
+    assert flight_of(path, 0).head.seed == SEED
+    assert len(list(truths(path, flight=1))) == 61
+    with pytest.raises(ScenarioError, match="allowed are 0 to 1"):
+        flight_of(path, 2)
+
+
+_ENDLESS = """
+import sys, time
+from pathlib import Path
+from outrider.recording.writer import FlightRecorder
+from outrider.run import fly
+from sim.scenario import load_scenario
+scenario = load_scenario("escort", overrides={"duration": 100000.0})
+recorder = FlightRecorder(Path(sys.argv[1]), scenario, 3)
+def follow(flight):
+    recorder.tick(flight)
+    if flight.world.tick % 2 == 0:
+        sys.stdout.write(f"{flight.world.tick} {time.monotonic()}\\n")
+        sys.stdout.flush()
+    time.sleep(0.008)
+fly(scenario, 3, on_tick=follow)
+"""
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[int, float]], float]:
+    """A recording whose process was killed with SIGKILL, when it was where, and when it was killed."""
+    path = tmp_path_factory.mktemp("killed") / "run.mcap"
+    process = subprocess.Popen([sys.executable, "-c", _ENDLESS, str(path)], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    reached: list[tuple[int, float]] = []
+    for line in process.stdout:
+        tick, when = line.split()
+        reached.append((int(tick), float(when)))
+        if reached[-1][1] - reached[0][1] > 1.5:
+            break
+    process.kill()
+    now = time.monotonic()
+    reached += [(int(line.split()[0]), float(line.split()[1])) for line in process.stdout if line.endswith("\n")]
+    process.stdout.close()
+    assert process.wait() == -signal.SIGKILL
+    return path, reached, now
+
+
+def test_a_kill_costs_half_a_second_at_most(killed: tuple[Path, list[tuple[int, float]], float]) -> None:
+    path, reached, now = killed
+    recording = flight_of(path)
+    assert recording.damage.reason
+    last = recording.truths[-1].tick
+    assert recording.missing_ticks == 0
+    safe = max(tick for tick, when in reached if when < now - 0.5)
+    assert last >= safe > 30
+
+
+def test_a_killed_file_is_flown_again_as_far_as_it_goes(killed: tuple[Path, list[tuple[int, float]], float]) -> None:
+    recording = flight_of(killed[0])
+    found = refly(recording)
+    assert found.difference is None
+    assert found.ticks == recording.truths[-1].tick
+    flight, _ = fly(recording.scenario, 3, on_tick=lambda flight: flight.stop() if flight.world.tick == found.ticks else None)
+    assert flight.recorder.sha256() == found.trajectory_sha256
+
+
+def test_a_repaired_file_opens_in_the_plain_reader(killed: tuple[Path, list[tuple[int, float]], float], tmp_path: Path) -> None:
+    path, out = killed[0], tmp_path / "saved.mcap"
+    saved = repair(path, out)
+    assert saved.reason
+    found, before = plain(out), list(entries(path))
+    assert sum(len(messages) for messages in found.values()) == saved.messages == len(before)
+    for topic, count in Counter(entry.topic for entry in before).items():
+        assert len(found[topic]) == count
+    assert [data for _, data in found["/truth"]] == [entry.data for entry in before if entry.topic == "/truth"]
+    assert not flight_of(out).damage.reason
+    assert refly(flight_of(out)).trajectory_sha256 == refly(flight_of(path)).trajectory_sha256
+    with pytest.raises(ScenarioError, match="the file to be repaired"):
+        repair(path, path)
+
+
+def _boundaries(path: Path) -> Iterator[tuple[int, int]]:
+    """Where each record of the file begins, and its kind."""
+    data = path.read_bytes()
+    at = 8
+    while at + 9 <= len(data):
+        kind, length = struct.unpack("<BQ", data[at : at + 9])
+        yield at, kind
+        at += 9 + length
+
+
+def test_a_file_cut_anywhere_gives_a_prefix_or_one_line(tmp_path: Path) -> None:
+    path, cut = tmp_path / "run.mcap", tmp_path / "cut.mcap"
+    recorded(path, escort(ugv=Ugv(position=(20.0, 21.0), goals=((26.0, 21.0),)), duration=3.0, name="short"))
+    data, whole = path.read_bytes(), list(truths(path))
+    starts = [at for at, _ in _boundaries(path)]
+    places = {0, 1, 7, 8, 9, len(data) - 1, len(data) - 8, len(data) - 9}
+    places |= {at + offset for at in starts for offset in (0, 4, 9, 12) if at + offset < len(data)}
+    places |= set(range(0, len(data), max(1, len(data) // 30)))
+    lengths = set()
+    for place in sorted(places):
+        cut.write_bytes(data[:place])
+        recording = _read_or_one_line(cut)
+        length = len(recording.truths) if recording else 0
+        if recording is not None and length not in lengths:
+            assert recording.truths == whole[:length]
+            assert refly(recording).difference is None
+        lengths.add(length)
+    assert lengths >= {0, len(whole)}
+
+
+def _read_or_one_line(path: Path) -> Recording | None:
+    try:
+        return flight_of(path)
+    except ScenarioError as error:
+        line = str(error)
+    assert str(path) in line
+    assert "\n" not in line
+    return None
+
+
+def test_damaged_bytes_end_the_reading_and_nothing_false_comes_out(tmp_path: Path) -> None:
+    path, hurt = tmp_path / "run.mcap", tmp_path / "hurt.mcap"
+    recorded(path, escort(ugv=Ugv(position=(20.0, 21.0), goals=((26.0, 21.0),)), duration=3.0, name="short"))
+    data, whole = bytearray(path.read_bytes()), list(truths(path))
+    for place in range(8, len(data), max(1, len(data) // 150)):
+        data[place] ^= 0xFF
+        hurt.write_bytes(data)
+        data[place] ^= 0xFF
+        recording = _read_or_one_line(hurt)
+        assert recording is None or recording.truths == whole[: len(recording.truths)]
+
+
+def test_a_file_of_another_version_is_refused() -> None:
+    head = msgspec.json.encode(head_of(SCENARIO, 1))
+    assert read_head(head, file="x").seed == 1
+    with pytest.raises(ScenarioError, match=r"old\.mcap: a recording of format 7; allowed: 1"):
+        read_head(head.replace(b'"format":1', b'"format":7').replace(b'"seed"', b'"corn"'), file="old.mcap")
+    for other in (b"", b"{}", b"[]", b'{"format":-1}', b"\xff", b'{"format":1,"seed":1}'):
+        with pytest.raises(ScenarioError, match=r"old\.mcap"):
+            read_head(other, file="old.mcap")
+
+
+def _app() -> typer.Typer:
+    app = typer.Typer()
+    for name, command in (("record", record.command), ("replay", replay.command), ("render", render.command)):
+        app.command(name)(command)
+    return app
+
+
+def call(*arguments: str) -> Any:
+    return CliRunner().invoke(_app(), list(arguments))
+
+
+def test_replay_tells_the_runs_numbers(flown: tuple[Path, Flight]) -> None:
+    path, flight = flown
+    found = call("replay", str(path), "--json")
+    assert found.exit_code == 0, found.output
+    told = json.loads(found.stdout)
+    assert told["trajectory_sha256"] == flight.recorder.sha256()
+    assert told["ticks"] == flight.recorder.ticks
+    assert told["whole"] is True
+    assert 0 < told["bytes_per_minute"] < 2e6
+    assert call("replay", str(path), "--speed", "1000000").exit_code == 0
+
+
+def test_replay_refly_says_same_or_where_it_differs(flown: tuple[Path, Flight], tmp_path: Path) -> None:
+    path, flight = flown
+    same = call("replay", str(path), "--refly", "--json")
+    assert same.exit_code == 0
+    assert json.loads(same.stdout)["trajectory_sha256"] == flight.recorder.sha256()
+    other = tmp_path / "other.mcap"
+    _rewrite(path, other, tick=200)
+    found = call("replay", str(other), "--refly", "--json")
+    assert found.exit_code == 1
+    told = json.loads(found.stdout)
+    assert told["same"] is False
+    assert (told["difference"]["tick"], told["difference"]["vehicle"]) == (201, "ugv_0")
+
+
+def _rewrite(path: Path, out: Path, *, tick: int) -> None:
+    """The same recording with another command at one tick."""
+    recording = flight_of(path)
+    file = RecordingFile(out)
+    file.begin(recording.head, recording.scenario)
+    for truth in recording.truths:
+        file.truth(truth)
+        asked = recording.commands.get(truth.tick)
+        if asked is not None and truth.tick == tick:
+            asked = msgspec.structs.replace(asked, accelerations={**asked.accelerations, "ugv_0": (0.01, -0.02)})
+        if asked is not None:
+            file.commands(asked, truth.time)
+    file.close()
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n\x01"])
+@pytest.mark.parametrize("arguments", [("replay",), ("replay", "--refly"), ("render", "-o", "x.gif"), ("record", "--repair")])
+def test_what_is_no_recording_gives_one_line(tmp_path: Path, content: bytes, arguments: tuple[str, ...]) -> None:
+    path = tmp_path / "no.mcap"
+    path.write_bytes(content)
+    found = call(*arguments, str(path))
+    assert isinstance(found.exception, ScenarioError)
+    assert str(path) in str(found.exception)
+    assert "\n" not in str(found.exception)
+    absent = call(*arguments, str(tmp_path / "absent.mcap"))
+    assert isinstance(absent.exception, ScenarioError)
+
+
+def test_another_programs_mcap_is_refused(tmp_path: Path) -> None:
+    from mcap.writer import Writer
+
+    path = tmp_path / "other.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/odom", "json", 0)
+        writer.add_message(channel, 0, b"{}", 0)
+        writer.finish()
+    with pytest.raises(ScenarioError, match="not a recording of Outrider's"):
+        load(path)
+    assert [entry.topic for entry in entries(path)] == ["/odom"]
+    damage = Damage()
+    assert list(stream(path, damage))
+    assert not damage.reason
+
+
+def test_a_full_disk_does_not_end_the_flight_and_is_told() -> None:
+    with pytest.raises(OSError, match="No space left"):
+        FlightRecorder(Path("/dev/full"), SCENARIO, SEED)
+
+
+def test_a_disk_that_fills_up_does_not_end_the_flight_and_is_told(tmp_path: Path) -> None:
+    recorder = FlightRecorder(tmp_path / "run.mcap", SCENARIO, SEED)
+    os.dup2(os.open("/dev/full", os.O_WRONLY), recorder._file._sink._file.fileno())
+    flight, _ = fly(SCENARIO, SEED, on_tick=recorder.tick)
+    assert flight.complete
+    with pytest.raises(OSError, match="No space left") as told:
+        recorder.close()
+    assert told.value.filename == str(tmp_path / "run.mcap")
+
+
+def test_an_observer_records_a_run_in_progress_to_the_same_bits(tmp_path: Path) -> None:
+    endpoint, path = f"unixsock-stream/{tmp_path}/s", tmp_path / "run.mcap"
+    body = _PILOT.replace("ENDPOINT", repr(endpoint))
+    pilots = [subprocess.Popen([sys.executable, "-c", body, name]) for name in ("uav_0", "ugv_0")]
+    observer = subprocess.Popen([sys.executable, "-c", _OBSERVER.replace("ENDPOINT", repr(endpoint)), str(path)])
+    try:
+        with open_session(Party(role=Role.SIMULATOR, name=SIMULATOR_NAME), "recorded", listen=(endpoint,)) as session:
+            server = Server(session, SCENARIO, SEED, join_timeout=60.0)
+            limit = time.monotonic() + 30.0
+            while not server._telemetry._truth.wanted and time.monotonic() < limit:
+                time.sleep(0.02)
+            flight = server.fly()
+            assert observer.wait(30.0) == 0
+    finally:
+        for process in (*pilots, observer):
+            process.kill()
+            process.wait()
+    recording = flight_of(path)
+    assert recording.missing_ticks == 0
+    assert len(recording.truths) == flight.recorder.ticks + 1
+    assert recording.head.scenario is None
+    with pytest.raises(ScenarioError, match="without the scenario"):
+        refly(recording)
+    known = replace(recording, head=head_of(SCENARIO, SEED))
+    assert refly(known).trajectory_sha256 == flight.recorder.sha256()
+    assert call("replay", str(path), "--json").exit_code == 0
+    assert call("render", str(path), "-o", str(tmp_path / "x.png")).exit_code == 0
+
+
+_PILOT = """
+import sys
+from agents.process import fly, uav_maker, ugv_maker
+from bus.keys import Party, Role
+name = sys.argv[1]
+role = Role(name[:3])
+maker = uav_maker() if role is Role.UAV else ugv_maker()
+fly(Party(role=role, name=name), maker, connect=ENDPOINT, run="recorded", join_timeout=60.0)
+"""
+_OBSERVER = """
+import sys, time
+from pathlib import Path
+from bus.keys import OBSERVER_NAME, Party, Role
+from bus.session import open_session
+from outrider.recording.writer import RunRecorder
+with open_session(Party(role=Role.OBSERVER, name=OBSERVER_NAME), "recorded", connect=ENDPOINT) as session:
+    recorder = RunRecorder(session, Path(sys.argv[1]), None)
+    while not recorder.over:
+        recorder.take(0.2)
+    recorder.close()
+"""
+
+
+def test_a_picture_and_a_film_are_drawn(flown: tuple[Path, Flight], tmp_path: Path) -> None:
+    from PIL import Image
+
+    for name, arguments in (("run.png", ()), ("run.gif", ("--speed", "100", "--fps", "10"))):
+        found = call("render", str(flown[0]), "-o", str(tmp_path / name), *arguments)
+        assert found.exit_code == 0, found.exception
+    with Image.open(tmp_path / "run.png") as picture:
+        assert picture.size == (1400, 800)
+    with Image.open(tmp_path / "run.gif") as film:
+        assert getattr(film, "n_frames", 1) == 5
+        film.seek(4)
+        colors = Counter(struct.iter_unpack("3B", film.convert("RGB").tobytes()))
+    red = sum(count for (r, g, b), count in colors.items() if r > 190 and g < 90 and b < 100)
+    blue = sum(count for (r, g, b), count in colors.items() if r < 60 and g < 120 and b > 170)
+    green = sum(count for (r, g, b), count in colors.items() if g > r + 30 and g > b + 10)
+    assert red > 200
+    assert blue > 200
+    assert green > 20_000
+
+
+def test_a_film_as_mp4_needs_ffmpeg_and_gives_it_every_frame(
+    flown: tuple[Path, Flight], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    refused = call("render", str(flown[0]), "-o", str(tmp_path / "run.mp4"))
+    assert isinstance(refused.exception, ScenarioError)
+    assert "ffmpeg" in str(refused.exception)
+    assert isinstance(call("render", str(flown[0]), "-o", str(tmp_path / "run.avi")).exception, ScenarioError)
+    program = tmp_path / "ffmpeg"
+    program.write_text(f"#!{sys.executable}\nimport sys\nopen(sys.argv[-1], 'wb').write(sys.stdin.buffer.read())\n")
+    program.chmod(0o755)
+    assert call("render", str(flown[0]), "-o", str(tmp_path / "run.mp4"), "--speed", "200").exit_code == 0
+    width, height = 800, (tmp_path / "run.mp4").stat().st_size // (800 * 4 * 5)
+    assert (tmp_path / "run.mp4").stat().st_size == width * height * 4 * 5
+    program.write_text(f"#!{sys.executable}\nimport sys\nsys.exit('no such codec')\n")
+    failed = call("render", str(flown[0]), "-o", str(tmp_path / "run.mp4"))
+    assert isinstance(failed.exception, OSError)
+    assert "no such codec" in str(failed.exception)
+
+
+def test_without_the_extra_there_is_one_clear_line() -> None:
+    body = (
+        "import sys; sys.modules['foxglove'] = None; sys.modules['mcap'] = None\n"
+        "from bus.errors import ScenarioError\n"
+        "for name in ('writer', 'reader'):\n"
+        "    try: __import__(f'outrider.recording.{name}')\n"
+        "    except ScenarioError as error: print(error)\n"
+    )
+    found = subprocess.run([sys.executable, "-c", body], capture_output=True, text=True, check=True)
+    assert found.stdout.splitlines() == ["recording needs the extra: pip install 'outrider[record]'"] * 2
+
+
+def test_the_commands_do_not_load_what_they_do_not_use() -> None:
+    body = "import sys, outrider.cli.record, outrider.cli.replay, outrider.cli.render; print([m for m in "
+    body += "('foxglove', 'mcap', 'matplotlib', 'numpy', 'zenoh') if m in sys.modules])"
+    found = subprocess.run([sys.executable, "-c", body], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
