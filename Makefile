@@ -4,7 +4,7 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help run test check format figures bench soak compose-test clean
+.PHONY: help run test check format figures bench soak compose-test page-test clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
@@ -16,7 +16,7 @@ $(VENV)/.run: pyproject.toml
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.run
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,window,record,drive]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,window,record,drive,dashboard]'
 	@touch $@
 
 run: $(VENV)/.run ## fly the escort scenario as three processes over Zenoh (ARGS="..." for more)
@@ -46,6 +46,10 @@ soak: $(VENV)/.dev ## an hour of simulated time with random kills: memory, traje
 
 compose-test: $(VENV)/.run ## the containers, built, flown, killed, paused and cut off; needs a Docker engine
 	$(BIN)/python tools/compose_test.py $(ARGS)
+
+page-test: $(VENV)/.dev ## the dashboard in a real headless Chromium (exit code 77 of the tool: there is none)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'playwright>=1.49'
+	$(BIN)/python tools/page_test.py $(ARGS)
 
 clean: ## remove the environment and what runs have written
 	rm -rf $(VENV) runs figures

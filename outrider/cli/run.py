@@ -77,6 +77,8 @@ def command(
     if in_process and any(ugv.driver == "external" for ugv in flown.ugv):
         raise typer.BadParameter("--driver external is another process; leave --in-process out")
     print_warnings((*scenario_warnings(flown), *check_own_functions(flown)))  # what does not fit shows here, not in a child
+    if record is not None:
+        import outrider.recording.writer  # noqa: F401 - a missing extra shows here, not in a child
     folder = (out or default_folder(flown.name)) if files else None
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made shows before the flight, not after it
@@ -147,8 +149,11 @@ def _fly_here(flown: "Scenario", folder: Path | None, picture: bool, record: Pat
         flight, summary = fly(flown, flown.seed, on_tick=lambda flight: follow(flight, progress))
     outcome = Outcome(summary=summary)
     if recorder is not None and record is not None:
-        recorder.close()
-        outcome.files.append(record)
+        try:
+            recorder.close()
+            outcome.files.append(record)
+        except OSError as error:
+            outcome.fault = f"{error.filename or record}: {error.strerror or error}"
     if folder is not None:
         try:
             outcome.files += write_flight(flight, summary, folder, picture=picture)

@@ -1,7 +1,7 @@
 """`outrider simulator`: the process that knows the truth, with the router inside."""
 
 import time
-from collections.abc import Callable
+from contextlib import closing, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -107,13 +107,21 @@ def command(
         ERR.print(f"{where}, run {run}: waiting for {', '.join(v.name for v in flown.vehicles)}")
         if endpoints and given is None:
             ERR.print("no credentials: every process that reaches this endpoint may read and write everything")
+    seats: list[Server] = []
+    recorder = _recorder(record, flown, seats)  # a file that cannot be written shows before anybody joins
     with stop_on_signals() as stop:
         party = Party(role=Role.SIMULATOR, name=SIMULATOR_NAME)
         with (
             open_session(party, run, connect=connect, listen=endpoints, credential=credential, given=given) as session,
             reports.progress() if events else flight_progress(flown, "waiting") as progress,
+            closing(recorder) if recorder is not None else nullcontext(),
         ):
-            log: list[Callable[[str], None]] = [progress.say]
+
+            def on_event(line: str) -> None:
+                progress.say(line)
+                if recorder is not None:
+                    recorder.event(line)
+
             server = Server(
                 session,
                 flown,
@@ -122,12 +130,10 @@ def command(
                 deadline=deadline,
                 join_timeout=join_timeout,
                 respawn=respawn,
-                on_event=lambda line: _tell(log, line),
+                on_event=on_event,
                 stop=lambda: bool(stop),
             )
-            recorder = None if record is None else _recorder(record, flown, server)
-            if recorder is not None:
-                log.append(recorder.event)
+            seats.append(server)
             shown = 0.0
 
             def on_tick() -> None:
@@ -155,9 +161,7 @@ def command(
                     )
                     reports.summary(summary)  # first of all, so that a full disk does not take it
                     files = write_flight(flight, summary, out, picture=picture) if out else []
-                    if recorder is not None and record is not None:
-                        recorder.close()
-                        files.append(record)
+                    files += [record] if record is not None else []
                     reports.files(files)
                     if json:
                         print_json(summary)
@@ -166,15 +170,13 @@ def command(
     raise typer.Exit(stop.exit_code)
 
 
-def _tell(listeners: "list[Callable[[str], None]]", line: str) -> None:
-    for listener in listeners:
-        listener(line)
-
-
-def _recorder(path: Path, flown: "Scenario", server: "Server") -> "FlightRecorder":
+def _recorder(path: Path | None, flown: "Scenario", servers: "list[Server]") -> "FlightRecorder | None":
+    """What records the flight; the server whose vehicles it asks for comes later."""
+    if path is None:
+        return None
     from outrider.recording.writer import FlightRecorder
 
-    return FlightRecorder(path, flown, flown.seed, vehicles=server.vehicles)
+    return FlightRecorder(path, flown, flown.seed, vehicles=lambda: servers[0].vehicles() if servers else {})
 
 
 def _credentials(file: Path | None, *, hosts: bool) -> "tuple[CredentialSet | None, Credential | None]":

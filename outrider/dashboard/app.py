@@ -1,0 +1,150 @@
+"""The web server: the page, its files, and a channel of frames to each browser."""
+
+import asyncio
+import contextlib
+import socket
+from collections.abc import AsyncIterator, Callable, MutableMapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import uvicorn
+from fastapi import FastAPI
+from nicegui import ui
+from starlette.responses import Response
+from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from bus.errors import ScenarioError
+from bus.messages import Vector
+from bus.session import Session
+from outrider.dashboard.guard import Guard
+from outrider.dashboard.hub import Browser, Hub
+from outrider.dashboard.page import build_page, colors
+
+STATIC = Path(__file__).with_name("static")
+
+
+class Word(msgspec.Struct, forbid_unknown_fields=True):
+    """What a page says."""
+
+    kind: str
+    """`drawn`, `here`, `take`, `back` or `drive`."""
+    deflection: Vector | None = None
+    vehicle: str = ""
+
+
+_WORDS = msgspec.json.Decoder(Word)
+
+
+class _Fresh(StaticFiles):
+    """Files that a browser asks for again, so that a new version shows."""
+
+    async def get_response(self, path: str, scope: MutableMapping[str, Any]) -> Response:
+        """The file."""
+        response = await super().get_response(path, scope)
+        response.headers["Cache-Control"] = "no-cache"
+        return response
+
+
+def open_socket(host: str, port: int) -> socket.socket:
+    """The socket to listen on.
+
+    Raises:
+        ScenarioError: If the address is none of this machine's, or the port is taken.
+    """
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        opened = socket.socket(family, kind, protocol)
+    except OSError as error:
+        raise ScenarioError(f"--host {host}: {error.strerror or error}") from error
+    try:
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        opened.bind(address)
+        opened.listen(128)
+    except OSError as error:
+        opened.close()
+        raise ScenarioError(f"cannot listen on {host}, port {port}: {error.strerror or error}; try another --port") from error
+    return opened
+
+
+def serve(session: Session, listening: socket.socket, token: str, *, ready: Callable[[], None]) -> None:
+    """Serve the page until SIGINT or SIGTERM.
+
+    Args:
+        session: On the bus, as operator or observer.
+        listening: The socket to serve on.
+        token: What a browser must know; empty: nothing.
+        ready: Called when browsers can come.
+    """
+    hub = Hub(session)
+
+    @contextlib.asynccontextmanager
+    async def living(_app: FastAPI) -> AsyncIterator[None]:
+        following = asyncio.create_task(hub.follow())
+        ready()
+        yield
+        following.cancel()
+        hub.close()
+
+    app = FastAPI(lifespan=living, docs_url=None, redoc_url=None, openapi_url=None)
+    app.mount("/static", _Fresh(directory=STATIC))
+
+    @app.websocket("/frames")
+    async def frames(channel: WebSocket) -> None:
+        await _accompany(hub, channel)
+
+    build_page(hub)
+    ui.run_with(app, title="Outrider", favicon=STATIC / "favicon.svg", show_welcome_message=False, tailwind=False)
+    config = uvicorn.Config(
+        Guard(app, token),
+        lifespan="on",
+        log_level="warning",
+        access_log=False,
+        ws_per_message_deflate=False,
+        ws_max_size=1 << 20,
+        timeout_graceful_shutdown=1,
+    )
+    uvicorn.Server(config).run(sockets=[listening])
+
+
+async def _accompany(hub: Hub, channel: WebSocket) -> None:
+    """Frames to one browser and words from it, until it has gone."""
+    await channel.accept()
+    browser = hub.welcome(channel.client.host if channel.client else "")
+    sending = asyncio.create_task(_send_frames(hub, browser, channel))
+    try:
+        while True:
+            _obey(hub, browser, await channel.receive_text())
+    except (WebSocketDisconnect, KeyError):
+        pass
+    finally:
+        sending.cancel()
+        hub.leave(browser)
+
+
+async def _send_frames(hub: Hub, browser: Browser, channel: WebSocket) -> None:
+    hello = {"kind": "hello", "number": browser.number, "colors": colors(), "steer": hub.may_steer}
+    with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+        await channel.send_text(msgspec.json.encode(hello).decode())
+        while True:
+            await browser.turn.wait()
+            browser.turn.clear()
+            await channel.send_text(hub.frame(browser).decode())
+
+
+def _obey(hub: Hub, browser: Browser, text: str) -> None:
+    try:
+        word = _WORDS.decode(text)
+    except msgspec.DecodeError:
+        return
+    hub.wheel.hear(browser.number)
+    match word.kind:
+        case "drawn":
+            browser.in_hand = max(0, browser.in_hand - 1)
+        case "take" if word.vehicle in hub.drivers:
+            hub.wheel.take(browser.number, browser.name, word.vehicle, hub.drivers)
+        case "back":
+            hub.wheel.hand_back(browser.number, hub.drivers)
+        case "drive":
+            hub.wheel.steer(browser.number, word.deflection)

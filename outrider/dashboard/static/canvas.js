@@ -1,0 +1,43 @@
+// What every picture here needs: sharp lines on any screen, round numbers on the axes.
+
+export const FONT = "Roboto, system-ui, sans-serif";
+
+// The canvas' context in CSS pixels, its backing store as fine as the screen.
+export function fit(canvas) {
+  const ratio = window.devicePixelRatio || 1;
+  const width = canvas.clientWidth;
+  const height = canvas.clientHeight;
+  const [w, h] = [Math.round(width * ratio), Math.round(height * ratio)];
+  if (canvas.width !== w || canvas.height !== h) [canvas.width, canvas.height] = [w, h];
+  const context = canvas.getContext("2d");
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, width, height);
+  return { context, width, height };
+}
+
+// About `count` round numbers between two limits.
+export function ticks(low, high, count) {
+  const span = high - low;
+  if (!(span > 0)) return [low];
+  const raw = span / Math.max(count, 1);
+  const power = 10 ** Math.floor(Math.log10(raw));
+  const step = [1, 2, 2.5, 5, 10].map((k) => k * power).find((s) => s >= raw * 0.999);
+  const found = [];
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + step * 1e-9; k += 1) found.push(Number((k * step).toPrecision(12)));
+  return found;
+}
+
+export function colorOf(list, index) {
+  return list[index % list.length];
+}
+
+// Text whose "_x" is a subscript; returns its width.
+export function write(c, text, x, y, size = 12) {
+  let at = x;
+  for (const [, sub, plain] of text.matchAll(/_(.)|([^_]+)/g)) {
+    c.font = `${sub ? size * 0.75 : size}px ${FONT}`;
+    c.fillText(sub || plain, at, y + (sub ? size * 0.28 : 0));
+    at += c.measureText(sub || plain).width;
+  }
+  return at - x;
+}

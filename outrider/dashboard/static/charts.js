@@ -1,0 +1,150 @@
+// Charts over simulated time. A chart is a row of the table; all share the time axis and the cursor.
+
+import { FONT, colorOf, fit, ticks, write } from "./canvas.js";
+
+export const CHARTS = [
+  { id: "distance", label: "distance ‖p_Δ‖ [m]", column: 0, lines: true },
+  { id: "error", label: "coverage error e(t) [m²]", column: 1 },
+  { id: "estimate", label: "estimate error [m]", column: 2, least: 0.01 },
+  { id: "factor", label: "real-time factor [×]", column: -1, time: true },
+];
+
+export class Charts {
+  constructor(store) {
+    this.store = store;
+    this.span = 0;
+    this.cursor = null;
+    this.canvases = CHARTS.map(({ id }) => document.getElementById(`chart-${id}`));
+    for (const canvas of this.canvases) {
+      canvas.addEventListener("pointermove", (event) => this.point(event));
+      canvas.addEventListener("pointerleave", () => {
+        this.cursor = null;
+        this.draw();
+      });
+    }
+  }
+
+  point(event) {
+    this.cursor = event.offsetX;
+    this.draw();
+  }
+
+  draw() {
+    const { rows, now } = this.store;
+    const all = now && rows.length && now[0] > rows[rows.length - 1][0] ? [...rows, now] : rows;
+    const end = all.length ? all[all.length - 1][0] : 1;
+    const start = this.span ? Math.max(0, end - this.span) : 0;
+    let first = 0;
+    if (this.span) while (first < all.length - 1 && all[first + 1][0] < start) first += 1;
+    const shown = first ? all.slice(first) : all;
+    CHARTS.forEach((chart, k) => this.drawOne(chart, this.canvases[k], shown, start, Math.max(end, start + 1)));
+  }
+
+  series(chart) {
+    const { vehicles, escorts, colors } = this.store;
+    if (chart.column < 0) return [{ at: 1, color: colors.ink }];
+    const offset = 2 + 2 * vehicles.length + chart.column;
+    return escorts.map((_, k) => ({ at: offset + 3 * k, color: colorOf(colors.uav, k) }));
+  }
+
+  drawOne(chart, canvas, rows, start, end) {
+    const { context: c, width, height } = fit(canvas);
+    if (width < 60 || height < 40) return;
+    const { colors, geometry, innerRadius } = this.store;
+    const [left, right, top] = [46, 30, 20];
+    const bottom = chart.time ? 34 : 8;
+    const series = this.series(chart);
+    const limits = chart.lines && geometry ? [[geometry.visibility_radius, "r_v", []]] : [];
+    if (limits.length && innerRadius) limits.push([innerRadius, "r_s", [5, 4]]);
+    let high = Math.max(chart.least || 0, ...limits.map(([value]) => value * 1.08));
+    for (const { at } of series) for (const row of rows) if (row[at] > high) high = row[at] * 1.04;
+    if (!(high > 0)) high = 1;
+    const [w, h] = [width - left - right, height - top - bottom];
+    const X = (t) => left + ((t - start) / (end - start)) * w;
+    const Y = (v) => top + h - (v / high) * h;
+
+    c.font = `11px ${FONT}`;
+    c.textBaseline = "middle";
+    c.textAlign = "right";
+    for (const value of ticks(0, high, h / 34)) {
+      c.fillStyle = colors.rule;
+      c.fillRect(left, Math.round(Y(value)), w, 1);
+      c.fillStyle = colors.muted;
+      c.fillText(String(value), left - 6, Y(value));
+    }
+    c.textAlign = "center";
+    for (const t of ticks(start, end, w / 70)) {
+      c.fillStyle = colors.rule;
+      c.fillRect(Math.round(X(t)), top, 1, h);
+      if (chart.time) {
+        c.fillStyle = colors.muted;
+        c.fillText(String(t), X(t), top + h + 10);
+      }
+    }
+    c.fillStyle = colors.ink;
+    c.font = `12px ${FONT}`;
+    if (chart.time) c.fillText("time [s]", left + w / 2, height - 7);
+    c.textAlign = "left";
+    write(c, chart.label, left, 9);
+
+    for (const [value, name, dash] of limits) {
+      c.strokeStyle = colors.limit;
+      c.lineWidth = 1.4;
+      c.setLineDash(dash);
+      c.beginPath();
+      c.moveTo(left, Y(value));
+      c.lineTo(left + w, Y(value));
+      c.stroke();
+      c.setLineDash([]);
+      c.fillStyle = colors.limit;
+      write(c, name, left + w + 5, Y(value));
+    }
+    c.lineJoin = "round";
+    for (const { at, color } of series) drawLine(c, rows, at, color, X, Y);
+    if (this.cursor !== null) this.drawCursor(c, rows, series, { X, Y, left, w, top, h, start, end });
+  }
+
+  drawCursor(c, rows, series, { X, Y, left, w, top, h, start, end }) {
+    const t = start + ((this.cursor - left) / w) * (end - start);
+    if (!rows.length || t < start || t > end) return;
+    let k = rows.findIndex((row) => row[0] >= t);
+    if (k < 0) k = rows.length - 1;
+    const row = rows[k];
+    c.fillStyle = this.store.colors.muted;
+    c.fillRect(X(row[0]) - 0.5, top, 1, h);
+    c.textAlign = "right";
+    c.font = `11px ${FONT}`;
+    let right = left + w;
+    for (const { at, color } of [...series].reverse()) {
+      if (row[at] === null || row[at] === undefined) continue;
+      const text = row[at].toPrecision(4);
+      c.fillStyle = color;
+      c.fillText(text, right, 9);
+      right -= c.measureText(text).width + 10;
+      c.beginPath();
+      c.arc(X(row[0]), Y(row[at]), 3, 0, 2 * Math.PI);
+      c.fill();
+    }
+    c.fillStyle = this.store.colors.muted;
+    c.fillText(`${row[0].toFixed(1)} s:`, right, 9);
+  }
+}
+
+function drawLine(c, rows, at, color, X, Y) {
+  c.strokeStyle = color;
+  c.lineWidth = 1.5;
+  c.beginPath();
+  let down = false;
+  for (const row of rows) {
+    const value = row[at];
+    if (value === null || value === undefined) {
+      down = false;
+    } else if (down) {
+      c.lineTo(X(row[0]), Y(value));
+    } else {
+      c.moveTo(X(row[0]), Y(value));
+      down = true;
+    }
+  }
+  c.stroke();
+}

@@ -1,0 +1,264 @@
+// The page's own part: it keeps what the frames bring, and shows it.
+
+import { Charts } from "./charts.js";
+import { Ground, keepDetections } from "./ground.js";
+import { openLink } from "./link.js";
+import { Wheel } from "./wheel.js";
+
+const CHART_PERIOD = 150;
+const store = {
+  colors: null,
+  shades: null,
+  status: null,
+  geometry: null,
+  innerRadius: null,
+  truth: null,
+  now: null,
+  rows: [],
+  vehicles: [],
+  escorts: [],
+  uavs: [],
+  ugvs: [],
+  detections: [],
+  state: null,
+};
+const stats = { frames: 0, rate: 0 };
+const $ = (id) => document.getElementById(id);
+
+// NiceGUI builds the page after this file has loaded.
+function whenBuilt(then) {
+  if ($("map") && $("chart-factor") && $("processes")) then();
+  else setTimeout(() => whenBuilt(then), 30);
+}
+
+function setText(element, text) {
+  if (element && element.textContent !== text) element.textContent = text;
+}
+
+function takeHello({ colors }) {
+  store.colors = colors;
+  store.shades = Uint32Array.from(colors.covered, (color) => {
+    const value = parseInt(color.slice(1), 16);
+    return ((255 << 24) | ((value & 255) << 16) | (value & 0xff00) | (value >> 16)) >>> 0; // little-endian RGBA
+  });
+}
+
+function takeStatus(status) {
+  store.status = status;
+  store.geometry = status.geometry || null;
+  const inner = store.geometry && store.geometry.switching_radius;
+  store.innerRadius = inner > 0 && inner < store.geometry.visibility_radius ? inner : null;
+}
+
+function take(frame, ground) {
+  store.state = frame.state;
+  if (frame.status) takeStatus(frame.status);
+  if (frame.history) {
+    store.rows = [];
+    store.vehicles = frame.history.vehicles;
+    store.escorts = frame.history.escorts;
+    store.uavs = [...new Set(store.escorts.map(([uav]) => uav))];
+    store.ugvs = store.vehicles.filter((name) => !store.uavs.includes(name));
+  }
+  if (frame.rows) store.rows.push(...frame.rows);
+  if (frame.truth) {
+    if (store.truth && frame.truth.time < store.truth.time) store.detections.length = 0;
+    if (!store.truth || frame.truth.tick !== store.truth.tick) keepDetections(store.detections, frame.truth);
+    store.truth = frame.truth;
+    store.now = frame.now;
+  }
+  if (frame.map) ground.takeMap(frame.map);
+}
+
+function showTile(name, value, digits, bad = false) {
+  const tile = $(`tile-${name}`);
+  tile.classList.toggle("worst", store.escorts.length > 1);
+  setText(tile.querySelector("output"), value === null || value === undefined ? "–" : value.toFixed(digits));
+  tile.classList.toggle("bad", bad);
+}
+
+function showTiles() {
+  const { now, vehicles, escorts, geometry, status, truth, state } = store;
+  showTile("time", truth ? truth.time : status && status.time, 1);
+  showTile("factor", state && state.factor, 2);
+  if (!now) return;
+  const column = (which) => escorts.map((_, k) => now[2 + 2 * vehicles.length + 3 * k + which]).filter((v) => v !== null);
+  const worst = (values) => (values.length ? Math.max(...values) : null);
+  const distance = worst(column(0));
+  const margin = geometry && distance !== null ? geometry.visibility_radius - distance : null;
+  showTile("distance", distance, 2);
+  showTile("margin", margin, 2, margin !== null && margin < 0);
+  showTile("error", worst(column(1)), 1);
+  showTile("estimate", worst(column(2)), 3);
+}
+
+function chip(name, state, tip = "") {
+  return `<span class="chip ${state}" title="${escapeText(tip)}"><i></i>${escapeText(name)}</span>`;
+}
+
+function escapeText(text) {
+  return String(text).replace(/[&<>"']/g, (letter) => `&#${letter.charCodeAt(0)};`);
+}
+
+function setHtml(element, html) {
+  if (element && element.dataset.html !== html) {
+    element.dataset.html = html;
+    element.innerHTML = html;
+  }
+}
+
+function faultsOf(vehicle) {
+  const refused = Object.values(vehicle.refused || {}).reduce((sum, count) => sum + count, 0);
+  const found = [
+    [vehicle.missing_commands, "missing"],
+    [vehicle.stale_commands, "stale"],
+    [vehicle.lost, "lost"],
+    [vehicle.rejoined, "rejoined"],
+    [refused, "refused"],
+  ];
+  return found.filter(([count]) => count).map(([count, cause]) => `${cause} ${count}`);
+}
+
+function showState(state, wheel) {
+  const { status } = store;
+  const banner = $("banner");
+  banner.hidden = !state.line;
+  banner.className = state.level;
+  setText(banner, state.line);
+  document.body.classList.toggle("stale", state.level === "bad");
+
+  const vehicles = status ? Object.entries(status.vehicles) : [];
+  const mode = status ? (status.wanted_factor === null || status.wanted_factor === undefined ? "lockstep" : `real time × ${status.wanted_factor}`) : "";
+  setText($("scenario"), status ? `${status.scenario} · seed ${status.seed} · ${status.law} · ${mode}` : "");
+  const chips = [chip("router", state.router ? "good" : "bad"), chip("simulator", state.simulator ? "good" : "bad")];
+  const known = state.simulator && state.level !== "bad";
+  for (const [name, vehicle] of vehicles) {
+    chips.push(chip(name, !known ? "unknown" : vehicle.present ? "good" : "bad", faultsOf(vehicle).join(", ")));
+  }
+  if (status && status.paused) chips.push(chip("paused", "warn"));
+  if (status && status.over) chips.push(chip("over", "warn"));
+  setHtml($("chips"), chips.join(""));
+
+  const row = (name, good, text, note = "") =>
+    `<div class="process ${good}"><i></i><b>${escapeText(name)}</b><span>${escapeText(text)}</span>${note ? `<small>${escapeText(note)}</small>` : ""}</div>`;
+  const rows = [
+    row("router", state.router ? "good" : "bad", state.router ? "linked" : "away"),
+    row("simulator", state.simulator ? "good" : "bad", state.simulator ? "joined" : "away", status && status.late_ticks ? `${status.late_ticks} ticks late` : ""),
+    ...vehicles.map(([name, vehicle]) => {
+      const notes = [...faultsOf(vehicle), vehicle.last_fault].filter(Boolean).join(", ");
+      const seat = status.drivers && status.drivers[name] ? ` · ${status.drivers[name]}` : "";
+      if (!known) return row(name, "unknown", "not known now", notes);
+      return row(name, vehicle.present ? "good" : "bad", (vehicle.present ? "joined" : "lost") + seat, notes);
+    }),
+    row("this page", "good", `${stats.rate.toFixed(0)} frames/s`, state.browsers > 1 ? `${state.browsers} browsers look on` : ""),
+  ];
+  setHtml($("processes"), rows.join(""));
+  showChanges(status);
+  showWheel(state, wheel);
+}
+
+function describe({ action, ticks, factor, seed, law, vehicle, driver }) {
+  const words = {
+    step: () => `step ${ticks || 1}`,
+    speed: () => (factor ? `speed × ${factor}` : "lockstep"),
+    reset: () => (seed === null || seed === undefined ? "reset" : `reset, seed ${seed}`),
+    law: () => `law ${law ? law.name : ""}`,
+    driver: () => `${vehicle || "UGVs"}: driver ${driver}`,
+  };
+  return (words[action] || (() => action))();
+}
+
+function showChanges(status) {
+  const changes = (status && status.changes) || [];
+  if (!changes.length) return;
+  const dt = store.geometry ? store.geometry.dt : null;
+  const when = (tick) => (dt ? `${(tick * dt).toFixed(1)} s` : `tick ${tick}`);
+  const lines = changes.slice(-6).reverse();
+  setHtml($("changes"), lines.map(({ tick, control }) => `<div><span>${when(tick)}</span>${escapeText(describe(control))}</div>`).join(""));
+}
+
+function showWheel(state, wheel) {
+  const card = $("wheel-card");
+  if (!card) return;
+  wheel.setMine(state.wheel === "mine");
+  card.dataset.wheel = state.wheel;
+  card.dataset.back = state.back || state.wheel === "mine" ? "yes" : "no";
+  const said = {
+    mine: `You drive ${state.vehicle}.`,
+    other: `${state.driver} drives ${state.vehicle}.`,
+    free: state.back ? "Nobody holds the wheel; the UGV brakes." : "The wheel is free.",
+  };
+  setText($("who"), said[state.wheel]);
+  setText($("pad"), wheel.pad ? wheel.pad.slice(0, 40) : "no gamepad");
+  const ugvs = store.status && store.status.drivers && Object.keys(store.status.drivers).length ? Object.keys(store.status.drivers) : store.ugvs;
+  setHtml($("wheel-vehicle"), ugvs.map((name) => `<option>${escapeText(name)}</option>`).join(""));
+  card.classList.toggle("several", ugvs.length > 1);
+}
+
+whenBuilt(() => {
+  const ground = new Ground($("map"), store);
+  const charts = new Charts(store);
+  let wheel = null;
+  let pending = [];
+  let asked = false;
+  let chartsDrawn = 0;
+  let times = [];
+
+  const draw = () => {
+    asked = false;
+    const frames = pending;
+    pending = [];
+    try {
+      for (const frame of frames) take(frame, ground);
+      ground.draw();
+      const time = performance.now();
+      if (time - chartsDrawn > CHART_PERIOD) {
+        chartsDrawn = time;
+        charts.draw();
+      }
+      showTiles();
+      times = [...times, ...frames.map(() => time)].filter((t) => time - t < 2000);
+      stats.rate = times.length / 2;
+      if (frames.length) showState(store.state, wheel);
+    } finally {
+      stats.frames += frames.length;
+      for (const _ of frames) link.say({ kind: "drawn" });
+    }
+  };
+  const ask = () => {
+    if (!asked && store.colors) {
+      asked = true;
+      requestAnimationFrame(draw); // not in a hidden page: it gets no more frames until it is looked at
+    }
+  };
+  const link = openLink({
+    onHello: (hello) => {
+      pending = [];
+      takeHello(hello);
+    },
+    onFrame: (frame) => {
+      pending.push(frame);
+      ask();
+    },
+    onLost: () => {
+      pending = [];
+      const lost = { level: "bad", line: "The dashboard's own process does not answer. Waiting for it.", browsers: 1, wheel: "free" };
+      showState({ ...lost, router: false, simulator: false }, wheel);
+    },
+  });
+  wheel = new Wheel(link.say);
+  window.addEventListener("resize", ask);
+  for (const button of document.querySelectorAll("[data-span]")) {
+    button.addEventListener("click", () => {
+      charts.span = Number(button.dataset.span);
+      for (const other of document.querySelectorAll("[data-span]")) other.classList.toggle("on", other === button);
+      charts.draw();
+    });
+  }
+  window.outrider = {
+    store,
+    stats,
+    take: () => link.say({ kind: "take", vehicle: $("wheel-vehicle").value || store.ugvs[0] || "" }),
+    back: () => link.say({ kind: "back" }),
+  };
+});

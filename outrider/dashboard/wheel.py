@@ -1,0 +1,98 @@
+"""The wheel of a UGV: one browser at a time holds it, and whoever falls silent loses it."""
+
+import math
+import time
+from collections.abc import Callable, Mapping
+
+from bus.messages import Action, Control, Drive, Vector
+
+TELEOP = "teleop"
+"""The driver that does what an operator says, a row of `agents.drivers.table.DRIVERS`."""
+_PATIENCE = 3.0
+"""So long a browser at the wheel may be silent [s]."""
+_SETTLING = 2.0
+"""So long the simulator may take to seat the driver [s]."""
+_GAP = 0.04
+"""Wall time between two words to the vehicle at least [s]."""
+
+
+class Wheel:
+    """Who drives, and what becomes of it.
+
+    Args:
+        control: Says something to the simulator.
+        drive: Says something to a UGV: its name, and what is wanted.
+    """
+
+    def __init__(self, control: Callable[[Control], bool], drive: Callable[[str, Drive], bool]) -> None:
+        self._control, self._drive = control, drive
+        self._before: dict[str, str] = {}
+        self._taken = self._heard = self._said = 0.0
+        self.holder = 0
+        """The browser that holds it; 0: none."""
+        self.name = ""
+        self.vehicle = ""
+        self.full = 0.2
+        """Speed at full deflection [m/s]."""
+
+    def take(self, browser: int, name: str, vehicle: str, drivers: Mapping[str, str]) -> bool:
+        """Sit down at a vehicle's wheel; False if somebody sits there."""
+        if self.holder not in (0, browser) or not vehicle:
+            return False
+        if drivers.get(vehicle, "") not in ("", TELEOP):
+            self._before[vehicle] = drivers[vehicle]
+        if not self._control(Control(action=Action.DRIVER, vehicle=vehicle, driver=TELEOP)):
+            return False
+        self.holder, self.name, self.vehicle = browser, name, vehicle
+        self._taken = self._heard = time.monotonic()
+        return True
+
+    def steer(self, browser: int, deflection: Vector | None) -> None:
+        """What the hand at the wheel does: where to, as a share of the full speed; None is to brake."""
+        if browser != self.holder:
+            return
+        now = time.monotonic()
+        if deflection is not None and now - self._said < _GAP:
+            return
+        self._said = now
+        velocity: Vector | None = None
+        if deflection is not None and all(map(math.isfinite, deflection)):
+            x, y = deflection
+            scale = self.full / max(math.hypot(x, y), 1.0)
+            velocity = (x * scale, y * scale)
+        self._drive(self.vehicle, Drive(driver=self.name, velocity=velocity))
+
+    def hand_back(self, browser: int, drivers: Mapping[str, str]) -> None:
+        """Let the driver from before drive on; anybody may, once nobody holds the wheel."""
+        if self.holder not in (0, browser):
+            return
+        self.release()
+        for vehicle in [name for name, driver in drivers.items() if driver == TELEOP and name in self._before]:
+            self._control(Control(action=Action.DRIVER, vehicle=vehicle, driver=self._before.pop(vehicle)))
+
+    def release(self) -> None:
+        """Take the hand off: the vehicle brakes, and the wheel is free."""
+        if self.holder:
+            self._drive(self.vehicle, Drive(driver=self.name))
+            self.holder, self.name = 0, ""
+
+    def leave(self, browser: int) -> None:
+        """A browser has gone."""
+        if browser == self.holder:
+            self.release()
+
+    def hear(self, browser: int) -> None:
+        """A browser has given a sign of life."""
+        if browser == self.holder:
+            self._heard = time.monotonic()
+
+    def check(self, drivers: Mapping[str, str]) -> None:
+        """Free the wheel of whoever has fallen silent, or of whose vehicle somebody else has been seated in."""
+        now = time.monotonic()
+        unseated = drivers.get(self.vehicle, "") not in ("", TELEOP) and now - self._taken > _SETTLING
+        if self.holder and (unseated or now - self._heard > _PATIENCE):
+            self.release()
+
+    def can_be_handed_back(self, drivers: Mapping[str, str]) -> bool:
+        """Whether a driver from before waits for the wheel."""
+        return any(driver == TELEOP and name in self._before for name, driver in drivers.items())

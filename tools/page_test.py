@@ -1,0 +1,493 @@
+"""The dashboard in a real browser, with real processes: router, simulator, both vehicles, and Debian's Chromium without a screen.
+
+    make page-test
+
+Exit code 0: all is as it should be; 1: something is not, and it is named; 77: something is missing, in one line.
+"""
+
+import argparse
+import contextlib
+import http.client
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+OUTRIDER = [sys.executable, "-m", "outrider"]
+RUN = "page"
+TOKEN = "a-token-for-the-test"  # noqa: S105 - of this test alone
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+_OFFLINE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
+_COLOURS = """(() => {
+  const map = document.getElementById("map");
+  const pixels = new Uint32Array(map.getContext("2d").getImageData(0, 0, map.width, map.height).data.buffer);
+  return new Set(pixels).size;
+})()"""
+_PAD = """window.pads = [null]; navigator.getGamepads = () => window.pads;"""
+
+
+class Failed(Exception):
+    """Something is not as it should be."""
+
+
+def say(line: str) -> None:
+    """A line of the report."""
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
+
+
+def free_port() -> int:
+    """A port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+    return port
+
+
+def wait_until(condition: Callable[[], Any], what: str, seconds: float = 20.0) -> Any:  # noqa: ANN401 - whatever it gives
+    """What the condition gives once it gives something true."""
+    limit = time.monotonic() + seconds
+    while not (found := condition()):
+        if time.monotonic() > limit:
+            raise Failed(f"in vain: {what} ({seconds:g} s)")
+        time.sleep(0.05)
+    return found
+
+
+def answers(port: int) -> bool:
+    """Whether somebody listens there."""
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+class Processes:
+    """The processes of the run, each started by hand."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        made = subprocess.run(
+            [*OUTRIDER, "credentials", str(folder / "credentials"), "--run", RUN, "--json"],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=60,
+        )
+        self.files: dict[str, str] = json.loads(made.stdout)["files"]
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(self, kind: str, *arguments: str, name: str = "") -> "subprocess.Popen[bytes]":
+        """One process, with its own credentials."""
+        where = ["--listen", self.endpoint] if kind == "router" else ["--run", RUN, "--connect", self.endpoint]
+        with (self._folder / f"{name or kind}.log").open("ab") as log:
+            process = subprocess.Popen(
+                [*OUTRIDER, kind, *arguments, "--credentials", self.files[self._party(name or kind)], *where],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                cwd=self._folder,
+            )
+        self._running[name or kind] = process
+        return process
+
+    @staticmethod
+    def _party(kind: str) -> str:
+        return "operator" if kind.startswith("dashboard") else kind
+
+    def start_all(self, port: int, factor: float) -> None:
+        """The whole run, and the dashboard on this port."""
+        self.start("router")
+        wait_until(lambda: answers(int(self.endpoint.rpartition(":")[2])), "the router listens")
+        self.simulator(factor)
+        for name in ("uav_0", "ugv_0"):
+            self.start(name[:3], "--join-timeout", "120", name=name)
+        self.start("dashboard", "--port", str(port))
+        wait_until(lambda: answers(port), "the dashboard listens")
+
+    def simulator(self, factor: float) -> None:
+        """A simulator that keeps the wall clock."""
+        self.start("simulator", "escort", "--duration", "20000", "--realtime", str(factor), "--join-timeout", "120")
+
+    def kill(self, name: str) -> None:
+        """As a crash would."""
+        process = self._running.pop(name)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+
+    def end(self) -> None:
+        """End all that still runs."""
+        for process in self._running.values():
+            process.terminate()
+        for process in self._running.values():
+            try:
+                process.wait(10.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def logs(self) -> str:
+        """The last words of each process."""
+        return "\n".join(f"--- {path.name}\n{path.read_text(errors='replace')[-1500:]}" for path in self._folder.glob("*.log"))
+
+
+class Page:
+    """One browser's page, and all it complains about."""
+
+    def __init__(self, context: Any, address: str, complaints: list[str]) -> None:  # noqa: ANN401 - Playwright's own
+        context.add_init_script(_PAD)
+        self.page = context.new_page()
+        self.page.on("console", lambda m: complaints.append(f"console: {m.text}") if m.type in ("error", "warning") else None)
+        self.page.on("pageerror", lambda error: complaints.append(f"script: {error}"))
+        self.page.on("request", lambda request: self._see(request.url, address, complaints))
+        self.page.goto(address)
+        self.ready()
+
+    @staticmethod
+    def _see(url: str, address: str, complaints: list[str]) -> None:
+        if not url.startswith((address, "data:", "blob:")):
+            complaints.append(f"a request left this machine: {url}")
+
+    def ready(self) -> None:
+        """Wait until it shows a run."""
+        wait_until(
+            lambda: self.run("window.outrider && outrider.store.status && outrider.store.truth && true"), "the page shows a run"
+        )
+
+    def run(self, script: str) -> Any:  # noqa: ANN401 - whatever the script gives
+        """Value of an expression in the page."""
+        return self.page.evaluate(f"() => ({script})")
+
+    @property
+    def tick(self) -> int:
+        """Of the truth that is drawn."""
+        return int(self.run("outrider.store.truth.tick"))
+
+    @property
+    def status(self) -> dict[str, Any]:
+        """The last one that the page has."""
+        found: dict[str, Any] = self.run("outrider.store.status")
+        return found
+
+    def position(self, name: str = "ugv_0") -> list[float]:
+        """Of a vehicle [m]."""
+        found: list[float] = self.run(f"outrider.store.truth.vehicles.{name}.position")
+        return found
+
+    def velocity(self) -> list[float]:
+        """The UGV's [m/s]."""
+        found: list[float] = self.run("outrider.store.truth.vehicles.ugv_0.velocity")
+        return found
+
+    def speed(self) -> float:
+        """The UGV's [m/s]."""
+        x, y = self.velocity()
+        return float((x * x + y * y) ** 0.5)
+
+    def wheel(self) -> str:
+        """Whose the wheel is: `mine`, `other` or `free`."""
+        return str(self.run("document.getElementById('wheel-card').dataset.wheel"))
+
+    def banner(self) -> str:
+        """What is wrong, as the page says; empty: nothing."""
+        return str(self.run("document.getElementById('banner').hidden ? '' : document.getElementById('banner').innerText"))
+
+    def click(self, text: str) -> None:
+        """A button."""
+        self.page.get_by_role("button", name=text, exact=False).click()
+
+    def choose(self, label: str, option: str) -> None:
+        """An option of a list."""
+        self.page.get_by_role("combobox", name=label).click()
+        self.page.get_by_role("option", name=option, exact=True).click()
+
+
+def check_open_and_moving(first: Page) -> str:
+    """Numbers in the tiles, colours on the map, and both vehicles on their way."""
+    before = {name: first.position(name) for name in ("uav_0", "ugv_0")}
+    wait_until(lambda: all(first.position(name) != before[name] for name in before), "both vehicles move")
+    for tile in ("time", "distance", "margin", "error", "factor"):
+        text = first.page.locator(f"#tile-{tile} output").inner_text()
+        if not text.replace(".", "").replace("-", "").isdigit():
+            raise Failed(f"the tile {tile} shows {text!r}")
+    painted = first.run(_COLOURS)
+    if painted < 50:
+        raise Failed(f"the map shows {painted} colours")
+    return f"{painted} colours on the map"
+
+
+def check_frame_rate(first: Page) -> str:
+    """Twenty a second."""
+    count, began = first.run("outrider.stats.frames"), time.monotonic()
+    time.sleep(5.0)
+    rate = (first.run("outrider.stats.frames") - count) / (time.monotonic() - began)
+    if not 18.0 <= rate <= 21.5:
+        raise Failed(f"{rate:.1f} frames/s; 20 are wanted")
+    return f"{rate:.1f} frames/s"
+
+
+def check_reload(first: Page) -> str:
+    """What was there before is there again."""
+    rows = first.run("outrider.store.rows.length")
+    first.page.reload()
+    first.ready()
+    wait_until(lambda: first.run("outrider.store.rows.length") >= rows, "the charts' past is back")
+    tick = first.tick
+    wait_until(lambda: first.tick > tick, "the reloaded page goes on")
+    return f"{rows} rows are back"
+
+
+def check_key(first: Page) -> str:
+    """Keys drive, and releasing them brakes."""
+    first.click("Take the wheel")
+    wait_until(lambda: first.wheel() == "mine", "the wheel is mine")
+    wait_until(lambda: first.status["drivers"]["ugv_0"] == "teleop", "teleop drives")
+    wait_until(lambda: first.speed() < 0.01, "without a hand at the wheel the UGV brakes")
+    first.page.keyboard.down("ArrowUp")
+    wait_until(lambda: first.velocity()[1] > 0.1, "a key drives the UGV north")
+    first.page.keyboard.up("ArrowUp")
+    wait_until(lambda: first.speed() < 0.01, "released, it brakes")
+    first.page.keyboard.down("d")
+    wait_until(lambda: first.velocity()[0] > 0.1, "the key D drives it east")
+    first.page.keyboard.down("Space")
+    wait_until(lambda: first.speed() < 0.01, "space brakes")
+    first.page.keyboard.up("Space")
+    first.page.keyboard.up("d")
+    return "ArrowUp, D, space"
+
+
+def check_pad(first: Page) -> str:
+    """So does a gamepad."""
+    first.run("window.pads = [{ id: 'stub pad', connected: true, axes: [-1, 0, 0, 0], buttons: [] }]")
+    wait_until(lambda: first.velocity()[0] < -0.1, "a gamepad drives the UGV west")
+    wait_until(lambda: "stub pad" in first.page.locator("#pad").inner_text(), "the pad is named")
+    first.run("window.pads = [{ id: 'stub pad', connected: true, axes: [0.05, 0.05], buttons: [] }]")
+    wait_until(lambda: first.speed() < 0.01, "in the dead zone it brakes")
+    first.run("window.pads = [null]")
+    return "a stubbed pad"
+
+
+def check_one_wheel(first: Page, second: Page) -> str:
+    """One browser drives; the other cannot, until the first has gone."""
+    wait_until(lambda: second.wheel() == "other", "the other browser sees that somebody drives")
+    if "drives ugv_0" not in second.page.locator("#who").inner_text():
+        raise Failed("the other browser does not see who drives")
+    second.run("outrider.take()")
+    second.page.keyboard.down("ArrowUp")
+    time.sleep(1.5)
+    second.page.keyboard.up("ArrowUp")
+    if second.wheel() != "other" or first.wheel() != "mine" or second.speed() > 0.01:
+        raise Failed("a second browser has got at the wheel")
+    first.page.close()
+    wait_until(lambda: second.wheel() == "free", "the wheel is free once its browser has gone")
+    return "one drives, the other sees who; a closed page frees the wheel"
+
+
+def check_touch(second: Page, context: Any) -> str:  # noqa: ANN401 - Playwright's own
+    """A finger on the stick of a phone, and handing back."""
+    second.page.get_by_role("button", name="Take the wheel").tap()
+    wait_until(lambda: second.wheel() == "mine", "a tap takes the wheel")
+    stick = second.page.locator("#stick")
+    stick.scroll_into_view_if_needed()
+    box = stick.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    touch = context.new_cdp_session(second.page)
+    touch.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]})
+    touch.send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": [{"x": x, "y": y + box["height"] / 2}]})
+    wait_until(lambda: second.velocity()[1] < -0.1, "a finger on the stick drives the UGV south")
+    touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    wait_until(lambda: second.speed() < 0.01, "lifted, it brakes")
+    second.click("Hand back")
+    wait_until(lambda: second.status["drivers"]["ugv_0"] == "waypoints", "the driver from before drives on")
+    wait_until(lambda: second.wheel() == "free" and second.speed() > 0.05, "and moves")
+    return "a finger drives; handing back seats the driver from before"
+
+
+def check_controls(page: Page) -> str:
+    """All that is not the wheel."""
+    page.click("Pause")
+    wait_until(lambda: page.status["paused"], "the run pauses")
+    tick = page.status["tick"]
+    page.page.get_by_label("ticks").fill("5")
+    page.page.get_by_label("ticks").blur()
+    page.click("Step")
+    wait_until(lambda: page.status["tick"] == tick + 5, "five ticks are stepped")
+    time.sleep(0.5)
+    if page.status["tick"] != tick + 5:
+        raise Failed("a paused run goes on")
+    page.choose("law", "switching")
+    page.choose("driver", "wander")
+    page.click("Resume")
+    wait_until(lambda: page.status["law"] == "switching", "the law changes")
+    wait_until(lambda: page.status["drivers"]["ugv_0"] == "wander", "the driver changes")
+    page.page.get_by_role("switch", name="lockstep").click()
+    wait_until(lambda: page.status.get("wanted_factor") is None, "lockstep")
+    wait_until(lambda: page.status["realtime_factor"] > 7.0, "lockstep is fast")
+    fast = page.status["realtime_factor"]
+    page.page.get_by_role("switch", name="lockstep").click()
+    wait_until(lambda: page.status.get("wanted_factor") is not None, "real time again")
+    before = page.status["tick"]
+    page.page.get_by_label("seed").fill("11")
+    page.page.get_by_label("seed").blur()
+    page.click("Reset")
+    wait_until(lambda: page.status["seed"] == 11 and page.status["tick"] < before, "a new flight with the seed")
+    wait_until(lambda: 0 < page.tick < before, "it is flown")
+    return f"pause, step, law, driver, lockstep (factor {fast:.0f}), reset with a seed"
+
+
+def check_dead_simulator(page: Page, processes: Processes) -> str:
+    """It is said, and it passes."""
+    processes.kill("simulator")
+    began = time.monotonic()
+    line = wait_until(page.banner, "the page says that the simulator is gone", 6.0)
+    seconds = time.monotonic() - began
+    if "simulator" not in line:
+        raise Failed(f"the banner says {line!r}")
+    processes.simulator(5.0)
+    wait_until(lambda: not page.banner(), "the banner goes when the simulator is back", 40.0)
+    tick = page.tick
+    wait_until(lambda: page.tick != tick and page.speed() > 0.02, "the vehicles move again")
+    return f"{line!r} after {seconds:.1f} s; gone with the next simulator"
+
+
+def check_doors(port: int, processes: Processes) -> str:
+    """Who is let in, and what is said to whoever cannot be."""
+    refused = {
+        "a taken port": (["--port", str(port)], "cannot listen"),
+        "a host without token": (["--host", "0.0.0.0"], "--token"),  # noqa: S104 - which is refused
+        "a short token": (["--token", "short"], "--token"),
+    }
+    for what, (arguments, said) in refused.items():
+        command = [*OUTRIDER, "dashboard", *arguments, "--connect", processes.endpoint, "--run", RUN]
+        command += ["--credentials", processes.files["operator"]]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        if done.returncode != 2 or said not in done.stderr or len(done.stderr.strip().splitlines()) != 1:
+            raise Failed(f"{what}: exit code {done.returncode}, {done.stderr!r}")
+    _expect(port, "/", {"Host": f"rebound.example:{port}"}, 403)
+    upgrade = {
+        "Upgrade": "websocket",
+        "Connection": "Upgrade",
+        "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Key": "x" * 22 + "==",
+    }
+    _expect(port, "/frames", {**upgrade, "Origin": "http://elsewhere.example"}, 403)
+    second = free_port()
+    processes.start("dashboard", "--port", str(second), "--token", TOKEN, name="dashboard_2")
+    wait_until(lambda: answers(second), "the dashboard with a token listens")
+    _expect(second, "/", {}, 401)
+    _expect(second, "/frames", upgrade, 403)
+    _expect(second, "/?token=not-the-token", {}, 401)
+    cookie = _expect(second, f"/?token={TOKEN}", {}, 303)
+    _expect(second, "/", {"Cookie": cookie.partition(";")[0]}, 200)
+    processes.kill("dashboard_2")
+    return "three refusals in one line each; no token, no page; no other site's page gets in"
+
+
+def _expect(port: int, path: str, headers: dict[str, str], status: int) -> str:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    try:
+        connection.request("GET", path, headers=headers)
+        response = connection.getresponse()
+        if response.status != status:
+            raise Failed(f"{path} with {headers}: {response.status}, not {status}")
+        return response.getheader("Set-Cookie") or ""
+    finally:
+        connection.close()
+
+
+@contextlib.contextmanager
+def staged(port: int) -> Iterator[Processes]:
+    """The run, with its logs printed when something fails."""
+    with tempfile.TemporaryDirectory(prefix="o-") as folder:
+        processes = Processes(Path(folder))
+        try:
+            processes.start_all(port, 1.0)
+            yield processes
+        except BaseException:
+            sys.stderr.write(processes.logs() + "\n")
+            raise
+        finally:
+            processes.end()
+
+
+def perform(playwright: Any, chromium: str, pictures: Path | None) -> None:  # noqa: ANN401 - Playwright's own
+    """All checks, in order."""
+    port = free_port()
+    address = f"http://127.0.0.1:{port}/"
+    complaints: list[str] = []
+
+    def report(what: str, found: str) -> None:
+        say(f"ok    {what}: {found}")
+
+    with staged(port) as processes:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", _OFFLINE])
+        try:
+            desk = browser.new_context(viewport={"width": 1280, "height": 800})
+            phone = browser.new_context(viewport={"width": 390, "height": 844}, device_scale_factor=2, has_touch=True)
+            first = Page(desk, address, complaints)
+            report("the page opens and the vehicles move", check_open_and_moving(first))
+            report("at real time", check_frame_rate(first))
+            report("reload", check_reload(first))
+            report("keys", check_key(first))
+            report("gamepad", check_pad(first))
+            second = Page(phone, address, complaints)
+            for name, page in (("desk", first), ("phone", second)):
+                if pictures is not None:
+                    page.page.screenshot(path=pictures / f"{name}.png")
+            report("several browsers", check_one_wheel(first, second))
+            report("touch", check_touch(second, phone))
+            third = Page(desk, address, complaints)
+            report("controls", check_controls(third))
+            report("a dead simulator", check_dead_simulator(third, processes))
+            report("doors", check_doors(port, processes))
+            if complaints:
+                raise Failed("; ".join(complaints[:5]))
+            report("the browser", "no errors, and no request left this machine")
+        finally:
+            browser.close()
+
+
+def missing() -> str:
+    """What this test needs and does not find, in one line; empty: nothing."""
+    for module, extra in (("playwright", "playwright"), ("nicegui", "'outrider[dashboard]'")):
+        try:
+            __import__(module)
+        except ModuleNotFoundError:
+            return f"page-test: {module} is missing: pip install {extra}"
+    if not any(map(shutil.which, (os.environ.get("CHROMIUM", ""), *BROWSERS))):
+        return f"page-test: no browser: install Debian's chromium, or name one in CHROMIUM (looked for {', '.join(BROWSERS)})"
+    return ""
+
+
+def main() -> int:
+    """Run all checks."""
+    parser = argparse.ArgumentParser(description="Test the dashboard in a real browser.")
+    parser.add_argument("--pictures", type=Path, help="a folder for pictures of the page on a desk and on a phone")
+    arguments = parser.parse_args()
+    lacking = missing()
+    if lacking:
+        sys.stderr.write(lacking + "\n")
+        return 77
+    from playwright.sync_api import sync_playwright  # noqa: PLC0415 - it may be missing
+
+    chromium = next(filter(None, map(shutil.which, (os.environ.get("CHROMIUM", ""), *BROWSERS))))
+    if arguments.pictures is not None:
+        arguments.pictures.mkdir(parents=True, exist_ok=True)
+    try:
+        with sync_playwright() as playwright:
+            perform(playwright, chromium, arguments.pictures)
+    except Failed as failure:
+        say(f"FAIL  {failure}")
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
