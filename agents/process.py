@@ -203,13 +203,17 @@ class _Seat:
 def _answer(pilot: Pilot, seen: list[Any], commands: Outbox, name: str) -> None:
     """Answer the newest observation; those that came before it are too late to be answered, but not to be seen.
 
+    One that is missed is acted on unheard, so that the pilot stays as it would be: in lockstep a process that joins again may
+    find the next tick there already. A pilot that has missed more is slower than the clock, and only perceives them.
+
     Raises:
         BusError: If the pilot's command is nonsense.
     """
-    perceive = getattr(pilot, "perceive", None)
-    if perceive is not None:
-        for missed in seen[:-1]:
-            perceive(missed)
+    missed = seen[:-1]
+    take = pilot.act if len(missed) == 1 else getattr(pilot, "perceive", None)
+    if take is not None:
+        for observation in missed:
+            take(observation)
     command = pilot.act(seen[-1])
     try:
         commands.send(command)

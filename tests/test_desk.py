@@ -142,7 +142,7 @@ def test_the_speed_can_be_changed_while_flying_and_changes_no_bit(tmp_path: Path
 
 def test_an_operator_takes_the_wheel_drives_is_silent_and_hands_back(tmp_path: Path) -> None:
     """Through the bus, the simulator and the UGV's own driver: bounded, braking in silence, without a jump."""
-    with stage(tmp_path, 100_000, realtime=10.0) as run:
+    with stage(tmp_path, 100_000, realtime=4.0) as run:
         run.start("uav_0")
         run.start("ugv_0")
         seen: dict[str, int] = {}

@@ -11,6 +11,7 @@ import pytest
 import zenoh
 from staging import GIVEN, PILOT, Vehicle, await_status, stage, wait_until, whole
 
+from agents import process
 from bus.keys import BRIEFING, COMMAND, CONTROL, OBSERVATION, STATUS, Party, Role
 from bus.messages import Action, Control, Status, UavCommand, UgvCommand
 from bus.session import open_session
@@ -335,3 +336,40 @@ def test_a_vehicle_acts_once_on_each_observation_of_its_own_run_alone(tmp_path: 
     assert [seen.tick for seen in vehicle.seen] == sorted({seen.tick for seen in vehicle.seen})
     assert [seen.tick for seen in vehicle.seen][:6] == [0, 1, 2, 3, 4, 5] or vehicle.seen[5].tick in (6, 7)
     assert ticks <= {5, 6, 7}
+
+
+def test_an_observation_that_was_missed_is_acted_on_and_many_are_only_perceived() -> None:
+    """One missed: lockstep after joining again, where the state must be exact; more: a pilot that is slower than the clock."""
+
+    class Pilot:
+        def __init__(self) -> None:
+            self.did: list[tuple[str, int]] = []
+
+        def act(self, observation: Any) -> UgvCommand:
+            self.did.append(("act", observation.tick))
+            return UgvCommand(tick=observation.tick, acceleration=(0.0, 0.0))
+
+        def perceive(self, observation: Any) -> None:
+            self.did.append(("perceive", observation.tick))
+
+    class Outbox:
+        def __init__(self) -> None:
+            self.sent: list[int] = []
+
+        def send(self, command: Any) -> None:
+            self.sent.append(command.tick)
+
+    flight = Flight(load_scenario("escort"), 7)
+    seen = []
+    for _ in range(4):
+        seen.append(flight.observations()["ugv_0"])
+        flight.apply({})
+    for count, did in (
+        (1, [("act", 0)]),
+        (2, [("act", 0), ("act", 1)]),
+        (4, [("perceive", 0), ("perceive", 1), ("perceive", 2), ("act", 3)]),
+    ):
+        pilot, outbox = Pilot(), Outbox()
+        process._answer(pilot, seen[:count], outbox, "ugv_0")  # type: ignore[arg-type]
+        assert pilot.did == did
+        assert outbox.sent == [count - 1]
