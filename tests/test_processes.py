@@ -19,10 +19,10 @@ pytestmark = pytest.mark.usefixtures("nothing_left_behind")
 
 @pytest.mark.parametrize("name", scenario_names())
 def test_three_processes_and_one_fly_the_same_bits(name: str) -> None:
-    scenario = load_scenario(name)
+    scenario = load_scenario(name, overrides=["duration=100.0"])
     _, here = fly(scenario, scenario.seed)
     assert here.ticks >= 2000
-    there = run_json(name)
+    there = run_json(name, "--duration", "100")
     assert there["trajectory_sha256"] == here.trajectory_sha256
     assert there["ticks"] == here.ticks
     assert there["deterministic"] is True
