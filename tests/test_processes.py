@@ -112,6 +112,15 @@ def test_children_end_and_leave_nothing_when_their_parent_is_killed() -> None:
         wait_until(lambda: not any(alive(child) for child in children))
 
 
+def test_a_frozen_child_ends_too_when_the_parent_is_killed() -> None:
+    with flying("escort", "--duration", "20000", "--no-files") as run:
+        children = family(run.pid)
+        os.kill(child_of(run, "uav"), signal.SIGSTOP)
+        run.kill()
+        run.wait()
+        wait_until(lambda: not any(alive(child) for child in children))
+
+
 def free_port() -> int:
     import socket
 
