@@ -92,9 +92,14 @@ class Session:
             inbox.close()
 
     @property
+    def routers(self) -> frozenset[str]:
+        """Which routers it has now, by session: a router has itself, and a client none while its own is away."""
+        return frozenset({self.id} if self._hosts else map(str, self._zenoh.info.routers_zid()))
+
+    @property
     def connected(self) -> bool:
-        """Whether a client has its router now; a router always has itself."""
-        return self._hosts or bool(self._zenoh.info.routers_zid())
+        """Whether it has a router now."""
+        return bool(self.routers)
 
     def outbox(self, key: Key, vehicle: str = "") -> Outbox:
         """A writer of one key.

@@ -12,6 +12,9 @@ from sim.seats import Seats
 
 _LOOK_AROUND = 0.2
 """While it waits, a pace looks this often [s] at who is still there and whether somebody wants the end."""
+_GRACE = 0.3
+"""A vehicle is only gone if it has been for so long [s] while the router was there: a router that dies takes all tokens with
+it, and Zenoh may tell of those first."""
 _NAP = 0.05
 """Longest sleep of the clock in one piece [s]."""
 _BEHIND = 1.0
@@ -87,10 +90,14 @@ class Lockstep:
         self._patience = patience
         self._respawn = respawn
         self._on_event = on_event
-        self._look_around = min(deadline, _LOOK_AROUND)
+        self._look_around, self._grace = min(deadline, _LOOK_AROUND), min(deadline, _GRACE)
         self._observations: Mapping[str, Observation] = {}
         self._awaited: dict[str, _Wait] = {}
         self._given_up: set[str] = set()
+        self._flying: set[str] = set()  # vehicles that were there when this tick began
+        self._cut_off: dict[str, float] = {}
+        """Vehicles that went with their router, and until when they may take to find it again."""
+        self._routers = session.routers
         self._alone_since: float | None = None
 
     def restart(self) -> None:
@@ -101,11 +108,16 @@ class Lockstep:
         self._observations = observations
         given = self._seats.send(observations)
         now = time.monotonic()
-        self._awaited = {name: _Wait(now, self._deadline, patient=False) for name in given}
         self._given_up -= given
-        if self._respawn:
-            gone = observations.keys() - given - self._given_up
-            self._awaited |= {name: _Wait(now, self._patience, patient=True) for name in gone}
+        self._awaited = {name: _Wait(now, self._deadline, patient=False) for name in given}
+        for name in observations.keys() - given - self._given_up:
+            if self._respawn:
+                self._awaited[name] = _Wait(now, self._patience, patient=True)
+            elif name in self._cut_off:
+                self._awaited[name] = _Wait(now, self._cut_off[name] - now, patient=True)
+            elif name in self._flying:
+                self._awaited[name] = _Wait(now, self._grace, patient=True)
+        self._flying = set(self._awaited)
 
     def collect(self, tick: int, idle: Idle) -> dict[str, Command]:
         """Wait for the commands of all who were given this tick's observation, each no longer than it may take."""
@@ -117,6 +129,7 @@ class Lockstep:
             if letter is not None:
                 if self._seats.take(letter, tick, commands, oldest=tick):
                     awaited.pop(letter.sender, None)
+                    self._cut_off.pop(letter.sender, None)
                 if time.monotonic() < look:  # a flood of letters must not keep us from looking around
                     continue
             self._seats.follow()
@@ -137,32 +150,37 @@ class Lockstep:
         Raises:
             PeerLost: If it does not come back.
         """
-        now = time.monotonic()
-        if self._session.connected:
-            if self._alone_since is not None:
-                self._alone_since = None
-                self._on_event("the router is back")
-                for name in self._awaited:
-                    self._awaited[name] = _Wait(now, self._patience, patient=True)  # the vehicles have to find it again too
-            return True
-        if self._alone_since is None:
-            self._alone_since = now
-            self._on_event("the router is lost; the clock stands still")
-        if now - self._alone_since > self._patience:
-            raise PeerLost(f"the router has been away for {self._patience:g} s")
-        return False
+        now, routers = time.monotonic(), self._session.routers
+        if not routers:
+            if self._alone_since is None:
+                self._alone_since = now
+                self._on_event("the router is lost; the clock stands still")
+            if now - self._alone_since > self._patience:
+                raise PeerLost(f"the router has been away for {self._patience:g} s")
+            return False
+        if self._alone_since is not None or routers != self._routers:
+            self._alone_since, self._routers = None, routers
+            self._on_event("the router is back")
+            self._cut_off = dict.fromkeys(self._flying, now + self._patience)  # the vehicles have to find it again too
+            for name in self._awaited:
+                self._awaited[name] = _Wait(now, self._patience, patient=True)
+        return True
 
     def _mind_the_absent(self) -> None:
         """Do without those who have gone, or wait for them; give those who are back what they have missed."""
         now = time.monotonic()
         for name in self._awaited.keys() & set(self._seats.absent):
-            if self._respawn and not self._awaited[name].patient:
-                self._awaited[name] = _Wait(now, self._patience, patient=True)
-            elif not self._awaited[name].patient:
-                del self._awaited[name]
+            if not self._awaited[name].patient:
+                limit = self._patience if self._is_waited_for(name) else self._grace
+                self._awaited[name] = _Wait(now, limit, patient=True)
         back = [name for name in self._seats.unbriefed if name in self._awaited]
         for name in self._seats.send({name: self._observations[name] for name in back}):
-            self._awaited[name] = _Wait(now, self._patience, patient=self._respawn)  # it has all its past to work through
+            # it has all its past to work through
+            self._awaited[name] = _Wait(now, self._patience, patient=self._is_waited_for(name))
+
+    def _is_waited_for(self, name: str) -> bool:
+        """Whether the clock stands still for a vehicle that has gone."""
+        return self._respawn or name in self._cut_off
 
     def _give_up(self, tick: int) -> None:
         now = time.monotonic()
@@ -172,7 +190,8 @@ class Lockstep:
             waited = now - self._awaited.pop(name).since
             if name in absent:
                 self._given_up.add(name)
-                self._on_event(f"{name} has not come back within {waited:.1f} s; it brakes and the run goes on")
+                if self._is_waited_for(name):
+                    self._on_event(f"{name} has not come back within {waited:.1f} s; it brakes and the run goes on")
             else:
                 self._seats.name_late([name], tick, waited)
 

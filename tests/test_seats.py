@@ -319,6 +319,7 @@ def test_a_vehicle_acts_once_on_each_observation_of_its_own_run_alone(tmp_path: 
         (old_briefing, old_sight), (briefing, sight) = writers
         part = msgspec.structs.replace
         old_briefing.send(part(told, past=tuple(observations[:2]), more=True))  # interrupted
+        wait_until(lambda: len(vehicle.seen) == 2)  # two sessions: nothing else says whose words come first
         briefing.send(part(told, past=tuple(observations[:3]), more=True))
         briefing.send(part(told, past=tuple(observations[3:5])))
         wait_until(lambda: len(vehicle.seen) == 5)

@@ -1,0 +1,132 @@
+"""Lockstep and a router that dies: Zenoh may tell that the vehicles are gone before it tells that their router is."""
+
+import time
+from collections.abc import Callable, Mapping
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from bus.messages import UgvObservation
+from sim.pace import Lockstep
+
+NAMES = ("uav_0", "ugv_0")
+SEEN = {name: UgvObservation(tick=0, time=0.0, position=(1.0, 1.0), velocity=(0.0, 0.0)) for name in NAMES}
+
+
+class Bus:
+    """A session and seats that follow a timetable: until when [s], which routers are there, which vehicles are absent."""
+
+    def __init__(self, *timetable: tuple[float, set[str], set[str]]) -> None:
+        self._timetable = timetable
+        self._started = time.monotonic()
+        self._briefed = set(NAMES)
+        self.commands = self
+        self.refuses_to_answer: set[str] = set()
+        self.sent: list[str] = []
+        self._asked: list[str] = []
+
+    def _now(self) -> tuple[float, set[str], set[str]]:
+        elapsed = time.monotonic() - self._started
+        row = next((row for row in self._timetable if elapsed < row[0]), self._timetable[-1])
+        self._briefed -= row[2]
+        return row
+
+    @property
+    def routers(self) -> frozenset[str]:
+        return frozenset(self._now()[1])
+
+    @property
+    def absent(self) -> list[str]:
+        return sorted(self._now()[2])
+
+    @property
+    def unbriefed(self) -> list[str]:
+        return sorted(set(NAMES) - self._now()[2] - self._briefed)
+
+    def follow(self) -> None:
+        self._now()
+
+    def send(self, observations: Mapping[str, Any]) -> set[str]:
+        given = set(observations) - self._now()[2]
+        self._briefed |= given
+        self._asked += sorted(given - self.refuses_to_answer)
+        self.sent += sorted(given)
+        return given
+
+    def receive(self, patience: float) -> Any:
+        self._asked = [name for name in self._asked if name not in self._now()[2]]
+        if self._asked:
+            return SimpleNamespace(sender=self._asked.pop(0))
+        time.sleep(min(patience, 0.01))
+        return None
+
+    def take(self, letter: Any, _tick: int, commands: dict[str, Any], *, oldest: int | None = None) -> bool:
+        commands[letter.sender] = letter
+        return True
+
+
+def lockstep(bus: Any, on_event: Callable[[str], None], *, patience: float = 5.0) -> Lockstep:
+    return Lockstep(bus, bus, deadline=2.0, patience=patience, respawn=False, on_event=on_event)
+
+
+BOTH = set(NAMES)
+TIMETABLES = {
+    "tokens first": [(0.05, {"r"}, set()), (0.15, {"r"}, BOTH), (0.5, set(), BOTH), (0.8, {"s"}, BOTH), (9.0, {"s"}, set())],
+    "one comes back late": [
+        (0.05, {"r"}, set()),
+        (0.15, {"r"}, BOTH),
+        (0.5, set(), BOTH),
+        (0.8, {"s"}, {"uav_0"}),
+        (9.0, {"s"}, set()),
+    ],
+    "so fast that nobody saw it": [(0.2, {"r"}, set()), (0.6, {"s"}, BOTH), (9.0, {"s"}, set())],
+}
+
+
+@pytest.mark.parametrize("timetable", TIMETABLES.values(), ids=TIMETABLES)
+def test_vehicles_that_went_with_their_router_are_waited_for(timetable: Any) -> None:
+    events: list[str] = []
+    bus = Bus(*timetable)
+    bus.refuses_to_answer = set(NAMES)  # what was asked of them before went with the router
+    pace = lockstep(bus, events.append)
+    pace.publish(SEEN)
+    bus.refuses_to_answer = set()
+    commands = pace.collect(0, lambda: False)
+    assert set(commands) == set(NAMES)
+    assert events[-1] == "the router is back"
+
+
+def test_one_that_had_answered_before_the_router_died_is_waited_for_at_the_next_tick() -> None:
+    bus = Bus((0.3, {"r"}, set()), (0.5, set(), BOTH), (0.8, {"s"}, {"uav_0"}), (9.0, {"s"}, set()))
+    bus.refuses_to_answer = {"ugv_0"}
+    pace = lockstep(bus, lambda _line: None)
+    pace.publish(SEEN)
+    bus.refuses_to_answer = set()
+    assert set(pace.collect(0, lambda: False)) == set(NAMES)
+    assert time.monotonic() - bus._started < 0.79  # the UGV was back before the UAV
+    pace.publish(SEEN)
+    assert set(pace.collect(1, lambda: False)) == set(NAMES)
+
+
+def test_tokens_that_go_between_two_ticks_are_no_reason_to_fly_on() -> None:
+    bus = Bus((0.1, {"r"}, set()), (0.2, {"r"}, BOTH), (0.5, set(), BOTH), (9.0, {"s"}, set()))
+    pace = lockstep(bus, lambda _line: None)
+    pace.publish(SEEN)
+    assert set(pace.collect(0, lambda: False)) == set(NAMES)
+    time.sleep(0.12)
+    pace.publish(SEEN)
+    assert set(pace.collect(1, lambda: False)) == set(NAMES)
+
+
+def test_one_that_dies_while_the_router_lives_is_not_waited_for() -> None:
+    events: list[str] = []
+    bus = Bus((9.0, {"r"}, {"uav_0"}))
+    pace = lockstep(bus, events.append)
+    bus._timetable = ((0.1, {"r"}, set()), (9.0, {"r"}, {"uav_0"}))
+    bus.refuses_to_answer = {"uav_0"}
+    pace.publish(SEEN)
+    started = time.monotonic()
+    assert set(pace.collect(0, lambda: False)) == {"ugv_0"}
+    assert time.monotonic() - started < 1.5
+    assert events == []
