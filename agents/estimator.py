@@ -4,113 +4,39 @@ The state is $(x, y, v_x, v_y)$ of the UGV in the world frame, moving at constan
 The UAV knows its own position exactly, so a detection $\tilde p_\Delta$ of $p_\Delta = p_a - p_g$ measures the UGV's
 position: $z = p_a - \tilde p_\Delta$. The equations are filterpy's; here is what feeds them.
 
+A detection may come late and out of order. It counts at its own time: the filter goes back to what it believed before then,
+takes it up, and runs again through all that was detected since. So what it believes depends on which detections have
+arrived, not on when: the same bits as if all had come in order.
+
 Deviation: the paper's laws see the true $p_\Delta$. Ours see this estimate, never the truth.
 """
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
+from agents.estimation_history import SAME_TIME, SPAN, History, Moment
+from agents.estimation_model import acceleration_deviation, cut_variance, motion, straying
 from bus.messages import Detection, Detector, Estimator, Limits
 from sim.compile import FloatArray
 from sim.vehicles import clip_norm
 
-_SAME_TIME = 1e-9  # [s], two times nearer than this are one
 _VARIANCE_FLOOR = 1e-12  # [m²], (1 µm)²: a detector without noise must not make S singular
-_TIRE_LIMIT = 9.81  # [m/s²], what tires on the ground can give; where neither of the UGV's bounds is known
-_HOLD = 1.0  # [s], how long an acceleration lasts where the largest speed is not known
+_SURE = 1.0 / math.sqrt(8.0)  # least deviation of the position per metre that the UGV may have strayed while it was not seen
 _FREE_SPEED = 10.0  # [m/s], deviation of the first velocity per axis where the largest speed is not known
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Estimate:
+class Estimate(msgspec.Struct, frozen=True, kw_only=True):
     """What the UAV believes of the UGV, in the world frame."""
 
     position: tuple[float, float]  # [m]
     velocity: tuple[float, float]  # [m/s], never longer than v_g,max
     covariance: tuple[float, float, float]  # xx, xy, yy of the position [m²]
     age: float  # since the newest believed detection [s]
-    refused: int  # detections refused so far, by the gate or for the wrong time
-
-
-def cut_variance(*, sigma: float, cut: float | None) -> float:
-    r"""Variance per axis of a Gaussian vector in the plane whose norm is cut at $k$ standard deviations.
-
-    $$ \sigma^2 \left[ 1 - \frac{(k^2/2)\, e^{-k^2/2}}{1 - e^{-k^2/2}} \right]
-       = \sigma^2 \left[ 1 - \frac{h}{e^h - 1} \right], \quad h = k^2/2 $$
-
-    Half of $E\|n\|^2$, with the Rayleigh density of the norm cut at $k\sigma$. For small $k$ it is that of a uniform
-    disc, $(k\sigma)^2/4$; at $k = 3$ it is 0.949 σ².
-
-    Args:
-        sigma: Standard deviation per axis before the cut [m].
-        cut: k; None where the noise is not cut.
-
-    Returns:
-        The variance per axis [m²].
-    """
-    h = math.inf if cut is None else 0.5 * cut * cut
-    if h > 700.0:  # e^h is beyond floating point, and the cut beyond any draw
-        return sigma * sigma
-    if h < 1e-4:  # the series, where the difference loses its digits
-        return sigma * sigma * h * (0.5 - h / 12.0)
-    return sigma * sigma * (1.0 - h / math.expm1(h))
-
-
-def acceleration_deviation(*, target: Limits, manoeuvre: float, dt: float) -> float:
-    r"""Standard deviation per axis of the UGV's random acceleration, drawn anew at each tick and held over it.
-
-    $$ \sigma_u = m\, u_{g,max} \sqrt{T/dt}, \qquad T = \max(dt,\ \tfrac12 v_{g,max}/u_{g,max}) $$
-
-    A real UGV does not draw its acceleration anew at each tick: it brakes and gathers speed for up to
-    $v_{g,max}/u_{g,max}$, half of that on average. Noise of deviation $m\,u_{g,max}$ held for T has the same density as
-    noise held for one tick and larger by the root, so the filter does not depend on how finely time is cut.
-
-    Deviation: without the root (T = dt) a UGV that stops at its corners gives an average NEES of 9 on legs of 1 to 8 m
-    and 37 on legs below 1 m, where 4 is consistent, because the filter is too sure of itself; with it 2.5 and 3.2.
-
-    Where a bound is missing: without $u_{g,max}$ the UGV may change its velocity by $v_{g,max}$ within a tick,
-    $u_{g,max} = v_{g,max}/dt$; without either it has what tires give, 9.81 m/s²; without $v_{g,max}$ T is 1 s.
-
-    Args:
-        target: The UGV's bounds.
-        manoeuvre: m, the share of its bound.
-        dt: Length of a tick [s].
-
-    Returns:
-        The standard deviation [m/s²].
-    """
-    speed, acceleration = target.max_speed, target.max_acceleration
-    if acceleration is None:
-        acceleration = _TIRE_LIMIT if speed is None else speed / dt
-    hold = _HOLD if speed is None else 0.5 * speed / acceleration
-    return manoeuvre * acceleration * math.sqrt(max(dt, hold) / dt)
-
-
-def motion(*, ticks: int, dt: float, deviation: float) -> tuple[FloatArray, FloatArray]:
-    r"""F and Q of the motion over n ticks, with an acceleration of its own held over each of them.
-
-    $$ Q = \sigma_u^2 \begin{bmatrix} dt^4 (n^3/3 - n/12) & dt^3 n^2/2 \\ dt^3 n^2/2 & dt^2 n \end{bmatrix}
-       \otimes I_2 $$
-
-    is what n predictions over one tick each add up to.
-
-    Args:
-        ticks: n.
-        dt: Length of a tick [s].
-        deviation: σ_u of one tick's acceleration per axis [m/s²].
-
-    Returns:
-        F and Q, 4 x 4.
-    """
-    n, q, both = float(ticks), deviation * deviation, np.eye(2)
-    F: FloatArray = np.kron(np.array([[1.0, n * dt], [0.0, 1.0]]), both)
-    q_pp, q_pv, q_vv = q * dt**4 * (n**3 / 3.0 - n / 12.0), q * dt**3 * n * n / 2.0, q * dt * dt * n
-    Q: FloatArray = np.kron(np.array([[q_pp, q_pv], [q_pv, q_vv]]), both)
-    return F, Q
+    refused: int  # detections refused, by the gate (as if all had come in order) or for the wrong time
 
 
 def _inverse(S: FloatArray) -> FloatArray:
@@ -128,12 +54,15 @@ class RelativeEstimator:
 
     Deviation from the plain filter, where the UGV's largest speed is known: the velocity is never believed longer than
     v_g,max; its standard deviation per axis never larger than v_g,max; and that of the position never grows faster
-    than at v_g,max. The deviations are shortened, the correlations stay, so the covariance stays one.
+    than at v_g,max. While nothing is believed for long, that of the position is never smaller than 1/√8 of how far the UGV
+    can have strayed from its course: one that turned round comes to a NEES of 8, no more, and is let in again. Without
+    this the covariance forgets the speed that the mean goes on at: NEES 16 after 2 minutes, refused soon after. The
+    deviations are scaled, the correlations stay, so the covariance stays one.
 
     F, Q, R and the first covariance are alike in x and y, and so P stays: one axis stands for both where it is capped.
     """
 
-    def __init__(self, *, detector: Detector, target: Limits, dt: float, settings: Estimator) -> None:
+    def __init__(self, *, detector: Detector, target: Limits, dt: float, settings: Estimator, span: float = SPAN) -> None:
         """Prepare the filter; it believes nothing until the first detection.
 
         Args:
@@ -141,14 +70,16 @@ class RelativeEstimator:
             target: The UGV's bounds.
             dt: Length of a tick [s].
             settings: Gate, patience, manoeuvre, and whether to filter at all.
+            span: How late a detection may come and still be used [s].
 
         Raises:
-            ValueError: If dt is not positive and finite.
+            ValueError: If dt is not positive and finite, or the span is negative.
         """
         if not 0.0 < dt < math.inf:
             raise ValueError(f"dt must be positive and finite, not {dt}")
         self._settings = settings
         self._dt = dt
+        self._target = target
         self._speed = math.inf if target.max_speed is None else target.max_speed
         self._deviation = acceleration_deviation(target=target, manoeuvre=settings.manoeuvre, dt=dt)
         self._motions: dict[int, tuple[FloatArray, FloatArray]] = {}
@@ -164,12 +95,13 @@ class RelativeEstimator:
         self._filter.inv = _inverse  # filterpy's own hook; LAPACK on 2 x 2 costs half of its update
         self._ahead: tuple[FloatArray, FloatArray, tuple[list[float], FloatArray]] | None = None  # x, P and gain at the next tick
         self._weighed: tuple[list[float], FloatArray] | None = None  # gain and covariance for a detection at this one
-        self._time: float | None = None
+        self._history = History(span=span, dt=dt)
+        self._now: Moment | None = None  # None: never called
         self._age: int | None = None  # ticks; None: nothing was ever believed
-        self._looked = False  # a detection of this very time has been taken up
-        self._refused = 0
+        self._refused = 0  # by the gate
         self._refused_in_a_row = 0
         self._innovation_squared: float | None = None
+        self._misdated = self._duplicates = self._too_old = 0
 
     @property
     def state(self) -> FloatArray:
@@ -188,16 +120,27 @@ class RelativeEstimator:
         """Normalized innovation squared (NIS) of the newest detection that met the gate; None before."""
         return self._innovation_squared
 
-    def update(self, *, time: float, own_position: tuple[float, float], detections: tuple[Detection, ...]) -> Estimate | None:
-        """Move on to `time` and take up what was detected then.
+    @property
+    def duplicates(self) -> int:
+        """Detections ignored so far because that of their time was there."""
+        return self._duplicates
 
-        Of several detections of one time only the first is used, also over several calls. A detection of another time
-        is not used and counts as refused.
+    @property
+    def too_old(self) -> int:
+        """Detections dropped so far because they came later than the span allows."""
+        return self._too_old
+
+    def update(self, *, time: float, own_position: tuple[float, float], detections: tuple[Detection, ...]) -> Estimate | None:
+        """Move on to `time` and take up what has arrived, each detection at its own time.
+
+        Of several detections of one time only the first is used, also over several calls. What cannot be placed counts as
+        refused: a detection of the future, or of a time at which the filter was not called, so that p_a is not known, or
+        one that comes late and contradicts that of its time.
 
         Args:
             time: Now [s]; a whole number of ticks after the last call, or the same.
-            own_position: p_a, where the detections were taken [m].
-            detections: What has arrived since the last call.
+            own_position: p_a now [m].
+            detections: What has arrived since the last call, in any order.
 
         Returns:
             The estimate, or None where nothing was ever detected.
@@ -205,29 +148,96 @@ class RelativeEstimator:
         Raises:
             ValueError: If the time goes back or is between two ticks.
         """
-        self._advance(time)
+        now = self._advance(time, own_position)
+        first: Moment | None = None  # the earliest at which something is new
         for detection in detections:
-            if abs(detection.time - time) > _SAME_TIME:
-                self._refused += 1
-            elif not self._looked:
-                self._looked = True
-                p_delta_x, p_delta_y = detection.relative_position
-                self._take(own_position[0] - p_delta_x, own_position[1] - p_delta_y)
+            moment = now if abs(detection.time - time) <= SAME_TIME else self._past(now, detection)
+            if moment is not None and self._is_new(now, moment, detection) and (first is None or moment.tick < first.tick):
+                first = moment
+        if first is now:
+            self._look(now)
+        elif first is not None:
+            self._run_again(first)
         return self._estimate()
 
-    def _advance(self, time: float) -> None:
+    def _advance(self, time: float, own_position: tuple[float, float]) -> Moment:
         """Predict over the ticks since the last call."""
-        elapsed = 0.0 if self._time is None else time - self._time
+        last = self._now
+        elapsed = 0.0 if last is None else time - last.time
         ticks = round(elapsed / self._dt)
-        if elapsed < -_SAME_TIME or abs(elapsed - ticks * self._dt) > max(1e-6 * self._dt, _SAME_TIME):
-            raise ValueError(f"time {time} s is not a whole number of ticks of {self._dt} s after {self._time} s")
-        if self._time is None or ticks:
-            self._time = time
-            self._looked = False
-        if ticks and self._age is not None:
+        if elapsed < -SAME_TIME or abs(elapsed - ticks * self._dt) > max(1e-6 * self._dt, SAME_TIME):
+            raise ValueError(f"time {time} s is not a whole number of ticks of {self._dt} s after {last and last.time} s")
+        if last is not None and not ticks:
+            last.own_position = own_position
+            return last
+        self._coast(ticks)
+        now = self._now = Moment(
+            tick=ticks if last is None else last.tick + ticks,
+            time=time,
+            own_position=own_position,
+            x=self._filter.x,
+            P=self._filter.P,
+            age=self._age,
+            refused=self._refused,
+            refused_in_a_row=self._refused_in_a_row,
+        )
+        self._history.add(now)
+        return now
+
+    def _coast(self, ticks: int) -> None:
+        """Grow older by so many ticks without a detection."""
+        if self._age is not None:
             self._age += ticks
-            if self._settings.enabled:
-                self._predict(ticks)
+            if ticks and self._settings.enabled:
+                self._predict(ticks, self._age)
+
+    def _past(self, now: Moment, detection: Detection) -> Moment | None:
+        """The moment at which a detection was taken; None, and counted, where there is none to be had."""
+        moment = None
+        if detection.time < now.time:
+            late = round((now.time - detection.time) / self._dt)
+            if late > self._history.ticks:
+                self._too_old += 1
+                return None
+            moment = self._history.find(tick=now.tick - late, time=detection.time)
+        if moment is None:
+            self._misdated += 1
+        return moment
+
+    def _is_new(self, now: Moment, moment: Moment, detection: Detection) -> bool:
+        """Put a detection into its moment, unless there is one."""
+        (p_x, p_y), (p_delta_x, p_delta_y) = moment.own_position, detection.relative_position
+        seen = (p_x - p_delta_x, p_y - p_delta_y)
+        if moment.seen is None:
+            moment.seen = seen
+            return True
+        if moment is now or moment.seen == seen:
+            self._duplicates += 1
+        else:
+            self._misdated += 1  # it was not taken then: another one was
+        return False
+
+    def _run_again(self, first: Moment) -> None:
+        """Go back to before `first` and run again through all that was detected since.
+
+        `innovation_squared` needs no way back: whatever has met the gate meets it again.
+        """
+        self._ahead = self._weighed = None
+        self._filter.x, self._filter.P, self._age = first.x, first.P, first.age
+        self._refused, self._refused_in_a_row = first.refused, first.refused_in_a_row
+        self._look(first)
+        tick = first.tick
+        for moment in self._history.after(first):
+            self._coast(moment.tick - tick)
+            tick = moment.tick
+            moment.x, moment.P, moment.age = self._filter.x, self._filter.P, self._age
+            moment.refused, moment.refused_in_a_row = self._refused, self._refused_in_a_row
+            self._look(moment)
+
+    def _look(self, moment: Moment) -> None:
+        """Take up what was detected at this moment, if anything was."""
+        if moment.seen is not None:
+            self._take(*moment.seen)
 
     def prepare(self) -> None:
         """Work ahead to the next tick, while nobody waits; it changes no estimate, only when it is there.
@@ -237,19 +247,20 @@ class RelativeEstimator:
         if self._age is None or not self._settings.enabled or self._ahead is not None:
             return
         posterior = (self._filter.x, self._filter.P)
-        self._predict(1)
+        self._predict(1, self._age + 1)
         self._ahead = (self._filter.x, self._filter.P, self._weigh())
         self._filter.x, self._filter.P = posterior
 
     def _weigh(self) -> tuple[list[float], FloatArray]:
         """Gain K, row by row, for a detection at this tick, and the covariance after it: filterpy's update without innovation."""
         prior = (self._filter.x, self._filter.P)
-        self._filter.update(prior[0][:2], H=self._filter.H)  # H is passed so that filterpy takes z as it is
+        self._filter.update(0.0, H=self._filter.H)  # any z does; H is passed so that filterpy takes it as it is
         weighed = (self._filter.K.ravel().tolist(), self._filter.P)
         self._filter.x, self._filter.P = prior
         return weighed
 
-    def _predict(self, ticks: int) -> None:
+    def _predict(self, ticks: int, age: int) -> None:
+        """Go on by so many ticks; then the newest believed detection is `age` ticks old."""
         ahead, self._ahead, self._weighed = self._ahead, None, None
         if ahead is not None and ticks == 1:
             self._filter.x, self._filter.P, self._weighed = ahead
@@ -260,14 +271,15 @@ class RelativeEstimator:
         before = self._filter.P.item(0)
         self._filter.predict(F=matrices[0], Q=matrices[1])
         if self._speed < math.inf:
-            self._cap(math.sqrt(before) + self._speed * ticks * self._dt)
+            strayed = straying(elapsed=age * self._dt, target=self._target, manoeuvre=self._settings.manoeuvre, dt=self._dt)
+            self._bound(least=_SURE * strayed, most=math.sqrt(before) + self._speed * ticks * self._dt)
 
-    def _cap(self, reach: float) -> None:
-        """Shorten the standard deviations per axis: the position's to `reach` [m], the velocity's to v_g,max."""
+    def _bound(self, *, least: float, most: float) -> None:
+        """Keep the standard deviations per axis within bounds: the position's [m], and the velocity's up to v_g,max."""
         position = math.sqrt(self._filter.P.item(0))
         velocity = math.sqrt(self._filter.P.item(10))
-        if position > reach or velocity > self._speed:
-            p, v = min(1.0, reach / position), min(1.0, self._speed / velocity)
+        if not least <= position <= most or velocity > self._speed:
+            p, v = min(max(least, position), most) / position, min(1.0, self._speed / velocity)
             scale = np.array([p, p, v, v])
             self._filter.P = self._filter.P * np.outer(scale, scale)
 
@@ -321,5 +333,5 @@ class RelativeEstimator:
             velocity=(v_x, v_y),
             covariance=(P.item(0), P.item(1), P.item(5)),
             age=self._age * self._dt,
-            refused=self._refused,
+            refused=self._refused + self._misdated,
         )

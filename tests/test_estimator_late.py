@@ -1,0 +1,424 @@
+"""The filter under a bad network: detections that come late, out of order, twice, in bursts or not at all."""
+
+import math
+from collections import defaultdict
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from properties import PROPERTY
+from scipy.stats import chi2
+from test_estimator import DT, FREE, PUSH, SIGMA, UGV, VARIANCE, cut_noise, drive, look, make, model, settled, squared, within
+
+from agents.estimation_history import SPAN, History
+from agents.estimation_model import acceleration_deviation, straying
+from agents.estimator import RelativeEstimator
+from bus.messages import Detection, Detector, Estimator, Limits
+
+EVERY = 4  # ticks between two looks: 0.2 s
+AGILE = Limits(max_speed=0.2, max_acceleration=None)
+
+
+def own(tick):
+    """Where the UAV is: it flies a circle, so that its position now is not that of a second ago."""
+    return (20.0 + 3.0 * math.cos(0.01 * tick), 20.0 + 3.0 * math.sin(0.01 * tick))
+
+
+def detection(tick, seen):
+    """A look at tick `tick` that finds the UGV at `seen` in the world."""
+    p_x, p_y = own(tick)
+    return Detection(time=tick * DT, relative_position=(p_x - seen[0], p_y - seen[1]))
+
+
+def call(estimator, tick, *detections):
+    return estimator.update(time=tick * DT, own_position=own(tick), detections=detections)
+
+
+def bits(estimator):
+    return estimator.state.tobytes(), estimator.covariance.tobytes(), estimator.innovation_squared
+
+
+def followed(ticks=200, missing=(), **chosen):
+    """A filter that has looked at a UGV along x at each tick but the missing ones."""
+    estimator = make(**chosen)
+    for k in range(ticks):
+        call(estimator, k, *(() if k in missing else (detection(k, along(k)),)))
+    return estimator
+
+
+def along(tick):
+    noise = cut_noise(9, 1000)[tick % 1000]
+    return (20.0 + 0.1 * tick * DT + noise[0], 20.0 + noise[1])
+
+
+# The same as in order
+
+flights = st.lists(
+    st.tuples(
+        st.sampled_from([1, 1, 1, 2, 5, 30]),  # ticks since the call before
+        st.sampled_from(["seen", "seen", "gross", "missed"]),
+        st.sampled_from(
+            [[0], [1], [2], [3], [5], [9], [12], [2, 2], [0, 6], [4, 1, 7], []]
+        ),  # calls each copy is late; none: lost
+        st.booleans(),  # whether the filter works ahead
+    ),
+    min_size=10,
+    max_size=18,
+)
+
+
+@given(
+    flight=flights,
+    target=st.sampled_from([UGV, FREE, AGILE]),
+    patience=st.integers(1, 4),
+    enabled=st.sampled_from([True, True, True, False]),
+    order=st.randoms(use_true_random=False),
+)
+@settings(PROPERTY, max_examples=300)
+def test_whatever_the_network_does_to_detections_the_bits_are_those_of_what_has_arrived_in_order(
+    flight, target, patience, enabled, order
+):
+    ticks = np.cumsum([step for step, *_ in flight] + [1] * 12).tolist()
+    post = defaultdict(list)  # by the call at which it arrives
+    taken = {}
+    for k, (_, what, copies, _) in enumerate(flight):
+        seen = (30.0, 12.0) if what == "gross" else (20.0 + 0.01 * k, 20.0 + 0.05 * (k % 3))
+        if what != "missed" and copies:
+            taken[k] = detection(ticks[k], seen)
+            for late in copies:
+                post[k + late].append(k)
+    works_ahead = [ahead for *_, ahead in flight] + [False] * 12
+    late = make(target=target, patience=patience, enabled=enabled)
+    arrived: set[int] = set()
+    copies = 0
+    for k, tick in enumerate(ticks):
+        order.shuffle(post[k])
+        arrived.update(post[k])
+        copies += len(post[k])
+        ours = call(late, tick, *(taken[i] for i in post[k]))
+        in_order = make(target=target, patience=patience, enabled=enabled)
+        for i, before in enumerate(ticks[: k + 1]):
+            theirs = call(in_order, before, *([taken[i]] if i in arrived else []))
+        assert ours == theirs
+        assert bits(late) == bits(in_order)
+        if works_ahead[k]:
+            late.prepare()
+    assert arrived == set(taken)
+    assert late.duplicates == copies - len(taken)
+    assert late.too_old == 0
+
+
+def test_a_late_detection_counts_at_its_own_time_and_place():
+    late, in_order = followed(missing=[170]), followed()
+    before = bits(late)
+    ours, theirs = call(late, 200, detection(170, along(170))), call(in_order, 200)
+    assert ours == theirs
+    assert bits(late) == bits(in_order) != before
+
+
+def test_age_is_that_of_the_newest_believed_detection_however_late():
+    estimator = make()
+    assert [call(estimator, k) for k in range(30)] == [None] * 30
+    assert call(estimator, 30, detection(10, (20.0, 20.0))).age == 20 * DT
+    assert call(estimator, 31, detection(25, (20.0, 20.0)), detection(5, (20.0, 20.0))).age == 6 * DT
+    assert call(estimator, 32, detection(12, (20.0, 20.0))).age == 7 * DT
+    assert call(estimator, 33, detection(30, (29.0, 20.0))).age == 8 * DT  # refused
+
+
+def test_switched_off_it_holds_the_newest_detection_by_its_own_time():
+    estimator = make(enabled=False)
+    call(estimator, 0)
+    call(estimator, 1)
+    assert call(estimator, 2, detection(1, (21.0, 20.0))).position == pytest.approx((21.0, 20.0))
+    after = call(estimator, 3, detection(0, (35.0, 20.0)))
+    assert after.position == pytest.approx((21.0, 20.0))
+    assert after.age == 2 * DT
+
+
+def test_the_gate_judges_anew_when_something_earlier_arrives():
+    estimator = make()
+    call(estimator, 0)
+    call(estimator, 1, detection(1, (30.0, 25.0)))  # an outlier, and the first that it hears of
+    for k in (2, 3):
+        deceived = call(estimator, k, detection(k, (20.0, 20.0)))
+    assert (deceived.refused, deceived.age) == (2, 2 * DT)
+    mended = call(estimator, 4, detection(0, (20.0, 20.0)))
+    assert (mended.refused, mended.age) == (1, DT)
+    assert mended.position == pytest.approx((20.0, 20.0), abs=1e-9)
+
+
+def test_working_ahead_is_undone_by_what_comes_late():
+    ahead, plain = followed(missing=[190]), followed(missing=[190])
+    for k in range(200, 206):
+        ahead.prepare()
+        late = [detection(190, along(190))] if k == 203 else []
+        assert call(ahead, k, *late) == call(plain, k, *late)
+        assert bits(ahead) == bits(plain)
+    ahead.prepare()
+    later = detection(204, (20.9, 20.3))
+    assert call(ahead, 205, later) == call(plain, 205, later)  # of the same tick that it has worked ahead from
+    assert call(ahead, 206) == call(plain, 206)
+    assert bits(ahead) == bits(plain)
+
+
+def test_working_ahead_through_a_long_gap_changes_nothing():
+    ahead, plain = followed(), followed()
+    for k in range(200, 2200):
+        ahead.prepare()
+        assert call(ahead, k) == call(plain, k)
+    assert bits(ahead) == bits(plain)
+
+
+# What is not used
+
+
+def test_duplicates_are_ignored_and_counted_whenever_they_come():
+    once, often = followed(), followed()
+    copy, old = detection(200, along(200)), detection(150, along(150))
+    expected = call(once, 200, copy)
+    assert call(often, 200, old, copy, copy, old) == expected
+    assert bits(often) == bits(once)
+    assert (once.duplicates, often.duplicates, often.too_old) == (0, 3, 0)
+    refused = detection(201, (30.0, 30.0))
+    first = call(often, 201, refused)
+    assert call(often, 202, refused).refused == first.refused == 1  # a copy of a refused one is a copy
+    assert often.duplicates == 4
+
+
+def test_another_late_detection_of_a_time_that_has_one_is_refused():
+    estimator, alone = followed(), followed()
+    estimate = call(estimator, 200, detection(150, (20.8, 20.1)))
+    assert (estimate.refused, estimator.duplicates) == (1, 0)
+    assert estimate.position == call(alone, 200).position
+    assert bits(estimator) == bits(alone)
+
+
+def test_what_is_older_than_the_span_is_dropped_and_counted():
+    def fly(*late):
+        estimator = RelativeEstimator(
+            detector=Detector(noise=SIGMA, period=DT), target=UGV, dt=DT, settings=Estimator(), span=1.0
+        )
+        for k in range(100):
+            call(estimator, k, *([detection(k, along(k))] if k not in (79, 80) else []))
+        return call(estimator, 100, *(detection(k, along(k)) for k in late)), estimator
+
+    (nothing, plain), (same, dropped), (other, used) = fly(), fly(79), fly(80)
+    assert (same, bits(dropped)) == (nothing, bits(plain))
+    assert (dropped.too_old, used.too_old) == (1, 0)
+    assert bits(used) != bits(plain)
+    assert other.refused == nothing.refused == same.refused == 0
+
+
+def test_a_minute_is_kept_by_default():
+    estimator = make()
+    call(estimator, 0)
+    call(estimator, 1)
+    last = round(SPAN / DT) + 1
+    assert SPAN == 60.0
+    assert call(estimator, last, detection(0, (20.0, 20.0))) is None
+    assert estimator.too_old == 1
+    assert call(estimator, last, detection(1, (20.0, 20.0))).age == pytest.approx(60.0)
+
+
+def test_where_the_filter_was_not_called_it_does_not_know_its_place_and_refuses():
+    estimator = followed()
+    call(estimator, 210)
+    between = Detection(time=198.5 * DT, relative_position=(0.0, 0.0))
+    before = Detection(time=209 * DT, relative_position=(0.0, 0.0))
+    ahead = Detection(time=211 * DT, relative_position=(0.0, 0.0))
+    assert call(estimator, 210, between, before, ahead).refused == 3
+    begun_late = make()
+    call(begun_late, 50)
+    assert call(begun_late, 51, detection(20, (20.0, 20.0))) is None
+
+
+def test_the_past_that_is_kept_is_bounded():
+    with pytest.raises(ValueError, match="span"):
+        RelativeEstimator(detector=Detector(period=DT), target=UGV, dt=DT, settings=Estimator(), span=-1.0)
+    assert History(span=60.0, dt=0.05).ticks == 1200
+    assert History(span=math.inf, dt=5e-324).ticks == 100_000
+    estimator = make()
+    for k in range(1500):
+        call(estimator, k)
+    history = estimator._history
+    assert history.find(tick=298, time=298 * DT) is None
+    oldest = history.find(tick=299, time=299 * DT)
+    assert len(history.after(oldest)) == 1200
+
+
+# Consistency
+
+NETWORKS = [
+    "in time", "0.5 s late", "1 s late", "2 s late", "jitter", "half lost", "bursts", "blackouts", "duplicates", "everything",
+]  # fmt: skip
+
+
+def arrivals(network, seed, count):
+    """For each tick of a flight, the ticks whose looks arrive then; drawn without regard to what they show."""
+    rng = np.random.default_rng(seed)
+    at = defaultdict(list)
+    bad = False
+    for k in range(0, count, EVERY):
+        t = k * DT
+        bad ^= rng.random() < EVERY * DT / 1.5  # good and bad times of 1.5 s on average
+        lost = {
+            "half lost": rng.random() < 0.5,
+            "bursts": bad,
+            "blackouts": t % 15.0 >= 5.0,
+            "everything": bad or rng.random() < 0.2 or t % 20.0 >= 10.0,
+        }.get(network, False)
+        copies = {"duplicates": 3, "everything": 1 + rng.integers(2)}.get(network, 1)
+        for _ in range(0 if lost else copies):
+            delay = {
+                "0.5 s late": 0.5,
+                "1 s late": 1.0,
+                "2 s late": 2.0,
+                "jitter": rng.uniform(0.0, 2.0),
+                "duplicates": rng.uniform(0.0, 1.0),
+                "everything": rng.uniform(0.5, 2.0),
+            }.get(network, 0.0)
+            at[k + round(delay / DT)].append(k)
+    return at
+
+
+def fly_through(network, seed, estimator, truth, noise):
+    """Errors and covariances at each tick from 5 s on, NaN before the first detection has come, and the last estimate."""
+    at = arrivals(network, seed, len(truth))
+    errors, covariances = [], []
+    for k, state in enumerate(truth):
+        estimate = call(estimator, k, *(detection(i, truth[i, :2] + noise[i]) for i in at[k]))
+        if k >= 100:
+            errors.append(estimator.state - state if estimate else np.full(4, math.nan))
+            covariances.append(estimator.covariance)
+    return np.array(errors), np.array(covariances), estimate
+
+
+def drawn_from_the_model(seed, count):
+    rng = np.random.default_rng(seed)
+    F, _ = model()
+    deviation = acceleration_deviation(target=FREE, manoeuvre=Estimator().manoeuvre, dt=DT)
+    truth = [np.array([20.0, 20.0, *(10.0 * rng.normal(size=2))])]
+    for _ in range(count - 1):
+        truth.append(F @ truth[-1] + deviation * PUSH @ rng.normal(size=2))
+    return np.array(truth)
+
+
+@pytest.mark.parametrize("network", NETWORKS)
+def test_is_consistent_on_a_bad_network_when_the_ugv_moves_as_the_model_says(network):
+    flights, count = 60, 400
+    nees = []
+    for seed in range(flights):
+        noise = SIGMA * np.random.default_rng([seed, 1]).normal(size=(count, 2))
+        estimator = make(target=FREE, cut=None, gate=1e12)
+        errors, covariances, _ = fly_through(network, seed, estimator, drawn_from_the_model(seed, count), noise)
+        nees.append(squared(errors, covariances))
+    for k in (0, 99, 198, 201, 299):  # 5 s, 10 s, 14.9 s: the last of a blackout, 15.1 s, 20 s
+        known = np.array(nees)[:, k]
+        known = known[~np.isnan(known)]
+        assert len(known) > 0.8 * flights
+        assert within(known.mean(), 4, len(known))
+
+
+@pytest.mark.parametrize("legs", [(1.0, 8.0), (0.2, 0.8)], ids=["waypoints", "restless"])
+@pytest.mark.parametrize("network", NETWORKS)
+def test_is_not_too_sure_of_a_real_ugv_on_a_bad_network(network, legs):
+    flights, count = 40, 700
+    nees, seen, refused = [], [], 0
+    for seed in range(flights):
+        errors, covariances, estimate = fly_through(network, seed, make(), drive(seed, count, legs), cut_noise(seed, count))
+        nees.append(squared(errors, covariances))
+        seen.append(squared(errors[:, :2], covariances[:, :2, :2]))
+        refused += estimate.refused
+    for average, degrees in ((np.nanmean(nees), 4), (np.nanmean(seen), 2)):
+        upper = chi2.ppf(0.9995, degrees * flights) / flights
+        print(f"average {average:.3f} <= {upper:.3f}")  # noqa: T201
+        assert average <= upper
+    assert refused == 0
+
+
+def test_late_detections_tell_more_than_the_newest_of_them_as_it_is():
+    ours, theirs = [], []
+    for seed in range(20):
+        truth, noise = drive(seed, 700, (1.0, 8.0)), cut_noise(seed, 700)
+        errors, _, _ = fly_through("1 s late", seed, make(), truth, noise)
+        held, _, _ = fly_through("1 s late", seed, make(enabled=False), truth, noise)
+        ours.append(errors[:, :2])
+        theirs.append(held[:, :2])
+    ratio = math.sqrt(np.mean(np.square(ours)) / np.mean(np.square(theirs)))
+    print(f"RMS of the estimate / RMS of the newest detection: {ratio:.3f}")  # noqa: T201
+    assert ratio < 0.6
+
+
+# Long gaps
+
+
+def test_straying_is_what_a_ugv_does_that_turns_round_at_once():
+    x, v, u = 0.0, 0.2, 0.7 * 0.1
+    for k in range(4000):
+        t = k * DT
+        assert 0.2 * t - x == pytest.approx(straying(elapsed=t, target=UGV, manoeuvre=0.7, dt=DT), abs=2e-3)
+        v_after = max(v - u * DT, -0.2)
+        x, v = x + 0.5 * (v + v_after) * DT, v_after
+    assert straying(elapsed=0.0, target=AGILE, manoeuvre=0.7, dt=DT) == 0.0
+    assert straying(elapsed=1e6, target=AGILE, manoeuvre=0.7, dt=DT) == pytest.approx(4e5)
+    assert straying(elapsed=1.0, target=FREE, manoeuvre=0.7, dt=DT) == math.inf
+
+
+@pytest.mark.parametrize("gap", [2.0, 5.0, 10.0, 30.0, 60.0, 200.0, 1000.0])
+@pytest.mark.parametrize("at_once", [True, False])
+def test_a_ugv_that_turned_round_in_a_gap_is_let_in_again_however_long_the_gap(gap, at_once):
+    estimator, ticks = settled(speed=0.2), round(gap / DT)
+    x = 20.0 + 0.2 * 399 * DT + 0.2 * gap - straying(elapsed=gap, target=UGV, manoeuvre=1.0, dt=DT)
+    for k in range(0 if at_once else 1, ticks):
+        if not at_once:
+            look(estimator, 399 + k)
+    P = estimator.covariance[:2, :2]
+    back = look(estimator, 399 + ticks, (x, 20.0))
+    assert (back.refused, back.age) == (0, 0.0)
+    assert estimator.innovation_squared < 9.0
+    if not at_once:
+        assert math.sqrt(P[0, 0]) < math.sqrt(VARIANCE) + 0.2 * gap
+
+
+@pytest.mark.parametrize("gap", [10.0, 60.0, 240.0])
+def test_is_not_too_sure_of_a_real_ugv_after_a_long_gap(gap):
+    flights, ticks = 40, round(gap / DT)
+    errors, covariances = [], []
+    for seed in range(flights):
+        truth, noise, estimator = drive(seed, 400 + ticks, (1.0, 80.0)), cut_noise(seed, 400), make()
+        for k in range(0, 400, EVERY):
+            look(estimator, k, truth[k, :2] + noise[k])
+        for k in range(400, 400 + ticks):
+            look(estimator, k)
+        errors.append(estimator.state - truth[-1])
+        covariances.append(estimator.covariance)
+    nees = squared(np.array(errors), np.array(covariances))
+    print(f"NEES {nees.mean():.3f}, largest {nees.max():.2f}")  # noqa: T201
+    assert nees.mean() <= chi2.ppf(0.9995, 4 * flights) / flights
+    assert nees.max() < 18.4
+
+
+@given(flight=flights, speed=st.floats(0.01, 30.0), acceleration=st.one_of(st.none(), st.floats(0.01, 10.0)))
+@PROPERTY
+def test_estimate_never_leaves_what_the_ugv_can_have_reached_since_it_was_believed(flight, speed, acceleration):
+    estimator = make(target=Limits(max_speed=speed, max_acceleration=acceleration))
+    call(estimator, 0, detection(0, (20.0, 20.0)))
+    tick, last, waiting = 0, None, []
+    for elapsed, what, copies, works_ahead in [*flight, (3000, "missed", [], False)]:
+        tick += elapsed
+        arrived = [d for d in waiting if works_ahead]
+        waiting = [] if works_ahead else waiting
+        now = call(estimator, tick, *arrived)
+        if what == "seen":
+            waiting += [detection(tick, (20.0 + 0.01 * len(copies), 20.0))] * len(copies)
+        P = estimator.covariance
+        assert math.hypot(*now.velocity) <= speed * (1.0 + 1e-9)
+        assert np.sqrt(P[2:, 2:].diagonal()).max() <= speed * (1.0 + 1e-9)
+        if last is not None and now.age > elapsed * DT * (1.0 + 1e-9) and not arrived:
+            assert math.dist(now.position, last[0]) <= speed * elapsed * DT * (1.0 + 1e-9) + 1e-9
+            assert math.sqrt(P[0, 0]) <= (last[1] + speed * elapsed * DT) * (1.0 + 1e-9)
+            assert math.sqrt(P[0, 0]) >= last[1] * (1.0 - 1e-9)
+        if works_ahead:
+            estimator.prepare()
+        last = (now.position, math.sqrt(P[0, 0]))
