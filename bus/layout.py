@@ -49,10 +49,10 @@ class UavRow(NamedTuple):
     y: Annotated[float, Field("own position, y", "m", "0", "H")]
     vx: Annotated[float, Field("own velocity, x", "m/s", "-v_max", "v_max")]
     vy: Annotated[float, Field("own velocity, y", "m/s", "-v_max", "v_max")]
-    detected: Annotated[float, Field("1 where the UGV is detected at this tick, else 0", "", "0", "1")]
-    relative_x: Annotated[float, Field("detected p_a - p_g, x; 0 where not detected", "m", "-d_max", "d_max")]
-    relative_y: Annotated[float, Field("detected p_a - p_g, y; 0 where not detected", "m", "-d_max", "d_max")]
-    age: Annotated[float, Field("time since the newest detection; T before the first", "s", "0", "T")]
+    detected: Annotated[float, Field("1 where a detection has come at this tick, else 0", "", "0", "1")]
+    relative_x: Annotated[float, Field("detected p_a - p_g, x; 0 where none has come", "m", "-d_max", "d_max")]
+    relative_y: Annotated[float, Field("detected p_a - p_g, y; 0 where none has come", "m", "-d_max", "d_max")]
+    age: Annotated[float, Field("time since the newest detection was taken; T before the first", "s", "0", "T")]
 
 
 class UgvRow(NamedTuple):
@@ -77,7 +77,7 @@ class UavState(NamedTuple):
     vy: Annotated[float, Field("velocity, y", "m/s", "-v_max", "v_max")]
     distance: Annotated[float, Field("true distance from its UGV", "m", "0", "D")]
     coverage_error: Annotated[float, Field("e(t) of (4) with the true p_g", "m^2", "0", "E")]
-    age: Annotated[float, Field("time since the newest detection; T before the first", "s", "0", "T")]
+    age: Annotated[float, Field("time since the newest detection was taken; T before the first", "s", "0", "T")]
 
 
 class UgvState(NamedTuple):
@@ -148,7 +148,8 @@ def uav_observation(row: Row, *, dt: float) -> UavObservation:
     """
     entries = UavRow._make(row.tolist())
     tick = round(entries.time / dt)
-    found = Detection(time=tick * dt, relative_position=(entries.relative_x, entries.relative_y))
+    taken = tick - round(entries.age / dt)
+    found = Detection(time=taken * dt, relative_position=(entries.relative_x, entries.relative_y))
     return UavObservation(
         tick=tick,
         time=tick * dt,

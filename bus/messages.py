@@ -89,6 +89,87 @@ class Law(Message, frozen=True, kw_only=True):
     """omega_pv of (25) [rad/s]; negative is clockwise."""
 
 
+class LinkKind(StrEnum):
+    """What crosses the ether."""
+
+    DETECTIONS = "detections"
+    """From a UAV's detector to its computer."""
+    COMMANDS = "commands"
+    """From a vehicle's computer to its actuators."""
+    OPERATOR = "operator"
+    """From an operator to a UGV."""
+    RADIO = "radio"
+    """From a UAV to the UGV it escorts."""
+
+
+Share = Annotated[float, Meta(ge=0.0, le=1.0)]
+Seconds = Annotated[float, Meta(ge=0.0, le=1e6)]
+
+
+class LinkSettings(Message, frozen=True, kw_only=True):
+    """What one radio link does to messages; the default is a perfect one."""
+
+    delay: Annotated[float, Meta(ge=0.0, le=30.0)] = 0.0
+    """[s]"""
+    jitter: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.0
+    """Scale of the extra delay [s]."""
+    jitter_shape: Name = "uniform"
+    """A row of `sim.link.SHAPES`, which says what the scale means."""
+    jitter_cut: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.0
+    """The extra delay lies between -delay and this [s], as if drawn again until it does; 0: five times the jitter."""
+    loss: Share = 0.0
+    """Share of messages that are lost, each on its own."""
+    burst_length: Seconds = 0.0
+    """Mean length of the bad state (Gilbert-Elliott) [s]; 0: no bursts."""
+    burst_interval: Seconds = 0.0
+    """Mean time in the good state between two [s]."""
+    burst_loss: Share = 1.0
+    """Share of messages that are lost in the bad state."""
+    blackouts: Annotated[tuple[tuple[Seconds, Seconds], ...], Meta(max_length=1000)] = ()
+    """Start and length of planned ones [s]: nothing that leaves then gets through."""
+    blackout_interval: Seconds = 0.0
+    """Mean time between the end of a random blackout and the start of the next [s]; 0: none."""
+    blackout_length: Seconds = 0.0
+    """Length of each random one [s]."""
+    duplicates: Share = 0.0
+    """Share of messages that arrive twice; the copy has a delay of its own."""
+    reorder: Share = 0.0
+    """Share of messages that are held back."""
+    reorder_delay: Annotated[float, Meta(ge=0.0, le=30.0)] = 0.0
+    """By how much [s]."""
+    bandwidth: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
+    """Messages per second [1/s]; 0: no limit."""
+    queue: Annotated[int, Meta(ge=1, le=10_000)] = 10
+    """Messages that can wait at the sender."""
+    keep: Name = "newest"
+    """Which messages a full queue keeps, of `KEEPS`."""
+
+
+class LinkStatus(Message, frozen=True, kw_only=True):
+    """What a link has done so far: sent + duplicated = delivered + lost + waiting + flying."""
+
+    sent: Tick
+    delivered: Tick
+    """Copies among them."""
+    duplicated: Tick
+    """Copies that were made."""
+    waiting: Tick
+    """At the sender."""
+    flying: Tick
+    lost: dict[Text, Tick]
+    """By cause, of `sim.link.CAUSES`."""
+    delivery_ratio: Share | None = None
+    """Of the messages whose fate is known, the share that was not lost."""
+    age: NonNegative | None = None
+    """Of the newest information delivered, at the last tick [s]; None before the first."""
+    mean_age: NonNegative | None = None
+    """Over the ticks since then."""
+    max_age: NonNegative | None = None
+    degraded: bool = False
+    """Whether its settings do anything to a message."""
+    settings: LinkSettings | None = None
+
+
 class Detector(Message, frozen=True, kw_only=True):
     """What the UAV knows of its own detector of the UGV."""
 
@@ -276,6 +357,7 @@ class Action(StrEnum):
     RESET = "reset"
     LAW = "law"
     DRIVER = "driver"
+    LINK = "link"
 
 
 class Control(Message, frozen=True, kw_only=True):
@@ -291,9 +373,13 @@ class Control(Message, frozen=True, kw_only=True):
     law: Law | None = None
     """LAW: what the UAVs fly."""
     vehicle: Name | None = None
-    """DRIVER: which UGV; None: every one."""
+    """DRIVER: which UGV; LINK: whose. None: every one."""
     driver: Name | None = None
     """DRIVER: who takes its wheel."""
+    link: LinkKind | None = None
+    """LINK: which."""
+    settings: LinkSettings | None = None
+    """LINK: what it does to messages from now on."""
 
 
 class Change(Message, frozen=True, kw_only=True):
@@ -378,6 +464,8 @@ class Geometry(Message, frozen=True, kw_only=True):
     """r_s of (18) of the first escort [m]; None where it has no finite value."""
     dt: Positive
     """[s]"""
+    limits: dict[Name, Limits] = {}
+    """Each vehicle's bounds."""
     uavs: dict[Name, Name]
     """Each UAV, and the UGV it escorts."""
 
@@ -404,7 +492,11 @@ class Status(Message, frozen=True, kw_only=True):
     """Who drives each UGV now."""
     changes: tuple[Change, ...] = ()
     """The last controls that have taken effect, the newest last; not more than 20."""
+    refusals: tuple[Text, ...] = ()
+    """The last wishes of operators that were refused, and why; not more than 5."""
     geometry: Geometry | None = None
+    links: dict[Text, LinkStatus] = {}
+    """How each link does, by `vehicle/kind`."""
     vehicles: dict[Name, VehicleStatus]
     over: bool = False
 

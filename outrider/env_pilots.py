@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -39,7 +40,10 @@ class _Crew:
         row = observation["row"] if isinstance(observation, Mapping) else observation
         pilot, dt = self._pilots[name], self._env.scenario.dt
         if isinstance(pilot, UavPilot):
-            return np.array(pilot.act(uav_observation(row, dt=dt)).acceleration)
+            seen = uav_observation(row, dt=dt)
+            if self._env.degraded:  # several may have come at once, and the row has room for one
+                seen = msgspec.structs.replace(seen, detections=self._env.received(name))
+            return np.array(pilot.act(seen).acceleration)
         return np.array(pilot.act(ugv_observation(row, dt=dt)).acceleration)
 
 

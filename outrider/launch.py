@@ -5,6 +5,7 @@ import os
 import queue
 import secrets
 import shutil
+import socket
 import subprocess
 import sys
 import tempfile
@@ -19,7 +20,7 @@ import msgspec
 
 from bus.access import ROUTER_FILE, new_credentials, write_credentials
 from bus.errors import BusError, PeerLost
-from bus.keys import SIMULATOR_NAME
+from bus.keys import OPERATOR_NAME, SIMULATOR_NAME
 from outrider.cores import can_be_kept_apart, keep_apart
 from outrider.reports import Report
 from outrider.summary import Process, Summary
@@ -29,6 +30,8 @@ _PATIENCE = 10.0
 """How long a process may take to end when it was asked to [s]."""
 _LAST_WORDS = 12
 """Lines of a child's standard error that are kept."""
+_LAST_FRAME = 0.2
+"""So long after the end of the simulator the page is still served [s], so that browsers show that the run is over."""
 _LIVES = 3
 """A process that dies more often than this while the clock stands still is not started again."""
 
@@ -40,9 +43,16 @@ class Child:
         name: On the bus.
         arguments: Of the `outrider` command line.
         lines: Where its standard output goes, line by line; None is its end.
+        files: Open files that it inherits, by their numbers.
     """
 
-    def __init__(self, name: str, arguments: Sequence[str], lines: "queue.SimpleQueue[bytes | None] | None" = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        arguments: Sequence[str],
+        lines: "queue.SimpleQueue[bytes | None] | None" = None,
+        files: Sequence[int] = (),
+    ) -> None:
         self.name = name
         self._words: deque[str] = deque(maxlen=_LAST_WORDS)
         self._process = subprocess.Popen(
@@ -50,6 +60,7 @@ class Child:
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL if lines is None else subprocess.PIPE,
             stderr=subprocess.PIPE,
+            pass_fds=files,
             start_new_session=True,  # Ctrl-C reaches us alone; we end the children in order
         )
         self._readers = [threading.Thread(target=self._listen, args=(self._process.stderr,), daemon=True)]
@@ -181,6 +192,7 @@ def launch(
     respawn: bool = False,
     pin: bool = True,
     secured: bool = True,
+    page: socket.socket | None = None,
 ) -> Outcome:
     """Fly a scenario as one process for the simulator and one for each vehicle, over Zenoh on a private socket.
 
@@ -200,11 +212,13 @@ def launch(
         respawn: Whether a vehicle's process that dies is started again.
         pin: Whether the UAVs keep to one half of the processor cores and the others to the other half, if there are few of them.
         secured: Whether there are credentials and access control; False only to measure what they cost.
+        page: A socket that listens, on which the run is shown in the browser; None: it is not. The page's process is no part of
+            the flight: where it fails, that is told, and the flight goes on.
 
     Returns:
         The summary of what was flown, if anything was; and the fault that ended it early.
     """
-    with _private_folder() as folder, _family() as children:
+    with _private_folder() as folder, _family() as pages, _family() as children:
         run = f"run-{os.getpid()}-{secrets.token_hex(4)}"
         crew = _Crew(scenario, folder, run, children, pin=pin, secured=secured)
         timing = ["--deadline", str(deadline), "--join-timeout", str(join_timeout)]
@@ -213,9 +227,13 @@ def launch(
         output = (["--out", str(out)] if out else []) + ([] if picture else ["--no-picture"])
         output += ["--record", str(record)] if record else []
         crew.start_simulator(source, [*settings, *output, *timing, *pace], watcher)
+        if page is not None and not watcher.stop() and crew.simulator.ended is None:
+            crew.show_on(page, pages, watcher)
         if not watcher.stop():
             crew.start_vehicles(watcher)
         outcome = _follow(crew, watcher, respawn=respawn)
+        if any(shown.ended is None for shown in pages):
+            time.sleep(_LAST_FRAME)
         if outcome.summary is not None:
             for child in children:
                 child.wait(2.0 if outcome.summary.complete else 0.5)
@@ -246,6 +264,7 @@ class _Crew:
         self._endpoint = f"unixsock-stream/{self._socket}"
         self._uavs = {uav.name for uav in scenario.uav}
         self._files: dict[str, Path] = {}
+        self._page: Child | None = None
         if secured:
             given = new_credentials(run, (uav.name for uav in scenario.uav), (ugv.name for ugv in scenario.ugv))
             self._files = write_credentials(given, folder / "credentials")
@@ -265,6 +284,30 @@ class _Crew:
         self.children.append(Child(SIMULATOR_NAME, arguments, self.lines))
         while not self._socket.exists() and self.simulator.ended is None and not watcher.stop():
             time.sleep(0.02)
+
+    def show_on(self, page: socket.socket, pages: list[Child], watcher: Watcher) -> None:
+        """Start the dashboard, and wait until it shows what comes: the first tick is part of it."""
+        arguments = ["dashboard", "--connect", self._endpoint, "--run", self._run, *self._known_as(OPERATOR_NAME)]
+        arguments += ["--host", "127.0.0.1", "--listening", str(page.fileno())]
+        arguments += ["--law", msgspec.json.encode(self._scenario.law).decode()]
+        lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._page = Child("dashboard", arguments, lines, (page.fileno(),))
+        pages.append(self._page)
+        page.close()  # it is the child's now: where that ends, nobody else keeps a browser waiting
+        limit = time.monotonic() + _PATIENCE
+        while not watcher.stop() and self.simulator.ended is None and time.monotonic() < limit:
+            with contextlib.suppress(queue.Empty):
+                line = lines.get(timeout=0.1)
+                if line is not None:
+                    watcher.on_event(f"the run is shown at {line.decode().strip()}")
+                return
+
+    def lost_page(self) -> str:
+        """Why the dashboard has ended before the run, told once; empty: it has not."""
+        if self._page is None or self._page.ended is None:
+            return ""
+        page, self._page = self._page, None
+        return f"{page.epitaph()}; the run goes on without its page"
 
     def _start(self, name: str) -> Child:
         common = ["--name", name, "--connect", self._endpoint, "--run", self._run, *self._known_as(name)]
@@ -338,6 +381,8 @@ def _follow(crew: _Crew, watcher: Watcher, *, respawn: bool) -> Outcome:
         if watcher.stop() > 1:
             raise BusError("killed before the end")
         if not asked and outcome.summary is None:
+            if lost := crew.lost_page():
+                watcher.on_event(lost)
             dead = [child for child in crew.children[1:] if child.ended not in (None, 0) and child.pid not in mourned]
             for child in dead:
                 if bury(child):

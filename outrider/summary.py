@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 
 from agents.control.visibility import raw_switching_radius
-from bus.messages import Action, Change, VehicleStatus
+from bus.messages import Action, Change, LinkStatus, VehicleStatus
 from sim.flight import Flight
 from sim.recorder import platform_row
 
@@ -59,6 +59,8 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """Ticks for which a vehicle had no new command."""
     faults: dict[str, dict[str, int]] = {}
     """What went wrong with a vehicle's process, by cause: how often; empty where nothing did."""
+    links: dict[str, LinkStatus] = {}
+    """What each link did to messages, by `vehicle/kind`."""
     realtime: float | None = None
     """The factor that the clock was to keep; None in lockstep."""
     realtime_factor: float
@@ -75,7 +77,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     processes: list[Process] = []
 
 
-_FLOWN = (Action.LAW, Action.DRIVER)
+_FLOWN = (Action.LAW, Action.DRIVER, Action.LINK)
 """What operators do that changes a trajectory."""
 
 
@@ -156,6 +158,7 @@ def summarize(
         detection_rmse=_rms(recorder.escorts[:, :, 2:4] - (p_a - p_g)),
         missing_commands=dict(flight.missing),
         faults=_faults(vehicles or {}),
+        links=world.links.status(),
         realtime=realtime,
         realtime_factor=recorder.ticks * scenario.dt / seconds if seconds > 0.0 else 0.0,
         late_ticks=late_ticks,

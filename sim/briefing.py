@@ -11,7 +11,8 @@ def _bound(value: float) -> float | None:
     return None if math.isinf(value) else value
 
 
-def _limits(vehicle: Uav | Ugv) -> Limits:
+def limits(vehicle: Uav | Ugv) -> Limits:
+    """A vehicle's bounds as messages carry them."""
     return Limits(max_speed=_bound(vehicle.max_speed), max_acceleration=_bound(vehicle.max_acceleration))
 
 
@@ -29,7 +30,7 @@ def briefing(scenario: Scenario, name: str, seed: int) -> Briefing:
             vehicle=name,
             dt=scenario.dt,
             area=scenario.area,
-            limits=_limits(vehicle),
+            limits=limits(vehicle),
             driver=vehicle.driver,
             goals=vehicle.goals,
             goal_tolerance=vehicle.goal_tolerance,
@@ -41,8 +42,8 @@ def briefing(scenario: Scenario, name: str, seed: int) -> Briefing:
         vehicle=name,
         dt=scenario.dt,
         area=scenario.area,
-        limits=_limits(vehicle),
-        target_limits=_limits(vehicles[vehicle.escorts][1]),
+        limits=limits(vehicle),
+        target_limits=limits(vehicles[vehicle.escorts][1]),
         visibility_radius=scenario.visibility.radius,
         sensor=scenario.sensor,
         desired_coverage=scenario.coverage.desired,

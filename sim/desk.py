@@ -15,6 +15,11 @@ from sim.scenario_checks import DRIVER_NAMES, check_scenario
 _OUTSIDE = "external"
 """A driver that is a process of the user's own: it has a UGV's seat from the start, or never."""
 
+_REFUSALS = 5
+"""So many of them are kept."""
+_LONGEST = 500
+"""Letters of a text on the bus."""
+
 MakePace = Callable[[float | None], Pace]
 """How time goes on at a factor; None is lockstep."""
 
@@ -46,6 +51,8 @@ class Desk:
         """Ticks that are still to be stepped through before the clock stands still again."""
         self.changes: list[Change] = []
         """What has taken effect, the oldest first."""
+        self.refusals: list[str] = []
+        """The last wishes that were refused, and why."""
         self._late_before = 0
         self._flight, self._make_pace, self._on_event = flight, make_pace, on_event
         self._ugvs = {ugv.name: OPERATOR for ugv in flight.scenario.ugv}
@@ -89,7 +96,9 @@ class Desk:
         try:
             _DEEDS[control.action](self, control)
         except ScenarioError as error:
-            self._on_event(f"an operator's {control.action} is refused: {error}")
+            refusal = f"an operator's {control.action} is refused: {error}"
+            self.refusals = [*self.refusals, f"tick {self._flight.world.tick}: {refusal}"[:_LONGEST]][-_REFUSALS:]
+            self._on_event(refusal)
             return
         self.changes.append(Change(tick=self._flight.world.tick, control=control))
         if control.action is not Action.STEP:
@@ -131,6 +140,11 @@ class Desk:
         for name in names:
             self._flight.seat(name, control.driver)
 
+    def _link(self, control: Control) -> None:
+        if control.link is None or control.settings is None:
+            raise ScenarioError("link and settings: one is missing")
+        self._flight.degrade(control.link, control.vehicle, control.settings)
+
 
 _DEEDS: dict[Action, Callable[[Desk, Control], None]] = {
     Action.PAUSE: Desk._pause,
@@ -140,6 +154,7 @@ _DEEDS: dict[Action, Callable[[Desk, Control], None]] = {
     Action.RESET: Desk._reset,
     Action.LAW: Desk._law,
     Action.DRIVER: Desk._driver,
+    Action.LINK: Desk._link,
 }
 
 
@@ -148,6 +163,8 @@ def _in_words(control: Control) -> str:
         return f"law {control.law.name}"
     if control.action is Action.DRIVER:
         return f"driver {control.driver} in {control.vehicle or 'every UGV'}"
+    if control.action is Action.LINK:
+        return f"the link for {control.link} of {control.vehicle or 'every vehicle'}"
     if control.action is Action.SPEED:
         return "lockstep" if control.factor is None else f"{control.factor:g} times real time"
     return str(control.action)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from bus.messages import (
     Command,
@@ -17,6 +18,8 @@ from bus.messages import (
     Drive,
     EscortTruth,
     Law,
+    LinkKind,
+    LinkSettings,
     Observation,
     RelativeInformation,
     Truth,
@@ -29,7 +32,6 @@ from bus.messages import (
 from sim.compile import FloatArray
 from sim.recorder import Recorder
 from sim.scenario import Scenario
-from sim.vehicles import brake
 from sim.world import World
 
 
@@ -58,9 +60,9 @@ class Exchange(Protocol):
         """The newest command of each vehicle that has a new one; none answers a later tick than this."""
 
 
-def _looks(time: float, found: list[float]) -> tuple[Detection, ...]:
-    """The detection of one tick, if there was one."""
-    return (Detection(time=time, relative_position=(found[0], found[1])),) if found[0] == found[0] else ()
+_RADIO = 5
+_LOOK = 4
+"""Numbers that are kept of a radio message and of a detection that have arrived."""
 
 
 class Flight:
@@ -93,13 +95,20 @@ class Flight:
         """What each UAV last said of itself."""
         self._stopped = self._abandoned = False
         self._ticks = scenario.ticks
-        self.commands: FloatArray = np.zeros((len(self.world.names), 2))
-        """What each vehicle was asked for in the last tick, before the bounds [m/s²]; shape (vehicles, 2)."""
-        self._answered = [-1] * len(self.world.names)  # the tick that each vehicle's newest command answers
-        self._hold_ticks = round(scenario.hold / scenario.dt)
+        self._answered = dict.fromkeys(self.world.names, -1)  # the tick that each vehicle's newest command answers
+        self._rows = {name: k for k, name in enumerate(self.world.names)}
         self._uav_row = {uav.name: k for k, uav in enumerate(self.world.uavs)}
-        self._radio: dict[str, list[RelativeInformation]] = {name: [] for name in self.world.names}
-        self._heard = {ugv.name: array("d") for ugv in scenario.ugv}  # tick, time, relative position, error; message by message
+        self._radio: dict[str, tuple[RelativeInformation, ...]] = {}  # what each UGV hears at this tick
+        self._operators = self.world.links.of(LinkKind.OPERATOR)
+        self._radios = self.world.links.of(LinkKind.RADIO)
+        self._listened = -1
+        self._arrived: dict[str, array[float]] = {name: array("d") for name in self.world.names}
+        """What has reached each vehicle. UAV: tick, tick of the look, p_delta; UGV: tick, time, p_delta, error."""
+
+    @property
+    def commands(self) -> FloatArray:
+        """What each vehicle was asked for in the last tick, before the bounds [m/s²]; shape (vehicles, 2)."""
+        return self.world.commands
 
     @property
     def complete(self) -> bool:
@@ -123,9 +132,8 @@ class Flight:
         return self._news[name].setdefault(self.world.tick, News())
 
     def say(self, ugv: str, words: Drive) -> None:
-        """An operator's words reach a UGV with the coming observation."""
-        news = self._news_of(ugv)
-        news.operator = (*news.operator, words)
+        """An operator says something to a UGV; its link brings it there, at once or later."""
+        self._operators[ugv].send(self.world.tick, words, self.world.tick)
 
     def seat(self, ugv: str, driver: str) -> None:
         """Another driver takes a UGV's wheel with the coming observation."""
@@ -137,39 +145,101 @@ class Flight:
         for uav in self.world.uavs:
             self._news_of(uav.name).law = law
 
+    def news(self, tick: int) -> dict[str, News]:
+        """What vehicles were told at a tick besides what they perceived; only those that were told something."""
+        return {name: told[tick] for name, told in self._news.items() if tick in told}
+
+    def degrade(self, kind: LinkKind, vehicle: str | None, settings: LinkSettings) -> None:
+        """Links have other settings from now on.
+
+        Raises:
+            ScenarioError: If the settings are impossible, or this vehicle has no such link.
+        """
+        self.world.links.change(kind, vehicle, settings)
+
+    def _listen(self) -> None:
+        """Take in what has crossed the ether for this tick, once."""
+        tick = self.world.tick
+        if self._listened == tick:
+            return
+        self._listened = tick
+        for name, link in self._operators.items():
+            words = link.arrivals(tick)
+            if words:
+                self._news_of(name).operator = tuple(words)
+        for name, k in self._uav_row.items():
+            for look in self.world.received[k]:
+                self._arrived[name].extend((tick, *look))
+        self._radio = {}
+        for uav in self.world.uavs:
+            messages = tuple(self._radios[uav.name].arrivals(tick))
+            if messages:
+                self._radio[uav.escorts] = self._radio.get(uav.escorts, ()) + messages
+                for message in messages:
+                    self._arrived[uav.escorts].extend((tick, message.time, *message.relative_position, message.coverage_error))
+
+    def _observation(
+        self,
+        name: str,
+        tick: int,
+        state: list[float],
+        looks: tuple[Detection, ...],
+        radio: tuple[RelativeInformation, ...],
+        *,
+        known: bool = True,
+        over: bool = False,
+    ) -> Observation:
+        """What a vehicle perceives at a tick: its own row and nothing else.
+
+        Args:
+            name: The vehicle.
+            tick: When.
+            state: Its position [m] and velocity [m/s].
+            looks: What a UAV has detected.
+            radio: What a UGV has heard.
+            known: Whether its process was there to hear: otherwise its own motion, law and driver and nothing else.
+            over: Whether no command is awaited.
+        """
+        news = self._news[name].get(tick, _NO_NEWS) if self._news else _NO_NEWS
+        x, y, v_x, v_y = state
+        time = tick * self.world.parameters.dt
+        if name in self._uav_row:
+            return UavObservation(
+                tick=tick,
+                time=time,
+                position=(x, y),
+                velocity=(v_x, v_y),
+                detections=looks if known else (),
+                law=news.law,
+                over=over,
+                episode=self.episode,
+            )
+        return UgvObservation(
+            tick=tick,
+            time=time,
+            position=(x, y),
+            velocity=(v_x, v_y),
+            radio=radio if known else (),
+            operator=news.operator if known else (),
+            driver=news.driver,
+            over=over,
+            episode=self.episode,
+        )
+
     def observations(self) -> dict[str, Observation]:
         """What each vehicle perceives at this tick: its own row and nothing else."""
+        self._listen()
         world = self.world
-        tick, time, over = world.tick, world.time, self.over
+        over, dt = self.over, world.parameters.dt
         positions, velocities = world.position.tolist(), world.velocity.tolist()
-        detections = world.detections.tolist()
         seen: dict[str, Observation] = {}
         for k, name in enumerate(world.names):
-            position, velocity = tuple(positions[k]), tuple(velocities[k])
-            news = self._news[name].get(tick, _NO_NEWS) if self._news else _NO_NEWS
-            if name in self._uav_row:
-                seen[name] = UavObservation(
-                    tick=tick,
-                    time=time,
-                    position=position,
-                    velocity=velocity,
-                    detections=_looks(time, detections[self._uav_row[name]]),
-                    law=news.law,
-                    over=over,
-                    episode=self.episode,
-                )
-            else:
-                seen[name] = UgvObservation(
-                    tick=tick,
-                    time=time,
-                    position=position,
-                    velocity=velocity,
-                    radio=tuple(self._radio[name]),
-                    operator=news.operator,
-                    driver=news.driver,
-                    over=over,
-                    episode=self.episode,
-                )
+            row = self._uav_row.get(name)
+            looks = (
+                () if row is None else tuple(Detection(time=t * dt, relative_position=(x, y)) for t, x, y in world.received[row])
+            )
+            radio = self._radio.get(name, ())
+            seen[name] = self._observation(name, world.tick, positions[k] + velocities[k], looks, radio, over=over)
         return seen
 
     def past(self, name: str, begin: int, end: int, unheard: Collection[int]) -> tuple[Observation, ...]:
@@ -181,87 +251,57 @@ class Flight:
             end: The tick after the last one; all must have been recorded.
             unheard: Ticks whose observation it was not sent: of those it is told its own motion, law and driver and nothing else.
         """
-        k, dt = self.world.names.index(name), self.world.parameters.dt
-        states = self.recorder.states[begin:end, k, :4].tolist()
-        uav = self._uav_row.get(name)
-        found = self.recorder.escorts[begin:end, uav, 2:4].tolist() if uav is not None else []
-        heard = self._heard_between(name, begin, end) if uav is None else {}
-        seen: list[Observation] = []
-        for tick, (x, y, v_x, v_y) in enumerate(states, begin):
-            time, known = tick * dt, tick not in unheard
-            news = self._news[name].get(tick, _NO_NEWS)
-            if uav is not None:
-                seen.append(
-                    UavObservation(
-                        tick=tick,
-                        time=time,
-                        position=(x, y),
-                        velocity=(v_x, v_y),
-                        detections=_looks(time, found[tick - begin]) if known else (),
-                        law=news.law,
-                        episode=self.episode,
-                    )
-                )
-            else:
-                seen.append(
-                    UgvObservation(
-                        tick=tick,
-                        time=time,
-                        position=(x, y),
-                        velocity=(v_x, v_y),
-                        radio=tuple(heard.get(tick, ())) if known else (),
-                        operator=news.operator if known else (),
-                        driver=news.driver,
-                        episode=self.episode,
-                    )
-                )
-        return tuple(seen)
-
-    def _heard_between(self, name: str, begin: int, end: int) -> dict[int, list[RelativeInformation]]:
-        messages: dict[int, list[RelativeInformation]] = {}
-        rows = np.frombuffer(self._heard[name]).reshape(-1, 5)
-        for tick, time, x, y, error in rows[(rows[:, 0] >= begin) & (rows[:, 0] < end)].tolist():
-            message = RelativeInformation(time=time, relative_position=(x, y), coverage_error=error)
-            messages.setdefault(int(tick), []).append(message)
-        return messages
-
-    def _take(self, k: int, name: str, command: Command | None) -> None:
-        """Put a vehicle's command in its row; hold the last one for a while where there is no new one, then brake."""
-        tick = self.world.tick
-        if command is not None:
-            self._answered[k] = command.tick
-            self.commands[k] = command.acceleration
-            self.stale[name] += command.tick < tick
+        states = self.recorder.states[begin:end, self._rows[name], :4].tolist()
+        looks: dict[int, tuple[Detection, ...]] = {}
+        radio: dict[int, tuple[RelativeInformation, ...]] = {}
+        if name in self._uav_row:
+            dt = self.world.parameters.dt
+            for tick, taken, x, y in self._arrived_between(name, _LOOK, begin, end):
+                look = Detection(time=taken * dt, relative_position=(x, y))
+                looks[int(tick)] = (*looks.get(int(tick), ()), look)
         else:
+            for tick, time, x, y, error in self._arrived_between(name, _RADIO, begin, end):
+                message = RelativeInformation(time=time, relative_position=(x, y), coverage_error=error)
+                radio[int(tick)] = (*radio.get(int(tick), ()), message)
+        return tuple(
+            self._observation(name, tick, state, looks.get(tick, ()), radio.get(tick, ()), known=tick not in unheard)
+            for tick, state in enumerate(states, begin)
+        )
+
+    def _arrived_between(self, name: str, width: int, begin: int, end: int) -> list[list[float]]:
+        rows: npt.NDArray[np.float64] = np.frombuffer(self._arrived[name]).reshape(-1, width)
+        first, last = np.searchsorted(rows[:, 0], (begin, end))
+        within: list[list[float]] = rows[first:last].tolist()
+        return within
+
+    def _count(self, name: str, command: Command | None) -> None:
+        """Note whether a vehicle's process was in time."""
+        tick = self.world.tick
+        if command is None:
             self.missing[name] += 1
-        age = tick - self._answered[k]
-        if age and self.first_missing is None:
+        else:
+            self._answered[name] = command.tick
+            self.stale[name] += command.tick < tick
+        if self._answered[name] < tick and self.first_missing is None:
             self.first_missing = tick
-        if age > self._hold_ticks:
-            v_x, v_y = self.world.velocity[k].tolist()
-            self.commands[k] = brake(v_x, v_y, float(self.world.bounds[k, 1]), self.scenario.dt)
 
     def apply(self, commands: Mapping[str, Command]) -> None:
-        """Let these commands act for one tick; messages that the UAVs radio arrive at the next one."""
-        for messages in self._radio.values():
-            messages.clear()
-        for k, name in enumerate(self.world.names):
+        """Let these commands set out, and what has arrived act for one tick; what the UAVs radio arrives at the next one."""
+        self._listen()
+        world = self.world
+        for k, name in enumerate(world.names):
             command = commands.get(name)
-            self._take(k, name, command)
+            self._count(name, command)
+            if command is not None:
+                world.send(k, command.tick, command.acceleration)
             uav = self._uav_row.get(name)
             if uav is not None:
                 self.reports[uav] = None
                 if isinstance(command, UavCommand):
                     self.reports[uav] = command.report
-                    self._pass_on(self.world.uavs[uav].escorts, command.radio)
-        self.world.step(self.commands)
-
-    def _pass_on(self, ugv: str, messages: tuple[RelativeInformation, ...]) -> None:
-        """What a UAV has radioed reaches its UGV at the next tick."""
-        self._radio[ugv].extend(messages)
-        for message in messages:
-            row = (self.world.tick + 1, message.time, *message.relative_position, message.coverage_error)
-            self._heard[ugv].extend(row)
+                    for message in command.radio:
+                        self._radios[name].send(world.tick + 1, message, world.tick)  # heard at the next tick at the earliest
+        world.step(world.heed())
 
     def _goes_on(self) -> bool:
         """Whether nobody has stopped it meanwhile."""
@@ -295,7 +335,8 @@ class Flight:
         world = self.world
         arrays = (world.position, world.velocity, world.acceleration, self.commands)
         rows = zip(*(rows.tolist() for rows in arrays), strict=True)
-        measures, detections = world.measure().tolist(), world.detections.tolist()
+        self.recorder.record(self.reports)
+        measures, detections = self.recorder.escorts[world.tick, :, :2].tolist(), world.detections.tolist()
         return Truth(
             tick=world.tick,
             time=world.time,

@@ -48,6 +48,8 @@ class Recorder:
             reports: What each UAV reported at the tick before; None where it did not.
         """
         k = self._world.tick
+        if k < self.rows:
+            return
         self._make_room(k)
         if k:
             self._states[k - 1, :, 4:6] = self._world.acceleration

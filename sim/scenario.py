@@ -11,9 +11,24 @@ import msgspec
 from msgspec import Meta
 
 from bus.errors import ScenarioError
-from bus.messages import Area, Estimator, Law, Name, NonNegative, Positive, Region, ScriptStep, Sensor, Text, Vector
+from bus.messages import (
+    Area,
+    Estimator,
+    Law,
+    LinkKind,
+    LinkSettings,
+    Name,
+    NonNegative,
+    Positive,
+    Region,
+    ScriptStep,
+    Sensor,
+    Text,
+    Vector,
+)
 from sim.scenario_checks import check_scenario
 from sim.scenario_faults import near, one_line
+from sim.scenario_links import with_profiles
 from sim.scenario_reading import apply_override, as_raw, parse_override, parse_toml, typed
 from sim.scenario_tracks import with_tracks
 
@@ -94,6 +109,37 @@ class Custom(_Table, frozen=True, kw_only=True):
     """(observation, briefing) -> (acceleration x, y), for the driver `policy`."""
 
 
+class VehicleLinks(_Table, frozen=True, kw_only=True):
+    """The links of one vehicle, where they are not as everybody's."""
+
+    vehicle: Name
+    detections: LinkSettings = LinkSettings()
+    commands: LinkSettings = LinkSettings()
+    operator: LinkSettings = LinkSettings()
+    radio: LinkSettings = LinkSettings()
+
+
+class LinkTable(_Table, frozen=True, kw_only=True):
+    """What the ether does to messages, kind by kind. In TOML each may name a `profile` that it starts from, and so may all."""
+
+    detections: LinkSettings = LinkSettings()
+    """From a UAV's detector to its computer."""
+    commands: LinkSettings = LinkSettings()
+    """From a vehicle's computer to its actuators."""
+    operator: LinkSettings = LinkSettings()
+    """From an operator to a UGV."""
+    radio: LinkSettings = LinkSettings()
+    """From a UAV to its UGV."""
+    only: tuple[VehicleLinks, ...] = ()
+    """Vehicles whose links are other ones; what is not given is as everybody's."""
+
+    def of(self, vehicle: str, kind: LinkKind) -> LinkSettings:
+        """What the link of this kind does to this vehicle's messages."""
+        own = next((row for row in self.only if row.vehicle == vehicle), self)
+        settings: LinkSettings = getattr(own, kind)
+        return settings
+
+
 _DEFAULT_AREA = Area(width=40.0, height=40.0, cell=0.25)
 
 
@@ -116,6 +162,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     coverage: Coverage = Coverage()
     detections: Detections = Detections()
     estimator: Estimator = Estimator()
+    links: LinkTable = LinkTable()
     law: Law = Law()
     custom: Custom = Custom()
     uav: Annotated[tuple[Uav, ...], Meta(min_length=1)]
@@ -198,6 +245,7 @@ def load_scenario(source: str | Path = DEFAULT_SCENARIO, *, overrides: Mapping[s
         apply_override(raw, key, value, file=file)
     if isinstance(raw.get("area"), dict):
         raw["area"] = {**msgspec.to_builtins(_DEFAULT_AREA), **raw["area"]}
+    with_profiles(raw, file=file)
     scenario = typed(raw, Scenario, file=file)
     if not scenario.name:
         scenario = msgspec.structs.replace(scenario, name=one_line(Path(source).stem))

@@ -20,6 +20,9 @@ LAW_NAMES = ("tracking", "coverage", "linear", "switching", "logarithmic", "circ
 """The laws; the agents' own table may not be imported here, a test holds the two equal."""
 DRIVER_NAMES = ("waypoints", "wander", "script", "evade", "teleop", "policy", "external")
 """The drivers; likewise. `policy` is a function of the user's own, `external` a process of the user's own."""
+SAVED_POLICIES = ("sb3", "torch", "onnx")
+"""The libraries whose saved policies can drive; the loaders' own table may not be imported here, a test holds the two equal."""
+_POLICY = "module:function, sb3:ALGORITHM:FILE.zip, torch:FILE.pt or onnx:FILE.onnx"
 SENSOR_NAMES = tuple(SENSORS)
 """The sensor models."""
 
@@ -55,6 +58,11 @@ def _names_a_function(text: str) -> bool:
     return bool(separator) and all(part.isidentifier() for part in (*module.split("."), function))
 
 
+def _names_a_policy(text: str) -> bool:
+    library, separator, file = text.partition(":")
+    return bool(separator and file) if library in SAVED_POLICIES else _names_a_function(text)
+
+
 def own_functions_are_named(s: Scenario) -> Iterator[Fault]:
     """A law with a function of the user's own has one, as `module:function`; it is not loaded here."""
     for law, field in _OWN_FUNCTION.items():
@@ -63,10 +71,10 @@ def own_functions_are_named(s: Scenario) -> Iterator[Fault]:
             yield Fault(f"custom.{field}", named, "names no function", "module:function")
         elif s.law.name == law and not named:
             yield Fault(f"custom.{field}", named, f"the law {law!r} needs it", "module:function")
-    if s.custom.policy and not _names_a_function(s.custom.policy):
-        yield Fault("custom.policy", s.custom.policy, "names no function", "module:function")
+    if s.custom.policy and not _names_a_policy(s.custom.policy):
+        yield Fault("custom.policy", s.custom.policy, "names no policy", _POLICY)
     elif not s.custom.policy and any(ugv.driver == "policy" for ugv in s.ugv):
-        yield Fault("custom.policy", s.custom.policy, "the driver 'policy' needs it", "module:function")
+        yield Fault("custom.policy", s.custom.policy, "the driver 'policy' needs it", _POLICY)
 
 
 def scripts_are_in_order(s: Scenario) -> Iterator[Fault]:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from bus.keys import STAFF
+from bus.messages import LinkKind
+from sim.ether import link_faults
 from sim.scenario_faults import Fault, is_whole
 
 if TYPE_CHECKING:
@@ -181,6 +183,18 @@ def ugv_is_seen_at_start(s: Scenario) -> Iterator[Fault]:
             yield Fault(f"{path}.position", uav.position, f"{distance:.4g} m away from {ugv.name} at the start", allowed)
 
 
+def links_are_possible(s: Scenario) -> Iterator[Fault]:
+    """Each link can be what it says, and belongs to a vehicle."""
+    names = [vehicle.name for _, vehicle in vehicles(s)]
+    for kind in LinkKind:
+        yield from link_faults(getattr(s.links, kind), f"links.{kind}.")
+    for k, own in enumerate(s.links.only):
+        if own.vehicle not in names:
+            yield Fault(f"links.only.{k}.vehicle", own.vehicle, "no vehicle has this name", ", ".join(names))
+        for kind in LinkKind:
+            yield from link_faults(getattr(own, kind), f"links.only.{k}.{kind}.")
+
+
 WORLD_CHECKS: tuple[Check, ...] = (
     numbers_are_finite,
     names_are_different,
@@ -194,5 +208,6 @@ WORLD_CHECKS: tuple[Check, ...] = (
     starts_are_within_bounds,
     uav_is_stronger,
     ugv_is_seen_at_start,
+    links_are_possible,
 )
 """In the order in which they are made: a later one may rely on those before it."""

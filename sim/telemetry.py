@@ -6,6 +6,7 @@ import time
 from bus.keys import COVERAGE, STATUS, TRUTH
 from bus.messages import CoverageMap, Geometry, Status
 from bus.session import Session
+from sim.briefing import limits
 from sim.desk import Desk
 from sim.flight import Flight
 from sim.scenario import Scenario
@@ -31,6 +32,7 @@ def _geometry(scenario: Scenario) -> Geometry:
         switching_radius=radius if math.isfinite(radius) else None,
         dt=scenario.dt,
         uavs={uav.name: uav.escorts for uav in scenario.uav},
+        limits={vehicle.name: limits(vehicle) for vehicle in scenario.vehicles},
     )
 
 
@@ -96,7 +98,9 @@ class Telemetry:
             law=flight.law.name,
             drivers=dict(flight.drivers),
             changes=tuple(self._desk.changes)[-_SHOWN:],
+            refusals=tuple(self._desk.refusals),
             geometry=self._geometry,
+            links=world.links.status(),
             vehicles=self._seats.statuses(),
             over=flight.over,
         )

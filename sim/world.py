@@ -3,16 +3,19 @@
 Arrays have an axis for vehicles, in name order. One seed and the same commands give the same bits.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from bus.messages import LinkKind
 from sim.compile import FloatArray, compiled
 from sim.detection import detect
 from sim.field import SENSORS, accumulate, cover, coverage_error, empty_coverage
+from sim.links import Links
 from sim.scenario import Scenario, Uav
-from sim.vehicles import norm, step_vehicle
+from sim.vehicles import brake, norm, step_vehicle
 
 
 class WorldParameters(NamedTuple):
@@ -33,6 +36,16 @@ class WorldParameters(NamedTuple):
     dropout: float
     period: int
     seed: int
+
+
+class Look(NamedTuple):
+    """A detection that has reached the UAV's computer."""
+
+    tick: int
+    """When it was taken."""
+    x: float
+    y: float
+    """p_a - p_g with noise [m]."""
 
 
 @compiled
@@ -178,13 +191,58 @@ class World:
             cover(self.coverage, region.lower, region.upper, scenario.area.cell, scenario.coverage.desired)
         self.detections: FloatArray = np.full((len(self.uavs), 2), np.nan)
         """The relative position each UAV has detected at this tick [m]; NaN where none. Shape (UAVs, 2)."""
+        self.links = Links(scenario, seed)
+        """What messages cross."""
+        self.received: list[list[Look]] = [[] for _ in self.uavs]
+        """The detections that have reached each UAV's computer at this tick, in the order of arrival."""
+        self.commands: FloatArray = np.zeros((len(vehicles), 2))
+        """What each vehicle acted on in the last tick, before the bounds [m/s²], shape (vehicles, 2)."""
+        self._ways_in = [self.links.of(LinkKind.DETECTIONS)[uav.name] for uav in self.uavs]
+        self._ways_out = [self.links.of(LinkKind.COMMANDS)[name] for name in self.names]
+        self._answered = [-1] * len(vehicles)  # the tick that the newest command of each, as it has arrived, answers
+        self._hold_ticks = round(scenario.hold / scenario.dt)
         self._measures: FloatArray = np.zeros((len(self.uavs), 2))
         _detect(self.parameters, self.position, self.escorts, 0, self.detections)
+        self._hear()
 
     @property
     def time(self) -> float:
         """Simulated time [s]: tick times dt, never a sum."""
         return self.tick * self.parameters.dt
+
+    def _hear(self) -> None:
+        """What the detectors found at this tick sets out, and what has arrived is there."""
+        tick = self.tick
+        for k, (x, y) in enumerate(self.detections.tolist()):
+            link = self._ways_in[k]
+            if not math.isnan(x):
+                link.send(tick, Look(tick, x, y), tick)
+            self.received[k] = link.arrivals(tick)
+
+    def send(self, k: int, answered: int, acceleration: tuple[float, float]) -> None:
+        """A vehicle's command sets out to its actuators.
+
+        Args:
+            k: The vehicle's row.
+            answered: The tick whose observation it answers.
+            acceleration: [m/s²]
+        """
+        self._ways_out[k].send(self.tick, (answered, acceleration), answered)
+
+    def heed(self) -> FloatArray:
+        """What each vehicle acts on in this tick, once all have sent: its newest command that has arrived.
+
+        Where none comes, the last one is held for a while; then the vehicle brakes. Shape (vehicles, 2); changed next time.
+        """
+        tick = self.tick
+        for k, link in enumerate(self._ways_out):
+            for answered, acceleration in link.arrivals(tick):
+                if answered > self._answered[k]:
+                    self._answered[k], self.commands[k] = answered, acceleration
+            if tick - self._answered[k] > self._hold_ticks:
+                v_x, v_y = self.velocity[k].tolist()
+                self.commands[k] = brake(v_x, v_y, float(self.bounds[k, 1]), self.parameters.dt)
+        return self.commands
 
     def step(self, commands: FloatArray) -> None:
         """Advance by one tick under these commands.
@@ -205,6 +263,7 @@ class World:
             self.detections,
             commands,
         )
+        self._hear()
 
     def measure(self) -> FloatArray:
         """Distance [m] and e(t) (4) with the true p_g [m²] of each escort at this tick.

@@ -94,8 +94,8 @@ class Stage:
 
 
 @contextmanager
-def stage(folder: Path, ticks: int, **options: Any) -> Iterator[Stage]:
-    scenario = load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}"])
+def stage(folder: Path, ticks: int, *, scenario: Scenario | None = None, **options: Any) -> Iterator[Stage]:
+    scenario = scenario or load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}"])
     with ExitStack() as stack:
         yield Stage(stack, folder, scenario, **options)
 

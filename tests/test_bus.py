@@ -66,6 +66,9 @@ def sample(kind: object, rng: random.Random) -> object:
         hints = get_type_hints(kind, include_extras=True)
         return kind(**{name: sample(hints[name], rng) for name in kind.__struct_fields__})
     parts = get_args(kind)
+    limits = [part for part in getattr(kind, "__metadata__", ()) if isinstance(part, msgspec.Meta)]
+    if parts and parts[0] is float and limits and limits[0].le is not None and limits[0].ge is not None:
+        return rng.uniform(limits[0].ge, limits[0].le)
     if kind in (float, messages.Coordinate):
         return rng.uniform(-1e6, 1e6)
     if kind in (messages.NonNegative, messages.Positive):
@@ -87,6 +90,8 @@ def sample(kind: object, rng: random.Random) -> object:
     if parts and parts[0] is int:
         return rng.randrange(1, 1000)
     origin = getattr(kind, "__origin__", None)
+    if limits and get_args(origin):  # a list with a largest length
+        return sample(origin, rng)
     if origin is dict:
         return {str(sample(parts[0], rng)): sample(parts[1], rng) for _ in range(2)}
     if origin is tuple and parts[-1] is Ellipsis:

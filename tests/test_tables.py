@@ -7,8 +7,10 @@ from agents.control.orbit import largest_circle_rate
 from agents.control.visibility import switching_radius
 from agents.drivers.table import DRIVERS
 from outrider.cli import options
+from outrider.own import SAVED
 from sim import scenario_checks as checks
 from sim.field import SENSORS
+from sim.profiles import PROFILES
 from sim.scenario import load_scenario
 
 
@@ -16,6 +18,7 @@ def test_a_scenario_may_name_every_law_driver_and_sensor_that_there_is_and_no_ot
     assert tuple(LAWS) == checks.LAW_NAMES
     assert (*DRIVERS, "policy", "external") == checks.DRIVER_NAMES
     assert tuple(SENSORS) == checks.SENSOR_NAMES
+    assert tuple(SAVED) == checks.SAVED_POLICIES
 
 
 def test_every_table_gives_each_row_a_code_of_its_own() -> None:
@@ -24,7 +27,11 @@ def test_every_table_gives_each_row_a_code_of_its_own() -> None:
 
 
 def test_the_command_line_tells_every_law_and_driver() -> None:
-    law, driver = (get_args(option)[1].help for option in (options.LawName, options.DriverName))
+    law, driver, network, policy = (
+        get_args(option)[1].help for option in (options.LawName, options.DriverName, options.NetworkName, options.PolicyName)
+    )
+    assert all(name in network for name in PROFILES)
+    assert all(f"{name}:" in policy for name in checks.SAVED_POLICIES)
     assert all(name in law for name in LAWS)
     assert all(name in driver for name in checks.DRIVER_NAMES)
 

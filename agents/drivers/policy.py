@@ -1,16 +1,39 @@
-"""Any function at the wheel: a policy of the user's own."""
+"""Any policy at the wheel: a function of the user's own, or what a learning library has saved."""
 
+import inspect
+import logging
 import math
+import time
 from collections.abc import Callable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from agents.drivers.steering import Steering
+from agents.drivers.steering import LARGEST, Steering
 from bus.errors import ScenarioError
+from bus.layout import Row, UgvRow
 from bus.messages import UgvBriefing, UgvObservation
+from sim.vehicles import goal_reached
 
-Policy = Callable[[UgvObservation, UgvBriefing], object]
-"""What a UGV perceives and was told in, its acceleration x and y [m/s²] out: a pair, a list or an array of two numbers."""
+_LOG = logging.getLogger("outrider.policy")
+
+
+@runtime_checkable
+class RowPolicy(Protocol):
+    """A policy as learning libraries make them, for the row that the environment gives this agent.
+
+    `predict` may return the action alone or, as Stable-Baselines3 does, the action and a state. Where it has parameters of
+    these names it is given `deterministic=True`, the `state` that it returned last, and `episode_start`.
+    """
+
+    @property
+    def predict(self) -> Callable[..., object]:
+        """A row of `bus.layout.UgvRow` in, the acceleration x and y [m/s²] out."""
+
+
+Policy = Callable[[UgvObservation, UgvBriefing], object] | RowPolicy
+"""A function: what a UGV perceives and was told in, its acceleration x and y [m/s²] out, as a pair, a list or an array of two
+numbers. Or an object that predicts it from a row."""
 
 _WIDEST = 80  # characters of what was returned that an error shows
 
@@ -33,23 +56,83 @@ def _pair(answer: object) -> tuple[float, float] | None:
     return (x, y) if math.isfinite(x) and math.isfinite(y) else None
 
 
-class PolicyDriver:
-    """Asks the policy at each observation, and keeps what it answers within the UGV's bounds.
-
-    An answer longer than u_max is shortened to it, and one that would go beyond v_max is turned off there. What the policy
-    remembers is its own affair: a process that joins again calls it with all observations from the first.
+class UgvRows:
+    """The rows that the environment would give this UGV, to the bit, from what it perceives at each tick.
 
     Args:
         briefing: What the UGV is told when it joins.
-        policy: The function.
+    """
+
+    def __init__(self, briefing: UgvBriefing) -> None:
+        self._goals = [(float(x), float(y)) for x, y in briefing.goals]
+        self._tolerance = float(briefing.goal_tolerance)
+        self._reached = 0
+
+    def row(self, observation: UgvObservation) -> Row:
+        """The row of this tick; shape (8,), float64."""
+        (x, y), (v_x, v_y), goals = observation.position, observation.velocity, self._goals
+        while self._reached < len(goals) and goal_reached(x, y, *goals[self._reached], self._tolerance):
+            self._reached += 1
+        underway = self._reached < len(goals)
+        goal_x, goal_y = goals[min(self._reached, len(goals) - 1)] if goals else (0.0, 0.0)
+        return np.array(UgvRow(observation.time, x, y, v_x, v_y, float(underway), goal_x, goal_y), dtype=np.float64)
+
+
+class _Predictor:
+    """One UGV's use of a policy that sees rows: what was reached and what is remembered is its own.
+
+    Args:
+        model: The policy; several UGVs may share it.
+        briefing: What the UGV is told when it joins.
+    """
+
+    def __init__(self, model: RowPolicy, briefing: UgvBriefing) -> None:
+        self._predict = model.predict
+        self._rows = UgvRows(briefing)
+        space = getattr(model, "observation_space", None)
+        self._dtype = getattr(space, "dtype", None) or np.float64
+        self._known = _parameters(model.predict)
+        self._state: object = None
+        self._start = True
+
+    def __call__(self, observation: UgvObservation, _briefing: UgvBriefing) -> object:
+        row = self._rows.row(observation).astype(self._dtype, copy=False)
+        told: dict[str, Any] = {"deterministic": True, "state": self._state, "episode_start": np.array([self._start])}
+        self._start = False
+        answer = self._predict(row, **{name: told[name] for name in told.keys() & self._known})
+        if isinstance(answer, tuple) and len(answer) == 2 and _pair(answer) is None:
+            answer, self._state = answer
+        return answer
+
+
+def _parameters(function: Callable[..., object]) -> set[str]:
+    try:
+        return set(inspect.signature(function).parameters)
+    except (TypeError, ValueError):  # one that is not written in Python
+        return set()
+
+
+class PolicyDriver:
+    """Asks the policy at each observation.
+
+    What a function answers is kept within the UGV's bounds: longer than u_max it is shortened, and where it would go beyond
+    v_max it is turned off there. What was predicted from a row is passed on as it is, and the bounds of (1) act on it in the
+    world, so it moves the UGV here to the bit as it does in the environment. What the policy remembers is its own affair: a
+    process that joins again calls it with all observations from the first.
+
+    Args:
+        briefing: What the UGV is told when it joins.
+        policy: The function, or the object that predicts.
         name: What it is called in errors, as `module:function`.
     """
 
     def __init__(self, briefing: UgvBriefing, *, policy: Policy, name: str) -> None:
         self._briefing = briefing
         self._steering = Steering(briefing)
-        self._policy = policy
+        self._sees_rows = isinstance(policy, RowPolicy)
+        self._policy = _Predictor(policy, briefing) if isinstance(policy, RowPolicy) else policy
         self._name = name
+        self._warm = self._slow = False
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """The acceleration [m/s²] for this observation.
@@ -59,13 +142,27 @@ class PolicyDriver:
                 and the answer.
         """
         where = f"policy = {self._name!r}: tick {observation.tick}"
+        begun = time.perf_counter()
         try:
             answer = self._policy(observation, self._briefing)
         except Exception as error:
             raise ScenarioError(f"{where}: raised {_one_line(f'{type(error).__name__}: {error}')}") from error
+        self._mind_time(where, time.perf_counter() - begun)
         pair = _pair(answer)
-        if pair is None:
+        if pair is None or (self._sees_rows and max(map(abs, pair)) > LARGEST):
             raise ScenarioError(
                 f"{where}: returned {_one_line(repr(answer))}; allowed: two finite numbers, the acceleration x and y [m/s²]"
             )
-        return self._steering.within(observation, pair)
+        return pair if self._sees_rows else self._steering.within(observation, pair)
+
+    def _mind_time(self, where: str, seconds: float) -> None:
+        """Say once that the policy is too slow for a clock; its first answer may take as long as it likes."""
+        if self._warm and not self._slow and seconds > self._steering.dt:
+            self._slow = True
+            _LOG.warning(
+                "%s: took %.2f s to answer, longer than a tick of %g s: lockstep waits for it, in real time it comes too late",
+                where,
+                seconds,
+                self._steering.dt,
+            )
+        self._warm = True

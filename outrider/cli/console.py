@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from bus.messages import LinkStatus
 from outrider.summary import Summary
 from sim.scenario import Scenario
 
@@ -64,6 +65,13 @@ def _meters(value: float | None) -> str:
     return "-" if value is None else f"{value:.3f} m"
 
 
+def _link(status: LinkStatus) -> str:
+    lost = ", ".join(f"{cause} {count}" for cause, count in status.lost.items() if count)
+    ratio = "-" if status.delivery_ratio is None else f"{100.0 * status.delivery_ratio:.1f} %"
+    age = "-" if status.mean_age is None else f"{status.mean_age:.2f} s (at most {status.max_age:.2f} s)"
+    return f"{ratio} of {status.sent} arrived, age {age}" + (f"; lost: {lost}" if lost else "")
+
+
 def print_summary(summary: Summary, files: list[Path]) -> None:
     """The table that a run ends with."""
     table = Table(title=f"{summary.scenario}, law {summary.law}, seed {summary.seed}", title_justify="left", show_header=False)
@@ -89,8 +97,9 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
         rows.append(("real time", kept))
     for change in summary.changes:
         control = change.control
-        what = control.driver or (control.law.name if control.law else "")
+        what = control.driver or control.link or (control.law.name if control.law else "")
         rows.append((f"operator at {change.tick * summary.dt:.2f} s", f"{control.action} {what}".strip()))
+    rows += [(f"link {name}", _link(status)) for name, status in summary.links.items() if status.degraded]
     for name, counts in summary.faults.items():
         rows.append((f"faults of {name}", ", ".join(f"{cause} {count}" for cause, count in counts.items())))
     rows += (

@@ -5,10 +5,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from outrider.cli.options import DEFAULT_ENDPOINT, DEFAULT_RUN, Connect, CredentialFile, RunName
+from outrider.cli.options import DEFAULT_ENDPOINT, DEFAULT_RUN, Connect, CredentialFile, Leash, RunName
 
 if TYPE_CHECKING:
+    import socket
+
     from bus.access import Credential
+    from bus.messages import Law
 
 _NICE = 5
 """On a machine that is busy the run goes first."""
@@ -23,49 +26,81 @@ def command(
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="0 takes any that is free.", min=0, max=65535, envvar="OUTRIDER_PORT")] = 8080,
     token: Annotated[
-        str, typer.Option(help="What a browser must know: 8 to 128 letters, digits, '_' and '-'.", envvar="OUTRIDER_TOKEN")
+        str,
+        typer.Option(
+            help="What a browser must know: 8 to 128 letters, digits, '_' and '-'; the word new makes one up and prints it.",
+            envvar="OUTRIDER_TOKEN",
+        ),
     ] = "",
+    law: Annotated[str, typer.Option(hidden=True, help="What the UAVs fly at first, with its gains, as JSON.")] = "",
+    listening: Annotated[int, typer.Option(hidden=True, help="Serve on this socket of the parent's, and say so on stdout.")] = -1,
+    leash: Leash = False,
 ) -> None:
     """Show a run in the browser while it is flown, and steer it: pause, speed, law, driver, and a UGV's wheel.
 
     With the operator's credentials; with the observer's it only shows. Runs until Ctrl-C or SIGTERM. Needs no internet.
+    `outrider run --dashboard` starts one with the run.
 
     Example: outrider dashboard --connect tcp/127.0.0.1:17447 --credentials credentials/operator.json
     """
     import os
+    import sys
 
-    from bus.errors import ScenarioError
     from bus.keys import OPERATOR_NAME, Party, Role
     from bus.session import open_session
     from outrider.cli.console import ERR
     from outrider.cli.options import check_endpoints
+    from outrider.dashboard.door import NEW_TOKEN, address_of, check_extra, check_token
+    from outrider.leash import hold
 
+    if leash:
+        hold()
     check_endpoints((connect,), secured=True, insecure=False)
-    _check_token(host, token)
-    try:
-        from outrider.dashboard.app import open_socket, serve
-    except ModuleNotFoundError as error:
-        raise ScenarioError(f"{error.name} is missing: pip install 'outrider[dashboard]'") from error
+    made_up = token == NEW_TOKEN
+    token = check_token(host, token)
+    check_extra()
+    from outrider.dashboard.app import serve
+    from outrider.dashboard.controls import Controls
+    from outrider.dashboard.hub import Hub
+    from outrider.dashboard.live import Live
+
     credential = _credential(credentials)
     os.nice(_NICE)
     party = Party(role=Role.OPERATOR, name=OPERATOR_NAME) if credential is None else credential.party
-    with open_socket(host, port) as listening, open_session(party, run, connect=connect, credential=credential) as session:
-        bound = listening.getsockname()[1]
-        shown = f"[{host}]" if ":" in host else host
-        line = f"the run {run} is shown at http://{shown}:{bound}" + (" to whoever has the token" if token else "")
-        serve(session, listening, token, ready=lambda: ERR.print(line, soft_wrap=True))
+    with (
+        _socket(listening, host, port) as opened,
+        open_session(party, run, connect=connect, credential=credential) as session,
+    ):
+        address = address_of(opened) + (f"/?token={token}" if made_up else "")
+        line = address + (" to whoever has the token" if token and not made_up else "")
+
+        def ready() -> None:
+            if listening >= 0:
+                sys.stdout.write(line + "\n")
+                sys.stdout.flush()
+            else:
+                ERR.print(f"the run {run} is shown at {line}", soft_wrap=True)
+
+        hub = Hub(Live(session), _law(law))
+        controls = (lambda: Controls(hub).show) if hub.source.may_steer else None
+        serve(hub, opened, token, controls=controls, ready=ready)
 
 
-def _check_token(host: str, token: str) -> None:
-    import re
+def _socket(number: int, host: str, port: int) -> "socket.socket":
+    """The parent's, or one of our own."""
+    import socket
 
-    from bus.errors import ScenarioError
-    from outrider.dashboard import LOOPBACK
+    from outrider.dashboard.door import open_socket
 
-    if token and not re.fullmatch(r"[A-Za-z0-9_-]{8,128}", token):
-        raise ScenarioError("--token: allowed are 8 to 128 letters, digits, '_' and '-'")
-    if not token and host not in LOOPBACK:
-        raise ScenarioError(f"--host {host}: other machines reach it, and there is no token; give one with --token")
+    return socket.socket(fileno=number) if number >= 0 else open_socket(host, port)
+
+
+def _law(text: str) -> "Law | None":
+    import msgspec
+
+    from bus.messages import Law
+
+    return msgspec.json.decode(text, type=Law) if text else None
 
 
 def _credential(file: Path | None) -> "Credential | None":

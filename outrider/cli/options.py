@@ -34,7 +34,22 @@ Set = Annotated[
     typer.Option("--set", metavar="KEY=VALUE", help="Any field of the scenario, such as detections.noise=0.2; may be repeated."),
 ]
 Weighting = Annotated[str, typer.Option(help="A weighting of your own as module:function, for the law `weighted`.")]
-PolicyName = Annotated[str, typer.Option("--policy", help="A policy of your own as module:function, for the driver `policy`.")]
+PolicyName = Annotated[
+    str,
+    typer.Option(
+        "--policy",
+        help="For the driver `policy`: module:function or module:object of your own, or a saved one: sb3:ppo:FILE.zip, "
+        "torch:FILE.pt, onnx:FILE.onnx.",
+    ),
+]
+NetworkName = Annotated[
+    str,
+    typer.Option(
+        "--network",
+        help="What the ether does to every message: perfect, wifi, wifi-poor, lte, satellite, narrowband, jammed. One link: "
+        "--set links.detections.delay=0.5.",
+    ),
+]
 VirtualPath = Annotated[str, typer.Option("--path", help="A path of your own as module:function, for the law `path`.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else there.")]
 Leash = Annotated[bool, typer.Option(hidden=True, help="End when standard input closes: the parent has gone.")]
@@ -80,6 +95,9 @@ RealTime = Annotated[
         max=1e4,
     ),
 ]
+PagePort = Annotated[
+    int, typer.Option(help="Where the page is served, on this machine alone; 0 takes any that is free.", min=0, max=65535)
+]
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:17447"
 DEFAULT_RUN = "flight"
@@ -96,6 +114,7 @@ def scenario_of(
     weighting: str = "",
     path: str = "",
     policy: str = "",
+    network: str = "",
 ) -> "tuple[Scenario, list[str]]":
     """The scenario that the options ask for, and the same options as `--set` arguments for another process.
 
@@ -105,7 +124,13 @@ def scenario_of(
     from sim.scenario import load_scenario  # a vehicle's process, which shares these options, must not load it
 
     overrides = list(changes or ())
-    quoted = {"law.name": law, "custom.weighting": weighting, "custom.path": path, "custom.policy": policy}
+    quoted = {
+        "law.name": law,
+        "custom.weighting": weighting,
+        "custom.path": path,
+        "custom.policy": policy,
+        "links.profile": network,
+    }
     overrides += [f'{key}="{_plain(key, value)}"' for key, value in quoted.items() if value]
     if duration is not None:
         overrides.append(f"duration={duration!r}")
@@ -118,8 +143,10 @@ def scenario_of(
 
 
 def _plain(field: str, value: str) -> str:
-    if not re.fullmatch(r"[A-Za-z0-9_.:-]+", value):
-        raise ScenarioError(f"{field} = {value!r}: allowed are letters, digits, '_', '.', ':' and '-'")
+    a_file = field == "custom.policy"  # a saved policy: any path that TOML's quotes hold
+    if not re.fullmatch(r"[^\"\\\x00-\x1f\x7f]+" if a_file else r"[A-Za-z0-9_.:-]+", value):
+        allowed = "no quotes, backslashes and control characters" if a_file else "letters, digits, '_', '.', ':' and '-'"
+        raise ScenarioError(f"{field} = {value!r}: allowed are {allowed}")
     return value
 
 

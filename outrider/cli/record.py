@@ -21,7 +21,7 @@ from outrider.cli.options import (
 if TYPE_CHECKING:
     from bus.session import Session
     from outrider.cli.stopping import Stop
-    from outrider.recording.writer import RunRecorder
+    from outrider.recording.observer import RunRecorder
 
 
 def command(
@@ -60,7 +60,7 @@ def command(
     from outrider.cli.console import ERR, print_json
     from outrider.cli.options import scenario_of
     from outrider.cli.stopping import stop_on_signals
-    from outrider.recording.writer import RunRecorder
+    from outrider.recording.observer import RunRecorder
 
     check_endpoints((connect,), secured=True, insecure=False)
     known = scenario_of(scenario, changes=changes)[0] if scenario else None

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from outrider.cli.options import Json
+from outrider.cli.options import Json, PagePort
 
 if TYPE_CHECKING:
     from outrider.recording.reader import Recording
@@ -20,6 +20,15 @@ def command(
     speed: Annotated[
         float | None, typer.Option(help="Play it, this many simulated seconds a second; Ctrl-C ends it.", min=0.01, max=1e6)
     ] = None,
+    dashboard: Annotated[
+        bool,
+        typer.Option(
+            "--dashboard",
+            help="Play it in the browser, at --speed (1 by default), with pause and a slider over time; Ctrl-C ends it. "
+            "Needs the extra [dashboard].",
+        ),
+    ] = False,
+    dashboard_port: PagePort = 8080,
     flight: Annotated[
         int | None, typer.Option(help="Which flight of a run that was reset, from 0; the last one by default.")
     ] = None,
@@ -32,11 +41,16 @@ def command(
 
     Example: outrider replay run.mcap --refly
     """
+    if dashboard and (refly or json):
+        raise typer.BadParameter("--dashboard shows, --refly and --json tell; leave one out")
     from outrider.recording.reader import flight_of
 
     recording = flight_of(file, flight)
     if refly:
         _refly(recording, json=json)
+        return
+    if dashboard:
+        _show(recording, 1.0 if speed is None else speed, dashboard_port)
         return
     if speed is not None:
         _play(recording, speed)
@@ -79,6 +93,24 @@ def _refly(recording: "Recording", *, json: bool) -> None:
         raise typer.Exit(1)
 
 
+def _show(recording: "Recording", speed: float, port: int) -> None:
+    """Serve the page until somebody ends it."""
+    from outrider.cli.console import ERR
+    from outrider.dashboard.door import address_of, check_extra, open_socket
+
+    check_extra()
+    with open_socket("127.0.0.1", port, "--dashboard-port") as opened:
+        from outrider.dashboard.app import serve
+        from outrider.dashboard.hub import Hub
+        from outrider.dashboard.player import Player
+        from outrider.dashboard.tape import Tape
+
+        tape = Tape(recording, speed)
+        hub = Hub(tape)
+        line = f"{recording.path} is played at {address_of(opened)}; Ctrl-C ends it"
+        serve(hub, opened, "", controls=lambda: Player(hub, tape).show, ready=lambda: ERR.print(line, soft_wrap=True))
+
+
 def _play(recording: "Recording", speed: float) -> None:
     """Let simulated time pass at this speed."""
     from rich.progress import BarColumn, Progress, TextColumn
@@ -119,7 +151,9 @@ def _tell(recording: "Recording", *, json: bool) -> None:
     if recording.head.scenario is not None and from_the_start(recording):
         seconds = _wall_time(recording)
         restored = restore(recording)
-        summary = msgspec.structs.replace(summarize(restored, seconds=seconds), platform=recording.head.platform)
+        summary = msgspec.structs.replace(
+            summarize(restored, seconds=seconds), platform=recording.head.platform, links=recording.links
+        )
         if json:
             print_json({**msgspec.to_builtins(summary), **told})
             return

@@ -11,6 +11,8 @@ from outrider.cli.options import (
     Duration,
     Json,
     LawName,
+    NetworkName,
+    PagePort,
     PolicyName,
     RealTime,
     Record,
@@ -22,6 +24,9 @@ from outrider.cli.options import (
 )
 
 if TYPE_CHECKING:
+    import socket
+    from contextlib import AbstractContextManager
+
     from outrider.cli.console import FlightProgress
     from outrider.cli.stopping import Stop
     from outrider.launch import Outcome
@@ -38,12 +43,25 @@ def command(
     weighting: Weighting = "",
     path: VirtualPath = "",
     policy: PolicyName = "",
+    network: NetworkName = "",
     in_process: Annotated[bool, typer.Option("--in-process", help="Without a bus, all in this process.")] = False,
     pin: Annotated[
         bool, typer.Option(help="Give the UAVs one half of the processor cores: faster, unless the machine is busy otherwise.")
     ] = True,
     record: Record = None,
     realtime: RealTime = None,
+    lockstep: Annotated[
+        bool, typer.Option("--lockstep", help="As fast as it goes, which is the default unless --dashboard is given.")
+    ] = False,
+    dashboard: Annotated[
+        bool,
+        typer.Option(
+            "--dashboard",
+            help="Show the run in the browser while it is flown, and steer it there; on the wall clock (--realtime 1) unless "
+            "--realtime or --lockstep says otherwise. Needs the extra [dashboard].",
+        ),
+    ] = False,
+    dashboard_port: PagePort = 8080,
     respawn: Annotated[
         bool,
         typer.Option("--respawn", help="Start a vehicle's process again if it dies; in lockstep the clock waits."),
@@ -59,7 +77,8 @@ def command(
     """Fly a scenario as three operating-system processes over Zenoh: simulator, UAV and UGV.
 
     Ends with a table of numbers, a picture and the trajectory. Ctrl-C ends the run and keeps what was flown. A vehicle whose
-    process dies brakes, and the run goes on without it; with --respawn it is started again and flies on.
+    process dies brakes, and the run goes on without it; with --respawn it is started again and flies on. With --dashboard a page
+    shows it live; the page ends with the run, and what it shows stays in the browser.
 
     Example: outrider run escort --seed 3 --law switching
     """
@@ -70,9 +89,13 @@ def command(
     from outrider.own import check_own_functions
     from sim.scenario_checks import scenario_warnings
 
-    if in_process and (realtime is not None or respawn):
-        raise typer.BadParameter("--realtime and --respawn need processes; leave --in-process out")
-    own = {"weighting": weighting, "path": path, "policy": policy}
+    if in_process and (realtime is not None or respawn or dashboard):
+        raise typer.BadParameter("--realtime, --respawn and --dashboard need processes; leave --in-process out")
+    if lockstep and realtime is not None:
+        raise typer.BadParameter("--lockstep and --realtime exclude each other")
+    if dashboard and not lockstep and realtime is None:
+        realtime = 1.0
+    own = {"weighting": weighting, "path": path, "policy": policy, "network": network}
     flown, overrides = scenario_of(scenario, seed=seed, duration=duration, law=law, driver=driver, changes=changes, **own)
     if in_process and any(ugv.driver == "external" for ugv in flown.ugv):
         raise typer.BadParameter("--driver external is another process; leave --in-process out")
@@ -82,7 +105,7 @@ def command(
     folder = (out or default_folder(flown.name)) if files else None
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made shows before the flight, not after it
-    with stop_on_signals() as stop:
+    with stop_on_signals() as stop, _page(dashboard, dashboard_port) as page:
         if in_process:
             outcome = _fly_here(flown, folder, picture, record, stop)
         else:
@@ -102,6 +125,7 @@ def command(
                     deadline=deadline,
                     respawn=respawn,
                     pin=pin,
+                    page=page,
                 )
         if outcome.summary is not None and folder is not None:
             write_summary(outcome.summary, folder)
@@ -111,6 +135,18 @@ def command(
         else:
             print_summary(outcome.summary, outcome.files)
     _end(outcome, stop)
+
+
+def _page(wanted: bool, port: int) -> "AbstractContextManager[socket.socket | None]":
+    """The socket for the page: what stands in its way shows before the flight."""
+    from contextlib import nullcontext
+
+    if not wanted:
+        return nullcontext()
+    from outrider.dashboard.door import check_extra, open_socket
+
+    check_extra()
+    return open_socket("127.0.0.1", port, "--dashboard-port")
 
 
 def _fly_here(flown: "Scenario", folder: Path | None, picture: bool, record: Path | None, stop: "Stop") -> "Outcome":

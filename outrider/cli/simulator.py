@@ -16,6 +16,7 @@ from outrider.cli.options import (
     Json,
     LawName,
     Leash,
+    NetworkName,
     RealTime,
     Record,
     RunName,
@@ -55,6 +56,7 @@ def command(
     ] = None,
     law: LawName = None,
     driver: DriverName = None,
+    network: NetworkName = "",
     changes: Set = None,
     realtime: RealTime = None,
     deadline: Annotated[float, typer.Option(help="Seconds to wait for the commands of one tick.", min=0.01)] = 10.0,
@@ -94,7 +96,7 @@ def command(
 
     if leash:
         hold(leash_folder)
-    flown, _ = scenario_of(scenario, seed=seed, duration=duration, law=law, driver=driver, changes=changes)
+    flown, _ = scenario_of(scenario, seed=seed, duration=duration, law=law, driver=driver, changes=changes, network=network)
     endpoints = () if connect else tuple(listen or (DEFAULT_ENDPOINT,))
     given, credential = _credentials(credentials, hosts=not connect)
     check_endpoints(endpoints or (connect,), secured=given is not None or bool(connect), insecure=insecure)

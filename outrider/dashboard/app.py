@@ -15,12 +15,10 @@ from starlette.responses import Response
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from bus.errors import ScenarioError
 from bus.messages import Vector
-from bus.session import Session
 from outrider.dashboard.guard import Guard
 from outrider.dashboard.hub import Browser, Hub
-from outrider.dashboard.page import build_page, colors
+from outrider.dashboard.page import BuildControls, build_page, colors
 
 STATIC = Path(__file__).with_name("static")
 
@@ -47,37 +45,16 @@ class _Fresh(StaticFiles):
         return response
 
 
-def open_socket(host: str, port: int) -> socket.socket:
-    """The socket to listen on.
-
-    Raises:
-        ScenarioError: If the address is none of this machine's, or the port is taken.
-    """
-    try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
-        opened = socket.socket(family, kind, protocol)
-    except OSError as error:
-        raise ScenarioError(f"--host {host}: {error.strerror or error}") from error
-    try:
-        opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        opened.bind(address)
-        opened.listen(128)
-    except OSError as error:
-        opened.close()
-        raise ScenarioError(f"cannot listen on {host}, port {port}: {error.strerror or error}; try another --port") from error
-    return opened
-
-
-def serve(session: Session, listening: socket.socket, token: str, *, ready: Callable[[], None]) -> None:
+def serve(hub: Hub, listening: socket.socket, token: str, *, controls: BuildControls | None, ready: Callable[[], None]) -> None:
     """Serve the page until SIGINT or SIGTERM.
 
     Args:
-        session: On the bus, as operator or observer.
+        hub: What is shown.
         listening: The socket to serve on.
         token: What a browser must know; empty: nothing.
+        controls: Builds what can be touched in a page; None: nothing.
         ready: Called when browsers can come.
     """
-    hub = Hub(session)
 
     @contextlib.asynccontextmanager
     async def living(_app: FastAPI) -> AsyncIterator[None]:
@@ -94,7 +71,7 @@ def serve(session: Session, listening: socket.socket, token: str, *, ready: Call
     async def frames(channel: WebSocket) -> None:
         await _accompany(hub, channel)
 
-    build_page(hub)
+    build_page(controls)
     ui.run_with(app, title="Outrider", favicon=STATIC / "favicon.svg", show_welcome_message=False, tailwind=False)
     config = uvicorn.Config(
         Guard(app, token),
@@ -124,7 +101,7 @@ async def _accompany(hub: Hub, channel: WebSocket) -> None:
 
 
 async def _send_frames(hub: Hub, browser: Browser, channel: WebSocket) -> None:
-    hello = {"kind": "hello", "number": browser.number, "colors": colors(), "steer": hub.may_steer}
+    hello = {"kind": "hello", "number": browser.number, "colors": colors(), "steer": hub.source.may_steer}
     with contextlib.suppress(WebSocketDisconnect, RuntimeError):
         await channel.send_text(msgspec.json.encode(hello).decode())
         while True:

@@ -1,45 +1,33 @@
-"""Between the bus and the browsers: the newest of everything, to each as fast as it can take it and not faster.
+"""Between a run, or its recording, and the browsers: the newest of everything, to each as fast as it can take it and not faster.
 
-Nobody waits for a browser: the inboxes keep the newest message alone, and a browser that has not drawn its last frames gets no
-new one.
+Nobody waits for a browser: one that has not drawn its last frames gets no new one.
 """
 
 import asyncio
-import contextlib
-import logging
-import queue
-import threading
 import time
-from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
 import msgspec
 
-from bus.boxes import Outbox
-from bus.errors import BusError
-from bus.keys import CONTROL, COVERAGE, OPERATOR, SIMULATOR_NAME, STATUS, TRUTH, Role
-from bus.messages import Control, CoverageMap, Drive, Message, Status, Truth
-from bus.session import Session
+from bus.messages import Action, CoverageMap, Law, Message, Status, Truth
 from outrider.dashboard import LOOPBACK
 from outrider.dashboard.history import History
+from outrider.dashboard.source import Source
 from outrider.dashboard.wheel import Wheel
 
-_LOG = logging.getLogger("outrider.dashboard")
 FRAME = 0.05
 """Wall time between two frames of one browser at least [s]."""
 _POLL = 0.0125
-"""Wall time between two looks at the bus [s]."""
+"""Wall time between two looks for news [s]."""
 _IDLE_POLL = 0.1
 """The same while nobody looks on."""
-_PACE = 6
-"""Status messages, about a second of them, over which the real-time factor is taken."""
-_SILENCE = 2.0
-"""Without a status for so long [s] something is wrong."""
 _ALIVE = 0.5
 """A browser hears something at least this often [s], also when nothing moves."""
 _AHEAD = 2
 """Frames that a browser may have in hand."""
+_CHANGES = 20
+"""So many changes a status tells at most."""
 
 
 class Browser:
@@ -62,46 +50,25 @@ class Hub:
     """What is known of the run, and who looks on.
 
     Args:
-        session: An operator's, or an observer's; then nothing can be steered.
+        source: Where it is flown, or played.
+        law: What the UAVs fly at first, where that is known.
     """
 
-    def __init__(self, session: Session) -> None:
-        self._session = session
-        self._inboxes = [session.inbox(key, newest=1) for key in (STATUS, TRUTH, COVERAGE)]
-        self._simulators: set[str] = set()
-        self._seen_simulator = False
-        self._heard = time.monotonic()
-        self._numbers = 0
-        self._clock: deque[tuple[float, float]] = deque(maxlen=_PACE)
-        self._versions = {Truth: 0, Status: 0, CoverageMap: 0}
-        self._raw: dict[type[Message], msgspec.Raw] = {}
-        self._drives: dict[str, Outbox] = {}
-        self._words: queue.Queue[tuple[Outbox, Message] | None] = queue.Queue(maxsize=64)
-        self.may_steer = session.party.role is Role.OPERATOR
-        self._controls = session.outbox(CONTROL) if self.may_steer else None
+    def __init__(self, source: Source, law: Law | None = None) -> None:
+        self.source = source
         self.history = History()
         self.status: Status | None = None
+        self.first_law = law
         self.browsers: dict[int, Browser] = {}
-        self.wheel = Wheel(self.control, self.drive)
-        session.watch(SIMULATOR_NAME, self._see_simulator)
-        self._speaker = threading.Thread(target=self._speak, name="outrider-operator", daemon=True)
-        self._speaker.start()
-
-    # What comes from the bus
-
-    def _see_simulator(self, _name: str, session: str, present: bool) -> None:
-        if present:
-            self._simulators.add(session)
-            self._seen_simulator = True
-            self._heard = time.monotonic()
-        else:
-            self._simulators.discard(session)
+        self.wheel = Wheel(source.control, source.drive)
+        self._numbers = 0
+        self._versions = {Truth: 0, Status: 0, CoverageMap: 0}
+        self._raw: dict[type[Message], msgspec.Raw] = {}
 
     async def follow(self) -> None:
-        """Look at the bus and give each browser its turn, until cancelled."""
+        """Look for news and give each browser its turn, until cancelled."""
         while True:
-            with contextlib.suppress(BusError):  # the session closes
-                self._take_in()
+            self.take_in()
             self.wheel.check(self.drivers)
             now = time.monotonic()
             for browser in self.browsers.values():
@@ -111,21 +78,17 @@ class Hub:
                     browser.turn.set()
             await asyncio.sleep(_POLL if self.browsers else _IDLE_POLL)
 
-    def _take_in(self) -> None:
-        for inbox in self._inboxes:
-            letter = inbox.next_waiting()
-            message = None if letter is None else letter.message
+    def take_in(self) -> None:
+        """Take what has come."""
+        newest: dict[type[Message], Message] = {}
+        for message in self.source.news():
+            newest[type(message)] = message
             if isinstance(message, Status):
-                self._heard = time.monotonic()
-                self._set_clock(message)
                 self.status = message
-                self._keep(message)
             elif isinstance(message, Truth):
-                self._heard = time.monotonic()
-                self.history.add(message, self.factor, self._dt)
-                self._keep(message)
-            elif isinstance(message, CoverageMap):
-                self._keep(message)
+                self.history.add(message, self.source.factor, self._dt)
+        for message in newest.values():
+            self._keep(message)
 
     def _keep(self, message: Message) -> None:
         kind = type(message)
@@ -134,19 +97,6 @@ class Hub:
             return
         self._raw[kind] = msgspec.Raw(encoded)
         self._versions[kind] += 1
-
-    def _set_clock(self, status: Status) -> None:
-        if self._clock and status.time < self._clock[-1][1]:
-            self._clock.clear()  # another flight
-        self._clock.append((self._heard, status.time))
-
-    @property
-    def factor(self) -> float:
-        """Simulated seconds per second of wall time, over the last second: a status alone counts few ticks in real time."""
-        if len(self._clock) < 2:
-            return 0.0 if self.status is None else self.status.realtime_factor
-        (began, start), (now, end) = self._clock[0], self._clock[-1]
-        return (end - start) / max(now - began, 1e-3)
 
     @property
     def _dt(self) -> float:
@@ -162,42 +112,15 @@ class Hub:
             return self.status.drivers
         return {ugv: "" for _, ugv in self.history.escorts}
 
-    # What goes to the bus
-
-    def control(self, control: Control) -> bool:
-        """Say something to the simulator; False if it cannot be said."""
-        return self._controls is not None and self._say(self._controls, control)
-
-    def drive(self, vehicle: str, drive: Drive) -> bool:
-        """Say something to a UGV; False if it cannot be said."""
-        if not self.may_steer:
-            return False
-        if vehicle not in self._drives:
-            self._drives[vehicle] = self._session.outbox(OPERATOR, vehicle)
-        return self._say(self._drives[vehicle], drive)
-
-    def _say(self, outbox: Outbox, message: Message) -> bool:
-        try:
-            self._words.put_nowait((outbox, message))
-        except queue.Full:
-            return False
-        return True
-
-    def _speak(self) -> None:
-        """In a thread of its own: the bus may make a writer wait."""
-        while (word := self._words.get()) is not None:
-            outbox, message = word
-            try:
-                outbox.send(message)
-            except (BusError, ValueError) as error:
-                _LOG.warning("not sent: %s", error)
+    @property
+    def law(self) -> Law | None:
+        """What the UAVs fly now, with its gains; None where those are not known."""
+        return None if self.status is None else running_law(self.status, self.first_law)
 
     def close(self) -> None:
         """Say no more."""
         self.wheel.release()
-        with contextlib.suppress(queue.Full):
-            self._words.put_nowait(None)
-            self._speaker.join(1.0)
+        self.source.close()
 
     # What goes to the browsers
 
@@ -239,36 +162,34 @@ class Hub:
         return msgspec.json.encode(frame)
 
     def _state(self, browser: Browser) -> dict[str, Any]:
-        level, line = self._banner()
-        wheel = self.wheel
+        standing, wheel = self.source.standing, self.wheel
         return {
-            "level": level,
-            "line": line,
-            "router": self._session.connected,
-            "factor": self.factor,
-            "simulator": bool(self._simulators),
+            "level": standing.level,
+            "line": standing.line,
+            "router": standing.router,
+            "simulator": standing.simulator,
+            "replay": standing.replay,
+            "factor": self.source.factor,
             "browsers": len(self.browsers),
             "wheel": "mine" if wheel.holder == browser.number else "other" if wheel.holder else "free",
             "driver": wheel.name,
             "vehicle": wheel.vehicle,
             "full": wheel.full,
             "back": wheel.can_be_handed_back(self.drivers),
+            "strangers": wheel.strangers(self.drivers),
         }
 
-    def _banner(self) -> tuple[str, str]:
-        """What is wrong, in one line, and how badly: `bad`, `info`, or nothing."""
-        silence = time.monotonic() - self._heard
-        over = self.status is not None and self.status.over
-        if not self._session.connected:
-            return "bad", "The router is away: this page is cut off from the run, and shows what it knew last."
-        if not self._simulators:
-            if over:
-                return "info", "The run is over and its simulator has left. Waiting for the next one."
-            if self._seen_simulator:
-                return "bad", "The simulator is gone: its process has died or has lost its way. Waiting for it to come back."
-            return "info", "Waiting for a simulator to join the run."
-        if over:
-            return "info", "The run is over."
-        if silence > _SILENCE:
-            return "bad", f"The simulator has said nothing for {silence:.0f} s."
-        return "", ""
+
+def running_law(status: Status, first: Law | None) -> Law | None:
+    """The law that is flown, with its gains; None where those are not known.
+
+    Args:
+        status: Tells its name, and the last changes; a reset brings the first law back.
+        first: What was flown at first, where that is known.
+    """
+    changes = status.changes
+    begun = max((k + 1 for k, change in enumerate(changes) if change.control.action is Action.RESET), default=0)
+    chosen = [change.control.law for change in changes[begun:] if change.control.action is Action.LAW]
+    complete = begun or len(changes) < _CHANGES
+    law = chosen[-1] if chosen else first if complete else None
+    return law if law is not None and law.name == status.law else None

@@ -96,3 +96,8 @@ class Wheel:
     def can_be_handed_back(self, drivers: Mapping[str, str]) -> bool:
         """Whether a driver from before waits for the wheel."""
         return any(driver == TELEOP and name in self._before for name, driver in drivers.items())
+
+    def strangers(self, drivers: Mapping[str, str]) -> list[str]:
+        """The UGVs that obey an operator whom nobody here has seated: another operator may drive them."""
+        mine = self.vehicle if self.holder else ""
+        return [name for name, driver in drivers.items() if driver == TELEOP and name not in self._before and name != mine]

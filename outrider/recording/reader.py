@@ -11,8 +11,9 @@ from typing import Any, BinaryIO, TypeVar
 import msgspec
 
 from bus.errors import ScenarioError
-from bus.messages import CoverageMap, Message, Status, Truth
+from bus.messages import Change, CoverageMap, LinkStatus, Message, Status, Truth
 from outrider.recording.schemas import (
+    CHANGES,
     COMMANDS,
     COVERAGE,
     EXTRA,
@@ -22,8 +23,10 @@ from outrider.recording.schemas import (
     Commands,
     Head,
     Topic,
+    Word,
     read_head,
     scenario_in,
+    ugv_of,
 )
 from sim.scenario import Scenario
 
@@ -203,8 +206,14 @@ class Recording:
     truths: list[Truth] = field(default_factory=list)
     commands: dict[int, Commands] = field(default_factory=dict)
     """By tick."""
+    words: list[tuple[str, Word]] = field(default_factory=list)
+    """What operators said, and at which UGV's wheel, in the order in which it was heard."""
+    changes: list[Change] = field(default_factory=list)
+    """What operators changed; of a run that an observer recorded, pauses and speeds too."""
     factors: list[float] = field(default_factory=list)
     """Simulated seconds per second of wall time, as the run's status told now and then."""
+    links: dict[str, LinkStatus] = field(default_factory=dict)
+    """What each link had done by the last status: nothing else of a recording tells."""
     damage: Damage = field(default_factory=Damage)
 
     @property
@@ -230,7 +239,9 @@ def load(path: Path) -> list[Recording]:
     """
     damage = Damage()
     flights: list[Recording] = []
-    decoders: dict[str, msgspec.json.Decoder[Any]] = {t.name: msgspec.json.Decoder(t.message) for t in (TRUTH, COMMANDS, STATUS)}
+    topics = (TRUTH, COMMANDS, STATUS, CHANGES)
+    decoders: dict[str, msgspec.json.Decoder[Any]] = {topic.name: msgspec.json.Decoder(topic.message) for topic in topics}
+    words = msgspec.json.Decoder(Word)
     seen = 0
     for entry in entries(path, damage=damage):
         seen += 1
@@ -238,7 +249,8 @@ def load(path: Path) -> list[Recording]:
             head = read_head(entry.data, file=str(path))
             flights.append(Recording(path=path, number=len(flights), head=head, damage=damage))
             continue
-        decoder = decoders.get(entry.topic)
+        ugv = ugv_of(entry.topic)
+        decoder = words if ugv is not None else decoders.get(entry.topic)
         if decoder is None or not flights:
             continue
         message = _decoded(path, entry, decoder)
@@ -246,7 +258,12 @@ def load(path: Path) -> list[Recording]:
             flights[-1].truths.append(message)
         elif isinstance(message, Commands):
             flights[-1].commands[message.tick] = message
+        elif isinstance(message, Word):
+            flights[-1].words.append((ugv or "", message))
+        elif isinstance(message, Change):
+            flights[-1].changes.append(message)
         elif isinstance(message, Status):
+            flights[-1].links = message.links
             flights[-1].factors += [message.realtime_factor] if message.realtime_factor > 0.0 else []
     if not flights:
         why = damage.reason or "closed, and empty"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bus.errors import ScenarioError
-from bus.messages import Truth
+from bus.messages import Action, Control, Truth
 from outrider.recording.reader import Recording
 from sim.flight import Flight
 from sim.recorder import platform_row
@@ -99,7 +99,19 @@ def restore(recording: Recording) -> Flight:
             flight.recorder.record([None] * len(flight.world.uavs))
         flight.world.step(flight.commands)
         _put(flight, truth)
+    for change in recording.changes:
+        _repeat(flight, change.control)
     return flight
+
+
+def _repeat(flight: Flight, control: Control) -> None:
+    """What an operator changed of who flies and drives how; of all UGVs where none is named."""
+    if control.action is Action.LAW and control.law is not None:
+        flight.law = control.law
+    elif control.action is Action.DRIVER and control.driver is not None:
+        for name in flight.drivers:
+            if control.vehicle in (None, name):
+                flight.drivers[name] = control.driver
 
 
 def _commands(recording: Recording, flight: Flight) -> Iterator[bool]:

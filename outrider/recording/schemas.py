@@ -14,7 +14,7 @@ from msgspec import Meta
 
 from agents.control.visibility import raw_switching_radius
 from bus.errors import ScenarioError
-from bus.messages import CoverageMap, Message, Name, NonNegative, Status, Text, Tick, Truth, Vector
+from bus.messages import Change, CoverageMap, Drive, Message, Name, NonNegative, Status, Text, Tick, Truth, Vector
 from sim.recorder import platform_row
 from sim.scenario import Scenario
 from sim.scenario_checks import check_scenario
@@ -56,6 +56,12 @@ class Commands(Message, frozen=True, kw_only=True):
     """[m/s²]"""
 
 
+class Word(Drive, frozen=True, kw_only=True):
+    """What an operator said, and the tick at which it was heard: that of the UGV's observation that held it."""
+
+    tick: Tick
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Topic:
     """One of our own channels."""
@@ -70,6 +76,21 @@ COMMANDS = Topic(name="/commands", message=Commands)
 STATUS = Topic(name="/status", message=Status)
 COVERAGE = Topic(name="/coverage", message=CoverageMap)
 TOPICS = (SCENARIO, TRUTH, COMMANDS, STATUS, COVERAGE)
+"""Those that every recording has."""
+CHANGES = Topic(name="/changes", message=Change)
+"""What operators have changed, where they have: law and driver, each with its tick; an observer is told of the clock too."""
+_OPERATOR = "operator"
+
+
+def operator_topic(ugv: str) -> Topic:
+    """What operators have said at this UGV's wheel, where they have."""
+    return Topic(name=f"/{ugv}/{_OPERATOR}", message=Word)
+
+
+def ugv_of(topic: str) -> str | None:
+    """Whose wheel a topic's words were said at; None where it is another topic."""
+    ugv, _, last = topic.removeprefix("/").partition("/")
+    return ugv if last == _OPERATOR else None
 
 
 def inlined_schema(message: type[Message]) -> dict[str, Any]:

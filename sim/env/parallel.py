@@ -15,7 +15,7 @@ from gymnasium.error import ResetNeeded
 from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
 from bus.layout import state_names
-from bus.messages import Briefing
+from bus.messages import Briefing, Detection
 from sim.briefing import briefing
 from sim.compile import FloatArray
 from sim.env.actions import take_actions
@@ -51,10 +51,10 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     | 2 | `y` | own position, y | m | 0 … H |
     | 3 | `vx` | own velocity, x | m/s | -v_max … v_max |
     | 4 | `vy` | own velocity, y | m/s | -v_max … v_max |
-    | 5 | `detected` | 1 where the UGV is detected at this tick, else 0 | - | 0 … 1 |
-    | 6 | `relative_x` | detected p_a - p_g, x; 0 where not detected | m | -d_max … d_max |
-    | 7 | `relative_y` | detected p_a - p_g, y; 0 where not detected | m | -d_max … d_max |
-    | 8 | `age` | time since the newest detection; T before the first | s | 0 … T |
+    | 5 | `detected` | 1 where a detection has come at this tick, else 0 | - | 0 … 1 |
+    | 6 | `relative_x` | detected p_a - p_g, x; 0 where none has come | m | -d_max … d_max |
+    | 7 | `relative_y` | detected p_a - p_g, y; 0 where none has come | m | -d_max … d_max |
+    | 8 | `age` | time since the newest detection was taken; T before the first | s | 0 … T |
 
     and a UGV
 
@@ -137,6 +137,8 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self.state_space = state_space(self.scenario, self._seats, cells=cells, dtype=dtype)
         self.state_names = state_names((seat.name, seat.state_row) for seat in self._seats)
         """Names of the state's entries, but for the cells."""
+        self.degraded = False
+        """Whether any link does anything to a message."""
         self.episode = 0
         """Number of the episode, from 1 with the first reset."""
         self._seeds = Seeds(self.scenario.seed)
@@ -173,13 +175,14 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self._seeds.begin(seed)
         self.episode += 1
         self._world = World(self.scenario, self.episode_seed)
+        self.degraded = self._world.links.degraded
         self._maps = OwnMaps(self._world, needed=self._patch is not None)
         self.agents = list(self.possible_agents)
         self._moment = Moment.of(self._world)
         for seat in self._seats:
             seat.begin(self._moment)
         self._follow()
-        return self._observations(), {seat.name: seat.info() for seat in self._seats}
+        return self._observations(), self._infos()
 
     def step(
         self, actions: Mapping[str, npt.ArrayLike]
@@ -200,7 +203,9 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         if not self.agents:
             raise ResetNeeded("step() after the end of the episode: call reset() first")
         take_actions(actions, self.possible_agents, self._commands)
-        world.step(self._commands)
+        for k, command in enumerate(self._commands.tolist()):
+            world.send(k, world.tick, command)
+        world.step(world.heed())
         moment = self._moment = Moment.of(world)
         for seat in self._seats:
             seat.advance(moment)
@@ -220,8 +225,13 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
             rewards,
             dict.fromkeys(names, terminated),
             dict.fromkeys(names, truncated),
-            {seat.name: seat.info() for seat in self._seats},
+            self._infos(),
         )
+
+    def _infos(self) -> dict[str, dict[str, Any]]:
+        """Facts that are in no row; where the network is not perfect, also how each vehicle's own links do."""
+        links, degraded = self.world.links, self.degraded
+        return {seat.name: seat.info() | ({"links": links.status(seat.name)} if degraded else {}) for seat in self._seats}
 
     def _observations(self) -> dict[str, Observation]:
         """A new array for each vehicle, which nobody changes later."""
@@ -256,6 +266,19 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """How each vehicle truly stands, and the terms of its last reward: for people and logs, not for policies."""
         moment = Moment.of(self.world)
         return {seat.name: seat.metrics(moment) for seat in self._seats}
+
+    def received(self, agent: str) -> tuple[Detection, ...]:
+        """All the detections that have reached a UAV at this tick, as it would be told on the bus; its row has the newest.
+
+        Raises:
+            ValueError: If there is no such UAV.
+        """
+        seat = next((seat for seat in self._seats if seat.name == agent and isinstance(seat, UavSeat)), None)
+        if seat is None:
+            raise ValueError(f"agent = {agent!r}; allowed: {', '.join(uav.name for uav in self.scenario.uav)}")
+        dt = self.scenario.dt
+        looks = self._moment.received[seat.escort]
+        return tuple(Detection(time=look.tick * dt, relative_position=(look.x, look.y)) for look in looks)
 
     def briefing(self, agent: str) -> Briefing:
         """What this vehicle would be told on the bus when it joins this episode: its limits, area, law, own goals.

@@ -1,6 +1,5 @@
 """The vehicles' seats in the environment: what each observes and is paid, and what has to be remembered for it."""
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -8,7 +7,7 @@ from bus.layout import UavRow, UavState, UgvRow, UgvState
 from sim.env.rewards import RewardWeights, UavTerms, UgvTerms, full_error
 from sim.scenario import Scenario, Ugv
 from sim.vehicles import goal_reached, norm
-from sim.world import World
+from sim.world import Look, World
 
 
 class Moment(NamedTuple):
@@ -19,7 +18,7 @@ class Moment(NamedTuple):
     position: list[list[float]]
     velocity: list[list[float]]
     acceleration: list[list[float]]
-    detections: list[list[float]]
+    received: list[list[Look]]
     measures: list[list[float]]
 
     @classmethod
@@ -31,7 +30,7 @@ class Moment(NamedTuple):
             world.position.tolist(),
             world.velocity.tolist(),
             world.acceleration.tolist(),
-            world.detections.tolist(),
+            list(world.received),
             world.measure().tolist(),
         )
 
@@ -63,7 +62,7 @@ class UavSeat:
     def begin(self, moment: Moment) -> None:
         """Forget the last episode."""
         self.terms = UavTerms()
-        self._newest: float | None = None  # time of the newest detection [s]
+        self._newest: int | None = None  # tick of the newest detection that has come
         self._violations = 0
         self._max_distance = 0.0
         self.lost = False
@@ -75,19 +74,20 @@ class UavSeat:
         self._was_lost, self.lost = self.lost, distance >= self._r_v
         self._violations += self.lost
         self._max_distance = max(self._max_distance, distance)
-        if not math.isnan(moment.detections[self.escort][0]):
-            self._newest = moment.time
+        for look in moment.received[self.escort]:
+            self._newest = look.tick if self._newest is None else max(self._newest, look.tick)
 
     def _age(self, moment: Moment) -> float:
-        return self._horizon if self._newest is None else moment.time - self._newest
+        return self._horizon if self._newest is None else moment.time - self._newest * self._dt
 
     def row(self, moment: Moment) -> UavRow:
         """What it observes."""
         x, y = moment.position[self.vehicle]
         vx, vy = moment.velocity[self.vehicle]
-        relative_x, relative_y = moment.detections[self.escort]
-        if not math.isnan(relative_x):
-            return UavRow(moment.time, x, y, vx, vy, 1.0, relative_x, relative_y, 0.0)
+        looks = moment.received[self.escort]
+        if looks:
+            look = max(looks)  # the newest; the pilots that fly over the bus use them all
+            return UavRow(moment.time, x, y, vx, vy, 1.0, look.x, look.y, moment.time - look.tick * self._dt)
         return UavRow(moment.time, x, y, vx, vy, 0.0, 0.0, 0.0, self._age(moment))
 
     def state(self, moment: Moment) -> UavState:

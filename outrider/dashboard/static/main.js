@@ -129,8 +129,17 @@ function showState(state, wheel) {
 
   const vehicles = status ? Object.entries(status.vehicles) : [];
   const mode = status ? (status.wanted_factor === null || status.wanted_factor === undefined ? "lockstep" : `real time × ${status.wanted_factor}`) : "";
-  setText($("scenario"), status ? `${status.scenario} · seed ${status.seed} · ${status.law} · ${mode}` : "");
-  const chips = [chip("router", state.router ? "good" : "bad"), chip("simulator", state.simulator ? "good" : "bad")];
+  const how = state.replay ? "a recording" : mode;
+  setText($("scenario"), status ? `${status.scenario} · seed ${status.seed} · ${status.law} · ${how}` : "");
+  if (state.replay) setText($("file"), state.replay.file);
+  const { replay } = state;
+  const ended = Boolean(status && status.over && !replay && !state.simulator); // who has left then is not missed
+  const here = (present) => (present ? "good" : ended ? "unknown" : "bad");
+  const away = ended ? "has left" : "away";
+  document.body.classList.toggle("ended", ended);
+  const chips = replay
+    ? [chip(`replay × ${Number(replay.speed.toPrecision(3))}`, "unknown", replay.note)]
+    : [chip("router", here(state.router)), chip("simulator", here(state.simulator))];
   const known = state.simulator && state.level !== "bad";
   for (const [name, vehicle] of vehicles) {
     chips.push(chip(name, !known ? "unknown" : vehicle.present ? "good" : "bad", faultsOf(vehicle).join(", ")));
@@ -141,20 +150,38 @@ function showState(state, wheel) {
 
   const row = (name, good, text, note = "") =>
     `<div class="process ${good}"><i></i><b>${escapeText(name)}</b><span>${escapeText(text)}</span>${note ? `<small>${escapeText(note)}</small>` : ""}</div>`;
+  const ours = [
+    row("router", here(state.router), state.router ? "linked" : away),
+    row("simulator", here(state.simulator), state.simulator ? "joined" : away, status && status.late_ticks ? `${status.late_ticks} ticks late` : ""),
+  ];
   const rows = [
-    row("router", state.router ? "good" : "bad", state.router ? "linked" : "away"),
-    row("simulator", state.simulator ? "good" : "bad", state.simulator ? "joined" : "away", status && status.late_ticks ? `${status.late_ticks} ticks late` : ""),
+    ...(replay ? [] : ours),
     ...vehicles.map(([name, vehicle]) => {
       const notes = [...faultsOf(vehicle), vehicle.last_fault].filter(Boolean).join(", ");
       const seat = status.drivers && status.drivers[name] ? ` · ${status.drivers[name]}` : "";
-      if (!known) return row(name, "unknown", "not known now", notes);
+      if (!known) return row(name, "unknown", ended ? "has left" : "not known now", notes);
       return row(name, vehicle.present ? "good" : "bad", (vehicle.present ? "joined" : "lost") + seat, notes);
     }),
-    row("this page", "good", `${stats.rate.toFixed(0)} frames/s`, state.browsers > 1 ? `${state.browsers} browsers look on` : ""),
+    row("this page", state.gone ? "unknown" : "good", state.gone ? "no longer served" : `${stats.rate.toFixed(0)} frames/s`, state.browsers > 1 ? `${state.browsers} browsers look on` : ""),
   ];
   setHtml($("processes"), rows.join(""));
+  showLinks(status, row);
   showChanges(status);
   showWheel(state, wheel);
+}
+
+// A simulator that tells of its links has them in its status, by name.
+function showLinks(status, row) {
+  const links = Object.entries((status && status.links) || {});
+  $("links-card").hidden = !links.length;
+  const lines = links.map(([name, { sent = 0, delivered = 0, delivery_ratio: ratio, lost, age }]) => {
+    const share = ratio ?? (sent ? delivered / sent : null);
+    const causes = typeof lost === "object" && lost ? Object.entries(lost).filter(([, count]) => count) : [];
+    const notes = [...causes.map(([cause, count]) => `${cause} ${count}`), ...(typeof lost === "number" && lost ? [`lost ${lost}`] : [])];
+    const text = [share === null ? "" : `${(100 * share).toFixed(0)} %`, age === null || age === undefined ? "" : `${age.toFixed(2)} s old`];
+    return row(name, share === null || share > 0 ? "good" : "bad", text.filter(Boolean).join(" · "), notes.join(", "));
+  });
+  setHtml($("links"), lines.join(""));
 }
 
 function describe({ action, ticks, factor, seed, law, vehicle, driver }) {
@@ -170,11 +197,13 @@ function describe({ action, ticks, factor, seed, law, vehicle, driver }) {
 
 function showChanges(status) {
   const changes = (status && status.changes) || [];
-  if (!changes.length) return;
+  const refusals = (status && status.refusals) || [];
   const dt = store.geometry ? store.geometry.dt : null;
   const when = (tick) => (dt ? `${(tick * dt).toFixed(1)} s` : `tick ${tick}`);
   const lines = changes.slice(-6).reverse();
-  setHtml($("changes"), lines.map(({ tick, control }) => `<div><span>${when(tick)}</span>${escapeText(describe(control))}</div>`).join(""));
+  const done = lines.map(({ tick, control }) => `<div><span>${when(tick)}</span>${escapeText(describe(control))}</div>`);
+  const refused = refusals.slice(-3).reverse().map((line) => `<div class="refused">refused: ${escapeText(line)}</div>`);
+  setHtml($("changes"), [...refused, ...done].join("") || "nothing yet");
 }
 
 function showWheel(state, wheel) {
@@ -188,6 +217,8 @@ function showWheel(state, wheel) {
     other: `${state.driver} drives ${state.vehicle}.`,
     free: state.back ? "Nobody holds the wheel; the UGV brakes." : "The wheel is free.",
   };
+  const strangers = state.strangers || [];
+  if (state.wheel === "free" && strangers.length) said.free = `Another operator may be driving ${strangers.join(", ")}.`;
   setText($("who"), said[state.wheel]);
   setText($("pad"), wheel.pad ? wheel.pad.slice(0, 40) : "no gamepad");
   const ugvs = store.status && store.status.drivers && Object.keys(store.status.drivers).length ? Object.keys(store.status.drivers) : store.ugvs;
@@ -242,7 +273,11 @@ whenBuilt(() => {
     },
     onLost: () => {
       pending = [];
-      const lost = { level: "bad", line: "The dashboard's own process does not answer. Waiting for it.", browsers: 1, wheel: "free" };
+      const over = store.status && store.status.over;
+      const lost = over
+        ? { level: "info", line: "The run is over, and so is its page: nothing here can be steered any more. What it shows stays." }
+        : { level: "bad", line: "The dashboard's own process does not answer. Waiting for it." };
+      Object.assign(lost, { browsers: 1, wheel: "free", gone: true });
       showState({ ...lost, router: false, simulator: false }, wheel);
     },
   });

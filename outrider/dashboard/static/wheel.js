@@ -52,6 +52,8 @@ export class Wheel {
   }
 
   watchStick(pane) {
+    this.showStick = () => {};
+    if (!pane) return; // who only looks on has none
     const knob = pane.querySelector("i");
     const show = () => {
       const [x, y] = this.stick || [0, 0];

@@ -1,0 +1,158 @@
+"""Recording a run in progress, from outside: an observer who writes down what the simulator tells."""
+
+import time
+from pathlib import Path
+
+from bus import keys
+from bus.messages import Change, CoverageMap, Status, Truth
+from bus.session import Session
+from outrider.recording.file import RecordingFile
+from outrider.recording.schemas import Commands, head_of, unknown_head
+from sim.scenario import Scenario
+
+_INBOX_ROOM = 4096
+"""Truths that wait for us before the oldest are lost: two seconds of a fast run."""
+_LAST_WORDS = 0.6
+"""How long after the run's last word something may still come [s]; a run that is reset goes on."""
+_AT_ONCE = 256
+"""Truths that are taken before the caller is shown how it stands."""
+
+
+def _new_in(changes: tuple[Change, ...], known: tuple[Change, ...]) -> tuple[Change, ...]:
+    """Those of the last changes that have come since others were the last."""
+    old = next(n for n in range(len(changes), -1, -1) if known[len(known) - n :] == changes[:n])
+    return changes[old:]
+
+
+class RunRecorder:
+    """Records a run in progress: an observer who writes down what the simulator tells.
+
+    Args:
+        session: An observer's.
+        path: The file; one that is there is replaced.
+        scenario: What is flown, if that is known.
+
+    Raises:
+        OSError: If the file cannot be written.
+    """
+
+    def __init__(self, session: Session, path: Path, scenario: Scenario | None) -> None:
+        self._file = RecordingFile(path)
+        self._scenario = scenario
+        self._truths = session.inbox(keys.TRUTH, newest=_INBOX_ROOM)
+        self._maps = session.inbox(keys.COVERAGE, newest=64)
+        self._statuses = session.inbox(keys.STATUS, newest=64)
+        self._status: Status | None = None
+        self._changes: tuple[Change, ...] = ()  # the last that were told
+        self._map: CoverageMap | None = None  # waits for its tick's truth
+        self._over_since: float | None = None
+        self._busy = False
+        self._episode = -1
+        self.ticks = 0
+        """Truths that were taken down."""
+        self.missing_ticks = 0
+        """Ticks between the first and the newest that never came."""
+        self.first_tick = 0
+        """Of the first flight."""
+        self.newest_tick = -1
+        self.newest_time = 0.0
+        """[s]"""
+
+    @property
+    def ticks_of_run(self) -> int | None:
+        """How many it will have; None: not known yet."""
+        return self._status.ticks if self._status is not None else None
+
+    @property
+    def over(self) -> bool:
+        """Whether the run is."""
+        return not self._busy and self._over_since is not None and time.monotonic() - self._over_since > _LAST_WORDS
+
+    def take(self, patience: float) -> None:
+        """Take down what has come, and wait for up to `patience` [s] where nothing has."""
+        letter = self._truths.receive(patience)
+        self._take_others()
+        self._busy = letter is not None
+        taken = 0
+        while letter is not None:
+            if isinstance(letter.message, Truth):
+                self._take_truth(letter.message)
+                taken += 1
+            letter = self._truths.next_waiting() if taken < _AT_ONCE else None
+        self._file.flush_if_due()
+
+    def _take_others(self) -> None:
+        while (letter := self._statuses.next_waiting()) is not None:
+            if isinstance(letter.message, Status):
+                self._status = letter.message
+                if self._episode >= 0:
+                    self._file.status(letter.message)
+                    self._take_changes(letter.message.changes)
+                over = letter.message.over
+                self._over_since = (self._over_since or time.monotonic()) if over else None
+        while (letter := self._maps.next_waiting()) is not None:
+            if isinstance(letter.message, CoverageMap):
+                self._map = letter.message
+        self._put_map()
+
+    def _take_changes(self, changes: tuple[Change, ...]) -> None:
+        for change in _new_in(changes, self._changes):
+            self._file.change(change, self.newest_time)
+        self._changes = changes
+
+    def _put_map(self) -> None:
+        if self._map is not None and self.newest_tick >= self._map.tick > 0:
+            self._file.coverage(self._map, self.newest_time * self._map.tick / self.newest_tick)
+            self._map = None
+
+    def _take_truth(self, truth: Truth) -> None:
+        if self._episode < 0 or truth.tick < self.newest_tick:
+            self._begin(truth)
+        elif truth.tick == self.newest_tick:
+            return  # a clock that stands still tells it again
+        else:
+            self.missing_ticks += truth.tick - self.newest_tick - 1
+            if truth.tick == self.newest_tick + 1:
+                asked = {name: vehicle.command for name, vehicle in truth.vehicles.items()}
+                self._file.commands(Commands(tick=self.newest_tick, accelerations=asked), self.newest_time)
+        self.ticks += 1
+        self.newest_tick, self.newest_time = truth.tick, truth.time
+        self._file.truth(truth)
+        self._put_map()
+
+    def _begin(self, truth: Truth) -> None:
+        self._episode += 1
+        if self._episode == 0:
+            self.first_tick = truth.tick
+        start = self._file.next_start if self._episode else 0.0
+        status = self._status
+        seed = status.seed if status is not None else 0
+        if self._scenario is not None:
+            self._file.begin(head_of(self._scenario, seed, episode=self._episode, start=start), self._scenario)
+        else:
+            self._file.begin(unknown_head(status.scenario if status else "", seed, episode=self._episode, start=start), None)
+
+    def counts(self) -> dict[str, object]:
+        """What has come, in numbers."""
+        return {
+            "ticks": self.ticks,
+            "missing_ticks": self.missing_ticks,
+            "first_tick": self.first_tick,
+            "last_tick": self.newest_tick,
+            "flights": self._episode + 1,
+        }
+
+    def story(self) -> str:
+        """The same in words."""
+        if not self.ticks:
+            return "no tick came"
+        late = f", recorded from tick {self.first_tick} on" if self.first_tick else ""
+        return f"{self.ticks} ticks up to {self.newest_time:.2f} s, {self.missing_ticks} missing between them{late}"
+
+    def close(self) -> None:
+        """End the file.
+
+        Raises:
+            OSError: If not all could be written.
+        """
+        self._file.close()

@@ -1,0 +1,90 @@
+"""All links of a run: what crosses the ether between a vehicle and its sensor, its actuators, its operator and the other.
+
+Every message crosses in simulated time, inside the simulator: the environment, three processes and containers meet one network.
+"""
+
+from bus.errors import ScenarioError
+from bus.messages import LinkKind, LinkSettings, LinkStatus
+from sim.ether import Link, check_link
+from sim.scenario import Scenario
+
+_NUMBERS = {LinkKind.DETECTIONS: 0, LinkKind.COMMANDS: 1, LinkKind.OPERATOR: 2, LinkKind.RADIO: 3}
+"""For the links' random numbers. A number, once given, stays."""
+_PER_TICK = {LinkKind.DETECTIONS: 1, LinkKind.COMMANDS: 1, LinkKind.OPERATOR: 64, LinkKind.RADIO: 16}
+"""Messages that a link has room for in every tick; what is more is lost."""
+_VEHICLES = 1 << 16
+"""More than there are in a run."""
+
+
+def owners(scenario: Scenario, kind: LinkKind) -> tuple[str, ...]:
+    """The vehicles that have a link of this kind, in name order."""
+    uavs = {uav.name for uav in scenario.uav}
+    if kind is LinkKind.COMMANDS:
+        return tuple(vehicle.name for vehicle in scenario.vehicles)
+    of_uavs = kind is not LinkKind.OPERATOR
+    return tuple(vehicle.name for vehicle in scenario.vehicles if (vehicle.name in uavs) is of_uavs)
+
+
+class Links:
+    """The links of one run.
+
+    Args:
+        scenario: What is flown.
+        seed: Of all random numbers.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int) -> None:
+        rows = {vehicle.name: k for k, vehicle in enumerate(scenario.vehicles)}
+        self._of: dict[LinkKind, dict[str, Link]] = {
+            kind: {
+                name: Link(
+                    scenario.links.of(name, kind),
+                    dt=scenario.dt,
+                    seed=seed,
+                    link=_NUMBERS[kind] * _VEHICLES + rows[name],
+                    per_tick=_PER_TICK[kind],
+                )
+                for name in owners(scenario, kind)
+            }
+            for kind in LinkKind
+        }
+
+    def of(self, kind: LinkKind) -> dict[str, Link]:
+        """The links of one kind by vehicle: a UAV's detections and radio, a UGV's operator, everybody's commands."""
+        return self._of[kind]
+
+    @property
+    def degraded(self) -> bool:
+        """Whether any of them does anything to a message."""
+        return any(not link.perfect for links in self._of.values() for link in links.values())
+
+    def change(self, kind: LinkKind, vehicle: str | None, settings: LinkSettings) -> None:
+        """Give links other settings; what is under way arrives as it would have.
+
+        Args:
+            kind: Which.
+            vehicle: Whose; None: everybody's.
+            settings: The new ones.
+
+        Raises:
+            ScenarioError: If the settings are impossible, or this vehicle has no such link.
+        """
+        links = self._of[kind]
+        if vehicle is not None and vehicle not in links:
+            raise ScenarioError(f"vehicle = {vehicle!r}: has no link for its {kind}; allowed: {', '.join(links)}")
+        check_link(settings, str(kind))
+        for name in links if vehicle is None else (vehicle,):
+            links[name].change(settings)
+
+    def status(self, vehicle: str | None = None) -> dict[str, LinkStatus]:
+        """How each link has done so far, by `vehicle/kind`.
+
+        Args:
+            vehicle: Of this one alone; None: of all.
+        """
+        return {
+            f"{name}/{kind}": link.counters()
+            for kind, links in self._of.items()
+            for name, link in links.items()
+            if vehicle in (None, name)
+        }

@@ -1,0 +1,50 @@
+"""What the page knows of the law's gains and of the wheel."""
+
+from typing import Any
+
+from bus.messages import Action, Change, Control, Law, Status
+from outrider.dashboard.hub import running_law
+from outrider.dashboard.wheel import TELEOP, Wheel
+
+FIRST = Law(name="logarithmic", speed_gain=2.0)
+OTHER = Law(name="linear", weight_gain=7.0)
+
+
+def status(law: str, *controls: Control, **more: Any) -> Status:
+    changes = tuple(Change(tick=k, control=control) for k, control in enumerate(controls))
+    told = {"scenario": "s", "seed": 1, "tick": 1, "ticks": 9, "time": 0.1, "realtime_factor": 1.0, "vehicles": {}}
+    return Status(**told, law=law, changes=changes, **more)
+
+
+def test_the_first_law_is_flown_until_another_is_chosen() -> None:
+    assert running_law(status("logarithmic"), FIRST) == FIRST
+    assert running_law(status("linear", Control(action=Action.LAW, law=OTHER)), FIRST) == OTHER
+
+
+def test_gains_that_nobody_has_told_are_not_known() -> None:
+    assert running_law(status("logarithmic"), None) is None
+    assert running_law(status("switching"), FIRST) is None  # chosen without our having seen it
+    step = Control(action=Action.STEP)
+    assert running_law(status("logarithmic", *[step] * 20), FIRST) is None  # older changes are no longer told
+    assert running_law(status("logarithmic", *[step] * 19), FIRST) == FIRST
+
+
+def test_a_reset_brings_the_first_law_back() -> None:
+    controls = (Control(action=Action.LAW, law=OTHER), Control(action=Action.RESET))
+    assert running_law(status("logarithmic", *controls), FIRST) == FIRST
+    assert running_law(status("logarithmic", *controls), None) is None
+
+
+def test_an_operator_whom_nobody_here_has_seated_is_a_stranger() -> None:
+    said: list[Control] = []
+    wheel = Wheel(lambda control: said.append(control) is None, lambda _name, _drive: True)
+    drivers = {"ugv_0": "waypoints", "ugv_1": TELEOP}
+    assert wheel.strangers(drivers) == ["ugv_1"]
+    assert wheel.take(1, "browser 1", "ugv_0", drivers)
+    seated = {"ugv_0": TELEOP, "ugv_1": TELEOP}
+    assert wheel.strangers(seated) == ["ugv_1"]
+    wheel.release()
+    assert wheel.strangers(seated) == ["ugv_1"]
+    wheel.hand_back(1, seated)
+    assert said[-1].driver == "waypoints"
+    assert wheel.strangers(seated) == ["ugv_0", "ugv_1"]  # until the simulator has seated the driver from before

@@ -1,0 +1,213 @@
+"""The page of a run and of a recording: real processes, and what a browser gets from them."""
+
+import contextlib
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.request import urlopen
+
+import pytest
+from processes import OUTRIDER, alive, child_of, family, nothing_left_behind, outrider, wait_until
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection, connect
+
+__all__ = ["nothing_left_behind"]
+pytestmark = pytest.mark.usefixtures("nothing_left_behind")
+Frame = dict[str, Any]
+
+
+@contextlib.contextmanager
+def started(*arguments: str) -> Iterator["subprocess.Popen[str]"]:
+    process = subprocess.Popen([*OUTRIDER, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+        for stream in (process.stdout, process.stderr):
+            if stream:
+                stream.close()
+
+
+def port_in(process: "subprocess.Popen[str]") -> int:
+    """Where the page is, as the process says."""
+    assert process.stderr is not None
+    seen = []
+    for line in process.stderr:
+        seen.append(line)
+        if found := re.search(r"http://127\.0\.0\.1:(\d+)", line):
+            return int(found.group(1))
+    raise AssertionError(f"never said: {seen}")
+
+
+def browser(port: int) -> ClientConnection:
+    return connect(f"ws://127.0.0.1:{port}/frames", proxy=None, max_size=None)
+
+
+def next_frame(channel: ClientConnection) -> Frame:
+    frame: Frame = json.loads(channel.recv(20.0))
+    channel.send('{"kind":"drawn"}')
+    return frame
+
+
+def frames(channel: ClientConnection) -> Iterator[Frame]:
+    """All that come until the page is no longer served."""
+    with contextlib.suppress(ConnectionClosed):
+        while True:
+            yield next_frame(channel)
+
+
+def await_truth(channel: ClientConnection, tick: int) -> Frame:
+    return next(frame for frame in frames(channel) if frame.get("truth", {}).get("tick", -1) >= tick)
+
+
+def serves(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+def test_a_page_opens_with_the_run_shows_all_of_it_and_ends_with_it() -> None:
+    words = ("run", "--dashboard", "--dashboard-port", "0", "--realtime", "20", "--duration", "60", "--no-files", "--json")
+    with started(*words) as run:
+        port = port_in(run)
+        with urlopen(f"http://127.0.0.1:{port}/", timeout=20) as page:
+            assert b"Outrider" in page.read()
+        rows: list[list[float]] = []
+        statuses: list[Frame] = []
+        with browser(port) as channel:
+            for frame in frames(channel):
+                rows += frame.get("rows", [])
+                statuses += [frame["status"]] if "status" in frame else []
+        out, err = run.communicate(timeout=60)
+        assert run.returncode == 0, err
+    assert rows[0][0] < 4.0  # it was there before the first tick, and looks every 0.1 s, in which 2 s are flown
+    assert rows[-1][0] >= 59.0
+    assert statuses[-1]["over"] is True
+    assert {status["wanted_factor"] for status in statuses} == {20.0}
+    summary = json.loads(out)
+    assert summary["ticks"] == 1200
+    assert [process["name"] for process in summary["processes"]] == ["simulator", "uav_0", "ugv_0"]
+    assert not serves(port)
+
+
+def test_a_run_with_a_page_keeps_the_wall_clock_unless_told_otherwise_and_ctrl_c_ends_all() -> None:
+    with started("run", "--dashboard", "--dashboard-port", "0", "--no-files", "--json") as run:
+        port = port_in(run)
+        with browser(port) as channel:
+            assert await_truth(channel, 20)["kind"] == "frame"
+            status = next(frame["status"] for frame in frames(channel) if "status" in frame)
+            assert status["wanted_factor"] == 1.0
+            children = family(run.pid)
+            assert len(children) == 4
+            run.send_signal(signal.SIGINT)
+            last = [frame["status"] for frame in frames(channel) if "status" in frame][-1]
+        out, _ = run.communicate(timeout=60)
+        assert run.returncode == 130
+    assert last["over"] is True
+    assert 20 <= json.loads(out)["ticks"] < 4000
+    assert not any(alive(child) for child in children)
+    assert not serves(port)
+
+
+def test_a_page_that_dies_is_told_once_and_the_run_goes_on_in_lockstep_to_its_end() -> None:
+    words = ("run", "--dashboard", "--lockstep", "--dashboard-port", "0", "--duration", "500", "--no-files", "--json")
+    with started(*words) as run:
+        port = port_in(run)
+        with browser(port) as channel:
+            await_truth(channel, 1)
+            os.kill(child_of(run, "dashboard"), signal.SIGKILL)
+        out, err = run.communicate(timeout=120)
+        assert run.returncode == 0, err
+    assert err.count("the run goes on without its page") == 1
+    assert "killed by signal 9" in err
+    summary = json.loads(out)
+    assert summary["ticks"] == 10_000
+    assert summary["deterministic"] is True
+
+
+def test_the_page_ends_when_its_run_is_killed() -> None:
+    with started("run", "--dashboard", "--dashboard-port", "0", "--no-files") as run:
+        port = port_in(run)
+        children = family(run.pid)
+        assert child_of(run, "dashboard") in children
+        run.kill()
+        run.wait()
+        wait_until(lambda: not any(alive(child) for child in children))
+    assert not serves(port)
+
+
+def test_a_busy_port_is_refused_before_anything_flies(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        run = outrider("run", "--dashboard", "--dashboard-port", port, "--out", str(tmp_path / "flight"))
+    assert run.returncode == 2
+    assert len(run.stderr.strip().splitlines()) == 1
+    assert f"port {port}" in run.stderr
+    assert "--dashboard-port" in run.stderr
+    assert not list((tmp_path / "flight").glob("*"))
+
+
+@pytest.mark.parametrize("words", [["run", "--dashboard"], ["dashboard"]])
+def test_a_missing_extra_is_one_line_that_says_what_to_install(words: list[str]) -> None:
+    code = "import sys; sys.modules['nicegui'] = None; from outrider.cli.main import main; main()"
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 2
+    assert done.stderr.strip().splitlines() == ["outrider: nicegui is missing: pip install 'outrider[dashboard]'"]
+
+
+@pytest.mark.parametrize("words", [["--in-process", "--dashboard"], ["--lockstep", "--realtime", "1"]])
+def test_what_excludes_each_other_is_refused(words: list[str]) -> None:
+    run = outrider("run", "--no-files", *words)
+    assert run.returncode == 2
+    assert words[0].removeprefix("--") in run.stderr
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recording") / "run.mcap"
+    done = outrider("run", "--in-process", "--duration", "30", "--no-files", "--record", str(path))
+    assert done.returncode == 0, done.stderr
+    return path
+
+
+def test_a_recording_is_played_into_the_page_and_nobody_can_steer(recording: Path) -> None:
+    words = ("replay", str(recording), "--dashboard", "--dashboard-port", "0", "--speed", "10")
+    with started(*words) as replay:
+        port = port_in(replay)
+        with urlopen(f"http://127.0.0.1:{port}/", timeout=20) as page:
+            assert b"this is a recording" in page.read()
+        began = time.monotonic()
+        rows: list[list[float]] = []
+        with browser(port) as channel:
+            hello = json.loads(channel.recv(20.0))
+            assert hello["steer"] is False
+            channel.send('{"kind":"take","vehicle":"ugv_0"}')
+            maps = 0
+            for frame in frames(channel):
+                rows += frame.get("rows", [])
+                maps += "map" in frame
+                assert frame["state"]["wheel"] == "free"
+                if frame["state"]["replay"]["at"] >= 30.0:
+                    break
+            assert time.monotonic() - began < 10.0
+        replay.send_signal(signal.SIGINT)
+        assert replay.wait(20.0) == 130
+    assert rows[0][0] == 0.0
+    assert rows[-1][0] > 29.0
+    assert maps > 5
+    assert not serves(port)
+
+
+def test_a_page_is_no_place_for_numbers(recording: Path) -> None:
+    done = outrider("replay", str(recording), "--dashboard", "--json")
+    assert done.returncode == 2
+    assert "--dashboard" in done.stderr

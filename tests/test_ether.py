@@ -1,0 +1,700 @@
+"""The radio channel: each impairment against its theory, conservation, the same bits, and going on under other settings."""
+
+import math
+import re
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from properties import PROPERTY
+from scipy import stats
+
+from bus.errors import ScenarioError
+from bus.messages import LinkSettings, LinkStatus
+from sim.compile import compiled
+from sim.ether import KEEPS, Link, check_link, extra_delays, link_parameters, link_status, relink
+from sim.link import (
+    AGE_SUM,
+    CAUSES,
+    DARK,
+    LOST,
+    SHAPES,
+    LinkParameters,
+    LinkState,
+    advance,
+    exchange,
+    jitter_quantile,
+    jitter_share,
+    link_state,
+    link_states,
+    normal_quantile,
+    of_world,
+    receive,
+    send,
+)
+from sim.profiles import PROFILES
+
+MILLION = 1_000_000
+DT = 0.05
+KS = 1.95
+"""KS * n**-0.5 is exceeded by an honest empirical distribution once in a thousand."""
+
+
+@compiled
+def _drive(
+    p: LinkParameters, s: LinkState, seed: int, link: int, first: int, ticks: int, each: int, out: Any, log: Any, dark: Any
+) -> int:
+    """Send `each` messages in every tick; a row (arrival tick, sent tick, number) in `log` for each that arrives."""
+    payload = np.zeros(2)
+    n = 0
+    for tick in range(first, first + ticks):
+        advance(p, s, seed, link, tick)
+        dark[tick - first] = s.counts[DARK]
+        for k in range(each):
+            payload[0], payload[1] = tick, k
+            send(p, s, seed, link, payload)
+        for k in range(receive(s, out)):
+            log[n, 0], log[n, 1], log[n, 2] = tick, out[k, 0], out[k, 1]
+            n += 1
+    return n
+
+
+class Flown:
+    """A link over which something was sent in every tick."""
+
+    def __init__(self, wanted: LinkSettings, ticks: int, *, dt: float = DT, each: int = 1, seed: int = 1, link: int = 2) -> None:
+        self.parameters = link_parameters(check_link(wanted, "test"), dt, per_tick=each)
+        self.state = link_state(self.parameters, 2)
+        self.seed, self.link, self.each, self.tick = seed, link, each, 0
+        self.arrived = np.zeros((0, 3), dtype=np.int64)
+        self.go_on(ticks)
+
+    def go_on(self, ticks: int) -> None:
+        rows = 2 * self.each * ticks + len(self.state.slots)
+        log, self.dark = np.zeros((rows, 3), dtype=np.int64), np.zeros(ticks, dtype=np.int64)
+        out = np.zeros_like(self.state.payload)
+        n = _drive(self.parameters, self.state, self.seed, self.link, self.tick, ticks, self.each, out, log, self.dark)
+        self.tick += ticks
+        self.arrived = np.concatenate([self.arrived, log[:n]])
+
+    def change(self, wanted: LinkSettings) -> None:
+        new = link_parameters(check_link(wanted, "test"), self.parameters.dt, per_tick=self.each)
+        self.state, self.parameters = relink(self.parameters, self.state, new), new
+
+    @property
+    def delays(self) -> np.ndarray:
+        """In ticks."""
+        return self.arrived[:, 0] - self.arrived[:, 1]
+
+    @property
+    def missing(self) -> np.ndarray:
+        """For each tick whether what was sent then has not arrived."""
+        gone = np.ones(self.tick, dtype=bool)
+        gone[self.arrived[:, 1]] = False
+        return gone
+
+    @property
+    def status(self) -> LinkStatus:
+        return link_status(self.parameters, self.state)
+
+    @property
+    def bits(self) -> bytes:
+        return b"".join(array.tobytes() for array in self.state) + self.arrived.tobytes()
+
+
+def _spread(share: float, n: float = MILLION) -> float:
+    """Four standard deviations of a share among so many."""
+    return 4.0 * math.sqrt(share * (1.0 - share) / n)
+
+
+def _conserved(status: LinkStatus) -> bool:
+    return status.sent + status.duplicated == status.delivered + sum(status.lost.values()) + status.waiting + status.flying
+
+
+def _only(status: LinkStatus, *causes: str) -> bool:
+    """Whether nothing was lost by another cause."""
+    return not any(number for cause, number in status.lost.items() if cause not in causes)
+
+
+# --- the perfect link, and times
+
+
+def test_a_perfect_link_is_the_identity_and_draws_nothing() -> None:
+    flown = Flown(LinkSettings(), 1000, each=3)
+    wanted = [(tick, tick, k) for tick in range(1000) for k in range(3)]
+    assert flown.parameters.perfect
+    assert flown.arrived.tolist() == [list(row) for row in wanted]
+    assert flown.bits == Flown(LinkSettings(), 1000, each=3, seed=99, link=77).bits
+    assert flown.status.max_age == 0.0
+    assert flown.status.delivery_ratio == 1.0
+
+
+@pytest.mark.parametrize(
+    ("delay", "dt", "ticks"),
+    [
+        *((0.5, 0.05, 10), (0.35, 0.05, 7), (0.7, 0.1, 7), (1.1, 0.1, 11), (30.0, 0.01, 3000), (0.0, 0.05, 0)),
+        *((0.001, 0.05, 1), (0.05, 0.05, 1), (0.0501, 0.05, 2), (0.28, 0.05, 6), (0.07, 0.01, 7)),
+    ],
+)
+def test_a_message_arrives_at_the_first_tick_that_is_not_before_its_delay(delay: float, dt: float, ticks: int) -> None:
+    flown = Flown(LinkSettings(delay=delay), 4000, dt=dt)
+    assert set(flown.delays.tolist()) == {ticks}
+    assert len(flown.arrived) == 4000 - ticks
+    assert flown.status.max_age == pytest.approx(ticks * dt)
+
+
+# --- losses
+
+
+@pytest.mark.parametrize("loss", [0.001, 0.1, 0.9])
+def test_independent_losses_have_their_share_and_no_memory(loss: float) -> None:
+    flown = Flown(LinkSettings(loss=loss), MILLION)
+    gone = flown.missing
+    assert gone.mean() == pytest.approx(loss, abs=_spread(loss))
+    assert flown.status.lost["loss"] == gone.sum()
+    assert _only(flown.status, "loss")
+    assert abs(np.corrcoef(gone[:-1], gone[1:])[0, 1]) < 4.0 / math.sqrt(MILLION)
+
+
+def test_a_share_of_one_is_all_and_of_nought_is_none() -> None:
+    assert Flown(LinkSettings(loss=1.0), 1000).status.lost["loss"] == 1000
+    twice = Flown(LinkSettings(duplicates=1.0), 1000).status
+    assert twice.duplicated == 1000
+    assert twice.delivered == 2000
+
+
+def _runs(flags: np.ndarray) -> np.ndarray:
+    """Lengths of the runs of true that begin and end inside."""
+    edges = np.flatnonzero(np.diff(flags.astype(np.int8)))
+    if flags[0]:
+        edges = edges[1:]
+    return np.diff(edges[: len(edges) // 2 * 2])[::2]
+
+
+@pytest.mark.parametrize(("length", "interval"), [(0.5, 2.0), (0.02, 0.03), (2.0, 1.0)])
+def test_bursts_are_a_gilbert_elliott_chain_sampled_exactly(length: float, interval: float) -> None:
+    flown = Flown(LinkSettings(burst_length=length, burst_interval=interval), MILLION)
+    bad, share, decay = flown.missing, length / (length + interval), math.exp(-DT * (1.0 / length + 1.0 / interval))
+    effective = MILLION * (1.0 - decay) / (1.0 + decay)
+    assert bad.mean() == pytest.approx(share, abs=_spread(share, effective))
+    assert flown.status.lost["burst"] == bad.sum()
+    assert _only(flown.status, "burst")
+    leave = (1.0 - share) * (1.0 - decay)
+    runs = _runs(bad)
+    assert runs.mean() == pytest.approx(1.0 / leave, abs=4.0 * math.sqrt((1.0 - leave) / leave**2 / len(runs)))
+    top = max(2, int(math.log(100.0 / len(runs)) / math.log(1.0 - leave)))
+    found = np.bincount(np.minimum(runs, top), minlength=top + 1)[1:]
+    wanted = len(runs) * np.array([*(leave * (1.0 - leave) ** np.arange(top - 1)), (1.0 - leave) ** (top - 1)])
+    assert stats.chisquare(found, wanted).pvalue > 1e-3
+
+
+def test_a_burst_lasts_as_long_as_it_should_whatever_the_tick() -> None:
+    for dt in (0.001, 0.01):
+        bad = Flown(LinkSettings(burst_length=0.2, burst_interval=0.3), 400_000, dt=dt).missing
+        runs = _runs(bad) * dt
+        assert runs.mean() == pytest.approx(0.2, abs=4.0 * 0.2 / math.sqrt(len(runs)) + 2.0 * dt)
+
+
+def test_a_burst_takes_its_own_share_beside_the_independent_losses() -> None:
+    status = Flown(LinkSettings(loss=0.1, burst_length=0.5, burst_interval=0.5, burst_loss=0.6), MILLION).status
+    correlated = MILLION * math.tanh(DT * 4.0 / 2.0)
+    assert status.lost["burst"] / MILLION == pytest.approx(0.3, abs=_spread(0.5, correlated))
+    assert status.lost["loss"] / (MILLION - status.lost["burst"]) == pytest.approx(0.1, abs=_spread(0.1, 0.7 * MILLION))
+
+
+def test_the_channel_starts_in_its_stationary_state() -> None:
+    bad = [Flown(LinkSettings(burst_length=0.9, burst_interval=2.1), 1, seed=seed).status.lost["burst"] for seed in range(2000)]
+    dark = [Flown(LinkSettings(blackout_length=0.9, blackout_interval=2.1), 1, seed=seed).dark[0] for seed in range(2000)]
+    assert np.mean(bad) == pytest.approx(0.3, abs=_spread(0.3, 2000))
+    assert np.mean(dark) == pytest.approx(0.3, abs=_spread(0.3, 2000))
+
+
+# --- blackouts
+
+
+def test_planned_blackouts_take_what_leaves_from_their_start_until_their_end() -> None:
+    plan = ((1.0, 0.5), (3.02, 0.1), (0.35, 0.35), (1.2, 0.6), (7.0, 0.01))
+    flown = Flown(LinkSettings(delay=0.2, blackouts=plan), 300)
+    flown.go_on(10)
+    times = np.arange(310) * DT + 1e-9
+    wanted = np.any([(times >= start) & (times + 1e-8 < start + length) for start, length in plan], axis=0)
+    assert np.flatnonzero(flown.missing)[:-4].tolist() == np.flatnonzero(wanted).tolist()
+    assert flown.status.lost["blackout"] == wanted.sum()
+    assert _only(flown.status, "blackout")
+
+
+@pytest.mark.parametrize(("length", "interval"), [(2.0, 8.0), (0.03, 0.01), (0.3, 0.7)])
+def test_random_blackouts_take_their_share_of_the_time(length: float, interval: float) -> None:
+    flown = Flown(LinkSettings(blackout_length=length, blackout_interval=interval), MILLION)
+    share, cycle = length / (length + interval), length + interval
+    cycles = MILLION * DT / cycle
+    deviation = 4.0 * length * interval / cycle**2 / math.sqrt(cycles) + _spread(share)
+    assert flown.dark.mean() == pytest.approx(share, abs=deviation)
+    assert flown.status.lost["blackout"] == flown.dark.sum() == flown.missing.sum()
+
+
+def test_random_blackouts_have_their_length_and_come_as_a_poisson_process() -> None:
+    dark = Flown(LinkSettings(blackout_length=0.5, blackout_interval=1.0), MILLION, dt=0.001).dark.astype(bool)
+    lit = _runs(~dark) * 0.001
+    lengths, counts = np.unique(_runs(dark), return_counts=True)
+    assert (counts * (np.abs(lengths - 500) > 1)).sum() < 0.005 * counts.sum()  # two whose gap no tick has seen are one
+    assert stats.kstest(lit, "expon").statistic < KS / math.sqrt(len(lit)) + 0.001
+
+
+# --- delays
+
+
+@given(st.floats(1e-300, 1.0, exclude_max=True))
+@settings(PROPERTY, max_examples=500)
+def test_the_quantile_of_the_normal_is_scipys(share: float) -> None:
+    assert normal_quantile(share) == pytest.approx(float(stats.norm.ppf(share)), rel=1e-13, abs=1e-15)
+
+
+SCIPY: dict[str, Callable[[float], Any]] = {
+    "uniform": lambda j: stats.uniform(-j, 2.0 * j),
+    "normal": lambda j: stats.norm(0.0, j),
+    "exponential": lambda j: stats.expon(0.0, j),
+    "pareto": lambda j: stats.lomax(2.5, 0.0, 1.5 * j),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_each_shape_is_its_distribution_and_has_its_mean(shape: str) -> None:
+    law = SCIPY[shape](0.4)
+    assert law.mean() == pytest.approx(0.4 if shape in {"exponential", "pareto"} else 0.0)
+    for share in (1e-6, 0.01, 0.3, 0.5, 0.9, 0.999, 1.0 - 1e-9):
+        extra = jitter_quantile(SHAPES[shape], 0.4, share)
+        assert extra == pytest.approx(law.ppf(share), rel=1e-6, abs=1e-12)
+        assert jitter_share(SHAPES[shape], 0.4, extra) == pytest.approx(share, abs=1e-12)
+    for extra in (-0.5, -0.1, 0.0, 0.2, 5.0):
+        assert jitter_share(SHAPES[shape], 0.4, extra) == pytest.approx(law.cdf(extra), abs=1e-14)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize(("delay", "cut"), [(0.0, 0.0), (0.05, 0.03), (0.5, 0.15)])
+def test_delays_follow_the_cut_distribution_in_ticks(shape: str, delay: float, cut: float) -> None:
+    jitter, dt = 0.1, 0.001
+    flown = Flown(LinkSettings(delay=delay, jitter=jitter, jitter_shape=shape, jitter_cut=cut), 400_000, dt=dt)
+    law, (least, most) = SCIPY[shape](jitter), (-delay, cut or 5.0 * jitter)
+    low, high = law.cdf(least), law.cdf(most)
+    delays = flown.delays[flown.arrived[:, 1] < 400_000 - flown.parameters.longest]
+    ticks = np.arange(flown.parameters.longest + 1)
+    found = np.bincount(delays, minlength=len(ticks)).cumsum() / len(delays)
+    wanted = np.clip((law.cdf(ticks * dt - delay) - low) / (high - low), 0.0, 1.0)
+    assert np.abs(found - wanted).max() < KS / math.sqrt(len(delays))
+    assert delays.max() <= math.ceil((delay + most) / dt - 1e-6)
+    assert flown.status.lost == dict.fromkeys(CAUSES, 0)
+
+
+def test_one_message_arrives_after_another_that_was_sent_later_only_if_its_delay_is_longer() -> None:
+    flown = Flown(LinkSettings(delay=0.2, jitter=0.2), 20_000, each=2)
+    order = np.lexsort((flown.arrived[:, 2], flown.arrived[:, 1], flown.arrived[:, 0]))
+    assert order.tolist() == list(range(len(order)))
+    assert (np.diff(flown.arrived[:, 1]) < 0).any()
+
+
+def test_duplicates_and_held_back_messages_have_their_shares() -> None:
+    flown = Flown(LinkSettings(delay=0.1, duplicates=0.2, reorder=0.3, reorder_delay=0.25), MILLION)
+    status, delays = flown.status, flown.delays
+    assert status.duplicated / MILLION == pytest.approx(0.2, abs=_spread(0.2))
+    assert set(delays.tolist()) == {2, 7}
+    assert (delays == 7).mean() == pytest.approx(0.3, abs=_spread(0.3))
+    apart = _pairs(flown)[:, 0] != _pairs(flown)[:, 1]
+    assert apart.mean() == pytest.approx(0.42, abs=_spread(0.42, len(apart)))
+
+
+def _pairs(flown: Flown) -> np.ndarray:
+    """Both delays of each message that has arrived twice, the shorter first."""
+    order = np.argsort(flown.arrived[:, 1], kind="stable")
+    twice = np.bincount(flown.arrived[:, 1])[flown.arrived[order, 1]] == 2
+    return flown.delays[order][twice].reshape(-1, 2)
+
+
+def test_a_copy_has_a_delay_of_its_own() -> None:
+    flown = Flown(LinkSettings(delay=0.5, jitter=0.4, duplicates=1.0), 50_000, dt=0.01)
+    pairs = _pairs(flown).astype(float)
+    swapped = np.where(np.random.default_rng(1).random((len(pairs), 1)) < 0.5, pairs, pairs[:, ::-1])
+    assert abs(np.corrcoef(swapped.T)[0, 1]) < 4.0 / math.sqrt(len(pairs))
+
+
+# --- bandwidth
+
+
+@pytest.mark.parametrize("bandwidth", [0.37, 2.0, 7.0, 19.999, 20.0, 33.3, 50.0])
+@pytest.mark.parametrize("keep", KEEPS)
+def test_a_link_carries_the_smaller_of_its_bandwidth_and_what_is_offered(bandwidth: float, keep: str) -> None:
+    ticks = 40_000
+    for each in (1, 3):
+        flown = Flown(LinkSettings(bandwidth=bandwidth, queue=4, keep=keep), ticks, each=each)
+        offered = each / DT
+        if bandwidth < offered:
+            assert flown.status.delivered in {math.floor(bandwidth * (ticks - 1) * DT + 1e-6) + k for k in (0, 1)}
+        else:
+            assert flown.status.delivered == flown.status.sent
+            assert flown.delays.max() == 0
+        assert _only(flown.status, "queue")
+        assert _conserved(flown.status)
+
+
+@pytest.mark.parametrize("queue", [1, 3, 10])
+def test_a_full_queue_keeps_the_newest_or_the_oldest_as_wanted(queue: int) -> None:
+    newest = Flown(LinkSettings(bandwidth=2.0, queue=queue, keep="newest"), 2000)
+    oldest = Flown(LinkSettings(bandwidth=2.0, queue=queue, keep="oldest"), 2000)
+    assert newest.arrived[:, 0].tolist() == oldest.arrived[:, 0].tolist() == list(range(0, 2000, 10))
+    steady = slice(queue + 2, None)
+    assert set(newest.delays[steady].tolist()) == {queue}
+    assert set(oldest.delays[steady].tolist()) == {10 * queue}
+    assert newest.status.waiting == oldest.status.waiting == queue
+
+
+def test_a_queue_that_is_never_full_delays_a_volley_one_message_after_the_other() -> None:
+    link = Link(LinkSettings(bandwidth=4.0, queue=9), dt=DT, seed=1, link=1, per_tick=10)
+    for k in range(10):
+        link.send(0, k, 0)
+    found = [(tick, message) for tick in range(100) for message in link.arrivals(tick)]
+    assert found == [(5 * k, k) for k in range(10)]
+    assert link.counters().lost == dict.fromkeys(CAUSES, 0)
+
+
+# --- everything together
+
+
+shares = st.sampled_from([0.0, 0.0, 0.05, 0.5, 1.0])
+spans = st.sampled_from([0.0, 0.0, 0.02, 0.05, 0.3, 1.0])
+
+
+@st.composite
+def links(draw: st.DrawFn) -> LinkSettings:
+    blackouts = st.lists(st.tuples(st.floats(0.0, 20.0), st.floats(0.01, 3.0)), max_size=3)
+    return LinkSettings(
+        delay=draw(spans),
+        jitter=draw(spans),
+        jitter_shape=draw(st.sampled_from(list(SHAPES))),
+        jitter_cut=draw(spans),
+        loss=draw(shares),
+        burst_length=draw(spans),
+        burst_interval=draw(st.floats(0.01, 3.0)),
+        burst_loss=draw(shares),
+        blackouts=tuple(draw(blackouts)),
+        blackout_interval=draw(spans),
+        blackout_length=draw(st.floats(0.01, 2.0)),
+        duplicates=draw(shares),
+        reorder=draw(shares),
+        reorder_delay=draw(st.floats(0.01, 1.0)),
+        bandwidth=draw(st.sampled_from([0.0, 0.0, 3.0, 19.0, 45.0])),
+        queue=draw(st.integers(1, 6)),
+        keep=draw(st.sampled_from(KEEPS)),
+    )
+
+
+@given(links(), links(), st.integers(1, 3), st.integers(0, 2**53 - 1))
+@settings(PROPERTY)
+def test_no_message_appears_or_vanishes_and_none_lacks_room(
+    first: LinkSettings, then: LinkSettings, each: int, seed: int
+) -> None:
+    flown = Flown(first, 200, each=each, seed=seed)
+    for wanted in (then, first, LinkSettings()):
+        assert _conserved(flown.status)
+        assert flown.status.lost["full"] == 0
+        assert flown.delays.min(initial=0) >= 0
+        before = flown.status
+        flown.change(wanted)
+        assert _conserved(flown.status)
+        assert flown.status.flying == before.flying
+        flown.go_on(200)
+    flown.go_on(200)
+    assert flown.status.waiting == flown.status.flying == 0
+    assert _conserved(flown.status)
+
+
+@given(links(), st.integers(0, 2**53 - 1))
+@settings(PROPERTY)
+def test_the_same_settings_on_the_way_change_nothing(wanted: LinkSettings, seed: int) -> None:
+    whole, changed = Flown(wanted, 300, seed=seed), Flown(wanted, 150, seed=seed)
+    changed.change(wanted)
+    changed.go_on(150)
+    assert changed.arrived.tobytes() == whole.arrived.tobytes()
+    assert changed.status == whole.status
+
+
+def test_more_messages_than_the_room_holds_are_counted_and_break_nothing() -> None:
+    parameters = link_parameters(LinkSettings(delay=0.2), DT)
+    state, out = link_state(parameters, 2), np.zeros((parameters.room, 2))
+    for tick in range(100):
+        exchange(parameters, state, 1, 1, tick, np.full((5, 2), float(tick)), out)
+    status = link_status(parameters, state)
+    assert status.lost["full"] == status.sent - status.delivered - status.flying == 400
+    assert _conserved(status)
+
+
+def test_too_few_rows_for_what_arrives_is_an_error() -> None:
+    parameters = link_parameters(LinkSettings(), DT, per_tick=2)
+    with pytest.raises(ValueError, match="fewer rows"):
+        exchange(parameters, link_state(parameters, 2), 1, 1, 0, np.zeros((2, 2)), np.zeros((1, 2)))
+
+
+# --- the same bits
+
+
+BUSY = LinkSettings(
+    delay=0.1,
+    jitter=0.1,
+    jitter_shape="pareto",
+    loss=0.1,
+    burst_length=0.3,
+    burst_interval=1.0,
+    burst_loss=0.8,
+    blackout_interval=5.0,
+    blackout_length=0.5,
+    duplicates=0.1,
+    reorder=0.1,
+    reorder_delay=0.1,
+    bandwidth=15.0,
+)
+
+
+def test_a_link_does_the_same_twice_and_whatever_other_links_do() -> None:
+    alone = Flown(BUSY, 2000, seed=5, link=3).bits
+    assert Flown(BUSY, 2000, seed=5, link=3).bits == alone
+    parameters = link_parameters(BUSY, DT)
+    worlds = link_states(parameters, 2, 3)
+    others = link_states(parameters, 2, 4)
+    out, log, rows = np.zeros((parameters.room, 2)), np.zeros((9000, 3), dtype=np.int64), np.zeros(1, dtype=np.int64)
+    arrived = []
+    for tick in range(2000):
+        for k in range(4):
+            _drive(parameters, of_world(others, k), 5, 10 + k, tick, 1, 1, out, log, rows)
+        for world in (2, 0, 1):
+            n = _drive(parameters, of_world(worlds, world), 5 + world, 3, tick, 1, 1, out, log, rows)
+            arrived += log[:n].tolist() if world == 0 else []
+    state = b"".join(array[0].tobytes() for array in worlds)
+    assert state + np.array(arrived, dtype=np.int64).tobytes() == alone
+
+
+def test_each_link_and_each_seed_has_a_fate_of_its_own() -> None:
+    assert len({Flown(BUSY, 300, seed=seed, link=link).bits for seed in range(4) for link in range(4)}) == 16
+
+
+def test_neighbours_in_number_link_and_seed_share_no_luck() -> None:
+    def table(number: int, seed: int, link: int) -> np.ndarray:
+        """The delay of each message of this number within its tick; -1: lost."""
+        flown = Flown(LinkSettings(delay=0.5, jitter=0.5, loss=0.3), 20_000, dt=0.01, each=2, seed=seed, link=link)
+        delays, chosen = np.full(20_000, -1), flown.arrived[:, 2] == number
+        delays[flown.arrived[chosen, 1]] = flown.delays[chosen]
+        return delays[:-200]
+
+    first = table(0, 1, 2)
+    for other in (table(1, 1, 2), table(0, 2, 2), table(0, 1, 3), np.roll(first, 1)):
+        assert abs(np.corrcoef(first < 0, other < 0)[0, 1]) < 4.0 / math.sqrt(len(first))
+        both = (first >= 0) & (other >= 0)
+        assert abs(np.corrcoef(first[both], other[both])[0, 1]) < 4.0 / math.sqrt(both.sum())
+
+
+@pytest.mark.parametrize("field", ["loss", "burst_loss", "duplicates", "reorder"])
+def test_a_greater_share_takes_the_same_messages_and_more(field: str) -> None:
+    """Draws stay when settings change, so two settings can be compared on the same luck."""
+    settled = msgspec.structs.replace(BUSY, bandwidth=0.0, loss=0.0, burst_loss=0.0, duplicates=0.0, reorder=0.0, jitter=0.0)
+    less, more = (Flown(msgspec.structs.replace(settled, **{field: share}), 5000).arrived for share in (0.1, 0.4))
+    seen = [{(int(sent), int(tick - sent)) for tick, sent, _ in rows} for rows in (less, more)]
+    if field in {"loss", "burst_loss"}:
+        assert seen[1] < seen[0]
+    elif field == "reorder":
+        late = [{sent for sent, delay in each if delay > 2} for each in seen]
+        assert late[0] < late[1]
+    else:
+        doubled = [{int(k) for k in np.flatnonzero(np.bincount(rows[:, 1]) == 2)} for rows in (less, more)]
+        assert doubled[0] < doubled[1]
+
+
+# --- going on under other settings
+
+
+def test_what_flies_arrives_when_it_would_have_under_other_settings_too() -> None:
+    flown = Flown(LinkSettings(delay=1.0), 30)
+    flown.change(LinkSettings(delay=0.1, loss=1.0))
+    flown.go_on(40)
+    assert flown.arrived[:, :2].tolist() == [[k + 20, k] for k in range(30)]
+    assert flown.status.lost["loss"] == 40
+    flown.change(LinkSettings())
+    flown.go_on(5)
+    assert flown.arrived[-5:, 0].tolist() == flown.arrived[-5:, 1].tolist() == [70, 71, 72, 73, 74]
+
+
+def test_what_waits_leaves_at_the_new_pace() -> None:
+    flown = Flown(LinkSettings(bandwidth=1.0, queue=8, keep="oldest"), 49)
+    flown.change(LinkSettings(bandwidth=4.0, queue=8, keep="oldest"))
+    flown.go_on(13)
+    assert flown.arrived[:, 0].tolist() == [0, 20, 40, 49, 50, 55, 60]
+    flown.change(LinkSettings(delay=0.1))
+    flown.go_on(3)
+    assert flown.status.waiting == 0
+    assert flown.arrived[7:, 0].tolist() == [64] * 9
+
+
+@pytest.mark.parametrize("keep", KEEPS)
+def test_a_shorter_queue_drops_what_it_would_not_keep(keep: str) -> None:
+    flown = Flown(LinkSettings(bandwidth=0.1, queue=6, keep=keep), 7)
+    flown.change(LinkSettings(bandwidth=20.0, queue=2, keep=keep))
+    assert flown.status.lost["queue"] == 4
+    flown.go_on(2)
+    assert flown.arrived[1:3, 1].tolist() == ([5, 6] if keep == "newest" else [1, 2])
+
+
+def test_a_burst_and_a_blackout_go_on_under_other_settings() -> None:
+    for before, after in (
+        (LinkSettings(burst_length=1e5, burst_interval=1.0), LinkSettings(burst_length=2e5, burst_interval=1.0, delay=0.1)),
+        (LinkSettings(blackout_length=1e5, blackout_interval=1.0), LinkSettings(blackout_length=0.1, blackout_interval=1.0)),
+    ):
+        flown = Flown(before, 50)
+        flown.change(after)
+        flown.go_on(50)
+        assert len(flown.arrived) == 0
+        flown.change(LinkSettings())
+        flown.go_on(50)
+        assert len(flown.arrived) == 50
+
+
+# --- age, and the link for Python objects
+
+
+def test_the_age_of_information_is_that_of_the_newest_stamp_delivered() -> None:
+    link = Link(LinkSettings(delay=0.1, blackouts=((0.5, 0.3),)), dt=DT, seed=1, link=1)
+    assert link.counters().age is None
+    ages = []
+    for tick in range(30):
+        link.send(tick, tick, tick - 3)
+        link.arrivals(tick)
+        if tick >= 2:
+            newest = tick - 2 if not 12 <= tick < 18 else 9
+            ages.append((tick - newest + 3) * DT)
+            assert link.counters().age == pytest.approx(ages[-1])
+    assert link.counters().mean_age == pytest.approx(np.mean(ages))
+    assert link.counters().max_age == pytest.approx(max(ages))
+
+
+def test_late_messages_make_the_known_no_older() -> None:
+    flown = Flown(LinkSettings(delay=0.2, reorder=0.5, reorder_delay=1.0), 300)
+    newest, total = -1, 0
+    for tick in range(300):
+        newest = max([newest, *flown.arrived[flown.arrived[:, 0] == tick, 1]])
+        total += tick - newest if newest >= 0 else 0
+    assert (np.diff(flown.arrived[:, 1]) < 0).any()
+    assert flown.state.numbers[AGE_SUM] == total
+
+
+@pytest.mark.parametrize("name", [*PROFILES, "busy"])
+def test_python_objects_arrive_as_they_were_sent_and_none_is_kept(name: str) -> None:
+    wanted = PROFILES.get(name, BUSY)
+    link, sent, arrived = Link(wanted, dt=DT, seed=4, link=2), [], []
+    flown = Flown(wanted, 2000, seed=4, link=2)
+    for tick in range(2000):
+        sent.append(object())
+        link.send(tick, sent[-1], tick)
+        arrived += [(tick, message) for message in link.arrivals(tick)]
+        left = link.counters().waiting + link.counters().flying
+        assert len(link._objects) <= left
+        assert bool(link._objects) == bool(left)
+    number = {id(message): k for k, message in enumerate(sent)}
+    assert [(tick, number[id(message)]) for tick, message in arrived] == [(t, k) for t, k, _ in flown.arrived.tolist()]
+    assert link.counters() == msgspec.structs.replace(flown.status, settings=wanted)
+    link.change(LinkSettings())
+    for tick in range(2000, 2200):
+        link.arrivals(tick)
+    assert not link._objects
+
+
+@pytest.mark.parametrize("every", [1, 3, 70])
+def test_a_perfect_link_counts_what_the_compiled_path_counts(every: int) -> None:
+    parameters = link_parameters(LinkSettings(), DT, per_tick=2)
+    state, out = link_state(parameters, 2), np.zeros((2, 2))
+    link = Link(LinkSettings(), dt=DT, seed=1, link=1, per_tick=2)
+    for tick in range(200):
+        stamps = [float(tick - 4 - k) for k in range(2) if tick % every == every // 2]
+        for stamp in stamps:
+            link.send(tick, stamp, stamp)
+        assert link.arrivals(tick) == stamps
+        exchange(parameters, state, 1, 1, tick, np.array([[stamp, 0.0] for stamp in stamps]).reshape(-1, 2), out)
+        if tick % 13 == 0:
+            assert link.counters() == link_status(parameters, state, LinkSettings())
+    assert link.counters() == link_status(parameters, state, LinkSettings())
+
+
+def test_objects_change_over_with_the_settings() -> None:
+    link = Link(LinkSettings(delay=0.5), dt=DT, seed=1, link=1)
+    link.send(0, "late", 0)
+    assert link.arrivals(0) == []
+    link.send(1, "soon", 1)
+    link.change(LinkSettings())
+    assert link.arrivals(1) == ["soon"]
+    assert [message for tick in range(2, 11) for message in link.arrivals(tick)] == ["late"]
+
+
+def test_ticks_come_once_and_in_order() -> None:
+    link = Link(LinkSettings(), dt=DT, seed=1, link=1)
+    with pytest.raises(ValueError, match="the link is at tick 0, not 1"):
+        link.send(1, "too early", 1)
+    link.arrivals(0)
+    with pytest.raises(ValueError, match="the link is at tick 1, not 0"):
+        link.arrivals(0)
+
+
+# --- settings
+
+
+WRONG: dict[str, dict[str, Any]] = {
+    "delay": {"delay": -0.1},
+    "delay = 30.0": {"delay": 30.0, "jitter": 5.0, "jitter_shape": "normal", "reorder": 0.1, "reorder_delay": 6.0},
+    "jitter_cut = -1.0": {"jitter_cut": -1.0},
+    "jitter = nan": {"jitter": math.nan},
+    "jitter_shape": {"jitter_shape": "gaussian"},
+    "loss = 1.5": {"loss": 1.5},
+    "burst_interval": {"burst_length": 0.5},
+    "blackout_length": {"blackout_interval": 5.0},
+    "blackout_interval": {"blackout_interval": 1e-9, "blackout_length": 1.0},
+    "blackouts.1.0 = -2.0": {"blackouts": ((0.0, 1.0), (-2.0, 1.0))},
+    "blackouts.0.1 = 0.0": {"blackouts": ((3.0, 0.0),)},
+    "blackouts.0.0 = nan": {"blackouts": ((math.nan, 1.0),)},
+    "reorder_delay": {"reorder": 0.1},
+    "bandwidth": {"bandwidth": 1e-300},
+    "queue = 0": {"queue": 0},
+    "keep": {"keep": "latest"},
+}
+
+
+@pytest.mark.parametrize("field", WRONG)
+def test_an_impossible_link_is_refused_in_one_line(field: str) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        check_link(LinkSettings(**WRONG[field]), "escort.toml: link.radio")
+    line = str(caught.value)
+    assert re.fullmatch(rf"escort\.toml: link\.radio: {re.escape(field)}\b.*: .+; allowed: .+", line), line
+    with pytest.raises(ScenarioError):
+        Link(LinkSettings(**WRONG[field]), dt=DT, seed=1, link=1)
+
+
+def test_checked_settings_are_equal_and_have_their_types() -> None:
+    checked = check_link(LinkSettings(delay=1, loss=np.float64(0.5), blackouts=((1, 2),)), "test")
+    assert checked == LinkSettings(delay=1.0, loss=0.5, blackouts=((1.0, 2.0),))
+    assert [type(value) for value in (checked.delay, checked.loss, checked.blackouts[0][0])] == [float] * 3
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_each_profile_is_a_link_that_does_what_it_says(name: str) -> None:
+    profile = check_link(PROFILES[name], name)
+    assert msgspec.json.decode(msgspec.json.encode(profile), type=LinkSettings) == profile
+    status = Flown(profile, 100_000).status
+    assert _conserved(status)
+    assert status.lost["full"] == 0
+    assert (status.delivery_ratio == 1.0) == (name == "perfect")
+    assert extra_delays(profile)[1] + profile.delay < 1.0
+    ranges = {"wifi": (0.98, 0.999), "wifi-poor": (0.8, 0.95), "lte": (0.99, 0.999), "satellite": (0.98, 0.999)}
+    low, high = ranges.get(name, (0.05, 1.0))
+    assert low <= (status.delivery_ratio or 0.0) <= high
+    assert status.lost["queue"] == 0 or name == "narrowband"
+
+
+def test_the_causes_are_counted_in_their_places() -> None:
+    assert link_state(link_parameters(LinkSettings(), DT), 1).counts.shape == (LOST + len(CAUSES),)

@@ -1,0 +1,201 @@
+"""The ether in a flight: what crosses it, when it arrives, and that every way to fly meets the same network."""
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from flights import escort
+from staging import PILOT, stage
+from test_desk import operating
+
+from bus.errors import ScenarioError
+from bus.messages import Action, Control, Drive, LinkKind, LinkSettings, RelativeInformation, UavCommand, UgvCommand
+from outrider.env_pilots import pilots
+from outrider.run import fly
+from sim.briefing import briefing
+from sim.env.parallel import parallel_env
+from sim.flight import Flight
+from sim.links import Links
+from sim.profiles import PROFILES
+from sim.scenario import Detections, LinkTable, Scenario, Ugv, VehicleLinks, load_scenario
+
+POOR = PROFILES["wifi-poor"]
+BAD = LinkTable(detections=POOR, commands=PROFILES["jammed"], operator=POOR, radio=POOR)
+
+
+def degraded(ticks: int, links: LinkTable = BAD) -> Scenario:
+    scenario = load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}"])
+    return msgspec.structs.replace(scenario, links=links)
+
+
+def moving(links: LinkTable, **fields: Any) -> Flight:
+    return Flight(escort(links=links, ugv=Ugv(position=(20.0, 20.0), goals=((30.0, 20.0),)), duration=20.0, **fields), 3)
+
+
+def test_a_link_has_the_settings_of_its_profile_and_what_is_changed_in_it() -> None:
+    scenario = load_scenario(
+        "escort", overrides=["links.profile=lte", "links.commands.profile=wifi", "links.commands.delay=0.4", "links.radio.loss=0.5"]
+    )
+    table = scenario.links
+    assert table.detections == table.operator == PROFILES["lte"]
+    assert table.commands == msgspec.structs.replace(PROFILES["wifi"], delay=0.4)
+    assert table.radio == msgspec.structs.replace(PROFILES["lte"], loss=0.5)
+
+
+def test_a_vehicle_may_have_links_of_its_own(tmp_path: Path) -> None:
+    file = tmp_path / "own.toml"
+    file.write_text(
+        '[links]\nprofile = "lte"\n[links.commands]\ndelay = 0.2\n[[links.only]]\nvehicle = "uav_0"\ncommands = { loss = 0.1 }\n'
+        "[[uav]]\nposition = [10, 10]\n[[ugv]]\nposition = [10, 10]\n"
+    )
+    links = load_scenario(file).links
+    assert links.of("ugv_0", LinkKind.COMMANDS) == msgspec.structs.replace(PROFILES["lte"], delay=0.2)
+    assert links.of("uav_0", LinkKind.COMMANDS) == msgspec.structs.replace(PROFILES["lte"], delay=0.2, loss=0.1)
+    assert links.of("uav_0", LinkKind.DETECTIONS) == PROFILES["lte"]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ("links.profile=wify", "links.profile = \"wify\": no such profile, did you mean 'wifi'?"),
+        ("links.detections.delay=31", "links.detections.delay = 31: out of bounds; allowed: a number <= 30"),
+        ("links.detections.speed=3", "links.detections.speed = 3: no such field"),
+        ("links.detections.loss=1.5", "links.detections.loss = 1.5: out of bounds"),
+        ("links.commands.burst_length=1.0", "links.commands.burst_interval = 0.0: bursts without an end"),
+        ("links.commands.delay=nan", "links.commands.delay = nan"),
+        ("links.everything.delay=1", "links.everything = {delay = 1}: no such field"),
+        ("links.commands=3", "links.commands = 3: not a table"),
+        ('links.only=[{vehicle="uav_7"}]', "links.only.0.vehicle = \"uav_7\": no vehicle has this name"),
+    ],
+)
+def test_impossible_links_are_refused_in_one_line(change: str, told: str) -> None:
+    with pytest.raises(ScenarioError) as refused:
+        load_scenario("escort", overrides=[change])
+    line = str(refused.value)
+    assert told in line
+    assert "\n" not in line
+
+
+def test_a_detection_comes_late_and_says_when_it_was_taken() -> None:
+    flight = moving(LinkTable(detections=LinkSettings(delay=0.5)), detections=Detections(noise=0.0))
+    seen = []
+    for _ in range(30):
+        seen.append(flight.observations()["uav_0"])
+        flight.apply({"ugv_0": UgvCommand(tick=flight.world.tick, acceleration=(0.1, 0.0))})
+    states = flight.recorder  # nothing was recorded: the truth is in the observations themselves
+    assert states.rows == 0
+    assert not any(observation.detections for observation in seen[:10])
+    for tick in range(10, 30):
+        (look,) = seen[tick].detections
+        assert look.time == (tick - 10) * 0.05
+
+
+def test_a_command_acts_late_and_is_held_and_then_the_vehicle_brakes() -> None:
+    late = moving(LinkTable(commands=LinkSettings(delay=0.2)))
+    applied = []
+    for tick in range(12):
+        late.apply({"uav_0": UavCommand(tick=tick, acceleration=(0.01 * (tick + 1), 0.0))})
+        applied.append(late.world.acceleration[0, 0])
+    assert applied == pytest.approx([0.0] * 4 + [0.01 * (k + 1) for k in range(8)])
+
+    dark = moving(LinkTable(commands=LinkSettings(blackouts=((0.5, 5.0),))))
+    speeds = []
+    for tick in range(60):
+        dark.apply({"uav_0": UavCommand(tick=tick, acceleration=(0.2, 0.0))})
+        speeds.append(float(dark.world.velocity[0, 0]))
+    held = 10 + 10 - 1  # ten ticks got through, the last of them counts for half a second more
+    assert speeds[held] == pytest.approx(0.2 * 0.05 * (held + 1))
+    assert speeds[held + 3] < speeds[held]
+    assert speeds[-1] == 0.0
+    assert dark.missing["uav_0"] == 0  # its process was in time: the network was not
+    assert dark.first_missing == 0  # the UGV's was not
+
+
+def test_operators_and_radio_come_late() -> None:
+    flight = moving(LinkTable(operator=LinkSettings(delay=0.3), radio=LinkSettings(delay=0.2)))
+    words, message = Drive(driver="me"), RelativeInformation(time=0.0, relative_position=(1.0, 0.0), coverage_error=1.0)
+    flight.say("ugv_0", words)
+    operator, radio = [], []
+    for tick in range(12):
+        seen = flight.observations()["ugv_0"]
+        operator.append(bool(seen.operator))
+        radio.append(bool(seen.radio))
+        flight.apply({"uav_0": UavCommand(tick=tick, acceleration=(0.0, 0.0), radio=(message,) if tick == 0 else ())})
+    assert operator.index(True) == 6
+    assert sum(operator) == 1
+    assert radio.index(True) == 5
+    assert sum(radio) == 1
+
+
+def test_one_network_for_the_environment_one_process_and_three(tmp_path: Path) -> None:
+    scenario = degraded(400)
+    flight, summary = fly(scenario, 7)
+    assert summary.links["uav_0/commands"].lost["burst"] > 10
+    assert summary.links["uav_0/detections"].max_age > 0.1
+    env = parallel_env(scenario, end_on_sight_lost=False)
+    observations, infos = env.reset(seed=7)
+    policies = pilots(env)
+    while env.agents:
+        observations, _, _, _, infos = env.step({name: policies[name](observations[name]) for name in env.agents})
+    assert np.array_equal(env.world.position, flight.world.position)
+    assert np.array_equal(env.world.velocity, flight.world.velocity)
+    assert infos["uav_0"]["links"]["uav_0/detections"].lost == summary.links["uav_0/detections"].lost
+    assert not any(name.startswith("ugv") for name in infos["uav_0"]["links"])
+    with stage(tmp_path, 400, scenario=scenario) as run:
+        run.start("uav_0")
+        run.start("ugv_0")
+        over_bus = run.fly()
+    assert over_bus.recorder.sha256() == summary.trajectory_sha256
+    assert over_bus.world.links.status() == summary.links
+
+
+def test_a_process_that_joins_again_is_told_what_had_arrived() -> None:
+    scenario = degraded(300)
+    flight = Flight(scenario, 7)
+    crew = {name: PILOT[name](briefing(scenario, name, 7)) for name in flight.world.names}
+    seen: dict[str, list[Any]] = {name: [] for name in crew}
+    for _ in range(300):
+        flight.say("ugv_0", Drive(driver="me", velocity=(0.1, 0.0)))
+        now = flight.observations()
+        flight.recorder.record(flight.reports)
+        for name, observation in now.items():
+            seen[name].append(observation)
+        flight.apply({name: pilot.act(now[name]) for name, pilot in crew.items()})
+    for name in crew:
+        assert flight.past(name, 0, 250, ()) == tuple(seen[name][:250])
+        assert flight.past(name, 100, 300, ()) == tuple(seen[name][100:300])
+
+
+def test_perfect_links_are_the_identity() -> None:
+    scenario = load_scenario("escort", overrides=["duration=20.0"])
+    assert not Links(scenario, 7).degraded
+    one, two = fly(scenario, 7)[1], fly(msgspec.structs.replace(scenario, links=LinkTable(only=(VehicleLinks(vehicle="uav_0"),))), 7)[1]
+    assert one.trajectory_sha256 == two.trajectory_sha256
+    assert one.links["uav_0/commands"].delivered == 400
+    assert one.links["uav_0/commands"].max_age == 0.0
+
+
+def test_an_operator_degrades_a_link_while_it_flies(tmp_path: Path) -> None:
+    with stage(tmp_path, 100_000) as run:
+        run.start("uav_0")
+        run.start("ugv_0")
+
+        def work(send: Any, status: Any) -> None:
+            status(lambda s: s.tick > 50)
+            send(Control(action=Action.LINK, link=LinkKind.DETECTIONS, settings=LinkSettings(loss=1.0)))
+            status(lambda s: s.links["uav_0/detections"].lost["loss"] > 100)
+            send(Control(action=Action.LINK, link=LinkKind.RADIO, vehicle="ugv_0", settings=LinkSettings()))
+            status(lambda s: any("has no link for its radio" in line for line in s.refusals))
+            send(Control(action=Action.LINK, link=LinkKind.RADIO, settings=LinkSettings(burst_length=1.0)))
+            status(lambda s: any("bursts without an end" in line for line in s.refusals))
+            send(Control(action=Action.LINK, link=LinkKind.DETECTIONS))
+            status(lambda s: any("one is missing" in line for line in s.refusals))
+            run.server.flight.stop()
+
+        end = operating(run, work)
+        flight = run.fly()
+        end()
+    assert [change.control.link for change in run.server.changes] == [LinkKind.DETECTIONS]
+    assert flight.world.links.of(LinkKind.DETECTIONS)["uav_0"].settings == LinkSettings(loss=1.0)

@@ -1,0 +1,392 @@
+"""Policies at the UGV's wheel that a learning library has saved: on the bus they see and do what they did in the environment.
+
+The libraries need not be installed: stand-ins with the same calls lie on the path.
+"""
+
+import importlib
+import json
+import logging
+import math
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from flights import DT, U_G, V_G
+
+import outrider
+from agents.drivers.policy import PolicyDriver, UgvRows
+from bus.errors import ScenarioError
+from bus.layout import UgvRow
+from bus.messages import Area, Limits, UgvBriefing, UgvObservation
+from outrider.env_pilots import pilots
+from outrider.own import SAVED, load_function, load_policy
+from outrider.run import InProcess, fly, make_pilots
+from sim.flight import Flight
+from sim.scenario import Custom, Scenario, load_scenario
+
+LIBRARIES = ("stable_baselines3", "sb3_contrib", "torch", "onnxruntime")
+
+STAND_INS = {
+    "stable_baselines3": """
+import json
+from types import SimpleNamespace
+import numpy as np
+
+class PPO:
+    def __init__(self, told):
+        self.observation_space = SimpleNamespace(shape=tuple(told["row"]), dtype=np.dtype(told["dtype"]))
+        self.action_space = SimpleNamespace(shape=tuple(told["action"]))
+        self.weights, self.seen, self.asked = np.array(told["weights"]), [], []
+
+    @classmethod
+    def load(cls, path, device="auto"):
+        assert device == "cpu"
+        with open(path) as file:
+            return cls(json.load(file))
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        self.seen.append(observation)
+        self.asked.append((state, bool(episode_start[0]), deterministic))
+        return np.tanh(observation @ self.weights), (state or 0) + 1
+""",
+    "torch": """
+import json
+from contextlib import nullcontext
+from types import SimpleNamespace
+import numpy as np
+
+float32, no_grad, as_tensor = np.float32, nullcontext, np.asarray
+
+class _Module:
+    def __init__(self, weights):
+        self.weights, self.ready = np.array(weights, dtype=np.float32), False
+
+    def eval(self):
+        self.ready = True
+
+    def __call__(self, tensor):
+        assert self.ready and tensor.dtype == np.float32 and tensor.shape == (8,)
+        return np.tanh(tensor @ self.weights)
+
+def _load(path, map_location):
+    assert map_location == "cpu"
+    with open(path) as file:
+        return _Module(json.load(file)["weights"])
+
+jit = SimpleNamespace(load=_load)
+""",
+    "onnxruntime": """
+import json
+from types import SimpleNamespace
+import numpy as np
+
+SessionOptions = SimpleNamespace
+
+class InferenceSession:
+    def __init__(self, path, options, providers):
+        assert providers == ["CPUExecutionProvider"] and options.intra_op_num_threads == 1
+        with open(path) as file:
+            self.told = json.load(file)
+
+    def get_inputs(self):
+        shape = (*self.told["batch"], *self.told["row"])
+        return [SimpleNamespace(name="x", type="tensor(double)", shape=list(shape))] * self.told["inputs"]
+
+    def run(self, outputs, given):
+        assert outputs is None and given["x"].dtype == np.float64
+        return [np.tanh(given["x"] @ np.array(self.told["weights"]))]
+""",
+}
+WEIGHTS = [[0.0, 0.0], [0.1, -0.02], [-0.1, 0.03], [0.5, 0.1], [0.1, -0.7], [0.2, 0.2], [0.01, 0.0], [0.0, -0.02]]
+TOLD = {"row": [8], "action": [2], "dtype": "float64", "weights": WEIGHTS, "batch": [], "inputs": 1}
+
+
+@pytest.fixture
+def _no_libraries(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """None of the libraries is there, and none that a test brings stays."""
+    for name in LIBRARIES:
+        monkeypatch.setitem(sys.modules, name, None)
+    yield
+    importlib.invalidate_caches()
+
+
+@pytest.fixture
+def here(_no_libraries: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder, with the stand-ins and a policy for each."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    for name, body in STAND_INS.items():
+        (tmp_path / f"{name}.py").write_text(body)
+        monkeypatch.delitem(sys.modules, name)
+        monkeypatch.setitem(sys.modules, name, importlib.import_module(name))
+    for file in ("model.zip", "model.pt", "model.onnx"):
+        (tmp_path / file).write_text(json.dumps(TOLD))
+    return tmp_path
+
+
+def tell(folder: Path, file: str, **changes: Any) -> None:
+    (folder / file).write_text(json.dumps(TOLD | changes))
+
+
+def _scenario(policy: str = "") -> Scenario:
+    """A UGV that is fast enough to pass its goals, and then some."""
+    changes = {"duration": 60.0, "ugv.0.max_speed": 0.5, "ugv.0.max_acceleration": 0.2, "ugv.0.goals": [[10.4, 8.0], [9.0, 9.0]]}
+    scenario = load_scenario("escort", overrides=changes)
+    if not policy:
+        return scenario
+    driven = tuple(msgspec.structs.replace(ugv, driver="policy") for ugv in scenario.ugv)
+    return msgspec.structs.replace(scenario, ugv=driven, custom=Custom(policy=policy))
+
+
+def _told(**fields: Any) -> UgvBriefing:
+    usual: dict[str, Any] = {
+        "vehicle": "ugv_0",
+        "dt": DT,
+        "area": Area(width=20.0, height=20.0, cell=0.5),
+        "limits": Limits(max_speed=V_G, max_acceleration=U_G),
+        "driver": "policy",
+        "goals": ((3.0, 4.0), (18.0, 1.0)),
+        "goal_tolerance": 0.05,
+        "key": 7,
+    }
+    return UgvBriefing(**usual | fields)
+
+
+def _seen(tick: int = 0, x: float = 10.0, y: float = 10.0) -> UgvObservation:
+    return UgvObservation(tick=tick, time=tick * DT, position=(x, y), velocity=(0.1, -0.1))
+
+
+class Model:
+    """An object with predict, as a user writes one."""
+
+    def __init__(self, answer: Callable[[Any], object]) -> None:
+        self.rows: list[Any] = []
+        self._answer = answer
+
+    def predict(self, row: Any) -> object:
+        self.rows.append(row)
+        return self._answer(row)
+
+
+def ask(answer: object, tick: int = 12) -> tuple[float, float]:
+    driver = PolicyDriver(_told(), policy=Model(lambda row: answer), name="mine:model")
+    return driver.drive(_seen(tick))
+
+
+class _Watched(InProcess):
+    """What the UGV perceives."""
+
+    def __init__(self, crew: Any) -> None:
+        super().__init__(crew)
+        self.observations: list[Any] = []
+
+    def publish(self, observations: Any) -> None:
+        self.observations.append(observations["ugv_0"])
+        super().publish(observations)
+
+
+@pytest.mark.parametrize("scenario", [_scenario(), load_scenario("escort", overrides={"duration": 20.0})], ids=["fast", "escort"])
+def test_the_pilots_row_is_the_environments_to_the_bit_over_a_flight(scenario: Scenario) -> None:
+    env = outrider.parallel_env(scenario, end_on_sight_lost=False)
+    fleet = pilots(env)
+    observations, _ = env.reset(seed=4)
+    theirs = []
+    while env.agents:
+        theirs.append(observations["ugv_0"])
+        observations, *_ = env.step({name: fleet[name](observations[name]) for name in env.agents})
+    driver, seen = UgvRows(env.briefing("ugv_0")), _Watched(make_pilots(scenario, 4))
+    flight = Flight(scenario, 4)
+    flight.fly(seen)
+    ours = [driver.row(observation) for observation in seen.observations[: len(theirs)]]
+    assert [row.tobytes() for row in ours] == [row.tobytes() for row in theirs]
+    assert all(row.dtype == np.float64 for row in ours)
+    assert flight.recorder.ticks == len(theirs)
+    underway = [row[UgvRow._fields.index("underway")] for row in ours]
+    assert underway[0] == 1.0
+    assert underway[-1] == (0.0 if scenario.ugv[0].max_speed == 0.5 else 1.0)
+
+
+@pytest.mark.parametrize("name", ["sb3:ppo:model.zip", "sb3:PPO:model.zip", "torch:model.pt", "onnx:model.onnx"])
+def test_a_saved_policy_flies_the_same_bits_as_in_the_environment(here: Path, name: str) -> None:
+    scenario = _scenario(name)
+    flight, _ = fly(scenario, 3)
+    model, env = load_policy(name), outrider.parallel_env(_scenario(), end_on_sight_lost=False)
+    fleet = pilots(env)
+    observations, _ = env.reset(seed=3)
+    k, state = 0, None
+    while env.agents:
+        assert np.array_equal(env.world.position, flight.recorder.states[k, :, :2])
+        assert np.array_equal(env.world.velocity, flight.recorder.states[k, :, 2:4])
+        row = observations["ugv_0"]
+        if name.startswith("sb3"):
+            action, state = model.predict(row, state=state, episode_start=[False])
+        else:
+            action = model.predict(row)
+        observations, *_ = env.step({"uav_0": fleet["uav_0"](observations["uav_0"]), "ugv_0": action})
+        k += 1
+    assert k == flight.recorder.ticks == scenario.ticks
+    pace = np.hypot(*flight.recorder.states[:, 1, 2:4].T)
+    assert pace.max() == pytest.approx(0.5)  # the bounds of the world were met, and nothing else bent the action
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_what_an_sb3_policy_is_asked(here: Path, dtype: str) -> None:
+    tell(here, "model.zip", dtype=dtype)
+    model = load_policy("sb3:ppo:model.zip")
+    driver = PolicyDriver(_told(), policy=model, name="x")
+    for tick in range(3):
+        driver.drive(_seen(tick))
+    assert model.asked == [(None, True, True), (1, False, True), (2, False, True)]
+    assert {row.dtype for row in model.seen} == {np.dtype(dtype)}
+    other = PolicyDriver(_told(), policy=model, name="x")  # another UGV of the same process
+    other.drive(_seen(0))
+    assert model.asked[-1] == (None, True, True)
+
+
+def test_ugvs_that_share_a_policy_reach_goals_of_their_own() -> None:
+    model = Model(lambda row: (0.0, 0.0))
+    first, other = (PolicyDriver(_told(), policy=model, name="x") for _ in range(2))
+    first.drive(_seen(0, 3.0, 4.0))
+    other.drive(_seen(0))
+    goals = [tuple(row[6:8]) for row in model.rows]
+    assert goals == [(18.0, 1.0), (3.0, 4.0)]
+
+
+def test_a_ugv_without_goals_has_a_row_too() -> None:
+    assert UgvRows(_told(goals=())).row(_seen(4)).tolist() == [0.2, 10.0, 10.0, 0.1, -0.1, 0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("answer", [(0.3, -4.0), np.array([0.3, -4.0]), ((0.3, -4.0), None), (np.array([0.3, -4.0]), (1.0, 2.0))])
+def test_what_was_predicted_is_passed_on_as_it_is_with_or_without_a_state(answer: object) -> None:
+    assert ask(answer) == (0.3, -4.0)
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [None, 0.1, (0.1,), [[0.1, 0.2]], (math.nan, 0.0), (0.0, math.inf), ("a", "b"), (None, None), ((0.1,), None), (2e6, 0.0)],
+    ids=str,
+)
+def test_nonsense_from_a_model_is_named_in_one_line(answer: object) -> None:
+    with pytest.raises(ScenarioError, match=r"^policy = 'mine:model': tick 12: returned .+; allowed: two finite") as caught:
+        ask(answer)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_model_that_raises_is_named_in_one_line() -> None:
+    def broken(row: Any) -> object:
+        raise RuntimeError("mat1 and mat2\nshapes cannot be multiplied")
+
+    with pytest.raises(ScenarioError, match=r"^policy = 'm': tick 3: raised RuntimeError: mat1 and mat2 shapes") as caught:
+        PolicyDriver(_told(), policy=Model(broken), name="m").drive(_seen(3))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_policy_that_is_slower_than_a_tick_is_named_once_and_not_for_its_first_answer(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = iter([0.0, 9.0, 10.0, 10.04, 20.0, 20.3, 30.0, 30.3])
+    monkeypatch.setattr(time, "perf_counter", lambda: next(clock))
+    driver = PolicyDriver(_told(), policy=Model(lambda row: (0.0, 0.0)), name="mine:slow")
+    with caplog.at_level(logging.WARNING, logger="outrider.policy"):
+        for tick in range(4):
+            driver.drive(_seen(tick))
+    (line,) = [record.getMessage() for record in caplog.records]
+    assert line.startswith("policy = 'mine:slow': tick 2: took 0.30 s to answer, longer than a tick of 0.05 s")
+
+
+def test_an_object_that_predicts_may_be_named_and_a_class_may_not(here: Path) -> None:
+    (here / "mine_models.py").write_text(
+        "class Model:\n    def predict(self, row):\n        return row[3:5]\nmodel = Model()\nnumber = 3\n"
+    )
+    model = load_function("mine_models:model", what="policy")
+    assert model is not None
+    assert PolicyDriver(_told(), policy=model, name="x").drive(_seen()) == (0.1, -0.1)
+    for name in ("mine_models:Model", "mine_models:number"):
+        with pytest.raises(ScenarioError, match=f"^policy = '{name}': neither a function nor an object with a method predict"):
+            load_function(name, what="policy")
+
+
+def refused(name: str) -> str:
+    with pytest.raises(ScenarioError, match=r"^custom\.policy = ") as caught:
+        load_function(name, what="custom.policy")
+    line = str(caught.value)
+    assert repr(name) in line
+    assert "\n" not in line
+    assert len(line) < 400
+    return line
+
+
+@pytest.mark.usefixtures("_no_libraries")
+@pytest.mark.parametrize(
+    ("name", "package"),
+    [("sb3:ppo:m.zip", "stable-baselines3"), ("torch:m.zip", "torch"), ("onnx:m.zip", "onnxruntime")],
+)
+def test_a_missing_library_is_named_with_the_command_that_installs_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, package: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("m.zip").write_bytes(b"")
+    assert f"pip install {package}" in refused(name)
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", json.dumps(TOLD).encode()[:-9], b"\xff\x00"], ids=range(4))
+@pytest.mark.parametrize("name", ["sb3:ppo:bad.zip", "torch:bad.zip", "onnx:bad.zip"])
+def test_a_damaged_file_is_named_in_one_line(here: Path, name: str, content: bytes) -> None:
+    (here / "bad.zip").write_bytes(content)
+    assert "cannot be loaded" in refused(name)
+
+
+@pytest.mark.parametrize("name", ["sb3:ppo:none.zip", "sb3:ppo:", "torch:none.pt", "torch:", "onnx:none.onnx", "onnx:."])
+def test_a_missing_file_is_named_in_one_line(here: Path, name: str) -> None:
+    assert "no such file" in refused(name)
+
+
+@pytest.mark.parametrize("name", ["model.zip", "model.pt", "folder/model.onnx", "sb3:model.zip"])
+def test_a_file_without_its_library_or_algorithm_is_told_the_forms(here: Path, name: str) -> None:
+    assert "sb3:ALGORITHM:FILE.zip" in refused(name)
+
+
+def test_an_unknown_algorithm_is_told_which_there_are(here: Path) -> None:
+    assert "unknown algorithm 'ddq'; installed: ppo" in refused("sb3:ddq:model.zip")
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("sb3:ppo:model.zip", {"row": [9]}),
+        ("sb3:ppo:model.zip", {"action": [4]}),
+        ("onnx:model.onnx", {"row": [9]}),
+        ("onnx:model.onnx", {"inputs": 2}),
+    ],
+)
+def test_a_policy_of_another_agent_is_refused_before_it_flies(here: Path, name: str, changes: dict[str, Any]) -> None:
+    tell(here, name.rpartition(":")[2], **changes)
+    assert "allowed: " in refused(name)
+
+
+@pytest.mark.parametrize("batch", [[], [1], ["batch"]], ids=str)
+def test_an_onnx_graph_may_want_a_batch(here: Path, batch: list[Any]) -> None:
+    tell(here, "model.onnx", batch=batch)
+    row = UgvRows(_told()).row(_seen())
+    found = PolicyDriver(_told(), policy=load_policy("onnx:model.onnx"), name="x").drive(_seen())
+    assert found == tuple(np.tanh(row @ np.array(WEIGHTS)))
+
+
+def test_a_module_that_breaks_while_it_is_imported_is_named_in_one_line(here: Path) -> None:
+    (here / "mine_broken.py").write_text("raise ValueError('no\\nweights')\n")
+    assert "cannot be imported: ValueError: no weights" in refused("mine_broken:policy")
+    with pytest.raises(ScenarioError, match=r"^weighting = 'mine_broken:f': cannot be imported"):
+        load_function("mine_broken:f", what="weighting")
+
+
+def test_only_what_is_flown_is_imported() -> None:
+    body = f"import sys, outrider.own, outrider.run; print([m for m in {LIBRARIES} if m in sys.modules])"
+    found = subprocess.run([sys.executable, "-c", body], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
+    assert set(SAVED) == {"sb3", "torch", "onnx"}

@@ -1,0 +1,278 @@
+"""What the recording's thread writes of each tick: the same bytes as the messages; and what operators said, with its tick."""
+
+import math
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from flights import HERE, escort
+
+pytest.importorskip("foxglove", reason="the extra [record] is not installed")
+pytest.importorskip("mcap", reason="the extra [record] is not installed")
+
+from bus.messages import Action, Change, Control, Drive, EscortTruth, Law, Status, Truth, UavReport, UgvObservation, VehicleTruth
+from outrider.recording.observer import RunRecorder
+from outrider.recording.reader import entries, flight_of, load
+from outrider.recording.refly import refly, restore
+from outrider.recording.schemas import CHANGES, Commands, Word, inlined_schema, operator_topic
+from outrider.recording.ticks import TickTexts
+from outrider.recording.writer import FlightRecorder
+from outrider.run import InProcess, make_pilots
+from sim.flight import Flight, News
+from sim.scenario import Detections, Scenario, Uav, Ugv
+
+PAIRS = Scenario(
+    uav=(Uav(name="uav_0", position=HERE, escorts="ugv_0"), Uav(name="uav_1", position=(12.0, 21.0), escorts="ugv_1")),
+    ugv=(Ugv(name="ugv_0", position=HERE, goals=((26.0, 21.0),)), Ugv(name="ugv_1", position=(12.0, 20.0))),
+    detections=Detections(noise=0.1, dropout=0.3, rate=10.0),
+    duration=8.0,
+    name="pairs",
+)
+ONE = escort(
+    ugv=Ugv(position=(20.0, 21.0), goals=((26.0, 21.0), (12.0, 25.0))),
+    detections=Detections(dropout=0.2),
+    duration=10.0,
+    name="said",
+)
+ENCODE = msgspec.json.Encoder().encode
+
+
+def _truth(flight: Flight, tick: int, commands: Any, reports: Any) -> Truth:
+    """The message, made from the flight's record one by one."""
+    world, recorder, dt = flight.world, flight.recorder, flight.scenario.dt
+    applied = recorder.states[tick - 1, :, 4:6] if tick else np.zeros((len(world.names), 2))
+    vehicles = {
+        name: VehicleTruth(position=tuple(row[:2]), velocity=tuple(row[2:4]), acceleration=tuple(u), command=tuple(asked))
+        for name, row, u, asked in zip(
+            world.names, recorder.states[tick].tolist(), applied.tolist(), commands.tolist(), strict=True
+        )
+    }
+    escorts = tuple(
+        EscortTruth(
+            uav=uav.name,
+            ugv=uav.escorts,
+            distance=row[0],
+            coverage_error=max(0.0, row[1]),
+            detection=None if math.isnan(row[2]) else (row[2], row[3]),
+            report=report,
+        )
+        for uav, row, report in zip(world.uavs, recorder.escorts[tick].tolist(), reports, strict=True)
+    )
+    return Truth(tick=tick, time=tick * dt, vehicles=vehicles, escorts=escorts)
+
+
+@pytest.mark.parametrize("scenario", [PAIRS, ONE], ids=["two pairs", "one pair"])
+@pytest.mark.parametrize("block", [1, 7])
+def test_the_texts_of_ticks_are_the_bytes_of_their_messages(scenario: Scenario, block: int) -> None:
+    flight = Flight(scenario, 3)
+    asked, said = [np.zeros((len(flight.world.names), 2))], [(None,) * len(flight.world.uavs)]
+
+    def follow() -> None:
+        asked.append(flight.commands.copy())
+        said.append(tuple(None if flight.world.tick % 5 == 0 else report for report in flight.reports))
+
+    flight.fly(InProcess(make_pilots(scenario, 3)), on_tick=follow)
+    texts, missed = TickTexts(flight), 0
+    for first in range(0, len(asked), block):
+        part = slice(first, first + block)
+        for k, found in enumerate(texts.of(first, np.array(asked[part]), said[part]), first):
+            truth = _truth(flight, k, asked[k], said[k])
+            assert found.truth == ENCODE(truth)
+            missed += truth.escorts[0].detection is None
+            accelerations = {name: vehicle.command for name, vehicle in truth.vehicles.items()}
+            assert found.commands == (ENCODE(Commands(tick=k - 1, accelerations=accelerations)) if k else b"")
+            assert (found.time, found.begun) == (truth.time, (k - 1) * scenario.dt)
+            assert found.distances == [seen.distance for seen in truth.escorts]
+    assert 0 < missed < len(asked)
+
+
+@pytest.mark.parametrize("number", [-0.0, 5e-324, 1e300, 1.0 / 3.0, -700_001.0, 123456789012345680.0])
+def test_every_float_keeps_its_text(number: float) -> None:
+    flight = Flight(ONE, 3)
+    flight.recorder.record(flight.reports)
+    flight.recorder.states[0, 0, :4] = number
+    report = UavReport(estimate=(number, 0.0), covariance=(1.0, number, 1.0), age=0.0, refused=0)
+    asked = np.full((1, 2, 2), number)
+    (found,) = TickTexts(flight).of(0, asked, [(report,)])
+    assert found.truth == ENCODE(_truth(flight, 0, asked[0], (report,)))
+
+
+def test_viewers_are_shown_no_more_than_five_poses_a_second_and_every_tick_is_there(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    _fly(path, ONE)
+    topics = [entry.topic for entry in entries(path)]
+    assert topics.count("/truth") == ONE.ticks + 1
+    assert topics.count("/tf") == topics.count("/pose/uav_0") == 51
+    assert topics.count("/scene") == 11
+
+
+def _scene(data: bytes) -> list[bytes]:
+    """The entities of a SceneUpdate: field 2 of the protobuf message, each with its length."""
+    found, at = [], 0
+    while at < len(data):
+        assert data[at] == 0x12
+        size = shift = 0
+        while True:
+            at += 1
+            size |= (data[at] & 0x7F) << shift
+            shift += 7
+            if data[at] < 0x80:
+                break
+        found.append(data[at + 1 : at + 1 + size])
+        at += 1 + size
+    return found
+
+
+def test_a_scene_holds_every_body_and_every_track(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    _fly(path, ONE)
+    for entry in entries(path, ("/scene",)):
+        names = [b"\x1a\x05uav_0", b"\x1a\x05ugv_0", b"\x1a\x0buav_0 track", b"\x1a\x0bugv_0 track"]
+        entities = _scene(entry.data)
+        assert len(entities) == 4
+        assert all(sum(name in entity for entity in entities) == 1 for name in names)
+
+
+def _news(flight: Flight, tick: int) -> dict[str, News]:
+    """What `Flight.news` tells."""
+    return {name: told[tick] for name, told in flight._news.items() if tick in told}
+
+
+@pytest.fixture(autouse=True)
+def _with_news(monkeypatch: pytest.MonkeyPatch) -> None:
+    if not hasattr(Flight, "news"):
+        monkeypatch.setattr(Flight, "news", _news, raising=False)
+
+
+SPOKEN = {
+    0: [("say", "ugv_0", Drive(driver="anna", velocity=(0.1, 0.0)))],
+    7: [("seat", "ugv_0", "teleop")],
+    9: [
+        ("say", "ugv_0", Drive(driver="anna", velocity=(0.1, 1.0 / 3.0))),
+        ("say", "ugv_0", Drive(driver="ben", goal=(21.0, 22.0))),
+    ],
+    40: [("order", Law(name="switching"))],
+    41: [("seat", "ugv_0", "teleop"), ("say", "ugv_0", Drive(driver="anna"))],
+}
+
+
+class Operated(InProcess):
+    """Operators say and change what is written above, each at its tick."""
+
+    def __init__(self, flight: Flight, spoken: dict[int, Any]) -> None:
+        super().__init__(make_pilots(flight.scenario, flight.seed))
+        self._flight, self._spoken = flight, spoken
+        self.heard: list[UgvObservation] = []
+
+    def begin(self, tick: int) -> None:
+        for what, *words in self._spoken.get(tick, ()):
+            getattr(self._flight, what)(*words)
+
+    def publish(self, observations: Any) -> None:
+        self.heard.append(observations["ugv_0"])
+        super().publish(observations)
+
+
+def _fly(path: Path, scenario: Scenario, spoken: dict[int, Any] | None = None) -> tuple[Flight, list[UgvObservation]]:
+    recorder, flight = FlightRecorder(path, scenario, 3), Flight(scenario, 3)
+    exchange = Operated(flight, spoken or {})
+    flight.fly(exchange, on_tick=lambda: recorder.tick(flight))
+    recorder.close()
+    return flight, exchange.heard
+
+
+def test_what_operators_said_and_changed_is_in_the_file_with_its_tick(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    flight, heard = _fly(path, ONE, SPOKEN)
+    words = [word for seen in heard for word in seen.operator]
+    recording = flight_of(path)
+    assert [word.tick for _, word in recording.words] == [0, 9, 9, 41]
+    assert {ugv for ugv, _ in recording.words} == {"ugv_0"}
+    assert [Drive(driver=w.driver, velocity=w.velocity, goal=w.goal) for _, w in recording.words] == words
+    assert recording.changes == [
+        Change(tick=7, control=Control(action=Action.DRIVER, vehicle="ugv_0", driver="teleop")),
+        Change(tick=40, control=Control(action=Action.LAW, law=Law(name="switching"))),
+        Change(tick=41, control=Control(action=Action.DRIVER, vehicle="ugv_0", driver="teleop")),
+    ]
+    found = list(entries(path))
+    times = [entry.time for entry in found]
+    assert times == sorted(times)
+    stamps = [entry.time for entry in found if entry.topic in ("/ugv_0/operator", "/changes")]
+    assert stamps == [round(tick * ONE.dt * 1e9) for tick in (0, 7, 9, 9, 40, 41, 41)]
+    assert refly(recording).trajectory_sha256 == flight.recorder.sha256()
+
+
+def test_the_restored_flight_has_the_last_law_and_drivers(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    flight, _ = _fly(path, ONE, SPOKEN)
+    restored = restore(flight_of(path))
+    assert (restored.law, restored.drivers) == (flight.law, flight.drivers) == (Law(name="switching"), {"ugv_0": "teleop"})
+
+
+def test_a_flight_that_nobody_operated_has_no_such_channels(tmp_path: Path) -> None:
+    _fly(tmp_path / "run.mcap", ONE)
+    topics = {entry.topic for entry in entries(tmp_path / "run.mcap")}
+    assert not topics & {CHANGES.name, operator_topic("ugv_0").name}
+    (recording,) = load(tmp_path / "run.mcap")
+    assert (recording.words, recording.changes) == ([], [])
+
+
+@pytest.mark.parametrize("message", [Word, Change])
+def test_their_schemas_stand_alone(message: type[Any]) -> None:
+    schema = inlined_schema(message)
+    assert b"$ref" not in ENCODE(schema)
+    assert set(schema["properties"]) == set(message.__struct_fields__)
+
+
+class Box:
+    """An inbox whose letters are there already."""
+
+    def __init__(self) -> None:
+        self.messages: list[Any] = []
+
+    def next_waiting(self) -> Any:
+        return SimpleNamespace(message=self.messages.pop(0)) if self.messages else None
+
+    def receive(self, patience: float) -> Any:
+        return self.next_waiting()
+
+
+def test_an_observer_writes_each_change_once(tmp_path: Path) -> None:
+    boxes = [Box(), Box(), Box()]
+    given = iter(boxes)
+    session: Any = SimpleNamespace(inbox=lambda key, newest: next(given))
+    recorder = RunRecorder(session, tmp_path / "run.mcap", ONE)
+    flight = Flight(ONE, 3)
+    changes = [Change(tick=k // 2, control=Control(action=Action.STEP, ticks=1 + k % 3)) for k in range(60)]
+    for told in (0, 0, 1, 3, 3, 18, 22, 41, 60, 60):  # a status holds the last 20
+        boxes[0].messages.append(flight.truth())
+        shown = tuple(changes[max(0, told - 20) : told])
+        boxes[2].messages.append(
+            Status(scenario="said", seed=3, tick=0, ticks=1, time=0.0, realtime_factor=1.0, vehicles={}, changes=shown)
+        )
+        recorder.take(0.0)
+        recorder.take(0.0)
+        flight.apply({})
+    recorder.close()
+    assert load(tmp_path / "run.mcap")[0].changes == changes
+
+
+def test_a_word_that_does_not_decode_is_one_line(tmp_path: Path) -> None:
+    from mcap.writer import Writer
+
+    from bus.errors import ScenarioError
+    from outrider.recording.schemas import head_of
+
+    path = tmp_path / "bad.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        for topic, data in (("/scenario", ENCODE(head_of(ONE, 3))), ("/ugv_0/operator", b'{"tick":-1}')):
+            writer.add_message(writer.register_channel(topic, "json", 0), 0, data, 0)
+        writer.finish()
+    with pytest.raises(ScenarioError, match=r"bad\.mcap: /ugv_0/operator at 0 s") as caught:
+        load(path)
+    assert "\n" not in str(caught.value)
