@@ -1,4 +1,5 @@
 # One image for every role: docker build -t outrider:0.1.0 .
+# And one more, with the dashboard's web server: docker build --target dashboard -t outrider-dashboard:0.1.0 .
 # Behind a package mirror, give pip's configuration as a secret, which leaves no trace: docker build --secret id=pip_conf,src=pip.conf .
 
 ARG PYTHON=python:3.11-slim
@@ -12,7 +13,9 @@ RUN --mount=type=secret,id=pip_conf,target=/etc/pip.conf python -m pip install h
 
 FROM ${PYTHON} AS needs
 COPY pyproject.toml ./
-RUN python -c "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['dependencies'], sep='\n')" >/needs.txt
+RUN python -c "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['dependencies'], sep='\n')" >/needs.txt && \
+    python -c "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']['dashboard'], sep='\n')" \
+    >/dashboard.txt
 
 # The dependencies from their list alone: while that stays the same, no change of the project installs them anew. Without the test
 # suites that some of them bring along.
@@ -31,7 +34,7 @@ COPY agents agents
 COPY outrider outrider
 RUN python -m pip wheel --no-deps --no-build-isolation --wheel-dir /wheels .
 
-FROM ${PYTHON}
+FROM ${PYTHON} AS flight
 LABEL org.opencontainers.image.title="Outrider" org.opencontainers.image.licenses="Apache-2.0"
 # Both folders can be written by any user, so that `user:` may be one of the host's; a container has only one.
 RUN groupadd --gid 1000 outrider && useradd --uid 1000 --gid 1000 --no-create-home --home-dir /tmp outrider && \
@@ -53,3 +56,17 @@ host, _, port = os.environ.get('OUTRIDER_CONNECT', 'tcp/127.0.0.1:17447').rparti
 socket.create_connection((host.strip('[]'), int(port)), 2).close()"]
 ENTRYPOINT ["outrider"]
 CMD ["--help"]
+
+# The page needs a web server, and a flight does not: an image on top of the flight's, made only where it is asked for.
+FROM flight AS dashboard
+USER 0:0
+RUN --mount=type=secret,id=pip_conf,target=/etc/pip.conf --mount=from=needs,source=/dashboard.txt,target=/dashboard.txt \
+    --mount=from=tools,source=/build/constraints.txt,target=/constraints.txt \
+    PATH="${PATH#/opt/outrider/bin:}" python -m pip --no-cache-dir --disable-pip-version-check --python /opt/outrider/bin/python \
+    install --constraint /constraints.txt --requirement /dashboard.txt
+USER 1000:1000
+EXPOSE 8080
+CMD ["dashboard"]
+
+# The last stage is what `docker build` makes unless it is told otherwise.
+FROM flight

@@ -16,7 +16,7 @@ $(VENV)/.run: pyproject.toml
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.run
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,window,record,drive,dashboard]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,window,record,drive,dashboard,sweep,dask]'
 	@touch $@
 
 run: $(VENV)/.run ## fly the escort scenario as three processes over Zenoh (ARGS="..." for more)
@@ -47,9 +47,9 @@ soak: $(VENV)/.dev ## an hour of simulated time with random kills: memory, traje
 compose-test: $(VENV)/.run ## the containers, built, flown, killed, paused and cut off; needs a Docker engine
 	$(BIN)/python tools/compose_test.py $(ARGS)
 
-page-test: $(VENV)/.dev ## the dashboard in a real headless Chromium (exit code 77 of the tool: there is none)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'playwright>=1.49'
-	$(BIN)/python tools/page_test.py $(ARGS)
+page-test: $(VENV)/.dev ## the dashboard in a real headless Chromium; gets what it needs, or says in a line what is missing
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check 'playwright>=1.49' || echo 'page-test: playwright cannot be installed'
+	$(BIN)/python tools/page_test.py --install $(ARGS) || test $$? -eq 77
 
 clean: ## remove the environment and what runs have written
 	rm -rf $(VENV) runs figures

@@ -3,10 +3,12 @@
     make compose-test
 
 Exit code 0: all checks hold; 1: one does not; 77: there is no Docker engine with Compose here, so nothing was checked.
-It publishes no port, writes only to a temporary folder, and removes every container, network, volume and image that it has made.
+It publishes one port, the dashboard's, to this machine alone, writes only to a temporary folder, and removes every container,
+network, volume and image that it has made.
 """
 
 import contextlib
+import http.client
 import json
 import os
 import re
@@ -29,6 +31,7 @@ RUN = "flight"
 LONG = "1000"  # s of simulated time: some ten seconds of flight, long enough to be disturbed
 ENDLESS = "100000"
 LARGEST = 1000  # MB that the image may have
+PAGE_LARGEST = 150  # MB that the dashboard's image may have besides
 PIP_SETTINGS = {"PIP_INDEX_URL": "index-url", "PIP_TRUSTED_HOST": "trusted-host"}  # for a package mirror
 Json = dict[str, Any]
 
@@ -129,6 +132,13 @@ fly(credential.party, Hover, connect=os.environ["OUTRIDER_CONNECT"], run=os.envi
 PILOT_IMAGE = 'ARG BASE\nFROM ${BASE}\nCOPY pilot.py /pilot.py\nENTRYPOINT ["python", "/pilot.py"]\n'
 
 
+# A browser's side of the opening handshake; what the server sends is plain text in frames that need no decoding to be searched.
+UPGRADE = (
+    "GET /frames HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nCookie: {cookie}\r\n"
+    "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+)
+
+
 class CheckFailed(Exception):
     """A check does not hold; says why."""
 
@@ -149,6 +159,38 @@ def say(line: str) -> None:
     sys.stdout.flush()
 
 
+def free_port() -> int:
+    """A port of this machine that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+    return port
+
+
+def fetch(port: int, path: str) -> tuple[int, str]:
+    """Status of a page of this machine, and the cookie that comes with it."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+    try:
+        connection.request("GET", path)
+        response = connection.getresponse()
+        return response.status, (response.getheader("Set-Cookie") or "").partition(";")[0]
+    finally:
+        connection.close()
+
+
+def ticks_shown(port: int, cookie: str, seconds: float) -> list[int]:
+    """The ticks that a browser is shown in this time, as far as it answers nothing; none where it is not let in."""
+    with socket.create_connection(("127.0.0.1", port), timeout=10) as channel:
+        channel.sendall(UPGRADE.format(port=port, cookie=cookie).encode())
+        heard, limit = b"", time.monotonic() + seconds
+        while time.monotonic() < limit and (part := channel.recv(1 << 16)):
+            heard += part
+            found = [int(tick) for tick in re.findall(rb'"truth":\{"tick":(\d+)', heard)]
+            if len(found) > 1 or not heard.startswith(b"HTTP/1.1 101"):
+                return found
+    return []
+
+
 def own_address() -> str:
     """The host's address on its way to the world outside; nothing is sent to find it."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -167,7 +209,7 @@ class Docker:
         name = f"outrider-test-{os.getpid()}"
         root = os.getuid() == 0
         self.program, self.folder, self.project = program, folder, name
-        self.image, self.pilot_image = f"{name}:image", f"{name}:pilot"
+        self.image, self.pilot_image, self.page_image = f"{name}:image", f"{name}:pilot", f"{name}:page"
         self.runs = folder / "runs"
         self.runs.mkdir()
         if root:
@@ -178,6 +220,7 @@ class Docker:
             "COMPOSE_PROJECT_NAME": name,
             "OUTRIDER_IMAGE": self.image,
             "OUTRIDER_UAV_IMAGE": self.pilot_image,
+            "OUTRIDER_DASHBOARD_IMAGE": self.page_image,
             "OUTRIDER_SECRETS": str(folder / "credentials"),
             "OUTRIDER_RUNS": str(self.runs),
             "OUTRIDER_USER": user,
@@ -230,7 +273,7 @@ class Docker:
         """Remove all that belongs to the project."""
         for words in (
             ("compose", "--profile", "*", "down", "--volumes", "--remove-orphans", "--timeout", "2"),
-            ("image", "rm", "--force", self.pilot_image, self.image),
+            ("image", "rm", "--force", self.pilot_image, self.page_image, self.image),
         ):
             with contextlib.suppress(CheckFailed):
                 self(*words, limit=120.0, check=False)
@@ -298,7 +341,18 @@ class Checks:
     def build(self) -> str:
         """The image is built, small, and not root's."""
         docker = self.docker
-        words = ["build", "--tag", docker.image]
+        self._build(docker.image)
+        image = docker.inspect(docker.image)
+        size = image["Size"] / 1e6
+        user = image["Config"]["User"]
+        expect(user == "1000:1000", f"it runs as {user!r}")
+        expect("Healthcheck" in image["Config"], "it has no health check")
+        expect(size < LARGEST, f"it has {size:.0f} MB; allowed are {LARGEST} MB")
+        return f"{size:.0f} MB, user {user}"
+
+    def _build(self, tag: str, *more: str) -> None:
+        docker = self.docker
+        words = ["build", "--tag", tag, *more]
         proxies = [name for name in os.environ if name.upper() in ("HTTP_PROXY", "HTTPS_PROXY", "NO_PROXY")]
         for name in proxies:
             words += ["--build-arg", name]  # predefined: handed on from here, and no part of the image
@@ -310,13 +364,6 @@ class Checks:
             pip.write_text("\n".join(["[global]", *index]) + "\n")
             words += ["--secret", f"id=pip_conf,src={pip}"]
         docker(*words, ".", limit=900.0, DOCKER_BUILDKIT="1")
-        image = docker.inspect(docker.image)
-        size = image["Size"] / 1e6
-        user = image["Config"]["User"]
-        expect(user == "1000:1000", f"it runs as {user!r}")
-        expect("Healthcheck" in image["Config"], "it has no health check")
-        expect(size < LARGEST, f"it has {size:.0f} MB; allowed are {LARGEST} MB")
-        return f"{size:.0f} MB, user {user}"
 
     def credentials(self) -> str:
         """`docker compose run credentials` makes them."""
@@ -488,6 +535,44 @@ class Checks:
         expect(flown["complete"] and abs(factor - 10.0) < 0.5, f"factor {factor:.2f} instead of 10")
         return f"factor {factor:.3f} of 10, {flown['late_ticks']} of {flown['ticks']} ticks late"
 
+    def dashboard(self) -> str:
+        """The page is there for a browser of this machine alone that knows the token, and shows the run live."""
+        docker, port = self.docker, free_port()
+        self._build(docker.page_image, "--target", "dashboard")
+        image = docker.inspect(docker.page_image)
+        more = (image["Size"] - docker.inspect(docker.image)["Size"]) / 1e6
+        expect(image["Config"]["User"] == "1000:1000", f"it runs as {image['Config']['User']!r}")
+        expect(more < PAGE_LARGEST, f"the page takes {more:.0f} MB more; allowed are {PAGE_LARGEST} MB")
+        try:
+            words = ("up", "--detach", "simulator-realtime", "dashboard")
+            docker.compose(*words, limit=120.0, OUTRIDER_DURATION=ENDLESS, OUTRIDER_PORT=str(port))
+            address = self._address_of_the_page(port)
+            bound = docker.inspect(docker.container("dashboard"))["NetworkSettings"]["Ports"][f"{port}/tcp"]
+            expect([row["HostIp"] for row in bound] == ["127.0.0.1"], f"it is published at {bound}")
+            expect(fetch(port, "/")[0] == 401, "it is served without the token")
+            expect(fetch(port, "/?token=not-the-token")[0] == 401, "it is served with a wrong token")
+            expect(not ticks_shown(port, "", 5.0), "it is told how the run goes without the token")
+            status, cookie = fetch(port, address)
+            expect(status == 303 and bool(cookie), f"the address in the log gives {status}")
+            ticks = ticks_shown(port, cookie, 20.0)
+            expect(len(ticks) > 1 and ticks[-1] > ticks[0], f"it shows the ticks {ticks}")
+            found = json.loads(docker.python("uav", CALL, f"dashboard:{port}"))
+            found |= json.loads(docker.python("dashboard", CALL, "uav:9000", "ugv:9000", "simulator-realtime:9000"))
+            expect(set(found.values()) == {"unreachable"}, f"found {found}")
+        finally:
+            docker.down()
+        return f"{more:.0f} MB more; 127.0.0.1:{port}, no token, no page; ticks {ticks}; no way to a vehicle, nor from one"
+
+    def _address_of_the_page(self, port: int) -> str:
+        """Path and token, from the log."""
+        limit = time.monotonic() + 60.0
+        while time.monotonic() < limit:
+            log = self.docker.compose("logs", "--no-log-prefix", "dashboard")
+            if found := re.search(rf"http://127\.0\.0\.1:{port}(/\?token=[\w-]+)", log):
+                return found.group(1)
+            time.sleep(0.5)
+        raise CheckFailed("its log does not tell where it is")
+
     def override(self) -> str:
         """The override file puts the user's own image in the UAV's place."""
         docker = self.docker
@@ -547,6 +632,7 @@ ORDER = (
     "router",
     "router_crash",
     "realtime",
+    "dashboard",
     "override",
     "stop",
 )

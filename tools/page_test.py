@@ -2,7 +2,8 @@
 
     make page-test
 
-Exit code 0: all is as it should be; 1: something is not, and it is named; 77: something is missing, in one line.
+Exit code 0: all is as it should be; 1: something is not, and it is named; 77: something is missing, in one line. With --install
+it gets Chromium from Debian's packages first, where it may and can.
 """
 
 import argparse
@@ -25,6 +26,8 @@ OUTRIDER = [sys.executable, "-m", "outrider"]
 RUN = "page"
 TOKEN = "a-token-for-the-test"  # noqa: S105 - of this test alone
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+_INSTALLING = 300
+"""So long a package manager may take [s]."""
 _OFFLINE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
 _COLOURS = """(() => {
   const map = document.getElementById("map");
@@ -103,7 +106,10 @@ class Processes:
         return "operator" if kind.startswith("dashboard") else kind
 
     def start_all(self, port: int, factor: float) -> None:
-        """The whole run, and the dashboard on this port."""
+        """The whole run, the dashboard on this port, and beside it a flight that is recorded."""
+        words = ["run", "escort", "--in-process", "--no-files", "--duration", "25", "--record", str(self._folder / "run.mcap")]
+        with (self._folder / "recording.log").open("ab") as log:
+            self._running["recording"] = subprocess.Popen([*OUTRIDER, *words], stdin=subprocess.DEVNULL, stdout=log, stderr=log)
         self.start("router")
         wait_until(lambda: answers(int(self.endpoint.rpartition(":")[2])), "the router listens")
         self.simulator(factor)
@@ -111,6 +117,17 @@ class Processes:
             self.start(name[:3], "--join-timeout", "120", name=name)
         self.start("dashboard", "--port", str(port))
         wait_until(lambda: answers(port), "the dashboard listens")
+
+    def replay(self) -> int:
+        """A recording of 25 s, played fast; the port of its page."""
+        path, port = str(self._folder / "run.mcap"), free_port()
+        if self._running.pop("recording").wait(60.0):
+            raise Failed("nothing was recorded")
+        words = ["replay", path, "--dashboard", "--dashboard-port", str(port), "--speed", "2"]
+        with (self._folder / "replay.log").open("ab") as log:
+            self._running["replay"] = subprocess.Popen([*OUTRIDER, *words], stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        wait_until(lambda: answers(port), "the recording's page listens")
+        return port
 
     def simulator(self, factor: float) -> None:
         """A simulator that keeps the wall clock."""
@@ -342,6 +359,35 @@ def check_controls(page: Page) -> str:
     return f"pause, step, law, driver, lockstep (factor {fast:.0f}), reset with a seed"
 
 
+def check_recording(processes: Processes, context: Any, pictures: Path | None, complaints: list[str]) -> str:  # noqa: ANN401
+    """It is played, paused, wound and stepped; nothing else can be touched."""
+    port = processes.replay()
+    page = Page(context, f"http://127.0.0.1:{port}/", complaints)
+    wait_until(lambda: page.tick > 20, "it is played")
+    page.click("Pause")
+    wait_until(lambda: page.status["paused"], "it is paused")
+    box = page.page.get_by_role("slider", name="time").bounding_box()
+    page.page.mouse.click(box["x"] + box["width"] * 0.75, box["y"] + box["height"] / 2)
+    wait_until(lambda: page.tick > 300, "it is wound forward")
+    tick = page.tick
+    page.click("Step")
+    wait_until(lambda: page.tick == tick + 1, "it is stepped")
+    for name in ("Take the wheel", "Reset"):
+        if page.page.get_by_role("button", name=name).is_enabled():
+            raise Failed(f"a recording lets one press {name}")
+    if page.page.get_by_text("this is a recording").count() != 2:
+        raise Failed("it is not said why nothing can be steered")
+    page.click("Play")
+    wait_until(page.banner, "it says that it is at its end")
+    if pictures is not None:
+        page.page.screenshot(path=pictures / "recording.png")
+    page.click("Play")
+    wait_until(lambda: page.tick < 300, "it begins again")
+    page.page.close()
+    processes.kill("replay")
+    return "played, paused, wound, stepped, played again; what steers is disabled, and says why"
+
+
 def check_dead_simulator(page: Page, processes: Processes) -> str:
     """It is said, and it passes."""
     processes.kill("simulator")
@@ -364,12 +410,16 @@ def check_doors(port: int, processes: Processes) -> str:
         "a host without token": (["--host", "0.0.0.0"], "--token"),  # noqa: S104 - which is refused
         "a short token": (["--token", "short"], "--token"),
     }
+    tried = {}
     for what, (arguments, said) in refused.items():
         command = [*OUTRIDER, "dashboard", *arguments, "--connect", processes.endpoint, "--run", RUN]
         command += ["--credentials", processes.files["operator"]]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-        if done.returncode != 2 or said not in done.stderr or len(done.stderr.strip().splitlines()) != 1:
-            raise Failed(f"{what}: exit code {done.returncode}, {done.stderr!r}")
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        tried[what] = (process, said)
+    for what, (process, said) in tried.items():
+        told = process.communicate(timeout=60)[1]
+        if process.returncode != 2 or said not in told or len(told.strip().splitlines()) != 1:
+            raise Failed(f"{what}: exit code {process.returncode}, {told!r}")
     _expect(port, "/", {"Host": f"rebound.example:{port}"}, 403)
     upgrade = {
         "Upgrade": "websocket",
@@ -423,8 +473,10 @@ def perform(playwright: Any, chromium: str, pictures: Path | None) -> None:  # n
     address = f"http://127.0.0.1:{port}/"
     complaints: list[str] = []
 
+    began = time.monotonic()
+
     def report(what: str, found: str) -> None:
-        say(f"ok    {what}: {found}")
+        say(f"ok {time.monotonic() - began:5.1f} s  {what}: {found}")
 
     with staged(port) as processes:
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", _OFFLINE])
@@ -432,6 +484,7 @@ def perform(playwright: Any, chromium: str, pictures: Path | None) -> None:  # n
             desk = browser.new_context(viewport={"width": 1280, "height": 800})
             phone = browser.new_context(viewport={"width": 390, "height": 844}, device_scale_factor=2, has_touch=True)
             first = Page(desk, address, complaints)
+            report("a recording", check_recording(processes, desk, pictures, complaints))
             report("the page opens and the vehicles move", check_open_and_moving(first))
             report("at real time", check_frame_rate(first))
             report("reload", check_reload(first))
@@ -454,15 +507,43 @@ def perform(playwright: Any, chromium: str, pictures: Path | None) -> None:  # n
             browser.close()
 
 
+def find_browser() -> str:
+    """Where Chromium is; empty: nowhere."""
+    return next(filter(None, map(shutil.which, (os.environ.get("CHROMIUM", ""), *BROWSERS))), "")
+
+
+def install_browser() -> None:
+    """Debian's, if this is Debian and we are root; whatever happens, `missing` tells how it stands afterwards."""
+    if find_browser() or os.getuid() != 0 or shutil.which("apt-get") is None:
+        return
+    say("page-test: installing chromium from Debian's packages")
+    environment = os.environ | {"DEBIAN_FRONTEND": "noninteractive"}
+    patient = ["-qq", "-o", "Acquire::Retries=1", "-o", "Acquire::http::Timeout=20", "-o", "Acquire::https::Timeout=20"]
+    for words in (["update"], ["install", "-y", "--no-install-recommends", "chromium", "fonts-dejavu-core"]):
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            done = subprocess.run(
+                ["apt-get", *patient, *words],
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                text=True,
+                timeout=_INSTALLING,
+                check=False,
+            )
+            if done.returncode:
+                last = (done.stderr.strip() or done.stdout.strip() or "no word why").splitlines()[-1]
+                say(f"page-test: apt-get {words[0]} failed: {last}")
+
+
 def missing() -> str:
     """What this test needs and does not find, in one line; empty: nothing."""
     for module, extra in (("playwright", "playwright"), ("nicegui", "'outrider[dashboard]'")):
         try:
             __import__(module)
         except ModuleNotFoundError:
-            return f"page-test: {module} is missing: pip install {extra}"
-    if not any(map(shutil.which, (os.environ.get("CHROMIUM", ""), *BROWSERS))):
-        return f"page-test: no browser: install Debian's chromium, or name one in CHROMIUM (looked for {', '.join(BROWSERS)})"
+            return f"page-test: skipped: {module} is missing: pip install {extra}"
+    if not find_browser():
+        return f"page-test: skipped: no chromium: apt-get install chromium, or name one in CHROMIUM ({', '.join(BROWSERS)})"
     return ""
 
 
@@ -470,14 +551,17 @@ def main() -> int:
     """Run all checks."""
     parser = argparse.ArgumentParser(description="Test the dashboard in a real browser.")
     parser.add_argument("--pictures", type=Path, help="a folder for pictures of the page on a desk and on a phone")
+    parser.add_argument("--install", action="store_true", help="get Chromium from Debian's packages if it is not there")
     arguments = parser.parse_args()
+    if arguments.install:
+        install_browser()
     lacking = missing()
     if lacking:
         sys.stderr.write(lacking + "\n")
         return 77
     from playwright.sync_api import sync_playwright  # noqa: PLC0415 - it may be missing
 
-    chromium = next(filter(None, map(shutil.which, (os.environ.get("CHROMIUM", ""), *BROWSERS))))
+    chromium = find_browser()
     if arguments.pictures is not None:
         arguments.pictures.mkdir(parents=True, exist_ok=True)
     try:
