@@ -148,6 +148,15 @@ TRUTH = Key(
     readers=(Role.OBSERVER, Role.OPERATOR),
     delivery=Delivery.NEWEST,
 )
+GLANCE = Key(
+    topic="glance",
+    vehicle=None,
+    message=Truth,
+    writer=Role.SIMULATOR,
+    readers=(Role.OBSERVER, Role.OPERATOR),
+    delivery=Delivery.NEWEST,
+)
+"""The truth for people's eyes: some ticks of it, as often as an eye can see."""
 COVERAGE = Key(
     topic="coverage",
     vehicle=None,
@@ -175,6 +184,7 @@ KEYS: tuple[Key, ...] = (
     OPERATOR,
     CONTROL,
     TRUTH,
+    GLANCE,
     COVERAGE,
     STATUS,
 )

@@ -3,7 +3,7 @@
 import math
 import time
 
-from bus.keys import COVERAGE, STATUS, TRUTH
+from bus.keys import COVERAGE, GLANCE, STATUS, TRUTH
 from bus.messages import CoverageMap, Geometry, Status
 from bus.session import Session
 from sim.briefing import limits
@@ -15,6 +15,8 @@ from sim.seats import Seats
 
 _PERIOD = 0.2
 """Wall time between two status messages, and between two maps [s]."""
+_GLANCE_PERIOD = 0.025
+"""Wall time between two glances [s]: twice as often as pages draw."""
 
 
 _SHOWN = 20
@@ -49,8 +51,9 @@ class Telemetry:
     def __init__(self, session: Session, flight: Flight, seats: Seats, desk: Desk) -> None:
         self._flight, self._seats, self._desk = flight, seats, desk
         self._geometry = _geometry(flight.scenario)
-        self._truth, self._map, self._status = (session.outbox(key) for key in (TRUTH, COVERAGE, STATUS))
-        self._due = 0.0
+        self._truth, self._glance = session.outbox(TRUTH), session.outbox(GLANCE)
+        self._map, self._status = session.outbox(COVERAGE), session.outbox(STATUS)
+        self._due = self._glance_due = 0.0
         self._last = (0.0, 0)
 
     def fly(self, flight: Flight) -> None:
@@ -64,12 +67,16 @@ class Telemetry:
         self.refresh()
 
     def refresh(self, *, at_once: bool = False) -> None:
-        """Send status and map a few times a second.
+        """Send a glance, status and map some times a second each.
 
         Args:
             at_once: Send them whenever the last ones were.
         """
         now = time.monotonic()
+        if now >= self._glance_due or at_once:
+            self._glance_due = now + _GLANCE_PERIOD
+            if self._glance.wanted:
+                self._glance.send(self._flight.truth())
         if now < self._due and not at_once:
             return
         self._due = now + _PERIOD

@@ -23,7 +23,7 @@ from processes import await_status, nothing_left_behind, wait_until
 from test_faults import scattered
 
 from bus.access import read_credential
-from bus.keys import CONTROL, OPERATOR, STATUS, TRUTH, Party, Role
+from bus.keys import CONTROL, GLANCE, OPERATOR, STATUS, Party, Role
 from bus.messages import Action, Area, Control, Drive, EscortTruth, Geometry, Status, Truth, VehicleStatus, VehicleTruth
 from bus.session import Session, open_session
 from outrider.drive.canvas import Canvas
@@ -218,7 +218,7 @@ class Scripted:
         self.drivers = {"ugv_0": "script"}
         self.tick = 100
         self._over = threading.Event()
-        self._statuses, self._truths = session.outbox(STATUS), session.outbox(TRUTH)
+        self._statuses, self._truths = session.outbox(STATUS), session.outbox(GLANCE)
         self._controls, self._drives = session.inbox(CONTROL), session.inbox_of_all({"ugv_0": OPERATOR})
         session.announce()
         self._thread = threading.Thread(target=self._run)
@@ -399,7 +399,7 @@ def test_an_operator_drives_a_flight_in_real_time_and_nothing_jumps(tmp_path: Pa
             open_session(observer, "mine", connect=run.endpoint, credential=read_credential(files / "observer.json")) as session,
             seat(*own) as one,
         ):
-            truths = session.inbox(TRUTH)
+            truths = session.inbox(GLANCE)
             seen: list[VehicleTruth] = []
 
             def heads_west() -> bool:

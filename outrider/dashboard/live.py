@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 from bus.boxes import Outbox
 from bus.errors import BusError
-from bus.keys import CONTROL, COVERAGE, OPERATOR, SIMULATOR_NAME, STATUS, TRUTH, Role
+from bus.keys import CONTROL, COVERAGE, GLANCE, OPERATOR, SIMULATOR_NAME, STATUS, Role
 from bus.messages import Control, Drive, Message, Status, Truth
 from bus.session import Session
 from outrider.dashboard.source import Standing
@@ -33,7 +33,7 @@ class Live:
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self._inboxes = [session.inbox(key, newest=1) for key in (STATUS, TRUTH, COVERAGE)]
+        self._inboxes = [session.inbox(key, newest=1) for key in (STATUS, GLANCE, COVERAGE)]
         self._simulators: set[str] = set()
         self._seen_simulator = self._over = False
         self._heard = time.monotonic()

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from bus.errors import BusError
-from bus.keys import CONTROL, COVERAGE, OPERATOR, SIMULATOR_NAME, STATUS, TRUTH
+from bus.keys import CONTROL, COVERAGE, GLANCE, OPERATOR, SIMULATOR_NAME, STATUS
 from bus.messages import Action, Control, CoverageMap, Drive, Message, Status, Truth
 from bus.session import Inbox, Session
 from outrider.drive.wheel import Heading, Wheel
@@ -88,7 +88,7 @@ class Link:
         self.vehicle = vehicle
         self._session = session
         self._drives, self._controls = session.outbox(OPERATOR, vehicle), session.outbox(CONTROL)
-        self._statuses, self._truths, self._maps = (session.inbox(key) for key in (STATUS, TRUTH, COVERAGE))
+        self._statuses, self._truths, self._maps = (session.inbox(key) for key in (STATUS, GLANCE, COVERAGE))
         self._wheel = Wheel(speed)
         self._lock = threading.Lock()
         self._nudge = threading.Event()
