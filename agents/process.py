@@ -82,18 +82,21 @@ _UAV = _SOMEBODY | {
     "detector": {"noise": 0.1, "period": 0.05},
     "estimator": {},
 }
+_WATCHED = {"law": {"name": "certified"}, "certificate": {"error": 0.3, "age": 1.0}}
 _UGV = _SOMEBODY | {"driver": "waypoints", "goals": [[1.0, 1.0], [9.0, 9.0]], "goal_tolerance": 0.05}
 
 
 def warm_up(role: Role) -> None:
     """Let a pilot that nobody waits for answer a few times, so that all its code is compiled or loaded."""
-    uav, ugv = UavPilot(msgspec.convert(_UAV, UavBriefing)), UgvPilot(msgspec.convert(_UGV, UgvBriefing))
+    uavs = [UavPilot(msgspec.convert(_UAV | own, UavBriefing)) for own in ({}, _WATCHED)]
+    ugv = UgvPilot(msgspec.convert(_UGV, UgvBriefing))
     for tick in range(3):
         seen = {"tick": tick, "time": tick * 0.05, "position": [5.0, 5.0], "velocity": [0.0, 0.0]}
         if role is Role.UAV:
             look = {"time": seen["time"], "relative_position": [1.0, 0.0]}
-            uav.act(msgspec.convert(seen | {"detections": [look]}, UavObservation))
-            uav.prepare()
+            for uav in uavs:
+                uav.act(msgspec.convert(seen | {"detections": [look]}, UavObservation))
+                uav.prepare()
         else:
             ugv.act(msgspec.convert(seen, UgvObservation))
 

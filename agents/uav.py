@@ -1,6 +1,11 @@
 """The UAV's pilot: observation in, command out."""
 
+import math
+
+import msgspec
+
 from agents.control.laws import (
+    CERTIFIED,
     PATH,
     WEIGHTED,
     LawParameters,
@@ -11,6 +16,7 @@ from agents.control.laws import (
     number,
 )
 from agents.control.orbit import Path, check_path
+from agents.control.visibility import SafetyFilter, Verdict
 from agents.control.weighting import Weighting, check_weighting
 from agents.estimator import Estimate, RelativeEstimator
 from bus.errors import ScenarioError
@@ -26,6 +32,22 @@ _PATH_HORIZON = 600.0
 """How far ahead a path of one's own is checked [s]: a pilot does not know how long the run will be."""
 
 _NOTHING_OWN = OwnTerms()
+
+_LONGEST = 500
+"""Letters of a text on the bus."""
+
+
+def _report(estimate: Estimate, verdict: Verdict | None) -> UavReport:
+    report = UavReport(estimate=estimate.position, covariance=estimate.covariance, age=estimate.age, refused=estimate.refused)
+    if verdict is None:
+        return report
+    return msgspec.structs.replace(
+        report,
+        certified=verdict.certified,
+        uncertified=verdict.reason[:_LONGEST],
+        intervened=verdict.intervened,
+        certified_distance=verdict.distance if math.isfinite(verdict.distance) else None,
+    )
 
 
 class UavPilot:
@@ -56,8 +78,13 @@ class UavPilot:
             settings=briefing.estimator,
         )
         self._state = initial_state()
+        self.filter: SafetyFilter | None = self._make_filter()
+        """What watches over the law `certified`."""
         self._tick: int | None = None
         self._radio_ticks = max(1, round(RADIO_PERIOD / briefing.dt))
+
+    def _make_filter(self) -> SafetyFilter | None:
+        return SafetyFilter(self._briefing) if self._parameters.law == CERTIFIED else None
 
     def _check_own_functions(self) -> None:
         law = self._parameters.law
@@ -79,27 +106,29 @@ class UavPilot:
         estimate = self.perceive(observation)
         if estimate is None:
             return UavCommand(tick=observation.tick, acceleration=self._wait(observation))
+        wanted, verdict = self._steer(observation, estimate.position), None
+        if self.filter is not None:
+            verdict = self.filter.filter(observation, wanted)
+            wanted = verdict.acceleration
         return UavCommand(
             tick=observation.tick,
-            acceleration=self._steer(observation, estimate.position),
+            acceleration=wanted,
             radio=self._radio(observation, estimate),
-            report=UavReport(
-                estimate=estimate.position,
-                covariance=estimate.covariance,
-                age=estimate.age,
-                refused=estimate.refused,
-            ),
+            report=_report(estimate, verdict),
         )
 
     def perceive(self, observation: UavObservation) -> Estimate | None:
         """Take an observation into the map and the filter, also one that comes too late to be answered."""
         self._look(observation)
+        if self.filter is not None:
+            self.filter.see(observation)
         return self.estimator.update(time=observation.time, own_position=observation.position, detections=observation.detections)
 
     def _fly(self, law: Law) -> None:
         """Take another law; map, filter and the state of the law before stay."""
         self._parameters = law_parameters(self._briefing, law)
         self._check_own_functions()
+        self.filter = self._make_filter() if self.filter is None or self._parameters.law != CERTIFIED else self.filter
 
     def prepare(self) -> None:
         """Work ahead for the next observation, while the simulator is busy; changes nothing but when it is done."""

@@ -3,13 +3,15 @@
 from collections.abc import Mapping
 from typing import Any
 
+import msgspec
 import numpy as np
 from gymnasium import spaces
 from pettingzoo.utils import BaseParallelWrapper  # type: ignore[import-untyped]
 
+from agents.control.visibility import SafetyFilter
 from agents.estimator import RelativeEstimator
 from bus.layout import Row, UavRow, uav_observation
-from bus.messages import UavBriefing
+from bus.messages import UavBriefing, UavObservation
 
 _RELATIVE = [UavRow._fields.index("relative_x"), UavRow._fields.index("relative_y")]
 
@@ -83,3 +85,58 @@ class EstimateWrapper(BaseParallelWrapper):  # type: ignore[misc]
         (g_x, g_y), age = estimate.position, estimate.age
         entries = UavRow._make(row.tolist())._replace(detected=1.0, relative_x=p_x - g_x, relative_y=p_y - g_y, age=age)
         return np.array(entries, dtype=row.dtype)
+
+
+class SafetyFilterWrapper(BaseParallelWrapper):  # type: ignore[misc]
+    """Keeps sight of the UGVs, whatever the UAVs' policies want: their actions go through the safety filter.
+
+    Each UAV's info says what became of its action: `intervened`, `certified`, `uncertified` (why not; empty if it is) and
+    `certified_distance` [m]. `filters` has the filters of the episode, with their counts.
+
+    Args:
+        env: The environment, or a wrapper of it whose UAVs still have their own rows, float64.
+    """
+
+    def __init__(self, env: Any) -> None:  # noqa: ANN401 - PettingZoo has no types
+        super().__init__(env)
+        self.filters: dict[str, SafetyFilter] = {}
+        """By agent."""
+        self._seen: dict[str, UavObservation] = {}
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Begin an episode, with new filters."""
+        observations, infos = self.env.reset(seed=seed, options=options)
+        told = {agent: self.env.unwrapped.briefing(agent) for agent in self.env.possible_agents}
+        self.filters = {agent: SafetyFilter(one) for agent, one in told.items() if isinstance(one, UavBriefing)}
+        self._see(observations)
+        return observations, infos
+
+    def _see(self, observations: Mapping[str, Any]) -> None:
+        env = self.env.unwrapped
+        for agent in self.filters.keys() & observations.keys():
+            seen = observations[agent]
+            row = seen["row"] if isinstance(seen, dict) else seen
+            observation = uav_observation(row, dt=env.scenario.dt)
+            self._seen[agent] = msgspec.structs.replace(observation, detections=env.received(agent))
+            self.filters[agent].see(self._seen[agent])
+
+    def step(self, actions: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
+        """Let all vehicles act for one tick, the UAVs within what is safe."""
+        safe, verdicts = dict(actions), {}
+        for agent in self.filters.keys() & actions.keys():
+            wanted = np.asarray(actions[agent], dtype=np.float64)
+            if wanted.shape != (2,) or not np.isfinite(wanted).all():
+                continue  # the environment says what is wrong with it
+            x, y = wanted.tolist()
+            verdicts[agent] = verdict = self.filters[agent].filter(self._seen[agent], (x, y))
+            safe[agent] = np.array(verdict.acceleration)
+        observations, rewards, terminations, truncations, infos = self.env.step(safe)
+        self._see(observations)
+        for agent, verdict in verdicts.items():
+            infos[agent] = infos[agent] | {
+                "intervened": verdict.intervened,
+                "certified": verdict.certified,
+                "uncertified": verdict.reason,
+                "certified_distance": verdict.distance,
+            }
+        return observations, rewards, terminations, truncations, infos

@@ -181,6 +181,19 @@ class Detector(Message, frozen=True, kw_only=True):
     """Time between two looks [s]."""
 
 
+class Certificate(Message, frozen=True, kw_only=True):
+    """What a UAV may rely on of its detections and commands to certify that it keeps sight (docs/certificate.md)."""
+
+    error: NonNegative | None
+    """Largest error of a detection, as a vector's norm [m]; None: it has no bound, and nothing can be certified."""
+    age: Positive
+    """Largest age of the newest detection that has arrived [s]."""
+    delay: NonNegative = 0.0
+    """From the tick that a command answers to the one in which it acts [s]."""
+    margin: NonNegative = 0.0
+    """Taken off r_v [m], for what the theorem does not cover."""
+
+
 class Estimator(Message, frozen=True, kw_only=True):
     """The Kalman filter on the detections."""
 
@@ -214,6 +227,7 @@ class UavBriefing(Message, frozen=True, kw_only=True):
     law: Law
     detector: Detector
     estimator: Estimator
+    certificate: Certificate = Certificate(error=None, age=1.0)
     key: Tick
     """Key of the pilot's own random numbers, below 2**53; tells nothing of the run's seed."""
     past: "tuple[UavObservation, ...]" = ()
@@ -329,6 +343,14 @@ class UavReport(Message, frozen=True, kw_only=True):
     """Time since the newest detection that was believed [s]."""
     refused: Tick
     """Detections refused by the gate so far."""
+    certified: bool | None = None
+    """Whether sight is certified to be kept from here on; None: no filter watches over this law."""
+    uncertified: Text = ""
+    """Why not."""
+    intervened: bool = False
+    """Whether the safety filter acted instead of the law."""
+    certified_distance: NonNegative | None = None
+    """The UGV is surely no farther than this [m]."""
 
 
 class UavCommand(Message, frozen=True, kw_only=True):

@@ -59,6 +59,12 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """Ticks for which a vehicle had no new command."""
     faults: dict[str, dict[str, int]] = {}
     """What went wrong with a vehicle's process, by cause: how often; empty where nothing did."""
+    certified_share: float | None = None
+    """Of the ticks that a safety filter watched over, those in which sight was certified to be kept."""
+    intervened_share: float | None = None
+    """Those in which it acted instead of the law."""
+    uncertified: dict[str, int] = {}
+    """Ticks that were not certified, by reason."""
     links: dict[str, LinkStatus] = {}
     """What each link did to messages, by `vehicle/kind`."""
     realtime: float | None = None
@@ -131,7 +137,7 @@ def summarize(
         late_ticks: Ticks that it could not keep.
         changes: What operators have changed.
     """
-    scenario, recorder, world = flight.scenario, flight.recorder, flight.world
+    scenario, recorder, world, assured = flight.scenario, flight.recorder, flight.world, flight.assurance
     distance, error = recorder.escorts[:, :, 0], recorder.escorts[:, :, 1]
     p_a, p_g = recorder.states[:, world.escorts[:, 0], :2], recorder.states[:, world.escorts[:, 1], :2]
     radii = [switching_radius_of(flight, k) for k in range(len(world.uavs))]
@@ -158,6 +164,9 @@ def summarize(
         detection_rmse=_rms(recorder.escorts[:, :, 2:4] - (p_a - p_g)),
         missing_commands=dict(flight.missing),
         faults=_faults(vehicles or {}),
+        certified_share=assured.certified / assured.ticks if assured.ticks else None,
+        intervened_share=assured.interventions / assured.ticks if assured.ticks else None,
+        uncertified=dict(assured.reasons),
         links=world.links.status(),
         realtime=realtime,
         realtime_factor=recorder.ticks * scenario.dt / seconds if seconds > 0.0 else 0.0,

@@ -2,7 +2,8 @@
 
 import math
 
-from bus.messages import Briefing, Detector, Limits, UavBriefing, UgvBriefing
+from bus.messages import Briefing, Certificate, Detector, Limits, LinkKind, UavBriefing, UgvBriefing
+from sim.ether import extra_delays
 from sim.randomness import pilot_key
 from sim.scenario import Scenario, Uav, Ugv
 
@@ -14,6 +15,21 @@ def _bound(value: float) -> float | None:
 def limits(vehicle: Uav | Ugv) -> Limits:
     """A vehicle's bounds as messages carry them."""
     return Limits(max_speed=_bound(vehicle.max_speed), max_acceleration=_bound(vehicle.max_acceleration))
+
+
+def _error(scenario: Scenario) -> float | None:
+    """The largest error of a detection [m]; None where it has no bound."""
+    noise = scenario.detections.noise
+    return _bound(noise * scenario.noise_cut) if noise > 0.0 else 0.0
+
+
+def declared(scenario: Scenario, uav: str) -> Certificate:
+    """What a UAV may rely on."""
+    given, commands = scenario.certificate, scenario.links.of(uav, LinkKind.COMMANDS)
+    error = given.error if given.error is not None else _error(scenario)
+    longest = commands.delay + extra_delays(commands)[1] + (commands.reorder_delay if commands.reorder else 0.0)
+    delay = given.delay if given.delay is not None else longest
+    return Certificate(error=error, age=given.age, delay=delay, margin=given.margin)
 
 
 def briefing(scenario: Scenario, name: str, seed: int) -> Briefing:
@@ -55,5 +71,6 @@ def briefing(scenario: Scenario, name: str, seed: int) -> Briefing:
             period=scenario.detection_period * scenario.dt,
         ),
         estimator=scenario.estimator,
+        certificate=declared(scenario, name),
         key=key,
     )

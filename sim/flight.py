@@ -4,9 +4,9 @@ The same loop serves the pilots in this process and the three processes over the
 """
 
 from array import array
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -32,6 +32,7 @@ from bus.messages import (
 from sim.compile import FloatArray
 from sim.recorder import Recorder
 from sim.scenario import Scenario
+from sim.scenario_checks import WATCHED_LAWS
 from sim.world import World
 
 
@@ -45,6 +46,33 @@ class News:
 
 
 _NO_NEWS = News()
+_SILENT = "the UAV has no estimate yet, or its command did not come"
+"""Why a tick is not certified of which no filter has said anything."""
+
+
+@dataclass(slots=True)
+class Assurance:
+    """What the safety filters of all UAVs have said so far."""
+
+    ticks: int = 0
+    """Ticks with a word of one."""
+    certified: int = 0
+    """Those that were certified."""
+    interventions: int = 0
+    """Those in which a filter acted instead of the law."""
+    reasons: Counter[str] = field(default_factory=Counter)
+    """Why ticks were not certified."""
+
+    def take(self, report: UavReport | None) -> None:
+        """Count a tick in which a UAV flies a law that a filter watches over, and what it reports."""
+        self.ticks += 1
+        if report is None or report.certified is None:
+            self.reasons[_SILENT] += 1
+            return
+        self.certified += report.certified
+        self.interventions += report.intervened
+        if not report.certified:
+            self.reasons[report.uncertified] += 1
 
 
 class Exchange(Protocol):
@@ -93,6 +121,7 @@ class Flight:
         """The first tick at which a vehicle's command was missing or stale."""
         self.reports: list[UavReport | None] = [None] * len(self.world.uavs)
         """What each UAV last said of itself."""
+        self.assurance = Assurance()
         self._stopped = self._abandoned = False
         self._ticks = scenario.ticks
         self._answered = dict.fromkeys(self.world.names, -1)  # the tick that each vehicle's newest command answers
@@ -301,6 +330,8 @@ class Flight:
                     self.reports[uav] = command.report
                     for message in command.radio:
                         self._radios[name].send(world.tick + 1, message, world.tick)  # heard at the next tick at the earliest
+                if self.law.name in WATCHED_LAWS:
+                    self.assurance.take(self.reports[uav])
         world.step(world.heed())
 
     def _goes_on(self) -> bool:

@@ -98,6 +98,19 @@ class Ugv(_Table, frozen=True, kw_only=True):
     """Instead of a script: the trajectory.csv of an earlier run, whose track of this UGV is driven again."""
 
 
+class Certificate(_Table, frozen=True, kw_only=True):
+    """What is declared to the UAVs for the law `certified`; a network that is worse is told as uncertified, tick by tick."""
+
+    error: NonNegative | None = None
+    """Largest error of a detection [m]; by default the noise at its cut, and without a cut none."""
+    age: Positive = 1.0
+    """Largest age of the newest detection that has arrived [s]."""
+    delay: NonNegative | None = None
+    """From the tick that a command answers to the one in which it acts [s]; by default the longest of its link."""
+    margin: NonNegative = 0.0
+    """Taken off r_v [m], for what the theorem does not cover: jitter and loss of commands."""
+
+
 class Custom(_Table, frozen=True, kw_only=True):
     """Functions of the user's own, as `module:function`; each is loaded by its vehicle's process alone and never travels."""
 
@@ -163,6 +176,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     detections: Detections = Detections()
     estimator: Estimator = Estimator()
     links: LinkTable = LinkTable()
+    certificate: Certificate = Certificate()
     law: Law = Law()
     custom: Custom = Custom()
     uav: Annotated[tuple[Uav, ...], Meta(min_length=1)]

@@ -16,7 +16,7 @@ from sim.vehicles import stopping_distance
 if TYPE_CHECKING:
     from sim.scenario import Scenario, Uav, Ugv
 
-LAW_NAMES = ("tracking", "coverage", "linear", "switching", "logarithmic", "circle", "weighted", "path")
+LAW_NAMES = ("tracking", "coverage", "linear", "switching", "logarithmic", "circle", "weighted", "path", "certified")
 """The laws; the agents' own table may not be imported here, a test holds the two equal."""
 DRIVER_NAMES = ("waypoints", "wander", "script", "evade", "teleop", "policy", "external")
 """The drivers; likewise. `policy` is a function of the user's own, `external` a process of the user's own."""
@@ -26,9 +26,11 @@ _POLICY = "module:function, sb3:ALGORITHM:FILE.zip, torch:FILE.pt or onnx:FILE.o
 SENSOR_NAMES = tuple(SENSORS)
 """The sensor models."""
 
+WATCHED_LAWS = ("certified",)
+"""Laws that the safety filter watches over."""
 _WITHOUT_SWITCHING_RADIUS = ("tracking", "coverage")
 """Laws that never ask for r_s."""
-_WITH_COVERAGE = ("coverage", "linear", "switching", "logarithmic", "weighted")
+_WITH_COVERAGE = ("coverage", "linear", "switching", "logarithmic", "weighted", "certified")
 """Laws that steer by v_ref."""
 _OWN_FUNCTION = {"weighted": "weighting", "path": "path"}
 """Laws that need a function of the user's own: the field that names it."""

@@ -13,6 +13,7 @@ import pytest
 from flights import HERE, escort, parameters
 
 import agents.control
+from agents.control.certificate import certificate, no_detections, no_plan
 from agents.control.laws import LAWS, OwnTerms
 from sim.field import SENSORS
 
@@ -39,7 +40,24 @@ _RNG = np.random.default_rng(11)
 _GROUND = _RNG.uniform(0.0, 3.0, (160, 160))
 _WORDS = [np.uint64(word) for word in _RNG.integers(0, 2**63, 6)]
 
+_DETECTIONS = no_detections()
+_DETECTIONS[:2] = (20.1, 20.2, 0.3), (19.4, 20.9, 0.1)
+
 BY_NAME: dict[str, object] = {
+    "promise": certificate(r_v=4.75, v_a=0.6, u_a=0.3, v_g=0.2, dt=0.05, eps=0.3, age=1.0, width=40.0, height=40.0),
+    "detections": _DETECTIONS,
+    "plan": no_plan(),
+    "pending": _RNG.normal(size=(3, 2)),
+    "new": 0,
+    "near": 1,
+    "turn": 3,
+    "cruise": 4,
+    "brake_ticks": 5,
+    "ticks": 6,
+    "acts": 1,
+    "contradicted": False,
+    "p_x": 20.7,
+    "p_y": 21.3,
     "coverage": _GROUND,
     "state": np.array([0.4, -1.0, 20.3, 21.1, 1.0]),
     "terms": _RNG.normal(size=77),

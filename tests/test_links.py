@@ -36,7 +36,8 @@ def moving(links: LinkTable, **fields: Any) -> Flight:
 
 def test_a_link_has_the_settings_of_its_profile_and_what_is_changed_in_it() -> None:
     scenario = load_scenario(
-        "escort", overrides=["links.profile=lte", "links.commands.profile=wifi", "links.commands.delay=0.4", "links.radio.loss=0.5"]
+        "escort",
+        overrides=["links.profile=lte", "links.commands.profile=wifi", "links.commands.delay=0.4", "links.radio.loss=0.5"],
     )
     table = scenario.links
     assert table.detections == table.operator == PROFILES["lte"]
@@ -67,7 +68,7 @@ def test_a_vehicle_may_have_links_of_its_own(tmp_path: Path) -> None:
         ("links.commands.delay=nan", "links.commands.delay = nan"),
         ("links.everything.delay=1", "links.everything = {delay = 1}: no such field"),
         ("links.commands=3", "links.commands = 3: not a table"),
-        ('links.only=[{vehicle="uav_7"}]', "links.only.0.vehicle = \"uav_7\": no vehicle has this name"),
+        ('links.only=[{vehicle="uav_7"}]', 'links.only.0.vehicle = "uav_7": no vehicle has this name'),
     ],
 )
 def test_impossible_links_are_refused_in_one_line(change: str, told: str) -> None:
@@ -171,7 +172,10 @@ def test_a_process_that_joins_again_is_told_what_had_arrived() -> None:
 def test_perfect_links_are_the_identity() -> None:
     scenario = load_scenario("escort", overrides=["duration=20.0"])
     assert not Links(scenario, 7).degraded
-    one, two = fly(scenario, 7)[1], fly(msgspec.structs.replace(scenario, links=LinkTable(only=(VehicleLinks(vehicle="uav_0"),))), 7)[1]
+    one, two = (
+        fly(scenario, 7)[1],
+        fly(msgspec.structs.replace(scenario, links=LinkTable(only=(VehicleLinks(vehicle="uav_0"),))), 7)[1],
+    )
     assert one.trajectory_sha256 == two.trajectory_sha256
     assert one.links["uav_0/commands"].delivered == 400
     assert one.links["uav_0/commands"].max_age == 0.0

@@ -25,7 +25,7 @@ from sim.field import SENSORS, coverage_gradient, is_uncovered, nearest_uncovere
 from sim.randomness import START_DIRECTION, uniform
 from sim.vehicles import clip_norm, norm
 
-TRACKING, COVERAGE, LINEAR, SWITCHING, LOGARITHMIC, CIRCLE, WEIGHTED, PATH = range(8)
+TRACKING, COVERAGE, LINEAR, SWITCHING, LOGARITHMIC, CIRCLE, WEIGHTED, PATH, CERTIFIED = range(9)
 LAWS = {
     "tracking": TRACKING,
     "coverage": COVERAGE,
@@ -35,8 +35,9 @@ LAWS = {
     "circle": CIRCLE,
     "weighted": WEIGHTED,
     "path": PATH,
+    "certified": CERTIFIED,
 }
-"""Laws by name. `weighted` and `path` take a function of the user's own."""
+"""Laws by name. `weighted` and `path` take a function of the user's own; `certified` is `logarithmic` in the safety filter."""
 
 _X_C, _Q, _HELD = 0, 2, 4  # rows of the state: x_c (2), the held point of (7) (2), whether there is one
 STATE_SIZE = 5
@@ -211,7 +212,7 @@ def weights(parameters: LawParameters, own: OwnTerms, distance: float) -> tuple[
         return linear_weights(distance, c.r_s)
     if c.law == SWITCHING:
         return switching_weights(distance, c.r_s)
-    if c.law == LOGARITHMIC:
+    if c.law == LOGARITHMIC or c.law == CERTIFIED:
         return logarithmic_weights(distance, c.r_s, c.k_beta, c.beta_limit)
     if c.law == WEIGHTED:
         return own.alpha, own.beta

@@ -17,14 +17,17 @@ def command(
     Example: outrider check my-scenario.toml
     """
     from outrider.cli.console import OUT, print_json, print_warnings
+    from outrider.promise import promise_warnings
     from sim.scenario import load_scenario
     from sim.scenario_checks import scenario_warnings
 
     scenario = load_scenario(file, overrides=changes or ())
     if json:
-        print_json({"scenario": scenario.name, "valid": True, "warnings": list(scenario_warnings(scenario))})
+        print_json(
+            {"scenario": scenario.name, "valid": True, "warnings": [*scenario_warnings(scenario), *promise_warnings(scenario)]}
+        )
         return
-    print_warnings(scenario_warnings(scenario))
+    print_warnings((*scenario_warnings(scenario), *promise_warnings(scenario)))
     vehicles = ", ".join(vehicle.name for vehicle in scenario.vehicles)
     OUT.print(
         f"{scenario.name}: can be flown ({vehicles}; law {scenario.law.name}; {scenario.duration:g} s, {scenario.ticks} ticks)"

@@ -99,6 +99,15 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
         control = change.control
         what = control.driver or control.link or (control.law.name if control.law else "")
         rows.append((f"operator at {change.tick * summary.dt:.2f} s", f"{control.action} {what}".strip()))
+    if summary.certified_share is not None:
+        share, colour = (
+            f"{100.0 * summary.certified_share:.2f} % of the ticks",
+            "green" if summary.certified_share == 1.0 else "yellow",
+        )
+        rows.append(
+            ("sight certified", f"[{colour}]{share}[/], filter acted in {100.0 * (summary.intervened_share or 0.0):.1f} %")
+        )
+    rows += [("not certified", f"{count} ticks: {reason}") for reason, count in summary.uncertified.items()]
     rows += [(f"link {name}", _link(status)) for name, status in summary.links.items() if status.degraded]
     for name, counts in summary.faults.items():
         rows.append((f"faults of {name}", ", ".join(f"{cause} {count}" for cause, count in counts.items())))

@@ -20,7 +20,7 @@ Seed = Annotated[
 Duration = Annotated[float | None, typer.Option(help="Simulated time in s, instead of the scenario's.")]
 LawName = Annotated[
     str | None,
-    typer.Option("--law", help="tracking, coverage, linear, switching, logarithmic, circle, weighted or path."),
+    typer.Option("--law", help="certified, tracking, coverage, linear, switching, logarithmic, circle, weighted or path."),
 ]
 DriverName = Annotated[
     str | None,

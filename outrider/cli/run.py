@@ -87,6 +87,7 @@ def command(
     from outrider.cli.stopping import stop_on_signals
     from outrider.output import default_folder, write_summary
     from outrider.own import check_own_functions
+    from outrider.promise import promise_warnings
     from sim.scenario_checks import scenario_warnings
 
     if in_process and (realtime is not None or respawn or dashboard):
@@ -99,7 +100,8 @@ def command(
     flown, overrides = scenario_of(scenario, seed=seed, duration=duration, law=law, driver=driver, changes=changes, **own)
     if in_process and any(ugv.driver == "external" for ugv in flown.ugv):
         raise typer.BadParameter("--driver external is another process; leave --in-process out")
-    print_warnings((*scenario_warnings(flown), *check_own_functions(flown)))  # what does not fit shows here, not in a child
+    # what does not fit shows here, not in a child
+    print_warnings((*scenario_warnings(flown), *promise_warnings(flown), *check_own_functions(flown)))
     if record is not None:
         import outrider.recording.writer  # noqa: F401 - a missing extra shows here, not in a child
     folder = (out or default_folder(flown.name)) if files else None

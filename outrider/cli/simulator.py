@@ -87,6 +87,7 @@ def command(
     from outrider.cli.stopping import stop_on_signals
     from outrider.leash import hold
     from outrider.output import write_flight
+    from outrider.promise import promise_warnings
     from outrider.reports import Reports
     from outrider.summary import summarize
     from sim.compile import compiling
@@ -104,7 +105,7 @@ def command(
         warm_up(flown)
     reports = Reports(enabled=events)
     if not events:
-        print_warnings(scenario_warnings(flown))
+        print_warnings((*scenario_warnings(flown), *promise_warnings(flown)))
         where = f"using the router at {connect}" if connect else f"listening on {', '.join(endpoints)}"
         ERR.print(f"{where}, run {run}: waiting for {', '.join(v.name for v in flown.vehicles)}")
         if endpoints and given is None:

@@ -1,0 +1,177 @@
+"""The safety filter in the loop: around a law, a policy and an operator's choice, under bad networks, and honest where it cannot."""
+
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from flights import distances
+
+from agents.control.visibility import SafetyFilter, promise_of
+from agents.wrappers import SafetyFilterWrapper
+from bus.messages import Detection, LinkSettings, UavBriefing, UavObservation
+from outrider.promise import promise_warnings
+from outrider.run import fly
+from sim.briefing import briefing
+from sim.env.parallel import parallel_env
+from sim.scenario import Certificate, LinkTable, Scenario, load_scenario
+
+R_V = 4.75
+
+
+def watched(*overrides: str, driver: str = "evade", duration: float = 120.0) -> Scenario:
+    changes = ["law.name=certified", f"ugv.0.driver={driver}", f"duration={duration}", "area.cell=0.5", *overrides]
+    return load_scenario("escort", overrides=changes)
+
+
+def told(scenario: Scenario) -> UavBriefing:
+    message = briefing(scenario, "uav_0", scenario.seed)
+    assert isinstance(message, UavBriefing)
+    return message
+
+
+NETWORKS = {
+    "perfect": [],
+    "late detections": ["links.detections.delay=1.0", "certificate.age=1.5"],
+    "blackouts": ["links.detections.blackout_interval=12.0", "links.detections.blackout_length=8.0", "certificate.age=9.0"],
+    "late commands": ["links.commands.delay=0.5"],
+    "loss": ["links.detections.loss=0.5"],
+}
+
+
+@pytest.mark.parametrize("network", NETWORKS.values(), ids=NETWORKS)
+@pytest.mark.parametrize("seed", [7, 8])
+def test_sight_is_kept_and_certified_in_every_tick(network: list[str], seed: int) -> None:
+    scenario = watched(*network)
+    assert promise_warnings(scenario) == ()
+    flight, summary = fly(scenario, seed)
+    assert summary.max_distance < R_V
+    until = next(tick for tick in range(flight.recorder.ticks) if not np.isnan(flight.recorder.escorts[tick, 0, 4]))
+    silent = {"the UAV has no estimate yet, or its command did not come": until}
+    assert summary.uncertified == {cause: count for cause, count in silent.items() if count}
+    assert flight.assurance.certified == flight.assurance.ticks - until
+
+
+def test_the_paper_s_law_loses_sight_where_the_filter_keeps_it() -> None:
+    network = ("links.detections.blackout_interval=12.0", "links.detections.blackout_length=8.0", "certificate.age=9.0")
+    worst = max(fly(watched(*network, "law.name=switching"), seed)[1].max_distance for seed in range(7, 11))
+    kept = max(fly(watched(*network), seed)[1].max_distance for seed in range(7, 11))
+    assert worst > R_V > kept
+
+
+def test_undegraded_the_filter_leaves_the_law_alone() -> None:
+    certified = fly(watched(driver="waypoints"), 7)
+    plain = fly(watched("law.name=logarithmic", driver="waypoints"), 7)
+    assert certified[1].intervened_share == 0.0
+    assert np.allclose(distances(certified[0]), distances(plain[0]), atol=1e-6)
+
+
+BROKEN = {
+    "older than declared": (["links.detections.blackouts=[[20.0, 6.0]]"], "older than declared"),
+    "commands later than declared": (["links.commands.delay=0.5", "certificate.delay=0.0"], "not where its commands"),
+    "errors larger than declared": (["detections.noise=0.5", "certificate.error=0.2"], "contradict"),
+}
+
+
+@pytest.mark.parametrize(("changes", "reason"), BROKEN.values(), ids=BROKEN)
+def test_a_broken_assumption_is_told_with_its_name(changes: list[str], reason: str) -> None:
+    _, summary = fly(watched(*changes, duration=60.0), 7)
+    assert summary.certified_share is not None
+    assert summary.certified_share < 1.0
+    assert any(reason in line for line in summary.uncertified)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        (["detections.cut=0"], "eps = inf m: the noise of the detections is not cut"),
+        (["certificate.age=60.0"], "too much for r_v"),
+        (["certificate.delay=30.0"], "too much for r_v"),
+    ],
+)
+def test_what_cannot_be_certified_is_told_before_it_is_flown_and_at_every_tick(changes: list[str], reason: str) -> None:
+    scenario = watched(*changes, duration=5.0)
+    (line,) = promise_warnings(scenario)
+    assert reason in line
+    _, summary = fly(scenario, 7)
+    assert summary.certified_share == 0.0
+    assert any(reason in told for told in summary.uncertified)
+
+
+def test_what_is_declared_follows_from_the_scenario() -> None:
+    commands = LinkSettings(delay=0.2, jitter=0.1, reorder=0.1, reorder_delay=0.05)
+    scenario = msgspec.structs.replace(watched(), links=LinkTable(commands=commands))
+    declared = told(scenario).certificate
+    assert declared.error == pytest.approx(0.3)
+    assert declared.delay == pytest.approx(0.35)
+    assert told(msgspec.structs.replace(scenario, certificate=Certificate(delay=0.1, error=0.5))).certificate.error == 0.5
+
+
+def test_a_detection_counts_for_where_the_uav_was_when_it_was_taken() -> None:
+    watch = SafetyFilter(told(watched()))
+    for tick in range(10):
+        found = (Detection(time=0.1, relative_position=(1.0, 0.0)),) if tick == 9 else ()
+        position = (5.0 + 0.5 * tick, 5.0)
+        watch.see(UavObservation(tick=tick, time=tick * 0.05, position=position, velocity=(0.0, 0.0), detections=found))
+    newest = watch._detections[watch._detections[:, 2] > -np.inf]
+    assert newest.tolist() == [[5.0, 5.0, 0.1]]  # it was at 6 m at tick 2
+
+
+def outward(env: Any, agent: str) -> Any:
+    """A policy that does all it can to lose sight: away from the UGV at full thrust."""
+    x, y = env.unwrapped.world.position[0] - env.unwrapped.world.position[1]
+    length = max(np.hypot(x, y), 1e-9)
+    return np.array([x, y]) / length * 0.3
+
+
+def test_a_wrapped_environment_keeps_sight_whatever_the_policy_wants() -> None:
+    scenario = watched(driver="waypoints", duration=60.0)
+    lost = parallel_env(scenario)
+    lost.reset(seed=7)
+    while lost.agents:
+        lost.step({"uav_0": outward(lost, "uav_0"), "ugv_0": np.array([-0.1, 0.0])})
+    assert lost.world.tick < scenario.ticks
+
+    env = SafetyFilterWrapper(parallel_env(scenario))
+    env.reset(seed=7)
+    intervened, infos = 0, {}
+    while env.agents:
+        *_, infos = env.step({"uav_0": outward(env, "uav_0"), "ugv_0": np.array([-0.1, 0.0])})
+        intervened += infos["uav_0"]["intervened"]
+        assert infos["uav_0"]["certified"], infos
+        assert env.unwrapped.metrics()["uav_0"]["distance"] < min(R_V, infos["uav_0"]["certified_distance"] + 0.05)
+    assert env.unwrapped.world.tick == scenario.ticks
+    assert intervened == env.filters["uav_0"].interventions > 100
+    assert "intervened" not in infos["ugv_0"]
+
+
+@pytest.mark.parametrize("action", [[np.nan, 0.0], [1.0], "fast"])
+def test_a_wrapped_environment_refuses_nonsense_as_the_plain_one_does(action: Any) -> None:
+    env = SafetyFilterWrapper(parallel_env(watched(duration=5.0)))
+    env.reset(seed=7)
+    with pytest.raises(ValueError, match=r"action of uav_0|could not convert"):
+        env.step({"uav_0": action, "ugv_0": np.zeros(2)})
+    env.step({"uav_0": np.zeros(2), "ugv_0": np.zeros(2)})
+
+
+def test_a_filter_may_be_taken_up_in_the_middle_of_a_flight() -> None:
+    """An operator chooses the law while it flies: the certificate begins with the next detection."""
+    from agents.uav import UavPilot
+    from bus.messages import Law
+
+    scenario = watched("law.name=logarithmic", duration=10.0)
+    pilot = UavPilot(told(scenario))
+    assert pilot.filter is None
+    base = {"position": (7.0, 9.0), "velocity": (0.0, 0.0)}
+    look = Detection(time=0.0, relative_position=(0.0, 1.0))
+    pilot.act(UavObservation(tick=0, time=0.0, detections=(look,), **base))
+    command = pilot.act(UavObservation(tick=1, time=0.05, law=Law(name="certified"), **base))
+    assert command.report is not None
+    assert command.report.certified is False
+    assert "no detection" in command.report.uncertified
+    look = Detection(time=0.1, relative_position=(0.0, 1.0))
+    command = pilot.act(UavObservation(tick=2, time=0.1, detections=(look,), **base))
+    assert command.report is not None
+    assert command.report.certified is True
+    assert command.report.certified_distance == pytest.approx(1.3)
+    assert promise_of(told(scenario)).eps == pytest.approx(0.3)
