@@ -19,10 +19,12 @@ from outrider.cli import (
     record,
     render,
     replay,
+    report,
     router,
     run,
     scenarios,
     simulator,
+    sweep,
     vehicles,
 )
 
@@ -41,6 +43,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "scenarios": scenarios.command,
     "check": check.command,
     "figures": figures.command,
+    "sweep": sweep.command,
+    "report": report.command,
     "bench": bench.command,
 }
 

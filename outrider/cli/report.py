@@ -1,0 +1,58 @@
+"""`outrider report`: a sweep's results as pictures, one page and a table."""
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from outrider.cli.options import Json
+
+
+def command(
+    folders: Annotated[list[Path], typer.Argument(help="Folders of sweeps, finished or not; what they share becomes one.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for page and pictures; FOLDER/report by default, of several folders ./report.")
+    ] = None,
+    markdown: Annotated[bool, typer.Option("--markdown", help="Print the tables as Markdown on stdout.")] = False,
+    json: Json = False,
+) -> None:
+    """Draw the results of sweeps: how often the UGV was lost, with intervals, by which margin, and what the network cost.
+
+    Writes pictures (PNG) and report.html, one page with everything inside. Needs the extra [sweep].
+
+    Example: outrider report sweeps/network --markdown
+    """
+    from outrider.sweep.extras import check_extras
+
+    check_extras("pyarrow")
+    if markdown and json:
+        raise typer.BadParameter("--markdown and --json both want stdout; choose one")
+    from outrider.cli.console import ERR, OUT, print_json
+
+    with ERR.status("reading and drawing"):
+        from outrider.report.figures import draw_all
+        from outrider.report.page import markdown as markdown_of
+        from outrider.report.page import page
+        from outrider.report.reading import read_material
+
+        material = read_material(folders)
+        where = out or (folders[0] / "report" if len(material.folders) == 1 else Path("report"))
+        where.mkdir(parents=True, exist_ok=True)
+        pictures = draw_all(material, where)
+        file = where / "report.html"
+        file.write_text(page(material, pictures, shlex.join(["outrider", *sys.argv[1:]])), encoding="utf-8")
+    if markdown:
+        sys.stdout.write(markdown_of(material))
+        return
+    if json:
+        files = {name: str(path) for name, path in pictures.items()}
+        counts = {"rows": material.rows, "failed": material.failed, "missing": material.missing}
+        print_json({**counts, "page": str(file), "pictures": files})
+        return
+    if material.missing:
+        ERR.print(f"[yellow]not finished:[/] {material.missing:,} runs are still to be flown")
+    OUT.print(f"{material.rows:,} runs, {material.failed:,} failed\n  {file}", soft_wrap=True)
+    for path in pictures.values():
+        OUT.print(f"  {path}", soft_wrap=True)

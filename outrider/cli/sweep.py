@@ -1,0 +1,174 @@
+"""`outrider sweep`: laws, degradations and seeds on all cores."""
+
+import shlex
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from outrider.cli.options import Json, Set
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from contextlib import AbstractContextManager
+
+    from rich.progress import Progress
+
+    from outrider.sweep.folder import SweepFolder
+    from outrider.sweep.plan import Plan
+
+
+def command(
+    sweep: Annotated[
+        str, typer.Argument(help="A shipped sweep (network), a shipped scenario, or a TOML file of either kind.")
+    ] = "network",
+    law: Annotated[str, typer.Option("--law", help="Laws, between commas, instead of the file's.")] = "",
+    vary: Annotated[
+        list[str] | None,
+        typer.Option("--vary", metavar="FIELD=V,V", help="A field of the scenario and its values; repeated: the product."),
+    ] = None,
+    changes: Set = None,
+    seeds: Annotated[int | None, typer.Option(help="How many seeds each point is flown with.", min=1, max=1_000_000)] = None,
+    first_seed: Annotated[int | None, typer.Option(help="The first of them, 0 by default.", min=0, max=2**52)] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the results, sweeps/NAME by default; a sweep that was cut short goes on there."),
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(help="Worker processes; one a core by default.", min=1)] = None,
+    dask: Annotated[
+        str, typer.Option("--dask", metavar="ADDRESS", help="Fly on this Dask cluster (its scheduler); needs the extra [dask].")
+    ] = "",
+    fresh: Annotated[bool, typer.Option("--fresh", help="Throw away what the folder holds and start over.")] = False,
+    json: Json = False,
+) -> None:
+    """Fly each law at each degradation with many seeds, on all cores; each run is a row of a Parquet table.
+
+    Interrupted or killed, the same command goes on where it stopped. A run that raises is a row with its error, and the exit
+    code is then 1. `outrider report FOLDER` draws the results. Needs the extra [sweep].
+
+    Example: outrider sweep escort --law linear,switching --vary links.detections.delay=0,0.5,1 --seeds 20 --out sweeps/delay
+    """
+    from outrider.sweep.extras import check_extras
+
+    check_extras("joblib", "pyarrow", *(["distributed"] if dask else []))
+    from outrider.cli.console import print_warnings
+    from outrider.sweep.description import describe_sweep
+    from outrider.sweep.folder import SweepFolder
+
+    described, text = describe_sweep(sweep, laws=law, vary=vary or (), changes=changes or (), seeds=seeds, first_seed=first_seed)
+    where = out or Path("sweeps") / Path(sweep).stem
+    with _bar("loading the points") as progress:
+        from outrider.sweep.plan import lay_out
+
+        task = progress.add_task("", total=None, note="")
+        plan = lay_out(described, told=lambda done, of: progress.update(task, completed=done, total=of))
+    print_warnings(plan.warnings)
+    began = time.monotonic()
+    with SweepFolder(where, plan, command=shlex.join(["outrider", *sys.argv[1:]]), text=text, fresh=fresh) as folder:
+        before = len(folder.done)
+        try:
+            with _cluster(dask, plan.version) as client:
+                _fly(plan, folder, jobs, client)
+        except (KeyboardInterrupt, SystemExit) as end:
+            _interrupted(plan, folder, end)
+        file = folder.finish()
+    seconds = time.monotonic() - began
+    flown = len(folder.done) - before + folder.failed
+    rates = {"seconds": round(seconds, 3), "runs_per_second": round(flown / seconds, 3) if seconds > 0.0 else 0.0}
+    told: dict[str, Any] = {
+        "sweep": sweep,
+        "rows": folder.rows,
+        "failed": folder.failed,
+        "flown": flown,
+        **rates,
+        "file": str(file),
+    }
+    _tell(told, folder, where, json=json)
+
+
+def _cluster(address: str, version: str) -> "AbstractContextManager[Any]":
+    from contextlib import nullcontext
+
+    if not address:
+        return nullcontext()
+    from outrider.sweep.running import open_cluster
+
+    return open_cluster(address, version)
+
+
+def _bar(what: str) -> "AbstractContextManager[Progress]":
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from outrider.cli.console import ERR
+
+    return Progress(
+        TextColumn(f"[bold]{what}"),
+        BarColumn(bar_width=40, complete_style="blue", finished_style="blue"),
+        TextColumn("{task.fields[note]}"),
+        TimeRemainingColumn(compact=True, elapsed_when_finished=True),
+        console=ERR,
+        transient=what != "flying",
+        disable=not ERR.is_terminal,
+    )
+
+
+def _fly(plan: "Plan", folder: "SweepFolder", jobs: int | None, client: Any) -> None:  # noqa: ANN401 - an extra's type
+    """Fly what is missing, with a bar; it fills with what runs cost, so that the time left is right for ticks of any length."""
+    from joblib import cpu_count
+
+    from outrider.sweep.running import cost_of, fly_sweep
+
+    workers = jobs or (sum(client.ncores().values()) if client is not None else cpu_count())
+    costs = [cost_of(point.scenario) for point in plan.points]
+    done = folder.done
+    kept = sum(costs[run // plan.sweep.seeds] for run in done)
+    started, flown = time.monotonic(), 0
+    with _bar("flying") as progress:
+        bar = progress.add_task(
+            "", total=sum(costs) * plan.sweep.seeds, completed=kept, note=f"{len(done):,} of {plan.runs:,} runs"
+        )
+
+        def show(results: list[dict[str, Any]]) -> None:
+            nonlocal flown
+            flown += len(results)
+            rate = flown / (time.monotonic() - started)
+            failed = f", {folder.failed} failed" if folder.failed else ""
+            note = f"{folder.rows:,} of {plan.runs:,} runs, {rate:.1f} runs/s{failed}"
+            progress.update(bar, advance=sum(costs[row["run"] // plan.sweep.seeds] for row in results), note=note)
+
+        fly_sweep(plan, folder, jobs=workers, client=client, on_results=show)
+
+
+def _interrupted(plan: "Plan", folder: "SweepFolder", end: KeyboardInterrupt | SystemExit) -> None:
+    from outrider.cli.console import ERR
+
+    folder.take_stock()  # what was written may not be counted yet
+    kept = f"{len(folder.done):,} of {plan.runs:,} runs are kept in {folder.path}"
+    ERR.print(f"outrider: interrupted; {kept}, and the same command goes on from there", soft_wrap=True)
+    raise typer.Exit(130 if isinstance(end, KeyboardInterrupt) else int(end.code or 0)) from end
+
+
+def _tell(told: dict[str, Any], folder: "SweepFolder", where: Path, *, json: bool) -> None:
+    from outrider.cli.console import ERR, OUT, print_json
+
+    if json:
+        print_json(told)
+    else:
+        new = f"{told['flown']:,} of them now in {told['seconds']:.1f} s, {told['runs_per_second']:.1f} runs/s"
+        OUT.print(f"{told['rows']:,} runs, {new}; in {folder.violated:,} the UGV was lost from sight", soft_wrap=True)
+        OUT.print(f"  {told['file']}\n  outrider report {shlex.quote(str(where))} draws them", soft_wrap=True)
+    if folder.failed:
+        reason = next(_errors(folder), "")
+        again = "the same command flies them again"
+        ERR.print(f"outrider: {folder.failed} of {told['rows']:,} runs failed: {reason}; {again}", soft_wrap=True, markup=False)
+        raise typer.Exit(1)
+
+
+def _errors(folder: "SweepFolder") -> "Iterator[str]":
+    from outrider.sweep.folder import read_head, read_results
+
+    head = read_head(folder.path)
+    if head is not None:
+        yield from (error for error in read_results(folder.path, head.columns)["error"] if error is not None)

@@ -1,0 +1,1 @@
+"""A sweep's results for people: intervals, pictures, one page, a table."""

@@ -1,0 +1,6 @@
+"""Experiments over a degraded network: laws, degradations and seeds, flown on all cores, each run one row of a table."""
+
+EXTRA = "outrider[sweep]"
+"""What has to be installed."""
+DASK_EXTRA = "outrider[dask]"
+"""The same, for a cluster."""

@@ -1,0 +1,235 @@
+"""Reports: intervals that are right, one page with everything inside, and experiments of several folders told apart."""
+
+import json
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+from test_sweep import outrider
+
+from bus.errors import ScenarioError
+from outrider.report.figures import MOST_PANELS, color_of, draw_all, positions
+from outrider.report.labels import label_of, number, tick_of, value_of
+from outrider.report.page import holds, markdown, page
+from outrider.report.reading import Material, read_material
+from outrider.statistics import mean_interval, student_t, wilson_interval
+from outrider.style import LAW
+from outrider.sweep.description import describe_sweep
+from outrider.sweep.folder import SweepFolder
+from outrider.sweep.plan import Plan, lay_out
+from outrider.sweep.rows import RESULTS
+
+
+@pytest.mark.parametrize(("hits", "trials"), [(0, 1), (1, 1), (0, 20), (1, 20), (7, 20), (20, 20), (3, 1000), (500, 1000)])
+@pytest.mark.parametrize("confidence", [0.9, 0.95, 0.99])
+def test_the_wilson_interval_is_scipy_s(hits, trials, confidence):
+    known = stats.binomtest(hits, trials).proportion_ci(confidence_level=confidence, method="wilson")
+    assert wilson_interval(hits, trials, confidence=confidence) == pytest.approx((known.low, known.high), abs=1e-12)
+
+
+def test_the_wilson_interval_of_none_of_twenty():
+    low, high = wilson_interval(0, 20)  # 1 / (1 + 20 / 1.96²)
+    assert low == 0.0
+    assert high == pytest.approx(0.16113, abs=1e-5)
+
+
+@pytest.mark.parametrize(("hits", "trials"), [(0, 0), (-1, 3), (4, 3)])
+def test_shares_that_cannot_be_are_refused(hits, trials):
+    with pytest.raises(ValueError, match=f"hits = {hits}"):
+        wilson_interval(hits, trials)
+
+
+def test_student_s_t_and_the_interval_of_a_mean_are_scipy_s():
+    for degrees in (*range(1, 40), 100, 10_000):
+        assert student_t(degrees) == pytest.approx(stats.t.ppf(0.975, degrees), rel=1e-3)
+    values = np.random.default_rng(3).normal(5.0, 2.0, 12).tolist()
+    known = stats.t.interval(0.95, 11, loc=np.mean(values), scale=stats.sem(values))
+    mean, low, high = mean_interval(values)
+    assert mean == pytest.approx(np.mean(values))
+    assert (low, high) == pytest.approx(known, rel=1e-3)
+    assert mean_interval([2.0]) == (2.0, 2.0, 2.0)
+    with pytest.raises(ValueError, match="no values"):
+        mean_interval([])
+
+
+def plan_of(**given) -> Plan:
+    described = {"laws": "linear,switching", "vary": ["links.detections.delay=0,0.5,1,2"], "seeds": 5, **given}
+    return lay_out(describe_sweep("escort", **described)[0])
+
+
+def made_up(plan: Plan, run: int) -> dict[str, object]:
+    """A row: switching breaks from 1 s on in all seeds but the first; linear at 2 s in one, and there a run failed."""
+    head = plan.head(run)
+    delay, seed = head.get("links.detections.delay") or 0.0, head["seed"]
+    if (head["law"], delay, seed) == ("linear", 2.0, 0):
+        return {**dict.fromkeys(RESULTS), "run": run, "error": "RuntimeError: made up <b>"}
+    lost = (head["law"] == "switching" and delay >= 1.0 and seed > 0) or (head["law"], delay, seed) == ("linear", 2.0, 4)
+    found = {"max_distance": 4.0 + lost + 0.01 * seed, "margin": 0.75 - lost - 0.01 * seed, "violated": lost}
+    age = {"detections_mean_age": delay, "detections_max_age": delay + 0.05, "detections_delivery_ratio": 0.9}
+    rest = {"mean_error": 100.0 + 10.0 * delay + seed, "trajectory_sha256": f"{head['law']}{delay}{seed}"}
+    return {**dict.fromkeys(RESULTS), **found, **age, **rest, "run": run}
+
+
+def swept(path: Path, plan: Plan, runs: range | None = None, **given) -> Path:
+    with SweepFolder(path, plan, command=f"outrider sweep --out {path.name}", **given) as folder:
+        folder.add(made_up(plan, run) for run in runs or range(plan.runs))
+        if runs is None:
+            folder.finish()
+    return path
+
+
+@pytest.fixture(scope="module")
+def material(tmp_path_factory) -> Material:
+    return read_material([swept(tmp_path_factory.mktemp("sweeps") / "delay", plan_of())])
+
+
+def test_runs_are_counted_where_they_belong(material):
+    (panel,) = material.panels
+    assert (panel.title, panel.label) == ("delay of the detections", "delay of the detections [s]")
+    assert (panel.values, panel.laws, material.law) == ([0.0, 0.5, 1.0, 2.0], ["linear", "switching"], ("linear", "switching"))
+    assert (material.rows, material.failed, material.missing) == (40, 1, 0)
+    cell = panel.cell("switching", 1.0)
+    assert (len(cell.flown), cell.violated, cell.failed) == (5, 4, 0)
+    assert cell.rate() == pytest.approx((0.8, *stats.binomtest(4, 5).proportion_ci(method="wilson")))
+    last = panel.cell("linear", 2.0)
+    assert (len(last.flown), last.violated, last.failed) == (4, 1, 1)  # what failed is in no rate
+    assert cell.numbers("margin") == pytest.approx([0.75, -0.26, -0.27, -0.28, -0.29])
+    assert cell.numbers("estimate_rmse") == []
+    assert holds(panel, "linear") == ("to 1 s, broken at 2 s", False)
+    assert holds(panel, "switching") == ("to 0.5 s, broken at 1 s", False)
+    assert holds(panel, "circle") == ("-", False)
+
+
+def test_the_markdown_table_has_every_value_and_law(material):
+    text = markdown(material)
+    assert "| delay of the detections | to 1 s, broken at 2 s | to 0.5 s, broken at 1 s |" in text
+    assert "| 1 s | switching | 5 | 4 (80 %) | 38 % to 96 % | -0.29 | -0.27 | 112 | 1 | 90 % |" in text
+    assert "| 2 s | linear | 4 (+1 failed) | 1 (25 %) |" in text
+    widths = {line.count("|") for line in text.splitlines() if " s | " in line and "broken" not in line}
+    assert widths == {11}
+    assert text.count(" s | linear | ") + text.count(" | 0 | linear") >= 3
+
+
+def test_the_page_needs_nothing_beside_itself(material, tmp_path):
+    pictures = draw_all(material, tmp_path)
+    assert set(pictures) == {"violations", "margins", "errors", "ages"}
+    text = page(material, pictures, "outrider report sweeps/delay")
+    assert text.count('src="data:image/png;base64,') == 4
+    assert not re.search(r"<script|<link|(src|href)=\"(?!data:)|url\(|@import", text)
+    for wanted in ("outrider sweep --out delay", "outrider report sweeps/delay", material.heads[0].outrider, "4 (80 %)"):
+        assert wanted in text
+    assert "made up <b>" not in text
+
+
+def test_the_same_material_gives_the_same_pictures(material, tmp_path):
+    first, again = tmp_path / "first", tmp_path / "again"
+    first.mkdir()
+    again.mkdir()
+    for name, path in draw_all(material, first).items():
+        assert path.read_bytes() == draw_all(material, again)[name].read_bytes()
+        break
+
+
+def test_laws_in_folders_of_their_own_are_one_experiment(tmp_path):
+    folders = [swept(tmp_path / law, plan_of(laws=law)) for law in ("switching", "linear", "circle")]
+    (panel,) = read_material(folders).panels
+    assert panel.laws == ["linear", "switching", "circle"]
+    assert len(panel.cell("circle", 0.0).flown) == 5
+
+
+def test_a_run_that_two_folders_have_counts_once_and_others_are_told_apart(tmp_path):
+    one = swept(tmp_path / "one", plan_of())
+    more = swept(tmp_path / "more", plan_of(seeds=7))
+    (panel,) = read_material([one, more]).panels
+    assert len(panel.cell("switching", 0.0).flown) == 7
+    other = swept(tmp_path / "other", plan_of(changes=["detections.noise=0.4"]))
+    panels = read_material([one, other]).panels
+    assert [panel.title for panel in panels] == [
+        f"delay of the detections ({one})",
+        f"delay of the detections ({other})",
+    ]
+
+
+def test_a_product_has_a_panel_for_each_value_of_the_smaller_field(tmp_path):
+    plan = plan_of(vary=["links.detections.loss=0,0.5", "links.detections.delay=0,0.5,1"], seeds=2)
+    panels = read_material([swept(tmp_path / "sweep", plan)]).panels
+    assert [panel.title for panel in panels] == ["loss of the detections 0 %", "loss of the detections 50 %"]
+    assert all(panel.values == [0.0, 0.5, 1.0] for panel in panels)
+    assert sum(len(cell.rows) for panel in panels for cell in panel.cells.values()) == plan.runs
+
+
+def test_a_sweep_that_varies_nothing_or_words_can_be_drawn(tmp_path):
+    nothing = swept(tmp_path / "nothing", plan_of(vary=[], seeds=2))
+    words = swept(tmp_path / "words", plan_of(vary=["ugv.0.driver=evade,wander"], seeds=1))
+    material = read_material([nothing, words])
+    assert [panel.values for panel in material.panels] == [[None], ["evade", "wander"]]
+    pictures = draw_all(material, tmp_path)
+    assert "violations" in pictures
+    page(material, pictures, "")
+    assert "| evade | linear |" in markdown(material)
+
+
+def test_an_unfinished_sweep_is_reported_as_such_and_an_empty_one_refused(tmp_path):
+    plan = plan_of()
+    half = swept(tmp_path / "half", plan, range(12))
+    material = read_material([half])
+    assert (material.rows, material.missing) == (12, 28)
+    assert "Not finished:" in page(material, {}, "")
+    with SweepFolder(tmp_path / "empty", plan, command=""):
+        pass
+    with pytest.raises(ScenarioError, match="no run is flown yet"):
+        read_material([tmp_path / "empty"])
+    with pytest.raises(ScenarioError, match="no sweep's folder"):
+        read_material([tmp_path])
+
+
+def test_a_sweep_of_nothing_but_failures_can_be_reported(tmp_path):
+    plan = plan_of(vary=["dt=0.05,0.1"], changes=["detections.rate=10"], seeds=1)
+    with SweepFolder(tmp_path / "sweep", plan, command="") as folder:
+        folder.add({**dict.fromkeys(RESULTS), "run": run, "error": "no"} for run in range(plan.runs))
+    material = read_material([folder.path])
+    pictures = draw_all(material, tmp_path)
+    assert "No run was flown to its end" in page(material, pictures, "")
+
+
+def test_every_law_has_a_colour_of_its_own_the_same_as_in_all_figures():
+    laws = ("tracking", "coverage", "linear", "switching", "logarithmic", "circle", "weighted", "path", "certified")
+    assert len({color_of(law) for law in laws}) == len(laws)
+    assert all(color_of(law) == color for law, color in LAW.items())
+
+
+def test_values_too_uneven_for_one_axis_stand_side_by_side(material):
+    (panel,) = material.panels
+    assert positions(panel) == ([0.0, 0.5, 1.0, 2.0], 0.5)
+    panel = type(panel)(title="", field="dt", values=[0.01, 0.02, 0.5], laws=[], cells={})
+    assert positions(panel) == ([0.0, 1.0, 2.0], 1.0)
+    assert MOST_PANELS > 7
+
+
+def test_fields_have_words_and_units():
+    assert label_of("links.commands.burst_length") == "length of bursts of the commands [s]"
+    assert label_of("detections.noise") == "noise of the detections per axis [m]"
+    assert label_of("uav.0.max_speed") == "largest speed, uav.0 [m/s]"
+    assert label_of("law.a_c") == "law.a_c"
+    assert (tick_of("links.radio.loss", 0.05), value_of("links.radio.loss", 0.05)) == ("5", "5 %")
+    assert (tick_of("x", None), tick_of("x", True), tick_of("x", "word")) == ("none", "true", "word")
+    assert [number(value) for value in (0.0, 0.05, 1.0, 12.345, 1234.5, math.inf)] == ["0", "0.05", "1", "12.3", "1234", "inf"]
+
+
+def test_the_command_writes_page_and_pictures_and_prints_one_object(tmp_path):
+    folder = swept(tmp_path / "delay", plan_of(seeds=2))
+    told = outrider("report", str(folder), "--json")
+    assert told.returncode == 0, told.stderr
+    found = json.loads(told.stdout)
+    assert (found["rows"], found["failed"], found["missing"]) == (16, 1, 0)
+    assert Path(found["page"]) == folder / "report" / "report.html"
+    assert all(Path(path).read_bytes().startswith(b"\x89PNG") for path in found["pictures"].values())
+    again = outrider("report", str(folder), "--markdown", "--out", str(tmp_path / "elsewhere"))
+    assert again.stdout.startswith("| experiment | linear | switching |")
+    assert (tmp_path / "elsewhere" / "report.html").exists()
+    refused = outrider("report", str(tmp_path))
+    assert refused.returncode == 2
+    assert len(refused.stderr.strip().splitlines()) == 1

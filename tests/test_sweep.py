@@ -1,0 +1,484 @@
+"""Sweeps: each run a row, whatever happens meanwhile; bad input is one line before anything is flown."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from bus.errors import PeerLost, ScenarioError
+from outrider.run import run
+from outrider.sweep.description import describe_sweep, shipped_sweeps
+from outrider.sweep.folder import SweepFolder, read_head, read_results
+from outrider.sweep.plan import Plan, lay_out
+from outrider.sweep.running import fly_sweep, make_tasks, open_cluster
+from outrider.sweep.worker import fly_runs
+from sim.scenario import load_scenario, scenario_names
+
+OUTRIDER = [sys.executable, "-m", "outrider"]
+QUICK = ("duration=5.0", "area.cell=0.5")
+SMALL = {"laws": "linear,switching", "vary": ["detections.noise=0,0.5"], "changes": QUICK, "seeds": 3}
+GRID = ["sweep", "escort", "--law", "linear,switching", "--vary", "detections.noise=0,0.5", "--set", "area.cell=0.5"]
+
+
+def outrider(*arguments: str, cwd: Path | None = None) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run([*OUTRIDER, *arguments], capture_output=True, text=True, check=False, timeout=120, cwd=cwd)
+
+
+def plan_of(source: str = "escort", **given) -> Plan:
+    return lay_out(describe_sweep(source, **(given or (SMALL if source == "escort" else {})))[0])
+
+
+def rows_of(folder: Path) -> dict[str, list[object]]:
+    head = read_head(folder)
+    assert head is not None
+    rows = read_results(folder, head.columns)
+    rows.pop("seconds")
+    return rows
+
+
+def flown(folder: Path, plan: Plan, jobs: int = 2) -> dict[str, list[object]]:
+    with SweepFolder(folder, plan, command="outrider sweep") as there:
+        fly_sweep(plan, there, jobs=jobs)
+        there.finish()
+    return rows_of(folder)
+
+
+def wait_for(there: Callable[[], bool], process: "subprocess.Popen[str]") -> None:
+    end = time.monotonic() + 60.0
+    while not there():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def parts(folder: Path) -> int:
+    return len(list((folder / "parts").glob("*.parquet")))
+
+
+def refusal(source: str = "escort", **given) -> str:
+    with pytest.raises(ScenarioError) as caught:
+        plan_of(source, **(given or {"seeds": 1}))
+    line = str(caught.value)
+    assert len(line.splitlines()) == 1
+    return line
+
+
+# What is flown
+
+
+def test_a_sweep_is_the_product_of_laws_values_and_seeds():
+    plan = plan_of(
+        laws="linear,circle", vary=["detections.noise=0,0.1,0.2", "dt=0.05,0.1"], changes=["detections.rate=10"], seeds=4
+    )
+    assert plan.runs == 2 * 3 * 2 * 4
+    heads = [plan.head(run) for run in range(plan.runs)]
+    combinations = {(head["law"], head["detections.noise"], head["dt"], head["seed"]) for head in heads}
+    assert combinations == {
+        (a, b, c, d) for a in ("linear", "circle") for b in (0.0, 0.1, 0.2) for c in (0.05, 0.1) for d in range(4)
+    }
+    assert all(plan.points[head["run"] // 4].scenario.detections.rate == 10.0 for head in heads)
+
+
+def test_blocks_vary_one_thing_each_and_the_columns_say_what_the_others_are(tmp_path):
+    (tmp_path / "mine.toml").write_text(
+        'scenario = "escort"\nlaws = ["linear"]\nseeds = 2\nfirst_seed = 10\nset.duration = 5.0\n'
+        '[[block]]\nname = "noise"\nvary.detections.noise = [0.2, 0.3]\n'
+        "[[block]]\nvary.detections.dropout = [0.5]\nset.detections.noise = 0.4\n",
+        encoding="utf-8",
+    )
+    plan = plan_of(str(tmp_path / "mine.toml"))
+    heads = [plan.head(run) for run in range(plan.runs)]
+    assert [(head["block"], head["seed"], head["detections.noise"], head["detections.dropout"]) for head in heads] == [
+        ("noise", 10, 0.2, 0.1),
+        ("noise", 11, 0.2, 0.1),
+        ("noise", 10, 0.3, 0.1),
+        ("noise", 11, 0.3, 0.1),
+        ("detections.dropout", 10, 0.4, 0.5),
+        ("detections.dropout", 11, 0.4, 0.5),
+    ]
+
+
+def test_values_of_any_kind_can_be_varied():
+    plan = plan_of(vary=["ugv.0.driver=evade,wander", "estimator.enabled=true,false", "ugv.0.goals=[[1, 2]],[[3.5, 4]]"], seeds=1)
+    assert plan.columns["ugv.0.driver"] == plan.columns["ugv.0.goals"] == "string"
+    assert plan.columns["estimator.enabled"] == "bool"
+    last = plan.head(plan.runs - 1)
+    assert (last["ugv.0.driver"], last["estimator.enabled"], last["ugv.0.goals"]) == ("wander", False, "[[3.5,4.0]]")
+
+
+def test_a_scenario_beside_the_sweep_s_file_is_found(tmp_path, monkeypatch):
+    (tmp_path / "yard.toml").write_text(
+        "duration = 5.0\n[[uav]]\nposition = [6, 7]\n[[ugv]]\nposition = [6, 6]\n", encoding="utf-8"
+    )
+    (tmp_path / "mine.toml").write_text('scenario = "yard.toml"\nseeds = 1\n', encoding="utf-8")
+    assert plan_of(str(tmp_path / "mine.toml")).points[0].scenario.name == "yard"
+    monkeypatch.chdir(tmp_path)
+    assert plan_of("yard.toml", vary=["detections.noise=0,1"], seeds=1).runs == 2
+
+
+@pytest.mark.parametrize("name", shipped_sweeps())
+def test_shipped_sweeps_can_be_flown(name):
+    assert name not in scenario_names()
+    plan = plan_of(name, seeds=1)
+    assert plan.runs == len(plan.points) > 0
+    assert {point.law for point in plan.points} >= {"linear", "switching", "logarithmic", "circle"}
+
+
+def test_tasks_are_every_missing_run_once_and_never_of_two_points():
+    plan = plan_of(laws="linear", vary=["duration=5,500"], seeds=30)
+    done = set(range(0, plan.runs, 7))
+    tasks = make_tasks(plan, done, workers=1)
+    assert sorted([*done, *(run for task in tasks for run in task.seeds)]) == list(range(plan.runs))
+    for task in tasks:
+        assert {plan.points[run // 30].scenario for run in task.seeds} == {task.scenario}
+        assert all(plan.seed_of(run) == seed for run, seed in task.seeds.items())
+    longest = {
+        task.scenario.duration: max(len(other.seeds) for other in tasks if other.scenario is task.scenario) for task in tasks
+    }
+    assert longest[500.0] < longest[5.0]
+
+
+# Rows
+
+
+def test_each_row_is_the_run_that_outrider_run_flies_and_the_rows_do_not_depend_on_jobs(tmp_path):
+    plan = plan_of()
+    two = flown(tmp_path / "two", plan, jobs=2)
+    assert two["run"] == list(range(12))
+    for k in (0, 4, 11):
+        settings = [*QUICK, f"law.name={two['law'][k]}", f"detections.noise={two['detections.noise'][k]}"]
+        summary = run(load_scenario("escort", overrides=settings), seed=two["seed"][k])
+        assert two["trajectory_sha256"][k] == summary.trajectory_sha256
+        assert two["max_distance"][k] == summary.max_distance
+        assert two["margin"][k] == 4.75 - summary.max_distance
+        assert two["mean_error"][k] == summary.mean_error
+        assert two["violated"][k] is (summary.visibility_violations > 0)
+        assert two["detections_delivery_ratio"][k] == summary.links["uav_0/detections"].delivery_ratio
+    assert set(two["error"]) == {None}
+    assert len(set(two["trajectory_sha256"])) == 12
+    assert flown(tmp_path / "one", plan, jobs=1) == two
+
+
+def test_violations_are_told_from_visible_runs():
+    seen = load_scenario("escort", overrides=QUICK)
+    lost = load_scenario("figure-1-high-gain", overrides=["duration=80.0", "area.cell=0.5"])
+    (good,), (bad,) = fly_runs(seen, {0: 1}), fly_runs(lost, {0: 1})
+    assert (good["violated"], good["visibility_violations"]) == (False, 0)
+    assert good["margin"] > 0.0 >= bad["margin"]
+    assert bad["violated"] is True
+    assert bad["visibility_violations"] > 0
+
+
+def test_a_sweep_goes_on_where_its_files_stop_and_flies_nothing_twice(tmp_path):
+    plan = plan_of()
+    whole = flown(tmp_path / "whole", plan)
+    folder = SweepFolder(tmp_path / "cut", plan, command="")
+    for first in (0, 4, 5):
+        task = {run: plan.seed_of(run) for run in range(first, first + 1)}
+        folder.add(fly_runs(plan.points[first // 3].scenario, task))
+    folder.close()
+    (tmp_path / "cut" / "parts" / "00000009.parquet.unfinished").write_bytes(b"half of it")
+    again = SweepFolder(tmp_path / "cut", plan, command="")
+    assert again.done == {0, 4, 5}
+    new: list[int] = []
+    fly_sweep(plan, again, jobs=2, on_results=lambda results: new.extend(row["run"] for row in results))
+    assert sorted(new) == [1, 2, 3, 6, 7, 8, 9, 10, 11]
+    again.finish()
+    again.close()
+    assert rows_of(tmp_path / "cut") == whole
+    assert not list((tmp_path / "cut" / "parts").iterdir())
+
+
+def test_many_small_files_are_merged_and_rows_that_are_there_twice_count_once(tmp_path, monkeypatch):
+    monkeypatch.setattr("outrider.sweep.folder._MOST_PARTS", 5)
+    plan = plan_of()
+    results = fly_runs(plan.points[0].scenario, {0: 0})
+    folder = SweepFolder(tmp_path / "sweep", plan, command="")
+    for number in range(11):
+        folder.add([{**results[0], "run": number, "error": "ValueError: no" if number == 3 else None}])
+    assert parts(folder.path) < 6
+    assert (folder.rows, folder.failed) == (11, 1)
+    folder.add([{**results[0], "run": 3}, {**results[0], "run": 4}])  # 3 was flown again; 4 is there already
+    assert (folder.rows, folder.failed) == (11, 0)
+    file = folder.finish()
+    folder.close()
+    assert file.exists()
+    rows = rows_of(folder.path)
+    assert rows["run"] == list(range(11))
+    assert set(rows["error"]) == {None}
+
+
+def test_a_sweep_that_is_killed_goes_on_and_its_table_is_that_of_an_undisturbed_one(tmp_path):
+    command = [*OUTRIDER, *GRID, "--seeds", "24", "--set", "duration=20.0", "--jobs", "2", "--out"]
+    victim = subprocess.Popen([*command, str(tmp_path / "killed")], start_new_session=True, stderr=subprocess.PIPE, text=True)
+    wait_for(lambda: parts(tmp_path / "killed") >= 2, victim)
+    os.killpg(victim.pid, signal.SIGKILL)
+    victim.communicate()
+    kept = len(rows_of(tmp_path / "killed")["run"])
+    assert 0 < kept < 96
+    assert not (tmp_path / "killed" / "results.parquet").exists()
+    again = subprocess.run(
+        [*command, str(tmp_path / "killed"), "--json"], capture_output=True, text=True, check=False, timeout=120
+    )
+    assert again.returncode == 0, again.stderr
+    told = json.loads(again.stdout)
+    assert (told["rows"], told["failed"], told["flown"]) == (96, 0, 96 - kept)
+    assert told["runs_per_second"] > 0.0
+    plan = plan_of(laws="linear,switching", vary=["detections.noise=0,0.5"], changes=["area.cell=0.5", "duration=20.0"], seeds=24)
+    assert rows_of(tmp_path / "killed") == flown(tmp_path / "whole", plan)
+
+
+def test_ctrl_c_keeps_what_is_done_says_how_to_go_on_and_leaves_no_process(tmp_path):
+    command = [*OUTRIDER, *GRID, "--seeds", "200", "--out", str(tmp_path / "sweep"), "--jobs", "2"]
+    process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    wait_for(lambda: parts(tmp_path / "sweep") >= 1, process)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 130, err
+    assert out == ""
+    kept = len(rows_of(tmp_path / "sweep")["run"])
+    assert err.strip() == (
+        f"outrider: interrupted; {kept} of 800 runs are kept in {tmp_path / 'sweep'}, and the same command goes on from there"
+    )
+    gone_by = time.monotonic() + 20.0
+    while time.monotonic() < gone_by and _session(process.pid):
+        time.sleep(0.1)
+    assert not _session(process.pid)
+
+
+def test_workers_go_when_their_sweep_is_killed_alone(tmp_path):
+    command = [*OUTRIDER, *GRID, "--seeds", "200", "--out", str(tmp_path / "sweep"), "--jobs", "2"]
+    process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.PIPE, text=True)
+    wait_for(lambda: parts(tmp_path / "sweep") >= 1, process)
+    process.kill()
+    process.wait()
+    gone_by = time.monotonic() + 20.0
+    while time.monotonic() < gone_by and _session(process.pid):
+        time.sleep(0.1)
+    assert not _session(process.pid)
+    process.communicate()
+
+
+def _session(number: int) -> list[str]:
+    """Processes of a session that are alive."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        try:
+            state, _, _, session, *_ = (entry / "stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if entry.name.isdigit() and int(session) == number and state != "Z":
+            found.append(entry.name)
+    return found
+
+
+def test_a_run_that_raises_is_a_row_with_its_error_and_the_others_go_on(tmp_path):
+    (tmp_path / "mine.py").write_text(
+        "def policy(observation, briefing):\n"
+        "    if briefing.key % 2 and observation.time > 2.0:\n        raise RuntimeError('the wheel came off')\n"
+        "    return 0.0, 0.0\n",
+        encoding="utf-8",
+    )
+    mine = [
+        "--vary",
+        "custom.policy=mine:policy",
+        "--set",
+        "ugv.0.driver=policy",
+        "--set",
+        "duration=5",
+        "--set",
+        "area.cell=0.5",
+    ]
+    command = ["sweep", "escort", *mine, "--seeds", "6", "--jobs", "1", "--out", "out", "--json"]
+    swept = outrider(*command, cwd=tmp_path)
+    assert swept.returncode == 1, swept.stderr
+    told = json.loads(swept.stdout)
+    assert told["rows"] == 6
+    assert 0 < told["failed"] < 6
+    assert f"{told['failed']} of 6 runs failed" in swept.stderr
+    assert "the wheel came off" in swept.stderr
+    rows = rows_of(tmp_path / "out")
+    assert [error is None for error in rows["error"]] == [sha is not None for sha in rows["trajectory_sha256"]]
+    (tmp_path / "mine.py").write_text("def policy(observation, briefing):\n    return 0.0, 0.0\n", encoding="utf-8")
+    mended = outrider(*command, cwd=tmp_path)
+    assert mended.returncode == 0, mended.stderr
+    assert json.loads(mended.stdout)["flown"] == told["failed"]
+    assert set(rows_of(tmp_path / "out")["error"]) == {None}
+
+
+# A cluster
+
+
+def test_on_a_cluster_a_worker_may_die_and_the_rows_are_those_of_this_machine(tmp_path):
+    info = tmp_path / "scheduler.json"
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "start_new_session": True}
+    local = ["--host", "127.0.0.1", "--no-dashboard"]
+    scheduler = [sys.executable, "-m", "distributed.cli.dask_scheduler", *local, "--port", "0", "--scheduler-file", str(info)]
+    worker = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(info), *local, "--nthreads", "1"]
+    processes = [subprocess.Popen(scheduler, **quiet)]
+    try:
+        wait_for(info.exists, processes[0])
+        processes += [subprocess.Popen([*worker, "--no-nanny", "--local-directory", str(tmp_path)], **quiet) for _ in range(2)]
+        address = json.loads(info.read_text())["address"]
+        _await_workers(address, 2)
+        command = [*OUTRIDER, *GRID, "--seeds", "24", "--set", "duration=20.0", "--dask", address, "--json", "--out"]
+        sweep = subprocess.Popen([*command, str(tmp_path / "far")], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        wait_for(lambda: parts(tmp_path / "far") >= 2, sweep)
+        processes[1].kill()
+        out, err = sweep.communicate(timeout=100)
+        assert sweep.returncode == 0, err
+        assert json.loads(out)["rows"] == 96
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+    plan = plan_of(laws="linear,switching", vary=["detections.noise=0,0.5"], changes=["area.cell=0.5", "duration=20.0"], seeds=24)
+    assert rows_of(tmp_path / "far") == flown(tmp_path / "near", plan)
+
+
+def _await_workers(address: str, count: int) -> None:
+    code = f"from distributed import Client; Client({address!r}).wait_for_workers({count}, timeout=60)"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=90, capture_output=True)
+
+
+def test_no_cluster_is_one_line(monkeypatch):
+    monkeypatch.setattr("outrider.sweep.running._CONNECT", 0.5)
+    with pytest.raises(PeerLost, match="no scheduler there") as caught, open_cluster("tcp://127.0.0.1:1", "1.0"):
+        pass
+    assert len(str(caught.value).splitlines()) == 1
+
+
+# Refusals
+
+GIVEN = {
+    "unknown law": ({"laws": "linear,fancy"}, 'law.name = "fancy"'),
+    "a law twice": ({"laws": "linear,linear"}, "a law twice"),
+    "no law": ({"laws": "linear,"}, 'law.name = ""'),
+    "unknown field": ({"vary": ["links.detections.dealy=0,1"]}, "links.detections.dealy"),
+    "impossible value": ({"vary": ["detections.dropout=0.5,1.5"]}, "detections.dropout = 1.5"),
+    "no values": ({"vary": ["dt="]}, "no values"),
+    "an empty value": ({"vary": ["dt=0.1,,0.2"]}, "a value is empty"),
+    "no field": ({"vary": ["0.1,0.2"]}, "field=value,value"),
+    "a value twice": ({"vary": ["dt=0.1,0.1"]}, "a value twice"),
+    "a field twice": ({"vary": ["dt=0.1", "dt=0.2"]}, "varied already"),
+    "the seed": ({"vary": ["seed=1,2"]}, "--seeds"),
+    "the law": ({"vary": ["law.name=linear"]}, "--law"),
+    "bad override": ({"changes": ["nonsense"]}, "nonsense"),
+    "another process": ({"changes": ["ugv.0.driver=external"]}, "external"),
+}
+
+
+@pytest.mark.parametrize("case", GIVEN)
+def test_what_makes_no_sense_is_refused_in_one_line(case):
+    given, told = GIVEN[case]
+    assert told in refusal(**given)
+
+
+FILES = {
+    "unknown field": ("scenaro = 'escort'", "scenaro"),
+    "unknown field of a block": ("[[block]]\nvry.dt = [0.1]", "block.0.vry"),
+    "empty list": ("vary.dt = []", "vary.dt = []: empty"),
+    "no list": ("vary.dt = 0.1", "vary.dt = 0.1: not a list"),
+    "no laws": ("laws = []", "laws = []"),
+    "no seeds": ("seeds = 0", "seeds = 0"),
+    "both": ("vary.dt = [0.1]\n[[block]]\nvary.hold = [0.1]", "either [vary] or [[block]]"),
+    "two of a name": ("[[block]]\nvary.dt = [0.1]\n[[block]]\nvary.dt = [0.05]", "block.1.name"),
+    "no toml": ("laws = [", "line 1"),
+    "unknown scenario": ("scenario = 'escrot'", "escrot"),
+}
+
+
+@pytest.mark.parametrize("case", FILES)
+def test_a_file_that_makes_no_sense_is_refused_in_one_line(case, tmp_path):
+    text, told = FILES[case]
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+    line = refusal(str(tmp_path / "mine.toml"))
+    assert told in line
+    if case != "unknown scenario":
+        assert "mine.toml" in line
+
+
+def test_an_unknown_sweep_names_the_known_ones():
+    line = refusal("netwrok")
+    assert "did you mean 'network'" in line
+    assert "escort" in line
+
+
+def test_a_sweep_that_says_itself_what_is_varied_takes_no_vary():
+    assert "--vary" in refusal("network", vary=["dt=0.1"])
+
+
+def test_a_folder_of_another_sweep_or_another_version_is_refused_until_fresh(tmp_path, monkeypatch):
+    plan = plan_of()
+    folder = SweepFolder(tmp_path / "sweep", plan, command="")
+    folder.add(fly_runs(plan.points[0].scenario, {0: 0}))
+    folder.close()
+    other = plan_of(laws="linear", vary=["detections.noise=0,0.5"], changes=QUICK, seeds=3)
+    with pytest.raises(ScenarioError, match=r"holds another sweep.*--fresh"):
+        SweepFolder(tmp_path / "sweep", other, command="")
+    monkeypatch.setattr("outrider.sweep.plan.version", lambda _name: "9.9")
+    with pytest.raises(ScenarioError, match=r"made by outrider .*, this is 9\.9.*--fresh"):
+        SweepFolder(tmp_path / "sweep", plan_of(), command="")
+    fresh = SweepFolder(tmp_path / "sweep", other, command="", fresh=True)
+    assert fresh.rows == 0
+    with pytest.raises(ScenarioError, match="another sweep is writing there now"):
+        SweepFolder(tmp_path / "sweep", other, command="")
+    fresh.close()
+
+
+def test_a_folder_with_other_files_is_left_alone_even_by_fresh(tmp_path):
+    (tmp_path / "thesis.tex").write_text("years of work", encoding="utf-8")
+    for fresh in (False, True):
+        with pytest.raises(ScenarioError, match="no sweep's folder"):
+            SweepFolder(tmp_path, plan_of(), command="", fresh=fresh)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.parametrize("content", [b"", b"PAR1 and then nothing", "another table"])
+def test_a_damaged_part_is_named_with_what_to_do(tmp_path, content):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    plan = plan_of()
+    folder = SweepFolder(tmp_path / "sweep", plan, command="")
+    folder.add(fly_runs(plan.points[0].scenario, {0: 0}))
+    folder.close()
+    part = tmp_path / "sweep" / "parts" / "00000001.parquet"
+    if isinstance(content, bytes):
+        part.write_bytes(content)
+    else:
+        pq.write_table(pa.table({"run": [1]}), part)
+    with pytest.raises(ScenarioError, match=r"00000001\.parquet: .*; delete it and its runs are flown again") as caught:
+        SweepFolder(tmp_path / "sweep", plan, command="")
+    assert len(str(caught.value).splitlines()) == 1
+    part.unlink()
+    SweepFolder(tmp_path / "sweep", plan, command="").close()
+
+
+def test_bad_input_on_the_command_line_is_one_line_and_writes_nothing(tmp_path):
+    (tmp_path / "taken").write_text("a file", encoding="utf-8")
+    for arguments, told, code in (
+        (["--law", "fancy"], 'law.name = "fancy"', 2),
+        (["--seeds", "0"], "--seeds", 2),
+        (["--set", "duration=5", "--out", "taken"], "taken", 1),
+    ):
+        swept = outrider("sweep", "escort", *arguments, cwd=tmp_path)
+        assert swept.returncode == code, swept.stderr
+        assert told in swept.stderr
+        assert len(swept.stderr.strip().splitlines()) == 1
+        assert [path.name for path in tmp_path.iterdir()] == ["taken"]
+
+
+def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(monkeypatch):
+    from outrider.sweep import extras
+
+    monkeypatch.setattr(extras, "find_spec", lambda module: None if module == "distributed" else object())
+    extras.check_extras("joblib", "pyarrow")
+    with pytest.raises(ScenarioError, match=r"distributed is missing: pip install 'outrider\[dask\]'"):
+        extras.check_extras("joblib", "pyarrow", "distributed")
