@@ -13,7 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.messages import (
+    Action,
+    Change,
     Command,
+    Control,
     Detection,
     Drive,
     EscortTruth,
@@ -122,6 +125,9 @@ class Flight:
         self.reports: list[UavReport | None] = [None] * len(self.world.uavs)
         """What each UAV last said of itself."""
         self.assurance = Assurance()
+        """What the safety filters have said."""
+        self.degradations: list[Change] = []
+        """What has been done to links while it was flown, and when."""
         self._stopped = self._abandoned = False
         self._ticks = scenario.ticks
         self._answered = dict.fromkeys(self.world.names, -1)  # the tick that each vehicle's newest command answers
@@ -185,6 +191,8 @@ class Flight:
             ScenarioError: If the settings are impossible, or this vehicle has no such link.
         """
         self.world.links.change(kind, vehicle, settings)
+        control = Control(action=Action.LINK, link=kind, vehicle=vehicle, settings=settings)
+        self.degradations.append(Change(tick=self.world.tick, control=control))
 
     def _listen(self) -> None:
         """Take in what has crossed the ether for this tick, once."""

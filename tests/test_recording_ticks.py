@@ -13,7 +13,21 @@ from flights import HERE, escort
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
 pytest.importorskip("mcap", reason="the extra [record] is not installed")
 
-from bus.messages import Action, Change, Control, Drive, EscortTruth, Law, Status, Truth, UavReport, UgvObservation, VehicleTruth
+from bus.messages import (
+    Action,
+    Change,
+    Control,
+    Drive,
+    EscortTruth,
+    Law,
+    LinkKind,
+    LinkSettings,
+    Status,
+    Truth,
+    UavReport,
+    UgvObservation,
+    VehicleTruth,
+)
 from outrider.recording.observer import RunRecorder
 from outrider.recording.reader import entries, flight_of, load
 from outrider.recording.refly import refly, restore
@@ -21,7 +35,7 @@ from outrider.recording.schemas import CHANGES, Commands, Word, inlined_schema, 
 from outrider.recording.ticks import TickTexts
 from outrider.recording.writer import FlightRecorder
 from outrider.run import InProcess, make_pilots
-from sim.flight import Flight, News
+from sim.flight import Flight
 from sim.scenario import Detections, Scenario, Uav, Ugv
 
 PAIRS = Scenario(
@@ -136,17 +150,6 @@ def test_a_scene_holds_every_body_and_every_track(tmp_path: Path) -> None:
         assert all(sum(name in entity for entity in entities) == 1 for name in names)
 
 
-def _news(flight: Flight, tick: int) -> dict[str, News]:
-    """What `Flight.news` tells."""
-    return {name: told[tick] for name, told in flight._news.items() if tick in told}
-
-
-@pytest.fixture(autouse=True)
-def _with_news(monkeypatch: pytest.MonkeyPatch) -> None:
-    if not hasattr(Flight, "news"):
-        monkeypatch.setattr(Flight, "news", _news, raising=False)
-
-
 SPOKEN = {
     0: [("say", "ugv_0", Drive(driver="anna", velocity=(0.1, 0.0)))],
     7: [("seat", "ugv_0", "teleop")],
@@ -154,6 +157,7 @@ SPOKEN = {
         ("say", "ugv_0", Drive(driver="anna", velocity=(0.1, 1.0 / 3.0))),
         ("say", "ugv_0", Drive(driver="ben", goal=(21.0, 22.0))),
     ],
+    20: [("degrade", LinkKind.RADIO, "uav_0", LinkSettings(loss=0.5))],
     40: [("order", Law(name="switching"))],
     41: [("seat", "ugv_0", "teleop"), ("say", "ugv_0", Drive(driver="anna"))],
 }
@@ -194,6 +198,10 @@ def test_what_operators_said_and_changed_is_in_the_file_with_its_tick(tmp_path: 
     assert [Drive(driver=w.driver, velocity=w.velocity, goal=w.goal) for _, w in recording.words] == words
     assert recording.changes == [
         Change(tick=7, control=Control(action=Action.DRIVER, vehicle="ugv_0", driver="teleop")),
+        Change(
+            tick=20,
+            control=Control(action=Action.LINK, link=LinkKind.RADIO, vehicle="uav_0", settings=LinkSettings(loss=0.5)),
+        ),
         Change(tick=40, control=Control(action=Action.LAW, law=Law(name="switching"))),
         Change(tick=41, control=Control(action=Action.DRIVER, vehicle="ugv_0", driver="teleop")),
     ]
@@ -201,7 +209,7 @@ def test_what_operators_said_and_changed_is_in_the_file_with_its_tick(tmp_path: 
     times = [entry.time for entry in found]
     assert times == sorted(times)
     stamps = [entry.time for entry in found if entry.topic in ("/ugv_0/operator", "/changes")]
-    assert stamps == [round(tick * ONE.dt * 1e9) for tick in (0, 7, 9, 9, 40, 41, 41)]
+    assert stamps == [round(tick * ONE.dt * 1e9) for tick in (0, 7, 9, 9, 20, 40, 41, 41)]
     assert refly(recording).trajectory_sha256 == flight.recorder.sha256()
 
 

@@ -49,10 +49,6 @@ _Item = tuple[Flight, int, _Flown | None, _Other | None]
 """Something for the thread, and its tick: one that was flown, or something else. Tuples, since the tick pays for making them."""
 
 
-def _nothing(_tick: int) -> Mapping[str, News]:
-    return {}
-
-
 def _news_in(told: Mapping[str, News], tick: int) -> Iterator[_Said | Change]:
     """What operators have said and changed at a tick."""
     laws = []
@@ -88,7 +84,7 @@ class FlightRecorder:
         self._done = threading.Event()
         self._fault: Exception | None = None
         self._flight: Flight | None = None  # the one that the flight's thread is at; _written is the writer's
-        self._news: Callable[[int], Mapping[str, News]] = _nothing
+        self._degradations = 0  # of the flight, those that are in the file
         self._written: Flight | None = None
         self._texts: TickTexts
         self._escorts: dict[str, str] = {}
@@ -115,9 +111,12 @@ class FlightRecorder:
         tick, items = flight.world.tick, self._items
         if flight is not self._flight:
             self._take_up(flight)
-        told = self._news(tick - 1)
+        told = flight.news(tick - 1)
         if told:
             items.extend((flight, tick, None, what) for what in _news_in(told, tick - 1))
+        if len(flight.degradations) > self._degradations:
+            items.extend((flight, tick, None, change) for change in flight.degradations[self._degradations :])
+            self._degradations = len(flight.degradations)
         items.append((flight, tick, (flight.commands.tobytes(), tuple(flight.reports)), None))
         while self._early:
             self.event(self._early.pop(0))
@@ -128,7 +127,7 @@ class FlightRecorder:
 
     def _take_up(self, flight: Flight) -> None:
         self._flight, self._next_map, self._next_status = flight, 0, 0
-        self._news = getattr(flight, "news", _nothing)
+        self._degradations = 0
         self._pace = (time.monotonic(), 0)
 
     def _tell_more(self, flight: Flight, tick: int) -> None:
