@@ -32,10 +32,10 @@ from bus.keys import KEYS, SIMULATOR_NAME, Party, Role
 from bus.messages import Law, UavCommand
 from bus.session import open_session
 from outrider.cli import record, render, replay
+from outrider.recording.file import RecordingFile
 from outrider.recording.reader import Damage, Recording, coverages, entries, flight_of, load, repair, statuses, stream, truths
 from outrider.recording.refly import refly, restore
 from outrider.recording.schemas import TOPICS, head_of, inlined_schema, read_head, scenario_in
-from outrider.recording.file import RecordingFile
 from outrider.recording.writer import FlightRecorder
 from outrider.run import InProcess, fly, make_pilots
 from outrider.summary import summarize

@@ -1,4 +1,4 @@
-"""The safety filter in the loop: around a law, a policy and an operator's choice, under bad networks, and honest where it cannot."""
+"""The safety filter in the loop: around a law, a policy, an operator's choice; and honest where nothing can be promised."""
 
 from typing import Any
 
