@@ -141,4 +141,4 @@ def test_a_recording_without_a_status_is_shown_all_the_same(path: Path, monkeypa
     shown(hub)
     assert hub.status is not None
     assert hub.status.geometry is not None
-    assert hub.status.law == "logarithmic"
+    assert hub.status.law == "certified"

@@ -72,7 +72,7 @@ def test_a_shipped_ugv_stands_at_its_last_goal_for_the_last_2_seconds(name: str)
 
 
 def test_the_escort_is_noisy_and_turns_both_ways() -> None:
-    assert (ESCORT.seed, ESCORT.duration, ESCORT.law.name, ESCORT.estimator.enabled) == (7, 200.0, "logarithmic", True)
+    assert (ESCORT.seed, ESCORT.duration, ESCORT.law.name, ESCORT.estimator.enabled) == (7, 200.0, "certified", True)
     assert ESCORT.detections == msgspec.structs.replace(ESCORT.detections, noise=0.1, cut=3.0, rate=20.0, dropout=0.1)
     corners = np.diff(np.array([ESCORT.ugv[0].position, *ESCORT.ugv[0].goals]), axis=0)
     turns = np.sign(corners[:-1, 0] * corners[1:, 1] - corners[:-1, 1] * corners[1:, 0])
