@@ -24,6 +24,7 @@ from typing import Any
 
 OUTRIDER = [sys.executable, "-m", "outrider"]
 RUN = "page"
+OBSERVERS = "dashboard_observer"
 TOKEN = "a-token-for-the-test"  # noqa: S105 - of this test alone
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 _INSTALLING = 300
@@ -103,6 +104,8 @@ class Processes:
 
     @staticmethod
     def _party(kind: str) -> str:
+        if kind == OBSERVERS:
+            return "observer"
         return "operator" if kind.startswith("dashboard") else kind
 
     def start_all(self, port: int, factor: float) -> None:
@@ -119,14 +122,13 @@ class Processes:
         wait_until(lambda: answers(port), "the dashboard listens")
 
     def replay(self) -> int:
-        """A recording of 25 s, played fast; the port of its page."""
+        """A recording of 25 s, played slowly; the port of its page, which opens soon."""
         path, port = str(self._folder / "run.mcap"), free_port()
         if self._running.pop("recording").wait(60.0):
             raise Failed("nothing was recorded")
-        words = ["replay", path, "--dashboard", "--dashboard-port", str(port), "--speed", "2"]
+        words = ["replay", path, "--dashboard", "--dashboard-port", str(port), "--speed", "0.5"]
         with (self._folder / "replay.log").open("ab") as log:
             self._running["replay"] = subprocess.Popen([*OUTRIDER, *words], stdin=subprocess.DEVNULL, stdout=log, stderr=log)
-        wait_until(lambda: answers(port), "the recording's page listens")
         return port
 
     def simulator(self, factor: float) -> None:
@@ -359,20 +361,90 @@ def check_controls(page: Page) -> str:
     return f"pause, step, law, driver, lockstep (factor {fast:.0f}), reset with a seed"
 
 
-def check_recording(processes: Processes, context: Any, pictures: Path | None, complaints: list[str]) -> str:  # noqa: ANN401
+def _slider(page: Page, label: str, share: float) -> None:
+    """Drag a slider with the mouse, slowly enough for a careless page to tell of every step."""
+    slider = page.page.get_by_role("slider", name=label)
+    slider.scroll_into_view_if_needed()
+    box = slider.bounding_box()
+    y = box["y"] + box["height"] / 2
+    page.page.mouse.move(box["x"] + 4, y)
+    page.page.mouse.down()
+    for k in range(1, 11):
+        page.page.mouse.move(box["x"] + box["width"] * share * k / 10, y)
+        time.sleep(0.04)
+    page.page.mouse.up()
+
+
+def check_links(page: Page) -> str:
+    """A slider degrades a link with one word, a blackout is dark, a refusal is shown, and all can be made perfect again."""
+    name = "uav_0/detections"
+    row = page.page.locator(f"[data-link='{name}']")
+    row.click()
+    wait_until(lambda: page.page.get_by_role("combobox", name="link").input_value() == "detections", "the form shows the row")
+    before = len(page.status["changes"])
+    _slider(page, "loss [%]", 0.5)
+    wait_until(lambda: 0.3 < page.status["links"][name]["settings"]["loss"] < 0.7, "the slider sets the loss")
+    share = page.status["links"][name]["settings"]["loss"]
+    wait_until(lambda: page.status["links"][name]["lost"]["loss"] > 0, "detections are lost")
+    if (said := len(page.status["changes"]) - before) != 1:
+        raise Failed(f"one drag of a slider has said {said} things")
+    if any(other["degraded"] for key, other in page.status["links"].items() if key != name):
+        raise Failed("other links are degraded too")
+    wait_until(lambda: f"loss {100 * share:.3g} %" in row.inner_text() and "lost: loss" in row.inner_text(), "the row shows it")
+    page.page.get_by_label("length of the blackout").fill("2")
+    page.click("Blackout for 2 s")
+    wait_until(lambda: "blackout" in row.inner_text() and "left" in row.inner_text(), "the row shows the blackout")
+    wait_until(lambda: page.status["links"][name]["lost"]["blackout"] >= 20, "it takes what is sent meanwhile")
+    if page.status["links"][name]["settings"]["loss"] != share:
+        raise Failed("a blackout has changed the loss")
+    wait_until(lambda: "left" not in row.inner_text(), "it passes")
+    _slider(page, "bursts of [s]", 0.2)
+    wait_until(lambda: page.status["links"][name]["settings"]["burst_interval"] > 0.0, "bursts come with a time between them")
+    interval = page.page.get_by_label("one every, number")
+    interval.fill("0")
+    interval.press("Enter")
+    refusal = page.page.locator("#link-refusal")
+    wait_until(
+        lambda: "burst_interval" in refusal.inner_text() and "allowed" in refusal.inner_text(), "a refusal is shown, and why"
+    )
+    wait_until(lambda: float(interval.input_value()) > 0.0, "the form shows again what is")
+    page.page.get_by_role("button", name="Perfect", exact=True).click()
+    wait_until(lambda: not page.status["links"][name]["degraded"], "it is perfect again")
+    wait_until(lambda: not refusal.inner_text() and "perfect" in row.inner_text(), "and the page says so")
+    return f"one word for a drag, loss {100 * share:.0f} %; blackout of 2 s; a refusal with its reason; perfect again"
+
+
+def check_observer(processes: Processes, port: int, context: Any, complaints: list[str]) -> str:  # noqa: ANN401
+    """Who only looks on sees all, and is told why nothing can be changed."""
+    wait_until(lambda: answers(port), "the observer's dashboard listens")
+    page = Page(context, f"http://127.0.0.1:{port}/", complaints)
+    tick = page.tick
+    wait_until(lambda: page.tick > tick, "it moves")
+    wait_until(lambda: page.page.locator("#links .link-row").count() == 5, "the links are shown")
+    if page.page.get_by_text("only looks on").count() != 1:
+        raise Failed("an observer is not told why nothing can be changed")
+    for button in page.page.locator(".side .q-btn").all():
+        if button.is_enabled():
+            raise Failed(f"an observer can press {button.inner_text()!r}")
+    page.page.close()
+    processes.kill(OBSERVERS)
+    return "all is shown, nothing can be pressed, and the reason is given"
+
+
+def check_recording(processes: Processes, port: int, context: Any, pictures: Path | None, complaints: list[str]) -> str:  # noqa: ANN401
     """It is played, paused, wound and stepped; nothing else can be touched."""
-    port = processes.replay()
+    wait_until(lambda: answers(port), "the recording's page listens")
     page = Page(context, f"http://127.0.0.1:{port}/", complaints)
     wait_until(lambda: page.tick > 20, "it is played")
     page.click("Pause")
     wait_until(lambda: page.status["paused"], "it is paused")
     box = page.page.get_by_role("slider", name="time").bounding_box()
-    page.page.mouse.click(box["x"] + box["width"] * 0.75, box["y"] + box["height"] / 2)
+    page.page.mouse.click(box["x"] + box["width"] * 0.96, box["y"] + box["height"] / 2)
     wait_until(lambda: page.tick > 300, "it is wound forward")
     tick = page.tick
     page.click("Step")
     wait_until(lambda: page.tick == tick + 1, "it is stepped")
-    for name in ("Take the wheel", "Reset"):
+    for name in ("Take the wheel", "Reset", "Perfect", "Blackout"):
         if page.page.get_by_role("button", name=name).is_enabled():
             raise Failed(f"a recording lets one press {name}")
     if page.page.get_by_text("this is a recording").count() != 2:
@@ -403,8 +475,16 @@ def check_dead_simulator(page: Page, processes: Processes) -> str:
     return f"{line!r} after {seconds:.1f} s; gone with the next simulator"
 
 
-def check_doors(port: int, processes: Processes) -> str:
-    """Who is let in, and what is said to whoever cannot be."""
+class Doors:
+    """Dashboards that are refused, and one with a token: started before they are looked at, since all that takes time."""
+
+    def __init__(self, processes: Processes, port: int) -> None:
+        self.port = free_port()
+        self.tried = _refused(processes, port)
+        processes.start("dashboard", "--port", str(self.port), "--token", TOKEN, name="dashboard_2")
+
+
+def _refused(processes: Processes, port: int) -> "dict[str, tuple[subprocess.Popen[str], str]]":
     refused = {
         "a taken port": (["--port", str(port)], "cannot listen"),
         "a host without token": (["--host", "0.0.0.0"], "--token"),  # noqa: S104 - which is refused
@@ -416,7 +496,12 @@ def check_doors(port: int, processes: Processes) -> str:
         command += ["--credentials", processes.files["operator"]]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         tried[what] = (process, said)
-    for what, (process, said) in tried.items():
+    return tried
+
+
+def check_doors(port: int, processes: Processes, doors: Doors) -> str:
+    """Who is let in, and what is said to whoever cannot be."""
+    for what, (process, said) in doors.tried.items():
         told = process.communicate(timeout=60)[1]
         if process.returncode != 2 or said not in told or len(told.strip().splitlines()) != 1:
             raise Failed(f"{what}: exit code {process.returncode}, {told!r}")
@@ -428,8 +513,7 @@ def check_doors(port: int, processes: Processes) -> str:
         "Sec-WebSocket-Key": "x" * 22 + "==",
     }
     _expect(port, "/frames", {**upgrade, "Origin": "http://elsewhere.example"}, 403)
-    second = free_port()
-    processes.start("dashboard", "--port", str(second), "--token", TOKEN, name="dashboard_2")
+    second = doors.port
     wait_until(lambda: answers(second), "the dashboard with a token listens")
     _expect(second, "/", {}, 401)
     _expect(second, "/frames", upgrade, 403)
@@ -484,22 +568,28 @@ def perform(playwright: Any, chromium: str, pictures: Path | None) -> None:  # n
             desk = browser.new_context(viewport={"width": 1280, "height": 800})
             phone = browser.new_context(viewport={"width": 390, "height": 844}, device_scale_factor=2, has_touch=True)
             first = Page(desk, address, complaints)
-            report("a recording", check_recording(processes, desk, pictures, complaints))
             report("the page opens and the vehicles move", check_open_and_moving(first))
             report("at real time", check_frame_rate(first))
             report("reload", check_reload(first))
+            recording = processes.replay()
             report("keys", check_key(first))
             report("gamepad", check_pad(first))
+            observers = free_port()
+            processes.start("dashboard", "--port", str(observers), name=OBSERVERS)
+            report("a recording", check_recording(processes, recording, desk, pictures, complaints))
+            report("a slider degrades the link", check_links(first))
+            report("an observer", check_observer(processes, observers, desk, complaints))
             second = Page(phone, address, complaints)
             for name, page in (("desk", first), ("phone", second)):
                 if pictures is not None:
                     page.page.screenshot(path=pictures / f"{name}.png")
             report("several browsers", check_one_wheel(first, second))
             report("touch", check_touch(second, phone))
+            doors = Doors(processes, port)
             third = Page(desk, address, complaints)
             report("controls", check_controls(third))
             report("a dead simulator", check_dead_simulator(third, processes))
-            report("doors", check_doors(port, processes))
+            report("doors", check_doors(port, processes, doors))
             if complaints:
                 raise Failed("; ".join(complaints[:5]))
             report("the browser", "no errors, and no request left this machine")

@@ -8,6 +8,7 @@ from nicegui import ui
 
 from bus.messages import Action, Control, Law, Status
 from outrider.dashboard.hub import Hub
+from outrider.dashboard.links import LinkForm
 from outrider.dashboard.wheel import TELEOP
 from sim.scenario_checks import DRIVER_NAMES, LAW_NAMES
 
@@ -36,6 +37,7 @@ class Controls:
         with ui.element("div").classes("card wheel-card").props("id=wheel-card"):
             ui.html('<span class="title">The wheel</span>', sanitize=False)
             self._build_wheel()
+        self._links = LinkForm(hub)
 
     def _build_run(self) -> None:
         with ui.element("div").classes("row-of"):
@@ -71,12 +73,14 @@ class Controls:
         with ui.element("div").classes("row-of"):
             ui.label("full speed").classes("muted")
             self._full = (
-                ui.slider(min=0.05, max=2.0, step=0.05, value=self._hub.wheel.full)
+                ui.slider(min=0.05, max=1.0, step=0.05, value=self._hub.wheel.share)
                 .props("aria-label='full speed' color=accent")
                 .classes("grow")
             )
             self._full.on("change", self._set_full)
-            ui.label().classes("readout").bind_text_from(self._full, "value", lambda value: f"{value:.2f} m/s")
+            self._top = ui.label().classes("readout")
+            self._full.on_value_change(self._show_full)
+            self._show_full()
 
     def _build_laws(self) -> None:
         laws = [name for name in LAW_NAMES if name not in _OWN]
@@ -123,7 +127,13 @@ class Controls:
             self._wanted = ("driver", self._driver.value)
 
     def _set_full(self) -> None:
-        self._hub.wheel.full = float(self._full.value)
+        self._hub.wheel.share = float(self._full.value)
+
+    def _show_full(self) -> None:
+        """The share of the slider as a speed: of the UGV that is driven, or of the fastest."""
+        wheel = self._hub.wheel
+        tops = [wheel.top(name) for name in ([wheel.vehicle] if wheel.holder else self._hub.drivers)]
+        self._top.set_text(f"{self._full.value * max(tops, default=wheel.top('')):.2f} m/s")
 
     # What is
 
@@ -132,6 +142,8 @@ class Controls:
         status = self._hub.status
         if status is None:
             return
+        self._links.show()
+        self._show_full()
         self._pause.set_text("Resume" if status.paused else "Pause")
         self._pause.set_icon("play_arrow" if status.paused else "pause")
         if time.monotonic() - self._touched < _PATIENCE:
@@ -139,7 +151,7 @@ class Controls:
         self._tell_refusal(status)
         self._shows = True
         try:
-            self._full.set_value(self._hub.wheel.full)
+            self._full.set_value(self._hub.wheel.share)
             self._lockstep.set_value(status.wanted_factor is None)
             if status.wanted_factor:
                 self._speed.set_value(position_of(status.wanted_factor))

@@ -13,6 +13,7 @@ import msgspec
 from bus.messages import Action, CoverageMap, Law, Message, Status, Truth
 from outrider.dashboard import LOOPBACK
 from outrider.dashboard.history import History
+from outrider.dashboard.network import said_of_links
 from outrider.dashboard.source import Source
 from outrider.dashboard.wheel import Wheel
 
@@ -85,6 +86,8 @@ class Hub:
             newest[type(message)] = message
             if isinstance(message, Status):
                 self.status = message
+                self.history.losses.take(message)
+                self.wheel.limits = {} if message.geometry is None else message.geometry.limits
             elif isinstance(message, Truth):
                 self.history.add(message, self.source.factor, self._dt)
         for message in newest.values():
@@ -148,6 +151,7 @@ class Hub:
             frame["truth"], frame["now"] = self._raw[Truth], self.history.newest
         if browser.status != versions[Status]:
             frame["status"] = self._raw[Status]
+            frame["links"] = None if self.status is None else said_of_links(self.status)
         if browser.map != versions[CoverageMap]:
             frame["map"] = self._raw[CoverageMap]
         browser.truth, browser.status, browser.map = versions[Truth], versions[Status], versions[CoverageMap]

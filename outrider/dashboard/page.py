@@ -7,6 +7,7 @@ from matplotlib.colors import to_hex
 from nicegui import ui
 
 from outrider import style
+from outrider.dashboard.links import OBSERVER, LinkForm
 
 BuildControls = Callable[[], Callable[[], None]]
 """Puts the controls of one browser where it is called, and gives what lets them show how things stand."""
@@ -42,6 +43,7 @@ _CHARTS = """<div class="charts-head"><span class="title">Over time</span>
         ("distance", "distance over time"),
         ("error", "coverage error over time"),
         ("estimate", "error of the estimate over time"),
+        ("age", "age of the newest detection over time, and the share of detections lost"),
         ("factor", "real-time factor over time"),
     )
 )
@@ -76,7 +78,7 @@ def build_page(controls: BuildControls | None) -> None:
     """Make the page known to NiceGUI; each browser gets one of its own.
 
     Args:
-        controls: Builds what can be touched; None: nothing.
+        controls: Builds what can be touched, and the card of the links among it; None: nothing can be.
     """
 
     @ui.page("/", title="Outrider")
@@ -91,9 +93,8 @@ def build_page(controls: BuildControls | None) -> None:
             with ui.element("div").classes("side"):
                 if controls is not None:
                     ui.timer(_PERIOD, controls())
-                # What the links do to messages is to be set here, by controls like the others; how they have done is drawn.
-                with ui.element("div").classes("card links-card").props("id=links-card hidden"):
-                    ui.html('<span class="title">Links</span><div id="links"></div>', sanitize=False)
+                else:
+                    LinkForm(None, OBSERVER)
                 with ui.element("div").classes("card"):
                     ui.html('<span class="title">Processes</span><div id="processes"></div>', sanitize=False)
                 with ui.element("div").classes("card"):

@@ -9,6 +9,7 @@ from nicegui.events import GenericEventArguments
 
 from outrider.dashboard.controls import choose, factor_of, position_of
 from outrider.dashboard.hub import Hub
+from outrider.dashboard.links import RECORDING, LinkForm
 from outrider.dashboard.tape import Tape
 
 _PATIENCE = 1.0
@@ -39,6 +40,7 @@ class Player:
             with ui.element("div").classes("row-of"):
                 ui.button("Take the wheel", icon="sports_esports").props("unelevated dense color=accent disable").classes("grow")
             ui.label("Nobody can drive: this is a recording.").classes("note")
+        LinkForm(None, RECORDING)
 
     def _build_player(self) -> None:
         tape = self._tape

@@ -50,7 +50,7 @@ class Tape:
         self._at = self._times[0]
         self._looked: float | None = None
         self._told = 0.0
-        self._truth = self._map = -1  # what was given last
+        self._truth = self._map = self._status_given = -1  # what was given last
         self._given = self._at
 
     @property
@@ -98,27 +98,33 @@ class Tape:
             self.playing = self._at < self.end
         self._looked = now
         index = self._index()
+        yield from self._on_the_way_to(index)
         if now - self._told >= _PERIOD or not self.playing:
             self._told = now
             yield self._status(self._truths[index])
-        yield from self._on_the_way_to(index)
         ground = bisect_right(self._map_ticks, self._truths[index].tick) - 1
         if ground != self._map and ground >= 0:
             self._map = ground
             yield self._maps[ground]
 
-    def _on_the_way_to(self, index: int) -> Iterator[Truth]:
-        """The truths that lead there from where the tape was, or from its start if it was wound back."""
+    def _on_the_way_to(self, index: int) -> Iterator[Status | Truth]:
+        """The truths that lead there from where the tape was, or from its start if it was wound back, and statuses between."""
         if index == self._truth:
             return
         first = self._truth + 1 if index > self._truth else 0
         self._truth = index
         for truth in (*self._truths[first : index : max(1, (index - first) // _PAST)], self._truths[index]):
+            if self._status_index(truth.time) != self._status_given:
+                yield self._status(truth)
             self._given = truth.time
             yield truth
 
+    def _status_index(self, at: float) -> int:
+        return max(0, bisect_right(self._status_times, at + 1e-9) - 1)
+
     def _status(self, truth: Truth) -> Status:
-        told = self._statuses[max(0, bisect_right(self._status_times, self._at + 1e-9) - 1)]
+        self._status_given = self._status_index(truth.time)
+        told = self._statuses[self._status_given]
         return msgspec.structs.replace(
             told,
             tick=truth.tick,

@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 
-from bus.messages import Action, Control, Drive, Vector
+from bus.messages import Action, Control, Drive, Limits, Vector
 
 TELEOP = "teleop"
 """The driver that does what an operator says, a row of `agents.drivers.table.DRIVERS`."""
@@ -12,6 +12,8 @@ _PATIENCE = 3.0
 """So long a browser at the wheel may be silent [s]."""
 _SETTLING = 2.0
 """So long the simulator may take to seat the driver [s]."""
+_UNBOUNDED = 1.0
+"""The largest speed of a vehicle that has no bound, or none that is known [m/s]."""
 _GAP = 0.04
 """Wall time between two words to the vehicle at least [s]."""
 
@@ -32,8 +34,20 @@ class Wheel:
         """The browser that holds it; 0: none."""
         self.name = ""
         self.vehicle = ""
-        self.full = 0.2
-        """Speed at full deflection [m/s]."""
+        self.share = 1.0
+        """Of the vehicle's largest speed, at full deflection."""
+        self.limits: Mapping[str, Limits] = {}
+        """The vehicles' bounds, where they are known."""
+
+    def top(self, vehicle: str) -> float:
+        """The largest speed that can be asked of a vehicle [m/s]."""
+        known = self.limits.get(vehicle)
+        return _UNBOUNDED if known is None or known.max_speed is None else known.max_speed
+
+    @property
+    def full(self) -> float:
+        """Speed of the vehicle that is driven at full deflection [m/s]."""
+        return self.share * self.top(self.vehicle)
 
     def take(self, browser: int, name: str, vehicle: str, drivers: Mapping[str, str]) -> bool:
         """Sit down at a vehicle's wheel; False if somebody sits there."""

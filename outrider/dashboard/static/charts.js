@@ -6,8 +6,13 @@ export const CHARTS = [
   { id: "distance", label: "distance ‖p_Δ‖ [m]", column: 0, lines: true },
   { id: "error", label: "coverage error e(t) [m²]", column: 1 },
   { id: "estimate", label: "estimate error [m]", column: 2, least: 0.01 },
+  { id: "age", label: "age of the newest detection [s]", column: 3, least: 0.1, losses: true },
   { id: "factor", label: "real-time factor [×]", column: -1, time: true },
 ];
+
+// Numbers that a row has for each escort; the fifth is the share of detections lost, the sixth says that there is a blackout.
+export const PER_ESCORT = 6;
+const [LOST, DARK] = [4, 5];
 
 export class Charts {
   constructor(store) {
@@ -44,7 +49,14 @@ export class Charts {
     const { vehicles, escorts, colors } = this.store;
     if (chart.column < 0) return [{ at: 1, color: colors.ink }];
     const offset = 2 + 2 * vehicles.length + chart.column;
-    return escorts.map((_, k) => ({ at: offset + 3 * k, color: colorOf(colors.uav, k) }));
+    return escorts.map((_, k) => ({ at: offset + PER_ESCORT * k, color: colorOf(colors.uav, k) }));
+  }
+
+  // The largest of a number over all escorts, row by row.
+  worst(which) {
+    const { vehicles, escorts } = this.store;
+    const places = escorts.map((_, k) => 2 + 2 * vehicles.length + PER_ESCORT * k + which);
+    return (row) => Math.max(0, ...places.map((at) => row[at] || 0));
   }
 
   drawOne(chart, canvas, rows, start, end) {
@@ -63,6 +75,7 @@ export class Charts {
     const X = (t) => left + ((t - start) / (end - start)) * w;
     const Y = (v) => top + h - (v / high) * h;
 
+    this.drawBlackouts(c, rows, X, top, h);
     c.font = `11px ${FONT}`;
     c.textBaseline = "middle";
     c.textAlign = "right";
@@ -85,7 +98,8 @@ export class Charts {
     c.font = `12px ${FONT}`;
     if (chart.time) c.fillText("time [s]", left + w / 2, height - 7);
     c.textAlign = "left";
-    write(c, chart.label, left, 9);
+    const named = write(c, chart.label, left, 9);
+    if (chart.losses) this.drawLosses(c, rows, X, { left: left + named, right: left + w, bottom: top + h });
 
     for (const [value, name, dash] of limits) {
       c.strokeStyle = colors.limit;
@@ -102,6 +116,41 @@ export class Charts {
     c.lineJoin = "round";
     for (const { at, color } of series) drawLine(c, rows, at, color, X, Y);
     if (this.cursor !== null) this.drawCursor(c, rows, series, { X, Y, left, w, top, h, start, end });
+  }
+
+  // A shade where a blackout took messages.
+  drawBlackouts(c, rows, X, top, h) {
+    const dark = this.worst(DARK);
+    c.fillStyle = `${this.store.colors.limit}24`;
+    for (let k = 1; k < rows.length; k += 1) {
+      const [from, to] = [Math.round(X(rows[k - 1][0])), Math.round(X(rows[k][0]))];
+      if (dark(rows[k])) c.fillRect(from, top, to - from, h);
+    }
+  }
+
+  // A strip below the axis, the darker the more is lost; and what shade and strip mean, where there is room and no cursor.
+  drawLosses(c, rows, X, { left, right, bottom }) {
+    const { limit } = this.store.colors;
+    const lost = this.worst(LOST);
+    c.fillStyle = limit;
+    for (let k = 1; k < rows.length; k += 1) {
+      const share = lost(rows[k]);
+      if (!share) continue;
+      c.globalAlpha = 0.25 + 0.75 * share;
+      const [from, to] = [Math.round(X(rows[k - 1][0])), Math.round(X(rows[k][0]))];
+      c.fillRect(from, bottom + 2, to - from, 4);
+    }
+    c.globalAlpha = 1;
+    if (this.cursor !== null || right - left < 120) return;
+    c.textAlign = "right";
+    c.font = `11px ${FONT}`;
+    c.fillText("blackout", right, 9);
+    const at = right - c.measureText("blackout").width;
+    c.fillText("lost", at - 26, 9);
+    c.fillRect(at - 26 - c.measureText("lost").width - 15, 7, 12, 5);
+    c.globalAlpha = 0.16;
+    c.fillRect(at - 15, 4, 12, 10);
+    c.globalAlpha = 1;
   }
 
   drawCursor(c, rows, series, { X, Y, left, w, top, h, start, end }) {

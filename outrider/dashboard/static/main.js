@@ -1,6 +1,6 @@
 // The page's own part: it keeps what the frames bring, and shows it.
 
-import { Charts } from "./charts.js";
+import { Charts, PER_ESCORT } from "./charts.js";
 import { Ground, keepDetections } from "./ground.js";
 import { openLink } from "./link.js";
 import { Wheel } from "./wheel.js";
@@ -21,6 +21,8 @@ const store = {
   ugvs: [],
   detections: [],
   state: null,
+  steer: false,
+  said: null,
 };
 const stats = { frames: 0, rate: 0 };
 const $ = (id) => document.getElementById(id);
@@ -35,7 +37,8 @@ function setText(element, text) {
   if (element && element.textContent !== text) element.textContent = text;
 }
 
-function takeHello({ colors }) {
+function takeHello({ colors, steer }) {
+  store.steer = steer;
   store.colors = colors;
   store.shades = Uint32Array.from(colors.covered, (color) => {
     const value = parseInt(color.slice(1), 16);
@@ -53,6 +56,7 @@ function takeStatus(status) {
 function take(frame, ground) {
   store.state = frame.state;
   if (frame.status) takeStatus(frame.status);
+  if (frame.links) store.said = frame.links;
   if (frame.history) {
     store.rows = [];
     store.vehicles = frame.history.vehicles;
@@ -82,7 +86,7 @@ function showTiles() {
   showTile("time", truth ? truth.time : status && status.time, 1);
   showTile("factor", state && state.factor, 2);
   if (!now) return;
-  const column = (which) => escorts.map((_, k) => now[2 + 2 * vehicles.length + 3 * k + which]).filter((v) => v !== null);
+  const column = (which) => escorts.map((_, k) => now[2 + 2 * vehicles.length + PER_ESCORT * k + which]).filter((v) => v !== null);
   const worst = (values) => (values.length ? Math.max(...values) : null);
   const distance = worst(column(0));
   const margin = geometry && distance !== null ? geometry.visibility_radius - distance : null;
@@ -165,32 +169,63 @@ function showState(state, wheel) {
     row("this page", state.gone ? "unknown" : "good", state.gone ? "no longer served" : `${stats.rate.toFixed(0)} frames/s`, state.browsers > 1 ? `${state.browsers} browsers look on` : ""),
   ];
   setHtml($("processes"), rows.join(""));
-  showLinks(status, row);
+  showLinks(status);
   showChanges(status);
   showWheel(state, wheel);
 }
 
 // A simulator that tells of its links has them in its status, by name.
-function showLinks(status, row) {
+function showLinks(status) {
   const links = Object.entries((status && status.links) || {});
   $("links-card").hidden = !links.length;
-  const lines = links.map(([name, { sent = 0, delivered = 0, delivery_ratio: ratio, lost, age }]) => {
-    const share = ratio ?? (sent ? delivered / sent : null);
-    const causes = typeof lost === "object" && lost ? Object.entries(lost).filter(([, count]) => count) : [];
-    const notes = [...causes.map(([cause, count]) => `${cause} ${count}`), ...(typeof lost === "number" && lost ? [`lost ${lost}`] : [])];
-    const text = [share === null ? "" : `${(100 * share).toFixed(0)} %`, age === null || age === undefined ? "" : `${age.toFixed(2)} s old`];
-    return row(name, share === null || share > 0 ? "good" : "bad", text.filter(Boolean).join(" · "), notes.join(", "));
-  });
-  setHtml($("links"), lines.join(""));
+  const tag = store.steer ? "button" : "div";
+  setHtml($("links"), links.map(([name]) => `<${tag} type="button" data-link="${escapeText(name)}"></${tag}>`).join(""));
+  links.forEach(([name, link], k) => showLink($("links").children[k], name, link, status.time));
+  setText($("link-refusal"), status ? refusedLink(status) : "");
 }
 
-function describe({ action, ticks, factor, seed, law, vehicle, driver }) {
+// The row itself stays, so that a click on it is one whatever changes meanwhile.
+function showLink(row, name, { delivery_ratio: ratio, age, lost, degraded, settings }, time) {
+  const known = (value, text) => (value === null || value === undefined ? "–" : text(value));
+  const planned = (settings && settings.blackouts) || [];
+  const left = Math.max(0, ...planned.filter(([start]) => start <= time).map(([start, length]) => start + length - time));
+  const causes = Object.entries(lost || {}).filter(([, count]) => count);
+  const words = (store.said && store.said.of[name]) || (degraded ? "degraded" : "perfect");
+  const state = left > 0 ? "bad" : words === "perfect" ? "good" : "warn";
+  const dark = left > 0 ? `<b>blackout, ${left.toFixed(1)} s left</b> · ` : "";
+  const gone = causes.length ? `lost: ${causes.map(([cause, count]) => `${cause} ${count}`).join(", ")}` : "";
+  row.className = `link-row ${state}`;
+  const numbers = [known(ratio, (v) => `${percent(v)} %`), known(age, (v) => `${v.toFixed(v < 100 ? 2 : 0)} s`)];
+  setHtml(
+    row,
+    `<i></i><span class="name">${escapeText(name)}</span>${numbers.map((text) => `<output>${text}</output>`).join("")}
+    <small><span>${dark}${escapeText(words)}</span>${gone ? `<span class="gone">${escapeText(gone)}</span>` : ""}</small>`,
+  );
+}
+
+// Not 100 % where anything was lost.
+function percent(share) {
+  const shown = (100 * share).toFixed(share > 0.99 ? 1 : 0);
+  return Number(shown) === 100 ? (share < 1 ? "99.9" : "100") : shown;
+}
+
+// The last wish for a link that was refused, and why, until a later one is granted.
+function refusedLink({ refusals, changes, tick }) {
+  const found = (refusals || []).map((line) => /^tick (\d+): an operator's link is refused: (.*)$/.exec(line)).filter(Boolean).pop();
+  if (!found || Number(found[1]) > tick) return "";
+  const granted = (changes || []).filter(({ control }) => control.action === "link").pop();
+  return granted && granted.tick > Number(found[1]) ? "" : `Refused: ${found[2]}`;
+}
+
+function describe({ action, ticks, factor, seed, law, vehicle, driver, link, settings }, said, at) {
+  const planned = ((settings && settings.blackouts) || []).filter(([start, length]) => start + length > at);
   const words = {
     step: () => `step ${ticks || 1}`,
     speed: () => (factor ? `speed × ${factor}` : "lockstep"),
     reset: () => (seed === null || seed === undefined ? "reset" : `reset, seed ${seed}`),
     law: () => `law ${law ? law.name : ""}`,
     driver: () => `${vehicle || "UGVs"}: driver ${driver}`,
+    link: () => `${vehicle || "every"}/${link}: ${said}${planned.length ? `, blackout of ${planned.pop()[1]} s` : ""}`,
   };
   return (words[action] || (() => action))();
 }
@@ -200,8 +235,9 @@ function showChanges(status) {
   const refusals = (status && status.refusals) || [];
   const dt = store.geometry ? store.geometry.dt : null;
   const when = (tick) => (dt ? `${(tick * dt).toFixed(1)} s` : `tick ${tick}`);
-  const lines = changes.slice(-6).reverse();
-  const done = lines.map(({ tick, control }) => `<div><span>${when(tick)}</span>${escapeText(describe(control))}</div>`);
+  const words = (store.said && store.said.changes) || [];
+  const lines = changes.map(({ tick, control }, k) => [tick, describe(control, words[k] || "", dt ? tick * dt : 0)]).slice(-6).reverse();
+  const done = lines.map(([tick, text]) => `<div><span>${when(tick)}</span><p>${escapeText(text)}</p></div>`);
   const refused = refusals.slice(-3).reverse().map((line) => `<div class="refused">refused: ${escapeText(line)}</div>`);
   setHtml($("changes"), [...refused, ...done].join("") || "nothing yet");
 }
@@ -283,6 +319,10 @@ whenBuilt(() => {
   });
   wheel = new Wheel(link.say);
   window.addEventListener("resize", ask);
+  $("links").addEventListener("click", (event) => {
+    const row = event.target.closest("[data-link]");
+    if (row && store.steer) emitEvent("choose_link", row.dataset.link); // NiceGUI's: the form shows this link
+  });
   for (const button of document.querySelectorAll("[data-span]")) {
     button.addEventListener("click", () => {
       charts.span = Number(button.dataset.span);
