@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from bus.messages import LinkKind
 from outrider.cli.main import COMMANDS
 from sim.scenario import load_scenario
 
@@ -26,9 +27,25 @@ def test_the_examples_are_shown_as_they_are(example: str) -> None:
 
 
 def test_the_scenario_shown_can_be_flown(tmp_path: Path) -> None:
-    (shown,) = blocks("toml")
+    shown = next(block for block in blocks("toml") if "title" in block)
     (tmp_path / "mine.toml").write_text(shown, encoding="utf-8")
     assert load_scenario(tmp_path / "mine.toml").title == "Across the yard"
+
+
+def test_the_links_shown_can_be_flown(tmp_path: Path) -> None:
+    shown, links = (next(block for block in blocks("toml") if word in block) for word in ("title", "[links]"))
+    (tmp_path / "mine.toml").write_text(shown + links, encoding="utf-8")
+    settings = load_scenario(tmp_path / "mine.toml").links
+    assert (settings.commands.delay, settings.detections.jitter_shape) == (0.1, "exponential")
+    assert settings.of("uav_0", LinkKind.DETECTIONS).blackouts == ((30.0, 5.0),)
+
+
+def test_the_filter_shown_keeps_sight(tmp_path: Path) -> None:
+    shown = next(block for block in blocks("python") if "SafetyFilterWrapper" in block)
+    run = subprocess.run([sys.executable, "-c", shown], cwd=tmp_path, capture_output=True, text=True, check=True)
+    count, said = run.stdout.split(" ", 1)
+    assert int(count) > 100
+    assert said == "commands were not let through; certified: True\n"
 
 
 def test_the_commands_shown_exist() -> None:

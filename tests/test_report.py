@@ -13,7 +13,7 @@ from test_sweep import outrider
 from bus.errors import ScenarioError
 from outrider.report.figures import MOST_PANELS, color_of, draw_all, positions
 from outrider.report.labels import label_of, number, tick_of, value_of
-from outrider.report.page import holds, markdown, page
+from outrider.report.page import certified_runs, holds, markdown, page
 from outrider.report.reading import Material, read_material
 from outrider.statistics import mean_interval, student_t, wilson_interval
 from outrider.style import LAW
@@ -103,13 +103,39 @@ def test_runs_are_counted_where_they_belong(material):
     assert holds(panel, "circle") == ("-", False)
 
 
+def test_where_nothing_was_certified_a_lost_run_breaks_no_certificate(tmp_path):
+    plan = plan_of(laws="linear,certified")
+    rows = [made_up(plan, run) for run in range(plan.runs)]
+    for run, row in enumerate(rows):
+        head = plan.head(run)
+        if head["law"] == "certified":
+            late = (head.get("links.detections.delay") or 0.0) >= 2.0
+            row |= {"violated": late and head["seed"] == 0, "certified_share": 0.5 if late else 1.0}
+    with SweepFolder(tmp_path / "sweep", plan, command="outrider sweep") as folder:
+        folder.add(iter(rows))
+        folder.finish()
+    material = read_material([tmp_path / "sweep"])
+    assert holds(material.panels[0], "certified") == ("to 1 s, broken at 2 s, where it is not certified", False)
+    assert certified_runs(material) == "15 runs were certified at every tick; 0 of them lost the UGV."
+    assert "| 50 % |\n" in markdown(material)
+    for row in rows[:]:
+        if row["certified_share"] == 0.5:
+            row["certified_share"] = 1.0
+    with SweepFolder(tmp_path / "broken", plan, command="outrider sweep") as folder:
+        folder.add(iter(rows))
+        folder.finish()
+    material = read_material([tmp_path / "broken"])
+    assert holds(material.panels[0], "certified") == ("to 1 s, broken at 2 s", False)
+    assert certified_runs(material) == "20 runs were certified at every tick; 1 of them lost the UGV."
+
+
 def test_the_markdown_table_has_every_value_and_law(material):
     text = markdown(material)
     assert "| delay of the detections | to 1 s, broken at 2 s | to 0.5 s, broken at 1 s |" in text
-    assert "| 1 s | switching | 5 | 4 (80 %) | 38 % to 96 % | -0.29 | -0.27 | 112 | 1 | 90 % |" in text
+    assert "| 1 s | switching | 5 | 4 (80 %) | 38 % to 96 % | -0.29 | -0.27 | 112 | 1 | 90 % | - |" in text
     assert "| 2 s | linear | 4 (+1 failed) | 1 (25 %) |" in text
     widths = {line.count("|") for line in text.splitlines() if " s | " in line and "broken" not in line}
-    assert widths == {11}
+    assert widths == {12}
     assert text.count(" s | linear | ") + text.count(" | 0 | linear") >= 3
 
 

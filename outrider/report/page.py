@@ -22,7 +22,11 @@ COLUMNS = (
     "mean e(t) [m²]",
     "age of detections [s]",
     "arrived",
+    "certified",
 )
+
+
+_UNPROMISED = ", where it is not certified"
 
 
 def _percent(share: float) -> str:
@@ -37,7 +41,7 @@ def cells_of(law: str, cell: Cell) -> list[str]:
     """A row of the table: the texts under `COLUMNS`."""
     runs = f"{len(cell.flown)}" + (f" (+{cell.failed} failed)" if cell.failed else "")
     rate, found = cell.rate(), cell.numbers("margin")
-    arrived = cell.numbers("detections_delivery_ratio")
+    arrived, certified = cell.numbers("detections_delivery_ratio"), cell.numbers("certified_share")
     return [
         law,
         runs,
@@ -48,7 +52,18 @@ def cells_of(law: str, cell: Cell) -> list[str]:
         _mean(cell.numbers("mean_error")),
         _mean(cell.numbers("detections_mean_age"), 2),
         _percent(fmean(arrived)) if arrived else "-",
+        f"{100.0 * fmean(certified):.4g} %" if certified else "-",
     ]
+
+
+def certified_runs(material: Material) -> str:
+    """How many runs were certified at every tick, and how many of them lost the UGV; empty where none was."""
+    cells = [panel.cell(law, value) for panel in material.panels for law in panel.laws for value in panel.values]
+    runs = [row for cell in cells for row in cell.certified]
+    if not runs:
+        return ""
+    lost = sum(row["violated"] for row in runs)
+    return f"{len(runs):,} runs were certified at every tick; {lost:,} of them lost the UGV."
 
 
 def rows_of(panel: Panel) -> Iterator[tuple[str, list[str]]]:
@@ -67,10 +82,14 @@ def holds(panel: Panel, law: str) -> tuple[str, bool]:
     if not flown:
         return "-", False
     for value in flown:
-        if panel.cell(law, value).violated:
+        cell = panel.cell(law, value)
+        if cell.violated:
+            promised = (
+                "" if any(row["violated"] for row in cell.certified) or not cell.numbers("certified_share") else _UNPROMISED
+            )
             if kept is None:
-                return f"broken at {value_of(panel.field, value)}" if panel.field else "broken", False
-            return f"to {value_of(panel.field, kept)}, broken at {value_of(panel.field, value)}", False
+                return (f"broken at {value_of(panel.field, value)}" if panel.field else "broken") + promised, False
+            return f"to {value_of(panel.field, kept)}, broken at {value_of(panel.field, value)}{promised}", False
         kept = value
     return (f"to {value_of(panel.field, kept)}, all that was tried" if panel.field else "holds"), True
 
@@ -85,6 +104,8 @@ def markdown(material: Material) -> str:
         lines += ["", f"**{_plain(panel.title)}**", ""]
         lines += [f"| {_plain(panel.label) or '-'} | " + " | ".join(COLUMNS) + " |", "|---" * (len(COLUMNS) + 1) + "|"]
         lines += [f"| {_plain(value)} | " + " | ".join(row) + " |" for value, row in rows_of(panel)]
+    if certified_runs(material):
+        lines += ["", certified_runs(material)]
     return "\n".join(lines) + "\n"
 
 
@@ -187,7 +208,7 @@ def page(material: Material, pictures: dict[str, Path], command: str) -> str:
         parts.append(f"<p><b>Not finished:</b> {material.missing:,} runs are still to be flown; the same command goes on.</p>")
     parts += [
         "<h2>How far each law keeps the promise</h2>",
-        f"<p>The largest value up to which no run lost sight of the UGV. {_caution(material)}</p>",
+        f"<p>The largest value up to which no run lost sight of the UGV. {_caution(material)} {certified_runs(material)}</p>",
         *_overview(material),
     ]
     for name, path in pictures.items():

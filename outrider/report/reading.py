@@ -40,6 +40,11 @@ class Cell:
         """In how many the UGV was lost from sight."""
         return sum(row["violated"] for row in self.flown)
 
+    @property
+    def certified(self) -> list[dict[str, Any]]:
+        """Those in which sight was certified at every tick."""
+        return [row for row in self.flown if row["certified_share"] == 1.0]
+
     def rate(self) -> tuple[float, float, float] | None:
         """The share of runs that lost the UGV, with its 95 % interval; None without runs."""
         runs = len(self.flown)
