@@ -81,6 +81,18 @@ function showTile(name, value, digits, bad = false) {
   tile.classList.toggle("bad", bad);
 }
 
+// What the safety filters say, under the margin that they keep: certified, acting, or why nothing can be promised.
+function showPromise(truth) {
+  const reports = (truth ? truth.escorts : []).map(({ report }) => report).filter((report) => report && report.certified !== null);
+  const broken = reports.find((report) => !report.certified);
+  const acts = reports.some((report) => report.intervened);
+  const words = broken ? "not certified" : acts ? "filter acts" : "certified";
+  const tile = $("tile-margin");
+  setText(tile.querySelector("small"), reports.length ? `m · ${words}` : "m");
+  tile.classList.toggle("unsure", Boolean(broken));
+  tile.title = broken ? broken.uncertified : "";
+}
+
 function showTiles() {
   const { now, vehicles, escorts, geometry, status, truth, state } = store;
   showTile("time", truth ? truth.time : status && status.time, 1);
@@ -92,6 +104,7 @@ function showTiles() {
   const margin = geometry && distance !== null ? geometry.visibility_radius - distance : null;
   showTile("distance", distance, 2);
   showTile("margin", margin, 2, margin !== null && margin < 0);
+  showPromise(truth);
   showTile("error", worst(column(1)), 1);
   showTile("estimate", worst(column(2)), 3);
 }
