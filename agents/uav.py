@@ -105,7 +105,10 @@ class UavPilot:
             self._fly(observation.law)
         estimate = self.perceive(observation)
         if estimate is None:
-            return UavCommand(tick=observation.tick, acceleration=self._wait(observation))
+            wanted = self._wait(observation)
+            if self.filter is not None:  # which must know every command that is on its way
+                wanted = self.filter.filter(observation, wanted).acceleration
+            return UavCommand(tick=observation.tick, acceleration=wanted)
         wanted, verdict = self._steer(observation, estimate.position), None
         if self.filter is not None:
             verdict = self.filter.filter(observation, wanted)

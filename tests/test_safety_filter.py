@@ -154,6 +154,19 @@ def test_a_wrapped_environment_refuses_nonsense_as_the_plain_one_does(action: An
     env.step({"uav_0": np.zeros(2), "ugv_0": np.zeros(2)})
 
 
+def test_commands_on_their_way_before_the_first_detection_are_known_to_the_filter() -> None:
+    """A UAV that starts moving brakes while it sees nothing; with a delay those commands still act after the first detection."""
+    scenario = watched(
+        "links.commands.delay=0.5",
+        "links.detections.delay=0.3",
+        "uav.0.velocity=[0.3, 0.2]",
+        "certificate.age=1.5",
+        duration=10.0,
+    )
+    _, summary = fly(scenario, 7)
+    assert set(summary.uncertified) == {"the UAV has no estimate yet, or its command did not come"}
+
+
 def test_a_filter_may_be_taken_up_in_the_middle_of_a_flight() -> None:
     """An operator chooses the law while it flies: the certificate begins with the next detection."""
     from agents.uav import UavPilot

@@ -9,6 +9,7 @@ inequality says that the next plan exists, whatever has been detected meanwhile.
 All positions in the world's frame [m], times [s], speeds [m/s], accelerations [m/s²].
 """
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -310,6 +311,7 @@ def handover_radius(r_v: float, eps: float, rho: float, v_a: float, u_a: float, 
     return math.nan
 
 
+@functools.lru_cache(maxsize=1024)
 def certificate(
     *,
     r_v: float,

@@ -1,0 +1,298 @@
+"""`outrider falsify`: a search for what breaks the promise."""
+
+import os
+import shlex
+import time
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from outrider.cli.options import Json, ScenarioName, Set
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from outrider.falsify.engines import Found, Wanted
+    from sim.scenario import Scenario
+
+_MINUTES = 1.0
+_FLIGHT, _ATTACK = 60.0, 200.0
+"""How long a run lasts by default [s]."""
+_DELAY, _COMMAND_DELAY, _LOSS, _BLACKOUT = 1.0, 0.5, 0.3, 5.0
+"""The limits by default [s], [s], share, [s]."""
+_LINE = 10.0
+"""Where there is no terminal, a line of progress so often [s], and one at the first violation."""
+
+
+class Expect(StrEnum):
+    """What the exit code is to say."""
+
+    NONE = "none"
+    SOME = "some"
+
+
+class Only(StrEnum):
+    """One engine alone."""
+
+    FLIGHTS = "flights"
+    ATTACK = "attack"
+
+
+class Control(StrEnum):
+    """Guards that are known to be wrong."""
+
+    TRACKING = "tracking"
+    ARGMIN = "argmin"
+    PAPER_RADIUS = "paper-radius"
+    SWITCHING = "switching"
+
+
+def command(
+    scenario: ScenarioName = "escort",
+    law: Annotated[str | None, typer.Option("--law", help="The law to be broken, instead of the scenario's.")] = None,
+    undegraded: Annotated[
+        bool, typer.Option("--undegraded", help="No noise and a perfect network: the UGV's motion and the start alone.")
+    ] = False,
+    runs: Annotated[int | None, typer.Option(help="How many runs; the same seed finds the same.", min=1)] = None,
+    minutes: Annotated[float | None, typer.Option(help="For how long; 1 minute by default.", min=0.01)] = None,
+    max_delay: Annotated[
+        float | None, typer.Option(help=f"Of a detection, jitter and all, in s; {_DELAY:g} by default.", min=0.0, max=30.0)
+    ] = None,
+    max_loss: Annotated[
+        float | None, typer.Option(help=f"Share of detections that are lost; {_LOSS:g} by default.", min=0.0, max=0.99)
+    ] = None,
+    max_blackout: Annotated[
+        float | None, typer.Option(help=f"Of the detections, in s; {_BLACKOUT:g} by default.", min=0.0, max=1000.0)
+    ] = None,
+    max_command_delay: Annotated[
+        float | None, typer.Option(help=f"Of the UAV's commands, in s; {_COMMAND_DELAY:g} by default.", min=0.0, max=30.0)
+    ] = None,
+    noise: Annotated[
+        float | None,
+        typer.Option(help="Of the detections: standard deviation per axis in m; the scenario's by default.", min=0.0, max=100.0),
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(help=f"Of a run in s; {_FLIGHT:g} by default, {_ATTACK:g} for the attack.", min=0.05)
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of the search.", min=0, max=2**53 - 1)] = 1,
+    jobs: Annotated[int | None, typer.Option(help="Worker processes; one a core by default.", min=1, max=1024)] = None,
+    first: Annotated[bool, typer.Option("--first", help="End with the first violation, not with the budget.")] = False,
+    expect: Annotated[
+        Expect | None, typer.Option(help="Exit with 1 if violations are found (none), or if none is (some).")
+    ] = None,
+    only: Annotated[
+        Only | None, typer.Option(help="For the law certified: whole flights alone, or the compiled attack alone.")
+    ] = None,
+    control: Annotated[
+        Control | None,
+        typer.Option(help="Attack a guard that is known to be wrong in the place of the filter, to see that it is caught."),
+    ] = None,
+    eps: Annotated[float | None, typer.Option(help="For the attack: only this largest error of a detection, in m.")] = None,
+    changes: Set = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Where the counterexample goes; counterexample-LAW.toml by default.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Search for a run in which the UAV loses sight of the UGV, on all cores.
+
+    Turned are the UGV's motion within its bounds, the start, the draws of the noise and, within the limits below, the network:
+    first what the proofs fear, then chance, then CMA-ES on the largest distance. Starts are such that braking at once keeps
+    the UGV within r_s, so that a law that loses it did so itself. The worst run with a violation is saved as a scenario that
+    flies it again, to the last bit: `outrider run FILE --in-process`.
+
+    The law `certified` promises only where it says so: a run counts as violated if every tick from its first certified one up to
+    the loss was certified (after a gap: those of the last second); both numbers are told. What the scenario does not declare in
+    [certificate] is declared as the limits need it. For this law a compiled attack is flown as well, over its own grid of
+    assumptions: adversaries in the UAV and in the UGV, errors on the border of their ball, blackouts up to 15 s, commands up to
+    1 s late. One in a hundred of --runs are whole flights, the others attacks; of --minutes, a third.
+
+    The exit code is 0 whatever is found, unless --expect says otherwise; 130 after Ctrl-C, which keeps the best.
+    Needs the extra [falsify].
+
+    Example: outrider falsify --law switching --undegraded
+    """
+    from outrider.cli.console import print_warnings
+    from outrider.falsify.engines import Wanted
+    from outrider.falsify.limits import Limits, base_of, beyond_declared
+    from outrider.falsify.search import check_extra
+
+    limits_given = (max_delay, max_loss, max_blackout, max_command_delay, noise)
+    if undegraded and any(given is not None for given in limits_given):
+        raise typer.BadParameter("--undegraded allows no --noise and no --max-...: leave one of them out")
+    if control is not None and (law not in (None, "certified") or only is Only.FLIGHTS):
+        raise typer.BadParameter("--control stands in the place of the law certified in the attack; leave --law and --only out")
+    flown = _scenario(scenario, "certified" if control is not None else law, duration, changes)
+    certified = flown.law.name == "certified"
+    if (only is not None or eps is not None) and not certified:
+        raise typer.BadParameter("--only and --eps are for the law certified")
+    flies = control is None and only is not Only.ATTACK
+    attacks = certified and (control is not None or only is not Only.FLIGHTS)
+    limits = (
+        Limits()
+        if undegraded
+        else Limits(
+            delay=_DELAY if max_delay is None else max_delay,
+            loss=_LOSS if max_loss is None else max_loss,
+            blackout=_BLACKOUT if max_blackout is None else max_blackout,
+            command_delay=_COMMAND_DELAY if max_command_delay is None else max_command_delay,
+            noise=flown.detections.noise if noise is None else noise,
+        )
+    )
+    if attacks:
+        _check_eps(eps)
+    if flies:
+        check_extra()
+        flown = base_of(flown, limits)
+    _check_out(out)
+    wanted = Wanted(
+        base=flown,
+        limits=limits,
+        flies=flies,
+        attacks=attacks,
+        runs=runs,
+        minutes=_MINUTES if runs is None and minutes is None else minutes,
+        attack_duration=duration or _ATTACK,
+        seed=seed,
+        jobs=jobs or _cores(),
+        first=first,
+        control=None if control is None else str(control),
+        eps=eps,
+        out=out,
+    )
+    if flies:
+        print_warnings(beyond_declared(flown, limits))
+    _search(wanted, expect, json=json)
+
+
+def _scenario(name: str, law: str | None, duration: float | None, changes: list[str] | None) -> "Scenario":
+    from outrider.cli.options import scenario_of
+    from outrider.own import check_own_functions
+
+    flown, _ = scenario_of(name, law=law, duration=_FLIGHT if duration is None else duration, changes=changes)
+    if flown.custom != type(flown.custom)():
+        check_own_functions(flown)
+    return flown
+
+
+def _cores() -> int:
+    """Those that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _check_eps(eps: float | None) -> None:
+    from outrider.falsify.attacks import ERRORS
+
+    if eps is not None and eps not in ERRORS:
+        raise typer.BadParameter(f"--eps {eps:g}: not in the attack's grid; allowed: {', '.join(f'{e:g}' for e in ERRORS)}")
+
+
+def _check_out(out: Path | None) -> None:
+    """What stands in the way of the file shows before the search, not after it."""
+    if out is None:
+        return
+    if out.is_dir():
+        raise typer.BadParameter(f"--out {out}: is a folder; allowed: a file")
+    out.parent.mkdir(parents=True, exist_ok=True)
+
+
+def _search(wanted: "Wanted", expect: Expect | None, *, json: bool) -> None:
+    from bus.errors import PeerLost
+    from outrider.cli.console import ERR
+    from outrider.cli.stopping import stop_on_signals
+    from outrider.falsify.engines import Found, save, search
+
+    found, fault = Found(wanted), None
+    with stop_on_signals() as stop:
+        try:
+            with _progress(found) as show:
+                search(found, asked=lambda: bool(stop), on_run=show)
+        except PeerLost as error:  # what has been found by then is told all the same
+            fault = error
+        save(found)
+    _tell(found, json=json)
+    if fault is not None:
+        raise fault
+    if stop:
+        ERR.print(f"outrider: interrupted after {found.runs:,} runs; what was found by then is told", soft_wrap=True)
+        raise typer.Exit(stop.exit_code)
+    if expect is not None and (found.violations > 0) is (expect is Expect.NONE):
+        ERR.print(f"outrider: --expect {expect}, but {found.violations:,} of {found.runs:,} runs are violations", soft_wrap=True)
+        raise typer.Exit(1)
+
+
+@contextmanager
+def _progress(found: "Found") -> "Iterator[Callable[[str, float], None]]":
+    """A bar on a terminal, else a line now and then."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from outrider.cli.console import ERR
+
+    columns = (
+        TextColumn("[bold]{task.description}"),
+        BarColumn(bar_width=30, complete_style="blue", finished_style="blue"),
+        TextColumn("{task.fields[note]}"),
+        TimeRemainingColumn(compact=True, elapsed_when_finished=True),
+    )
+    began = said = time.monotonic()
+    shown = 0  # violations
+    with Progress(*columns, console=ERR, transient=True, disable=not ERR.is_terminal) as progress:
+        task = progress.add_task("starting", total=1.0, note="")
+
+        def show(engine: str, share: float) -> None:
+            nonlocal said, shown
+            now = time.monotonic()
+            rate = found.runs / max(now - began, 1e-9)
+            note = f"{found.runs:,} runs, {rate:.1f} runs/s, farthest {found.worst:.4f} m, {found.violations:,} violations"
+            note += f", {found.lost:,} lost" if found.lost != found.violations else ""
+            progress.update(task, description=engine, completed=min(1.0, share), note=note)
+            if not ERR.is_terminal and (now - said >= _LINE or (found.violations and not shown)):
+                said, shown = now, found.violations
+                ERR.print(f"{engine}: {note}", soft_wrap=True)
+
+        yield show
+
+
+def _tell(found: "Found", *, json: bool) -> None:
+    from outrider.cli.console import OUT, print_json
+
+    if json:
+        print_json(found.as_plain())
+        return
+    for line in _lines(found):
+        OUT.print(line, soft_wrap=True, markup=False)
+
+
+def _lines(found: "Found") -> "Iterator[str]":
+    wanted, flights, attacks = found.wanted, found.flights, found.attacks
+    law = wanted.base.law.name if wanted.control is None else f"{wanted.control}, in the place of the filter"
+    rate = found.runs / found.seconds if found.seconds > 0.0 else 0.0
+    much = f"{found.runs:,} runs in {found.seconds:.1f} s, {rate:.1f} runs/s"
+    yield f"{law}: {found.violations:,} violations of r_v = {wanted.base.visibility.radius:g} m in {much}"
+    if flights.runs:
+        yield f"  flights: {flights.violations:,} of {flights.runs:,} lose sight; the farthest {flights.worst:.4f} m"
+        if wanted.base.law.name == "certified":
+            share = f"not every tick was certified in {flights.uncertified:,}"
+            yield f"    {share}; in {flights.lost - flights.violations:,} sight was lost after nothing was promised any more"
+    if attacks.worst is not None:
+        worst, over = attacks.worst, f"over {attacks.combinations:,} combinations of network and error"
+        yield f"  attack: {attacks.violations:,} of {attacks.runs:,} {over} lose sight; the farthest {worst.worst_distance:.6f} m"
+        yield (
+            f"    not every tick was certified in {attacks.uncertified:,}"
+            if wanted.control is None
+            else "    nothing certifies here"
+        )
+    if found.attack_again is not None and attacks.worst is not None:
+        c = attacks.worst.conditions
+        dark = f"blackouts up to {c.blackout_time:g} s, detections up to {c.latency:g} s and commands {c.delay:g} s late"
+        yield f"  The worst attack: errors up to {attacks.worst.eps:g} m, {dark}. Again:"
+        yield "    import math; from outrider import attack as a"
+        yield f"    {found.attack_again}"
+    if found.path is not None:
+        yield "  The worst flight:"
+        yield from (f"    {line}" for line in found.words)
+        yield f"  {found.path}"
+        yield f"  outrider run {shlex.quote(str(found.path))} --in-process flies it again: {found.sha256}"

@@ -1,0 +1,4 @@
+"""The search for what breaks the promise: a UGV's motion, start states, noise and network events within declared limits."""
+
+EXTRA = "outrider[falsify]"
+"""What has to be installed."""
