@@ -10,6 +10,7 @@ from typing import get_args, get_type_hints
 
 import msgspec
 import pytest
+import zenoh
 
 from bus import messages
 from bus.errors import AccessDenied, BusError
@@ -191,7 +192,7 @@ def test_what_does_not_decode_is_counted_named_and_dropped(sessions: dict[Role, 
     good = UgvCommand(tick=3, acceleration=(0.0, 0.1))
     outbox = sessions[Role.UGV].outbox(UGV_COMMAND, "ugv_0")
     for payload in GARBAGE:
-        raw.put("outrider/run/ugv_0/command", payload)
+        raw.put("outrider/run/ugv_0/command", payload, congestion_control=zenoh.CongestionControl.BLOCK)
     outbox.send(good)
     letter = inbox.receive(10.0)
     assert letter is not None
