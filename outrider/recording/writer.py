@@ -1,5 +1,6 @@
 """Writing a recording while its flight is flown: a tick costs its loop one append, a thread does the rest."""
 
+import sys
 import threading
 import time
 from collections import deque
@@ -23,6 +24,8 @@ _WAKE = 0.02
 _BLOCK = 8
 """Ticks that the thread writes at once; then it lets the flight have the interpreter, which comes back from the bus and must not
 find it taken for long."""
+_SWITCH = 1e-4
+"""A flight that comes back from the bus gets the interpreter from the thread within this [s]; Python's own 5 ms are many ticks."""
 _CROWD = 128
 """For each of so many that wait it writes one block more before that."""
 _ROOM = 1024
@@ -95,6 +98,8 @@ class FlightRecorder:
         self._file.begin(head_of(scenario, seed), scenario)
         self._head = (scenario, seed, 0)
         self._thread = threading.Thread(target=self._run, name="outrider-recorder", daemon=True)
+        self._patience = sys.getswitchinterval()
+        sys.setswitchinterval(_SWITCH)
         self._thread.start()
 
     def tick(self, flight: Flight) -> None:
@@ -188,6 +193,7 @@ class FlightRecorder:
             self._items.append((flight, tick, None, f"the flight is over: {why}"))
         self._done.set()
         self._thread.join()
+        sys.setswitchinterval(self._patience)
         try:
             self._file.close()
         except (OSError, RuntimeError) as error:
