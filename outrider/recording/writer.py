@@ -25,7 +25,7 @@ _BLOCK = 8
 """Ticks that the thread writes at once; then it lets the flight have the interpreter, which comes back from the bus and must not
 find it taken for long."""
 _SWITCH = 1e-4
-"""A flight that comes back from the bus gets the interpreter from the thread within this [s]; Python's own 5 ms are many ticks."""
+"""A flight that is back from the bus gets the interpreter from the thread within this [s]; Python's own 5 ms are many ticks."""
 _CROWD = 128
 """For each of so many that wait it writes one block more before that."""
 _ROOM = 1024
