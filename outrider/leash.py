@@ -5,6 +5,10 @@ import shutil
 import signal
 import sys
 import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 _PR_SET_PDEATHSIG = 1
@@ -34,3 +38,29 @@ def hold(folder: Path | None = None) -> None:
 
     _wake_when_the_parent_dies()
     threading.Thread(target=wait, name="outrider-leash", daemon=True).start()
+
+
+@cache
+def leave_with(parent: int) -> None:
+    """End this worker of a pool when its parent has gone, however it went: a pool's own workers would stay.
+
+    Args:
+        parent: The process without which this one is not to stay.
+    """
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, name="outrider-leash", daemon=True).start()
+
+
+@contextmanager
+def deaf_to_interrupts() -> Iterator[None]:
+    """Processes that are started meanwhile do not hear of Ctrl-C, which a terminal sends to all: their parent ends them."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -3,17 +3,15 @@
 import multiprocessing
 import os
 import signal
-import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from bus.errors import PeerLost
+from outrider.leash import deaf_to_interrupts, leave_with
 
 _Result = TypeVar("_Result")
 
@@ -26,24 +24,8 @@ _LOOK = 0.1
 def _begin(parent: int, warm: Callable[[], None]) -> None:
     """In a worker: leave Ctrl-C, which a terminal sends to all, to the parent; end when it has gone, however it went."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(0.5)
-        os._exit(1)
-
-    threading.Thread(target=watch, name="outrider-leash", daemon=True).start()
+    leave_with(parent)
     warm()
-
-
-@contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Processes that are started meanwhile do not hear of Ctrl-C until they have said so themselves."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class Workers:
@@ -104,7 +86,7 @@ class Workers:
                 call = next(calls, None)
                 if call is None:
                     break
-                with _deaf_to_interrupts():
+                with deaf_to_interrupts():
                     asked.append(pool.submit(function, *call))
             if not asked:
                 return

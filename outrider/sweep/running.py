@@ -1,7 +1,6 @@
 """The sweep's loop: tasks of about a second, handed to worker processes here or on a cluster, results taken as they come."""
 
 import os
-import signal
 import warnings
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
@@ -9,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from bus.errors import PeerLost
+from outrider.leash import deaf_to_interrupts
 from outrider.sweep.folder import SweepFolder
 from outrider.sweep.plan import Plan
 from outrider.sweep.worker import fly_runs, installed_version
@@ -60,16 +60,6 @@ def make_tasks(plan: Plan, done: set[int], workers: int) -> list[Task]:
 
 
 @contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Processes that are started meanwhile never hear of Ctrl-C, which a terminal sends to all: their parent ends them."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
 def open_cluster(address: str, version: str) -> Iterator["Client"]:
     """A client of a Dask cluster whose workers have the same Outrider.
 
@@ -107,7 +97,7 @@ def _results(tasks: list[Task], jobs: int, client: "Client | None") -> Generator
     with parallel_config(**backend, n_jobs=jobs):
         parent = os.getpid() if client is None else None
         calls = (delayed(fly_runs)(task.scenario, task.seeds, parent) for task in tasks)
-        with _deaf_to_interrupts():
+        with deaf_to_interrupts():
             results = Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch="3*n_jobs")(calls)
         yield from results
 

@@ -1,7 +1,6 @@
 """What a worker process of a sweep does: a few runs of one point, each in this process."""
 
 import os
-import threading
 import time
 from functools import cache
 from importlib.metadata import version
@@ -9,23 +8,12 @@ from typing import Any
 
 from agents.process import warm_up as warm_up_pilot
 from bus.keys import Role
+from outrider.leash import leave_with
 from outrider.run import fly
 from outrider.sweep.rows import failed_row, row_of
 from sim.compile import compiling
 from sim.flight import warm_up
 from sim.scenario import Scenario, load_scenario
-
-
-@cache
-def _leave_with(parent: int) -> None:
-    """End this process when its parent has gone, however it went: the pool's own workers would stay for minutes."""
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(0.5)
-        os._exit(1)
-
-    threading.Thread(target=watch, name="outrider-leash", daemon=True).start()
 
 
 @cache
@@ -59,7 +47,7 @@ def fly_runs(scenario: Scenario, seeds: dict[int, int], parent: int | None = Non
         The results, each with its run's number.
     """
     if parent not in (None, os.getpid()):  # a single job is flown in the sweep's own process
-        _leave_with(parent)
+        leave_with(parent)
     _warm()
     return [{"run": run, **fly_run(scenario, seed)} for run, seed in seeds.items()]
 
