@@ -11,20 +11,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from agents.control.certificate import (
-    INNER,
-    KEPT,
-    Promise,
-    certificate,
-    certified_distance,
-    keep_detection,
-    newest_detection,
-    no_detections,
-    no_plan,
-    safe_control,
-    state_ahead,
-    uncertified_reason,
-)
+from agents.control.certificate import INNER, no_plan, safe_control, state_ahead, uncertified_reason
+from agents.control.discs import KEPT, certified_distance, keep_detection, newest_detection, no_detections
+from agents.control.handover import Promise, certificate
 from agents.control.tracking import tracking_output, tracking_step
 from agents.control.visibility import raw_switching_radius
 from sim.compile import FloatArray, compiled

@@ -1,6 +1,6 @@
 """Whether a scenario's UAVs can certify that they keep sight, told before it is flown."""
 
-from agents.control.certificate import check_assumptions
+from agents.control.handover import check_assumptions
 from agents.control.visibility import promise_of
 from bus.messages import UavBriefing
 from sim.briefing import briefing

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from properties import PROPERTY
 
 from agents.control import certificate as c
+from agents.control import discs, handover
 from sim.compile import FloatArray
 from sim.vehicles import norm, step_vehicle
 
@@ -27,13 +28,13 @@ shares = st.floats(0.0, 1.0)
 
 
 @functools.cache
-def promise(**numbers: float) -> c.Promise:
-    return c.certificate(**{**NUMBERS, **numbers})
+def promise(**numbers: float) -> handover.Promise:
+    return handover.certificate(**{**NUMBERS, **numbers})
 
 
 def seen(*detections: tuple[float, float, float]) -> FloatArray:
     """These detections and no others."""
-    kept = c.no_detections()
+    kept = discs.no_detections()
     kept[: len(detections)] = detections
     return kept
 
@@ -56,7 +57,7 @@ def away(p: FloatArray, g: FloatArray) -> FloatArray:
 def test_the_certified_distance_is_never_less_than_the_distance(seed: int, eps: float) -> None:
     """Any UGV within its speed, any error within eps, late and overtaking detections, and gaps."""
     rng = np.random.default_rng(seed)
-    kept, g, p = c.no_detections(), rng.normal(size=2), rng.normal(size=2)
+    kept, g, p = discs.no_detections(), rng.normal(size=2), rng.normal(size=2)
     underway: list[tuple[float, float, float]] = []
     newest = -math.inf
     for tick in range(400):
@@ -66,11 +67,11 @@ def test_the_certified_distance_is_never_less_than_the_distance(seed: int, eps: 
             underway.append((z[0], z[1], t))
         for z_x, z_y, t_z in [one for one in underway if rng.random() < 0.3]:
             underway.remove((z_x, z_y, t_z))
-            assert c.keep_detection(kept, z_x, z_y, t_z, t, p[0], p[1], eps, V_G)
+            assert discs.keep_detection(kept, z_x, z_y, t_z, t, p[0], p[1], eps, V_G)
             newest = max(newest, t_z)
             assert kept[:, 2].max() == newest
-            assert kept[c.newest_detection(kept), 2] == newest
-        assert np.linalg.norm(p - g) <= c.certified_distance(p[0], p[1], t, kept, eps, V_G) + 1e-9
+            assert kept[discs.newest_detection(kept), 2] == newest
+        assert np.linalg.norm(p - g) <= discs.certified_distance(p[0], p[1], t, kept, eps, V_G) + 1e-9
         course = in_disc(rng, V_G) if rng.random() < 0.2 else V_G * away(p, g)
         g = g + DT * course
         p = p + DT * in_disc(rng, V_A)
@@ -80,31 +81,31 @@ def test_the_certified_distance_is_never_less_than_the_distance(seed: int, eps: 
 @settings(PROPERTY, max_examples=60)
 def test_what_is_dropped_can_only_raise_the_bound(seed: int, eps: float) -> None:
     rng = np.random.default_rng(seed)
-    kept, g = c.no_detections(), np.zeros(2)
+    kept, g = discs.no_detections(), np.zeros(2)
     every: list[tuple[float, float, float]] = []
     for tick in range(60):
         t = tick * DT
         g = g + DT * in_disc(rng, V_G)
         z, p = g + in_disc(rng, eps), rng.normal(size=2)
-        c.keep_detection(kept, z[0], z[1], t, t, p[0], p[1], eps, V_G)
+        discs.keep_detection(kept, z[0], z[1], t, t, p[0], p[1], eps, V_G)
         every.append((z[0], z[1], t))
         full = np.array(every)
-        bound, least = (c.certified_distance(p[0], p[1], t, rows, eps, V_G) for rows in (kept, full))
+        bound, least = (discs.certified_distance(p[0], p[1], t, rows, eps, V_G) for rows in (kept, full))
         assert bound >= least
-        if tick < c.KEPT:  # only what another makes superfluous has gone
+        if tick < discs.KEPT:  # only what another makes superfluous has gone
             assert bound == pytest.approx(least, abs=1e-12)
 
 
 def test_the_bound_without_a_detection_is_infinite() -> None:
-    assert c.certified_distance(0.0, 0.0, 1.0, c.no_detections(), 0.3, V_G) == math.inf
-    assert c.newest_detection(c.no_detections()) == -1
+    assert discs.certified_distance(0.0, 0.0, 1.0, discs.no_detections(), 0.3, V_G) == math.inf
+    assert discs.newest_detection(discs.no_detections()) == -1
 
 
 def test_detections_that_cannot_both_be_right_are_noticed() -> None:
     for apart, agrees in ((0.6 + 0.2, True), (0.6 + 0.2 + 1e-3, False)):
         for stamp in (1.0, -1.0):
             kept = seen((0.0, 0.0, 0.0))
-            assert c.keep_detection(kept, apart, 0.0, stamp, 2.0, 0.0, 0.0, 0.3, V_G) is agrees
+            assert discs.keep_detection(kept, apart, 0.0, stamp, 2.0, 0.0, 0.0, 0.3, V_G) is agrees
 
 
 points = st.floats(-4.0, 4.0)
@@ -118,7 +119,7 @@ def test_the_farthest_point_of_a_lens_is_farthest_and_in_it(
 ) -> None:
     rng = np.random.default_rng(seed)
     assume(norm(b_x, b_y) < r_a + r_b - 1e-3)
-    found = c.lens_distance(p_x, p_y, 0.0, 0.0, r_a, b_x, b_y, r_b)
+    found = discs.lens_distance(p_x, p_y, 0.0, 0.0, r_a, b_x, b_y, r_b)
     assert found <= min(norm(p_x, p_y) + r_a, norm(p_x - b_x, p_y - b_y) + r_b) + 1e-12
     angle = np.linspace(0.0, 2.0 * math.pi, 4001)
     circles = np.concatenate(
@@ -139,14 +140,14 @@ def test_discs_that_are_the_same_but_for_rounding_give_the_bound_of_one() -> Non
     for steps in range(-5, 6):
         for other in range(-5, 6):
             r_b, b_x = 0.92 + steps * 1.2e-16, -1.91 + other * 2.3e-16
-            found = c.lens_distance(1.105, 8.692, -1.91, 10.95, 0.92, b_x, 10.95, r_b)
+            found = discs.lens_distance(1.105, 8.692, -1.91, 10.95, 0.92, b_x, 10.95, r_b)
             assert found == pytest.approx(norm(1.105 + 1.91, 8.692 - 10.95) + 0.92, abs=1e-6)
 
 
 @given(st.floats(1e-9, 12.0), st.sampled_from([0.02, 0.05, 0.2]))
 @settings(PROPERTY, max_examples=300)
 def test_from_rest_to_rest_the_bounds_are_kept_and_the_way_is_exact(way: float, dt: float) -> None:
-    turn, cruise, speed = c.rest_to_rest(way, V_A, U_A, dt)
+    turn, cruise, speed = handover.rest_to_rest(way, V_A, U_A, dt)
     assert speed <= V_A * (1.0 + 1e-9)
     assert speed <= U_A * turn * dt * (1.0 + 1e-9)
     assert speed * (turn + cruise) * dt == pytest.approx(way, rel=1e-9)
@@ -156,7 +157,7 @@ def test_from_rest_to_rest_the_bounds_are_kept_and_the_way_is_exact(way: float, 
 def ways_down(**numbers: float) -> list[float]:
     """R_h and r_cert of a certificate; a radius that there is not counts as none."""
     q = promise(**numbers)
-    radius = c.certified_radius(q.handover, q.v_a, q.u_a, q.v_g, q.dt, q.delay)
+    radius = handover.certified_radius(q.handover, q.v_a, q.u_a, q.v_g, q.dt, q.delay)
     return [-1.0 if math.isnan(x) else x for x in (q.handover, radius)]
 
 
@@ -182,7 +183,7 @@ def test_the_radii_move_with_each_number_in_one_direction(name: str, values: tup
 
 def test_with_perfect_information_the_certified_radius_is_the_papers() -> None:
     q = promise(dt=0.002, eps=0.0, age=0.0)
-    radius = c.certified_radius(q.handover, q.v_a, q.u_a, q.v_g, q.dt, 0.0)
+    radius = handover.certified_radius(q.handover, q.v_a, q.u_a, q.v_g, q.dt, 0.0)
     assert R_S - 0.02 < radius < R_S
 
 
@@ -195,9 +196,9 @@ def test_a_delay_of_commands_counts_as_age() -> None:
 
 def test_the_shipped_numbers() -> None:
     q = promise(age=0.05)
-    assert c.certified_radius(q.handover, V_A, U_A, V_G, DT, 0.0) == pytest.approx(3.61, abs=0.01)
-    assert c.check_assumptions(promise(age=15.05)) == ()
-    assert 17.0 < c.largest_age(q) < 18.0
+    assert handover.certified_radius(q.handover, V_A, U_A, V_G, DT, 0.0) == pytest.approx(3.61, abs=0.01)
+    assert handover.check_assumptions(promise(age=15.05)) == ()
+    assert 17.0 < handover.largest_age(q) < 18.0
 
 
 @given(points, points, shares, angles, points, points)
@@ -213,7 +214,7 @@ def test_the_servo_keeps_the_bound_and_stops_at_its_point(
     assert norm(p_x - z_x, p_y - z_y) < 0.05
 
 
-def fly_plan(q: c.Promise, plan: FloatArray, state: list[float], g: FloatArray) -> list[float]:
+def fly_plan(q: handover.Promise, plan: FloatArray, state: list[float], g: FloatArray) -> list[float]:
     """Let a plan act to its end while a UGV at g flees as fast as it may; the distances."""
     plan = plan.copy()
     p_x, p_y, v_x, v_y = state
@@ -252,7 +253,7 @@ def test_a_plan_keeps_in_sight_whatever_agrees_with_the_detections(
     last = in_disc(rng, 1.0)
     plan[12:16] = (*(g + last), norm(last[0], last[1]), 0.0) if seed % 5 else (*centre, math.inf, 0.0)
     make = c.plan_stop if kind == "stop" else c.plan_return
-    near = c._nearest(state[0], state[1], 0.0, detections, eps, V_G)
+    near = discs.nearest(state[0], state[1], 0.0, detections, eps, V_G)
     if not make(q, detections, plan, 1, near, 0.0, *state):
         return
     distances = fly_plan(q, plan, state, g)
@@ -283,7 +284,7 @@ def test_within_the_certified_radius_every_inner_control_acts(
     far: float, where: float, share: float, angle: float, wanted: float, eps: float
 ) -> None:
     q = promise(eps=eps, age=1.0)
-    room = c.certified_radius(q.handover, V_A, U_A, V_G, DT, 0.0) - eps
+    room = handover.certified_radius(q.handover, V_A, U_A, V_G, DT, 0.0) - eps
     x, y = far * room * math.cos(where), far * room * math.sin(where)
     v_x, v_y = share * V_A * math.cos(angle), share * V_A * math.sin(angle)
     u = (U_A * math.cos(wanted), U_A * math.sin(wanted))
@@ -315,14 +316,14 @@ def test_a_state_that_no_command_leads_to_is_noticed_and_certified_anew() -> Non
 
 def test_each_reason_has_its_code_and_its_text() -> None:
     q, plan = promise(), c.no_plan()
-    assert c.uncertified_reason(q, c.no_detections(), plan, 0.0, False, c.INNER) == c.NO_DETECTION
+    assert c.uncertified_reason(q, discs.no_detections(), plan, 0.0, False, c.INNER) == c.NO_DETECTION
     for age, contradicted, reason in ((5.0, False, c.CERTIFIED), (5.1, False, c.TOO_OLD), (1.0, True, c.CONTRADICTED)):
         assert c.uncertified_reason(q, seen((0.0, 0.0, 0.0)), plan, age, contradicted, c.INNER) == reason
     assert set(c.UNCERTIFIED) == set(range(1, 6))
 
 
 def test_without_a_detection_the_uav_brakes() -> None:
-    u_x, u_y, acts = c.safe_control(promise(), c.no_detections(), c.no_plan(), 0.0, 1.0, 1.0, 0.3, 0.0, U_A, U_A)
+    u_x, u_y, acts = c.safe_control(promise(), discs.no_detections(), c.no_plan(), 0.0, 1.0, 1.0, 0.3, 0.0, U_A, U_A)
     assert (u_x, u_y, acts) == (-U_A, 0.0, c.BEST_EFFORT)
 
 
@@ -339,7 +340,7 @@ def test_without_a_detection_the_uav_brakes() -> None:
     ],
 )
 def test_an_assumption_that_fails_names_itself_with_its_numbers(numbers: dict[str, float], text: str) -> None:
-    (reason,) = c.check_assumptions(promise(**numbers))
+    (reason,) = handover.check_assumptions(promise(**numbers))
     assert re.search(text, reason), reason
     assert math.isnan(promise(**numbers).handover)
 

@@ -13,7 +13,9 @@ import pytest
 from flights import HERE, escort, parameters
 
 import agents.control
-from agents.control.certificate import certificate, no_detections, no_plan
+from agents.control.certificate import no_plan
+from agents.control.discs import no_detections
+from agents.control.handover import certificate
 from agents.control.laws import LAWS, OwnTerms
 from sim.field import SENSORS
 

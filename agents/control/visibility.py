@@ -6,21 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.control.certificate import (
-    CERTIFIED,
-    INNER,
-    UNCERTIFIED,
-    Promise,
-    certificate,
-    certified_distance,
-    check_assumptions,
-    keep_detection,
-    no_detections,
-    no_plan,
-    safe_control,
-    state_ahead,
-    uncertified_reason,
-)
+from agents.control.certificate import CERTIFIED, INNER, UNCERTIFIED, no_plan, safe_control, state_ahead, uncertified_reason
+from agents.control.discs import certified_distance, keep_detection, no_detections
+from agents.control.handover import Promise, certificate, check_assumptions
 from bus.errors import ScenarioError
 from bus.messages import UavBriefing, UavObservation, Vector
 from sim.compile import compiled

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agents.control.certificate import Promise
+from agents.control.handover import Promise
 from agents.control.visibility import raw_switching_radius
 from outrider import attack
 from outrider.attack import Conditions

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import msgspec
 
-from agents.control.certificate import check_assumptions
+from agents.control.handover import check_assumptions
 from agents.control.visibility import promise_of
 from bus.errors import ScenarioError
 from bus.messages import LinkSettings, UavBriefing

@@ -1,0 +1,244 @@
+"""The numbers of a certificate, found when a scenario loads: what is declared, and the hand-over from one plan to the next.
+
+The proof is in docs/certificate.md. SI units.
+"""
+
+import functools
+import math
+from typing import NamedTuple
+
+from agents.control.discs import MARGIN, lens_distance
+from sim.compile import compiled
+
+ROUNDING = 1e-12
+"""Ticks by which a quotient may exceed a whole number and still be that number."""
+
+_GRID = 0.005
+"""Step of the distances [m] over which the hand-over is checked when a scenario loads, and its margin."""
+
+
+class Promise(NamedTuple):
+    """The declared numbers of one certificate, and the two that follow from them; from `certificate`."""
+
+    dt: float
+    """Length of a tick [s]."""
+    eps: float
+    """Largest error of a detection, as a vector's norm [m]."""
+    age: float
+    """Largest age of the newest arrived detection, A [s]."""
+    delay: float
+    """From the tick that a command answers to the one in which it acts, tau_c [s], a whole number of ticks."""
+    r_v: float
+    """Visibility radius less the margin that was asked for [m]."""
+    v_a: float
+    """Largest speed of the UAV [m/s]."""
+    u_a: float
+    """Largest acceleration of the UAV [m/s²]."""
+    v_g: float
+    """Largest speed of the UGV [m/s]."""
+    width: float
+    """Of the area with its walls, from 0 [m]; infinite: there are none on this axis."""
+    height: float
+    """Likewise."""
+    handover: float
+    """R_h: a plan may end where the UGV is surely within this [m]; NaN if there is none."""
+    reach: float
+    """E: and where the newest detection's own bound is at most this [m]; NaN if there is none."""
+
+
+@compiled
+def rest_to_rest(way: float, v_a: float, u_a: float, dt: float) -> tuple[int, int, float]:
+    r"""The fastest motion of whole ticks over `way` [m] along a line, from rest to rest.
+
+    It takes at most $way / v_a + v_a / u_a + 2 dt$.
+
+    Returns:
+        Ticks in which it speeds up (and in which it brakes), ticks at constant speed, and that speed [m/s].
+    """
+    if way <= 0.0:
+        return 0, 0, 0.0
+    full, moving = max(1, math.ceil(v_a / (u_a * dt) - ROUNDING)), math.ceil(way / (v_a * dt) - ROUNDING)
+    if moving >= full:
+        return full, moving - full, way / (moving * dt)
+    half = max(1, math.ceil(math.sqrt(way / u_a) / dt - ROUNDING))
+    return half, 0, way / (half * dt)
+
+
+@compiled
+def handover_peak(radius: float, rho: float, way: float, turn: int, cruise: int, v_g: float, dt: float) -> float:
+    """The largest distance [m] while the UAV flies from rest to a new detection, given that two discs hold the UGV at the start.
+
+    Args:
+        radius: Of the disc around the UAV, at rest [m].
+        rho: Of the disc around the new detection [m].
+        way: To that detection [m].
+        turn, cruise: Ticks of the motion, as from `rest_to_rest`.
+        v_g: Largest speed of the UGV [m/s].
+        dt: Length of a tick [s].
+    """
+    speed = way / max(1, turn + cruise)  # metres in a tick
+    peak, x, v = radius, 0.0, 0.0
+    for k in range(1, 2 * turn + cruise + 1):
+        w = speed * min(1.0, k / turn, (2 * turn + cruise - k) / turn)
+        x, v = x + 0.5 * (v + w), w
+        peak = max(peak, lens_distance(x, 0.0, 0.0, 0.0, radius, way, 0.0, rho) + v_g * k * dt)
+    return peak
+
+
+@compiled
+def handover_reach(radius: float, eps: float, rho: float, v_a: float, u_a: float, v_g: float, dt: float) -> float:
+    r"""E [m]: where the newest detection's own bound is at most this, the plan to any later one ends within `radius` in time.
+
+    $$ E = \frac{v_a}{v_g}\left(R_h - \rho_A (1 - v_g/v_a) - v_g (v_a/u_a + 2 dt)\right) - 2 \epsilon $$
+
+    Arguments as in `handover_radius`; `radius` is R_h [m].
+    """
+    if v_g == 0.0:
+        return math.inf
+    return v_a / v_g * (radius - rho * (1.0 - v_g / v_a) - v_g * (v_a / u_a + 2.0 * dt)) - 2.0 * eps - MARGIN
+
+
+@compiled
+def handover_fits(radius: float, r_v: float, eps: float, rho: float, v_a: float, u_a: float, v_g: float, dt: float) -> bool:
+    """Whether every motion from rest to a newer detection stays within r_v, if the UGV is within `radius` [m] at its start.
+
+    Over all ways in steps of half a centimetre: between two of them the motion with the same ticks scales with the way, so
+    that no point of it and no disc moves by more than a step. The farther a detection, the younger it is: way + rho <= E + 2 eps.
+    Arguments as in `handover_radius`.
+    """
+    reach = handover_reach(radius, eps, rho, v_a, u_a, v_g, dt)
+    turn, cruise = 0, 0
+    for k in range(1, int((radius + rho) / _GRID) + 2):
+        last_turn, last_cruise, way = turn, cruise, k * _GRID
+        turn, cruise, _ = rest_to_rest(way, v_a, u_a, dt)
+        rest = min(rho, reach + 2.0 * eps - way + _GRID)
+        if rest < 0.0 or radius + rest < way - _GRID:
+            break
+        for i in range(max(1, last_turn), turn + 1):
+            for j in range(last_cruise, cruise + 1):
+                if handover_peak(radius, rest + _GRID, way, i, j, v_g, dt) > r_v - _GRID:
+                    return False
+    return True
+
+
+@compiled
+def handover_radius(r_v: float, eps: float, rho: float, v_a: float, u_a: float, v_g: float, dt: float) -> float:
+    """R_h [m]: from rest, with the UGV surely within it, every plan to a newer detection stays within r_v; NaN if there is none.
+
+    Downwards in steps of half a centimetre, as long as R_h <= E: the plan to a later detection ends where the next may begin. E
+    falls faster than R_h, so where that fails no smaller radius helps.
+
+    Args:
+        r_v: Visibility radius [m].
+        eps: Largest error of a detection [m].
+        rho: Largest radius of the newest detection's disc, eps + v_g (A + tau_c) [m].
+        v_a, u_a, v_g: Bounds [m/s], [m/s²], [m/s].
+        dt: Length of a tick [s].
+    """
+    radius = r_v
+    while radius > rho:
+        radius -= _GRID
+        if not handover_reach(radius, eps, rho, v_a, u_a, v_g, dt) >= radius:
+            return math.nan
+        if handover_fits(radius, r_v, eps, rho, v_a, u_a, v_g, dt):
+            return radius
+    return math.nan
+
+
+@functools.lru_cache(maxsize=1024)
+def certificate(
+    *,
+    r_v: float,
+    v_a: float,
+    u_a: float,
+    v_g: float,
+    dt: float,
+    eps: float,
+    age: float,
+    delay: float = 0.0,
+    margin: float = 0.0,
+    width: float = math.inf,
+    height: float = math.inf,
+) -> Promise:
+    r"""The certificate of one UAV. What fails is NaN in it and named by `check_assumptions`.
+
+    Args:
+        r_v: Visibility radius [m].
+        v_a: Largest speed of the UAV [m/s].
+        u_a: Its largest acceleration [m/s²].
+        v_g: Largest speed of the UGV [m/s].
+        dt: Length of a tick [s].
+        eps: Largest error of a detection [m].
+        age: Largest age of the newest arrived detection, A [s].
+        delay: From the tick that a command answers to the one in which it acts [s]; rounded up to whole ticks.
+        margin: Taken off r_v [m], for what the theorem does not cover (jitter and loss of commands).
+        width, height: Of an area with walls [m]: plans stay in it, and `keep_detection` is given what is clipped to it.
+    """
+    delay = math.ceil(delay / dt - ROUNDING) * dt
+    r_v, v_a, u_a, v_g, eps = float(r_v - margin), float(v_a), float(u_a), float(v_g), float(eps)
+    radius = reach = math.nan
+    if all(math.isfinite(x) for x in (r_v, v_a, v_g, eps, age)) and 0.0 <= v_g < v_a and u_a > 0.0:
+        rho = eps + v_g * (age + delay)
+        radius = float(handover_radius(r_v, eps, rho, v_a, u_a, v_g, dt))
+        reach = float(handover_reach(radius, eps, rho, v_a, u_a, v_g, dt))
+    return Promise(dt, eps, float(age), delay, r_v - MARGIN, v_a, u_a, v_g, float(width), float(height), radius, reach)
+
+
+@compiled
+def certified_radius(handover: float, v_a: float, u_a: float, v_g: float, dt: float, delay: float) -> float:
+    r"""r_cert [m]: while d_cert is less, every inner control acts, whatever the velocity.
+
+    $$ r_{cert} = R_h - \frac{v_a^2}{2 u_a} - \frac{v_a v_g}{u_a} - (\tfrac32 v_a + 2 v_g) dt - (v_a + v_g) \tau_c $$
+
+    With $R_h \to r_v - v_g^2 / (2 u_a)$ this is (18) as dt and tau_c go to 0. Beyond it the filter decides by the velocity that
+    the UAV really has: r_cert is for display, for tuning and for tests.
+
+    Args:
+        handover: R_h [m].
+        v_a, u_a, v_g: Bounds [m/s], [m/s²], [m/s].
+        dt: Length of a tick [s].
+        delay: tau_c [s].
+    """
+    stop = 0.5 * v_a * v_a / u_a + v_a * v_g / u_a
+    return handover - stop - (1.5 * v_a + 2.0 * v_g) * dt - (v_a + v_g) * delay
+
+
+def largest_age(promise: Promise) -> float:
+    """The largest A [s] for which the hand-over holds, other numbers as they are; NaN if there is none. To a hundredth."""
+    c = promise
+
+    def fits(age: float) -> bool:
+        rho = c.eps + c.v_g * (age + c.delay)
+        return not math.isnan(handover_radius(c.r_v + MARGIN, c.eps, rho, c.v_a, c.u_a, c.v_g, c.dt))
+
+    low, high = 0.0, c.r_v / max(c.v_g, 1e-9)
+    if not fits(low):
+        return math.nan
+    while high - low > 0.01:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if fits(middle) else (low, middle)
+    return low
+
+
+def check_assumptions(promise: Promise) -> tuple[str, ...]:
+    """Which assumptions do not hold, one line each with its numbers; empty if all hold that are known when a run is loaded."""
+    c = promise
+    faults = []
+    if not math.isfinite(c.eps):
+        faults.append(f"eps = {c.eps:g} m: the noise of the detections is not cut, so none of them bounds the distance")
+    if not math.isfinite(c.age):
+        faults.append(f"A = {c.age:g} s: the age of the newest detection has no bound")
+    if not math.isfinite(c.v_a) or not math.isfinite(c.v_g):
+        faults.append(f"v_a = {c.v_a:g} m/s, v_g = {c.v_g:g} m/s: both speeds must be bounded")
+    elif not c.v_g < c.v_a:
+        faults.append(f"v_a = {c.v_a:g} m/s: the UAV must be faster than the UGV, v_g = {c.v_g:g} m/s")
+    if not c.u_a > 0.0:
+        faults.append(f"u_a = {c.u_a:g} m/s²: must be positive")
+    if not faults and math.isnan(c.handover):
+        rho, most = c.eps + c.v_g * (c.age + c.delay), largest_age(c)
+        limit = "for no A" if math.isnan(most) else f"for A up to {most:.2f} s"
+        faults.append(
+            f"eps + v_g (A + tau_c) = {rho:.4g} m (eps {c.eps:g} m, A {c.age:g} s, tau_c {c.delay:g} s): "
+            f"too much for r_v = {c.r_v:.4g} m; with these numbers the hand-over holds {limit}"
+        )
+    return tuple(faults)
