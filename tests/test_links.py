@@ -114,6 +114,17 @@ def test_a_command_acts_late_and_is_held_and_then_the_vehicle_brakes() -> None:
     assert dark.first_missing == 0  # the UGV's was not
 
 
+def test_a_command_that_was_overtaken_is_not_flown_any_more() -> None:
+    flight = moving(LinkTable(commands=LinkSettings(reorder=0.5, reorder_delay=0.3)))
+    flown = []
+    for tick in range(100):
+        flight.apply({"uav_0": UavCommand(tick=tick, acceleration=(0.001 * (tick + 1), 0.0))})
+        flown.append(float(flight.world.commands[0, 0]))
+    assert flight.world.links.of(LinkKind.COMMANDS)["uav_0"].counters().delivered > 90
+    assert flown == sorted(flown)
+    assert len(set(flown)) < 80  # many came too late to be flown
+
+
 def test_operators_and_radio_come_late() -> None:
     flight = moving(LinkTable(operator=LinkSettings(delay=0.3), radio=LinkSettings(delay=0.2)))
     words, message = Drive(driver="me"), RelativeInformation(time=0.0, relative_position=(1.0, 0.0), coverage_error=1.0)
