@@ -517,6 +517,10 @@ class Status(Message, frozen=True, kw_only=True):
     refusals: tuple[Text, ...] = ()
     """The last wishes of operators that were refused, and why; not more than 5."""
     geometry: Geometry | None = None
+    certified: dict[Name, bool] = {}
+    """Whether sight is certified to be kept, by UAV; only those that a safety filter watches over."""
+    uncertified: dict[Name, Text] = {}
+    """Why not, by UAV."""
     links: dict[Text, LinkStatus] = {}
     """How each link does, by `vehicle/kind`."""
     vehicles: dict[Name, VehicleStatus]

@@ -180,6 +180,11 @@ class Flight:
         for uav in self.world.uavs:
             self._news_of(uav.name).law = law
 
+    def watched(self) -> dict[str, UavReport]:
+        """The last reports of the UAVs that a safety filter watches over."""
+        told = zip(self.world.uavs, self.reports, strict=True)
+        return {uav.name: report for uav, report in told if report is not None and report.certified is not None}
+
     def news(self, tick: int) -> dict[str, News]:
         """What vehicles were told at a tick besides what they perceived; only those that were told something."""
         return {name: told[tick] for name, told in self._news.items() if tick in told}

@@ -92,6 +92,7 @@ class Telemetry:
         before, tick = self._last
         self._last = (now, world.tick)
         elapsed = now - before
+        watched = flight.watched()
         return Status(
             scenario=flight.scenario.name,
             seed=flight.seed,
@@ -107,6 +108,8 @@ class Telemetry:
             changes=tuple(self._desk.changes)[-_SHOWN:],
             refusals=tuple(self._desk.refusals),
             geometry=self._geometry,
+            certified={name: bool(report.certified) for name, report in watched.items()},
+            uncertified={name: report.uncertified for name, report in watched.items() if not report.certified},
             links=world.links.status(),
             vehicles=self._seats.statuses(),
             over=flight.over,

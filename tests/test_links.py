@@ -198,8 +198,9 @@ def test_an_operator_degrades_a_link_while_it_flies(tmp_path: Path) -> None:
         run.start("ugv_0")
 
         def work(send: Any, status: Any) -> None:
-            status(lambda s: s.tick > 50)
+            status(lambda s: s.tick > 50 and s.certified == {"uav_0": True} and not s.uncertified)
             send(Control(action=Action.LINK, link=LinkKind.DETECTIONS, settings=LinkSettings(loss=1.0)))
+            status(lambda s: s.certified == {"uav_0": False} and "older than declared" in s.uncertified["uav_0"])
             status(lambda s: s.links["uav_0/detections"].lost["loss"] > 100)
             send(Control(action=Action.LINK, link=LinkKind.RADIO, vehicle="ugv_0", settings=LinkSettings()))
             status(lambda s: any("has no link for its radio" in line for line in s.refusals))
