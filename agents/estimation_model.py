@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from bus.messages import Limits
-from sim.compile import FloatArray
+from sim.compile import FloatArray, compiled
 
 _TIRE_LIMIT = 9.81  # [m/s²], what tires on the ground can give; where neither of the UGV's bounds is known
 _HOLD = 1.0  # [s], how long an acceleration lasts where the largest speed is not known
@@ -69,7 +69,24 @@ def _largest_acceleration(target: Limits, dt: float) -> float:
     return _TIRE_LIMIT if target.max_speed is None else target.max_speed / dt
 
 
+def supposed_acceleration(*, target: Limits, manoeuvre: float, dt: float) -> float:
+    r"""How fast the UGV is supposed to change its velocity [m/s²]: $m\,u_{g,max}$, see `acceleration_deviation`."""
+    return manoeuvre * _largest_acceleration(target, dt)
+
+
 def straying(*, elapsed: float, target: Limits, manoeuvre: float, dt: float) -> float:
+    """How far [m] a UGV of these bounds can get from its course in `elapsed` [s], see `strayed_distance`.
+
+    Infinitely far where its largest speed is not known.
+    """
+    if target.max_speed is None:
+        return math.inf
+    acceleration = supposed_acceleration(target=target, manoeuvre=manoeuvre, dt=dt)
+    return strayed_distance(elapsed=float(elapsed), speed=float(target.max_speed), acceleration=float(acceleration))
+
+
+@compiled
+def strayed_distance(elapsed: float, speed: float, acceleration: float) -> float:
     r"""How far a UGV can get from where it would be had it gone straight on; it turns round as fast as it is supposed to.
 
     $$ d(t) = \tfrac12 a t^2 \ \text{until}\ t = 2 v_{g,max}/a, \quad \text{then}\ 2 v_{g,max} (t - v_{g,max}/a),
@@ -77,16 +94,12 @@ def straying(*, elapsed: float, target: Limits, manoeuvre: float, dt: float) -> 
 
     Args:
         elapsed: t [s].
-        target: The UGV's bounds; infinitely far where its largest speed is not known.
-        manoeuvre: m, the share of its bound.
-        dt: Length of a tick [s].
+        speed: v_g,max [m/s].
+        acceleration: a [m/s²].
 
     Returns:
         The distance [m].
     """
-    if target.max_speed is None:
-        return math.inf
-    speed, acceleration = target.max_speed, manoeuvre * _largest_acceleration(target, dt)
     if elapsed * acceleration < 2.0 * speed:
         return 0.5 * acceleration * elapsed * elapsed
     return 2.0 * speed * (elapsed - speed / acceleration)

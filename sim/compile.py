@@ -34,7 +34,7 @@ def _source_digest() -> str:
     for folder in ("sim", "agents", "outrider"):
         for path in sorted((root / folder).rglob("*.py")):
             text = path.read_bytes()
-            if b"@compiled" in text:
+            if any(mark in text for mark in (b"@compiled", b"@borrowing", b"@inlined", b"@released", b"@intrinsic")):
                 digest.update(text)
     return digest.hexdigest()[:16]
 
@@ -75,12 +75,39 @@ if _FOLDER is not None:
     numba.config.CACHE_DIR = str(_FOLDER)  # type: ignore[attr-defined]
 
 
-def compiled(function: _F) -> _F:
-    """Compile a function of plain floats and arrays; the Python original is its attribute `py_func`.
+def _compile(function: _F, **options: Any) -> _F:  # noqa: ANN401 - numba's
+    """No `fastmath`: the bits must not depend on who calls."""
+    njit: Any = numba.njit
+    return cast("_F", njit(cache=_FOLDER is not None, error_model="numpy", **options)(function))
 
-    No `fastmath`: the bits must not depend on who calls.
+
+def compiled(function: _F) -> _F:
+    """Compile a function of plain floats and arrays; the Python original is its attribute `py_func`."""
+    return _compile(function, _nrt=True)
+
+
+def borrowing(function: _F) -> _F:
+    """Compile as `compiled` does, but without reference counting: the function borrows its arrays.
+
+    Handing a view or a tuple of arrays about then costs nothing; counted, it costs more than a small kernel, the more so where
+    threads count the same array. Such a function cannot make arrays. One that returns views may only be called from another
+    that borrows, never from Python or `compiled`, which would count the view down.
     """
-    return cast("_F", numba.njit(cache=_FOLDER is not None, error_model="numpy")(function))
+    return _compile(function, _nrt=False)
+
+
+def inlined(function: _F) -> _F:
+    """Compile as `borrowing` does, but as a part of each caller: for what is handed the state of many worlds.
+
+    Such a state has a hundred arrays: a call would copy what describes them, some kilobytes, for one world's tick, and each
+    function would take seconds to compile for itself.
+    """
+    return _compile(function, _nrt=False, inline="always")
+
+
+def released(function: _F) -> _F:
+    """Compile as `borrowing` does, and give the interpreter away while it runs: for loops over worlds that threads share."""
+    return _compile(function, _nrt=False, nogil=True)
 
 
 @contextlib.contextmanager

@@ -93,6 +93,7 @@ def cut_normal_vector(sigma: float, cut: float, seed: int, purpose: int, who: in
     return radius * math.cos(angle), radius * math.sin(angle)
 
 
+@compiled
 def pilot_key(seed: int, vehicle: int) -> int:
     """The key of a pilot's own random numbers: below 2**53, so that it survives JSON in every language."""
-    return int(draw(seed, PILOT_KEY, vehicle, 0, 0)[0]) >> 11
+    return np.int64(draw(seed, PILOT_KEY, vehicle, 0, 0)[0] >> np.uint64(11))  # type: ignore[return-value]

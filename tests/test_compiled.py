@@ -15,17 +15,24 @@ from flights import HERE, escort, parameters
 import agents.control
 from agents.control.certificate import no_plan
 from agents.control.discs import no_detections
+from agents.control.guard import guard_state, note_position, pack_promise
 from agents.control.handover import certificate
 from agents.control.laws import LAWS, OwnTerms
+from agents.drivers.compiled import COMPILED_DRIVERS, driver_parameters, fresh_driver_state, pack_driver
+from agents.estimation_twin import COLUMNS, NUMBERS, KalmanState, kalman_parameters, pack_kalman
+from bus.messages import Detector, Estimator, Limits
+from sim.briefing import briefing
 from sim.field import SENSORS
 
 MODULES = (
     *(f"agents.control.{module.name}" for module in pkgutil.iter_modules(agents.control.__path__)),
+    "agents.estimation_model",
+    "agents.estimation_twin",
     "sim.vehicles",
     "sim.detection",
     "sim.field",
     "sim.randomness",
-    "agents.drivers.waypoints",
+    *(f"agents.drivers.{name}" for name in ("waypoints", "steering", "wander", "script", "evade", "compiled")),
 )
 
 
@@ -45,8 +52,30 @@ _WORDS = [np.uint64(word) for word in _RNG.integers(0, 2**63, 6)]
 _DETECTIONS = no_detections()
 _DETECTIONS[:2] = (20.1, 20.2, 0.3), (19.4, 20.9, 0.1)
 
+_NUMBERS = {"r_v": 4.75, "v_a": 0.6, "u_a": 0.3, "v_g": 0.2, "dt": 0.05, "eps": 0.3, "age": 1.0, "width": 40.0, "height": 40.0}
+_PROMISE = certificate(**_NUMBERS)
+
+_GUARD = guard_state(certificate(**_NUMBERS, delay=0.15), depth=50)
+note_position(_GUARD, 39, 20.6, 21.2)
+_GUARD.detections[:], _GUARD.pending[:] = _DETECTIONS, ((0.2, -0.1), (-0.3, 0.0), (0.1, 0.25))
+
+_KALMAN = kalman_parameters(
+    detector=Detector(noise=0.1, period=0.05),
+    target=Limits(max_speed=0.2, max_acceleration=0.1),
+    dt=0.05,
+    settings=Estimator(),
+)
+_BELIEF = 1.0 + np.abs(_RNG.normal(size=NUMBERS))
+_MEMORIES = _RNG.integers(0, 3, (7, COLUMNS)).astype(float)
+
+_DRIVERS = [driver_parameters(briefing(escort(), "ugv_0", seed=3), name) for name in COMPILED_DRIVERS]
+_STATE = np.array([0.4, -1.0, 20.3, 21.1, 1.0, 0.05, 0.3, -0.2, 0.1, 0.0, -1.0, -0.5])
+"""Of a law, and of a driver: which has heard the UAV and is out of its corner."""
+_CORNERED = np.array([*_STATE[:-1], 1e3])
+
 BY_NAME: dict[str, object] = {
-    "promise": certificate(r_v=4.75, v_a=0.6, u_a=0.3, v_g=0.2, dt=0.05, eps=0.3, age=1.0, width=40.0, height=40.0),
+    "promise": _PROMISE,
+    "row": pack_promise(_PROMISE),
     "detections": _DETECTIONS,
     "plan": no_plan(),
     "pending": _RNG.normal(size=(3, 2)),
@@ -61,7 +90,12 @@ BY_NAME: dict[str, object] = {
     "p_x": 20.7,
     "p_y": 21.3,
     "coverage": _GROUND,
-    "state": np.array([0.4, -1.0, 20.3, 21.1, 1.0]),
+    "state": _STATE,
+    "goals": np.array([[20.7, 21.3], [3.0, 4.0], [18.0, 1.0]]),
+    "script": np.array([[0.5, 0.1, 0.2], [1.5, -0.1, 0.3], [60.0, 3.0, 4.0]]),
+    "radio": np.array([[0.2, 0.7, -0.4], [0.3, 0.9, -0.3], [0.3, 8.0, 9.0]]),
+    "heard": 2,
+    "lead": 4.0,
     "terms": _RNG.normal(size=77),
     "parameters": parameters(escort("logarithmic")),
     "own": OwnTerms(alpha=0.3, beta=0.8),
@@ -92,6 +126,7 @@ BY_NAME: dict[str, object] = {
     "who": 1,
     "uav": 1,
     "tick": 41,
+    "taken": 39,
     "index": 2,
     "word": _WORDS[0],
     "a": _WORDS[0],
@@ -101,6 +136,24 @@ BY_NAME: dict[str, object] = {
     "c_c": -8.0 / 3.0,
 }
 """An argument of this name has this value, in every function."""
+
+IN_MODULE: dict[str, dict[str, object]] = {
+    "agents.drivers.compiled": {"parameters": _DRIVERS[-1], "row": pack_driver(_DRIVERS[-1])},
+    "agents.control.guard": {"state": _GUARD},
+    "agents.estimation_twin": {
+        "parameters": _KALMAN,
+        "row": pack_kalman(_KALMAN),
+        "numbers": _BELIEF,
+        "history": _MEMORIES,
+        "state": KalmanState(numbers=_BELIEF, history=_MEMORIES),
+        "looks": np.array([[41.0, 1.0, 2.0], [39.0, 0.5, 2.5], [36.0, 1.0, 1.0], [41.0, 1.0, 2.0]]),
+        "count": 4,
+        "first": 38,
+        "place": 2,
+        **{name: 0.3 + 0.1 * k for k, name in enumerate(("pv", "vp", "pp", "vv", "least", "most"))},
+    },
+}
+"""But in the functions of this module it has this one."""
 
 POSITIVE = (
     *("size", "v_", "u_max", "limit", "speed", "distance", "tolerance", "rho2", "peak", "duration", "half", "radius"),
@@ -114,6 +167,18 @@ EXTRA: dict[str, dict[str, list[object]]] = {
     "agents.control.coverage.keep_off_border": {"p_ax": [0.1, 39.9], "p_ay": [0.1, 39.9]},
     "agents.control.tracking.tracking_step": {"a_c": [0.0, -3.0]},
     "agents.control.coverage.velocity_error": {"uncovered": [True, False]},
+    "agents.control.guard.note_detection": {"taken": [-1, 38], "p_delta_x": [-30.0, 30.0]},
+    "agents.drivers.compiled.ugv_control": {
+        "parameters": _DRIVERS,
+        "state": [fresh_driver_state(), _CORNERED],
+        "heard": [0, 3],
+        "p_x": [0.1, 39.9],
+    },
+    "agents.drivers.evade.evade_control": {"state": [fresh_driver_state(), _CORNERED], "p_x": [0.1, 39.9], "v_x": [30.0, -30.0]},
+    "agents.drivers.evade.turned": {"time": [0.1 * k for k in range(300)]},
+    "agents.drivers.evade.border_side": {"p": [0.1, 0.5, 39.9]},
+    "agents.drivers.script.script_control": {"time": [0.0, 0.5, 2.0, 1e12], "script": [np.zeros((0, 3))]},
+    "agents.drivers.waypoints.waypoint_control": {"goals": [np.zeros((0, 2))]},
     "sim.field.sensor_quality": {"sensor": list(SENSORS.values()), "rho2": [0.0, 3.3, 24.9, 25.0, 30.0]},
     "sim.field.sensor_slope": {"sensor": list(SENSORS.values()), "rho2": [0.0, 3.3, 24.9, 25.0, 30.0]},
     "sim.field.density": {"rho2": [0.0, 3.3, 90.0, 95.0625, 99.0]},
@@ -125,7 +190,10 @@ EXTRA: dict[str, dict[str, list[object]]] = {
 """More values of single arguments, one after the other."""
 
 
-def _value(name: str, place: int) -> object:
+def _value(qualified: str, name: str, place: int) -> object:
+    in_module = IN_MODULE.get(qualified.rpartition(".")[0], {})
+    if name in in_module:
+        return in_module[name]
     if name in BY_NAME:
         return BY_NAME[name]
     number = 0.371 + 0.173 * place
@@ -133,7 +201,7 @@ def _value(name: str, place: int) -> object:
 
 
 def _calls(qualified: str, names: list[str]) -> Iterator[list[object]]:
-    base = [_value(name, place) for place, name in enumerate(names)]
+    base = [_value(qualified, name, place) for place, name in enumerate(names)]
     for scale in (1.0, 0.37, 1.9):
         yield [value * scale if isinstance(value, float) else value for value in base]
     for name, values in EXTRA.get(qualified, {}).items():
@@ -161,11 +229,17 @@ def _caller(function: Callable[..., object], names: list[str]) -> Callable[..., 
     return caller
 
 
+def _copy(value: Any) -> Any:
+    if isinstance(value, tuple) and hasattr(value, "_make"):
+        return value._make(map(_copy, value))
+    return value.copy() if isinstance(value, np.ndarray) else value
+
+
 def _answer(function: Callable[..., object], given: list[object]) -> bytes:
     """The bits of the result and of the arrays, which it may have changed."""
-    arguments = [value.copy() if isinstance(value, np.ndarray) else value for value in given]
+    arguments = [_copy(value) for value in given]
     result = _bits(function(*arguments))
-    return result + b"".join(_bits(value) for value in arguments if isinstance(value, np.ndarray))
+    return result + b"".join(_bits(value) for value in arguments if isinstance(value, (np.ndarray, tuple)))
 
 
 @pytest.mark.parametrize("qualified", FUNCTIONS)

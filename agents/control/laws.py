@@ -139,6 +139,42 @@ def law_parameters(briefing: UavBriefing, law: Law) -> LawParameters:
     )
 
 
+def pack_law(parameters: LawParameters) -> FloatArray:
+    """The numbers of a law as an array, for a table of many vehicles. Shape (24,)."""
+    return np.array(parameters, dtype=np.float64)
+
+
+@compiled
+def unpack_law(row: FloatArray, key: int) -> LawParameters:
+    """The parameters that `pack_law` has packed, with the key of this world's pilot."""
+    return LawParameters(
+        int(row[0]),
+        row[1],
+        row[2],
+        row[3],
+        row[4],
+        row[5],
+        row[6],
+        row[7],
+        int(row[8]),
+        row[9],
+        row[10],
+        row[11],
+        row[12],
+        row[13],
+        row[14],
+        row[15],
+        row[16],
+        row[17],
+        row[18],
+        row[19],
+        row[20],
+        row[21],
+        row[22],
+        key,
+    )
+
+
 def initial_state() -> FloatArray:
     """The state of a law that has not flown yet: x_c = 0, no point held. Shape (STATE_SIZE,)."""
     return np.zeros(STATE_SIZE)

@@ -1,13 +1,11 @@
 """The visibility constraint (5), the radius from which only tracking acts (18), and the filter that keeps the constraint."""
 
 import math
-from collections import Counter, deque
+from collections import Counter
 from typing import NamedTuple
 
-import numpy as np
-
-from agents.control.certificate import CERTIFIED, INNER, UNCERTIFIED, no_plan, safe_control, state_ahead, uncertified_reason
-from agents.control.discs import certified_distance, keep_detection, no_detections
+from agents.control.certificate import CERTIFIED, INNER, UNCERTIFIED
+from agents.control.guard import guard, guard_state, note_detection, note_position
 from agents.control.handover import Promise, certificate, check_assumptions
 from bus.errors import ScenarioError
 from bus.messages import UavBriefing, UavObservation, Vector
@@ -16,6 +14,9 @@ from sim.vehicles import norm, stopping_distance
 
 _TRACK = 120.0
 """The UAV's own positions are kept for so long [s]; detections that are older are of no use."""
+
+_MOST_TICKS = 1_000_000
+"""But for no more ticks, however short they are: memory for all of them is taken at once, 24 bytes a tick."""
 
 
 @compiled
@@ -110,29 +111,17 @@ class SafetyFilter:
         """Those that were not let through."""
         self.uncertified: Counter[str] = Counter()
         """Ticks that were not certified, by reason."""
-        self._detections, self._plan = no_detections(), no_plan()
-        self._pending = np.zeros((round(self.promise.delay / self.promise.dt), 2))
-        self._track: deque[tuple[int, Vector]] = deque(maxlen=max(1, math.ceil(_TRACK / briefing.dt)))
-        self._contradicted = False
+        self._state = guard_state(self.promise, depth=max(1, min(_MOST_TICKS, math.ceil(_TRACK / briefing.dt))))
+        self._detections = self._state.detections
 
     def see(self, observation: UavObservation) -> None:
         """Take in where the UAV is, and the detections that have arrived, in any order."""
-        c, (p_x, p_y) = self.promise, observation.position
-        self._track.append((observation.tick, observation.position))
+        c, state, tick, (p_x, p_y) = self.promise, self._state, observation.tick, observation.position
+        note_position.py_func(state, tick, p_x, p_y)  # type: ignore[attr-defined] # in Python: done before a compiled call begins
         for found in observation.detections:
-            own = self._position_at(round(found.time / c.dt))
-            if own is None:
-                continue
-            z_x, z_y = own[0] - found.relative_position[0], own[1] - found.relative_position[1]
-            z_x, z_y = min(max(z_x, 0.0), c.width), min(max(z_y, 0.0), c.height)  # the UGV is in the area
-            agrees = keep_detection(self._detections, z_x, z_y, found.time, observation.time, p_x, p_y, c.eps, c.v_g)
-            self._contradicted |= not agrees
-
-    def _position_at(self, tick: int) -> Vector | None:
-        place = len(self._track) - 1 - (self._track[-1][0] - tick)
-        if 0 <= place < len(self._track) and self._track[place][0] == tick:
-            return self._track[place][1]
-        return next((position for seen, position in self._track if seen == tick), None)  # where ticks were missed
+            taken, (x, y) = round(found.time / c.dt), found.relative_position
+            if taken <= tick:  # any other is of no tick that was seen, and may be too large for a compiled function
+                note_detection(c, state, taken, tick, x, y, p_x, p_y)
 
     def filter(self, observation: UavObservation, acceleration: Vector) -> Verdict:
         """Let a command through if sight is kept after it; else give the one that keeps it.
@@ -141,15 +130,10 @@ class SafetyFilter:
             observation: What `see` was called with last.
             acceleration: What the law, the person or the policy wants [m/s²].
         """
-        c, pending = self.promise, self._pending
         (p_x, p_y), (v_x, v_y), (u_x, u_y) = observation.position, observation.velocity, acceleration
-        q_x, q_y, w_x, w_y = state_ahead(pending, p_x, p_y, v_x, v_y, c.v_a, c.u_a, c.dt)
-        u_x, u_y, acts = safe_control(
-            c, self._detections, self._plan, observation.time + c.delay, q_x, q_y, w_x, w_y, float(u_x), float(u_y)
+        u_x, u_y, acts, code, distance = guard(
+            self.promise, self._state, observation.tick, p_x, p_y, v_x, v_y, float(u_x), float(u_y)
         )
-        if len(pending):
-            pending[:-1], pending[-1] = pending[1:], (u_x, u_y)
-        code = uncertified_reason(c, self._detections, self._plan, observation.time, self._contradicted, acts)
         reason = "" if code == CERTIFIED else UNCERTIFIED[code]
         if self.faults:
             reason = self.faults[0]
@@ -157,5 +141,4 @@ class SafetyFilter:
         self.interventions += acts != INNER
         if reason:
             self.uncertified[reason] += 1
-        distance = certified_distance(p_x, p_y, observation.time, self._detections, c.eps, c.v_g)
         return Verdict((u_x, u_y), acts != INNER, not reason, reason, distance)

@@ -2,9 +2,12 @@
 
 import math
 
-from agents.drivers.steering import Steering
-from agents.drivers.wander import WanderDriver
-from bus.messages import RelativeInformation, UgvBriefing, UgvObservation
+import numpy as np
+
+from agents.drivers.steering import Steering, velocity_control
+from agents.drivers.wander import WANDER_STATE, wander_control, wander_pace
+from bus.messages import UgvBriefing, UgvObservation
+from sim.compile import FloatArray, compiled
 from sim.randomness import WANDER, uniform
 from sim.vehicles import norm
 
@@ -15,43 +18,245 @@ _SLOT = 5.0  # one sharp turn in so many leads
 _DASH = 4.0  # out of a corner it drives along a wall for so many leads
 _BEGIN, _SIDE, _ANGLE, _WALL, _SPOT = range(2, 7)  # indices of the draws of a slot; 0 and 1 are the wanderer's
 
+# Rows of the state, after the wanderer's: the UAV's place [m] (2) at a time [s], its smoothed velocity [m/s] (2), when the newest
+# message came [s], the direction out of a corner (2) and until when it counts [s].
+_PLACE, _AT, _VELOCITY, _HEARD, _OUT, _OUT_END = (WANDER_STATE + row for row in (0, 2, 3, 5, 6, 8))
+EVADE_STATE = WANDER_STATE + 9
 
-class _Pursuer:
-    """The UAV as its radio messages show it: place and smoothed velocity. Of several UAVs, the one that was heard last."""
 
-    def __init__(self, dt: float) -> None:
-        self._dt = dt
-        self._place = (0.0, 0.0)  # [m], at the time _at
-        self._velocity = (0.0, 0.0)
-        self._at = 0.0  # [s]
-        self._heard = -math.inf  # when the newest message came [s]
+@compiled
+def begin_evade(state: FloatArray) -> None:
+    """Set the state to that of a driver that has heard nothing and wants to nowhere; in place."""
+    state[:] = 0.0
+    state[_HEARD] = -math.inf
+    state[_OUT_END] = -math.inf
 
-    def known(self, time: float) -> bool:
-        """Whether there has been a message, and not too long ago."""
-        return time - self._heard <= _FORGOTTEN
 
-    def listen(self, observation: UgvObservation) -> None:
-        """Take in what has come at this tick."""
-        for message in observation.radio:
-            self._take(message, observation)
+@compiled
+def is_known(state: FloatArray, time: float) -> bool:
+    """Whether there has been a message of the UAV, and not too long ago."""
+    return bool(time - state[_HEARD] <= _FORGOTTEN)
 
-    def _take(self, message: RelativeInformation, observation: UgvObservation) -> None:
-        (p_x, p_y), (v_x, v_y), (d_x, d_y) = observation.position, observation.velocity, message.relative_position
-        age = min(max(observation.time - message.time, 0.0), _FORGOTTEN)
-        x, y, at = p_x - age * v_x + d_x, p_y - age * v_y + d_y, observation.time - age  # the UGV has driven on since
-        gap = at - self._at
-        if not self.known(observation.time):
-            self._velocity = (0.0, 0.0)
-        elif gap > 0.5 * self._dt:  # of two messages of one time the difference says nothing
+
+@compiled
+def listen(
+    state: FloatArray,
+    radio: FloatArray,
+    heard: int,
+    time: float,
+    p_x: float,
+    p_y: float,
+    v_x: float,
+    v_y: float,
+    dt: float,
+) -> None:
+    """Take in what has come at this tick: place and smoothed velocity of the UAV. Of several, that which was heard last.
+
+    Args:
+        state: Of the driver, changed in place.
+        radio: Time [s] and p_a - p_g [m] of each message, shape (rows, 3).
+        heard: How many rows count.
+        time: Now [s].
+        p_x, p_y: Position of the UGV [m].
+        v_x, v_y: Its velocity [m/s].
+        dt: Length of a tick [s].
+    """
+    for row in range(heard):
+        age = min(max(time - radio[row, 0], 0.0), _FORGOTTEN)
+        x, y = p_x - age * v_x + radio[row, 1], p_y - age * v_y + radio[row, 2]  # the UGV has driven on since
+        at = time - age
+        gap = at - state[_AT]
+        if not is_known(state, time):
+            state[_VELOCITY], state[_VELOCITY + 1] = 0.0, 0.0
+        elif gap > 0.5 * dt:  # of two messages of one time the difference says nothing
             share = gap / (_SMOOTHING + gap)
-            (w_x, w_y), (q_x, q_y) = self._velocity, self._place
-            self._velocity = w_x + share * ((x - q_x) / gap - w_x), w_y + share * ((y - q_y) / gap - w_y)
-        self._place, self._at, self._heard = (x, y), at, observation.time
+            w_x, w_y = state[_VELOCITY], state[_VELOCITY + 1]
+            state[_VELOCITY] = w_x + share * ((x - state[_PLACE]) / gap - w_x)
+            state[_VELOCITY + 1] = w_y + share * ((y - state[_PLACE + 1]) / gap - w_y)
+        state[_PLACE], state[_PLACE + 1], state[_AT], state[_HEARD] = x, y, at, time
 
-    def ahead(self, time: float) -> tuple[float, float]:
-        """Where it will be at a time [m] if it flies on as it does."""
-        (x, y), (w_x, w_y), gap = self._place, self._velocity, time - self._at
-        return x + gap * w_x, y + gap * w_y
+
+@compiled
+def slot_draw(time: float, lead: float, index: int, key: int) -> float:
+    """A number in [0, 1) for the slot of this time [s]; a slot is five leads [s] long."""
+    return uniform(key, WANDER, 0, int(time / (_SLOT * lead)), index)
+
+
+@compiled
+def away(state: FloatArray, time: float, p_x: float, p_y: float, lead: float, key: int) -> tuple[float, float]:
+    """Away from where the UAV will be after the lead [s] if it flies on as it does; a unit vector."""
+    gap = time + lead - state[_AT]
+    x, y = p_x - (state[_PLACE] + gap * state[_VELOCITY]), p_y - (state[_PLACE + 1] + gap * state[_VELOCITY + 1])
+    length = norm(x, y)
+    if length > 0.0:
+        return x / length, y / length
+    angle = math.tau * slot_draw(time, lead, _SPOT, key)  # right below it: any direction is as good
+    return math.cos(angle), math.sin(angle)
+
+
+@compiled
+def turned(x: float, y: float, time: float, lead: float, key: int) -> tuple[float, float]:
+    """The direction (x, y), turned off sharply for one lead [s] of each slot."""
+    period = _SLOT * lead
+    begin = (_SLOT - 1.0) * lead * slot_draw(time, lead, _BEGIN, key)
+    if not begin <= time % period < begin + lead:
+        return x, y
+    angle = math.radians(60.0 + 60.0 * slot_draw(time, lead, _ANGLE, key))
+    if slot_draw(time, lead, _SIDE, key) < 0.5:
+        angle = -angle
+    cos, sin = math.cos(angle), math.sin(angle)
+    return x * cos - y * sin, x * sin + y * cos
+
+
+@compiled
+def border_side(p: float, size: float, margin: float) -> float:
+    """The sign of the side of one axis that is nearer than the margin, or 0; all in [m]."""
+    if p > size - margin:
+        return 1.0
+    return -1.0 if p < margin else 0.0
+
+
+@compiled
+def leave_wall(state: FloatArray, out_x: float, out_y: float, time: float, lead: float, key: int) -> tuple[float, float]:
+    """Off a wall that it stands square to, or out of a corner: along a wall, and it stays with that for a while.
+
+    Args:
+        state: Of the driver, changed in place.
+        out_x, out_y: The sides it is near to, of `border_side`.
+        time: Now [s].
+        lead: [s]
+        key: Of the UGV's own random numbers.
+    """
+    side = 1.0 if slot_draw(time, lead, _WALL, key) < 0.5 else -1.0
+    if out_x == 0.0 or out_y == 0.0:
+        x, y = side * out_y, side * out_x
+    elif side > 0.0:
+        x, y = -out_x, 0.0
+    else:
+        x, y = 0.0, -out_y
+    state[_OUT], state[_OUT + 1], state[_OUT_END] = x, y, time + _DASH * lead
+    return x, y
+
+
+@compiled
+def off_walls(
+    w_x: float,
+    w_y: float,
+    p_x: float,
+    p_y: float,
+    v_x: float,
+    v_y: float,
+    width: float,
+    height: float,
+    u_max: float,
+    dt: float,
+) -> tuple[float, float]:
+    """The wanted velocity [m/s], but where a wall would be hit else: to brake towards it first, and turn only then.
+
+    Args:
+        w_x, w_y: The wanted velocity [m/s].
+        p_x, p_y: Position [m].
+        v_x, v_y: Velocity [m/s].
+        width, height: Of Q [m].
+        u_max: Bound [m/s²].
+        dt: Length of a tick [s].
+    """
+    halting = 0.5 * norm(v_x, v_y) / u_max + 2.0 * dt  # way to a stop over speed [s]
+    stop_x = abs(v_x) * halting > (width - p_x if v_x > 0.0 else p_x)
+    stop_y = abs(v_y) * halting > (height - p_y if v_y > 0.0 else p_y)
+    if stop_x or stop_y:
+        return (0.0 if stop_x else v_x), (0.0 if stop_y else v_y)
+    return w_x, w_y
+
+
+@compiled
+def flee(
+    state: FloatArray,
+    x: float,
+    y: float,
+    time: float,
+    p_x: float,
+    p_y: float,
+    v_x: float,
+    v_y: float,
+    speed: float,
+    margin: float,
+    lead: float,
+    width: float,
+    height: float,
+    v_max: float,
+    u_max: float,
+    dt: float,
+    key: int,
+) -> tuple[float, float]:
+    """The acceleration [m/s²] to full speed in the direction (x, y), but along walls and out of corners.
+
+    The other arguments are those of `evade_control`.
+    """
+    if time < state[_OUT_END]:
+        x, y = state[_OUT], state[_OUT + 1]
+    out_x, out_y = border_side(p_x, width, margin), border_side(p_y, height, margin)
+    x, y = (0.0 if out_x * x > 0.0 else x), (0.0 if out_y * y > 0.0 else y)
+    length = norm(x, y)
+    if length > 0.0:
+        x, y = x / length, y / length
+    else:
+        x, y = leave_wall(state, out_x, out_y, time, lead, key)
+    w_x, w_y = off_walls(x * speed, y * speed, p_x, p_y, v_x, v_y, width, height, u_max, dt)
+    return velocity_control(v_x, v_y, w_x, w_y, v_max, u_max, dt)
+
+
+@compiled
+def evade_control(
+    state: FloatArray,
+    radio: FloatArray,
+    heard: int,
+    tick: int,
+    time: float,
+    p_x: float,
+    p_y: float,
+    v_x: float,
+    v_y: float,
+    speed: float,
+    margin: float,
+    lead: float,
+    width: float,
+    height: float,
+    tolerance: float,
+    v_max: float,
+    u_max: float,
+    dt: float,
+    key: int,
+) -> tuple[float, float]:
+    """The acceleration [m/s²] of `EvadeDriver`, which says what it does.
+
+    Args:
+        state: Of the driver, changed in place; begins as `begin_evade` makes it.
+        radio: Time [s] and p_a - p_g [m] of each message of this tick, shape (rows, 3).
+        heard: How many rows count.
+        tick: Now.
+        time: Now [s].
+        p_x, p_y: Position [m].
+        v_x, v_y: Velocity [m/s].
+        speed, margin: Of `wander_pace` [m/s], [m].
+        lead: Of `evade_lead` [s].
+        width, height: Of Q [m].
+        tolerance: Nearer than this the wanderer's goal is reached [m].
+        v_max, u_max: Bounds [m/s], [m/s²].
+        dt: Length of a tick [s].
+        key: Of the UGV's own random numbers.
+    """
+    listen(state, radio, heard, time, p_x, p_y, v_x, v_y, dt)
+    if not is_known(state, time):
+        return wander_control(state, tick, p_x, p_y, v_x, v_y, speed, margin, width, height, tolerance, u_max, dt, key)
+    x, y = away(state, time, p_x, p_y, lead, key)
+    x, y = turned(x, y, time, lead, key)
+    return flee(state, x, y, time, p_x, p_y, v_x, v_y, speed, margin, lead, width, height, v_max, u_max, dt, key)
+
+
+def evade_lead(speed: float, u_max: float) -> float:
+    """How far it looks ahead [s]: its own time to reverse from its speed [m/s] at its bound [m/s²], within limits."""
+    return min(max(2.0 * speed / u_max, _LEAD[0]), _LEAD[1])
 
 
 class EvadeDriver:
@@ -71,85 +276,28 @@ class EvadeDriver:
     """
 
     def __init__(self, briefing: UgvBriefing) -> None:
-        self._briefing = briefing
-        self._steering = Steering(briefing)
-        self._wander = WanderDriver(briefing)
-        self._speed, self._margin = self._wander.speed, self._wander.margin
-        self._lead = min(max(2.0 * self._speed / self._steering.u_max, _LEAD[0]), _LEAD[1])
-        self._pursuer = _Pursuer(self._steering.dt)
-        self._dash = (0.0, 0.0)  # direction out of a corner
-        self._dash_end = -math.inf  # [s]
+        self._steering = wheel = Steering(briefing)
+        self._width, self._height = float(briefing.area.width), float(briefing.area.height)
+        self._tolerance, self._key = float(briefing.goal_tolerance), briefing.key
+        self._speed, self._margin = wander_pace(self._width, self._height, wheel.v_max, wheel.u_max, wheel.dt)
+        self._lead = evade_lead(self._speed, wheel.u_max)
+        self._state = np.empty(EVADE_STATE)
+        begin_evade(self._state)
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
-        """The acceleration [m/s²] for this observation."""
-        self._pursuer.listen(observation)
-        if not self._pursuer.known(observation.time):
-            return self._wander.drive(observation)
-        x, y = self._direction(observation)
-        wanted = self._off_walls(observation, (x * self._speed, y * self._speed))
-        return self._steering.to_velocity(observation, wanted)
-
-    def _direction(self, observation: UgvObservation) -> tuple[float, float]:
-        """Where to, as a unit vector."""
-        dashing = observation.time < self._dash_end
-        x, y = self._dash if dashing else self._turned(self._away(observation), observation.time)
-        out_x, out_y = self._outward(observation)
-        free_x, free_y = (0.0 if out_x * x > 0.0 else x), (0.0 if out_y * y > 0.0 else y)
-        length = norm(free_x, free_y)
-        if length > 0.0:
-            return free_x / length, free_y / length
-        return self._leave(out_x, out_y, observation.time)
-
-    def _away(self, observation: UgvObservation) -> tuple[float, float]:
-        """Away from where the UAV will be."""
-        (p_x, p_y), (a_x, a_y) = observation.position, self._pursuer.ahead(observation.time + self._lead)
-        x, y = p_x - a_x, p_y - a_y
-        length = norm(x, y)
-        if length > 0.0:
-            return x / length, y / length
-        angle = math.tau * self._draw(observation.time, _SPOT)  # right below it: any direction is as good
-        return math.cos(angle), math.sin(angle)
+        """The acceleration [m/s²] for this observation: `evade_control`, with the turn as a method of its own."""
+        state, lead, tolerance, key = self._state, self._lead, self._tolerance, self._key
+        speed, margin, width, height = self._speed, self._margin, self._width, self._height
+        v_max, u_max, dt = self._steering.v_max, self._steering.u_max, self._steering.dt
+        tick, time, (p_x, p_y), (v_x, v_y) = observation.tick, observation.time, observation.position, observation.velocity
+        if observation.radio:
+            radio = np.array([(message.time, *message.relative_position) for message in observation.radio], dtype=np.float64)
+            listen(state, radio, len(radio), time, p_x, p_y, v_x, v_y, dt)
+        if not is_known(state, time):
+            return wander_control(state, tick, p_x, p_y, v_x, v_y, speed, margin, width, height, tolerance, u_max, dt, key)
+        x, y = self._turned(away(state, time, p_x, p_y, lead, key), time)
+        return flee(state, x, y, time, p_x, p_y, v_x, v_y, speed, margin, lead, width, height, v_max, u_max, dt, key)
 
     def _turned(self, direction: tuple[float, float], time: float) -> tuple[float, float]:
         """The direction, turned off sharply for one lead of each slot."""
-        period = _SLOT * self._lead
-        begin = (_SLOT - 1.0) * self._lead * self._draw(time, _BEGIN)
-        if not begin <= time % period < begin + self._lead:
-            return direction
-        angle = math.radians(60.0 + 60.0 * self._draw(time, _ANGLE))
-        if self._draw(time, _SIDE) < 0.5:
-            angle = -angle
-        cos, sin = math.cos(angle), math.sin(angle)
-        return direction[0] * cos - direction[1] * sin, direction[0] * sin + direction[1] * cos
-
-    def _outward(self, observation: UgvObservation) -> tuple[float, float]:
-        """On each axis the sign of the side that is nearer than the margin, or 0."""
-        area, margin, (p_x, p_y) = self._briefing.area, self._margin, observation.position
-        return (
-            float(p_x > area.width - margin) - float(p_x < margin),
-            float(p_y > area.height - margin) - float(p_y < margin),
-        )
-
-    def _off_walls(self, observation: UgvObservation, wanted: tuple[float, float]) -> tuple[float, float]:
-        """The wanted velocity [m/s], but where a wall would be hit else: to brake towards it first, and turn only then."""
-        (p_x, p_y), (v_x, v_y), area = observation.position, observation.velocity, self._briefing.area
-        halting = 0.5 * norm(v_x, v_y) / self._steering.u_max + 2.0 * self._steering.dt  # way to a stop over speed [s]
-        stop_x = abs(v_x) * halting > (area.width - p_x if v_x > 0.0 else p_x)
-        stop_y = abs(v_y) * halting > (area.height - p_y if v_y > 0.0 else p_y)
-        if stop_x or stop_y:
-            return (0.0 if stop_x else v_x), (0.0 if stop_y else v_y)
-        return wanted
-
-    def _leave(self, out_x: float, out_y: float, time: float) -> tuple[float, float]:
-        """Off a wall that it stands square to, or out of a corner: along a wall, and it stays with that for a while."""
-        side = 1.0 if self._draw(time, _WALL) < 0.5 else -1.0
-        if out_x and out_y:
-            self._dash = (-out_x, 0.0) if side > 0.0 else (0.0, -out_y)
-        else:
-            self._dash = (side * out_y, side * out_x)
-        self._dash_end = time + _DASH * self._lead
-        return self._dash
-
-    def _draw(self, time: float, index: int) -> float:
-        """A number in [0, 1) for the slot of this time."""
-        return uniform(self._briefing.key, WANDER, 0, int(time / (_SLOT * self._lead)), index)
+        return turned(direction[0], direction[1], time, self._lead, self._key)

@@ -1,9 +1,36 @@
 """A driver without eyes: a timed list of velocities, held one after the other."""
 
-from bisect import bisect_right
+import numpy as np
 
-from agents.drivers.steering import EARLY, Steering
+from agents.drivers.steering import EARLY, Steering, velocity_control
 from bus.messages import UgvBriefing, UgvObservation
+from sim.compile import FloatArray, compiled
+from sim.vehicles import brake
+
+
+@compiled
+def script_control(
+    script: FloatArray, time: float, v_x: float, v_y: float, v_max: float, u_max: float, dt: float
+) -> tuple[float, float]:
+    """The acceleration [m/s²] towards the velocity of the last step whose time has come; before the first it brakes.
+
+    Args:
+        script: Time [s], v_x and v_y [m/s] of each step, in the order of time; shape (steps, 3).
+        time: Now [s].
+        v_x, v_y: Velocity [m/s].
+        v_max, u_max: Bounds [m/s], [m/s²].
+        dt: Length of a tick [s].
+    """
+    begun = np.searchsorted(script[:, 0], time + EARLY * dt, side="right")
+    if begun == 0:
+        return brake(v_x, v_y, u_max, dt)
+    return velocity_control(v_x, v_y, script[begun - 1, 1], script[begun - 1, 2], v_max, u_max, dt)
+
+
+def driver_script(briefing: UgvBriefing) -> FloatArray:
+    """Time [s], v_x and v_y [m/s] of each step of a briefing's script, in the order of time; shape (steps, 3)."""
+    steps = sorted(briefing.script, key=lambda step: step.time)  # of two at one time the later in the list counts
+    return np.array([(step.time, *step.velocity) for step in steps], dtype=np.float64).reshape(-1, 3)
 
 
 class ScriptDriver:
@@ -15,13 +42,9 @@ class ScriptDriver:
 
     def __init__(self, briefing: UgvBriefing) -> None:
         self._steering = Steering(briefing)
-        steps = sorted(briefing.script, key=lambda step: step.time)  # of two at one time the later in the list counts
-        self._times = [float(step.time) for step in steps]
-        self._velocities = [step.velocity for step in steps]
+        self._script = driver_script(briefing)
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """The acceleration [m/s²] for this observation."""
-        begun = bisect_right(self._times, observation.time + EARLY * self._steering.dt)
-        if not begun:
-            return self._steering.to_rest(observation)
-        return self._steering.to_velocity(observation, self._velocities[begun - 1])
+        (v_x, v_y), wheel = observation.velocity, self._steering
+        return script_control(self._script, observation.time, v_x, v_y, wheel.v_max, wheel.u_max, wheel.dt)

@@ -1,0 +1,325 @@
+"""The compiled filter of many worlds gives the same bits as the pilots' filter, whatever happens to the detections."""
+
+import math
+from collections import defaultdict
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from blas import blas_fuses, fused
+from filterpy.kalman import KalmanFilter
+
+from agents.estimation_model import acceleration_deviation, cut_variance, motion, straying
+from agents.estimation_twin import (
+    AGE,
+    COLUMNS,
+    DUPLICATES,
+    KNOWN,
+    MISDATED,
+    NUMBERS,
+    P_PP,
+    P_PV,
+    P_VP,
+    P_VV,
+    REFUSED,
+    TOO_OLD,
+    V_X,
+    V_Y,
+    KalmanParameters,
+    KalmanState,
+    X,
+    Y,
+    kalman_estimate,
+    kalman_parameters,
+    kalman_state,
+    kalman_step,
+    pack_kalman,
+    unpack_kalman,
+)
+from agents.estimator import RelativeEstimator
+from bus.messages import Detection, Detector, Estimator, Limits
+from sim.compile import compiled
+
+UGV = Limits(max_speed=0.2, max_acceleration=0.1)
+FREE = Limits(max_speed=None, max_acceleration=0.1)
+AGILE = Limits(max_speed=2.0, max_acceleration=None)
+UNKNOWN = Limits(max_speed=None, max_acceleration=None)
+
+
+@pytest.fixture(scope="module")
+def fuses():
+    return blas_fuses()
+
+
+def test_fma_rounds_once():
+    a = 1.0 + 2.0**-30
+    assert a * a - 1.0 - 2.0**-29 == 0.0
+    assert fused(a, a, -1.0 - 2.0**-29) == 2.0**-60
+
+
+def _compare(ours, theirs, fuses, where):
+    if fuses:
+        assert np.asarray(ours).tobytes() == np.asarray(theirs).tobytes(), (where, ours, theirs)
+    else:
+        message = f"{where}: to 1e-9 only, since numpy's BLAS does not fuse here as OpenBLAS does on x86-64"
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12, err_msg=message)
+
+
+# Flights
+
+
+class Case(NamedTuple):
+    """One filter, and what happens to its detections."""
+
+    ticks: int
+    dt: float = 0.05
+    target: Limits = UGV
+    settings: Estimator = Estimator()
+    noise: float = 0.1
+    late: float = 0.0  # largest delay [s]
+    every: int = 1  # ticks between two looks
+    wild: float = 0.0  # share of looks that come twice, contradict or have an impossible time
+
+    @property
+    def depth(self):
+        return 1 + round(self.late / self.dt)
+
+    @property
+    def detector(self):
+        return Detector(noise=self.noise, period=self.dt)
+
+
+CASES = {
+    "in time": Case(12000),
+    "tick of 0.1 s": Case(8000, dt=0.1),
+    "tick of 0.02 s": Case(8000, dt=0.02, settings=Estimator(manoeuvre=0.3)),
+    "unknown speed": Case(4000, target=FREE),
+    "unknown acceleration": Case(6000, dt=0.1, target=AGILE, settings=Estimator(patience=2)),
+    "nothing known": Case(4000, target=UNKNOWN),
+    "no patience": Case(6000, settings=Estimator(patience=1, gate=6.0)),
+    "no noise": Case(4000, noise=0.0),
+    "restless": Case(4000, target=AGILE, noise=0.01, settings=Estimator(manoeuvre=2.5)),
+    "switched off": Case(4000, settings=Estimator(enabled=False)),
+    "twice": Case(4000, wild=0.3),
+    "late": Case(5000, late=2.0, every=4, wild=0.1),
+    "late at 0.1 s": Case(5000, dt=0.1, late=2.0, every=2, wild=0.1),
+    "late at unknown speed": Case(2400, target=FREE, late=2.0, every=4, wild=0.1),
+    "late, no patience": Case(2400, late=1.0, every=2, wild=0.3, settings=Estimator(patience=2, gate=5.0)),
+    "late, restless": Case(2000, dt=0.1, target=AGILE, late=1.5, noise=0.01, settings=Estimator(manoeuvre=2.5)),
+    "late, switched off": Case(4000, late=2.0, every=2, wild=0.2, settings=Estimator(enabled=False)),
+}
+
+
+def _places(case, rng):
+    """Where the UAV and the UGV are at each tick: the UGV drives legs, turns and now and then is put elsewhere."""
+    v = 0.2 if case.target.max_speed is None else case.target.max_speed
+    p, angle, own, ugv = np.array([20.0, 20.0]), 0.0, [], []
+    for k in range(case.ticks):
+        if rng.random() < case.dt / 10.0:
+            angle = rng.uniform(0.0, 2.0 * math.pi)
+        if rng.random() < case.dt / 60.0:
+            p = p + rng.normal(size=2) * 4.0
+        p = p + v * case.dt * np.array([math.cos(angle), math.sin(angle)])
+        ugv.append(p)
+        own.append(p + 2.0 * np.array([math.cos(0.3 * k * case.dt), math.sin(0.2 * k * case.dt)]))
+    return np.array(own), np.array(ugv)
+
+
+def _arrivals(case, own, ugv, rng):
+    """For each tick the looks that arrive then: rows of the tick taken and p_delta."""
+    at, blind_until = defaultdict(list), 0
+    for k in range(3, case.ticks, case.every):
+        if rng.random() < case.every * case.dt / 60.0:  # blind for 1 s to 2 minutes
+            blind_until = k + round(math.exp(rng.uniform(0.0, math.log(120.0))) / case.dt)
+        if k < blind_until:
+            continue
+        gross = 5.0 * (rng.random() < 0.02)
+        look = (k, *(own[k] - ugv[k] + (case.noise + gross) * rng.normal(size=2)))
+        delay = rng.integers(case.depth) if case.late and rng.random() < 0.9 else 0
+        at[k + delay].append(look)
+        if rng.random() < case.wild:
+            other = (k + rng.choice([-3 * case.depth, 0, 0, 1]), *(own[k] - ugv[k]))
+            for again in (look, look, other)[: rng.integers(1, 4)]:
+                at[k + rng.integers(case.depth + 2)].append(again)
+    for arrived in at.values():
+        rng.shuffle(arrived)
+    return at
+
+
+def _table(arrived):
+    """The array that the twin reads: longer than what has arrived, the rest filled with what must not be read."""
+    looks = np.full((len(arrived) + 2, 3), math.nan)
+    for row, look in zip(looks, arrived, strict=False):
+        row[:] = look
+    return looks
+
+
+def _detections(arrived, dt):
+    return tuple(Detection(time=k * dt, relative_position=(x, y)) for k, x, y in arrived)
+
+
+def _pair(case):
+    parameters = kalman_parameters(detector=case.detector, target=case.target, dt=case.dt, settings=case.settings)
+    pilots = RelativeEstimator(
+        detector=case.detector, target=case.target, dt=case.dt, settings=case.settings, span=(case.depth - 1) * case.dt
+    )
+    return parameters, kalman_state(case.depth), pilots
+
+
+def _compare_filters(state, pilots, estimate, case, fuses, where):
+    n = state.numbers
+    assert (n[DUPLICATES], n[TOO_OLD]) == (pilots.duplicates, pilots.too_old), where
+    assert (n[KNOWN] == 1.0) == (estimate is not None), where
+    if estimate is None:
+        return
+    assert (n[AGE] * case.dt, n[REFUSED]) == (estimate.age, estimate.refused), where
+    assert kalman_estimate(state) == (True, n[X], n[Y])
+    P = pilots.covariance.reshape(2, 2, 2, 2)
+    assert not P[:, 0, :, 1].any()
+    assert not P[:, 1, :, 0].any()
+    _compare(n[[X, Y, V_X, V_Y]], pilots.state, fuses, where)
+    for axis in (0, 1):
+        _compare(n[[P_PP, P_PV, P_VP, P_VV]], P[:, axis, :, axis].ravel(), fuses, where)
+
+
+@pytest.mark.parametrize("works_ahead", [False, True], ids=["", "ahead"])
+@pytest.mark.parametrize("name", CASES)
+def test_at_every_tick_it_is_the_pilots_filter(name, works_ahead, fuses):
+    case = CASES[name]
+    rng = np.random.default_rng([len(name), works_ahead])
+    own, ugv = _places(case, rng)
+    at = _arrivals(case, own, ugv, rng)
+    parameters, state, pilots = _pair(case)
+    for k, (p_x, p_y) in enumerate(own.tolist()):
+        arrived = at[k]
+        kalman_step(parameters, state, k, p_x, p_y, _table(arrived), len(arrived))
+        estimate = pilots.update(time=k * case.dt, own_position=(p_x, p_y), detections=_detections(arrived, case.dt))
+        _compare_filters(state, pilots, estimate, case, fuses, f"{name}, tick {k}")
+        if works_ahead and rng.random() < 0.7:
+            pilots.prepare()
+    if case.settings.enabled and case.noise:
+        assert state.numbers[REFUSED] > state.numbers[MISDATED]  # or the flight has shown little
+    if case.wild:
+        assert min(state.numbers[[DUPLICATES, MISDATED, TOO_OLD]]) > 0.0
+
+
+def test_it_is_filterpys_filter_where_nothing_is_capped():
+    dt, looks = 0.1, {0: (1.0, 2.0), 1: (1.05, 2.0), 2: (1.12, 1.97), 5: (1.2, 1.9), 9: (1.5, 1.7), 10: (1.3, 1.75)}
+    settings, detector = Estimator(gate=1e9), Detector(noise=0.1, cut=None, period=dt)
+    parameters = kalman_parameters(detector=detector, target=FREE, dt=dt, settings=settings)
+    state = kalman_state(1)
+    plain = KalmanFilter(dim_x=4, dim_z=2)
+    deviation = acceleration_deviation(target=FREE, manoeuvre=settings.manoeuvre, dt=dt)
+    plain.F, plain.Q = motion(ticks=1, dt=dt, deviation=deviation)
+    plain.H, plain.R = np.eye(2, 4), 0.01 * np.eye(2)
+    plain.x, plain.P = np.array([1.0, 2.0, 0.0, 0.0]), np.diag([0.01, 0.01, 100.0, 100.0])
+    for k in range(15):
+        seen = looks.get(k)
+        arrived = [] if seen is None else [(k, 7.0 - seen[0], -3.0 - seen[1])]
+        kalman_step(parameters, state, k, 7.0, -3.0, _table(arrived), len(arrived))
+        if k:
+            plain.predict()
+            if seen is not None:
+                plain.update(np.array(seen))
+        numbers = state.numbers
+        np.testing.assert_allclose(numbers[[X, Y, V_X, V_Y]], plain.x, rtol=1e-9, atol=1e-12)
+        covariance = np.kron(numbers[[P_PP, P_PV, P_VP, P_VV]].reshape(2, 2), np.eye(2))
+        np.testing.assert_allclose(covariance, plain.P, rtol=1e-9, atol=1e-12)
+    assert (numbers[AGE], numbers[REFUSED]) == (4.0, 0.0)
+
+
+def test_a_ugv_that_was_not_seen_for_long_may_have_turned_round():
+    parameters = kalman_parameters(detector=Detector(noise=0.1, period=0.05), target=UGV, dt=0.05, settings=Estimator())
+    state = kalman_state(1)
+    for k in range(4801):
+        kalman_step(parameters, state, k, 0.0, 0.0, np.array([[0.0, 1.0, 1.0]]), int(k == 0))
+    strayed = straying(elapsed=240.0, target=UGV, manoeuvre=0.7, dt=0.05)
+    assert math.sqrt(state.numbers[P_PP]) == pytest.approx(strayed / math.sqrt(8.0))
+
+
+def test_the_gate_closes_at_the_same_bit(fuses):
+    rng = np.random.default_rng(8)
+    own, ugv = (2.0, -1.0), rng.normal(size=(30, 2)) * 0.1
+    wide = CASES["in time"]._replace(settings=Estimator(gate=1e12))
+    for last in range(1, len(ugv)):
+        _, _, pilots = _pair(wide)
+        for k in range(last + 1):
+            look = Detection(time=k * wide.dt, relative_position=(own[0] - ugv[k, 0], own[1] - ugv[k, 1]))
+            pilots.update(time=k * wide.dt, own_position=own, detections=(look,))
+        squared = pilots.innovation_squared
+        below = np.nextafter(squared, 0.0) if fuses else squared * (1.0 - 1e-9)
+        for gate, refused in ((squared if fuses else squared * (1.0 + 1e-9), 0), (below, 1)):
+            parameters, state, _ = _pair(wide)
+            for k in range(last + 1):
+                judged = parameters._replace(gate=float(gate)) if k == last else parameters
+                kalman_step(judged, state, k, *own, np.array([[k, own[0] - ugv[k, 0], own[1] - ugv[k, 1]]]), 1)
+            assert state.numbers[REFUSED] == refused
+
+
+# The frame
+
+
+def test_parameters_come_back_from_their_row():
+    for case in CASES.values():
+        parameters, _, _ = _pair(case)
+        row = pack_kalman(parameters)
+        assert (row.dtype, row.shape) == (np.float64, (len(KalmanParameters._fields),))
+        back = unpack_kalman(row)
+        assert back == parameters
+        assert [type(value) for value in back] == [type(value) for value in parameters]
+
+
+def test_parameters_are_those_of_the_pilots_filter():
+    parameters, _, pilots = _pair(CASES["in time"])
+    assert parameters.variance == cut_variance(sigma=0.1, cut=3.0) == pilots.covariance[0, 0]
+    assert (parameters.first_variance, parameters.speed) == (0.5 * 0.2**2, 0.2)
+    assert _pair(CASES["unknown speed"])[0].speed == math.inf
+
+
+@pytest.mark.parametrize("dt", [0.0, -0.1, math.inf, math.nan])
+def test_a_tick_without_length_is_refused(dt):
+    with pytest.raises(ValueError, match="dt"):
+        kalman_parameters(detector=Detector(period=1.0), target=UGV, dt=dt, settings=Estimator())
+
+
+def test_a_filter_without_a_tick_to_remember_is_refused():
+    with pytest.raises(ValueError, match="depth"):
+        kalman_state(0)
+
+
+@compiled
+def _fly_worlds(rows, numbers, history, own, looks, counts):
+    for world in range(len(rows)):
+        parameters = unpack_kalman(rows[world])
+        state = KalmanState(numbers=numbers[world], history=history[world])
+        for tick in range(len(own)):
+            kalman_step(
+                parameters=parameters,
+                state=state,
+                tick=tick,
+                p_ax=own[tick, 0],
+                p_ay=own[tick, 1],
+                looks=looks[tick],
+                count=counts[tick],
+            )
+
+
+def test_many_worlds_in_compiled_code_are_as_each_alone():
+    names = ("late", "late at unknown speed", "late, switched off")
+    rng = np.random.default_rng(5)
+    own, ugv = _places(CASES["late"], rng)
+    at = _arrivals(CASES["late"], own, ugv, rng)
+    counts = np.array([len(at[k]) for k in range(len(own))])
+    looks = np.full((len(own), counts.max(), 3), math.nan)
+    for k, count in enumerate(counts):
+        looks[k, :count] = np.reshape(at[k], (count, 3))
+    parameters = [_pair(CASES[name])[0] for name in names]
+    depth = CASES["late"].depth
+    numbers, history = np.zeros((3, NUMBERS)), np.zeros((3, depth, COLUMNS))
+    _fly_worlds(np.array([pack_kalman(p) for p in parameters]), numbers, history, own, looks, counts)
+    for world, chosen in enumerate(parameters):
+        alone = kalman_state(depth)
+        for k in range(len(own)):
+            kalman_step(chosen, alone, k, *own[k].tolist(), looks[k], int(counts[k]))
+        assert alone.numbers.tobytes() == numbers[world].tobytes()
+        assert alone.history.tobytes() == history[world].tobytes()
