@@ -94,7 +94,7 @@ def density(rho2: float, r_o: float) -> float:
 
 
 @compiled
-def _chord(center: float, half: float, cell: float, count: int) -> tuple[int, int]:
+def chord(center: float, half: float, cell: float, count: int) -> tuple[int, int]:
     """First cell and the one after the last whose centres lie within `half` of `center`, on a line of `count` cells."""
     first = math.ceil((center - half) / cell - 0.5)
     last = math.floor((center + half) / cell - 0.5)
@@ -102,7 +102,8 @@ def _chord(center: float, half: float, cell: float, count: int) -> tuple[int, in
 
 
 @compiled
-def _half_chord(radius: float, offset: float) -> float:
+def half_chord(radius: float, offset: float) -> float:
+    """Half of the chord [m] that a line at this distance [m] from a circle's centre cuts out of it."""
     return math.sqrt(max(0.0, radius * radius - offset * offset))
 
 
@@ -142,14 +143,67 @@ def accumulate(
         duration: How long it looks from there [s].
     """
     rows, columns = coverage.shape
-    first_row, end_row = _chord(p_y, reach, cell, rows)
+    first_row, end_row = chord(p_y, reach, cell, rows)
     for j in range(first_row, end_row):
         d_y = (j + 0.5) * cell - p_y
-        first, end = _chord(p_x, _half_chord(reach, d_y), cell, columns)
+        first, end = chord(p_x, half_chord(reach, d_y), cell, columns)
         cells = coverage[j, first:end]
         for i in range(cells.size):
             d_x = (first + i + 0.5) * cell - p_x
             cells[i] += sensor_quality(sensor, d_x * d_x + d_y * d_y, peak, reach) * duration
+
+
+@compiled
+def accumulate_with_gain(
+    coverage: FloatArray,
+    p_ax: float,
+    p_ay: float,
+    p_gx: float,
+    p_gy: float,
+    r_o: float,
+    desired: float,
+    sensor: int,
+    peak: float,
+    reach: float,
+    cell: float,
+    duration: float,
+) -> float:
+    r"""`accumulate`, and how far e(t) of (4) falls by it while the UGV stays where it is.
+
+    $$ \int_{Q_r} \left[ h(C^* - C) - h(C^* - C - S_a \Delta t) \right] \phi(q, p_g)\, dq
+       \;\approx\; \Delta t \int_{Q_r} h'(C^* - C)\, S_a\, \phi\, dq $$
+
+    Only the sensor's disc is touched, where `coverage_error` needs the whole support of the density.
+
+    Args:
+        coverage: C on the grid, changed in place, to the bit as by `accumulate`.
+        p_ax, p_ay: Position of the UAV [m].
+        p_gx, p_gy: Position of the UGV [m].
+        r_o, desired, sensor, peak, reach, cell: As in `coverage_gradient`.
+        duration: How long it looks from there [s].
+
+    Returns:
+        The fall of e [m²]; never negative.
+    """
+    rows, columns = coverage.shape
+    terms = np.empty(columns)
+    total = 0.0
+    first_row, end_row = chord(p_ay, reach, cell, rows)
+    for j in range(first_row, end_row):
+        y = (j + 0.5) * cell
+        d_y, g_y = y - p_ay, y - p_gy
+        first, end = chord(p_ax, half_chord(reach, d_y), cell, columns)
+        cells = coverage[j, first:end]
+        for i in range(cells.size):
+            x = (first + i + 0.5) * cell
+            d_x, g_x = x - p_ax, x - p_gx
+            before = cells[i]
+            after = before + sensor_quality(sensor, d_x * d_x + d_y * d_y, peak, reach) * duration
+            cells[i] = after
+            fall = penalty(desired - before) - penalty(desired - after)
+            terms[i] = fall * density(g_x * g_x + g_y * g_y, r_o)
+        total += _lane_sum(terms, cells.size)
+    return total * (cell * cell)
 
 
 @compiled
@@ -171,10 +225,10 @@ def coverage_error(coverage: FloatArray, p_gx: float, p_gy: float, r_o: float, d
     rows, columns = coverage.shape
     terms = np.empty(columns)
     total = 0.0
-    first_row, end_row = _chord(p_gy, r_o, cell, rows)
+    first_row, end_row = chord(p_gy, r_o, cell, rows)
     for j in range(first_row, end_row):
         d_y = (j + 0.5) * cell - p_gy
-        first, end = _chord(p_gx, _half_chord(r_o, d_y), cell, columns)
+        first, end = chord(p_gx, half_chord(r_o, d_y), cell, columns)
         cells = coverage[j, first:end]
         for i in range(cells.size):
             d_x = (first + i + 0.5) * cell - p_gx
@@ -219,11 +273,11 @@ def coverage_gradient(
     pulls = np.empty(columns)
     weights = np.empty(columns)
     sum_x, sum_y, size = 0.0, 0.0, 0.0
-    first_row, end_row = _chord(p_ay, reach, cell, rows)
+    first_row, end_row = chord(p_ay, reach, cell, rows)
     for j in range(first_row, end_row):
         y = (j + 0.5) * cell
         d_y, g_y = p_ay - y, p_gy - y
-        first, end = _chord(p_ax, _half_chord(reach, d_y), cell, columns)
+        first, end = chord(p_ax, half_chord(reach, d_y), cell, columns)
         cells = coverage[j, first:end]
         for i in range(cells.size):
             x = (first + i + 0.5) * cell
@@ -278,10 +332,10 @@ def nearest_uncovered(
     """
     rows, columns = coverage.shape
     nearest, ties, q_x, q_y = math.inf, 0, 0.0, 0.0
-    first_row, end_row = _chord(p_gy, r_o, cell, rows)
+    first_row, end_row = chord(p_gy, r_o, cell, rows)
     for j in range(first_row, end_row):
         y = (j + 0.5) * cell
-        first, end = _chord(p_gx, _half_chord(r_o, y - p_gy), cell, columns)
+        first, end = chord(p_gx, half_chord(r_o, y - p_gy), cell, columns)
         for i in range(first, end):
             if coverage[j, i] >= desired:
                 continue

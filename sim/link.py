@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sim.compile import FloatArray, compiled
+from sim.compile import FloatArray, borrowing, compiled
 from sim.randomness import LINK_DELAY, LINK_LOSS, LINK_STATE, draw, to_uniform, uniform
 
 IntArray = npt.NDArray[np.int64]
@@ -187,20 +187,7 @@ def link_state(parameters: LinkParameters, width: int, *, room: int = 0, wheel: 
     return state
 
 
-def link_states(parameters: LinkParameters, width: int, worlds: int) -> LinkState:
-    """The fresh state of one link in each of many worlds."""
-    return LinkState._make(np.repeat(array[None], worlds, axis=0) for array in link_state(parameters, width))
-
-
-@compiled
-def of_world(states: LinkState, world: int) -> LinkState:
-    """The state of the link in one of the worlds: views, no copies."""
-    return LinkState(
-        states.slots[world], states.payload[world], states.buckets[world], states.counts[world], states.numbers[world]
-    )
-
-
-@compiled
+@borrowing
 def take(slots: IntArray, counts: IntArray) -> int:
     """A free slot, or -1."""
     slot = int(counts[FREE])
@@ -209,14 +196,14 @@ def take(slots: IntArray, counts: IntArray) -> int:
     return slot
 
 
-@compiled
+@borrowing
 def release(slots: IntArray, counts: IntArray, slot: int) -> None:
     """The slot is free again."""
     slots[slot, NEXT] = counts[FREE]
     counts[FREE] = slot
 
 
-@compiled
+@borrowing
 def append(slots: IntArray, buckets: IntArray, bucket: int, slot: int) -> None:
     """Put a slot last into a bucket."""
     slots[slot, NEXT] = -1
@@ -227,14 +214,14 @@ def append(slots: IntArray, buckets: IntArray, bucket: int, slot: int) -> None:
     buckets[bucket, 1] = slot
 
 
-@compiled
+@borrowing
 def wait(slots: IntArray, buckets: IntArray, counts: IntArray, slot: int) -> None:
     """The message joins the sender's queue."""
     append(slots, buckets, buckets.shape[0] - 1, slot)
     counts[WAITING] += 1
 
 
-@compiled
+@borrowing
 def fly(slots: IntArray, buckets: IntArray, counts: IntArray, slot: int, due: int) -> None:
     """The message is on its way."""
     slots[slot, DUE] = due
@@ -242,7 +229,7 @@ def fly(slots: IntArray, buckets: IntArray, counts: IntArray, slot: int, due: in
     counts[FLYING] += 1
 
 
-@compiled
+@borrowing
 def leave_queue(slots: IntArray, buckets: IntArray, counts: IntArray) -> int:
     """The slot of the message that has waited longest."""
     queue = buckets.shape[0] - 1
@@ -283,7 +270,7 @@ def _fate(p: LinkParameters, dark: bool, bad: bool, seed: int, link: int, tick: 
     return -1, to_uniform(word_2) < p.duplicates, to_uniform(word_3) < p.reorder
 
 
-@compiled
+@borrowing
 def _transmit(p: LinkParameters, s: LinkState, seed: int, link: int, slot: int) -> None:
     """The message leaves the sender: the channel takes it, or it flies, perhaps twice."""
     slots, payload, buckets, counts = s.slots, s.payload, s.buckets, s.counts
@@ -307,7 +294,7 @@ def _transmit(p: LinkParameters, s: LinkState, seed: int, link: int, slot: int) 
         fly(slots, buckets, counts, other, counts[TICK] + _flight_time(p, share_too, held_too))
 
 
-@compiled
+@borrowing
 def _dark_by_plan(blackouts: IntArray, tick: int) -> bool:
     below, above = 0, blackouts.shape[0]
     while below < above:
@@ -319,7 +306,7 @@ def _dark_by_plan(blackouts: IntArray, tick: int) -> bool:
     return below < blackouts.shape[0] and bool(blackouts[below, 0] <= tick)
 
 
-@compiled
+@borrowing
 def _dark_by_chance(up: float, down: float, counts: IntArray, numbers: FloatArray, seed: int, link: int, tick: int) -> bool:
     """Exponential times of light and fixed ones of darkness, in continuous time; stationary from the first tick on."""
     while numbers[DARK_TO] <= tick + DUST:
@@ -335,7 +322,7 @@ def _dark_by_chance(up: float, down: float, counts: IntArray, numbers: FloatArra
     return bool(numbers[DARK_FROM] <= tick + DUST)
 
 
-@compiled
+@borrowing
 def _settle(p: LinkParameters, counts: IntArray, numbers: FloatArray, seed: int, link: int, tick: int) -> None:
     """What the channel is like at this tick: good or bad, dark or not."""
     if p.bursts:
@@ -349,13 +336,13 @@ def _settle(p: LinkParameters, counts: IntArray, numbers: FloatArray, seed: int,
     counts[DARK] = 1 if dark else 0
 
 
-@compiled
+@borrowing
 def _is_free(spacing: float, counts: IntArray, numbers: FloatArray) -> bool:
     """Whether the sender may let a message go at this tick: number m of a busy time leaves m spacings after the first."""
     return bool(numbers[BEGAN] + counts[SERVED] * spacing <= counts[TICK] + DUST)
 
 
-@compiled
+@borrowing
 def advance(p: LinkParameters, s: LinkState, seed: int, link: int, tick: int) -> None:
     """Begin a tick: the channel's state, then whatever may leave the queue. Once for every tick, in order.
 
@@ -374,7 +361,7 @@ def advance(p: LinkParameters, s: LinkState, seed: int, link: int, tick: int) ->
         _transmit(p, s, seed, link, leave_queue(s.slots, s.buckets, counts))
 
 
-@compiled
+@borrowing
 def send(p: LinkParameters, s: LinkState, seed: int, link: int, payload: FloatArray) -> None:
     """Send one message at the tick that `advance` has begun.
 
@@ -411,7 +398,7 @@ def send(p: LinkParameters, s: LinkState, seed: int, link: int, payload: FloatAr
         _transmit(p, s, seed, link, slot)
 
 
-@compiled
+@borrowing
 def receive(s: LinkState, out: FloatArray) -> int:
     """End a tick: hand out what arrives at it, and note the age of what is known.
 
@@ -450,7 +437,7 @@ def receive(s: LinkState, out: FloatArray) -> int:
     return n
 
 
-@compiled
+@borrowing
 def exchange(p: LinkParameters, s: LinkState, seed: int, link: int, tick: int, payloads: FloatArray, out: FloatArray) -> int:
     """One whole tick of a link: `advance`, `send` for each row of `payloads`, `receive` into `out`; how many have arrived."""
     advance(p, s, seed, link, tick)
@@ -459,7 +446,7 @@ def exchange(p: LinkParameters, s: LinkState, seed: int, link: int, tick: int, p
     return receive(s, out)
 
 
-@compiled
+@borrowing
 def underway(s: LinkState, out: FloatArray) -> int:
     """Write the payloads of all that wait or fly into `out`, which has a row for each slot; how many there are."""
     n = 0

@@ -10,7 +10,7 @@ from sim.scenario import Scenario
 
 _NUMBERS = {LinkKind.DETECTIONS: 0, LinkKind.COMMANDS: 1, LinkKind.OPERATOR: 2, LinkKind.RADIO: 3}
 """For the links' random numbers. A number, once given, stays."""
-_PER_TICK = {LinkKind.DETECTIONS: 1, LinkKind.COMMANDS: 1, LinkKind.OPERATOR: 64, LinkKind.RADIO: 16}
+PER_TICK = {LinkKind.DETECTIONS: 1, LinkKind.COMMANDS: 1, LinkKind.OPERATOR: 64, LinkKind.RADIO: 16}
 """Messages that a link has room for in every tick; what is more is lost."""
 _VEHICLES = 1 << 16
 """More than there are in a run."""
@@ -23,6 +23,16 @@ def owners(scenario: Scenario, kind: LinkKind) -> tuple[str, ...]:
         return tuple(vehicle.name for vehicle in scenario.vehicles)
     of_uavs = kind is not LinkKind.OPERATOR
     return tuple(vehicle.name for vehicle in scenario.vehicles if (vehicle.name in uavs) is of_uavs)
+
+
+def link_number(kind: LinkKind, vehicle: int) -> int:
+    """The number of a vehicle's link, for its random numbers; `vehicle` is its row."""
+    return _NUMBERS[kind] * _VEHICLES + vehicle
+
+
+def hold_ticks(scenario: Scenario) -> int:
+    """For how many ticks a vehicle goes on with its last command when none comes."""
+    return round(scenario.hold / scenario.dt)
 
 
 class Links:
@@ -41,8 +51,8 @@ class Links:
                     scenario.links.of(name, kind),
                     dt=scenario.dt,
                     seed=seed,
-                    link=_NUMBERS[kind] * _VEHICLES + rows[name],
-                    per_tick=_PER_TICK[kind],
+                    link=link_number(kind, rows[name]),
+                    per_tick=PER_TICK[kind],
                 )
                 for name in owners(scenario, kind)
             }

@@ -368,7 +368,7 @@ def test_the_episode_seed_is_the_worlds():
     env = parallel_env(ONE)
     env.reset(seed=4)
     env.reset()
-    assert env.world.parameters.seed == env.episode_seed
+    assert env.world.seed == env.episode_seed
     assert env.briefing("uav_0") == briefing(ONE, "uav_0", env.episode_seed)
     assert isinstance(env.briefing("uav_0"), UavBriefing)
     assert isinstance(env.briefing("ugv_0"), UgvBriefing)

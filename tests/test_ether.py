@@ -30,9 +30,7 @@ from sim.link import (
     jitter_quantile,
     jitter_share,
     link_state,
-    link_states,
     normal_quantile,
-    of_world,
     receive,
     send,
 )
@@ -457,19 +455,27 @@ BUSY = LinkSettings(
 )
 
 
+def _many(parameters: LinkParameters, worlds: int) -> LinkState:
+    """The state of one link in each of many worlds."""
+    return LinkState._make(np.repeat(array[None], worlds, axis=0) for array in link_state(parameters, 2))
+
+
+def _of_world(states: LinkState, world: int) -> LinkState:
+    return LinkState._make(array[world] for array in states)
+
+
 def test_a_link_does_the_same_twice_and_whatever_other_links_do() -> None:
     alone = Flown(BUSY, 2000, seed=5, link=3).bits
     assert Flown(BUSY, 2000, seed=5, link=3).bits == alone
     parameters = link_parameters(BUSY, DT)
-    worlds = link_states(parameters, 2, 3)
-    others = link_states(parameters, 2, 4)
+    worlds, others = _many(parameters, 3), _many(parameters, 4)
     out, log, rows = np.zeros((parameters.room, 2)), np.zeros((9000, 3), dtype=np.int64), np.zeros(1, dtype=np.int64)
     arrived = []
     for tick in range(2000):
         for k in range(4):
-            _drive(parameters, of_world(others, k), 5, 10 + k, tick, 1, 1, out, log, rows)
+            _drive(parameters, _of_world(others, k), 5, 10 + k, tick, 1, 1, out, log, rows)
         for world in (2, 0, 1):
-            n = _drive(parameters, of_world(worlds, world), 5 + world, 3, tick, 1, 1, out, log, rows)
+            n = _drive(parameters, _of_world(worlds, world), 5 + world, 3, tick, 1, 1, out, log, rows)
             arrived += log[:n].tolist() if world == 0 else []
     state = b"".join(array[0].tobytes() for array in worlds)
     assert state + np.array(arrived, dtype=np.int64).tobytes() == alone

@@ -15,6 +15,7 @@ from outrider.reference import FloatGrid
 from sim.field import (
     SENSORS,
     accumulate,
+    accumulate_with_gain,
     cover,
     coverage_error,
     coverage_gradient,
@@ -228,3 +229,24 @@ def test_covered_ground_keeps_the_larger_value() -> None:
     wanted[:2, :3] = DESIRED  # centres at 0.25, 0.75 and 1.25 m
     wanted[0, 0], wanted[3, 5] = 9.0, 9.0
     np.testing.assert_array_equal(coverage, wanted)
+
+
+@pytest.mark.parametrize("sensor", SENSORS.values())
+@pytest.mark.parametrize("place", [(20.0, 20.0), (0.4, 39.7)])
+def test_the_gain_of_a_look_is_the_fall_of_the_error(sensor: int, place: tuple[float, float]) -> None:
+    ground = np.random.default_rng(3).uniform(0.0, 2.5, (160, 160))
+    (p_x, p_y), (g_x, g_y), dt = place, (place[0] + 1.5, place[1] - 2.0), 0.05
+    plain, seen = ground.copy(), ground.copy()
+    accumulate(plain, p_x, p_y, sensor, 1.0, R, 0.25, dt)
+    gain = accumulate_with_gain(seen, p_x, p_y, g_x, g_y, R_O, DESIRED, sensor, 1.0, R, 0.25, dt)
+    assert seen.tobytes() == plain.tobytes()
+    before, after = (coverage_error(field, g_x, g_y, R_O, DESIRED, 0.25) for field in (ground, seen))
+    assert gain == pytest.approx(before - after, rel=1e-9)
+    rate = reference.error_decrease(ground, p_x, p_y, g_x, g_y, R_O, DESIRED, sensor, 1.0, R, 0.25)
+    assert gain == pytest.approx(rate * dt, rel=0.05)  # the penalty's second derivative over one tick
+    assert gain < rate * dt
+
+
+def test_seen_ground_gives_no_gain() -> None:
+    ground = np.full((40, 40), DESIRED)
+    assert accumulate_with_gain(ground, 5.0, 5.0, 5.0, 5.0, R_O, DESIRED, 0, 1.0, R, 0.25, 0.05) == 0.0

@@ -45,3 +45,26 @@ def _pair(name: str, action: npt.ArrayLike) -> list[float]:
         raise ValueError(f"action of {name} = {action!r}: must be two numbers, the acceleration x and y [m/s²]")
     values: list[float] = pair.astype(np.float64).tolist()
     return values
+
+
+def take_batch(name: str, actions: npt.ArrayLike, worlds: int) -> FloatArray:
+    """One vehicle's actions in many worlds, checked. Shape (worlds, 2).
+
+    Raises:
+        ValueError: If they are not two finite numbers for each world.
+    """
+    try:
+        pairs = np.asarray(actions)
+    except (TypeError, ValueError):  # a ragged list
+        pairs = np.empty(0, dtype=object)
+    if pairs.shape != (worlds, 2) or pairs.dtype.kind not in "fiu":
+        what = f"an array of shape {pairs.shape} and type {pairs.dtype}"
+        raise ValueError(
+            f"actions of {name}: {what}; must be ({worlds}, 2) numbers, the acceleration x and y [m/s²] in each world"
+        )
+    values: FloatArray = pairs.astype(np.float64, copy=False)
+    if not np.abs(values).max() <= LARGEST:
+        worst = int(np.flatnonzero(~(np.abs(values) <= LARGEST).all(axis=1))[0])
+        where = f"action of {name} in world {worst} = {values[worst].tolist()}"
+        raise ValueError(f"{where}: must be two finite numbers, at most {LARGEST:g} m/s² in size")
+    return values

@@ -129,6 +129,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self.agents: list[str] = []
         area = self.scenario.area
         cells = empty_coverage(area.width, area.height, area.cell).size if coverage_in_state else 0
+        self._gains = rewards.seen > 0.0
         self._seats = seats(self.scenario, rewards)
         self.action_spaces = {vehicle.name: action_space(vehicle) for vehicle in vehicles}
         self.observation_spaces = {
@@ -174,7 +175,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """
         self._seeds.begin(seed)
         self.episode += 1
-        self._world = World(self.scenario, self.episode_seed)
+        self._world = World(self.scenario, self.episode_seed, gains=self._gains)
         self.degraded = self._world.links.degraded
         self._maps = OwnMaps(self._world, needed=self._patch is not None)
         self.agents = list(self.possible_agents)

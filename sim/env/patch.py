@@ -29,8 +29,8 @@ class CoveragePatch(NamedTuple):
 
 
 @compiled
-def _sample(coverage: FloatArray, p_x: float, p_y: float, desired: float, cell: float, scale: float, picture: FloatArray) -> None:
-    """Fill the picture with min(C / C*, 1) of the cell under each pixel's centre; 1 outside Q: there is nothing to see."""
+def sample(coverage: FloatArray, p_x: float, p_y: float, desired: float, cell: float, scale: float, picture: FloatArray) -> None:
+    """Fill the picture around (p_x, p_y) [m] with min(C / C*, 1) of the cell under each pixel's centre; 1 outside Q."""
     rows, columns = coverage.shape
     count = picture.shape[0]
     middle = 0.5 * (count - 1)
@@ -70,5 +70,5 @@ class OwnMaps:
         x, y = world.position[world.escorts[escort, 0]].tolist()
         picture = np.empty((patch.pixels, patch.pixels))
         w = world.parameters
-        _sample(self._maps[escort], x, y, w.desired, w.cell, float(patch.meters_per_pixel), picture)
+        sample(self._maps[escort], x, y, w.desired, w.cell, float(patch.meters_per_pixel), picture)
         return picture

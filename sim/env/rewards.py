@@ -5,6 +5,8 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from sim.compile import compiled
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RewardWeights:
@@ -19,6 +21,8 @@ class RewardWeights:
 
     uncovered: float = 1.0
     """UAV: cost of e(t) / e_full, the share of ground around its UGV that is unseen [1/s]."""
+    seen: float = 0.0
+    """UAV: gain for e(t) / e_full falling by what it sees. Without `uncovered` e(t) itself is not needed, which is faster."""
     sight_lost: float = 10.0
     """UAV: cost each time that the distance reaches r_v."""
     out_of_sight: float = 2.0
@@ -41,6 +45,7 @@ class UavTerms(NamedTuple):
     """A UAV's reward of one tick, term by term."""
 
     uncovered: float = 0.0
+    seen: float = 0.0
     sight_lost: float = 0.0
     out_of_sight: float = 0.0
     effort: float = 0.0
@@ -54,6 +59,14 @@ class UgvTerms(NamedTuple):
     effort: float = 0.0
 
 
+def total(terms: tuple[float, ...]) -> float:
+    """The sum of a reward's terms, in their order: the `sum` of later Pythons would round otherwise."""
+    reward = 0.0
+    for term in terms:
+        reward += term
+    return reward
+
+
 def full_error(r_o: float, desired: float) -> float:
     r"""e(t) of (4) where nothing is seen and the border is far [m²].
 
@@ -64,3 +77,58 @@ def full_error(r_o: float, desired: float) -> float:
         desired: C*.
     """
     return 2.0 * math.pi * r_o * r_o * desired * desired * (0.5 - 2.0 / math.pi**2)
+
+
+@compiled
+def uav_terms(
+    uncovered: float,
+    seen: float,
+    sight_lost: float,
+    out_of_sight: float,
+    effort: float,
+    error: float,
+    gain: float,
+    full: float,
+    lost: bool,
+    was_lost: bool,
+    ticks_lost: int,
+    u_x: float,
+    u_y: float,
+    dt: float,
+) -> tuple[float, float, float, float, float]:
+    """A UAV's reward of one tick, in the order of `UavTerms`.
+
+    Args:
+        uncovered, seen, sight_lost, out_of_sight, effort: Weights of `RewardWeights`.
+        error: e(t) [m²].
+        gain: How far its last look made e(t) fall [m²].
+        full: `full_error` [m²].
+        lost: Whether the distance is r_v or more.
+        was_lost: Whether it was at the tick before.
+        ticks_lost: Ticks that are charged if it is out of sight: one, and the rest of the episode where it ends by that.
+        u_x, u_y: Acceleration as applied [m/s²].
+        dt: Length of a tick [s].
+    """
+    return (
+        -uncovered * error / full * dt,
+        seen * gain / full,
+        -sight_lost if lost and not was_lost else 0.0,
+        -out_of_sight * ticks_lost * dt if lost else 0.0,
+        -effort * (u_x * u_x + u_y * u_y) * dt,
+    )
+
+
+@compiled
+def ugv_terms(
+    progress: float, goal: float, effort: float, nearer: float, arrivals: int, u_x: float, u_y: float, dt: float
+) -> tuple[float, float, float]:
+    """A UGV's reward of one tick, in the order of `UgvTerms`.
+
+    Args:
+        progress, goal, effort: Weights of `RewardWeights`.
+        nearer: How much nearer it came to its goal [m].
+        arrivals: Goals reached in this tick.
+        u_x, u_y: Acceleration as applied [m/s²].
+        dt: Length of a tick [s].
+    """
+    return progress * nearer, goal * arrivals, -effort * (u_x * u_x + u_y * u_y) * dt

@@ -3,8 +3,11 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from bus.layout import UavRow, UavState, UgvRow, UgvState
-from sim.env.rewards import RewardWeights, UavTerms, UgvTerms, full_error
+from sim.compile import FloatArray, compiled
+from sim.env.rewards import RewardWeights, UavTerms, UgvTerms, full_error, total, uav_terms, ugv_terms
 from sim.scenario import Scenario, Ugv
 from sim.vehicles import goal_reached, norm
 from sim.world import Look, World
@@ -19,6 +22,7 @@ class Moment(NamedTuple):
     velocity: list[list[float]]
     acceleration: list[list[float]]
     received: list[list[Look]]
+    gains: list[float]
     measures: list[list[float]]
 
     @classmethod
@@ -31,12 +35,24 @@ class Moment(NamedTuple):
             world.velocity.tolist(),
             world.acceleration.tolist(),
             list(world.received),
+            world.state.gains.tolist(),
             world.measure().tolist(),
         )
 
 
-def _square(vector: list[float]) -> float:
-    return vector[0] * vector[0] + vector[1] * vector[1]
+def route_of(ugv: Ugv) -> FloatArray:
+    """A UGV's goals [m]. Shape (goals, 2)."""
+    return np.array(ugv.goals, dtype=np.float64).reshape(-1, 2)
+
+
+@compiled
+def turn(goals: FloatArray, reached: int, tolerance: float, x: float, y: float) -> tuple[int, float]:
+    """How many goals are reached from (x, y) [m] on, and the way to the next one [m]; 0 where none is left."""
+    while reached < goals.shape[0] and goal_reached(x, y, goals[reached, 0], goals[reached, 1], tolerance):
+        reached += 1
+    if reached == goals.shape[0]:
+        return reached, 0.0
+    return reached, norm(x - goals[reached, 0], y - goals[reached, 1])
 
 
 class UavSeat:
@@ -104,15 +120,26 @@ class UavSeat:
             moment: This tick.
             ticks_lost: Ticks that are charged if it is out of sight: one, and the rest of the episode where it ends by that.
         """
-        weights = self._weights
-        error = moment.measures[self.escort][1]
-        self.terms = UavTerms(
-            uncovered=-weights.uncovered * error / self._full * self._dt,
-            sight_lost=-weights.sight_lost if self.lost and not self._was_lost else 0.0,
-            out_of_sight=-weights.out_of_sight * ticks_lost * self._dt if self.lost else 0.0,
-            effort=-weights.effort * _square(moment.acceleration[self.vehicle]) * self._dt,
+        w, (u_x, u_y) = self._weights, moment.acceleration[self.vehicle]
+        self.terms = UavTerms._make(
+            uav_terms(
+                w.uncovered,
+                w.seen,
+                w.sight_lost,
+                w.out_of_sight,
+                w.effort,
+                moment.measures[self.escort][1],
+                moment.gains[self.escort],
+                self._full,
+                self.lost,
+                self._was_lost,
+                ticks_lost,
+                u_x,
+                u_y,
+                self._dt,
+            )
         )
-        return sum(self.terms)
+        return total(self.terms)
 
     def info(self) -> dict[str, float]:
         """Facts of its own that are in no row: none."""
@@ -145,6 +172,7 @@ class UgvSeat:
         self._dt = scenario.dt
         self._tolerance = ugv.goal_tolerance
         self._goals = [(float(x), float(y)) for x, y in ugv.goals]
+        self._route = route_of(ugv)
 
     @property
     def underway(self) -> bool:
@@ -177,10 +205,8 @@ class UgvSeat:
     def _turn(self, x: float, y: float) -> None:
         """Turn to the next goal where one is reached: the rule of the paper's driver."""
         before = self._reached
-        while self.underway and goal_reached(x, y, *self._goal(), self._tolerance):
-            self._reached += 1
+        self._reached, self._to_go = turn(self._route, before, self._tolerance, x, y)
         self._arrivals = self._reached - before
-        self._to_go = self._way(x, y) if self.underway else 0.0
 
     def advance(self, moment: Moment) -> None:
         """Take in the next tick."""
@@ -207,13 +233,9 @@ class UgvSeat:
 
     def reward(self, moment: Moment, ticks_lost: int) -> float:
         """What it is paid for this tick; the terms stay in `terms`. It is not its task to keep sight."""
-        weights = self._weights
-        self.terms = UgvTerms(
-            progress=weights.progress * self._progress,
-            goal=weights.goal * self._arrivals,
-            effort=-weights.effort * _square(moment.acceleration[self.vehicle]) * self._dt,
-        )
-        return sum(self.terms)
+        w, (u_x, u_y) = self._weights, moment.acceleration[self.vehicle]
+        self.terms = UgvTerms._make(ugv_terms(w.progress, w.goal, w.effort, self._progress, self._arrivals, u_x, u_y, self._dt))
+        return total(self.terms)
 
     def info(self) -> dict[str, float]:
         """Facts of its own that are in no row."""

@@ -17,6 +17,16 @@ class Seeds:
         """The seed of this episode."""
         self._given, self._since, self._begun = first, 0, False
 
+    @staticmethod
+    def check(seed: int | None) -> None:
+        """Refuse what is no seed.
+
+        Raises:
+            ValueError: If it is not a whole number from 0 to 2**53 - 1, nor None.
+        """
+        if seed is not None:
+            _checked(seed)
+
     def begin(self, seed: int | None) -> None:
         """Go on to the next episode: with this seed, or with one that the last given seed and the number of episodes since fix.
 

@@ -1,0 +1,151 @@
+"""Many worlds at once: world k is, bit for bit, the single world of its seed."""
+
+import threading
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from flights import escort
+
+from sim.batch import Batch
+from sim.profiles import PROFILES
+from sim.scenario import Area, Coverage, Detections, LinkTable, Region, Scenario, Sensor, Uav, Ugv, VehicleLinks
+from sim.threads import Crew
+from sim.world import World
+
+POOR = PROFILES["wifi-poor"]
+LATE = msgspec.structs.replace(POOR, delay=0.4, jitter=0.3, duplicates=0.2, reorder=0.2, reorder_delay=0.3)
+SMALL = Area(width=16.0, height=12.0, cell=0.5)
+
+SCENARIOS: dict[str, Scenario] = {
+    "plain": escort(),
+    "noise": escort(detections=Detections(noise=0.3, dropout=0.3, rate=5.0), sensor=Sensor(model="plateau"), area=SMALL),
+    "covered": escort(coverage=Coverage(desired=1.0, covered=(Region(lower=(2.0, 2.0), upper=(20.0, 20.0)),))),
+    "several": Scenario(
+        area=SMALL,
+        uav=(
+            Uav(name="uav_1", position=(4.0, 4.0), escorts="ugv_0"),
+            Uav(name="uav_0", position=(9.0, 4.0), escorts="ugv_1"),
+            Uav(name="uav_2", position=(9.0, 6.0), escorts="ugv_1"),
+        ),
+        ugv=(Ugv(name="ugv_0", position=(4.0, 5.0)), Ugv(name="ugv_1", position=(9.0, 5.0), max_acceleration=1.0)),
+    ),
+    "network": escort(
+        area=SMALL, ugv=Ugv(position=(8.0, 6.0)), uav=Uav(position=(8.0, 6.0)), links=LinkTable(detections=LATE, commands=LATE)
+    ),
+    "one link": escort(
+        area=SMALL,
+        ugv=Ugv(position=(8.0, 6.0)),
+        uav=Uav(position=(8.0, 6.0)),
+        links=LinkTable(only=(VehicleLinks(vehicle="uav_0", commands=PROFILES["jammed"]),)),
+    ),
+}
+
+
+def _fly_both(scenario: Scenario, seeds: list[int], ticks: int, **settings: Any) -> tuple[Batch, list[World]]:
+    batch = Batch(scenario, len(seeds), gains=True, **settings)
+    batch.begin(seeds)
+    worlds = [World(scenario, seed, gains=True) for seed in seeds]
+    rng = np.random.default_rng(5)
+    for _ in range(ticks):
+        commands = rng.uniform(-0.4, 0.4, (len(seeds), len(scenario.vehicles), 2))
+        for world, rows in zip(worlds, commands.tolist(), strict=True):
+            for v, (x, y) in enumerate(rows):
+                world.send(v, world.tick, (x, y))
+            world.step(world.heed())
+            world.measure()
+        batch.step(commands)
+        batch.measure()
+        _same(batch, worlds)
+    return batch, worlds
+
+
+def _same(batch: Batch, worlds: list[World]) -> None:
+    s = batch.state
+    for k, world in enumerate(worlds):
+        assert s.ticks[k] == world.tick
+        for u, looks in enumerate(world.received):
+            assert s.looks[k, u, : s.arrived[k, u]].tolist() == [list(look) for look in looks]
+        for single, many in zip(world.state, s.truth, strict=True):
+            assert single.tobytes() == many[k].tobytes()
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_world_k_of_a_batch_is_the_single_world_of_its_seed(name: str) -> None:
+    batch, worlds = _fly_both(SCENARIOS[name], [3, 2**53 - 1, 40], 150)
+    for k, world in enumerate(worlds):
+        expected = {key: one for key, one in world.links.status().items() if not key.endswith(("radio", "operator"))}
+        if world.links.degraded:
+            assert batch.links(k).keys() == expected.keys()
+        for key, one in expected.items():
+            if one.degraded:
+                assert batch.links(k)[key] == one
+
+
+def test_the_bits_do_not_depend_on_the_number_of_worlds_or_threads() -> None:
+    scenario, seeds = SCENARIOS["network"], list(range(50, 120))
+    commands = np.random.default_rng(1).uniform(-0.4, 0.4, (60, len(seeds), 2, 2))
+    found = []
+    for threads in (1, 3):
+        batch = Batch(scenario, len(seeds), threads=threads)
+        batch.begin(seeds)
+        for row in commands:
+            batch.step(row)
+        found.append(batch)
+    alone = Batch(scenario, 1)
+    alone.begin(seeds[69:])
+    for row in commands:
+        alone.step(np.ascontiguousarray(row[69:]))
+    for one, other, last in zip(found[0].state.truth, found[1].state.truth, alone.state.truth, strict=True):
+        assert one.tobytes() == other.tobytes()
+        assert one[69].tobytes() == last[0].tobytes()
+
+
+def test_a_world_that_begins_anew_is_as_if_it_had_never_flown() -> None:
+    batch, _ = _fly_both(SCENARIOS["network"], [1, 2, 3], 90)
+    kept = [array[1].copy() for array in batch.state.truth]
+    batch.begin([9, 8], [2, 0])
+    for array, before in zip(batch.state.truth, kept, strict=True):
+        assert array[1].tobytes() == before.tobytes()
+    fresh = Batch(SCENARIOS["network"], 3, gains=True)
+    fresh.begin([8, 2, 9])
+    commands = np.full((3, 2, 2), 0.2)
+    for _ in range(60):
+        batch.step(commands)
+        fresh.step(commands)
+    for array, other in zip(batch.state.truth, fresh.state.truth, strict=True):
+        assert array[[0, 2]].tobytes() == other[[0, 2]].tobytes()
+
+
+@pytest.mark.parametrize("worlds", [0, -1])
+def test_a_batch_needs_worlds(worlds: int) -> None:
+    with pytest.raises(ValueError, match="worlds"):
+        Batch(SCENARIOS["plain"], worlds)
+
+
+def test_there_must_be_a_seed_for_each_world_that_begins() -> None:
+    batch = Batch(SCENARIOS["plain"], 2)
+    with pytest.raises(ValueError, match="3 seeds for 2 worlds"):
+        batch.begin([1, 2, 3])
+
+
+def test_threads_share_everything_once_and_pass_on_what_fails() -> None:
+    crew, done, lock = Crew(3), [], threading.Lock()
+
+    def work(offset: int, begin: int, end: int) -> None:
+        with lock:
+            done.extend(range(begin + offset, end + offset))
+        if offset and begin == 0:
+            raise ValueError("the first part")
+
+    crew.share(work, 100, 0)
+    assert sorted(done) == list(range(100))
+    done.clear()
+    with pytest.raises(ValueError, match="the first part"):
+        crew.share(work, 100, 5)
+    assert sorted(done) == list(range(5, 105))
+    crew.close()
+    crew.share(work, 10, 0)
+    with pytest.raises(ValueError, match="threads = 0"):
+        Crew(0)
