@@ -78,8 +78,9 @@ class EstimateWrapper(BaseParallelWrapper):  # type: ignore[misc]
     def _replace(self, agent: str, row: Row) -> Row:
         """The row with the estimate in it, once there is one."""
         observation = uav_observation(row, dt=self._briefings[agent].dt)
-        (p_x, p_y), time = observation.position, observation.time
-        estimate = self._filters[agent].update(time=time, own_position=(p_x, p_y), detections=observation.detections)
+        (p_x, p_y), time, world = observation.position, observation.time, self.env.unwrapped
+        looks = world.received(agent) if world.degraded else observation.detections  # the row has room for one
+        estimate = self._filters[agent].update(time=time, own_position=(p_x, p_y), detections=looks)
         if estimate is None:
             return row
         (g_x, g_y), age = estimate.position, estimate.age

@@ -55,6 +55,17 @@ class UavRow(NamedTuple):
     age: Annotated[float, Field("time since the newest detection was taken; T before the first", "s", "0", "T")]
 
 
+class GradientCue(NamedTuple):
+    """Two more entries that a UAV's row may end with: where it would see most that is new, as far as it knows."""
+
+    gradient_x: Annotated[
+        float, Field("u_cov of (6) at the estimate, over the size of its integrand, x; 0 without one", "", "-1", "1")
+    ]
+    gradient_y: Annotated[
+        float, Field("u_cov of (6) at the estimate, over the size of its integrand, y; 0 without one", "", "-1", "1")
+    ]
+
+
 class UgvRow(NamedTuple):
     """What a UGV observes: its own state, and its own goal."""
 
@@ -100,7 +111,7 @@ class CommonState(NamedTuple):
     seen: Annotated[float, Field("mean of min(C / C*, 1) over the area", "", "0", "1")]
 
 
-RowType = type[UavRow | UgvRow | UavState | UgvState | CommonState]
+RowType = type[UavRow | GradientCue | UgvRow | UavState | UgvState | CommonState]
 
 
 def fields(row: RowType) -> dict[str, Field]:

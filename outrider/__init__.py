@@ -1,6 +1,7 @@
 """Outrider: a UAV that flies as the outrider of a ground vehicle, and never loses sight of it.
 
-The front door for people: `outrider.load_scenario`, `outrider.run`, `outrider.parallel_env`. What stands behind a name is
+The front door for people: `outrider.load_scenario`, `outrider.run`, `outrider.parallel_env`, and
+`outrider.vector_env` for many worlds at once. What stands behind a name is
 loaded when it is used.
 """
 
@@ -9,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from outrider.run import run as run
+    from outrider.vector import parallel_vector_env as parallel_vector_env
+    from outrider.vector import vector_env as vector_env
     from sim.env.parallel import parallel_env as parallel_env
     from sim.env.rewards import RewardWeights as RewardWeights
     from sim.scenario import load_scenario as load_scenario
@@ -18,11 +21,13 @@ _WHERE = {
     "RewardWeights": "sim.env.rewards",
     "load_scenario": "sim.scenario",
     "parallel_env": "sim.env.parallel",
+    "parallel_vector_env": "outrider.vector",
     "run": "outrider.run",
     "scenario_names": "sim.scenario",
+    "vector_env": "outrider.vector",
 }
 
-__all__ = ["RewardWeights", "load_scenario", "parallel_env", "run", "scenario_names"]
+__all__ = ["RewardWeights", "load_scenario", "parallel_env", "parallel_vector_env", "run", "scenario_names", "vector_env"]
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - a module's names have any type

@@ -1,0 +1,288 @@
+"""The vector environments: the parallel environment many times over, to the bit, with Gymnasium's ways to begin anew."""
+
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
+from test_batch import LATE
+from test_closed_loop import SCENARIOS, SEVERAL
+
+import outrider
+from agents.wrappers import EstimateWrapper, SafetyFilterWrapper
+from outrider.env_pilots import pilots
+from sim.env.rewards import RewardWeights
+from sim.scenario import LinkTable, Scenario
+
+SCENARIO = SCENARIOS["certified"]
+SEEN = RewardWeights(uncovered=0.5, seen=2.0, effort=0.3)
+LATE_LOOKS = msgspec.structs.replace(SCENARIO, links=LinkTable(detections=LATE))
+
+
+def _actions(worlds: int, ticks: int, *, size: float = 0.3) -> np.ndarray:
+    return np.random.default_rng(1).uniform(-size, size, (ticks, worlds, 2))
+
+
+def _equal(one: Any, other: Any) -> bool:
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(_equal(one[key], other[key]) for key in one)
+    return one.dtype == other.dtype and one.tobytes() == np.ascontiguousarray(other).tobytes()
+
+
+def _world(observations: Any, k: int) -> Any:
+    return {key: array[k] for key, array in observations.items()} if isinstance(observations, dict) else observations[k]
+
+
+CASES: dict[str, tuple[Scenario, str, dict[str, Any]]] = {
+    "uav": (SCENARIO, "uav_0", {}),
+    "ugv": (SCENARIO, "ugv_0", {"end_on_goals_reached": True}),
+    "weights": (SCENARIO, "uav_0", {"rewards": SEEN}),
+    "patch": (SCENARIO, "uav_0", {"coverage_patch": (7, 0.6)}),
+    "late": (LATE_LOOKS, "uav_0", {}),
+    "no end": (SCENARIO, "uav_0", {"end_on_sight_lost": False, "duration": 3.0}),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_each_world_is_the_parallel_environment_also_over_ends(name: str) -> None:
+    scenario, agent, options = CASES[name]
+    seeds = [21, 22, 23]
+    singles = [outrider.parallel_env(scenario, **options) for _ in seeds]
+    crews = [pilots(env) for env in singles]
+    many = outrider.vector_env(scenario, num_envs=3, agent=agent, **options)
+    seen, _ = many.reset(seed=21)
+    last = [env.reset(seed=seed)[0] for env, seed in zip(singles, seeds, strict=True)]
+    ends = 0
+    for actions in _actions(3, 420):
+        assert all(_equal(last[k][agent], _world(seen, k)) for k in range(3))
+        seen, rewards, terminated, truncated, infos = many.step(actions)
+        for k, env in enumerate(singles):
+            commands = {one: policy(last[k][one]) for one, policy in crews[k].items()} | {agent: actions[k]}
+            last[k], paid, terms, truncs, told = env.step(commands)
+            assert (paid[agent], terms[agent], truncs[agent]) == (rewards[k], terminated[k], truncated[k])
+            if terms[agent] or truncs[agent]:
+                ends += 1
+                assert infos["_final_obs"][k]
+                assert _equal(last[k][agent], infos["final_obs"][k])
+                assert infos["final_info"]["episode"]["l"][k] == env.world.tick
+                for key, value in told[agent].items():
+                    if key != "links":
+                        assert infos["final_info"][key][k] == value
+                last[k] = env.reset()[0]
+            assert env.episode_seed == many.worlds.episode_seeds[k]
+    assert ends >= 3 or agent == "ugv_0"
+
+
+def test_everybody_may_learn() -> None:
+    singles = [outrider.parallel_env(SEVERAL) for _ in range(2)]
+    many = outrider.parallel_vector_env(SEVERAL, num_envs=2)
+    assert many.possible_agents == singles[0].possible_agents
+    seen, _ = many.reset(seed=[8, 5])
+    last = [env.reset(seed=seed)[0] for env, seed in zip(singles, [8, 5], strict=True)]
+    rng = np.random.default_rng(3)
+    for _ in range(320):
+        actions = {name: rng.uniform(-0.1, 0.1, (2, 2)) for name in many.possible_agents}
+        seen, rewards, terminated, truncated, infos = many.step(actions)
+        for k, env in enumerate(singles):
+            last[k], paid, terms, truncs, _ = env.step({name: action[k] for name, action in actions.items()})
+            for name in many.possible_agents:
+                assert (paid[name], terms[name], truncs[name]) == (rewards[name][k], terminated[name][k], truncated[name][k])
+                if not env.agents:
+                    assert _equal(last[k][name], infos[name]["final_obs"][k])
+                else:
+                    assert _equal(last[k][name], seen[name][k])
+            if not env.agents:
+                last[k] = env.reset()[0]
+                assert all(_equal(last[k][name], seen[name][k]) for name in many.possible_agents)
+
+
+@pytest.mark.parametrize("scenario", [SCENARIO, LATE_LOOKS], ids=["in time", "late"])
+def test_the_filters_are_those_of_the_wrappers(scenario: Scenario) -> None:
+    single = SafetyFilterWrapper(EstimateWrapper(outrider.parallel_env(scenario)))
+    driver = pilots(single)["ugv_0"]
+    many = outrider.vector_env(scenario, num_envs=1, agent="uav_0", estimate=True, safety_filter=True)
+    seen, _ = many.reset(seed=4)
+    last, _ = single.reset(seed=4)
+    acted = 0
+    outward = np.array([0.3, 0.1])
+    for _ in range(360):
+        assert np.allclose(seen[0], last["uav_0"], rtol=1e-9, atol=1e-9)
+        seen, _, terminated, _, infos = many.step(outward[None])
+        last, _, _, _, told = single.step({"uav_0": outward, "ugv_0": driver(last["ugv_0"])})
+        assert not terminated[0]
+        assert bool(infos["intervened"][0]) is bool(told["uav_0"]["intervened"])
+        assert bool(infos["certified"][0]) is bool(told["uav_0"]["certified"])
+        acted += int(infos["intervened"][0])
+    assert acted > 0
+
+
+def test_single_precision_is_the_double_rounded() -> None:
+    one, other = (
+        outrider.vector_env(SCENARIO, num_envs=2, coverage_patch=(4, 1.0), dtype=dtype) for dtype in (np.float32, np.float64)
+    )
+    pairs = [(one.reset(seed=1)[0], other.reset(seed=1)[0])]
+    for actions in _actions(2, 20):
+        pairs.append((one.step(actions)[0], other.step(actions)[0]))
+    for short, exact in pairs:
+        assert one.observation_space.contains(short)
+        assert all(_equal(short[key], exact[key].astype(np.float32)) for key in exact)
+
+
+def test_the_gradient_points_to_new_ground() -> None:
+    env = outrider.vector_env(SCENARIO, num_envs=2, agent="uav_0", gradient=True)
+    seen, _ = env.reset(seed=1)
+    assert seen.shape == (2, 11)
+    for actions in _actions(2, 40):
+        seen, *_ = env.step(actions)
+    assert (np.linalg.norm(seen[:, 9:], axis=1) > 0.01).all()
+    assert env.observation_space.contains(seen)
+
+
+def test_it_is_a_gymnasium_vector_environment() -> None:
+    env = outrider.vector_env(SCENARIO, num_envs=4, agent="uav_0", duration=1.0)
+    assert isinstance(env, VectorEnv)
+    assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    assert env.observation_space.shape == (4, 9)
+    recorded = RecordEpisodeStatistics(env)
+    seen, _ = recorded.reset(seed=3)
+    assert recorded.observation_space.contains(seen)
+    for actions in _actions(4, 25, size=0.01):
+        seen, rewards, terminated, truncated, infos = recorded.step(actions)
+        assert rewards.dtype == np.float64
+        assert terminated.dtype == truncated.dtype == np.bool_
+        assert recorded.observation_space.contains(seen)
+        if truncated.any():
+            assert infos["episode"]["l"].tolist() == [20] * 4
+    recorded.close()
+
+
+def test_a_part_of_the_worlds_can_begin_anew() -> None:
+    env = outrider.vector_env(SCENARIO, num_envs=3, agent="uav_0")
+    first, _ = env.reset(seed=7)
+    for actions in _actions(3, 10):
+        later, *_ = env.step(actions)
+    again, _ = env.reset(seed=7, options={"reset_mask": np.array([True, False, True])})
+    assert _equal(again[[0, 2]], first[[0, 2]])
+    assert _equal(again[1], later[1])
+
+
+def test_others_may_be_policies_for_all_worlds_at_once() -> None:
+    rows: list[np.ndarray] = []
+
+    def south(seen: np.ndarray) -> np.ndarray:
+        rows.append(seen)
+        return np.tile([0.0, -0.05], (len(seen), 1))
+
+    env = outrider.vector_env(SCENARIO, num_envs=2, agent="uav_0", others={"ugv_0": south})
+    env.reset(seed=1)
+    for actions in _actions(2, 20, size=0.0):
+        env.step(actions)
+    assert rows[0].shape == (2, 8)
+    assert (rows[-1][:, 4] < -0.03).all()
+    assert rows[-1].dtype == np.float64
+
+
+def test_what_was_returned_is_never_changed_later() -> None:
+    env = outrider.vector_env(SCENARIO, num_envs=2, agent="uav_0", coverage_patch=(5, 1.0))
+    kept: list[Any] = [env.reset(seed=1)[0]]
+    copies = [{key: array.copy() for key, array in kept[0].items()}]
+    for actions in _actions(2, 5):
+        seen, rewards, *_ = env.step(actions)
+        kept.append(seen | {"rewards": rewards})
+        copies.append({key: array.copy() for key, array in kept[-1].items()})
+    assert all(_equal(one, other) for one, other in zip(kept, copies, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("actions", "message"),
+    [
+        (np.zeros((3, 2)), r"shape \(3, 2\) and type float64; must be \(2, 2\) numbers"),
+        (np.zeros(2), r"shape \(2,\)"),
+        ([[1.0, 2.0], [3.0]], "must be"),
+        (np.full((2, 2), "a"), "must be"),
+        (np.zeros((2, 2), dtype=bool), "must be"),
+        (None, "must be"),
+        (np.array([[0.0, 0.0], [0.0, np.nan]]), r"world 1 = \[0.0, nan\]: must be two finite numbers"),
+        (np.array([[np.inf, 0.0], [0.0, 0.0]]), "world 0"),
+        (np.array([[0.0, 1e9], [0.0, 0.0]]), "at most 1e\\+06"),
+    ],
+    ids=str,
+)
+def test_a_bad_action_is_refused_in_one_line_and_nothing_has_happened(actions: Any, message: str) -> None:
+    env = outrider.vector_env(SCENARIO, num_envs=2, agent="uav_0")
+    env.reset(seed=1)
+    good = _actions(2, 6)
+    for action in good[:3]:
+        env.step(action)
+    with pytest.raises(ValueError, match=message) as caught:
+        env.step(actions)
+    assert "\n" not in str(caught.value)
+    other = outrider.vector_env(SCENARIO, num_envs=2, agent="uav_0")
+    other.reset(seed=1)
+    for action in good[:3]:
+        other.step(action)
+    assert _equal(env.step(good[3])[0], other.step(good[3])[0])
+
+
+def test_integers_and_lists_are_actions_too() -> None:
+    env = outrider.vector_env(SCENARIO, num_envs=2, agent="uav_0")
+    env.reset(seed=1)
+    env.step([[0, 1], [1, 0]])
+    env.step(np.zeros((2, 2), dtype=np.int32))
+    env.step(np.zeros((2, 2), dtype=np.float32))
+
+
+@pytest.mark.parametrize("num_envs", [0, -3, 1.5, None, "2"])
+def test_there_must_be_worlds(num_envs: Any) -> None:
+    with pytest.raises(ValueError, match="num_envs"):
+        outrider.vector_env(SCENARIO, num_envs=num_envs)
+    with pytest.raises(ValueError, match="num_envs"):
+        outrider.parallel_vector_env(SCENARIO, num_envs=num_envs)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"agent": "uav_7"}, "agent = 'uav_7'; allowed: uav_0, ugv_0"),
+        ({"others": {"uav_0": "linear"}}, "comes? from outside"),
+        ({"others": {"ugv_0": "nobody"}}, "allowed: waypoints, wander, script, evade, or a policy"),
+        ({"others": {"ugv_9": "wander"}}, "no such vehicle"),
+        ({"others": {"ugv_0": 3}}, "neither a name nor a policy"),
+        ({"dtype": np.int32}, "dtype"),
+        ({"coverage_patch": (0, 1.0)}, "pixels"),
+        ({"threads": 0}, "threads"),
+    ],
+    ids=str,
+)
+def test_a_bad_argument_is_refused_in_one_line(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        outrider.vector_env(SCENARIO, num_envs=1, **options)
+    assert "\n" not in str(caught.value)
+
+
+def test_it_must_be_reset_first() -> None:
+    env = outrider.vector_env(SCENARIO, num_envs=2)
+    with pytest.raises(ResetNeeded, match="reset"):
+        env.step(np.zeros((2, 2)))
+    with pytest.raises(ResetNeeded):
+        env.reset(options={"reset_mask": np.array([True, False])})
+
+
+@pytest.mark.parametrize("seed", [-1, 2**53, "a", 1.5, [1], [1, 2, 3], [1, -1]], ids=str)
+def test_a_bad_seed_is_refused_and_the_episode_goes_on(seed: Any) -> None:
+    env = outrider.vector_env(SCENARIO, num_envs=2)
+    env.reset(seed=1)
+    with pytest.raises(ValueError, match="seed"):
+        env.reset(seed=seed)
+    env.step(np.zeros((2, 2)))
+
+
+def test_everybody_who_learns_must_act() -> None:
+    env = outrider.parallel_vector_env(SCENARIO, num_envs=2)
+    env.reset(seed=1)
+    with pytest.raises(ValueError, match="actions for: uav_0; needed is one for each of: uav_0, ugv_0"):
+        env.step({"uav_0": np.zeros((2, 2))})
+    env.step({name: np.zeros((2, 2)) for name in env.agents})
