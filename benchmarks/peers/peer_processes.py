@@ -1,0 +1,96 @@
+"""Starting what measures and installs: its lines as they come, an end to it in any case, and why it failed in one line."""
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+LONGEST_REASON = 160
+_REMARKS = ("warning", "[notice]", "note:", "hint:", "╰", "[end of output]")
+_UNSET = ("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP")
+"""Would let a peer's interpreter find what is not its own."""
+
+
+class Failed(Exception):
+    """Something could not be installed or measured; says why in one line."""
+
+
+def run(command: list[str], *, cwd: Path, deadline: float, on_line: Callable[[str], None] | None = None) -> None:
+    """Run a command to its end.
+
+    Args:
+        command: What to run.
+        cwd: Where.
+        deadline: It is ended after so long [s].
+        on_line: Is told each line of its standard output.
+
+    Raises:
+        Failed: If it does not end well, with the last line of its standard error.
+    """
+    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as said:
+        with _started(command, cwd, said.fileno()) as process:
+            late = threading.Event()
+            timer = threading.Timer(deadline, lambda: (late.set(), _end(process)))
+            timer.daemon = True
+            timer.start()
+            try:
+                for line in process.stdout or ():
+                    if on_line is not None:
+                        on_line(line.rstrip("\n"))
+                code = process.wait()
+            finally:
+                timer.cancel()
+        if late.is_set():
+            raise Failed(f"not done after {deadline:g} s")
+        if code:
+            said.seek(0)
+            raise Failed(reason(said.read()) or f"ended with exit code {code}")
+
+
+@contextmanager
+def _started(command: list[str], cwd: Path, errors: int) -> Iterator[subprocess.Popen[str]]:
+    """A process that has a group of its own, which is ended with all it has started, however the block is left."""
+    environment = {name: value for name, value in os.environ.items() if name not in _UNSET}
+    process = subprocess.Popen(
+        command,
+        cwd=cwd,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=errors,
+        start_new_session=True,
+        encoding="utf-8",
+        errors="replace",
+    )
+    try:
+        yield process
+    finally:
+        _end(process)
+        process.wait()
+        if process.stdout is not None:
+            process.stdout.close()
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        os.killpg(process.pid, signal.SIGKILL)  # they hold nothing that would have to be put in order
+
+
+def reason(text: str) -> str:
+    """The last line of an error that says something, without addresses and without folders of this machine."""
+    lines = [line.strip() for line in text.splitlines()]
+    telling = [line for line in lines if line and not line.lower().startswith(_REMARKS)]
+    return in_one_line(telling[-1]) if telling else ""
+
+
+def in_one_line(text: str) -> str:
+    """A message fit for a table that others read."""
+    text = re.sub(r"\b\w+://\S+", "(address)", " ".join(text.split()))
+    text = re.sub(r"(?<![\w.])(?:/[^\s/:'\"]+)+/([^\s/:'\"]+)", r"\1", text)
+    return text if len(text) <= LONGEST_REASON else text[: LONGEST_REASON - 1] + "…"

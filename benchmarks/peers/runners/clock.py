@@ -1,0 +1,106 @@
+"""How every runner counts and what it prints: alike for all. Standard library only, since it runs in every environment."""
+
+import argparse
+import json
+import os
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+Step = Callable[[], object]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Variant:
+    """One row of the table."""
+
+    name: str
+    worlds: int
+    """Worlds that step together."""
+    agents: int
+    """Agents in each world."""
+    field: bool
+    """Whether the world holds a field over the ground, such as coverage."""
+    make: Callable[[], Step]
+    """Makes the environment and its random actions; what it returns is timed."""
+    steps: int = 1
+    """Steps of each world in one call of what `make` returns."""
+
+
+class Watch:
+    """Whether the machine is quiet: how much of its cores other programs use."""
+
+    def __init__(self) -> None:
+        self._busy, self._total = _cores()
+        self._own = time.process_time()
+
+    def others(self) -> float | None:
+        """Share of the cores that other programs have used since; None where the system does not tell."""
+        busy, total = _cores()
+        if total <= self._total:
+            return None
+        own = (time.process_time() - self._own) * os.sysconf("SC_CLK_TCK")
+        return max(0.0, (busy - self._busy - own) / (total - self._total))
+
+
+def _cores() -> tuple[float, float]:
+    """Time that all cores were busy, and all their time [clock ticks]; zeros where the system does not tell."""
+    try:
+        words = Path("/proc/stat").read_text(encoding="ascii").splitlines()[0].split()
+    except OSError:
+        return 0.0, 0.0
+    user, nice, system, idle, disk, irq, softirq, stolen = map(float, words[1:9])
+    busy = user + nice + system + irq + softirq + stolen
+    return busy, busy + idle + disk
+
+
+def calls_per_second(step: Step, seconds: float) -> float:
+    """How often it can be called [1/s]; it is called at least once and for at least so long [s]."""
+    calls, started = 0, time.perf_counter()
+    while True:
+        step()
+        calls += 1
+        passed = time.perf_counter() - started
+        if passed >= seconds:
+            return calls / passed
+
+
+def measure(variant: Variant, seconds: float, repeats: int) -> dict[str, object]:
+    """World-steps a second: one step of one world with all its agents counts one. Warm-up is not counted."""
+    step = variant.make()
+    step()
+    calls_per_second(step, seconds / 3.0)
+    watch = Watch()
+    rates = [calls_per_second(step, seconds) * variant.worlds * variant.steps for _ in range(repeats)]
+    return {
+        "others": watch.others(),
+        "steps_per_second": statistics.median(rates),
+        "slowest": min(rates),
+        "fastest": max(rates),
+    }
+
+
+def run(name: str, version: str, variants: Iterable[Variant]) -> None:
+    """Measure the variants and print each as a line of JSON as soon as it is there; one that fails is said, the others go on.
+
+    Args:
+        name: What people call the package.
+        version: Of the package, and of what its speed hangs on.
+        variants: The rows.
+    """
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seconds", type=float, default=3.0)
+    parser.add_argument("--repeats", type=int, default=3)
+    given = parser.parse_args()
+    for variant in variants:
+        line: dict[str, object] = {"name": name, "variant": variant.name, "worlds": variant.worlds, "version": version}
+        try:
+            line |= {"agents": variant.agents, "field": variant.field}
+            line |= measure(variant, given.seconds, given.repeats)
+        except Exception as error:  # noqa: BLE001 - whatever a package does, its other rows are still wanted
+            line["error"] = f"{type(error).__name__}: {error}"
+        sys.stdout.write(json.dumps(line) + "\n")
+        sys.stdout.flush()

@@ -1,0 +1,61 @@
+"""Ours: the parallel environment, and many worlds at once."""
+
+from functools import partial
+from importlib.metadata import version
+from itertools import cycle
+
+import numpy as np
+
+import outrider
+from runners.clock import Step, Variant, run
+
+SEED = 1
+ACTIONS = 256
+
+
+def parallel(**settings: object) -> Step:
+    """`parallel_env.step` with random accelerations for all vehicles; a new episode where one has ended."""
+    env = outrider.parallel_env("escort", **settings)
+    env.reset(seed=SEED)
+    names = env.possible_agents
+    for name in names:
+        env.action_space(name).seed(SEED)
+    actions = cycle([{name: env.action_space(name).sample() for name in names} for _ in range(ACTIONS)])
+
+    def step() -> None:
+        if not env.agents:
+            env.reset()
+        env.step(next(actions))
+
+    return step
+
+
+def vector(worlds: int, **settings: object) -> Step:
+    """`vector_env.step` with random accelerations for the UAVs; it begins new episodes by itself."""
+    env = outrider.vector_env("escort", num_envs=worlds, agent="uav_0", **settings)
+    env.reset(seed=SEED)
+    space = env.single_action_space
+    rng = np.random.default_rng(SEED)
+    shape = (min(ACTIONS, 64), worlds, *space.shape)
+    actions = cycle(list(rng.uniform(space.low, space.high, shape).astype(space.dtype)))
+    return lambda: env.step(next(actions))
+
+
+# name, worlds, how it is made
+VARIANTS = [
+    ("parallel_env", 1, parallel),
+    ("vector_env", 1, partial(vector, 1)),
+    ("vector_env", 32, partial(vector, 32)),
+    ("vector_env", 1024, partial(vector, 1024)),
+]
+
+if __name__ == "__main__":
+    run(
+        "Outrider",
+        version("outrider"),
+        [
+            Variant(name=name, worlds=worlds, agents=2, field=True, make=make)
+            for name, worlds, make in VARIANTS
+            if name != "vector_env" or hasattr(outrider, "vector_env")
+        ],
+    )
