@@ -42,6 +42,8 @@ CASES: dict[str, tuple[Scenario, str, dict[str, Any]]] = {
     "weights": (SCENARIO, "uav_0", {"rewards": SEEN}),
     "patch": (SCENARIO, "uav_0", {"coverage_patch": (7, 0.6)}),
     "late": (LATE_LOOKS, "uav_0", {}),
+    "evade": (SCENARIOS["evade"], "uav_0", {}),
+    "evade over a network": (SCENARIOS["network"], "uav_0", {"duration": 10.0}),
     "no end": (SCENARIO, "uav_0", {"end_on_sight_lost": False, "duration": 3.0}),
 }
 
