@@ -18,17 +18,11 @@ from gymnasium.vector.utils import batch_space
 from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 from pettingzoo.utils import BaseParallelWrapper  # type: ignore[import-untyped]
 
-from outrider.observations import (
-    COVERAGE,
-    Channels,
-    CoverageImage,
-    Egocentric,
-    History,
-    Normalized,
-    Observation,
-    Transformation,
-    Worlds,
-)
+from outrider.observations.body import Egocentric
+from outrider.observations.history import History
+from outrider.observations.image import CoverageImage
+from outrider.observations.normalized import Normalized
+from outrider.observations.transformation import COVERAGE, Channels, Observation, Transformation, Worlds
 
 _ONE_WORLD: Worlds = np.array(True)
 

@@ -20,7 +20,10 @@ from pettingzoo.utils.conversions import parallel_to_aec
 from agents.wrappers import EstimateWrapper, SafetyFilterWrapper
 from bus.layout import UavRow, UgvRow, table
 from bus.messages import Law
-from outrider.observations import BODY_SYMBOLS, CoverageImage, Egocentric, History, Normalized, UavBodyRow, UgvBodyRow
+from outrider.observations.body import BODY_SYMBOLS, Egocentric, UavBodyRow, UgvBodyRow
+from outrider.observations.history import History
+from outrider.observations.image import CoverageImage
+from outrider.observations.normalized import Normalized
 from outrider.wrappers import coverage_image, egocentric, history, normalized, transformed
 from sim.env.parallel import parallel_env
 from sim.profiles import PROFILES
