@@ -5,11 +5,15 @@ The front door for people: `outrider.load_scenario`, `outrider.run`, `outrider.p
 loaded when it is used.
 """
 
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from outrider.run import run as run
+    from outrider.single import single_env as single_env
+    from outrider.suites.board import leaderboard as leaderboard
+    from outrider.suites.tasks import suite as suite
     from outrider.vector import parallel_vector_env as parallel_vector_env
     from outrider.vector import vector_env as vector_env
     from sim.env.parallel import parallel_env as parallel_env
@@ -19,18 +23,36 @@ if TYPE_CHECKING:
 
 _WHERE = {
     "RewardWeights": "sim.env.rewards",
+    "leaderboard": "outrider.suites.board",
     "load_scenario": "sim.scenario",
     "parallel_env": "sim.env.parallel",
     "parallel_vector_env": "outrider.vector",
     "run": "outrider.run",
     "scenario_names": "sim.scenario",
+    "single_env": "outrider.single",
+    "suite": "outrider.suites.tasks",
     "vector_env": "outrider.vector",
 }
 
-__all__ = ["RewardWeights", "load_scenario", "parallel_env", "parallel_vector_env", "run", "scenario_names", "vector_env"]
+__all__ = [
+    "RewardWeights",
+    "leaderboard",
+    "load_scenario",
+    "parallel_env",
+    "parallel_vector_env",
+    "run",
+    "scenario_names",
+    "single_env",
+    "suite",
+    "vector_env",
+]
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - a module's names have any type
     if name in _WHERE:
         return getattr(import_module(_WHERE[name]), name)
     raise AttributeError(f"module 'outrider' has no attribute {name!r}")
+
+
+if "gymnasium" in sys.modules:  # whoever uses Gymnasium finds our names there; nobody else pays for its import
+    import_module("outrider.registration")

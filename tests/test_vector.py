@@ -8,6 +8,9 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from properties import PROPERTY
 from test_batch import LATE
 from test_closed_loop import SCENARIOS, SEVERAL
 
@@ -235,6 +238,38 @@ def test_integers_and_lists_are_actions_too() -> None:
     env.step([[0, 1], [1, 0]])
     env.step(np.zeros((2, 2), dtype=np.int32))
     env.step(np.zeros((2, 2), dtype=np.float32))
+
+
+EXTREMES = st.sampled_from([0.0, 1e-300, -1e-9, 0.3, -0.3, 1e6, -1e6])
+
+
+@settings(PROPERTY, max_examples=20)
+@given(
+    name=st.sampled_from(["certified", "evade", "network", "raw detections", "several"]),
+    agent=st.sampled_from(["uav_0", "ugv_0"]),
+    options=st.fixed_dictionaries(
+        {
+            "estimate": st.booleans(),
+            "gradient": st.booleans(),
+            "safety_filter": st.booleans(),
+            "dtype": st.sampled_from([np.float32, np.float64]),
+            "coverage_patch": st.sampled_from([None, (3, 2.0)]),
+        }
+    ),
+    held=st.lists(st.tuples(EXTREMES, EXTREMES), min_size=1, max_size=8),
+)
+def test_the_spaces_contain_whatever_is_returned(
+    name: str, agent: str, options: dict[str, Any], held: list[tuple[float, float]]
+) -> None:
+    env = outrider.vector_env(SCENARIOS[name], num_envs=2, agent=agent, duration=4.0, threads=1, **options)
+    seen, _ = env.reset(seed=len(held))
+    assert env.observation_space.contains(seen)
+    for tick in range(100):
+        seen, rewards, *_, infos = env.step(np.array([held[tick // 10 % len(held)]] * 2))
+        assert env.observation_space.contains(seen)
+        assert np.isfinite(rewards).all()
+        for k in np.flatnonzero(infos.get("_final_obs", [])):
+            assert env.single_observation_space.contains(infos["final_obs"][k])
 
 
 @pytest.mark.parametrize("num_envs", [0, -3, 1.5, None, "2"])

@@ -25,6 +25,7 @@ from outrider.cli import (
     run,
     scenarios,
     simulator,
+    suite,
     sweep,
     vehicles,
 )
@@ -45,6 +46,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "check": check.command,
     "falsify": falsify.command,
     "figures": figures.command,
+    "suite": suite.command,
     "sweep": sweep.command,
     "report": report.command,
     "bench": bench.command,

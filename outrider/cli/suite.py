@@ -1,0 +1,169 @@
+"""`outrider suite`: the benchmark suite, and the leaderboard of who has flown it."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from outrider.cli.options import Json
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from outrider.suites.board import Leaderboard, Standing
+    from outrider.suites.scoring import Entry, Result
+    from outrider.suites.tasks import Suite
+    from outrider.vector import Observation, Policy
+
+
+def command(
+    laws: Annotated[
+        list[str] | None, typer.Argument(help="Laws by name; by default the paper's and certified, or none beside a --policy.")
+    ] = None,
+    policy: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="MODULE:FUNCTION",
+            help="A policy of your own: a UAV's observations in all worlds in, its accelerations out, shape (worlds, 2); "
+            "may be repeated.",
+        ),
+    ] = None,
+    only: Annotated[list[str] | None, typer.Option(help="Only this task; may be repeated.")] = None,
+    estimate: Annotated[
+        bool, typer.Option("--estimate", help="Policies observe the filter's estimate in the place of the raw detection.")
+    ] = False,
+    gradient: Annotated[bool, typer.Option("--gradient", help="Policies observe the direction to new ground besides.")] = False,
+    safety_filter: Annotated[bool, typer.Option("--safety-filter", help="Policies fly inside the safety filter.")] = False,
+    markdown: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the table into this file.")] = None,
+    list_tasks: Annotated[bool, typer.Option("--list", help="Tell what the tasks are, and fly nothing.")] = False,
+    json: Json = False,
+) -> None:
+    """Fly laws and policies over the tasks of the benchmark suite, 20 seeds each, and score them.
+
+    The score is the share of the ground around the UGV that was seen, averaged over the flight, in percent; from the tick at
+    which sight is lost on, nothing counts as seen.
+
+    Example: outrider suite logarithmic certified --only noise --only bursts
+    """
+    from outrider.cli.console import OUT, print_json
+    from outrider.suites.tasks import suite
+
+    tasks = _tasks(suite(), only or [])
+    if list_tasks:
+        _tell_tasks(tasks, json=json)
+        return
+    chosen = {"estimate": estimate, "gradient": gradient, "safety_filter": safety_filter}
+    settings = {name: True for name, wanted in chosen.items() if wanted}
+    entries = _entries(laws or [], policy or [], tasks)
+    if settings and not policy:
+        raise typer.BadParameter(f"--{'/'.join(settings).replace('_', '-')}: for a --policy alone; the laws are as they are")
+    if markdown is not None and not markdown.parent.is_dir():
+        raise typer.BadParameter(f"--markdown {markdown}: no such folder: {markdown.parent}")
+    board = _fly(entries, tasks, settings)
+    if markdown is not None:
+        markdown.write_text(board.markdown(), encoding="utf-8")
+    if json:
+        print_json(board)
+        return
+    OUT.print(_table(board))
+    if markdown is not None:
+        OUT.print(f"  {markdown}", soft_wrap=True)
+
+
+def _tasks(whole: "Suite", only: list[str]) -> "Suite":
+    from bus.errors import ScenarioError
+    from outrider.suites.tasks import Suite
+
+    unknown = [name for name in only if name not in whole.names]
+    if unknown:
+        raise ScenarioError(f"--only {unknown[0]}: no such task; allowed: {', '.join(whole.names)}")
+    return Suite([task for task in whole if not only or task.name in only])
+
+
+def _entries(laws: list[str], policies: list[str], tasks: "Suite") -> "dict[str, Entry]":
+    from bus.errors import ScenarioError
+    from outrider.closed_loop import pilot_names
+    from outrider.own import load_function
+    from outrider.suites.board import LAWS
+
+    allowed = pilot_names(tasks[0].scenario, "uav_0")
+    for law in laws:
+        if law not in allowed:
+            raise ScenarioError(f"law {law!r}: unknown; allowed: {', '.join(allowed)}, or --policy module:function")
+    entries: dict[str, Entry] = {law: law for law in laws or ([] if policies else LAWS)}
+    for name in policies:
+        found = load_function(name, what="--policy")
+        if found is None:
+            raise ScenarioError("--policy '': names no function; allowed: module:function")
+        entries[name] = _Own(name, found)
+    return entries
+
+
+class _Own:
+    """A policy of the user's own whose errors become one line that names it; a copy of it has a memory of its own."""
+
+    def __init__(self, name: str, policy: "Policy") -> None:
+        self._name, self._policy = name, policy
+
+    def __call__(self, seen: "Observation") -> "ArrayLike":
+        from bus.errors import OutriderError
+
+        try:
+            return self._policy(seen)
+        except Exception as error:
+            raise OutriderError(f"--policy {self._name}: {type(error).__name__}: {error}") from error
+
+
+def _fly(entries: "dict[str, Entry]", tasks: "Suite", settings: dict[str, Any]) -> "Leaderboard":
+    from rich.progress import Progress
+
+    from bus.errors import OutriderError
+    from outrider.cli.console import ERR
+    from outrider.suites.board import leaderboard
+
+    with Progress(console=ERR, transient=True, disable=not ERR.is_terminal) as progress:
+        bar = progress.add_task("compiling, then flying", total=1.0)
+
+        def show(what: str, share: float) -> None:
+            progress.update(bar, description=what, completed=share)
+
+        try:
+            return leaderboard(entries, tasks=tasks, on_progress=show, **settings)
+        except ValueError as error:
+            raise OutriderError(f"a policy's answer cannot be flown: {error}") from error
+
+
+def _table(board: "Leaderboard") -> Any:  # noqa: ANN401 - rich's
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    title = f"Seen of what there was to see [%], mean of {len(board.standings[0].results[0].scores)} seeds"
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table.add_column("task", no_wrap=True)
+    for standing in board.standings:
+        table.add_column(standing.entry, justify="right")
+    for k, task in enumerate(board.tasks):
+        cells = (_cell(standing.results[k]) for standing in board.standings)
+        table.add_row(task, *cells, end_section=k == len(board.tasks) - 1)
+    table.add_row("mean", *map(_cell, board.standings), style="bold")
+    return table
+
+
+def _cell(told: "Result | Standing") -> str:
+    return f"{told.score:.1f}" + (f"\n[red]{told.lost} lost[/]" if told.lost else "")
+
+
+def _tell_tasks(tasks: "Suite", *, json: bool) -> None:
+    from rich.table import Table
+
+    from outrider.cli.console import OUT, print_json
+
+    if json:
+        print_json({"tasks": [{"name": task.name, "hard": task.hard, "env_id": task.env_id} for task in tasks]})
+        return
+    table = Table(title="The tasks of the suite", title_justify="left")
+    for heading in ("task", "what is hard", "at Gymnasium"):
+        table.add_column(heading, no_wrap=heading == "task")
+    for task in tasks:
+        table.add_row(task.name, task.hard, task.env_id)
+    OUT.print(table)

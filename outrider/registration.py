@@ -1,0 +1,62 @@
+"""The environments' names at Gymnasium: `outrider/Escort-v0`, and one for each task of the suite.
+
+Gymnasium asks no package for its names; it imports the module in front of a colon, `outrider.registration:outrider/Escort-v0`,
+and expects it to have registered them. Therefore, and only here, importing does something.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+
+from outrider.suites.tasks import BASE, TASKS, suite
+
+if TYPE_CHECKING:
+    from outrider.single import SingleEnv
+    from outrider.vector import OutriderVectorEnv
+
+ESCORT = "outrider/Escort-v0"
+
+
+def single(*, task: str = "", **settings: Any) -> "SingleEnv":  # noqa: ANN401 - those of the environment
+    """What `gymnasium.make` calls: `outrider.single_env`, of a task of the suite if one is named."""
+    from outrider.single import SingleEnv  # noqa: PLC0415 - compiled code stands behind it
+
+    return suite()[task].make_single(**settings) if task else SingleEnv(**settings)
+
+
+def vector(*, num_envs: int, task: str = "", **settings: Any) -> "OutriderVectorEnv":  # noqa: ANN401
+    """What `gymnasium.make_vec` calls: `outrider.vector_env`, of a task of the suite if one is named.
+
+    Raises:
+        ValueError: If it is given a limit of steps, which Gymnasium can put around single environments only.
+    """
+    from outrider.vector import OutriderVectorEnv  # noqa: PLC0415
+
+    if "max_episode_steps" in settings:
+        limit = settings["max_episode_steps"]
+        raise ValueError(f"max_episode_steps = {limit!r}: not for many worlds at once; allowed: duration=..., in s")
+    return suite()[task].make(num_envs, **settings) if task else OutriderVectorEnv(num_envs=num_envs, **settings)
+
+
+def env_ids() -> tuple[str, ...]:
+    """All the names, the shipped escort's first."""
+    return (ESCORT, *(task.env_id for task in TASKS))
+
+
+def register() -> None:
+    """Tell Gymnasium the environments' names; again does nothing.
+
+    No limit of steps is registered: the episodes end by themselves, and a second limit would only hide it.
+    """
+    settings: dict[str, dict[str, str]] = {ESCORT: {"scenario": BASE}} | {task.env_id: {"task": task.name} for task in TASKS}
+    for env_id, kwargs in settings.items():
+        if env_id not in gymnasium.registry:
+            gymnasium.register(
+                env_id,
+                entry_point="outrider.registration:single",
+                vector_entry_point="outrider.registration:vector",
+                kwargs=kwargs,
+            )
+
+
+register()

@@ -1,0 +1,116 @@
+"""What the pages about environments, suite and tutorial show is what is there."""
+
+import inspect
+import re
+from pathlib import Path
+
+import pytest
+
+import outrider
+from outrider.registration import env_ids
+from outrider.single import single_env
+from outrider.suites.board import LAWS, leaderboard
+from outrider.suites.tasks import TASKS, Task, suite
+from outrider.vector import Worlds, vector_env
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = ("environment", "vector-environment", "suite", "tutorial")
+
+
+def page(name: str) -> str:
+    return (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
+
+
+def python_blocks(name: str) -> list[str]:
+    return re.findall(r"```python\n(.*?)```", page(name), flags=re.DOTALL)
+
+
+def between(text: str, mark: str) -> list[list[str]]:
+    """The rows of the table between two marks, without its head."""
+    shown = text.split(f"<!-- {mark} -->\n")[1].split(f"<!-- /{mark} -->", maxsplit=1)[0]
+    return [line.strip("| ").split(" | ") for line in shown.strip().splitlines()[2:]]
+
+
+@pytest.mark.parametrize(
+    "block", python_blocks("vector-environment"), ids=lambda block: re.search(r"outrider\.\w+|make", block)[0]
+)
+def test_the_environments_shown_can_be_flown(block: str, capsys: pytest.CaptureFixture[str]) -> None:
+    exec(compile(block, "vector-environment.md", "exec"), {})  # noqa: S102 - our own page
+    assert capsys.readouterr().out
+
+
+def test_the_entry_shown_is_scored(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    (block,) = python_blocks("suite")
+    short = Task(name="short", hard="", changes={**suite()["short-sight"].changes, "duration": 5.0})
+    monkeypatch.setattr(outrider, "suite", lambda: {"short-sight": short}, raising=False)
+    exec(compile(block, "suite.md", "exec"), {})  # noqa: S102 - our own page
+    out = capsys.readouterr().out
+    assert "0 of 20 lost" in out
+    assert "| **mean** | " in out
+
+
+def test_all_the_arguments_are_told() -> None:
+    told = {row[0] for row in re.findall(r"^\| `(\w+)` \| (`[^`]*`) \|", page("vector-environment"), flags=re.MULTILINE)}
+    taken = set(inspect.signature(Worlds.__init__).parameters) - {"self", "num_envs", "learners"}
+    assert told == taken
+
+
+def test_the_defaults_told_are_those_taken() -> None:
+    told = dict(re.findall(r"^\| `(\w+)` \| `([^`]*)` \|", page("vector-environment"), flags=re.MULTILINE))
+    assert told.pop("scenario") == repr(inspect.signature(vector_env).parameters["scenario"].default).replace("'", '"')
+    assert told.pop("dtype") == "np.float64"
+    parameters = inspect.signature(Worlds.__init__).parameters
+    assert told == {name: repr(parameters[name].default) for name in told}
+    assert inspect.signature(single_env).parameters["agent"].default == "uav_0"
+
+
+def test_the_tasks_told_are_the_suites() -> None:
+    rows = between(page("suite"), "tasks")
+    assert [(row[0].strip("`"), row[1]) for row in rows] == [(task.name, task.hard) for task in TASKS]
+    for row, task in zip(rows, TASKS, strict=True):
+        assert re.findall(r"`([\w.]+)", row[2]) == list(task.changes)
+    assert all(name in env_ids() for name in re.findall(r"`(outrider/[\w-]+-v\d)`", page("vector-environment")))
+
+
+def test_the_leaderboard_told_is_what_the_command_makes() -> None:
+    """Its frame, and the cell that is soonest flown."""
+    text = page("suite")
+    rows = between(text, "board")
+    head = text.split("<!-- board -->\n")[1].splitlines()[0].strip("| ").split(" | ")
+    assert [row[0] for row in rows] == [*suite().names, "**mean**"]
+    assert set(head[1:]) == set(LAWS)
+    means = [float(cell.split(" ± ")[0]) for cell in rows[-1][1:]]
+    assert means == sorted(means, reverse=True)
+    made = leaderboard(["tracking"], tasks=[suite()["covered"]]).rows()[1][1]
+    assert made == rows[suite().names.index("covered")][head.index("tracking")]
+
+
+def test_the_tutorial_shows_the_example_as_it_is() -> None:
+    source = (ROOT / "examples" / "tutorial.py").read_text(encoding="utf-8")
+    cells = [cell.strip() for cell in re.split(r"^# %%.*\n", source, flags=re.MULTILINE)[1:]]
+    code = [cell for cell in cells if not all(line.startswith("#") or not line for line in cell.splitlines())]
+    assert [block.strip() for block in python_blocks("tutorial")] == code
+    compile(source, "tutorial.py", "exec")
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_links_within_the_repository_lead_somewhere(name: str) -> None:
+    prose = re.sub(r"```.*?```", "", page(name), flags=re.DOTALL)
+    for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", prose):
+        assert (ROOT / "docs" / target).exists(), target
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_links_to_headings_lead_somewhere(name: str) -> None:
+    prose = re.sub(r"```.*?```", "", page(name), flags=re.DOTALL)
+    for target, heading in re.findall(r"\]\(([^)#:]*)#([^)]+)\)", prose):
+        linked = (ROOT / "docs" / target).read_text(encoding="utf-8") if target else page(name)
+        headings = re.findall(r"^#+ (.*)$", linked, flags=re.MULTILINE)
+        anchors = {re.sub(r"[^\w -]", "", one.lower()).replace(" ", "-") for one in headings}
+        assert heading in anchors, f"{target}#{heading}"
+
+
+@pytest.fixture(autouse=True)
+def _front_door(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(outrider, "single_env", single_env, raising=False)
+    monkeypatch.setattr(outrider, "leaderboard", leaderboard, raising=False)

@@ -1,0 +1,109 @@
+"""The names at Gymnasium: they make what they say, and nothing is limited twice."""
+
+import copy
+import pickle
+import subprocess
+import sys
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import SyncVectorEnv
+from gymnasium.wrappers import TimeLimit
+
+from outrider.registration import ESCORT, env_ids, register
+from outrider.single import SingleEnv
+from outrider.suites.tasks import TASKS
+from outrider.vector import OutriderVectorEnv
+
+
+def test_there_is_a_name_for_the_escort_and_for_each_task() -> None:
+    assert env_ids() == (ESCORT, *(task.env_id for task in TASKS))
+    assert len(set(env_ids())) == 1 + len(TASKS)
+    for task in TASKS:
+        made = gymnasium.make(task.env_id).unwrapped
+        assert isinstance(made, SingleEnv)
+        assert made.worlds.scenario == task.scenario
+
+
+def test_registering_again_does_nothing() -> None:
+    before = dict(gymnasium.registry)
+    register()
+    assert dict(gymnasium.registry) == before
+
+
+@pytest.mark.parametrize("env_id", [ESCORT, "outrider/Suite-TwoPairs-v0"])
+def test_a_spec_can_be_copied_pickled_written_and_made_again(env_id: str) -> None:
+    spec = gymnasium.spec(env_id)
+    assert copy.deepcopy(spec) == pickle.loads(pickle.dumps(spec)) == spec  # noqa: S301 - our own
+    assert EnvSpec.from_json(spec.to_json()) == spec
+    env = gymnasium.make(spec, duration=1.0)
+    again = gymnasium.make(env.spec)
+    assert again.unwrapped.worlds.scenario == env.unwrapped.worlds.scenario
+    assert again.unwrapped.worlds.scenario.duration == 1.0
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_is_made_passes_the_checker() -> None:
+    check_env(gymnasium.make(ESCORT, duration=2.0).unwrapped)
+
+
+def test_time_is_limited_once() -> None:
+    assert gymnasium.spec(ESCORT).max_episode_steps is None
+    env = gymnasium.make(ESCORT, duration=0.5)
+    wrapped: Any = env
+    while wrapped is not env.unwrapped:
+        assert not isinstance(wrapped, TimeLimit)
+        wrapped = wrapped.env
+    env.reset(seed=1)
+    ends = [env.step(np.zeros(2))[2:4] for _ in range(10)]
+    assert ends == [(False, False)] * 9 + [(False, True)]
+
+
+def test_a_limit_of_steps_is_gymnasiums_own() -> None:
+    env = gymnasium.make(ESCORT, max_episode_steps=3)
+    env.reset(seed=1)
+    assert [env.step(np.zeros(2))[3] for _ in range(3)] == [False, False, True]
+    many = gymnasium.make_vec(ESCORT, num_envs=2, vectorization_mode="sync", max_episode_steps=3)
+    many.reset(seed=1)
+    assert [many.step(np.zeros((2, 2)))[3].tolist() for _ in range(3)][-1] == [True, True]
+    with pytest.raises(ValueError, match="max_episode_steps = 3: not for many worlds at once; allowed: duration") as caught:
+        gymnasium.make_vec(ESCORT, num_envs=2, max_episode_steps=3)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("env_id", [ESCORT, "outrider/Suite-Evade-v0"])
+def test_many_worlds_are_made_in_one_or_one_by_one_with_the_same_bits(env_id: str) -> None:
+    fast = gymnasium.make_vec(env_id, num_envs=3, duration=1.0)
+    slow = gymnasium.make_vec(env_id, num_envs=3, vectorization_mode="sync", duration=1.0)
+    assert isinstance(fast, OutriderVectorEnv)
+    assert isinstance(gymnasium.make_vec(env_id, num_envs=3, vectorization_mode="vector_entry_point"), OutriderVectorEnv)
+    assert isinstance(slow, SyncVectorEnv)
+    assert fast.single_observation_space == slow.single_observation_space
+    seen, same = fast.reset(seed=5)[0], slow.reset(seed=5)[0]
+    for actions in np.random.default_rng(1).uniform(-0.3, 0.3, (15, 3, 2)):
+        assert seen.tobytes() == same.tobytes()
+        (seen, rewards, *_), (same, paid, *_) = fast.step(actions), slow.step(actions)
+        assert rewards.tolist() == paid.tolist()
+    fast.close()
+    slow.close()
+
+
+def test_settings_go_through() -> None:
+    env = gymnasium.make("outrider/Suite-Noise-v0", agent="ugv_0", dtype=np.float32)
+    assert env.observation_space.shape == (8,)
+    assert env.observation_space.dtype == np.float32
+
+
+def test_names_alone_load_nothing_heavy_and_a_name_with_its_module_in_front_needs_no_import() -> None:
+    heavy = "sorted({'numba', 'sim', 'agents', 'zenoh', 'pettingzoo'} & set(sys.modules))"
+    name = "outrider.registration:outrider/Suite-Noise-v0"
+    for code, told in (
+        (f"import sys, outrider.registration; print({heavy})", "[]"),
+        (f"import gymnasium; print(gymnasium.make({name!r}).unwrapped.worlds.scenario.name)", "noise"),
+    ):
+        run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        assert run.stdout == f"{told}\n"

@@ -1,0 +1,299 @@
+"""The suite: its tasks can be flown, its score is what it says, and losing sight never pays."""
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_closed_loop import SCENARIOS
+
+from bus.messages import Command
+from outrider.cli import main
+from outrider.closed_loop import pilot_names
+from outrider.run import InProcess, make_pilots, run
+from outrider.suites.board import LAWS, leaderboard
+from outrider.suites.scoring import evaluate
+from outrider.suites.tasks import SEEDS, TASKS, Suite, Task, suite
+from outrider.vector import OutriderVectorEnv
+from sim.briefing import briefing
+from sim.field import coverage_error
+from sim.flight import Flight
+from sim.scenario_checks import scenario_warnings
+from sim.tick import first_state
+
+SHORT: dict[str, object] = {"duration": 4.0, "area.width": 16.0, "area.height": 12.0, "ugv.0.goals": [[12.0, 9.0]]}
+TASK = Task(name="short", hard="it is over soon", changes=SHORT)
+SLOW = Task(name="slow", hard="", changes={**SHORT, "duration": 30.0})
+
+
+def hover(seen: np.ndarray) -> np.ndarray:
+    """Fly to where the UGV was last seen, with the estimate."""
+    return -0.2 * seen[:, 6:8] - seen[:, 3:5]
+
+
+def away(seen: np.ndarray) -> np.ndarray:
+    return np.tile([0.3, 0.3], (len(seen), 1))
+
+
+@pytest.mark.parametrize("task", TASKS, ids=lambda task: task.name)
+def test_each_task_can_be_flown_by_every_law_that_is_on_the_board(task: Task) -> None:
+    scenario = task.scenario
+    assert not scenario_warnings(scenario)
+    assert scenario.name == task.name
+    assert scenario.title == task.hard
+    for uav in scenario.uav:
+        assert set(LAWS) <= set(pilot_names(scenario, uav.name))
+        assert briefing(scenario, uav.name, 0).certificate.error is not None
+    env = task.make(2)
+    assert isinstance(env, OutriderVectorEnv)
+    env.reset(seed=1)
+    for _ in range(3):
+        env.step(np.zeros((2, 2)))
+    env.close()
+
+
+def test_there_are_a_dozen_tasks_and_each_has_a_name_of_its_own() -> None:
+    assert len(suite()) >= 12
+    assert len(set(suite().names)) == len(suite())
+    assert suite()["noise"].name == "noise"
+    assert suite()[:2].names == suite().names[:2]
+    assert suite()[-1] is TASKS[-1]
+    with pytest.raises(ValueError, match="task = 'nosie': no such task; allowed: paper,"):
+        suite()["nosie"]
+
+
+def test_the_seeds_are_twenty_and_no_training_run_begins_with_them() -> None:
+    assert len(set(SEEDS)) == 20
+    firsts = {task.scenario.seed for task in TASKS}
+    assert all(abs(seed - first) > 4096 for seed in SEEDS for first in firsts)
+
+
+def test_the_score_is_the_mean_share_of_what_there_was_to_see() -> None:
+    """Against a single flight over the bus' own loop, tick by tick."""
+    task = Task(name="half", hard="", changes={**SHORT, "coverage.covered": [{"lower": [0.0, 0.0], "upper": [8.0, 12.0]}]})
+    scenario = task.scenario
+    flight = Flight(scenario, 9001)
+    flight.fly(InProcess(make_pilots(scenario, 9001)))
+    errors = flight.recorder.escorts[:, 0, 1]
+    places = flight.recorder.states[:, flight.world.escorts[0, 1], :2].tolist()
+    r_o, nothing = scenario.visibility.radius + scenario.sensor.range, first_state(scenario).coverage
+    most = np.array([coverage_error(nothing, x, y, r_o, scenario.coverage.desired, scenario.area.cell) for x, y in places])
+    result = evaluate(task, "certified", seeds=[9000, 9001])
+    assert result.scores[1] == pytest.approx(100.0 * np.mean(1.0 - errors / most), rel=1e-12)
+    assert 0.0 < result.scores[1] < 100.0
+    assert result.lost == 0
+
+
+def test_the_mean_error_is_that_of_single_runs() -> None:
+    result = TASK.evaluate("certified", seeds=[9000, 9001])
+    assert result.mean_error == pytest.approx(np.mean([run(TASK.scenario, seed=seed).mean_error for seed in (9000, 9001)]))
+
+
+def test_a_law_and_the_same_flight_from_outside_have_the_same_score() -> None:
+    """The commands of the law, recorded and given as actions, fly the same bits and score the same."""
+    said: list[tuple[float, float]] = []
+
+    class Recording(InProcess):
+        def collect(self, tick: int) -> dict[str, Command]:
+            commands = super().collect(tick)
+            said.append(commands["uav_0"].acceleration)
+            return commands
+
+    Flight(TASK.scenario, 9003).fly(Recording(make_pilots(TASK.scenario, 9003)))
+    commands = iter(said)
+    assert TASK.evaluate(lambda seen: [next(commands)], seeds=[9003]).scores == TASK.evaluate("certified", seeds=[9003]).scores
+
+
+def test_from_the_tick_at_which_sight_is_lost_nothing_counts_as_seen() -> None:
+    lost, kept = (SLOW.evaluate(entry, seeds=[9000, 9001], **settings) for entry, settings in ((away, {}), ("tracking", {})))
+    assert (lost.lost, kept.lost) == (2, 0)
+    shorter = Task(name="shorter", hard="", changes={**SHORT, "duration": 60.0}).evaluate(away, seeds=[9000, 9001])
+    # Twice the time with the same flight: what was seen counts half.
+    assert np.array(shorter.scores) * 1201 == pytest.approx(np.array(lost.scores) * 601, rel=1e-12)
+    assert lost.score < kept.score
+    saved = SLOW.evaluate(away, seeds=[9000, 9001], safety_filter=True)
+    assert saved.lost == 0
+    assert saved.score > lost.score
+
+
+def test_sight_that_is_found_again_stays_lost() -> None:
+    def scores(turns_back: bool) -> tuple[float, ...]:
+        def policy(seen: np.ndarray) -> np.ndarray:
+            """World 0 flies out of sight, and back again or not; world 1 stays."""
+            outward = 0.3 if seen[0, 0] < 14.0 or not turns_back else -0.3
+            return np.vstack([[outward, 0.0], hover(seen)[1]])
+
+        result = SLOW.evaluate(policy, seeds=[1, 2], estimate=True)
+        assert result.lost == 1
+        return result.scores
+
+    assert scores(turns_back=True) == scores(turns_back=False)
+
+
+def test_who_sees_more_scores_more() -> None:
+    scores = [SLOW.evaluate(law, seeds=[9000, 9001]) for law in ("tracking", "logarithmic")]
+    assert scores[0].mean_error > scores[1].mean_error
+    assert scores[0].score < scores[1].score
+
+
+def test_a_policy_with_a_memory_has_one_for_each_uav_and_begins_anew() -> None:
+    class Counting:
+        def __init__(self) -> None:
+            self.times: list[float] = []
+
+        def __call__(self, seen: np.ndarray) -> np.ndarray:
+            assert seen.shape == (2, 9)
+            self.times.append(float(seen[0, 0]))
+            assert len(self.times) == len(set(self.times))
+            return np.zeros((2, 2))
+
+    policy = Counting()
+    pair = Task(name="pair", hard="", changes={**suite()["two-pairs"].changes, "duration": 1.0})
+    first, again = (pair.evaluate(policy, seeds=[1, 2]) for _ in range(2))
+    assert first == again
+    assert policy.times == []
+    assert first.entry == "Counting"
+
+
+def test_both_pairs_count() -> None:
+    """One UAV of two that flies away ends it for both."""
+    pair = Task(name="pair", hard="", changes={**suite()["two-pairs"].changes, "duration": 25.0})
+    turn = iter(range(10**9))
+
+    def one_goes(seen: np.ndarray) -> np.ndarray:
+        return away(seen) if next(turn) % 2 else hover(seen)
+
+    assert pair.evaluate(one_goes, seeds=[1], estimate=True).lost == 1
+    assert pair.evaluate(hover, seeds=[1], estimate=True).lost == 0
+
+
+def test_an_evaluation_is_the_same_again_and_from_another_thread() -> None:
+    tasks = [TASK, SLOW]
+    board = leaderboard({"tracking": "tracking", "mine": hover}, tasks=tasks, seeds=[5, 6], estimate=True)
+    assert board == leaderboard({"tracking": "tracking", "mine": hover}, tasks=tasks, seeds=[5, 6], estimate=True)
+    for standing in board.standings:
+        entry = hover if standing.entry == "mine" else "tracking"
+        settings: dict[str, Any] = {"estimate": True} if standing.entry == "mine" else {}
+        assert standing.results[1] == SLOW.evaluate(entry, name=standing.entry, seeds=[5, 6], **settings)
+        assert standing.score == pytest.approx(np.mean([result.score for result in standing.results]))
+
+
+def test_the_board_has_the_best_first_and_says_who_lost_sight() -> None:
+    told: list[float] = []
+    board = leaderboard(
+        {"gone": away, "hover": hover, "linear": "linear"},
+        tasks=[SLOW],
+        seeds=[5, 6],
+        on_progress=lambda what, share: told.append(share),
+    )
+    assert [standing.entry for standing in board.standings][-1] == "gone"
+    assert told == pytest.approx([1 / 3, 2 / 3, 1.0])
+    lines = board.markdown().splitlines()
+    assert lines[1] == "| --- | ---: | ---: | ---: |"
+    assert lines[2].startswith("| slow | ")
+    assert lines[2].endswith("(2 lost) |")
+    assert lines[3].startswith("| **mean** | ")
+
+
+@pytest.mark.parametrize(
+    ("entry", "settings", "message"),
+    [
+        ("lograithmic", {}, "law = 'lograithmic': unknown; allowed: tracking,"),
+        ("linear", {"estimate": True}, "estimate: for policies alone"),
+        (hover, {"duration": 1.0}, "duration: cannot be set, it belongs to the task; allowed: estimate,"),
+        (lambda seen: np.zeros(3), {}, r"actions of uav_0: an array of shape \(3,\)"),
+    ],
+    ids=["law", "setting of a law", "setting of the task", "no action"],
+)
+def test_what_cannot_be_scored_is_refused_in_one_line(entry: Any, settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        TASK.evaluate(entry, seeds=[1, 2], **settings)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("seeds", "message"), [([], "seeds: none are given"), ([1, -1], "seed = -1"), ([1.5], "seed = 1.5")])
+def test_bad_seeds_are_refused(seeds: Any, message: str) -> None:
+    for entry in ("tracking", hover):
+        with pytest.raises(ValueError, match=message):
+            TASK.evaluate(entry, seeds=seeds)
+
+
+def test_a_board_of_nobody_is_refused() -> None:
+    with pytest.raises(ValueError, match="0 entries and 1 tasks"):
+        leaderboard({}, tasks=[TASK])
+    with pytest.raises(ValueError, match="2 entries and 0 tasks"):
+        leaderboard(["linear", "tracking"], tasks=[])
+
+
+def test_a_scenario_of_ones_own_is_scored_alike() -> None:
+    class Own(Task):
+        @property
+        def scenario(self) -> Any:
+            return SCENARIOS["certified"]
+
+    assert Own(name="own", hard="", changes={}).evaluate("linear", seeds=[1, 2]).task == "own"
+    assert Suite([TASK]).names == ("short",)
+
+
+@pytest.fixture
+def outrider(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
+    """The command in this process, in an empty folder: its exit code, and what it wrote to stdout and stderr."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+
+    def call(*arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["outrider", "suite", *arguments])
+        code = main._run()
+        written = capsys.readouterr()
+        return code, written.out, written.err
+
+    return call
+
+
+def test_the_command_scores_laws_and_policies(outrider: Callable[..., Any], tmp_path: Path) -> None:
+    source = "import numpy as np\n\n\ndef away(seen):\n    return np.full((len(seen), 2), 0.3)\n"
+    (tmp_path / "mine_for_the_suite.py").write_text(source, encoding="utf-8")
+    arguments = ("tracking", "--policy", "mine_for_the_suite:away", "--safety-filter", "--only", "short-sight")
+    code, out, err = outrider(*arguments, "--markdown", "board.md", "--json")
+    assert (code, err) == (0, "")
+    told = json.loads(out)
+    assert told["tasks"] == ["short-sight"]
+    assert {standing["entry"] for standing in told["standings"]} == {"tracking", "mine_for_the_suite:away"}
+    result = told["standings"][0]["results"][0]
+    assert set(result) == {"task", "entry", "score", "low", "high", "scores", "mean_error", "lost", "episodes"}
+    assert result["episodes"] == len(result["scores"]) == 20
+    assert all(standing["lost"] == 0 for standing in told["standings"])  # the filter was asked
+    assert (tmp_path / "board.md").read_text(encoding="utf-8").startswith("| task | ")
+
+
+def test_the_command_tells_what_the_tasks_are(outrider: Callable[..., Any]) -> None:
+    told = json.loads(outrider("--list", "--json")[1])["tasks"]
+    assert [task["name"] for task in told] == list(suite().names)
+    assert told[0]["env_id"] == "outrider/Suite-Paper-v0"
+    assert "late-commands" in outrider("--list")[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "told"),
+    [
+        (["lograithmic"], 2, "law 'lograithmic': unknown"),
+        (["--only", "nosie"], 2, "--only nosie: no such task; allowed: paper,"),
+        (["--policy", "nowhere:f"], 2, "--policy = 'nowhere:f'"),
+        (["--estimate"], 2, "--estimate: for a --policy alone"),
+        (["--list", "--markdown", "nowhere/board.md", "linear"], 0, ""),
+        (["linear", "--markdown", "nowhere/board.md"], 2, "no such folder: nowhere"),
+        (["--policy", "json:loads", "--only", "paper"], 1, "--policy json:loads: TypeError"),
+        (["--policy", "math:fsum", "--only", "paper"], 1, "--policy math:fsum: "),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_bad_input_gets_one_line_and_its_exit_code(
+    arguments: list[str], code: int, told: str, outrider: Callable[..., Any]
+) -> None:
+    found, _, err = outrider(*arguments)
+    assert found == code
+    assert told in err
+    assert len(err.strip().splitlines()) == (1 if code else 0)
