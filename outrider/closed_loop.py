@@ -537,6 +537,8 @@ def _fetch(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
         if p.error:
             fetch_disc(coverage, position[g, 0], position[g, 1], w.r_o, w.cell)
         fetch_disc(coverage, position[a, 0], position[a, 1], w.reach, w.cell)
+        if p.own_maps:
+            fetch_disc(s.maps[k, u], position[a, 0], position[a, 1], w.reach, w.cell)
 
 
 @released

@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from sim.compile import FloatArray, compiled
+from sim.lanes import LANES, eight_lanes, widened
 from sim.randomness import NEAREST_POINT, uniform
 
 HILL = 0
@@ -110,21 +111,10 @@ def half_chord(radius: float, offset: float) -> float:
 @compiled
 def _lane_sum(terms: FloatArray, count: int) -> float:
     """Sum of the first `count` terms in eight lanes: fast, and always in the same order."""
-    a, b, c, d, e, f, g, h = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    whole = count - count % 8
-    for i in range(0, whole, 8):
-        a += terms[i]
-        b += terms[i + 1]
-        c += terms[i + 2]
-        d += terms[i + 3]
-        e += terms[i + 4]
-        f += terms[i + 5]
-        g += terms[i + 6]
-        h += terms[i + 7]
     rest = 0.0
-    for i in range(whole, count):
+    for i in range(count - count % LANES, count):
         rest += terms[i]
-    return (((a + e) + (c + g)) + ((b + f) + (d + h))) + rest
+    return eight_lanes(terms, count // LANES) + rest
 
 
 @compiled
@@ -193,16 +183,19 @@ def accumulate_with_gain(
         y = (j + 0.5) * cell
         d_y, g_y = y - p_ay, y - p_gy
         first, end = chord(p_ax, half_chord(reach, d_y), cell, columns)
-        cells = coverage[j, first:end]
+        if end <= first:
+            continue
+        start, stop = widened(first, end, columns)
+        cells = coverage[j, start:stop]
         for i in range(cells.size):
-            x = (first + i + 0.5) * cell
+            x = (start + i + 0.5) * cell
             d_x, g_x = x - p_ax, x - p_gx
             before = cells[i]
             after = before + sensor_quality(sensor, d_x * d_x + d_y * d_y, peak, reach) * duration
-            cells[i] = after
+            cells[i] = after if first <= start + i < end else before
             fall = penalty(desired - before) - penalty(desired - after)
             terms[i] = fall * density(g_x * g_x + g_y * g_y, r_o)
-        total += _lane_sum(terms, cells.size)
+        total += _lane_sum(terms[first - start :], end - first)
     return total * (cell * cell)
 
 
@@ -229,11 +222,14 @@ def coverage_error(coverage: FloatArray, p_gx: float, p_gy: float, r_o: float, d
     for j in range(first_row, end_row):
         d_y = (j + 0.5) * cell - p_gy
         first, end = chord(p_gx, half_chord(r_o, d_y), cell, columns)
-        cells = coverage[j, first:end]
+        if end <= first:
+            continue
+        start, stop = widened(first, end, columns)
+        cells = coverage[j, start:stop]
         for i in range(cells.size):
-            d_x = (first + i + 0.5) * cell - p_gx
+            d_x = (start + i + 0.5) * cell - p_gx
             terms[i] = penalty(desired - cells[i]) * density(d_x * d_x + d_y * d_y, r_o)
-        total += _lane_sum(terms, cells.size)
+        total += _lane_sum(terms[first - start :], end - first)
     return total * (cell * cell)
 
 
@@ -278,16 +274,19 @@ def coverage_gradient(
         y = (j + 0.5) * cell
         d_y, g_y = p_ay - y, p_gy - y
         first, end = chord(p_ax, half_chord(reach, d_y), cell, columns)
-        cells = coverage[j, first:end]
+        if end <= first:
+            continue
+        start, stop = widened(first, end, columns)
+        cells = coverage[j, start:stop]
         for i in range(cells.size):
-            x = (first + i + 0.5) * cell
+            x = (start + i + 0.5) * cell
             d_x, g_x = p_ax - x, p_gx - x
             slope = 2.0 * sensor_slope(sensor, d_x * d_x + d_y * d_y, peak, reach)
             weight = penalty_slope(desired - cells[i]) * slope * density(g_x * g_x + g_y * g_y, r_o)
             weights[i] = weight
             pulls[i] = weight * d_x
-        row_weight = _lane_sum(weights, cells.size)
-        sum_x += _lane_sum(pulls, cells.size)
+        row_weight = _lane_sum(weights[first - start :], end - first)
+        sum_x += _lane_sum(pulls[first - start :], end - first)
         sum_y += row_weight * d_y
         size += abs(row_weight) * reach
     area = cell * cell

@@ -1,5 +1,6 @@
 """`outrider bench`: the speed of each layer, with its limit measured in the same run."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -8,6 +9,14 @@ import typer
 def command(
     only: Annotated[list[str] | None, typer.Option(help="Only this row; may be repeated.")] = None,
     repeats: Annotated[int, typer.Option(help="Measurements of each row; the median is shown.", min=1)] = 5,
+    scaling: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.png",
+            help="Instead of the rows: the speed over 1 to 4,096 worlds, over grids and over vehicles, as a picture, and beside "
+            "it the numbers as FILE.json. Some minutes, and 2 GB of memory.",
+        ),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Measure each layer, and in the same run the limit that it stands beside.
@@ -17,14 +26,31 @@ def command(
     from rich.progress import Progress
     from rich.table import Table
 
-    from outrider.bench import measure
+    from bus.errors import ScenarioError
     from outrider.cli.console import ERR, OUT, print_json
 
+    if scaling is not None and (only or scaling.suffix.lower() != ".png"):
+        raise ScenarioError(f"--scaling {scaling}: needs a file that ends in .png, and no --only")
     with Progress(console=ERR, transient=True) as progress:
         task = progress.add_task("measuring", total=1.0)
-        rows = measure(
-            only or [], repeats, on_progress=lambda what, share: progress.update(task, description=what, completed=share)
-        )
+
+        def tell(what: str, share: float) -> None:
+            progress.update(task, description=what, completed=share)
+
+        if scaling is not None:
+            from outrider.bench.scaling import make_scaling
+
+            points = make_scaling(scaling, on_progress=tell)
+        else:
+            from outrider.bench import measure
+
+            rows = measure(only or [], repeats, on_progress=tell)
+    if scaling is not None:
+        if json:
+            print_json({"file": str(scaling), "points": points})
+        else:
+            OUT.print(f"{scaling}\n{scaling.with_suffix('.json')}", soft_wrap=True, markup=False)
+        return
     if json:
         print_json({"rows": rows})
         return

@@ -1,0 +1,148 @@
+"""The kernels in C: built by the system's compiler when they are asked for, checked against ours, called through ctypes."""
+
+import ctypes
+import math
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim.compile import FloatArray
+from sim.field import SENSORS, accumulate, coverage_error, coverage_gradient
+
+COMPILERS = ("cc", "gcc", "clang")
+FLAGS = ("-O3", "-march=native", "-std=c11", "-ffp-contract=off", "-shared", "-fPIC")
+"""Strict floating point: no -ffast-math, and no contraction to fused operations, which would round otherwise."""
+
+_DOUBLE, _LONG, _INT = ctypes.c_double, ctypes.c_long, ctypes.c_int
+_ARRAY = ctypes.POINTER(ctypes.c_double)
+_CLOSE = 1e-12
+"""How far one running sum may be from eight, relatively: they round differently."""
+
+
+def _pointer(array: FloatArray) -> object:
+    return array.ctypes.data_as(_ARRAY)
+
+
+class CKernels:
+    """`kernels.c`, compiled and loaded.
+
+    Args:
+        path: Of the shared library.
+    """
+
+    def __init__(self, path: Path) -> None:
+        library = ctypes.CDLL(str(path))
+        grid: list[Any] = [_ARRAY, _LONG, _LONG]
+        place: list[Any] = [_DOUBLE, _DOUBLE]
+        sensor: list[Any] = [_INT, _DOUBLE, _DOUBLE]
+        self._accumulate, self._error = library.accumulate, library.coverage_error
+        self._gradient, self._passes = library.coverage_gradient, library.passes
+        self._accumulate.argtypes, self._accumulate.restype = [*grid, *place, *sensor, _DOUBLE, _DOUBLE], None
+        self._error.argtypes, self._error.restype = [_INT, *grid, *place, _DOUBLE, _DOUBLE, _DOUBLE], _DOUBLE
+        self._gradient.argtypes = [_INT, *grid, *place, *place, _DOUBLE, _DOUBLE, *sensor, _DOUBLE, _ARRAY]
+        self._gradient.restype = None
+        self._passes.argtypes, self._passes.restype = [_INT, *grid, _LONG], _DOUBLE
+
+    @classmethod
+    @contextmanager
+    def build(cls) -> Iterator["CKernels | None"]:
+        """Build and load them in a temporary folder; None where there is no C compiler, or it fails."""
+        compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
+        if compiler is None:
+            yield None
+            return
+        with (
+            tempfile.TemporaryDirectory(prefix="outrider-c-") as folder,
+            as_file(files("outrider.bench") / "kernels.c") as source,
+        ):
+            library = Path(folder) / "kernels.so"
+            built = subprocess.run(
+                [compiler, *FLAGS, "-o", str(library), str(source), "-lm"],
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                check=False,
+            )
+            yield cls(library) if built.returncode == 0 else None
+
+    def accumulate(
+        self, coverage: FloatArray, p_x: float, p_y: float, sensor: int, peak: float, reach: float, cell: float, duration: float
+    ) -> None:
+        """`sim.field.accumulate`."""
+        self._accumulate(_pointer(coverage), *coverage.shape, p_x, p_y, sensor, peak, reach, cell, duration)
+
+    def coverage_error(
+        self, coverage: FloatArray, p_gx: float, p_gy: float, r_o: float, desired: float, cell: float, *, lanes: bool
+    ) -> float:
+        """`sim.field.coverage_error`, with one running sum or with eight lanes."""
+        found: float = self._error(lanes, _pointer(coverage), *coverage.shape, p_gx, p_gy, r_o, desired, cell)
+        return found
+
+    def coverage_gradient(
+        self,
+        coverage: FloatArray,
+        p_ax: float,
+        p_ay: float,
+        p_gx: float,
+        p_gy: float,
+        r_o: float,
+        desired: float,
+        sensor: int,
+        peak: float,
+        reach: float,
+        cell: float,
+        *,
+        lanes: bool,
+    ) -> tuple[float, float, float]:
+        """`sim.field.coverage_gradient`, likewise."""
+        found = np.zeros(3)
+        place = (p_ax, p_ay, p_gx, p_gy, r_o, desired, sensor, peak, reach, cell)
+        self._gradient(lanes, _pointer(coverage), *coverage.shape, *place, _pointer(found))
+        return float(found[0]), float(found[1]), float(found[2])
+
+    def passes(self, coverage: FloatArray, count: int, *, lanes: bool) -> float:
+        """All three in a loop, as `outrider.bench.kernels.passes`."""
+        total: float = self._passes(lanes, _pointer(coverage), *coverage.shape, count)
+        return total
+
+    def check(self, places: int = 50) -> None:
+        """Whether they compute what ours do: a benchmark that computes something else is no reference.
+
+        Args:
+            places: How many random grids, sensors and positions, inside Q and outside, are compared.
+
+        Raises:
+            ArithmeticError: If they do not: lanes to the bit, one running sum to 1e-12.
+        """
+        rng = np.random.default_rng(3)
+        for _ in range(places):
+            rows, columns = (int(count) for count in rng.integers(1, 100, 2))
+            ours = rng.uniform(0.0, 4.0, (rows, columns))
+            theirs = ours.copy()
+            sensor, cell, reach = (
+                int(rng.choice(list(SENSORS.values()))),
+                float(rng.choice((0.1, 0.25, 1.0))),
+                rng.uniform(0.1, 8.0),
+            )
+            a_x, g_x = rng.uniform(-2.0, columns * cell + 2.0, 2).tolist()
+            a_y, g_y = rng.uniform(-2.0, rows * cell + 2.0, 2).tolist()
+            seen = (a_x, a_y, sensor, 1.3, reach, cell, 0.05)
+            accumulate(ours, *seen)
+            self.accumulate(theirs, *seen)
+            near, around = (g_x, g_y, reach + 4.75, 2.0, cell), (a_x, a_y, g_x, g_y, reach + 4.75, 2.0, sensor, 1.3, reach, cell)
+            e, pull = coverage_error(ours, *near), coverage_gradient(ours, *around)
+            same = ours.tobytes() == theirs.tobytes()
+            same &= e == self.coverage_error(ours, *near, lanes=True) and pull == self.coverage_gradient(
+                ours, *around, lanes=True
+            )
+            plain = self.coverage_gradient(ours, *around, lanes=False)
+            same &= math.isclose(e, self.coverage_error(ours, *near, lanes=False), rel_tol=_CLOSE)
+            same &= all(abs(one - other) <= _CLOSE * pull[2] for one, other in zip(pull, plain, strict=True))
+            if not same:
+                raise ArithmeticError("the kernels in C compute something else than ours")

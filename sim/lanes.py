@@ -1,0 +1,66 @@
+"""Sums in eight lanes: one vector instruction of the processor adds eight terms, and the order is always the same.
+
+numba leaves eight running sums as they are written, one addition after the other; here they are told to be one vector. The bits
+are those of the plain loop, on every processor: lanes do not meet until the end.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic, overload
+from numba.np.arrayobj import make_array
+
+from sim.compile import FloatArray, compiled
+
+LANES = 8
+"""Lanes of a sum, and cells of a block: a cache line, and the widest vector of today's processors."""
+
+
+@compiled
+def widened(first: int, end: int, count: int) -> tuple[int, int]:
+    """The cells from `first` to `end` and so many beside them that they are whole blocks, if the line of `count` cells has them.
+
+    A compiled loop over whole blocks has no cells left over, which it would take one by one.
+    """
+    whole = (end - first + LANES - 1) // LANES * LANES
+    start = max(0, min(first, count - whole))
+    return start, min(count, start + whole)
+
+
+def eight_lanes(terms: FloatArray, blocks: int) -> float:
+    """Sum of the first `8 blocks` terms: eight running sums, then ((a + e) + (c + g)) + ((b + f) + (d + h))."""
+    lanes = [0.0] * LANES
+    for i in range(LANES * blocks):
+        lanes[i % LANES] += float(terms[i])
+    a, b, c, d, e, f, g, h = lanes
+    return ((a + e) + (c + g)) + ((b + f) + (d + h))
+
+
+@overload(eight_lanes, strict=False)
+def _compiled_eight_lanes(terms: Any, blocks: Any) -> Callable[..., float]:  # noqa: ANN401 - numba's own types
+    return lambda terms, blocks: _vector_sum(terms, blocks)  # type: ignore[call-arg]  # noqa: PLW0108 - numba takes no intrinsic here
+
+
+@intrinsic
+def _vector_sum(typingctx: Any, terms: Any, blocks: Any) -> Any:  # noqa: ANN401 - numba's own types
+    """`eight_lanes` as vector instructions."""
+    signature = types.float64(terms, types.intp)
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ANN401
+        lanes = ir.VectorType(ir.DoubleType(), LANES)
+        data = make_array(signature.args[0])(context, builder, arguments[0]).data  # type: ignore[no-untyped-call]
+        total = cgutils.alloca_once_value(builder, ir.Constant(lanes, [0.0] * LANES))  # type: ignore[no-untyped-call]
+        with cgutils.for_range(builder, arguments[1]) as loop:
+            place = builder.gep(data, [builder.mul(loop.index, ir.Constant(loop.index.type, LANES))])
+            block = builder.load(builder.bitcast(place, lanes.as_pointer()))
+            block.align = 8
+            builder.store(builder.fadd(builder.load(total), block), total)
+        sums = builder.load(total)
+        a, b, c, d, e, f, g, h = (builder.extract_element(sums, ir.Constant(ir.IntType(32), k)) for k in range(LANES))
+        add = builder.fadd
+        return add(add(add(a, e), add(c, g)), add(add(b, f), add(d, h)))
+
+    return signature, codegen
