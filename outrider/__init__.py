@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from outrider.run import run as run
+    from outrider.flying import run as run
     from outrider.single import single_env as single_env
     from outrider.suites.board import leaderboard as leaderboard
     from outrider.suites.tasks import suite as suite
@@ -27,7 +27,7 @@ _WHERE = {
     "load_scenario": "sim.scenario",
     "parallel_env": "sim.env.parallel",
     "parallel_vector_env": "outrider.vector",
-    "run": "outrider.run",
+    "run": "outrider.flying",
     "scenario_names": "sim.scenario",
     "single_env": "outrider.single",
     "suite": "outrider.suites.tasks",

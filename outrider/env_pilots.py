@@ -14,7 +14,7 @@ from agents.estimator import RelativeEstimator
 from agents.uav import RADIO_PERIOD, UavPilot
 from bus.layout import uav_observation, ugv_observation
 from bus.messages import LinkKind, RelativeInformation, UavBriefing
-from outrider.run import Pilot, make_pilots
+from outrider.flying import Pilot, make_pilots
 from sim.compile import FloatArray
 
 Policy = Callable[[npt.NDArray[np.floating[Any]] | Mapping[str, npt.NDArray[np.floating[Any]]]], FloatArray]

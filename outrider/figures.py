@@ -12,8 +12,8 @@ from matplotlib.patches import Rectangle
 
 from outrider import style
 from outrider.claims import BESIDE, Claim, claim_anchor, claim_collapse, claims_1, claims_2, claims_3, claims_4, claims_5
+from outrider.flying import fly
 from outrider.render import draw_ground, draw_track, draw_vehicles, times
-from outrider.run import fly
 from outrider.traces import crossings, distance, error, stop_row, velocity_errors, weighting_of
 from sim.flight import Flight
 from sim.scenario import Scenario, load_scenario

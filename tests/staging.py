@@ -13,7 +13,7 @@ from agents.ugv import UgvPilot
 from bus.access import new_credentials
 from bus.messages import Status
 from bus.session import Session, open_session
-from outrider.run import fly
+from outrider.flying import fly
 from sim.flight import Flight
 from sim.scenario import Scenario, load_scenario
 from sim.server import Server

@@ -11,7 +11,7 @@ from properties import PROPERTY
 
 from agents.control.coverage import border_distance, coverage_control, keep_off_border
 from bus.messages import Area, Law, Sensor
-from outrider.run import fly
+from outrider.flying import fly
 from sim.scenario import Detections, Uav, Ugv, Visibility
 from sim.vehicles import norm, step_vehicle
 

@@ -13,7 +13,7 @@ from test_batch import LATE, SMALL
 from bus.errors import ScenarioError
 from bus.messages import Command, Estimator, Law, LinkKind, Observation, ScriptStep, UavCommand
 from outrider.closed_loop import ClosedLoop
-from outrider.run import InProcess, fly, make_pilots
+from outrider.flying import InProcess, fly, make_pilots
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights
 from sim.flight import Flight

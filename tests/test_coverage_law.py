@@ -20,7 +20,7 @@ from agents.control.coverage import (
 from agents.control.laws import coverage_term, initial_state
 from agents.uav import UavPilot
 from bus.messages import Area, Detection, Law, Sensor, UavObservation
-from outrider.run import fly
+from outrider.flying import fly
 from sim.field import SENSORS
 from sim.scenario import Scenario, Uav, Ugv, Visibility
 from sim.vehicles import clip_norm, norm, step_vehicle

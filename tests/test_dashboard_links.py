@@ -25,9 +25,9 @@ from outrider.dashboard.hub import Hub
 from outrider.dashboard.network import ALL, chosen, controls_for, darkened, said_of_links, with_field, words
 from outrider.dashboard.tape import Tape
 from outrider.dashboard.wheel import Wheel
+from outrider.flying import fly
 from outrider.recording.reader import flight_of
 from outrider.recording.writer import FlightRecorder
-from outrider.run import fly
 from sim.ether import check_link
 from sim.profiles import PROFILES
 from sim.scenario import load_scenario

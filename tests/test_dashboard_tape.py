@@ -7,9 +7,9 @@ import pytest
 from bus.messages import Action, Control, CoverageMap, Drive, Status, Truth
 from outrider.dashboard.hub import Hub
 from outrider.dashboard.tape import Tape
+from outrider.flying import fly
 from outrider.recording.reader import flight_of
 from outrider.recording.writer import FlightRecorder
-from outrider.run import fly
 from sim.scenario import load_scenario
 
 

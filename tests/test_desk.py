@@ -115,7 +115,7 @@ def test_a_reset_begins_a_new_flight_with_its_own_seed_and_new_pilots(tmp_path: 
     assert status.vehicles["uav_0"].lost == 0
     assert [seen.tick for seen in vehicles[0].seen] == list(range(400))  # of the last flight: the pilot before is gone
     assert {seen.episode for seen in vehicles[0].seen} == {2}
-    from outrider.run import fly
+    from outrider.flying import fly
 
     assert flight.recorder.sha256() == fly(flight.scenario, 8)[0].recorder.sha256()
 
@@ -193,7 +193,7 @@ def change(flight: Any) -> None:
 
 @pytest.mark.parametrize("victim", ["uav_0", "ugv_0"])
 def test_a_vehicle_that_comes_back_knows_what_was_changed_and_said(victim: str, tmp_path: Path) -> None:
-    from outrider.run import fly
+    from outrider.flying import fly
     from sim.scenario import load_scenario
 
     expected = fly(load_scenario("escort", overrides=["duration=20.0"]), 7, on_tick=change)[0]

@@ -23,7 +23,7 @@ from agents.drivers.waypoints import WaypointDriver
 from agents.ugv import UgvPilot
 from bus.errors import ScenarioError
 from bus.messages import Area, Drive, Limits, RelativeInformation, ScriptStep, UgvBriefing, UgvCommand, UgvObservation
-from outrider.run import InProcess, make_pilots
+from outrider.flying import InProcess, make_pilots
 from sim.briefing import briefing
 from sim.flight import Flight
 from sim.scenario import load_scenario

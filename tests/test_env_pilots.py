@@ -15,7 +15,7 @@ from agents.wrappers import EstimateWrapper
 from bus.layout import UavRow, uav_observation
 from bus.messages import Law
 from outrider.env_pilots import pilots
-from outrider.run import fly
+from outrider.flying import fly
 from sim.env.parallel import parallel_env
 from sim.scenario import Custom, Detections, Scenario, Uav, Ugv, load_scenario
 

@@ -27,7 +27,7 @@ from outrider.falsify.genome import SIZES, Candidate, decode, proof_cases
 from outrider.falsify.limits import Limits, base_of, beyond_declared, needed_age
 from outrider.falsify.pool import Workers
 from outrider.falsify.saving import as_toml
-from outrider.run import fly
+from outrider.flying import fly
 from sim.scenario import Scenario, load_scenario
 from sim.scenario_checks import check_scenario
 

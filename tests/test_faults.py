@@ -28,7 +28,7 @@ from bus.access import read_credential
 from bus.keys import Party, Role
 from bus.messages import Status
 from bus.session import open_session
-from outrider.run import fly
+from outrider.flying import fly
 from sim.scenario import load_scenario
 
 __all__ = ["nothing_left_behind"]

@@ -20,7 +20,7 @@ from outrider.claims import (
     claims_5,
 )
 from outrider.figures import GAINS, WEIGHTINGS, all_claims, fly_all, make_figures
-from outrider.run import fly
+from outrider.flying import fly
 from outrider.traces import crossings, distance, error, rise, searching, stop_row, velocity_errors
 from sim.scenario import load_scenario
 

@@ -13,7 +13,7 @@ from test_desk import operating
 from bus.errors import ScenarioError
 from bus.messages import Action, Control, Drive, LinkKind, LinkSettings, RelativeInformation, UavCommand, UgvCommand
 from outrider.env_pilots import pilots
-from outrider.run import fly
+from outrider.flying import fly
 from sim.briefing import briefing
 from sim.env.parallel import parallel_env
 from sim.flight import Flight

@@ -22,8 +22,8 @@ from agents.control.orbit import (
 )
 from bus.errors import ScenarioError
 from bus.messages import Area, Law
+from outrider.flying import fly
 from outrider.reference import FloatGrid
-from outrider.run import fly
 from sim.flight import Flight
 from sim.scenario import Scenario, Uav, Ugv
 from sim.vehicles import step_vehicle

@@ -15,7 +15,7 @@ from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.errors import ScenarioError
 from bus.messages import Area, Detection, Law, Limits, Sensor, UavCommand, UavObservation, UgvBriefing, UgvObservation
-from outrider.run import InProcess, fly, make_pilots
+from outrider.flying import InProcess, fly, make_pilots
 from sim.briefing import briefing
 from sim.flight import Flight
 from sim.scenario import Detections, Uav, Ugv

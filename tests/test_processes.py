@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from processes import OUTRIDER, alive, child_of, family, flying, nothing_left_behind, outrider, run_json, wait_until
 
+from outrider.flying import fly
 from outrider.launch import Child
-from outrider.run import fly
 from sim.scenario import load_scenario, scenario_names
 
 __all__ = ["nothing_left_behind"]

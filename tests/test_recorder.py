@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from flights import DT, HERE, escort
 
-from outrider.run import fly
+from outrider.flying import fly
 from sim.flight import Flight
 from sim.scenario import Detections, Uav, Ugv
 

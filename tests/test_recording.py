@@ -32,12 +32,12 @@ from bus.keys import KEYS, SIMULATOR_NAME, Party, Role
 from bus.messages import Law, UavCommand
 from bus.session import open_session
 from outrider.cli import record, render, replay
+from outrider.flying import InProcess, fly, make_pilots
 from outrider.recording.file import RecordingFile
 from outrider.recording.reader import Damage, Recording, coverages, entries, flight_of, load, repair, statuses, stream, truths
 from outrider.recording.refly import refly, restore
 from outrider.recording.schemas import TOPICS, head_of, inlined_schema, read_head, scenario_in
 from outrider.recording.writer import FlightRecorder
-from outrider.run import InProcess, fly, make_pilots
 from outrider.summary import summarize
 from sim.flight import Flight
 from sim.scenario import Detections, Scenario, Uav, Ugv
@@ -267,7 +267,7 @@ _ENDLESS = """
 import sys, time
 from pathlib import Path
 from outrider.recording.writer import FlightRecorder
-from outrider.run import fly
+from outrider.flying import fly
 from sim.scenario import load_scenario
 scenario = load_scenario("escort", overrides={"duration": 100000.0})
 recorder = FlightRecorder(Path(sys.argv[1]), scenario, 3)

@@ -28,13 +28,13 @@ from bus.messages import (
     UgvObservation,
     VehicleTruth,
 )
+from outrider.flying import InProcess, make_pilots
 from outrider.recording.observer import RunRecorder
 from outrider.recording.reader import entries, flight_of, load
 from outrider.recording.refly import refly, restore
 from outrider.recording.schemas import CHANGES, Commands, Word, inlined_schema, operator_topic
 from outrider.recording.ticks import TickTexts
 from outrider.recording.writer import FlightRecorder
-from outrider.run import InProcess, make_pilots
 from sim.flight import Flight
 from sim.scenario import Detections, Scenario, Uav, Ugv
 

@@ -107,3 +107,10 @@ def test_names_alone_load_nothing_heavy_and_a_name_with_its_module_in_front_need
     ):
         run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
         assert run.stdout == f"{told}\n"
+
+
+def test_every_name_of_the_front_door_is_the_same_thing_twice() -> None:
+    """A module of the same name would take its place once it is loaded."""
+    code = "import outrider as o; print(all(getattr(o, n) is getattr(o, n) and callable(getattr(o, n)) for n in o.__all__))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "True"

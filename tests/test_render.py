@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from bus.messages import Area, Law
+from outrider.flying import fly
 from outrider.render import SIZE, draw_flight, flight_figure
-from outrider.run import fly
 from sim.flight import Flight
 from sim.scenario import Detections, Scenario, Uav, Ugv
 
@@ -67,7 +67,7 @@ def test_same_flight_gives_the_same_bytes_whatever_the_users_settings_are(flight
 
 def test_a_run_loads_no_matplotlib_and_drawing_no_pyplot():
     code = (
-        "import sys, outrider.run, outrider.output; print('matplotlib' in sys.modules); "
+        "import sys, outrider.flying, outrider.output; print('matplotlib' in sys.modules); "
         "import outrider.figures; print('matplotlib' in sys.modules, 'matplotlib.pyplot' in sys.modules)"
     )
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout

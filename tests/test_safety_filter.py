@@ -10,8 +10,8 @@ from flights import distances
 from agents.control.visibility import SafetyFilter, promise_of
 from agents.wrappers import SafetyFilterWrapper
 from bus.messages import Detection, LinkSettings, UavBriefing, UavObservation
+from outrider.flying import fly
 from outrider.promise import promise_warnings
-from outrider.run import fly
 from sim.briefing import briefing
 from sim.env.parallel import parallel_env
 from sim.scenario import Certificate, LinkTable, Scenario, load_scenario

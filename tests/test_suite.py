@@ -13,7 +13,7 @@ from test_closed_loop import SCENARIOS
 from bus.messages import Command
 from outrider.cli import main
 from outrider.closed_loop import pilot_names
-from outrider.run import InProcess, make_pilots, run
+from outrider.flying import InProcess, make_pilots, run
 from outrider.suites.board import LAWS, leaderboard
 from outrider.suites.scoring import evaluate
 from outrider.suites.tasks import SEEDS, TASKS, Suite, Task, suite

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from bus.errors import PeerLost, ScenarioError
-from outrider.run import run
+from outrider.flying import run
 from outrider.sweep.description import describe_sweep, shipped_sweeps
 from outrider.sweep.folder import SweepFolder, read_head, read_results
 from outrider.sweep.plan import Plan, lay_out

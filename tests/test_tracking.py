@@ -14,8 +14,8 @@ from scipy.signal import cont2discrete
 from agents.control.laws import OwnTerms, initial_state, uav_control
 from agents.control.tracking import relative_acceleration, relative_motion, state_feedback, tracking_output, tracking_step
 from bus.messages import Law
+from outrider.flying import fly
 from outrider.reference import FloatGrid
-from outrider.run import fly
 from sim.field import cover, empty_coverage
 from sim.scenario import Uav, Ugv
 from sim.vehicles import norm, step_vehicle

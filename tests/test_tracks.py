@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bus.errors import ScenarioError
-from outrider.run import fly
+from outrider.flying import fly
 from sim.scenario import load_scenario
 
 

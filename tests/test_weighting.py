@@ -21,7 +21,7 @@ from agents.control.weighting import (
 )
 from bus.errors import ScenarioError
 from bus.messages import Law
-from outrider.run import fly
+from outrider.flying import fly
 from sim.scenario import Ugv
 from sim.vehicles import norm
 

@@ -8,7 +8,7 @@ from flights import DESIRED, DT, HERE, R_O, R_V, U_A, U_G, V_A, V_G, R, escort, 
 
 from bus.messages import Area, Region, Sensor
 from outrider import reference
-from outrider.run import fly
+from outrider.flying import fly
 from sim.field import SENSORS
 from sim.flight import Flight
 from sim.scenario import Coverage, Detections, Scenario, Uav, Ugv

@@ -23,7 +23,7 @@ from bus.access import read_credential
 from bus.keys import STATUS, Party, Role
 from bus.messages import Status
 from bus.session import open_session
-from outrider.run import fly
+from outrider.flying import fly
 from sim.scenario import load_scenario
 
 PAGE = os.sysconf("SC_PAGE_SIZE") / 2**20

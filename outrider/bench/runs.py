@@ -15,10 +15,10 @@ import msgspec
 from bus.errors import BusError
 from outrider.bench.kernels import world_step
 from outrider.bench.timing import Pair
+from outrider.flying import InProcess, fly, make_pilots
 from outrider.launch import NOBODY, Outcome, launch
 from outrider.pairs import pairs_toml
 from outrider.raw_lockstep import ticks_per_second
-from outrider.run import InProcess, fly, make_pilots
 from sim.flight import Flight
 from sim.scenario import Scenario, load_scenario
 from sim.threads import cores

@@ -155,9 +155,9 @@ def _fly_here(flown: "Scenario", folder: Path | None, picture: bool, record: Pat
     from agents.process import warm_up as warm_up_pilot
     from bus.keys import Role
     from outrider.cli.console import flight_progress
+    from outrider.flying import fly
     from outrider.launch import Outcome
     from outrider.output import write_flight
-    from outrider.run import fly
     from sim.compile import compiling
     from sim.flight import Flight, warm_up
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from agents.drivers.steering import Steering
 from agents.ugv import UgvPilot
 from bus.messages import ScriptStep, UgvBriefing, UgvObservation, Vector
-from outrider.run import InProcess, make_pilots
+from outrider.flying import InProcess, make_pilots
 from sim.briefing import briefing
 from sim.flight import Flight
 from sim.scenario import Scenario

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from outrider.falsify.adversary import fly_adversary
 from outrider.falsify.genome import Candidate, decode, tactics_of, with_script
 from outrider.falsify.limits import Limits
-from outrider.run import fly
+from outrider.flying import fly
 from sim.flight import Flight
 from sim.scenario import Scenario
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from agents.process import warm_up as warm_up_pilot
 from bus.keys import Role
+from outrider.flying import fly
 from outrider.leash import leave_with
-from outrider.run import fly
 from outrider.sweep.rows import failed_row, row_of
 from sim.compile import compiling
 from sim.flight import warm_up
