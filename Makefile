@@ -4,10 +4,12 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help run test check format figures bench soak compose-test page-test clean
+LEARNERS := sb3 torchrl rllib supersuit
+
+.PHONY: help run test check format figures bench soak compose-test page-test learn-test clean
 
 help: ## list the targets
-	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
 
 $(VENV)/.run: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Outrider needs Python 3.11 or newer: make PYTHON=python3.11 ...")'
@@ -51,5 +53,17 @@ page-test: $(VENV)/.dev ## the dashboard in a real headless Chromium; gets what 
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check 'playwright>=1.49' || echo 'page-test: playwright cannot be installed'
 	$(BIN)/python tools/page_test.py --install $(ARGS) || test $$? -eq 77
 
-clean: ## remove the environment and what runs have written
-	rm -rf $(VENV) runs figures
+learn-test: $(LEARNERS:%=learn-test-%) ## the learning libraries, each installed into an environment of its own (learn-test-sb3, ...)
+
+$(VENV)-%/.learn: pyproject.toml
+	$(PYTHON) -m venv $(VENV)-$*
+	$(VENV)-$*/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[$*]' 'pytest>=8.3' 'pytest-timeout>=2.3'
+	@touch $@
+
+learn-test-%: $(VENV)-%/.learn
+	$(VENV)-$*/bin/python -m pytest -c tests_learning/pytest.ini tests_learning/test_$*.py $(ARGS)
+
+.PRECIOUS: $(VENV)-%/.learn
+
+clean: ## remove the environments and what runs have written
+	rm -rf $(VENV) $(LEARNERS:%=$(VENV)-%) runs figures

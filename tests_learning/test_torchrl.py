@@ -1,0 +1,154 @@
+"""TorchRL meets the environment: specs, values, ends, bootstrapping, and the example. Run by `make learn-test`."""
+
+import json
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import torch
+from pettingzoo.utils import BaseParallelWrapper
+from torchrl.envs import PettingZooWrapper
+from torchrl.envs.utils import check_env_specs
+
+import outrider
+from outrider.wrappers import history, normalized
+from sim.scenario import LinkSettings, LinkTable, load_scenario
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:PettingZoo in TorchRL is tested using:UserWarning", "ignore::DeprecationWarning", "ignore::FutureWarning"
+)
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "train_torchrl.py"
+MAKE = {
+    "raw": outrider.parallel_env,
+    "float32": lambda *args, **options: outrider.parallel_env(*args, **options, dtype=np.float32),
+    "normalized": lambda *args, **options: normalized(outrider.parallel_env(*args, **options)),
+    "history": lambda *args, **options: history(normalized(outrider.parallel_env(*args, **options)), 3),
+    "coverage": lambda *args, **options: outrider.parallel_env(*args, **options, coverage_patch=(8, 1.0)),
+}
+AWAY = {"uav_0": np.array([0.3, 0.0]), "ugv_0": np.array([-0.1, 0.0])}
+
+
+def actions_of(env, rng, end):
+    """Random ones, or such as lose sight."""
+    if end == "terminated":
+        return AWAY
+    return {name: rng.uniform(-1.0, 1.0, 2) * env.action_space(name).high for name in env.possible_agents}
+
+
+def put(frame, actions):
+    """The actions where TorchRL looks for them."""
+    for name, action in actions.items():
+        frame["uav" if name == "uav_0" else "ugv", "action"] = torch.as_tensor(action)[None]
+    return frame
+
+
+@pytest.mark.parametrize("kind", MAKE)
+@pytest.mark.parametrize("return_state", [False, True])
+def test_torchrls_own_check_passes(kind, return_state):
+    check_env_specs(PettingZooWrapper(MAKE[kind]("escort", duration=2.0), return_state=return_state))
+
+
+@pytest.mark.parametrize("kind", ["raw", "normalized"])
+@pytest.mark.parametrize("end", ["terminated", "truncated"])
+def test_an_episode_is_the_bare_environments_to_its_end(kind, end):
+    duration = 30.0 if end == "terminated" else 2.0
+    bare, env = (MAKE[kind]("escort", duration=duration) for _ in range(2))
+    env = PettingZooWrapper(env, return_state=True)
+    rng = np.random.default_rng(0)
+    observations, _ = bare.reset(seed=5)
+    frame = env.reset(seed=5)
+    ticks = 0
+    while bare.agents:
+        for name, group in (("uav_0", "uav"), ("ugv_0", "ugv")):
+            seen = frame[group, "observation"][0].numpy()
+            np.testing.assert_array_equal(seen, observations[name])
+            assert bare.observation_space(name).contains(seen)
+        np.testing.assert_array_equal(frame["state"].numpy(), bare.state())
+        assert env.observation_spec.is_in(frame.select(*env.observation_spec.keys(True, True)))
+        actions = actions_of(bare, rng, end)
+        observations, rewards, terminations, truncations, _ = bare.step(actions)
+        frame = env.step(put(frame, actions))["next"]
+        ticks += 1
+        for name, group in (("uav_0", "uav"), ("ugv_0", "ugv")):
+            assert frame[group, "reward"].item() == np.float32(rewards[name])
+            assert frame[group, "terminated"].item() == terminations[name] == frame["terminated"].item()
+            assert frame[group, "truncated"].item() == truncations[name] == frame["truncated"].item()
+            assert frame[group, "done"].item() == (not bare.agents)
+    assert frame[end].item()
+    assert not frame["truncated" if end == "terminated" else "terminated"].item()
+    np.testing.assert_array_equal(frame["uav", "observation"][0].numpy(), observations["uav_0"])
+    np.testing.assert_array_equal(frame["state"].numpy(), bare.state())
+    assert ticks == 40 if end == "truncated" else 100 < ticks < 600
+
+
+def test_only_a_termination_ends_the_future():
+    """The advantages of a batch with both ends, against the recursion written out, on the last observation of each episode."""
+    example = runpy.run_path(str(EXAMPLE))
+    torch.manual_seed(0)
+    env = example["make_env"](12.0)
+    learner = example["Learner"](env, "uav")
+    env.set_seed(3)
+    frame, episode, flown = env.reset(), 0, []
+    for _ in range(100):
+        step, frame = env.step_and_maybe_reset(put(frame, {name: (episode % 2) * push for name, push in AWAY.items()}))
+        flown.append(step)
+        episode += step["next", "done"].item()
+    frames = torch.stack(flown)
+    ended, terminated = frames["next", "done"].flatten(), frames["next", "terminated"].flatten()
+    assert terminated.any()
+    assert (ended & ~terminated).any()
+    with torch.no_grad():
+        learner.advantages(frames)
+        value = learner.advantages.value_network
+        now, after = (value(part.clone())["uav", "state_value"].flatten() for part in (frames, frames["next"]))
+    rewards = frames["next", "uav", "reward"].flatten()
+    expected, carried = torch.zeros(len(frames)), 0.0
+    for k in reversed(range(len(frames))):
+        error = rewards[k] + example["DISCOUNT"] * after[k] * (not terminated[k]) - now[k]
+        expected[k] = carried = error + example["DISCOUNT"] * example["TRACE"] * carried * (not ended[k])
+    torch.testing.assert_close(frames["uav", "advantage"].flatten(), expected, rtol=1e-4, atol=1e-4)
+    last = int(ended.nonzero()[0])
+    assert frames["next", "uav", "observation"][last, 0, 0] == 1.0  # the end of the old episode, not the beginning of the new
+    assert frames["uav", "observation"][last + 1, 0, 0] == -1.0
+
+
+def test_policies_see_no_state():
+    example = runpy.run_path(str(EXAMPLE))
+    env = example["make_env"](1.0)
+    for group in env.group_map:
+        learner = example["Learner"](env, group)
+        assert learner.actor.in_keys == [(group, "observation")]
+        assert learner.advantages.value_network.in_keys == ["state"]
+
+
+def test_a_bad_network_needs_its_infos_left_out():
+    """TorchRL takes numbers alone in infos; docs/learning-libraries.md has this wrapper."""
+
+    class WithoutInfos(BaseParallelWrapper):
+        def reset(self, seed=None, options=None):
+            observations, infos = super().reset(seed=seed, options=options)
+            return observations, {name: {} for name in infos}
+
+        def step(self, actions):
+            *results, infos = super().step(actions)
+            return *results, {name: {} for name in infos}
+
+    poor = msgspec.structs.replace(load_scenario("escort"), links=LinkTable(detections=LinkSettings(delay=0.2)))
+    check_env_specs(PettingZooWrapper(WithoutInfos(normalized(outrider.parallel_env(poor, duration=2.0))), return_state=True))
+
+
+def test_the_example_learns_saves_and_evaluates(tmp_path):
+    command = [sys.executable, str(EXAMPLE), "--steps", "2000", "--duration", "5", "--out", str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=170, cwd=tmp_path, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "Warning" not in done.stderr
+    assert "2000 steps" in done.stdout
+    returns = json.loads((tmp_path / "out" / "evaluation.json").read_text())["returns"]
+    assert returns.keys() == {"learned", "pilots"}
+    assert all(np.isfinite(mean) for means in returns.values() for mean in means.values())
+    assert torch.load(tmp_path / "out" / "policies.pt", weights_only=True).keys() == {"uav", "ugv"}
