@@ -1,0 +1,88 @@
+"""A small network in plain NumPy, and the file that it is kept in with its recipe: no learning library is needed to use it."""
+
+import json
+import zipfile
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.floating[Any]]
+
+_RECIPE = "recipe"
+
+
+class Mlp(NamedTuple):
+    """Layers with tanh between them, and none behind the last.
+
+    A world's answer has the same bits alone and in a batch: each is multiplied by itself.
+    """
+
+    weights: tuple[Array, ...]
+    """Of each layer, shape (outputs, inputs)."""
+    biases: tuple[Array, ...]
+    """Of each layer, shape (outputs,)."""
+
+    def __call__(self, inputs: Array) -> Array:
+        """The outputs, float64. Shape (..., inputs) to (..., outputs)."""
+        x = np.asarray(inputs, dtype=np.float64)
+        last = len(self.weights) - 1
+        for k, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            x = np.matmul(weight, x[..., None])[..., 0] + bias
+            if k < last:
+                x = np.tanh(x)
+        return x
+
+
+def save_policy(path: str | Path, network: Mlp, recipe: dict[str, Any]) -> None:
+    """Write a network, in float32, and its recipe as JSON.
+
+    Args:
+        path: The file, `.npz`.
+        network: The network.
+        recipe: What it needs to fly, and how it was made.
+    """
+    arrays: dict[str, Any] = {_RECIPE: np.array(json.dumps(recipe, indent=1))}
+    for k, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+        arrays |= {f"weight_{k}": weight.astype(np.float32), f"bias_{k}": bias.astype(np.float32)}
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    with Path(path).open("wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def load_policy(path: str | Path) -> tuple[Mlp, dict[str, Any]]:
+    """The network and its recipe.
+
+    Raises:
+        ValueError: If the file is not there, or no policy; one line.
+    """
+    try:
+        # Opened here: of a broken archive NumPy leaves its own file open.
+        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        recipe = json.loads(str(arrays.pop(_RECIPE)[()]))
+        layers = range(len(arrays) // 2)
+        weights = tuple(arrays[f"weight_{k}"].astype(np.float64) for k in layers)
+        biases = tuple(arrays[f"bias_{k}"].astype(np.float64) for k in layers)
+    except (OSError, KeyError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:160]
+        raise ValueError(f"policy {str(path)!r}: cannot be read: {reason}; allowed: a file of examples/train_uav.py") from error
+    _check(path, weights, biases, recipe)
+    return Mlp(weights, biases), recipe
+
+
+def _check(path: str | Path, weights: tuple[Array, ...], biases: tuple[Array, ...], recipe: object) -> None:
+    shapes = [weight.shape for weight in weights]
+    fits = (
+        bool(weights)
+        and all(len(shape) == 2 for shape in shapes)
+        and all(bias.shape == shape[:1] for bias, shape in zip(biases, shapes, strict=True))
+        and all(shape[0] == after[1] for shape, after in pairwise(shapes))
+        and all(np.isfinite(array).all() for array in (*weights, *biases))
+    )
+    if not fits:
+        raise ValueError(f"policy {str(path)!r}: layers of shapes {shapes} do not follow each other, or are not finite")
+    if not isinstance(recipe, dict):
+        raise ValueError(f"policy {str(path)!r}: its recipe is no table")

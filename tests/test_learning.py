@@ -1,0 +1,268 @@
+"""The learned UAV: its file, its flight alone and in a batch, its table; all without a learning library."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import msgspec
+import numpy as np
+import pytest
+from gymnasium.vector import SyncVectorEnv
+
+import outrider
+from outrider.env_pilots import pilots
+from outrider.learning.alone import alone
+from outrider.learning.curve import draw_curve
+from outrider.learning.evaluate import CASES, LAWS, LEARNED, VALIDATION_SEEDS, as_dicts, evaluate, fly_law, fly_policy, markdown
+from outrider.learning.mlp import Mlp, load_policy, save_policy
+from outrider.learning.policy import LearnedPolicy, make_view
+from outrider.learning.repeat import ActionRepeat
+from outrider.vector import Worlds
+from outrider.wrappers import transformed
+from sim.scenario import load_scenario
+
+POLICY = Path(__file__).parents[1] / "examples" / "policies" / "uav_ppo.npz"
+SEEDS = [41, 42, 43]
+NOISY = msgspec.structs.replace(load_scenario("escort"), duration=30.0)
+
+
+def test_importing_it_imports_no_learning_library() -> None:
+    code = (
+        "import sys, outrider.learning.curve, outrider.learning.alone; print({'torch', 'stable_baselines3'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
+
+
+def test_the_shipped_file_is_small_and_says_how_it_was_made() -> None:
+    network, recipe = load_policy(POLICY)
+    assert POLICY.stat().st_size < 300_000
+    assert recipe["algorithm"] == "PPO"
+    assert recipe["trained"]["ticks"] == recipe["repeat"] * recipe["trained"]["decisions"] > 1e6
+    assert {"seed", "num_envs", "rewards", "versions", "scenario", "driver", "curve"} <= recipe.keys()
+    assert recipe["seed"] * 100 + recipe["num_envs"] < VALIDATION_SEEDS[0]
+    assert network.weights[-1].shape[0] == 2
+
+
+def test_it_flies_a_single_environment_as_it_flies_a_batch() -> None:
+    policies = {name: LearnedPolicy.load(POLICY) for name in ("batch", "single")}
+    worlds = Worlds(NOISY, len(SEEDS), ["uav_0"], safety_filter=True, **policies["batch"].setup)
+    worlds.reset(SEEDS, None)
+    k = 1
+    env = alone(NOISY, policies["single"])
+    crew = pilots(env)
+    seen, _ = env.reset(seed=SEEDS[k])
+    for _ in range(500):
+        observed = worlds.observe("uav_0")
+        assert isinstance(observed, dict)
+        assert all(np.array_equal(observed[key][k], seen["uav_0"][key]) for key in ("row", "coverage"))
+        actions = policies["batch"](observed)
+        action = policies["single"](seen["uav_0"])
+        assert action.shape == (2,)
+        assert np.array_equal(action, actions[k])
+        worlds.step({"uav_0": actions})
+        seen, *_ = env.step({"uav_0": action, "ugv_0": crew["ugv_0"](seen["ugv_0"])})
+    assert env.unwrapped.metrics()["uav_0"]["distance"] == worlds.metrics()["uav_0"]["distance"][k]
+
+
+def test_it_sees_what_it_was_trained_on() -> None:
+    """The transformation around a repeated environment, as in training, and the policy alone fly the same, also over ends."""
+    network, recipe = load_policy(POLICY)
+    policy = LearnedPolicy.load(POLICY)
+
+    def make() -> Any:
+        return outrider.vector_env(NOISY, num_envs=3, duration=6.0, safety_filter=True, **policy.setup)
+
+    training = transformed(ActionRepeat(make(), recipe["repeat"]), lambda: make_view(recipe))
+    plain = make()
+    shown, _ = training.reset(seed=5)
+    seen, _ = plain.reset(seed=5)
+    for _ in range(30):
+        assert training.single_observation_space.contains(shown[0])
+        shown, paid, *_ = training.step(np.clip(network(shown), -1.0, 1.0))
+        total = np.zeros(3)
+        for _ in range(recipe["repeat"]):
+            seen, rewards, *_ = plain.step(policy(seen))
+            total += rewards
+        assert np.array_equal(paid, total)
+
+
+def test_it_begins_anew_with_each_episode_of_each_world() -> None:
+    policy, other = LearnedPolicy.load(POLICY), LearnedPolicy.load(POLICY)
+    env = outrider.vector_env(NOISY, num_envs=2, duration=20.0, **policy.setup)
+    seen, _ = env.reset(seed=[3, 4])
+    for _ in range(37):
+        seen, *_ = env.step(policy(seen))
+    seen, _ = env.reset(seed=[3, None], options={"reset_mask": np.array([True, False])})
+    again = outrider.vector_env(NOISY, num_envs=1, duration=20.0, **policy.setup)
+    first, _ = again.reset(seed=3)
+    for _ in range(60):
+        actions, action = policy(seen), other(first)
+        assert np.array_equal(actions[:1], action)
+        seen, *_ = env.step(actions)
+        first, *_ = again.step(action)
+
+
+def test_asked_for_the_first_time_amid_an_episode_it_answers_at_once() -> None:
+    policy = LearnedPolicy.load(POLICY)
+    env = outrider.vector_env(NOISY, num_envs=2, **policy.setup)
+    env.reset(seed=3)
+    for _ in range(3):
+        seen, *_ = env.step(np.zeros((2, 2)))
+    assert policy(seen).any(axis=1).all()
+
+
+def test_it_sees_more_than_the_circle_and_keeps_sight() -> None:
+    for case, seeds in ((CASES["escort"], [7]), (CASES["wander"], [900_031, 900_032])):
+        circle = fly_law(case, "circle", seeds)
+        learned = fly_policy(case, LearnedPolicy.load(POLICY), seeds, shielded=True)
+        assert (learned["mean_error"] < 0.6 * circle["mean_error"]).all()
+        assert not learned["visibility_violations"].any()
+        assert (learned["ticks"] == circle["ticks"]).all()
+
+
+def test_the_table_is_the_same_twice_and_says_what_is_not_filtered() -> None:
+    results = evaluate(POLICY, flights=2, cases=["covered"], duration=10.0)
+    assert results == evaluate(POLICY, flights=2, cases=["covered"], duration=10.0)
+    assert [result.pilot for result in results][: len(LAWS)] == list(LAWS)
+    assert all(result.lost == result.violations == 0 and 0.0 < result.max_distance < 4.75 for result in results)
+    assert {result.pilot for result in results if result.intervened is not None} == {"certified", LEARNED}
+    lines = markdown(results).splitlines()
+    assert len(lines) == 4 + len(results)
+    assert len({line.count("|") for line in lines[2:]}) == 1
+    assert json.loads(json.dumps(as_dicts(results)))[0]["pilot"] == "circle"
+
+
+def test_a_curve_is_drawn(tmp_path: Path) -> None:
+    network, recipe = load_policy(POLICY)
+    draw_curve(POLICY, tmp_path / "curve.png", laws=())
+    assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
+    save_policy(tmp_path / "none.npz", network, recipe | {"curve": []})
+    with pytest.raises(ValueError, match="has no learning curve"):
+        draw_curve(tmp_path / "none.npz", tmp_path / "curve.png", laws=())
+
+
+def _bad_files(folder: Path) -> dict[str, str]:
+    """Files that are no policy, and what is said of them."""
+    network, recipe = load_policy(POLICY)
+    (folder / "text.npz").write_text("no policy")
+    (folder / "empty.npz").write_bytes(b"")
+    (folder / "half.npz").write_bytes(POLICY.read_bytes()[:5000])
+    np.savez(folder / "other.npz", weight_0=np.eye(2))
+    np.savez(folder / "objects.npz", recipe=np.array([{}], dtype=object))
+    save_policy(folder / "gap.npz", network._replace(weights=network.weights[::-1], biases=network.biases[::-1]), recipe)
+    save_policy(folder / "nan.npz", network._replace(biases=tuple(bias * np.nan for bias in network.biases)), recipe)
+    save_policy(folder / "recipe.npz", network, {"dt": 0.05})
+    save_policy(folder / "view.npz", network, recipe | {"view": recipe["view"] | {"sectors": 3}})
+    save_policy(folder / "list.npz", network, [])  # type: ignore[arg-type]
+    cannot = "cannot be read"
+    return dict.fromkeys(("missing", "text", "empty", "half", "other", "objects"), cannot) | {
+        "gap": "do not follow each other",
+        "nan": "not finite",
+        "recipe": "recipe: KeyError",
+        "view": "the recipe's view needs 21 to 2",
+        "list": "its recipe is no table",
+    }
+
+
+def test_a_bad_file_is_refused_in_one_line(tmp_path: Path) -> None:
+    for name, reason in _bad_files(tmp_path).items():
+        with pytest.raises(ValueError, match=reason) as refused:
+            LearnedPolicy.load(tmp_path / f"{name}.npz")
+        assert "\n" not in str(refused.value)
+        assert f"{name}.npz" in str(refused.value)
+
+
+def test_a_policy_asks_for_the_observations_that_it_needs() -> None:
+    policy = LearnedPolicy.load(POLICY)
+    env = outrider.vector_env(NOISY, num_envs=2)
+    with pytest.raises(ValueError, match="make the environment with its setup"):
+        policy(env.reset(seed=1)[0])
+    with pytest.raises(ValueError, match="a UAV's row and a coverage patch"):
+        transformed(env, lambda: make_view(policy.recipe))
+    fast = load_scenario("escort", overrides={"uav.0.max_speed": 0.7})
+    with pytest.raises(ValueError, match=r"uav_0: max_speed = 0.7: the policy is made for 0.6"):
+        alone(fast, policy)
+    with pytest.raises(ValueError, match=r"v_max = 0.6 m/s, not 0.7 m/s"):
+        transformed(outrider.vector_env(fast, num_envs=2, **policy.setup), lambda: make_view(policy.recipe))
+    with pytest.raises(ValueError, match="flights = 0"):
+        evaluate(POLICY, flights=0)
+    with pytest.raises(ValueError, match="allowed: escort, wander, evade, covered"):
+        evaluate(POLICY, flights=1, cases=["moon"])
+
+
+def test_a_world_is_answered_with_the_same_bits_alone_and_in_a_batch() -> None:
+    rng = np.random.default_rng(0)
+    network = Mlp(
+        (rng.normal(size=(64, 86)), rng.normal(size=(64, 64)), rng.normal(size=(2, 64))),
+        (rng.normal(size=64), rng.normal(size=64), rng.normal(size=2)),
+    )
+    inputs = rng.normal(size=(50, 86))
+    together = network(inputs)
+    assert all(np.array_equal(network(one), answer) for one, answer in zip(inputs, together, strict=True))
+    x = inputs[0]
+    for k, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+        x = weight @ x + bias if k == 2 else np.tanh(weight @ x + bias)
+    assert np.allclose(together[0], x, rtol=1e-12)
+
+
+def test_a_repeated_action_is_so_many_ticks_and_the_sum_of_their_rewards() -> None:
+    plain, repeated = (outrider.vector_env("escort", num_envs=2, duration=1.0) for _ in range(2))
+    env = ActionRepeat(repeated, 4)
+    plain.reset(seed=2)
+    env.reset(seed=2)
+    action = np.array([[0.2, 0.1], [-0.3, 0.0]])
+    for step in range(10):
+        total = np.zeros(2)
+        for _ in range(4):
+            seen, rewards, terminated, truncated, told = plain.step(action)
+            total += rewards
+        got, paid, lost, over, infos = env.step(action)
+        assert np.array_equal(got, seen)
+        assert np.array_equal(paid, total)
+        assert not lost.any()
+        assert not terminated.any()
+        assert np.array_equal(over, truncated)
+        assert over.all() == (step % 5 == 4)
+        if over.any():
+            assert all(np.array_equal(infos["final_obs"][k], told["final_obs"][k]) for k in range(2))
+            assert np.array_equal(infos["final_info"]["episode"]["r"], told["final_info"]["episode"]["r"])
+
+
+def test_an_end_inside_a_repeated_action_is_told_with_its_own_last_observation() -> None:
+    scenario = load_scenario("escort")
+    plain, repeated = (outrider.vector_env(scenario, num_envs=2, duration=0.5, agent="uav_0") for _ in range(2))
+    env = ActionRepeat(repeated, 4)  # 10 ticks: the episode ends at the second tick of the third step
+    plain.reset(seed=2)
+    env.reset(seed=2)
+    action = np.array([[0.2, 0.1], [-0.3, 0.0]])
+    for _ in range(2):
+        env.step(action)
+    for _ in range(8):
+        plain.step(action)
+    _, first, *_ = plain.step(action)
+    _, second, _, truncated, told = plain.step(action)
+    for _ in range(2):
+        seen, *_ = plain.step(np.zeros((2, 2)))
+    got, paid, _, over, infos = env.step(action)
+    assert truncated.all()
+    assert over.all()
+    assert np.array_equal(paid, first + second)
+    assert np.array_equal(got, seen)
+    assert all(np.array_equal(infos["final_obs"][k], told["final_obs"][k]) for k in range(2))
+    assert np.array_equal(infos["final_info"]["episode"]["r"], told["final_info"]["episode"]["r"])
+    assert infos["_final_obs"].all()
+
+
+@pytest.mark.parametrize("ticks", [0, -1, 1.5, None])
+def test_a_repeat_of_no_whole_number_is_refused(ticks: Any) -> None:
+    with pytest.raises(ValueError, match="must be a whole number from 1 on"):
+        ActionRepeat(outrider.vector_env("escort", num_envs=1, duration=1.0), ticks)
+
+
+def test_a_repeat_needs_the_mode_same_step() -> None:
+    with pytest.raises(ValueError, match="SAME_STEP"):
+        ActionRepeat(SyncVectorEnv([lambda: gymnasium.make("CartPole-v1")]), 2)

@@ -1,0 +1,263 @@
+"""Stable-Baselines3 on our vector environments: what it is told, step by step, and that it learns. Run by `make learn-test`."""
+
+import json
+import runpy
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+from typing import ClassVar
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
+from gymnasium.vector.utils import batch_space
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import VecCheckNan, VecMonitor, VecNormalize
+
+import outrider
+from outrider.learning.mlp import load_policy
+from outrider.learning.policy import LearnedPolicy
+from outrider.learning.repeat import ActionRepeat
+from outrider.learning.sb3 import VecEnvAdapter
+from outrider.wrappers import VectorObservations, history, normalized
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "train_uav.py"
+OUTWARDS = np.array([0.3, 0.1])
+
+
+def _rows(duration=2.0, **settings):
+    return outrider.vector_env("escort", num_envs=3, agent="uav_0", duration=duration, **settings)
+
+
+ENVS = {
+    "rows": _rows,
+    "dictionaries": lambda **settings: _rows(coverage_patch=(5, 1.0), **settings),
+    "wrapped": lambda **settings: history(normalized(_rows(coverage_patch=(5, 1.0), **settings)), 3),
+    "repeated": lambda **settings: normalized(ActionRepeat(_rows(**settings), 5)),
+}
+
+
+def _same(one, other):
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
+    return one.dtype == other.dtype and np.array_equal(one, other)
+
+
+def _world(observations, k):
+    return {key: array[k] for key, array in observations.items()} if isinstance(observations, dict) else observations[k]
+
+
+@pytest.mark.parametrize("end", ["terminated", "truncated"])
+@pytest.mark.parametrize("name", ENVS)
+def test_the_adapter_says_what_the_vector_environment_says(name, end):
+    duration, steps = (30.0, 560) if end == "terminated" else (2.0, 90)
+    raw, adapter = ENVS[name](duration=duration), VecEnvAdapter(ENVS[name](duration=duration))
+    adapter.seed(5)
+    assert _same(raw.reset(seed=5)[0], adapter.reset())
+    rng, returns, lengths, ends = np.random.default_rng(0), np.zeros(3), np.zeros(3, int), 0
+    for _ in range(steps):
+        away = OUTWARDS if end == "terminated" else 0.0
+        actions = (away + rng.uniform(-0.05, 0.05, (3, 2))).astype(np.float32)
+        seen, rewards, terminated, truncated, told = raw.step(actions)
+        got, paid, dones, infos = adapter.step(actions)
+        assert _same(seen, got)
+        assert paid.dtype == np.float32
+        assert np.array_equal(paid, rewards.astype(np.float32))
+        assert np.array_equal(dones, terminated | truncated)
+        assert len(infos) == 3
+        returns, lengths = returns + rewards, lengths + 1
+        for k in range(3):
+            assert infos[k]["TimeLimit.truncated"] is bool(truncated[k] and not terminated[k])
+            assert ("terminal_observation" in infos[k]) == ("episode" in infos[k]) == dones[k]
+            if dones[k]:
+                assert _same(_world(told["final_obs"], k), infos[k]["terminal_observation"])
+                assert infos[k]["episode"]["r"] == pytest.approx(returns[k], rel=1e-12)
+                assert infos[k]["episode"]["l"] == lengths[k]
+                assert infos[k]["episode"]["t"] > 0.0
+                assert not _same(infos[k]["terminal_observation"], _world(got, k))
+                returns[k], lengths[k], ends = 0.0, 0, ends + 1
+                assert (truncated[k], terminated[k]) == (end == "truncated", end == "terminated")
+    assert ends >= 3
+    raw.close()
+    adapter.close()
+
+
+def test_infos_of_an_ended_episode_are_its_last_ones_and_the_new_one_has_its_own():
+    raw, adapter = _rows(duration=0.1, safety_filter=True), VecEnvAdapter(_rows(duration=0.1, safety_filter=True))
+    raw.reset(seed=1)
+    adapter.seed(1)
+    adapter.reset()
+    assert adapter.reset_infos[0].keys() == {"intervened", "certified", "certified_distance"}
+    adapter.reset_infos = [{}, {}, {}]
+    for _ in range(2):
+        *_, told = raw.step(np.tile(OUTWARDS, (3, 1)))
+        *_, infos = adapter.step(np.tile(OUTWARDS, (3, 1)))
+    for k in range(3):
+        assert infos[k]["certified_distance"] == told["final_info"]["certified_distance"][k]
+        assert adapter.reset_infos[k]["certified_distance"] == told["certified_distance"][k]
+        assert infos[k]["certified_distance"] != adapter.reset_infos[k]["certified_distance"]
+
+
+class _Scripted(VectorEnv):
+    """Two worlds that count; what ends an episode is written down."""
+
+    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
+
+    def __init__(self, ends):
+        self.num_envs, self._ends = 2, list(ends)
+        self.single_observation_space, self.single_action_space = spaces.Box(-9, 9, (1,)), spaces.Box(-1, 1, (1,))
+        self.observation_space = batch_space(self.single_observation_space, 2)
+        self.action_space = batch_space(self.single_action_space, 2)
+
+    def reset(self, *, seed=None, options=None):
+        self.given = (seed, options)
+        return np.zeros((2, 1), np.float32), {}
+
+    def step(self, actions):
+        terminated, truncated = self._ends.pop(0)
+        ended = np.array([terminated or truncated, False])
+        infos = (
+            {"final_obs": np.array([np.full(1, 7.0, np.float32), None], dtype=object), "_final_obs": ended} if ended[0] else {}
+        )
+        both = np.array([terminated, False]), np.array([truncated, False])
+        return np.ones((2, 1), np.float32), np.ones(2), *both, infos
+
+
+@pytest.mark.parametrize(("terminated", "truncated", "limit"), [(1, 0, False), (0, 1, True), (1, 1, False)])
+def test_a_time_limit_is_one_only_where_nothing_else_has_ended_the_episode(terminated, truncated, limit):
+    adapter = VecEnvAdapter(_Scripted([(bool(terminated), bool(truncated))]))
+    adapter.reset()
+    _, _, dones, infos = adapter.step(np.zeros((2, 1)))
+    assert dones.tolist() == [True, False]
+    assert infos[0]["TimeLimit.truncated"] is limit
+    assert infos[1] == {"TimeLimit.truncated": False}
+    assert infos[0]["terminal_observation"] == 7.0
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "Disabled"])
+def test_another_autoreset_mode_is_refused(mode):
+    env = SyncVectorEnv([lambda: gymnasium.make("CartPole-v1")], autoreset_mode=mode)
+    with pytest.raises(ValueError, match=r"autoreset_mode = \w+: must be AutoresetMode.SAME_STEP"):
+        VecEnvAdapter(env)
+
+
+def test_seeds_and_options_count_once():
+    env = _Scripted([])
+    adapter = VecEnvAdapter(env)
+    assert adapter.seed(40) == [40, 41]
+    adapter.set_options({"a": 1})
+    adapter.reset()
+    assert env.given == ([40, 41], {"a": 1})
+    adapter.reset()
+    assert env.given == (None, None)
+    adapter.set_options([{"a": 1}, {"a": 2}])
+    with pytest.raises(ValueError, match="the worlds share their options"):
+        adapter.reset()
+
+
+def test_attributes_methods_and_layers():
+    env = normalized(_rows())
+    adapter = VecEnvAdapter(env)
+    assert adapter.get_attr("agent") == ["uav_0"] * 3
+    assert adapter.get_attr("agent", 1) == ["uav_0"]
+    assert adapter.get_attr("agent", [0, -1]) == ["uav_0"] * 2
+    assert not adapter.has_attr("nonsense")
+    adapter.set_attr("agent", "ugv_0")
+    assert env.unwrapped.agent == "ugv_0"
+    with pytest.raises(ValueError, match="the worlds share"):
+        adapter.set_attr("agent", "uav_0", indices=[0])
+    adapter.set_attr("agent", "uav_0")
+    adapter.reset()
+    (metrics,) = adapter.env_method("metrics", indices=2)
+    assert metrics["uav_0"]["ticks"].shape == (3,)
+    assert adapter.env_is_wrapped(VectorObservations) == [True] * 3
+    assert adapter.env_is_wrapped(ActionRepeat, indices=[0]) == [False]
+    assert adapter.env_is_wrapped(Monitor) == [True] * 3
+    assert adapter.render_mode is None
+
+
+def test_a_truncated_end_is_worth_what_the_critic_says_of_its_last_observation():
+    class Recorded(VecEnvAdapter):
+        told: ClassVar = []
+
+        def step_wait(self):
+            seen, rewards, dones, infos = super().step_wait()
+            self.told.append((rewards.copy(), dones, infos))  # the library adds to the rewards in their place
+            return seen, rewards, dones, infos
+
+    class Compare(BaseCallback):
+        ends = 0
+
+        def _on_step(self):
+            return True
+
+        def _on_rollout_end(self):
+            for t, (rewards, dones, infos) in enumerate(Recorded.told):
+                expected = rewards.copy()
+                for k in np.flatnonzero(dones):
+                    assert infos[k]["TimeLimit.truncated"]
+                    last = torch.as_tensor(infos[k]["terminal_observation"][None])
+                    with torch.no_grad():
+                        expected[k] += 0.9 * float(self.model.policy.predict_values(last))
+                    self.ends += 1
+                assert np.allclose(self.model.rollout_buffer.rewards[t], expected, atol=1e-6)
+
+    compare = Compare()
+    env = Recorded(normalized(_rows(duration=1.0)))
+    PPO("MlpPolicy", env, n_steps=45, batch_size=45, n_epochs=1, gamma=0.9, seed=0, device="cpu").learn(135, callback=compare)
+    assert compare.ends == 6
+
+
+def test_the_library_s_own_wrappers_and_its_evaluation():
+    env = VecNormalize(VecMonitor(VecCheckNan(VecEnvAdapter(normalized(_rows(duration=1.0))), raise_exception=True)))
+    model = PPO("MlpPolicy", env, n_steps=20, batch_size=60, device="cpu", seed=0).learn(120)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mean, _ = evaluate_policy(model, VecEnvAdapter(normalized(_rows(duration=1.0))), n_eval_episodes=3)
+    assert -5.0 < mean < 0.0
+
+
+@pytest.mark.parametrize(("name", "policy"), [("rows", "MlpPolicy"), ("dictionaries", "MultiInputPolicy")])
+def test_ppo_learns_saves_and_loads(name, policy, tmp_path):
+    adapter = VecEnvAdapter(normalized(ENVS[name](duration=1.0)))
+    model = PPO(policy, adapter, n_steps=100, batch_size=300, n_epochs=2, seed=3, device="cpu").learn(3000)
+    assert model.num_timesteps == 3000
+    assert len(model.ep_info_buffer) == 100
+    assert all(one["l"] == 20 for one in model.ep_info_buffer)
+    adapter.seed(9)
+    seen = adapter.reset()
+    model.save(tmp_path / "model.zip")
+    loaded = PPO.load(tmp_path / "model.zip", env=adapter, device="cpu")
+    assert np.array_equal(loaded.predict(seen, deterministic=True)[0], model.predict(seen, deterministic=True)[0])
+    loaded.learn(300)
+
+
+def test_the_example_trains_briefly_and_what_it_writes_flies(tmp_path):
+    out = tmp_path / "uav.npz"
+    command = [sys.executable, str(EXAMPLE), "--minutes", "0.2", "--num-envs", "16", "--seed", "2", "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=170, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "mean e(t)" in done.stdout
+    network, recipe = load_policy(out)
+    assert recipe["trained"]["decisions"] > 0
+    assert recipe["trained"]["ticks"] == 10 * recipe["trained"]["decisions"]
+    assert json.loads(json.dumps(recipe)) == recipe
+    model = PPO.load(out.with_suffix(".zip"), device="cpu")
+    shown = np.random.default_rng(0).uniform(-1.0, 1.0, (50, network.weights[0].shape[1])).astype(np.float32)
+    by_torch, _ = model.predict(shown, deterministic=True)
+    assert np.allclose(np.clip(network(shown), -1.0, 1.0), by_torch, atol=1e-5)
+    assert LearnedPolicy.load(out).setup["estimate"]
+
+
+def test_the_example_refuses_what_it_cannot_do(capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["train_uav.py", "--minutes", "0"])
+    with pytest.raises(SystemExit):
+        runpy.run_path(str(EXAMPLE), run_name="__main__")
+    assert "--minutes must be positive" in capsys.readouterr().err
