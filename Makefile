@@ -25,7 +25,7 @@ run: $(VENV)/.run ## fly the escort scenario as three processes over Zenoh (ARGS
 	$(BIN)/outrider run $(ARGS)
 
 test: $(VENV)/.dev ## install and run the test suite
-	$(BIN)/python -m pytest -n 2 $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist loadgroup $(ARGS)
 
 check: $(VENV)/.dev ## format, lint, types, import contracts
 	$(BIN)/ruff format --check .

@@ -16,6 +16,8 @@ from outrider.bench.profile import disc, floor
 from outrider.cli import bench as command
 from sim.scenario import load_scenario
 
+pytestmark = pytest.mark.xdist_group("many worlds")  # on one worker: what they compile takes a minute, once
+
 SHORT = SCENARIOS["certified"]
 
 

@@ -20,6 +20,8 @@ from sim.flight import Flight
 from sim.profiles import PROFILES
 from sim.scenario import Certificate, Detections, LinkTable, Scenario, Uav, Ugv, load_scenario
 
+pytestmark = pytest.mark.xdist_group("many worlds")  # on one worker: what they compile takes a minute, once
+
 NOISY = Detections(noise=0.2, dropout=0.2)
 HERE = (8.0, 6.0)
 GOALS = ((12.0, 6.0), (12.0, 9.0), (4.0, 3.0))

@@ -13,6 +13,8 @@ from outrider.suites.board import LAWS, leaderboard
 from outrider.suites.tasks import TASKS, Task, suite
 from outrider.vector import Worlds, vector_env
 
+pytestmark = pytest.mark.xdist_group("many worlds")  # on one worker: what they compile takes a minute, once
+
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = ("environment", "vector-environment", "suite", "tutorial")
 

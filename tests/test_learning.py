@@ -24,6 +24,8 @@ from outrider.vector import Worlds
 from outrider.wrappers import transformed
 from sim.scenario import load_scenario
 
+pytestmark = pytest.mark.xdist_group("many worlds")  # on one worker: what they compile takes a minute, once
+
 POLICY = Path(__file__).parents[1] / "examples" / "policies" / "uav_ppo.npz"
 SEEDS = [41, 42, 43]
 NOISY = msgspec.structs.replace(load_scenario("escort"), duration=30.0)

@@ -19,6 +19,8 @@ from outrider.single import SingleEnv
 from outrider.suites.tasks import TASKS
 from outrider.vector import OutriderVectorEnv
 
+pytestmark = pytest.mark.xdist_group("many worlds")  # on one worker: what they compile takes a minute, once
+
 
 def test_there_is_a_name_for_the_escort_and_for_each_task() -> None:
     assert env_ids() == (ESCORT, *(task.env_id for task in TASKS))

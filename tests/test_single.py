@@ -14,6 +14,8 @@ from test_vector import CASES, _actions, _equal, _world
 from outrider.single import SingleEnv, single_env
 from outrider.vector import vector_env
 
+pytestmark = pytest.mark.xdist_group("many worlds")  # on one worker: what they compile takes a minute, once
+
 SCENARIO = SCENARIOS["certified"]
 SETTINGS: dict[str, dict[str, Any]] = {
     "row": {},

@@ -24,6 +24,8 @@ from sim.flight import Flight
 from sim.scenario_checks import scenario_warnings
 from sim.tick import first_state
 
+pytestmark = pytest.mark.xdist_group("many worlds")  # on one worker: what they compile takes a minute, once
+
 SHORT: dict[str, object] = {"duration": 4.0, "area.width": 16.0, "area.height": 12.0, "ugv.0.goals": [[12.0, 9.0]]}
 TASK = Task(name="short", hard="it is over soon", changes=SHORT)
 SLOW = Task(name="slow", hard="", changes={**SHORT, "duration": 30.0})

@@ -20,6 +20,8 @@ from outrider.env_pilots import pilots
 from sim.env.rewards import RewardWeights
 from sim.scenario import LinkTable, Scenario
 
+pytestmark = pytest.mark.xdist_group("many worlds")  # on one worker: what they compile takes a minute, once
+
 SCENARIO = SCENARIOS["certified"]
 SEEN = RewardWeights(uncovered=0.5, seen=2.0, effort=0.3)
 LATE_LOOKS = msgspec.structs.replace(SCENARIO, links=LinkTable(detections=LATE))
