@@ -1,6 +1,8 @@
 """A child process ends when its parent has gone, however it went."""
 
+import atexit
 import os
+import select
 import shutil
 import signal
 import sys
@@ -29,14 +31,23 @@ def hold(folder: Path | None = None) -> None:
         folder: What the parent would have removed; it is removed then.
     """
 
+    def tidy() -> None:
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+
     def wait() -> None:
         while os.read(sys.stdin.fileno(), 1024):
             pass
-        if folder is not None:
-            shutil.rmtree(folder, ignore_errors=True)
+        tidy()
         os.kill(os.getpid(), signal.SIGTERM)
 
+    def leave() -> None:
+        # The main thread may hear first that the parent has gone (a broken pipe, the run's end) and would cut `wait` short.
+        if select.select([sys.stdin.fileno()], [], [], 0)[0]:
+            tidy()
+
     _wake_when_the_parent_dies()
+    atexit.register(leave)
     threading.Thread(target=wait, name="outrider-leash", daemon=True).start()
 
 

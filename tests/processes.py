@@ -44,10 +44,10 @@ def alive(pid: int) -> bool:
         return False
 
 
-def wait_until(condition: Callable[[], bool], seconds: float = 30.0) -> None:
+def wait_until(condition: Callable[[], bool], seconds: float = 30.0, told: Callable[[], str] = lambda: "waited in vain") -> None:
     limit = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < limit, "waited in vain"
+        assert time.monotonic() < limit, told()
         time.sleep(0.02)
 
 
@@ -57,7 +57,7 @@ def nothing_left_behind(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     with tempfile.TemporaryDirectory(prefix="o-") as folder:
         monkeypatch.setenv("TMPDIR", folder)
         yield
-        wait_until(lambda: not os.listdir(folder))
+        wait_until(lambda: not os.listdir(folder), told=lambda: f"left behind: {[str(path) for path in Path(folder).rglob('*')]}")
 
 
 @contextmanager

@@ -4,6 +4,8 @@ import json
 import os
 import signal
 import subprocess
+import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -119,6 +121,26 @@ def test_a_frozen_child_ends_too_when_the_parent_is_killed() -> None:
         run.kill()
         run.wait()
         wait_until(lambda: not any(alive(child) for child in children))
+
+
+def test_a_child_that_hears_of_the_end_before_its_leash_leaves_nothing_either() -> None:
+    hears_first = (
+        "import pathlib, select, sys; from outrider.leash import hold; hold(pathlib.Path(sys.argv[1]));"
+        "print(flush=True); select.select([sys.stdin], [], [])"
+    )
+    with tempfile.TemporaryDirectory(prefix="o-") as home:
+        folder = Path(home) / "run"
+        folder.mkdir()
+        for number in range(2000):
+            (folder / str(number)).touch()
+        with subprocess.Popen(
+            [sys.executable, "-c", hears_first, folder], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        ) as child:
+            assert child.stdin and child.stdout
+            child.stdout.readline()
+            child.stdin.close()
+            child.wait(30)
+        assert not folder.exists()
 
 
 def free_port() -> int:
