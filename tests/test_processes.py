@@ -136,7 +136,8 @@ def test_a_child_that_hears_of_the_end_before_its_leash_leaves_nothing_either() 
         with subprocess.Popen(
             [sys.executable, "-c", hears_first, folder], stdin=subprocess.PIPE, stdout=subprocess.PIPE
         ) as child:
-            assert child.stdin and child.stdout
+            assert child.stdin
+            assert child.stdout
             child.stdout.readline()
             child.stdin.close()
             child.wait(30)
