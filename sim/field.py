@@ -11,9 +11,10 @@ functions and one row in `SENSORS`.
 import math
 
 import numpy as np
+import numpy.typing as npt
 
 from sim.compile import FloatArray, compiled
-from sim.lanes import LANES, eight_lanes, widened
+from sim.lanes import LANES, lane_sum, widened
 from sim.randomness import NEAREST_POINT, uniform
 
 HILL = 0
@@ -109,12 +110,28 @@ def half_chord(radius: float, offset: float) -> float:
 
 
 @compiled
-def _lane_sum(terms: FloatArray, count: int) -> float:
-    """Sum of the first `count` terms in eight lanes: fast, and always in the same order."""
-    rest = 0.0
-    for i in range(count - count % LANES, count):
-        rest += terms[i]
-    return eight_lanes(terms, count // LANES) + rest
+def disc_chords(p_x: float, p_y: float, radius: float, cell: float, rows: int, columns: int) -> tuple[int, npt.NDArray[np.int64]]:
+    """The cells whose centres lie in a disc.
+
+    All chords at once, several to a vector: worked out row by row, each would make the processor wait for a root and a quotient
+    before it knows how far its loop goes.
+
+    Args:
+        p_x, p_y: Centre of the disc [m].
+        radius: Of the disc [m].
+        cell: Width of a cell [m].
+        rows, columns: Of the grid.
+
+    Returns:
+        The first row that the disc meets; and from there on of each its first column and the one after the last, shape (2, any).
+    """
+    first_row, end_row = chord(p_y, radius, cell, rows)
+    met = max(0, end_row - first_row)
+    chords = np.empty((2, met), dtype=np.int64)
+    for n in range(met):
+        offset = (first_row + n + 0.5) * cell - p_y
+        chords[0, n], chords[1, n] = chord(p_x, half_chord(radius, offset), cell, columns)
+    return first_row, chords
 
 
 @compiled
@@ -133,10 +150,10 @@ def accumulate(
         duration: How long it looks from there [s].
     """
     rows, columns = coverage.shape
-    first_row, end_row = chord(p_y, reach, cell, rows)
-    for j in range(first_row, end_row):
+    first_row, chords = disc_chords(p_x, p_y, reach, cell, rows, columns)
+    for n in range(chords.shape[1]):
+        j, first, end = first_row + n, chords[0, n], chords[1, n]
         d_y = (j + 0.5) * cell - p_y
-        first, end = chord(p_x, half_chord(reach, d_y), cell, columns)
         cells = coverage[j, first:end]
         for i in range(cells.size):
             d_x = (first + i + 0.5) * cell - p_x
@@ -176,13 +193,13 @@ def accumulate_with_gain(
         The fall of e [m²]; never negative.
     """
     rows, columns = coverage.shape
-    terms = np.empty(columns)
+    terms = np.empty(columns + LANES)
     total = 0.0
-    first_row, end_row = chord(p_ay, reach, cell, rows)
-    for j in range(first_row, end_row):
+    first_row, chords = disc_chords(p_ax, p_ay, reach, cell, rows, columns)
+    for n in range(chords.shape[1]):
+        j, first, end = first_row + n, chords[0, n], chords[1, n]
         y = (j + 0.5) * cell
         d_y, g_y = y - p_ay, y - p_gy
-        first, end = chord(p_ax, half_chord(reach, d_y), cell, columns)
         if end <= first:
             continue
         start, stop = widened(first, end, columns)
@@ -195,7 +212,7 @@ def accumulate_with_gain(
             cells[i] = after if first <= start + i < end else before
             fall = penalty(desired - before) - penalty(desired - after)
             terms[i] = fall * density(g_x * g_x + g_y * g_y, r_o)
-        total += _lane_sum(terms[first - start :], end - first)
+        total += lane_sum(terms, first - start, end - first)
     return total * (cell * cell)
 
 
@@ -216,12 +233,12 @@ def coverage_error(coverage: FloatArray, p_gx: float, p_gy: float, r_o: float, d
         e [m²].
     """
     rows, columns = coverage.shape
-    terms = np.empty(columns)
+    terms = np.empty(columns + LANES)
     total = 0.0
-    first_row, end_row = chord(p_gy, r_o, cell, rows)
-    for j in range(first_row, end_row):
+    first_row, chords = disc_chords(p_gx, p_gy, r_o, cell, rows, columns)
+    for n in range(chords.shape[1]):
+        j, first, end = first_row + n, chords[0, n], chords[1, n]
         d_y = (j + 0.5) * cell - p_gy
-        first, end = chord(p_gx, half_chord(r_o, d_y), cell, columns)
         if end <= first:
             continue
         start, stop = widened(first, end, columns)
@@ -229,7 +246,7 @@ def coverage_error(coverage: FloatArray, p_gx: float, p_gy: float, r_o: float, d
         for i in range(cells.size):
             d_x = (start + i + 0.5) * cell - p_gx
             terms[i] = penalty(desired - cells[i]) * density(d_x * d_x + d_y * d_y, r_o)
-        total += _lane_sum(terms[first - start :], end - first)
+        total += lane_sum(terms, first - start, end - first)
     return total * (cell * cell)
 
 
@@ -266,14 +283,14 @@ def coverage_gradient(
         u_cov, x and y, and the size of its integrand, r times the sum of the magnitudes, against which "u_cov = 0" is judged.
     """
     rows, columns = coverage.shape
-    pulls = np.empty(columns)
-    weights = np.empty(columns)
+    pulls = np.empty(columns + LANES)
+    weights = np.empty(columns + LANES)
     sum_x, sum_y, size = 0.0, 0.0, 0.0
-    first_row, end_row = chord(p_ay, reach, cell, rows)
-    for j in range(first_row, end_row):
+    first_row, chords = disc_chords(p_ax, p_ay, reach, cell, rows, columns)
+    for n in range(chords.shape[1]):
+        j, first, end = first_row + n, chords[0, n], chords[1, n]
         y = (j + 0.5) * cell
         d_y, g_y = p_ay - y, p_gy - y
-        first, end = chord(p_ax, half_chord(reach, d_y), cell, columns)
         if end <= first:
             continue
         start, stop = widened(first, end, columns)
@@ -285,8 +302,8 @@ def coverage_gradient(
             weight = penalty_slope(desired - cells[i]) * slope * density(g_x * g_x + g_y * g_y, r_o)
             weights[i] = weight
             pulls[i] = weight * d_x
-        row_weight = _lane_sum(weights[first - start :], end - first)
-        sum_x += _lane_sum(pulls[first - start :], end - first)
+        row_weight = lane_sum(weights, first - start, end - first)
+        sum_x += lane_sum(pulls, first - start, end - first)
         sum_y += row_weight * d_y
         size += abs(row_weight) * reach
     area = cell * cell
@@ -331,10 +348,10 @@ def nearest_uncovered(
     """
     rows, columns = coverage.shape
     nearest, ties, q_x, q_y = math.inf, 0, 0.0, 0.0
-    first_row, end_row = chord(p_gy, r_o, cell, rows)
-    for j in range(first_row, end_row):
+    first_row, chords = disc_chords(p_gx, p_gy, r_o, cell, rows, columns)
+    for n in range(chords.shape[1]):
+        j, first, end = first_row + n, chords[0, n], chords[1, n]
         y = (j + 0.5) * cell
-        first, end = chord(p_gx, half_chord(r_o, y - p_gy), cell, columns)
         for i in range(first, end):
             if coverage[j, i] >= desired:
                 continue

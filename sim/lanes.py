@@ -13,7 +13,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic, overload
 from numba.np.arrayobj import make_array
 
-from sim.compile import FloatArray, compiled
+from sim.compile import FloatArray, borrowing, compiled
 
 LANES = 8
 """Lanes of a sum, and cells of a block: a cache line, and the widest vector of today's processors."""
@@ -30,31 +30,32 @@ def widened(first: int, end: int, count: int) -> tuple[int, int]:
     return start, min(count, start + whole)
 
 
-def eight_lanes(terms: FloatArray, blocks: int) -> float:
-    """Sum of the first `8 blocks` terms: eight running sums, then ((a + e) + (c + g)) + ((b + f) + (d + h))."""
+def eight_lanes(terms: FloatArray, begin: int, blocks: int) -> float:
+    """Sum of `8 blocks` terms from `begin` on: eight running sums, then ((a + e) + (c + g)) + ((b + f) + (d + h))."""
     lanes = [0.0] * LANES
     for i in range(LANES * blocks):
-        lanes[i % LANES] += float(terms[i])
+        lanes[i % LANES] += float(terms[begin + i])
     a, b, c, d, e, f, g, h = lanes
     return ((a + e) + (c + g)) + ((b + f) + (d + h))
 
 
 @overload(eight_lanes, strict=False)
-def _compiled_eight_lanes(terms: Any, blocks: Any) -> Callable[..., float]:  # noqa: ANN401 - numba's own types
-    return lambda terms, blocks: _vector_sum(terms, blocks)  # type: ignore[call-arg]  # noqa: PLW0108 - numba takes no intrinsic here
+def _compiled_eight_lanes(terms: Any, begin: Any, blocks: Any) -> Callable[..., float]:  # noqa: ANN401 - numba's own types
+    return lambda terms, begin, blocks: _vector_sum(terms, begin, blocks)  # type: ignore[call-arg]  # noqa: PLW0108 - numba takes no intrinsic here
 
 
 @intrinsic
-def _vector_sum(typingctx: Any, terms: Any, blocks: Any) -> Any:  # noqa: ANN401 - numba's own types
+def _vector_sum(typingctx: Any, terms: Any, begin: Any, blocks: Any) -> Any:  # noqa: ANN401 - numba's own types
     """`eight_lanes` as vector instructions."""
-    signature = types.float64(terms, types.intp)
+    signature = types.float64(terms, types.intp, types.intp)
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ANN401
         lanes = ir.VectorType(ir.DoubleType(), LANES)
         data = make_array(signature.args[0])(context, builder, arguments[0]).data  # type: ignore[no-untyped-call]
         total = cgutils.alloca_once_value(builder, ir.Constant(lanes, [0.0] * LANES))  # type: ignore[no-untyped-call]
-        with cgutils.for_range(builder, arguments[1]) as loop:
-            place = builder.gep(data, [builder.mul(loop.index, ir.Constant(loop.index.type, LANES))])
+        with cgutils.for_range(builder, arguments[2]) as loop:
+            offset = builder.mul(loop.index, ir.Constant(loop.index.type, LANES))
+            place = builder.gep(data, [builder.add(arguments[1], offset)])
             block = builder.load(builder.bitcast(place, lanes.as_pointer()))
             block.align = 8
             builder.store(builder.fadd(builder.load(total), block), total)
@@ -64,3 +65,22 @@ def _vector_sum(typingctx: Any, terms: Any, blocks: Any) -> Any:  # noqa: ANN401
         return add(add(add(a, e), add(c, g)), add(add(b, f), add(d, h)))
 
     return signature, codegen
+
+
+@borrowing
+def lane_sum(terms: FloatArray, begin: int, count: int) -> float:
+    """Sum of `count` terms from `begin` on: whole blocks in eight lanes, then the rest one by one.
+
+    The rest always takes seven additions, of nothing where it is shorter: the processor would not foresee how many.
+
+    Args:
+        terms: With room for `LANES` numbers behind the last one that is summed.
+        begin: The first.
+        count: How many.
+    """
+    blocks = count // LANES
+    behind, left = begin + LANES * blocks, count - LANES * blocks
+    rest = 0.0
+    for i in range(LANES - 1):
+        rest += terms[behind + i] if i < left else 0.0
+    return eight_lanes(terms, begin, blocks) + rest

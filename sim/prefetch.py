@@ -12,8 +12,8 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
 
-from sim.compile import FloatArray, borrowing
-from sim.field import chord, half_chord
+from sim.compile import FloatArray, compiled
+from sim.field import disc_chords
 
 _LINE = 8
 """Numbers in a cache line."""
@@ -39,12 +39,12 @@ def _hint(typingctx: Any, array: Any, row: Any, column: Any) -> Any:  # noqa: AN
     return signature, codegen
 
 
-@borrowing
+@compiled
 def fetch_disc(coverage: FloatArray, p_x: float, p_y: float, radius: float, cell: float) -> None:
     """Bring the cells within `radius` [m] of (p_x, p_y) [m] near the core."""
     rows, columns = coverage.shape
-    first_row, end_row = chord(p_y, radius, cell, rows)
-    for j in range(first_row, end_row):
-        first, end = chord(p_x, half_chord(radius, (j + 0.5) * cell - p_y), cell, columns)
+    first_row, chords = disc_chords(p_x, p_y, radius, cell, rows, columns)
+    for n in range(chords.shape[1]):
+        first, end = chords[0, n], chords[1, n]
         for i in range(first, end + _LINE - 1, _LINE):
-            _hint(coverage, j, min(i, columns - 1))  # type: ignore[call-arg]
+            _hint(coverage, first_row + n, min(i, columns - 1))  # type: ignore[call-arg]

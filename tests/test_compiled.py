@@ -31,6 +31,7 @@ MODULES = (
     "sim.vehicles",
     "sim.detection",
     "sim.field",
+    "sim.lanes",
     "sim.randomness",
     *(f"agents.drivers.{name}" for name in ("waypoints", "steering", "wander", "script", "evade", "compiled")),
 )
@@ -96,7 +97,10 @@ BY_NAME: dict[str, object] = {
     "radio": np.array([[0.2, 0.7, -0.4], [0.3, 0.9, -0.3], [0.3, 8.0, 9.0]]),
     "heard": 2,
     "lead": 4.0,
-    "terms": _RNG.normal(size=77),
+    "terms": _RNG.normal(size=90),
+    "begin": 3,
+    "rows": 160,
+    "columns": 160,
     "parameters": parameters(escort("logarithmic")),
     "own": OwnTerms(alpha=0.3, beta=0.8),
     "sensor": SENSORS["hill"],
@@ -140,6 +144,7 @@ BY_NAME: dict[str, object] = {
 IN_MODULE: dict[str, dict[str, object]] = {
     "agents.drivers.compiled": {"parameters": _DRIVERS[-1], "row": pack_driver(_DRIVERS[-1])},
     "agents.control.guard": {"state": _GUARD},
+    "sim.lanes": {"first": 13, "end": 76},
     "agents.estimation_twin": {
         "parameters": _KALMAN,
         "row": pack_kalman(_KALMAN),
@@ -182,8 +187,10 @@ EXTRA: dict[str, dict[str, list[object]]] = {
     "sim.field.sensor_quality": {"sensor": list(SENSORS.values()), "rho2": [0.0, 3.3, 24.9, 25.0, 30.0]},
     "sim.field.sensor_slope": {"sensor": list(SENSORS.values()), "rho2": [0.0, 3.3, 24.9, 25.0, 30.0]},
     "sim.field.density": {"rho2": [0.0, 3.3, 90.0, 95.0625, 99.0]},
+    "sim.field.disc_chords": {"radius": [0.01, 5.0, 9.75, 70.0], "p_y": [0.1, -3.0, -80.0]},
     "sim.field.accumulate": {"sensor": list(SENSORS.values())},
     "sim.field.coverage_gradient": {"sensor": list(SENSORS.values())},
+    "sim.lanes.lane_sum": {"count": list(range(20))},
     "sim.vehicles.stopping_distance": {"u_max": [0.3, float("inf")]},
     "sim.vehicles.speed_to_stop_within": {"u_max": [0.3, float("inf")]},
 }
@@ -251,15 +258,18 @@ def test_called_from_compiled_code_it_gives_the_bits_that_python_gets(qualified:
         assert _answer(caller, given) == _answer(function, given), given
 
 
-KERNELS = ("_lane_sum", "accumulate", "coverage_error", "coverage_gradient", "nearest_uncovered")
+KERNELS = (
+    "sim.lanes.lane_sum",
+    *(f"sim.field.{name}" for name in ("disc_chords", "accumulate", "accumulate_with_gain")),
+    *(f"sim.field.{name}" for name in ("coverage_error", "coverage_gradient", "nearest_uncovered")),
+)
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_compiling_changes_no_bit_of_a_kernel(kernel: str) -> None:
     """No fast mathematics: sums and products stay in the order in which they are written."""
-    qualified = f"sim.field.{kernel}"
-    function = FUNCTIONS[qualified]
-    for given in _calls(qualified, list(inspect.signature(function.py_func).parameters)):
+    function = FUNCTIONS[kernel]
+    for given in _calls(kernel, list(inspect.signature(function.py_func).parameters)):
         assert _answer(function.py_func, given) == _answer(function, given)
 
 
