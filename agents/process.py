@@ -10,8 +10,6 @@ import msgspec
 from agents.control.orbit import Path
 from agents.control.weighting import Weighting
 from agents.drivers.policy import Policy
-from agents.uav import UavPilot
-from agents.ugv import UgvPilot
 from bus.access import Credential
 from bus.errors import BusError, PeerLost
 from bus.keys import BRIEFING, COMMAND, OBSERVATION, SIMULATOR_NAME, Party, Role
@@ -45,6 +43,7 @@ def uav_maker(*, weighting: Weighting | None = None, path: Path | None = None) -
         weighting: A weighting of one's own, for the law `weighted`.
         path: A path of one's own, for the law `path`.
     """
+    from agents.uav import UavPilot  # noqa: PLC0415 - with its filter, most of a start, which a UGV can do without
 
     def make(briefing: UavBriefing) -> Pilot:
         return UavPilot(briefing, weighting=weighting, path=path)
@@ -59,6 +58,7 @@ def ugv_maker(*, policy: Policy | None = None, policy_name: str = "policy") -> M
         policy: A policy of one's own, for the driver `policy`.
         policy_name: What it is called in errors.
     """
+    from agents.ugv import UgvPilot  # noqa: PLC0415 - likewise
 
     def make(briefing: UgvBriefing) -> Pilot:
         return UgvPilot(briefing, policy=policy, policy_name=policy_name)
@@ -88,17 +88,18 @@ _UGV = _SOMEBODY | {"driver": "waypoints", "goals": [[1.0, 1.0], [9.0, 9.0]], "g
 
 def warm_up(role: Role) -> None:
     """Let a pilot that nobody waits for answer a few times, so that all its code is compiled or loaded."""
-    uavs = [UavPilot(msgspec.convert(_UAV | own, UavBriefing)) for own in ({}, _WATCHED)]
-    ugv = UgvPilot(msgspec.convert(_UGV, UgvBriefing))
-    for tick in range(3):
-        seen = {"tick": tick, "time": tick * 0.05, "position": [5.0, 5.0], "velocity": [0.0, 0.0]}
-        if role is Role.UAV:
-            look = {"time": seen["time"], "relative_position": [1.0, 0.0]}
-            for uav in uavs:
-                uav.act(msgspec.convert(seen | {"detections": [look]}, UavObservation))
-                uav.prepare()
-        else:
-            ugv.act(msgspec.convert(seen, UgvObservation))
+    make, told, kind = (
+        (uav_maker(), [msgspec.convert(_UAV | own, UavBriefing) for own in ({}, _WATCHED)], UavObservation)
+        if role is Role.UAV
+        else (ugv_maker(), [msgspec.convert(_UGV, UgvBriefing)], UgvObservation)
+    )
+    for pilot in map(make, told):
+        for tick in range(3):
+            look = {"time": tick * 0.05, "relative_position": [1.0, 0.0]}
+            seen = {"tick": tick, "time": tick * 0.05, "position": [5.0, 5.0], "velocity": [0.0, 0.0]}
+            pilot.act(msgspec.convert(seen | ({"detections": [look]} if role is Role.UAV else {}), kind))
+            if prepare := getattr(pilot, "prepare", None):
+                prepare()
 
 
 class _Presence:
