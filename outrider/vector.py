@@ -20,7 +20,8 @@ from gymnasium.vector.utils import batch_space
 
 from bus.layout import GradientCue, UavRow, bounds
 from bus.messages import LinkStatus
-from outrider.closed_loop import ACTED, BOUND, REACHED, SURE, ClosedLoop, pilot_names
+from outrider.closed_loop import ClosedLoop, pilot_names
+from outrider.closed_loop_state import ACTED, BOUND, REACHED, SURE
 from sim.compile import FloatArray
 from sim.env.actions import take_batch
 from sim.env.patch import CoveragePatch

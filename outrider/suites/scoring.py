@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from outrider.closed_loop import ERROR, LOST, ClosedLoop, pilot_names
+from outrider.closed_loop import ClosedLoop, pilot_names
+from outrider.closed_loop_state import ERROR, LOST
 from outrider.statistics import mean_interval
 from outrider.suites.tasks import SEEDS, Task
 from outrider.vector import Policy, Worlds
