@@ -14,6 +14,8 @@ from sim.scenario import Area, Coverage, Detections, LinkTable, Region, Scenario
 from sim.threads import Crew
 from sim.world import World
 
+pytestmark = pytest.mark.xdist_group("batch")  # on one worker: what they compile takes half a minute, once
+
 POOR = PROFILES["wifi-poor"]
 LATE = msgspec.structs.replace(POOR, delay=0.4, jitter=0.3, duplicates=0.2, reorder=0.2, reorder_delay=0.3)
 SMALL = Area(width=16.0, height=12.0, cell=0.5)

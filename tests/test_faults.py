@@ -51,8 +51,7 @@ def finished(run: "subprocess.Popen[str]", seconds: float = 90.0) -> tuple[dict[
     return json.loads(out), err
 
 
-@pytest.mark.parametrize("victim", ["uav", "ugv"])
-@pytest.mark.parametrize("blow", ["SIGKILL", "SIGTERM"])
+@pytest.mark.parametrize(("victim", "blow"), [("uav", "SIGKILL"), ("ugv", "SIGTERM")])
 def test_with_respawn_a_killed_vehicle_changes_no_bit(victim: str, blow: str, undisturbed: str) -> None:
     with flying("escort", "--duration", str(SECONDS), "--respawn", "--no-files", "--json") as run:
         before = child_of(run, victim)

@@ -68,7 +68,7 @@ def test_ctrl_c_ends_all_processes_and_keeps_what_was_flown(tmp_path: Path) -> N
 
 @pytest.mark.parametrize("victim", ["uav", "ugv"])
 def test_a_vehicle_that_dies_brakes_and_the_run_ends_with_its_name(victim: str, tmp_path: Path) -> None:
-    with flying("escort", "--duration", "2000", "--no-picture", "--out", str(tmp_path), "--json") as run:
+    with flying("escort", "--duration", "500", "--no-picture", "--out", str(tmp_path), "--json") as run:
         children = family(run.pid)
         os.kill(child_of(run, victim), signal.SIGKILL)
         out, err = run.communicate(timeout=60)
@@ -76,7 +76,7 @@ def test_a_vehicle_that_dies_brakes_and_the_run_ends_with_its_name(victim: str, 
     assert f"{victim}_0 (pid" in err
     assert "killed by signal 9" in err
     summary = json.loads(out)
-    assert summary["ticks"] == 40_000
+    assert summary["ticks"] == 10_000
     assert summary["complete"] is True
     assert summary["deterministic"] is False
     assert summary["faults"][f"{victim}_0"]["lost"] == 1

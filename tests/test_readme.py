@@ -48,6 +48,7 @@ def test_the_filter_shown_keeps_sight(tmp_path: Path) -> None:
     assert said == "commands were not let through; certified: True\n"
 
 
+@pytest.mark.xdist_group("many worlds")
 def test_the_many_worlds_shown_fly(tmp_path: Path) -> None:
     shown = next(block for block in blocks("python") if "vector_env" in block)
     run = subprocess.run([sys.executable, "-c", shown], cwd=tmp_path, capture_output=True, text=True, check=True)
