@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
+from multiprocessing import resource_tracker
 from pathlib import Path
 
 _PR_SET_PDEATHSIG = 1
@@ -70,6 +71,7 @@ def leave_with(parent: int) -> None:
 @contextmanager
 def deaf_to_interrupts() -> Iterator[None]:
     """Processes that are started meanwhile do not hear of Ctrl-C, which a terminal sends to all: their parent ends them."""
+    resource_tracker.ensure_running()  # it would be started with the first process, and let SIGINT through again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -107,5 +107,11 @@ def command_line(pid: int) -> str:
     return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
 
 
+def blocks(pid: int, number: int) -> bool:
+    """Whether a process has blocked a signal."""
+    status = dict(line.split(":\t", 1) for line in Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines())
+    return bool(int(status["SigBlk"], 16) >> (number - 1) & 1)
+
+
 def child_of(run: "subprocess.Popen[str]", what: str) -> int:
     return next(pid for pid in family(run.pid) if f" outrider {what} " in command_line(pid))

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from processes import blocks, command_line
 
 from bus.errors import PeerLost, ScenarioError
 from outrider.flying import run
@@ -238,6 +239,9 @@ def test_ctrl_c_keeps_what_is_done_says_how_to_go_on_and_leaves_no_process(tmp_p
     command = [*OUTRIDER, *GRID, "--seeds", "200", "--out", str(tmp_path / "sweep"), "--jobs", "2"]
     process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     wait_for(lambda: parts(tmp_path / "sweep") >= 1, process)
+    workers = [pid for pid in map(int, _session(process.pid)) if "LokyProcess" in command_line(pid)]
+    assert len(workers) == 2
+    assert all(blocks(pid, signal.SIGINT) for pid in workers)  # else one may show where it was interrupted
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
     out, err = process.communicate(timeout=30)
     assert process.returncode == 130, err
