@@ -114,6 +114,7 @@ class VectorObservations(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes
         self.single_observation_space = self._transformation.space(env.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
         self.single_action_space = self._transformation.action_space(env.single_action_space)
+        self.action_space = batch_space(self.single_action_space, env.num_envs)
         self._begin_next = self._none
 
     @property

@@ -539,6 +539,7 @@ def test_each_world_of_a_batch_is_as_it_is_alone_across_the_ends_of_episodes(mak
     alone = [Rows(ticks, patch=patch, wrap=wrap) for ticks in TICKS]
     assert env.single_observation_space == alone[0].observation_space
     assert env.observation_space == batch_space(env.single_observation_space, 3)
+    assert env.action_space == batch_space(env.single_action_space, 3)
     rng = np.random.default_rng(5)
     seen, _ = env.reset(seed=3)
     for k, one in enumerate(alone):
