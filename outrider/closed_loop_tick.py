@@ -367,16 +367,18 @@ def _step(p: LoopParameters, t: LoopTables, s: LoopState, k: int, actions: Float
 
 
 @inlined
-def _fetch(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
-    """Bring the part of world k's grid that its next tick will touch near the core."""
+def _fetch(p: LoopParameters, t: LoopTables, s: LoopState, k: int, part: int) -> None:
+    """Bring a quarter of what the next tick of world k will touch of its grid near the core; of no world if k < 0."""
+    if k < 0:
+        return
     w, position, coverage = p.w, s.batch.truth.position[k], s.batch.truth.coverage[k]
     for u in range(t.batch.escorts.shape[0]):
         a, g = t.batch.escorts[u, 0], t.batch.escorts[u, 1]
         if p.error:
-            fetch_disc(coverage, position[g, 0], position[g, 1], w.r_o, w.cell)
-        fetch_disc(coverage, position[a, 0], position[a, 1], w.reach, w.cell)
+            fetch_disc(coverage, position[g, 0], position[g, 1], w.r_o, w.cell, part, 4)
+        fetch_disc(coverage, position[a, 0], position[a, 1], w.reach, w.cell, part, 4)
         if p.own_maps:
-            fetch_disc(s.maps[k, u], position[a, 0], position[a, 1], w.reach, w.cell)
+            fetch_disc(s.maps[k, u], position[a, 0], position[a, 1], w.reach, w.cell, part, 4)
 
 
 @released
@@ -397,21 +399,25 @@ def run_worlds(
     """
     for n in range(begin, end):
         k, beginning = worlds[n], seeds.shape[0] > 0
-        if n + 1 < end:
-            _fetch(p, t, s, worlds[n + 1])
+        after = worlds[n + 1] if n + 1 < end else -1  # while this world is computed, the next one's cells come
         if beginning:
             _begin(p, t, s, k, seeds[n])
         for tick in range(1 if beginning else ticks):
             if not beginning:
                 if tick > 0 and (s.terminated[k] or s.truncated[k]):
                     break
+                _fetch(p, t, s, after, 0)
                 _step(p, t, s, k, actions[k])
+            _fetch(p, t, s, after, 1)
             _perceive(p, t, s, k)
+            _fetch(p, t, s, after, 2)
             for u in range(t.batch.escorts.shape[0]):
                 _seat_uav(p, t, s, k, u)
             if not beginning:
                 for g in range(t.ugv_rows.shape[0]):
                     _seat_ugv(p, t, s, k, g)
                 _pay(p, t, s, k)
+            _fetch(p, t, s, after, 3)
+            after = -1
             if tick == ticks - 1 or s.terminated[k] or s.truncated[k] or beginning:
                 _observe(p, t, s, k)

@@ -76,9 +76,10 @@ if _FOLDER is not None:
 
 
 def _compile(function: _F, **options: Any) -> _F:  # noqa: ANN401 - numba's
-    """No `fastmath`: the bits must not depend on who calls."""
+    """No `fastmath`: the bits must not depend on who calls. No entry for C, which nobody uses and which takes time to compile."""
     njit: Any = numba.njit
-    return cast("_F", njit(cache=_FOLDER is not None, error_model="numpy", **options)(function))
+    chosen = {"cache": _FOLDER is not None, "error_model": "numpy", "no_cfunc_wrapper": True}
+    return cast("_F", njit(**chosen, **options)(function))
 
 
 def compiled(function: _F) -> _F:

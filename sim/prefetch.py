@@ -12,8 +12,8 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
 
-from sim.compile import FloatArray, compiled
-from sim.field import disc_chords
+from sim.compile import FloatArray, borrowing
+from sim.field import chord, half_chord
 
 _LINE = 8
 """Numbers in a cache line."""
@@ -39,12 +39,19 @@ def _hint(typingctx: Any, array: Any, row: Any, column: Any) -> Any:  # noqa: AN
     return signature, codegen
 
 
-@compiled
-def fetch_disc(coverage: FloatArray, p_x: float, p_y: float, radius: float, cell: float) -> None:
-    """Bring the cells within `radius` [m] of (p_x, p_y) [m] near the core."""
+@borrowing
+def fetch_disc(coverage: FloatArray, p_x: float, p_y: float, radius: float, cell: float, part: int = 0, parts: int = 1) -> None:
+    """Bring the cells within `radius` [m] of (p_x, p_y) [m] near the core.
+
+    Args:
+        coverage: The grid.
+        p_x, p_y, radius, cell: As in `sim.field.disc_chords`.
+        part, parts: Only this one of so many parts, from 0: so many cells asked for at once would keep the core from its own.
+    """
     rows, columns = coverage.shape
-    first_row, chords = disc_chords(p_x, p_y, radius, cell, rows, columns)
-    for n in range(chords.shape[1]):
-        first, end = chords[0, n], chords[1, n]
+    first_row, end_row = chord(p_y, radius, cell, rows)
+    met = max(0, end_row - first_row)
+    for j in range(first_row + met * part // parts, first_row + met * (part + 1) // parts):
+        first, end = chord(p_x, half_chord(radius, (j + 0.5) * cell - p_y), cell, columns)
         for i in range(first, end + _LINE - 1, _LINE):
-            _hint(coverage, first_row + n, min(i, columns - 1))  # type: ignore[call-arg]
+            _hint(coverage, j, min(i, columns - 1))  # type: ignore[call-arg]
