@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from bus import session
+from outrider.cli import main
 from outrider.cli.main import COMMANDS
 
 OUTRIDER = [sys.executable, "-m", "outrider"]
@@ -16,11 +18,18 @@ def outrider(*arguments: str, cwd: Path | None = None) -> "subprocess.CompletedP
     return subprocess.run([*OUTRIDER, *arguments], capture_output=True, text=True, check=False, timeout=120, cwd=cwd)
 
 
+def here(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    """The same in this process, which need not start: the exit code."""
+    monkeypatch.setattr(sys, "argv", ["outrider", *arguments])
+    return main._run()
+
+
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_has_help_with_an_example(name: str) -> None:
-    run = outrider(name, "--help")
-    assert run.returncode == 0
-    assert f"Example: outrider {name}" in " ".join(run.stdout.split())
+def test_every_command_has_help_with_an_example(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert here(monkeypatch, name, "--help") == 0
+    assert f"Example: outrider {name}" in " ".join(capsys.readouterr().out.split())
 
 
 BAD = {
@@ -58,23 +67,32 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_input_gets_one_line_exit_code_2_and_no_traceback(case: str, tmp_path: Path) -> None:
+def test_bad_input_gets_one_line_exit_code_2_and_no_traceback(
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     arguments, told = BAD[case]
-    run = outrider(*arguments, cwd=tmp_path)
-    assert run.returncode == 2, run.stderr
-    assert told in run.stderr
+    monkeypatch.chdir(tmp_path)
+    code = here(monkeypatch, *arguments)
+    out, err = capsys.readouterr()
+    assert code == 2, err
+    assert told in err
+    assert len(err.strip().splitlines()) == 1
+    assert out == ""
+    assert not list(tmp_path.iterdir())
+
+
+def test_bad_input_ends_the_process_with_the_same_line_and_code(tmp_path: Path) -> None:
+    run = outrider("run", "escrot", cwd=tmp_path)
+    assert run.returncode == 2
+    assert "did you mean" in run.stderr
     assert len(run.stderr.strip().splitlines()) == 1
     assert run.stdout == ""
     assert not list(tmp_path.iterdir())
 
 
 def test_no_router_is_one_line_and_exit_code_1(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    from bus import session
-    from outrider.cli import main
-
     monkeypatch.setitem(session._CLIENT, "connect/timeout_ms", 300)
-    monkeypatch.setattr(sys, "argv", ["outrider", "uav", "--connect", "tcp/127.0.0.1:1"])
-    assert main._run() == 1
+    assert here(monkeypatch, "uav", "--connect", "tcp/127.0.0.1:1") == 1
     line = capsys.readouterr().err
     assert "no router at tcp/127.0.0.1:1" in line
     assert len(line.strip().splitlines()) == 1
