@@ -50,6 +50,7 @@ from sim.compile import FloatArray, compiling
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights, full_error
 from sim.link_table import BatchLinks
+from sim.prefetch import disc_widths
 from sim.scenario import Scenario
 from sim.tick import IntArray, first_state
 
@@ -181,6 +182,8 @@ class ClosedLoop:
             script_rows=script_rows,
             weights=np.array(numbers, dtype=np.float64),
             ways=ways.table,
+            seen=disc_widths(scenario.sensor.range, scenario.area.cell),
+            around=disc_widths(scenario.visibility.radius + scenario.sensor.range, scenario.area.cell),
         )
         late = self.batch.ways_in.longest
         kalman = kalman_state(min(late, round(SPAN / dt)) + 1)

@@ -85,6 +85,9 @@ class LoopTables(NamedTuple):
     """The numbers of `RewardWeights`, in its order."""
     ways: LinkTable
     """Of the radio, a row for each UAV."""
+    seen: IntArray
+    """The sensor's disc, and of the density (9), from `sim.prefetch.disc_widths`."""
+    around: IntArray
 
 
 class LoopState(NamedTuple):

@@ -375,10 +375,10 @@ def _fetch(p: LoopParameters, t: LoopTables, s: LoopState, k: int, part: int) ->
     for u in range(t.batch.escorts.shape[0]):
         a, g = t.batch.escorts[u, 0], t.batch.escorts[u, 1]
         if p.error:
-            fetch_disc(coverage, position[g, 0], position[g, 1], w.r_o, w.cell, part, 4)
-        fetch_disc(coverage, position[a, 0], position[a, 1], w.reach, w.cell, part, 4)
+            fetch_disc(coverage, position[g, 0], position[g, 1], w.cell, t.around, part, 4)
+        fetch_disc(coverage, position[a, 0], position[a, 1], w.cell, t.seen, part, 4)
         if p.own_maps:
-            fetch_disc(s.maps[k, u], position[a, 0], position[a, 1], w.reach, w.cell, part, 4)
+            fetch_disc(s.maps[k, u], position[a, 0], position[a, 1], w.cell, t.seen, part, 4)
 
 
 @released

@@ -4,8 +4,11 @@ A batch of worlds is larger than any cache. While one world is computed, the par
 is brought near the core; without this the core waits for memory most of the time. No result depends on it.
 """
 
+import math
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
@@ -13,7 +16,6 @@ from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
 
 from sim.compile import FloatArray, borrowing
-from sim.field import chord, half_chord
 
 _LINE = 8
 """Numbers in a cache line."""
@@ -39,19 +41,38 @@ def _hint(typingctx: Any, array: Any, row: Any, column: Any) -> Any:  # noqa: AN
     return signature, codegen
 
 
+def disc_widths(radius: float, cell: float) -> npt.NDArray[np.int64]:
+    """How far a disc reaches to either side in each row that it may meet, lowest first, wherever in its cell its centre is.
+
+    Args:
+        radius: Of the disc [m].
+        cell: Width of a cell [m].
+
+    Returns:
+        Numbers of cells beside the centre's column. Shape (rows,), odd: the centre's row is in the middle.
+    """
+    reach = radius / cell
+    nearest = np.maximum(np.abs(np.arange(-math.ceil(reach), math.ceil(reach) + 1)) - 0.5, 0.0)
+    return np.floor(np.sqrt(np.maximum(reach**2 - nearest**2, 0.0)) + 0.5).astype(np.int64)
+
+
 @borrowing
-def fetch_disc(coverage: FloatArray, p_x: float, p_y: float, radius: float, cell: float, part: int = 0, parts: int = 1) -> None:
-    """Bring the cells within `radius` [m] of (p_x, p_y) [m] near the core.
+def fetch_disc(
+    coverage: FloatArray, p_x: float, p_y: float, cell: float, widths: npt.NDArray[np.int64], part: int = 0, parts: int = 1
+) -> None:
+    """Bring the cells of a disc around (p_x, p_y) [m] near the core.
 
     Args:
         coverage: The grid.
-        p_x, p_y, radius, cell: As in `sim.field.disc_chords`.
+        p_x, p_y: Centre of the disc [m].
+        cell: Width of a cell [m].
+        widths: The disc, from `disc_widths`.
         part, parts: Only this one of so many parts, from 0: so many cells asked for at once would keep the core from its own.
     """
     rows, columns = coverage.shape
-    first_row, end_row = chord(p_y, radius, cell, rows)
-    met = max(0, end_row - first_row)
-    for j in range(first_row + met * part // parts, first_row + met * (part + 1) // parts):
-        first, end = chord(p_x, half_chord(radius, (j + 0.5) * cell - p_y), cell, columns)
-        for i in range(first, end + _LINE - 1, _LINE):
-            _hint(coverage, j, min(i, columns - 1))  # type: ignore[call-arg]
+    size = widths.shape[0]
+    x, lowest = int(p_x / cell), int(p_y / cell) - size // 2
+    for n in range(size * part // parts, size * (part + 1) // parts):
+        j, width = min(max(lowest + n, 0), rows - 1), widths[n]
+        for i in range(x - width, x + width + _LINE, _LINE):
+            _hint(coverage, j, min(max(i, 0), columns - 1))  # type: ignore[call-arg]

@@ -19,7 +19,7 @@ from sim.field import accumulate, accumulate_with_gain, coverage_error, coverage
 from sim.prefetch import fetch_disc
 from sim.scenario import Scenario, load_scenario
 from sim.threads import Crew
-from sim.tick import WorldParameters
+from sim.tick import IntArray, WorldParameters
 
 WORLDS = 1024
 RATE = RewardWeights(uncovered=0.0, seen=1.0)
@@ -31,16 +31,22 @@ _TRIAD = 1 << 24
 
 @released
 def _kernels_alone(
-    w: WorldParameters, full: bool, grids: FloatArray, places: FloatArray, out: FloatArray, ticks: int, begin: int, end: int
+    w: WorldParameters,
+    full: bool,
+    widths: IntArray,
+    grids: FloatArray,
+    places: FloatArray,
+    out: FloatArray,
+    ticks: int,
+    begin: int,
+    end: int,
 ) -> None:
     """The kernels of so many ticks of each world, and nothing else but the hint which cells come next."""
     for k in range(begin, end):
         if k + 1 < end:
             n = k + 1
-            if full:
-                fetch_disc(grids[n], places[n, 2], places[n, 3], w.r_o, w.cell)
-            else:
-                fetch_disc(grids[n], places[n, 0], places[n, 1], w.reach, w.cell)
+            of = 2 if full else 0
+            fetch_disc(grids[n], places[n, of], places[n, of + 1], w.cell, widths)
         a_x, a_y, g_x, g_y, grid = places[k, 0], places[k, 1], places[k, 2], places[k, 3], grids[k]
         for _ in range(ticks):
             if full:
@@ -57,11 +63,12 @@ def _limit(loop: ClosedLoop, *, full: bool, ticks: int, calls: int) -> float:
     """World-steps a second of the kernels alone, at the places and on the ground of these worlds, on as many threads."""
     truth, w = loop.batch.state.truth, loop.parameters.w
     a, g = loop.batch.tables.escorts[0]
+    widths = loop.tables.around if full else loop.tables.seen
     places = np.concatenate([truth.position[:, a], truth.position[:, g]], axis=1)
     out = np.zeros(loop.worlds)
 
     def call() -> None:
-        loop.batch.crew.share(_kernels_alone, loop.worlds, w, full, truth.coverage, places, out, ticks)
+        loop.batch.crew.share(_kernels_alone, loop.worlds, w, full, widths, truth.coverage, places, out, ticks)
 
     call()
     return rate(call, calls) * loop.worlds * ticks
