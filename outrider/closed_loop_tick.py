@@ -42,7 +42,7 @@ from sim.field import accumulate, coverage_error, coverage_gradient
 from sim.link import advance as advance_link
 from sim.link import receive, send
 from sim.link_table import link_of, parameters_of
-from sim.prefetch import fetch_disc
+from sim.prefetch import fetch_disc, fetch_rows
 from sim.randomness import pilot_key
 from sim.tick import IntArray
 from sim.vehicles import brake, norm
@@ -381,6 +381,17 @@ def _fetch(p: LoopParameters, t: LoopTables, s: LoopState, k: int, part: int) ->
             fetch_disc(s.maps[k, u], position[a, 0], position[a, 1], w.cell, t.seen, part, 4)
 
 
+@inlined
+def _fetch_rows(s: LoopState, k: int) -> None:
+    """Bring what every tick of world k needs beside the grid near the core; of no world if k < 0."""
+    if k < 0:
+        return
+    b, truth = s.batch, s.batch.truth
+    fetch_rows((b.seeds, b.ticks, b.looks, b.arrived, truth.velocity, truth.acceleration, truth.commands), k)  # type: ignore[call-arg]
+    fetch_rows((truth.detections, truth.gains, s.kalman.numbers, s.uav_seats, s.ugv_seats), k)
+    fetch_rows((s.commands, s.uav_rows, s.ugv_rows, s.rewards, s.terminated, s.truncated), k)
+
+
 @released
 def run_worlds(
     p: LoopParameters,
@@ -411,6 +422,7 @@ def run_worlds(
             _fetch(p, t, s, after, 1)
             _perceive(p, t, s, k)
             _fetch(p, t, s, after, 2)
+            _fetch_rows(s, after)
             for u in range(t.batch.escorts.shape[0]):
                 _seat_uav(p, t, s, k, u)
             if not beginning:

@@ -21,6 +21,15 @@ _LINE = 8
 """Numbers in a cache line."""
 
 
+def _prefetch(builder: Any, place: Any) -> None:  # noqa: ANN401 - llvmlite's own types
+    """Bring one cache line near the core."""
+    byte, whole = ir.IntType(8).as_pointer(), ir.IntType(32)
+    kind = ir.FunctionType(ir.VoidType(), [byte, whole, whole, whole])
+    hint = builder.module.declare_intrinsic("llvm.prefetch", [byte], kind)
+    near = [ir.Constant(whole, value) for value in (0, 2, 1)]  # to read, second-level cache, data
+    builder.call(hint, [builder.bitcast(place, byte), *near])
+
+
 @intrinsic
 def _hint(typingctx: Any, array: Any, row: Any, column: Any) -> Any:  # noqa: ANN401 - numba's own types
     """Bring one cell of a grid near the core."""
@@ -29,13 +38,26 @@ def _hint(typingctx: Any, array: Any, row: Any, column: Any) -> Any:  # noqa: AN
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ANN401
         kind = signature.args[0]
         grid = make_array(kind)(context, builder, arguments[0])  # type: ignore[no-untyped-call]
-        place = cgutils.get_item_pointer(context, builder, kind, grid, arguments[1:])  # type: ignore[no-untyped-call]
-        byte, whole = ir.IntType(8).as_pointer(), ir.IntType(32)
-        prefetch = builder.module.declare_intrinsic(
-            "llvm.prefetch", [byte], ir.FunctionType(ir.VoidType(), [byte, whole, whole, whole])
-        )
-        near = [ir.Constant(whole, value) for value in (0, 2, 1)]  # to read, second-level cache, data
-        builder.call(prefetch, [builder.bitcast(place, byte), *near])
+        _prefetch(builder, cgutils.get_item_pointer(context, builder, kind, grid, arguments[1:]))  # type: ignore[no-untyped-call]
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+@intrinsic
+def fetch_rows(typingctx: Any, arrays: Any, k: Any) -> Any:  # noqa: ANN401 - numba's own types
+    """Bring row k of each of these arrays, a tuple, near the core: of C-contiguous arrays with an axis for worlds in front."""
+    signature = types.void(arrays, types.intp)
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ANN401
+        for n, kind in enumerate(signature.args[0].types):
+            array = make_array(kind)(context, builder, builder.extract_value(arguments[0], n))  # type: ignore[no-untyped-call]
+            length = cgutils.unpack_tuple(builder, array.strides)[0]  # type: ignore[no-untyped-call]
+            first = builder.bitcast(array.data, ir.IntType(8).as_pointer())
+            row = builder.gep(first, [builder.mul(length, arguments[1])])
+            zero, line = length.type(0), length.type(8 * _LINE)
+            with cgutils.for_range_slice(builder, zero, length, line, length.type) as (offset, _):
+                _prefetch(builder, builder.gep(row, [offset]))
         return context.get_dummy_value()
 
     return signature, codegen

@@ -5,8 +5,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
 
+from sim.compile import FloatArray, released
 from sim.field import disc_chords
-from sim.prefetch import disc_widths, fetch_disc
+from sim.prefetch import disc_widths, fetch_disc, fetch_rows
 
 ROWS, COLUMNS = 90, 110
 
@@ -37,3 +38,15 @@ def test_a_hint_changes_nothing_wherever_it_points() -> None:
         for part in range(4):
             fetch_disc(grid, x, y, 0.25, disc_widths(5.0, 0.25), part, 4)
     assert np.array_equal(grid, before)
+
+
+@released
+def _hint_rows(first: FloatArray, second: FloatArray, k: int) -> None:
+    fetch_rows((first, second), k)  # type: ignore[call-arg]
+
+
+def test_a_hint_of_rows_changes_nothing_for_rows_of_any_length() -> None:
+    first, second = np.ones((5, 3, 40)), np.zeros((5, 0))
+    for k in range(5):
+        _hint_rows(first, second, k)
+    assert (first == 1.0).all()
