@@ -86,20 +86,23 @@ _WATCHED = {"law": {"name": "certified"}, "certificate": {"error": 0.3, "age": 1
 _UGV = _SOMEBODY | {"driver": "waypoints", "goals": [[1.0, 1.0], [9.0, 9.0]], "goal_tolerance": 0.05}
 
 
+def _seen(tick: int) -> dict[str, Any]:
+    return {"tick": tick, "time": tick * 0.05, "position": [5.0, 5.0], "velocity": [0.0, 0.0]}
+
+
 def warm_up(role: Role) -> None:
     """Let a pilot that nobody waits for answer a few times, so that all its code is compiled or loaded."""
-    make, told, kind = (
-        (uav_maker(), [msgspec.convert(_UAV | own, UavBriefing) for own in ({}, _WATCHED)], UavObservation)
-        if role is Role.UAV
-        else (ugv_maker(), [msgspec.convert(_UGV, UgvBriefing)], UgvObservation)
-    )
-    for pilot in map(make, told):
+    if role is Role.UGV:
+        ugv = ugv_maker()(msgspec.convert(_UGV, UgvBriefing))
+        for tick in range(3):
+            ugv.act(msgspec.convert(_seen(tick), UgvObservation))
+        return
+    for own in ({}, _WATCHED):
+        uav: Any = uav_maker()(msgspec.convert(_UAV | own, UavBriefing))
         for tick in range(3):
             look = {"time": tick * 0.05, "relative_position": [1.0, 0.0]}
-            seen = {"tick": tick, "time": tick * 0.05, "position": [5.0, 5.0], "velocity": [0.0, 0.0]}
-            pilot.act(msgspec.convert(seen | ({"detections": [look]} if role is Role.UAV else {}), kind))
-            if prepare := getattr(pilot, "prepare", None):
-                prepare()
+            uav.act(msgspec.convert(_seen(tick) | {"detections": [look]}, UavObservation))
+            uav.prepare()
 
 
 class _Presence:

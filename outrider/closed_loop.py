@@ -46,13 +46,13 @@ from outrider.closed_loop_state import (
 from outrider.closed_loop_tick import run_worlds
 from sim.batch import Batch, Fresh, arrays_of
 from sim.briefing import briefing
-from sim.compile import FloatArray, compiling
+from sim.compile import FloatArray, IntArray, compiling
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights, full_error
 from sim.link_table import BatchLinks
 from sim.prefetch import disc_widths
 from sim.scenario import Scenario
-from sim.tick import IntArray, first_state
+from sim.tick import first_state
 
 _TRACK = 120.0
 """A detection older than this is of no use to the safety filter [s]: `agents.control.guard` keeps the track no longer."""

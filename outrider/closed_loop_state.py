@@ -6,10 +6,10 @@ from agents.control.guard import GuardState
 from agents.estimation_twin import KalmanState
 from bus.layout import GradientCue, UavRow
 from sim.batch import BatchState, BatchTables
-from sim.compile import FloatArray
+from sim.compile import FloatArray, IntArray
 from sim.link import LinkState
 from sim.link_table import LinkTable
-from sim.tick import IntArray, WorldParameters
+from sim.tick import WorldParameters
 
 UAV_ROW = len(UavRow._fields) + len(GradientCue._fields)
 """Numbers of a UAV's row: `UavRow`, then `GradientCue`."""

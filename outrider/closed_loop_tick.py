@@ -34,7 +34,7 @@ from outrider.closed_loop_state import (
     LoopTables,
 )
 from sim.batch import LOOK_X, LOOK_Y, TAKEN, begin_world, step_world
-from sim.compile import FloatArray, inlined, released
+from sim.compile import FloatArray, IntArray, inlined, released
 from sim.env.patch import sample
 from sim.env.rewards import uav_terms, ugv_terms
 from sim.env.seats import turn
@@ -44,7 +44,6 @@ from sim.link import receive, send
 from sim.link_table import link_of, parameters_of
 from sim.prefetch import fetch_disc, fetch_rows
 from sim.randomness import pilot_key
-from sim.tick import IntArray
 from sim.vehicles import brake, norm
 
 _PENDING, _SENT_X, _SENT_Y = range(3)

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.messages import LinkKind, LinkStatus
-from sim.compile import FloatArray, inlined, released
+from sim.compile import FloatArray, IntArray, inlined, released
 from sim.link import LinkState, receive, send
 from sim.link import advance as advance_link
 from sim.link_table import BatchLinks, LinkTable, link_of, parameters_of
@@ -19,7 +19,6 @@ from sim.links import hold_ticks
 from sim.scenario import Scenario
 from sim.threads import Crew
 from sim.tick import (
-    IntArray,
     WorldParameters,
     WorldState,
     advance,

@@ -19,6 +19,9 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 """The arrays that compiled functions take: C-contiguous float64."""
 
+IntArray = npt.NDArray[np.int64]
+"""Likewise int64."""
+
 _F = TypeVar("_F", bound=Callable[..., Any])
 _KEEP = 6  # caches of other source texts (checkouts, versions) that stay beside ours
 

@@ -11,9 +11,8 @@ functions and one row in `SENSORS`.
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from sim.compile import FloatArray, compiled
+from sim.compile import FloatArray, IntArray, compiled
 from sim.lanes import LANES, lane_sum, widened
 from sim.randomness import NEAREST_POINT, uniform
 
@@ -110,7 +109,7 @@ def half_chord(radius: float, offset: float) -> float:
 
 
 @compiled
-def disc_chords(p_x: float, p_y: float, radius: float, cell: float, rows: int, columns: int) -> tuple[int, npt.NDArray[np.int64]]:
+def disc_chords(p_x: float, p_y: float, radius: float, cell: float, rows: int, columns: int) -> tuple[int, IntArray]:
     """The cells whose centres lie in a disc.
 
     All chords at once, several to a vector: worked out row by row, each would make the processor wait for a root and a quotient

@@ -21,12 +21,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from sim.compile import FloatArray, borrowing, compiled
+from sim.compile import FloatArray, IntArray, borrowing, compiled
 from sim.randomness import LINK_DELAY, LINK_LOSS, LINK_STATE, draw, to_uniform, uniform
-
-IntArray = npt.NDArray[np.int64]
 
 UNIFORM = 0
 NORMAL = 1

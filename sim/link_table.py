@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from bus.messages import LinkKind, LinkStatus
-from sim.compile import FloatArray, inlined
+from sim.compile import FloatArray, IntArray, inlined
 from sim.ether import check_link, link_parameters, link_status
-from sim.link import IntArray, LinkParameters, LinkState, link_state
+from sim.link import LinkParameters, LinkState, link_state
 from sim.links import PER_TICK, link_number, owners
 from sim.scenario import Scenario
 

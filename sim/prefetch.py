@@ -8,14 +8,13 @@ import math
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
 
-from sim.compile import FloatArray, borrowing
+from sim.compile import FloatArray, IntArray, borrowing
 
 _LINE = 8
 """Numbers in a cache line."""
@@ -63,7 +62,7 @@ def fetch_rows(typingctx: Any, arrays: Any, k: Any) -> Any:  # noqa: ANN401 - nu
     return signature, codegen
 
 
-def disc_widths(radius: float, cell: float) -> npt.NDArray[np.int64]:
+def disc_widths(radius: float, cell: float) -> IntArray:
     """How far a disc reaches to either side in each row that it may meet, lowest first, wherever in its cell its centre is.
 
     Args:
@@ -80,7 +79,7 @@ def disc_widths(radius: float, cell: float) -> npt.NDArray[np.int64]:
 
 @borrowing
 def fetch_disc(
-    coverage: FloatArray, p_x: float, p_y: float, cell: float, widths: npt.NDArray[np.int64], part: int = 0, parts: int = 1
+    coverage: FloatArray, p_x: float, p_y: float, cell: float, widths: IntArray, part: int = 0, parts: int = 1
 ) -> None:
     """Bring the cells of a disc around (p_x, p_y) [m] near the core.
 

@@ -6,15 +6,12 @@ Arrays have an axis for vehicles, or for UAVs with the UGVs they escort, in name
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from sim.compile import FloatArray, borrowing
+from sim.compile import FloatArray, IntArray, borrowing
 from sim.detection import detect
 from sim.field import SENSORS, accumulate, accumulate_with_gain, cover, coverage_error, empty_coverage
 from sim.scenario import Scenario
 from sim.vehicles import norm, step_vehicle
-
-IntArray = npt.NDArray[np.int64]
 
 
 class WorldParameters(NamedTuple):

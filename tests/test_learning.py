@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 from gymnasium.vector import SyncVectorEnv
+from gymnasium.vector.utils import batch_space
 
 import outrider
 from outrider.env_pilots import pilots
@@ -80,6 +81,7 @@ def test_it_sees_what_it_was_trained_on() -> None:
 
     training = transformed(ActionRepeat(make(), recipe["repeat"]), lambda: make_view(recipe))
     plain = make()
+    assert training.action_space == batch_space(training.single_action_space, 3) != plain.action_space
     shown, _ = training.reset(seed=5)
     seen, _ = plain.reset(seed=5)
     for _ in range(30):

@@ -9,14 +9,11 @@ All positions in the world's frame [m], speeds [m/s], accelerations [m/s²]; a t
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from agents.control.certificate import PLAN_SIZE, no_plan, safe_control, state_ahead, uncertified_reason
 from agents.control.discs import KEPT, certified_distance, keep_detection, no_detections
 from agents.control.handover import Promise
-from sim.compile import FloatArray, borrowing, compiled
-
-IntArray = npt.NDArray[np.int64]
+from sim.compile import FloatArray, IntArray, borrowing, compiled
 
 _NEVER = -1
 """The tick of a place in the track where no position has been noted."""

@@ -13,13 +13,13 @@ import numpy as np
 from outrider.bench.timing import Pair, rate
 from outrider.closed_loop import ClosedLoop
 from outrider.vector import vector_env
-from sim.compile import FloatArray, released
+from sim.compile import FloatArray, IntArray, released
 from sim.env.rewards import RewardWeights
 from sim.field import accumulate, accumulate_with_gain, coverage_error, coverage_gradient
 from sim.prefetch import fetch_disc
 from sim.scenario import Scenario, load_scenario
 from sim.threads import Crew
-from sim.tick import IntArray, WorldParameters
+from sim.tick import WorldParameters
 
 WORLDS = 1024
 RATE = RewardWeights(uncovered=0.0, seen=1.0)

@@ -20,7 +20,7 @@ from outrider.closed_loop import ClosedLoop
 from outrider.vector import vector_env
 from sim.compile import FloatArray, compiled
 from sim.env.rewards import RewardWeights
-from sim.field import accumulate, accumulate_with_gain, chord, coverage_error, coverage_gradient, half_chord
+from sim.field import accumulate, accumulate_with_gain, coverage_error, coverage_gradient, disc_chords
 from sim.scenario import Scenario, load_scenario
 
 _PASSES = 200
@@ -43,13 +43,9 @@ def disc(radius: float, cell: float, width: float) -> tuple[int, float]:
         width: Of the area, a square [m].
     """
     count = round(width / cell)
-    cells, lines = 0, 0.0
-    first_row, end_row = chord(0.5 * width, radius, cell, count)
-    for j in range(first_row, end_row):
-        first, end = chord(0.5 * width, half_chord(radius, (j + 0.5) * cell - 0.5 * width), cell, count)
-        cells += end - first
-        lines += (8 * (end - first) + _LINE - 8) / _LINE
-    return cells, lines
+    _, (firsts, ends) = disc_chords(0.5 * width, 0.5 * width, radius, cell, count, count)
+    lengths = ends - firsts
+    return int(lengths.sum()), float(((8 * lengths + _LINE - 8) / _LINE).sum())
 
 
 def floor(scenario: Scenario) -> dict[str, Any]:

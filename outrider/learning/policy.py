@@ -48,7 +48,12 @@ class LearnedPolicy:
         """How it was made."""
         self._network = network
         self._view = make_view(recipe)
-        self._fits(recipe)
+        inputs, outputs = network.weights[0].shape[1], network.weights[-1].shape[0]
+        if (inputs, outputs) != (self._view.size, 2):
+            raise ValueError(f"network from {inputs} to {outputs} numbers: the recipe's view needs {self._view.size} to 2")
+        pixels, meters = recipe["coverage_patch"]
+        self.setup: dict[str, Any] = {"estimate": True, "coverage_patch": (int(pixels), float(meters))}
+        """Arguments for the vector environment whose observations it needs."""
         self._ticks, self._dt = int(recipe["repeat"]), float(recipe["dt"])
         self._held: Array = np.zeros((0, 2))
 
@@ -64,14 +69,6 @@ class LearnedPolicy:
             return cls(network, recipe)
         except ValueError as error:
             raise ValueError(f"policy {str(path)!r}: {error}") from error
-
-    def _fits(self, recipe: Mapping[str, Any]) -> None:
-        inputs, outputs = self._network.weights[0].shape[1], self._network.weights[-1].shape[0]
-        if (inputs, outputs) != (self._view.size, 2):
-            raise ValueError(f"network from {inputs} to {outputs} numbers: the recipe's view needs {self._view.size} to 2")
-        pixels, meters = recipe["coverage_patch"]
-        self.setup: dict[str, Any] = {"estimate": True, "coverage_patch": (int(pixels), float(meters))}
-        """Arguments for the vector environment whose observations it needs."""
 
     def check(self, scenario: Scenario) -> None:
         """Refuse a scenario that it was not made for.

@@ -6,6 +6,9 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
+FINAL = ("final_obs", "_final_obs", "final_info", "_final_info")
+"""Entries of the infos that tell of episodes that have ended."""
+
 
 class ActionRepeat(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes no arguments here
     """A step is several ticks under the same action, and its reward is the sum of theirs.
@@ -47,15 +50,12 @@ class ActionRepeat(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes no ar
             if new.any():
                 terminated, truncated = np.where(new, now_terminated, terminated), np.where(new, now_truncated, truncated)
                 final, ended = _merged(final, _final(infos), new), ended | new
-        kept = {key: value for key, value in infos.items() if key not in _FINAL}
+        kept = {key: value for key, value in infos.items() if key not in FINAL}
         return observations, total, terminated, truncated, kept | final
 
 
-_FINAL = ("final_obs", "_final_obs", "final_info", "_final_info")
-
-
 def _final(infos: dict[str, Any]) -> dict[str, Any]:
-    return {key: infos[key] for key in _FINAL if key in infos}
+    return {key: infos[key] for key in FINAL if key in infos}
 
 
 def _merged(one: Any, other: Any, worlds: Any) -> Any:  # noqa: ANN401 - arrays, and dictionaries of them

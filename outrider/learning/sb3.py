@@ -8,7 +8,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
-_FINAL = ("final_obs", "_final_obs", "final_info", "_final_info")
+from outrider.learning.repeat import FINAL
 
 
 class VecEnvAdapter(VecEnv):  # type: ignore[misc]  # it has no types where it is not installed
@@ -71,7 +71,7 @@ class VecEnvAdapter(VecEnv):  # type: ignore[misc]  # it has no types where it i
         dones = np.logical_or(terminated, truncated)
         self._returns += rewards
         self._lengths += 1
-        infos = _by_world({key: value for key, value in told.items() if key not in _FINAL}, self.num_envs)
+        infos = _by_world({key: value for key, value in told.items() if key not in FINAL}, self.num_envs)
         ended = np.flatnonzero(dones).tolist()
         if ended:
             last = _by_world(told.get("final_info", {}), self.num_envs)
