@@ -250,10 +250,6 @@ def test_a_combination_with_uncertified_ticks_has_lost_nothing_that_was_promised
     assert result.violations == 0
 
 
-def test_the_errors_of_the_grid_are_known() -> None:
-    assert {promise.eps for promise, _ in islice(attack.grid(), 12)} == set(attacks.ERRORS)
-
-
 # The command line
 
 BAD = {

@@ -106,9 +106,10 @@ def command(
 
     The law `certified` promises only where it says so: a run counts as violated if every tick from its first certified one up to
     the loss was certified (after a gap: those of the last second); both numbers are told. What the scenario does not declare in
-    [certificate] is declared as the limits need it. For this law a compiled attack is flown as well, over its own grid of
-    assumptions: adversaries in the UAV and in the UGV, errors on the border of their ball, blackouts up to 15 s, commands up to
-    1 s late. One in a hundred of --runs are whole flights, the others attacks; of --minutes, a third.
+    [certificate] is declared as the limits need it. For this law a compiled attack is flown as well, over its own grid:
+    adversaries in the UAV and in the UGV, errors on the border of their ball, blackouts up to 15 s, commands up to 1 s late,
+    walls and corners; and commands that are lost, early, doubled or later than declared, laws changed in flight, processes that
+    join again. One in a hundred of --runs are whole flights, the others attacks; of --minutes, a third.
 
     The exit code is 0 whatever is found, unless --expect says otherwise; 130 after Ctrl-C, which keeps the best.
     Needs the extra [falsify].
@@ -184,10 +185,10 @@ def _cores() -> int:
 
 
 def _check_eps(eps: float | None) -> None:
-    from outrider.falsify.attacks import ERRORS
+    from outrider.attack import EPS
 
-    if eps is not None and eps not in ERRORS:
-        raise typer.BadParameter(f"--eps {eps:g}: not in the attack's grid; allowed: {', '.join(f'{e:g}' for e in ERRORS)}")
+    if eps is not None and eps not in EPS:
+        raise typer.BadParameter(f"--eps {eps:g}: not in the attack's grid; allowed: {', '.join(f'{e:g}' for e in EPS)}")
 
 
 def _check_out(out: Path | None) -> None:
@@ -279,12 +280,13 @@ def _lines(found: "Found") -> "Iterator[str]":
             yield f"    {share}; in {flights.lost - flights.violations:,} sight was lost after nothing was promised any more"
     if attacks.worst is not None:
         worst, over = attacks.worst, f"over {attacks.combinations:,} combinations of network and error"
-        yield f"  attack: {attacks.violations:,} of {attacks.runs:,} {over} lose sight; the farthest {worst.worst_distance:.6f} m"
-        yield (
-            f"    not every tick was certified in {attacks.uncertified:,}"
-            if wanted.control is None
-            else "    nothing certifies here"
-        )
+        said = "are certified while sight is lost" if wanted.control is None else "lose sight"
+        yield f"  attack: {attacks.violations:,} of {attacks.runs:,} {over} {said}; the farthest {worst.worst_distance:.6f} m"
+        if wanted.control is None:
+            yield f"    the certificate is lost although its assumptions hold in {attacks.broken:,}"
+            yield f"    not every tick was certified in {attacks.uncertified:,}, of which {attacks.lost:,} lose sight"
+        else:
+            yield "    nothing certifies here"
     if found.attack_again is not None and attacks.worst is not None:
         c = attacks.worst.conditions
         dark = f"blackouts up to {c.blackout_time:g} s, detections up to {c.latency:g} s and commands {c.delay:g} s late"

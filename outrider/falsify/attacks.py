@@ -23,9 +23,6 @@ CONTROLS = {
 """Guards that are known to be wrong: beyond the specification's radius of d_cert tracking (15), or full speed to the detection
 with the least bound; full speed to the newest one beyond a radius that does not know the delay; the paper's law (18)."""
 
-ERRORS = (0.0, 0.3, 0.6, 0.9, 1.2, 1.5)
-"""Largest errors of a detection in the attack's grid [m]; a test holds the two equal."""
-
 _CHUNK = 8
 """Runs of a task, after the first round with one for each combination."""
 
@@ -36,10 +33,14 @@ class Attacked:
 
     eps: float
     """Largest error of a detection [m]."""
+    bounds: dict[str, float]
+    """Of the vehicles and the tick, where they are not the paper's."""
     conditions: Conditions
     runs: int
     violations: int
-    """Runs with a distance of r_v or more in which every tick was certified, or nothing certifies."""
+    """Runs with a certified tick in which the distance reaches r_v, or, where nothing certifies, with any such tick."""
+    broken: int
+    """Runs in which the certificate was lost although its assumptions held."""
     lost: int
     """Runs with a distance of r_v or more."""
     uncertified: int
@@ -59,6 +60,7 @@ class AttackTally:
     combinations: int = 0
     """Of network and error; each is flown with other adversaries in every run."""
     violations: int = 0
+    broken: int = 0
     lost: int = 0
     uncertified: int = 0
     worst: Attacked | None = None
@@ -69,6 +71,7 @@ class AttackTally:
         self.runs += found.runs
         self.combinations += new
         self.violations += found.violations
+        self.broken += found.broken
         self.lost += found.lost
         self.uncertified += found.uncertified
         self.excess = max(self.excess, found.excess)
@@ -97,14 +100,22 @@ def _guarded(control: str | None, promise: Promise, conditions: Conditions) -> C
 def fly_attack(promise: Promise, conditions: Conditions, seed: int, first: int, runs: int, duration: float) -> Attacked:
     """A few runs of one combination; for a worker. Arguments as in `outrider.attack.attack`."""
     rows = attack.attack(promise, conditions, seed, first, runs, duration)
-    distance, lost = rows[:, attack.MAX_DISTANCE], rows[:, attack.MAX_DISTANCE] >= attack.PAPER_BOUNDS["r_v"]
-    uncertified = rows[:, attack.UNCERTIFIED] > 0.0
-    worst = int(np.argmax(np.where(uncertified, -1.0, distance)))
+    lost, uncertified = rows[:, attack.MAX_DISTANCE] >= conditions.r_v, rows[:, attack.UNCERTIFIED] > 0.0
+    certifies = conditions.law == attack.FILTER
+    distance = rows[:, attack.MAX_CERTIFIED if certifies else attack.MAX_DISTANCE]
+    violated = rows[:, attack.CERTIFIED_LOST] > 0.0 if certifies else lost
+    worst = int(np.argmax(distance / conditions.r_v))
     return Attacked(
         eps=promise.eps,
+        bounds={
+            name: getattr(promise, name)
+            for name in ("v_a", "u_a", "v_g", "dt")
+            if getattr(promise, name) != attack.PAPER_BOUNDS[name]
+        },
         conditions=conditions,
         runs=runs,
-        violations=int(np.sum(lost & ~uncertified)),
+        violations=int(np.sum(violated)),
+        broken=int(np.sum(rows[:, attack.BROKEN] > 0.0)),
         lost=int(np.sum(lost)),
         uncertified=int(np.sum(uncertified)),
         worst_run=first + worst,
@@ -177,4 +188,5 @@ def again(found: Attacked, seed: int, duration: float) -> str:
     changed = {name: value for name, value in changed.items() if name not in ("law", "radius") or found.conditions.law}
     told = ", ".join(f"{name}=math.inf" if value == math.inf else f"{name}={value!r}" for name, value in changed.items())
     conditions = f"c = a.Conditions({told})"
-    return f"{conditions}; a.attack(a.declared(c, {found.eps!r}), c, {seed}, {found.worst_run}, 1, {duration!r})[0]"
+    bounds = "".join(f", {name}={value!r}" for name, value in found.bounds.items())
+    return f"{conditions}; a.attack(a.declared(c, {found.eps!r}{bounds}), c, {seed}, {found.worst_run}, 1, {duration!r})[0]"

@@ -119,6 +119,7 @@ class Found:
                 "runs": attacks.runs,
                 "combinations": attacks.combinations,
                 "violations": attacks.violations,
+                "certificate_broken": attacks.broken,
                 "lost": attacks.lost,
                 "uncertified": attacks.uncertified,
                 "worst_distance": None if attacks.worst is None else attacks.worst.worst_distance,
