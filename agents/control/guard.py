@@ -3,8 +3,8 @@
 `SafetyFilter` calls these functions for one UAV, compiled loops call them for many worlds. In a tick: `note_position`, then
 `note_detection` for each detection that has arrived, then `guard` with the command that is wanted.
 
-The filter keeps a **course**: the states in which the ticks until the next command acts will begin, and the commands under way that
-lead there. The UAV is on course if its state is the one that the course has for this tick.
+The filter keeps a **course**: the states in which the ticks until the next command acts will begin, and the commands under way
+that lead there. The UAV is on course if its state is the one that the course has for this tick.
 
 All positions in the world's frame [m], speeds [m/s], accelerations [m/s²]; a tick k is the time k dt [s].
 """
@@ -40,8 +40,8 @@ _NEVER = -1
 """The tick of a place in the track where no position has been noted, and of a filter that has not been asked yet."""
 
 _ON_COURSE = 1e-10
-"""A state nearer than this [m, m/s] to that of the course is on it. The course goes on from the state, so that a lost command is seen
-at once or has no consequence; a thousand ticks of this are less than `MARGIN`."""
+"""A state nearer than this [m, m/s] to that of the course is on it. The course goes on from the state, so that a lost
+command is seen at once or has no consequence; a thousand ticks of this are less than `MARGIN`."""
 
 _DUST = 1e-9
 """Seconds by which an age may exceed what is declared, for rounding."""
