@@ -230,7 +230,7 @@ def test_a_guard_that_is_wrong_is_caught_and_its_run_flies_again(control: str) -
     assert tally.violations
     assert tally.worst is not None
     namespace: dict[str, Any] = {"math": math, "a": attack}
-    statement, _, expression = attacks.again(tally.worst, 1, 120.0).partition("; ")
+    statement, _, expression = attacks.again(tally.worst, 1).partition("; ")
     exec(statement, namespace)  # noqa: S102
     row = eval(expression, namespace)  # noqa: S307
     assert row[attack.MAX_DISTANCE] == tally.worst.worst_distance >= R_V

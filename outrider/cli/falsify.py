@@ -284,7 +284,11 @@ def _lines(found: "Found") -> "Iterator[str]":
         yield f"  attack: {attacks.violations:,} of {attacks.runs:,} {over} {said}; the farthest {worst.worst_distance:.6f} m"
         if wanted.control is None:
             yield f"    the certificate is lost although its assumptions hold in {attacks.broken:,}"
-            yield f"    not every tick was certified in {attacks.uncertified:,}, of which {attacks.lost:,} lose sight"
+            yield f"    not every tick was certified in {attacks.uncertified:,}; sight was lost in {attacks.lost:,}"
+            yield f"    {'place, what breaks A5':32}{'runs':>8}{'lost':>8}{'certified, lost':>17}{'broken':>8}{'uncertified':>13}"
+            for name, one in sorted(attacks.kinds.items()):
+                counts = f"{one.runs:8,}{one.lost:8,}{one.violations:17,}{one.broken:8,}"
+                yield f"    {name:32}{counts}{one.uncertified / one.runs:13.1%}"
         else:
             yield "    nothing certifies here"
     if found.attack_again is not None and attacks.worst is not None:
