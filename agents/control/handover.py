@@ -13,8 +13,9 @@ from sim.compile import compiled
 ROUNDING = 1e-12
 """Ticks by which a quotient may exceed a whole number and still be that number."""
 
-_GRID = 0.005
-"""Step of the distances [m] over which the hand-over is checked when a scenario loads, and its margin."""
+_GRID, _STEPS = 0.005, 950
+"""Step of the distances [m] over which the hand-over is checked when a scenario loads, and its margin; but no more steps than these
+to r_v, or a large radius would take minutes."""
 
 
 class Promise(NamedTuple):
@@ -104,21 +105,23 @@ def handover_reach(radius: float, eps: float, rho: float, v_a: float, u_a: float
 def handover_fits(radius: float, r_v: float, eps: float, rho: float, v_a: float, u_a: float, v_g: float, dt: float) -> bool:
     """Whether every motion from rest to a newer detection stays within r_v, if the UGV is within `radius` [m] at its start.
 
-    Over all ways in steps of half a centimetre: between two of them the motion with the same ticks scales with the way, so
+    Over all ways in steps of half a centimetre, more where r_v is large: between two of them the motion with the same ticks scales
+    with the way, so
     that no point of it and no disc moves by more than a step. The farther a detection, the younger it is: way + rho <= E + 2 eps.
     Arguments as in `handover_radius`.
     """
+    step = max(_GRID, r_v / _STEPS)
     reach = handover_reach(radius, eps, rho, v_a, u_a, v_g, dt)
     turn, cruise = 0, 0
-    for k in range(1, int((radius + rho) / _GRID) + 2):
-        last_turn, last_cruise, way = turn, cruise, k * _GRID
+    for k in range(1, int((radius + rho) / step) + 2):
+        last_turn, last_cruise, way = turn, cruise, k * step
         turn, cruise, _ = rest_to_rest(way, v_a, u_a, dt)
-        rest = min(rho, reach + 2.0 * eps - way + _GRID)
-        if rest < 0.0 or radius + rest < way - _GRID:
+        rest = min(rho, reach + 2.0 * eps - way + step)
+        if rest < 0.0 or radius + rest < way - step:
             break
         for i in range(max(1, last_turn), turn + 1):
             for j in range(last_cruise, cruise + 1):
-                if handover_peak(radius, rest + _GRID, way, i, j, v_g, dt) > r_v - _GRID:
+                if handover_peak(radius, rest + step, way, i, j, v_g, dt) > r_v - step:
                     return False
     return True
 
@@ -127,7 +130,7 @@ def handover_fits(radius: float, r_v: float, eps: float, rho: float, v_a: float,
 def handover_radius(r_v: float, eps: float, rho: float, v_a: float, u_a: float, v_g: float, dt: float) -> float:
     """R_h [m]: from rest, with the UGV surely within it, every plan to a newer detection stays within r_v; NaN if there is none.
 
-    Downwards in steps of half a centimetre, as long as R_h <= E: the plan to a later detection ends where the next may begin. E
+    Downwards in the same steps, as long as R_h <= E: the plan to a later detection ends where the next may begin. E
     falls faster than R_h, so where that fails no smaller radius helps.
 
     Args:
@@ -137,9 +140,9 @@ def handover_radius(r_v: float, eps: float, rho: float, v_a: float, u_a: float, 
         v_a, u_a, v_g: Bounds [m/s], [m/s²], [m/s].
         dt: Length of a tick [s].
     """
-    radius = r_v
+    radius, step = r_v, max(_GRID, r_v / _STEPS)
     while radius > rho:
-        radius -= _GRID
+        radius -= step
         if not handover_reach(radius, eps, rho, v_a, u_a, v_g, dt) >= radius:
             return math.nan
         if handover_fits(radius, r_v, eps, rho, v_a, u_a, v_g, dt):
