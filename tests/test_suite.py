@@ -139,20 +139,21 @@ def test_sight_that_is_found_again_stays_lost() -> None:
 
 def test_what_is_certified_out_of_sight_is_told_with_the_score(monkeypatch: pytest.MonkeyPatch) -> None:
     class Near(ClosedLoop):
-        """Sight ends at half a metre, and the filter was told another r_v."""
+        """Sight ends at two metres, and the filter was told another r_v."""
 
         def begin(self, seeds: Any, worlds: Any = None) -> None:
-            self.parameters = self.parameters._replace(w=self.parameters.w._replace(r_v=0.5))
+            self.parameters = self.parameters._replace(w=self.parameters.w._replace(r_v=2.0))
             super().begin(seeds, worlds)
 
-    assert TASK.evaluate("certified", seeds=[9000, 9001]).certified_while_lost == 0
+    assert SLOW.evaluate("certified", seeds=[9000]).certified_while_lost == 0
     monkeypatch.setattr(scoring, "ClosedLoop", Near)
-    result = TASK.evaluate("certified", seeds=[9000, 9001])
-    assert result.lost == 2
-    assert result.certified_while_lost > 0
-    board = leaderboard(["certified", "linear"], tasks=[TASK, TASK], seeds=[9000, 9001])
+    result = SLOW.evaluate("certified", seeds=[9000])
+    assert (result.lost, result.certified_while_lost) == (1, 1)  # at the tick at which sight is lost; then the task is over
+    result = SLOW.evaluate("certified", seeds=[9000, 9001])
+    board = leaderboard(["certified", "linear"], tasks=[SLOW], seeds=[9000, 9001])
     told = {standing.entry: standing.certified_while_lost for standing in board.standings}
-    assert told == {"certified": 2 * result.certified_while_lost, "linear": 0}
+    assert told == {"certified": result.certified_while_lost, "linear": 0}
+    assert result.certified_while_lost >= 2
 
 
 def test_nothing_that_the_suite_flies_on_bad_links_is_certified_falsely() -> None:

@@ -107,9 +107,9 @@ def _fly(loop: ClosedLoop, advance: Callable[[], object]) -> _Meter:
     meter.note()
     for _ in range(loop.scenario.ticks):
         advance()
-        meter.note()
         if not meter.in_sight.any():
-            break
+            break  # what was said at the tick at which the last of them lost sight has been said
+        meter.note()
     meter.note_certificates()
     return meter
 
