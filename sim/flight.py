@@ -108,6 +108,7 @@ class Flight:
         self._answered = dict.fromkeys(self.world.names, -1)  # the tick that each vehicle's newest command answers
         self._rows = {name: k for k, name in enumerate(self.world.names)}
         self._uav_row = {uav.name: k for k, uav in enumerate(self.world.uavs)}
+        self._pairs: list[tuple[int, int]] = [(a, g) for a, g in self.world.escorts.tolist()]
         self._radio: dict[str, tuple[RelativeInformation, ...]] = {}  # what each UGV hears at this tick
         self._operators = self.world.links.of(LinkKind.OPERATOR)
         self._radios = self.world.links.of(LinkKind.RADIO)
@@ -329,36 +330,34 @@ class Flight:
                         self._radios[name].send(world.tick + 1, message, world.tick)  # heard at the next tick at the earliest
         acting = world.heed()
         if watched:
-            for uav, row in enumerate(world.escorts[:, 0].tolist()):
-                self._assure(uav, row, commands.get(world.names[row]), acting[row])
+            for uav, (a, g) in enumerate(self._pairs):
+                self._assure(uav, a, g, commands.get(world.names[a]), acting[a])
         world.step(acting)
 
-    def _assure(self, uav: int, row: int, command: Command | None, acting: FloatArray) -> None:
+    def _assure(self, uav: int, a: int, g: int, command: Command | None, acting: FloatArray) -> None:
         """Hold what a UAV says of this tick against the truth.
 
         Args:
             uav: Its row among the UAVs.
-            row: Its row among the vehicles.
+            a, g: Its row and its UGV's among the vehicles.
             command: What it has answered; without one it has seen nothing of this tick.
             acting: What it acts on in this tick [m/s²], shape (2,).
         """
-        tick = self.world.tick
+        tick, states, arrivals = self.world.tick, self.recorder.states, []
         said = tick if command is None else command.tick
+        for taken, x, y in self.world.received[uav] if command is not None else ():
+            there = states[taken].tolist()
+            p_a, p_g = there[a], there[g]
+            arrivals.append(Arrival(taken, math.hypot(x - (p_a[0] - p_g[0]), y - (p_a[1] - p_g[1]))))
         self.assurance.take(
             uav,
             tick,
             self.reports[uav],
-            distance=float(self.recorder.escorts[said, uav, 0]),
-            arrivals=() if command is None else [self._arrival(uav, *look) for look in self.world.received[uav]],
-            acts=(float(acting[0]), float(acting[1])),
+            distance=self.recorder.escorts.item(said, uav, 0),
+            arrivals=arrivals,
+            acts=tuple(acting.tolist()),
             current=said == tick,
         )
-
-    def _arrival(self, uav: int, taken: int, x: float, y: float) -> Arrival:
-        """A detection of a UAV's, by its row, that was taken at this tick and measured p_delta = (x, y) [m], and its error."""
-        a, g = self.world.escorts[uav].tolist()
-        there = self.recorder.states[taken, :, :2]
-        return Arrival(taken, math.dist((x, y), (there[a] - there[g]).tolist()))
 
     def _goes_on(self) -> bool:
         """Whether nobody has stopped it meanwhile."""
