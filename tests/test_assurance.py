@@ -89,7 +89,7 @@ NO_EXCUSES: dict[str, dict[int, dict[str, Any]]] = {
     "an age of exactly what is declared": {tick: {"arrivals": []} for tick in range(1, AT + 1)}
     | {0: {"arrivals": [Arrival(-4, 0.0)]}},
     "an error of exactly what is declared": {AT: {"arrivals": [Arrival(AT, 0.3)]}},
-    "an old detection that comes after newer ones": {AT: {"arrivals": [Arrival(AT - 30, 0.0), Arrival(AT - 10, 0.0)]}},
+    "an old detection that comes after newer ones": {AT: {"arrivals": [Arrival(AT - 10, 0.0), Arrival(AT - 30, 0.0)]}},
     "another command acts in the tick itself": {AT: {"acts": (0.0, 0.0)}},
     "a command was late long before": {1: {"acts": (5.0, 5.0)}},
 }
