@@ -24,8 +24,9 @@ _ROOM = 1024
 class Pilot(Protocol):
     """A pilot as the loop sees it; the key table says which messages it gets.
 
-    It may have two methods more: `prepare()`, called once its command is on its way, to work ahead while nobody waits; and
-    `perceive(observation)`, called with what it was too slow to answer.
+    It may have three methods more: `prepare()`, called once its command is on its way, to work ahead while nobody waits;
+    `perceive(observation)`, called with what it was too slow to answer; and `forget_commands()`, called when answers of its own
+    were not sent, or may not have been: those that it gave to its past when its process has joined again.
     """
 
     def act(self, observation: Any) -> Command:  # noqa: ANN401 - a UAV's or a UGV's observation
@@ -170,6 +171,8 @@ class _Seat:
                 pilot.act(seen)
                 self._first = seen.tick + 1
             if not told.more:
+                if self._first > 0:
+                    _forget_commands(pilot)
                 self._flight = (letter.session, told.episode)
                 gc.freeze()  # what is here stays: the collector need not look at it again
                 return pilot
@@ -207,6 +210,12 @@ class _Seat:
         return True
 
 
+def _forget_commands(pilot: Pilot) -> None:
+    forget = getattr(pilot, "forget_commands", None)
+    if forget is not None:
+        forget()
+
+
 def _answer(pilot: Pilot, seen: list[Any], commands: Outbox, name: str) -> None:
     """Answer the newest observation; those that came before it are too late to be answered, but not to be seen.
 
@@ -221,6 +230,8 @@ def _answer(pilot: Pilot, seen: list[Any], commands: Outbox, name: str) -> None:
     if take is not None:
         for observation in missed:
             take(observation)
+    if missed:
+        _forget_commands(pilot)
     command = pilot.act(seen[-1])
     try:
         commands.send(command)

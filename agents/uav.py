@@ -1,6 +1,7 @@
 """The UAV's pilot: observation in, command out."""
 
 import math
+from collections import deque
 
 import msgspec
 
@@ -78,13 +79,14 @@ class UavPilot:
             settings=briefing.estimator,
         )
         self._state = initial_state()
+        self._sent: deque[Vector] = deque(maxlen=math.ceil(briefing.certificate.delay / briefing.dt))  # that may be under way
         self.filter: SafetyFilter | None = self._make_filter()
         """What watches over the law `certified`."""
         self._tick: int | None = None
         self._radio_ticks = max(1, round(RADIO_PERIOD / briefing.dt))
 
     def _make_filter(self) -> SafetyFilter | None:
-        return SafetyFilter(self._briefing) if self._parameters.law == CERTIFIED else None
+        return SafetyFilter(self._briefing, sent=self._sent) if self._parameters.law == CERTIFIED else None
 
     def _check_own_functions(self) -> None:
         law = self._parameters.law
@@ -101,6 +103,16 @@ class UavPilot:
 
     def act(self, observation: UavObservation) -> UavCommand:
         """The command for this observation."""
+        command = self._answer(observation)
+        self._sent.append(command.acceleration)
+        return command
+
+    def forget_commands(self) -> None:
+        """The last answers may not have been sent."""
+        if self.filter is not None:
+            self.filter.forget_commands()
+
+    def _answer(self, observation: UavObservation) -> UavCommand:
         if observation.law is not None:
             self._fly(observation.law)
         estimate = self.perceive(observation)

@@ -192,6 +192,8 @@ class Certificate(Message, frozen=True, kw_only=True):
     """From the tick that a command answers to the one in which it acts [s]."""
     margin: NonNegative = 0.0
     """Taken off r_v [m], for what the theorem does not cover."""
+    hold: NonNegative | None = None
+    """For how long the vehicle goes on with its last command when none comes [s]; None: not told."""
 
 
 class Estimator(Message, frozen=True, kw_only=True):

@@ -54,8 +54,8 @@ _PENDING, _SENT_X, _SENT_Y = range(3)
 
 @inlined
 def _guard_of(t: LoopTables, s: GuardState, k: int, u: int) -> GuardState:
-    pending = s.pending[k, u, : t.delays[u]]
-    return GuardState(s.detections[k, u], s.plan[k, u], pending, s.track[k, u], s.track_ticks[k, u], s.flags[k, u])
+    course = s.course[k, u, : t.delays[u] + 1]
+    return GuardState(s.detections[k, u], s.plan[k, u], course, s.track[k, u], s.track_ticks[k, u], s.flags[k, u])
 
 
 @inlined

@@ -92,7 +92,7 @@ def truth_of(truth: WorldState, k: int) -> WorldState:
 
 
 @inlined
-def _hear(t: BatchTables, s: BatchState, k: int) -> None:
+def deliver_detections(t: BatchTables, s: BatchState, k: int) -> None:
     """What the detectors found at this tick sets out, and what has arrived is there."""
     seed, tick, found, looks = s.seeds[k], s.ticks[k], s.truth.detections[k], s.looks[k]
     for u in range(found.shape[0]):
@@ -111,8 +111,11 @@ def _hear(t: BatchTables, s: BatchState, k: int) -> None:
 
 
 @inlined
-def _heed(w: WorldParameters, t: BatchTables, s: BatchState, k: int, commands: FloatArray) -> None:
-    """The commands set out; each vehicle acts on its newest one that has arrived, and brakes where none has come for a while."""
+def act_on_commands(w: WorldParameters, t: BatchTables, s: BatchState, k: int, commands: FloatArray) -> None:
+    """The commands set out; each vehicle acts on its newest one that has arrived, and brakes where none has come for a while.
+
+    A command that is not a number has not been given: nothing sets out.
+    """
     seed, tick, acting = s.seeds[k], s.ticks[k], s.truth.commands[k]
     if t.perfect_commands:
         for v in range(commands.shape[0]):
@@ -122,8 +125,9 @@ def _heed(w: WorldParameters, t: BatchTables, s: BatchState, k: int, commands: F
     for v in range(commands.shape[0]):
         p, link = parameters_of(t.ways_out, v), link_of(s.ways_out, k, v)
         advance_link(p, link, seed, t.ways_out.ids[v], tick)
-        message[0], message[1], message[2] = tick, commands[v, 0], commands[v, 1]
-        send(p, link, seed, t.ways_out.ids[v], message)
+        if not math.isnan(commands[v, 0]):
+            message[0], message[1], message[2] = tick, commands[v, 0], commands[v, 1]
+            send(p, link, seed, t.ways_out.ids[v], message)
         for n in range(receive(link, orders)):
             if orders[n, 0] > answered[v]:
                 answered[v], acting[v, 0], acting[v, 1] = int(orders[n, 0]), orders[n, 1], orders[n, 2]
@@ -137,17 +141,17 @@ def begin_world(w: WorldParameters, t: BatchTables, s: BatchState, k: int, seed:
     """World k, whose arrays are as they are at the start, takes its seed and has the first look."""
     s.seeds[k] = seed
     detect_all(w, seed, 0, s.truth.position[k], t.escorts, s.truth.detections[k])
-    _hear(t, s, k)
+    deliver_detections(t, s, k)
 
 
 @inlined
 def step_world(w: WorldParameters, t: BatchTables, s: BatchState, k: int, commands: FloatArray) -> None:
     """World k advances by one tick under these commands [m/s²], shape (vehicles, 2), once they have crossed their links."""
-    _heed(w, t, s, k, commands)
+    act_on_commands(w, t, s, k, commands)
     s.ticks[k] += 1
     truth = truth_of(s.truth, k)
     advance(w, truth, s.seeds[k], s.ticks[k], t.bounds, t.escorts, truth.commands)
-    _hear(t, s, k)
+    deliver_detections(t, s, k)
 
 
 @released

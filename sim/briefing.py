@@ -29,7 +29,7 @@ def declared(scenario: Scenario, uav: str) -> Certificate:
     error = given.error if given.error is not None else _error(scenario)
     longest = commands.delay + extra_delays(commands)[1] + (commands.reorder_delay if commands.reorder else 0.0)
     delay = given.delay if given.delay is not None else longest
-    return Certificate(error=error, age=given.age, delay=delay, margin=given.margin)
+    return Certificate(error=error, age=given.age, delay=delay, margin=given.margin, hold=scenario.hold)
 
 
 def briefing(scenario: Scenario, name: str, seed: int) -> Briefing:

@@ -11,7 +11,7 @@ from sim.compile import FloatArray, IntArray, borrowing
 from sim.detection import detect
 from sim.field import SENSORS, accumulate, accumulate_with_gain, cover, coverage_error, empty_coverage
 from sim.scenario import Scenario
-from sim.vehicles import norm, step_vehicle
+from sim.vehicles import norm, step_vehicle, within_walls
 
 
 class WorldParameters(NamedTuple):
@@ -108,16 +108,6 @@ def escorts_of(scenario: Scenario) -> IntArray:
 
 
 @borrowing
-def _inside(p: float, v: float, size: float) -> tuple[float, float]:
-    """Q has walls: a vehicle that runs into one stops there, on that axis."""
-    if p < 0.0:
-        return 0.0, max(v, 0.0)
-    if p > size:
-        return size, min(v, 0.0)
-    return p, v
-
-
-@borrowing
 def _move(
     w: WorldParameters,
     position: FloatArray,
@@ -138,8 +128,8 @@ def _move(
             bounds[k, 1],
             w.dt,
         )
-        position[k, 0], velocity[k, 0] = _inside(p_x, v_x, w.width)
-        position[k, 1], velocity[k, 1] = _inside(p_y, v_y, w.height)
+        position[k, 0], velocity[k, 0] = within_walls(p_x, v_x, w.width)
+        position[k, 1], velocity[k, 1] = within_walls(p_y, v_y, w.height)
         acceleration[k, 0], acceleration[k, 1] = u_x, u_y
 
 

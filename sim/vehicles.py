@@ -49,6 +49,21 @@ def step_vehicle(
 
 
 @compiled
+def within_walls(p: float, v: float, size: float) -> tuple[float, float]:
+    """Position [m] and velocity [m/s] on one axis of an area: a vehicle that runs into a wall, at 0 or `size` [m], stops there.
+
+    An infinite size means that there are no walls on this axis, at 0 neither.
+    """
+    if math.isinf(size):
+        return p, v
+    if p < 0.0:
+        return 0.0, max(v, 0.0)
+    if p > size:
+        return size, min(v, 0.0)
+    return p, v
+
+
+@compiled
 def brake(v_x: float, v_y: float, u_max: float, dt: float) -> tuple[float, float]:
     """The acceleration [m/s²] that stops a vehicle as soon as its bound allows, without turning back."""
     return clip_norm(-v_x / dt, -v_y / dt, u_max)

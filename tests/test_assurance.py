@@ -280,7 +280,6 @@ HARSH_SEEDS = {"jitter of the commands": 11, "jammed commands": 11}
 """Where it is not 7: flights in which a filter that looks only at the state when its command acts certifies what is lost."""
 
 
-@pytest.mark.xfail(strict=True, reason="the filter does not look at the ticks that commands under way will fly")
 @pytest.mark.parametrize("name", HARSH)
 def test_nothing_is_certified_out_of_sight_where_the_network_breaks_what_is_declared(name: str) -> None:
     quiet = ["detections.noise=0", "detections.dropout=0", "duration=160"]

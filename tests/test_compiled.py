@@ -58,7 +58,7 @@ _PROMISE = certificate(**_NUMBERS)
 
 _GUARD = guard_state(certificate(**_NUMBERS, delay=0.15), depth=50)
 note_position(_GUARD, 39, 20.6, 21.2)
-_GUARD.detections[:], _GUARD.pending[:] = _DETECTIONS, ((0.2, -0.1), (-0.3, 0.0), (0.1, 0.25))
+_GUARD.detections[:], _GUARD.course[:3, 4:] = _DETECTIONS, ((0.2, -0.1), (-0.3, 0.0), (0.1, 0.25))
 
 _KALMAN = kalman_parameters(
     detector=Detector(noise=0.1, period=0.05),
@@ -143,7 +143,7 @@ BY_NAME: dict[str, object] = {
 
 IN_MODULE: dict[str, dict[str, object]] = {
     "agents.drivers.compiled": {"parameters": _DRIVERS[-1], "row": pack_driver(_DRIVERS[-1])},
-    "agents.control.guard": {"state": _GUARD},
+    "agents.control.guard": {"commands": np.array([[0.1, -0.2], [0.0, 0.3]]), "state": _GUARD},
     "sim.lanes": {"first": 13, "end": 76},
     "agents.estimation_twin": {
         "parameters": _KALMAN,

@@ -266,7 +266,7 @@ def test_a_guard_that_is_wrong_is_caught_and_its_run_flies_again(control: str) -
     assert tally.violations
     assert tally.worst is not None
     namespace: dict[str, Any] = {"math": math, "a": attack}
-    statement, _, expression = attacks.again(tally.worst, 1, 120.0).partition("; ")
+    statement, _, expression = attacks.again(tally.worst, 1).partition("; ")
     exec(statement, namespace)  # noqa: S102
     row = eval(expression, namespace)  # noqa: S307
     assert row[attack.MAX_DISTANCE] == tally.worst.worst_distance >= R_V
@@ -284,10 +284,6 @@ def test_a_combination_with_uncertified_ticks_has_lost_nothing_that_was_promised
     result = attacks.fly_attack(promise, conditions, 1, 0, 20, 100.0)
     assert result.uncertified == 20
     assert result.violations == 0
-
-
-def test_the_errors_of_the_grid_are_known() -> None:
-    assert {promise.eps for promise, _ in islice(attack.grid(), 12)} == set(attacks.ERRORS)
 
 
 # The command line

@@ -12,20 +12,29 @@ from flights import DT, U_A, V_A, V_G, escort, told
 from agents.control.certificate import (
     BEST_EFFORT,
     CERTIFIED,
+    CONTRADICTED,
     INNER,
     NO_DETECTION,
+    NO_PLAN,
+    OFF_COURSE,
+    TOO_OLD,
     UNCERTIFIED,
+    UNKNOWN_COMMANDS,
+    UNSAFE_COURSE,
+    drop_plan,
+    is_within,
     no_plan,
     safe_control,
-    state_ahead,
-    uncertified_reason,
+    step_in_area,
 )
-from agents.control.discs import certified_distance, keep_detection, no_detections
+from agents.control.discs import certified_distance, keep_detection, newest_detection, no_detections
 from agents.control.guard import (
     GuardState,
     begin_guard,
+    forget_commands,
     guard,
     guard_state,
+    note_commands,
     note_detection,
     note_position,
     pack_promise,
@@ -102,7 +111,7 @@ def fly_all(rows: FloatArray, states: GuardState, inputs: FloatArray, arrived: F
     for i in range(rows.shape[0]):
         c = unpack_promise(rows[i])
         state = GuardState(
-            states.detections[i], states.plan[i], states.pending[i], states.track[i], states.track_ticks[i], states.flags[i]
+            states.detections[i], states.plan[i], states.course[i], states.track[i], states.track_ticks[i], states.flags[i]
         )
         begin_guard(state)
         n = 0
@@ -140,22 +149,46 @@ def test_many_worlds_in_a_compiled_loop_give_what_the_filter_gives(delay: float)
 
 @pytest.mark.parametrize("delay", [0.0, 3 * DT])
 def test_the_filter_is_what_its_parts_are_one_after_the_other(delay: float) -> None:
-    """Written out in plain Python: a dictionary of own positions, a list of commands on their way."""
+    """Written out in plain Python: a dictionary of own positions, a list of commands under way, the whole course each time."""
     watch, inputs, arrived, wanted = flown(seed=5, delay=delay)
     c = watch.promise
     kept, plan, contradicted = no_detections(), no_plan(), False
     positions: dict[int, tuple[float, float]] = {}
-    pending = [(0.0, 0.0)] * round(delay / DT)
+    pending, known, safe, last, expected = [(0.0, 0.0)] * round(delay / DT), 100, False, -1, None
     for k, (tick, p_x, p_y, v_x, v_y, u_x, u_y) in enumerate(inputs.tolist()):
         positions[tick], t = (p_x, p_y), tick * DT
         for _, taken, x, y in arrived[arrived[:, 0] == k].tolist():
             if taken in positions:
                 z_x, z_y = (min(max(own - far, 0.0), 40.0) for own, far in zip(positions[taken], (x, y), strict=True))
                 contradicted |= not keep_detection(kept, z_x, z_y, taken * DT, t, p_x, p_y, c.eps, c.v_g)
-        ahead = state_ahead(np.array(pending).reshape(-1, 2), p_x, p_y, v_x, v_y, c.v_a, c.u_a, DT)
-        a_x, a_y, acts = safe_control(c, kept, plan, t + c.delay, *ahead, u_x, u_y)
-        pending = [*pending, (a_x, a_y)][1:] if pending else []
-        code = uncertified_reason(c, kept, plan, t, contradicted, acts)
+        on_course = True
+        if tick != last + 1:
+            pending, known, safe = (pending + pending[-1:] * int(tick - last - 1))[-len(pending) :] if pending else [], 0, False
+            drop_plan(plan)
+        elif expected is not None and expected != (p_x, p_y, v_x, v_y):
+            on_course, known, safe = False, 0, False
+            drop_plan(plan)
+        course = [(p_x, p_y, v_x, v_y)]
+        for command in pending:
+            course.append(step_in_area(c, *course[-1], *command)[:4])
+        a_x, a_y, acts = safe_control(c, kept, plan, t + c.delay, *course[-1], u_x, u_y)
+        if acts == BEST_EFFORT:
+            safe = False
+        elif not safe:
+            safe = all(is_within(c, kept, plan, (tick + j) * DT, x, y, 0.0) for j, (x, y, *_) in enumerate(course))
+        newest = newest_detection(kept)
+        checks = {
+            NO_DETECTION: newest < 0,
+            TOO_OLD: newest >= 0 and t - kept[newest, 2] > c.age + 1e-9,
+            CONTRADICTED: contradicted,
+            NO_PLAN: acts == BEST_EFFORT,
+            OFF_COURSE: not on_course,
+            UNKNOWN_COMMANDS: known < len(pending),
+            UNSAFE_COURSE: not safe,
+        }
+        code = next((code for code, fails in checks.items() if fails), CERTIFIED)
+        expected = step_in_area(c, *course[0], *[*pending, (a_x, a_y)][0])[:4]
+        pending, known, last = [*pending, (a_x, a_y)][1:] if pending else [], known + 1, tick
         distance = certified_distance(p_x, p_y, t, kept, c.eps, c.v_g)
         assert wanted[k].tolist() == [a_x, a_y, acts != INNER, code, distance]
 
@@ -164,7 +197,7 @@ def test_the_filter_is_what_its_parts_are_one_after_the_other(delay: float) -> N
 def test_a_memory_that_begins_again_is_as_fresh_as_a_new_one(delay: float) -> None:
     promise = promise_of(declared(delay))
     fresh, used = guard_state(promise, 8), guard_state(promise, 8)
-    assert used.pending.shape == (round(delay / DT), 2)
+    assert used.course.shape == (round(delay / DT) + 1, 6)
     assert guard(promise, used, 0, 20.0, 20.0, 0.1, 0.0, 0.1, 0.0)[2:] == (BEST_EFFORT, NO_DETECTION, math.inf)
     for part in used:
         part.fill(-5)
@@ -224,11 +257,11 @@ def test_a_contradiction_is_remembered_until_the_filter_begins_again() -> None:
     for tick in range(2):
         note_position(state, tick, 20.0, 20.0)
         note_detection(promise, state, tick, tick, 2.0 * tick, 0.0, 20.0, 20.0)
-        assert state.flags.tolist() == [tick]
+        assert state.flags[0] == tick
     note_detection(promise, state, 1, 1, 2.0, 0.0, 20.0, 20.0)
-    assert state.flags.tolist() == [1]
+    assert state.flags[0] == 1
     begin_guard(state)
-    assert state.flags.tolist() == [0]
+    assert state.flags[0] == 0
 
 
 @pytest.mark.parametrize("error", [0.3, None])
@@ -239,4 +272,117 @@ def test_a_promise_comes_back_from_its_row(error: float | None) -> None:
         back = unpack_promise(row)
         assert type(back) is Promise
         assert np.array(back).tobytes() == np.array(promise, dtype=np.float64).tobytes()
-    assert unpack_promise(np.arange(12.0)) == Promise(*range(12))
+    assert unpack_promise(np.arange(13.0)) == Promise(*range(13))
+
+
+def test_where_there_are_no_walls_a_detection_stays_where_it_is() -> None:
+    promise = certificate(r_v=4.75, v_a=V_A, u_a=U_A, v_g=V_G, dt=DT, eps=0.3, age=1.0)
+    state = guard_state(promise, 8)
+    note_position(state, 0, -7.0, 3.0)
+    note_detection(promise, state, 0, 0, 1.0, 5.0, -7.0, 3.0)
+    assert state.detections[np.isfinite(state.detections[:, 2])].tolist() == [[-8.0, -2.0, 0.0]]
+
+
+class Vehicle:
+    """A UAV that does what its filter says after a delay, and the codes of its ticks."""
+
+    def __init__(self, delay: float, *, begin: int = 0, width: float = 40.0) -> None:
+        numbers = {"r_v": 4.75, "v_a": V_A, "u_a": U_A, "v_g": V_G, "dt": DT, "eps": 0.0, "age": 1.0}
+        self.promise = certificate(**numbers, delay=delay, width=width, height=width)
+        self.memory = guard_state(self.promise, 8)
+        self.state, self.tick = (20.0, 20.0, 0.0, 0.0), begin
+        self.pending = [(0.0, 0.0)] * round(delay / DT)
+        self.g = (20.0, 20.0)
+
+    def fly(self, wanted: tuple[float, float], *, lose: bool = False, filtered: bool = True) -> int:
+        """One tick; whether its command is lost; the code."""
+        p_x, p_y, v_x, v_y = self.state
+        note_position(self.memory, self.tick, p_x, p_y)
+        note_detection(self.promise, self.memory, self.tick, self.tick, p_x - self.g[0], p_y - self.g[1], p_x, p_y)
+        code = CERTIFIED
+        if filtered:
+            *command, _, code, _ = guard(self.promise, self.memory, self.tick, p_x, p_y, v_x, v_y, *wanted)
+        else:
+            command = wanted
+        self.pending.append(self.pending[-1] if lose and self.pending else (0.0, 0.0) if lose else tuple(command))
+        *self.state, _ = step_in_area(self.promise, *self.state, *self.pending.pop(0))
+        self.tick += 1
+        return code
+
+
+OUT, BACK = (U_A, 0.0), (-U_A, 0.0)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.5])
+def test_after_a_lost_command_nothing_is_certified_until_all_under_way_were_sent_since(delay: float) -> None:
+    uav, d = Vehicle(delay), round(delay / DT)
+    for _ in range(10):
+        assert uav.fly(OUT) == CERTIFIED
+    codes = [uav.fly(BACK if k % 2 else OUT, lose=k == 3) for k in range(3 * d + 10)]
+    told = 3 + d + 1  # the tick after the one in which it should have acted
+    assert codes[:told] == [CERTIFIED] * told
+    assert codes[told] == OFF_COURSE
+    assert codes[told + 1 : told + max(1, d)] == [UNKNOWN_COMMANDS] * max(0, d - 1)
+    assert set(codes[told + max(1, d) :]) == {CERTIFIED}
+
+
+def test_commands_under_way_that_lead_out_of_sight_are_not_certified_though_a_plan_brings_back() -> None:
+    """Only the state at t + tau_c was looked at once, and 4.895 m were certified."""
+    uav, seen = Vehicle(1.0), set()
+    for k in range(400):
+        x = uav.state[0]
+        inner = BACK if x - uav.g[0] > 4.6 else OUT
+        lost = 0 < k < 250 and k % 40 < 15
+        distance = math.hypot(x - uav.g[0], uav.state[1] - uav.g[1])
+        code = uav.fly(inner, lose=lost)
+        seen.add(code)
+        assert code != CERTIFIED or distance < 4.75
+    assert {OFF_COURSE, UNKNOWN_COMMANDS} <= seen
+
+
+@pytest.mark.parametrize("noted", [False, True])
+def test_a_filter_that_begins_in_flight_waits_until_it_knows_what_is_under_way(noted: bool) -> None:
+    """A law changed from `coverage` to `certified` once made a filter that believed that nothing was under way."""
+    uav, sent = Vehicle(0.5), []
+    for _ in range(25):
+        sent.append(OUT)
+        uav.fly(OUT, filtered=False)
+    begin_guard(uav.memory)
+    if noted:
+        note_commands(uav.memory, np.array(sent[-30:]))
+    codes = [uav.fly(OUT) for _ in range(40)]
+    assert codes[0] == UNKNOWN_COMMANDS
+    assert codes.count(OFF_COURSE) == (0 if noted else 10)
+    first = codes.index(CERTIFIED)
+    assert first == (10 if noted else 20)
+    assert set(codes[first:]) == {CERTIFIED}
+
+
+def test_commands_that_may_not_have_been_sent_are_not_relied_on() -> None:
+    uav = Vehicle(0.3)
+    for _ in range(10):
+        assert uav.fly(OUT) == CERTIFIED
+    forget_commands(uav.memory)
+    assert [uav.fly(OUT) for _ in range(8)] == [UNKNOWN_COMMANDS] * 6 + [CERTIFIED] * 2
+
+
+def test_a_course_that_leads_out_of_sight_says_so() -> None:
+    """At rest 4.7 m away and certified as nothing moves; a UGV that was 0.1 m nearer all along leaves no such room."""
+    uav = Vehicle(0.5)
+    uav.state = (24.6, 20.0, 0.3, 0.0)
+    uav.pending = [OUT] * 4 + [BACK] * 6
+    begin_guard(uav.memory)
+    note_commands(uav.memory, np.array(uav.pending))
+    uav.tick = 50
+    forget_commands(uav.memory)
+    codes = [uav.fly(BACK) for _ in range(60)]
+    assert UNSAFE_COURSE in codes or NO_PLAN in codes
+    assert codes[-1] == CERTIFIED
+
+
+def test_a_course_knows_the_walls() -> None:
+    """The vehicle stops at a wall; a filter that did not know would find it off its course."""
+    uav = Vehicle(0.5, width=21.0)
+    codes = {uav.fly((U_A, 0.1)) for _ in range(300)}
+    assert codes == {CERTIFIED}
+    assert uav.state[0] == 21.0

@@ -13,22 +13,20 @@ import math
 
 import numpy as np
 
-from agents.control.discs import lens_distance, nearest, newest_detection
+from agents.control.discs import MARGIN, lens_distance, nearest, newest_detection
 from agents.control.handover import ROUNDING, Promise, rest_to_rest
 from sim.compile import FloatArray, compiled
-from sim.vehicles import brake, clip_norm, norm, speed_to_stop_within, step_vehicle
+from sim.vehicles import brake, clip_norm, norm, speed_to_stop_within, step_vehicle, within_walls
 
 (_VALID, _TURN, _CRUISE, _BRAKE, _TURN_X, _TURN_Y, _BRAKE_X, _BRAKE_Y) = range(8)
-(_P_X, _P_Y, _V_X, _V_Y, _END_X, _END_Y, _END_RADIUS, _END_TIME) = range(8, 16)
-_OFF_PLAN = 16
-PLAN_SIZE = 17
+(_END_X, _END_Y, _END_RADIUS, _END_TIME) = range(8, 12)
+PLAN_SIZE = 12
 
 _REST = 1e-9
 """A vehicle slower than this [m/s] is at rest."""
 
-
-_ON_PLAN = 1e-6
-"""A state nearer than this [m, m/s] to the predicted one is the predicted one."""
+_OFF_WALL = 1e-6
+"""A plan that moves towards a wall turns or ends at least so far from it [m]: rounding must not make the vehicle touch it."""
 
 
 _SPEEDS = (1.0, 0.6, 0.35, 0.2)
@@ -37,15 +35,17 @@ _SPEEDS = (1.0, 0.6, 0.35, 0.2)
 INNER, PLAN, BEST_EFFORT = 0, 1, 2
 """Who acts: the inner control; the plan (certified); nobody certified, the filter does what it can."""
 
-CERTIFIED, NO_DETECTION, TOO_OLD, CONTRADICTED, OFF_PLAN, NO_PLAN = range(6)
+CERTIFIED, NO_DETECTION, TOO_OLD, CONTRADICTED, OFF_COURSE, NO_PLAN, UNKNOWN_COMMANDS, UNSAFE_COURSE = range(8)
 UNCERTIFIED = {
     NO_DETECTION: "no detection has arrived yet",
     TOO_OLD: "the newest detection is older than declared (age > A)",
     CONTRADICTED: "detections contradict each other: their errors are larger than eps, or the UGV is faster than v_g",
-    OFF_PLAN: "the UAV is not where its commands should have brought it: one was late or lost (delay > tau_c)",
+    OFF_COURSE: "the UAV is not where its commands should have brought it: one was late or lost (delay > tau_c)",
     NO_PLAN: "outside the certified set: no plan keeps the UGV within r_v from here",
+    UNKNOWN_COMMANDS: "commands are under way of which it is not known that they will act",
+    UNSAFE_COURSE: "commands under way may take the UGV out of sight before the next one acts",
 }
-"""Why a tick is not certified, by the code that `uncertified_reason` gives."""
+"""Why a tick is not certified, by the code that `agents.control.guard.guard` gives."""
 
 
 @compiled
@@ -63,21 +63,19 @@ def servo(
 
 
 @compiled
-def state_ahead(
-    pending: FloatArray, p_x: float, p_y: float, v_x: float, v_y: float, v_a: float, u_a: float, dt: float
-) -> tuple[float, float, float, float]:
-    """Position [m] and velocity [m/s] of the UAV when the next command will act, after those that are on their way.
+def step_in_area(
+    promise: Promise, p_x: float, p_y: float, v_x: float, v_y: float, u_x: float, u_y: float
+) -> tuple[float, float, float, float, float]:
+    """The UAV one tick on, as the world moves it: (1), and the walls.
 
-    Args:
-        pending: These commands, the oldest first [m/s²]. Shape (tau_c / dt, 2).
-        p_x, p_y: Position now [m].
-        v_x, v_y: Velocity now [m/s].
-        v_a, u_a: Bounds [m/s], [m/s²].
-        dt: Length of a tick [s].
+    Returns:
+        Position [m] and velocity [m/s], x before y, and how far a wall has kept it from where (1) alone leads [m].
     """
-    for k in range(pending.shape[0]):
-        p_x, p_y, v_x, v_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, pending[k, 0], pending[k, 1], v_a, u_a, dt)
-    return p_x, p_y, v_x, v_y
+    c = promise
+    q_x, q_y, w_x, w_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, u_x, u_y, c.v_a, c.u_a, c.dt)
+    x, w_x = within_walls(q_x, w_x, c.width)
+    y, w_y = within_walls(q_y, w_y, c.height)
+    return x, y, w_x, w_y, norm(q_x - x, q_y - y)
 
 
 @compiled
@@ -109,7 +107,7 @@ def farthest(
     bound: float = norm(x - n_x, y - n_y) + n_r
     if bound <= enough:
         return bound
-    e_r = plan[_END_RADIUS] + c.v_g * (t - plan[_END_TIME])
+    e_r = plan[_END_RADIUS] + c.v_g * abs(t - plan[_END_TIME])  # also of a time before, which commands under way ask for
     bound = min(bound, lens_distance(x, y, n_x, n_y, n_r, plan[_END_X], plan[_END_Y], e_r))
     if bound <= enough or near == new:
         return bound
@@ -139,19 +137,38 @@ def _adopt(
 
 
 @compiled
-def _is_in_area(promise: Promise, x: float, y: float) -> bool:
-    """Whether a point is within the walls. A plan never touches them: a wall would take the UAV off it."""
-    c = promise
-    in_width = c.width == math.inf or -_REST <= x <= c.width + _REST
-    return in_width and (c.height == math.inf or -_REST <= y <= c.height + _REST)
+def _is_off_wall(p: float, v: float, a: float, duration: float, size: float) -> bool:
+    """Whether p + v s + a s²/2 stays within the walls of one axis for the duration, clear of them where it moves.
+
+    Only where nothing moves along the axis, or at the start, may the vehicle be at the wall.
+    """
+    if math.isinf(size):
+        return True
+    if not 0.0 <= p <= size:
+        return False
+    if v == 0.0 and a == 0.0:
+        return True
+    end = p + (v + 0.5 * a * duration) * duration
+    low = high = end
+    if a != 0.0 and 0.0 < -v / a < duration:
+        summit = p - 0.5 * v * v / a
+        low, high = min(low, summit), max(high, summit)
+    return low >= _OFF_WALL and high <= size - _OFF_WALL
 
 
 @compiled
-def _summit(p: float, v: float, a: float, duration: float) -> float:
-    """Where p + v s + a s²/2 turns back within the duration; p if it does not."""
-    if a == 0.0 or not 0.0 < -v / a < duration:
-        return p
-    return p - 0.5 * v * v / a
+def _is_in_area(promise: Promise, x: float, y: float) -> bool:
+    c = promise
+    return (math.isinf(c.width) or 0.0 <= x <= c.width) and (math.isinf(c.height) or 0.0 <= y <= c.height)
+
+
+@compiled
+def _stays_in_area(
+    promise: Promise, p_x: float, p_y: float, v_x: float, v_y: float, a_x: float, a_y: float, duration: float
+) -> bool:
+    """Whether a motion with constant acceleration stays within the walls: one that it touched would take the UAV off its plan."""
+    c = promise
+    return _is_off_wall(p_x, v_x, a_x, duration, c.width) and _is_off_wall(p_y, v_y, a_y, duration, c.height)
 
 
 @compiled
@@ -160,8 +177,6 @@ def _end_radius(
 ) -> float:
     """How far the UGV is at most from a plan's end, now [m], if the plan may end there; else infinite."""
     c = promise
-    if not _is_in_area(promise, x, y):
-        return math.inf
     single = norm(x - detections[new, 0], y - detections[new, 1]) + c.eps + c.v_g * (t - detections[new, 2])
     growth = c.v_g * duration
     if not single + growth <= c.reach:
@@ -192,13 +207,17 @@ def plan_stop(
     speed = norm(v_x, v_y)
     ticks = 0 if speed <= _REST else max(1, math.ceil(speed / (c.u_a * c.dt) - ROUNDING))
     duration = ticks * c.dt
+    share = -1.0 / duration if ticks else 0.0
+    if not _is_in_area(promise, p_x, p_y):
+        return False
+    if ticks and not _stays_in_area(promise, p_x, p_y, v_x, v_y, share * v_x, share * v_y, duration):
+        return False
     end_x, end_y = p_x + 0.5 * v_x * duration, p_y + 0.5 * v_y * duration
     end_radius = _end_radius(promise, detections, plan, new, near, t, end_x, end_y, duration)
-    if end_radius == math.inf or not _is_in_area(promise, p_x, p_y):
+    if end_radius == math.inf:
         return False
     if not farthest(promise, detections, plan, new, near, t, p_x, p_y, c.r_v) <= c.r_v:
         return False
-    share = -1.0 / duration if ticks else 0.0
     _adopt(plan, 0, 0, ticks, 0.0, 0.0, share * v_x, share * v_y, end_x, end_y, end_radius, t)
     return True
 
@@ -219,17 +238,11 @@ def _turn_is_safe(
     a_y: float,
     ticks: int,
 ) -> bool:
-    """Whether the bound stays within r_v, and the way within the walls, in a turn with constant acceleration.
+    """Whether the bound stays within r_v in a turn with constant acceleration.
 
     Ticks that the bound cannot reach r_v by, as it grows by no more than v_a + v_g, are not looked at.
     """
     c = promise
-    duration = ticks * c.dt
-    last_x, last_y = p_x + (v_x + 0.5 * a_x * duration) * duration, p_y + (v_y + 0.5 * a_y * duration) * duration
-    if not _is_in_area(promise, last_x, last_y):
-        return False
-    if not _is_in_area(promise, _summit(p_x, v_x, a_x, duration), _summit(p_y, v_y, a_y, duration)):
-        return False
     k = 0
     while k <= ticks:
         s = k * c.dt
@@ -257,7 +270,10 @@ def _plan_at_speed(
 ) -> bool:
     c = promise
     z_x, z_y = detections[new, 0], detections[new, 1]
-    if norm(v_x, v_y) <= _REST:
+    at_rest = norm(v_x, v_y) <= _REST
+    if at_rest:
+        if not (_is_in_area(promise, p_x, p_y) and _is_in_area(promise, z_x, z_y)):
+            return False
         x, y = z_x - p_x, z_y - p_y
         way = norm(x, y)
         turn, cruise, speed = rest_to_rest(way, speed, c.u_a, c.dt)
@@ -285,6 +301,13 @@ def _plan_at_speed(
     if end_radius == math.inf:
         return False
     a_x, a_y = ((w_x - v_x) / (turn * c.dt), (w_y - v_y) / (turn * c.dt)) if turn else (0.0, 0.0)
+    if not at_rest:  # from rest the way is a chord of the area
+        q_x, q_y = p_x + 0.5 * (v_x + w_x) * turn * c.dt, p_y + 0.5 * (v_y + w_y) * turn * c.dt
+        if not (
+            _stays_in_area(promise, p_x, p_y, v_x, v_y, a_x, a_y, turn * c.dt)
+            and _stays_in_area(promise, q_x, q_y, end_x - q_x, end_y - q_y, 0.0, 0.0, 1.0)
+        ):
+            return False
     if not _turn_is_safe(promise, detections, plan, new, near, t, p_x, p_y, v_x, v_y, a_x, a_y, turn):
         return False
     b_x, b_y = (-w_x / (stop * c.dt), -w_y / (stop * c.dt)) if stop else (0.0, 0.0)
@@ -332,6 +355,12 @@ def _follow(plan: FloatArray, v_x: float, v_y: float, u_a: float, dt: float) -> 
 
 
 @compiled
+def drop_plan(plan: FloatArray) -> None:
+    """The UAV is not where the plan in this memory has it: no plan is held."""
+    plan[_VALID] = 0.0
+
+
+@compiled
 def safe_control(
     promise: Promise,
     detections: FloatArray,
@@ -346,7 +375,8 @@ def safe_control(
 ) -> tuple[float, float, int]:
     """The command that acts in the tick from t on: the inner control's if a plan still exists after it, else the plan's.
 
-    With delayed commands t, p and v are those of the tick in which this command will act: `state_ahead`.
+    With delayed commands t, p and v are those of the tick in which this command will act. The plan that is held begins in this
+    state; where the vehicle has come to another one, `drop_plan` is to be called first.
 
     Args:
         promise: The declared numbers.
@@ -365,57 +395,48 @@ def safe_control(
     if new < 0:
         u_x, u_y = brake(v_x, v_y, c.u_a, c.dt)
         return u_x, u_y, BEST_EFFORT
-    off = max(abs(p_x - plan[_P_X]), abs(p_y - plan[_P_Y]), abs(v_x - plan[_V_X]), abs(v_y - plan[_V_Y]))
-    plan[_OFF_PLAN] = 0.0
-    if plan[_VALID] != 0.0 and not off <= _ON_PLAN:
-        plan[_VALID], plan[_OFF_PLAN] = 0.0, 1.0
     going = plan[_VALID] != 0.0 and plan[_TURN] + plan[_CRUISE] + plan[_BRAKE] > 0.0
     near = nearest(p_x, p_y, t, detections, c.eps, c.v_g)
     w_x, w_y = clip_norm(u_x, u_y, c.u_a)
-    x, y, s_x, s_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, w_x, w_y, c.v_a, c.u_a, c.dt)
-    acts = PLAN
+    x, y, s_x, s_y, over = step_in_area(promise, p_x, p_y, v_x, v_y, w_x, w_y)
     within = plan[_VALID] != 0.0 or farthest(promise, detections, plan, new, near, t, p_x, p_y, c.r_v) <= c.r_v
+    if over > 0.0:  # within the tick the bound is at most that of the point beyond the wall
+        room = c.r_v - over
+        within = within and farthest(promise, detections, plan, new, near, t + c.dt, x, y, room) <= room
     if within and (
         plan_stop(promise, detections, plan, new, near, t + c.dt, x, y, s_x, s_y)
         or plan_return(promise, detections, plan, new, near, t + c.dt, x, y, s_x, s_y)
     ):
-        acts = INNER
-    elif (
+        return w_x, w_y, INNER
+    if (
         plan_return(promise, detections, plan, new, near, t, p_x, p_y, v_x, v_y)
         or going
         or plan_stop(promise, detections, plan, new, near, t, p_x, p_y, v_x, v_y)
     ):
         w_x, w_y = _follow(plan, v_x, v_y, c.u_a, c.dt)
-    else:
-        w_x, w_y = servo(p_x, p_y, v_x, v_y, detections[new, 0], detections[new, 1], c.v_a, c.u_a, c.dt)
-        acts, plan[_VALID] = BEST_EFFORT, 0.0
-    if acts != INNER:
-        x, y, s_x, s_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, w_x, w_y, c.v_a, c.u_a, c.dt)
-    plan[_P_X], plan[_P_Y], plan[_V_X], plan[_V_Y] = x, y, s_x, s_y
-    return w_x, w_y, acts
+        return w_x, w_y, PLAN
+    w_x, w_y = servo(p_x, p_y, v_x, v_y, detections[new, 0], detections[new, 1], c.v_a, c.u_a, c.dt)
+    plan[_VALID] = 0.0
+    return w_x, w_y, BEST_EFFORT
 
 
 @compiled
-def uncertified_reason(
-    promise: Promise, detections: FloatArray, plan: FloatArray, t: float, contradicted: bool, acts: int
-) -> int:
-    """Why this tick is not certified, a code of `UNCERTIFIED`; CERTIFIED if it is. To be asked right after `safe_control`.
-
-    Args:
-        promise: The declared numbers.
-        detections: As kept. (KEPT, 3)
-        plan: The filter's memory. (PLAN_SIZE,)
-        t: Now, not when the command acts [s].
-        contradicted: Whether `keep_detection` has ever found that detections do not agree.
-        acts: What `safe_control` said.
-    """
+def is_within(promise: Promise, detections: FloatArray, plan: FloatArray, t: float, p_x: float, p_y: float, over: float) -> bool:
+    """Whether the UGV is surely within r_v of this point at time t, also if a wall has kept the UAV `over` [m] from beyond it."""
+    c = promise
     new = newest_detection(detections)
     if new < 0:
-        return NO_DETECTION
-    if t - detections[new, 2] > promise.age + _REST:
-        return TOO_OLD
-    if contradicted:
-        return CONTRADICTED
-    if acts == BEST_EFFORT:
-        return NO_PLAN
-    return OFF_PLAN if plan[_OFF_PLAN] != 0.0 else CERTIFIED
+        return False
+    near, room = nearest(p_x, p_y, t, detections, c.eps, c.v_g), c.r_v - over
+    return bool(farthest(promise, detections, plan, new, near, t, p_x, p_y, room) <= room)
+
+
+@compiled
+def contradicts_plan(promise: Promise, detections: FloatArray, plan: FloatArray) -> bool:
+    """Whether the newest detection cannot be true if the UGV was where the last plan's check has it: an assumption is broken."""
+    c = promise
+    new = newest_detection(detections)
+    if new < 0 or math.isinf(plan[_END_RADIUS]):
+        return False
+    apart = norm(detections[new, 0] - plan[_END_X], detections[new, 1] - plan[_END_Y])
+    return bool(apart > plan[_END_RADIUS] + c.eps + c.v_g * abs(plan[_END_TIME] - detections[new, 2]) + MARGIN)

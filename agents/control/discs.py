@@ -10,8 +10,14 @@ from sim.vehicles import norm
 KEPT = 16
 """Detections that are kept: the newest, and those that bound the distance best."""
 
-MARGIN = 1e-6
-"""Taken off every radius [m], so that rounding changes no answer of the proof."""
+MARGIN = 1e-5
+"""Taken off every radius [m], so that rounding changes no answer of the proof: more than all of its errors together."""
+
+_NESTED = 1e-6
+"""Discs that hold each other but for this [m] are not intersected: the formula of the corners would divide by it."""
+
+_TOUCHING = 1e-9
+"""Discs that are no farther apart than this [m] touch: whether they meet would be decided by rounding."""
 
 
 @compiled
@@ -121,8 +127,9 @@ def keep_detection(
 def lens_distance(p_x: float, p_y: float, a_x: float, a_y: float, r_a: float, b_x: float, b_y: float, r_b: float) -> float:
     """How far a point of two discs' intersection can be from p [m]: their farthest common point, exactly.
 
-    It is the far point of one disc if that lies in the other, else a corner of the lens. Discs that do not meet (no UGV can be in
-    both: an assumption is broken) give the smaller of the two bounds; an infinite radius is no disc.
+    It is the far point of one disc if that lies in the other, else a corner of the lens; of discs that touch, but for rounding,
+    the point where they do. Discs that do not meet (no UGV can be in both: an assumption is broken) give the smaller of the two
+    bounds; an infinite radius is no disc.
 
     Args:
         p_x, p_y: From where [m].
@@ -133,8 +140,8 @@ def lens_distance(p_x: float, p_y: float, a_x: float, a_y: float, r_a: float, b_
     x, y = b_x - a_x, b_y - a_y
     gap = norm(x, y)
     least = min(d_a + r_a, d_b + r_b)
-    if gap <= abs(r_a - r_b) + MARGIN or gap >= r_a + r_b or d_a == 0.0 or d_b == 0.0:
-        return least  # one holds the other, perhaps but for a micrometre, which the formula below would divide by
+    if gap <= abs(r_a - r_b) + _NESTED or gap > r_a + r_b + _TOUCHING or d_a == 0.0 or d_b == 0.0:
+        return least
     s = r_a / d_a
     if norm(a_x + s * (a_x - p_x) - b_x, a_y + s * (a_y - p_y) - b_y) <= r_b:
         return d_a + r_a

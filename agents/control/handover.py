@@ -29,7 +29,7 @@ class Promise(NamedTuple):
     delay: float
     """From the tick that a command answers to the one in which it acts, tau_c [s], a whole number of ticks."""
     r_v: float
-    """Visibility radius less the margin that was asked for [m]."""
+    """Visibility radius [m], less the margin that was asked for, the sagitta of a tick and `MARGIN`."""
     v_a: float
     """Largest speed of the UAV [m/s]."""
     u_a: float
@@ -44,6 +44,8 @@ class Promise(NamedTuple):
     """R_h: a plan may end where the UGV is surely within this [m]; NaN if there is none."""
     reach: float
     """E: and where the newest detection's own bound is at most this [m]; NaN if there is none."""
+    hold: float
+    """For how long the vehicle goes on with its last command when none comes [s]."""
 
 
 @compiled
@@ -145,6 +147,16 @@ def handover_radius(r_v: float, eps: float, rho: float, v_a: float, u_a: float, 
     return math.nan
 
 
+@compiled
+def tick_sagitta(v_a: float, u_a: float, dt: float) -> float:
+    r"""How far a vehicle is at most from the chord of its way within a tick of constant acceleration a [m]: $a\,dt^2/8$.
+
+    The acceleration that acts is at most u_a [m/s²], and within the speed v_a [m/s] at most 2 v_a / dt. So between two ticks the
+    distance exceeds neither end's bound by more than this.
+    """
+    return min(0.125 * u_a * dt * dt, 0.25 * v_a * dt)
+
+
 @functools.lru_cache(maxsize=1024)
 def certificate(
     *,
@@ -159,6 +171,7 @@ def certificate(
     margin: float = 0.0,
     width: float = math.inf,
     height: float = math.inf,
+    hold: float = math.inf,
 ) -> Promise:
     r"""The certificate of one UAV. What fails is NaN in it and named by `check_assumptions`.
 
@@ -173,15 +186,19 @@ def certificate(
         delay: From the tick that a command answers to the one in which it acts [s]; rounded up to whole ticks.
         margin: Taken off r_v [m], for what the theorem does not cover (jitter and loss of commands).
         width, height: Of an area with walls [m]: plans stay in it, and `keep_detection` is given what is clipped to it.
+        hold: For how long the vehicle goes on with its last command when none comes [s]; then it brakes.
     """
     delay = math.ceil(delay / dt - ROUNDING) * dt
-    r_v, v_a, u_a, v_g, eps = float(r_v - margin), float(v_a), float(u_a), float(v_g), float(eps)
+    v_a, u_a, v_g, eps = float(v_a), float(u_a), float(v_g), float(eps)
+    r_v = float(r_v - margin) - tick_sagitta(v_a, u_a, dt)
     radius = reach = math.nan
     if all(math.isfinite(x) for x in (r_v, v_a, v_g, eps, age)) and 0.0 <= v_g < v_a and u_a > 0.0:
         rho = eps + v_g * (age + delay)
         radius = float(handover_radius(r_v, eps, rho, v_a, u_a, v_g, dt))
         reach = float(handover_reach(radius, eps, rho, v_a, u_a, v_g, dt))
-    return Promise(dt, eps, float(age), delay, r_v - MARGIN, v_a, u_a, v_g, float(width), float(height), radius, reach)
+    return Promise(
+        dt, eps, float(age), delay, r_v - MARGIN, v_a, u_a, v_g, float(width), float(height), radius, reach, float(hold)
+    )
 
 
 @compiled
@@ -241,4 +258,6 @@ def check_assumptions(promise: Promise) -> tuple[str, ...]:
             f"eps + v_g (A + tau_c) = {rho:.4g} m (eps {c.eps:g} m, A {c.age:g} s, tau_c {c.delay:g} s): "
             f"too much for r_v = {c.r_v:.4g} m; with these numbers the hand-over holds {limit}"
         )
+    if c.hold < c.delay - 0.5 * c.dt:
+        faults.append(f"hold = {c.hold:g} s: shorter than tau_c = {c.delay:g} s, so that the UAV brakes before a command acts")
     return tuple(faults)

@@ -2,10 +2,20 @@
 
 import math
 from collections import Counter
+from collections.abc import Collection
 from typing import NamedTuple
 
+import numpy as np
+
 from agents.control.certificate import CERTIFIED, INNER, UNCERTIFIED
-from agents.control.guard import guard, guard_state, note_detection, note_position
+from agents.control.guard import (
+    forget_commands,
+    guard,
+    guard_state,
+    note_commands,
+    note_detection,
+    note_position,
+)
 from agents.control.handover import Promise, certificate, check_assumptions
 from bus.errors import ScenarioError
 from bus.messages import UavBriefing, UavObservation, Vector
@@ -73,6 +83,7 @@ def promise_of(briefing: UavBriefing) -> Promise:
         margin=declared.margin,
         width=briefing.area.width,
         height=briefing.area.height,
+        hold=math.inf if declared.hold is None else declared.hold,
     )
 
 
@@ -98,9 +109,10 @@ class SafetyFilter:
 
     Args:
         briefing: What the UAV is told when it joins: bounds, r_v, and what is declared of detections and commands.
+        sent: Where the filter begins in the middle of a flight: the commands of the last ticks, the oldest first [m/s²].
     """
 
-    def __init__(self, briefing: UavBriefing) -> None:
+    def __init__(self, briefing: UavBriefing, *, sent: Collection[Vector] = ()) -> None:
         self.promise = promise_of(briefing)
         """The declared numbers, and what follows from them."""
         self.faults = check_assumptions(self.promise)
@@ -113,6 +125,12 @@ class SafetyFilter:
         """Ticks that were not certified, by reason."""
         self._state = guard_state(self.promise, depth=max(1, min(_MOST_TICKS, math.ceil(_TRACK / briefing.dt))))
         self._detections = self._state.detections
+        if sent:
+            note_commands(self._state, np.array(list(sent), dtype=np.float64))
+
+    def forget_commands(self) -> None:
+        """It is not known whether the last commands were sent: until those under way are known again, nothing is certified."""
+        forget_commands(self._state)
 
     def see(self, observation: UavObservation) -> None:
         """Take in where the UAV is, and the detections that have arrived, in any order."""

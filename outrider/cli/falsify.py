@@ -107,8 +107,9 @@ def command(
     The law `certified` promises only where it says so: a run counts as violated if every tick from its first certified one up to
     the loss was certified (after a gap: those of the last second), or if any tick was certified while the UGV was out of sight;
     all numbers are told. What the scenario does not declare in [certificate] is declared as the limits need it. For this law a
-    compiled attack is flown as well, over its own grid of assumptions: adversaries in the UAV and in the UGV, errors on the
-    border of their ball, blackouts up to 15 s, commands up to 1 s late. One in a hundred of --runs are whole flights, the others
+    compiled attack is flown as well, over its own grid: adversaries in the UAV and in the UGV, errors on the border of their
+    ball, blackouts up to 15 s, commands up to 1 s late, walls and corners; and commands that are lost, early, doubled or later
+    than declared, laws changed in flight, processes that join again. One in a hundred of --runs are whole flights, the others
     attacks; of --minutes, a third.
 
     The exit code is 0 whatever is found, unless --expect says otherwise; 130 after Ctrl-C, which keeps the best.
@@ -185,10 +186,10 @@ def _cores() -> int:
 
 
 def _check_eps(eps: float | None) -> None:
-    from outrider.falsify.attacks import ERRORS
+    from outrider.attack import EPS
 
-    if eps is not None and eps not in ERRORS:
-        raise typer.BadParameter(f"--eps {eps:g}: not in the attack's grid; allowed: {', '.join(f'{e:g}' for e in ERRORS)}")
+    if eps is not None and eps not in EPS:
+        raise typer.BadParameter(f"--eps {eps:g}: not in the attack's grid; allowed: {', '.join(f'{e:g}' for e in EPS)}")
 
 
 def _check_out(out: Path | None) -> None:
@@ -282,12 +283,17 @@ def _lines(found: "Found") -> "Iterator[str]":
             yield f"    certificate lost while all assumptions held: {flights.certificate_broken:,} times"
     if attacks.worst is not None:
         worst, over = attacks.worst, f"over {attacks.combinations:,} combinations of network and error"
-        yield f"  attack: {attacks.violations:,} of {attacks.runs:,} {over} lose sight; the farthest {worst.worst_distance:.6f} m"
-        yield (
-            f"    not every tick was certified in {attacks.uncertified:,}"
-            if wanted.control is None
-            else "    nothing certifies here"
-        )
+        said = "are certified while sight is lost" if wanted.control is None else "lose sight"
+        yield f"  attack: {attacks.violations:,} of {attacks.runs:,} {over} {said}; the farthest {worst.worst_distance:.6f} m"
+        if wanted.control is None:
+            yield f"    the certificate is lost although its assumptions hold in {attacks.broken:,}"
+            yield f"    not every tick was certified in {attacks.uncertified:,}; sight was lost in {attacks.lost:,}"
+            yield f"    {'place, what breaks A5':32}{'runs':>8}{'lost':>8}{'certified, lost':>17}{'broken':>8}{'uncertified':>13}"
+            for name, one in sorted(attacks.kinds.items()):
+                counts = f"{one.runs:8,}{one.lost:8,}{one.violations:17,}{one.broken:8,}"
+                yield f"    {name:32}{counts}{one.uncertified / one.runs:13.1%}"
+        else:
+            yield "    nothing certifies here"
     if found.attack_again is not None and attacks.worst is not None:
         c = attacks.worst.conditions
         dark = f"blackouts up to {c.blackout_time:g} s, detections up to {c.latency:g} s and commands {c.delay:g} s late"

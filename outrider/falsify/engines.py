@@ -90,7 +90,7 @@ class Found:
         attacked, wanted = self.attacks.worst, self.wanted
         if attacked is None or not self.attacks.violations:
             return None
-        return again(attacked, wanted.seed, wanted.attack_duration)
+        return again(attacked, wanted.seed)
 
     def as_plain(self) -> dict[str, Any]:
         """For JSON."""
@@ -121,6 +121,17 @@ class Found:
                 "runs": attacks.runs,
                 "combinations": attacks.combinations,
                 "violations": attacks.violations,
+                "certificate_broken": attacks.broken,
+                "kinds": {
+                    name: {
+                        "runs": one.runs,
+                        "certified_while_lost": one.violations,
+                        "certificate_broken": one.broken,
+                        "lost": one.lost,
+                        "uncertified_share": one.uncertified / one.runs,
+                    }
+                    for name, one in sorted(attacks.kinds.items())
+                },
                 "lost": attacks.lost,
                 "uncertified": attacks.uncertified,
                 "worst_distance": None if attacks.worst is None else attacks.worst.worst_distance,

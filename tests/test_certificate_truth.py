@@ -1,0 +1,75 @@
+"""Whole flights over networks that break what the certificate assumes: no tick is certified while sight is lost."""
+
+from typing import Any
+
+import pytest
+
+from bus.messages import Law, LinkKind, LinkSettings
+from outrider.flying import InProcess, make_pilots
+from sim.flight import Flight
+from sim.scenario import load_scenario
+
+R_V = 4.75
+DARK = "links.detections.blackouts=[[30.0, 20.0], [80.0, 30.0]]"
+LATE = ("links.commands.delay=0.5", "hold=1.5", "certificate.age=5.0")
+PERFECT = ("detections.noise=0.0", "detections.dropout=0.0")
+
+BROKEN = {
+    "regained with commands under way": ((*PERFECT, *LATE, DARK), 7),
+    "late and early by 0.1 s": ((*PERFECT, *LATE, "links.commands.jitter=0.1"), 7),
+    "narrowband": (("links.commands={profile = 'narrowband'}", "hold=2.0", "certificate.age=6.0"), 8),
+    "jammed": (("links.commands={profile = 'jammed'}", "hold=2.0", "certificate.age=6.0"), 9),
+    "commands lost": ((*LATE, "links.commands.loss=0.05"), 7),
+}
+
+
+def told(changes: tuple[str, ...], seed: int, on_tick: Any = None) -> list[tuple[bool | None, float]]:
+    """Whether each tick was certified, and the true distance then [m]."""
+    base = ("law.name=certified", "ugv.0.driver=evade", "area.cell=0.5", "duration=160.0")
+    scenario = load_scenario("escort", overrides=[*base, *changes])
+    flight = Flight(scenario, seed)
+    said: list[bool | None] = []
+
+    def note() -> None:
+        said.append(None if flight.reports[0] is None else flight.reports[0].certified)
+        if on_tick is not None:
+            on_tick(flight)
+
+    flight.fly(InProcess(make_pilots(scenario, seed)), on_tick=note)
+    return list(zip(said, flight.recorder.escorts[:-1, 0, 0].tolist(), strict=True))
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_no_tick_is_certified_beyond_r_v_where_commands_do_not_act_as_declared(name: str) -> None:
+    ticks = told(*BROKEN[name])
+    assert not [distance for certified, distance in ticks if certified and distance >= R_V]
+    assert any(certified is False for certified, _ in ticks)
+
+
+def test_a_law_that_is_changed_in_flight_is_not_certified_before_its_own_commands_are_under_way() -> None:
+    """The filter once believed that nothing was under way."""
+
+    def change(flight: Flight) -> None:
+        if flight.world.tick % 400 == 200:
+            flight.order(Law(name="coverage"))
+        if flight.world.tick % 400 == 0:
+            flight.order(Law(name="certified"))
+
+    ticks = told((*PERFECT, "links.commands.delay=2.0", "hold=3.0", "certificate.age=2.0"), 7, change)
+    assert not [distance for certified, distance in ticks if certified and distance >= R_V]
+    for begin in range(400, 3200, 400):
+        assert all(certified is False for certified, _ in ticks[begin : begin + 40])
+    assert sum(certified is True for certified, _ in ticks) > 200
+
+
+def test_links_that_are_changed_in_flight_are_not_certified_beyond_r_v() -> None:
+    def change(flight: Flight) -> None:
+        if flight.world.tick % 200 == 100:
+            flight.degrade(LinkKind.COMMANDS, "uav_0", LinkSettings(delay=0.9, jitter=0.2))
+        if flight.world.tick % 200 == 0:
+            flight.degrade(LinkKind.COMMANDS, "uav_0", LinkSettings(delay=0.5))
+
+    ticks = told((*PERFECT, *LATE), 8, change)
+    assert not [distance for certified, distance in ticks if certified and distance >= R_V]
+    assert any(certified is False for certified, _ in ticks[100:])
+    assert any(certified is True for certified, _ in ticks[300:])
