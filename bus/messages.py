@@ -494,6 +494,23 @@ class Geometry(Message, frozen=True, kw_only=True):
     """Each UAV, and the UGV it escorts."""
 
 
+class CertificateStatus(Message, frozen=True, kw_only=True):
+    """What the safety filters of all UAVs have said so far, held against the truth."""
+
+    ticks: Tick
+    """Ticks that a filter watched over, of each UAV."""
+    certified: Tick
+    """Those that were certified."""
+    intervened: Tick
+    """Those in which a filter acted instead of the law."""
+    uncertified: dict[Text, Tick] = {}
+    """Those that were not certified, by reason."""
+    certified_while_lost: Tick = 0
+    """Those that were certified although the UGV was out of sight: the certificate is wrong if there is one."""
+    certificate_broken: Tick = 0
+    """Those that were not certified although the one before was and all assumptions hold: likewise."""
+
+
 class Status(Message, frozen=True, kw_only=True):
     """How the run stands, for observers, a few times a second."""
 
@@ -523,6 +540,8 @@ class Status(Message, frozen=True, kw_only=True):
     """Whether sight is certified to be kept, by UAV; only those that a safety filter watches over."""
     uncertified: dict[Name, Text] = {}
     """Why not, by UAV."""
+    certificates: CertificateStatus | None = None
+    """What has been certified so far; None where no safety filter has watched over anything."""
     links: dict[Text, LinkStatus] = {}
     """How each link does, by `vehicle/kind`."""
     vehicles: dict[Name, VehicleStatus]

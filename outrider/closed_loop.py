@@ -27,14 +27,16 @@ from bus.errors import ScenarioError
 from bus.layout import UgvRow
 from bus.messages import LinkKind, LinkStatus, UavBriefing, UgvBriefing
 from outrider.closed_loop_state import (
-    BOUND,
+    BROKEN,
     CERTIFIED_TICKS,
     DISTANCE,
     ERROR,
     ERROR_SUM,
+    FALSE_TICKS,
     INTERVENED,
     MAX_DISTANCE,
     NEWEST,
+    SEAT_SIZE,
     SHIELDED,
     TO_GO,
     UAV_ROW,
@@ -49,6 +51,7 @@ from sim.briefing import briefing
 from sim.compile import FloatArray, IntArray, compiling
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights, full_error
+from sim.link import DUST
 from sim.link_table import BatchLinks
 from sim.prefetch import disc_widths
 from sim.scenario import Scenario
@@ -170,6 +173,8 @@ class ClosedLoop:
             guarded=crew.guarded.astype(np.int64),
             faults=crew.faults.astype(np.int64),
             delays=crew.delays,
+            ages=crew.ages,
+            bounded=crew.bounded.astype(np.int64),
             listeners=np.array([self.ugvs.index(self.names[g]) for g in self.batch.tables.escorts[:, 1]], dtype=np.int64),
             laws=crew.laws,
             kalman=crew.kalman,
@@ -197,6 +202,7 @@ class ClosedLoop:
             maps=np.zeros((worlds, uavs if self.parameters.own_maps else 0, *coverage.shape[1:])),
             keys=np.zeros((worlds, vehicles), dtype=np.int64),
             commands=np.zeros((worlds, vehicles, 2)),
+            sent=np.zeros((worlds, uavs, int(crew.delays.max()) + 1, 2)),
             laws=np.zeros((worlds, uavs, STATE_SIZE)),
             kalman=KalmanState._make(_repeated(kalman, worlds, uavs)),
             guards=GuardState._make(_repeated(guards, worlds, uavs)),
@@ -206,7 +212,7 @@ class ClosedLoop:
             inbox=np.zeros((worlds, ways.room if listening else 1, 3)),
             heard=np.zeros((worlds, ugvs, room, 3)),
             hearing=np.zeros((worlds, ugvs), dtype=np.int64),
-            uav_seats=np.zeros((worlds, uavs, BOUND + 1)),
+            uav_seats=np.zeros((worlds, uavs, SEAT_SIZE)),
             ugv_seats=np.zeros((worlds, ugvs, TO_GO + 1)),
             uav_rows=np.zeros((worlds, uavs, UAV_ROW)),
             ugv_rows=np.zeros((worlds, ugvs, len(UgvRow._fields))),
@@ -269,6 +275,8 @@ class ClosedLoop:
         """How a UAV has truly done in this episode, in each world; arrays of shape (worlds,).
 
         `mean_error` is the mean of e(t) [m²] over the ticks so far, the first included; NaN where e(t) is not computed.
+        `certified_while_lost` counts the ticks that the safety filter certified with the UGV out of sight, `certificate_broken`
+        those that it did not certify although the one before was and all assumptions held: any is a fault of the certificate.
         """
         seats, ticks = self.state.uav_seats[:, self.uavs.index(uav)], self.state.batch.ticks
         shielded = np.maximum(seats[:, SHIELDED], 1.0)
@@ -282,6 +290,8 @@ class ClosedLoop:
             "mean_error": seats[:, ERROR_SUM] / (ticks + 1) * counted,
             "intervened": seats[:, INTERVENED] / shielded,
             "certified": seats[:, CERTIFIED_TICKS] / shielded,
+            "certified_while_lost": seats[:, FALSE_TICKS].copy(),
+            "certificate_broken": seats[:, BROKEN].copy(),
         }
 
     def links(self, world: int) -> dict[str, LinkStatus]:
@@ -300,6 +310,14 @@ class ClosedLoop:
 
 _WEIGHTS = ("uncovered", "seen", "sight_lost", "out_of_sight", "progress", "goal", "effort")
 """The order of `LoopTables.weights`."""
+
+
+def _is_bounded(told: UavBriefing) -> bool:
+    """Whether no detection can have a larger error than is declared."""
+    detector, declared = told.detector, told.certificate.error
+    if declared is None or detector.noise == 0.0:
+        return declared is not None
+    return detector.cut is not None and detector.noise * detector.cut <= declared
 
 
 class _Crew:
@@ -323,6 +341,8 @@ class _Crew:
         self.laws = np.stack([pack_law(law) for law in laws])
         self.slowest = max(promises, key=lambda promise: promise.delay)
         self.delays = np.array([round(promise.delay / promise.dt) for promise in promises], dtype=np.int64)
+        self.ages = np.array([math.floor(one.certificate.age / one.dt + DUST) for one in told_uavs], dtype=np.int64)
+        self.bounded = np.array([_is_bounded(one) for one in told_uavs])
         self.promises = np.stack([pack_promise(promise) for promise in promises])
         self.faults = np.array([bool(check_assumptions(promise)) for promise in promises])
         self.kalman = np.stack(

@@ -14,15 +14,18 @@ from outrider.closed_loop_state import (
     ACTED,
     ARRIVALS,
     BOUND,
+    BROKEN,
     CERTIFIED_TICKS,
     DISTANCE,
     ERROR,
     ERROR_SUM,
+    FALSE_TICKS,
     INTERVENED,
     LOST,
     MAX_DISTANCE,
     NEARER,
     NEWEST,
+    OBEYED,
     REACHED,
     SHIELDED,
     SURE,
@@ -106,7 +109,11 @@ def _fly(p: LoopParameters, t: LoopTables, s: LoopState, k: int, v: int, u: int,
             u_y,
         )
         seat[ACTED] = 1.0 if acts != INNER else 0.0
-        seat[SURE] = 1.0 if code == NOTHING_AGAINST and t.faults[u] == 0 else 0.0
+        before, seat[SURE] = seat[SURE], 1.0 if code == NOTHING_AGAINST and t.faults[u] == 0 else 0.0
+        if seat[SURE] != 0.0:
+            seat[FALSE_TICKS] += seat[LOST]
+        elif before != 0.0 and seat[OBEYED] != 0.0 and tick - seat[NEWEST] <= t.ages[u]:
+            seat[BROKEN] += t.bounded[u]
         seat[SHIELDED] += 1.0
         seat[INTERVENED] += seat[ACTED]
         seat[CERTIFIED_TICKS] += seat[SURE]
@@ -355,6 +362,19 @@ def _begin(p: LoopParameters, t: LoopTables, s: LoopState, k: int, seed: int) ->
 
 
 @inlined
+def _note_obedience(t: LoopTables, s: LoopState, k: int, u: int, tick: int) -> None:
+    """Whether UAV u acted in this tick, which has just been flown, on the command that was due.
+
+    That is the one of as many ticks ago as is declared; before the first there is none, and nothing acts.
+    """
+    v, size, sent = t.batch.escorts[u, 0], t.delays[u] + 1, s.sent[k, u]
+    now, due, acting = tick % size, (tick + 1) % size, s.batch.truth.commands[k, v]
+    sent[now, 0], sent[now, 1] = s.commands[k, v, 0], s.commands[k, v, 1]
+    same = sent[due, 0] == acting[0] and sent[due, 1] == acting[1]
+    s.uav_seats[k, u, OBEYED] = 1.0 if same else 0.0
+
+
+@inlined
 def _step(p: LoopParameters, t: LoopTables, s: LoopState, k: int, actions: FloatArray) -> None:
     """Everybody answers, and world k advances by one tick."""
     for v in range(t.place.shape[0]):
@@ -362,7 +382,11 @@ def _step(p: LoopParameters, t: LoopTables, s: LoopState, k: int, actions: Float
             _fly(p, t, s, k, v, t.place[v], actions)
         else:
             _drive(p, t, s, k, v, -1 - t.place[v], actions)
+    tick = s.batch.ticks[k]
     step_world(p.w, t.batch, s.batch, k, s.commands[k])
+    for u in range(t.batch.escorts.shape[0]):
+        if t.guarded[u]:
+            _note_obedience(t, s, k, u, tick)
 
 
 @inlined

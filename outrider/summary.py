@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from agents.control.visibility import raw_switching_radius
-from bus.messages import Action, Change, LinkStatus, VehicleStatus
+from bus.messages import Action, CertificateStatus, Change, LinkStatus, VehicleStatus
 from sim.flight import Flight
 from sim.recorder import platform_row
 
@@ -65,6 +66,10 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """Those in which it acted instead of the law."""
     uncertified: dict[str, int] = {}
     """Ticks that were not certified, by reason."""
+    certified_while_lost: int = 0
+    """Ticks that were certified although the UGV was out of sight; any is a fault of the certificate."""
+    certificate_broken: int = 0
+    """Ticks that were not certified although the one before was and all assumptions held; likewise."""
     links: dict[str, LinkStatus] = {}
     """What each link did to messages, by `vehicle/kind`."""
     realtime: float | None = None
@@ -118,6 +123,19 @@ def _faults(vehicles: Mapping[str, VehicleStatus]) -> dict[str, dict[str, int]]:
     return found
 
 
+def certificate_fields(told: CertificateStatus | None) -> dict[str, Any]:
+    """The summary's fields on what safety filters have certified, from their counts; None where none has watched."""
+    if told is None:
+        return {}
+    return {
+        "certified_share": told.certified / told.ticks,
+        "intervened_share": told.intervened / told.ticks,
+        "uncertified": told.uncertified,
+        "certified_while_lost": told.certified_while_lost,
+        "certificate_broken": told.certificate_broken,
+    }
+
+
 def summarize(
     flight: Flight,
     *,
@@ -137,7 +155,7 @@ def summarize(
         late_ticks: Ticks that it could not keep.
         changes: What operators have changed.
     """
-    scenario, recorder, world, assured = flight.scenario, flight.recorder, flight.world, flight.assurance
+    scenario, recorder, world = flight.scenario, flight.recorder, flight.world
     distance, error = recorder.escorts[:, :, 0], recorder.escorts[:, :, 1]
     p_a, p_g = recorder.states[:, world.escorts[:, 0], :2], recorder.states[:, world.escorts[:, 1], :2]
     radii = [switching_radius_of(flight, k) for k in range(len(world.uavs))]
@@ -164,9 +182,7 @@ def summarize(
         detection_rmse=_rms(recorder.escorts[:, :, 2:4] - (p_a - p_g)),
         missing_commands=dict(flight.missing),
         faults=_faults(vehicles or {}),
-        certified_share=assured.certified / assured.ticks if assured.ticks else None,
-        intervened_share=assured.interventions / assured.ticks if assured.ticks else None,
-        uncertified=dict(assured.reasons),
+        **certificate_fields(flight.assurance.status()),
         links=world.links.status(),
         realtime=realtime,
         realtime_factor=recorder.ticks * scenario.dt / seconds if seconds > 0.0 else 0.0,

@@ -3,10 +3,11 @@
 The same loop serves the pilots in this process and the three processes over the bus, so both fly the same bits.
 """
 
+import math
 from array import array
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -32,6 +33,7 @@ from bus.messages import (
     UgvObservation,
     VehicleTruth,
 )
+from sim.assurance import Arrival, Assurance
 from sim.compile import FloatArray
 from sim.recorder import Recorder
 from sim.scenario import Scenario
@@ -49,33 +51,6 @@ class News:
 
 
 _NO_NEWS = News()
-_SILENT = "the UAV has no estimate yet, or its command did not come"
-"""Why a tick is not certified of which no filter has said anything."""
-
-
-@dataclass(slots=True)
-class Assurance:
-    """What the safety filters of all UAVs have said so far."""
-
-    ticks: int = 0
-    """Ticks with a word of one."""
-    certified: int = 0
-    """Those that were certified."""
-    interventions: int = 0
-    """Those in which a filter acted instead of the law."""
-    reasons: Counter[str] = field(default_factory=Counter)
-    """Why ticks were not certified."""
-
-    def take(self, report: UavReport | None) -> None:
-        """Count a tick in which a UAV flies a law that a filter watches over, and what it reports."""
-        self.ticks += 1
-        if report is None or report.certified is None:
-            self.reasons[_SILENT] += 1
-            return
-        self.certified += report.certified
-        self.interventions += report.intervened
-        if not report.certified:
-            self.reasons[report.uncertified] += 1
 
 
 class Exchange(Protocol):
@@ -124,8 +99,8 @@ class Flight:
         """The first tick at which a vehicle's command was missing or stale."""
         self.reports: list[UavReport | None] = [None] * len(self.world.uavs)
         """What each UAV last said of itself."""
-        self.assurance = Assurance()
-        """What the safety filters have said."""
+        self.assurance = Assurance(scenario)
+        """What the safety filters have said, and whether it was true."""
         self.degradations: list[Change] = []
         """What has been done to links while it was flown, and when."""
         self._stopped = self._abandoned = False
@@ -133,6 +108,7 @@ class Flight:
         self._answered = dict.fromkeys(self.world.names, -1)  # the tick that each vehicle's newest command answers
         self._rows = {name: k for k, name in enumerate(self.world.names)}
         self._uav_row = {uav.name: k for k, uav in enumerate(self.world.uavs)}
+        self._pairs: list[tuple[int, int]] = [(a, g) for a, g in self.world.escorts.tolist()]
         self._radio: dict[str, tuple[RelativeInformation, ...]] = {}  # what each UGV hears at this tick
         self._operators = self.world.links.of(LinkKind.OPERATOR)
         self._radios = self.world.links.of(LinkKind.RADIO)
@@ -179,6 +155,12 @@ class Flight:
         self.law = law
         for uav in self.world.uavs:
             self._news_of(uav.name).law = law
+            self.assurance.excuse(self._uav_row[uav.name])
+
+    def rejoin(self, name: str) -> None:
+        """A vehicle's process has joined again: a new pilot, which knows what it is told of its past."""
+        if name in self._uav_row:
+            self.assurance.excuse(self._uav_row[name])
 
     def watched(self) -> dict[str, UavReport]:
         """The last reports of the UAVs that a safety filter watches over."""
@@ -330,7 +312,9 @@ class Flight:
     def apply(self, commands: Mapping[str, Command]) -> None:
         """Let these commands set out, and what has arrived act for one tick; what the UAVs radio arrives at the next one."""
         self._listen()
-        world = self.world
+        world, watched = self.world, self.law.name in WATCHED_LAWS
+        if watched:
+            self.recorder.record(self.reports)  # what is said of this tick is held against it
         for k, name in enumerate(world.names):
             command = commands.get(name)
             self._count(name, command)
@@ -341,11 +325,39 @@ class Flight:
                 self.reports[uav] = None
                 if isinstance(command, UavCommand):
                     self.reports[uav] = command.report
+                    self.assurance.send(uav, command.tick, command.acceleration)
                     for message in command.radio:
                         self._radios[name].send(world.tick + 1, message, world.tick)  # heard at the next tick at the earliest
-                if self.law.name in WATCHED_LAWS:
-                    self.assurance.take(self.reports[uav])
-        world.step(world.heed())
+        acting = world.heed()
+        if watched:
+            for uav, (a, g) in enumerate(self._pairs):
+                self._assure(uav, a, g, commands.get(world.names[a]), acting[a])
+        world.step(acting)
+
+    def _assure(self, uav: int, a: int, g: int, command: Command | None, acting: FloatArray) -> None:
+        """Hold what a UAV says of this tick against the truth.
+
+        Args:
+            uav: Its row among the UAVs.
+            a, g: Its row and its UGV's among the vehicles.
+            command: What it has answered; without one it has seen nothing of this tick.
+            acting: What it acts on in this tick [m/s²], shape (2,).
+        """
+        tick, states, arrivals = self.world.tick, self.recorder.states, []
+        said = tick if command is None else command.tick
+        for taken, x, y in self.world.received[uav] if command is not None else ():
+            there = states[taken].tolist()
+            p_a, p_g = there[a], there[g]
+            arrivals.append(Arrival(taken, math.hypot(x - (p_a[0] - p_g[0]), y - (p_a[1] - p_g[1]))))
+        self.assurance.take(
+            uav,
+            tick,
+            self.reports[uav],
+            distance=self.recorder.escorts.item(said, uav, 0),
+            arrivals=arrivals,
+            acts=tuple(acting.tolist()),
+            current=said == tick,
+        )
 
     def _goes_on(self) -> bool:
         """Whether nobody has stopped it meanwhile."""

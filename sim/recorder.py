@@ -15,6 +15,15 @@ from sim.compile import FloatArray
 from sim.world import World
 
 _ROOM = 1024
+_CERTIFIED = 6
+"""Column of `Recorder.escorts`."""
+
+
+def _certificate(report: UavReport) -> tuple[float, float]:
+    """Whether the tick is certified (1 or 0), and the certified distance [m]; NaN where a report does not say."""
+    if report.certified is None:
+        return math.nan, math.nan
+    return float(report.certified), math.nan if report.certified_distance is None else report.certified_distance
 
 
 class Recorder:
@@ -32,7 +41,7 @@ class Recorder:
         """Number of states taken down: one more than complete ticks, once the flight is over."""
         vehicles, uavs = len(world.names), len(world.uavs)
         self._states: FloatArray = np.empty((_ROOM, vehicles, 6))  # p, v at k; then the command applied during k
-        self._escorts: FloatArray = np.empty((_ROOM, uavs, 6))  # distance, e, detection, estimate
+        self._escorts: FloatArray = np.empty((_ROOM, uavs, 8))  # distance, e, detection, estimate, certified, bound
 
     def _make_room(self, k: int) -> None:
         if k == len(self._states):
@@ -55,13 +64,13 @@ class Recorder:
             self._states[k - 1, :, 4:6] = self._world.acceleration
             for uav, report in enumerate(reports):
                 if report is not None:
-                    self._escorts[k - 1, uav, 4:6] = report.estimate
+                    self._escorts[k - 1, uav, 4:8] = (*report.estimate, *_certificate(report))
         self._states[k, :, 0:2] = self._world.position
         self._states[k, :, 2:4] = self._world.velocity
         self._states[k, :, 4:6] = np.nan
         self._escorts[k, :, 0:2] = self._world.measure()
         self._escorts[k, :, 2:4] = self._world.detections
-        self._escorts[k, :, 4:6] = np.nan
+        self._escorts[k, :, 4:8] = np.nan
         self.ticks, self.rows = k, k + 1
 
     @property
@@ -74,7 +83,10 @@ class Recorder:
 
     @property
     def escorts(self) -> FloatArray:
-        """Distance [m], e(t) [m²], detected p_delta [m], estimated p_g [m] of each UAV, shape (rows, UAVs, 6); NaN where none."""
+        """What is known of each UAV and its UGV, shape (rows, UAVs, 8); NaN where there is none.
+
+        Distance [m], e(t) [m²], detected p_delta [m], estimated p_g [m], whether certified (1 or 0), certified distance [m].
+        """
         return self._escorts[: self.rows]
 
     def sha256(self, ticks: int | None = None) -> str:
@@ -89,7 +101,11 @@ class Recorder:
     def _rows(self) -> Iterator[list[float | int | str]]:
         dt = self._world.parameters.dt
         for k in range(self.rows):
-            numbers = [*self._states[k].ravel().tolist(), *self._escorts[k].ravel().tolist()]
+            numbers: list[float | int] = self._states[k].ravel().tolist()
+            for escort in self._escorts[k].tolist():
+                numbers += escort
+                if not math.isnan(escort[_CERTIFIED]):
+                    numbers[_CERTIFIED - len(escort)] = int(escort[_CERTIFIED])
             yield [k, k * dt, *("" if math.isnan(number) else number for number in numbers)]
 
     def write(self, path: Path) -> None:
@@ -101,6 +117,7 @@ class Recorder:
             header += [f"{uav.name}.{field}" for field in ("distance [m]", "coverage_error [m2]")]
             header += [f"{uav.name}.{field}" for field in ("detected_x [m]", "detected_y [m]")]
             header += [f"{uav.name}.{field}" for field in ("estimate_x [m]", "estimate_y [m]")]
+            header += [f"{uav.name}.{field}" for field in ("certified", "certified_distance [m]")]
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(header)

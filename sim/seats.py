@@ -115,6 +115,7 @@ class Seats:
         seat.owed = 0
         if seat.lost:
             seat.rejoined += 1
+            self._flight.rejoin(seat.name)
             self._on_event(f"{seat.name} has joined again at tick {self._flight.world.tick}")
 
     def _leave(self, seat: Seat, session: str) -> None:

@@ -110,6 +110,7 @@ class Telemetry:
             geometry=self._geometry,
             certified={name: bool(report.certified) for name, report in watched.items()},
             uncertified={name: report.uncertified for name, report in watched.items() if not report.certified},
+            certificates=flight.assurance.status(),
             links=world.links.status(),
             vehicles=self._seats.statuses(),
             over=flight.over,

@@ -87,11 +87,47 @@ def test_world_k_flies_as_the_single_flight_of_its_seed(name: str) -> None:
             assert found["visibility_violations"] == (escorts[:, u, 0] >= scenario.visibility.radius).sum()
         if summary.certified_share is not None and len(loop.uavs) == 1:
             assert found["certified"] == pytest.approx(summary.certified_share, abs=1.5 / scenario.ticks)
+        for count in ("certified_while_lost", "certificate_broken"):
+            assert sum(loop.metrics(uav)[count][k] for uav in loop.uavs) == getattr(summary, count) == 0
         if loop.degraded:
             links = {key: one for key, one in flight.world.links.status().items() if not key.endswith(str(LinkKind.OPERATOR))}
             assert {key: one for key, one in loop.links(k).items() if one.degraded} == {
                 key: one for key, one in links.items() if one.degraded
             }
+
+
+def _flown_with(loop: ClosedLoop, seeds: list[int]) -> dict[str, np.ndarray]:
+    loop.begin(seeds)
+    loop.fly()
+    return loop.metrics("uav_0")
+
+
+def test_what_is_certified_out_of_sight_is_counted_in_every_world() -> None:
+    """Sight ends at half a metre there, and the filter was told another r_v."""
+    scenario, seeds = SCENARIOS["evade"], [5, 11]
+    loop = ClosedLoop(scenario, len(seeds), error=True, end_on_sight_lost=False)
+    world = loop.parameters.w._replace(r_v=0.5)
+    loop.parameters = loop.parameters._replace(w=world)
+    found = _flown_with(loop, seeds)["certified_while_lost"]
+    for k, seed in enumerate(seeds):
+        seen = fly(scenario, seed)[0].recorder.escorts[:-1, 0]
+        assert found[k] == ((seen[:, 6] == 1.0) & (seen[:, 0] >= 0.5)).sum() > 100
+
+
+def test_a_certificate_that_ends_is_counted_unless_an_assumption_has_failed() -> None:
+    """Blackouts longer than declared end it; where the age is held to be allowed, that is a broken certificate."""
+    dark = msgspec.structs.replace(PROFILES["perfect"], blackouts=((4.0, 2.0), (8.0, 3.0)))
+    late = msgspec.structs.replace(PROFILES["perfect"], delay=0.2)
+    links = LinkTable(detections=dark, commands=late)
+    scenario = _small("certified", links=links, certificate=Certificate(age=1.0), detections=Detections(noise=0.1, dropout=0.0))
+    loop = ClosedLoop(scenario, 1, error=True)
+    assert _flown_with(loop, [5])["certificate_broken"] == 0.0
+    told = loop.tables
+    loop.tables = told._replace(ages=told.ages + 100)
+    assert _flown_with(loop, [5])["certificate_broken"] == 2.0
+    assert _flown_with(loop, [6])["certificate_broken"] == 2.0  # an episode begins at 0
+    loop.tables = told._replace(ages=told.ages + 100, bounded=np.zeros_like(told.bounded))
+    assert _flown_with(loop, [5])["certificate_broken"] == 0.0
 
 
 def test_the_whole_escort_is_the_run_that_the_readme_shows() -> None:

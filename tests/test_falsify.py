@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -14,12 +15,12 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from flights import R_S, R_V
+from flights import R_S, R_V, distances
 
 from bus.errors import PeerLost, ScenarioError
-from bus.messages import LinkKind
+from bus.messages import Command, LinkKind, UavCommand
 from outrider import attack
-from outrider.falsify import attacks, search
+from outrider.falsify import attacks, flying, search
 from outrider.falsify.engines import Found, Wanted, save
 from outrider.falsify.engines import search as search_both
 from outrider.falsify.flying import flown, promised
@@ -27,7 +28,8 @@ from outrider.falsify.genome import SIZES, Candidate, decode, proof_cases
 from outrider.falsify.limits import Limits, base_of, beyond_declared, needed_age
 from outrider.falsify.pool import Workers
 from outrider.falsify.saving import as_toml
-from outrider.flying import fly
+from outrider.flying import InProcess, fly, make_pilots
+from sim.flight import Flight
 from sim.scenario import Scenario, load_scenario
 from sim.scenario_checks import check_scenario
 
@@ -87,6 +89,7 @@ def test_the_logarithmic_law_is_broken_by_blackouts_and_by_late_commands() -> No
 def test_the_certified_law_stands_within_its_limits() -> None:
     result = found("certified", 12, DEGRADED)
     assert result.violations == result.lost == 0
+    assert result.flights.certified_while_lost == result.flights.certificate_broken == 0
     assert result.worst > 4.0
 
 
@@ -113,6 +116,39 @@ def test_a_promise_counts_from_the_first_certified_tick_and_again_some_time_afte
     word = np.array([False, True, True, False, True, True, True, True], dtype=np.bool_)
     assert promised(word, 2).tolist() == [False, False, True, True, False, False, False, True, True]
     assert not promised(np.zeros(3, dtype=np.bool_), 0).any()
+
+
+def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Away(InProcess):
+        """The UAV flies off, and claims now and then, too short for a promise, that sight is kept."""
+
+        def collect(self, tick: int) -> dict[str, Command]:
+            commands = super().collect(tick)
+            said = commands["uav_0"]
+            assert isinstance(said, UavCommand)
+            assert said.report is not None
+            report = msgspec.structs.replace(said.report, certified=tick % 10 == 9, uncertified="")
+            return commands | {"uav_0": msgspec.structs.replace(said, acceleration=(0.3, 0.3), report=report)}
+
+    def fly_off(scenario: Scenario, seed: int, *, on_tick: Callable[[Flight], None]) -> tuple[Flight, None]:
+        flight = Flight(scenario, seed)
+        flight.fly(Away(make_pilots(scenario, seed)), on_tick=lambda: on_tick(flight))
+        return flight, None
+
+    monkeypatch.setattr(flying, "fly", fly_off)
+    candidate = next(one for one in candidates(8) if one.kind != "adversary")
+    _, flight, result = flown(candidate, base("certified"), UNDEGRADED)
+    lies = sum(distance >= R_V for distance in distances(flight)[9:-1:10])
+    assert result.certified_while_lost == lies > 5
+    assert result.violated
+    assert result.score >= R_V
+    tally = search.Tally()
+    tally.take(candidate, result)
+    tally.take(candidate, result)
+    wanted = Wanted(base=base("certified"), limits=UNDEGRADED, flies=True, attacks=False)
+    told = Found(wanted, flights=tally).as_plain()["flights"]
+    assert (told["violations"], told["certified_while_lost"]) == (2, 2 * lies)
+    assert told["certificate_broken"] == 2 * result.certificate_broken
 
 
 # Candidates

@@ -111,13 +111,20 @@ def test_where_nothing_was_certified_a_lost_run_breaks_no_certificate(tmp_path):
         if head["law"] == "certified":
             late = (head.get("links.detections.delay") or 0.0) >= 2.0
             row |= {"violated": late and head["seed"] == 0, "certified_share": 0.5 if late else 1.0}
+            row |= {"certified_while_lost": 0, "certificate_broken": 0}
+            if late and head["seed"] == 1:
+                row |= {"certified_while_lost": 4, "certificate_broken": 1200}
     with SweepFolder(tmp_path / "sweep", plan, command="outrider sweep") as folder:
         folder.add(iter(rows))
         folder.finish()
     material = read_material([tmp_path / "sweep"])
     assert holds(material.panels[0], "certified") == ("to 1 s, broken at 2 s, where it is not certified", False)
     assert certified_runs(material) == "15 runs were certified at every tick; 0 of them lost the UGV."
-    assert "| 50 % |\n" in markdown(material)
+    assert "| 50 % | 4 | 1,200 |\n" in markdown(material)
+    assert "| 100 % | 0 | 0 |\n" in markdown(material)
+    html = page(material, {}, "outrider report")
+    assert '<td class="n bad">1,200</td>' in html
+    assert '<td class="n">0</td>' in html
     for row in rows[:]:
         if row["certified_share"] == 0.5:
             row["certified_share"] = 1.0
@@ -132,10 +139,10 @@ def test_where_nothing_was_certified_a_lost_run_breaks_no_certificate(tmp_path):
 def test_the_markdown_table_has_every_value_and_law(material):
     text = markdown(material)
     assert "| delay of the detections | to 1 s, broken at 2 s | to 0.5 s, broken at 1 s |" in text
-    assert "| 1 s | switching | 5 | 4 (80 %) | 38 % to 96 % | -0.29 | -0.27 | 112 | 1 | 90 % | - |" in text
+    assert "| 1 s | switching | 5 | 4 (80 %) | 38 % to 96 % | -0.29 | -0.27 | 112 | 1 | 90 % | - | - | - |" in text
     assert "| 2 s | linear | 4 (+1 failed) | 1 (25 %) |" in text
     widths = {line.count("|") for line in text.splitlines() if " s | " in line and "broken" not in line}
-    assert widths == {12}
+    assert widths == {14}
     assert text.count(" s | linear | ") + text.count(" | 0 | linear") >= 3
 
 

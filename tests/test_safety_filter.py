@@ -50,6 +50,7 @@ def test_sight_is_kept_and_certified_in_every_tick(network: list[str], seed: int
     silent = {"the UAV has no estimate yet, or its command did not come": until}
     assert summary.uncertified == {cause: count for cause, count in silent.items() if count}
     assert flight.assurance.certified == flight.assurance.ticks - until
+    assert summary.certified_while_lost == summary.certificate_broken == 0
 
 
 def test_the_paper_s_law_loses_sight_where_the_filter_keeps_it() -> None:
@@ -79,6 +80,7 @@ def test_a_broken_assumption_is_told_with_its_name(changes: list[str], reason: s
     assert summary.certified_share is not None
     assert summary.certified_share < 1.0
     assert any(reason in line for line in summary.uncertified)
+    assert summary.certified_while_lost == summary.certificate_broken == 0
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,9 @@ from test_closed_loop import SCENARIOS
 
 from bus.messages import Command
 from outrider.cli import main
-from outrider.closed_loop import pilot_names
+from outrider.closed_loop import ClosedLoop, pilot_names
 from outrider.flying import InProcess, make_pilots, run
+from outrider.suites import scoring
 from outrider.suites.board import LAWS, leaderboard
 from outrider.suites.scoring import evaluate
 from outrider.suites.tasks import SEEDS, TASKS, Suite, Task, suite
@@ -27,6 +28,7 @@ from sim.tick import first_state
 pytestmark = pytest.mark.xdist_group("many worlds")  # on one worker: what they compile takes a minute, once
 
 SHORT: dict[str, object] = {"duration": 4.0, "area.width": 16.0, "area.height": 12.0, "ugv.0.goals": [[12.0, 9.0]]}
+CERTIFICATES = ("certified_while_lost", "certificate_broken")
 TASK = Task(name="short", hard="it is over soon", changes=SHORT)
 SLOW = Task(name="slow", hard="", changes={**SHORT, "duration": 30.0})
 
@@ -86,7 +88,7 @@ def test_the_score_is_the_mean_share_of_what_there_was_to_see() -> None:
     result = evaluate(task, "certified", seeds=[9000, 9001])
     assert result.scores[1] == pytest.approx(100.0 * np.mean(1.0 - errors / most), rel=1e-12)
     assert 0.0 < result.scores[1] < 100.0
-    assert result.lost == 0
+    assert result.lost == result.certified_while_lost == result.certificate_broken == 0
 
 
 def test_the_mean_error_is_that_of_single_runs() -> None:
@@ -133,6 +135,32 @@ def test_sight_that_is_found_again_stays_lost() -> None:
         return result.scores
 
     assert scores(turns_back=True) == scores(turns_back=False)
+
+
+def test_what_is_certified_out_of_sight_is_told_with_the_score(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Near(ClosedLoop):
+        """Sight ends at two metres, and the filter was told another r_v."""
+
+        def begin(self, seeds: Any, worlds: Any = None) -> None:
+            self.parameters = self.parameters._replace(w=self.parameters.w._replace(r_v=2.0))
+            super().begin(seeds, worlds)
+
+    assert SLOW.evaluate("certified", seeds=[9000]).certified_while_lost == 0
+    monkeypatch.setattr(scoring, "ClosedLoop", Near)
+    result = SLOW.evaluate("certified", seeds=[9000])
+    assert (result.lost, result.certified_while_lost) == (1, 1)  # at the tick at which sight is lost; then the task is over
+    result = SLOW.evaluate("certified", seeds=[9000, 9001])
+    board = leaderboard(["certified", "linear"], tasks=[SLOW], seeds=[9000, 9001])
+    told = {standing.entry: standing.certified_while_lost for standing in board.standings}
+    assert told == {"certified": result.certified_while_lost, "linear": 0}
+    assert result.certified_while_lost >= 2
+
+
+def test_nothing_that_the_suite_flies_on_bad_links_is_certified_falsely() -> None:
+    for name in ("late-looks", "dropouts", "bursts", "late-commands", "all-at-once"):
+        task = Task(name=name, hard="", changes={**suite()[name].changes, "duration": 80.0})
+        result = task.evaluate("certified", seeds=SEEDS[:3])
+        assert (result.certified_while_lost, result.certificate_broken) == (0, 0), name
 
 
 def test_who_sees_more_scores_more() -> None:
@@ -265,9 +293,10 @@ def test_the_command_scores_laws_and_policies(outrider: Callable[..., Any], tmp_
     assert told["tasks"] == ["short-sight"]
     assert {standing["entry"] for standing in told["standings"]} == {"tracking", "mine_for_the_suite:away"}
     result = told["standings"][0]["results"][0]
-    assert set(result) == {"task", "entry", "score", "low", "high", "scores", "mean_error", "lost", "episodes"}
+    assert set(result) == {"task", "entry", "score", "low", "high", "scores", "mean_error", "lost", "episodes", *CERTIFICATES}
     assert result["episodes"] == len(result["scores"]) == 20
     assert all(standing["lost"] == 0 for standing in told["standings"])  # the filter was asked
+    assert all(standing[count] == 0 for standing in told["standings"] for count in CERTIFICATES)
     assert (tmp_path / "board.md").read_text(encoding="utf-8").startswith("| task | ")
 
 

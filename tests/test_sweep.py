@@ -160,6 +160,7 @@ def test_each_row_is_the_run_that_outrider_run_flies_and_the_rows_do_not_depend_
         assert two["margin"][k] == 4.75 - summary.max_distance
         assert two["mean_error"][k] == summary.mean_error
         assert two["violated"][k] is (summary.visibility_violations > 0)
+        assert (two["certified_while_lost"][k], two["certificate_broken"][k]) == (0, 0)
         assert two["detections_delivery_ratio"][k] == summary.links["uav_0/detections"].delivery_ratio
     assert set(two["error"]) == {None}
     assert len(set(two["trajectory_sha256"])) == 12

@@ -107,6 +107,11 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
         rows.append(
             ("sight certified", f"[{colour}]{share}[/], filter acted in {100.0 * (summary.intervened_share or 0.0):.1f} %")
         )
+    if summary.certified_while_lost:
+        rows.append(("[red]certified while lost[/]", f"[red]{summary.certified_while_lost} ticks: the certificate is wrong[/]"))
+    if summary.certificate_broken:
+        broken = f"[red]{summary.certificate_broken} times, although all assumptions held: the certificate is wrong[/]"
+        rows.append(("[red]certificate broken[/]", broken))
     rows += [("not certified", f"{count} ticks: {reason}") for reason, count in summary.uncertified.items()]
     rows += [(f"link {name}", _link(status)) for name, status in summary.links.items() if status.degraded]
     for name, counts in summary.faults.items():

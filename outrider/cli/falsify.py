@@ -105,11 +105,12 @@ def command(
     flies it again, to the last bit: `outrider run FILE --in-process`.
 
     The law `certified` promises only where it says so: a run counts as violated if every tick from its first certified one up to
-    the loss was certified (after a gap: those of the last second); both numbers are told. What the scenario does not declare in
-    [certificate] is declared as the limits need it. For this law a compiled attack is flown as well, over its own grid:
-    adversaries in the UAV and in the UGV, errors on the border of their ball, blackouts up to 15 s, commands up to 1 s late,
-    walls and corners; and commands that are lost, early, doubled or later than declared, laws changed in flight, processes that
-    join again. One in a hundred of --runs are whole flights, the others attacks; of --minutes, a third.
+    the loss was certified (after a gap: those of the last second), or if any tick was certified while the UGV was out of sight;
+    all numbers are told. What the scenario does not declare in [certificate] is declared as the limits need it. For this law a
+    compiled attack is flown as well, over its own grid: adversaries in the UAV and in the UGV, errors on the border of their
+    ball, blackouts up to 15 s, commands up to 1 s late, walls and corners; and commands that are lost, early, doubled or later
+    than declared, laws changed in flight, processes that join again. One in a hundred of --runs are whole flights, the others
+    attacks; of --minutes, a third.
 
     The exit code is 0 whatever is found, unless --expect says otherwise; 130 after Ctrl-C, which keeps the best.
     Needs the extra [falsify].
@@ -278,6 +279,8 @@ def _lines(found: "Found") -> "Iterator[str]":
         if wanted.base.law.name == "certified":
             share = f"not every tick was certified in {flights.uncertified:,}"
             yield f"    {share}; in {flights.lost - flights.violations:,} sight was lost after nothing was promised any more"
+            yield f"    certified while lost: {flights.certified_while_lost:,} ticks"
+            yield f"    certificate lost while all assumptions held: {flights.certificate_broken:,} times"
     if attacks.worst is not None:
         worst, over = attacks.worst, f"over {attacks.combinations:,} combinations of network and error"
         said = "are certified while sight is lost" if wanted.control is None else "lose sight"

@@ -60,6 +60,7 @@ def command(
 def _refly(recording: "Recording", *, json: bool) -> None:
     from outrider.cli.console import ERR, OUT, print_json
     from outrider.recording.refly import refly
+    from outrider.summary import certificate_fields
 
     with ERR.status("flying it again"):
         found = refly(recording)
@@ -81,6 +82,7 @@ def _refly(recording: "Recording", *, json: bool) -> None:
                 "flown": where.flown,
             },
             "note": found.note,
+            **certificate_fields(recording.certificates),
         }
         print_json(told)
     else:
@@ -145,14 +147,17 @@ def _tell(recording: "Recording", *, json: bool) -> None:
 
     from outrider.cli.console import OUT, print_json, print_summary
     from outrider.recording.refly import from_the_start, restore
-    from outrider.summary import summarize
+    from outrider.summary import certificate_fields, summarize
 
     told = _facts(recording)
     if recording.head.scenario is not None and from_the_start(recording):
         seconds = _wall_time(recording)
         restored = restore(recording)
         summary = msgspec.structs.replace(
-            summarize(restored, seconds=seconds), platform=recording.head.platform, links=recording.links
+            summarize(restored, seconds=seconds),
+            platform=recording.head.platform,
+            links=recording.links,
+            **certificate_fields(recording.certificates),
         )
         if json:
             print_json({**msgspec.to_builtins(summary), **told})

@@ -113,6 +113,8 @@ class Found:
                 "violations": self.flights.violations,
                 "lost": self.flights.lost,
                 "uncertified": self.flights.uncertified,
+                "certified_while_lost": self.flights.certified_while_lost,
+                "certificate_broken": self.flights.certificate_broken,
                 "worst_distance": self.flights.worst or None,
             },
             "attack": {

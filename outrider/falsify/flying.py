@@ -29,6 +29,10 @@ class Result:
     """Whether it was lost at all."""
     uncertified: bool
     """Whether the law certifies, and did not certify every tick from the first certified one on."""
+    certified_while_lost: int = 0
+    """Ticks that were certified although the UGV was out of sight then; any is a violation."""
+    certificate_broken: int = 0
+    """Ticks that were not certified although the one before was and all assumptions held."""
 
 
 _WHILE = 1.0
@@ -87,6 +91,7 @@ def flown(candidate: Candidate, base: Scenario, limits: Limits) -> tuple[Scenari
     certifies = scenario.law.name == "certified"
     patience = math.ceil((_WHILE + scenario.links.commands.delay) / scenario.dt)
     stands = promised(watch.certified, patience) if certifies else np.ones(len(distance), dtype=np.bool_)
+    stands[:-1] |= watch.certified  # whatever has been before, a certified tick says that the UGV is in sight
     lost = distance >= scenario.visibility.radius
     result = Result(
         number=candidate.number,
@@ -95,6 +100,8 @@ def flown(candidate: Candidate, base: Scenario, limits: Limits) -> tuple[Scenari
         violated=bool(np.any(lost & stands)),
         lost=bool(np.any(lost)),
         uncertified=certifies and not bool(np.all(watch.certified[int(watch.certified.argmax()) :])),
+        certified_while_lost=flight.assurance.certified_while_lost,
+        certificate_broken=flight.assurance.certificate_broken,
     )
     return scenario, flight, result
 

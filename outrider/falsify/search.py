@@ -94,6 +94,10 @@ class Tally:
     """Runs in which it was lost at all."""
     uncertified: int = 0
     """Runs in which a filter did not certify every tick."""
+    certified_while_lost: int = 0
+    """Ticks of all runs that were certified although the UGV was out of sight."""
+    certificate_broken: int = 0
+    """Ticks of all runs that were not certified although the one before was and all assumptions held."""
     elite: list[tuple[Candidate, Result]] = field(default_factory=list)
     """The best, by the largest distance while the promise stood."""
 
@@ -108,6 +112,8 @@ class Tally:
         self.violations += result.violated
         self.lost += result.lost
         self.uncertified += result.uncertified
+        self.certified_while_lost += result.certified_while_lost
+        self.certificate_broken += result.certificate_broken
         self.elite.append((candidate, result))
         self.elite.sort(key=lambda pair: (-pair[1].score, pair[0].number))
         del self.elite[_ELITE:]

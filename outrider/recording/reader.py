@@ -11,7 +11,7 @@ from typing import Any, BinaryIO, TypeVar
 import msgspec
 
 from bus.errors import ScenarioError
-from bus.messages import Change, CoverageMap, LinkStatus, Message, Status, Truth
+from bus.messages import CertificateStatus, Change, CoverageMap, LinkStatus, Message, Status, Truth
 from outrider.recording.schemas import (
     CHANGES,
     COMMANDS,
@@ -214,6 +214,8 @@ class Recording:
     """Simulated seconds per second of wall time, as the run's status told now and then."""
     links: dict[str, LinkStatus] = field(default_factory=dict)
     """What each link had done by the last status: nothing else of a recording tells."""
+    certificates: CertificateStatus | None = None
+    """What the safety filters had said by then, held against the truth; None where none watched."""
     damage: Damage = field(default_factory=Damage)
 
     @property
@@ -263,7 +265,7 @@ def load(path: Path) -> list[Recording]:
         elif isinstance(message, Change):
             flights[-1].changes.append(message)
         elif isinstance(message, Status):
-            flights[-1].links = message.links
+            flights[-1].links, flights[-1].certificates = message.links, message.certificates
             flights[-1].factors += [message.realtime_factor] if message.realtime_factor > 0.0 else []
     if not flights:
         why = damage.reason or "closed, and empty"

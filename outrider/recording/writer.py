@@ -176,6 +176,7 @@ class FlightRecorder:
             law=flight.law.name,
             drivers=dict(flight.drivers),
             vehicles={**counted, **vehicles},
+            certificates=flight.assurance.status(),
             links=flight.world.links.status(),
             over=flight.over,
         )

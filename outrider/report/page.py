@@ -23,9 +23,13 @@ COLUMNS = (
     "age of detections [s]",
     "arrived",
     "certified",
+    "certified while lost",
+    "certificate broken",
 )
 
 
+_FAULTS = tuple(COLUMNS.index(name) - 1 for name in ("lost the UGV", "certified while lost", "certificate broken"))
+"""Columns after the law's that are bad where they are not 0."""
 _UNPROMISED = ", where it is not certified"
 
 
@@ -35,6 +39,11 @@ def _percent(share: float) -> str:
 
 def _mean(values: list[float], digits: int = 3) -> str:
     return number(fmean(values), digits) if values else "-"
+
+
+def _count(values: list[float]) -> str:
+    """Ticks of all runs; a sweep of an older version did not count them."""
+    return f"{int(sum(values)):,}" if values else "-"
 
 
 def cells_of(law: str, cell: Cell) -> list[str]:
@@ -53,6 +62,7 @@ def cells_of(law: str, cell: Cell) -> list[str]:
         _mean(cell.numbers("detections_mean_age"), 2),
         _percent(fmean(arrived)) if arrived else "-",
         f"{100.0 * fmean(certified):.4g} %" if certified else "-",
+        *(_count(cell.numbers(name)) if certified else "-" for name in ("certified_while_lost", "certificate_broken")),
     ]
 
 
@@ -143,7 +153,7 @@ def _table(panel: Panel) -> Iterator[str]:
         first = ' class="first"' if before not in (None, value) else ""
         yield f"<tr{first}><td>{escape(value) if value != before else ''}</td><td>{_law(law)}</td>"
         for k, text in enumerate(row):
-            bad = " bad" if k == 1 and not text.startswith(("0 ", "-")) else ""
+            bad = " bad" if k in _FAULTS and not text.startswith(("0", "-")) else ""
             yield f'<td class="n{bad}">{escape(text)}</td>'
         yield "</tr>"
         before = value

@@ -52,7 +52,7 @@ class Cell:
 
     def numbers(self, column: str) -> list[float]:
         """The finite numbers of a column."""
-        found = [row[column] for row in self.flown]
+        found = [row.get(column) for row in self.flown]  # none in a sweep of a version that did not have it
         return [value for value in found if value is not None and math.isfinite(value)]
 
 

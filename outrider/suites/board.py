@@ -28,6 +28,10 @@ class Standing:
     lost: int
     """Episodes in which sight was lost."""
     episodes: int
+    certified_while_lost: int
+    """Ticks that the safety filter certified with the UGV out of sight: 0, or the certificate is wrong."""
+    certificate_broken: int
+    """Ticks that it did not certify although the one before was and all assumptions held: likewise."""
     results: tuple[Result, ...]
     """Task by task."""
 
@@ -68,6 +72,8 @@ def _standing(entry: str, results: Sequence[Result]) -> Standing:
         high=min(100.0, high),
         lost=sum(result.lost for result in results),
         episodes=sum(result.episodes for result in results),
+        certified_while_lost=sum(result.certified_while_lost for result in results),
+        certificate_broken=sum(result.certificate_broken for result in results),
         results=tuple(results),
     )
 

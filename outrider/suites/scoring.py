@@ -44,6 +44,10 @@ class Result:
     lost: int
     """Episodes in which sight was lost."""
     episodes: int
+    certified_while_lost: int = 0
+    """Ticks of all UAVs that the safety filter certified with the UGV out of sight: 0, or the certificate is wrong."""
+    certificate_broken: int = 0
+    """Ticks that it did not certify although the one before was and all assumptions held: likewise."""
 
 
 class _Meter:
@@ -64,6 +68,8 @@ class _Meter:
         """Sum of e(t) over the ticks in sight [m²], the mean of the UAVs."""
         self.ticks: npt.NDArray[np.int64] = np.zeros(loop.worlds, dtype=np.int64)
         """In sight."""
+        self.certified_while_lost = self.certificate_broken = 0
+        """What the safety filters said that was not so [ticks]."""
 
     def note(self) -> None:
         """Take in the tick that all worlds are at."""
@@ -81,6 +87,13 @@ class _Meter:
         self.errors[which] += error.mean(axis=1)
         self.ticks[which] += 1
 
+    def note_certificates(self) -> None:
+        """Take in what was certified, once all is flown."""
+        for uav in self._loop.uavs:
+            told = self._loop.metrics(uav)
+            self.certified_while_lost += int(told["certified_while_lost"].sum())
+            self.certificate_broken += int(told["certificate_broken"].sum())
+
     def _unseen(self, x: float, y: float) -> float:
         """What e would be [m²] with the UGV at (x, y) [m], had no UAV seen anything; UGVs of many worlds often stand there."""
         found = self._known.get((x, y))
@@ -94,9 +107,10 @@ def _fly(loop: ClosedLoop, advance: Callable[[], object]) -> _Meter:
     meter.note()
     for _ in range(loop.scenario.ticks):
         advance()
-        meter.note()
         if not meter.in_sight.any():
-            break
+            break  # what was said at the tick at which the last of them lost sight has been said
+        meter.note()
+    meter.note_certificates()
     return meter
 
 
@@ -178,4 +192,6 @@ def evaluate(
         mean_error=math.fsum((meter.errors / meter.ticks).tolist()) / len(seeds),
         lost=int((~meter.in_sight).sum()),
         episodes=len(seeds),
+        certified_while_lost=meter.certified_while_lost,
+        certificate_broken=meter.certificate_broken,
     )

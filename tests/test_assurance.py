@@ -1,0 +1,290 @@
+"""What the safety filters say is held against the truth: a lie is counted, and what an assumption excuses is not."""
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import typer
+from flights import R_V, escort
+from typer.testing import CliRunner
+
+from bus.messages import Command, Law, UavCommand, UavReport
+from outrider.cli import replay
+from outrider.cli.console import OUT, print_summary
+from outrider.flying import InProcess, fly, make_pilots
+from outrider.summary import Summary, summarize
+from outrider.sweep.rows import row_of
+from sim.assurance import Arrival, Assurance
+from sim.flight import Flight
+from sim.scenario import Certificate, LinkTable, Scenario, load_scenario
+
+DELAYED = load_scenario(
+    "escort",
+    overrides={"law.name": "certified", "links.commands.delay": 0.1, "certificate.error": 0.3, "certificate.age": 0.5},
+)
+"""Commands act two ticks late, and the newest detection is never older than ten ticks."""
+
+
+def command(tick: int) -> tuple[float, float]:
+    """Each tick's is another [m/s²]."""
+    return (0.1 + tick, -0.2) if tick >= 0 else (0.0, 0.0)
+
+
+def said(certified: bool | None, *, distance: float = 1.0, reason: str = "") -> UavReport:
+    return UavReport(
+        estimate=(1.0, 2.0),
+        covariance=(1.0, 0.0, 1.0),
+        age=0.0,
+        refused=0,
+        certified=certified,
+        certified_distance=distance if certified is not None else None,
+        uncertified=reason,
+    )
+
+
+def taken(*claims: bool | None, at: float = 1.0, scenario: Scenario = DELAYED) -> Assurance:
+    """Ticks with these claims, in which all that is declared holds; None: no report comes."""
+    assurance = Assurance(scenario)
+    for tick, certified in enumerate(claims):
+        take(assurance, tick, certified, distance=at)
+    return assurance
+
+
+def take(assurance: Assurance, tick: int, certified: bool | None, **given: Any) -> None:
+    assurance.send(0, tick, command(tick))
+    report = None if certified is None else said(certified, reason="" if certified else "because")
+    arguments = {"distance": 1.0, "arrivals": [Arrival(tick, 0.3)], "acts": command(tick - 2), **given}
+    assurance.take(0, tick, report, **arguments)
+
+
+def test_a_tick_that_is_certified_out_of_sight_is_counted() -> None:
+    for at, lies in ((R_V - 1e-9, 0), (R_V, 2), (9.0, 2)):
+        counted = taken(True, False, True, None, at=at)
+        assert (counted.ticks, counted.certified, counted.certified_while_lost) == (4, 2, lies)
+    assert taken(False, None, at=9.0).certified_while_lost == 0
+
+
+def test_a_certificate_that_ends_while_all_assumptions_hold_is_counted_once() -> None:
+    assert taken(*[True] * 5, *[False] * 5, True, False).certificate_broken == 2
+    assert taken(False, False, True, True).certificate_broken == 0
+
+
+AT = 6
+"""The tick at which the certificate ends; the one before was certified."""
+EXCUSES: dict[str, dict[int, dict[str, Any]]] = {
+    "the command that acted just before was another": {AT - 1: {"acts": (0.0, 0.0)}},
+    "the command of the tick before acted": {AT - 1: {"acts": command(AT - 4)}},
+    "no detection for longer than declared": {tick: {"arrivals": []} for tick in range(AT + 1)},
+    "a detection arrives that is older than declared": {tick: {"arrivals": [Arrival(tick - 11, 0.0)]} for tick in range(AT + 1)},
+    "a larger error than declared": {AT: {"arrivals": [Arrival(AT, 0.31)]}},
+    "a larger error than declared long before": {0: {"arrivals": [Arrival(0, 0.31)]}},
+    "the report is of an earlier tick": {AT: {"current": False}},
+    "the report before was of an earlier tick": {AT - 1: {"current": False}},
+}
+NO_EXCUSES: dict[str, dict[int, dict[str, Any]]] = {
+    "nothing": {},
+    "an age of exactly what is declared": {tick: {"arrivals": []} for tick in range(1, AT + 1)}
+    | {0: {"arrivals": [Arrival(-4, 0.0)]}},
+    "an error of exactly what is declared": {AT: {"arrivals": [Arrival(AT, 0.3)]}},
+    "an old detection that comes after newer ones": {AT: {"arrivals": [Arrival(AT - 10, 0.0), Arrival(AT - 30, 0.0)]}},
+    "another command acts in the tick itself": {AT: {"acts": (0.0, 0.0)}},
+    "a command was late long before": {1: {"acts": (5.0, 5.0)}},
+}
+
+
+@pytest.mark.parametrize("excused", [True, False])
+def test_a_certificate_may_end_where_an_assumption_fails_and_only_there(excused: bool) -> None:
+    for what, given in (EXCUSES if excused else NO_EXCUSES).items():
+        assurance = Assurance(DELAYED)
+        for tick in range(AT + 1):
+            take(assurance, tick, tick < AT, **given.get(tick, {}))
+        assert assurance.certificate_broken == (0 if excused else 1), what
+
+
+def test_a_law_that_changes_and_a_process_that_joins_again_excuse_one_tick() -> None:
+    for until, broken in ((AT, 0), (AT + 1, 1)):
+        assurance = Assurance(DELAYED)
+        for tick in range(until + 1):
+            if tick == AT:
+                assurance.excuse(0)
+            take(assurance, tick, tick < until)
+        assert assurance.certificate_broken == broken
+
+
+def test_a_filter_that_begins_in_flight_answers_for_no_detection_of_before() -> None:
+    assurance = Assurance(DELAYED)
+    take(assurance, 0, True, arrivals=[Arrival(0, 9.0)])
+    for tick in range(10, 20):  # the law has not been watched meanwhile
+        take(assurance, tick, tick < 15)
+    assert assurance.certificate_broken == 1
+
+
+class Liar(InProcess):
+    """The pilots, but the UAV always says that it is certified."""
+
+    def collect(self, tick: int) -> dict[str, Command]:
+        commands = super().collect(tick)
+        command = commands["uav_0"]
+        assert isinstance(command, UavCommand)
+        report = said(True, distance=0.5) if tick != 7 else None
+        return commands | {"uav_0": msgspec.structs.replace(command, report=report)}
+
+
+LOSING = escort("certified", duration=40.0, area=msgspec.structs.replace(escort().area, cell=0.5), name="losing")
+LOSING = msgspec.structs.replace(
+    LOSING,
+    certificate=Certificate(age=60.0),  # nothing can be certified, and nothing is seen from 5 s on
+    links=LinkTable(detections=msgspec.structs.replace(LOSING.links.detections, blackouts=((5.0, 60.0),))),
+    ugv=(msgspec.structs.replace(LOSING.ugv[0], position=(21.0, 20.0), goals=((39.0, 20.0),)),),
+)
+
+
+@pytest.fixture(scope="module")
+def lied(tmp_path_factory: pytest.TempPathFactory) -> tuple[Flight, Summary, Path]:
+    pytest.importorskip("foxglove", reason="the extra [record] is not installed")
+    from outrider.recording.writer import FlightRecorder
+
+    path = tmp_path_factory.mktemp("lied") / "run.mcap"
+    flight = Flight(LOSING, 3)
+    recorder = FlightRecorder(path, LOSING, 3)
+    flight.fly(Liar(make_pilots(LOSING, 3)), on_tick=lambda: recorder.tick(flight))
+    recorder.close()
+    return flight, summarize(flight, seconds=1.0), path
+
+
+def test_every_lie_of_a_flight_is_in_its_summary(lied: tuple[Flight, Summary, Path]) -> None:
+    flight, summary, _ = lied
+    lost = int((flight.recorder.escorts[:-1, 0, 0] >= R_V).sum())
+    assert summary.certified_while_lost == lost > 20
+    assert summary.certified_share == pytest.approx((LOSING.ticks - 1) / LOSING.ticks)
+    assert summary.certificate_broken == 0
+    row = row_of(summary, 1.0)
+    assert (row["certified_while_lost"], row["certificate_broken"]) == (lost, 0)
+    truth = flight.truth().escorts[0].report
+    assert truth is not None
+    assert truth.certified
+
+
+def test_the_trajectory_s_file_tells_each_tick_what_was_certified(lied: tuple[Flight, Summary, Path], tmp_path: Path) -> None:
+    flight, summary, _ = lied
+    flight.recorder.write(tmp_path / "trajectory.csv")
+    with (tmp_path / "trajectory.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0])[-2:] == ["uav_0.certified", "uav_0.certified_distance [m]"]
+    claims = [row["uav_0.certified"] for row in rows]
+    assert claims == ["1"] * 7 + [""] + ["1"] * (LOSING.ticks - 8) + [""]  # no report at tick 7, none after the last tick
+    assert {row["uav_0.certified_distance [m]"] for row in rows} == {"0.5", ""}
+    lies = [row for row in rows if row["uav_0.certified"] == "1" and float(row["uav_0.distance [m]"]) >= R_V]
+    assert len(lies) == summary.certified_while_lost
+
+
+def test_a_recording_tells_the_same_counts_and_each_tick_s_claim(lied: tuple[Flight, Summary, Path]) -> None:
+    from outrider.recording.reader import flight_of
+
+    _, summary, path = lied
+    truths = flight_of(path).truths
+    reports = [truth.escorts[0].report for truth in truths[1:]]  # what was said at the tick before
+    assert [report is not None and report.certified for report in reports] == [tick != 7 for tick in range(LOSING.ticks)]
+    assert {report.certified_distance for report in reports if report is not None} == {0.5}
+    lies = [t.escorts[0].distance >= R_V for t, report in zip(truths, reports, strict=False) if report is not None]
+    assert sum(lies) == summary.certified_while_lost
+    app = typer.Typer()
+    app.command()(replay.command)
+    for arguments in ((str(path), "--json"), (str(path), "--refly", "--json")):
+        told = json.loads(CliRunner().invoke(app, arguments).stdout)
+        for field in ("certified_share", "intervened_share", "uncertified", "certified_while_lost", "certificate_broken"):
+            assert told[field] == getattr(summary, field), (arguments, field)
+
+
+def test_the_table_has_a_line_for_each_fault_of_the_certificate_and_none_without(lied: tuple[Flight, Summary, Path]) -> None:
+    _, summary, _ = lied
+    broken = msgspec.structs.replace(summary, certified_while_lost=0, certificate_broken=3)
+    clean = msgspec.structs.replace(summary, certified_while_lost=0)
+    for shown, lines in ((summary, {"certified while lost"}), (broken, {"certificate broken"}), (clean, set())):
+        with OUT.capture() as captured:
+            print_summary(shown, [])
+        assert {line for line in ("certified while lost", "certificate broken") if line in captured.get()} == lines
+    assert "wrong" not in captured.get()
+
+
+class LosesTheThread(InProcess):
+    """The pilots, but once the UAV says without a reason that it is not certified."""
+
+    def collect(self, tick: int) -> dict[str, Command]:
+        commands = super().collect(tick)
+        command = commands["uav_0"]
+        assert isinstance(command, UavCommand)
+        report = said(tick % 50 != 49, reason="no reason at all")
+        return commands | {"uav_0": msgspec.structs.replace(command, report=report)}
+
+
+@pytest.mark.parametrize(
+    ("changes", "broken"),
+    [
+        ({}, 4),
+        ({"links.commands.delay": 0.5, "hold": 2.0}, 4),
+        ({"detections.noise": 0.5, "certificate.error": 0.1}, 0),
+        ({"links.detections.delay": 1.0, "certificate.age": 0.9}, 0),
+        ({"links.detections.delay": 1.0, "certificate.age": 1.0}, 4),
+        ({"links.commands.delay": 0.5, "certificate.delay": 0.45, "hold": 2.0}, 0),
+    ],
+    ids=str,
+)
+def test_a_flight_s_certificate_is_broken_only_where_the_truth_keeps_what_is_declared(
+    changes: dict[str, Any], broken: int
+) -> None:
+    given = {"law.name": "certified", "area.cell": 0.5, "duration": 10.0, "uav.0.velocity": [0.3, 0.2], "detections.dropout": 0.0}
+    scenario = load_scenario("escort", overrides=given | changes)
+    flight = Flight(scenario, 7)
+    flight.fly(LosesTheThread(make_pilots(scenario, 7)))
+    assert flight.assurance.certificate_broken == broken
+    assert flight.assurance.reasons["no reason at all"] == 4
+
+
+def test_a_law_that_is_ordered_in_flight_excuses_the_tick_at_which_it_begins() -> None:
+    scenario = load_scenario("escort", overrides={"law.name": "certified", "area.cell": 0.5, "duration": 10.0})
+
+    def broken(at: int | None) -> int:
+        flight = Flight(scenario, 7)
+
+        class Ordering(LosesTheThread):
+            def begin(self, tick: int) -> None:
+                if tick == at:
+                    flight.order(Law(name="certified", weight_gain=10.0))
+
+        flight.fly(Ordering(make_pilots(scenario, 7)))
+        return flight.assurance.certificate_broken
+
+    assert (broken(None), broken(49), broken(48), broken(50)) == (4, 3, 4, 4)
+
+
+HARSH: dict[str, list[str]] = {
+    "commands half a second late, and two blackouts": [
+        "links.commands.delay=0.5",
+        "hold=1.5",
+        "certificate.age=5.0",
+        "links.detections.blackouts=[[30.0,20.0],[80.0,30.0]]",
+    ],
+    "jitter of the commands": ["links.commands.delay=0.5", "links.commands.jitter=0.1", "hold=1.5", "certificate.delay=0.5"],
+    "loss of commands": ["links.commands.delay=1.0", "links.commands.loss=0.02", "hold=2.0", "certificate.age=3.0"],
+    "narrowband commands": ["links.commands.profile=narrowband", "hold=2.0", "certificate.age=6.0"],
+    "jammed commands": ["links.commands.profile=jammed", "hold=2.0", "certificate.age=6.0"],
+}
+"""Networks that break what is declared of the commands, or of the detections' age."""
+
+
+HARSH_SEEDS = {"jitter of the commands": 11, "jammed commands": 11}
+"""Where it is not 7: flights in which a filter that looks only at the state when its command acts certifies what is lost."""
+
+
+@pytest.mark.parametrize("name", HARSH)
+def test_nothing_is_certified_out_of_sight_where_the_network_breaks_what_is_declared(name: str) -> None:
+    quiet = ["detections.noise=0", "detections.dropout=0", "duration=160"]
+    flown = ["law.name=certified", "ugv.0.driver=evade", "area.cell=0.5", *quiet, *HARSH[name]]
+    summary = fly(load_scenario("escort", overrides=flown), HARSH_SEEDS.get(name, 7))[1]
+    assert summary.certified_share is not None
+    assert summary.certified_share > 0.0
+    assert (summary.certified_while_lost, summary.certificate_broken) == (0, 0)
