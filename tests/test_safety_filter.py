@@ -93,8 +93,7 @@ def test_a_broken_assumption_is_told_with_its_name(changes: list[str], reason: s
 )
 def test_what_cannot_be_certified_is_told_before_it_is_flown_and_at_every_tick(changes: list[str], reason: str) -> None:
     scenario = watched(*changes, duration=5.0)
-    (line,) = promise_warnings(scenario)
-    assert reason in line
+    assert any(reason in line for line in promise_warnings(scenario))
     _, summary = fly(scenario, 7)
     assert summary.certified_share == 0.0
     assert any(reason in told for told in summary.uncertified)

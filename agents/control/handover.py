@@ -14,8 +14,8 @@ ROUNDING = 1e-12
 """Ticks by which a quotient may exceed a whole number and still be that number."""
 
 _GRID, _STEPS = 0.005, 950
-"""Step of the distances [m] over which the hand-over is checked when a scenario loads, and its margin; but no more steps than these
-to r_v, or a large radius would take minutes."""
+"""Step of the distances [m] over which the hand-over is checked when a scenario loads, and its margin; but no more steps than
+these to r_v, or a large radius would take minutes."""
 
 
 class Promise(NamedTuple):
@@ -105,9 +105,9 @@ def handover_reach(radius: float, eps: float, rho: float, v_a: float, u_a: float
 def handover_fits(radius: float, r_v: float, eps: float, rho: float, v_a: float, u_a: float, v_g: float, dt: float) -> bool:
     """Whether every motion from rest to a newer detection stays within r_v, if the UGV is within `radius` [m] at its start.
 
-    Over all ways in steps of half a centimetre, more where r_v is large: between two of them the motion with the same ticks scales
-    with the way, so
-    that no point of it and no disc moves by more than a step. The farther a detection, the younger it is: way + rho <= E + 2 eps.
+    Over all ways in steps of half a centimetre, more where r_v is large: between two of them the motion with the same ticks
+    scales with the way, so that no point of it and no disc moves by more than a step. The farther a detection, the younger it
+    is: way + rho <= E + 2 eps.
     Arguments as in `handover_radius`.
     """
     step = max(_GRID, r_v / _STEPS)
