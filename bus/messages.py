@@ -523,6 +523,8 @@ class Status(Message, frozen=True, kw_only=True):
     """Whether sight is certified to be kept, by UAV; only those that a safety filter watches over."""
     uncertified: dict[Name, Text] = {}
     """Why not, by UAV."""
+    warnings: tuple[Text, ...] = ()
+    """Which assumptions of the certificate the links cannot keep as they are now, a line each."""
     links: dict[Text, LinkStatus] = {}
     """How each link does, by `vehicle/kind`."""
     vehicles: dict[Name, VehicleStatus]

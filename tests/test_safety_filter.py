@@ -43,7 +43,7 @@ NETWORKS = {
 @pytest.mark.parametrize("seed", [7, 8])
 def test_sight_is_kept_and_certified_in_every_tick(network: list[str], seed: int) -> None:
     scenario = watched(*network)
-    assert promise_warnings(scenario) == ()
+    assert not [line for line in promise_warnings(scenario) if "now and then" not in line]  # what chance may do is told
     flight, summary = fly(scenario, seed)
     assert summary.max_distance < R_V
     until = next(tick for tick in range(flight.recorder.ticks) if not np.isnan(flight.recorder.escorts[tick, 0, 4]))
@@ -91,8 +91,7 @@ def test_a_broken_assumption_is_told_with_its_name(changes: list[str], reason: s
 )
 def test_what_cannot_be_certified_is_told_before_it_is_flown_and_at_every_tick(changes: list[str], reason: str) -> None:
     scenario = watched(*changes, duration=5.0)
-    (line,) = promise_warnings(scenario)
-    assert reason in line
+    assert any(reason in line for line in promise_warnings(scenario))
     _, summary = fly(scenario, 7)
     assert summary.certified_share == 0.0
     assert any(reason in told for told in summary.uncertified)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bus.messages import Action, Change, Control, CoverageMap, Drive, Status, UavReport, VehicleStatus
+from outrider.promise import promise_warnings
 from outrider.recording.file import RecordingFile
 from outrider.recording.schemas import head_of
 from outrider.recording.ticks import TickTexts
@@ -176,6 +177,7 @@ class FlightRecorder:
             law=flight.law.name,
             drivers=dict(flight.drivers),
             vehicles={**counted, **vehicles},
+            warnings=promise_warnings(flight.flown, flight.world.links.table),
             links=flight.world.links.status(),
             over=flight.over,
         )
