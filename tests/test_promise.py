@@ -50,6 +50,7 @@ BROKEN = [
         "links.detections.blackout_length = 2",
     ),
     ("A2", CERTAIN, ["links.detections.blackouts=[[30.0,20.0]]"], "becomes 20 s old, certificate.age = 1 s, from 31 s to 50 s"),
+    ("A2", CERTAIN, ["links.detections.blackouts=[[30.0,1.05]]"], "from 31 s to 31.05 s"),
     ("A2", CERTAIN, ["links.detections.blackouts=[[0.0,0.5]]"], "nothing is detected before 0.5 s"),
     ("A2", CERTAIN, ["links.detections.bandwidth=1.0"], "links.detections.bandwidth = 1"),
     ("A5", THROUGHOUT, ["links.commands.delay=0.5", "certificate.delay=0.0"], "links.commands.delay = 0.5"),
@@ -107,7 +108,7 @@ KEPT = [
     ["links.detections.delay=1.0"],
     ["links.detections.duplicates=0.5"],
     ["links.detections.loss=0.1"],
-    ["links.detections.blackouts=[[30.0,0.9]]"],
+    ["links.detections.blackouts=[[30.0,1.0]]"],  # the newest is 1 s old, and no more
     ["links.detections.bandwidth=2.0"],
     ['links.only=[{vehicle="ugv_0",commands={loss=0.1}}]'],
     ["law.name=linear", "links.commands.loss=0.1"],
@@ -129,8 +130,11 @@ def test_what_an_operator_makes_of_a_link_is_told_against_what_the_uav_was_told(
     assert "A5" in line
     assert "links.commands.delay = 0.4: a command acts 0.4 s after its tick, tau_c = 0.2 s" in line
     assert links.table.of("ugv_0", LinkKind.COMMANDS).delay == 0.4
+    links.change(LinkKind.COMMANDS, "uav_0", LinkSettings(delay=0.3))
+    assert "links.only.1.commands.delay = 0.3" in promise_warnings(scenario, links.table)[0]
     links.change(LinkKind.COMMANDS, "uav_0", LinkSettings(delay=0.2))
     assert promise_warnings(scenario, links.table) == ()
+    assert links.table.of("ugv_0", LinkKind.COMMANDS).delay == 0.4
 
 
 COMMANDS = [
@@ -147,7 +151,7 @@ COMMANDS = [
 
 @pytest.mark.parametrize("settings", COMMANDS)
 def test_what_is_said_of_a_link_is_what_the_link_does(settings: LinkSettings) -> None:
-    ticks = 20_000
+    ticks = 6_000
     link, p = Link(settings, dt=DT, seed=1, link=1), link_parameters(settings, DT)
     newest, ages, arrived = -1, np.zeros(ticks, dtype=int), np.full(ticks, 999)
     for tick in range(ticks):
@@ -161,9 +165,9 @@ def test_what_is_said_of_a_link_is_what_the_link_does(settings: LinkSettings) ->
         assert settled.min() >= least_ticks(p)
         if not settings.duplicates:
             for age in range(12):
-                assert np.mean(arrived[: ticks - 100] <= age) == pytest.approx(arrival_share(p, age), abs=0.015)
+                assert np.mean(arrived[: ticks - 100] <= age) == pytest.approx(arrival_share(p, age), abs=0.025)
                 exact = arrival_share(p, age) * np.prod([1.0 - arrival_share(p, j) for j in range(age)])
-                assert np.mean(settled == age) == pytest.approx(exact, abs=0.015)
+                assert np.mean(settled == age) == pytest.approx(exact, abs=0.025)
     else:
         assert settled.min() == least_ticks(p)
 
