@@ -1,6 +1,5 @@
 """What the certificate assumes and links or detector cannot keep is told before the flight, each with its field."""
 
-import msgspec
 import numpy as np
 import pytest
 from processes import outrider
@@ -206,6 +205,3 @@ def test_check_says_that_nothing_can_be_certified() -> None:
     assert done.returncode == 0
     assert "certified hardly ever" in " ".join(done.stdout.split())
     assert "A5 is broken for certain and throughout: links.commands.jitter = 0.1" in " ".join(done.stderr.split())
-    told = msgspec.json.decode(outrider("check", "escort", "--json", "--set", "links.detections.loss=0.5").stdout)
-    assert told["certifiable"] == "not always"
-    assert len(told["warnings"]) == 1
