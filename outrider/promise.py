@@ -18,7 +18,6 @@ from bus.messages import LinkKind, LinkSettings, UavBriefing
 from sim.briefing import briefing
 from sim.ether import arrival_share, extra_delays, link_parameters
 from sim.link import DUST, LinkParameters, in_ticks
-from sim.links import hold_ticks
 from sim.scenario import LinkTable, Scenario
 
 _RARE = 1e-6
@@ -283,8 +282,6 @@ def _delays(link: _Link, declared: float) -> Iterator[tuple[How, str]]:
         if (1.0 - kept) * s.ticks > _RARE:
             what = f"{link.named('jitter', 'reorder')}: commands overtake each other or take other times than {tau}"
             yield _often(1.0 - kept), f"{what}, in {_percent(1.0 - kept)} of the ticks"
-    if hold_ticks(s) < exact:
-        yield How.THROUGHOUT, f"hold = {s.hold:g} s: a command is too old to act after {tau}"
     yield from _lost_commands(link)
 
 
