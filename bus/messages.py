@@ -542,6 +542,8 @@ class Status(Message, frozen=True, kw_only=True):
     """Why not, by UAV."""
     certificates: CertificateStatus | None = None
     """What has been certified so far; None where no safety filter has watched over anything."""
+    warnings: tuple[Text, ...] = ()
+    """Which assumptions of the certificate the links cannot keep as they are now, a line each."""
     links: dict[Text, LinkStatus] = {}
     """How each link does, by `vehicle/kind`."""
     vehicles: dict[Name, VehicleStatus]

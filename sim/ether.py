@@ -23,10 +23,12 @@ from sim.link import (
     DELIVERED,
     DUE,
     DUPLICATED,
+    DUST,
     FLYING,
     FREE,
     LOST,
     NEWEST,
+    NORMAL,
     ORIGINALS,
     QUEUE,
     SENT,
@@ -66,9 +68,10 @@ def extra_delays(settings: LinkSettings) -> tuple[float, float]:
     """Least and most extra delay [s]."""
     j = settings.jitter
     most = settings.jitter_cut or _JITTER_CUT * j
-    if SHAPES[settings.jitter_shape] == UNIFORM:
+    shape = SHAPES[settings.jitter_shape]
+    if shape == UNIFORM:
         return -min(settings.delay, j), min(most, j)
-    return -settings.delay, most if j > 0.0 else 0.0
+    return -settings.delay if shape == NORMAL and j > 0.0 else 0.0, most if j > 0.0 else 0.0
 
 
 def link_faults(settings: LinkSettings, path: str = "") -> Iterator[Fault]:
@@ -191,6 +194,31 @@ def link_parameters(settings: LinkSettings, dt: float, *, per_tick: int = 1) -> 
         longest=longest,
         room=2 * room if settings.duplicates > 0.0 else room,
     )
+
+
+def least_ticks(p: LinkParameters) -> int:
+    """The age in ticks below which no message arrives, if one is sent in every tick; with a sender that is kept busy.
+
+    Where the bandwidth is less than one message a tick the queue fills and stays full. From then on each message that leaves
+    has waited `queue` ticks if the newest are kept, and `queue` spacings if the oldest are.
+    """
+    waits = 0
+    if p.spacing > 1.0 + DUST:
+        waits = p.queue if p.newest else math.floor(p.queue * p.spacing)
+    return waits + in_ticks(p.delay + (p.least if p.jitter > 0.0 else 0.0), p.dt)
+
+
+def arrival_share(p: LinkParameters, ticks: int) -> float:
+    """The share of the messages that are neither lost nor queued which arrive within so many ticks after they were sent."""
+
+    def within(extra: float) -> float:
+        if p.jitter == 0.0 or extra >= p.most:
+            return 1.0 if extra >= p.most else 0.0
+        share = (jitter_share(p.shape, p.jitter, max(extra, p.least)) - p.low) / (p.high - p.low)
+        return 0.0 if extra < p.least else min(max(share, 0.0), 1.0)
+
+    room = (ticks + DUST) * p.dt - p.delay
+    return (1.0 - p.reorder) * within(room) + p.reorder * within(room - p.reorder_delay)
 
 
 def relink(old: LinkParameters, state: LinkState, new: LinkParameters) -> LinkState:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -120,6 +121,11 @@ class Flight:
     def commands(self) -> FloatArray:
         """What each vehicle was asked for in the last tick, before the bounds [m/s²]; shape (vehicles, 2)."""
         return self.world.commands
+
+    @property
+    def flown(self) -> Scenario:
+        """The scenario with the law that the UAVs fly now."""
+        return msgspec.structs.replace(self.scenario, law=self.law)
 
     @property
     def complete(self) -> bool:

@@ -45,6 +45,8 @@ class Links:
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
         rows = {vehicle.name: k for k, vehicle in enumerate(scenario.vehicles)}
+        self.table = scenario.links
+        """What the links do now, as a scenario would write it."""
         self._of: dict[LinkKind, dict[str, Link]] = {
             kind: {
                 name: Link(
@@ -85,6 +87,7 @@ class Links:
         check_link(settings, str(kind))
         for name in links if vehicle is None else (vehicle,):
             links[name].change(settings)
+        self.table = self.table.changed(kind, vehicle, settings)
 
     def status(self, vehicle: str | None = None) -> dict[str, LinkStatus]:
         """How each link has done so far, by `vehicle/kind`.

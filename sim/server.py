@@ -11,7 +11,7 @@ from sim.flight import Flight
 from sim.pace import Lockstep, Pace, RealTime
 from sim.scenario import Scenario
 from sim.seats import Seats
-from sim.telemetry import Telemetry
+from sim.telemetry import Telemetry, Warn, no_warnings
 
 
 class Server:
@@ -27,6 +27,7 @@ class Server:
         respawn: In lockstep, whether the clock stands still for a vehicle that was lost.
         on_event: Called with one line for a person: who joined, who was lost, who is late.
         stop: Asked now and then whether somebody wants the run to end.
+        warn: What cannot be promised of a scenario whose links are now these, a line each: observers are told.
     """
 
     def __init__(
@@ -41,6 +42,7 @@ class Server:
         respawn: bool = False,
         on_event: Callable[[str], None] = lambda _line: None,
         stop: Callable[[], bool] = lambda: False,
+        warn: Warn = no_warnings,
     ) -> None:
         self.flight = Flight(scenario, seed)
         self.started = 0.0
@@ -55,7 +57,7 @@ class Server:
             return Lockstep(session, self._seats, deadline=deadline, patience=join_timeout, respawn=respawn, on_event=on_event)
 
         self._desk = Desk(session, self.flight, make_pace, realtime, on_event)
-        self._telemetry = Telemetry(session, self.flight, self._seats, self._desk)
+        self._telemetry = Telemetry(session, self.flight, self._seats, self._desk, warn)
         session.announce()
 
     def join(self) -> None:

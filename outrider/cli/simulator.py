@@ -135,6 +135,7 @@ def command(
                 respawn=respawn,
                 on_event=on_event,
                 stop=lambda: bool(stop),
+                warn=promise_warnings,
             )
             seats.append(server)
             shown = 0.0

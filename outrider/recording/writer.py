@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bus.messages import Action, Change, Control, CoverageMap, Drive, Status, UavReport, VehicleStatus
+from outrider.promise import promise_warnings
 from outrider.recording.file import RecordingFile
 from outrider.recording.schemas import head_of
 from outrider.recording.ticks import TickTexts
@@ -177,6 +178,7 @@ class FlightRecorder:
             drivers=dict(flight.drivers),
             vehicles={**counted, **vehicles},
             certificates=flight.assurance.status(),
+            warnings=promise_warnings(flight.flown, flight.world.links.table),
             links=flight.world.links.status(),
             over=flight.over,
         )
