@@ -1,6 +1,6 @@
 """Our safety filter beside a backup barrier filter from the literature: the same tasks, the same detections, the same bounds.
 
-    python benchmarks/filters/compare.py                    # in the project's environment; about 12 minutes on one core
+    python benchmarks/filters/compare.py --jobs 2           # in the project's environment; about 10 minutes
     python benchmarks/filters/compare.py --seeds 2 --duration 30 --jobs 2
 
 Prints the table and writes results/filters.json and results/filters.md beside this file.
