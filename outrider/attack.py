@@ -200,7 +200,7 @@ def fly_one(promise: Promise, conditions: Conditions, seed: int, run: int, ticks
     c, p = conditions, promise
     dt, u_a, v_a, v_g = p.dt, p.u_a, p.v_a, p.v_g
     random = np.empty(1, np.uint64)
-    random[0] = draw(seed, _ATTACK, 0, run, 0)[0]
+    random[0] = draw((np.uint64(seed), np.uint64(_ATTACK) << np.uint64(32)), 0, run, 0)[0]
     detections, plan = no_detections(), no_plan()
     d_ticks, l_ticks = round(c.delay / dt), round(c.latency / dt)
     b_ticks, loss_ticks, hold_ticks = round(c.blackout_time / dt), round(c.loss / dt), round(c.hold / dt)
