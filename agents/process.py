@@ -72,7 +72,7 @@ _SOMEBODY = {
     "dt": 0.05,
     "area": {"width": 10.0, "height": 10.0, "cell": 0.5},
     "limits": {"max_speed": 0.6, "max_acceleration": 0.3},
-    "key": 1,
+    "key": "1" * 32,
 }
 _UAV = _SOMEBODY | {
     "target_limits": {"max_speed": 0.2, "max_acceleration": 0.1},

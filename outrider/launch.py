@@ -32,8 +32,16 @@ _LAST_WORDS = 12
 """Lines of a child's standard error that are kept."""
 _LAST_FRAME = 0.2
 """So long after the end of the simulator the page is still served [s], so that browsers show that the run is over."""
+_SECRET = "OUTRIDER_SECRET"  # noqa: S105 - a variable's name
+"""Where the simulator's process finds the run's secret."""
 _LIVES = 3
 """A process that dies more often than this while the clock stands still is not started again."""
+
+
+def _environment(secret: str) -> dict[str, str]:
+    """A child's environment: ours, without our run's secret unless it is for it. A command line would show it to everybody."""
+    ours = {name: value for name, value in os.environ.items() if name != _SECRET}
+    return ours | ({_SECRET: secret} if secret else {})
 
 
 class Child:
@@ -44,6 +52,7 @@ class Child:
         arguments: Of the `outrider` command line.
         lines: Where its standard output goes, line by line; None is its end.
         files: Open files that it inherits, by their numbers.
+        secret: Of the run: for the simulator alone.
     """
 
     def __init__(
@@ -52,6 +61,7 @@ class Child:
         arguments: Sequence[str],
         lines: "queue.SimpleQueue[bytes | None] | None" = None,
         files: Sequence[int] = (),
+        secret: str = "",
     ) -> None:
         self.name = name
         self._words: deque[str] = deque(maxlen=_LAST_WORDS)
@@ -61,6 +71,7 @@ class Child:
             stdout=subprocess.DEVNULL if lines is None else subprocess.PIPE,
             stderr=subprocess.PIPE,
             pass_fds=files,
+            env=_environment(secret),
             start_new_session=True,  # Ctrl-C reaches us alone; we end the children in order
         )
         self._readers = [threading.Thread(target=self._listen, args=(self._process.stderr,), daemon=True)]
@@ -193,6 +204,7 @@ def launch(
     pin: bool = True,
     secured: bool = True,
     page: socket.socket | None = None,
+    secret: str = "",
 ) -> Outcome:
     """Fly a scenario as one process for the simulator and one for each vehicle, over Zenoh on a private socket.
 
@@ -214,6 +226,7 @@ def launch(
         secured: Whether there are credentials and access control; False only to measure what they cost.
         page: A socket that listens, on which the run is shown in the browser; None: it is not. The page's process is no part of
             the flight: where it fails, that is told, and the flight goes on.
+        secret: Of the run, for the simulator's process alone; empty: none.
 
     Returns:
         The summary of what was flown, if anything was; and the fault that ended it early.
@@ -226,7 +239,7 @@ def launch(
         settings = [argument for override in overrides for argument in ("--set", override)]
         output = (["--out", str(out)] if out else []) + ([] if picture else ["--no-picture"])
         output += ["--record", str(record)] if record else []
-        crew.start_simulator(source, [*settings, *output, *timing, *pace], watcher)
+        crew.start_simulator(source, [*settings, *output, *timing, *pace], watcher, secret)
         if page is not None and not watcher.stop() and crew.simulator.ended is None:
             crew.show_on(page, pages, watcher)
         if not watcher.stop():
@@ -277,11 +290,11 @@ class _Crew:
     def _known_as(self, name: str) -> list[str]:
         return ["--credentials", str(self._files[name])] if self._files else []
 
-    def start_simulator(self, source: str, settings: list[str], watcher: Watcher) -> None:
+    def start_simulator(self, source: str, settings: list[str], watcher: Watcher, secret: str) -> None:
         """Start it and wait until its router listens: before that a client would only try in vain."""
         arguments = ["simulator", source, "--listen", self._endpoint, "--run", self._run, "--events"]
         arguments += [*self._known_as(ROUTER_FILE), *settings, "--leash-folder", str(self._folder)]
-        self.children.append(Child(SIMULATOR_NAME, arguments, self.lines))
+        self.children.append(Child(SIMULATOR_NAME, arguments, self.lines, secret=secret))
         while not self._socket.exists() and self.simulator.ended is None and not watcher.stop():
             time.sleep(0.02)
 

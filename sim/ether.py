@@ -49,6 +49,7 @@ from sim.link import (
     underway,
     wait,
 )
+from sim.randomness import Key
 from sim.scenario_faults import Fault, near
 from sim.scenario_reading import as_raw, typed
 
@@ -319,15 +320,15 @@ class Link:
     Args:
         settings: What it does; refused with a ScenarioError where there can be no such link.
         dt: Length of a tick [s].
-        seed: Of the run.
-        link: The link's own number.
+        key: Of its random numbers.
+        label: Names it in errors.
         per_tick: Messages that may be sent in every tick without any being lost for want of room.
     """
 
-    def __init__(self, settings: LinkSettings, *, dt: float, seed: int, link: int, per_tick: int = 1) -> None:
-        self.settings = check_link(settings, f"link {link}")
+    def __init__(self, settings: LinkSettings, *, dt: float, key: Key, label: str = "link", per_tick: int = 1) -> None:
+        self.settings = check_link(settings, label)
         """What it does now."""
-        self._dt, self._seed, self._link, self._per_tick = dt, seed, link, per_tick
+        self._dt, self._key, self._label, self._per_tick = dt, key, label, per_tick
         self._parameters = link_parameters(self.settings, dt, per_tick=per_tick)
         self._state = link_state(self._parameters, 2)
         self._out = np.empty_like(self._state.payload)
@@ -373,7 +374,7 @@ class Link:
             return self._pass(tick) if self._passing else []
         payloads = np.array(self._pending, dtype=np.float64) if self._pending else self._out[:0]
         self._pending.clear()
-        arrived = exchange(self._parameters, self._state, self._seed, self._link, tick, payloads, self._out)
+        arrived = exchange(self._parameters, self._state, self._key, tick, payloads, self._out)
         messages = [self._objects[int(number)] for number in self._out[:arrived, 1]]
         self._forget()
         return messages
@@ -413,7 +414,7 @@ class Link:
 
     def change(self, settings: LinkSettings) -> None:
         """Go on with other settings from the next tick on; see `relink`."""
-        checked = check_link(settings, f"link {self._link}")
+        checked = check_link(settings, self._label)
         new = link_parameters(checked, self._dt, per_tick=self._per_tick)
         self._settle()
         self._state = relink(self._parameters, self._state, new)

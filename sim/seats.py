@@ -159,7 +159,7 @@ class Seats:
         sent = 0
         while seat.owed is not None and (parts is None or sent < parts):
             end = min(seat.owed + PART, now)
-            told = briefing(self._flight.scenario, name, self._flight.seed)
+            told = briefing(self._flight.scenario, name, self._flight.seed, self._flight.secret)
             past = self._flight.past(name, seat.owed, end, seat.unheard)
             seat.briefings.send(msgspec.structs.replace(told, past=past, more=end < now, episode=self._flight.episode))
             sent += 1

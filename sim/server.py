@@ -20,7 +20,8 @@ class Server:
     Args:
         session: The simulator's session.
         scenario: What is flown.
-        seed: Of all random numbers.
+        seed: Of all random numbers, with the secret.
+        secret: Of the run, which stays in this process; empty: none.
         realtime: Simulated seconds per second of wall time; None: lockstep, as fast as the vehicles answer.
         deadline: In lockstep, how long to wait for the commands of one tick [s].
         join_timeout: How long to wait for all vehicles at the start, for one that is to come back, and for the router [s].
@@ -36,6 +37,7 @@ class Server:
         scenario: Scenario,
         seed: int,
         *,
+        secret: str = "",
         realtime: float | None = None,
         deadline: float = 10.0,
         join_timeout: float = 30.0,
@@ -44,7 +46,7 @@ class Server:
         stop: Callable[[], bool] = lambda: False,
         warn: Warn = no_warnings,
     ) -> None:
-        self.flight = Flight(scenario, seed)
+        self.flight = Flight(scenario, seed, secret=secret)
         self.started = 0.0
         """Wall clock at the first tick [s]."""
         self._join_timeout = join_timeout

@@ -78,6 +78,8 @@ def sample(kind: object, rng: random.Random) -> object:
         return rng.uniform(0.01, 100.0)
     if kind is messages.Name:
         return "vehicle_" + str(rng.randrange(100))
+    if kind is messages.PilotKey:
+        return rng.randbytes(16).hex()
     if kind is messages.Text:
         return "text ∞ " + str(rng.random())
     if isinstance(kind, type) and issubclass(kind, Enum):
