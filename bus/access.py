@@ -20,6 +20,7 @@ from bus.errors import AccessDenied, BusError
 from bus.keys import (
     OBSERVER_NAME,
     OPERATOR_NAME,
+    PLACES,
     SIMULATOR_NAME,
     STAFF,
     Key,
@@ -192,9 +193,11 @@ def grants(party: Party, run: str) -> tuple[Grant, ...]:
         found.add(Grant(message="declare_subscriber", flow="ingress", keys=(wide,)))
         found.add(Grant(message="put", flow="egress", keys=(own,)))
     watched = token(run, "*" if party.role is Role.SIMULATOR else SIMULATOR_NAME, "*")
-    found.add(Grant(message="liveliness_token", flow="ingress", keys=(token(run, party.name, "*"),)))
+    own, places = token(run, party.name, "*"), tuple(token(run, party.name, place) for place in range(PLACES))
+    found.add(Grant(message="liveliness_token", flow="ingress", keys=places))
+    found.add(Grant(message="liveliness_query", flow="ingress", keys=(own,)))
     found.add(Grant(message="declare_liveliness_subscriber", flow="ingress", keys=(watched,)))
-    found.add(Grant(message="liveliness_token", flow="egress", keys=(watched,)))
+    found.add(Grant(message="liveliness_token", flow="egress", keys=(watched, own)))
     return tuple(sorted(found))
 
 

@@ -32,6 +32,8 @@ _LAST_WORDS = 12
 """Lines of a child's standard error that are kept."""
 _LAST_FRAME = 0.2
 """So long after the end of the simulator the page is still served [s], so that browsers show that the run is over."""
+_PORTS = range(20_000, 32_000)
+"""Of this machine, below those that systems give to clients."""
 _LIVES = 3
 """A process that dies more often than this while the clock stands still is not started again."""
 
@@ -136,6 +138,20 @@ def _private_folder() -> Iterator[Path]:
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def free_port() -> int:
+    """A port that nobody listens on now.
+
+    Raises:
+        BusError: If there is none.
+    """
+    for _ in range(100):
+        port = secrets.choice(_PORTS)
+        with contextlib.suppress(OSError), socket.socket() as probe:
+            probe.bind(("127.0.0.1", port))
+            return port
+    raise BusError("no free port found for the run's router")
 
 
 @contextlib.contextmanager

@@ -23,7 +23,7 @@ from bus.access import (
     write_credentials,
 )
 from bus.errors import AccessDenied
-from bus.keys import KEYS, STAFF, Party, Role, check_reads, check_writes, token
+from bus.keys import KEYS, PLACES, STAFF, Party, Role, check_reads, check_writes, token
 from bus.session import Session, open_session
 
 RUN = "run"
@@ -143,8 +143,14 @@ def test_every_row_reaches_its_readers_from_its_writer_and_nobody_else(endpoint:
         assert gather(inboxes, wanted, say) == wanted
 
 
+def places(name: str) -> tuple[int | str, ...]:
+    return NAMES.index(name), PLACES, "0/more", f"by_{name}"
+
+
 def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulators_alone(endpoint: str) -> None:
+    """Each declares the place of its number in everybody's name, and places that nobody has."""
     seen: dict[str, set[str]] = {name: set() for name in NAMES}
+    assert len(NAMES) <= PLACES
     with everybody(endpoint) as sessions:
         kept: list[object] = []
         for name, opened in sessions.items():
@@ -156,16 +162,17 @@ def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulator
                 )
         for name, opened in sessions.items():
             for owner in NAMES:
-                kept.append(opened.liveliness().declare_token(token(RUN, owner, f"by_{name}")))
+                for place in places(name):
+                    kept.append(opened.liveliness().declare_token(token(RUN, owner, place)))
         limit = time.monotonic() + 10.0
-        wanted = {token(RUN, name, f"by_{name}") for name in NAMES}
+        wanted = {token(RUN, name, NAMES.index(name)) for name in NAMES}
         while time.monotonic() < limit and not seen["simulator"] >= wanted:
             time.sleep(0.05)
         time.sleep(0.3)
-    own = {name: {token(RUN, owner, f"by_{name}") for owner in NAMES} for name in NAMES}  # a session hears itself
+    own = {name: {token(RUN, owner, place) for owner in NAMES for place in places(name)} for name in NAMES}  # it hears itself
     assert seen["simulator"] - own["simulator"] == wanted - own["simulator"]
     for name in set(NAMES) - {"simulator"}:
-        assert seen[name] - own[name] == {token(RUN, "simulator", "by_simulator")}
+        assert seen[name] - own[name] == {token(RUN, "simulator", NAMES.index("simulator"))}
 
 
 def test_nobody_can_ask_the_router_or_another_for_anything(endpoint: str) -> None:
