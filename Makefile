@@ -18,7 +18,7 @@ $(VENV)/.run: pyproject.toml
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.run
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,window,record,drive,dashboard,sweep,dask,falsify]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,window,record,drive,dashboard,sweep,dask,falsify,tls]'
 	@touch $@
 
 run: $(VENV)/.run ## fly the escort scenario as three processes over Zenoh (ARGS="..." for more)

@@ -11,8 +11,9 @@ from typing import Any
 
 import zenoh
 
-from bus.access import Credential, CredentialSet, client_settings, router_settings
+from bus.access import ROUTER_FILE, Credential, CredentialSet, client_settings, router_settings
 from bus.boxes import WAKE_PERIOD, Inbox, Letter, Outbox
+from bus.certificates import Identity, check_identity, expiry_warning, find_fault
 from bus.errors import AccessDenied, BusError
 from bus.keys import (
     KEYS,
@@ -219,6 +220,19 @@ class Session:
         expression = token(self.run, party_name, "*")
         self._kept.append(self._zenoh.liveliness().declare_subscriber(expression, see, history=True))
 
+    def watch_names(self, known: frozenset[str]) -> None:
+        """Name in the log who connects with a certificate of the right authority and none of these names.
+
+        The router lets it connect, and have nothing.
+        """
+
+        def see(event: zenoh.LinkEvent) -> None:
+            name = event.link.auth_identifier
+            if event.kind == zenoh.SampleKind.PUT and name is not None and name not in known:
+                _LOG.warning("%r has a certificate of this run's authority, but is no party of it: it gets nothing", name[:64])
+
+        self._kept.append(self._zenoh.info.declare_link_events_listener(see))
+
 
 def _open_zenoh(settings: Mapping[str, Any], what: str) -> zenoh.Session:
     try:
@@ -264,6 +278,44 @@ def _open_router(listen: tuple[str, ...], party: Party, run: str, given: Credent
         return _open_zenoh(settings, f"cannot listen on {', '.join(listen)}: is it in use?")
 
 
+def _address(endpoint: str) -> tuple[str, int]:
+    """Host and port.
+
+    Raises:
+        ValueError: If there are none.
+    """
+    host, _, port = endpoint.partition("/")[2].rpartition(":")
+    return host.strip("[]"), int(port)
+
+
+def _explained(endpoint: str, credential: Credential, identity: Identity, error: BusError) -> BusError:
+    """What stands between a certificate and a router; all that Zenoh says is that it could not connect."""
+    try:
+        fault = find_fault(*_address(endpoint), identity)
+    except (OSError, ValueError):
+        return error
+    return AccessDenied(f"the router at {endpoint} {fault or 'refuses this process'} (as {credential.name})")
+
+
+def _check_protocol(endpoints: tuple[str, ...], *, certified: bool) -> None:
+    """Refuse what could not work, or would send in the clear.
+
+    Raises:
+        AccessDenied: If an endpoint and the credentials do not fit together.
+    """
+    for endpoint in endpoints:
+        if certified and not endpoint.startswith("tls/"):
+            raise AccessDenied(f"endpoint {endpoint}: these credentials are certificates, so it must begin with tls/")
+        if endpoint.startswith("tls/") and not certified:
+            raise AccessDenied(f"endpoint {endpoint}: needs certificates; `outrider credentials --tls` makes them")
+
+
+def _check_certificate(identity: Identity, name: str) -> None:
+    warning = expiry_warning(name, check_identity(identity, name))
+    if warning:
+        _LOG.warning("%s", warning)
+
+
 def _answers(endpoint: str) -> bool:
     """Whether somebody listens there: then it was not the way that failed."""
     protocol, _, address = endpoint.partition("/")
@@ -273,8 +325,7 @@ def _answers(endpoint: str) -> bool:
                 probe.settimeout(1.0)
                 probe.connect(address)
             return True
-        host, _, port = address.rpartition(":")
-        with socket.create_connection((host.strip("[]"), int(port)), timeout=1.0):
+        with socket.create_connection(_address(endpoint), timeout=1.0):
             return protocol == "tcp"
     except (OSError, ValueError):
         return False
@@ -286,6 +337,8 @@ def _open_client(connect: str, party: Party, credential: Credential | None) -> z
     try:
         return _open_zenoh(settings, f"no router at {connect}: is the simulator running there?")
     except BusError as error:
+        if credential is not None and credential.tls is not None:
+            raise _explained(connect, credential, credential.tls, error) from error
         if not _answers(connect):
             raise
         who = "without credentials" if credential is None else f"as {credential.name}: is the password the run's?"
@@ -315,13 +368,22 @@ def open_session(
     Raises:
         ValueError: If the run's name cannot be part of a key.
         BusError: If the router cannot be reached, or an endpoint is not free.
-        AccessDenied: If the router does not know the credential.
+        AccessDenied: If the router does not know the credential, or it does not fit the endpoint, or its certificate is not good.
     """
     check_run_name(run)
     if credential is not None and credential.party != party:
         raise AccessDenied(f"{party.name} ({party.role}) cannot use the credentials of {credential.name} ({credential.role})")
+    if listen:
+        name, identity = ROUTER_FILE, None if given is None else given.tls
+    else:
+        name, identity = party.name, None if credential is None else credential.tls
+    _check_protocol(listen or (connect,), certified=identity is not None)
+    if identity is not None:
+        _check_certificate(identity, name)
     opened = _open_router(listen, party, run, given) if listen else _open_client(connect, party, credential)
     session = Session(opened, party, run, hosts=bool(listen))
+    if listen and given is not None and given.tls is not None:
+        session.watch_names(frozenset(credential.name for credential in given.parties))
     try:
         yield session
     finally:
