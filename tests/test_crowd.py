@@ -14,8 +14,13 @@ from bus.session import open_session
 from outrider.launch import free_port
 
 
-def test_a_client_joins_beside_connections_that_say_nothing_or_nonsense(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(session._CLIENT, "connect/timeout_ms", 3000)  # with Zenoh's own settings it takes 10 s
+@pytest.mark.parametrize(("without", "zenohs_own", "patience"), [("accept_pending", 100, 6000), ("accept_timeout", 10_000, 2500)])
+def test_a_client_joins_beside_connections_that_say_nothing_or_nonsense(
+    without: str, zenohs_own: int, patience: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Room for many and patience with none each suffice; with neither it takes 10 s."""
+    monkeypatch.setitem(session._ROUTER, f"transport/unicast/{without}", zenohs_own)
+    monkeypatch.setitem(session._CLIENT, "connect/timeout_ms", patience)
     port, observer = free_port(), GIVEN.of("observer")
     endpoint = f"tcp/127.0.0.1:{port}"
     with ExitStack() as stack:

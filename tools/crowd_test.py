@@ -8,6 +8,7 @@ ticks were late. `make crowd-test`, or `python tools/crowd_test.py ATTACK ...`; 
 import contextlib
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -22,7 +23,8 @@ import zenoh
 
 from bus.access import Credential, CredentialSet, new_credentials, write_credentials
 
-RUN, SECONDS, PORT = "crowd", 30.0, 17461
+RUN, SECONDS, PORT = "crowd", 15.0, 17461
+"""A run is stopped after so many seconds, or when its attack is over."""
 JOIN_LIMIT, GROWTH_LIMIT, LATE_LIMIT = 2.0, 150.0, 0.1
 """An observer joins within so many seconds; the simulator grows by no more MB; no larger share of the ticks is late."""
 Attack = Callable[["Run"], contextlib.AbstractContextManager[None]]
@@ -172,7 +174,7 @@ def measure(name: str) -> dict[str, Any]:
             log = stack.enter_context((Path(folder) / f"{arguments[0]}.log").open("w+", encoding="utf-8"))
             return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
 
-        pace = ["--realtime", "1", "--duration", str(SECONDS), "--json"]
+        pace = ["--realtime", "1", "--duration", "3600", "--json"]
         simulator = start("simulator", "escort", "--listen", endpoint, "--credentials", str(files["router"]), *pace)
         children = [simulator]
         try:
@@ -189,7 +191,7 @@ def measure(name: str) -> dict[str, Any]:
                     tick = tick if sample is None else json.loads(sample.payload.to_bytes())["tick"]
                     time.sleep(0.05)
             before = run.memory("VmRSS")
-            started = time.monotonic()
+            began = started = time.monotonic()
             with ATTACKS[name](run):
                 attacked, started = time.monotonic() - started, time.monotonic()
                 try:
@@ -200,7 +202,9 @@ def measure(name: str) -> dict[str, Any]:
                 except zenoh.ZError:
                     joined = float("inf")
                 after = run.memory("VmRSS")
+            time.sleep(max(0.0, began + SECONDS - time.monotonic()))
             peak = run.memory("VmHWM")
+            simulator.send_signal(signal.SIGINT)
             summary = json.loads(simulator.communicate(timeout=120.0)[0] or "null")
         finally:
             for child in children:
