@@ -14,11 +14,12 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import IO
+from typing import IO, Literal
 
 import msgspec
 
-from bus.access import ROUTER_FILE, new_credentials, write_credentials
+from bus.access import ROUTER_FILE, new_certificates, new_credentials, write_credentials
+from bus.certificates import new_authority
 from bus.errors import BusError, PeerLost
 from bus.keys import OPERATOR_NAME, SIMULATOR_NAME
 from outrider.cores import can_be_kept_apart, keep_apart
@@ -34,6 +35,9 @@ _LAST_FRAME = 0.2
 """So long after the end of the simulator the page is still served [s], so that browsers show that the run is over."""
 _SECRET = "OUTRIDER_SECRET"  # noqa: S105 - a variable's name
 """Where the simulator's process finds the run's secret."""
+_PORTS = range(20_000, 32_000)
+"""Of this machine, below those that systems give to clients."""
+Transport = Literal["unix", "tcp", "tls"]
 _LIVES = 3
 """A process that dies more often than this while the clock stands still is not started again."""
 
@@ -149,6 +153,20 @@ def _private_folder() -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def free_port() -> int:
+    """A port that nobody listens on now.
+
+    Raises:
+        BusError: If there is none.
+    """
+    for _ in range(100):
+        port = secrets.choice(_PORTS)
+        with contextlib.suppress(OSError), socket.socket() as probe:
+            probe.bind(("127.0.0.1", port))
+            return port
+    raise BusError("no free port found for the run's router")
+
+
 @contextlib.contextmanager
 def _family() -> Iterator[list[Child]]:
     """Children that are all gone afterwards."""
@@ -203,6 +221,7 @@ def launch(
     respawn: bool = False,
     pin: bool = True,
     secured: bool = True,
+    transport: Transport = "unix",
     page: socket.socket | None = None,
     secret: str = "",
 ) -> Outcome:
@@ -224,6 +243,7 @@ def launch(
         respawn: Whether a vehicle's process that dies is started again.
         pin: Whether the UAVs keep to one half of the processor cores and the others to the other half, if there are few of them.
         secured: Whether there are credentials and access control; False only to measure what they cost.
+        transport: `tcp` and `tls`, with certificates for passwords, use a port of this machine; only to measure what they cost.
         page: A socket that listens, on which the run is shown in the browser; None: it is not. The page's process is no part of
             the flight: where it fails, that is told, and the flight goes on.
         secret: Of the run, for the simulator's process alone; empty: none.
@@ -233,7 +253,7 @@ def launch(
     """
     with _private_folder() as folder, _family() as pages, _family() as children:
         run = f"run-{os.getpid()}-{secrets.token_hex(4)}"
-        crew = _Crew(scenario, folder, run, children, pin=pin, secured=secured)
+        crew = _Crew(scenario, folder, run, children, pin=pin, secured=secured, transport=transport)
         timing = ["--deadline", str(deadline), "--join-timeout", str(join_timeout)]
         pace = (["--realtime", str(realtime)] if realtime is not None else []) + (["--respawn"] if respawn else [])
         settings = [argument for override in overrides for argument in ("--set", override)]
@@ -265,21 +285,36 @@ class _Crew:
         children: Where they are kept, so that they are ended whatever happens.
         pin: Whether they are given cores.
         secured: Whether they are given credentials.
+        transport: How they reach each other.
     """
 
-    def __init__(self, scenario: Scenario, folder: Path, run: str, children: list[Child], *, pin: bool, secured: bool) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        folder: Path,
+        run: str,
+        children: list[Child],
+        *,
+        pin: bool,
+        secured: bool,
+        transport: Transport,
+    ) -> None:
         self.children = children
         self.lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         """What the simulator reports."""
         self._scenario, self._folder, self._run = scenario, folder, run
         self._pin = pin and can_be_kept_apart(len(scenario.vehicles))
-        self._socket = folder / "bus.sock"
-        self._endpoint = f"unixsock-stream/{self._socket}"
+        self._address: Path | tuple[str, int] = folder / "bus.sock"
+        self._endpoint = f"unixsock-stream/{self._address}"
+        if transport != "unix":
+            self._address = ("127.0.0.1", free_port())
+            self._endpoint = f"{transport}/127.0.0.1:{self._address[1]}"
         self._uavs = {uav.name for uav in scenario.uav}
         self._files: dict[str, Path] = {}
         self._page: Child | None = None
         if secured:
-            given = new_credentials(run, (uav.name for uav in scenario.uav), (ugv.name for ugv in scenario.ugv))
+            names = [uav.name for uav in scenario.uav], [ugv.name for ugv in scenario.ugv]
+            given = new_certificates(new_authority(run), *names) if transport == "tls" else new_credentials(run, *names)
             self._files = write_credentials(given, folder / "credentials")
 
     @property
@@ -296,7 +331,16 @@ class _Crew:
         arguments += [*self._known_as(ROUTER_FILE), *settings, "--leash-folder", str(self._folder)]
         self.children.append(Child(SIMULATOR_NAME, arguments, self.lines, secret=secret))
         while not self._socket.exists() and self.simulator.ended is None and not watcher.stop():
+        self.children.append(Child(SIMULATOR_NAME, arguments, self.lines))
+        while not self._listens() and self.simulator.ended is None and not watcher.stop():
             time.sleep(0.02)
+
+    def _listens(self) -> bool:
+        if isinstance(self._address, Path):
+            return self._address.exists()
+        with contextlib.suppress(OSError), socket.create_connection(self._address, timeout=1.0):
+            return True
+        return False
 
     def show_on(self, page: socket.socket, pages: list[Child], watcher: Watcher) -> None:
         """Start the dashboard, and wait until it shows what comes: the first tick is part of it."""

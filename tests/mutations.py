@@ -16,7 +16,6 @@ from bus.keys import (
     Key,
 )
 
-LARGEST = 1 << 20
 REFUSALS = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 """What `Inbox` takes for a refusal; a decoder that raises anything else stops its reader."""
 
