@@ -330,8 +330,6 @@ class _Crew:
         arguments = ["simulator", source, "--listen", self._endpoint, "--run", self._run, "--events"]
         arguments += [*self._known_as(ROUTER_FILE), *settings, "--leash-folder", str(self._folder)]
         self.children.append(Child(SIMULATOR_NAME, arguments, self.lines, secret=secret))
-        while not self._socket.exists() and self.simulator.ended is None and not watcher.stop():
-        self.children.append(Child(SIMULATOR_NAME, arguments, self.lines))
         while not self._listens() and self.simulator.ended is None and not watcher.stop():
             time.sleep(0.02)
 
