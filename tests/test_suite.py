@@ -151,12 +151,12 @@ def test_what_is_certified_out_of_sight_is_told_with_the_score(monkeypatch: pyte
             self.parameters = self.parameters._replace(w=self.parameters.w._replace(r_v=2.0))
             super().begin(seeds, worlds)
 
-    assert SLOW.evaluate("certified", seeds=[9000]).certified_while_lost == 0
+    assert SLOW.evaluate("certified", seeds=[9000], secret=SECRET).certified_while_lost == 0
     monkeypatch.setattr(scoring, "ClosedLoop", Near)
-    result = SLOW.evaluate("certified", seeds=[9000])
+    result = SLOW.evaluate("certified", seeds=[9000], secret=SECRET)
     assert (result.lost, result.certified_while_lost) == (1, 1)  # at the tick at which sight is lost; then the task is over
-    result = SLOW.evaluate("certified", seeds=[9000, 9001])
-    board = leaderboard(["certified", "linear"], tasks=[SLOW], seeds=[9000, 9001])
+    result = SLOW.evaluate("certified", seeds=[9000, 9001], secret=SECRET)
+    board = leaderboard(["certified", "linear"], tasks=[SLOW], seeds=[9000, 9001], secret=SECRET)
     told = {standing.entry: standing.certified_while_lost for standing in board.standings}
     assert told == {"certified": result.certified_while_lost, "linear": 0}
     assert result.certified_while_lost >= 2
