@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 .DEFAULT_GOAL := help
 LEARNERS := sb3 torchrl rllib supersuit
 
-.PHONY: help run test check format figures bench soak compose-test page-test learn-test clean
+.PHONY: help run test check format figures bench soak crowd-test compose-test page-test learn-test clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
@@ -18,7 +18,7 @@ $(VENV)/.run: pyproject.toml
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.run
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,window,record,drive,dashboard,sweep,dask,falsify]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,window,record,drive,dashboard,sweep,dask,falsify,tls]'
 	@touch $@
 
 run: $(VENV)/.run ## fly the escort scenario as three processes over Zenoh (ARGS="..." for more)
@@ -45,6 +45,9 @@ bench: $(VENV)/.run ## the speed of each layer beside its limit
 
 soak: $(VENV)/.dev ## an hour of simulated time with random kills: memory, trajectory, nothing left behind
 	$(BIN)/python tools/soak.py $(ARGS)
+
+crowd-test: $(VENV)/.dev ## what a crowd at the port, or a vehicle with credentials, can do to a run: a table; six minutes
+	$(BIN)/python tools/crowd_test.py $(ARGS)
 
 compose-test: $(VENV)/.run ## the containers, built, flown, killed, paused and cut off; needs a Docker engine
 	$(BIN)/python tools/compose_test.py $(ARGS)

@@ -72,7 +72,7 @@ _SOMEBODY = {
     "dt": 0.05,
     "area": {"width": 10.0, "height": 10.0, "cell": 0.5},
     "limits": {"max_speed": 0.6, "max_acceleration": 0.3},
-    "key": 1,
+    "key": "1" * 32,
 }
 _UAV = _SOMEBODY | {
     "target_limits": {"max_speed": 0.2, "max_acceleration": 0.1},
@@ -110,11 +110,11 @@ class _Presence:
     """Whether the simulator is there, as the bus tells it."""
 
     def __init__(self) -> None:
-        self._sessions: set[str] = set()
+        self._sessions: set[int] = set()
         self._since = time.monotonic()
 
-    def change(self, _name: str, session: str, present: bool) -> None:
-        (self._sessions.add if present else self._sessions.discard)(session)
+    def change(self, _name: str, place: int, present: bool) -> None:
+        (self._sessions.add if present else self._sessions.discard)(place)
         self._since = time.monotonic()
 
     def absent_for(self) -> float:

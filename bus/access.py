@@ -1,25 +1,30 @@
 """The key table turned into Zenoh's access control, and the credentials by which the router knows who is who.
 
+Credentials are passwords, or certificates (`bus.certificates`) where traffic is encrypted.
+
 There is no second list: what `bus.keys` gives a party is what the router lets through, everything else it drops. Zenoh denies
 in silence, so the session asks the same table first and says `AccessDenied`.
 """
 
+import base64
 import contextlib
 import os
 import secrets
 import stat
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import msgspec
 from msgspec import Meta
 
+from bus.certificates import AUTHORITY_DAYS, PARTY_DAYS, ROUTER_HOSTS, Authority, Identity, issue
 from bus.errors import AccessDenied, BusError
 from bus.keys import (
     OBSERVER_NAME,
     OPERATOR_NAME,
+    PLACES,
     SIMULATOR_NAME,
     STAFF,
     Key,
@@ -35,15 +40,18 @@ from bus.messages import Name
 _PASSWORD_BYTES = 24
 _Kind = TypeVar("_Kind")
 ROUTER_FILE = "router"
-"""Name of the file that holds everybody's credentials: the router's alone."""
+"""Name of the file that holds everybody's credentials: the router's alone; and the common name of its certificate."""
+AUTHORITY_FILE = "authority"
+"""Name of the file with which certificates are renewed: the owner's, and no process'."""
 
 
-class Credential(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """By what the router knows one party."""
+class Credential(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
+    """By what the router knows one party: a password or a certificate."""
 
     name: Name
     role: Role
-    password: Annotated[str, Meta(pattern="^[A-Za-z0-9_-]{8,128}$")]
+    password: Annotated[str, Meta(pattern="^[A-Za-z0-9_-]{8,128}$")] | None = None
+    tls: Identity | None = None
 
     @property
     def party(self) -> Party:
@@ -55,11 +63,17 @@ class Credential(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         return f"Credential(name={self.name!r}, role={self.role.value!r})"
 
 
-class CredentialSet(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class CredentialSet(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
     """Everybody's credentials for one run: what its router knows, and nobody else."""
 
     run: str
     parties: tuple[Credential, ...]
+    tls: Identity | None = None
+    """The router's own where parties are known by certificates; of theirs it needs to know the names alone."""
+
+    def for_router(self) -> "CredentialSet":
+        """The same without what the router need not know: the keys of others."""
+        return msgspec.structs.replace(self, parties=tuple(msgspec.structs.replace(party, tls=None) for party in self.parties))
 
     def of(self, name: str) -> Credential:
         """One party's.
@@ -84,17 +98,47 @@ def new_credentials(run: str, uavs: Iterable[str], ugvs: Iterable[str]) -> Crede
     Raises:
         ValueError: If two parties have one name.
     """
+    made = tuple(
+        msgspec.convert({"name": name, "role": role.value, "password": secrets.token_urlsafe(_PASSWORD_BYTES)}, Credential)
+        for name, role in _roles(uavs, ugvs)
+    )
+    return CredentialSet(run=run, parties=made)
+
+
+def new_certificates(
+    authority: Authority, uavs: Iterable[str], ugvs: Iterable[str], *, hosts: Sequence[str] = (), days: float = PARTY_DAYS
+) -> CredentialSet:
+    """Certificates for a run's router, vehicles, simulator, operator and observers.
+
+    Args:
+        authority: Who makes them.
+        uavs: Names of the UAVs.
+        ugvs: Names of the UGVs.
+        hosts: Names and addresses under which the router is found, beside `ROUTER_HOSTS`.
+        days: How long the parties' hold; the router's does as long as the authority.
+
+    Raises:
+        ValueError: If two parties have one name.
+        AccessDenied: If the authority has expired, or a host cannot be one.
+        BusError: If the extra [tls] is missing.
+    """
+    made = tuple(
+        msgspec.convert({"name": name, "role": role.value, "tls": issue(authority, name, days=days)}, Credential)
+        for name, role in _roles(uavs, ugvs)
+    )
+    known_at = tuple(dict.fromkeys((*ROUTER_HOSTS, *hosts)))
+    router = issue(authority, ROUTER_FILE, days=AUTHORITY_DAYS, hosts=known_at)
+    return CredentialSet(run=authority.run, parties=made, tls=router)
+
+
+def _roles(uavs: Iterable[str], ugvs: Iterable[str]) -> list[tuple[str, Role]]:
     roles = [(name, Role.UAV) for name in uavs] + [(name, Role.UGV) for name in ugvs]
     roles += [(name, STAFF[name]) for name in (SIMULATOR_NAME, OPERATOR_NAME, OBSERVER_NAME)]
     names = [name for name, _ in roles]
     for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"{name}: two parties with one name; {', '.join(STAFF)} are taken")
-    made = tuple(
-        msgspec.convert({"name": name, "role": role.value, "password": secrets.token_urlsafe(_PASSWORD_BYTES)}, Credential)
-        for name, role in roles
-    )
-    return CredentialSet(run=run, parties=made)
+        if names.count(name) > 1 or name in (ROUTER_FILE, AUTHORITY_FILE):
+            raise ValueError(f"{name}: two parties with one name; {', '.join((*STAFF, ROUTER_FILE, AUTHORITY_FILE))} are taken")
+    return roles
 
 
 def write_private(path: Path, content: bytes) -> None:
@@ -107,28 +151,50 @@ def write_private(path: Path, content: bytes) -> None:
         file.write(content)
 
 
-def write_credentials(given: CredentialSet, folder: Path) -> dict[str, Path]:
+def write_credentials(given: CredentialSet, folder: Path, authority: Authority | None = None) -> dict[str, Path]:
     """Write a file for each party, and one with all of them for the router; mode 600.
 
     Args:
         given: What is written.
         folder: Is made if it is not there, mode 700.
+        authority: Who has made the certificates.
 
     Returns:
-        The file of each name; the router's is `ROUTER_FILE`.
+        The file of each name; the router's is `ROUTER_FILE`, the authority's `AUTHORITY_FILE`.
 
     Raises:
         OSError: If a file cannot be written, or is there already.
     """
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    files = {name: folder / f"{name}.json" for name in (ROUTER_FILE, *(credential.name for credential in given.parties))}
+    contents: dict[str, Credential | CredentialSet | Authority] = {ROUTER_FILE: given.for_router()}
+    contents |= {credential.name: credential for credential in given.parties}
+    if authority is not None:
+        contents[AUTHORITY_FILE] = authority
+    files = {name: folder / f"{name}.json" for name in contents}
     for path in files.values():
         if path.exists():
             raise FileExistsError(17, "there already; credentials are never overwritten", str(path))
-    write_private(files[ROUTER_FILE], msgspec.json.format(msgspec.json.encode(given), indent=1) + b"\n")
-    for credential in given.parties:
-        write_private(files[credential.name], msgspec.json.encode(credential) + b"\n")
+    for name, content in contents.items():
+        write_private(files[name], _encoded(content))
     return files
+
+
+def _encoded(content: Credential | CredentialSet | Authority) -> bytes:
+    return msgspec.json.format(msgspec.json.encode(content), indent=1) + b"\n"
+
+
+def replace_credentials(content: Credential | CredentialSet, path: Path) -> None:
+    """Put renewed credentials into the place of others: at no moment is the file half of each, or anybody else's to read.
+
+    Raises:
+        OSError: If it cannot be written.
+    """
+    fresh, old = path.with_name(f".{path.name}.new"), path.stat()
+    fresh.unlink(missing_ok=True)
+    write_private(fresh, _encoded(content))
+    if (old.st_uid, old.st_gid) != (fresh.stat().st_uid, fresh.stat().st_gid):
+        os.chown(fresh, old.st_uid, old.st_gid)
+    fresh.replace(path)
 
 
 def _read(path: Path, kind: type[_Kind], what: str) -> _Kind:
@@ -150,7 +216,10 @@ def read_credential(path: Path) -> Credential:
     Raises:
         AccessDenied: If it cannot be read, is none, or others can read it too.
     """
-    return _read(path, Credential, "a party's credentials")
+    found = _read(path, Credential, "a party's credentials")
+    if (found.password is None) == (found.tls is None):
+        raise AccessDenied(f"{path}: not a party's credentials: needs a password or a certificate, one of the two")
+    return found
 
 
 def read_credentials(path: Path) -> CredentialSet:
@@ -159,7 +228,20 @@ def read_credentials(path: Path) -> CredentialSet:
     Raises:
         AccessDenied: If they cannot be read, are none, or others can read them too.
     """
-    return _read(path, CredentialSet, "a router's credentials")
+    found = _read(path, CredentialSet, "a router's credentials")
+    for party in found.parties:
+        if (party.password is None) == (found.tls is None):
+            raise AccessDenied(f"{path}: not a router's credentials: {party.name} needs a password, or the router a certificate")
+    return found
+
+
+def read_authority(path: Path) -> Authority:
+    """The authority of a run's certificates.
+
+    Raises:
+        AccessDenied: If it cannot be read, is none, or others can read it too.
+    """
+    return _read(path, Authority, "an authority")
 
 
 class Grant(msgspec.Struct, frozen=True, kw_only=True, order=True):
@@ -192,14 +274,17 @@ def grants(party: Party, run: str) -> tuple[Grant, ...]:
         found.add(Grant(message="declare_subscriber", flow="ingress", keys=(wide,)))
         found.add(Grant(message="put", flow="egress", keys=(own,)))
     watched = token(run, "*" if party.role is Role.SIMULATOR else SIMULATOR_NAME, "*")
-    found.add(Grant(message="liveliness_token", flow="ingress", keys=(token(run, party.name, "*"),)))
+    own, places = token(run, party.name, "*"), tuple(token(run, party.name, place) for place in range(PLACES))
+    found.add(Grant(message="liveliness_token", flow="ingress", keys=places))
+    found.add(Grant(message="liveliness_query", flow="ingress", keys=(own,)))
     found.add(Grant(message="declare_liveliness_subscriber", flow="ingress", keys=(watched,)))
-    found.add(Grant(message="liveliness_token", flow="egress", keys=(watched,)))
+    found.add(Grant(message="liveliness_token", flow="egress", keys=(watched, own)))
     return tuple(sorted(found))
 
 
 def access_control(given: CredentialSet) -> dict[str, Any]:
     """Zenoh's `access_control` for a run: nothing is allowed but each party's grants."""
+    by = "usernames" if given.tls is None else "cert_common_names"
     rules: list[dict[str, Any]] = []
     policies: list[dict[str, Any]] = []
     for credential in given.parties:
@@ -219,7 +304,7 @@ def access_control(given: CredentialSet) -> dict[str, Any]:
         "enabled": True,
         "default_permission": "deny",
         "rules": rules,
-        "subjects": [{"id": credential.name, "usernames": [credential.name]} for credential in given.parties],
+        "subjects": [{"id": credential.name, by: [credential.name]} for credential in given.parties],
         "policies": policies,
     }
 
@@ -236,6 +321,9 @@ def router_settings(given: CredentialSet | None) -> Iterator[dict[str, Any]]:
     if given is None:
         yield {}
         return
+    if given.tls is not None:
+        yield _tls_settings(given.tls, "listen") | {"access_control": access_control(given)}
+        return
     lines = "".join(f"{credential.name}:{credential.password}\n" for credential in given.parties)
     try:
         folder = tempfile.TemporaryDirectory(prefix="outrider-")
@@ -247,8 +335,25 @@ def router_settings(given: CredentialSet | None) -> Iterator[dict[str, Any]]:
         yield {"transport/auth/usrpwd/dictionary_file": str(path), "access_control": access_control(given)}
 
 
+def _tls_settings(identity: Identity, side: str) -> dict[str, Any]:
+    """Mutual TLS, and no other protocol beside it; Zenoh takes PEM in base64, so that no key lies in a file for it."""
+
+    def encoded(text: str) -> str:
+        return base64.b64encode(text.encode()).decode()
+
+    return {
+        "transport/link/protocols": ["tls"],
+        "transport/link/tls/enable_mtls": True,
+        "transport/link/tls/root_ca_certificate_base64": encoded(identity.authority),
+        f"transport/link/tls/{side}_certificate_base64": encoded(identity.certificate),
+        f"transport/link/tls/{side}_private_key_base64": encoded(identity.key),
+    }
+
+
 def client_settings(credential: Credential | None) -> dict[str, Any]:
     """The settings by which a client says who it is."""
     if credential is None:
         return {}
+    if credential.tls is not None:
+        return _tls_settings(credential.tls, "connect")
     return {"transport/auth/usrpwd/user": credential.name, "transport/auth/usrpwd/password": credential.password}

@@ -17,8 +17,6 @@ from bus.messages import Message
 _LOG = logging.getLogger("outrider.bus")
 WAKE_PERIOD = 0.1
 """A waiting reader looks up this often [s], for deadlines and for peers that come and go."""
-_LARGEST = 1 << 20
-"""Larger payloads [bytes] are refused unread."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,6 +27,8 @@ class Letter:
     """The vehicle in its key; empty where there is none."""
     session: str
     """The session that sent it, as it says itself; empty where it does not say."""
+    place: int | None
+    """The number of that session among those of its party, as it says itself; None where it does not say."""
     message: Message
 
 
@@ -40,10 +40,17 @@ class Outbox:
         self._encoder = msgspec.json.Encoder()
         self._decoder = msgspec.json.Decoder(key.message)
         self._topic = key.topic
-        self._source = zenoh.SourceInfo(publisher.id, 0)
+        self.take_place(0)
         self.wanted = False
         """Whether anybody reads it now."""
         self._listener = publisher.declare_matching_listener(self._see)
+
+    def take_place(self, place: int) -> None:
+        """Tell readers from now on the number of this session among those of its party.
+
+        It travels where Zenoh has the sequence number of a source: order is kept by the transport.
+        """
+        self._source = zenoh.SourceInfo(self._publisher.id, place)
 
     def _see(self, status: Any) -> None:  # noqa: ANN401 - Zenoh's stub says bool, its library gives a MatchingStatus
         self.wanted = bool(status.matching)
@@ -69,16 +76,18 @@ class Outbox:
 class Inbox:
     """Reads one topic, in order. What does not decode is counted, logged and dropped."""
 
-    def __init__(self, wake: Callable[[], None], decoders: Mapping[str, tuple[str, msgspec.json.Decoder[Any]]]) -> None:
+    def __init__(self, wake: Callable[[], None], known: Mapping[str, tuple[str, Key]]) -> None:
         self._wake = wake
-        self._decoders = decoders  # sender and decoder by key
+        self._decoders = {  # sender, decoder and largest payload by key
+            expression: (sender, msgspec.json.Decoder(key.message), key.largest) for expression, (sender, key) in known.items()
+        }
         self._subscriber: zenoh.Subscriber[zenoh.Handler[zenoh.Sample]] | None = None
         self._since: float | None = None
         self._poked = False
         self._peeked: Letter | None = None
-        self.refused: dict[str, int] = {sender: 0 for sender, _ in decoders.values()}
+        self.refused: dict[str, int] = {sender: 0 for sender, _ in known.values()}
         """How many messages of each sender did not decode."""
-        self.fault: dict[str, str] = {sender: "" for sender, _ in decoders.values()}
+        self.fault: dict[str, str] = {sender: "" for sender, _ in known.values()}
         """Why the last of them did not."""
 
     def attach(self, subscriber: "zenoh.Subscriber[zenoh.Handler[zenoh.Sample]]") -> None:
@@ -160,22 +169,24 @@ class Inbox:
             self._wake()
 
     def _open(self, sample: zenoh.Sample) -> Letter | None:
-        payload = sample.payload.to_bytes()
+        size = len(sample.payload)
         expression = str(sample.key_expr)
         known = self._decoders.get(expression)
-        if not payload or known is None:
+        if not size or known is None:
             return None  # a wake-up; nobody of this run; or a pattern, which nobody writes who means well
-        sender, decoder = known
-        if len(payload) > _LARGEST:
-            self._refuse(sender, expression, f"{len(payload)} bytes; allowed up to {_LARGEST}")
+        sender, decoder, largest = known
+        if size > largest:
+            self._refuse(sender, expression, f"{size} bytes; allowed up to {largest}")
             return None
         try:
-            message = decoder.decode(payload)
+            message = decoder.decode(sample.payload.to_bytes())
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             self._refuse(sender, expression, str(error))
             return None
         source = sample.source_info
-        return Letter(sender=sender, session="" if source is None else str(source.source_id.zid), message=message)
+        if source is None:
+            return Letter(sender=sender, session="", place=None, message=message)
+        return Letter(sender=sender, session=str(source.source_id.zid), place=source.source_sn, message=message)
 
     def _refuse(self, sender: str, expression: str, reason: str) -> None:
         reason = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in reason[:500])

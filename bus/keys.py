@@ -24,6 +24,9 @@ from bus.messages import (
 )
 
 ROOT = "outrider"
+PLACES = 8
+"""Sessions of one party that can be there at once; each declares a liveliness token of its own."""
+_SMALL, _LARGE = 1 << 16, 1 << 20
 
 
 class Role(StrEnum):
@@ -61,6 +64,8 @@ class Key:
     writer: Role
     readers: tuple[Role, ...]
     delivery: Delivery
+    largest: int = _SMALL
+    """Larger payloads [bytes] the router drops where the writer is not the simulator, and readers refuse unread."""
 
     def expression(self, run: str, vehicle: str = "") -> str:
         """The key of one vehicle (or of none) in one run."""
@@ -83,6 +88,7 @@ UAV_BRIEFING = Key(
     writer=Role.SIMULATOR,
     readers=(Role.UAV,),
     delivery=Delivery.EVERY,
+    largest=_LARGE,
 )
 UGV_BRIEFING = Key(
     topic="briefing",
@@ -91,6 +97,7 @@ UGV_BRIEFING = Key(
     writer=Role.SIMULATOR,
     readers=(Role.UGV,),
     delivery=Delivery.EVERY,
+    largest=_LARGE,
 )
 UAV_OBSERVATION = Key(
     topic="observation",
@@ -99,6 +106,7 @@ UAV_OBSERVATION = Key(
     writer=Role.SIMULATOR,
     readers=(Role.UAV,),
     delivery=Delivery.EVERY,
+    largest=_LARGE,
 )
 UGV_OBSERVATION = Key(
     topic="observation",
@@ -107,6 +115,7 @@ UGV_OBSERVATION = Key(
     writer=Role.SIMULATOR,
     readers=(Role.UGV,),
     delivery=Delivery.EVERY,
+    largest=_LARGE,
 )
 UAV_COMMAND = Key(
     topic="command",
@@ -147,6 +156,7 @@ TRUTH = Key(
     writer=Role.SIMULATOR,
     readers=(Role.OBSERVER, Role.OPERATOR),
     delivery=Delivery.NEWEST,
+    largest=_LARGE,
 )
 GLANCE = Key(
     topic="glance",
@@ -155,6 +165,7 @@ GLANCE = Key(
     writer=Role.SIMULATOR,
     readers=(Role.OBSERVER, Role.OPERATOR),
     delivery=Delivery.NEWEST,
+    largest=_LARGE,
 )
 """The truth for people's eyes: some ticks of it, as often as an eye can see."""
 COVERAGE = Key(
@@ -164,6 +175,7 @@ COVERAGE = Key(
     writer=Role.SIMULATOR,
     readers=(Role.OBSERVER, Role.OPERATOR),
     delivery=Delivery.NEWEST,
+    largest=_LARGE,
 )
 STATUS = Key(
     topic="status",
@@ -172,6 +184,7 @@ STATUS = Key(
     writer=Role.SIMULATOR,
     readers=(Role.OBSERVER, Role.OPERATOR),
     delivery=Delivery.NEWEST,
+    largest=_LARGE,
 )
 
 KEYS: tuple[Key, ...] = (
@@ -193,7 +206,7 @@ BRIEFING = {Role.UAV: UAV_BRIEFING, Role.UGV: UGV_BRIEFING}
 OBSERVATION = {Role.UAV: UAV_OBSERVATION, Role.UGV: UGV_OBSERVATION}
 COMMAND = {Role.UAV: UAV_COMMAND, Role.UGV: UGV_COMMAND}
 
-_TOKEN = "alive"  # noqa: S105 - the last part of a liveliness token's key
+_TOKEN = "alive"  # noqa: S105 - a part of a liveliness token's key
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 
 
@@ -208,20 +221,40 @@ def check_run_name(run: str) -> str:
     return run
 
 
-def token(run: str, name: str, session: str) -> str:
-    """The liveliness token of one session of a party: there while its process is. `*` stands for any name or session."""
-    return f"{ROOT}/{run}/{name}/{_TOKEN}/{session}"
+def token(run: str, name: str, place: int | str) -> str:
+    """The liveliness token of one session of a party: there while its process is.
+
+    Places are numbered, so that access control can list all keys that a party may declare.
+
+    Args:
+        run: Name of the run.
+        name: Of the party; `*` stands for any.
+        place: Number of the session, from 0 to `PLACES` - 1; `*` stands for any.
+    """
+    return f"{ROOT}/{run}/{name}/{_TOKEN}/{place}"
 
 
-def token_owner(expression: str) -> tuple[str, str]:
-    """Whose token this is, and of which session."""
+def token_owner(expression: str) -> tuple[str, int]:
+    """Whose token this is, and the number of its session; -1 where it has none."""
     parts = expression.split("/")
-    return parts[-3], parts[-1]
+    number = parts[-1]
+    known = len(number) == 1 and number in "0123456789" and int(number) < PLACES
+    return parts[-3], int(number) if known else -1
 
 
 def any_vehicle(run: str, topic: str) -> str:
     """The keys of all vehicles for one topic; what the simulator subscribes to."""
     return f"{ROOT}/{run}/*/{topic}"
+
+
+def largest_payloads(run: str) -> dict[int, tuple[str, ...]]:
+    """The largest payload [bytes], and the keys of a run for which it is that, of all that is not the simulator's."""
+    found: dict[int, tuple[str, ...]] = {}
+    for key in KEYS:
+        if key.writer is not Role.SIMULATOR:
+            expression = key.expression(run, "*")
+            found[key.largest] = tuple(dict.fromkeys((*found.get(key.largest, ()), expression)))
+    return found
 
 
 def vehicle_of(expression: str) -> str:

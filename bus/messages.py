@@ -18,6 +18,8 @@ Positive = Annotated[float, Meta(gt=0.0, le=1e12)]
 Tick = Annotated[int, Meta(ge=0, le=2**53)]
 Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,31}$(?!\n)")]
 Text = Annotated[str, Meta(max_length=500)]
+PilotKey = Annotated[str, Meta(pattern=r"^[0-9a-f]{32}$(?!\n)")]
+"""128 bits: a string, as not every language's JSON keeps whole numbers of more than 53."""
 Vector = tuple[Coordinate, Coordinate]
 Covariance = tuple[NonNegative, Coordinate, NonNegative]
 """xx, xy and yy of a symmetric 2 x 2 matrix [m²]."""
@@ -230,8 +232,9 @@ class UavBriefing(Message, frozen=True, kw_only=True):
     detector: Detector
     estimator: Estimator
     certificate: Certificate = Certificate(error=None, age=1.0)
-    key: Tick
-    """Key of the pilot's own random numbers, below 2**53; tells nothing of the run's seed."""
+    key: PilotKey
+    """Of the pilot's own random numbers. Where the run has a secret it leads to nothing else: not to the seed, nor to any other
+    draw. Where it has none, whoever tries all seeds finds the run's: there the seed is the secret."""
     past: "tuple[UavObservation, ...]" = ()
     """What it has perceived so far in this run, tick by tick; where its process was away, without detections."""
     more: bool = False
@@ -266,7 +269,7 @@ class UgvBriefing(Message, frozen=True, kw_only=True):
     """What the driver `script` wants, in the order of time."""
     hold: NonNegative = 0.5
     """How long an operator's last word counts [s]; then the driver `teleop` brakes."""
-    key: Tick
+    key: PilotKey
     past: "tuple[UgvObservation, ...]" = ()
     more: bool = False
     episode: Tick = 0
@@ -542,6 +545,8 @@ class Status(Message, frozen=True, kw_only=True):
     """Why not, by UAV."""
     certificates: CertificateStatus | None = None
     """What has been certified so far; None where no safety filter has watched over anything."""
+    warnings: tuple[Text, ...] = ()
+    """Which assumptions of the certificate the links cannot keep as they are now, a line each."""
     links: dict[Text, LinkStatus] = {}
     """How each link does, by `vehicle/kind`."""
     vehicles: dict[Name, VehicleStatus]

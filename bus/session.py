@@ -2,19 +2,22 @@
 
 import json
 import logging
+import resource
 import socket
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
-import msgspec
 import zenoh
 
-from bus.access import Credential, CredentialSet, client_settings, router_settings
+from bus.access import ROUTER_FILE, Credential, CredentialSet, client_settings, router_settings
 from bus.boxes import WAKE_PERIOD, Inbox, Letter, Outbox
+from bus.certificates import Identity, check_identity, expiry_warning, find_fault
 from bus.errors import AccessDenied, BusError
 from bus.keys import (
+    KEYS,
+    PLACES,
     ROOT,
     Delivery,
     Key,
@@ -23,9 +26,12 @@ from bus.keys import (
     check_reads,
     check_run_name,
     check_writes,
+    largest_payloads,
+    read_by,
     token,
     token_owner,
     vehicle_of,
+    written_by,
 )
 
 __all__ = ["Inbox", "Letter", "Outbox", "Session", "open_session"]
@@ -33,6 +39,10 @@ __all__ = ["Inbox", "Letter", "Outbox", "Session", "open_session"]
 _LOG = logging.getLogger("outrider.bus")
 _ROOM = 256
 """Messages that wait in an inbox before their writers must."""
+_LOOK = 2.0
+"""How long a session looks at most which places of its party are taken [s]."""
+_HEADER = 4096
+"""What a message may have beside its payload [bytes]."""
 
 _COMMON: dict[str, Any] = {
     "scouting/multicast/enabled": False,
@@ -47,8 +57,15 @@ _CLIENT: dict[str, Any] = {
     "connect/exit_on_failure": True,
     "connect/retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 2},
     "transport/link/tx/lease": 1000,
+    "transport/unicast/open_timeout": 3000,
 }
-_ROUTER: dict[str, Any] = {"mode": "router", "listen/exit_on_failure": True}
+_ROUTER: dict[str, Any] = {
+    "mode": "router",
+    "listen/exit_on_failure": True,
+    # Who connects and says nothing must not keep others out: by default 100 of these do so for 10 s.
+    "transport/unicast/accept_pending": 2000,
+    "transport/unicast/accept_timeout": 2000,
+}
 
 
 def _config(settings: Mapping[str, Any]) -> zenoh.Config:
@@ -68,6 +85,7 @@ class Session:
         self._zenoh = zenoh_session
         self._hosts = hosts
         self._inboxes: list[Inbox] = []
+        self._outboxes: list[Outbox] = []
         self._kept: list[object] = []
         self._closing = threading.Event()
         self._gate = threading.Lock()
@@ -75,6 +93,8 @@ class Session:
         self.run = run
         self.id = str(zenoh_session.zid())
         """Which session this is; no other has the same."""
+        self.place = 0
+        """Its number among the sessions of its party that are there."""
         self._alarm = threading.Thread(target=self._nudge_all, name="outrider-alarm", daemon=True)
         self._alarm.start()
 
@@ -114,8 +134,10 @@ class Session:
             encoding=zenoh.Encoding.APPLICATION_JSON.with_schema(key.message.__name__),
             congestion_control=zenoh.CongestionControl.BLOCK if every else zenoh.CongestionControl.DROP,
         )
-        self._kept.append(publisher)
-        return Outbox(publisher, key)
+        outbox = Outbox(publisher, key)
+        outbox.take_place(self.place)
+        self._outboxes.append(outbox)
+        return outbox
 
     def inbox(self, key: Key, vehicle: str = "", *, newest: int = 0) -> Inbox:
         """A reader of one key.
@@ -155,8 +177,7 @@ class Session:
                 if not self._closing.is_set():
                     self._zenoh.put(wake_expression, b"", allowed_destination=zenoh.Locality.SESSION_LOCAL)
 
-        decoders = {own: (sender, msgspec.json.Decoder(key.message)) for own, (sender, key) in known.items()}
-        inbox = Inbox(wake, decoders)
+        inbox = Inbox(wake, known)
         handler: Any = zenoh.handlers.RingChannel(kept) if kept else zenoh.handlers.FifoChannel(_ROOM)
         subscriber = self._zenoh.declare_subscriber(expression, handler)
         inbox.attach(subscriber)
@@ -164,22 +185,53 @@ class Session:
         return inbox
 
     def announce(self) -> None:
-        """Declare this session present, until it leaves or dies."""
-        self._kept.append(self._zenoh.liveliness().declare_token(token(self.run, self.party.name, self.id)))
+        """Declare this session present, until it leaves or dies, at the first free place of its party.
 
-    def watch(self, party_name: str, on_change: Callable[[str, str, bool], None]) -> None:
+        Raises:
+            AccessDenied: If all places are taken.
+        """
+        liveliness = self._zenoh.liveliness()
+        there = liveliness.get(token(self.run, self.party.name, "*"), timeout=_LOOK)
+        taken = {token_owner(str(reply.ok.key_expr))[1] for reply in there if reply.ok is not None}
+        free = [place for place in range(PLACES) if place not in taken]
+        if not free:
+            raise AccessDenied(f"{self.party.name} has {PLACES} sessions in the run {self.run} already; no more are let in")
+        self.place = free[0]
+        for outbox in self._outboxes:
+            outbox.take_place(self.place)
+        self._kept.append(liveliness.declare_token(token(self.run, self.party.name, self.place)))
+        for _ in liveliness.get(token(self.run, self.party.name, self.place), timeout=_LOOK):
+            pass  # once this is answered the router knows of the token, and who comes next sees it
+
+    def watch(self, party_name: str, on_change: Callable[[str, int, bool], None]) -> None:
         """Tell when a session of a party comes or goes, those that are there already included.
 
         Args:
             party_name: Whom to watch; `*` is everybody.
-            on_change: Called with a name, a session and whether it is present, from a thread of Zenoh's: keep it short.
+            on_change: Called with a name, the number of a session among that party's and whether it is present, from a
+                thread of Zenoh's: keep it short.
         """
 
         def see(sample: zenoh.Sample) -> None:
-            on_change(*token_owner(str(sample.key_expr)), sample.kind == zenoh.SampleKind.PUT)
+            name, place = token_owner(str(sample.key_expr))
+            if place >= 0:
+                on_change(name, place, sample.kind == zenoh.SampleKind.PUT)
 
         expression = token(self.run, party_name, "*")
         self._kept.append(self._zenoh.liveliness().declare_subscriber(expression, see, history=True))
+
+    def watch_names(self, known: frozenset[str]) -> None:
+        """Name in the log who connects with a certificate of the right authority and none of these names.
+
+        The router lets it connect, and have nothing.
+        """
+
+        def see(event: zenoh.LinkEvent) -> None:
+            name = event.link.auth_identifier
+            if event.kind == zenoh.SampleKind.PUT and name is not None and name not in known:
+                _LOG.warning("%r has a certificate of this run's authority, but is no party of it: it gets nothing", name[:64])
+
+        self._kept.append(self._zenoh.info.declare_link_events_listener(see))
 
 
 def _open_zenoh(settings: Mapping[str, Any], what: str) -> zenoh.Session:
@@ -189,10 +241,79 @@ def _open_zenoh(settings: Mapping[str, Any], what: str) -> zenoh.Session:
         raise BusError(f"{what} ({str(error).splitlines()[0].partition(' at /')[0]})") from error
 
 
-def _open_router(listen: tuple[str, ...], given: CredentialSet | None) -> zenoh.Session:
+def _received(largest: int) -> dict[str, Any]:
+    """Drops larger messages before their fragments are put together."""
+    return {"transport/link/rx/max_message_size": largest + _HEADER}
+
+
+def _dropped(run: str) -> dict[str, Any]:
+    """Drops payloads that are larger than their key allows before anybody's inbox keeps them."""
+    return {
+        "low_pass_filter": [
+            {
+                "id": f"largest-{size}",
+                "flows": ["ingress"],
+                "messages": ["put", "delete", "query", "reply"],
+                "key_exprs": list(expressions),
+                "size_limit": size,
+            }
+            for size, expressions in largest_payloads(run).items()
+        ]
+    }
+
+
+def _allow_open_files() -> None:
+    """As many open files as this user may have: each connection is one, and 1,024 of those who say nothing keep others out."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft != hard:
+        with suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+
+
+def _open_router(listen: tuple[str, ...], party: Party, run: str, given: CredentialSet | None) -> zenoh.Session:
+    _allow_open_files()
+    largest = max(key.largest for key in KEYS if key.writer is not party.role)
     with router_settings(given) as access:
-        settings = _COMMON | _ROUTER | access | {"listen/endpoints": list(listen)}
+        settings = _COMMON | _ROUTER | _received(largest) | _dropped(run) | access | {"listen/endpoints": list(listen)}
         return _open_zenoh(settings, f"cannot listen on {', '.join(listen)}: is it in use?")
+
+
+def _address(endpoint: str) -> tuple[str, int]:
+    """Host and port.
+
+    Raises:
+        ValueError: If there are none.
+    """
+    host, _, port = endpoint.partition("/")[2].rpartition(":")
+    return host.strip("[]"), int(port)
+
+
+def _explained(endpoint: str, credential: Credential, identity: Identity, error: BusError) -> BusError:
+    """What stands between a certificate and a router; all that Zenoh says is that it could not connect."""
+    try:
+        fault = find_fault(*_address(endpoint), identity)
+    except (OSError, ValueError):
+        return error
+    return AccessDenied(f"the router at {endpoint} {fault or 'refuses this process'} (as {credential.name})")
+
+
+def _check_protocol(endpoints: tuple[str, ...], *, certified: bool) -> None:
+    """Refuse what could not work, or would send in the clear.
+
+    Raises:
+        AccessDenied: If an endpoint and the credentials do not fit together.
+    """
+    for endpoint in endpoints:
+        if certified and not endpoint.startswith("tls/"):
+            raise AccessDenied(f"endpoint {endpoint}: these credentials are certificates, so it must begin with tls/")
+        if endpoint.startswith("tls/") and not certified:
+            raise AccessDenied(f"endpoint {endpoint}: needs certificates; `outrider credentials --tls` makes them")
+
+
+def _check_certificate(identity: Identity, name: str) -> None:
+    warning = expiry_warning(name, check_identity(identity, name))
+    if warning:
+        _LOG.warning("%s", warning)
 
 
 def _answers(endpoint: str) -> bool:
@@ -204,18 +325,20 @@ def _answers(endpoint: str) -> bool:
                 probe.settimeout(1.0)
                 probe.connect(address)
             return True
-        host, _, port = address.rpartition(":")
-        with socket.create_connection((host.strip("[]"), int(port)), timeout=1.0):
+        with socket.create_connection(_address(endpoint), timeout=1.0):
             return protocol == "tcp"
     except (OSError, ValueError):
         return False
 
 
-def _open_client(connect: str, credential: Credential | None) -> zenoh.Session:
-    settings = _COMMON | _CLIENT | client_settings(credential) | {"connect/endpoints": [connect]}
+def _open_client(connect: str, party: Party, credential: Credential | None) -> zenoh.Session:
+    size = _received(max(key.largest for key in (*read_by(party), *written_by(party))))
+    settings = _COMMON | _CLIENT | size | client_settings(credential) | {"connect/endpoints": [connect]}
     try:
         return _open_zenoh(settings, f"no router at {connect}: is the simulator running there?")
     except BusError as error:
+        if credential is not None and credential.tls is not None:
+            raise _explained(connect, credential, credential.tls, error) from error
         if not _answers(connect):
             raise
         who = "without credentials" if credential is None else f"as {credential.name}: is the password the run's?"
@@ -245,13 +368,22 @@ def open_session(
     Raises:
         ValueError: If the run's name cannot be part of a key.
         BusError: If the router cannot be reached, or an endpoint is not free.
-        AccessDenied: If the router does not know the credential.
+        AccessDenied: If the router does not know the credential, or it does not fit the endpoint, or its certificate is not good.
     """
     check_run_name(run)
     if credential is not None and credential.party != party:
         raise AccessDenied(f"{party.name} ({party.role}) cannot use the credentials of {credential.name} ({credential.role})")
-    opened = _open_router(listen, given) if listen else _open_client(connect, credential)
+    if listen:
+        name, identity = ROUTER_FILE, None if given is None else given.tls
+    else:
+        name, identity = party.name, None if credential is None else credential.tls
+    _check_protocol(listen or (connect,), certified=identity is not None)
+    if identity is not None:
+        _check_certificate(identity, name)
+    opened = _open_router(listen, party, run, given) if listen else _open_client(connect, party, credential)
     session = Session(opened, party, run, hosts=bool(listen))
+    if listen and given is not None and given.tls is not None:
+        session.watch_names(frozenset(credential.name for credential in given.parties))
     try:
         yield session
     finally:

@@ -16,7 +16,7 @@ with zenoh.open(config) as session:
     mine = "outrider/flight/ugv_0"
     observations = session.declare_subscriber(f"{mine}/observation", zenoh.handlers.RingChannel(16))
     commands = session.declare_publisher(f"{mine}/command")
-    here = session.liveliness().declare_token(f"{mine}/alive/{session.zid()}")
+    here = session.liveliness().declare_token(f"{mine}/alive/0")
     for sample in observations:
         seen = json.loads(sample.payload.to_bytes())
         if seen.get("over"):

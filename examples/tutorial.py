@@ -78,7 +78,8 @@ print("back {:.2f} /s², brake {:.2f} /s, on {:.2f} m/s²".format(*best))
 
 # %% [markdown]
 # On the leaderboard. The suite flies a policy with twenty seeds that it was not trained on; the score is the share of what there
-# was to see that has been seen, in percent, and nothing counts after sight is lost.
+# was to see that has been seen, in percent, and nothing counts after sight is lost. An evaluation has noise that nobody could
+# know before, unless it is given a secret; this one is the leaderboard's, so that the numbers are too.
 
 
 # %%
@@ -88,10 +89,12 @@ def mine(rows: np.ndarray) -> np.ndarray:
 
 
 TASKS = ("noise", "wander", "late-commands")
+SECRET = b"outrider-suite-1".hex()
 board = {}
 for name in TASKS:
     task = outrider.suite()[name]
-    board[name] = [task.evaluate("tracking"), task.evaluate(mine, **HELPS), task.evaluate("certified")]
+    entries = (("tracking", {}), (mine, HELPS), ("certified", {}))
+    board[name] = [task.evaluate(entry, secret=SECRET, **helps) for entry, helps in entries]
     print(f"{name}: " + ", ".join(f"{one.entry} {one.score:.1f} ({one.lost} lost)" for one in board[name]))
 
 # %% [markdown]

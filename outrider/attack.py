@@ -292,11 +292,10 @@ def fly_one(
     commands: FloatArray,
     work: FloatArray,
     random: npt.NDArray[np.uint64],
-    run: int,
     ticks: int,
     result: FloatArray,
 ) -> None:
-    """One run of an attack, in world 0 of a batch that is as it was at the start.
+    """One run of an attack, in world 0 of a batch that is as it was at the start, with its keys.
 
     Args:
         w, tables, s: The world. UAV 0 is vehicle 0, the UGV vehicle 1.
@@ -306,7 +305,6 @@ def fly_one(
         commands: Room for those of a tick. (2, 2)
         work: Room for what the adversaries remember, for two states and the commands of the last ticks. (6 + _RING, 8)
         random: State of the adversary's draws. (1,)
-        run: Its number, the world's seed.
         ticks: Length of the run.
         result: Filled: largest distance [m]; largest d - d_cert [m]; share of ticks with an intervention, and of those since the
             first detection arrived the share uncertified; mean distance [m]; largest age of the newest detection [s]; ticks
@@ -344,7 +342,7 @@ def fly_one(
     for i, away in ((0, far * math.cos(angle)), (1, far * math.sin(angle))):
         position[0, i] = min(max(position[1, i] + away, 0.0), w.width if i == 0 else w.height)
     begin_guard(memory)
-    begin_world(w, tables, s, 0, run)
+    begin_world(w, tables, s, 0)
     dark, since_seen, last_break, certified_before, first_seen, seen_ticks = 0, 1, -1_000_000, False, -1, 0
     silent, late, away_ticks, filtering = 0, 0, 0, True
     total, intervened, uncertified = 0.0, 0, 0
@@ -460,7 +458,7 @@ def fly_one(
         act_on_commands(w, tables, s, 0, commands)
         s.ticks[0] += 1
         truth = truth_of(s.truth, 0)
-        advance(w, truth, s.seeds[0], s.ticks[0], tables.bounds, tables.escorts, truth.commands)
+        advance(w, truth, s.keys[0], s.ticks[0], tables.bounds, tables.escorts, truth.commands)
         _keep_states(s, now)
         x, y = now[0, 0] - now[1, 0], now[0, 1] - now[1, 1]
         if dark == 0 and since_seen > 0 and tick > 20 and b_ticks > 0:
@@ -546,10 +544,10 @@ def attack(promise: Promise, conditions: Conditions, seed: int, first: int, runs
     late = batch.ways_in.longest + 1
     memory = guard_state(promise, max(1, late))
     results, work, random = np.empty((runs, RESULTS)), np.zeros((6 + _RING, 8)), np.empty(1, np.uint64)
-    world, commands = np.zeros(1, dtype=np.int64), np.zeros((2, 2))
+    commands = np.zeros((2, 2))
     for k in range(runs):
-        batch.fresh.restore(world)
-        random[0] = draw(seed, _ATTACK, 0, first + k, 0)[0]
+        random[0] = draw((np.uint64(seed), np.uint64(_ATTACK) << np.uint64(32)), 0, first + k, 0)[0]
+        batch.restore([int(random[0] >> np.uint64(11))], [0])
         fly_one(
             parameters,
             tables,
@@ -560,7 +558,6 @@ def attack(promise: Promise, conditions: Conditions, seed: int, first: int, runs
             commands,
             work,
             random,
-            int(random[0] >> np.uint64(11)),
             round(duration / promise.dt),
             results[k],
         )

@@ -60,7 +60,6 @@ from sim.tick import first_state
 _TRACK = 120.0
 """A detection older than this is of no use to the safety filter [s]: `agents.control.guard` keeps the track no longer."""
 
-_NO_SEEDS = np.zeros(0, dtype=np.int64)
 _NO_ACTIONS = np.zeros((0, 0, 2))
 
 
@@ -99,6 +98,7 @@ class ClosedLoop:
         end_on_sight_lost: Whether an episode terminates when sight is lost.
         end_on_goals_reached: Whether it terminates when every UGV with goals has reached them all.
         threads: Processor cores that share the worlds; by default all that this process may use.
+        secret: Of all random numbers, with each world's seed, as `sim.run_keys.check_secret` returns it; empty: none.
 
     Raises:
         ScenarioError: If a vehicle has a law or a driver that cannot be flown in here.
@@ -121,6 +121,7 @@ class ClosedLoop:
         end_on_sight_lost: bool = True,
         end_on_goals_reached: bool = False,
         threads: int | None = None,
+        secret: str = "",
     ) -> None:
         self.scenario = scenario
         self.worlds = worlds
@@ -139,7 +140,7 @@ class ClosedLoop:
             if name not in self.names:
                 raise ValueError(f"vehicle = {name!r}; allowed: {', '.join(self.names)}")
         crew = _Crew(scenario, self.uavs, self.ugvs, set(self.external), chosen, shield=safety_filter)
-        self.batch = Batch(scenario, worlds, gains=weights.seen > 0.0, threads=threads)
+        self.batch = Batch(scenario, worlds, gains=weights.seen > 0.0, threads=threads, secret=secret)
         ways = self._ways = BatchLinks(scenario, LinkKind.RADIO, 3, worlds)
         listening = crew.radio
         thinking = crew.thinking | (estimate or gradient or listening)
@@ -200,7 +201,6 @@ class ClosedLoop:
         self.state = LoopState(
             batch=self.batch.state,
             maps=np.zeros((worlds, uavs if self.parameters.own_maps else 0, *coverage.shape[1:])),
-            keys=np.zeros((worlds, vehicles), dtype=np.int64),
             commands=np.zeros((worlds, vehicles, 2)),
             sent=np.zeros((worlds, uavs, int(crew.delays.max()) + 1, 2)),
             laws=np.zeros((worlds, uavs, STATE_SIZE)),
@@ -241,13 +241,9 @@ class ClosedLoop:
             seeds: One for each of them, from 0 to 2**53 - 1.
             worlds: Which; all by default.
         """
-        which = np.arange(self.worlds) if worlds is None else np.asarray(worlds, dtype=np.int64)
-        given = np.asarray(seeds, dtype=np.int64)
-        if given.shape != which.shape:
-            raise ValueError(f"{given.size} seeds for {which.size} worlds")
-        self.batch.fresh.restore(which)
+        which = self.batch.restore(seeds, worlds)
         self._fresh.restore(which)
-        self._run(which, given, _NO_ACTIONS, 0)
+        self._run(which, _NO_ACTIONS, 0, beginning=True)
 
     def step(self, actions: FloatArray) -> None:
         """All worlds advance by one tick.
@@ -255,7 +251,7 @@ class ClosedLoop:
         Args:
             actions: Accelerations [m/s²] of the vehicles in `external`, finite. Shape (worlds, len(external), 2).
         """
-        self._run(self._all, _NO_SEEDS, actions, 1)
+        self._run(self._all, actions, 1)
 
     def fly(self, ticks: int | None = None) -> None:
         """Fly every world on, each until its episode is over, or so many ticks.
@@ -266,10 +262,11 @@ class ClosedLoop:
         if self.external:
             raise ValueError(f"the actions of {', '.join(self.external)} come from outside: use step")
         none, most = np.zeros((self.worlds, 0, 2)), self.scenario.ticks if ticks is None else ticks
-        self._run(self._all, _NO_SEEDS, none, most)
+        self._run(self._all, none, most)
 
-    def _run(self, worlds: IntArray, seeds: IntArray, actions: FloatArray, ticks: int) -> None:
-        self.batch.crew.share(run_worlds, len(worlds), self.parameters, self.tables, self.state, worlds, seeds, actions, ticks)
+    def _run(self, worlds: IntArray, actions: FloatArray, ticks: int, *, beginning: bool = False) -> None:
+        told = (self.parameters, self.tables, self.state, worlds, beginning, actions, ticks)
+        self.batch.crew.share(run_worlds, len(worlds), *told)
 
     def metrics(self, uav: str) -> dict[str, FloatArray]:
         """How a UAV has truly done in this episode, in each world; arrays of shape (worlds,).

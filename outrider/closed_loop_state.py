@@ -104,8 +104,6 @@ class LoopState(NamedTuple):
     batch: BatchState
     maps: FloatArray
     """The UAVs' own maps, where they differ from the world's. Shape (worlds, UAVs or 0, rows, columns)."""
-    keys: IntArray
-    """Of the pilots' random numbers. Shape (worlds, vehicles)."""
     commands: FloatArray
     """What each vehicle answered last [m/s²]. Shape (worlds, vehicles, 2)."""
     sent: FloatArray

@@ -46,7 +46,7 @@ from sim.link import advance as advance_link
 from sim.link import receive, send
 from sim.link_table import link_of, parameters_of
 from sim.prefetch import fetch_disc, fetch_rows
-from sim.randomness import pilot_key
+from sim.randomness import PILOT, RADIO_LINK, key_of
 from sim.vehicles import brake, norm
 
 _PENDING, _SENT_X, _SENT_Y = range(3)
@@ -66,7 +66,7 @@ def _kalman_of(s: KalmanState, k: int, u: int) -> KalmanState:
 @inlined
 def _wanted(p: LoopParameters, t: LoopTables, s: LoopState, k: int, v: int, u: int) -> tuple[float, float]:
     """What the law of UAV u, vehicle v, wants [m/s²]; before the first detection it stays where it is."""
-    law, tick = unpack_law(t.laws[u], s.keys[k, v]), s.batch.ticks[k]
+    law, tick = unpack_law(t.laws[u], key_of(s.batch.keys[k], PILOT, v)), s.batch.ticks[k]
     position, velocity = s.batch.truth.position[k], s.batch.truth.velocity[k]
     known, g_x, g_y = kalman_estimate(_kalman_of(s.kalman, k, u))
     if not known:
@@ -133,7 +133,7 @@ def _drive(p: LoopParameters, t: LoopTables, s: LoopState, k: int, v: int, g: in
         return
     tick, position, velocity = s.batch.ticks[k], s.batch.truth.position[k], s.batch.truth.velocity[k]
     s.commands[k, v, 0], s.commands[k, v, 1] = ugv_control(
-        unpack_driver(t.drivers[g], s.keys[k, v]),
+        unpack_driver(t.drivers[g], key_of(s.batch.keys[k], PILOT, v)),
         t.goals[t.goal_rows[g] : t.goal_rows[g + 1]],
         t.scripts[t.script_rows[g] : t.script_rows[g + 1]],
         s.drivers[k, g],
@@ -151,7 +151,7 @@ def _drive(p: LoopParameters, t: LoopTables, s: LoopState, k: int, v: int, g: in
 @inlined
 def _listen(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
     """What the UAVs have said at the tick before sets out, and what has arrived is heard."""
-    tick, seed, hearing = s.batch.ticks[k], s.batch.seeds[k], s.hearing[k]
+    tick, hearing = s.batch.ticks[k], s.hearing[k]
     hearing[:] = 0
     for u in range(t.listeners.shape[0]):
         g, outbox, message = t.listeners[u], s.outbox[k, u], s.batch.message[k]
@@ -163,10 +163,11 @@ def _listen(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
                 hearing[g] = n + 1
             continue
         ways, link = parameters_of(t.ways, u), link_of(s.ways, k, u)
-        advance_link(ways, link, seed, t.ways.ids[u], tick)
+        key = key_of(s.batch.keys[k], RADIO_LINK, t.ways.vehicles[u])
+        advance_link(ways, link, key, tick)
         if outbox[_PENDING] != 0.0:
             message[0], message[1], message[2] = tick - 1, outbox[_SENT_X], outbox[_SENT_Y]
-            send(ways, link, seed, t.ways.ids[u], message)
+            send(ways, link, key, message)
         inbox = s.inbox[k]
         for i in range(receive(link, inbox)):
             n = hearing[g]
@@ -349,11 +350,9 @@ def _observe(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
 
 
 @inlined
-def _begin(p: LoopParameters, t: LoopTables, s: LoopState, k: int, seed: int) -> None:
-    """World k, whose arrays are as they are at the start, takes its seed; everybody has a first look."""
-    begin_world(p.w, t.batch, s.batch, k, seed)
-    for v in range(t.place.shape[0]):
-        s.keys[k, v] = pilot_key(seed, v)
+def _begin(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
+    """World k, whose arrays are as they are at the start but for its keys: everybody has a first look."""
+    begin_world(p.w, t.batch, s.batch, k)
     for g in range(t.ugv_rows.shape[0]):
         v, seat, goals = t.ugv_rows[g], s.ugv_seats[k, g], t.goals[t.goal_rows[g] : t.goal_rows[g + 1]]
         x, y = s.batch.truth.position[k, v, 0], s.batch.truth.position[k, v, 1]
@@ -410,7 +409,7 @@ def _fetch_rows(s: LoopState, k: int) -> None:
     if k < 0:
         return
     b, truth = s.batch, s.batch.truth
-    fetch_rows((b.seeds, b.ticks, b.looks, b.arrived, truth.velocity, truth.acceleration, truth.commands), k)  # type: ignore[call-arg]
+    fetch_rows((b.keys, b.ticks, b.looks, b.arrived, truth.velocity, truth.acceleration, truth.commands), k)  # type: ignore[call-arg]
     fetch_rows((truth.detections, truth.gains, s.kalman.numbers, s.uav_seats, s.ugv_seats), k)
     fetch_rows((s.commands, s.uav_rows, s.ugv_rows, s.rewards, s.terminated, s.truncated), k)
 
@@ -421,21 +420,21 @@ def run_worlds(
     t: LoopTables,
     s: LoopState,
     worlds: IntArray,
-    seeds: IntArray,
+    beginning: bool,
     actions: FloatArray,
     ticks: int,
     begin: int,
     end: int,
 ) -> None:
-    """Begin these worlds, if there are seeds for them, or fly each on for so many ticks or to the end of its episode.
+    """Begin these worlds, or fly each on for so many ticks or to the end of its episode.
 
     World by world, so that a grid stays near its core for a whole flight. One function for all, as each compiles for long.
     """
     for n in range(begin, end):
-        k, beginning = worlds[n], seeds.shape[0] > 0
+        k = worlds[n]
         after = worlds[n + 1] if n + 1 < end else -1  # while this world is computed, the next one's cells come
         if beginning:
-            _begin(p, t, s, k, seeds[n])
+            _begin(p, t, s, k)
         for tick in range(1 if beginning else ticks):
             if not beginning:
                 if tick > 0 and (s.terminated[k] or s.truncated[k]):

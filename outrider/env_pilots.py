@@ -78,7 +78,9 @@ class _Crew:
         self._episode: int = env.episode
         listens = any(ugv.driver == "evade" for ugv in env.scenario.ugv)
         self._radio = _Radio(env) if listens and env.episode else None
-        self._pilots: dict[str, Pilot] = make_pilots(env.scenario, env.episode_seed, weighting=self._weighting, path=self._path)
+        self._pilots: dict[str, Pilot] = make_pilots(
+            env.scenario, env.episode_seed, secret=env.secret, weighting=self._weighting, path=self._path
+        )
 
     def act(
         self, name: str, observation: npt.NDArray[np.floating[Any]] | Mapping[str, npt.NDArray[np.floating[Any]]]

@@ -13,19 +13,25 @@ from outrider.own import load_function
 from outrider.summary import Summary, summarize
 from sim.briefing import briefing
 from sim.flight import Flight
+from sim.run_keys import check_secret
 from sim.scenario import Scenario, load_scenario
 
 Pilot = UavPilot | UgvPilot
 
 
 def make_pilots(
-    scenario: Scenario, seed: int, *, weighting: Weighting | None = None, path: VirtualPath | None = None
+    scenario: Scenario,
+    seed: int,
+    *,
+    secret: str = "",
+    weighting: Weighting | None = None,
+    path: VirtualPath | None = None,
 ) -> dict[str, Pilot]:
     """The scenario's pilots, briefed as they would be over the bus.
 
     Args:
         scenario: What is flown.
-        seed: Of the run.
+        seed, secret: Of the run.
         weighting: Instead of the scenario's `custom.weighting`.
         path: Instead of the scenario's `custom.path`.
     """
@@ -34,7 +40,7 @@ def make_pilots(
     policy = load_function(scenario.custom.policy, what="custom.policy")
     pilots: dict[str, Pilot] = {}
     for vehicle in scenario.vehicles:
-        told = briefing(scenario, vehicle.name, seed)
+        told = briefing(scenario, vehicle.name, seed, secret)
         if isinstance(told, UavBriefing):
             pilots[vehicle.name] = UavPilot(told, weighting=weighting, path=path)
         else:
@@ -72,6 +78,7 @@ def fly(
     scenario: Scenario,
     seed: int,
     *,
+    secret: str = "",
     weighting: Weighting | None = None,
     path: VirtualPath | None = None,
     on_tick: Callable[[Flight], None] | None = None,
@@ -80,7 +87,8 @@ def fly(
 
     Args:
         scenario: What is flown.
-        seed: Of all random numbers.
+        seed: Of all random numbers, with the secret.
+        secret: Of the run, as `sim.run_keys.check_secret` returns it; empty: none.
         weighting: For the law `weighted`, instead of the scenario's.
         path: For the law `path`, instead of the scenario's.
         on_tick: Called after each tick with the flight, which it may stop.
@@ -88,22 +96,24 @@ def fly(
     Returns:
         The flight with its record, and the summary.
     """
-    flight = Flight(scenario, seed)
-    exchange = InProcess(make_pilots(scenario, seed, weighting=weighting, path=path))
+    flight = Flight(scenario, seed, secret=secret)
+    exchange = InProcess(make_pilots(scenario, seed, secret=secret, weighting=weighting, path=path))
     started = time.perf_counter()
     flight.fly(exchange, on_tick=None if on_tick is None else lambda: on_tick(flight))
     return flight, summarize(flight, seconds=time.perf_counter() - started)
 
 
-def run(scenario: str | Path | Scenario = "escort", *, seed: int | None = None) -> Summary:
+def run(scenario: str | Path | Scenario = "escort", *, seed: int | None = None, secret: str = "") -> Summary:
     """Fly a scenario in this process and sum it up.
 
     Args:
         scenario: A shipped name, a file, or a scenario.
         seed: Of all random numbers; the scenario's own by default.
+        secret: Of the run: 32 to 128 hexadecimal digits; empty: none, and the seed alone gives the flight.
 
     Raises:
         ScenarioError: If it cannot be flown.
+        ValueError: If the secret is none.
     """
     flown = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
-    return fly(flown, flown.seed if seed is None else seed)[1]
+    return fly(flown, flown.seed if seed is None else seed, secret=check_secret(secret))[1]

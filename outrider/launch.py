@@ -14,11 +14,12 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import IO
+from typing import IO, Literal
 
 import msgspec
 
-from bus.access import ROUTER_FILE, new_credentials, write_credentials
+from bus.access import ROUTER_FILE, new_certificates, new_credentials, write_credentials
+from bus.certificates import new_authority
 from bus.errors import BusError, PeerLost
 from bus.keys import OPERATOR_NAME, SIMULATOR_NAME
 from outrider.cores import can_be_kept_apart, keep_apart
@@ -32,8 +33,19 @@ _LAST_WORDS = 12
 """Lines of a child's standard error that are kept."""
 _LAST_FRAME = 0.2
 """So long after the end of the simulator the page is still served [s], so that browsers show that the run is over."""
+_SECRET = "OUTRIDER_SECRET"  # noqa: S105 - a variable's name
+"""Where the simulator's process finds the run's secret."""
+_PORTS = range(20_000, 32_000)
+"""Of this machine, below those that systems give to clients."""
+Transport = Literal["unix", "tcp", "tls"]
 _LIVES = 3
 """A process that dies more often than this while the clock stands still is not started again."""
+
+
+def _environment(secret: str) -> dict[str, str]:
+    """A child's environment: ours, without our run's secret unless it is for it. A command line would show it to everybody."""
+    ours = {name: value for name, value in os.environ.items() if name != _SECRET}
+    return ours | ({_SECRET: secret} if secret else {})
 
 
 class Child:
@@ -44,6 +56,7 @@ class Child:
         arguments: Of the `outrider` command line.
         lines: Where its standard output goes, line by line; None is its end.
         files: Open files that it inherits, by their numbers.
+        secret: Of the run: for the simulator alone.
     """
 
     def __init__(
@@ -52,6 +65,7 @@ class Child:
         arguments: Sequence[str],
         lines: "queue.SimpleQueue[bytes | None] | None" = None,
         files: Sequence[int] = (),
+        secret: str = "",
     ) -> None:
         self.name = name
         self._words: deque[str] = deque(maxlen=_LAST_WORDS)
@@ -61,6 +75,7 @@ class Child:
             stdout=subprocess.DEVNULL if lines is None else subprocess.PIPE,
             stderr=subprocess.PIPE,
             pass_fds=files,
+            env=_environment(secret),
             start_new_session=True,  # Ctrl-C reaches us alone; we end the children in order
         )
         self._readers = [threading.Thread(target=self._listen, args=(self._process.stderr,), daemon=True)]
@@ -138,6 +153,20 @@ def _private_folder() -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def free_port() -> int:
+    """A port that nobody listens on now.
+
+    Raises:
+        BusError: If there is none.
+    """
+    for _ in range(100):
+        port = secrets.choice(_PORTS)
+        with contextlib.suppress(OSError), socket.socket() as probe:
+            probe.bind(("127.0.0.1", port))
+            return port
+    raise BusError("no free port found for the run's router")
+
+
 @contextlib.contextmanager
 def _family() -> Iterator[list[Child]]:
     """Children that are all gone afterwards."""
@@ -192,7 +221,9 @@ def launch(
     respawn: bool = False,
     pin: bool = True,
     secured: bool = True,
+    transport: Transport = "unix",
     page: socket.socket | None = None,
+    secret: str = "",
 ) -> Outcome:
     """Fly a scenario as one process for the simulator and one for each vehicle, over Zenoh on a private socket.
 
@@ -212,21 +243,23 @@ def launch(
         respawn: Whether a vehicle's process that dies is started again.
         pin: Whether the UAVs keep to one half of the processor cores and the others to the other half, if there are few of them.
         secured: Whether there are credentials and access control; False only to measure what they cost.
+        transport: `tcp` and `tls`, with certificates for passwords, use a port of this machine; only to measure what they cost.
         page: A socket that listens, on which the run is shown in the browser; None: it is not. The page's process is no part of
             the flight: where it fails, that is told, and the flight goes on.
+        secret: Of the run, for the simulator's process alone; empty: none.
 
     Returns:
         The summary of what was flown, if anything was; and the fault that ended it early.
     """
     with _private_folder() as folder, _family() as pages, _family() as children:
         run = f"run-{os.getpid()}-{secrets.token_hex(4)}"
-        crew = _Crew(scenario, folder, run, children, pin=pin, secured=secured)
+        crew = _Crew(scenario, folder, run, children, pin=pin, secured=secured, transport=transport)
         timing = ["--deadline", str(deadline), "--join-timeout", str(join_timeout)]
         pace = (["--realtime", str(realtime)] if realtime is not None else []) + (["--respawn"] if respawn else [])
         settings = [argument for override in overrides for argument in ("--set", override)]
         output = (["--out", str(out)] if out else []) + ([] if picture else ["--no-picture"])
         output += ["--record", str(record)] if record else []
-        crew.start_simulator(source, [*settings, *output, *timing, *pace], watcher)
+        crew.start_simulator(source, [*settings, *output, *timing, *pace], watcher, secret)
         if page is not None and not watcher.stop() and crew.simulator.ended is None:
             crew.show_on(page, pages, watcher)
         if not watcher.stop():
@@ -252,21 +285,36 @@ class _Crew:
         children: Where they are kept, so that they are ended whatever happens.
         pin: Whether they are given cores.
         secured: Whether they are given credentials.
+        transport: How they reach each other.
     """
 
-    def __init__(self, scenario: Scenario, folder: Path, run: str, children: list[Child], *, pin: bool, secured: bool) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        folder: Path,
+        run: str,
+        children: list[Child],
+        *,
+        pin: bool,
+        secured: bool,
+        transport: Transport,
+    ) -> None:
         self.children = children
         self.lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         """What the simulator reports."""
         self._scenario, self._folder, self._run = scenario, folder, run
         self._pin = pin and can_be_kept_apart(len(scenario.vehicles))
-        self._socket = folder / "bus.sock"
-        self._endpoint = f"unixsock-stream/{self._socket}"
+        self._address: Path | tuple[str, int] = folder / "bus.sock"
+        self._endpoint = f"unixsock-stream/{self._address}"
+        if transport != "unix":
+            self._address = ("127.0.0.1", free_port())
+            self._endpoint = f"{transport}/127.0.0.1:{self._address[1]}"
         self._uavs = {uav.name for uav in scenario.uav}
         self._files: dict[str, Path] = {}
         self._page: Child | None = None
         if secured:
-            given = new_credentials(run, (uav.name for uav in scenario.uav), (ugv.name for ugv in scenario.ugv))
+            names = [uav.name for uav in scenario.uav], [ugv.name for ugv in scenario.ugv]
+            given = new_certificates(new_authority(run), *names) if transport == "tls" else new_credentials(run, *names)
             self._files = write_credentials(given, folder / "credentials")
 
     @property
@@ -277,13 +325,20 @@ class _Crew:
     def _known_as(self, name: str) -> list[str]:
         return ["--credentials", str(self._files[name])] if self._files else []
 
-    def start_simulator(self, source: str, settings: list[str], watcher: Watcher) -> None:
+    def start_simulator(self, source: str, settings: list[str], watcher: Watcher, secret: str) -> None:
         """Start it and wait until its router listens: before that a client would only try in vain."""
         arguments = ["simulator", source, "--listen", self._endpoint, "--run", self._run, "--events"]
         arguments += [*self._known_as(ROUTER_FILE), *settings, "--leash-folder", str(self._folder)]
-        self.children.append(Child(SIMULATOR_NAME, arguments, self.lines))
-        while not self._socket.exists() and self.simulator.ended is None and not watcher.stop():
+        self.children.append(Child(SIMULATOR_NAME, arguments, self.lines, secret=secret))
+        while not self._listens() and self.simulator.ended is None and not watcher.stop():
             time.sleep(0.02)
+
+    def _listens(self) -> bool:
+        if isinstance(self._address, Path):
+            return self._address.exists()
+        with contextlib.suppress(OSError), socket.create_connection(self._address, timeout=1.0):
+            return True
+        return False
 
     def show_on(self, page: socket.socket, pages: list[Child], watcher: Watcher) -> None:
         """Start the dashboard, and wait until it shows what comes: the first tick is part of it."""

@@ -1,5 +1,6 @@
 """What a run leaves behind in its folder: the trajectory, the picture and the summary."""
 
+import os
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
@@ -28,9 +29,12 @@ def default_folder(scenario: str) -> Path:
 
 
 def write_summary(summary: Summary, folder: Path) -> Path:
-    """Write the summary as JSON."""
+    """Write the summary as JSON; where it tells a secret, for the file's owner alone."""
     path = folder / SUMMARY
-    path.write_bytes(msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n")
+    with path.open("wb") as file:
+        if summary.secret:
+            os.fchmod(file.fileno(), 0o600)
+        file.write(msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n")
     return path
 
 

@@ -25,6 +25,8 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
 
     scenario: str
     seed: int
+    secret: str = ""
+    """Of the run, for its owner alone: with the seed it gives the same flight again. Empty: none, and the seed alone does."""
     law: str
     dt: float
     """[s]"""
@@ -81,7 +83,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     changes: list[Change] = []
     """What operators have changed while it flew, and at which tick."""
     deterministic: bool
-    """Whether every command came in time and no operator had a hand in it: the hash is the scenario's and the seed's alone."""
+    """Whether every command came in time and no operator had a hand in it: the hash is that of scenario, seed and secret."""
     first_missing_tick: int | None
     trajectory_sha256: str
     platform: dict[str, str]
@@ -163,6 +165,7 @@ def summarize(
     return Summary(
         scenario=scenario.name,
         seed=flight.seed,
+        secret=flight.secret,
         law=scenario.law.name,
         dt=scenario.dt,
         ticks=recorder.ticks,

@@ -57,8 +57,8 @@ def stop_row(flight: Flight) -> int:
     return int(moving[-1]) + 1 if moving.size else 0
 
 
-def _briefing(scenario: Scenario, seed: int, uav: str) -> UavBriefing:
-    told = briefing(scenario, uav, seed)
+def _briefing(scenario: Scenario, seed: int, uav: str, secret: str = "") -> UavBriefing:
+    told = briefing(scenario, uav, seed, secret)
     if not isinstance(told, UavBriefing):
         raise ValueError(f"{uav} is no UAV")
     return told
@@ -69,7 +69,7 @@ def velocity_errors(flight: Flight) -> tuple[FloatArray, FloatArray]:
 
     What the UAV flew is gone through once more with its own law: with k_v = 1 and no border, the coverage term (11) is e_vel.
     """
-    told = _briefing(flight.scenario, flight.seed, flight.world.uavs[0].name)
+    told = _briefing(flight.scenario, flight.seed, flight.world.uavs[0].name, flight.secret)
     c = law_parameters(told, told.law)._replace(k_v=1.0, margin=0.0)
     coverage, state = empty_coverage(c.width, c.height, c.cell), initial_state()
     for region in told.covered:

@@ -28,6 +28,7 @@ from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights
 from sim.env.seeds import Seeds
 from sim.env.spaces import action_space, box, observation_space
+from sim.run_keys import check_secret
 from sim.scenario import Scenario, load_scenario
 from sim.scenario_checks import check_scenario
 
@@ -66,6 +67,7 @@ class Worlds:
         safety_filter: Whether the UAVs' actions go through the safety filter.
         dtype: Of the observations.
         threads: Processor cores that share the worlds.
+        secret: As in `outrider.parallel_env`.
     """
 
     def __init__(
@@ -85,6 +87,7 @@ class Worlds:
         safety_filter: bool = False,
         dtype: type[np.floating] = np.float64,
         threads: int | None = None,
+        secret: str = "",
     ) -> None:
         self.num_envs = _checked_count(num_envs)
         if dtype not in {np.float32, np.float64}:
@@ -119,6 +122,7 @@ class Worlds:
             end_on_sight_lost=end_on_sight_lost,
             end_on_goals_reached=end_on_goals_reached,
             threads=threads,
+            secret=check_secret(secret),
         )
         """The worlds themselves."""
         self._shielded = safety_filter

@@ -1,6 +1,6 @@
 """Many worlds of one scenario at once: arrays with an axis for worlds, and the step of each, compiled.
 
-No laws in here. World k with a seed is, bit for bit, the `World` of that seed under the same commands.
+No laws in here. World k with a seed is, bit for bit, the `World` of that seed and secret under the same commands.
 """
 
 import math
@@ -16,6 +16,8 @@ from sim.link import LinkState, receive, send
 from sim.link import advance as advance_link
 from sim.link_table import BatchLinks, LinkTable, link_of, parameters_of
 from sim.links import hold_ticks
+from sim.randomness import COMMAND_LINK, DETECTION_LINK, RUN_PURPOSES, WordArray, key_of
+from sim.run_keys import derive_keys
 from sim.scenario import Scenario
 from sim.threads import Crew
 from sim.tick import (
@@ -57,8 +59,8 @@ class BatchTables(NamedTuple):
 class BatchState(NamedTuple):
     """What is true in each world. All arrays have an axis for worlds in front."""
 
-    seeds: IntArray
-    """Of each world's random numbers. Shape (worlds,)."""
+    keys: WordArray
+    """Of each world's random numbers. Shape (worlds, RUN_PURPOSES, vehicles, 2)."""
     ticks: IntArray
     """Shape (worlds,)."""
     truth: WorldState
@@ -94,7 +96,7 @@ def truth_of(truth: WorldState, k: int) -> WorldState:
 @inlined
 def deliver_detections(t: BatchTables, s: BatchState, k: int) -> None:
     """What the detectors found at this tick sets out, and what has arrived is there."""
-    seed, tick, found, looks = s.seeds[k], s.ticks[k], s.truth.detections[k], s.looks[k]
+    keys, tick, found, looks = s.keys[k], s.ticks[k], s.truth.detections[k], s.looks[k]
     for u in range(found.shape[0]):
         seen = not math.isnan(found[u, 0])
         if t.perfect_detections:
@@ -102,11 +104,12 @@ def deliver_detections(t: BatchTables, s: BatchState, k: int) -> None:
             looks[u, 0, TAKEN], looks[u, 0, LOOK_X], looks[u, 0, LOOK_Y] = tick, found[u, 0], found[u, 1]
             continue
         p, link = parameters_of(t.ways_in, u), link_of(s.ways_in, k, u)
-        advance_link(p, link, seed, t.ways_in.ids[u], tick)
+        key = key_of(keys, DETECTION_LINK, t.ways_in.vehicles[u])
+        advance_link(p, link, key, tick)
         if seen:
             message = s.message[k]
             message[TAKEN], message[LOOK_X], message[LOOK_Y] = tick, found[u, 0], found[u, 1]
-            send(p, link, seed, t.ways_in.ids[u], message)
+            send(p, link, key, message)
         s.arrived[k, u] = receive(link, looks[u])
 
 
@@ -116,7 +119,7 @@ def act_on_commands(w: WorldParameters, t: BatchTables, s: BatchState, k: int, c
 
     A command that is not a number has not been given: nothing sets out.
     """
-    seed, tick, acting = s.seeds[k], s.ticks[k], s.truth.commands[k]
+    keys, tick, acting = s.keys[k], s.ticks[k], s.truth.commands[k]
     if t.perfect_commands:
         for v in range(commands.shape[0]):
             acting[v, 0], acting[v, 1] = commands[v, 0], commands[v, 1]
@@ -124,10 +127,11 @@ def act_on_commands(w: WorldParameters, t: BatchTables, s: BatchState, k: int, c
     message, orders, answered = s.message[k], s.orders[k], s.answered[k]
     for v in range(commands.shape[0]):
         p, link = parameters_of(t.ways_out, v), link_of(s.ways_out, k, v)
-        advance_link(p, link, seed, t.ways_out.ids[v], tick)
+        key = key_of(keys, COMMAND_LINK, t.ways_out.vehicles[v])
+        advance_link(p, link, key, tick)
         if not math.isnan(commands[v, 0]):
             message[0], message[1], message[2] = tick, commands[v, 0], commands[v, 1]
-            send(p, link, seed, t.ways_out.ids[v], message)
+            send(p, link, key, message)
         for n in range(receive(link, orders)):
             if orders[n, 0] > answered[v]:
                 answered[v], acting[v, 0], acting[v, 1] = int(orders[n, 0]), orders[n, 1], orders[n, 2]
@@ -137,10 +141,9 @@ def act_on_commands(w: WorldParameters, t: BatchTables, s: BatchState, k: int, c
 
 
 @inlined
-def begin_world(w: WorldParameters, t: BatchTables, s: BatchState, k: int, seed: int) -> None:
-    """World k, whose arrays are as they are at the start, takes its seed and has the first look."""
-    s.seeds[k] = seed
-    detect_all(w, seed, 0, s.truth.position[k], t.escorts, s.truth.detections[k])
+def begin_world(w: WorldParameters, t: BatchTables, s: BatchState, k: int) -> None:
+    """World k, whose arrays are as they are at the start but for its keys, has the first look."""
+    detect_all(w, s.keys[k], 0, s.truth.position[k], t.escorts, s.truth.detections[k])
     deliver_detections(t, s, k)
 
 
@@ -150,16 +153,14 @@ def step_world(w: WorldParameters, t: BatchTables, s: BatchState, k: int, comman
     act_on_commands(w, t, s, k, commands)
     s.ticks[k] += 1
     truth = truth_of(s.truth, k)
-    advance(w, truth, s.seeds[k], s.ticks[k], t.bounds, t.escorts, truth.commands)
+    advance(w, truth, s.keys[k], s.ticks[k], t.bounds, t.escorts, truth.commands)
     deliver_detections(t, s, k)
 
 
 @released
-def _begin_worlds(
-    w: WorldParameters, t: BatchTables, s: BatchState, worlds: IntArray, seeds: IntArray, begin: int, end: int
-) -> None:
+def _begin_worlds(w: WorldParameters, t: BatchTables, s: BatchState, worlds: IntArray, begin: int, end: int) -> None:
     for n in range(begin, end):
-        begin_world(w, t, s, worlds[n], seeds[n])
+        begin_world(w, t, s, worlds[n])
 
 
 @released
@@ -201,16 +202,26 @@ class Batch:
         worlds: How many.
         gains: Whether the fall of e(t) by each look is counted.
         threads: Processor cores that share the worlds; by default all that this process may use.
+        secret: Of all their random numbers, with each one's seed; empty: none.
 
     Raises:
         ValueError: If there are no worlds.
     """
 
-    def __init__(self, scenario: Scenario, worlds: int, *, gains: bool = False, threads: int | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        worlds: int,
+        *,
+        gains: bool = False,
+        threads: int | None = None,
+        secret: str = "",
+    ) -> None:
         if worlds < 1:
             raise ValueError(f"worlds = {worlds}: must be 1 or more")
         self.scenario = scenario
         self.worlds = worlds
+        self._secret = secret
         self.parameters = world_parameters(scenario, gains=gains)
         self.crew = Crew(threads)
         """The threads that share the worlds."""
@@ -227,7 +238,7 @@ class Batch:
             ways_out=self.ways_out.table,
         )
         self.state = BatchState(
-            seeds=np.zeros(worlds, dtype=np.int64),
+            keys=np.zeros((worlds, RUN_PURPOSES, vehicles, 2), dtype=np.uint64),
             ticks=np.zeros(worlds, dtype=np.int64),
             truth=WorldState._make(np.repeat(array[None], worlds, axis=0) for array in first),
             looks=np.zeros((worlds, len(escorts), 1 if self.ways_in.perfect else self.ways_in.room, 3)),
@@ -248,12 +259,25 @@ class Batch:
             seeds: One for each of them.
             worlds: Which; all by default.
         """
+        which = self.restore(seeds, worlds)
+        self.crew.share(_begin_worlds, len(which), self.parameters, self.tables, self.state, which)
+
+    def restore(self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None) -> IntArray:
+        """Let worlds be as they were at the start, with the keys of these seeds; before the first look.
+
+        Args:
+            seeds, worlds: As in `begin`.
+
+        Returns:
+            Which they are.
+        """
         which = np.arange(self.worlds) if worlds is None else np.asarray(worlds, dtype=np.int64)
         given = np.asarray(seeds, dtype=np.int64)
         if given.shape != which.shape:
-            raise ValueError(f"{len(given)} seeds for {len(which)} worlds")
+            raise ValueError(f"{given.size} seeds for {which.size} worlds")
         self.fresh.restore(which)
-        self.crew.share(_begin_worlds, len(which), self.parameters, self.tables, self.state, which, given)
+        self.state.keys[which] = derive_keys(given.tolist(), len(self.scenario.vehicles), self._secret)
+        return which
 
     def step(self, commands: npt.NDArray[np.float64]) -> None:
         """All worlds advance by one tick.

@@ -4,7 +4,8 @@ import math
 
 from bus.messages import Briefing, Certificate, Detector, Limits, LinkKind, UavBriefing, UgvBriefing
 from sim.ether import extra_delays
-from sim.randomness import pilot_key
+from sim.randomness import PILOT
+from sim.run_keys import derive_key
 from sim.scenario import Scenario, Uav, Ugv
 
 
@@ -32,15 +33,15 @@ def declared(scenario: Scenario, uav: str) -> Certificate:
     return Certificate(error=error, age=given.age, delay=delay, margin=given.margin, hold=scenario.hold)
 
 
-def briefing(scenario: Scenario, name: str, seed: int) -> Briefing:
-    """The briefing of the vehicle `name` in a run with this seed.
+def briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> Briefing:
+    """The briefing of the vehicle `name` in a run with this seed and secret; neither is in it.
 
     Raises:
         KeyError: If the scenario has no such vehicle.
     """
     vehicles = {vehicle.name: (index, vehicle) for index, vehicle in enumerate(scenario.vehicles)}
     index, vehicle = vehicles[name]
-    key = pilot_key(seed, index)
+    key = derive_key(seed, PILOT, index, secret)
     if isinstance(vehicle, Ugv):
         return UgvBriefing(
             vehicle=name,

@@ -70,7 +70,7 @@ class Desk:
         if self._next_seed is None:
             return None
         old = self._flight
-        self._flight = Flight(old.scenario, self._next_seed, episode=old.episode + 1)
+        self._flight = Flight(old.scenario, self._next_seed, secret=old.secret, episode=old.episode + 1)
         self._next_seed = None
         return self._flight
 

@@ -3,7 +3,7 @@
 import math
 
 from sim.compile import compiled
-from sim.randomness import DETECTION_CHANCE, DETECTION_NOISE, cut_normal_vector, uniform
+from sim.randomness import DETECTION_CHANCE, DETECTION_NOISE, Key, cut_normal_vector, uniform
 from sim.vehicles import norm
 
 
@@ -33,8 +33,8 @@ def detect(
     dropout: float,
     sigma: float,
     cut: float,
-    seed: int,
-    uav: int,
+    noise_key: Key,
+    chance_key: Key,
     tick: int,
 ) -> tuple[bool, float, float]:
     """One look of the UAV at its UGV.
@@ -44,15 +44,16 @@ def detect(
         r_v, reach, dropout: As in `detection_chance`.
         sigma: Standard deviation of the noise per axis [m].
         cut: The noise vector's norm is at most cut * sigma; infinite: no cut.
-        seed, uav, tick: Of the draws.
+        noise_key, chance_key: Of this UAV: of the noise, and of whether a look fails.
+        tick: Of the draws.
 
     Returns:
         Whether the UGV was found, and the noisy p_a - p_g [m]; NaN where it was not.
     """
     chance = detection_chance(norm(p_delta_x, p_delta_y), r_v, reach, dropout)
-    if uniform(seed, DETECTION_CHANCE, uav, tick, 0) >= chance:
+    if uniform(chance_key, DETECTION_CHANCE, tick, 0) >= chance:
         return False, math.nan, math.nan
     if sigma == 0.0:
         return True, p_delta_x, p_delta_y
-    n_x, n_y = cut_normal_vector(sigma, cut, seed, DETECTION_NOISE, uav, tick, 0)
+    n_x, n_y = cut_normal_vector(sigma, cut, noise_key, DETECTION_NOISE, tick, 0)
     return True, p_delta_x + n_x, p_delta_y + n_y

@@ -23,10 +23,12 @@ from sim.link import (
     DELIVERED,
     DUE,
     DUPLICATED,
+    DUST,
     FLYING,
     FREE,
     LOST,
     NEWEST,
+    NORMAL,
     ORIGINALS,
     QUEUE,
     SENT,
@@ -47,6 +49,7 @@ from sim.link import (
     underway,
     wait,
 )
+from sim.randomness import Key
 from sim.scenario_faults import Fault, near
 from sim.scenario_reading import as_raw, typed
 
@@ -66,9 +69,10 @@ def extra_delays(settings: LinkSettings) -> tuple[float, float]:
     """Least and most extra delay [s]."""
     j = settings.jitter
     most = settings.jitter_cut or _JITTER_CUT * j
-    if SHAPES[settings.jitter_shape] == UNIFORM:
+    shape = SHAPES[settings.jitter_shape]
+    if shape == UNIFORM:
         return -min(settings.delay, j), min(most, j)
-    return -settings.delay, most if j > 0.0 else 0.0
+    return -settings.delay if shape == NORMAL and j > 0.0 else 0.0, most if j > 0.0 else 0.0
 
 
 def link_faults(settings: LinkSettings, path: str = "") -> Iterator[Fault]:
@@ -193,6 +197,31 @@ def link_parameters(settings: LinkSettings, dt: float, *, per_tick: int = 1) -> 
     )
 
 
+def least_ticks(p: LinkParameters) -> int:
+    """The age in ticks below which no message arrives, if one is sent in every tick; with a sender that is kept busy.
+
+    Where the bandwidth is less than one message a tick the queue fills and stays full. From then on each message that leaves
+    has waited `queue` ticks if the newest are kept, and `queue` spacings if the oldest are.
+    """
+    waits = 0
+    if p.spacing > 1.0 + DUST:
+        waits = p.queue if p.newest else math.floor(p.queue * p.spacing)
+    return waits + in_ticks(p.delay + (p.least if p.jitter > 0.0 else 0.0), p.dt)
+
+
+def arrival_share(p: LinkParameters, ticks: int) -> float:
+    """The share of the messages that are neither lost nor queued which arrive within so many ticks after they were sent."""
+
+    def within(extra: float) -> float:
+        if p.jitter == 0.0 or extra >= p.most:
+            return 1.0 if extra >= p.most else 0.0
+        share = (jitter_share(p.shape, p.jitter, max(extra, p.least)) - p.low) / (p.high - p.low)
+        return 0.0 if extra < p.least else min(max(share, 0.0), 1.0)
+
+    room = (ticks + DUST) * p.dt - p.delay
+    return (1.0 - p.reorder) * within(room) + p.reorder * within(room - p.reorder_delay)
+
+
 def relink(old: LinkParameters, state: LinkState, new: LinkParameters) -> LinkState:
     """The state with which a link goes on under new parameters, between two ticks.
 
@@ -291,15 +320,15 @@ class Link:
     Args:
         settings: What it does; refused with a ScenarioError where there can be no such link.
         dt: Length of a tick [s].
-        seed: Of the run.
-        link: The link's own number.
+        key: Of its random numbers.
+        label: Names it in errors.
         per_tick: Messages that may be sent in every tick without any being lost for want of room.
     """
 
-    def __init__(self, settings: LinkSettings, *, dt: float, seed: int, link: int, per_tick: int = 1) -> None:
-        self.settings = check_link(settings, f"link {link}")
+    def __init__(self, settings: LinkSettings, *, dt: float, key: Key, label: str = "link", per_tick: int = 1) -> None:
+        self.settings = check_link(settings, label)
         """What it does now."""
-        self._dt, self._seed, self._link, self._per_tick = dt, seed, link, per_tick
+        self._dt, self._key, self._label, self._per_tick = dt, key, label, per_tick
         self._parameters = link_parameters(self.settings, dt, per_tick=per_tick)
         self._state = link_state(self._parameters, 2)
         self._out = np.empty_like(self._state.payload)
@@ -345,7 +374,7 @@ class Link:
             return self._pass(tick) if self._passing else []
         payloads = np.array(self._pending, dtype=np.float64) if self._pending else self._out[:0]
         self._pending.clear()
-        arrived = exchange(self._parameters, self._state, self._seed, self._link, tick, payloads, self._out)
+        arrived = exchange(self._parameters, self._state, self._key, tick, payloads, self._out)
         messages = [self._objects[int(number)] for number in self._out[:arrived, 1]]
         self._forget()
         return messages
@@ -385,7 +414,7 @@ class Link:
 
     def change(self, settings: LinkSettings) -> None:
         """Go on with other settings from the next tick on; see `relink`."""
-        checked = check_link(settings, f"link {self._link}")
+        checked = check_link(settings, self._label)
         new = link_parameters(checked, self._dt, per_tick=self._per_tick)
         self._settle()
         self._state = relink(self._parameters, self._state, new)

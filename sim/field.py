@@ -14,7 +14,7 @@ import numpy as np
 
 from sim.compile import FloatArray, IntArray, compiled
 from sim.lanes import LANES, lane_sum, widened
-from sim.randomness import NEAREST_POINT, uniform
+from sim.randomness import NEAREST_POINT, Key, uniform
 
 HILL = 0
 PLATEAU = 1
@@ -331,7 +331,7 @@ def nearest_uncovered(
     r_o: float,
     desired: float,
     cell: float,
-    key: int,
+    key: Key,
     tick: int,
 ) -> tuple[bool, float, float]:
     r"""The nearest point that lacks coverage within the support of the density, $\tilde q$ of (7).
@@ -362,7 +362,7 @@ def nearest_uncovered(
                 nearest, ties, q_x, q_y = d2, 1, x, y
             elif d2 <= nearest + NEAREST_TIE * nearest:
                 ties += 1  # each of n equals is kept with chance 1/n
-                if uniform(key, NEAREST_POINT, 0, tick, ties) * ties < 1.0:
+                if uniform(key, NEAREST_POINT, tick, ties) * ties < 1.0:
                     q_x, q_y = x, y
     return ties > 0, q_x, q_y
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -76,20 +77,22 @@ class Flight:
 
     Args:
         scenario: What is flown.
-        seed: Of all random numbers.
+        seed: Of all random numbers, with the secret.
+        secret: Of the run; empty: none. No vehicle, operator or observer is told.
         episode: Which flight of the run it is.
     """
 
-    def __init__(self, scenario: Scenario, seed: int, *, episode: int = 0) -> None:
+    def __init__(self, scenario: Scenario, seed: int, *, secret: str = "", episode: int = 0) -> None:
         self.scenario = scenario
         self.seed = seed
+        self.secret = secret
         self.episode = episode
         self.law = scenario.law
         """What the UAVs fly now."""
         self.drivers = {ugv.name: ugv.driver for ugv in scenario.ugv}
         """Who drives each UGV now."""
         self._news: dict[str, dict[int, News]] = defaultdict(dict)
-        self.world = World(scenario, seed)
+        self.world = World(scenario, seed, secret=secret)
         self.recorder = Recorder(self.world)
         self.missing: dict[str, int] = dict.fromkeys(self.world.names, 0)
         """Ticks for which a vehicle had no new command."""
@@ -120,6 +123,11 @@ class Flight:
     def commands(self) -> FloatArray:
         """What each vehicle was asked for in the last tick, before the bounds [m/s²]; shape (vehicles, 2)."""
         return self.world.commands
+
+    @property
+    def flown(self) -> Scenario:
+        """The scenario with the law that the UAVs fly now."""
+        return msgspec.structs.replace(self.scenario, law=self.law)
 
     @property
     def complete(self) -> bool:

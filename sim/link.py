@@ -13,8 +13,8 @@ A message meets, in this order:
    One that leaves at tick k with the delay d arrives at the first tick n with n dt >= k dt + d; among those of one tick the first
    sent comes first.
 
-Draws are pure functions of (seed, purpose, link, tick, index): those of a message by the tick at which it was sent and its number
-within that tick; those of the channel by the tick, or by the number of the random blackout.
+Draws are pure functions of (the link's key, purpose, tick, index): those of a message by the tick at which it was sent and its
+number within that tick; those of the channel by the tick, or by the number of the random blackout.
 """
 
 import math
@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.compile import FloatArray, IntArray, borrowing, compiled
-from sim.randomness import LINK_DELAY, LINK_LOSS, LINK_STATE, draw, to_uniform, uniform
+from sim.randomness import LINK_DELAY, LINK_LOSS, LINK_STATE, Key, draw, to_uniform, uniform
 
 UNIFORM = 0
 NORMAL = 1
@@ -253,13 +253,13 @@ def _flight_time(p: LinkParameters, share: float, held: bool) -> int:
 
 
 @compiled
-def _fate(p: LinkParameters, dark: bool, bad: bool, seed: int, link: int, tick: int, index: int) -> tuple[int, bool, bool]:
+def _fate(p: LinkParameters, dark: bool, bad: bool, key: Key, tick: int, index: int) -> tuple[int, bool, bool]:
     """What the channel does to one message: the cause of its loss or -1, whether it is doubled, whether it is held back."""
     if dark:
         return BLACKOUT, False, False
     if not (p.loss > 0.0 or bad or p.duplicates > 0.0 or p.reorder > 0.0):
         return -1, False, False
-    word_0, word_1, word_2, word_3 = draw(seed, LINK_LOSS, link, tick, index)
+    word_0, word_1, word_2, word_3 = draw(key, LINK_LOSS, tick, index)
     if bad and to_uniform(word_1) < p.burst_loss:
         return BURST, False, False
     if to_uniform(word_0) < p.loss:
@@ -268,18 +268,18 @@ def _fate(p: LinkParameters, dark: bool, bad: bool, seed: int, link: int, tick: 
 
 
 @borrowing
-def _transmit(p: LinkParameters, s: LinkState, seed: int, link: int, slot: int) -> None:
+def _transmit(p: LinkParameters, s: LinkState, key: Key, slot: int) -> None:
     """The message leaves the sender: the channel takes it, or it flies, perhaps twice."""
     slots, payload, buckets, counts = s.slots, s.payload, s.buckets, s.counts
     tick, index = slots[slot, SENT_AT], slots[slot, NUMBER]
-    lost, twice, held = _fate(p, counts[DARK] == 1, counts[CHAIN] == 1, seed, link, tick, index)
+    lost, twice, held = _fate(p, counts[DARK] == 1, counts[CHAIN] == 1, key, tick, index)
     if lost >= 0:
         counts[LOST + lost] += 1
         release(slots, counts, slot)
         return
     share, share_too, held_too = 0.0, 0.0, False
     if p.jitter > 0.0 or twice:
-        word_0, word_1, word_2, _ = draw(seed, LINK_DELAY, link, tick, index)
+        word_0, word_1, word_2, _ = draw(key, LINK_DELAY, tick, index)
         share, share_too, held_too = to_uniform(word_0), to_uniform(word_1), to_uniform(word_2) < p.reorder
     fly(slots, buckets, counts, slot, counts[TICK] + _flight_time(p, share, held))
     other = take(slots, counts) if twice else -1
@@ -304,10 +304,10 @@ def _dark_by_plan(blackouts: IntArray, tick: int) -> bool:
 
 
 @borrowing
-def _dark_by_chance(up: float, down: float, counts: IntArray, numbers: FloatArray, seed: int, link: int, tick: int) -> bool:
+def _dark_by_chance(up: float, down: float, counts: IntArray, numbers: FloatArray, key: Key, tick: int) -> bool:
     """Exponential times of light and fixed ones of darkness, in continuous time; stationary from the first tick on."""
     while numbers[DARK_TO] <= tick + DUST:
-        word_0, word_1, _, _ = draw(seed, LINK_STATE, link, counts[RENEWALS], 1)
+        word_0, word_1, _, _ = draw(key, LINK_STATE, counts[RENEWALS], 1)
         counts[RENEWALS] += 1
         light = -up * math.log1p(-to_uniform(word_0))
         place = to_uniform(word_1) * (up + down)
@@ -320,16 +320,16 @@ def _dark_by_chance(up: float, down: float, counts: IntArray, numbers: FloatArra
 
 
 @borrowing
-def _settle(p: LinkParameters, counts: IntArray, numbers: FloatArray, seed: int, link: int, tick: int) -> None:
+def _settle(p: LinkParameters, counts: IntArray, numbers: FloatArray, key: Key, tick: int) -> None:
     """What the channel is like at this tick: good or bad, dark or not."""
     if p.bursts:
         chance = p.bad_stay if counts[CHAIN] == 1 else p.bad_enter
         if counts[CHAIN] < 0:
             chance = p.bad_share
-        counts[CHAIN] = 1 if uniform(seed, LINK_STATE, link, tick, 0) < chance else 0
+        counts[CHAIN] = 1 if uniform(key, LINK_STATE, tick, 0) < chance else 0
     dark = _dark_by_plan(p.blackouts, tick)
     if p.up > 0.0:
-        dark = _dark_by_chance(p.up, p.down, counts, numbers, seed, link, tick) or dark
+        dark = _dark_by_chance(p.up, p.down, counts, numbers, key, tick) or dark
     counts[DARK] = 1 if dark else 0
 
 
@@ -340,32 +340,32 @@ def _is_free(spacing: float, counts: IntArray, numbers: FloatArray) -> bool:
 
 
 @borrowing
-def advance(p: LinkParameters, s: LinkState, seed: int, link: int, tick: int) -> None:
+def advance(p: LinkParameters, s: LinkState, key: Key, tick: int) -> None:
     """Begin a tick: the channel's state, then whatever may leave the queue. Once for every tick, in order.
 
     Args:
         p: Of the link.
         s: Is changed.
-        seed, link, tick: Of the draws; tick 0 is the first.
+        key, tick: Of the draws; tick 0 is the first.
     """
     counts = s.counts
     counts[TICK], counts[INDEX] = tick, 0
     if p.perfect and counts[WAITING] == 0:
         return
-    _settle(p, counts, s.numbers, seed, link, tick)
+    _settle(p, counts, s.numbers, key, tick)
     while counts[WAITING] > 0 and _is_free(p.spacing, counts, s.numbers):
         counts[SERVED] += 1
-        _transmit(p, s, seed, link, leave_queue(s.slots, s.buckets, counts))
+        _transmit(p, s, key, leave_queue(s.slots, s.buckets, counts))
 
 
 @borrowing
-def send(p: LinkParameters, s: LinkState, seed: int, link: int, payload: FloatArray) -> None:
+def send(p: LinkParameters, s: LinkState, key: Key, payload: FloatArray) -> None:
     """Send one message at the tick that `advance` has begun.
 
     Args:
         p: Of the link.
         s: Is changed.
-        seed, link: As in `advance`.
+        key: As in `advance`.
         payload: Is copied; element 0 is the tick that its content is from. Shape (width,).
     """
     slots, held, buckets, counts, numbers = s.slots, s.payload, s.buckets, s.counts, s.numbers
@@ -392,7 +392,7 @@ def send(p: LinkParameters, s: LinkState, seed: int, link: int, payload: FloatAr
     if p.perfect:
         fly(slots, buckets, counts, slot, counts[TICK])
     else:
-        _transmit(p, s, seed, link, slot)
+        _transmit(p, s, key, slot)
 
 
 @borrowing
@@ -435,11 +435,11 @@ def receive(s: LinkState, out: FloatArray) -> int:
 
 
 @borrowing
-def exchange(p: LinkParameters, s: LinkState, seed: int, link: int, tick: int, payloads: FloatArray, out: FloatArray) -> int:
+def exchange(p: LinkParameters, s: LinkState, key: Key, tick: int, payloads: FloatArray, out: FloatArray) -> int:
     """One whole tick of a link: `advance`, `send` for each row of `payloads`, `receive` into `out`; how many have arrived."""
-    advance(p, s, seed, link, tick)
+    advance(p, s, key, tick)
     for k in range(payloads.shape[0]):
-        send(p, s, seed, link, payloads[k])
+        send(p, s, key, payloads[k])
     return receive(s, out)
 
 

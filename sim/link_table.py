@@ -9,7 +9,7 @@ from bus.messages import LinkKind, LinkStatus
 from sim.compile import FloatArray, IntArray, inlined
 from sim.ether import check_link, link_parameters, link_status
 from sim.link import LinkParameters, LinkState, link_state
-from sim.links import PER_TICK, link_number, owners
+from sim.links import PER_TICK, owners
 from sim.scenario import Scenario
 
 
@@ -20,14 +20,14 @@ class LinkTable(NamedTuple):
     """Everything but the planned blackouts, in the order of `LinkParameters`; then which blackouts. Shape (links, 27)."""
     blackouts: IntArray
     """The planned blackouts of all links, one after the other. Shape (any, 2)."""
-    ids: IntArray
-    """The links' own numbers, for their draws. Shape (links,)."""
+    vehicles: IntArray
+    """The vehicle that each belongs to, for its key. Shape (links,)."""
 
 
 _BLACKOUTS = LinkParameters._fields.index("blackouts")
 
 
-def _table(parameters: Sequence[LinkParameters], ids: Sequence[int]) -> LinkTable:
+def _table(parameters: Sequence[LinkParameters], vehicles: Sequence[int]) -> LinkTable:
     first, rows, blackouts = 0, [], [np.zeros((0, 2), dtype=np.int64)]
     for p in parameters:
         last = first + len(p.blackouts)
@@ -35,7 +35,7 @@ def _table(parameters: Sequence[LinkParameters], ids: Sequence[int]) -> LinkTabl
         rows.append([*numbers, first, last])
         blackouts.append(p.blackouts)
         first = last
-    return LinkTable(np.array(rows, dtype=np.float64), np.concatenate(blackouts), np.array(ids, dtype=np.int64))
+    return LinkTable(np.array(rows, dtype=np.float64), np.concatenate(blackouts), np.array(vehicles, dtype=np.int64))
 
 
 @inlined
@@ -93,7 +93,7 @@ class BatchLinks:
         """Whether none of them does anything to a message."""
         self.longest = max((p.longest for p in self._parameters), default=0)
         """The longest delay of any of them [ticks]."""
-        self.table = _table(self._parameters, [link_number(kind, rows[name]) for name in self.names])
+        self.table = _table(self._parameters, [rows[name] for name in self.names])
         room = max((p.room for p in self._parameters), default=1)
         one = [link_state(p, width, room=room, wheel=self.longest + 1) for p in self._parameters]
         fresh = [np.stack(arrays) for arrays in zip(*one, strict=True)]

@@ -6,14 +6,25 @@ Every message crosses in simulated time, inside the simulator: the environment, 
 from bus.errors import ScenarioError
 from bus.messages import LinkKind, LinkSettings, LinkStatus
 from sim.ether import Link, check_link
+from sim.randomness import (
+    COMMAND_LINK,
+    DETECTION_LINK,
+    OPERATOR_LINK,
+    RADIO_LINK,
+    Key,
+    WordArray,
+)
 from sim.scenario import Scenario
 
-_NUMBERS = {LinkKind.DETECTIONS: 0, LinkKind.COMMANDS: 1, LinkKind.OPERATOR: 2, LinkKind.RADIO: 3}
-"""For the links' random numbers. A number, once given, stays."""
+_PURPOSES = {
+    LinkKind.DETECTIONS: DETECTION_LINK,
+    LinkKind.COMMANDS: COMMAND_LINK,
+    LinkKind.OPERATOR: OPERATOR_LINK,
+    LinkKind.RADIO: RADIO_LINK,
+}
+"""Of the links' keys."""
 PER_TICK = {LinkKind.DETECTIONS: 1, LinkKind.COMMANDS: 1, LinkKind.OPERATOR: 64, LinkKind.RADIO: 16}
 """Messages that a link has room for in every tick; what is more is lost."""
-_VEHICLES = 1 << 16
-"""More than there are in a run."""
 
 
 def owners(scenario: Scenario, kind: LinkKind) -> tuple[str, ...]:
@@ -25,9 +36,9 @@ def owners(scenario: Scenario, kind: LinkKind) -> tuple[str, ...]:
     return tuple(vehicle.name for vehicle in scenario.vehicles if (vehicle.name in uavs) is of_uavs)
 
 
-def link_number(kind: LinkKind, vehicle: int) -> int:
-    """The number of a vehicle's link, for its random numbers; `vehicle` is its row."""
-    return _NUMBERS[kind] * _VEHICLES + vehicle
+def _key(words: WordArray) -> Key:
+    """Two words of an array as they are: a compiled function would give them back as Python's own numbers."""
+    return words[0], words[1]
 
 
 def hold_ticks(scenario: Scenario) -> int:
@@ -40,18 +51,20 @@ class Links:
 
     Args:
         scenario: What is flown.
-        seed: Of all random numbers.
+        keys: Of the run's random numbers. Shape (RUN_PURPOSES, vehicles, 2).
     """
 
-    def __init__(self, scenario: Scenario, seed: int) -> None:
+    def __init__(self, scenario: Scenario, keys: WordArray) -> None:
         rows = {vehicle.name: k for k, vehicle in enumerate(scenario.vehicles)}
+        self.table = scenario.links
+        """What the links do now, as a scenario would write it."""
         self._of: dict[LinkKind, dict[str, Link]] = {
             kind: {
                 name: Link(
                     scenario.links.of(name, kind),
                     dt=scenario.dt,
-                    seed=seed,
-                    link=link_number(kind, rows[name]),
+                    key=_key(keys[_PURPOSES[kind], rows[name]]),
+                    label=f"{name}/{kind}",
                     per_tick=PER_TICK[kind],
                 )
                 for name in owners(scenario, kind)
@@ -85,6 +98,7 @@ class Links:
         check_link(settings, str(kind))
         for name in links if vehicle is None else (vehicle,):
             links[name].change(settings)
+        self.table = self.table.changed(kind, vehicle, settings)
 
     def status(self, vehicle: str | None = None) -> dict[str, LinkStatus]:
         """How each link has done so far, by `vehicle/kind`.

@@ -1,25 +1,43 @@
-"""Counter-based random numbers: each draw is a pure function of seed, purpose, who, tick and index.
+"""Counter-based random numbers: each draw is a pure function of a key, a purpose, tick and index.
 
 So a process that comes back, a batch of worlds and a single world draw the same numbers, and a new purpose leaves the others
 alone. Philox4x64-10 of Salmon, Moraes, Dror, Shaw, *Parallel Random Numbers: As Easy as 1, 2, 3* (SC 2011).
+
+Philox is fast and no cipher: what it draws is only as secret as its key. So whatever must not lead to something else has a key of
+its own, of 128 bits; `sim.run_keys` derives them one-way.
 """
 
 import math
 
 import numpy as np
+import numpy.typing as npt
 
-from sim.compile import compiled
+from sim.compile import borrowing, compiled
 
-# Purposes: what a draw is for. A number, once given, stays.
-DETECTION_NOISE = 1
-DETECTION_CHANCE = 2
-PILOT_KEY = 3
-NEAREST_POINT = 4
-START_DIRECTION = 5
-WANDER = 6
-LINK_LOSS = 7
-LINK_STATE = 8
-LINK_DELAY = 9
+Key = tuple[np.uint64, np.uint64]
+"""Of draws. A vehicle's process is told one, its pilot's; the simulator knows the others."""
+
+WordArray = npt.NDArray[np.uint64]
+"""Keys in arrays: the last axis has two words."""
+
+# Purposes of the run: each has a key of its own for each vehicle. A number, once given, stays.
+DETECTION_NOISE = 0
+DETECTION_CHANCE = 1
+PILOT = 2
+DETECTION_LINK = 3
+COMMAND_LINK = 4
+OPERATOR_LINK = 5
+RADIO_LINK = 6
+RUN_PURPOSES = 7
+"""How many there are."""
+
+# Purposes of draws that share a key, a pilot's or a link's. A number, once given, stays.
+NEAREST_POINT = 16
+START_DIRECTION = 17
+WANDER = 18
+LINK_LOSS = 19
+LINK_STATE = 20
+LINK_DELAY = 21
 
 _MASK = np.uint64(0xFFFFFFFF)
 _HALF = np.uint64(32)
@@ -54,17 +72,28 @@ def philox(
     return c_0, c_1, c_2, c_3
 
 
+@borrowing
+def key_of(keys: WordArray, purpose: int, vehicle: int) -> Key:
+    """One key of those of a run, of shape (RUN_PURPOSES, vehicles, 2)."""
+    return keys[purpose, vehicle, 0], keys[purpose, vehicle, 1]
+
+
+def words_of(key: str) -> Key:
+    """The key that a message carries as 32 hexadecimal digits.
+
+    Raises:
+        ValueError: If it is none.
+    """
+    if len(key) != 32:
+        raise ValueError(f"key = {key!r}: must be 32 hexadecimal digits")
+    first, second = np.frombuffer(bytes.fromhex(key), dtype="<u8")
+    return np.uint64(first), np.uint64(second)
+
+
 @compiled
-def draw(seed: int, purpose: int, who: int, tick: int, index: int) -> tuple[np.uint64, np.uint64, np.uint64, np.uint64]:
-    """Four random words for one seed, purpose, vehicle or link, tick and index."""
-    return philox(
-        np.uint64(seed),
-        (np.uint64(purpose) << _HALF) | np.uint64(who),
-        np.uint64(index),
-        np.uint64(tick),
-        np.uint64(0),
-        np.uint64(0),
-    )
+def draw(key: Key, purpose: int, tick: int, index: int) -> tuple[np.uint64, np.uint64, np.uint64, np.uint64]:
+    """Four random words for one key, purpose, tick and index."""
+    return philox(key[0], key[1], np.uint64(index), np.uint64(tick), np.uint64(purpose), np.uint64(0))
 
 
 @compiled
@@ -74,26 +103,20 @@ def to_uniform(word: np.uint64) -> float:
 
 
 @compiled
-def uniform(seed: int, purpose: int, who: int, tick: int, index: int) -> float:
+def uniform(key: Key, purpose: int, tick: int, index: int) -> float:
     """A number in [0, 1)."""
-    return to_uniform(draw(seed, purpose, who, tick, index)[0])
+    return to_uniform(draw(key, purpose, tick, index)[0])
 
 
 @compiled
-def cut_normal_vector(sigma: float, cut: float, seed: int, purpose: int, who: int, tick: int, index: int) -> tuple[float, float]:
+def cut_normal_vector(sigma: float, cut: float, key: Key, purpose: int, tick: int, index: int) -> tuple[float, float]:
     r"""A Gaussian vector of standard deviation sigma per axis, given that its norm is at most cut * sigma.
 
     Drawn by inversion of the Rayleigh distribution, $\|n\| = \sigma\sqrt{-2\ln(1 - u(1 - e^{-k^2/2}))}$, which is what
     drawing again until the norm fits gives, in one draw. `cut = inf` is the plain Gaussian.
     """
-    word_0, word_1, _, _ = draw(seed, purpose, who, tick, index)
+    word_0, word_1, _, _ = draw(key, purpose, tick, index)
     share = to_uniform(word_0) * -math.expm1(-0.5 * cut * cut)
     radius = sigma * min(math.sqrt(-2.0 * math.log1p(-share)), cut)
     angle = 2.0 * math.pi * to_uniform(word_1)
     return radius * math.cos(angle), radius * math.sin(angle)
-
-
-@compiled
-def pilot_key(seed: int, vehicle: int) -> int:
-    """The key of a pilot's own random numbers: below 2**53, so that it survives JSON in every language."""
-    return np.int64(draw(seed, PILOT_KEY, vehicle, 0, 0)[0] >> np.uint64(11))  # type: ignore[return-value]

@@ -152,6 +152,21 @@ class LinkTable(_Table, frozen=True, kw_only=True):
         settings: LinkSettings = getattr(own, kind)
         return settings
 
+    def path_of(self, vehicle: str, kind: LinkKind) -> str:
+        """Where these settings stand in the scenario, such as `links.commands` or `links.only.0.commands`."""
+        own = next((f"only.{k}." for k, row in enumerate(self.only) if row.vehicle == vehicle), "")
+        return f"links.{own}{kind}"
+
+    def changed(self, kind: LinkKind, vehicle: str | None, settings: LinkSettings) -> "LinkTable":
+        """The table with other settings for one vehicle's link of this kind, or, where none is named, for everybody's."""
+        if vehicle is None:
+            rows = tuple(msgspec.structs.replace(row, **{kind: settings}) for row in self.only)
+            return msgspec.structs.replace(self, only=rows, **{kind: settings})
+        kinds = {other: self.of(vehicle, other) for other in LinkKind}
+        new = VehicleLinks(vehicle=vehicle, **{**kinds, kind: settings})
+        rows = tuple(new if row.vehicle == vehicle else row for row in self.only)
+        return msgspec.structs.replace(self, only=rows if new in rows else (*rows, new))
+
 
 _DEFAULT_AREA = Area(width=40.0, height=40.0, cell=0.25)
 

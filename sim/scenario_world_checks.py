@@ -11,7 +11,7 @@ import msgspec
 
 from bus.keys import STAFF
 from bus.messages import LinkKind
-from sim.ether import link_faults
+from sim.ether import least_ticks, link_faults, link_parameters
 from sim.scenario_faults import Fault, is_whole
 
 if TYPE_CHECKING:
@@ -195,6 +195,17 @@ def links_are_possible(s: Scenario) -> Iterator[Fault]:
             yield from link_faults(getattr(own, kind), f"links.only.{k}.{kind}.")
 
 
+def commands_act(s: Scenario) -> Iterator[Fault]:
+    """A command that arrives is not yet too old to act: else the vehicle brakes for ever, whoever flies it."""
+    for _, vehicle in vehicles(s):
+        least = least_ticks(link_parameters(s.links.of(vehicle.name, LinkKind.COMMANDS), s.dt))
+        if least > round(s.hold / s.dt):
+            path = f"{s.links.path_of(vehicle.name, LinkKind.COMMANDS)} of {vehicle.name}"
+            age = f"{least * s.dt:g} s"
+            wrong = f"commands are {age} old or more when they arrive ({path}), so that it would only brake"
+            yield Fault("hold", s.hold, wrong, f"{age} or more")
+
+
 WORLD_CHECKS: tuple[Check, ...] = (
     numbers_are_finite,
     names_are_different,
@@ -209,5 +220,6 @@ WORLD_CHECKS: tuple[Check, ...] = (
     uav_is_stronger,
     ugv_is_seen_at_start,
     links_are_possible,
+    commands_act,
 )
 """In the order in which they are made: a later one may rely on those before it."""

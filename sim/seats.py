@@ -1,6 +1,6 @@
 """The vehicles' places in a run: who holds each, what it was told, and what has gone wrong with it."""
 
-import queue
+import threading
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -31,8 +31,8 @@ class Seat:
     role: Role
     briefings: Outbox
     observations: Outbox
-    sessions: list[str] = field(default_factory=list)
-    """Those that are there, in the order in which they came."""
+    sessions: dict[int, int] = field(default_factory=dict)
+    """Places of those that are there, in the order in which they came, and how often each place had been taken by then."""
     owed: int | None = None
     """First tick of the past that the holder has yet to be told; None once it is briefed."""
     newest: int = -1
@@ -49,6 +49,11 @@ class Seat:
         """Whether anybody is there."""
         return bool(self.sessions)
 
+    @property
+    def holder(self) -> int | None:
+        """The session that came first of those that are there; None: nobody is there."""
+        return next(iter(self.sessions), None)
+
 
 class Seats:
     """All vehicles' places, and the inbox that their commands come to.
@@ -62,7 +67,9 @@ class Seats:
     def __init__(self, session: Session, flight: Flight, on_event: Callable[[str], None]) -> None:
         self._flight = flight
         self._on_event = on_event
-        self._changes: queue.SimpleQueue[tuple[str, str, bool]] = queue.SimpleQueue()
+        self._gate = threading.Lock()
+        self._arrivals: Counter[tuple[str, int]] = Counter()  # how often somebody came to each place of each vehicle
+        self._changes: dict[tuple[str, int], bool] = {}  # where somebody came or went since they were last taken in
         self._seats: dict[str, Seat] = {}
         for vehicle in flight.scenario.vehicles:
             role = Role.UAV if isinstance(vehicle, Uav) else Role.UGV
@@ -84,28 +91,43 @@ class Seats:
             seat.unheard.clear()
             seat.owed = 0 if seat.sessions else None
 
-    def _note(self, name: str, session: str, present: bool) -> None:
-        """A session comes or goes; called from a thread of Zenoh's."""
-        self._changes.put((name, session, present))
-        self.commands.poke()
+    def _note(self, name: str, place: int, present: bool) -> None:
+        """A session comes or goes; called from a thread of Zenoh's.
+
+        However often that happens, it is kept once for each place: a flood of it must neither fill the memory nor stop the clock.
+        """
+        if name not in self._seats:
+            return
+        with self._gate:
+            self._arrivals[name, place] += present
+            known = (name, place) in self._changes
+            self._changes[name, place] = present
+        if not known:
+            self.commands.poke()
 
     def follow(self) -> None:
         """Take in who has come and gone since the last call, and name what did not decode."""
-        while not self._changes.empty():
-            name, session, present = self._changes.get()
-            seat = self._seats.get(name)
-            if seat is not None and present != (session in seat.sessions):
-                self._arrive(seat, session) if present else self._leave(seat, session)
+        with self._gate:
+            changes = [(name, place, self._arrivals[name, place], there) for (name, place), there in self._changes.items()]
+            self._changes.clear()
+        for name, place, arrivals, present in changes:
+            seat = self._seats[name]
+            if place in seat.sessions and not (present and seat.sessions[place] == arrivals):
+                self._leave(seat, place)
+            if present and place not in seat.sessions:
+                self._arrive(seat, place, arrivals)
         for name, seat in self._seats.items():
             unreadable = self.commands.refused[name]
             if unreadable > seat.refused[UNREADABLE]:
                 self._refuse(seat, UNREADABLE, self.commands.fault[name], unreadable - seat.refused[UNREADABLE])
 
-    def _arrive(self, seat: Seat, session: str) -> None:
-        seat.sessions.append(session)
+    def _arrive(self, seat: Seat, place: int, arrivals: int) -> None:
+        seat.sessions[place] = arrivals
         if len(seat.sessions) > 1:
             self._refuse(
-                seat, SECOND_SESSION, f"a second session ({session}) has come; the first ({seat.sessions[0]}) keeps the seat"
+                seat,
+                SECOND_SESSION,
+                f"a second session (number {place}) has come; the first (number {seat.holder}) keeps the seat",
             )
             return
         self._begin(seat)
@@ -118,9 +140,9 @@ class Seats:
             self._flight.rejoin(seat.name)
             self._on_event(f"{seat.name} has joined again at tick {self._flight.world.tick}")
 
-    def _leave(self, seat: Seat, session: str) -> None:
-        held = seat.sessions[0] == session
-        seat.sessions.remove(session)
+    def _leave(self, seat: Seat, place: int) -> None:
+        held = seat.holder == place
+        del seat.sessions[place]
         if not held:
             return
         if not self._flight.over:
@@ -159,7 +181,7 @@ class Seats:
         sent = 0
         while seat.owed is not None and (parts is None or sent < parts):
             end = min(seat.owed + PART, now)
-            told = briefing(self._flight.scenario, name, self._flight.seed)
+            told = briefing(self._flight.scenario, name, self._flight.seed, self._flight.secret)
             past = self._flight.past(name, seat.owed, end, seat.unheard)
             seat.briefings.send(msgspec.structs.replace(told, past=past, more=end < now, episode=self._flight.episode))
             sent += 1
@@ -203,8 +225,8 @@ class Seats:
         if not isinstance(command, UavCommand | UgvCommand):
             return False
         answered = command.tick
-        if letter.session and letter.session != (seat.sessions[0] if seat.sessions else letter.session):
-            self._refuse(seat, SECOND_SESSION, f"a command for tick {answered} from the session {letter.session}")
+        if letter.place is not None and seat.present and letter.place != seat.holder:
+            self._refuse(seat, SECOND_SESSION, f"a command for tick {answered} from the session number {letter.place}")
         elif answered == seat.newest:
             self._refuse(seat, TWICE, f"tick {answered} once more at tick {tick}")
         elif answered > tick or answered < seat.newest or (oldest is not None and answered < oldest):

@@ -11,7 +11,7 @@ from sim.flight import Flight
 from sim.pace import Lockstep, Pace, RealTime
 from sim.scenario import Scenario
 from sim.seats import Seats
-from sim.telemetry import Telemetry
+from sim.telemetry import Telemetry, Warn, no_warnings
 
 
 class Server:
@@ -20,13 +20,15 @@ class Server:
     Args:
         session: The simulator's session.
         scenario: What is flown.
-        seed: Of all random numbers.
+        seed: Of all random numbers, with the secret.
+        secret: Of the run, which stays in this process; empty: none.
         realtime: Simulated seconds per second of wall time; None: lockstep, as fast as the vehicles answer.
         deadline: In lockstep, how long to wait for the commands of one tick [s].
         join_timeout: How long to wait for all vehicles at the start, for one that is to come back, and for the router [s].
         respawn: In lockstep, whether the clock stands still for a vehicle that was lost.
         on_event: Called with one line for a person: who joined, who was lost, who is late.
         stop: Asked now and then whether somebody wants the run to end.
+        warn: What cannot be promised of a scenario whose links are now these, a line each: observers are told.
     """
 
     def __init__(
@@ -35,14 +37,16 @@ class Server:
         scenario: Scenario,
         seed: int,
         *,
+        secret: str = "",
         realtime: float | None = None,
         deadline: float = 10.0,
         join_timeout: float = 30.0,
         respawn: bool = False,
         on_event: Callable[[str], None] = lambda _line: None,
         stop: Callable[[], bool] = lambda: False,
+        warn: Warn = no_warnings,
     ) -> None:
-        self.flight = Flight(scenario, seed)
+        self.flight = Flight(scenario, seed, secret=secret)
         self.started = 0.0
         """Wall clock at the first tick [s]."""
         self._join_timeout = join_timeout
@@ -55,7 +59,7 @@ class Server:
             return Lockstep(session, self._seats, deadline=deadline, patience=join_timeout, respawn=respawn, on_event=on_event)
 
         self._desk = Desk(session, self.flight, make_pace, realtime, on_event)
-        self._telemetry = Telemetry(session, self.flight, self._seats, self._desk)
+        self._telemetry = Telemetry(session, self.flight, self._seats, self._desk, warn)
         session.announce()
 
     def join(self) -> None:

@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Callable
 
 from bus.keys import COVERAGE, GLANCE, STATUS, TRUTH
 from bus.messages import CoverageMap, Geometry, Status
@@ -9,7 +10,7 @@ from bus.session import Session
 from sim.briefing import limits
 from sim.desk import Desk
 from sim.flight import Flight
-from sim.scenario import Scenario
+from sim.scenario import LinkTable, Scenario
 from sim.scenario_checks import switching_radius
 from sim.seats import Seats
 
@@ -21,6 +22,15 @@ _GLANCE_PERIOD = 0.025
 
 _SHOWN = 20
 """Changes that a status shows."""
+
+
+Warn = Callable[[Scenario, LinkTable], tuple[str, ...]]
+"""Tells what cannot be promised of a scenario whose links are now these, a line each."""
+
+
+def no_warnings(_scenario: Scenario, _links: LinkTable) -> tuple[str, ...]:
+    """Of a simulator that nobody has told what is promised."""
+    return ()
 
 
 def _geometry(scenario: Scenario) -> Geometry:
@@ -46,9 +56,11 @@ class Telemetry:
         flight: What is flown.
         seats: The vehicles' places.
         desk: The operators' desk: how time goes on, and what they have changed.
+        warn: What cannot be promised of a scenario whose links are now these, a line each.
     """
 
-    def __init__(self, session: Session, flight: Flight, seats: Seats, desk: Desk) -> None:
+    def __init__(self, session: Session, flight: Flight, seats: Seats, desk: Desk, warn: Warn) -> None:
+        self._warn = warn
         self._flight, self._seats, self._desk = flight, seats, desk
         self._geometry = _geometry(flight.scenario)
         self._truth, self._glance = session.outbox(TRUTH), session.outbox(GLANCE)
@@ -111,6 +123,7 @@ class Telemetry:
             certified={name: bool(report.certified) for name, report in watched.items()},
             uncertified={name: report.uncertified for name, report in watched.items() if not report.certified},
             certificates=flight.assurance.status(),
+            warnings=self._warn(flight.flown, world.links.table),
             links=world.links.status(),
             vehicles=self._seats.statuses(),
             over=flight.over,

@@ -10,6 +10,7 @@ import numpy as np
 from sim.compile import FloatArray, IntArray, borrowing
 from sim.detection import detect
 from sim.field import SENSORS, accumulate, accumulate_with_gain, cover, coverage_error, empty_coverage
+from sim.randomness import DETECTION_CHANCE, DETECTION_NOISE, WordArray, key_of
 from sim.scenario import Scenario
 from sim.vehicles import norm, step_vehicle, within_walls
 
@@ -157,7 +158,9 @@ def _see(w: WorldParameters, position: FloatArray, escorts: IntArray, coverage: 
 
 
 @borrowing
-def detect_all(w: WorldParameters, seed: int, tick: int, position: FloatArray, escorts: IntArray, detections: FloatArray) -> None:
+def detect_all(
+    w: WorldParameters, keys: WordArray, tick: int, position: FloatArray, escorts: IntArray, detections: FloatArray
+) -> None:
     """Every UAV's detector looks for its UGV, where it is due at this tick."""
     for k in range(escorts.shape[0]):
         a, g = escorts[k, 0], escorts[k, 1]
@@ -171,8 +174,8 @@ def detect_all(w: WorldParameters, seed: int, tick: int, position: FloatArray, e
                 w.dropout,
                 w.sigma,
                 w.cut,
-                seed,
-                a,
+                key_of(keys, DETECTION_NOISE, a),
+                key_of(keys, DETECTION_CHANCE, a),
                 tick,
             )
 
@@ -188,14 +191,20 @@ def measure(w: WorldParameters, position: FloatArray, escorts: IntArray, coverag
 
 @borrowing
 def advance(
-    w: WorldParameters, s: WorldState, seed: int, tick: int, bounds: FloatArray, escorts: IntArray, commands: FloatArray
+    w: WorldParameters,
+    s: WorldState,
+    keys: WordArray,
+    tick: int,
+    bounds: FloatArray,
+    escorts: IntArray,
+    commands: FloatArray,
 ) -> None:
     """From the tick before to this one: everybody moves (1), the UAVs look at the ground (3) and at their UGVs.
 
     Args:
         w: The scenario's numbers.
         s: Is changed.
-        seed: Of the run.
+        keys: Of the run's random numbers. Shape (RUN_PURPOSES, vehicles, 2).
         tick: The new one.
         bounds: v_max [m/s] and u_max [m/s²]. Shape (vehicles, 2).
         escorts: Rows (UAV, UGV). Shape (UAVs, 2).
@@ -203,4 +212,4 @@ def advance(
     """
     _move(w, s.position, s.velocity, s.acceleration, bounds, commands)
     _see(w, s.position, escorts, s.coverage, s.gains)
-    detect_all(w, seed, tick, s.position, escorts, s.detections)
+    detect_all(w, keys, tick, s.position, escorts, s.detections)

@@ -1,6 +1,6 @@
 """The world: the true state of all vehicles and of the ground, and the one place where time advances.
 
-Arrays have an axis for vehicles, in name order. One seed and the same commands give the same bits.
+Arrays have an axis for vehicles, in name order. One seed, one secret and the same commands give the same bits.
 """
 
 import math
@@ -9,6 +9,7 @@ from typing import NamedTuple
 from bus.messages import LinkKind
 from sim.compile import FloatArray
 from sim.links import Links, hold_ticks
+from sim.run_keys import derive_keys
 from sim.scenario import Scenario, Uav
 from sim.tick import advance, bounds_of, detect_all, escorts_of, first_state, measure, world_parameters
 from sim.vehicles import brake
@@ -29,14 +30,17 @@ class World:
 
     Args:
         scenario: What is flown.
-        seed: Of all random numbers.
+        seed: Of all random numbers, with the secret.
+        secret: Of the run, as `sim.run_keys.check_secret` returns it; empty: none.
         gains: Whether the fall of e(t) by each look is counted, in `state.gains`.
     """
 
-    def __init__(self, scenario: Scenario, seed: int, *, gains: bool = False) -> None:
+    def __init__(self, scenario: Scenario, seed: int, *, secret: str = "", gains: bool = False) -> None:
         vehicles = scenario.vehicles
         self.scenario = scenario
         self.seed = seed
+        self.keys = derive_keys((seed,), len(vehicles), secret)[0]
+        """Of all random numbers. Shape (RUN_PURPOSES, vehicles, 2)."""
         self.names: tuple[str, ...] = tuple(vehicle.name for vehicle in vehicles)
         """Vehicles in the order of every array."""
         self.uavs: tuple[Uav, ...] = tuple(vehicle for vehicle in vehicles if isinstance(vehicle, Uav))
@@ -58,7 +62,7 @@ class World:
         """C of (3) on the grid, all UAVs together. Shape (rows, columns)."""
         self.detections = self.state.detections
         """The relative position each UAV has detected at this tick [m]; NaN where none. Shape (UAVs, 2)."""
-        self.links = Links(scenario, seed)
+        self.links = Links(scenario, self.keys)
         """What messages cross."""
         self.received: list[list[Look]] = [[] for _ in self.uavs]
         """The detections that have reached each UAV's computer at this tick, in the order of arrival."""
@@ -68,7 +72,7 @@ class World:
         self._ways_out = [self.links.of(LinkKind.COMMANDS)[name] for name in self.names]
         self._answered = [-1] * len(vehicles)  # the tick that the newest command of each, as it has arrived, answers
         self._hold_ticks = hold_ticks(scenario)
-        detect_all(self.parameters, seed, 0, self.position, self.escorts, self.detections)
+        detect_all(self.parameters, self.keys, 0, self.position, self.escorts, self.detections)
         self._hear()
 
     @property
@@ -117,7 +121,7 @@ class World:
             commands: Accelerations [m/s²], shape (vehicles, 2), float64, finite; the bounds of (1) are applied here.
         """
         self.tick += 1
-        advance(self.parameters, self.state, self.seed, self.tick, self.bounds, self.escorts, commands)
+        advance(self.parameters, self.state, self.keys, self.tick, self.bounds, self.escorts, commands)
         self._hear()
 
     def measure(self) -> FloatArray:

@@ -16,7 +16,6 @@ from bus.keys import (
     Key,
 )
 
-LARGEST = 1 << 20
 REFUSALS = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 """What `Inbox` takes for a refusal; a decoder that raises anything else stops its reader."""
 
@@ -39,6 +38,8 @@ def valid(kind: Any, rng: random.Random) -> Any:
             return rng.choice([low, high, rng.randint(low, high), rng.randint(low, low + 1000)])
         case kinds.StrType(pattern=None):
             return "".join(rng.choices('aZ0 _/"\\\n\0∞𝄞', k=rng.choice([0, 1, 8, kind.max_length])))
+        case kinds.StrType(pattern=pattern) if str(pattern).startswith("^[0-9a-f]{32}$"):
+            return rng.randbytes(16).hex()
         case kinds.StrType():
             return "v" + "".join(rng.choices("az09_", k=rng.choice([0, 3, 31])))
         case kinds.VarTupleType():
@@ -80,7 +81,8 @@ def allowed(value: Any, kind: Any) -> bool:
         case kinds.IntType():
             return type(value) is int and between(value, kind)
         case kinds.StrType():
-            fits = re.compile(r"[a-z][a-z0-9_]{0,31}" if kind.pattern else rf"(?s:.){{0,{kind.max_length}}}").fullmatch
+            whole = kind.pattern.removesuffix(r"(?!\n)").strip("^$") if kind.pattern else rf"(?s:.){{0,{kind.max_length}}}"
+            fits = re.compile(whole).fullmatch
             return type(value) is str and fits(value) is not None
         case kinds.VarTupleType():
             return type(value) is tuple and all(allowed(part, kind.item_type) for part in value)

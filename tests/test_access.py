@@ -17,17 +17,21 @@ from bus.access import (
     access_control,
     client_settings,
     grants,
+    new_certificates,
     new_credentials,
     read_credential,
     read_credentials,
     write_credentials,
 )
+from bus.certificates import new_authority
 from bus.errors import AccessDenied
-from bus.keys import KEYS, STAFF, Party, Role, check_reads, check_writes, token
+from bus.keys import KEYS, PLACES, STAFF, Party, Role, check_reads, check_writes, token
 from bus.session import Session, open_session
+from outrider.launch import free_port
 
 RUN = "run"
 GIVEN = new_credentials(RUN, ["uav_0", "uav_1"], ["ugv_0", "ugv_1"])
+CERTIFIED = new_certificates(new_authority(RUN), ["uav_0", "uav_1"], ["ugv_0", "ugv_1"])
 NAMES = [credential.name for credential in GIVEN.parties]
 VEHICLES = {Role.UAV: ["uav_0", "uav_1"], Role.UGV: ["ugv_0", "ugv_1"]}
 
@@ -43,9 +47,19 @@ def endpoint(tmp_path: Path) -> str:
     return f"unixsock-stream/{tmp_path / 'bus.sock'}"
 
 
+@pytest.fixture(params=["password", "tls"])
+def known_by(request: pytest.FixtureRequest, endpoint: str) -> str:
+    """An endpoint whose clients are known by passwords, and one whose by certificates."""
+    return endpoint if request.param == "password" else f"tls/127.0.0.1:{free_port()}"
+
+
+def given(endpoint: str) -> CredentialSet:
+    return CERTIFIED if endpoint.startswith("tls/") else GIVEN
+
+
 def router(endpoint: str) -> AbstractContextManager[Session]:
     """A router that takes no part in the run but as an observer."""
-    return open_session(GIVEN.of("observer").party, RUN, listen=(endpoint,), given=GIVEN)
+    return open_session(GIVEN.of("observer").party, RUN, listen=(endpoint,), given=given(endpoint))
 
 
 def raw(endpoint: str, credential: Credential | None, **settings: Any) -> zenoh.Session:
@@ -105,10 +119,10 @@ def everybody(endpoint: str) -> Iterator[dict[str, zenoh.Session]]:
     """A router of its own, and a raw client for each party."""
     with ExitStack() as stack:
         stack.enter_context(router(endpoint))
-        yield {credential.name: stack.enter_context(raw(endpoint, credential)) for credential in GIVEN.parties}
+        yield {credential.name: stack.enter_context(raw(endpoint, credential)) for credential in given(endpoint).parties}
 
 
-def test_every_row_reaches_its_readers_from_its_writer_and_nobody_else(endpoint: str) -> None:
+def test_every_row_reaches_its_readers_from_its_writer_and_nobody_else(known_by: str) -> None:
     """All parties write to every key and read every key, each for itself and with the widest keys there are."""
     wanted = {
         (reader, expression, writer)
@@ -118,7 +132,7 @@ def test_every_row_reaches_its_readers_from_its_writer_and_nobody_else(endpoint:
         if reader != writer and may(check_reads, key, reader, vehicle) and may(check_writes, key, writer, vehicle)
     }
     assert len(wanted) >= 20
-    with everybody(endpoint) as sessions:
+    with everybody(known_by) as sessions:
         expressions = [row[2] for row in concrete()]
         inboxes = {
             name: [
@@ -143,9 +157,15 @@ def test_every_row_reaches_its_readers_from_its_writer_and_nobody_else(endpoint:
         assert gather(inboxes, wanted, say) == wanted
 
 
-def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulators_alone(endpoint: str) -> None:
+def places(name: str) -> tuple[int | str, ...]:
+    return NAMES.index(name), PLACES, "0/more", f"by_{name}"
+
+
+def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulators_alone(known_by: str) -> None:
+    """Each declares the place of its number in everybody's name, and places that nobody has."""
     seen: dict[str, set[str]] = {name: set() for name in NAMES}
-    with everybody(endpoint) as sessions:
+    assert len(NAMES) <= PLACES
+    with everybody(known_by) as sessions:
         kept: list[object] = []
         for name, opened in sessions.items():
             for expression in (token(RUN, "*", "*"), token(RUN, "simulator", "*"), "outrider/**"):
@@ -156,20 +176,21 @@ def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulator
                 )
         for name, opened in sessions.items():
             for owner in NAMES:
-                kept.append(opened.liveliness().declare_token(token(RUN, owner, f"by_{name}")))
+                for place in places(name):
+                    kept.append(opened.liveliness().declare_token(token(RUN, owner, place)))
         limit = time.monotonic() + 10.0
-        wanted = {token(RUN, name, f"by_{name}") for name in NAMES}
+        wanted = {token(RUN, name, NAMES.index(name)) for name in NAMES}
         while time.monotonic() < limit and not seen["simulator"] >= wanted:
             time.sleep(0.05)
         time.sleep(0.3)
-    own = {name: {token(RUN, owner, f"by_{name}") for owner in NAMES} for name in NAMES}  # a session hears itself
+    own = {name: {token(RUN, owner, place) for owner in NAMES for place in places(name)} for name in NAMES}  # it hears itself
     assert seen["simulator"] - own["simulator"] == wanted - own["simulator"]
     for name in set(NAMES) - {"simulator"}:
-        assert seen[name] - own[name] == {token(RUN, "simulator", "by_simulator")}
+        assert seen[name] - own[name] == {token(RUN, "simulator", NAMES.index("simulator"))}
 
 
-def test_nobody_can_ask_the_router_or_another_for_anything(endpoint: str) -> None:
-    with everybody(endpoint) as sessions:
+def test_nobody_can_ask_the_router_or_another_for_anything(known_by: str) -> None:
+    with everybody(known_by) as sessions:
         answered = sessions["ugv_0"].declare_queryable("outrider/**", lambda query: query.reply(query.key_expr, b"secret"))
         for name in set(NAMES) - {"ugv_0"}:
             own = str(sessions[name].zid())

@@ -128,7 +128,12 @@ def test_a_run_leaves_its_files_and_prints_one_json_object(tmp_path: Path) -> No
 def test_json_of_the_lists(tmp_path: Path) -> None:
     scenarios = json.loads(outrider("scenarios", "--json").stdout)["scenarios"]
     assert scenarios[0]["name"] == "escort"
-    assert json.loads(outrider("check", "escort", "--json").stdout) == {"scenario": "escort", "valid": True, "warnings": []}
+    assert json.loads(outrider("check", "escort", "--json").stdout) == {
+        "scenario": "escort",
+        "valid": True,
+        "certifiable": "always",
+        "warnings": [],
+    }
     rows = json.loads(outrider("bench", "--only", "kernel_vs_numpy", "--repeats", "1", "--json").stdout)["rows"]
     assert set(rows[0]) == {"name", "value", "unit", "reference", "reference_value", "ratio"}
     assert rows[0]["value"] > 0.0

@@ -10,6 +10,7 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
+from draws import a_key
 from flights import HERE, escort, parameters
 
 import agents.control
@@ -23,6 +24,7 @@ from agents.estimation_twin import COLUMNS, NUMBERS, KalmanState, kalman_paramet
 from bus.messages import Detector, Estimator, Limits
 from sim.briefing import briefing
 from sim.field import SENSORS
+from sim.run_keys import derive_keys
 
 MODULES = (
     *(f"agents.control.{module.name}" for module in pkgutil.iter_modules(agents.control.__path__)),
@@ -124,11 +126,10 @@ BY_NAME: dict[str, object] = {
     "dt": 0.05,
     "dropout": 0.1,
     "count": 77,
-    "seed": 12345,
-    "key": 98765,
+    **dict.fromkeys(("key", "noise_key", "chance_key"), a_key(98765, 12345)),
+    "keys": derive_keys((3,), 2)[0],
     "purpose": 3,
-    "who": 1,
-    "uav": 1,
+    "vehicle": 1,
     "tick": 41,
     "taken": 39,
     "index": 2,

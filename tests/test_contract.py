@@ -64,13 +64,26 @@ def test_the_past_that_a_vehicle_is_told_is_its_own_observations_and_nothing_els
 
 @pytest.mark.parametrize("kind", TO_UAV)
 def test_no_message_to_the_uav_names_goal_path_input_or_plan(kind: type[messages.Message]) -> None:
-    forbidden = {"goal", "goals", "waypoints", "driver", "acceleration", "command", "input", "plan", "truth", "seed", "vehicles"}
+    forbidden = {
+        "goal",
+        "goals",
+        "waypoints",
+        "driver",
+        "acceleration",
+        "command",
+        "input",
+        "plan",
+        "truth",
+        "seed",
+        "secret",
+        "vehicles",
+    }
     assert not _fields_within(kind) & forbidden
 
 
 @pytest.mark.parametrize("kind", TO_UGV)
 def test_no_message_to_the_ugv_names_the_uavs_velocity_input_or_law(kind: type[messages.Message]) -> None:
-    forbidden = {"law", "acceleration", "command", "estimate", "detections", "detector", "truth", "seed", "vehicles"}
+    forbidden = {"law", "acceleration", "command", "estimate", "detections", "detector", "truth", "seed", "secret", "vehicles"}
     assert not _fields_within(kind) & forbidden
     nested = _fields_within(messages.RelativeInformation)
     assert nested == {"time", "relative_position", "coverage_error"}
@@ -101,6 +114,7 @@ def test_the_pilots_key_does_not_tell_the_runs_seed() -> None:
             text = msgspec.json.encode(briefing(scenario, vehicle.name, seed)).decode()
             assert f'"key":{seed},' not in text
             assert "seed" not in text
+            assert "secret" not in text
 
 
 def test_the_contract_names_every_part_of_the_simulator_that_is_no_model_on_board() -> None:

@@ -11,7 +11,8 @@ import pytest
 from staging import await_status, stage, wait_until, whole
 
 from bus.keys import CONTROL, OPERATOR, STATUS
-from bus.messages import Action, Control, Drive, Law
+from bus.messages import Action, Control, Drive, Law, LinkKind, LinkSettings
+from outrider.promise import promise_warnings
 
 
 def operating(run: Any, work: Callable[[Any, Any], None]) -> Callable[[], None]:
@@ -91,6 +92,21 @@ def test_what_cannot_be_done_is_refused_named_and_changes_nothing(control: Contr
     assert "is refused" in run.events[0]
     assert told in run.events[0]
     assert not run.server.changes
+
+
+def test_observers_are_told_which_assumption_a_changed_link_breaks(tmp_path: Path) -> None:
+    with stage(tmp_path, 300, warn=promise_warnings) as run:
+        flight = run.server.flight
+        assert run.server.status(0.0).warnings == ()
+        flight.order(Law(name="tracking"))
+        flight.degrade(LinkKind.COMMANDS, None, LinkSettings(delay=0.3))
+        assert run.server.status(0.0).warnings == ()  # this law promises nothing
+        flight.order(Law(name="certified"))
+        (line,) = run.server.status(0.0).warnings
+        assert "A5" in line
+        assert "links.commands.delay = 0.3" in line
+        flight.degrade(LinkKind.COMMANDS, None, LinkSettings())
+        assert run.server.status(0.0).warnings == ()
 
 
 def test_a_reset_begins_a_new_flight_with_its_own_seed_and_new_pilots(tmp_path: Path) -> None:

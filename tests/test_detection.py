@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from draws import a_key
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
@@ -17,7 +18,10 @@ LOOKS = 4000
 def _looks(
     distance: float, dropout: float, sigma: float = 0.0, cut: float = 3.0, seed: int = 1
 ) -> list[tuple[bool, float, float]]:
-    return [detect(0.6 * distance, -0.8 * distance, R_V, R, dropout, sigma, cut, seed, 0, tick) for tick in range(LOOKS)]
+    return [
+        detect(0.6 * distance, -0.8 * distance, R_V, R, dropout, sigma, cut, a_key(seed, 1), a_key(seed, 2), tick)
+        for tick in range(LOOKS)
+    ]
 
 
 def _spread(share: float) -> float:
@@ -57,7 +61,7 @@ def test_the_chance_is_a_probability_that_never_grows_with_the_distance(distance
 
 
 def test_a_look_that_finds_nothing_says_nothing() -> None:
-    found, x, y = detect(6.0, 0.0, R_V, R, 0.0, 0.1, 3.0, 1, 0, 0)
+    found, x, y = detect(6.0, 0.0, R_V, R, 0.0, 0.1, 3.0, a_key(1), a_key(2), 0)
     assert not found
     assert math.isnan(x)
     assert math.isnan(y)
@@ -85,6 +89,6 @@ def test_noise_and_dropouts_are_drawn_apart() -> None:
     assert set(kept) < set(whole)
 
 
-def test_each_uav_and_each_seed_has_noise_of_its_own() -> None:
-    looks = {detect(1.0, 1.0, R_V, R, 0.0, 0.2, 3.0, seed, uav, 7) for seed in range(5) for uav in range(4)}
-    assert len(looks) == 20
+def test_each_key_of_noise_has_noise_of_its_own_whatever_the_key_of_chance() -> None:
+    looks = {detect(1.0, 1.0, R_V, R, 0.0, 0.2, 3.0, a_key(n), a_key(m), 7) for n in range(5) for m in range(4)}
+    assert len(looks) == 5

@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from draws import a_told_key
 from flights import DT, R_V, U_G, V_A, V_G, distances
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -51,7 +52,7 @@ def _told(**fields: Any) -> UgvBriefing:
         "goals": ((3.0, 4.0), (18.0, 1.0)),
         "goal_tolerance": 0.05,
         "script": (ScriptStep(time=1.0, velocity=(1e6, -1e6)), ScriptStep(time=7.0, velocity=(-0.1, 0.05))),
-        "key": 7,
+        "key": a_told_key(fields.pop("key", 7)),
     }
     return UgvBriefing(**usual | fields)
 

@@ -6,6 +6,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from draws import a_key, a_told_key
 from flights import DT, U_G, V_G
 
 from agents.drivers.compiled import (
@@ -28,6 +29,7 @@ from agents.drivers.wander import WanderDriver
 from bus.errors import ScenarioError
 from bus.messages import Area, Limits, RelativeInformation, ScriptStep, UgvBriefing, UgvObservation
 from sim.compile import FloatArray, compiled
+from sim.randomness import WordArray, words_of
 from sim.vehicles import step_vehicle
 
 TICKS = 3000
@@ -48,7 +50,7 @@ BRIEFING = UgvBriefing(
         ScriptStep(time=30.0, velocity=(0.1, 0.2)),
         ScriptStep(time=77.05, velocity=(-1.0, 0.0)),
     ),
-    key=7,
+    key=a_told_key(7),
 )
 
 
@@ -101,7 +103,7 @@ def _fly(
 @compiled
 def _fly_batch(
     table: FloatArray,
-    keys: np.ndarray,
+    keys: WordArray,
     goals: FloatArray,
     script: FloatArray,
     state: FloatArray,
@@ -113,7 +115,9 @@ def _fly_batch(
     """Many worlds, one after the other with one and the same state array."""
     for world in range(len(table)):
         begin_driver(state)
-        _fly(unpack_driver(table[world], keys[world]), goals, script, state, said, counts, first, rows[world])
+        _fly(
+            unpack_driver(table[world], (keys[world, 0], keys[world, 1])), goals, script, state, said, counts, first, rows[world]
+        )
 
 
 def _rows(start: tuple[float, float]) -> FloatArray:
@@ -144,12 +148,12 @@ def _flown(name: str, told: UgvBriefing, start: tuple[float, float], first: int 
 @pytest.mark.parametrize("name", COMPILED_DRIVERS)
 @pytest.mark.parametrize("bounds", [CALM, PAPERS, STRONG, (None, 1.0), (0.5, None), (None, None)], ids=str)
 @pytest.mark.parametrize(
-    ("start", "first", "key"), [((6.0, 4.0), 0, 7), ((0.1, 8.9), 12345, 2**53 - 1)], ids=["middle", "corner"]
+    ("start", "first", "key"), [((6.0, 4.0), 0, 7), ((0.1, 8.9), 12345, 2**128 - 1)], ids=["middle", "corner"]
 )
 def test_in_a_compiled_loop_it_drives_as_the_python_class_does(
     name: str, bounds: tuple[float | None, float | None], start: tuple[float, float], first: int, key: int
 ) -> None:
-    told = _told(bounds, key=key)
+    told = _told(bounds, key=a_told_key(key))
     rows, state = _rows(start), fresh_driver_state()
     _fly(
         driver_parameters(told, name), driver_goals(told), driver_script(told), state, *_said(told.area, first=first), first, rows
@@ -167,12 +171,12 @@ def test_without_goals_or_script_too(name: str) -> None:
 
 
 def test_many_worlds_in_one_compiled_loop_drive_as_each_alone() -> None:
-    keys = np.array([3, 2**53 - 1, 123456789])
-    worlds = [(name, int(key)) for name in COMPILED_DRIVERS for key in keys]
-    table = np.array([pack_driver(driver_parameters(_told(key=5), name)) for name, _ in worlds])
+    keys = [a_told_key(number) for number in (3, 2**128 - 1, 123456789)]
+    worlds = [(name, key) for name in COMPILED_DRIVERS for key in keys]
+    table = np.array([pack_driver(driver_parameters(BRIEFING, name)) for name, _ in worlds])
     rows = np.array([_rows((6.0, 4.0)) for _ in worlds])
     said, counts = _said(BRIEFING.area)
-    told = np.array([key for _, key in worlds])
+    told = np.array([words_of(key) for _, key in worlds])
     _fly_batch(table, told, driver_goals(BRIEFING), driver_script(BRIEFING), np.full(DRIVER_STATE, 9.0), said, counts, 0, rows)
     for (name, key), flown in zip(worlds, rows, strict=True):
         assert flown.tobytes() == _flown(name, _told(key=key), (6.0, 4.0)).tobytes(), (name, key)
@@ -228,13 +232,13 @@ def test_a_driver_without_a_compiled_form_is_refused_in_one_line(name: str) -> N
 @pytest.mark.parametrize("name", COMPILED_DRIVERS)
 @pytest.mark.parametrize("bounds", [PAPERS, (None, None), (1, 2)], ids=str)
 def test_parameters_are_plain_numbers_and_survive_a_row_of_a_table(name: str, bounds: tuple[float | None, float | None]) -> None:
-    parameters = driver_parameters(_told(bounds, key=2**53 - 1), name)
-    kinds = [int, *[float] * (len(parameters) - 2), int]
+    parameters = driver_parameters(_told(bounds), name)
+    kinds = [int, *[float] * (len(parameters) - 2), tuple]
     assert parameters.driver == COMPILED_DRIVERS[name]
     assert [type(number) for number in parameters] == kinds
     row = pack_driver(parameters)
-    assert (row.dtype, row.ndim, row[-1]) == (np.float64, 1, 2**53 - 1)
-    for key in (parameters.key, 5):
+    assert (row.dtype, row.shape) == (np.float64, (len(parameters) - 1,))
+    for key in (parameters.key, a_key(5)):
         again = unpack_driver(row, key)
         assert again == parameters._replace(key=key)
         assert type(again) is DriverParameters
@@ -242,8 +246,8 @@ def test_parameters_are_plain_numbers_and_survive_a_row_of_a_table(name: str, bo
 
 
 def test_each_number_of_a_row_comes_back_to_its_own_field() -> None:
-    numbers = DriverParameters(*(EVADE, *(0.5 + place for place in range(len(DriverParameters._fields) - 2)), 9))
-    assert unpack_driver(pack_driver(numbers), 9) == numbers
+    numbers = DriverParameters(*(EVADE, *(0.5 + place for place in range(len(DriverParameters._fields) - 2)), a_key(9)))
+    assert unpack_driver(pack_driver(numbers), a_key(9)) == numbers
 
 
 def test_only_the_papers_driver_knows_no_bound() -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from draws import a_key
 from filterpy.common import Q_discrete_white_noise
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -41,7 +42,7 @@ def look(estimator, tick, seen=None, own=(0.0, 0.0), dt=DT) -> Estimate | None:
 
 
 def cut_noise(seed, count, sigma=SIGMA, cut=3.0):
-    return np.array([cut_normal_vector(sigma, cut, seed, DETECTION_NOISE, 0, k, 0) for k in range(count)])
+    return np.array([cut_normal_vector(sigma, cut, a_key(seed), DETECTION_NOISE, k, 0) for k in range(count)])
 
 
 def model(target=FREE, ticks=1):

@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from draws import a_key
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
@@ -35,6 +36,7 @@ from sim.link import (
     send,
 )
 from sim.profiles import PROFILES
+from sim.randomness import Key
 
 MILLION = 1_000_000
 DT = 0.05
@@ -43,18 +45,16 @@ KS = 1.95
 
 
 @compiled
-def _drive(
-    p: LinkParameters, s: LinkState, seed: int, link: int, first: int, ticks: int, each: int, out: Any, log: Any, dark: Any
-) -> int:
+def _drive(p: LinkParameters, s: LinkState, key: Key, first: int, ticks: int, each: int, out: Any, log: Any, dark: Any) -> int:
     """Send `each` messages in every tick; a row (arrival tick, sent tick, number) in `log` for each that arrives."""
     payload = np.zeros(2)
     n = 0
     for tick in range(first, first + ticks):
-        advance(p, s, seed, link, tick)
+        advance(p, s, key, tick)
         dark[tick - first] = s.counts[DARK]
         for k in range(each):
             payload[0], payload[1] = tick, k
-            send(p, s, seed, link, payload)
+            send(p, s, key, payload)
         for k in range(receive(s, out)):
             log[n, 0], log[n, 1], log[n, 2] = tick, out[k, 0], out[k, 1]
             n += 1
@@ -67,7 +67,7 @@ class Flown:
     def __init__(self, wanted: LinkSettings, ticks: int, *, dt: float = DT, each: int = 1, seed: int = 1, link: int = 2) -> None:
         self.parameters = link_parameters(check_link(wanted, "test"), dt, per_tick=each)
         self.state = link_state(self.parameters, 2)
-        self.seed, self.link, self.each, self.tick = seed, link, each, 0
+        self.key, self.each, self.tick = a_key(seed, link), each, 0
         self.arrived = np.zeros((0, 3), dtype=np.int64)
         self.go_on(ticks)
 
@@ -75,7 +75,7 @@ class Flown:
         rows = 2 * self.each * ticks + len(self.state.slots)
         log, self.dark = np.zeros((rows, 3), dtype=np.int64), np.zeros(ticks, dtype=np.int64)
         out = np.zeros_like(self.state.payload)
-        n = _drive(self.parameters, self.state, self.seed, self.link, self.tick, ticks, self.each, out, log, self.dark)
+        n = _drive(self.parameters, self.state, self.key, self.tick, ticks, self.each, out, log, self.dark)
         self.tick += ticks
         self.arrived = np.concatenate([self.arrived, log[:n]])
 
@@ -350,7 +350,7 @@ def test_a_full_queue_keeps_the_newest_or_the_oldest_as_wanted(queue: int) -> No
 
 
 def test_a_queue_that_is_never_full_delays_a_volley_one_message_after_the_other() -> None:
-    link = Link(LinkSettings(bandwidth=4.0, queue=9), dt=DT, seed=1, link=1, per_tick=10)
+    link = Link(LinkSettings(bandwidth=4.0, queue=9), dt=DT, key=a_key(1, 1), per_tick=10)
     for k in range(10):
         link.send(0, k, 0)
     found = [(tick, message) for tick in range(100) for message in link.arrivals(tick)]
@@ -423,7 +423,7 @@ def test_more_messages_than_the_room_holds_are_counted_and_break_nothing() -> No
     parameters = link_parameters(LinkSettings(delay=0.2), DT)
     state, out = link_state(parameters, 2), np.zeros((parameters.room, 2))
     for tick in range(100):
-        exchange(parameters, state, 1, 1, tick, np.full((5, 2), float(tick)), out)
+        exchange(parameters, state, a_key(1, 1), tick, np.full((5, 2), float(tick)), out)
     status = link_status(parameters, state)
     assert status.lost["full"] == status.sent - status.delivered - status.flying == 400
     assert _conserved(status)
@@ -432,7 +432,7 @@ def test_more_messages_than_the_room_holds_are_counted_and_break_nothing() -> No
 def test_too_few_rows_for_what_arrives_is_an_error() -> None:
     parameters = link_parameters(LinkSettings(), DT, per_tick=2)
     with pytest.raises(ValueError, match="fewer rows"):
-        exchange(parameters, link_state(parameters, 2), 1, 1, 0, np.zeros((2, 2)), np.zeros((1, 2)))
+        exchange(parameters, link_state(parameters, 2), a_key(1, 1), 0, np.zeros((2, 2)), np.zeros((1, 2)))
 
 
 # --- the same bits
@@ -473,9 +473,9 @@ def test_a_link_does_the_same_twice_and_whatever_other_links_do() -> None:
     arrived = []
     for tick in range(2000):
         for k in range(4):
-            _drive(parameters, _of_world(others, k), 5, 10 + k, tick, 1, 1, out, log, rows)
+            _drive(parameters, _of_world(others, k), a_key(5, 10 + k), tick, 1, 1, out, log, rows)
         for world in (2, 0, 1):
-            n = _drive(parameters, _of_world(worlds, world), 5 + world, 3, tick, 1, 1, out, log, rows)
+            n = _drive(parameters, _of_world(worlds, world), a_key(5 + world, 3), tick, 1, 1, out, log, rows)
             arrived += log[:n].tolist() if world == 0 else []
     state = b"".join(array[0].tobytes() for array in worlds)
     assert state + np.array(arrived, dtype=np.int64).tobytes() == alone
@@ -568,7 +568,7 @@ def test_a_burst_and_a_blackout_go_on_under_other_settings() -> None:
 
 
 def test_the_age_of_information_is_that_of_the_newest_stamp_delivered() -> None:
-    link = Link(LinkSettings(delay=0.1, blackouts=((0.5, 0.3),)), dt=DT, seed=1, link=1)
+    link = Link(LinkSettings(delay=0.1, blackouts=((0.5, 0.3),)), dt=DT, key=a_key(1, 1))
     assert link.counters().age is None
     ages = []
     for tick in range(30):
@@ -595,7 +595,7 @@ def test_late_messages_make_the_known_no_older() -> None:
 @pytest.mark.parametrize("name", [*PROFILES, "busy"])
 def test_python_objects_arrive_as_they_were_sent_and_none_is_kept(name: str) -> None:
     wanted = PROFILES.get(name, BUSY)
-    link, sent, arrived = Link(wanted, dt=DT, seed=4, link=2), [], []
+    link, sent, arrived = Link(wanted, dt=DT, key=a_key(4, 2)), [], []
     flown = Flown(wanted, 2000, seed=4, link=2)
     for tick in range(2000):
         sent.append(object())
@@ -617,20 +617,20 @@ def test_python_objects_arrive_as_they_were_sent_and_none_is_kept(name: str) -> 
 def test_a_perfect_link_counts_what_the_compiled_path_counts(every: int) -> None:
     parameters = link_parameters(LinkSettings(), DT, per_tick=2)
     state, out = link_state(parameters, 2), np.zeros((2, 2))
-    link = Link(LinkSettings(), dt=DT, seed=1, link=1, per_tick=2)
+    link = Link(LinkSettings(), dt=DT, key=a_key(1, 1), per_tick=2)
     for tick in range(200):
         stamps = [float(tick - 4 - k) for k in range(2) if tick % every == every // 2]
         for stamp in stamps:
             link.send(tick, stamp, stamp)
         assert link.arrivals(tick) == stamps
-        exchange(parameters, state, 1, 1, tick, np.array([[stamp, 0.0] for stamp in stamps]).reshape(-1, 2), out)
+        exchange(parameters, state, a_key(1, 1), tick, np.array([[stamp, 0.0] for stamp in stamps]).reshape(-1, 2), out)
         if tick % 13 == 0:
             assert link.counters() == link_status(parameters, state, LinkSettings())
     assert link.counters() == link_status(parameters, state, LinkSettings())
 
 
 def test_objects_change_over_with_the_settings() -> None:
-    link = Link(LinkSettings(delay=0.5), dt=DT, seed=1, link=1)
+    link = Link(LinkSettings(delay=0.5), dt=DT, key=a_key(1, 1))
     link.send(0, "late", 0)
     assert link.arrivals(0) == []
     link.send(1, "soon", 1)
@@ -640,7 +640,7 @@ def test_objects_change_over_with_the_settings() -> None:
 
 
 def test_ticks_come_once_and_in_order() -> None:
-    link = Link(LinkSettings(), dt=DT, seed=1, link=1)
+    link = Link(LinkSettings(), dt=DT, key=a_key(1, 1))
     with pytest.raises(ValueError, match="the link is at tick 0, not 1"):
         link.send(1, "too early", 1)
     link.arrivals(0)
@@ -678,7 +678,7 @@ def test_an_impossible_link_is_refused_in_one_line(field: str) -> None:
     line = str(caught.value)
     assert re.fullmatch(rf"escort\.toml: link\.radio: {re.escape(field)}\b.*: .+; allowed: .+", line), line
     with pytest.raises(ScenarioError):
-        Link(LinkSettings(**WRONG[field]), dt=DT, seed=1, link=1)
+        Link(LinkSettings(**WRONG[field]), dt=DT, key=a_key(1, 1))
 
 
 def test_checked_settings_are_equal_and_have_their_types() -> None:

@@ -38,10 +38,20 @@ SECONDS = 400.0
 """Simulated time of a run that is long enough to be disturbed, and short enough to be flown in a few seconds."""
 
 
+SECRET = bytes(range(16)).hex()
+"""Of the runs whose processes are started by hand; their simulator would make one."""
+
+
 @pytest.fixture(scope="module")
 def undisturbed() -> str:
     """The hash of that run when nothing happens to it."""
     return fly(load_scenario("escort", overrides=[f"duration={SECONDS}"]), 7)[1].trajectory_sha256
+
+
+@pytest.fixture(scope="module")
+def undisturbed_with_a_secret() -> str:
+    """The same with the secret."""
+    return fly(load_scenario("escort", overrides=[f"duration={SECONDS}"]), 7, secret=SECRET)[1].trajectory_sha256
 
 
 def finished(run: "subprocess.Popen[str]", seconds: float = 90.0) -> tuple[dict[str, object], str]:
@@ -167,7 +177,8 @@ class Scattered:
         return router
 
     def simulator(self, *arguments: str) -> "subprocess.Popen[str]":
-        return self.start("simulator", "escort", "--duration", str(SECONDS), "--json", *arguments)
+        told = ("escort", "--duration", str(SECONDS), "--secret", SECRET, "--json")
+        return self.start("simulator", *told, *arguments)
 
     def vehicles(self, *arguments: str) -> "list[subprocess.Popen[str]]":
         return [self.start(name[:3], *arguments, name=name) for name in ("uav_0", "ugv_0")]
@@ -204,7 +215,7 @@ def test_a_router_for_one_run_ends_with_it(tmp_path: Path) -> None:
         assert [process.wait(30.0) for process in (*vehicles, router)] == [0, 0, 0]
 
 
-def test_a_router_that_dies_and_comes_back_changes_no_bit(tmp_path: Path, undisturbed: str) -> None:
+def test_a_router_that_dies_and_comes_back_changes_no_bit(tmp_path: Path, undisturbed_with_a_secret: str) -> None:
     with scattered(tmp_path) as run:
         router = run.router()
         simulator = run.simulator()
@@ -215,7 +226,7 @@ def test_a_router_that_dies_and_comes_back_changes_no_bit(tmp_path: Path, undist
         run.router()
         summary, err = finished(simulator)
         assert [vehicle.wait(30.0) for vehicle in vehicles] == [0, 0]
-    assert summary["trajectory_sha256"] == undisturbed
+    assert summary["trajectory_sha256"] == undisturbed_with_a_secret
     assert summary["deterministic"] is True
     assert "the router is lost; the clock stands still" in err
 
@@ -240,7 +251,9 @@ def test_without_its_router_every_process_ends_and_says_who_is_missing(tmp_path:
             assert len(err.strip().splitlines()) == 1
 
 
-def test_vehicles_wait_for_a_simulator_that_dies_and_fly_with_the_next_one(tmp_path: Path, undisturbed: str) -> None:
+def test_vehicles_wait_for_a_simulator_that_dies_and_fly_with_the_next_one(
+    tmp_path: Path, undisturbed_with_a_secret: str
+) -> None:
     with scattered(tmp_path) as run:
         run.router()
         simulator = run.simulator()
@@ -250,7 +263,7 @@ def test_vehicles_wait_for_a_simulator_that_dies_and_fly_with_the_next_one(tmp_p
         simulator.wait()
         summary, _ = finished(run.simulator())
         assert [vehicle.wait(30.0) for vehicle in vehicles] == [0, 0]
-    assert summary["trajectory_sha256"] == undisturbed
+    assert summary["trajectory_sha256"] == undisturbed_with_a_secret
 
 
 def test_without_their_simulator_vehicles_end_and_say_who_is_missing(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 import pytest
 import zenoh
-from mutations import LARGEST, REFUSALS, mutated
+from mutations import REFUSALS, mutated
 
 from bus.keys import (
     BRIEFING,
@@ -39,6 +39,7 @@ from sim.server import Server
 STREAM = 20_000
 TICKS, GARBAGE_PER_TICK = 200, 5
 
+LARGEST = UAV_COMMAND.largest
 SENTINEL = UgvCommand(tick=2**53, acceleration=(1e6, -1e6))
 COMMANDS = {"uav_0": UAV_COMMAND, "ugv_0": UGV_COMMAND}
 SIMULATOR, UGV = Party(role=Role.SIMULATOR, name="simulator"), Party(role=Role.UGV, name="ugv_0")
@@ -55,7 +56,7 @@ def refuses(key: Key, payload: bytes) -> bool:
 
 @cache
 def stream() -> tuple[tuple[str, bytes], ...]:
-    """What one client sends: mutations, wake-ups of its own making, and payloads of more and of exactly 1 MiB."""
+    """What one client sends: mutations, wake-ups of its own making, and payloads of more and of exactly 64 KiB."""
     rng = random.Random(12)
     sent = [(name, mutated(COMMANDS[name], rng)) for name in rng.choices(list(COMMANDS), k=STREAM)]
     good = msgspec.json.encode(UgvCommand(tick=1, acceleration=(0.0, 0.0)))
@@ -106,14 +107,14 @@ def wire(tmp_path: Path) -> Iterator[Wire]:
 
 
 def test_an_inbox_gives_exactly_what_decodes_and_counts_exactly_what_does_not(wire: Wire) -> None:
-    sent = [(name, payload) for name, payload in stream() if payload]
+    sent = [(name, payload) for name, payload in stream() if 0 < len(payload) <= LARGEST]  # the router drops what is larger
     refused = [name for name, payload in sent if refuses(COMMANDS[name], payload)]
     taken = [
         (name, msgspec.json.decode(payload, type=COMMANDS[name].message))
         for name, payload in sent
         if not refuses(COMMANDS[name], payload)
     ]
-    assert len(sent) >= STREAM
+    assert len(sent) > 0.99 * STREAM
     assert min(len(taken), len(refused)) > 0.05 * STREAM
     assert wire.carry(stream()) == taken
     assert wire.inbox.refused == {name: refused.count(name) for name in COMMANDS}
@@ -135,7 +136,7 @@ def test_garbage_leaves_nothing_behind(wire: Wire) -> None:
     _, warm, after = measured
     assert after[0] - warm[0] < 500, measured  # of 20,000 payloads
     assert after[1] - warm[1] < 500, measured
-    assert after[2] - warm[2] < 10e6, measured  # of 24 MB
+    assert after[2] - warm[2] < 10e6, measured  # of 5 MB
 
 
 FOREIGN: tuple[tuple[Key, str], ...] = ((UAV_COMMAND, "uav_0"), (UAV_OBSERVATION, "uav_0"), (OPERATOR, "ugv_0"), (CONTROL, ""))

@@ -20,6 +20,7 @@ from sim.flight import Flight
 from sim.links import Links
 from sim.profiles import PROFILES
 from sim.scenario import Detections, LinkTable, Scenario, Ugv, VehicleLinks, load_scenario
+from sim.world import World
 
 POOR = PROFILES["wifi-poor"]
 BAD = LinkTable(detections=POOR, commands=PROFILES["jammed"], operator=POOR, radio=POOR)
@@ -182,7 +183,7 @@ def test_a_process_that_joins_again_is_told_what_had_arrived() -> None:
 
 def test_perfect_links_are_the_identity() -> None:
     scenario = load_scenario("escort", overrides=["duration=20.0"])
-    assert not Links(scenario, 7).degraded
+    assert not Links(scenario, World(scenario, 7).keys).degraded
     one, two = (
         fly(scenario, 7)[1],
         fly(msgspec.structs.replace(scenario, links=LinkTable(only=(VehicleLinks(vehicle="uav_0"),))), 7)[1],

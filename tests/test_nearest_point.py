@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from draws import a_key
 from flights import DESIRED, HERE, R_O, escort, parameters
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -32,7 +33,7 @@ def _searches(draw: st.DrawFn) -> tuple[np.ndarray, float, float, float, float, 
 @settings(PROPERTY, max_examples=300)
 def test_no_uncovered_point_is_nearer(search: tuple[np.ndarray, float, float, float, float, float, float], key: int) -> None:
     coverage, p_ax, p_ay, p_gx, p_gy, r_o, cell = search
-    found, q_x, q_y = nearest_uncovered(coverage, p_ax, p_ay, p_gx, p_gy, r_o, DESIRED, cell, key, 0)
+    found, q_x, q_y = nearest_uncovered(coverage, p_ax, p_ay, p_gx, p_gy, r_o, DESIRED, cell, a_key(key), 0)
     candidates = reference.uncovered(coverage, p_gx, p_gy, r_o, DESIRED, cell)
     assert found == candidates.any()
     if found:
@@ -45,7 +46,7 @@ def test_no_uncovered_point_is_nearer(search: tuple[np.ndarray, float, float, fl
 def _corner(key: int, tick: int = 0) -> Answer:
     """The nearest of the four cells around a corner of the grid, all uncovered."""
     coverage = empty_coverage(40.0, 40.0, CELL)
-    return nearest_uncovered(coverage, *HERE, *HERE, R_O, DESIRED, CELL, key, tick)
+    return nearest_uncovered(coverage, *HERE, *HERE, R_O, DESIRED, CELL, a_key(key), tick)
 
 
 @pytest.mark.parametrize("by", ["key", "tick"])
@@ -63,7 +64,7 @@ def test_the_same_key_and_tick_draw_the_same_point() -> None:
 def test_a_nearer_point_wins_whatever_is_drawn() -> None:
     coverage = empty_coverage(40.0, 40.0, CELL)
     for key in range(50):
-        _, x, y = nearest_uncovered(coverage, 20.001, 20.002, *HERE, R_O, DESIRED, CELL, key, 0)
+        _, x, y = nearest_uncovered(coverage, 20.001, 20.002, *HERE, R_O, DESIRED, CELL, a_key(key), 0)
         assert (x, y) == (20.125, 20.125)
 
 
@@ -133,7 +134,7 @@ def test_right_over_the_point_any_direction_is_drawn_with_the_key() -> None:
     place = (20.125, 20.125)
     angles = []
     for key in range(400):
-        c = parameters(escort("coverage"))._replace(key=key)
+        c = parameters(escort("coverage"))._replace(key=a_key(key))
         found, x, y = way_to_uncovered(c, coverage, initial_state(), 0, *place, *place)
         assert found
         assert np.hypot(x, y) == pytest.approx(1.0, rel=1e-12)

@@ -35,7 +35,14 @@ def _driver(
     area = Area(width=20.0, height=20.0, cell=0.5)
     return WaypointDriver(
         UgvBriefing(
-            vehicle="ugv_0", dt=dt, area=area, limits=limits, driver="waypoints", goals=goals, goal_tolerance=tolerance, key=0
+            vehicle="ugv_0",
+            dt=dt,
+            area=area,
+            limits=limits,
+            driver="waypoints",
+            goals=goals,
+            goal_tolerance=tolerance,
+            key="0" * 32,
         )
     )
 

@@ -17,6 +17,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from draws import a_told_key
 from flights import DT, U_G, V_G
 
 import outrider
@@ -153,7 +154,7 @@ def _told(**fields: Any) -> UgvBriefing:
         "driver": "policy",
         "goals": ((3.0, 4.0), (18.0, 1.0)),
         "goal_tolerance": 0.05,
-        "key": 7,
+        "key": a_told_key(7),
     }
     return UgvBriefing(**usual | fields)
 

@@ -2,21 +2,34 @@
 
 import itertools
 import math
+from hashlib import blake2b
 
 import numpy as np
 import pytest
+from draws import a_key, a_told_key
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
 from scipy import stats
 
 from sim import randomness
-from sim.randomness import cut_normal_vector, draw, philox, pilot_key, to_uniform, uniform
+from sim.randomness import (
+    RUN_PURPOSES,
+    cut_normal_vector,
+    draw,
+    key_of,
+    philox,
+    to_uniform,
+    uniform,
+    words_of,
+)
+from sim.run_keys import check_secret, derive_key, derive_keys, new_secret
 
 words = st.integers(0, 2**64 - 1)
 seeds = st.integers(0, 2**53 - 1)
 small = st.integers(0, 2**32 - 1)
 PURPOSES = {name: value for name, value in vars(randomness).items() if name.isupper() and isinstance(value, int)}
+SECRET = bytes(range(16)).hex()
 
 
 def _numpy_philox(key: tuple[int, int], counter: tuple[int, int, int, int]) -> tuple[int, ...]:
@@ -34,32 +47,35 @@ def test_philox_is_numpys(key_0: int, key_1: int, c_0: int, c_1: int, c_2: int, 
     assert tuple(map(int, found)) == _numpy_philox((key_0, key_1), (c_0, c_1, c_2, c_3))
 
 
-@given(seeds, small, small, seeds, seeds)
+@given(words, words, small, seeds, seeds)
 @settings(PROPERTY)
-def test_a_draw_is_the_block_of_its_seed_purpose_vehicle_tick_and_index(
-    seed: int, purpose: int, who: int, tick: int, index: int
+def test_a_draw_is_the_block_of_its_key_purpose_tick_and_index(
+    key_0: int, key_1: int, purpose: int, tick: int, index: int
 ) -> None:
-    wanted = _numpy_philox((seed, purpose << 32 | who), (index, tick, 0, 0))
-    assert tuple(map(int, draw(seed, purpose, who, tick, index))) == wanted
-    assert uniform(seed, purpose, who, tick, index) == to_uniform(np.uint64(wanted[0]))
+    key, wanted = a_key(key_0, key_1), _numpy_philox((key_0, key_1), (index, tick, purpose, 0))
+    assert tuple(map(int, draw(key, purpose, tick, index))) == wanted
+    assert uniform(key, purpose, tick, index) == to_uniform(np.uint64(wanted[0]))
 
 
 def test_every_draw_is_another_one() -> None:
-    arguments = itertools.product(range(3), range(1, 7), range(3), range(20), range(3))
-    assert len({draw(*each)[0] for each in arguments}) == 3 * 6 * 3 * 20 * 3
+    arguments = itertools.product(range(3), range(3), range(1, 7), range(20), range(3))
+    drawn = {draw(a_key(first, second), *others)[0] for first, second, *others in arguments}
+    assert len(drawn) == 3 * 3 * 6 * 20 * 3
 
 
-def test_each_purpose_has_a_number_of_its_own() -> None:
-    assert PURPOSES
-    assert len(set(PURPOSES.values())) == len(PURPOSES)
+def test_each_purpose_has_a_number_of_its_own_and_those_of_a_run_are_the_first() -> None:
+    numbers = [number for name, number in PURPOSES.items() if name != "RUN_PURPOSES"]
+    assert len(set(numbers)) == len(numbers)
+    assert sorted(numbers)[:RUN_PURPOSES] == list(range(RUN_PURPOSES))
 
 
-@pytest.mark.parametrize("argument", range(5), ids=("seed", "purpose", "who", "tick", "index"))
+@pytest.mark.parametrize("argument", range(5), ids=("first", "second", "purpose", "tick", "index"))
 def test_neighbours_in_each_argument_are_independent(argument: int) -> None:
-    base = np.array([11, 1, 0, 5, 0])
+    base = np.array([11, 0, 1, 5, 0])
     step = np.zeros(5, dtype=np.int64)
     step[argument] = 1
-    drawn = np.array([uniform(*(base + k * step).tolist()) for k in range(4000)])
+    rows = [(base + k * step).tolist() for k in range(4000)]
+    drawn = np.array([uniform(a_key(first, second), *others) for first, second, *others in rows])
     assert stats.kstest(drawn, "uniform").pvalue > 1e-3
     assert abs(np.corrcoef(drawn[:-1], drawn[1:])[0, 1]) < 4.0 / math.sqrt(4000)
 
@@ -74,7 +90,7 @@ def test_a_word_becomes_a_number_below_one_with_53_bits(word: int) -> None:
 
 @pytest.mark.parametrize("cut", [0.5, 1.0, 3.0, math.inf])
 def test_the_norm_of_cut_noise_follows_the_cut_rayleigh_distribution(cut: float) -> None:
-    noise = np.array([cut_normal_vector(0.3, cut, 4, 1, 0, k, 0) for k in range(4000)])
+    noise = np.array([cut_normal_vector(0.3, cut, a_key(4), 1, k, 0) for k in range(4000)])
     radius, angle = np.hypot(*noise.T) / 0.3, np.arctan2(noise[:, 1], noise[:, 0])
     assert stats.kstest(radius, lambda r: -np.expm1(-0.5 * r**2) / -np.expm1(-0.5 * cut**2)).pvalue > 1e-3
     assert stats.kstest(angle / math.tau + 0.5, "uniform").pvalue > 1e-3
@@ -82,7 +98,7 @@ def test_the_norm_of_cut_noise_follows_the_cut_rayleigh_distribution(cut: float)
 
 
 def test_noise_without_a_cut_is_gaussian_on_each_axis() -> None:
-    noise = np.array([cut_normal_vector(0.3, math.inf, 4, 1, 0, k, 0) for k in range(4000)])
+    noise = np.array([cut_normal_vector(0.3, math.inf, a_key(4), 1, k, 0) for k in range(4000)])
     for axis in range(2):
         assert stats.kstest(noise[:, axis] / 0.3, "norm").pvalue > 1e-3
     assert abs(np.corrcoef(noise.T)[0, 1]) < 4.0 / math.sqrt(4000)
@@ -91,10 +107,51 @@ def test_noise_without_a_cut_is_gaussian_on_each_axis() -> None:
 @given(st.floats(1e-6, 1e3), st.floats(1e-3, 9.0), seeds, small)
 @settings(PROPERTY, max_examples=500)
 def test_cut_noise_never_goes_beyond_its_cut(sigma: float, cut: float, seed: int, tick: int) -> None:
-    assert math.hypot(*cut_normal_vector(sigma, cut, seed, 1, 0, tick, 0)) <= cut * sigma * (1.0 + 1e-15)
+    assert math.hypot(*cut_normal_vector(sigma, cut, a_key(seed), 1, tick, 0)) <= cut * sigma * (1.0 + 1e-15)
 
 
-def test_a_pilots_key_survives_json_and_is_nobody_elses() -> None:
-    keys = [pilot_key(seed, vehicle) for seed in range(30) for vehicle in range(4)]
-    assert all(0 <= key < 2**53 for key in keys)
-    assert len(set(keys)) == len(keys)
+def test_a_key_is_blake2b_of_seed_purpose_and_vehicle_keyed_with_the_secret() -> None:
+    keys = derive_keys((5, 2**53 - 1), 3, SECRET)
+    assert keys.shape == (2, RUN_PURPOSES, 3, 2)
+    told = (2**53 - 1).to_bytes(8, "little") + (4).to_bytes(4, "little") + (2).to_bytes(4, "little")
+    digest = blake2b(told, digest_size=16, key=bytes.fromhex(SECRET), person=b"outrider").hexdigest()
+    assert derive_key(2**53 - 1, 4, 2, SECRET) == digest
+    assert key_of(keys[1], 4, 2) == words_of(digest) == tuple(keys[1, 4, 2])
+
+
+def test_every_seed_purpose_vehicle_and_secret_has_a_key_of_its_own() -> None:
+    secrets = ("", SECRET, SECRET[:-1] + "e", SECRET + "00")
+    keys = np.concatenate([derive_keys(range(20), 4, secret) for secret in secrets]).reshape(-1, 2)
+    assert len({tuple(key) for key in keys.tolist()}) == len(keys) == 4 * 20 * RUN_PURPOSES * 4
+
+
+@given(words, words)
+@settings(PROPERTY)
+def test_a_told_key_is_its_words(first: int, second: int) -> None:
+    assert words_of(a_told_key(first | second << 64)) == a_key(first, second)
+
+
+@pytest.mark.parametrize("bad", ["", "00", "g" * 32, "0" * 31, "0" * 34])
+def test_what_is_no_key_is_refused(bad: str) -> None:
+    with pytest.raises(ValueError, match="hexadecimal"):
+        words_of(bad)
+
+
+def test_a_new_secret_has_128_bits_and_is_another_one_each_time() -> None:
+    made = {new_secret() for _ in range(100)}
+    assert len(made) == 100
+    assert all(check_secret(secret) == secret and len(bytes.fromhex(secret)) == 16 for secret in made)
+
+
+@pytest.mark.parametrize("bad", ["0" * 30, "0" * 33, "0" * 130, "x" * 32, " " * 32, "0" * 31 + "\n"])
+def test_what_is_no_secret_is_refused_and_not_repeated(bad: str) -> None:
+    with pytest.raises(ValueError, match="32 to 128") as refusal:
+        check_secret(bad, "the file")
+    assert str(refusal.value).startswith("the file: ")
+    assert bad not in str(refusal.value)
+
+
+def test_a_secret_may_be_empty_long_or_in_capitals() -> None:
+    assert check_secret("") == ""
+    assert check_secret(SECRET.upper()) == SECRET
+    assert check_secret("ab" * 64) == "ab" * 64

@@ -85,6 +85,7 @@ BROKEN = [
     (checks.names_are_known, ["ugv.0.driver=ghost"], 'ugv.0.driver = "ghost"', "waypoints"),
     (world_checks.links_are_possible, ["links.radio.burst_length=1.0"], "links.radio.burst_interval = 0.0", "above 0 s"),
     (world_checks.links_are_possible, ['links.only=[{vehicle="uav_7"}]'], 'links.only.0.vehicle = "uav_7"', "uav_0"),
+    (world_checks.commands_act, ["links.commands.delay=0.6"], "hold = 0.5", "0.6 s or more"),
     (checks.own_functions_are_named, ["ugv.0.driver=policy"], 'custom.policy = ""', "module:function"),
     (checks.own_functions_are_named, ["custom.policy=mine"], 'custom.policy = "mine"', "module:function"),
     (checks.scripts_are_in_order, ["ugv.0.driver=script"], "ugv.0.script = []", "velocity"),

@@ -139,7 +139,7 @@ def test_the_first_session_keeps_the_seat_and_a_second_one_is_counted_named_and_
     assert flight.recorder.sha256() == whole(400).recorder.sha256()
     assert status.refused["comes from a second session"] >= 300
     assert status.refused.keys() == {"comes from a second session"}
-    assert intruder["session"].id in run.events[0]
+    assert "a second session (number 1) has come; the first (number 0)" in run.events[0]
     assert len(run.events) == 1
     assert [seen.tick for seen in first.seen] == list(range(400))
 

@@ -25,6 +25,7 @@ from sim.flight import Flight
 from sim.scenario_checks import scenario_warnings
 from sim.tick import first_state
 
+SECRET = bytes(range(16)).hex()
 pytestmark = pytest.mark.xdist_group("many worlds")  # on one worker: what they compile takes a minute, once
 
 SHORT: dict[str, object] = {"duration": 4.0, "area.width": 16.0, "area.height": 12.0, "ugv.0.goals": [[12.0, 9.0]]}
@@ -79,21 +80,22 @@ def test_the_score_is_the_mean_share_of_what_there_was_to_see() -> None:
     """Against a single flight over the bus' own loop, tick by tick."""
     task = Task(name="half", hard="", changes={**SHORT, "coverage.covered": [{"lower": [0.0, 0.0], "upper": [8.0, 12.0]}]})
     scenario = task.scenario
-    flight = Flight(scenario, 9001)
-    flight.fly(InProcess(make_pilots(scenario, 9001)))
+    flight = Flight(scenario, 9001, secret=SECRET)
+    flight.fly(InProcess(make_pilots(scenario, 9001, secret=SECRET)))
     errors = flight.recorder.escorts[:, 0, 1]
     places = flight.recorder.states[:, flight.world.escorts[0, 1], :2].tolist()
     r_o, nothing = scenario.visibility.radius + scenario.sensor.range, first_state(scenario).coverage
     most = np.array([coverage_error(nothing, x, y, r_o, scenario.coverage.desired, scenario.area.cell) for x, y in places])
-    result = evaluate(task, "certified", seeds=[9000, 9001])
+    result = evaluate(task, "certified", seeds=[9000, 9001], secret=SECRET)
     assert result.scores[1] == pytest.approx(100.0 * np.mean(1.0 - errors / most), rel=1e-12)
     assert 0.0 < result.scores[1] < 100.0
     assert result.lost == result.certified_while_lost == result.certificate_broken == 0
 
 
 def test_the_mean_error_is_that_of_single_runs() -> None:
-    result = TASK.evaluate("certified", seeds=[9000, 9001])
-    assert result.mean_error == pytest.approx(np.mean([run(TASK.scenario, seed=seed).mean_error for seed in (9000, 9001)]))
+    result = TASK.evaluate("certified", seeds=[9000, 9001], secret=SECRET)
+    alone = [run(TASK.scenario, seed=seed, secret=SECRET).mean_error for seed in (9000, 9001)]
+    assert result.mean_error == pytest.approx(np.mean(alone))
 
 
 def test_a_law_and_the_same_flight_from_outside_have_the_same_score() -> None:
@@ -106,15 +108,19 @@ def test_a_law_and_the_same_flight_from_outside_have_the_same_score() -> None:
             said.append(commands["uav_0"].acceleration)
             return commands
 
-    Flight(TASK.scenario, 9003).fly(Recording(make_pilots(TASK.scenario, 9003)))
+    flight = Flight(TASK.scenario, 9003, secret=SECRET)
+    flight.fly(Recording(make_pilots(TASK.scenario, 9003, secret=SECRET)))
     commands = iter(said)
-    assert TASK.evaluate(lambda seen: [next(commands)], seeds=[9003]).scores == TASK.evaluate("certified", seeds=[9003]).scores
+    outside = TASK.evaluate(lambda seen: [next(commands)], seeds=[9003], secret=SECRET)
+    assert outside.scores == TASK.evaluate("certified", seeds=[9003], secret=SECRET).scores
 
 
 def test_from_the_tick_at_which_sight_is_lost_nothing_counts_as_seen() -> None:
-    lost, kept = (SLOW.evaluate(entry, seeds=[9000, 9001], **settings) for entry, settings in ((away, {}), ("tracking", {})))
+    lost, kept = (
+        SLOW.evaluate(entry, seeds=[9000, 9001], secret=SECRET, **settings) for entry, settings in ((away, {}), ("tracking", {}))
+    )
     assert (lost.lost, kept.lost) == (2, 0)
-    shorter = Task(name="shorter", hard="", changes={**SHORT, "duration": 60.0}).evaluate(away, seeds=[9000, 9001])
+    shorter = Task(name="shorter", hard="", changes={**SHORT, "duration": 60.0}).evaluate(away, seeds=[9000, 9001], secret=SECRET)
     # Twice the time with the same flight: what was seen counts half.
     assert np.array(shorter.scores) * 1201 == pytest.approx(np.array(lost.scores) * 601, rel=1e-12)
     assert lost.score < kept.score
@@ -130,7 +136,7 @@ def test_sight_that_is_found_again_stays_lost() -> None:
             outward = 0.3 if seen[0, 0] < 14.0 or not turns_back else -0.3
             return np.vstack([[outward, 0.0], hover(seen)[1]])
 
-        result = SLOW.evaluate(policy, seeds=[1, 2], estimate=True)
+        result = SLOW.evaluate(policy, seeds=[1, 2], secret=SECRET, estimate=True)
         assert result.lost == 1
         return result.scores
 
@@ -182,10 +188,17 @@ def test_a_policy_with_a_memory_has_one_for_each_uav_and_begins_anew() -> None:
 
     policy = Counting()
     pair = Task(name="pair", hard="", changes={**suite()["two-pairs"].changes, "duration": 1.0})
-    first, again = (pair.evaluate(policy, seeds=[1, 2]) for _ in range(2))
+    first, again = (pair.evaluate(policy, seeds=[1, 2], secret=SECRET) for _ in range(2))
     assert first == again
     assert policy.times == []
     assert first.entry == "Counting"
+
+
+def test_nobody_knows_what_noise_an_evaluation_has_before_it_is_over() -> None:
+    first, again = (TASK.evaluate("tracking", seeds=[1, 2]) for _ in range(2))
+    assert len({first.secret, again.secret, ""}) == 3
+    assert first.scores != again.scores
+    assert TASK.evaluate("tracking", seeds=[1, 2], secret=first.secret) == first
 
 
 def test_both_pairs_count() -> None:
@@ -202,12 +215,13 @@ def test_both_pairs_count() -> None:
 
 def test_an_evaluation_is_the_same_again_and_from_another_thread() -> None:
     tasks = [TASK, SLOW]
-    board = leaderboard({"tracking": "tracking", "mine": hover}, tasks=tasks, seeds=[5, 6], estimate=True)
-    assert board == leaderboard({"tracking": "tracking", "mine": hover}, tasks=tasks, seeds=[5, 6], estimate=True)
+    entries: dict[str, Any] = {"tracking": "tracking", "mine": hover}
+    board = leaderboard(entries, tasks=tasks, seeds=[5, 6], estimate=True)  # its secret is told
+    assert board == leaderboard(entries, tasks=tasks, seeds=[5, 6], secret=board.secret, estimate=True)
     for standing in board.standings:
         entry = hover if standing.entry == "mine" else "tracking"
         settings: dict[str, Any] = {"estimate": True} if standing.entry == "mine" else {}
-        assert standing.results[1] == SLOW.evaluate(entry, name=standing.entry, seeds=[5, 6], **settings)
+        assert standing.results[1] == SLOW.evaluate(entry, name=standing.entry, seeds=[5, 6], secret=board.secret, **settings)
         assert standing.score == pytest.approx(np.mean([result.score for result in standing.results]))
 
 
@@ -286,14 +300,36 @@ def outrider(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Cap
 def test_the_command_scores_laws_and_policies(outrider: Callable[..., Any], tmp_path: Path) -> None:
     source = "import numpy as np\n\n\ndef away(seen):\n    return np.full((len(seen), 2), 0.3)\n"
     (tmp_path / "mine_for_the_suite.py").write_text(source, encoding="utf-8")
-    arguments = ("tracking", "--policy", "mine_for_the_suite:away", "--safety-filter", "--only", "short-sight")
+    arguments = (
+        "tracking",
+        "--policy",
+        "mine_for_the_suite:away",
+        "--safety-filter",
+        "--only",
+        "short-sight",
+        "--secret",
+        SECRET,
+    )
     code, out, err = outrider(*arguments, "--markdown", "board.md", "--json")
     assert (code, err) == (0, "")
     told = json.loads(out)
     assert told["tasks"] == ["short-sight"]
+    assert told["secret"] == SECRET
     assert {standing["entry"] for standing in told["standings"]} == {"tracking", "mine_for_the_suite:away"}
     result = told["standings"][0]["results"][0]
-    assert set(result) == {"task", "entry", "score", "low", "high", "scores", "mean_error", "lost", "episodes", *CERTIFICATES}
+    assert set(result) == {
+        "task",
+        "entry",
+        "score",
+        "low",
+        "high",
+        "scores",
+        "mean_error",
+        "lost",
+        "episodes",
+        "secret",
+        *CERTIFICATES,
+    }
     assert result["episodes"] == len(result["scores"]) == 20
     assert all(standing["lost"] == 0 for standing in told["standings"])  # the filter was asked
     assert all(standing[count] == 0 for standing in told["standings"] for count in CERTIFICATES)
@@ -313,6 +349,7 @@ def test_the_command_tells_what_the_tasks_are(outrider: Callable[..., Any]) -> N
         (["lograithmic"], 2, "law 'lograithmic': unknown"),
         (["--only", "nosie"], 2, "--only nosie: no such task; allowed: paper,"),
         (["--policy", "nowhere:f"], 2, "--policy = 'nowhere:f'"),
+        (["linear", "--secret", "1234"], 2, "--secret: 4 characters that are no secret; allowed: "),
         (["--estimate"], 2, "--estimate: for a --policy alone"),
         (["--list", "--markdown", "nowhere/board.md", "linear"], 0, ""),
         (["linear", "--markdown", "nowhere/board.md"], 2, "no such folder: nowhere"),

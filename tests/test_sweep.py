@@ -286,7 +286,7 @@ def _session(number: int) -> list[str]:
 def test_a_run_that_raises_is_a_row_with_its_error_and_the_others_go_on(tmp_path):
     (tmp_path / "mine.py").write_text(
         "def policy(observation, briefing):\n"
-        "    if briefing.key % 2 and observation.time > 2.0:\n        raise RuntimeError('the wheel came off')\n"
+        "    if int(briefing.key, 16) % 2 and observation.time > 2.0:\n        raise RuntimeError('the wheel came off')\n"
         "    return 0.0, 0.0\n",
         encoding="utf-8",
     )

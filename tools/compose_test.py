@@ -12,6 +12,7 @@ import http.client
 import json
 import os
 import re
+import secrets
 import shutil
 import signal
 import socket
@@ -225,6 +226,7 @@ class Docker:
             "OUTRIDER_RUNS": str(self.runs),
             "OUTRIDER_USER": user,
             "OUTRIDER_RUN": RUN,
+            "OUTRIDER_SECRET": secrets.token_hex(16),
         }
 
     def __call__(self, *words: str, limit: float = 60.0, check: bool = True, **more: str) -> str:
@@ -309,7 +311,7 @@ class Docker:
     def reference(self, duration: str | None = None) -> Json:
         """The same flight in one process, in the same image."""
         words = ["run", "escort", "--in-process", "--no-files", "--json"] + (["--duration", duration] if duration else [])
-        apart = ["--rm", "--network=none", "--read-only", "--tmpfs=/tmp", "--volume=/var/cache/outrider"]
+        apart = ["--rm", "--env=OUTRIDER_SECRET", "--network=none", "--read-only", "--tmpfs=/tmp", "--volume=/var/cache/outrider"]
         found: Json = json.loads(self("run", *apart, self.image, *words))
         return found
 
@@ -320,8 +322,8 @@ def same_flight(flown: Json, reference: Json) -> str:
     Raises:
         CheckFailed: If they have not.
     """
-    for field in ("platform", "ticks", "trajectory_sha256"):
-        expect(flown[field] == reference[field], f"{field} is {flown[field]}, in one process {reference[field]}")
+    for field in ("platform", "ticks", "secret", "trajectory_sha256"):
+        expect(flown[field] == reference[field], f"{field} is {flown[field]!r}, in one process {reference[field]!r}")
     expect(flown["complete"] and flown["deterministic"], f"first missing command at tick {flown['first_missing_tick']}")
     return f"{flown['ticks']} ticks, {flown['ticks_per_second']:,.0f} ticks/s, sha256 {flown['trajectory_sha256'][:12]}"
 

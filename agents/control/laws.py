@@ -22,7 +22,7 @@ from bus.errors import ScenarioError
 from bus.messages import Law, UavBriefing
 from sim.compile import FloatArray, compiled
 from sim.field import SENSORS, coverage_gradient, is_uncovered, nearest_uncovered
-from sim.randomness import START_DIRECTION, uniform
+from sim.randomness import START_DIRECTION, Key, uniform, words_of
 from sim.vehicles import clip_norm, norm
 
 TRACKING, COVERAGE, LINEAR, SWITCHING, LOGARITHMIC, CIRCLE, WEIGHTED, PATH, CERTIFIED = range(9)
@@ -72,7 +72,7 @@ class LawParameters(NamedTuple):
     r_pv: float
     omega: float
     margin: float
-    key: int
+    key: Key
 
 
 class OwnTerms(NamedTuple):
@@ -135,17 +135,17 @@ def law_parameters(briefing: UavBriefing, law: Law) -> LawParameters:
         r_pv=float(law.circle_radius if law.circle_radius is not None else r_s),
         omega=float(law.circle_rate),
         margin=float(border_distance(v_a if math.isfinite(v_a) else v_ref, u_a, briefing.dt)),
-        key=briefing.key,
+        key=words_of(briefing.key),
     )
 
 
 def pack_law(parameters: LawParameters) -> FloatArray:
-    """The numbers of a law as an array, for a table of many vehicles. Shape (24,)."""
-    return np.array(parameters, dtype=np.float64)
+    """The numbers of a law as an array, for a table of many vehicles; all but the key. Shape (23,)."""
+    return np.array(parameters[:-1], dtype=np.float64)
 
 
 @compiled
-def unpack_law(row: FloatArray, key: int) -> LawParameters:
+def unpack_law(row: FloatArray, key: Key) -> LawParameters:
     """The parameters that `pack_law` has packed, with the key of this world's pilot."""
     return LawParameters(
         int(row[0]),
@@ -208,7 +208,7 @@ def way_to_uncovered(
     u_x, u_y = symmetry_breaker(state[_Q], state[_Q + 1], p_ax, p_ay, 1.0)
     if norm(u_x, u_y) < _ON_THE_SPOT:
         # Deviation: (10) would divide by zero right over the point. Any direction is as good: draw one.
-        angle = 2.0 * math.pi * uniform(c.key, START_DIRECTION, 0, tick, 0)
+        angle = 2.0 * math.pi * uniform(c.key, START_DIRECTION, tick, 0)
         u_x, u_y = math.cos(angle), math.sin(angle)
     return True, u_x, u_y
 

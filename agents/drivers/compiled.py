@@ -17,6 +17,7 @@ from agents.drivers.waypoints import WAYPOINT_STATE, driver_goals, waypoint_cont
 from bus.errors import ScenarioError
 from bus.messages import UgvBriefing
 from sim.compile import FloatArray, compiled
+from sim.randomness import Key, words_of
 
 __all__ = [
     "COMPILED_DRIVERS",
@@ -57,7 +58,7 @@ class DriverParameters(NamedTuple):
     speed: float
     margin: float
     lead: float
-    key: int
+    key: Key
 
 
 def driver_parameters(briefing: UgvBriefing, driver: str) -> DriverParameters:
@@ -83,7 +84,7 @@ def driver_parameters(briefing: UgvBriefing, driver: str) -> DriverParameters:
         speed=float(speed),
         margin=float(margin),
         lead=float(evade_lead(speed, wheel.u_max)),
-        key=briefing.key,
+        key=words_of(briefing.key),
     )
 
 
@@ -162,13 +163,13 @@ def ugv_control(
 
 
 def pack_driver(parameters: DriverParameters) -> FloatArray:
-    """The parameters as a row of numbers, for tables of many worlds. A key below 2**53 stays exact."""
-    return np.array(parameters, dtype=np.float64)
+    """The parameters as a row of numbers, for tables of many worlds; all but the key. Shape (10,)."""
+    return np.array(parameters[:-1], dtype=np.float64)
 
 
 @compiled
-def unpack_driver(row: FloatArray, key: int) -> DriverParameters:
-    """The parameters of a row of `pack_driver`, with this key in place of the packed one."""
+def unpack_driver(row: FloatArray, key: Key) -> DriverParameters:
+    """The parameters of a row of `pack_driver`, with the key of this world's driver."""
     return DriverParameters(
         driver=int(row[0]),
         dt=row[1],

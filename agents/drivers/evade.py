@@ -8,7 +8,7 @@ from agents.drivers.steering import Steering, velocity_control
 from agents.drivers.wander import WANDER_STATE, wander_control, wander_pace
 from bus.messages import UgvBriefing, UgvObservation
 from sim.compile import FloatArray, compiled
-from sim.randomness import WANDER, uniform
+from sim.randomness import WANDER, Key, uniform, words_of
 from sim.vehicles import norm
 
 _SMOOTHING = 1.0  # time constant of the UAV's estimated velocity [s]: a difference of two estimates is mostly noise
@@ -77,13 +77,13 @@ def listen(
 
 
 @compiled
-def slot_draw(time: float, lead: float, index: int, key: int) -> float:
+def slot_draw(time: float, lead: float, index: int, key: Key) -> float:
     """A number in [0, 1) for the slot of this time [s]; a slot is five leads [s] long."""
-    return uniform(key, WANDER, 0, int(time / (_SLOT * lead)), index)
+    return uniform(key, WANDER, int(time / (_SLOT * lead)), index)
 
 
 @compiled
-def away(state: FloatArray, time: float, p_x: float, p_y: float, lead: float, key: int) -> tuple[float, float]:
+def away(state: FloatArray, time: float, p_x: float, p_y: float, lead: float, key: Key) -> tuple[float, float]:
     """Away from where the UAV will be after the lead [s] if it flies on as it does; a unit vector."""
     gap = time + lead - state[_AT]
     x, y = p_x - (state[_PLACE] + gap * state[_VELOCITY]), p_y - (state[_PLACE + 1] + gap * state[_VELOCITY + 1])
@@ -95,7 +95,7 @@ def away(state: FloatArray, time: float, p_x: float, p_y: float, lead: float, ke
 
 
 @compiled
-def turned(x: float, y: float, time: float, lead: float, key: int) -> tuple[float, float]:
+def turned(x: float, y: float, time: float, lead: float, key: Key) -> tuple[float, float]:
     """The direction (x, y), turned off sharply for one lead [s] of each slot."""
     period = _SLOT * lead
     begin = (_SLOT - 1.0) * lead * slot_draw(time, lead, _BEGIN, key)
@@ -117,7 +117,7 @@ def border_side(p: float, size: float, margin: float) -> float:
 
 
 @compiled
-def leave_wall(state: FloatArray, out_x: float, out_y: float, time: float, lead: float, key: int) -> tuple[float, float]:
+def leave_wall(state: FloatArray, out_x: float, out_y: float, time: float, lead: float, key: Key) -> tuple[float, float]:
     """Off a wall that it stands square to, or out of a corner: along a wall, and it stays with that for a while.
 
     Args:
@@ -187,7 +187,7 @@ def flee(
     v_max: float,
     u_max: float,
     dt: float,
-    key: int,
+    key: Key,
 ) -> tuple[float, float]:
     """The acceleration [m/s²] to full speed in the direction (x, y), but along walls and out of corners.
 
@@ -226,7 +226,7 @@ def evade_control(
     v_max: float,
     u_max: float,
     dt: float,
-    key: int,
+    key: Key,
 ) -> tuple[float, float]:
     """The acceleration [m/s²] of `EvadeDriver`, which says what it does.
 
@@ -278,7 +278,7 @@ class EvadeDriver:
     def __init__(self, briefing: UgvBriefing) -> None:
         self._steering = wheel = Steering(briefing)
         self._width, self._height = float(briefing.area.width), float(briefing.area.height)
-        self._tolerance, self._key = float(briefing.goal_tolerance), briefing.key
+        self._tolerance, self._key = float(briefing.goal_tolerance), words_of(briefing.key)
         self._speed, self._margin = wander_pace(self._width, self._height, wheel.v_max, wheel.u_max, wheel.dt)
         self._lead = evade_lead(self._speed, wheel.u_max)
         self._state = np.empty(EVADE_STATE)

@@ -6,7 +6,7 @@ from agents.drivers.steering import Steering
 from agents.drivers.waypoints import goal_control
 from bus.messages import UgvBriefing, UgvObservation
 from sim.compile import FloatArray, compiled
-from sim.randomness import WANDER, uniform
+from sim.randomness import WANDER, Key, uniform, words_of
 from sim.vehicles import goal_reached, speed_to_stop_within, stopping_distance
 
 _GOAL, _CHOSEN = 0, 2  # rows of the state: the goal (2), whether there is one
@@ -27,11 +27,11 @@ def wander_pace(width: float, height: float, v_max: float, u_max: float, dt: flo
 
 
 @compiled
-def wander_goal(tick: int, width: float, height: float, margin: float, key: int) -> tuple[float, float]:
+def wander_goal(tick: int, width: float, height: float, margin: float, key: Key) -> tuple[float, float]:
     """The goal [m] that is drawn at a tick: evenly over Q without a margin [m] along the border."""
     return (
-        margin + (width - 2.0 * margin) * uniform(key, WANDER, 0, tick, 0),
-        margin + (height - 2.0 * margin) * uniform(key, WANDER, 0, tick, 1),
+        margin + (width - 2.0 * margin) * uniform(key, WANDER, tick, 0),
+        margin + (height - 2.0 * margin) * uniform(key, WANDER, tick, 1),
     )
 
 
@@ -50,7 +50,7 @@ def wander_control(
     tolerance: float,
     u_max: float,
     dt: float,
-    key: int,
+    key: Key,
 ) -> tuple[float, float]:
     """The acceleration [m/s²] to a random goal, and when that is reached to another one.
 
@@ -83,7 +83,7 @@ class WanderDriver:
     def __init__(self, briefing: UgvBriefing) -> None:
         self._steering = wheel = Steering(briefing)
         self._width, self._height = float(briefing.area.width), float(briefing.area.height)
-        self._tolerance, self._key = float(briefing.goal_tolerance), briefing.key
+        self._tolerance, self._key = float(briefing.goal_tolerance), words_of(briefing.key)
         self._state = np.zeros(WANDER_STATE)
         speed, margin = wander_pace(self._width, self._height, wheel.v_max, wheel.u_max, wheel.dt)
         self.speed = speed

@@ -41,6 +41,8 @@ class Layer(NamedTuple):
     """What is said in the place of `reference` where there is no second number."""
     needs: tuple[str, ...] = ()
     """Packages of an extra without which the row is left out, unless it is asked for."""
+    extra: str = ""
+    """That extra."""
 
 
 BARE = "bare exchange among as many processes"
@@ -49,8 +51,9 @@ ALONE = "its kernels alone, compiled, as many grids and threads"
 ROWS: dict[str, Layer] = {
     "lockstep": Layer(runs.lockstep, "ticks/s", "bare three-process exchange"),
     "access_control": Layer(runs.access_control, "ticks/s", "lockstep without credentials"),
+    "tls": Layer(runs.tls, "ticks/s", "lockstep over TCP with passwords", needs=("cryptography",), extra="tls"),
     "run_in_process": Layer(runs.run_in_process, "ticks/s", "world_step"),
-    "sweep": Layer(runs.sweep, "runs/s", "runs in one process, times cores", needs=("joblib", "pyarrow")),
+    "sweep": Layer(runs.sweep, "runs/s", "runs in one process, times cores", needs=("joblib", "pyarrow"), extra="sweep"),
     "env_step": Layer(kernels.env_step, "steps/s", "world_step"),
     "world_step": Layer(kernels.world_step, "steps/s", "its kernels alone, compiled"),
     "kernel_vs_numpy": Layer(kernels.kernel_vs_numpy, "passes/s", "plain NumPy"),
@@ -99,7 +102,8 @@ def measure(only: list[str], repeats: int, *, on_progress: Progress | None = Non
         raise ScenarioError(f"--only {unknown[0]}: no such row; allowed: {', '.join(ROWS)}")
     for name in only:
         if not _can(ROWS[name]):
-            raise ScenarioError(f"--only {name}: needs {' and '.join(ROWS[name].needs)}: pip install 'outrider[sweep]'")
+            layer = ROWS[name]
+            raise ScenarioError(f"--only {name}: needs {' and '.join(layer.needs)}: pip install 'outrider[{layer.extra}]'")
     rows: list[Row] = []
     names = only or [name for name, layer in ROWS.items() if _can(layer)]
     for done, name in enumerate(names):

@@ -61,6 +61,13 @@ def access_control() -> Pair:
     return closed, opened
 
 
+def tls() -> Pair:
+    """Lockstep over mutual TLS, beside the same over TCP with passwords."""
+    scenario = load_scenario("escort")
+    closed = _flown(launch(scenario, "escort", (), NOBODY, out=None, transport="tls"))
+    return closed, _flown(launch(scenario, "escort", (), NOBODY, out=None, transport="tcp"))
+
+
 def pairs(count: int) -> Pair:
     """So many UAVs with their UGVs in lockstep, each in a process of its own, beside a bare exchange among as many peers."""
     with tempfile.TemporaryDirectory(prefix="outrider-pairs-") as folder:

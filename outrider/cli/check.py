@@ -14,21 +14,22 @@ def command(
 ) -> None:
     """Validate a scenario: exit code 0 if it can be flown, 2 and one line naming file, field and value if not.
 
+    For the law certified it warns of each declared assumption that links or detector cannot keep, and says whether sight can be
+    certified always, not always or hardly ever.
+
     Example: outrider check my-scenario.toml
     """
     from outrider.cli.console import OUT, print_json, print_warnings
-    from outrider.promise import promise_warnings
+    from outrider.promise import how_certifiable, promise_warnings
     from sim.scenario import load_scenario
     from sim.scenario_checks import scenario_warnings
 
     scenario = load_scenario(file, overrides=changes or ())
+    warnings, certifiable = [*scenario_warnings(scenario), *promise_warnings(scenario)], how_certifiable(scenario)
     if json:
-        print_json(
-            {"scenario": scenario.name, "valid": True, "warnings": [*scenario_warnings(scenario), *promise_warnings(scenario)]}
-        )
+        print_json({"scenario": scenario.name, "valid": True, "certifiable": certifiable, "warnings": warnings})
         return
-    print_warnings((*scenario_warnings(scenario), *promise_warnings(scenario)))
+    print_warnings(warnings)
     vehicles = ", ".join(vehicle.name for vehicle in scenario.vehicles)
-    OUT.print(
-        f"{scenario.name}: can be flown ({vehicles}; law {scenario.law.name}; {scenario.duration:g} s, {scenario.ticks} ticks)"
-    )
+    law = scenario.law.name + ("" if certifiable in (None, "always") else f", but sight is certified {certifiable}")
+    OUT.print(f"{scenario.name}: can be flown ({vehicles}; law {law}; {scenario.duration:g} s, {scenario.ticks} ticks)")

@@ -125,5 +125,7 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
         table.add_row(*row)
     OUT.print(table)
     OUT.print(f"  trajectory_sha256 {summary.trajectory_sha256}", soft_wrap=True)
+    if summary.secret:
+        OUT.print(f"  secret {summary.secret}: with it and the seed the same flight again", soft_wrap=True)
     for file in files:
         OUT.print(f"  {file}", soft_wrap=True)

@@ -1,11 +1,16 @@
 """`outrider credentials`: who may take part in a run."""
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from outrider.cli.options import DEFAULT_RUN, Json, RunName
+
+if TYPE_CHECKING:
+    from bus.access import CredentialSet
+    from bus.certificates import Authority
 
 
 def command(
@@ -15,11 +20,39 @@ def command(
     owner: Annotated[
         str, typer.Option(metavar="UID:GID", help="Give the files to this user, such as a container's; for root only.")
     ] = "",
+    tls: Annotated[
+        bool,
+        typer.Option(
+            "--tls/--tcp",
+            help="Certificates instead of passwords, for endpoints that begin with tls/ instead of tcp/; needs the extra [tls].",
+        ),
+    ] = False,
+    host: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="With --tls: a name or address under which the router is found, beside localhost and `router`; may be repeated."
+        ),
+    ] = None,
+    days: Annotated[
+        float | None, typer.Option(help="How long the parties' certificates hold; 365 by default.", min=0.001, max=3650.0)
+    ] = None,
+    renew: Annotated[
+        bool,
+        typer.Option("--renew", help="New certificates for the parties in FOLDER, by the authority.json that is there."),
+    ] = False,
+    party: Annotated[
+        list[str] | None,
+        typer.Option(help="With --renew: only this party, or `router`, which is left alone otherwise; may be repeated."),
+    ] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Tell how long the certificates in FOLDER hold; exit code 1 if one does not.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Make a set of random credentials for a run: a file for each party, and router.json with all of them for the router.
 
-    Each file can be read by its owner alone. Give each process its own and no other. Nothing is ever overwritten.
+    Each file can be read by its owner alone. Give each process its own and no other. Nothing is ever overwritten but by --renew.
+    With --tls there is also authority.json, with which certificates are renewed: keep it, and give it to no process.
 
     Example: outrider credentials credentials --scenario escort --run flight
     """
@@ -28,12 +61,28 @@ def command(
     from bus.access import new_credentials, write_credentials
     from bus.errors import ScenarioError
     from outrider.cli.console import OUT, print_json
-    from sim.scenario import load_scenario
 
+    _refuse(
+        {
+            "--tls and --renew or --check": tls and (renew or check),
+            "--renew and --check": renew and check,
+            "--host without --tls or --renew --party router": bool(host) and not tls and "router" not in (party or ()),
+            "--days without --tls or --renew": days is not None and not (tls or renew),
+            "--party without --renew": bool(party) and not renew,
+        }
+    )
+    if check:
+        raise typer.Exit(_check(folder, json=json))
     user = _owner(owner)
-    flown = load_scenario(scenario)
-    given = new_credentials(run, (uav.name for uav in flown.uav), (ugv.name for ugv in flown.ugv))
-    files = write_credentials(given, folder)
+    if renew:
+        run, files = _renew(folder, party or (), host or (), days)
+    else:
+        from sim.scenario import load_scenario
+
+        flown = load_scenario(scenario)
+        names = ([uav.name for uav in flown.uav], [ugv.name for ugv in flown.ugv])
+        given, authority = _certificates(run, *names, host or (), days) if tls else (new_credentials(run, *names), None)
+        files = write_credentials(given, folder, authority)
     if user is not None:
         try:
             for path in (folder, *files.values()):
@@ -43,8 +92,9 @@ def command(
     if json:
         print_json({"run": run, "files": {name: str(path) for name, path in files.items()}})
         return
+    whose = {"router": "the router: everybody", "authority": "you alone: renews certificates"}
     for name, path in files.items():
-        OUT.print(f"{path}  for {'the router: everybody' if name == 'router' else name}", soft_wrap=True)
+        OUT.print(f"{path}  {'renewed ' if renew else ''}for {whose.get(name, name)}", soft_wrap=True)
 
 
 def _owner(text: str) -> tuple[int, int] | None:
@@ -56,3 +106,86 @@ def _owner(text: str) -> tuple[int, int] | None:
     if not (user.isdecimal() and group.isdecimal()):
         raise ScenarioError(f"--owner {text!r}: allowed are two numbers, such as 1000:1000")
     return int(user), int(group)
+
+
+def _refuse(combinations: dict[str, bool]) -> None:
+    for words, found in combinations.items():
+        if found:
+            raise typer.BadParameter(f"{words}: these options do not go together")
+
+
+def _certificates(
+    run: str, uavs: Iterable[str], ugvs: Iterable[str], hosts: Iterable[str], days: float | None
+) -> "tuple[CredentialSet, Authority]":
+    from bus.access import new_certificates
+    from bus.certificates import PARTY_DAYS, new_authority
+
+    authority = new_authority(run)
+    return new_certificates(authority, uavs, ugvs, hosts=tuple(hosts), days=days or PARTY_DAYS), authority
+
+
+def _renew(folder: Path, names: Iterable[str], hosts: Iterable[str], days: float | None) -> tuple[str, dict[str, Path]]:
+    """New certificates for parties that have some, in the place of the old ones; the run's name, and the files."""
+    from msgspec.structs import replace
+
+    from bus.access import AUTHORITY_FILE, ROUTER_FILE, read_authority, read_credential, read_credentials, replace_credentials
+    from bus.certificates import AUTHORITY_DAYS, PARTY_DAYS, ROUTER_HOSTS, hosts_of, issue
+    from bus.errors import AccessDenied
+
+    authority = read_authority(folder / f"{AUTHORITY_FILE}.json")
+    router = read_credentials(folder / f"{ROUTER_FILE}.json")
+    known = [credential.name for credential in router.parties]
+    wanted = list(names) or [name for name in known if (folder / f"{name}.json").exists()]
+    for name in wanted:
+        if name not in (*known, ROUTER_FILE):
+            raise AccessDenied(f"--party {name}: no party of the run {router.run}; there are {', '.join((*known, ROUTER_FILE))}")
+    if router.tls is None:
+        raise AccessDenied(f"{folder}: these credentials are passwords, which do not end")
+    renewed = {}
+    for name in wanted:
+        path = renewed[name] = folder / f"{name}.json"
+        if name == ROUTER_FILE:
+            known_at = tuple(dict.fromkeys((*hosts_of(router.tls), *hosts))) or ROUTER_HOSTS
+            identity = issue(authority, name, days=days or AUTHORITY_DAYS, hosts=known_at)
+            replace_credentials(replace(router, tls=identity), path)
+        else:
+            identity = issue(authority, name, days=days or PARTY_DAYS)
+            replace_credentials(replace(read_credential(path), tls=identity), path)
+    return router.run, renewed
+
+
+def _check(folder: Path, *, json: bool) -> int:
+    """Tell of every file in a folder whether it is good, and how long."""
+    from datetime import UTC, datetime
+
+    from bus.access import ROUTER_FILE, read_credential, read_credentials
+    from bus.certificates import Identity, check_identity, expiry_warning
+    from bus.errors import AccessDenied
+    from outrider.cli.console import OUT, print_json
+
+    if not folder.is_dir():
+        raise AccessDenied(f"{folder}: no such folder")
+    told: list[dict[str, object]] = []
+    for path in sorted(folder.glob("*.json")):
+        name = path.stem
+        if name == "authority":
+            continue
+        row: dict[str, object] = {"file": str(path), "good": True, "ends": None, "days": None, "note": ""}
+        told.append(row)
+        try:
+            identity: Identity | None = (read_credentials(path) if name == ROUTER_FILE else read_credential(path)).tls
+            if identity is None:
+                row["note"] = "a password, which does not end"
+                continue
+            end = check_identity(identity, name)
+            row |= {"ends": end.isoformat(), "days": (end - datetime.now(UTC)).days, "note": expiry_warning(name, end)}
+        except AccessDenied as error:
+            row |= {"good": False, "note": str(error)}
+    if json:
+        print_json({"credentials": told})
+    else:
+        for row in told:
+            until = f"until {str(row['ends'])[:10]} ({row['days']} days)  " if row["ends"] else ""
+            good = "good" if row["good"] else "NOT GOOD"
+            OUT.print(f"{row['file']}  {good}  {until}{row['note']}", soft_wrap=True, markup=False)
+    return int(not all(row["good"] for row in told))

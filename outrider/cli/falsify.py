@@ -144,11 +144,14 @@ def command(
             noise=flown.detections.noise if noise is None else noise,
         )
     )
+    raised: tuple[str, ...] = ()
     if attacks:
         _check_eps(eps)
     if flies:
         check_extra()
-        flown = base_of(flown, limits)
+        given, flown = flown, base_of(flown, limits)
+        if flown.hold > given.hold:
+            raised = (f"hold = {given.hold:g} s is raised to {flown.hold:g} s, the latest command that the limits allow",)
     _check_out(out)
     wanted = Wanted(
         base=flown,
@@ -166,7 +169,7 @@ def command(
         out=out,
     )
     if flies:
-        print_warnings(beyond_declared(flown, limits))
+        print_warnings((*raised, *beyond_declared(flown, limits)))
     _search(wanted, expect, json=json)
 
 

@@ -17,6 +17,16 @@ ScenarioName = Annotated[str, typer.Argument(help="A shipped scenario's name, or
 Seed = Annotated[
     int | None, typer.Option(help="Seed of all random numbers; the scenario's own by default.", min=0, max=2**53 - 1)
 ]
+Secret = Annotated[
+    str,
+    typer.Option(
+        "--secret",
+        metavar="@FILE|new|HEX",
+        help="The run's secret, which no vehicle is told: @FILE that holds it, `new` to make one, or 32 to 128 hexadecimal "
+        "digits, which other users of this machine would see in the list of processes.",
+        envvar="OUTRIDER_SECRET",
+    ),
+]
 Duration = Annotated[float | None, typer.Option(help="Simulated time in s, instead of the scenario's.")]
 LawName = Annotated[
     str | None,
@@ -168,6 +178,36 @@ def _plain(field: str, value: str) -> str:
         allowed = "no quotes, backslashes and control characters" if a_file else "letters, digits, '_', '.', ':' and '-'"
         raise ScenarioError(f"{field} = {value!r}: allowed are {allowed}")
     return value
+
+
+def secret_of(given: str, *, wanted: bool = False) -> str:
+    """The run's secret.
+
+    Args:
+        given: On the command line or in the environment: @FILE, `new`, hexadecimal digits, or nothing.
+        wanted: Whether one is made where none is given.
+
+    Raises:
+        ScenarioError: If what is given is none, or its file cannot be read.
+    """
+    from sim.run_keys import check_secret, new_secret
+
+    if given == "new" or (wanted and not given):
+        return new_secret()
+    source = "--secret"
+    if given.startswith("@"):
+        source = given[1:]
+        try:
+            with Path(source).open(encoding="ascii") as file:
+                given = file.read(1000).strip()
+        except (OSError, UnicodeDecodeError) as error:
+            raise ScenarioError(f"--secret {source}: {getattr(error, 'strerror', '') or 'is no text'}") from error
+        if not given:
+            raise ScenarioError(f"--secret {source}: is empty; allowed: 32 to 128 hexadecimal digits")
+    try:
+        return check_secret(given, source)
+    except ValueError as error:
+        raise ScenarioError(str(error)) from error
 
 
 _PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream")

@@ -58,7 +58,7 @@ def _until_over(session: "Session", stop: "Stop") -> None:
     from bus.messages import Status
 
     present = threading.Event()
-    session.watch(SIMULATOR_NAME, lambda _name, _session, there: present.set() if there else present.clear())
+    session.watch(SIMULATOR_NAME, lambda _name, _place, there: present.set() if there else present.clear())
     statuses = session.inbox(STATUS)
     over = False
     while not stop and not (over and not present.is_set()):

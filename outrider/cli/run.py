@@ -17,6 +17,7 @@ from outrider.cli.options import (
     RealTime,
     Record,
     ScenarioName,
+    Secret,
     Seed,
     Set,
     VirtualPath,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 def command(
     scenario: ScenarioName = "escort",
     seed: Seed = None,
+    secret: Secret = "",
     duration: Duration = None,
     law: LawName = None,
     driver: DriverName = None,
@@ -83,7 +85,7 @@ def command(
     Example: outrider run escort --seed 3 --law switching
     """
     from outrider.cli.console import flight_progress, print_json, print_summary, print_warnings
-    from outrider.cli.options import scenario_of
+    from outrider.cli.options import scenario_of, secret_of
     from outrider.cli.stopping import stop_on_signals
     from outrider.output import default_folder, write_summary
     from outrider.own import check_own_functions
@@ -98,8 +100,10 @@ def command(
         realtime = 1.0
     own = {"weighting": weighting, "path": path, "policy": policy, "network": network}
     flown, overrides = scenario_of(scenario, seed=seed, duration=duration, law=law, driver=driver, changes=changes, **own)
-    if in_process and any(ugv.driver == "external" for ugv in flown.ugv):
+    strangers = any(ugv.driver == "external" for ugv in flown.ugv)
+    if in_process and strangers:
         raise typer.BadParameter("--driver external is another process; leave --in-process out")
+    kept = secret_of(secret, wanted=strangers)
     # what does not fit shows here, not in a child
     print_warnings((*scenario_warnings(flown), *promise_warnings(flown), *check_own_functions(flown)))
     if record is not None:
@@ -109,7 +113,7 @@ def command(
         folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made shows before the flight, not after it
     with stop_on_signals() as stop, _page(dashboard, dashboard_port) as page:
         if in_process:
-            outcome = _fly_here(flown, folder, picture, record, stop)
+            outcome = _fly_here(flown, kept, folder, picture, record, stop)
         else:
             from outrider.launch import Watcher, launch
 
@@ -128,6 +132,7 @@ def command(
                     respawn=respawn,
                     pin=pin,
                     page=page,
+                    secret=kept,
                 )
         if outcome.summary is not None and folder is not None:
             write_summary(outcome.summary, folder)
@@ -151,7 +156,7 @@ def _page(wanted: bool, port: int) -> "AbstractContextManager[socket.socket | No
     return open_socket("127.0.0.1", port, "--dashboard-port")
 
 
-def _fly_here(flown: "Scenario", folder: Path | None, picture: bool, record: Path | None, stop: "Stop") -> "Outcome":
+def _fly_here(flown: "Scenario", secret: str, folder: Path | None, picture: bool, record: Path | None, stop: "Stop") -> "Outcome":
     from agents.process import warm_up as warm_up_pilot
     from bus.keys import Role
     from outrider.cli.console import flight_progress
@@ -166,7 +171,7 @@ def _fly_here(flown: "Scenario", folder: Path | None, picture: bool, record: Pat
     if record is not None:
         from outrider.recording.writer import FlightRecorder
 
-        recorder = FlightRecorder(record, flown, flown.seed)
+        recorder = FlightRecorder(record, flown, flown.seed, secret=secret)
 
     def follow(flight: Flight, progress: "FlightProgress") -> None:
         nonlocal shown
@@ -184,7 +189,7 @@ def _fly_here(flown: "Scenario", folder: Path | None, picture: bool, record: Pat
             warm_up(flown)
             for role in (Role.UAV, Role.UGV):
                 warm_up_pilot(role)
-        flight, summary = fly(flown, flown.seed, on_tick=lambda flight: follow(flight, progress))
+        flight, summary = fly(flown, flown.seed, secret=secret, on_tick=lambda flight: follow(flight, progress))
     outcome = Outcome(summary=summary)
     if recorder is not None and record is not None:
         try:

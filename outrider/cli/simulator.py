@@ -20,6 +20,7 @@ from outrider.cli.options import (
     RealTime,
     Record,
     RunName,
+    Secret,
     Set,
     check_endpoints,
     credential_of,
@@ -51,6 +52,7 @@ def command(
             help="Seed of all random numbers; the scenario's own by default.", min=0, max=2**53 - 1, envvar="OUTRIDER_SEED"
         ),
     ] = None,
+    secret: Secret = "",
     duration: Annotated[
         float | None, typer.Option(help="Simulated time in s, instead of the scenario's.", envvar="OUTRIDER_DURATION")
     ] = None,
@@ -83,7 +85,7 @@ def command(
     from bus.keys import SIMULATOR_NAME, Party, Role
     from bus.session import open_session
     from outrider.cli.console import ERR, flight_progress, print_json, print_summary, print_warnings
-    from outrider.cli.options import scenario_of
+    from outrider.cli.options import scenario_of, secret_of
     from outrider.cli.stopping import stop_on_signals
     from outrider.leash import hold
     from outrider.output import write_flight
@@ -101,6 +103,8 @@ def command(
     endpoints = () if connect else tuple(listen or (DEFAULT_ENDPOINT,))
     given, credential = _credentials(credentials, hosts=not connect)
     check_endpoints(endpoints or (connect,), secured=given is not None or bool(connect), insecure=insecure)
+    secured = given is not None or credential is not None
+    kept = secret_of(secret, wanted=secured and not events)  # a parent has decided
     with compiling():
         warm_up(flown)
     reports = Reports(enabled=events)
@@ -111,7 +115,7 @@ def command(
         if endpoints and given is None:
             ERR.print("no credentials: every process that reaches this endpoint may read and write everything")
     seats: list[Server] = []
-    recorder = _recorder(record, flown, seats)  # a file that cannot be written shows before anybody joins
+    recorder = _recorder(record, flown, kept, seats)  # a file that cannot be written shows before anybody joins
     with stop_on_signals() as stop:
         party = Party(role=Role.SIMULATOR, name=SIMULATOR_NAME)
         with (
@@ -129,12 +133,14 @@ def command(
                 session,
                 flown,
                 flown.seed,
+                secret=kept,
                 realtime=realtime,
                 deadline=deadline,
                 join_timeout=join_timeout,
                 respawn=respawn,
                 on_event=on_event,
                 stop=lambda: bool(stop),
+                warn=promise_warnings,
             )
             seats.append(server)
             shown = 0.0
@@ -173,13 +179,13 @@ def command(
     raise typer.Exit(stop.exit_code)
 
 
-def _recorder(path: Path | None, flown: "Scenario", servers: "list[Server]") -> "FlightRecorder | None":
+def _recorder(path: Path | None, flown: "Scenario", secret: str, servers: "list[Server]") -> "FlightRecorder | None":
     """What records the flight; the server whose vehicles it asks for comes later."""
     if path is None:
         return None
     from outrider.recording.writer import FlightRecorder
 
-    return FlightRecorder(path, flown, flown.seed, vehicles=lambda: servers[0].vehicles() if servers else {})
+    return FlightRecorder(path, flown, flown.seed, secret=secret, vehicles=lambda: servers[0].vehicles() if servers else {})
 
 
 def _credentials(file: Path | None, *, hosts: bool) -> "tuple[CredentialSet | None, Credential | None]":

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from outrider.cli.options import Json
+from outrider.cli.options import Json, Secret
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -34,6 +34,7 @@ def command(
     ] = False,
     gradient: Annotated[bool, typer.Option("--gradient", help="Policies observe the direction to new ground besides.")] = False,
     safety_filter: Annotated[bool, typer.Option("--safety-filter", help="Policies fly inside the safety filter.")] = False,
+    secret: Secret = "",
     markdown: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the table into this file.")] = None,
     list_tasks: Annotated[bool, typer.Option("--list", help="Tell what the tasks are, and fly nothing.")] = False,
     json: Json = False,
@@ -59,13 +60,16 @@ def command(
         raise typer.BadParameter(f"--{'/'.join(settings).replace('_', '-')}: for a --policy alone; the laws are as they are")
     if markdown is not None and not markdown.parent.is_dir():
         raise typer.BadParameter(f"--markdown {markdown}: no such folder: {markdown.parent}")
-    board = _fly(entries, tasks, settings)
+    from outrider.cli.options import secret_of
+
+    board = _fly(entries, tasks, settings, secret_of(secret, wanted=True))
     if markdown is not None:
         markdown.write_text(board.markdown(), encoding="utf-8")
     if json:
         print_json(board)
         return
     OUT.print(_table(board))
+    OUT.print(f"  secret {board.secret}: with --secret the same scores again", soft_wrap=True)
     if markdown is not None:
         OUT.print(f"  {markdown}", soft_wrap=True)
 
@@ -114,7 +118,7 @@ class _Own:
             raise OutriderError(f"--policy {self._name}: {type(error).__name__}: {error}") from error
 
 
-def _fly(entries: "dict[str, Entry]", tasks: "Suite", settings: dict[str, Any]) -> "Leaderboard":
+def _fly(entries: "dict[str, Entry]", tasks: "Suite", settings: dict[str, Any], secret: str) -> "Leaderboard":
     from rich.progress import Progress
 
     from bus.errors import OutriderError
@@ -128,7 +132,7 @@ def _fly(entries: "dict[str, Entry]", tasks: "Suite", settings: dict[str, Any]) 
             progress.update(bar, description=what, completed=share)
 
         try:
-            return leaderboard(entries, tasks=tasks, on_progress=show, **settings)
+            return leaderboard(entries, tasks=tasks, secret=secret, on_progress=show, **settings)
         except ValueError as error:
             raise OutriderError(f"a policy's answer cannot be flown: {error}") from error
 

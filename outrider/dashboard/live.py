@@ -34,7 +34,7 @@ class Live:
     def __init__(self, session: Session) -> None:
         self._session = session
         self._inboxes = [session.inbox(key, newest=1) for key in (STATUS, GLANCE, COVERAGE)]
-        self._simulators: set[str] = set()
+        self._simulators: set[int] = set()
         self._seen_simulator = self._over = False
         self._heard = time.monotonic()
         self._told = 0.0
@@ -47,13 +47,13 @@ class Live:
         self._speaker = threading.Thread(target=self._speak, name="outrider-operator", daemon=True)
         self._speaker.start()
 
-    def _see_simulator(self, _name: str, session: str, present: bool) -> None:
+    def _see_simulator(self, _name: str, place: int, present: bool) -> None:
         if present:
-            self._simulators.add(session)
+            self._simulators.add(place)
             self._seen_simulator = True
             self._heard = time.monotonic()
         else:
-            self._simulators.discard(session)
+            self._simulators.discard(place)
 
     def news(self) -> Iterator[Message]:
         """What has come since the last call."""

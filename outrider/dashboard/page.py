@@ -15,7 +15,8 @@ _PERIOD = 0.25
 """Wall time between two looks at what the controls should show [s]."""
 
 _HEADER = """<div class="brand"><b>Outrider</b><span id="scenario"></span></div><div id="chips"></div>
-<div id="banner" role="alert" hidden></div>"""
+<div id="banner" role="alert" hidden></div>
+<details id="promise" hidden><summary></summary><div></div></details>"""
 _TILES = "".join(
     f'<div class="tile" id="tile-{name}"><label>{label}</label><output>&ndash;</output><small>{unit}</small></div>'
     for name, label, unit in (

@@ -93,7 +93,7 @@ class Link:
         self._lock = threading.Lock()
         self._nudge = threading.Event()
         self._over = threading.Event()
-        self._simulators: set[str] = set()
+        self._simulators: set[int] = set()
         self._status = status
         self._truth: Truth | None = None
         self._map: CoverageMap | None = None
@@ -112,8 +112,8 @@ class Link:
         session.announce()
         self._thread = threading.Thread(target=self._run, name="outrider-drive", daemon=True)
 
-    def _see(self, _name: str, session: str, present: bool) -> None:
-        (self._simulators.add if present else self._simulators.discard)(session)
+    def _see(self, _name: str, place: int, present: bool) -> None:
+        (self._simulators.add if present else self._simulators.discard)(place)
 
     def start(self) -> None:
         """Begin to listen and to speak."""

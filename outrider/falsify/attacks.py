@@ -55,6 +55,11 @@ class Attacked:
     excess: float
     """Largest distance less the certified one [m]; above 0 the bound is none."""
 
+    @property
+    def worst_share(self) -> float:
+        """The largest distance as a share of r_v."""
+        return self.worst_distance / self.conditions.r_v
+
 
 def kind(conditions: Conditions) -> str:
     """Where it is flown and what breaks A5, in words."""
@@ -106,7 +111,7 @@ class AttackTally:
         self.combinations += new
         self.uncertified += found.uncertified
         self.excess = max(self.excess, found.excess)
-        if self.worst is None or found.worst_distance > self.worst.worst_distance:
+        if self.worst is None or found.worst_share > self.worst.worst_share:
             self.worst = found
 
 

@@ -14,6 +14,8 @@ from sim.scenario import Certificate, LinkTable, Scenario, Uav, Ugv
 
 _NEVER = 1e-9
 """Losses in a row that are rarer than this share of all looks are not reckoned with."""
+_ROUNDING = 1e-6
+"""Of a tick: a delay that is so little above a whole number of them counts as that number."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,6 +44,12 @@ def needed_age(limits: Limits, scenario: Scenario) -> float:
     return limits.delay + limits.blackout + looks_until_seen(limits.loss, scenario) + 2.0 * scenario.dt
 
 
+def needed_hold(limits: Limits, scenario: Scenario) -> float:
+    """The scenario's `hold` [s], or the latest command's delay in whole ticks where that is more."""
+    latest = math.ceil(limits.command_delay / scenario.dt - _ROUNDING) * scenario.dt
+    return max(scenario.hold, latest)
+
+
 def looks_until_seen(loss: float, scenario: Scenario) -> float:
     """Time [s] within which a look gets through when this share is lost, but for one case in a thousand million."""
     looks = 1.0 if loss == 0.0 else math.ceil(math.log(_NEVER) / math.log(loss))
@@ -67,7 +75,8 @@ def base_of(scenario: Scenario, limits: Limits) -> Scenario:
     """What all candidates have in common.
 
     What the scenario declares of its detections for the law `certified` is kept; what it leaves open is declared as these limits
-    need it. The delay of the commands must be what is declared, not less: left open, it is that of the candidate's link.
+    need it. The delay of the commands must be what is declared, not less: left open, it is that of the candidate's link. Where
+    that delay may exceed `hold`, `hold` is raised with it: a vehicle whose commands are too old when they arrive only brakes.
 
     Raises:
         ScenarioError: If the scenario has more than one pair, or within these limits nothing can be certified.
@@ -81,7 +90,9 @@ def base_of(scenario: Scenario, limits: Limits) -> Scenario:
         error=given.error if given.error is not None or math.isinf(worst) else worst,
         age=given.age if given != Certificate() else max(given.age, needed_age(limits, scenario)),
     )
-    base = msgspec.structs.replace(scenario, detections=detections, links=LinkTable(), certificate=certificate)
+    base = msgspec.structs.replace(
+        scenario, detections=detections, links=LinkTable(), certificate=certificate, hold=needed_hold(limits, scenario)
+    )
     if base.law.name == "certified":
         _check_promise(base, limits)
     return base

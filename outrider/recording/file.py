@@ -2,6 +2,7 @@
 
 import logging
 import math
+import os
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -63,6 +64,10 @@ class _Sink:
     def flush(self) -> None:
         """Nothing waits here."""
 
+    def keep_private(self) -> None:
+        """Let nobody but the file's owner read it."""
+        os.fchmod(self._file.fileno(), 0o600)
+
     def seek(self, offset: int, whence: int = 0) -> int:
         return self._file.seek(offset, whence)
 
@@ -100,7 +105,9 @@ class RecordingFile:
         self._own[topic.name] = foxglove.Channel(topic.name, schema=inlined_schema(topic.message), context=self._context)
 
     def begin(self, head: Head, scenario: Scenario | None) -> None:
-        """A flight begins; it is in the file at once."""
+        """A flight begins; it is in the file at once. A file that tells a secret is its owner's alone."""
+        if head.secret:
+            self._sink.keep_private()
         self._base = round(head.start * 1e9)
         self._r_v = scenario.visibility.radius if scenario is not None else math.inf
         self._lost = set()

@@ -53,7 +53,7 @@ def from_the_start(recording: Recording) -> bool:
 
 def _new_flight(recording: Recording) -> Flight:
     scenario = recording.scenario
-    flight = Flight(scenario, recording.head.seed)
+    flight = Flight(scenario, recording.head.seed, secret=recording.head.secret)
     if not from_the_start(recording):
         where = f"begins at tick {recording.truths[0].tick}" if recording.truths else "is empty"
         raise ScenarioError(f"{recording.path}: {where}; allowed: a recording from the first tick on")

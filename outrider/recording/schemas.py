@@ -40,6 +40,8 @@ class Head(Message, frozen=True, kw_only=True):
     name: Text
     """Of the scenario."""
     seed: Tick
+    secret: str = ""
+    """Of the run. Empty: none, or whoever recorded was not told it."""
     platform: dict[str, str]
     """What the bits depend on besides scenario and seed."""
     scenario: dict[str, Any] | None = None
@@ -120,12 +122,13 @@ def _infinite(value: object, path: str) -> list[str]:
     return [found for key, part in pairs for found in _infinite(part, f"{path}.{key}" if path else str(key))]
 
 
-def head_of(scenario: Scenario, seed: int, *, episode: int = 0, start: float = 0.0) -> Head:
+def head_of(scenario: Scenario, seed: int, *, secret: str = "", episode: int = 0, start: float = 0.0) -> Head:
     """The head of a flight whose scenario is known.
 
     Args:
         scenario: What is flown.
         seed: Of all random numbers.
+        secret: Of the run, where it is known.
         episode: Which flight of the run.
         start: Where its tick 0 lies on the file's clock [s].
     """
@@ -136,6 +139,7 @@ def head_of(scenario: Scenario, seed: int, *, episode: int = 0, start: float = 0
         start=start,
         name=scenario.name,
         seed=seed,
+        secret=secret,
         platform=platform_row(),
         scenario=plain,
         infinite=tuple(_infinite(plain, "")),

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bus.messages import Action, Change, Control, CoverageMap, Drive, Status, UavReport, VehicleStatus
+from outrider.promise import promise_warnings
 from outrider.recording.file import RecordingFile
 from outrider.recording.schemas import head_of
 from outrider.recording.ticks import TickTexts
@@ -72,6 +73,7 @@ class FlightRecorder:
         path: The file; one that is there is replaced.
         scenario: What is flown.
         seed: Of all random numbers.
+        secret: Of the run; a file that tells one is for its owner alone.
         vehicles: Tells how the vehicles' processes stand; without it only what the flight itself counts.
 
     Raises:
@@ -79,7 +81,13 @@ class FlightRecorder:
     """
 
     def __init__(
-        self, path: Path, scenario: Scenario, seed: int, *, vehicles: Callable[[], Mapping[str, VehicleStatus]] | None = None
+        self,
+        path: Path,
+        scenario: Scenario,
+        seed: int,
+        *,
+        secret: str = "",
+        vehicles: Callable[[], Mapping[str, VehicleStatus]] | None = None,
     ) -> None:
         self._vehicles = vehicles
         self._file = RecordingFile(path)
@@ -95,8 +103,8 @@ class FlightRecorder:
         self._next_map = self._next_status = 0
         self._pace = (time.monotonic(), 0)
         self._scratch: FloatArray = np.empty((0, 0))
-        self._file.begin(head_of(scenario, seed), scenario)
-        self._head = (scenario, seed, 0)
+        self._file.begin(head_of(scenario, seed, secret=secret), scenario)
+        self._head = (scenario, seed, secret, 0)
         self._thread = threading.Thread(target=self._run, name="outrider-recorder", daemon=True)
         self._patience = sys.getswitchinterval()
         sys.setswitchinterval(_SWITCH)
@@ -177,6 +185,7 @@ class FlightRecorder:
             drivers=dict(flight.drivers),
             vehicles={**counted, **vehicles},
             certificates=flight.assurance.status(),
+            warnings=promise_warnings(flight.flown, flight.world.links.table),
             links=flight.world.links.status(),
             over=flight.over,
         )
@@ -271,9 +280,10 @@ class FlightRecorder:
     def _begin(self, flight: Flight, tick: int) -> None:
         self._written, self._texts = flight, TickTexts(flight)
         self._escorts = {uav.name: uav.escorts for uav in flight.world.uavs}
-        if (flight.scenario, flight.seed, flight.episode) != self._head:
-            self._head = (flight.scenario, flight.seed, flight.episode)
-            head = head_of(flight.scenario, flight.seed, episode=flight.episode, start=self._file.next_start)
+        told = (flight.scenario, flight.seed, flight.secret, flight.episode)
+        if told != self._head:
+            self._head, start = told, self._file.next_start
+            head = head_of(flight.scenario, flight.seed, secret=flight.secret, episode=flight.episode, start=start)
             self._file.begin(head, flight.scenario)
         still = np.zeros((1, len(flight.world.names), 2))
         for written in self._texts.of(tick - 1, still, [[None] * len(flight.world.uavs)]):

@@ -9,6 +9,7 @@ from typing import Any
 from outrider.statistics import mean_interval
 from outrider.suites.scoring import Entry, Result, evaluate
 from outrider.suites.tasks import SEEDS, Suite, Task, suite
+from sim.run_keys import check_secret, new_secret
 from sim.threads import cores
 
 LAWS = ("tracking", "circle", "linear", "switching", "logarithmic", "certified")
@@ -43,6 +44,8 @@ class Leaderboard:
     tasks: tuple[str, ...]
     standings: tuple[Standing, ...]
     """The best first."""
+    secret: str
+    """Of all the flights' random numbers, beside the seeds: with it the same table again."""
 
     def rows(self) -> list[list[str]]:
         """The table: a head, a row for each task, and one for the mean over the tasks; a column for each entry."""
@@ -83,15 +86,17 @@ def leaderboard(
     *,
     tasks: Sequence[Task] | None = None,
     seeds: Sequence[int] = SEEDS,
+    secret: str | None = None,
     on_progress: Callable[[str, float], object] | None = None,
     **settings: Any,  # noqa: ANN401 - those of evaluate
 ) -> Leaderboard:
-    """Fly every entry over every task, laws on all cores; deterministic.
+    """Fly every entry over every task, laws on all cores; the same secret gives the same table.
 
     Args:
         entries: Laws by name, or a mapping from names to laws and policies.
         tasks: A part of the suite, or tasks of your own; by default the whole suite.
         seeds: Of the episodes.
+        secret: As in `outrider.suites.scoring.evaluate`; one for all.
         on_progress: Called with what was flown last and the share of all that is done.
         settings: How the policies among the entries see and act, as in `outrider.suites.scoring.evaluate`.
 
@@ -102,12 +107,13 @@ def leaderboard(
     flown = Suite(suite() if tasks is None else tasks)
     if not field or not flown:
         raise ValueError(f"{len(field)} entries and {len(flown)} tasks: allowed is one or more of each")
+    kept = new_secret() if secret is None else check_secret(secret)
     jobs = [(name, entry, task) for task in flown for name, entry in field.items()]
     done = 0
 
     def fly(job: tuple[str, Entry, Task]) -> Result:
         name, entry, task = job
-        return evaluate(task, entry, name=name, seeds=seeds, **({} if isinstance(entry, str) else settings))
+        return evaluate(task, entry, name=name, seeds=seeds, secret=kept, **({} if isinstance(entry, str) else settings))
 
     results: dict[tuple[str, str], Result] = {}
 
@@ -129,4 +135,4 @@ def leaderboard(
             pool.shutdown(cancel_futures=True)
             raise
     standings = [_standing(name, [results[name, task.name] for task in flown]) for name in field]
-    return Leaderboard(tasks=flown.names, standings=tuple(sorted(standings, key=lambda standing: -standing.score)))
+    return Leaderboard(tasks=flown.names, standings=tuple(sorted(standings, key=lambda standing: -standing.score)), secret=kept)

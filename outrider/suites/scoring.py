@@ -17,6 +17,7 @@ from outrider.vector import Policy, Worlds
 from sim.compile import FloatArray
 from sim.env.seeds import Seeds
 from sim.field import coverage_error
+from sim.run_keys import check_secret, new_secret
 from sim.tick import first_state
 
 Entry = str | Policy
@@ -44,6 +45,8 @@ class Result:
     lost: int
     """Episodes in which sight was lost."""
     episodes: int
+    secret: str
+    """Of the episodes' random numbers, beside the seeds: with it the same score again."""
     certified_while_lost: int = 0
     """Ticks of all UAVs that the safety filter certified with the UGV out of sight: 0, or the certificate is wrong."""
     certificate_broken: int = 0
@@ -114,13 +117,13 @@ def _fly(loop: ClosedLoop, advance: Callable[[], object]) -> _Meter:
     return meter
 
 
-def _fly_law(task: Task, law: str, seeds: Sequence[int]) -> _Meter:
+def _fly_law(task: Task, law: str, seeds: Sequence[int], secret: str) -> _Meter:
     scenario = task.scenario
     uavs = [uav.name for uav in scenario.uav]
     allowed = pilot_names(scenario, uavs[0])
     if law not in allowed:
         raise ValueError(f"law = {law!r}: unknown; allowed: {', '.join(allowed)}, or a policy for all worlds at once")
-    loop = ClosedLoop(scenario, len(seeds), pilots=dict.fromkeys(uavs, law), error=True)
+    loop = ClosedLoop(scenario, len(seeds), pilots=dict.fromkeys(uavs, law), error=True, secret=secret)
     nothing = np.zeros((len(seeds), 0, 2))
     try:
         loop.begin(seeds)
@@ -129,13 +132,13 @@ def _fly_law(task: Task, law: str, seeds: Sequence[int]) -> _Meter:
         loop.close()
 
 
-def _fly_policy(task: Task, policy: Policy, seeds: Sequence[int], settings: dict[str, Any]) -> _Meter:
+def _fly_policy(task: Task, policy: Policy, seeds: Sequence[int], secret: str, settings: dict[str, Any]) -> _Meter:
     for name in settings:
         if name not in SETTINGS:
             raise ValueError(f"{name}: cannot be set, it belongs to the task; allowed: {', '.join(SETTINGS)}")
     scenario = task.scenario
     uavs = [uav.name for uav in scenario.uav]
-    worlds = Worlds(scenario, len(seeds), uavs, **settings)
+    worlds = Worlds(scenario, len(seeds), uavs, secret=secret, **settings)
     pilots = {uav: copy.deepcopy(policy) for uav in uavs}  # a policy may have a memory: one for each UAV and each task
     try:
         worlds.reset(list(seeds), None)
@@ -150,6 +153,7 @@ def evaluate(
     *,
     name: str = "",
     seeds: Sequence[int] = SEEDS,
+    secret: str | None = None,
     **settings: Any,  # noqa: ANN401 - those of Worlds
 ) -> Result:
     r"""Fly a task with all seeds at once, and score it.
@@ -165,21 +169,25 @@ def evaluate(
             (worlds, 2). In a task with several UAVs each has a copy of it, and sees its own row.
         name: Of the entry, for tables.
         seeds: Of the episodes.
+        secret: Of the random numbers, with each seed: 32 to 128 hexadecimal digits. None: a new one, which nobody can have
+            prepared for; empty: none, and the noise of the seeds is known to whoever looks.
         settings: How a policy sees and acts: `SETTINGS`, as in `outrider.vector_env`.
 
     Raises:
-        ValueError: If the law is unknown, a seed or a setting is not allowed, or the policy answers what is no action.
+        ValueError: If the law is unknown, a seed, the secret or a setting is not allowed, or the policy answers
+            what is no action.
     """
     if not seeds:
         raise ValueError("seeds: none are given; allowed is one or more")
     for seed in seeds:
         Seeds.check(seed)
+    kept = new_secret() if secret is None else check_secret(secret)
     if isinstance(entry, str):
         if settings:
             raise ValueError(f"{', '.join(settings)}: for policies alone, not for the law {entry!r}")
-        meter = _fly_law(task, entry, seeds)
+        meter = _fly_law(task, entry, seeds, kept)
     else:
-        meter = _fly_policy(task, entry, seeds, settings)
+        meter = _fly_policy(task, entry, seeds, kept, settings)
     scores = (100.0 * meter.seen / (task.scenario.ticks + 1)).tolist()
     score, low, high = mean_interval(scores)
     return Result(
@@ -192,6 +200,7 @@ def evaluate(
         mean_error=math.fsum((meter.errors / meter.ticks).tolist()) / len(seeds),
         lost=int((~meter.in_sight).sum()),
         episodes=len(seeds),
+        secret=kept,
         certified_while_lost=meter.certified_while_lost,
         certificate_broken=meter.certificate_broken,
     )

@@ -65,12 +65,13 @@ class Task:
         *,
         name: str = "",
         seeds: Sequence[int] = SEEDS,
+        secret: str | None = None,
         **settings: Any,  # noqa: ANN401 - those of `outrider.suites.scoring.evaluate`
     ) -> "Result":
         """Fly the task with all seeds at once, and score it: see `outrider.suites.scoring.evaluate`."""
         from outrider.suites.scoring import evaluate  # noqa: PLC0415
 
-        return evaluate(self, entry, name=name, seeds=seeds, **settings)
+        return evaluate(self, entry, name=name, seeds=seeds, secret=secret, **settings)
 
 
 _QUIET: dict[str, object] = {"detections.noise": 0.0, "detections.dropout": 0.0}

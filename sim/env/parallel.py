@@ -27,6 +27,7 @@ from sim.env.spaces import action_space, observation_space
 from sim.env.state import state_array, state_space
 from sim.env.view import View
 from sim.field import empty_coverage
+from sim.run_keys import check_secret
 from sim.scenario import Scenario, load_scenario
 from sim.scenario_checks import check_scenario
 from sim.world import World
@@ -83,6 +84,8 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         coverage_in_state: Whether min(C / C*, 1) of every cell, row by row from y = 0, ends the state.
         dtype: Of observations and state. With float64 the paper's pilots fly the same bits as in `outrider.run`.
         render_mode: None, "rgb_array" or "human".
+        secret: Of all random numbers, with each episode's seed: 32 to 128 hexadecimal digits; empty: none, and who sees what
+            is drawn finds the seed.
 
     Raises:
         ScenarioError: If the scenario cannot be flown, or its duration is no whole number of ticks.
@@ -108,6 +111,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         coverage_in_state: bool = False,
         dtype: type[np.floating] = np.float64,
         render_mode: str | None = None,
+        secret: str = "",
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode = {render_mode!r}; allowed: None, 'human', 'rgb_array'")
@@ -142,6 +146,8 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """Whether any link does anything to a message."""
         self.episode = 0
         """Number of the episode, from 1 with the first reset."""
+        self.secret = check_secret(secret)
+        """Of all random numbers, with the seed. For whoever made the environment, not for policies."""
         self._seeds = Seeds(self.scenario.seed)
         self._commands: FloatArray = np.zeros((len(vehicles), 2))
         self._world: World | None = None
@@ -175,7 +181,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """
         self._seeds.begin(seed)
         self.episode += 1
-        self._world = World(self.scenario, self.episode_seed, gains=self._gains)
+        self._world = World(self.scenario, self.episode_seed, secret=self.secret, gains=self._gains)
         self.degraded = self._world.links.degraded
         self._maps = OwnMaps(self._world, needed=self._patch is not None)
         self.agents = list(self.possible_agents)
@@ -289,7 +295,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """
         if agent not in self.action_spaces:
             raise ValueError(f"agent = {agent!r}; allowed: {', '.join(self.possible_agents)}")
-        return briefing(self.scenario, agent, self.episode_seed)
+        return briefing(self.scenario, agent, self.episode_seed, self.secret)
 
     def _follow(self) -> None:
         if self._view is not None:

@@ -93,6 +93,15 @@ function showPromise(truth) {
   tile.title = broken ? broken.uncertified : "";
 }
 
+// Which assumptions of the certificate the links cannot keep as they are now; an operator may just have changed one.
+function showWarnings(status) {
+  const lines = (status && status.warnings) || [];
+  const details = $("promise");
+  details.hidden = !lines.length;
+  setText(details.querySelector("summary"), `What the certificate assumes and the links do not keep (${lines.length})`);
+  setHtml(details.querySelector("div"), lines.map((line) => `<p>${escapeText(line)}</p>`).join(""));
+}
+
 function showTiles() {
   const { now, vehicles, escorts, geometry, status, truth, state } = store;
   showTile("time", truth ? truth.time : status && status.time, 1);
@@ -182,6 +191,7 @@ function showState(state, wheel) {
     row("this page", state.gone ? "unknown" : "good", state.gone ? "no longer served" : `${stats.rate.toFixed(0)} frames/s`, state.browsers > 1 ? `${state.browsers} browsers look on` : ""),
   ];
   setHtml($("processes"), rows.join(""));
+  showWarnings(status);
   showLinks(status);
   showChanges(status);
   showWheel(state, wheel);

@@ -1,0 +1,248 @@
+"""A discrete-time backup barrier filter, on what our own filter is told: the peer in `compare.py`.
+
+Gurriet, Mote, Singletary, Nilsson, Feron and Ames (IEEE Access 2020) and Chen, Jankovic, Santillo and Ames (CDC 2021) keep a
+state safe that leads, under a known backup policy, through safe states into a backup set. With the flow x(s) of that policy
+
+    h_I(x) = min( min over s of h(x(s)),  h_b(x(T)) )
+
+is a barrier, positive where the backup is safe, and of all inputs the one nearest to the wanted is taken for which it holds in
+discrete time (Agrawal and Sreenath, RSS 2017)
+
+    h_I(x+) >= (1 - gamma) h_I(x).
+
+Here h is r_v less the largest distance at which the UGV can be, which grows along the flow (van Wijk, Coogan, Molnar, Majji and
+Hobbs 2024 keep a tube around the flow likewise). The backup policy flies to the newest detection and stops there, as fast as the
+bounds allow. The backup set is our own: at rest, with the UGV within R_h and the newest detection's bound within E, from which
+docs/certificate.md proves that the next one can be flown to. Commands under way are flown first.
+
+The policy knows nothing of its past: with each detection the flow is another one. Where h_I < 0 no input is known to be safe,
+and the backup policy acts; such ticks are counted as not feasible.
+"""
+
+import math
+
+from agents.control.discs import keep_detection, lens_distance, nearest, newest_detection, no_detections
+from agents.control.handover import Promise
+from agents.control.visibility import Verdict, promise_of
+from bus.messages import UavBriefing, UavObservation, Vector
+from sim.compile import FloatArray, compiled
+from sim.vehicles import clip_norm, norm, speed_to_stop_within, step_vehicle, within_walls
+
+_REST = 0.02
+"""The backup policy has arrived where it is slower than this [m/s], and nearer to its goal than `_NEAR` [m]."""
+_NEAR = 0.05
+_LONGEST = 25.0
+"""A flow that takes longer [s] ends nowhere."""
+_DIRECTIONS = 16
+"""In which a better input is looked for."""
+_HALVINGS = 8
+_WALL = 1e-6
+"""A flow may touch the walls by so much [m]."""
+
+
+@compiled
+def backup_policy(
+    p_x: float, p_y: float, v_x: float, v_y: float, z_x: float, z_y: float, v_a: float, u_a: float, dt: float
+) -> tuple[float, float]:
+    """The acceleration [m/s²] that leads to the newest detection z [m] as fast as the UAV can still stop there."""
+    x, y = z_x - p_x, z_y - p_y
+    way = norm(x, y)
+    speed = min(v_a, speed_to_stop_within(way, u_a, dt), way / dt) / max(way, 1e-12)
+    return clip_norm((x * speed - v_x) / dt, (y * speed - v_y) / dt, u_a)
+
+
+@compiled
+def worst_distance(promise: Promise, discs: FloatArray, new: int, near: int, t: float, x: float, y: float) -> float:
+    """How far from (x, y) [m] the UGV can be at time t [s], by the newest disc and the one with the least bound."""
+    c = promise
+    new_radius, near_radius = c.eps + c.v_g * (t - discs[new, 2]), c.eps + c.v_g * (t - discs[near, 2])
+    if new == near:
+        bound: float = norm(x - discs[new, 0], y - discs[new, 1]) + new_radius
+        return bound
+    lens: float = lens_distance(x, y, discs[new, 0], discs[new, 1], new_radius, discs[near, 0], discs[near, 1], near_radius)
+    return lens
+
+
+@compiled
+def flow_value(
+    promise: Promise,
+    discs: FloatArray,
+    new: int,
+    near: int,
+    t: float,
+    spent: float,
+    p_x: float,
+    p_y: float,
+    v_x: float,
+    v_y: float,
+    enough: float,
+) -> float:
+    """h_I [m] of the state in which the UAV is `spent` seconds after t; with a finite `enough` only whether it is at least that.
+
+    What is known of the UGV at t grows by v_g. A tick is looked at only where the worst distance can have come near: it grows by
+    at most v_a + v_g.
+
+    Returns:
+        h_I; with a finite `enough` a number below it if h_I is less, and else one that is not.
+    """
+    c = promise
+    z_x, z_y = discs[new, 0], discs[new, 1]
+    value, wait = math.inf, 0.0
+    for k in range(math.ceil(_LONGEST / c.dt)):
+        s = spent + k * c.dt
+        if not (-_WALL <= p_x <= c.width + _WALL and -_WALL <= p_y <= c.height + _WALL):
+            return -math.inf
+        arrived = norm(v_x, v_y) < _REST and norm(p_x - z_x, p_y - z_y) < _NEAR
+        if wait <= 0.0 or arrived:
+            room = c.r_v - worst_distance(c, discs, new, near, t, p_x, p_y) - c.v_g * s
+            value = min(value, room)
+            if value < enough:
+                return value
+            wait = room - (value if enough == -math.inf else enough)  # until it can be the least, or too small
+        if arrived:
+            end = worst_distance(c, discs, new, near, t, p_x, p_y) + c.v_g * s + _NEAR
+            reach = norm(p_x - z_x, p_y - z_y) + c.eps + c.v_g * (t - discs[new, 2] + s) + _NEAR
+            return min(value, c.handover - end, c.reach - reach)
+        u_x, u_y = backup_policy(p_x, p_y, v_x, v_y, z_x, z_y, c.v_a, c.u_a, c.dt)
+        p_x, p_y, v_x, v_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, u_x, u_y, c.v_a, c.u_a, c.dt)
+        wait -= (c.v_a + c.v_g) * c.dt
+    return -math.inf
+
+
+@compiled
+def value_after(
+    promise: Promise,
+    discs: FloatArray,
+    new: int,
+    near: int,
+    t: float,
+    p_x: float,
+    p_y: float,
+    v_x: float,
+    v_y: float,
+    u_x: float,
+    u_y: float,
+    enough: float,
+) -> float:
+    """h_I [m] one tick later, under the input u [m/s²]; arguments else as in `flow_value`, at the time `promise.delay`."""
+    c = promise
+    x, y, w_x, w_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, u_x, u_y, c.v_a, c.u_a, c.dt)
+    return flow_value(c, discs, new, near, t, c.delay + c.dt, x, y, w_x, w_y, enough)
+
+
+@compiled
+def filtered(
+    promise: Promise,
+    discs: FloatArray,
+    t: float,
+    p_x: float,
+    p_y: float,
+    v_x: float,
+    v_y: float,
+    u_x: float,
+    u_y: float,
+    gamma: float,
+) -> tuple[float, float, bool, bool]:
+    """The input nearest to u for which the barrier holds.
+
+    First between u and the backup's input, which always satisfies it, by halving; then whatever is nearer, in `_DIRECTIONS`
+    directions around u.
+
+    Args:
+        promise: The declared numbers.
+        discs: Detections as kept. (KEPT, 3)
+        t: Time now [s].
+        p_x, p_y, v_x, v_y: State when the input will act [m], [m/s].
+        u_x, u_y: What is wanted [m/s²].
+        gamma: How much of h_I may be used up in a tick, 0 to 1.
+
+    Returns:
+        The input [m/s²], whether it is another one than was wanted, and whether h_I >= 0 before.
+    """
+    c = promise
+    new = newest_detection(discs)
+    near = nearest(p_x, p_y, t, discs, c.eps, c.v_g)
+    b_x, b_y = backup_policy(p_x, p_y, v_x, v_y, discs[new, 0], discs[new, 1], c.v_a, c.u_a, c.dt)
+    before = flow_value(c, discs, new, near, t, c.delay, p_x, p_y, v_x, v_y, 0.0)
+    if not before >= 0.0:
+        return b_x, b_y, True, False
+    if gamma < 1.0:
+        before = flow_value(c, discs, new, near, t, c.delay, p_x, p_y, v_x, v_y, -math.inf)
+    least = (1.0 - gamma) * before
+    u_x, u_y = clip_norm(u_x, u_y, c.u_a)
+    if value_after(c, discs, new, near, t, p_x, p_y, v_x, v_y, u_x, u_y, least) >= least:
+        return u_x, u_y, False, True
+    low, high = 0.0, 1.0  # of the way from u to the backup's input
+    for _ in range(_HALVINGS):
+        share = 0.5 * (low + high)
+        x, y = u_x + share * (b_x - u_x), u_y + share * (b_y - u_y)
+        if value_after(c, discs, new, near, t, p_x, p_y, v_x, v_y, x, y, least) >= least:
+            high = share
+        else:
+            low = share
+    best_x, best_y = u_x + high * (b_x - u_x), u_y + high * (b_y - u_y)
+    best = high * norm(b_x - u_x, b_y - u_y)
+    for k in range(_DIRECTIONS):
+        e_x, e_y = math.cos(2.0 * math.pi * k / _DIRECTIONS), math.sin(2.0 * math.pi * k / _DIRECTIONS)
+        near_by, far = 0.0, 0.98 * best
+        x, y = u_x + far * e_x, u_y + far * e_y
+        if norm(x, y) > c.u_a or not value_after(c, discs, new, near, t, p_x, p_y, v_x, v_y, x, y, least) >= least:
+            continue
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (near_by + far)
+            x, y = u_x + middle * e_x, u_y + middle * e_y
+            if norm(x, y) <= c.u_a and value_after(c, discs, new, near, t, p_x, p_y, v_x, v_y, x, y, least) >= least:
+                far = middle
+            else:
+                near_by = middle
+        best, best_x, best_y = far, u_x + far * e_x, u_y + far * e_y
+    return best_x, best_y, True, True
+
+
+class BackupFilter:
+    """The filter of one UAV, with the calls of `agents.control.visibility.SafetyFilter`.
+
+    Args:
+        briefing: What the UAV is told when it joins.
+        gamma: How much of the barrier's value may be used up in a tick; 1: it only has to stay positive.
+    """
+
+    def __init__(self, briefing: UavBriefing, *, gamma: float = 1.0) -> None:
+        self.promise = promise_of(briefing)
+        self.gamma = gamma
+        self._discs = no_detections()
+        self._track: dict[int, Vector] = {}
+        self._pending: list[Vector] = [(0.0, 0.0)] * round(self.promise.delay / self.promise.dt)
+
+    def see(self, observation: UavObservation) -> None:
+        """Take in where the UAV is, and the detections that have arrived."""
+        c, t, (p_x, p_y) = self.promise, observation.tick * self.promise.dt, observation.position
+        self._track[observation.tick] = observation.position
+        self._track.pop(observation.tick - round(60.0 / c.dt), None)
+        for found in observation.detections:
+            was = self._track.get(round(found.time / c.dt))
+            if was is not None:
+                z_x = min(max(was[0] - found.relative_position[0], 0.0), c.width)
+                z_y = min(max(was[1] - found.relative_position[1], 0.0), c.height)
+                keep_detection(self._discs, z_x, z_y, round(found.time / c.dt) * c.dt, t, p_x, p_y, c.eps, c.v_g)
+
+    def filter(self, observation: UavObservation, acceleration: Vector) -> Verdict:
+        """The nearest input [m/s²] that keeps the barrier; `certified` says whether there is one that is known to be safe."""
+        c, t = self.promise, observation.tick * self.promise.dt
+        (p_x, p_y), (v_x, v_y) = observation.position, observation.velocity
+        for x, y in self._pending:
+            p_x, p_y, v_x, v_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, x, y, c.v_a, c.u_a, c.dt)
+            p_x, v_x = within_walls(p_x, v_x, c.width)
+            p_y, v_y = within_walls(p_y, v_y, c.height)
+        new = newest_detection(self._discs)
+        if new < 0:
+            u_x, u_y = clip_norm(-v_x / c.dt, -v_y / c.dt, c.u_a)
+            acts, feasible, age = True, False, math.inf
+        else:
+            age = t - float(self._discs[new, 2])
+            wanted = (float(acceleration[0]), float(acceleration[1]))
+            u_x, u_y, acts, feasible = filtered(c, self._discs, t, p_x, p_y, v_x, v_y, *wanted, self.gamma)
+        if self._pending:
+            self._pending = [*self._pending[1:], (u_x, u_y)]
+        known = bool(feasible and age <= c.age + 1e-9)
+        return Verdict((u_x, u_y), bool(acts), known, "" if known else "the backup policy is not known to be safe", math.inf)

@@ -1,0 +1,256 @@
+"""Our safety filter beside a backup barrier filter from the literature: the same tasks, the same detections, the same bounds.
+
+    python benchmarks/filters/compare.py --jobs 2           # in the project's environment; about 10 minutes
+    python benchmarks/filters/compare.py --seeds 2 --duration 30 --jobs 2
+
+Prints the table and writes results/filters.json and results/filters.md beside this file.
+"""
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from backup_filter import BackupFilter
+
+from agents.control.visibility import SafetyFilter
+from agents.uav import UavPilot
+from agents.ugv import UgvPilot
+from bus.messages import UavBriefing, UavCommand, UavObservation, Vector
+from outrider.flying import InProcess, Pilot
+from outrider.summary import summarize
+from sim.briefing import briefing
+from sim.flight import Flight
+from sim.scenario import Scenario, load_scenario
+
+HERE = Path(__file__).resolve().parent
+
+FILTERS: Mapping[str, Callable[[UavBriefing], Any] | None] = {
+    "none": None,
+    "ours": SafetyFilter,
+    "backup, γ = 1": partial(BackupFilter, gamma=1.0),
+    "backup, γ = 0.1": partial(BackupFilter, gamma=0.1),
+}
+"""Around the inner control; each is told what the UAV is told and nothing else."""
+
+_QUIET = {"detections.noise": 0.0, "detections.dropout": 0.0}
+
+
+def _dark(length: float, seed: int, duration: float) -> dict[str, object]:
+    """Blackouts with 10 s between them, at other times for each seed."""
+    first, every = 8.0 + 0.5 * (seed % 20), length + 10.0
+    starts = [first + k * every for k in range(int((duration - first) / every) + 1)]
+    return {"links.detections.blackouts": [[start, length] for start in starts], "certificate.age": length + 1.0}
+
+
+NETWORKS: Mapping[str, Callable[[int, float], dict[str, object]]] = {
+    "undegraded": lambda _seed, _duration: dict(_QUIET),
+    "noise": lambda _seed, _duration: {"detections.noise": 0.3, "detections.dropout": 0.1},
+    "blackouts of 5 s": lambda seed, duration: _QUIET | _dark(5.0, seed, duration),
+    "blackouts of 10 s": lambda seed, duration: _QUIET | _dark(10.0, seed, duration),
+    "commands 0.5 s late": lambda _seed, _duration: _QUIET | {"links.commands.delay": 0.5, "hold": 1.0},
+}
+DRIVERS = ("evade", "waypoints", "wander")
+INNER = ("logarithmic", "outward")
+"""What the filters are around: the paper's law, and full thrust away from the UGV."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """One flight."""
+
+    network: str
+    inner: str
+    filter: str
+    driver: str
+    seed: int
+    duration: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Result:
+    """What came of it."""
+
+    case: Case
+    ticks: int
+    lost: bool
+    max_distance: float
+    mean_distance: float
+    mean_error: float
+    known: int
+    """Ticks certified, or feasible."""
+    known_while_lost: int
+    """Those of them in which the UGV was not in sight."""
+    interventions: int
+    microseconds: float
+    """Of the processor's time that the filter needs in a tick, on average."""
+
+
+class FilteredPilot(UavPilot):
+    """A pilot of the inner control with a filter around it; the filter's calls are timed and its verdicts counted.
+
+    Args:
+        told: What the UAV is told when it joins.
+        make: Makes the filter; None: there is none.
+        outward: Whether the inner control is full thrust away from the UGV, instead of the law.
+    """
+
+    def __init__(self, told: UavBriefing, make: Callable[[UavBriefing], Any] | None, *, outward: bool) -> None:
+        super().__init__(told)
+        self._around = None if make is None else make(told)
+        self._outward = told.limits.max_acceleration or 0.0 if outward else 0.0
+        self.known: list[bool] = []
+        self.interventions = self.nanoseconds = 0
+
+    def act(self, observation: UavObservation) -> UavCommand:
+        """The inner control's command, as the filter lets it through."""
+        command = super().act(observation)
+        wanted = command.acceleration
+        if self._outward and command.report is not None:
+            wanted = self._away(observation.position, command.report.estimate)
+        if self._around is None:
+            return msgspec.structs.replace(command, acceleration=wanted)
+        began = time.thread_time_ns()
+        self._around.see(observation)
+        verdict = self._around.filter(observation, wanted)
+        self.nanoseconds += time.thread_time_ns() - began
+        self.known.append(bool(verdict.certified))
+        self.interventions += bool(verdict.intervened)
+        return msgspec.structs.replace(command, acceleration=verdict.acceleration)
+
+    def _away(self, own: Vector, target: Vector) -> Vector:
+        x, y = own[0] - target[0], own[1] - target[1]
+        length = (x * x + y * y) ** 0.5
+        return (x / length * self._outward, y / length * self._outward) if length > 1e-9 else (self._outward, 0.0)
+
+
+def scenario_of(case: Case) -> Scenario:
+    """The shipped escort with the case's network and driver, under the law without a filter."""
+    changes: dict[str, object] = {
+        "law.name": "logarithmic",
+        "ugv.0.driver": case.driver,
+        "duration": case.duration,
+        "area.cell": 0.5,
+        "seed": case.seed,
+    }
+    return load_scenario("escort", overrides=changes | NETWORKS[case.network](case.seed, case.duration))
+
+
+def fly(case: Case) -> Result:
+    """One flight in this process, with the project's own world and pilots."""
+    scenario = scenario_of(case)
+    pilots: dict[str, Pilot] = {}
+    for vehicle in scenario.vehicles:
+        told = briefing(scenario, vehicle.name, case.seed)
+        if isinstance(told, UavBriefing):
+            uav = pilots[vehicle.name] = FilteredPilot(told, FILTERS[case.filter], outward=case.inner == "outward")
+        else:
+            pilots[vehicle.name] = UgvPilot(told)
+    flight = Flight(scenario, case.seed)
+    began = time.perf_counter()
+    flight.fly(InProcess(pilots))
+    summary = summarize(flight, seconds=time.perf_counter() - began)
+    distances = flight.recorder.escorts[: len(uav.known), 0, 0]
+    return Result(
+        case=case,
+        ticks=flight.world.tick,
+        lost=bool(summary.visibility_violations > 0),
+        max_distance=summary.max_distance,
+        mean_distance=summary.mean_distance,
+        mean_error=summary.mean_error,
+        known=sum(uav.known),
+        known_while_lost=sum(
+            known and d >= scenario.visibility.radius for known, d in zip(uav.known, distances.tolist(), strict=True)
+        ),
+        interventions=uav.interventions,
+        microseconds=uav.nanoseconds / 1000.0 / max(1, len(uav.known)),
+    )
+
+
+def cases(seeds: int, duration: float) -> Iterator[Case]:
+    """All flights; those of one row of the table one after the other."""
+    for network, inner, name, driver, seed in product(NETWORKS, INNER, FILTERS, DRIVERS, range(7, 7 + seeds)):
+        if not (name == "none" and inner == "outward"):  # which is gone after eight seconds
+            yield Case(network=network, inner=inner, filter=name, driver=driver, seed=seed, duration=duration)
+
+
+COLUMNS = (
+    "network",
+    "inner control",
+    "filter",
+    "flights that lose sight",
+    "farthest [m]",
+    "known to be safe",
+    "known, but lost [ticks]",
+    "filter acts",
+    "mean e(t) [m²]",
+    "mean distance [m]",
+    "µs a tick",
+)
+
+
+def rows(results: Sequence[Result]) -> Iterator[list[str]]:
+    """One row for each network, inner control and filter: all drivers and seeds together."""
+    groups: dict[tuple[str, str, str], list[Result]] = {}
+    for result in results:
+        groups.setdefault((result.case.network, result.case.inner, result.case.filter), []).append(result)
+    for key, found in groups.items():
+        ticks, watched = sum(r.ticks for r in found), key[2] != "none"
+        yield [
+            *key,
+            f"{sum(r.lost for r in found)} of {len(found)}",
+            f"{max(r.max_distance for r in found):.3f}",
+            f"{100.0 * sum(r.known for r in found) / ticks:.2f} %" if watched else "",
+            str(sum(r.known_while_lost for r in found)) if watched else "",
+            f"{100.0 * sum(r.interventions for r in found) / ticks:.1f} %" if watched else "",
+            f"{sum(r.mean_error * r.ticks for r in found) / ticks:.1f}",
+            f"{sum(r.mean_distance * r.ticks for r in found) / ticks:.2f}",
+            f"{sorted(r.microseconds for r in found)[len(found) // 2]:.0f}" if watched else "",
+        ]
+
+
+def table(lines: Iterable[Sequence[str]]) -> str:
+    """As Markdown."""
+    head = [COLUMNS, ["---"] * 3 + ["--:"] * (len(COLUMNS) - 3)]
+    return "".join("| " + " | ".join(line) + " |\n" for line in [*head, *lines])
+
+
+def main() -> None:
+    """Fly all cases, print the table, write it and every flight's numbers."""
+    parser = argparse.ArgumentParser(description="Our safety filter beside a backup barrier filter, on the same tasks.")
+    parser.add_argument("--seeds", type=int, default=20, help="flights for each driver, network, inner control and filter")
+    parser.add_argument("--duration", type=float, default=60.0, help="of a flight [s]")
+    parser.add_argument("--jobs", type=int, default=1, help="processes; the times a tick are those of one core")
+    parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for filters.json and filters.md")
+    given = parser.parse_args()
+    if given.seeds < 1 or given.jobs < 1 or not given.duration > 0.0:
+        parser.error("--seeds and --jobs must be 1 or more, --duration above 0 s")
+    wanted, began = list(cases(given.seeds, given.duration)), time.monotonic()
+    for name in FILTERS:  # compile before anything is timed
+        fly(Case(network="undegraded", inner="outward", filter=name, driver="evade", seed=1, duration=5.0))
+    results: list[Result] = []
+    with ProcessPoolExecutor(given.jobs) as pool:
+        for n, result in enumerate(pool.map(fly, wanted, chunksize=5), 1):
+            results.append(result)
+            if n % 50 == 0 or n == len(wanted):
+                sys.stderr.write(f"\r{n} of {len(wanted)} flights, {time.monotonic() - began:.0f} s")
+                sys.stderr.flush()
+    text = table(rows(results))
+    sys.stdout.write(f"\n{text}")
+    given.out.mkdir(parents=True, exist_ok=True)
+    given.out.joinpath("filters.md").write_text(text, encoding="utf-8")
+    told = {"cores": os.cpu_count(), "jobs": given.jobs, "flights": [asdict(result) for result in results]}
+    given.out.joinpath("filters.json").write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,321 @@
+"""Certificates in the place of passwords: an authority for a run, and one identity for each party (mutual TLS).
+
+Made and read by `cryptography`, which is the extra [tls] and imported only where certificates are used. A vehicle's certificate
+is good for a client alone, the router's for a server alone: nobody's may stand for the router's.
+"""
+
+import ssl
+import tempfile
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from ipaddress import ip_address
+from pathlib import Path
+from socket import create_connection
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from bus.errors import AccessDenied, BusError
+
+if TYPE_CHECKING:
+    from cryptography import x509
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+ROUTER_HOSTS = ("localhost", "127.0.0.1", "::1", "router")
+"""Names under which a router is found that has been given no others; `router` is its name among containers."""
+AUTHORITY_DAYS = 3650
+PARTY_DAYS = 365
+"""How long certificates hold; a router's does as long as its authority, so that no renewal needs it to stop."""
+WARNED_DAYS = 30
+"""An end is told so long ahead [days]."""
+_AHEAD = timedelta(days=1)
+"""Certificates hold from so long before they were made: clocks differ."""
+_PATIENCE = 2.0
+"""How long a router may take to say what it has against a certificate [s]."""
+
+
+class Identity(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One party's certificate and key, and the authority whose certificates it trusts; all in PEM."""
+
+    authority: str
+    certificate: str
+    key: str
+
+    def __repr__(self) -> str:
+        """Without the key: it must not get into a log."""
+        return "Identity(...)"
+
+
+class Authority(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Whoever has this can make certificates for a run: its owner alone, and no process of it."""
+
+    run: str
+    certificate: str
+    key: str
+
+    def __repr__(self) -> str:
+        """Without the key: it must not get into a log."""
+        return f"Authority(run={self.run!r})"
+
+
+def _need() -> None:
+    try:
+        import cryptography  # noqa: F401, PLC0415 - an extra
+    except ImportError as error:
+        raise BusError("certificates need cryptography: pip install 'outrider[tls]'") from error
+
+
+def _read(text: str, what: str) -> "x509.Certificate":
+    from cryptography import x509  # noqa: PLC0415
+
+    try:
+        return x509.load_pem_x509_certificate(text.encode())
+    except ValueError as error:
+        raise AccessDenied(f"{what}: not a certificate in PEM") from error
+
+
+def _read_key(text: str, what: str) -> "ec.EllipticCurvePrivateKey":
+    from cryptography.hazmat.primitives.asymmetric import ec  # noqa: PLC0415
+    from cryptography.hazmat.primitives.serialization import load_pem_private_key  # noqa: PLC0415
+
+    try:
+        key = load_pem_private_key(text.encode(), None)
+    except (ValueError, TypeError) as error:
+        raise AccessDenied(f"{what}: not a private key in PEM") from error
+    if not isinstance(key, ec.EllipticCurvePrivateKey):
+        raise AccessDenied(f"{what}: not a key of an elliptic curve")
+    return key
+
+
+def _pem(key: "ec.EllipticCurvePrivateKey") -> str:
+    from cryptography.hazmat.primitives import serialization as form  # noqa: PLC0415
+
+    return key.private_bytes(form.Encoding.PEM, form.PrivateFormat.PKCS8, form.NoEncryption()).decode()
+
+
+def _text(certificate: "x509.Certificate") -> str:
+    from cryptography.hazmat.primitives.serialization import Encoding  # noqa: PLC0415
+
+    return certificate.public_bytes(Encoding.PEM).decode()
+
+
+def _begin(name: str, days: float) -> "tuple[ec.EllipticCurvePrivateKey, x509.CertificateBuilder]":
+    from cryptography import x509  # noqa: PLC0415
+    from cryptography.hazmat.primitives.asymmetric import ec  # noqa: PLC0415
+    from cryptography.x509.oid import NameOID  # noqa: PLC0415
+
+    key, now = ec.generate_private_key(ec.SECP256R1()), datetime.now(UTC)
+    builder = (
+        x509.CertificateBuilder()
+        .subject_name(x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)]))
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - _AHEAD)
+        .not_valid_after(now + timedelta(days=days))
+    )
+    return key, builder
+
+
+def new_authority(run: str, *, days: float = AUTHORITY_DAYS) -> Authority:
+    """An authority of one's own for the certificates of one run.
+
+    Args:
+        run: Its name.
+        days: How long it holds; no certificate that it makes holds longer.
+
+    Raises:
+        BusError: If the extra [tls] is missing.
+    """
+    _need()
+    from cryptography import x509  # noqa: PLC0415
+    from cryptography.hazmat.primitives import hashes  # noqa: PLC0415
+
+    serial = f"{x509.random_serial_number():x}"[:8]  # two authorities of one run can be told apart
+    key, builder = _begin(f"Outrider {run} {serial}"[:64], days)
+    usage = x509.KeyUsage(
+        digital_signature=False,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=True,
+        crl_sign=True,
+        encipher_only=False,
+        decipher_only=False,
+    )
+    named = builder.issuer_name(x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, f"Outrider {run} {serial}"[:64])]))
+    made = named.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True).add_extension(usage, critical=True)
+    return Authority(run=run, certificate=_text(made.sign(key, hashes.SHA256())), key=_pem(key))
+
+
+def issue(authority: Authority, name: str, *, days: float = PARTY_DAYS, hosts: Sequence[str] = ()) -> Identity:
+    """A new key, and a certificate for it.
+
+    Args:
+        authority: By whom.
+        name: The common name, by which access control knows a party.
+        days: How long it holds, though no longer than the authority.
+        hosts: Names and addresses under which a router is found; none: it is a client's.
+
+    Raises:
+        AccessDenied: If the authority cannot be read, or has expired.
+        BusError: If the extra [tls] is missing.
+    """
+    _need()
+    from cryptography import x509  # noqa: PLC0415
+    from cryptography.hazmat.primitives import hashes  # noqa: PLC0415
+    from cryptography.x509.oid import ExtendedKeyUsageOID  # noqa: PLC0415
+
+    issuer, signing = _read(authority.certificate, "the authority"), _read_key(authority.key, "the authority")
+    left = (issuer.not_valid_after_utc - datetime.now(UTC)) / timedelta(days=1)
+    if left <= 0.0:
+        raise AccessDenied(f"the authority has expired on {issuer.not_valid_after_utc:%Y-%m-%d}: make all credentials anew")
+    key, builder = _begin(name, min(days, left))
+    purpose = ExtendedKeyUsageOID.SERVER_AUTH if hosts else ExtendedKeyUsageOID.CLIENT_AUTH
+    builder = (
+        builder.issuer_name(issuer.subject)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(x509.ExtendedKeyUsage([purpose]), critical=False)
+    )
+    if hosts:
+        builder = builder.add_extension(x509.SubjectAlternativeName([_host(host) for host in hosts]), critical=False)
+    made = builder.sign(signing, hashes.SHA256())
+    return Identity(authority=authority.certificate, certificate=_text(made), key=_pem(key))
+
+
+def _host(text: str) -> "x509.GeneralName":
+    from cryptography import x509  # noqa: PLC0415
+
+    try:
+        return x509.IPAddress(ip_address(text))
+    except ValueError:
+        pass
+    try:
+        return x509.DNSName(text)
+    except ValueError as error:
+        raise AccessDenied(f"host {text!r}: neither a name nor an address") from error
+
+
+def hosts_of(identity: Identity) -> tuple[str, ...]:
+    """Names and addresses under which a router is found; none for a client's.
+
+    Raises:
+        AccessDenied: If the certificate cannot be read.
+    """
+    _need()
+    from cryptography import x509  # noqa: PLC0415
+
+    certificate = _read(identity.certificate, "the certificate")
+    try:
+        found = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except x509.ExtensionNotFound:
+        return ()
+    return tuple(str(name.value) for name in found)
+
+
+def check_identity(identity: Identity, name: str) -> datetime:
+    """Refuse what a router or a client would refuse later and say less about.
+
+    Args:
+        identity: What is checked.
+        name: Whose it should be.
+
+    Returns:
+        When the certificate or its authority ends, whichever is first.
+
+    Raises:
+        AccessDenied: If it cannot be read, is another's, has expired, or its parts do not belong together.
+        BusError: If the extra [tls] is missing.
+    """
+    _need()
+    from cryptography.exceptions import InvalidSignature  # noqa: PLC0415
+    from cryptography.x509.oid import NameOID  # noqa: PLC0415
+
+    what = f"the certificate of {name}"
+    certificate, authority = _read(identity.certificate, what), _read(identity.authority, f"the authority of {name}")
+    names = [str(part.value) for part in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)]
+    if names != [name]:
+        raise AccessDenied(f"{what} is for {' and '.join(names) or 'nobody'}")
+    if _read_key(identity.key, f"the key of {name}").public_key() != certificate.public_key():
+        raise AccessDenied(f"{what} and its key do not belong together")
+    try:
+        certificate.verify_directly_issued_by(authority)
+    except (ValueError, TypeError, InvalidSignature) as error:
+        raise AccessDenied(f"{what} is of another authority than the one beside it") from error
+    now = datetime.now(UTC)
+    for part, called in ((certificate, what), (authority, f"the authority of {name}")):
+        if part.not_valid_after_utc <= now:
+            raise AccessDenied(f"{called} has expired on {_day(part.not_valid_after_utc)}: {RENEW}")
+        if part.not_valid_before_utc > now:
+            raise AccessDenied(f"{called} holds only from {_day(part.not_valid_before_utc)} on: is this machine's clock right?")
+    return min(certificate.not_valid_after_utc, authority.not_valid_after_utc)
+
+
+RENEW = "outrider credentials FOLDER --renew makes a new one"
+
+
+def _day(when: datetime) -> str:
+    return f"{when:%Y-%m-%d %H:%M} UTC"
+
+
+def expiry_warning(name: str, end: datetime) -> str:
+    """A line for a person where the end is less than `WARNED_DAYS` away; empty where it is not."""
+    days = (end - datetime.now(UTC)) / timedelta(days=1)
+    if days >= WARNED_DAYS:
+        return ""
+    return f"the certificate of {name} ends in {days:.0f} days, on {_day(end)}: {RENEW}"
+
+
+_REASONS = {
+    "TLSV13_ALERT_CERTIFICATE_REQUIRED": "wants a certificate",
+    "TLSV1_ALERT_UNKNOWN_CA": "does not trust the authority of this certificate: is it of the same `outrider credentials`?",
+    "TLSV1_ALERT_DECRYPT_ERROR": "does not trust the authority of this certificate: is it of the same `outrider credentials`?",
+    "SSLV3_ALERT_CERTIFICATE_EXPIRED": f"says that this certificate has expired: {RENEW}",
+    "SSLV3_ALERT_UNSUPPORTED_CERTIFICATE": "says that this certificate is not for a client",
+    "WRONG_VERSION_NUMBER": "does not speak TLS",
+}
+_UNVERIFIED = {
+    "unable to get local issuer certificate": "is of another authority than this process' own: is it of the same "
+    "`outrider credentials`?",
+    "certificate signature failure": "is of another authority than this process' own",
+    "certificate has expired": "has expired: renew it and start the router anew",
+    "certificate is not yet valid": "does not hold yet: is this machine's clock right?",
+    "unsuitable certificate purpose": "is not a router's: another party listens there",
+}
+
+
+def find_fault(host: str, port: int, identity: Identity) -> str:
+    """Why a router does not let an identity in, or an identity does not trust the router; Zenoh does not say it.
+
+    Args:
+        host: Where the router listens.
+        port: Likewise.
+        identity: The client's.
+
+    Returns:
+        A sentence about the router, without its subject; empty where TLS has no objection.
+
+    Raises:
+        OSError: If nobody answers there.
+    """
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.load_verify_locations(cadata=identity.authority)
+    with tempfile.TemporaryDirectory(prefix="outrider-") as folder:
+        path = Path(folder) / "identity.pem"  # the folder is private, and gone at once
+        path.write_text(identity.certificate + identity.key, encoding="ascii")
+        context.load_cert_chain(path)
+    try:
+        with create_connection((host, port), _PATIENCE) as plain, context.wrap_socket(plain, server_hostname=host) as opened:
+            opened.settimeout(_PATIENCE)
+            opened.read(1)  # what the router has against a certificate comes after the handshake
+    except ssl.SSLCertVerificationError as error:
+        told = error.verify_message
+        if "mismatch" in told:
+            return f"has a certificate that is not for {host!r}: name it with `outrider credentials --tls --host`"
+        return f"has a certificate that {_UNVERIFIED.get(told, f'cannot be verified: {told}')}"
+    except ssl.SSLError as error:
+        reason = error.reason or str(error)
+        return _REASONS.get(reason, f"refuses this certificate ({reason.lower().replace('_', ' ')})")
+    except TimeoutError:
+        pass
+    return ""

@@ -1,0 +1,254 @@
+"""Certificates in the place of passwords: who is let in over real TLS, what the others are told, and renewal."""
+
+import json
+import stat
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import zenoh
+
+from bus import session
+from bus.access import (
+    Credential,
+    CredentialSet,
+    client_settings,
+    new_certificates,
+    new_credentials,
+    read_credential,
+    read_credentials,
+    replace_credentials,
+    write_credentials,
+)
+from bus.certificates import Identity, check_identity, expiry_warning, hosts_of, issue, new_authority
+from bus.errors import AccessDenied
+from bus.keys import COMMAND, Role
+from bus.messages import UavCommand
+from bus.session import open_session
+from outrider.cli.main import _app
+from outrider.launch import free_port
+
+RUN = "run"
+AUTHORITY, FOREIGN = new_authority(RUN), new_authority(RUN)
+GIVEN = new_certificates(AUTHORITY, ["uav_0"], ["ugv_0"], hosts=("10.0.0.7", "base.example"))
+SIMULATOR = GIVEN.of("simulator").party
+UAV = GIVEN.of("uav_0")
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A refused client shows it by trying in vain; here not for long."""
+    monkeypatch.setitem(session._CLIENT, "connect/timeout_ms", 500)
+
+
+@pytest.fixture
+def endpoint() -> str:
+    return f"tls/127.0.0.1:{free_port()}"
+
+
+def identity(name: str = "uav_0", *, days: float = 365.0, authority=AUTHORITY, hosts=()) -> Identity:
+    return issue(authority, name, days=days, hosts=hosts)
+
+
+def known_as(found: Identity) -> Credential:
+    return Credential(name="uav_0", role=Role.UAV, tls=found)
+
+
+def refusal(endpoint: str, credential: Credential | None) -> str:
+    """The one line with which our client says that it is not let in."""
+    with pytest.raises(AccessDenied) as caught, open_session(UAV.party, RUN, connect=endpoint, credential=credential):
+        pass
+    assert len(str(caught.value).splitlines()) == 1
+    return str(caught.value)
+
+
+def raw(endpoint: str, credential: Credential | None) -> zenoh.Session:
+    """A session that asks nobody's leave."""
+    wanted = session._COMMON | session._CLIENT | client_settings(credential) | {"connect/endpoints": [endpoint]}
+    return zenoh.open(session._config(wanted))
+
+
+def test_each_party_has_a_name_of_its_own_and_no_file_has_anothers_key(tmp_path: Path) -> None:
+    files = write_credentials(GIVEN, tmp_path / "made", AUTHORITY)
+    assert {stat.S_IMODE(path.stat().st_mode) for path in files.values()} == {0o600}
+    assert read_credentials(files["router"]) == GIVEN.for_router()
+    for credential in GIVEN.parties:
+        assert read_credential(files[credential.name]) == credential
+        key = json.dumps(credential.tls.key)[1:-1]  # type: ignore[union-attr]
+        assert [name for name, path in files.items() if key in path.read_text(encoding="utf-8")] == [credential.name]
+        assert "PRIVATE" not in repr(credential) + repr(credential.tls)
+    assert "PRIVATE" not in repr(GIVEN) + repr(AUTHORITY)
+    assert hosts_of(GIVEN.tls) == ("localhost", "127.0.0.1", "::1", "router", "10.0.0.7", "base.example")  # type: ignore[arg-type]
+    assert hosts_of(UAV.tls) == ()  # type: ignore[arg-type]
+
+
+def mixed(**parts: str) -> Identity:
+    return msgspec.structs.replace(identity(), **parts)
+
+
+@pytest.mark.parametrize(
+    ("made", "told"),
+    [
+        (lambda: identity("ugv_0"), "the certificate of uav_0 is for ugv_0"),
+        (lambda: identity(days=-0.5), "the certificate of uav_0 has expired on"),
+        (lambda: mixed(key=identity().key), "and its key do not belong together"),
+        (lambda: mixed(authority=FOREIGN.certificate), "of another authority than the one beside it"),
+        (lambda: mixed(certificate="garbage"), "not a certificate in PEM"),
+        (lambda: mixed(key="garbage"), "not a private key in PEM"),
+    ],
+    ids=["another's", "expired", "another key", "another authority", "garbage", "garbage for a key"],
+)
+def test_a_certificate_that_would_be_refused_is_named_before_anything_is_sent(made: Callable[[], Identity], told: str) -> None:
+    with pytest.raises(AccessDenied, match=told):
+        check_identity(made(), "uav_0")
+    assert told in refusal("tls/127.0.0.1:1", known_as(made()))
+
+
+@pytest.mark.parametrize(
+    ("kind", "told"),
+    [
+        ("no certificate", "needs certificates; `outrider credentials --tls` makes them"),
+        ("a password", "needs certificates; `outrider credentials --tls` makes them"),
+        ("a foreign authority", "has a certificate that is of another authority than this process' own"),
+        ("a foreign authority that trusts ours", "does not trust the authority of this certificate"),
+        ("a router's certificate", "says that this certificate is not for a client"),
+        ("expired", "says that this certificate has expired"),
+    ],
+)
+def test_who_is_not_of_the_run_is_refused_by_the_router_and_told_why(
+    endpoint: str, kind: str, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    foreign = identity(authority=FOREIGN)
+    credential = {
+        "no certificate": None,
+        "a password": new_credentials(RUN, ["uav_0"], []).of("uav_0"),
+        "a foreign authority": known_as(foreign),
+        "a foreign authority that trusts ours": known_as(msgspec.structs.replace(foreign, authority=AUTHORITY.certificate)),
+        "a router's certificate": known_as(identity(hosts=("127.0.0.1",))),
+        "expired": known_as(identity(days=-0.5)),
+    }[kind]
+    monkeypatch.setattr(session, "_check_certificate", lambda *_: None)  # here the router is asked
+    with open_session(SIMULATOR, RUN, listen=(endpoint,), given=GIVEN):
+        with pytest.raises(zenoh.ZError):
+            raw(endpoint, credential)
+        assert told in refusal(endpoint, credential)
+
+
+def test_a_client_trusts_nobody_but_its_router(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither a router under a name that its certificate has not, nor another party that listens."""
+    elsewhere = endpoint.replace("127.0.0.1", "127.0.0.2")
+    with open_session(SIMULATOR, RUN, listen=(elsewhere,), given=GIVEN):
+        assert "has a certificate that is not for '127.0.0.2'" in refusal(elsewhere, UAV)
+    thief = CredentialSet(run=RUN, parties=GIVEN.parties, tls=GIVEN.of("ugv_0").tls)
+    monkeypatch.setattr(session, "_check_certificate", lambda *_: None)
+    with open_session(SIMULATOR, RUN, listen=(endpoint,), given=thief):
+        assert "is not a router's" in refusal(endpoint, UAV)
+
+
+def test_certificates_and_unencrypted_endpoints_do_not_go_together() -> None:
+    with (
+        pytest.raises(AccessDenied, match="must begin with tls/"),
+        open_session(SIMULATOR, RUN, listen=("tcp/[::1]:0",), given=GIVEN),
+    ):
+        pass
+    assert "must begin with tls/" in refusal("tcp/127.0.0.1:1", UAV)
+    with pytest.raises(AccessDenied, match="needs certificates"), open_session(SIMULATOR, RUN, listen=("tls/127.0.0.1:1",)):
+        pass
+
+
+def passes(router: session.Session, client: session.Session) -> bool:
+    """Whether a command of the UAV arrives."""
+    inbox = router.inbox_of_all({"uav_0": COMMAND[Role.UAV]})
+    outbox = client.outbox(COMMAND[Role.UAV], "uav_0")
+    for _ in range(50):
+        outbox.send(UavCommand(tick=0, acceleration=(0.0, 0.0)))
+        if inbox.receive(0.02) is not None:
+            return True
+    return False
+
+
+def test_a_name_that_the_router_does_not_know_gets_nothing_and_is_named(endpoint: str, caplog: pytest.LogCaptureFixture) -> None:
+    stranger = known_as(identity("nobody"))
+    with open_session(SIMULATOR, RUN, listen=(endpoint,), given=GIVEN) as router:
+        hears = router._zenoh.declare_subscriber("**", zenoh.handlers.FifoChannel(10))
+        with raw(endpoint, stranger) as opened:
+            heard = opened.declare_subscriber("outrider/**", zenoh.handlers.FifoChannel(10))
+            limit = time.monotonic() + 5.0
+            while time.monotonic() < limit and not caplog.records:
+                opened.put(f"outrider/{RUN}/uav_0/command", b"{}")
+                router._zenoh.put(f"outrider/{RUN}/uav_0/observation", b"{}", allowed_destination=zenoh.Locality.REMOTE)
+            assert hears.try_recv() is None
+            assert heard.try_recv() is None
+    assert "'nobody' has a certificate of this run's authority, but is no party of it" in caplog.text
+
+
+def test_certificates_are_renewed_while_the_router_goes_on(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever is there stays also where its certificate ends meanwhile; the old one is refused then, a new one is let in."""
+    monkeypatch.setattr(session, "_check_certificate", lambda *_: None)
+    seconds = 3.0
+    ends = time.monotonic() + seconds
+    old = known_as(identity(days=seconds / 86400))
+    with (
+        open_session(SIMULATOR, RUN, listen=(endpoint,), given=GIVEN) as router,
+        open_session(UAV.party, RUN, connect=endpoint, credential=old) as early,
+    ):
+        assert passes(router, early)
+        while time.monotonic() < ends + 1.5:  # X.509 counts whole seconds
+            time.sleep(0.1)
+        assert "has expired" in refusal(endpoint, old)
+        with open_session(UAV.party, RUN, connect=endpoint, credential=known_as(identity())) as late:
+            assert passes(router, late)
+        assert passes(router, early)
+
+
+def test_an_end_is_told_a_month_ahead(endpoint: str, caplog: pytest.LogCaptureFixture) -> None:
+    now = datetime.now(UTC)
+    assert expiry_warning("uav_0", now + timedelta(days=30, hours=1)) == ""
+    assert "uav_0 ends in 30 days" in expiry_warning("uav_0", now + timedelta(days=29, hours=23))
+    ending = msgspec.structs.replace(GIVEN, tls=issue(AUTHORITY, "router", days=20, hosts=("127.0.0.1",)))
+    with (
+        open_session(SIMULATOR, RUN, listen=(endpoint,), given=ending),
+        open_session(UAV.party, RUN, connect=endpoint, credential=known_as(identity(days=10))),
+    ):
+        told = [record.getMessage() for record in caplog.records]
+    assert [line.partition(", on")[0] for line in told] == [
+        "the certificate of router ends in 20 days",
+        "the certificate of uav_0 ends in 10 days",
+    ]
+
+
+def test_renewed_credentials_stay_private(tmp_path: Path) -> None:
+    path = write_credentials(GIVEN, tmp_path / "made", AUTHORITY)["uav_0"]
+    replace_credentials(known_as(identity()), path)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert read_credential(path).tls != UAV.tls
+    assert not [left for left in path.parent.iterdir() if left.name.startswith(".")]
+
+
+def test_the_command_makes_checks_and_renews(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = str(tmp_path / "made")
+
+    def command(*arguments: str) -> tuple[int, Any]:
+        code = _app()(["credentials", folder, *arguments, "--json"], standalone_mode=False)
+        return int(code or 0), json.loads(capsys.readouterr().out)
+
+    assert command("--tls", "--run", RUN, "--host", "10.0.0.7")[0] == 0
+    code, told = command("--check")
+    days = {Path(row["file"]).stem: row["days"] for row in told["credentials"]}
+    assert (code, days.pop("router"), set(days.values())) == (0, 3649, {364})
+    assert command("--renew", "--party", "uav_0", "--days", "3")[1] == {"run": RUN, "files": {"uav_0": f"{folder}/uav_0.json"}}
+    code, told = command("--check")
+    notes = {Path(row["file"]).stem: row["note"] for row in told["credentials"] if row["note"]}
+    assert code == 0
+    assert list(notes) == ["uav_0"]
+    assert "ends in 3 days" in notes["uav_0"]
+    (tmp_path / "made" / "ugv_0.json").write_bytes((tmp_path / "made" / "uav_0.json").read_bytes())
+    code, told = command("--check")
+    assert code == 1
+    assert [row["note"] for row in told["credentials"] if not row["good"]] == ["the certificate of ugv_0 is for uav_0"]
+    with pytest.raises(AccessDenied, match="no party of the run"):
+        command("--renew", "--party", "uav_7")

@@ -1,0 +1,72 @@
+"""What a crowd at the router's port and a vehicle with credentials can do; the heavy ones are in `make crowd-test`."""
+
+import socket
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from staging import GIVEN, stage
+
+from bus import session
+from bus.errors import AccessDenied
+from bus.keys import PLACES
+from bus.session import open_session
+from outrider.launch import free_port
+
+
+@pytest.mark.parametrize(("without", "zenohs_own", "patience"), [("accept_pending", 100, 6000), ("accept_timeout", 10_000, 2500)])
+def test_a_client_joins_beside_connections_that_say_nothing_or_nonsense(
+    without: str, zenohs_own: int, patience: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Room for many and patience with none each suffice; with neither it takes 10 s."""
+    monkeypatch.setitem(session._ROUTER, f"transport/unicast/{without}", zenohs_own)
+    monkeypatch.setitem(session._CLIENT, "connect/timeout_ms", patience)
+    port, observer = free_port(), GIVEN.of("observer")
+    endpoint = f"tcp/127.0.0.1:{port}"
+    with ExitStack() as stack:
+        stack.enter_context(open_session(GIVEN.of("simulator").party, "run", listen=(endpoint,), given=GIVEN))
+        for number in range(300):
+            opened = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
+            if number % 2:
+                opened.sendall(b"\xff\xff" + b"\xa5" * 300)  # the beginning of a message that never ends
+        client = stack.enter_context(open_session(observer.party, "run", connect=endpoint, credential=observer))
+        assert client.connected
+
+
+def test_a_party_has_so_many_sessions_and_no_more(tmp_path: Path) -> None:
+    endpoint, ugv = f"unixsock-stream/{tmp_path / 'bus.sock'}", GIVEN.of("ugv_0")
+    with ExitStack() as stack:
+        stack.enter_context(open_session(GIVEN.of("simulator").party, "run", listen=(endpoint,), given=GIVEN))
+        opened = [
+            stack.enter_context(open_session(ugv.party, "run", connect=endpoint, credential=ugv)) for _ in range(PLACES + 1)
+        ]
+        for one in opened[:PLACES]:
+            one.announce()
+        assert [one.place for one in opened[:PLACES]] == list(range(PLACES))
+        with pytest.raises(AccessDenied, match=f"ugv_0 has {PLACES} sessions in the run run already"):
+            opened[-1].announce()
+
+
+def test_a_flood_of_tokens_is_kept_once_for_each_place(tmp_path: Path) -> None:
+    with stage(tmp_path, 10) as run:
+        seats = run.server._seats
+        for number in range(20_000):
+            seats._note("ugv_0", number % PLACES, number % 3 > 0)
+            seats._note("nobody", number % PLACES, True)
+        assert len(seats._changes) == len(seats._arrivals) == PLACES
+        seats.follow()
+        assert len(seats._seats["ugv_0"].sessions) <= PLACES
+        assert not seats._changes
+
+
+def test_a_session_that_goes_and_comes_between_two_looks_is_briefed_anew(tmp_path: Path) -> None:
+    with stage(tmp_path, 10) as run:
+        seats = run.server._seats
+        seats._note("ugv_0", 0, True)
+        seats.follow()
+        seat = seats._seats["ugv_0"]
+        seat.owed = None
+        seats._note("ugv_0", 0, False)
+        seats._note("ugv_0", 0, True)
+        seats.follow()
+    assert (seat.lost, seat.rejoined, seat.owed, seat.holder) == (1, 1, 0, 0)

@@ -1,0 +1,207 @@
+"""What the certificate assumes and links or detector cannot keep is told before the flight, each with its field."""
+
+import numpy as np
+import pytest
+from processes import outrider
+
+from bus.errors import ScenarioError
+from bus.messages import LinkKind, LinkSettings
+from outrider.promise import How, how_certifiable, promise_warnings, shortfalls
+from sim.ether import Link, arrival_share, least_ticks, link_parameters
+from sim.links import Links
+from sim.scenario import Scenario, load_scenario
+
+DT = 0.05
+QUIET = ("detections.dropout=0.0",)
+
+
+def certified(*overrides: str) -> Scenario:
+    return load_scenario("escort", overrides=["law.name=certified", *QUIET, *overrides])
+
+
+THROUGHOUT, CERTAIN, SOMETIMES = How.THROUGHOUT, How.CERTAIN, How.SOMETIMES
+BROKEN = [
+    ("A1", SOMETIMES, ["detections.noise=0.5", "certificate.error=1.2"], "certificate.error = 1.2 m"),
+    ("A1", THROUGHOUT, ["detections.noise=0.5", "certificate.error=0.2"], "92.2 % are larger"),
+    ("A1", SOMETIMES, ["detections.cut=0", "certificate.error=0.4"], "detections.cut = 0"),
+    ("", THROUGHOUT, ["detections.cut=0"], "the noise of the detections is not cut"),
+    ("A2", CERTAIN, ["detections.rate=1.0", "certificate.age=0.5"], "detections.rate = 1 /s"),
+    ("A2", THROUGHOUT, ["links.detections.delay=1.05"], "links.detections.delay = 1.05"),
+    ("A2", SOMETIMES, ["links.detections.delay=0.95", "links.detections.jitter=0.3"], "links.detections.jitter = 0.3"),
+    ("A2", SOMETIMES, ["links.detections.loss=0.5"], "links.detections.loss = 0.5"),
+    ("A2", SOMETIMES, ["detections.dropout=0.7"], "detections.dropout = 0.7"),
+    (
+        "A2",
+        SOMETIMES,
+        ["links.detections.reorder=0.5", "links.detections.reorder_delay=2.0"],
+        "links.detections.reorder = 0.5",
+    ),
+    (
+        "A2",
+        SOMETIMES,
+        ["links.detections.burst_length=2.0", "links.detections.burst_interval=9.0"],
+        "links.detections.burst_length = 2",
+    ),
+    (
+        "A2",
+        SOMETIMES,
+        ["links.detections.blackout_length=2.0", "links.detections.blackout_interval=9.0"],
+        "links.detections.blackout_length = 2",
+    ),
+    ("A2", CERTAIN, ["links.detections.blackouts=[[30.0,20.0]]"], "becomes 20 s old, certificate.age = 1 s, from 31 s to 50 s"),
+    ("A2", CERTAIN, ["links.detections.blackouts=[[30.0,1.05]]"], "from 31 s to 31.05 s"),
+    ("A2", CERTAIN, ["links.detections.blackouts=[[0.0,0.5]]"], "nothing is detected before 0.5 s"),
+    ("A2", CERTAIN, ["links.detections.bandwidth=1.0"], "links.detections.bandwidth = 1"),
+    ("A5", THROUGHOUT, ["links.commands.delay=0.5", "certificate.delay=0.0"], "links.commands.delay = 0.5"),
+    ("A5", THROUGHOUT, ["certificate.delay=0.3"], "links.commands.delay = 0"),
+    ("", THROUGHOUT, ["links.commands.delay=0.3", "links.commands.jitter=0.4"], "hold = 0.5 s: shorter than tau_c"),
+    ("A5", THROUGHOUT, ["links.commands.delay=0.3", "links.commands.jitter=0.1"], "links.commands.jitter = 0.1"),
+    (
+        "A5",
+        THROUGHOUT,
+        ["links.commands.reorder=0.1", "links.commands.reorder_delay=0.2"],
+        "links.commands.reorder = 0.1",
+    ),
+    (
+        "A5",
+        SOMETIMES,
+        ["links.commands.reorder=0.1", "links.commands.reorder_delay=0.2", "certificate.delay=0.0"],
+        "in 10 % of the ticks",
+    ),
+    ("A5", THROUGHOUT, ["links.commands.bandwidth=5"], "links.commands.bandwidth = 5"),
+    ("A5", SOMETIMES, ["links.commands.loss=0.1"], "links.commands.loss = 0.1"),
+    (
+        "A5",
+        SOMETIMES,
+        ["links.commands.burst_length=0.5", "links.commands.burst_interval=9.0"],
+        "links.commands.burst_length = 0.5",
+    ),
+    (
+        "A5",
+        SOMETIMES,
+        ["links.commands.blackout_length=0.5", "links.commands.blackout_interval=9.0"],
+        "links.commands.blackout_length = 0.5",
+    ),
+    ("A5", CERTAIN, ["links.commands.blackouts=[[30.0,20.0]]"], "links.commands.blackouts, 30 s to 50 s"),
+    ("A5", SOMETIMES, ['links.only=[{vehicle="uav_0",commands={loss=0.1}}]'], "links.only.0.commands.loss = 0.1"),
+]
+
+
+@pytest.mark.parametrize(("assumption", "how", "changes", "told"), BROKEN)
+def test_each_cause_is_told_with_its_assumption_its_field_and_how_often(
+    assumption: str, how: How, changes: list[str], told: str
+) -> None:
+    found = [fault for fault in shortfalls(certified(*changes)) if fault.assumption == assumption and told in fault.what]
+    assert [fault.how for fault in found] == [how]
+    assert found[0].line in promise_warnings(certified(*changes))
+    assert how_certifiable(certified(*changes)) == ("hardly ever" if how is THROUGHOUT else "not always")
+
+
+KEPT = [
+    [],
+    ["links.commands.delay=0.5"],
+    ["links.commands.delay=0.02", "links.commands.jitter=0.01"],  # one tick, whatever the jitter
+    ["links.commands.delay=0.2", "links.commands.duplicates=0.5"],
+    ["links.commands.bandwidth=20"],
+    ["links.commands.blackouts=[[300.0,20.0]]"],  # after the flight
+    ["links.detections.delay=1.0"],
+    ["links.detections.duplicates=0.5"],
+    ["links.detections.loss=0.1"],
+    ["links.detections.blackouts=[[30.0,1.0]]"],  # the newest is 1 s old, and no more
+    ["links.detections.bandwidth=2.0"],
+    ['links.only=[{vehicle="ugv_0",commands={loss=0.1}}]'],
+    ["law.name=linear", "links.commands.loss=0.1"],
+]
+
+
+@pytest.mark.parametrize("changes", KEPT)
+def test_where_the_assumptions_are_kept_nothing_is_told(changes: list[str]) -> None:
+    assert promise_warnings(certified(*changes)) == ()
+
+
+def test_what_an_operator_makes_of_a_link_is_told_against_what_the_uav_was_told() -> None:
+    scenario = certified("links.commands.delay=0.2")
+    links = Links(scenario, 7)
+    links.change(LinkKind.COMMANDS, "ugv_0", LinkSettings(loss=0.5))
+    assert promise_warnings(scenario, links.table) == ()
+    links.change(LinkKind.COMMANDS, None, LinkSettings(delay=0.4))
+    (line,) = promise_warnings(scenario, links.table)
+    assert "A5" in line
+    assert "links.commands.delay = 0.4: a command acts 0.4 s after its tick, tau_c = 0.2 s" in line
+    assert links.table.of("ugv_0", LinkKind.COMMANDS).delay == 0.4
+    links.change(LinkKind.COMMANDS, "uav_0", LinkSettings(delay=0.3))
+    assert "links.only.1.commands.delay = 0.3" in promise_warnings(scenario, links.table)[0]
+    links.change(LinkKind.COMMANDS, "uav_0", LinkSettings(delay=0.2))
+    assert promise_warnings(scenario, links.table) == ()
+    assert links.table.of("ugv_0", LinkKind.COMMANDS).delay == 0.4
+
+
+COMMANDS = [
+    LinkSettings(delay=0.3, jitter=0.1),
+    LinkSettings(delay=0.1, jitter=0.05, jitter_shape="exponential", jitter_cut=0.2),
+    LinkSettings(delay=0.2, jitter=0.08, jitter_shape="normal", jitter_cut=0.2),
+    LinkSettings(delay=0.05, reorder=0.3, reorder_delay=0.1),
+    LinkSettings(delay=0.1, duplicates=0.5),
+    LinkSettings(delay=0.1, bandwidth=7.0, queue=3),
+    LinkSettings(delay=0.1, bandwidth=7.0, queue=3, keep="oldest"),
+    LinkSettings(bandwidth=15.0, queue=4),
+]
+
+
+@pytest.mark.parametrize("settings", COMMANDS)
+def test_what_is_said_of_a_link_is_what_the_link_does(settings: LinkSettings) -> None:
+    ticks = 6_000
+    link, p = Link(settings, dt=DT, seed=1, link=1), link_parameters(settings, DT)
+    newest, ages, arrived = -1, np.zeros(ticks, dtype=int), np.full(ticks, 999)
+    for tick in range(ticks):
+        link.send(tick, tick, tick)
+        for sent in link.arrivals(tick):
+            arrived[sent] = min(arrived[sent], tick - sent)
+            newest = max(newest, sent)
+        ages[tick] = tick - newest
+    settled = ages[1000:]
+    if not settings.bandwidth:
+        assert settled.min() >= least_ticks(p)
+        if not settings.duplicates:
+            for age in range(12):
+                assert np.mean(arrived[: ticks - 100] <= age) == pytest.approx(arrival_share(p, age), abs=0.025)
+                exact = arrival_share(p, age) * np.prod([1.0 - arrival_share(p, j) for j in range(age)])
+                assert np.mean(settled == age) == pytest.approx(exact, abs=0.025)
+    else:
+        assert settled.min() == least_ticks(p)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        (
+            ["hold=0.2", "links.commands.delay=0.25"],
+            "hold = 0.2: commands are 0.25 s old or more when they arrive (links.commands of uav_0)",
+        ),
+        (["hold=0.0", "links.commands.delay=0.01"], "allowed: 0.05 s or more"),
+        (["dt=0.2", "detections.rate=5.0", "links.commands.delay=0.5"], "allowed: 0.6 s or more"),  # hold is two ticks
+        (
+            ['links.only=[{vehicle="uav_0",commands={delay=0.8,jitter=0.2}}]'],
+            "0.6 s old or more when they arrive (links.only.0.commands of uav_0)",
+        ),
+        (["links.commands.bandwidth=10.0", "links.commands.queue=20"], "allowed: 1 s or more"),
+    ],
+)
+def test_commands_that_are_always_too_old_to_act_are_refused_under_every_law(changes: list[str], told: str) -> None:
+    for law in ("linear", "certified"):
+        with pytest.raises(ScenarioError) as refused:
+            load_scenario("escort", overrides=[f"law.name={law}", *changes])
+        assert told in str(refused.value)
+        assert "\n" not in str(refused.value)
+
+
+def test_a_delay_that_hold_allows_is_flown() -> None:
+    for hold, delay in ((0.5, 0.5), (0.0, 0.0), (0.35, 0.35)):
+        assert load_scenario("escort", overrides=[f"hold={hold}", f"links.commands.delay={delay}"]).hold == hold
+
+
+def test_check_says_that_nothing_can_be_certified() -> None:
+    done = outrider("check", "escort", "--set", "links.commands.delay=0.3", "--set", "links.commands.jitter=0.1")
+    assert done.returncode == 0
+    assert "certified hardly ever" in " ".join(done.stdout.split())
+    assert "A5 is broken for certain and throughout: links.commands.jitter = 0.1" in " ".join(done.stderr.split())

@@ -1,0 +1,236 @@
+"""The rogue: a UAV that wants to know what it may not, with all that it is told and a processor.
+
+It knows this program, so it tries every seed: which of them gives the key that it was told, the looks that failed, the noise?
+Who has the seed has p_delta without noise, and the other pilot's key.
+"""
+
+import math
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from blake2b import begun, key_for, one_key
+
+from bus.layout import UavRow
+from bus.messages import Observation, UavBriefing, UavObservation
+from outrider.env_pilots import pilots
+from outrider.flying import InProcess, make_pilots
+from sim.briefing import briefing
+from sim.compile import FloatArray, IntArray, released
+from sim.env.parallel import parallel_env
+from sim.flight import Flight
+from sim.randomness import (
+    DETECTION_CHANCE,
+    DETECTION_NOISE,
+    PILOT,
+    Key,
+    WordArray,
+    cut_normal_vector,
+    uniform,
+    words_of,
+)
+from sim.run_keys import derive_key
+from sim.scenario import load_scenario
+
+SCENARIO = load_scenario("escort", overrides=["duration=10.0", "detections.noise=0.2", "detections.dropout=0.08"])
+SEED = 1_234_567
+"""The run's: among those that are tried, and not so far on that the search that finds it takes long."""
+SEEDS = 2**24
+SECRET = bytes(range(100, 116)).hex()
+ROW = 0
+"""Of uav_0 among the vehicles."""
+WAYS = KEY, FLAGS, LOOKS = range(3)
+"""What a search goes by: the briefing's key, which looks succeeded, what they said."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Told:
+    """All that one UAV has of a run that may hold something of its seed."""
+
+    key: Key
+    ticks: IntArray
+    """Of the looks that were due. Shape (looks,)."""
+    found: npt.NDArray[np.bool_]
+    """Which succeeded. Shape (looks,)."""
+    said: FloatArray
+    """What they said of p_delta [m]; NaN where they failed. Shape (looks, 2)."""
+    sigma: float
+    cut: float
+    fastest: float
+    """How far p_delta may go in a tick [m]."""
+
+
+@released
+def _try_seeds(
+    way: int,
+    state: WordArray,
+    count: int,
+    key: Key,
+    ticks: IntArray,
+    found: npt.NDArray[np.bool_],
+    said: FloatArray,
+    sigma: float,
+    cut: float,
+    fastest: float,
+    m: WordArray,
+    out: WordArray,
+    hits: IntArray,
+    begin: int,
+    end: int,
+) -> None:
+    """Write the seeds from `begin` on that may be the run's, as far as one way tells, into `hits`: the last row counts them."""
+    hits[-1] = 0
+    for seed in range(begin, end):
+        if way == KEY:
+            tried = key_for(state, count, seed, PILOT, ROW, m, out)
+            fits = tried[0] == key[0] and tried[1] == key[1]
+        elif way == FLAGS:
+            tried = key_for(state, count, seed, DETECTION_CHANCE, ROW, m, out)
+            low, high = 0.0, 1.0  # whatever the share of dropouts is, it divides what failed from what did not
+            for n in range(ticks.shape[0]):
+                drawn = uniform(tried, DETECTION_CHANCE, ticks[n], 0)
+                if found[n]:
+                    low = max(low, drawn)
+                else:
+                    high = min(high, drawn)
+                if low >= high:
+                    break
+            fits = low < high
+        else:
+            tried = key_for(state, count, seed, DETECTION_NOISE, ROW, m, out)
+            fits, last, x, y = True, -1, 0.0, 0.0
+            for n in range(ticks.shape[0]):
+                if not found[n]:
+                    continue
+                n_x, n_y = cut_normal_vector(sigma, cut, tried, DETECTION_NOISE, ticks[n], 0)
+                p_x, p_y = said[n, 0] - n_x, said[n, 1] - n_y
+                if last >= 0 and math.hypot(p_x - x, p_y - y) > fastest * (ticks[n] - last) + 1e-9:
+                    fits = False
+                    break
+                last, x, y = ticks[n], p_x, p_y
+        if fits and hits[-1] < hits.shape[0] - 1:
+            hits[hits[-1]] = seed
+            hits[-1] += 1
+
+
+def _search(told: Told, way: int, secret: str, first: int = 0, seeds: int = SEEDS) -> list[int]:
+    """The seeds that may be the run's, on two cores."""
+    state, count = begun(secret)
+    ticks, found = told.ticks, told.found
+    if way == FLAGS:  # looks that failed among the first: most seeds are out after a few draws
+        both = zip(ticks[~found].tolist(), ticks[found].tolist(), strict=False)
+        ticks = np.array([tick for pair in both for tick in pair])
+        found = np.arange(len(ticks)) % 2 == 1
+
+    def part(begin: int, end: int) -> list[int]:
+        m, out = np.zeros(16, dtype=np.uint64), np.zeros(8, dtype=np.uint64)
+        hits = np.zeros(1000, dtype=np.int64)
+        looks = (told.key, ticks, found, told.said, told.sigma, told.cut, told.fastest)
+        _try_seeds(way, state, count, *looks, m, out, hits, begin, end)
+        return hits[: hits[-1]].tolist()
+
+    with ThreadPoolExecutor(2) as pool:
+        middle = first + seeds // 2
+        halves = pool.map(part, (first, middle), (middle, first + seeds))
+        return [seed for half in halves for seed in half]
+
+
+class _Bugged(InProcess):
+    """The exchange of a flight, that keeps what uav_0 is told."""
+
+    def __init__(self, flight: Flight) -> None:
+        super().__init__(make_pilots(flight.scenario, flight.seed, secret=flight.secret))
+        self.heard: list[UavObservation] = []
+
+    def publish(self, observations: Mapping[str, Observation]) -> None:
+        super().publish(observations)
+        mine = observations["uav_0"]
+        assert isinstance(mine, UavObservation)
+        self.heard.append(mine)
+
+
+def _told(secret: str, ticks: IntArray, said: FloatArray) -> Told:
+    me = briefing(SCENARIO, "uav_0", SEED, secret)
+    assert isinstance(me, UavBriefing)
+    assert me.detector.cut is not None
+    return Told(
+        key=words_of(me.key),
+        ticks=ticks,
+        found=~np.isnan(said[:, 0]),
+        said=said,
+        sigma=me.detector.noise,
+        cut=me.detector.cut,
+        fastest=(me.limits.max_speed + me.target_limits.max_speed) * me.dt,  # type: ignore[operator]
+    )
+
+
+def _on_the_bus(secret: str) -> tuple[Told, FloatArray]:
+    """What it is told over the bus, and what p_delta truly was."""
+    flight = Flight(SCENARIO, SEED, secret=secret)
+    bug = _Bugged(flight)
+    flight.fly(bug)
+    said = np.array([look.detections[0].relative_position if look.detections else (math.nan,) * 2 for look in bug.heard])
+    states = flight.recorder.states[:, :, :2]
+    return _told(secret, np.arange(len(said)), said), states[:, 0] - states[:, 1]
+
+
+def _in_rows(secret: str) -> tuple[Told, FloatArray]:
+    """The same of the environment's rows."""
+    env = parallel_env(SCENARIO, secret=secret)
+    seen, _ = env.reset(seed=SEED)
+    fly, rows, true = pilots(env), [seen["uav_0"]], [env.world.position[0] - env.world.position[1]]
+    while env.agents:
+        seen, *_ = env.step({name: fly[name](seen[name]) for name in env.agents})
+        rows.append(seen["uav_0"])
+        true.append(env.world.position[0] - env.world.position[1])
+    table, names = np.array(rows), UavRow._fields
+    said = table[:, [names.index("relative_x"), names.index("relative_y")]]
+    said[table[:, names.index("detected")] == 0.0] = math.nan
+    return _told(secret, np.arange(len(said)), said), np.array(true)
+
+
+PLACES = {"bus": _on_the_bus, "rows": _in_rows}
+
+
+def _without_noise(told: Told, seed: int, secret: str) -> FloatArray:
+    """The looks that succeeded, less the noise of this seed. Shape (looks, 2)."""
+    key = words_of(derive_key(seed, DETECTION_NOISE, ROW, secret))
+    noise = [cut_normal_vector(told.sigma, told.cut, key, DETECTION_NOISE, tick, 0) for tick in told.ticks.tolist()]
+    return (told.said - np.array(noise))[told.found]
+
+
+def test_the_rogue_derives_keys_as_the_simulator_does() -> None:
+    for secret in ("", SECRET, "ab" * 64):
+        for seed, purpose, vehicle in ((0, 0, 0), (SEED, 2, 1), (2**53 - 1, 6, 999)):
+            m, out = np.zeros(16, dtype=np.uint64), np.zeros(8, dtype=np.uint64)
+            found = one_key(*begun(secret), seed, purpose, vehicle, m, out)
+            assert found == words_of(derive_key(seed, purpose, vehicle, secret))
+
+
+def test_in_a_run_with_a_secret_the_rogue_finds_no_seed() -> None:
+    told, _ = _on_the_bus(SECRET)
+    rows, _ = _in_rows(SECRET)
+    assert np.array_equal(told.said, rows.said, equal_nan=True)  # so one search is both
+    assert (told.key, told.ticks.tolist()) == (rows.key, rows.ticks.tolist())
+    assert 5 < (~told.found).sum() < 40
+    for way in WAYS:  # all of them together fit no more seeds than each alone
+        assert _search(told, way, "") == []
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("way", WAYS, ids=["key", "flags", "looks"])
+@pytest.mark.parametrize("secret", ["", SECRET], ids=["without a secret", "with a secret that it knows"])
+def test_else_it_finds_the_seed_and_from_it_where_the_ugv_truly_is(place: str, way: int, secret: str) -> None:
+    told, true = PLACES[place](secret)
+    assert _search(told, way, secret, SEED - 50_000, 100_000) == [SEED]
+    assert _without_noise(told, SEED, secret) == pytest.approx(true[told.found], abs=1e-12)
+    assert np.abs(told.said - true)[told.found].max() > 0.1  # which the looks themselves do not say
+
+
+def test_a_secret_that_is_wrong_by_one_bit_finds_nothing() -> None:
+    told, _ = _on_the_bus(SECRET)
+    other = f"{int(SECRET, 16) ^ 1:032x}"
+    assert all(_search(told, way, other, SEED - 50_000, 100_000) == [] for way in WAYS)

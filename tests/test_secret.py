@@ -1,0 +1,205 @@
+"""The run's secret: who makes one, who is told, and that whoever gives the same one flies the same bits."""
+
+import json
+import os
+import re
+import signal
+import stat
+import subprocess
+from pathlib import Path
+from typing import get_type_hints
+
+import msgspec
+import numpy as np
+import pytest
+from processes import OUTRIDER, child_of, command_line, family, flying, nothing_left_behind, outrider
+from staging import stage
+from test_contract import _fields_within
+from test_links import degraded
+
+from bus.errors import ScenarioError
+from bus.keys import KEYS
+from bus.messages import Action, Control
+from outrider.cli.options import secret_of
+from outrider.env_pilots import pilots
+from outrider.flying import fly, run
+from outrider.recording.reader import flight_of
+from outrider.recording.refly import refly
+from outrider.vector import OutriderVectorEnv
+from sim.briefing import briefing
+from sim.env.parallel import parallel_env
+from sim.scenario import load_scenario
+
+__all__ = ["nothing_left_behind"]
+SECRET = bytes(range(100, 116)).hex()
+SHORT = load_scenario("escort", overrides=["duration=5.0"])
+VARIABLE = "OUTRIDER_SECRET"
+
+
+@pytest.fixture
+def secret_file(tmp_path: Path) -> str:
+    path = tmp_path / "secret"
+    path.write_text(SECRET.upper() + "\n", encoding="ascii")
+    return f"@{path}"
+
+
+def _mode(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+# who is told
+
+
+@pytest.mark.parametrize("kind", [key.message for key in KEYS], ids=lambda kind: kind.__name__)
+def test_no_message_on_the_bus_has_a_field_for_it(kind: type[msgspec.Struct]) -> None:
+    assert get_type_hints(kind)
+    assert "secret" not in _fields_within(kind)
+
+
+def test_a_briefing_with_a_secret_differs_in_its_key_alone() -> None:
+    for vehicle in SHORT.vehicles:
+        plain, kept = (briefing(SHORT, vehicle.name, 7, secret) for secret in ("", SECRET))
+        assert plain.key != kept.key
+        assert msgspec.structs.replace(plain, key=kept.key) == kept
+        assert SECRET.encode() not in msgspec.json.encode(kept)
+
+
+@pytest.mark.usefixtures("nothing_left_behind")
+def test_of_a_runs_processes_only_the_simulators_has_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, SECRET)
+    with flying("escort", "--set", "duration=100000.0", "--no-files", "--json") as going:
+        children = family(going.pid)
+        having = [pid for pid in children if SECRET.encode() in Path(f"/proc/{pid}/environ").read_bytes()]
+        assert having == [child_of(going, "simulator")]
+        assert not any(SECRET in command_line(pid) for pid in (going.pid, *children))
+        going.send_signal(signal.SIGINT)
+        out, _ = going.communicate(timeout=30)
+    assert json.loads(out)["secret"] == SECRET
+
+
+# the same secret, the same bits
+
+
+def test_the_environment_and_many_worlds_fly_the_bits_of_the_run() -> None:
+    flight, summary = fly(SHORT, 7, secret=SECRET)
+    assert summary.secret == SECRET
+    env = parallel_env(SHORT, secret=SECRET)
+    seen, _ = env.reset(seed=7)
+    worlds = OutriderVectorEnv(SHORT, num_envs=2, secret=SECRET)
+    first, _ = worlds.reset(seed=6)
+    assert first[1].tobytes() == seen["uav_0"].tobytes()
+    policies = pilots(env)
+    while env.agents:
+        seen, *_ = env.step({name: policies[name](seen[name]) for name in env.agents})
+    assert np.array_equal(env.world.state.position, flight.world.state.position)
+    assert np.array_equal(env.world.detections, flight.world.detections)
+
+
+def test_over_the_bus_with_a_process_that_joins_again_and_after_a_reset_too(tmp_path: Path) -> None:
+    scenario = degraded(300)
+    with stage(tmp_path, 300, scenario=scenario, secret=SECRET, respawn=True) as going:
+        going.start("ugv_0")
+        first = going.start("uav_0", until=100)
+        operator = going.client("operator").outbox(next(key for key in KEYS if key.message is Control))
+        asked = False
+
+        def on_tick() -> None:
+            nonlocal asked
+            tick, episode = going.server.flight.world.tick, going.server.flight.episode
+            if tick == 102 and episode == 0 and len(going.vehicles) == 2:
+                first.join()
+                going.start("uav_0")
+            if tick == 200 and not asked:
+                asked = True
+                operator.send(Control(action=Action.RESET))
+
+        flight = going.fly(on_tick)
+    assert flight.episode == 1
+    assert flight.recorder.sha256() == fly(scenario, scenario.seed, secret=SECRET)[1].trajectory_sha256
+    assert flight.recorder.sha256() != fly(scenario, scenario.seed)[1].trajectory_sha256
+
+
+def test_three_processes_and_one_fly_the_same_bits_and_leave_files_for_the_owner_alone(tmp_path: Path, secret_file: str) -> None:
+    written = {}
+    for name, more in {"three": (), "one": ("--in-process",)}.items():
+        folder, recorded = tmp_path / name, tmp_path / f"{name}.mcap"
+        told = ("escort", "--duration", "5", "--secret", secret_file, "--out", str(folder))
+        done = outrider("run", *told, "--record", str(recorded), "--no-picture", "--json", *more)
+        assert done.returncode == 0, done.stderr
+        assert SECRET not in done.stderr
+        written[name] = json.loads((folder / "summary.json").read_bytes())
+        assert (_mode(folder / "summary.json"), _mode(recorded)) == (0o600, 0o600)
+        recording = flight_of(recorded, None)
+        assert recording.head.secret == SECRET
+        found = refly(recording)
+        assert found.difference is None
+        assert found.flight.secret == SECRET
+    hashes = {summary["trajectory_sha256"] for summary in written.values()}
+    assert hashes == {run(SHORT, secret=SECRET).trajectory_sha256}
+    assert hashes != {run(SHORT).trajectory_sha256}
+
+
+# who makes one
+
+
+def test_a_simulator_with_credentials_makes_one_and_a_run_on_this_machine_none(tmp_path: Path) -> None:
+    endpoint = f"unixsock-stream/{tmp_path / 'bus.sock'}"
+    known = tmp_path / "credentials"
+    assert outrider("credentials", str(known), "--scenario", "escort").returncode == 0
+    processes = []
+    environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
+    try:
+        for role, name, where in (
+            (["simulator", "--duration", "2", "--json"], "router", "--listen"),
+            (["uav"], "uav_0", "--connect"),
+            (["ugv"], "ugv_0", "--connect"),
+        ):
+            words = [*OUTRIDER, *role, "--credentials", str(known / f"{name}.json"), where, endpoint]
+            processes.append(subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment))
+        out, err = processes[0].communicate(timeout=120)
+    finally:
+        for process in processes:
+            process.kill()
+            process.communicate()
+    told = json.loads(out)
+    assert re.fullmatch("[0-9a-f]{32}", told["secret"])
+    assert told["secret"].encode() not in err
+    two_seconds = load_scenario("escort", overrides=["duration=2.0"])
+    assert told["trajectory_sha256"] == run(two_seconds, secret=told["secret"]).trajectory_sha256
+    assert run(two_seconds).secret == ""
+
+
+def test_where_one_is_wanted_it_is_new_unless_it_is_given(secret_file: str) -> None:
+    made = {secret_of("", wanted=True), secret_of("new"), secret_of("new", wanted=True)}
+    assert len(made) == 3
+    assert all(re.fullmatch("[0-9a-f]{32}", secret) for secret in made)
+    assert secret_of("") == ""
+    assert secret_of(SECRET, wanted=True) == secret_of(secret_file) == secret_of(SECRET.upper()) == SECRET
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "No such file"),
+        (b"", "is empty; allowed: 32 to 128"),
+        (b"\xff" * 40, "is no text"),
+        (b"0" * 31, "31 characters that are no secret; allowed: "),
+        (b"0" * 10**6, "1000 characters that are no secret"),
+        (b"my very own passphrase, and it is long", "38 characters that are no secret"),
+    ],
+    ids=["missing", "empty", "no text", "short", "long", "words"],
+)
+def test_a_file_that_holds_none_is_refused_in_one_line(content: bytes | None, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "kept"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ScenarioError, match=message) as refusal:
+        secret_of(f"@{path}")
+    assert str(path) in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("make", [parallel_env, lambda **settings: OutriderVectorEnv(num_envs=1, **settings)])
+def test_an_environment_refuses_what_is_none(make: object) -> None:
+    with pytest.raises(ValueError, match="secret: 4 characters that are no secret"):
+        make(secret="1234")  # type: ignore[operator]  # noqa: S106 - it is none
