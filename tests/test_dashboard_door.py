@@ -138,6 +138,8 @@ def test_another_start_knows_no_cookie_of_an_earlier_one() -> None:
 
 def test_every_answer_tells_the_browser_what_it_may_do() -> None:
     _, browser = guarded(Admission(token=TOKEN))
+    # a browser sends the form with its origin for this alone: under no-referrer it says null, which is refused
+    assert '<meta name="referrer" content="same-origin">' in browser.get("/").text
     answers = [browser.get("/"), browser.get("/", headers={"Host": "["}), browser.get("/nowhere")]
     answers += [browser.get("/", headers={"Sec-Fetch-Site": "cross-site"}), browser.post("/token", data={"token": "wrong"})]
     answers += [browser.post("/token", data={"token": TOKEN}), browser.get("/")]

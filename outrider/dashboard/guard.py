@@ -40,9 +40,11 @@ FORM_STYLE = (
 )
 """Of the page that asks for the token; the policy of content names it by its hash."""
 _FORM = f"""<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
-<title>Outrider</title><style>{FORM_STYLE}</style><form method="post" action="/token"><h3>Outrider</h3>%s
+<meta name="referrer" content="same-origin"><title>Outrider</title>
+<style>{FORM_STYLE}</style><form method="post" action="/token"><h3>Outrider</h3>%s
 <input type="password" name="token" placeholder="token" aria-label="token"
 autocomplete="off" autofocus> <button>Enter</button></form></html>"""
+"""Its own policy of referrers: under the one of all responses, which is none, a browser sends a form as from nowhere."""
 _NOT_FROM_THERE = "Not from another site: open the page by its address."
 
 
