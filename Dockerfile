@@ -2,16 +2,18 @@
 # And one more, with the dashboard's web server: docker build --target dashboard -t outrider-dashboard:0.1.0 .
 # Behind a package mirror, give pip's configuration as a secret, which leaves no trace: docker build --secret id=pip_conf,src=pip.conf .
 
-ARG PYTHON=python:3.11-slim
+# The base may be any image with Python 3.11 or newer on Debian. By its digest it is the same one for ever:
+# docker build --build-arg BASE=python:3.11-slim@sha256:... ; docs/deployment.md says where the digest is found.
+ARG BASE=python:3.11-slim
 
 # What builds stays in the first stages.
-FROM ${PYTHON} AS tools
+FROM ${BASE} AS tools
 ENV PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_ROOT_USER_ACTION=ignore PIP_NO_CACHE_DIR=1 PIP_CONSTRAINT=/build/constraints.txt
 WORKDIR /build
 COPY constraints.txt ./
 RUN --mount=type=secret,id=pip_conf,target=/etc/pip.conf python -m pip install hatchling
 
-FROM ${PYTHON} AS needs
+FROM ${BASE} AS needs
 COPY pyproject.toml ./
 RUN python -c "import tomllib; project = tomllib.load(open('pyproject.toml', 'rb'))['project']; \
     print(*project['dependencies'], *project['optional-dependencies']['tls'], sep='\n')" >/needs.txt && \
@@ -35,7 +37,7 @@ COPY agents agents
 COPY outrider outrider
 RUN python -m pip wheel --no-deps --no-build-isolation --wheel-dir /wheels .
 
-FROM ${PYTHON} AS flight
+FROM ${BASE} AS flight
 LABEL org.opencontainers.image.title="Outrider" org.opencontainers.image.licenses="Apache-2.0"
 # Both folders can be written by any user, so that `user:` may be one of the host's; a container has only one.
 RUN groupadd --gid 1000 outrider && useradd --uid 1000 --gid 1000 --no-create-home --home-dir /tmp outrider && \

@@ -10,10 +10,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from urllib.request import urlopen
 
+import httpx2
 import pytest
 from processes import OUTRIDER, alive, child_of, family, nothing_left_behind, outrider, wait_until
 from websockets.exceptions import ConnectionClosed
@@ -38,19 +39,35 @@ def started(*arguments: str) -> Iterator["subprocess.Popen[str]"]:
                 stream.close()
 
 
-def port_in(process: "subprocess.Popen[str]") -> int:
-    """Where the page is, as the process says."""
+@dataclass(frozen=True)
+class Page:
+    """A page that one browser has opened."""
+
+    port: int
+    cookie: str
+
+    def text(self) -> str:
+        answer = httpx2.get(f"http://127.0.0.1:{self.port}/", headers={"Cookie": self.cookie}, trust_env=False, timeout=20.0)
+        assert answer.status_code == 200
+        return answer.text
+
+
+def page_of(process: "subprocess.Popen[str]") -> Page:
+    """The page where the process says it is."""
     assert process.stderr is not None
     seen = []
     for line in process.stderr:
         seen.append(line)
-        if found := re.search(r"http://127\.0\.0\.1:(\d+)", line):
-            return int(found.group(1))
+        if found := re.search(r"http://127\.0\.0\.1:(\d+)/\?ticket=[\w-]+(?= \(opens once)", line):
+            answer = httpx2.get(found.group(0), trust_env=False, timeout=20.0)
+            assert answer.status_code == 303
+            return Page(int(found.group(1)), answer.headers["Set-Cookie"].partition(";")[0])
     raise AssertionError(f"never said: {seen}")
 
 
-def browser(port: int) -> ClientConnection:
-    return connect(f"ws://127.0.0.1:{port}/frames", proxy=None, max_size=None)
+def browser(page: Page) -> ClientConnection:
+    address = f"ws://127.0.0.1:{page.port}/frames"
+    return connect(address, proxy=None, max_size=None, additional_headers={"Cookie": page.cookie})
 
 
 def next_frame(channel: ClientConnection) -> Frame:
@@ -70,20 +87,19 @@ def await_truth(channel: ClientConnection, tick: int) -> Frame:
     return next(frame for frame in frames(channel) if frame.get("truth", {}).get("tick", -1) >= tick)
 
 
-def serves(port: int) -> bool:
+def serves(page: Page) -> bool:
     with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", port)) == 0
+        return probe.connect_ex(("127.0.0.1", page.port)) == 0
 
 
 def test_a_page_opens_with_the_run_shows_all_of_it_and_ends_with_it() -> None:
     words = ("run", "--dashboard", "--dashboard-port", "0", "--realtime", "20", "--duration", "60", "--no-files", "--json")
     with started(*words) as run:
-        port = port_in(run)
-        with urlopen(f"http://127.0.0.1:{port}/", timeout=20) as page:
-            assert b"Outrider" in page.read()
+        page = page_of(run)
+        assert "Outrider" in page.text()
         rows: list[list[float]] = []
         statuses: list[Frame] = []
-        with browser(port) as channel:
+        with browser(page) as channel:
             for frame in frames(channel):
                 rows += frame.get("rows", [])
                 statuses += [frame["status"]] if "status" in frame else []
@@ -96,13 +112,13 @@ def test_a_page_opens_with_the_run_shows_all_of_it_and_ends_with_it() -> None:
     summary = json.loads(out)
     assert summary["ticks"] == 1200
     assert [process["name"] for process in summary["processes"]] == ["simulator", "uav_0", "ugv_0"]
-    assert not serves(port)
+    assert not serves(page)
 
 
 def test_a_run_with_a_page_keeps_the_wall_clock_unless_told_otherwise_and_ctrl_c_ends_all() -> None:
     with started("run", "--dashboard", "--dashboard-port", "0", "--no-files", "--json") as run:
-        port = port_in(run)
-        with browser(port) as channel:
+        page = page_of(run)
+        with browser(page) as channel:
             assert await_truth(channel, 20)["kind"] == "frame"
             status = next(frame["status"] for frame in frames(channel) if "status" in frame)
             assert status["wanted_factor"] == 1.0
@@ -115,14 +131,14 @@ def test_a_run_with_a_page_keeps_the_wall_clock_unless_told_otherwise_and_ctrl_c
     assert last["over"] is True
     assert 20 <= json.loads(out)["ticks"] < 4000
     assert not any(alive(child) for child in children)
-    assert not serves(port)
+    assert not serves(page)
 
 
 def test_a_page_that_dies_is_told_once_and_the_run_goes_on_in_lockstep_to_its_end() -> None:
     words = ("run", "--dashboard", "--lockstep", "--dashboard-port", "0", "--duration", "500", "--no-files", "--json")
     with started(*words) as run:
-        port = port_in(run)
-        with browser(port) as channel:
+        page = page_of(run)
+        with browser(page) as channel:
             await_truth(channel, 1)
             os.kill(child_of(run, "dashboard"), signal.SIGKILL)
         out, err = run.communicate(timeout=120)
@@ -136,13 +152,13 @@ def test_a_page_that_dies_is_told_once_and_the_run_goes_on_in_lockstep_to_its_en
 
 def test_the_page_ends_when_its_run_is_killed() -> None:
     with started("run", "--dashboard", "--dashboard-port", "0", "--no-files") as run:
-        port = port_in(run)
+        page = page_of(run)
         children = family(run.pid)
         assert child_of(run, "dashboard") in children
         run.kill()
         run.wait()
         wait_until(lambda: not any(alive(child) for child in children))
-    assert not serves(port)
+    assert not serves(page)
 
 
 def test_a_busy_port_is_refused_before_anything_flies(tmp_path: Path) -> None:
@@ -182,12 +198,12 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_recording_is_played_into_the_page_and_nobody_can_steer(recording: Path) -> None:
     words = ("replay", str(recording), "--dashboard", "--dashboard-port", "0", "--speed", "10")
     with started(*words) as replay:
-        port = port_in(replay)
-        with urlopen(f"http://127.0.0.1:{port}/", timeout=20) as page:
-            assert b"this is a recording" in page.read()
+        page = page_of(replay)
+        assert "this is a recording" in page.text()
+        assert httpx2.get(f"http://127.0.0.1:{page.port}/", trust_env=False).status_code == 401
         began = time.monotonic()
         rows: list[list[float]] = []
-        with browser(port) as channel:
+        with browser(page) as channel:
             hello = json.loads(channel.recv(20.0))
             assert hello["steer"] is False
             channel.send('{"kind":"take","vehicle":"ugv_0"}')
@@ -204,7 +220,7 @@ def test_a_recording_is_played_into_the_page_and_nobody_can_steer(recording: Pat
     assert rows[0][0] == 0.0
     assert rows[-1][0] > 29.0
     assert maps > 5
-    assert not serves(port)
+    assert not serves(page)
 
 
 def test_a_page_is_no_place_for_numbers(recording: Path) -> None:

@@ -552,7 +552,7 @@ class Checks:
             bound = docker.inspect(docker.container("dashboard"))["NetworkSettings"]["Ports"][f"{port}/tcp"]
             expect([row["HostIp"] for row in bound] == ["127.0.0.1"], f"it is published at {bound}")
             expect(fetch(port, "/")[0] == 401, "it is served without the token")
-            expect(fetch(port, "/?token=not-the-token")[0] == 401, "it is served with a wrong token")
+            expect(fetch(port, "/?ticket=not-the-ticket")[0] == 401, "it is served with a wrong ticket")
             expect(not ticks_shown(port, "", 5.0), "it is told how the run goes without the token")
             status, cookie = fetch(port, address)
             expect(status == 303 and bool(cookie), f"the address in the log gives {status}")
@@ -566,11 +566,11 @@ class Checks:
         return f"{more:.0f} MB more; 127.0.0.1:{port}, no token, no page; ticks {ticks}; no way to a vehicle, nor from one"
 
     def _address_of_the_page(self, port: int) -> str:
-        """Path and token, from the log."""
+        """Path and ticket, from the log."""
         limit = time.monotonic() + 60.0
         while time.monotonic() < limit:
             log = self.docker.compose("logs", "--no-log-prefix", "dashboard")
-            if found := re.search(rf"http://127\.0\.0\.1:{port}(/\?token=[\w-]+)", log):
+            if found := re.search(rf"http://127\.0\.0\.1:{port}(/\?ticket=[\w-]+)", log):
                 return found.group(1)
             time.sleep(0.5)
         raise CheckFailed("its log does not tell where it is")

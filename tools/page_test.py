@@ -11,6 +11,7 @@ import contextlib
 import http.client
 import json
 import os
+import re
 import shutil
 import signal
 import socket
@@ -121,15 +122,27 @@ class Processes:
         self.start("dashboard", "--port", str(port))
         wait_until(lambda: answers(port), "the dashboard listens")
 
-    def replay(self) -> int:
-        """A recording of 25 s, played slowly; the port of its page, which opens soon."""
+    def log(self, name: str) -> str:
+        """All that a process has said."""
+        return (self._folder / f"{name}.log").read_text(errors="replace")
+
+    def address(self, name: str) -> str:
+        """Where a process says that its page is, with the ticket that opens it."""
+
+        def told() -> "re.Match[str] | None":
+            return re.search(r"http://127\.0\.0\.1:\d+/\?ticket=[\w-]+", self.log(name))
+
+        found: re.Match[str] = wait_until(told, f"{name} says where its page is", 40.0)
+        return found.group(0)
+
+    def replay(self) -> None:
+        """A recording of 25 s, played slowly; its page opens soon."""
         path, port = str(self._folder / "run.mcap"), free_port()
         if self._running.pop("recording").wait(60.0):
             raise Failed("nothing was recorded")
         words = ["replay", path, "--dashboard", "--dashboard-port", str(port), "--speed", "0.5"]
         with (self._folder / "replay.log").open("ab") as log:
             self._running["replay"] = subprocess.Popen([*OUTRIDER, *words], stdin=subprocess.DEVNULL, stdout=log, stderr=log)
-        return port
 
     def simulator(self, factor: float) -> None:
         """A simulator that keeps the wall clock."""
@@ -165,9 +178,11 @@ class Page:
         self.page = context.new_page()
         self.page.on("console", lambda m: complaints.append(f"console: {m.text}") if m.type in ("error", "warning") else None)
         self.page.on("pageerror", lambda error: complaints.append(f"script: {error}"))
-        self.page.on("request", lambda request: self._see(request.url, address, complaints))
+        self.page.on("request", lambda request: self._see(request.url, address.partition("?")[0], complaints))
         self.page.goto(address)
         self.ready()
+        if "?" in self.page.url:
+            raise Failed(f"the ticket stays in the bar: {self.page.url}")
 
     @staticmethod
     def _see(url: str, address: str, complaints: list[str]) -> None:
@@ -240,6 +255,46 @@ def check_open_and_moving(first: Page) -> str:
     if painted < 50:
         raise Failed(f"the map shows {painted} colours")
     return f"{painted} colours on the map"
+
+
+def check_policy(context: Any, address: str) -> str:  # noqa: ANN401 - Playwright's own
+    """Text that has got into the page runs no script, and no other page frames it."""
+    page = context.new_page()
+    page.goto(address)
+    page.evaluate("""() => {
+      const image = document.createElement("div");
+      image.innerHTML = "<img src='data:,' onerror='window.ran = true'>";
+      const script = Object.assign(document.createElement("script"), { textContent: "window.ran = true" });
+      const elsewhere = Object.assign(document.createElement("script"), { src: "data:text/javascript,window.ran = true" });
+      document.body.append(image, script, elsewhere);
+    }""")
+    time.sleep(0.5)
+    if page.evaluate("() => window.ran"):
+        raise Failed("a script runs that is none of the page's")
+    page.close()
+    outside = context.new_page()
+    outside.set_content(f"<iframe src='{address}'></iframe>")
+    outside.wait_for_timeout(1000)
+    if any(frame.url.startswith(address) for frame in outside.frames):
+        raise Failed("the page lets itself be framed")
+    outside.close()
+    return "no script but its own, in nobody's frame"
+
+
+def admit_by_form(context: Any, processes: Processes, address: str) -> str:  # noqa: ANN401 - Playwright's own
+    """An address that has been used lets in nobody, and the token does."""
+    page = context.new_page()
+    page.goto(processes.address("dashboard"))
+    if "opens once" not in page.inner_text("body"):
+        raise Failed("an address lets in a second browser")
+    token = re.search(r"token ([\w-]+)\)", processes.log("dashboard"))
+    if token is None:
+        raise Failed("the token is not told")
+    page.get_by_label("token").fill(token.group(1))
+    page.get_by_role("button", name="Enter").click()
+    page.wait_for_url(address)
+    page.close()
+    return "an address opens once, the token always"
 
 
 def check_frame_rate(first: Page) -> str:
@@ -414,10 +469,9 @@ def check_links(page: Page) -> str:
     return f"one word for a drag, loss {100 * share:.0f} %; blackout of 2 s; a refusal with its reason; perfect again"
 
 
-def check_observer(processes: Processes, port: int, context: Any, complaints: list[str]) -> str:  # noqa: ANN401
+def check_observer(processes: Processes, context: Any, complaints: list[str]) -> str:  # noqa: ANN401
     """Who only looks on sees all, and is told why nothing can be changed."""
-    wait_until(lambda: answers(port), "the observer's dashboard listens")
-    page = Page(context, f"http://127.0.0.1:{port}/", complaints)
+    page = Page(context, processes.address(OBSERVERS), complaints)
     tick = page.tick
     wait_until(lambda: page.tick > tick, "it moves")
     wait_until(lambda: page.page.locator("#links .link-row").count() == 5, "the links are shown")
@@ -431,10 +485,9 @@ def check_observer(processes: Processes, port: int, context: Any, complaints: li
     return "all is shown, nothing can be pressed, and the reason is given"
 
 
-def check_recording(processes: Processes, port: int, context: Any, pictures: Path | None, complaints: list[str]) -> str:  # noqa: ANN401
+def check_recording(processes: Processes, context: Any, pictures: Path | None, complaints: list[str]) -> str:  # noqa: ANN401
     """It is played, paused, wound and stepped; nothing else can be touched."""
-    wait_until(lambda: answers(port), "the recording's page listens")
-    page = Page(context, f"http://127.0.0.1:{port}/", complaints)
+    page = Page(context, processes.address("replay"), complaints)
     wait_until(lambda: page.tick > 20, "it is played")
     page.click("Pause")
     wait_until(lambda: page.status["paused"], "it is paused")
@@ -476,7 +529,7 @@ def check_dead_simulator(page: Page, processes: Processes) -> str:
 
 
 class Doors:
-    """Dashboards that are refused, and one with a token: started before they are looked at, since all that takes time."""
+    """Dashboards that are refused, and one with a chosen token: started before they are looked at, since all that takes time."""
 
     def __init__(self, processes: Processes, port: int) -> None:
         self.port = free_port()
@@ -487,7 +540,7 @@ class Doors:
 def _refused(processes: Processes, port: int) -> "dict[str, tuple[subprocess.Popen[str], str]]":
     refused = {
         "a taken port": (["--port", str(port)], "cannot listen"),
-        "a host without token": (["--host", "0.0.0.0"], "--token"),  # noqa: S104 - which is refused
+        "a host without token": (["--host", "0.0.0.0", "--no-token"], "--no-token"),  # noqa: S104 - which is refused
         "a short token": (["--token", "short"], "--token"),
     }
     tried = {}
@@ -505,32 +558,42 @@ def check_doors(port: int, processes: Processes, doors: Doors) -> str:
         told = process.communicate(timeout=60)[1]
         if process.returncode != 2 or said not in told or len(told.strip().splitlines()) != 1:
             raise Failed(f"{what}: exit code {process.returncode}, {told!r}")
-    _expect(port, "/", {"Host": f"rebound.example:{port}"}, 403)
     upgrade = {
         "Upgrade": "websocket",
         "Connection": "Upgrade",
         "Sec-WebSocket-Version": "13",
         "Sec-WebSocket-Key": "x" * 22 + "==",
     }
-    _expect(port, "/frames", {**upgrade, "Origin": "http://elsewhere.example"}, 403)
+    for headers, status in (
+        ({}, 401),
+        ({"Sec-Fetch-Site": "cross-site"}, 403),
+        ({"Origin": "http://elsewhere.example"}, 403),
+        ({"Origin": "http://["}, 400),
+        ({"Host": "["}, 400),
+    ):
+        _expect(port, "/", headers, status)
+        _expect(port, "/frames", {**upgrade, **headers}, status)
     second = doors.port
     wait_until(lambda: answers(second), "the dashboard with a token listens")
     _expect(second, "/", {}, 401)
-    _expect(second, "/frames", upgrade, 403)
-    _expect(second, "/?token=not-the-token", {}, 401)
-    cookie = _expect(second, f"/?token={TOKEN}", {}, 303)
+    _expect(second, "/frames", upgrade, 401)
+    _expect(second, f"/?token={TOKEN}", {}, 401)
+    _expect(second, "/token", {}, 401, "token=not-the-token")
+    cookie = _expect(second, "/token", {}, 303, f"token={TOKEN}")
     _expect(second, "/", {"Cookie": cookie.partition(";")[0]}, 200)
     processes.kill("dashboard_2")
     return "three refusals in one line each; no token, no page; no other site's page gets in"
 
 
-def _expect(port: int, path: str, headers: dict[str, str], status: int) -> str:
+def _expect(port: int, path: str, headers: dict[str, str], status: int, form: str = "") -> str:
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
     try:
-        connection.request("GET", path, headers=headers)
+        connection.request("POST" if form else "GET", path, body=form or None, headers=headers)
         response = connection.getresponse()
         if response.status != status:
             raise Failed(f"{path} with {headers}: {response.status}, not {status}")
+        if "frame-ancestors 'none'" not in (response.getheader("Content-Security-Policy") or ""):
+            raise Failed(f"{path} with {headers} may be framed")
         return response.getheader("Set-Cookie") or ""
     finally:
         connection.close()
@@ -567,18 +630,19 @@ def perform(playwright: Any, chromium: str, pictures: Path | None) -> None:  # n
         try:
             desk = browser.new_context(viewport={"width": 1280, "height": 800})
             phone = browser.new_context(viewport={"width": 390, "height": 844}, device_scale_factor=2, has_touch=True)
-            first = Page(desk, address, complaints)
+            first = Page(desk, processes.address("dashboard"), complaints)
+            report("what may run in it", check_policy(desk, address))
             report("the page opens and the vehicles move", check_open_and_moving(first))
             report("at real time", check_frame_rate(first))
             report("reload", check_reload(first))
-            recording = processes.replay()
+            processes.replay()
             report("keys", check_key(first))
             report("gamepad", check_pad(first))
-            observers = free_port()
-            processes.start("dashboard", "--port", str(observers), name=OBSERVERS)
-            report("a recording", check_recording(processes, recording, desk, pictures, complaints))
+            processes.start("dashboard", "--port", str(free_port()), name=OBSERVERS)
+            report("a recording", check_recording(processes, desk, pictures, complaints))
             report("a slider degrades the link", check_links(first))
-            report("an observer", check_observer(processes, observers, desk, complaints))
+            report("an observer", check_observer(processes, desk, complaints))
+            report("another browser", admit_by_form(phone, processes, address))
             second = Page(phone, address, complaints)
             for name, page in (("desk", first), ("phone", second)):
                 if pictures is not None:

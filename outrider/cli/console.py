@@ -43,7 +43,7 @@ class FlightProgress:
 
     def say(self, line: str) -> None:
         """Print a line above the bar."""
-        self._progress.console.print(f"[yellow]{line}[/]")
+        self._progress.console.print(f"[yellow]{line}[/]", soft_wrap=True)
 
 
 @contextmanager

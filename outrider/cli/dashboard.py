@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from outrider.cli.options import DEFAULT_ENDPOINT, DEFAULT_RUN, Connect, CredentialFile, Leash, RunName
+from outrider.cli.options import DEFAULT_ENDPOINT, DEFAULT_RUN, Connect, CredentialFile, Leash, NoPageToken, PageToken, RunName
 
 if TYPE_CHECKING:
     import socket
@@ -21,24 +21,18 @@ def command(
     connect: Connect = DEFAULT_ENDPOINT,
     run: RunName = DEFAULT_RUN,
     credentials: CredentialFile = None,
-    host: Annotated[
-        str, typer.Option(help="Address to serve the page on; beyond this machine only with a token.", envvar="OUTRIDER_HOST")
-    ] = "127.0.0.1",
+    host: Annotated[str, typer.Option(help="Address to serve the page on.", envvar="OUTRIDER_HOST")] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="0 takes any that is free.", min=0, max=65535, envvar="OUTRIDER_PORT")] = 8080,
-    token: Annotated[
-        str,
-        typer.Option(
-            help="What a browser must know: 8 to 128 letters, digits, '_' and '-'; the word new makes one up and prints it.",
-            envvar="OUTRIDER_TOKEN",
-        ),
-    ] = "",
+    token: PageToken = "",
+    no_token: NoPageToken = False,
     law: Annotated[str, typer.Option(hidden=True, help="What the UAVs fly at first, with its gains, as JSON.")] = "",
     listening: Annotated[int, typer.Option(hidden=True, help="Serve on this socket of the parent's, and say so on stdout.")] = -1,
     leash: Leash = False,
 ) -> None:
     """Show a run in the browser while it is flown, and steer it: pause, speed, law, driver, and a UGV's wheel.
 
-    With the operator's credentials; with the observer's it only shows. Runs until Ctrl-C or SIGTERM. Needs no internet.
+    With the operator's credentials; with the observer's it only shows. Runs until Ctrl-C or SIGTERM. Needs no internet. The
+    printed address lets in one browser, once, and another one asks for the token.
     `outrider run --dashboard` starts one with the run.
 
     Example: outrider dashboard --connect tcp/127.0.0.1:17447 --credentials credentials/operator.json
@@ -50,14 +44,13 @@ def command(
     from bus.session import open_session
     from outrider.cli.console import ERR
     from outrider.cli.options import check_endpoints
-    from outrider.dashboard.door import NEW_TOKEN, address_of, check_extra, check_token
+    from outrider.dashboard.door import address_of, check_extra, choose_admission
     from outrider.leash import hold
 
     if leash:
         hold()
     check_endpoints((connect,), secured=True, insecure=False)
-    made_up = token == NEW_TOKEN
-    token = check_token(host, token)
+    admission = choose_admission(host, token, wanted=not no_token)
     check_extra()
     from outrider.dashboard.app import serve
     from outrider.dashboard.controls import Controls
@@ -71,8 +64,7 @@ def command(
         _socket(listening, host, port) as opened,
         open_session(party, run, connect=connect, credential=credential) as session,
     ):
-        address = address_of(opened) + (f"/?token={token}" if made_up else "")
-        line = address + (" to whoever has the token" if token and not made_up else "")
+        line = address_of(opened, admission)
 
         def ready() -> None:
             if listening >= 0:
@@ -83,7 +75,7 @@ def command(
 
         hub = Hub(Live(session), _law(law))
         controls = (lambda: Controls(hub).show) if hub.source.may_steer else None
-        serve(hub, opened, token, controls=controls, ready=ready)
+        serve(hub, opened, admission, controls=controls, ready=ready)
 
 
 def _socket(number: int, host: str, port: int) -> "socket.socket":

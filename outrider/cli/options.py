@@ -109,6 +109,26 @@ PagePort = Annotated[
     int, typer.Option(help="Where the page is served, on this machine alone; 0 takes any that is free.", min=0, max=65535)
 ]
 
+PageToken = Annotated[
+    str,
+    typer.Option(
+        "--token",
+        help="What a browser must know: 8 to 128 letters, digits, '_' and '-'. By default a new one is made up, and printed with "
+        "the address. Other users of this machine see what a command line says; what is in OUTRIDER_TOKEN they do not.",
+        envvar="OUTRIDER_TOKEN",
+        show_default=False,
+        show_envvar=True,
+    ),
+]
+NoPageToken = Annotated[
+    bool,
+    typer.Option(
+        "--no-token",
+        help="Let in every browser of this machine, also those of its other users.",
+        envvar="OUTRIDER_NO_TOKEN",
+    ),
+]
+
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:17447"
 DEFAULT_RUN = "flight"
 

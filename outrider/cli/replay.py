@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from outrider.cli.options import Json, PagePort
+from outrider.cli.options import Json, NoPageToken, PagePort, PageToken
 
 if TYPE_CHECKING:
     from outrider.recording.reader import Recording
@@ -29,6 +29,8 @@ def command(
         ),
     ] = False,
     dashboard_port: PagePort = 8080,
+    token: PageToken = "",
+    no_token: NoPageToken = False,
     flight: Annotated[
         int | None, typer.Option(help="Which flight of a run that was reset, from 0; the last one by default.")
     ] = None,
@@ -50,7 +52,7 @@ def command(
         _refly(recording, json=json)
         return
     if dashboard:
-        _show(recording, 1.0 if speed is None else speed, dashboard_port)
+        _show(recording, 1.0 if speed is None else speed, dashboard_port, token, wanted=not no_token)
         return
     if speed is not None:
         _play(recording, speed)
@@ -95,11 +97,12 @@ def _refly(recording: "Recording", *, json: bool) -> None:
         raise typer.Exit(1)
 
 
-def _show(recording: "Recording", speed: float, port: int) -> None:
+def _show(recording: "Recording", speed: float, port: int, token: str, *, wanted: bool) -> None:
     """Serve the page until somebody ends it."""
     from outrider.cli.console import ERR
-    from outrider.dashboard.door import address_of, check_extra, open_socket
+    from outrider.dashboard.door import address_of, check_extra, choose_admission, open_socket
 
+    admission = choose_admission("127.0.0.1", token, wanted=wanted)
     check_extra()
     with open_socket("127.0.0.1", port, "--dashboard-port") as opened:
         from outrider.dashboard.app import serve
@@ -109,8 +112,8 @@ def _show(recording: "Recording", speed: float, port: int) -> None:
 
         tape = Tape(recording, speed)
         hub = Hub(tape)
-        line = f"{recording.path} is played at {address_of(opened)}; Ctrl-C ends it"
-        serve(hub, opened, "", controls=lambda: Player(hub, tape).show, ready=lambda: ERR.print(line, soft_wrap=True))
+        line = f"{recording.path} is played at {address_of(opened, admission)}; Ctrl-C ends it"
+        serve(hub, opened, admission, controls=lambda: Player(hub, tape).show, ready=lambda: ERR.print(line, soft_wrap=True))
 
 
 def _play(recording: "Recording", speed: float) -> None:

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import socket
+import time
 from collections.abc import AsyncIterator, Callable, MutableMapping
 from pathlib import Path
 from typing import Any
@@ -11,14 +12,19 @@ import msgspec
 import uvicorn
 from fastapi import FastAPI
 from nicegui import ui
+from starlette.middleware.gzip import GZipMiddleware
 from starlette.responses import Response
 from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from bus.messages import Vector
+from outrider.dashboard.door import Admission
 from outrider.dashboard.guard import Guard
+from outrider.dashboard.headers import Nonces, SecureHeaders
 from outrider.dashboard.hub import Browser, Hub
 from outrider.dashboard.page import BuildControls, build_page, colors
+from outrider.dashboard.visitors import Visitors
 
 STATIC = Path(__file__).with_name("static")
 
@@ -45,23 +51,51 @@ class _Fresh(StaticFiles):
         return response
 
 
-def serve(hub: Hub, listening: socket.socket, token: str, *, controls: BuildControls | None, ready: Callable[[], None]) -> None:
+def serve(
+    hub: Hub, listening: socket.socket, admission: Admission, *, controls: BuildControls | None, ready: Callable[[], None]
+) -> None:
     """Serve the page until SIGINT or SIGTERM.
 
     Args:
         hub: What is shown.
         listening: The socket to serve on.
-        token: What a browser must know; empty: nothing.
+        admission: What a browser must know.
         controls: Builds what can be touched in a page; None: nothing.
         ready: Called when browsers can come.
     """
+    config = uvicorn.Config(
+        application(hub, admission, controls=controls, ready=ready),
+        lifespan="on",
+        log_level="warning",
+        access_log=False,
+        # Whoever asks is who is connected: a header must not give one another address, with tries at the token of its own.
+        proxy_headers=False,
+        server_header=False,
+        ws_per_message_deflate=False,
+        ws_max_size=1 << 20,
+        timeout_graceful_shutdown=1,
+    )
+    uvicorn.Server(config).run(sockets=[listening])
+
+
+def application(hub: Hub, admission: Admission, *, controls: BuildControls | None, ready: Callable[[], None]) -> ASGIApp:
+    """All that is served, with what guards it; once a process, as NiceGUI is there once.
+
+    Args:
+        hub: What is shown.
+        admission: What a browser must know.
+        controls: Builds what can be touched in a page; None: nothing.
+        ready: Called when browsers can come.
+    """
+    visitors = Visitors()
 
     @contextlib.asynccontextmanager
     async def living(_app: FastAPI) -> AsyncIterator[None]:
-        following = asyncio.create_task(hub.follow())
+        following = [asyncio.create_task(hub.follow()), asyncio.create_task(visitors.follow(time.time))]
         ready()
         yield
-        following.cancel()
+        for task in following:
+            task.cancel()
         hub.close()
 
     app = FastAPI(lifespan=living, docs_url=None, redoc_url=None, openapi_url=None)
@@ -71,18 +105,16 @@ def serve(hub: Hub, listening: socket.socket, token: str, *, controls: BuildCont
     async def frames(channel: WebSocket) -> None:
         await _accompany(hub, channel)
 
-    build_page(controls)
-    ui.run_with(app, title="Outrider", favicon=STATIC / "favicon.svg", show_welcome_message=False, tailwind=False)
-    config = uvicorn.Config(
-        Guard(app, token),
-        lifespan="on",
-        log_level="warning",
-        access_log=False,
-        ws_per_message_deflate=False,
-        ws_max_size=1 << 20,
-        timeout_graceful_shutdown=1,
+    build_page(controls, visitors.welcome)
+    ui.run_with(
+        app,
+        title="Outrider",
+        favicon=STATIC / "favicon.svg",
+        show_welcome_message=False,
+        tailwind=False,
+        gzip_middleware_factory=None,  # the page is marked before it is compressed
     )
-    uvicorn.Server(config).run(sockets=[listening])
+    return SecureHeaders(Guard(GZipMiddleware(Nonces(app)), admission))
 
 
 async def _accompany(hub: Hub, channel: WebSocket) -> None:
@@ -91,13 +123,18 @@ async def _accompany(hub: Hub, channel: WebSocket) -> None:
     browser = hub.welcome(channel.client.host if channel.client else "")
     sending = asyncio.create_task(_send_frames(hub, browser, channel))
     try:
-        while True:
-            _obey(hub, browser, await channel.receive_text())
-    except (WebSocketDisconnect, KeyError):
-        pass
+        async for text in _words(channel):
+            _obey(hub, browser, text)
     finally:
         sending.cancel()
         hub.leave(browser)
+
+
+async def _words(channel: WebSocket) -> AsyncIterator[str]:
+    """All that a browser says. Where it has gone while a frame was sent to it, that is a RuntimeError here."""
+    with contextlib.suppress(WebSocketDisconnect, RuntimeError, KeyError):
+        while True:
+            yield await channel.receive_text()
 
 
 async def _send_frames(hub: Hub, browser: Browser, channel: WebSocket) -> None:

@@ -3,13 +3,12 @@
 import re
 import secrets
 import socket
+from dataclasses import dataclass
 from importlib.util import find_spec
 
 from bus.errors import ScenarioError
 from outrider.dashboard import LOOPBACK
 
-NEW_TOKEN = "new"  # noqa: S105 - stands for one that is made up
-"""Instead of a token: make one up and print it."""
 _NEEDED = ("nicegui",)
 
 
@@ -24,19 +23,38 @@ def check_extra() -> None:
             raise ScenarioError(f"{module} is missing: pip install 'outrider[dashboard]'")
 
 
-def check_token(host: str, token: str) -> str:
-    """The token that a browser must know; empty: none.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Admission:
+    """What a browser must know to be let in; all empty: nothing, but be on this machine."""
+
+    token: str = ""
+    """Lets in any number of browsers; it is typed, and never part of an address."""
+    ticket: str = ""
+    """Lets in one browser, once, as part of the address: histories keep addresses. Empty: there is none."""
+
+
+def choose_admission(host: str, token: str, *, wanted: bool = True) -> Admission:
+    """What a browser must know.
+
+    Args:
+        host: The page is served on this address.
+        token: The one that is chosen; empty: a new one is made up, with a ticket.
+        wanted: Whether it must know anything.
 
     Raises:
-        ScenarioError: If it cannot be one, or there is none where other machines reach the page.
+        ScenarioError: If the token cannot be one, or there shall be none where other machines reach the page.
     """
-    if token == NEW_TOKEN:
-        return secrets.token_urlsafe(18)
-    if token and not re.fullmatch(r"[A-Za-z0-9_-]{8,128}", token):
-        raise ScenarioError("--token: allowed are 8 to 128 letters, digits, '_' and '-', or the word new")
-    if not token and host not in LOOPBACK:
-        raise ScenarioError(f"--host {host}: other machines reach it, and there is no token; give one with --token")
-    return token
+    if not wanted:
+        if token:
+            raise ScenarioError("--no-token: there is one, in --token or OUTRIDER_TOKEN; leave one of them out")
+        if host not in LOOPBACK:
+            raise ScenarioError(f"--no-token: other machines reach --host {host}; allowed is this with {', '.join(LOOPBACK)}")
+        return Admission()
+    if not token:
+        return Admission(token=secrets.token_urlsafe(18), ticket=secrets.token_urlsafe(18))
+    if not re.fullmatch(r"[A-Za-z0-9_-]{8,128}", token):
+        raise ScenarioError("--token: allowed are 8 to 128 letters, digits, '_' and '-'")
+    return Admission(token=token)
 
 
 def open_socket(host: str, port: int, option: str = "--port") -> socket.socket:
@@ -65,8 +83,14 @@ def open_socket(host: str, port: int, option: str = "--port") -> socket.socket:
     return opened
 
 
-def address_of(listening: socket.socket) -> str:
-    """Where a browser of this machine finds the page."""
+def address_of(listening: socket.socket, admission: Admission) -> str:
+    """Where a browser of this machine finds the page, in words for its user.
+
+    Whoever has chosen the token knows it, and may not want it in a log.
+    """
     host, port = listening.getsockname()[:2]
     known = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)  # noqa: S104 - is told, not served
-    return f"http://{known}:{port}"
+    address = f"http://{known}:{port}"
+    if admission.ticket:
+        return f"{address}/?ticket={admission.ticket} (opens once; another browser asks for the token {admission.token})"
+    return f"{address} to whoever has the token" if admission.token else address

@@ -75,15 +75,17 @@ def _head() -> str:
     )
 
 
-def build_page(controls: BuildControls | None) -> None:
+def build_page(controls: BuildControls | None, welcome: Callable[[], None]) -> None:
     """Make the page known to NiceGUI; each browser gets one of its own.
 
     Args:
         controls: Builds what can be touched, and the card of the links among it; None: nothing can be.
+        welcome: Called at the beginning of each.
     """
 
     @ui.page("/", title="Outrider")
     def show() -> None:
+        welcome()
         ui.add_head_html(_head())
         ui.colors(primary=style.UAV[0], accent=style.UGV[0], negative=style.LIMIT, positive=style.GOOD)
         with ui.element("div").classes("dashboard"):
