@@ -56,7 +56,7 @@ class Child:
         self.name = name
         self._words: deque[str] = deque(maxlen=_LAST_WORDS)
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "outrider", *arguments, "--leash"],
+            [sys.executable, "-P", "-m", "outrider", *arguments, "--leash"],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL if lines is None else subprocess.PIPE,
             stderr=subprocess.PIPE,

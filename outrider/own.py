@@ -31,7 +31,7 @@ def _reason(error: BaseException) -> str:
 
 
 def load_function(name: str, *, what: str) -> Callable[..., Any] | None:
-    """The function that `module:function` names; None for an empty name. The working folder is searched too.
+    """The function that `module:function` names; None for an empty name. The working folder is searched last.
 
     Args:
         name: Where it is.
@@ -59,7 +59,7 @@ def _named(name: str, what: str) -> Any:  # noqa: ANN401 - whatever it is
         raise ScenarioError(f"{what} = {name!r}: not of the form module:function")
     here = str(Path.cwd())
     if here not in sys.path:
-        sys.path.append(here)
+        sys.path.append(here)  # behind all others: a file there takes no library's place
     try:
         return getattr(import_module(module_name), function_name)
     except (ImportError, AttributeError) as error:
