@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 .DEFAULT_GOAL := help
 LEARNERS := sb3 torchrl rllib supersuit
 
-.PHONY: help run test check format figures bench soak compose-test page-test learn-test clean
+.PHONY: help run test check format figures bench soak kill-test compose-test page-test learn-test clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
@@ -45,6 +45,9 @@ bench: $(VENV)/.run ## the speed of each layer beside its limit
 
 soak: $(VENV)/.dev ## an hour of simulated time with random kills: memory, trajectory, nothing left behind
 	$(BIN)/python tools/soak.py $(ARGS)
+
+kill-test: $(VENV)/.dev ## a vehicle killed at 40 random moments from its start to the run's end: the same trajectory each time
+	$(BIN)/python tools/kill_test.py $(ARGS)
 
 compose-test: $(VENV)/.run ## the containers, built, flown, killed, paused and cut off; needs a Docker engine
 	$(BIN)/python tools/compose_test.py $(ARGS)

@@ -365,14 +365,16 @@ def _follow(crew: _Crew, watcher: Watcher, *, respawn: bool) -> Outcome:
         """A vehicle's process has failed; whether the run must end for it."""
         mourned.add(dead.pid)
         deaths[dead.name] += 1
-        again = respawn and deaths[dead.name] <= _LIVES and tick > 0
+        again = respawn and deaths[dead.name] <= _LIVES
         epitaph = dead.epitaph()
+        if respawn and not again:
+            epitaph += f"; for the {deaths[dead.name]}th time at tick {tick}, and it is not started again"
         watcher.on_event(epitaph + (": started again" if again else ""))
         if again:
             crew.start_again(dead)
         else:
             outcome.fault = outcome.fault or epitaph
-        return tick == 0
+        return not again and (respawn or tick == 0)
 
     while True:
         if watcher.stop() and not asked:

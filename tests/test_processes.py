@@ -184,7 +184,9 @@ def test_what_lies_in_the_working_folder_takes_no_modules_place(tmp_path: Path) 
     hostile = 'raise SystemExit(f"hijacked by {__name__}")\n'
     mine = "def policy(observation, briefing):\n    return (0.05, 0.0)\n"
     (tmp_path / "mine.py").write_text(mine, encoding="utf-8")
-    checked = subprocess.run([*OUTRIDER, "check", "escort"], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
+    checked = subprocess.run(
+        [*OUTRIDER, "check", "escort"], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
+    )
     assert checked.returncode == 0, checked.stderr
     for name in ("agents", "sim", "bus", "outrider"):
         (tmp_path / name).mkdir()
