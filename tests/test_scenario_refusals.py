@@ -243,12 +243,12 @@ def test_an_unreadable_file_is_refused(tmp_path: Path, monkeypatch: pytest.Monke
     assert refusal("a\0b").startswith("a\\x00b: cannot be read")
     assert "cannot be read" in refusal("x" * 5000)
 
-    def denied(_path: Path) -> bytes:
+    def denied(_path: Path, _most: int) -> bytes:
         raise PermissionError(13, "Permission denied")
 
     path = written(tmp_path, SMALL.encode())
-    monkeypatch.setattr(Path, "read_bytes", denied)
-    assert refusal(path) == f"{path}: cannot be read: Permission denied; allowed: a TOML file"
+    monkeypatch.setattr("sim.scenario.read_regular", denied)
+    assert refusal(path) == f"{path}: cannot be read: Permission denied; allowed: a TOML file of 1 MiB at most"
 
 
 @pytest.mark.parametrize("source", ["escrot", "no-such.toml", "/no/such/folder/escort.toml"])

@@ -4,6 +4,9 @@ from typing import Annotated
 
 import typer
 
+_LISTED = 12
+"""Vehicles are named up to so many."""
+
 
 def command(
     file: Annotated[str, typer.Argument(help="A TOML file, or a shipped scenario's name.")],
@@ -17,18 +20,20 @@ def command(
     Example: outrider check my-scenario.toml
     """
     from outrider.cli.console import OUT, print_json, print_warnings
+    from outrider.own import foreign_code
     from outrider.promise import promise_warnings
     from sim.scenario import load_scenario
     from sim.scenario_checks import scenario_warnings
 
     scenario = load_scenario(file, overrides=changes or ())
+    warnings = (*scenario_warnings(scenario), *promise_warnings(scenario), *foreign_code(scenario, changes or ()))
     if json:
-        print_json(
-            {"scenario": scenario.name, "valid": True, "warnings": [*scenario_warnings(scenario), *promise_warnings(scenario)]}
-        )
+        print_json({"scenario": scenario.name, "valid": True, "warnings": warnings})
         return
-    print_warnings((*scenario_warnings(scenario), *promise_warnings(scenario)))
-    vehicles = ", ".join(vehicle.name for vehicle in scenario.vehicles)
+    print_warnings(warnings)
+    names = [vehicle.name for vehicle in scenario.vehicles]
+    many = f"{len(scenario.uav):,} UAVs and {len(scenario.ugv):,} UGVs"
+    vehicles = ", ".join(names) if len(names) <= _LISTED else many
     OUT.print(
         f"{scenario.name}: can be flown ({vehicles}; law {scenario.law.name}; {scenario.duration:g} s, {scenario.ticks} ticks)"
     )
