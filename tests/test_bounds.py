@@ -107,6 +107,13 @@ def test_no_file_fills_the_memory_or_keeps_the_reader_waiting(tmp_path: Path) ->
     assert int(done.stdout) < 300 * 1024  # [kB], libraries and all
 
 
+@pytest.mark.parametrize("text", [".".join("a" * 500_000) + " = 1", "[" + ".".join("a" * 64 + "b") + "]"])
+def test_a_key_of_a_million_parts_is_refused_unparsed(text: str, tmp_path: Path) -> None:
+    (tmp_path / "deep.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(ScenarioError, match="a key of more than 64 parts"):
+        load_scenario(tmp_path / "deep.toml")
+
+
 def test_other_files_are_bounded_too(tmp_path: Path) -> None:
     fifo, large, packed = tmp_path / "fifo", tmp_path / "large", tmp_path / "packed.npz"
     os.mkfifo(fifo, 0o600)
