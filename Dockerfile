@@ -51,10 +51,10 @@ USER 1000:1000
 WORKDIR /runs
 # A flight compiles all that the roles need, and its picture fills the cache of fonts: no container does it at its start.
 RUN outrider run escort --in-process --duration 1 --out /tmp/flight && rm -r /tmp/flight && \
-    python -c "from agents.process import warm_up; from bus.keys import Role; warm_up(Role.UAV); warm_up(Role.UGV)" && \
+    python -P -c "from agents.process import warm_up; from bus.keys import Role; warm_up(Role.UAV); warm_up(Role.UGV)" && \
     chmod -R a+rwX /var/cache/outrider
 # Healthy is what reaches its router; the router reaches itself.
-HEALTHCHECK --interval=10s --timeout=3s --start-period=30s --retries=3 CMD ["python", "-c", "import os, socket; \
+HEALTHCHECK --interval=10s --timeout=3s --start-period=30s --retries=3 CMD ["python", "-P", "-c", "import os, socket; \
 host, _, port = os.environ.get('OUTRIDER_CONNECT', 'tcp/127.0.0.1:17447').rpartition('/')[2].rpartition(':'); \
 socket.create_connection((host.strip('[]'), int(port)), 2).close()"]
 ENTRYPOINT ["outrider"]

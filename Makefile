@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 .DEFAULT_GOAL := help
 LEARNERS := sb3 torchrl rllib supersuit
 
-.PHONY: help run test check format figures bench soak crowd-test compose-test page-test learn-test clean
+.PHONY: help run test check format figures bench soak kill-test crowd-test compose-test page-test learn-test clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
@@ -48,6 +48,9 @@ soak: $(VENV)/.dev ## an hour of simulated time with random kills: memory, traje
 
 crowd-test: $(VENV)/.dev ## what a crowd at the port, or a vehicle with credentials, can do to a run: a table; six minutes
 	$(BIN)/python tools/crowd_test.py $(ARGS)
+
+kill-test: $(VENV)/.dev ## a vehicle killed at 40 random moments from its start to the run's end: the same trajectory each time
+	$(BIN)/python tools/kill_test.py $(ARGS)
 
 compose-test: $(VENV)/.run ## the containers, built, flown, killed, paused and cut off; needs a Docker engine
 	$(BIN)/python tools/compose_test.py $(ARGS)

@@ -21,6 +21,7 @@ from msgspec import Meta
 
 from bus.certificates import AUTHORITY_DAYS, PARTY_DAYS, ROUTER_HOSTS, Authority, Identity, issue
 from bus.errors import AccessDenied, BusError
+from bus.files import read_regular
 from bus.keys import (
     OBSERVER_NAME,
     OPERATOR_NAME,
@@ -38,6 +39,8 @@ from bus.keys import (
 from bus.messages import Name
 
 _PASSWORD_BYTES = 24
+_MOST_BYTES = 4 << 20
+"""Of a file of credentials: those of some ten thousand parties."""
 _Kind = TypeVar("_Kind")
 ROUTER_FILE = "router"
 """Name of the file that holds everybody's credentials: the router's alone; and the common name of its certificate."""
@@ -203,7 +206,7 @@ def _read(path: Path, kind: type[_Kind], what: str) -> _Kind:
         mode = stat.S_IMODE(status.st_mode)
         if mode & 0o077 and status.st_uid == os.geteuid():  # a container's secrets are another user's, and theirs to protect
             raise AccessDenied(f"{path}: others can read these credentials (mode {mode:o}); chmod 600 it")
-        return msgspec.json.decode(path.read_bytes(), type=kind)
+        return msgspec.json.decode(read_regular(path, _MOST_BYTES), type=kind)
     except OSError as error:
         raise AccessDenied(f"{path}: cannot read {what}: {error.strerror or error}") from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:

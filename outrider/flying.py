@@ -9,7 +9,7 @@ from agents.control.weighting import Weighting
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.messages import Command, Observation, UavBriefing, UavObservation, UgvObservation
-from outrider.own import load_function
+from outrider.own import check_code, load_function
 from outrider.summary import Summary, summarize
 from sim.briefing import briefing
 from sim.flight import Flight
@@ -103,17 +103,21 @@ def fly(
     return flight, summarize(flight, seconds=time.perf_counter() - started)
 
 
-def run(scenario: str | Path | Scenario = "escort", *, seed: int | None = None, secret: str = "") -> Summary:
+def run(
+    scenario: str | Path | Scenario = "escort", *, seed: int | None = None, secret: str = "", allow_code: bool = False
+) -> Summary:
     """Fly a scenario in this process and sum it up.
 
     Args:
         scenario: A shipped name, a file, or a scenario.
         seed: Of all random numbers; the scenario's own by default.
         secret: Of the run: 32 to 128 hexadecimal digits; empty: none, and the seed alone gives the flight.
+        allow_code: Whether the code that a file names is loaded; that of a scenario made in Python always is.
 
     Raises:
         ScenarioError: If it cannot be flown.
         ValueError: If the secret is none.
     """
     flown = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    check_code(flown, source=scenario, allowed=allow_code or isinstance(scenario, Scenario))
     return fly(flown, flown.seed if seed is None else seed, secret=check_secret(secret))[1]

@@ -70,7 +70,7 @@ class Child:
         self.name = name
         self._words: deque[str] = deque(maxlen=_LAST_WORDS)
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "outrider", *arguments, "--leash"],
+            [sys.executable, "-P", "-m", "outrider", *arguments, "--leash"],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL if lines is None else subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -420,14 +420,16 @@ def _follow(crew: _Crew, watcher: Watcher, *, respawn: bool) -> Outcome:
         """A vehicle's process has failed; whether the run must end for it."""
         mourned.add(dead.pid)
         deaths[dead.name] += 1
-        again = respawn and deaths[dead.name] <= _LIVES and tick > 0
+        again = respawn and deaths[dead.name] <= _LIVES
         epitaph = dead.epitaph()
+        if respawn and not again:
+            epitaph += f"; for the {deaths[dead.name]}th time at tick {tick}, and it is not started again"
         watcher.on_event(epitaph + (": started again" if again else ""))
         if again:
             crew.start_again(dead)
         else:
             outcome.fault = outcome.fault or epitaph
-        return tick == 0
+        return not again and (respawn or tick == 0)
 
     while True:
         if watcher.stop() and not asked:

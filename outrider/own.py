@@ -1,7 +1,7 @@
 """Functions of the user's own, named as module:function, and policies that a learning library has saved."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,6 +16,7 @@ from agents.control.weighting import check_weighting
 from agents.drivers.policy import RowPolicy
 from bus.errors import ScenarioError
 from bus.layout import Row, UgvRow
+from sim.scenario_faults import one_line
 
 if TYPE_CHECKING:
     from sim.scenario import Scenario
@@ -31,7 +32,7 @@ def _reason(error: BaseException) -> str:
 
 
 def load_function(name: str, *, what: str) -> Callable[..., Any] | None:
-    """The function that `module:function` names; None for an empty name. The working folder is searched too.
+    """The function that `module:function` names; None for an empty name. The working folder is searched last.
 
     Args:
         name: Where it is.
@@ -59,7 +60,7 @@ def _named(name: str, what: str) -> Any:  # noqa: ANN401 - whatever it is
         raise ScenarioError(f"{what} = {name!r}: not of the form module:function")
     here = str(Path.cwd())
     if here not in sys.path:
-        sys.path.append(here)
+        sys.path.append(here)  # behind all others: a file there takes no library's place
     try:
         return getattr(import_module(module_name), function_name)
     except (ImportError, AttributeError) as error:
@@ -202,6 +203,36 @@ def _load_onnx(path: str, where: str) -> RowPolicy:
 
 SAVED: dict[str, Callable[[str, str], RowPolicy]] = {"sb3": _load_sb3, "torch": _load_torch, "onnx": _load_onnx}
 """Libraries whose files can be flown: each is imported where it is needed, and never else."""
+
+
+def foreign_code(scenario: "Scenario", named: Iterable[str] = ()) -> tuple[str, ...]:
+    """The code that a scenario's file names, and not the user: it is somebody else's until the user says that it may be loaded.
+
+    Args:
+        scenario: What is flown.
+        named: What the user has set: fields, or `field=value` as with `--set`.
+
+    Returns:
+        A line for each field.
+    """
+    own = {change.partition("=")[0].strip() for change in named}
+    fields = [] if "custom" in own else [name for name in type(scenario.custom).__struct_fields__ if f"custom.{name}" not in own]
+    given = {f"custom.{name}": getattr(scenario.custom, name) for name in fields}
+    return tuple(
+        f"{field} = {value!r}: the file names code, which is loaded with --allow-code alone (in Python: allow_code=True)"
+        for field, value in given.items()
+        if value
+    )
+
+
+def check_code(scenario: "Scenario", named: Iterable[str] = (), *, source: object, allowed: bool) -> None:
+    """Refuse a scenario whose file names code, unless that is allowed; arguments otherwise as of `foreign_code`.
+
+    Raises:
+        ScenarioError: The first such field.
+    """
+    for line in () if allowed else foreign_code(scenario, named):
+        raise ScenarioError(f"{one_line(str(source))}: {line}; allowed where you trust both")
 
 
 def check_own_functions(scenario: "Scenario") -> tuple[str, ...]:

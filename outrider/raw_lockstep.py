@@ -51,7 +51,8 @@ def ticks_per_second(observation: bytes, answer: bytes, ticks: int, *, peers: in
                 for name in names
             ]
             processes = [
-                subprocess.Popen([sys.executable, "-m", "outrider.raw_lockstep", name, endpoint, answer.hex()]) for name in names
+                subprocess.Popen([sys.executable, "-P", "-m", "outrider.raw_lockstep", name, endpoint, answer.hex()])
+                for name in names
             ]
             try:
                 for _ in names:

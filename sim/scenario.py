@@ -11,6 +11,7 @@ import msgspec
 from msgspec import Meta
 
 from bus.errors import ScenarioError
+from bus.files import read_regular
 from bus.messages import (
     Area,
     Estimator,
@@ -219,6 +220,9 @@ class Scenario(_Table, frozen=True, kw_only=True):
 
 
 DEFAULT_SCENARIO = "escort"
+MOST_BYTES = 1 << 20
+"""Of a scenario's or a sweep's file: room for some thousand vehicles."""
+FILE_RULE = f"a TOML file of {MOST_BYTES >> 20} MiB at most"
 
 
 def _shipped() -> dict[str, Traversable]:
@@ -235,16 +239,18 @@ def scenario_names() -> tuple[str, ...]:
 def _read(source: str | Path, file: str) -> str:
     """The TOML text of a shipped scenario or of a file."""
     try:
-        return (_shipped().get(str(source)) or Path(source)).read_bytes().decode("utf-8-sig")
+        shipped = _shipped().get(str(source))
+        content = shipped.read_bytes() if shipped is not None else read_regular(Path(source), MOST_BYTES)
+        return content.decode("utf-8-sig")
     except FileNotFoundError as error:
-        shipped = scenario_names()
-        meant = near(Path(source).stem, shipped)
-        raise ScenarioError(f"{file}: no such file or scenario{meant}; allowed: a TOML file, or {', '.join(shipped)}") from error
+        known = scenario_names()
+        meant = near(Path(source).stem, known)
+        raise ScenarioError(f"{file}: no such file or scenario{meant}; allowed: a TOML file, or {', '.join(known)}") from error
     except UnicodeDecodeError as error:
         raise ScenarioError(f"{file}: byte {error.start}: not UTF-8, {error.reason}; allowed: text in UTF-8") from error
     except (OSError, ValueError) as error:  # a ValueError: a NUL in the path
         reason = one_line(str(getattr(error, "strerror", None) or error))
-        raise ScenarioError(f"{file}: cannot be read: {reason}; allowed: a TOML file") from error
+        raise ScenarioError(f"{file}: cannot be read: {reason}; allowed: {FILE_RULE}") from error
 
 
 def _changes(overrides: Mapping[str, object] | Sequence[str], file: str) -> list[tuple[str, object]]:

@@ -14,6 +14,9 @@ from sim.scenario_faults import Fault, near, one_line, short, shown
 Typed = TypeVar("Typed", bound=msgspec.Struct)
 
 _TOML_FAULT = re.compile(r"(?P<wrong>.*) \(at (?:line (?P<line>\d+), column (?P<column>\d+)|end of document)\)", re.DOTALL)
+_COMMENT = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
+_BETWEEN_KEYS = re.compile(r"[=,{}\[\]\n]")
+_DEEPEST = 64
 _WHERE = re.compile(r"(?P<text>.*) - at `\$(?P<path>[^`]*)`", re.DOTALL)
 _EXPECTED = re.compile(r"Expected `(?P<kind>\w+)(?: \| null)?`(?: (?P<rule>[^,].*?))?(?:, got (?P<got>\S+))?", re.DOTALL)
 _MISSING = re.compile(r"Object missing required field `(?P<field>\w+)`")
@@ -36,6 +39,9 @@ def parse_toml(text: str, *, file: str) -> dict[str, Any]:
     Raises:
         ScenarioError: If it is no TOML, with the line.
     """
+    pieces = _BETWEEN_KEYS.split(_COMMENT.sub("", text))
+    if any(piece.count(".") >= _DEEPEST for piece in pieces):  # tomllib takes hours over a key of a million parts
+        raise ScenarioError(f"{file}: a key of more than {_DEEPEST} parts; allowed: the fields of a scenario")
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # a ValueError of another kind: a number of more than 4300 digits

@@ -226,15 +226,13 @@ def test_only_this_machines_endpoints_need_no_credentials(endpoint: str, local: 
     assert is_local(endpoint) is local
 
 
-def test_many_pairs_can_be_flown() -> None:
+def test_many_pairs_can_be_flown(tmp_path: Path) -> None:
     from outrider.pairs import pairs_toml
     from sim.scenario import load_scenario
 
     for count in (1, 5, 50):
-        path = Path(__file__).with_name("nowhere.toml")
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(Path, "read_bytes", lambda _self, count=count: pairs_toml(count, seconds=10).encode())
-            scenario = load_scenario(path)
+        (tmp_path / "pairs.toml").write_text(pairs_toml(count, seconds=10), encoding="utf-8")
+        scenario = load_scenario(tmp_path / "pairs.toml")
         assert len(scenario.uav) == len(scenario.ugv) == count
     with pytest.raises(ValueError, match="count = 0"):
         pairs_toml(0, seconds=10)

@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, ClassVar
 
 import pytest
 from processes import (
@@ -28,6 +29,7 @@ from bus.access import read_credential
 from bus.keys import Party, Role
 from bus.messages import Status
 from bus.session import open_session
+from outrider import launch
 from outrider.flying import fly
 from sim.scenario import load_scenario
 
@@ -136,6 +138,33 @@ def test_a_vehicle_that_cannot_live_is_not_started_for_ever(tmp_path: Path) -> N
     assert run.returncode == 1
     assert "uav_0 (pid" in run.stderr
     assert "ended with exit code 3" in run.stderr
+    assert "not started again" in run.stderr
+    assert "has not come back" not in run.stderr  # the run has ended at once: nobody waited for it
+    assert json.loads(run.stdout)["complete"] is False
+
+
+@pytest.mark.parametrize("respawn", [True, False])
+def test_a_vehicle_killed_before_the_first_tick_is_started_again(respawn: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Doomed(launch.Child):
+        started: ClassVar[list[str]] = []
+
+        def __init__(self, name: str, *arguments: Any) -> None:
+            super().__init__(name, *arguments)
+            if name != "simulator" and name not in self.started:
+                self.kill()  # it has not even loaded Python: nobody has met it
+            self.started.append(name)
+
+    monkeypatch.setattr(launch, "Child", Doomed)
+    scenario, changes = load_scenario("escort", overrides=["duration=1.0"]), ["duration=1.0"]
+    outcome = launch.launch(scenario, "escort", changes, launch.NOBODY, out=None, respawn=respawn)
+    if respawn:
+        assert outcome.summary is not None
+        assert outcome.summary.trajectory_sha256 == fly(scenario, scenario.seed)[1].trajectory_sha256
+        assert not outcome.fault
+        assert Doomed.started == ["simulator", "uav_0", "ugv_0", "uav_0", "ugv_0"]
+    else:
+        assert outcome.summary is None
+        assert "was killed by signal 9" in outcome.fault
 
 
 def free_port() -> int:

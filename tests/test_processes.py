@@ -176,3 +176,23 @@ def test_a_vehicle_that_never_comes_is_named() -> None:
     assert run.returncode == 1
     assert "uav_0 and ugv_0 did not join within 1 s" in run.stderr
     assert "Traceback" not in run.stderr
+
+
+def test_what_lies_in_the_working_folder_takes_no_modules_place(tmp_path: Path) -> None:
+    for name in ("zenoh", "msgspec", "numba", "socket", "subprocess"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('hijacked')\n", encoding="utf-8")
+    hostile = 'raise SystemExit(f"hijacked by {__name__}")\n'
+    mine = "def policy(observation, briefing):\n    return (0.05, 0.0)\n"
+    (tmp_path / "mine.py").write_text(mine, encoding="utf-8")
+    checked = subprocess.run(
+        [*OUTRIDER, "check", "escort"], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert checked.returncode == 0, checked.stderr
+    for name in ("agents", "sim", "bus", "outrider"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text(hostile, encoding="utf-8")
+    script = Path(sys.executable).with_name("outrider")  # `python -m outrider` is the folder's own outrider, if it has one
+    arguments = ["run", "--driver", "policy", "--policy", "mine:policy", "--duration", "1", "--no-files", "--json"]
+    run = subprocess.run([script, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120)
+    assert run.returncode == 0, run.stderr
+    assert json.loads(run.stdout)["ticks"] == 20

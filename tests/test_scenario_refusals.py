@@ -227,7 +227,8 @@ def test_an_unknown_key_is_named_with_the_nearest_and_all_that_are_known(overrid
         (b"dt = 0.05\ntitle = '''\n", "line 2 = \"title = '''\": not TOML: "),
         (b"seed = " + b"1" * 5000, "not TOML: "),
         (b"seed = " + b"[" * 5000, "not TOML: "),
-        (b"a" + b".a" * 3000 + b" = 1", "a = {a = {"),
+        (b"a" + b".a" * 60 + b" = 1", "a = {a = {"),
+        (b"a" + b".a" * 3000 + b" = 1", "a key of more than 64 parts"),
         (b'"a\\nb" = 3', "a\\nb = 3: no such field; allowed: name, "),
         (b"title = '\xff'", "byte 9: not UTF-8, invalid start byte; allowed: text in UTF-8"),
         (b"", "uav: missing; allowed: one table [[uav]] or more"),
@@ -244,12 +245,12 @@ def test_an_unreadable_file_is_refused(tmp_path: Path, monkeypatch: pytest.Monke
     assert refusal("a\0b").startswith("a\\x00b: cannot be read")
     assert "cannot be read" in refusal("x" * 5000)
 
-    def denied(_path: Path) -> bytes:
+    def denied(_path: Path, _most: int) -> bytes:
         raise PermissionError(13, "Permission denied")
 
     path = written(tmp_path, SMALL.encode())
-    monkeypatch.setattr(Path, "read_bytes", denied)
-    assert refusal(path) == f"{path}: cannot be read: Permission denied; allowed: a TOML file"
+    monkeypatch.setattr("sim.scenario.read_regular", denied)
+    assert refusal(path) == f"{path}: cannot be read: Permission denied; allowed: a TOML file of 1 MiB at most"
 
 
 @pytest.mark.parametrize("source", ["escrot", "no-such.toml", "/no/such/folder/escort.toml"])

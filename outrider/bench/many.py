@@ -155,7 +155,7 @@ def growth(worlds: int = WORLDS) -> tuple[float, float]:
 def memory() -> Pair:
     """Bytes that one more world needs, beside the growth of a process that makes 1,024."""
     told = "import json; from outrider.bench.many import growth; print(json.dumps(growth()))"
-    done = subprocess.run([sys.executable, "-c", told], stdin=subprocess.DEVNULL, capture_output=True, check=True)
+    done = subprocess.run([sys.executable, "-P", "-c", told], stdin=subprocess.DEVNULL, capture_output=True, check=True)
     counted, grown = json.loads(done.stdout)
     return counted, grown
 

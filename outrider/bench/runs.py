@@ -133,7 +133,7 @@ def _seconds_of(scenario: Scenario) -> float:
 def _one_tick(cache: str | None) -> float:
     """Wall time [s] of `outrider run` over a single tick: from its start to the end, so more than to its first tick."""
     environment = os.environ | ({"OUTRIDER_CACHE": cache} if cache else {})
-    arguments = [sys.executable, "-m", "outrider", "run", "escort", "--duration", "0.05", "--no-files", "--json"]
+    arguments = [sys.executable, "-P", "-m", "outrider", "run", "escort", "--duration", "0.05", "--no-files", "--json"]
     started = time.perf_counter()
     done = subprocess.run(arguments, env=environment, stdin=subprocess.DEVNULL, capture_output=True, check=True)
     seconds = time.perf_counter() - started

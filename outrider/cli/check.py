@@ -4,6 +4,9 @@ from typing import Annotated
 
 import typer
 
+_LISTED = 12
+"""Vehicles are named up to so many."""
+
 
 def command(
     file: Annotated[str, typer.Argument(help="A TOML file, or a shipped scenario's name.")],
@@ -20,16 +23,20 @@ def command(
     Example: outrider check my-scenario.toml
     """
     from outrider.cli.console import OUT, print_json, print_warnings
+    from outrider.own import foreign_code
     from outrider.promise import how_certifiable, promise_warnings
     from sim.scenario import load_scenario
     from sim.scenario_checks import scenario_warnings
 
     scenario = load_scenario(file, overrides=changes or ())
-    warnings, certifiable = [*scenario_warnings(scenario), *promise_warnings(scenario)], how_certifiable(scenario)
+    warnings = [*scenario_warnings(scenario), *promise_warnings(scenario), *foreign_code(scenario, changes or ())]
+    certifiable = how_certifiable(scenario)
     if json:
         print_json({"scenario": scenario.name, "valid": True, "certifiable": certifiable, "warnings": warnings})
         return
     print_warnings(warnings)
-    vehicles = ", ".join(vehicle.name for vehicle in scenario.vehicles)
+    names = [vehicle.name for vehicle in scenario.vehicles]
+    many = f"{len(scenario.uav):,} UAVs and {len(scenario.ugv):,} UGVs"
+    vehicles = ", ".join(names) if len(names) <= _LISTED else many
     law = scenario.law.name + ("" if certifiable in (None, "always") else f", but sight is certified {certifiable}")
     OUT.print(f"{scenario.name}: can be flown ({vehicles}; law {law}; {scenario.duration:g} s, {scenario.ticks} ticks)")

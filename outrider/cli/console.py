@@ -1,5 +1,6 @@
 """What the terminal shows: results on stdout, everything on the way on stderr."""
 
+import re
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import msgspec
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -25,9 +27,13 @@ def print_json(value: object) -> None:
 
 
 def print_warnings(lines: Iterable[str]) -> None:
-    """What can be flown but will not do what one may expect."""
+    """What can be flown but will not do what one may expect; lines that differ in numbers alone are one, with their count."""
+    alike: dict[str, list[str]] = {}
     for line in lines:
-        ERR.print(f"[yellow]warning:[/] {line}")
+        alike.setdefault(re.sub(r"\d+", "0", line), []).append(line)
+    for first, *others in alike.values():
+        more = f" (and {len(others):,} more like it)" if others else ""
+        ERR.print("[yellow]warning:[/]", escape(f"{first}{more}"), soft_wrap=True)
 
 
 class FlightProgress:

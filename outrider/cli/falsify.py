@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from outrider.cli.options import Json, ScenarioName, Set
+from outrider.cli.options import AllowCode, Json, ScenarioName, Set
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -92,6 +92,7 @@ def command(
     ] = None,
     eps: Annotated[float | None, typer.Option(help="For the attack: only this largest error of a detection, in m.")] = None,
     changes: Set = None,
+    allow_code: AllowCode = False,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Where the counterexample goes; counterexample-LAW.toml by default.")
     ] = None,
@@ -127,7 +128,7 @@ def command(
         raise typer.BadParameter("--undegraded allows no --noise and no --max-...: leave one of them out")
     if control is not None and (law not in (None, "certified") or only is Only.FLIGHTS):
         raise typer.BadParameter("--control stands in the place of the law certified in the attack; leave --law and --only out")
-    flown = _scenario(scenario, "certified" if control is not None else law, duration, changes)
+    flown = _scenario(scenario, "certified" if control is not None else law, duration, changes, allow_code=allow_code)
     certified = flown.law.name == "certified"
     if (only is not None or eps is not None) and not certified:
         raise typer.BadParameter("--only and --eps are for the law certified")
@@ -173,12 +174,13 @@ def command(
     _search(wanted, expect, json=json)
 
 
-def _scenario(name: str, law: str | None, duration: float | None, changes: list[str] | None) -> "Scenario":
+def _scenario(name: str, law: str | None, duration: float | None, changes: list[str] | None, *, allow_code: bool) -> "Scenario":
     from outrider.cli.options import scenario_of
-    from outrider.own import check_own_functions
+    from outrider.own import check_code, check_own_functions
 
-    flown, _ = scenario_of(name, law=law, duration=_FLIGHT if duration is None else duration, changes=changes)
+    flown, overrides = scenario_of(name, law=law, duration=_FLIGHT if duration is None else duration, changes=changes)
     if flown.custom != type(flown.custom)():
+        check_code(flown, overrides, source=name, allowed=allow_code)
         check_own_functions(flown)
     return flown
 
@@ -272,6 +274,8 @@ def _tell(found: "Found", *, json: bool) -> None:
 
 
 def _lines(found: "Found") -> "Iterator[str]":
+    from outrider.own import foreign_code
+
     wanted, flights, attacks = found.wanted, found.flights, found.attacks
     law = wanted.base.law.name if wanted.control is None else f"{wanted.control}, in the place of the filter"
     rate = found.runs / found.seconds if found.seconds > 0.0 else 0.0
@@ -307,4 +311,5 @@ def _lines(found: "Found") -> "Iterator[str]":
         yield "  The worst flight:"
         yield from (f"    {line}" for line in found.words)
         yield f"  {found.path}"
-        yield f"  outrider run {shlex.quote(str(found.path))} --in-process flies it again: {found.sha256}"
+        code = " --allow-code" if foreign_code(found.wanted.base) else ""  # the file names what the command has named
+        yield f"  outrider run {shlex.quote(str(found.path))} --in-process{code} flies it again: {found.sha256}"

@@ -1,6 +1,7 @@
 """The command line's table, and what becomes of its errors: one clear line, and an exit code."""
 
 import logging
+import os
 import signal
 import sys
 from collections.abc import Callable
@@ -113,6 +114,8 @@ def _run() -> int:
 
 def main() -> None:
     """Run the command line."""
+    # Pools start their workers by themselves: none of them is to import what lies in the folder where the user stands.
+    os.environ["PYTHONSAFEPATH"] = "1"
     logging.basicConfig(format="%(name)s: %(message)s", level=logging.WARNING)
     signal.signal(signal.SIGTERM, _end)
     sys.exit(_run())

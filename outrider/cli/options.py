@@ -60,6 +60,13 @@ NetworkName = Annotated[
         "--set links.detections.delay=0.5.",
     ),
 ]
+AllowCode = Annotated[
+    bool,
+    typer.Option(
+        "--allow-code",
+        help="Load the code that the file itself names ([custom]); code that you name in the command is loaded without it.",
+    ),
+]
 VirtualPath = Annotated[str, typer.Option("--path", help="A path of your own as module:function, for the law `path`.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else there.")]
 Leash = Annotated[bool, typer.Option(hidden=True, help="End when standard input closes: the parent has gone.")]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from outrider.cli.options import (
+    AllowCode,
     DriverName,
     Duration,
     Json,
@@ -46,6 +47,7 @@ def command(
     path: VirtualPath = "",
     policy: PolicyName = "",
     network: NetworkName = "",
+    allow_code: AllowCode = False,
     in_process: Annotated[bool, typer.Option("--in-process", help="Without a bus, all in this process.")] = False,
     pin: Annotated[
         bool, typer.Option(help="Give the UAVs one half of the processor cores: faster, unless the machine is busy otherwise.")
@@ -88,7 +90,7 @@ def command(
     from outrider.cli.options import scenario_of, secret_of
     from outrider.cli.stopping import stop_on_signals
     from outrider.output import default_folder, write_summary
-    from outrider.own import check_own_functions
+    from outrider.own import check_code, check_own_functions
     from outrider.promise import promise_warnings
     from sim.scenario_checks import scenario_warnings
 
@@ -104,6 +106,7 @@ def command(
     if in_process and strangers:
         raise typer.BadParameter("--driver external is another process; leave --in-process out")
     kept = secret_of(secret, wanted=strangers)
+    check_code(flown, overrides, source=scenario, allowed=allow_code)
     # what does not fit shows here, not in a child
     print_warnings((*scenario_warnings(flown), *promise_warnings(flown), *check_own_functions(flown)))
     if record is not None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from outrider.cli.options import Json, Set
+from outrider.cli.options import AllowCode, Json, Set
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -30,6 +30,7 @@ def command(
         typer.Option("--vary", metavar="FIELD=V,V", help="A field of the scenario and its values; repeated: the product."),
     ] = None,
     changes: Set = None,
+    allow_code: AllowCode = False,
     seeds: Annotated[int | None, typer.Option(help="How many seeds each point is flown with.", min=1, max=1_000_000)] = None,
     first_seed: Annotated[int | None, typer.Option(help="The first of them, 0 by default.", min=0, max=2**52)] = None,
     out: Annotated[
@@ -63,7 +64,12 @@ def command(
         from outrider.sweep.plan import lay_out
 
         task = progress.add_task("", total=None, note="")
-        plan = lay_out(described, told=lambda done, of: progress.update(task, completed=done, total=of))
+        plan = lay_out(
+            described,
+            named=(*(changes or ()), *(vary or ())),
+            allow_code=allow_code,
+            told=lambda done, of: progress.update(task, completed=done, total=of),
+        )
     print_warnings(plan.warnings)
     began = time.monotonic()
     with SweepFolder(where, plan, command=shlex.join(["outrider", *sys.argv[1:]]), text=text, fresh=fresh) as folder:

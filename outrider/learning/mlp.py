@@ -9,9 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from bus.files import open_regular
+
 Array = npt.NDArray[np.floating[Any]]
 
 _RECIPE = "recipe"
+_MOST_BYTES = 64 << 20
+"""Of a policy's file, packed and unpacked."""
 
 
 class Mlp(NamedTuple):
@@ -60,13 +64,15 @@ def load_policy(path: str | Path) -> tuple[Mlp, dict[str, Any]]:
     """
     try:
         # Opened here: of a broken archive NumPy leaves its own file open.
-        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        with open_regular(Path(path), _MOST_BYTES) as file, np.load(file, allow_pickle=False) as archive:
+            if sum(member.file_size for member in archive.zip.infolist()) > _MOST_BYTES:
+                raise ValueError(f"unpacks to more than {_MOST_BYTES >> 20} MiB")
             arrays = {name: archive[name] for name in archive.files}
         recipe = json.loads(str(arrays.pop(_RECIPE)[()]))
         layers = range(len(arrays) // 2)
         weights = tuple(arrays[f"weight_{k}"].astype(np.float64) for k in layers)
         biases = tuple(arrays[f"bias_{k}"].astype(np.float64) for k in layers)
-    except (OSError, KeyError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, KeyError, ValueError, TypeError, AttributeError, EOFError, MemoryError, zipfile.BadZipFile) as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:160]
         raise ValueError(f"policy {str(path)!r}: cannot be read: {reason}; allowed: a file of examples/train_uav.py") from error
     _check(path, weights, biases, recipe)

@@ -1,5 +1,6 @@
 """Reading a recording as a stream, up to its last whole record: a killed file reads like one that was closed."""
 
+import os
 import struct
 import zlib
 from collections.abc import Collection, Iterator
@@ -11,6 +12,7 @@ from typing import Any, BinaryIO, TypeVar
 import msgspec
 
 from bus.errors import ScenarioError
+from bus.files import open_regular
 from bus.messages import CertificateStatus, Change, CoverageMap, LinkStatus, Message, Status, Truth
 from outrider.recording.schemas import (
     CHANGES,
@@ -31,12 +33,12 @@ from outrider.recording.schemas import (
 from sim.scenario import Scenario
 
 try:  # an extra
+    import lz4.frame
     import zstandard
     from mcap import records
     from mcap.data_stream import ReadDataStream
     from mcap.exceptions import McapError
     from mcap.opcode import Opcode
-    from mcap.stream_reader import breakup_chunk
     from mcap.writer import Writer
 except ImportError as absent:
     raise ScenarioError(EXTRA) from absent
@@ -46,6 +48,13 @@ Sent = TypeVar("Sent", bound=Message)
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = 9
 """Bytes before a record's content: its kind and its length."""
+_MOST_BYTES = 16 << 20
+"""Of a record and of a chunk's content: the largest map of the ground, and as much again as a viewer is shown of it."""
+_SPARE, _RATIO = 32 << 20, 200
+"""A whole file may unpack to so many bytes, and to so many times its size. Flights unpack to twelve times theirs, a short one of
+the largest area to 140 times."""
+_LEAST = 512
+"""A packed record counts as so many bytes at least: a million empty ones take their time and room, too."""
 _KINDS: dict[int, type[Any]] = {
     Opcode.HEADER: records.Header,
     Opcode.SCHEMA: records.Schema,
@@ -80,7 +89,7 @@ class Entry:
 
 def _open(path: Path) -> BinaryIO:
     try:
-        file = path.open("rb")
+        file = open_regular(path)
     except (OSError, ValueError) as error:
         raise ScenarioError(f"{path}: {getattr(error, 'strerror', None) or error}; allowed: an MCAP file") from error
     if file.read(len(_MAGIC)) != _MAGIC:
@@ -89,14 +98,61 @@ def _open(path: Path) -> BinaryIO:
     return file
 
 
-def _parse(kind: int, content: bytes) -> list[Any]:
-    """The records in one record of the file: those of a chunk, or itself."""
-    if kind == Opcode.MESSAGE:
-        return [records.Message.read(ReadDataStream(BytesIO(content)), len(content))]
-    if kind not in _KINDS:
-        return []  # indexes and statistics, which a stream has no use for
-    record = _KINDS[kind].read(ReadDataStream(BytesIO(content)))
-    return list(breakup_chunk(record, validate_crc=True)) if kind == Opcode.CHUNK else [record]
+class _Reader:
+    """The records of a file, and how much they may yet unpack to.
+
+    Args:
+        size: Of the file [bytes].
+    """
+
+    def __init__(self, size: int) -> None:
+        self._left = _SPARE + _RATIO * size
+
+    def parse(self, kind: int, content: bytes) -> list[Any]:
+        """The records in one record of the file: those of a chunk, or itself."""
+        data = ReadDataStream(BytesIO(content))
+        if kind == Opcode.MESSAGE:
+            return [records.Message.read(data, len(content))]
+        record = _KINDS[kind].read(data)
+        return self._broken_up(record) if kind == Opcode.CHUNK else [record]
+
+    def _broken_up(self, chunk: records.Chunk) -> list[Any]:
+        content = _unpacked(chunk)
+        if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
+            raise ValueError("a chunk's checksum is wrong")
+        data, found = ReadDataStream(BytesIO(content)), []
+        while data.count < len(content):
+            kind, length = data.read1(), data.read8()
+            self._left -= max(length, _LEAST)
+            if self._left < 0:
+                raise ValueError(f"it unpacks to more than {_RATIO} times its size")
+            if kind == Opcode.MESSAGE:
+                found.append(records.Message.read(data, length))
+            elif kind in (Opcode.SCHEMA, Opcode.CHANNEL):
+                found.append(_KINDS[kind].read(data))
+            else:
+                raise ValueError(f"a chunk with a record of kind {kind}")
+        return found
+
+
+def _unpacked(chunk: records.Chunk) -> bytes:
+    """What is in a chunk; neither what it declares nor what is true may be more than fits."""
+    if chunk.uncompressed_size > _MOST_BYTES:
+        raise ValueError(f"a chunk of {chunk.uncompressed_size:,} bytes; {_MOST_BYTES:,} are the most")
+    if chunk.compression == "zstd":
+        true = zstandard.frame_content_size(chunk.data)
+        if true not in (-1, chunk.uncompressed_size):  # -1: the frame does not tell, and the limit holds while it is unpacked
+            raise ValueError(f"a chunk of {true:,} bytes that declares {chunk.uncompressed_size:,}")
+        content: bytes = zstandard.decompress(chunk.data, chunk.uncompressed_size)
+    elif chunk.compression == "lz4":
+        content = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=chunk.uncompressed_size + 1)
+    elif chunk.compression == "":
+        content = chunk.data
+    else:
+        raise ValueError(f"a chunk packed with {chunk.compression[:20]!r}; read are zstd, lz4 and plain ones")
+    if len(content) != chunk.uncompressed_size:
+        raise ValueError(f"a chunk of {len(content):,} bytes that declares {chunk.uncompressed_size:,}")
+    return content
 
 
 def stream(path: Path, damage: Damage | None = None) -> Iterator[Any]:
@@ -111,8 +167,9 @@ def stream(path: Path, damage: Damage | None = None) -> Iterator[Any]:
     """
     told = damage if damage is not None else Damage()
     with _open(path) as file:
-        told.size = path.stat().st_size
+        told.size = os.fstat(file.fileno()).st_size
         told.end = len(_MAGIC)
+        reader = _Reader(told.size)
         while True:
             head = file.read(_HEAD)
             if len(head) < _HEAD:
@@ -125,8 +182,15 @@ def stream(path: Path, damage: Damage | None = None) -> Iterator[Any]:
             if kind == Opcode.DATA_END:
                 told.end = told.size
                 return
+            if kind != Opcode.MESSAGE and kind not in _KINDS:
+                file.seek(length, os.SEEK_CUR)  # indexes and statistics, which a stream has no use for
+                told.end += _HEAD + length
+                continue
+            if length > _MOST_BYTES:
+                told.reason = f"damaged at byte {told.end}: a record of {length:,} bytes; {_MOST_BYTES:,} are the most"
+                return
             try:
-                found = _parse(kind, file.read(length))
+                found = reader.parse(kind, file.read(length))
             except _BROKEN as error:
                 told.reason = f"damaged at byte {told.end}: {' '.join(str(error).split()) or type(error).__name__}"
                 return

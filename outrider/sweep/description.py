@@ -10,8 +10,9 @@ import msgspec
 from msgspec import Meta
 
 from bus.errors import ScenarioError
+from bus.files import read_regular
 from bus.messages import Text
-from sim.scenario import scenario_names
+from sim.scenario import FILE_RULE, MOST_BYTES, scenario_names
 from sim.scenario_faults import Fault, near, one_line
 from sim.scenario_reading import parse_override, parse_toml, typed
 
@@ -146,7 +147,7 @@ def _read_file(source: str) -> tuple[str, Path | None]:
         return shipped[source].read_text("utf-8"), None
     file = one_line(source) or "."
     try:
-        return Path(source).read_bytes().decode("utf-8-sig"), Path(source).parent
+        return read_regular(Path(source), MOST_BYTES).decode("utf-8-sig"), Path(source).parent
     except FileNotFoundError as error:
         known = (*shipped, *scenario_names())
         wrong = f"no such sweep, scenario or file{near(Path(source).stem, known)}"
@@ -155,7 +156,7 @@ def _read_file(source: str) -> tuple[str, Path | None]:
         raise ScenarioError(f"{file}: byte {error.start}: not UTF-8, {error.reason}; allowed: text in UTF-8") from error
     except (OSError, ValueError) as error:  # a ValueError: a NUL in the path
         reason = one_line(str(getattr(error, "strerror", None) or error))
-        raise ScenarioError(f"{file}: cannot be read: {reason}; allowed: a TOML file") from error
+        raise ScenarioError(f"{file}: cannot be read: {reason}; allowed: {FILE_RULE}") from error
 
 
 def _read(source: str) -> tuple[Sweep, str]:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 import msgspec
 
 from bus.errors import ScenarioError
+from bus.files import read_regular
 from outrider.sweep.description import Sweep
 from outrider.sweep.plan import Plan
 
@@ -28,6 +29,8 @@ _LOCK = ".lock"
 _MOST_PARTS = 200
 """Beyond so many small files they are merged into one: reading them takes a millisecond each."""
 _UNFINISHED = ".unfinished"
+_MOST_HEAD, _MOST_TABLE = 4 << 20, 1 << 30
+"""Of a head and of a table with results [bytes]."""
 
 
 class Head(msgspec.Struct, frozen=True, kw_only=True):
@@ -49,7 +52,7 @@ def read_head(folder: Path) -> Head | None:
         ScenarioError: If its head is damaged.
     """
     try:
-        return msgspec.json.decode((folder / HEAD).read_bytes(), type=Head)
+        return msgspec.json.decode(read_regular(folder / HEAD, _MOST_HEAD), type=Head)
     except FileNotFoundError:
         return None
     except msgspec.MsgspecError as error:
@@ -81,7 +84,7 @@ def _read_table(path: Path, columns: dict[str, str]) -> "pa.Table":
 
     remedy = "delete it and its runs are flown again"
     try:
-        table = pq.read_table(pa.BufferReader(path.read_bytes()))
+        table = pq.read_table(pa.BufferReader(read_regular(path, _MOST_TABLE)))
     except pa.ArrowException as error:
         reason = " ".join(str(error).split()).rstrip(".")
         raise ScenarioError(f"{path}: damaged: {reason}; {remedy}") from error

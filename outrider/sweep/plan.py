@@ -1,7 +1,7 @@
 """A sweep laid out: every point of it a scenario that can be flown, every run a number."""
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
 from itertools import product
@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from bus.errors import ScenarioError
-from outrider.own import check_own_functions
+from outrider.own import check_code, check_own_functions
 from outrider.sweep.description import Block, Sweep
 from outrider.sweep.rows import FIRST, RESULTS
 from sim.scenario import Scenario, load_scenario
@@ -106,11 +106,19 @@ def _loaded(sweep: Sweep, told: Callable[[int, int], None]) -> Iterator[tuple[Bl
         yield block, scenario
 
 
-def lay_out(sweep: Sweep, *, told: Callable[[int, int], None] = lambda _done, _of: None) -> Plan:
+def lay_out(
+    sweep: Sweep,
+    *,
+    named: Collection[str] = (),
+    allow_code: bool = False,
+    told: Callable[[int, int], None] = lambda _done, _of: None,
+) -> Plan:
     """Load every point of a sweep: what cannot be flown shows before anything is.
 
     Args:
         sweep: Checked.
+        named: Fields that the user has set, and no file.
+        allow_code: Whether the code that a file names is loaded.
         told: Is told how many points are loaded, and how many there are.
 
     Raises:
@@ -129,6 +137,7 @@ def lay_out(sweep: Sweep, *, told: Callable[[int, int], None] = lambda _done, _o
         points.append(Point(block=block.name, law=scenario.law.name, fields=fields, scenario=scenario))
         warnings |= dict.fromkeys(scenario_warnings(scenario))
         if scenario.custom != type(scenario.custom)():
+            check_code(scenario, named, source=sweep.scenario, allowed=allow_code)
             warnings |= dict.fromkeys(check_own_functions(scenario))
     known = [(point.block, point.law, point.fields, point.scenario) for point in points]
     everything = msgspec.msgpack.encode((sweep.seeds, sweep.first_seed, known))

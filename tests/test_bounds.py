@@ -1,0 +1,195 @@
+"""Files from others: none of them fills the memory, keeps the reader waiting, or loads code that nobody asked for."""
+
+import os
+import struct
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bus.access import read_credential
+from bus.errors import AccessDenied, ScenarioError
+from bus.files import read_regular
+from outrider.cli.console import print_warnings
+from outrider.flying import run
+from outrider.learning.mlp import load_policy
+from outrider.own import foreign_code
+from outrider.sweep.description import describe_sweep
+from outrider.sweep.plan import lay_out
+from sim.scenario import load_scenario, scenario_names
+
+pytest.importorskip("mcap", reason="the extra [record] is not installed")
+zstandard = pytest.importorskip("zstandard", reason="the extra [record] is not installed")
+
+from outrider.recording.reader import load  # noqa: E402 - an extra
+
+MAGIC = b"\x89MCAP0\r\n"
+EMPTY = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0)
+"""A message of no bytes."""
+
+
+def zeros(size: int, *, told: bool) -> bytes:
+    """A zstd frame of so many zeros, which tells its size or does not."""
+    packer = zstandard.ZstdCompressor(level=1, write_content_size=told).compressobj(*([size] if told else []))
+    block = bytes(1 << 20)
+    return b"".join([*(packer.compress(block) for _ in range(size >> 20)), packer.flush()])
+
+
+def chunk(packed: bytes, declared: int, compression: bytes = b"zstd") -> bytes:
+    content = struct.pack("<QQQII", 0, 0, declared, 0, len(compression)) + compression + struct.pack("<Q", len(packed)) + packed
+    return struct.pack("<BQ", 6, len(content)) + content
+
+
+def many_small() -> bytes:
+    """Chunks that are each within bounds, of millions of messages that are nearly nothing."""
+    content = EMPTY * 500_000
+    return chunk(zstandard.compress(content), len(content)) * 100
+
+
+BOMBS: dict[str, tuple[Callable[[], bytes], str]] = {
+    "declared": (lambda: chunk(zeros(1 << 30, told=True), 1 << 30), "16,777,216 are the most"),
+    "hidden": (lambda: chunk(zeros(64 << 20, told=False), 1 << 20), "Zstd|decompress"),
+    "belied": (lambda: chunk(zeros(64 << 20, told=True), 1 << 20), "that declares 1,048,576"),
+    "small": (many_small, "unpacks to more than 200 times its size"),
+    "filled": (lambda: chunk(zeros(16 << 20, told=True), 16 << 20) * 50, "a chunk with a record of kind 0"),
+    "unknown": (lambda: chunk(b"", 0, b"zip"), "packed with 'zip'"),
+    "sparse": (lambda: struct.pack("<BQ", 5, 1 << 30), "a record of 1,073,741,824 bytes"),
+}
+
+
+def bomb(folder: Path, name: str) -> Path:
+    path = folder / f"{name}.mcap"
+    with path.open("wb") as file:
+        file.write(MAGIC + BOMBS[name][0]())
+        if name == "sparse":
+            file.truncate(2 << 30)
+    return path
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_recording_that_unpacks_to_more_than_a_flight_is_one_line(name: str, tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match=BOMBS[name][1]) as caught:
+        load(bomb(tmp_path, name))
+    assert len(str(caught.value).splitlines()) == 1
+
+
+_PEAK = """
+import sys
+from pathlib import Path
+from outrider.cli.main import _run
+for words in sys.stdin.read().splitlines():
+    sys.argv = ["outrider", *words.split()]
+    assert _run() == 2, words
+lines = Path("/proc/self/status").read_text("utf-8").splitlines()  # getrusage would tell the parent's peak, too
+print(dict(line.split(":", 1) for line in lines)["VmHWM"].removesuffix("kB"))
+"""
+
+
+def test_no_file_fills_the_memory_or_keeps_the_reader_waiting(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "title.toml").write_bytes(b'title = "' + b"a" * (100 << 20) + b'"\n')
+    (tmp_path / "folder.toml").mkdir()
+    endless = ("/dev/zero", tmp_path / "fifo")
+    lines = [f"{command} {file}" for command in ("check", "sweep", "replay", "record --repair") for file in endless]
+    lines += [f"check {tmp_path / name}" for name in ("title.toml", "folder.toml")]
+    lines += [f"replay {bomb(tmp_path, name)}" for name in ("declared", "hidden", "belied", "filled", "small")]
+    done = subprocess.run(
+        [sys.executable, "-c", _PEAK], input="\n".join(lines), capture_output=True, text=True, check=False, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    told = done.stderr.splitlines()
+    assert len(told) == len(lines), done.stderr
+    assert sum("not a regular file" in line for line in told) == 8
+    assert "larger than 1 MiB" in told[8]
+    assert int(done.stdout) < 300 * 1024  # [kB], libraries and all
+
+
+@pytest.mark.parametrize("text", [".".join("a" * 500_000) + " = 1", "[" + ".".join("a" * 64 + "b") + "]"])
+def test_a_key_of_a_million_parts_is_refused_unparsed(text: str, tmp_path: Path) -> None:
+    (tmp_path / "deep.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(ScenarioError, match="a key of more than 64 parts"):
+        load_scenario(tmp_path / "deep.toml")
+
+
+def test_other_files_are_bounded_too(tmp_path: Path) -> None:
+    fifo, large, packed = tmp_path / "fifo", tmp_path / "large", tmp_path / "packed.npz"
+    os.mkfifo(fifo, 0o600)
+    with large.open("wb") as file:
+        file.truncate(1 << 31)
+    large.chmod(0o600)
+    np.savez_compressed(packed, recipe=np.zeros(20 << 20))
+    for path, wrong in ((fifo, "not a regular file"), (large, "larger than")):
+        with pytest.raises(AccessDenied, match=wrong):
+            read_credential(path)
+        with pytest.raises(ScenarioError, match=wrong):
+            load_scenario("escort", overrides={"ugv.0.driver": "script", "ugv.0.track": str(path)})
+        with pytest.raises(ValueError, match=wrong):
+            load_policy(path)
+    with pytest.raises(ValueError, match="unpacks to more than 64 MiB"):
+        load_policy(packed)
+    with pytest.raises(IsADirectoryError):
+        read_regular(tmp_path, 1)
+    rows = "time [s],ugv_0.vx [m/s],ugv_0.vy [m/s]\n" + "0,0,0\n" * 250_001
+    (tmp_path / "track.csv").write_text(rows, encoding="utf-8")
+    with pytest.raises(ScenarioError, match="too long; allowed: 250,000 ticks"):
+        load_scenario("escort", overrides={"ugv.0.driver": "script", "ugv.0.track": str(tmp_path / "track.csv")})
+
+
+def test_warnings_that_differ_in_numbers_alone_are_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    print_warnings([*(f"ugv.{k}.goals = []: ugv_{k} will stand still" for k in range(1000)), "x [/y]"])
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["warning: ugv.0.goals = []: ugv_0 will stand still (and 999 more like it)", "warning: x [/y]"]
+
+
+@pytest.fixture
+def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A scenario with code beside it, which leaves a trace when it is loaded."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    body = "from pathlib import Path\nPath('loaded').touch()\ndef policy(seen, told):\n    return (0.0, 0.0)\n"
+    (tmp_path / "theirs.py").write_text(body, encoding="utf-8")
+    text = (Path(__file__).parents[1] / "sim/scenarios/escort.toml").read_text("utf-8").replace('driver = "waypoints"', "")
+    text = text.replace("[[ugv]]", '[[ugv]]\ndriver = "policy"').replace("duration = ", "duration = 0.5 # ")
+    (tmp_path / "theirs.toml").write_text(f'{text}\n[custom]\npolicy = "theirs:policy"\n', encoding="utf-8")
+    (tmp_path / "sweep.toml").write_text('scenario = "theirs.toml"\nseeds = 1\n', encoding="utf-8")
+    monkeypatch.delitem(sys.modules, "theirs", raising=False)
+    return tmp_path / "theirs.toml"
+
+
+def test_code_that_a_file_names_is_loaded_on_demand_alone(foreign: Path) -> None:
+    refused = pytest.raises(ScenarioError, match=r"custom\.policy = 'theirs:policy': the file names code.*--allow-code")
+    with refused:
+        run(foreign)
+    sweep, _ = describe_sweep("sweep.toml")
+    with refused:
+        lay_out(sweep)
+    assert not Path("loaded").exists()
+    assert lay_out(sweep, named=["custom.policy=theirs:policy"]).points
+    assert Path("loaded").exists()
+    assert run(foreign, allow_code=True).complete
+    assert run(load_scenario(foreign)).complete  # what a program hands over is its own
+
+
+@pytest.mark.parametrize("command", ["run", "falsify"])
+def test_commands_ask_before_they_load_code_of_a_file(
+    command: str, foreign: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from outrider.cli.main import _run
+
+    monkeypatch.setattr(sys, "argv", ["outrider", command, str(foreign)])
+    assert _run() == 2
+    assert "--allow-code" in capsys.readouterr().err
+    assert not Path("loaded").exists()
+
+
+def test_code_that_the_user_names_is_the_users(foreign: Path) -> None:
+    scenario = load_scenario(foreign)
+    assert len(foreign_code(scenario)) == len(foreign_code(scenario, ["custom.path=a:b"])) == 1
+    assert foreign_code(scenario, ['custom.policy="theirs:policy"']) == foreign_code(scenario, ["custom={}"]) == ()
+
+
+def test_no_shipped_scenario_names_code() -> None:
+    assert [foreign_code(load_scenario(name)) for name in scenario_names()] == [()] * len(scenario_names())
