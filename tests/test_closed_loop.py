@@ -13,6 +13,7 @@ from test_batch import LATE, SMALL
 from bus.errors import ScenarioError
 from bus.messages import Command, Estimator, Law, LinkKind, Observation, ScriptStep, UavCommand
 from outrider.closed_loop import ClosedLoop
+from outrider.closed_loop_state import DISTANCE, SURE
 from outrider.flying import InProcess, fly, make_pilots
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights
@@ -108,10 +109,14 @@ def test_what_is_certified_out_of_sight_is_counted_in_every_world() -> None:
     loop = ClosedLoop(scenario, len(seeds), error=True, end_on_sight_lost=False)
     world = loop.parameters.w._replace(r_v=0.5)
     loop.parameters = loop.parameters._replace(w=world)
-    found = _flown_with(loop, seeds)["certified_while_lost"]
-    for k, seed in enumerate(seeds):
-        seen = fly(scenario, seed)[0].recorder.escorts[:-1, 0]
-        assert found[k] == ((seen[:, 6] == 1.0) & (seen[:, 0] >= 0.5)).sum() > 100
+    loop.begin(seeds)
+    seats, counted = loop.state.uav_seats[:, 0], np.zeros(len(seeds))
+    for _ in range(scenario.ticks):
+        far = seats[:, DISTANCE] >= 0.5
+        loop.fly(1)
+        counted += far & (seats[:, SURE] == 1.0)  # said of the tick at which it was so far
+    assert loop.metrics("uav_0")["certified_while_lost"].tolist() == counted.tolist()
+    assert counted.min() > 100
 
 
 def test_a_certificate_that_ends_is_counted_unless_an_assumption_has_failed() -> None:

@@ -42,7 +42,14 @@ def test_the_uav_is_told_these_fields_and_no_others() -> None:
     region = {"lower", "upper"}
     detector = {"detector", "noise", "cut", "period", "estimator", "enabled", "gate", "patience", "manoeuvre"}
     law = _fields_within(messages.Law)
-    declared = {"certificate", "error", "age", "delay", "margin"}  # of its own detections and commands
+    declared = {
+        "certificate",
+        "error",
+        "age",
+        "delay",
+        "margin",
+        "hold",
+    }  # of its own detections and commands, and its own actuators
     run = {"vehicle", "dt", "visibility_radius", "law", "key", "past", "more"}
     assert fields == observation | bounds | map_and_sensor | region | detector | law | declared | run
 

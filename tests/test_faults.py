@@ -148,8 +148,8 @@ def test_a_vehicle_killed_before_the_first_tick_is_started_again(respawn: bool, 
     class Doomed(launch.Child):
         started: ClassVar[list[str]] = []
 
-        def __init__(self, name: str, *arguments: Any) -> None:
-            super().__init__(name, *arguments)
+        def __init__(self, name: str, *arguments: Any, **named: Any) -> None:
+            super().__init__(name, *arguments, **named)
             if name != "simulator" and name not in self.started:
                 self.kill()  # it has not even loaded Python: nobody has met it
             self.started.append(name)
