@@ -2,14 +2,15 @@
 
 import numpy as np
 import pytest
+from draws import a_key
 from processes import outrider
 
 from bus.errors import ScenarioError
 from bus.messages import LinkKind, LinkSettings
 from outrider.promise import How, how_certifiable, promise_warnings, shortfalls
 from sim.ether import Link, arrival_share, least_ticks, link_parameters
-from sim.links import Links
 from sim.scenario import Scenario, load_scenario
+from sim.world import World
 
 DT = 0.05
 QUIET = ("detections.dropout=0.0",)
@@ -121,7 +122,7 @@ def test_where_the_assumptions_are_kept_nothing_is_told(changes: list[str]) -> N
 
 def test_what_an_operator_makes_of_a_link_is_told_against_what_the_uav_was_told() -> None:
     scenario = certified("links.commands.delay=0.2")
-    links = Links(scenario, 7)
+    links = World(scenario, 7).links
     links.change(LinkKind.COMMANDS, "ugv_0", LinkSettings(loss=0.5))
     assert promise_warnings(scenario, links.table) == ()
     links.change(LinkKind.COMMANDS, None, LinkSettings(delay=0.4))
@@ -151,7 +152,7 @@ COMMANDS = [
 @pytest.mark.parametrize("settings", COMMANDS)
 def test_what_is_said_of_a_link_is_what_the_link_does(settings: LinkSettings) -> None:
     ticks = 6_000
-    link, p = Link(settings, dt=DT, seed=1, link=1), link_parameters(settings, DT)
+    link, p = Link(settings, dt=DT, key=a_key(1)), link_parameters(settings, DT)
     newest, ages, arrived = -1, np.zeros(ticks, dtype=int), np.full(ticks, 999)
     for tick in range(ticks):
         link.send(tick, tick, tick)
