@@ -7,7 +7,9 @@ import numpy as np
 from bus.messages import Limits
 from sim.compile import FloatArray, compiled
 
-_TIRE_LIMIT = 9.81  # [m/s²], what tires on the ground can give; where neither of the UGV's bounds is known
+_TIRE_LIMIT = (
+    9.81  # [m/s²], what tires on the ground can give; where neither of the UGV's bounds is known
+)
 _HOLD = 1.0  # [s], how long an acceleration lasts where the largest speed is not known
 
 
@@ -82,12 +84,16 @@ def straying(*, elapsed: float, target: Limits, manoeuvre: float, dt: float) -> 
     if target.max_speed is None:
         return math.inf
     acceleration = supposed_acceleration(target=target, manoeuvre=manoeuvre, dt=dt)
-    return strayed_distance(elapsed=float(elapsed), speed=float(target.max_speed), acceleration=float(acceleration))
+    return strayed_distance(
+        elapsed=float(elapsed), speed=float(target.max_speed), acceleration=float(acceleration)
+    )
 
 
 @compiled
 def strayed_distance(elapsed: float, speed: float, acceleration: float) -> float:
-    r"""How far a UGV can get from where it would be had it gone straight on; it turns round as fast as it is supposed to.
+    r"""How far a UGV can get from where it would be had it gone straight on.
+
+    It turns round as fast as it is supposed to.
 
     $$ d(t) = \tfrac12 a t^2 \ \text{until}\ t = 2 v_{g,max}/a, \quad \text{then}\ 2 v_{g,max} (t - v_{g,max}/a),
        \qquad a = m\, u_{g,max} $$

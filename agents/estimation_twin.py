@@ -1,11 +1,11 @@
 r"""The UAV's filter as compiled code, for many worlds at once: the same bits as `agents.estimator.RelativeEstimator`.
 
-F, Q and P are $M \otimes I_2$ with M 2 x 2: x and y are alike and independent, so four numbers are the covariance of one
-axis and stand for both. P_pv and P_vp are kept apart, since their last bits may differ.
+F, Q and P are $M \otimes I_2$ with M 2 x 2: x and y are alike and independent, so four numbers are the covariance
+of one axis and stand for both. P_pv and P_vp are kept apart, since their last bits may differ.
 
 What is written here as `fma` and what is not follows numpy's BLAS, which filterpy calls: OpenBLAS fuses the products of
-matrices, each sum in the order of its terms, but not that of a matrix and a vector. Terms with a factor of exactly 0 or 1
-are left out. On a machine whose BLAS does otherwise the two filters part in the last digits.
+matrices, each sum in the order of its terms, but not that of a matrix and a vector. Terms with a factor of exactly
+0 or 1 are left out. On a machine whose BLAS does otherwise the two filters part in the last digits.
 """
 
 import math
@@ -18,29 +18,40 @@ from numba.core.typing.context import Context
 from numba.core.typing.templates import Signature
 from numba.extending import intrinsic
 
-from agents.estimation_model import acceleration_deviation, motion, strayed_distance, supposed_acceleration
+from agents.estimation_model import (
+    acceleration_deviation,
+    motion,
+    strayed_distance,
+    supposed_acceleration,
+)
 from agents.estimator import RelativeEstimator
 from bus.messages import Detector, Estimator, Limits
 from sim.compile import FloatArray, borrowing
 from sim.vehicles import clip_norm
 
-_SURE = 1.0 / math.sqrt(8.0)  # as the pilot's: least deviation of the position per metre that the UGV may have strayed
+_SURE = 1.0 / math.sqrt(
+    8.0
+)  # as the pilot's: least deviation of the position per metre that the UGV may have strayed
 
 KNOWN, X, Y, V_X, V_Y, P_PP, P_PV, P_VP, P_VV, AGE, _BY_GATE, _IN_A_ROW = range(12)
 """Of `KalmanState.numbers`, what is believed: whether anything is (1.0), the UGV's position [m] and velocity [m/s], the
-covariance of one axis [m², m²/s, m²/s²], and the ticks since the newest believed detection; then refusals by the gate, in
-all and in a row. Meaningless while nothing is known."""
+covariance of one axis [m², m²/s, m²/s²], and the ticks since the newest believed detection; then refusals by the
+gate, in all and in a row. Meaningless while nothing is known."""
 
 _BELIEF = 12  # numbers that a late detection takes back
 
 REFUSED, MISDATED, DUPLICATES, TOO_OLD = range(_BELIEF, _BELIEF + 4)
-"""Of `KalmanState.numbers`, detections not used: refused in all, by the gate (as if all had come in order) or for the wrong
+"""Of `KalmanState.numbers`, detections not used.
+
+Refused in all, by the gate (as if all had come in order) or for the wrong
 time; those of the wrong time; those of a time that had the same one; those that came later than the history reaches."""
 
 NUMBERS = _BELIEF + 4
 """How many numbers a filter has."""
 
-_OWN_X, _OWN_Y, _SEEN, _SEEN_X, _SEEN_Y, _BEFORE = range(6)  # columns of the history; the belief from _BEFORE on
+_OWN_X, _OWN_Y, _SEEN, _SEEN_X, _SEEN_Y, _BEFORE = range(
+    6
+)  # columns of the history; the belief from _BEFORE on
 
 COLUMNS = _BEFORE + _BELIEF
 """How many numbers a filter keeps of each tick."""
@@ -82,10 +93,15 @@ class KalmanState(NamedTuple):
     numbers: FloatArray
     """What it believes and has counted, see the named places. Shape (NUMBERS,)."""
     history: FloatArray
-    """The last ticks, each in row tick % depth: p_a, what was detected then, the belief before it. Shape (depth, COLUMNS)."""
+    """The last ticks, each in row tick % depth: p_a, what was detected then, the belief before it.
+
+    Shape (depth, COLUMNS).
+    """
 
 
-def kalman_parameters(*, detector: Detector, target: Limits, dt: float, settings: Estimator) -> KalmanParameters:
+def kalman_parameters(
+    *, detector: Detector, target: Limits, dt: float, settings: Estimator
+) -> KalmanParameters:
     """The numbers of the filter, from what the pilot's is made of.
 
     Args:
@@ -108,7 +124,9 @@ def kalman_parameters(*, detector: Detector, target: Limits, dt: float, settings
         q_pv=Q.item(0, 2),
         q_vv=Q.item(2, 2),
         speed=math.inf if target.max_speed is None else float(target.max_speed),
-        acceleration=float(supposed_acceleration(target=target, manoeuvre=settings.manoeuvre, dt=dt)),
+        acceleration=float(
+            supposed_acceleration(target=target, manoeuvre=settings.manoeuvre, dt=dt)
+        ),
         gate=float(settings.gate),
         patience=settings.patience,
         enabled=settings.enabled,
@@ -161,7 +179,13 @@ def kalman_estimate(state: KalmanState) -> tuple[bool, float, float]:
 
 @borrowing
 def kalman_step(
-    parameters: KalmanParameters, state: KalmanState, tick: int, p_ax: float, p_ay: float, looks: FloatArray, count: int
+    parameters: KalmanParameters,
+    state: KalmanState,
+    tick: int,
+    p_ax: float,
+    p_ay: float,
+    looks: FloatArray,
+    count: int,
 ) -> None:
     """Move on to `tick` and take up what has arrived, as `RelativeEstimator.update`; called for every tick from 0 on.
 
@@ -185,7 +209,9 @@ def kalman_step(
 
 
 @borrowing
-def _arrange(numbers: FloatArray, history: FloatArray, tick: int, looks: FloatArray, count: int) -> int:
+def _arrange(
+    numbers: FloatArray, history: FloatArray, tick: int, looks: FloatArray, count: int
+) -> int:
     """Put what has arrived into its ticks; the earliest at which something is new, or the tick after this one."""
     depth = len(history)
     first = tick + 1
@@ -198,7 +224,10 @@ def _arrange(numbers: FloatArray, history: FloatArray, tick: int, looks: FloatAr
             numbers[MISDATED] += 1.0
             continue
         place = taken % depth
-        x, y = history[place, _OWN_X] - looks[k, P_DELTA_X], history[place, _OWN_Y] - looks[k, P_DELTA_Y]
+        x, y = (
+            history[place, _OWN_X] - looks[k, P_DELTA_X],
+            history[place, _OWN_Y] - looks[k, P_DELTA_Y],
+        )
         if history[place, _SEEN] == 0.0:
             history[place, _SEEN], history[place, _SEEN_X], history[place, _SEEN_Y] = 1.0, x, y
             first = min(first, taken)
@@ -210,19 +239,28 @@ def _arrange(numbers: FloatArray, history: FloatArray, tick: int, looks: FloatAr
 
 
 @borrowing
-def _run(parameters: KalmanParameters, numbers: FloatArray, history: FloatArray, first: int, tick: int) -> None:
+def _run(
+    parameters: KalmanParameters, numbers: FloatArray, history: FloatArray, first: int, tick: int
+) -> None:
     """Take up what was detected at `first`, and where that is past run again through all that was detected since."""
     place = first % len(history)
     if first < tick:
         for k in range(_BELIEF):
             numbers[k] = history[place, _BEFORE + k]
-    _take(parameters=parameters, numbers=numbers, x=history[place, _SEEN_X], y=history[place, _SEEN_Y])
+    _take(
+        parameters=parameters, numbers=numbers, x=history[place, _SEEN_X], y=history[place, _SEEN_Y]
+    )
     for _ in range(first, tick):
         place = place + 1 if place + 1 < len(history) else 0
         _coast(parameters=parameters, numbers=numbers)
         _remember(numbers=numbers, history=history, place=place)
         if history[place, _SEEN] != 0.0:
-            _take(parameters=parameters, numbers=numbers, x=history[place, _SEEN_X], y=history[place, _SEEN_Y])
+            _take(
+                parameters=parameters,
+                numbers=numbers,
+                x=history[place, _SEEN_X],
+                y=history[place, _SEEN_Y],
+            )
 
 
 @borrowing
@@ -246,16 +284,29 @@ def _coast(parameters: KalmanParameters, numbers: FloatArray) -> None:
     numbers[Y] += c.dt * numbers[V_Y]
     before = numbers[P_PP]
     pp, pv, vp, vv = _predicted(
-        dt=c.dt, q_pp=c.q_pp, q_pv=c.q_pv, q_vv=c.q_vv, pp=before, pv=numbers[P_PV], vp=numbers[P_VP], vv=numbers[P_VV]
+        dt=c.dt,
+        q_pp=c.q_pp,
+        q_pv=c.q_pv,
+        q_vv=c.q_vv,
+        pp=before,
+        pv=numbers[P_PV],
+        vp=numbers[P_VP],
+        vv=numbers[P_VV],
     )
     if c.speed < math.inf:
-        strayed = strayed_distance(elapsed=numbers[AGE] * c.dt, speed=c.speed, acceleration=c.acceleration)
+        strayed = strayed_distance(
+            elapsed=numbers[AGE] * c.dt, speed=c.speed, acceleration=c.acceleration
+        )
         most = math.sqrt(before) + c.speed * c.dt
-        pp, pv, vp, vv = _bounded(least=_SURE * strayed, most=most, speed=c.speed, pp=pp, pv=pv, vp=vp, vv=vv)
+        pp, pv, vp, vv = _bounded(
+            least=_SURE * strayed, most=most, speed=c.speed, pp=pp, pv=pv, vp=vp, vv=vv
+        )
     numbers[P_PP], numbers[P_PV], numbers[P_VP], numbers[P_VV] = pp, pv, vp, vv
 
 
-def _fma(_context: Context, _a: types.Type, _b: types.Type, _c: types.Type) -> tuple[Signature, Callable[..., object]]:
+def _fma(
+    _context: Context, _a: types.Type, _b: types.Type, _c: types.Type
+) -> tuple[Signature, Callable[..., object]]:
     """LLVM's own instruction for a · b + c, rounded once; numba has no function for it."""
     signature = types.float64(types.float64, types.float64, types.float64)
     return signature, lambda _context, builder, _signature, arguments: builder.fma(*arguments)
@@ -277,7 +328,10 @@ def _predicted(
 def _bounded(
     least: float, most: float, speed: float, pp: float, pv: float, vp: float, vv: float
 ) -> tuple[float, float, float, float]:
-    """The covariance of one axis with its standard deviations in bounds: the position's [m], and the velocity's up to v_g,max."""
+    """The covariance of one axis with its standard deviations in bounds.
+
+    The position's [m], and the velocity's up to v_g,max.
+    """
     position, velocity = math.sqrt(pp), math.sqrt(vv)
     if least <= position <= most and not velocity > speed:
         return pp, pv, vp, vv
@@ -286,7 +340,9 @@ def _bounded(
 
 
 @borrowing
-def _weighed(variance: float, pp: float, pv: float, vp: float, vv: float) -> tuple[float, float, float, float, float, float]:
+def _weighed(
+    variance: float, pp: float, pv: float, vp: float, vv: float
+) -> tuple[float, float, float, float, float, float]:
     r"""Gain of one axis, and its covariance after a detection, $(I - KH) P (I - KH)^T + K R K^T$."""
     s = pp + variance
     inverse = s * (1.0 / (s * s))
@@ -327,7 +383,12 @@ def _start(parameters: KalmanParameters, numbers: FloatArray, x: float, y: float
     """Know nothing but one detection at (x, y) [m]."""
     numbers[KNOWN] = 1.0
     numbers[X], numbers[Y], numbers[V_X], numbers[V_Y] = x, y, 0.0, 0.0
-    numbers[P_PP], numbers[P_PV], numbers[P_VP], numbers[P_VV] = parameters.variance, 0.0, 0.0, parameters.first_variance
+    numbers[P_PP], numbers[P_PV], numbers[P_VP], numbers[P_VV] = (
+        parameters.variance,
+        0.0,
+        0.0,
+        parameters.first_variance,
+    )
     numbers[AGE] = numbers[_IN_A_ROW] = 0.0
 
 
@@ -335,10 +396,16 @@ def _start(parameters: KalmanParameters, numbers: FloatArray, x: float, y: float
 def _correct(parameters: KalmanParameters, numbers: FloatArray, nu_x: float, nu_y: float) -> None:
     """Believe a detection that is (nu_x, nu_y) [m] from where the UGV was thought to be."""
     k_p, k_v, pp, pv, vp, vv = _weighed(
-        variance=parameters.variance, pp=numbers[P_PP], pv=numbers[P_PV], vp=numbers[P_VP], vv=numbers[P_VV]
+        variance=parameters.variance,
+        pp=numbers[P_PP],
+        pv=numbers[P_PV],
+        vp=numbers[P_VP],
+        vv=numbers[P_VV],
     )
     numbers[X] += k_p * nu_x
     numbers[Y] += k_p * nu_y
-    numbers[V_X], numbers[V_Y] = clip_norm(x=numbers[V_X] + k_v * nu_x, y=numbers[V_Y] + k_v * nu_y, limit=parameters.speed)
+    numbers[V_X], numbers[V_Y] = clip_norm(
+        x=numbers[V_X] + k_v * nu_x, y=numbers[V_Y] + k_v * nu_y, limit=parameters.speed
+    )
     numbers[P_PP], numbers[P_PV], numbers[P_VP], numbers[P_VV] = pp, pv, vp, vv
     numbers[AGE] = numbers[_IN_A_ROW] = 0.0

@@ -4,7 +4,8 @@ The state is $(x, y, v_x, v_y)$ of the UGV in the world frame, moving at constan
 The UAV knows its own position exactly, so a detection $\tilde p_\Delta$ of $p_\Delta = p_a - p_g$ measures the UGV's
 position: $z = p_a - \tilde p_\Delta$. The equations are filterpy's; here is what feeds them.
 
-A detection may come late and out of order. It counts at its own time: the filter goes back to what it believed before then,
+A detection may come late and out of order. It counts at its own time: the filter goes back to what it believed
+before then,
 takes it up, and runs again through all that was detected since. So what it believes depends on which detections have
 arrived, not on when: the same bits as if all had come in order.
 
@@ -25,8 +26,12 @@ from sim.compile import FloatArray
 from sim.vehicles import clip_norm
 
 _VARIANCE_FLOOR = 1e-12  # [m²], (1 µm)²: a detector without noise must not make S singular
-_SURE = 1.0 / math.sqrt(8.0)  # least deviation of the position per metre that the UGV may have strayed while it was not seen
-_FREE_SPEED = 10.0  # [m/s], deviation of the first velocity per axis where the largest speed is not known
+_SURE = 1.0 / math.sqrt(
+    8.0
+)  # least deviation of the position per metre that the UGV may have strayed while it was not seen
+_FREE_SPEED = (
+    10.0  # [m/s], deviation of the first velocity per axis where the largest speed is not known
+)
 
 
 class Estimate(msgspec.Struct, frozen=True, kw_only=True):
@@ -36,7 +41,9 @@ class Estimate(msgspec.Struct, frozen=True, kw_only=True):
     velocity: tuple[float, float]  # [m/s], never longer than v_g,max
     covariance: tuple[float, float, float]  # xx, xy, yy of the position [m²]
     age: float  # since the newest believed detection [s]
-    refused: int  # detections refused, by the gate (as if all had come in order) or for the wrong time
+    refused: (
+        int  # detections refused, by the gate (as if all had come in order) or for the wrong time
+    )
 
 
 def _inverse(S: FloatArray) -> FloatArray:
@@ -54,7 +61,8 @@ class RelativeEstimator:
 
     Deviation from the plain filter, where the UGV's largest speed is known: the velocity is never believed longer than
     v_g,max; its standard deviation per axis never larger than v_g,max; and that of the position never grows faster
-    than at v_g,max. While nothing is believed for long, that of the position is never smaller than 1/√8 of how far the UGV
+    than at v_g,max. While nothing is believed for long, that of the position is never smaller than 1/√8 of how far
+    the UGV
     can have strayed from its course: one that turned round comes to a NEES of 8, no more, and is let in again. Without
     this the covariance forgets the speed that the mean goes on at: NEES 16 after 2 minutes, refused soon after. The
     deviations are scaled, the correlations stay, so the covariance stays one.
@@ -62,7 +70,15 @@ class RelativeEstimator:
     F, Q, R and the first covariance are alike in x and y, and so P stays: one axis stands for both where it is capped.
     """
 
-    def __init__(self, *, detector: Detector, target: Limits, dt: float, settings: Estimator, span: float = SPAN) -> None:
+    def __init__(
+        self,
+        *,
+        detector: Detector,
+        target: Limits,
+        dt: float,
+        settings: Estimator,
+        span: float = SPAN,
+    ) -> None:
         """Prepare the filter; it believes nothing until the first detection.
 
         Args:
@@ -93,8 +109,12 @@ class RelativeEstimator:
         self._filter.H = np.eye(2, 4)
         self._filter.R = self._variance * np.eye(2)
         self._filter.inv = _inverse  # filterpy's own hook; LAPACK on 2 x 2 costs half of its update
-        self._ahead: tuple[FloatArray, FloatArray, tuple[list[float], FloatArray]] | None = None  # x, P and gain at the next tick
-        self._weighed: tuple[list[float], FloatArray] | None = None  # gain and covariance for a detection at this one
+        self._ahead: tuple[FloatArray, FloatArray, tuple[list[float], FloatArray]] | None = (
+            None  # x, P and gain at the next tick
+        )
+        self._weighed: tuple[list[float], FloatArray] | None = (
+            None  # gain and covariance for a detection at this one
+        )
         self._history = History(span=span, dt=dt)
         self._now: Moment | None = None  # None: never called
         self._age: int | None = None  # ticks; None: nothing was ever believed
@@ -130,11 +150,15 @@ class RelativeEstimator:
         """Detections dropped so far because they came later than the span allows."""
         return self._too_old
 
-    def update(self, *, time: float, own_position: tuple[float, float], detections: tuple[Detection, ...]) -> Estimate | None:
+    def update(
+        self, *, time: float, own_position: tuple[float, float], detections: tuple[Detection, ...]
+    ) -> Estimate | None:
         """Move on to `time` and take up what has arrived, each detection at its own time.
 
-        Of several detections of one time only the first is used, also over several calls. What cannot be placed counts as
-        refused: a detection of the future, or of a time at which the filter was not called, so that p_a is not known, or
+        Of several detections of one time only the first is used, also over several calls. What cannot be placed
+        counts as
+        refused: a detection of the future, or of a time at which the filter was not called, so that p_a is not
+            known, or
         one that comes late and contradicts that of its time.
 
         Args:
@@ -152,7 +176,11 @@ class RelativeEstimator:
         first: Moment | None = None  # the earliest at which something is new
         for detection in detections:
             moment = now if abs(detection.time - time) <= SAME_TIME else self._past(now, detection)
-            if moment is not None and self._is_new(now, moment, detection) and (first is None or moment.tick < first.tick):
+            if (
+                moment is not None
+                and self._is_new(now, moment, detection)
+                and (first is None or moment.tick < first.tick)
+            ):
                 first = moment
         if first is now:
             self._look(now)
@@ -165,8 +193,12 @@ class RelativeEstimator:
         last = self._now
         elapsed = 0.0 if last is None else time - last.time
         ticks = round(elapsed / self._dt)
-        if elapsed < -SAME_TIME or abs(elapsed - ticks * self._dt) > max(1e-6 * self._dt, SAME_TIME):
-            raise ValueError(f"time {time} s is not a whole number of ticks of {self._dt} s after {last and last.time} s")
+        if elapsed < -SAME_TIME or abs(elapsed - ticks * self._dt) > max(
+            1e-6 * self._dt, SAME_TIME
+        ):
+            raise ValueError(
+                f"time {time} s is not a whole number of ticks of {self._dt} s after {last and last.time} s"
+            )
         if last is not None and not ticks:
             last.own_position = own_position
             return last
@@ -252,9 +284,14 @@ class RelativeEstimator:
         self._filter.x, self._filter.P = posterior
 
     def _weigh(self) -> tuple[list[float], FloatArray]:
-        """Gain K, row by row, for a detection at this tick, and the covariance after it: filterpy's update without innovation."""
+        """Gain K, row by row, for a detection at this tick, and the covariance after it.
+
+        Filterpy's update without innovation.
+        """
         prior = (self._filter.x, self._filter.P)
-        self._filter.update(0.0, H=self._filter.H)  # any z does; H is passed so that filterpy takes it as it is
+        self._filter.update(
+            0.0, H=self._filter.H
+        )  # any z does; H is passed so that filterpy takes it as it is
         weighed = (self._filter.K.ravel().tolist(), self._filter.P)
         self._filter.x, self._filter.P = prior
         return weighed
@@ -267,12 +304,21 @@ class RelativeEstimator:
             return
         matrices = self._motions.get(ticks)
         if matrices is None:
-            matrices = self._motions[ticks] = motion(ticks=ticks, dt=self._dt, deviation=self._deviation)
+            matrices = self._motions[ticks] = motion(
+                ticks=ticks, dt=self._dt, deviation=self._deviation
+            )
         before = self._filter.P.item(0)
         self._filter.predict(F=matrices[0], Q=matrices[1])
         if self._speed < math.inf:
-            strayed = straying(elapsed=age * self._dt, target=self._target, manoeuvre=self._settings.manoeuvre, dt=self._dt)
-            self._bound(least=_SURE * strayed, most=math.sqrt(before) + self._speed * ticks * self._dt)
+            strayed = straying(
+                elapsed=age * self._dt,
+                target=self._target,
+                manoeuvre=self._settings.manoeuvre,
+                dt=self._dt,
+            )
+            self._bound(
+                least=_SURE * strayed, most=math.sqrt(before) + self._speed * ticks * self._dt
+            )
 
     def _bound(self, *, least: float, most: float) -> None:
         """Keep the standard deviations per axis within bounds: the position's [m], and the velocity's up to v_g,max."""
@@ -308,7 +354,9 @@ class RelativeEstimator:
         nu_x, nu_y = x - state.item(0), y - state.item(1)
         s_xx, s_xy, s_yy = P.item(0) + self._variance, P.item(1), P.item(5) + self._variance
         determinant = s_xx * s_yy - s_xy * s_xy
-        squared: float = (s_yy * nu_x * nu_x - 2.0 * s_xy * nu_x * nu_y + s_xx * nu_y * nu_y) / determinant
+        squared: float = (
+            s_yy * nu_x * nu_x - 2.0 * s_xy * nu_x * nu_y + s_xx * nu_y * nu_y
+        ) / determinant
         self._innovation_squared = squared
         return squared <= self._settings.gate
 
@@ -316,8 +364,12 @@ class RelativeEstimator:
         K, covariance = self._weighed or self._weigh()
         p_x, p_y, v_x, v_y = self._filter.x.tolist()
         nu_x, nu_y = x - p_x, y - p_y
-        v_x, v_y = clip_norm(v_x + K[4] * nu_x + K[5] * nu_y, v_y + K[6] * nu_x + K[7] * nu_y, self._speed)
-        self._filter.x = np.array([p_x + K[0] * nu_x + K[1] * nu_y, p_y + K[2] * nu_x + K[3] * nu_y, v_x, v_y])
+        v_x, v_y = clip_norm(
+            v_x + K[4] * nu_x + K[5] * nu_y, v_y + K[6] * nu_x + K[7] * nu_y, self._speed
+        )
+        self._filter.x = np.array(
+            [p_x + K[0] * nu_x + K[1] * nu_y, p_y + K[2] * nu_x + K[3] * nu_y, v_x, v_y]
+        )
         self._filter.P = covariance
         self._ahead = None
         self._age = 0

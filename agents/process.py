@@ -24,8 +24,9 @@ _ROOM = 1024
 class Pilot(Protocol):
     """A pilot as the loop sees it; the key table says which messages it gets.
 
-    It may have three methods more: `prepare()`, called once its command is on its way, to work ahead while nobody waits;
-    `perceive(observation)`, called with what it was too slow to answer; and `forget_commands()`, called when answers of its own
+    It may have three methods more: `prepare()`, called once its command is on its way, to work ahead while nobody
+    waits; `perceive(observation)`, called with what it was too slow to answer; and `forget_commands()`, called when
+    answers of its own
     were not sent, or may not have been: those that it gave to its past when its process has joined again.
     """
 
@@ -84,7 +85,11 @@ _UAV = _SOMEBODY | {
     "estimator": {},
 }
 _WATCHED = {"law": {"name": "certified"}, "certificate": {"error": 0.3, "age": 1.0}}
-_UGV = _SOMEBODY | {"driver": "waypoints", "goals": [[1.0, 1.0], [9.0, 9.0]], "goal_tolerance": 0.05}
+_UGV = _SOMEBODY | {
+    "driver": "waypoints",
+    "goals": [[1.0, 1.0], [9.0, 9.0]],
+    "goal_tolerance": 0.05,
+}
 
 
 def _seen(tick: int) -> dict[str, Any]:
@@ -124,8 +129,8 @@ class _Presence:
 class _Seat:
     """A vehicle's place in the run as its own process sees it: it waits for messages, but not for ever.
 
-    A simulator that has lost sight of this process briefs it anew, and so does one that has been started anew. A briefing
-    tells all of the vehicle's past, so whatever is older than it counts no more.
+    A simulator that has lost sight of this process briefs it anew, and so does one that has been started anew. A
+    briefing tells all of the vehicle's past, so whatever is older than it counts no more.
 
     Args:
         session: The vehicle's session.
@@ -148,7 +153,9 @@ class _Seat:
     def _mind_absence(self, what: str) -> None:
         if self._presence.absent_for() > self._limit:
             who = "simulator" if self._session.connected else "router"
-            raise PeerLost(f"the {who} has been away for {self._limit:g} s while {self._session.party.name} awaited {what}")
+            raise PeerLost(
+                f"the {who} has been away for {self._limit:g} s while {self._session.party.name} awaited {what}"
+            )
 
     def _take_over(self) -> Pilot:
         """Wait for a briefing: a pilot as it would be now if it had flown from the start.
@@ -178,7 +185,9 @@ class _Seat:
                 return pilot
 
     def look(self) -> list[Any]:
-        """Wait for observations: those that have arrived since, the oldest first. A briefing makes a new pilot before them.
+        """Wait for observations: those that have arrived since, the oldest first.
+
+        A briefing makes a new pilot before them.
 
         Raises:
             PeerLost: If the simulator stays away.
@@ -219,7 +228,8 @@ def _forget_commands(pilot: Pilot) -> None:
 def _answer(pilot: Pilot, seen: list[Any], commands: Outbox, name: str) -> None:
     """Answer the newest observation; those that came before it are too late to be answered, but not to be seen.
 
-    One that is missed is acted on unheard, so that the pilot stays as it would be: in lockstep a process that joins again may
+    One that is missed is acted on unheard, so that the pilot stays as it would be: in lockstep a process that
+    joins again may
     find the next tick there already. A pilot that has missed more is slower than the clock, and only perceives them.
 
     Raises:
@@ -236,7 +246,9 @@ def _answer(pilot: Pilot, seen: list[Any], commands: Outbox, name: str) -> None:
     try:
         commands.send(command)
     except ValueError as error:
-        raise BusError(f"{name}: the pilot's answer to tick {seen[-1].tick} cannot be sent: {error}") from error
+        raise BusError(
+            f"{name}: the pilot's answer to tick {seen[-1].tick} cannot be sent: {error}"
+        ) from error
     prepare = getattr(pilot, "prepare", None)
     if prepare is not None:
         prepare()

@@ -21,7 +21,15 @@ from agents.control.visibility import SafetyFilter, Verdict
 from agents.control.weighting import Weighting, check_weighting
 from agents.estimator import Estimate, RelativeEstimator
 from bus.errors import ScenarioError
-from bus.messages import Law, RelativeInformation, UavBriefing, UavCommand, UavObservation, UavReport, Vector
+from bus.messages import (
+    Law,
+    RelativeInformation,
+    UavBriefing,
+    UavCommand,
+    UavObservation,
+    UavReport,
+    Vector,
+)
 from sim.compile import FloatArray
 from sim.field import accumulate, cover, coverage_error, empty_coverage
 from sim.vehicles import brake, norm
@@ -39,7 +47,12 @@ _LONGEST = 500
 
 
 def _report(estimate: Estimate, verdict: Verdict | None) -> UavReport:
-    report = UavReport(estimate=estimate.position, covariance=estimate.covariance, age=estimate.age, refused=estimate.refused)
+    report = UavReport(
+        estimate=estimate.position,
+        covariance=estimate.covariance,
+        age=estimate.age,
+        refused=estimate.refused,
+    )
     if verdict is None:
         return report
     return msgspec.structs.replace(
@@ -63,15 +76,25 @@ class UavPilot:
         ScenarioError: If the briefing asks for what cannot be flown, or the user's function is missing or does not fit.
     """
 
-    def __init__(self, briefing: UavBriefing, *, weighting: Weighting | None = None, path: Path | None = None) -> None:
+    def __init__(
+        self, briefing: UavBriefing, *, weighting: Weighting | None = None, path: Path | None = None
+    ) -> None:
         self._briefing = briefing
         self._parameters: LawParameters = law_parameters(briefing, briefing.law)
         self._weighting, self._path = weighting, path
         self._check_own_functions()
-        self.coverage: FloatArray = empty_coverage(briefing.area.width, briefing.area.height, briefing.area.cell)
+        self.coverage: FloatArray = empty_coverage(
+            briefing.area.width, briefing.area.height, briefing.area.cell
+        )
         """The UAV's own map, built from its own track. Shape (rows, columns)."""
         for region in briefing.covered:
-            cover(self.coverage, region.lower, region.upper, briefing.area.cell, briefing.desired_coverage)
+            cover(
+                self.coverage,
+                region.lower,
+                region.upper,
+                briefing.area.cell,
+                briefing.desired_coverage,
+            )
         self.estimator = RelativeEstimator(
             detector=briefing.detector,
             target=briefing.target_limits,
@@ -79,26 +102,38 @@ class UavPilot:
             settings=briefing.estimator,
         )
         self._state = initial_state()
-        self._sent: deque[Vector] = deque(maxlen=math.ceil(briefing.certificate.delay / briefing.dt))  # that may be under way
+        self._sent: deque[Vector] = deque(
+            maxlen=math.ceil(briefing.certificate.delay / briefing.dt)
+        )  # that may be under way
         self.filter: SafetyFilter | None = self._make_filter()
         """What watches over the law `certified`."""
         self._tick: int | None = None
         self._radio_ticks = max(1, round(RADIO_PERIOD / briefing.dt))
 
     def _make_filter(self) -> SafetyFilter | None:
-        return SafetyFilter(self._briefing, sent=self._sent) if self._parameters.law == CERTIFIED else None
+        return (
+            SafetyFilter(self._briefing, sent=self._sent)
+            if self._parameters.law == CERTIFIED
+            else None
+        )
 
     def _check_own_functions(self) -> None:
         law = self._parameters.law
         if law == WEIGHTED:
             if self._weighting is None:
-                raise ScenarioError("law.name = 'weighted': needs a weighting, given to the UAV as module:function")
+                raise ScenarioError(
+                    "law.name = 'weighted': needs a weighting, given to the UAV as module:function"
+                )
             check_weighting(self._weighting, self._parameters.r_s)
         if law == PATH:
             if self._path is None:
-                raise ScenarioError("law.name = 'path': needs a path, given to the UAV as module:function")
+                raise ScenarioError(
+                    "law.name = 'path': needs a path, given to the UAV as module:function"
+                )
             bounds = (self._briefing.limits, self._briefing.target_limits)
-            (v_a, u_a), (v_g, _) = ((number(b.max_speed), number(b.max_acceleration)) for b in bounds)
+            (v_a, u_a), (v_g, _) = (
+                (number(b.max_speed), number(b.max_acceleration)) for b in bounds
+            )
             check_path(self._path, _PATH_HORIZON, self._briefing.visibility_radius, v_a, v_g, u_a)
 
     def act(self, observation: UavObservation) -> UavCommand:
@@ -137,13 +172,21 @@ class UavPilot:
         self._look(observation)
         if self.filter is not None:
             self.filter.see(observation)
-        return self.estimator.update(time=observation.time, own_position=observation.position, detections=observation.detections)
+        return self.estimator.update(
+            time=observation.time,
+            own_position=observation.position,
+            detections=observation.detections,
+        )
 
     def _fly(self, law: Law) -> None:
         """Take another law; map, filter and the state of the law before stay."""
         self._parameters = law_parameters(self._briefing, law)
         self._check_own_functions()
-        self.filter = self._make_filter() if self.filter is None or self._parameters.law != CERTIFIED else self.filter
+        self.filter = (
+            self._make_filter()
+            if self.filter is None or self._parameters.law != CERTIFIED
+            else self.filter
+        )
 
     def prepare(self) -> None:
         """Work ahead for the next observation, while the simulator is busy; changes nothing but when it is done."""
@@ -166,9 +209,23 @@ class UavPilot:
 
     def _steer(self, observation: UavObservation, target: Vector) -> Vector:
         (p_x, p_y), (v_x, v_y) = observation.position, observation.velocity
-        own = self._own_terms(observation, target) if self._parameters.law in (WEIGHTED, PATH) else _NOTHING_OWN
+        own = (
+            self._own_terms(observation, target)
+            if self._parameters.law in (WEIGHTED, PATH)
+            else _NOTHING_OWN
+        )
         u_x, u_y = bounded_uav_control(
-            self._parameters, own, self.coverage, self._state, observation.tick, p_x, p_y, v_x, v_y, target[0], target[1]
+            self._parameters,
+            own,
+            self.coverage,
+            self._state,
+            observation.tick,
+            p_x,
+            p_y,
+            v_x,
+            v_y,
+            target[0],
+            target[1],
         )
         return u_x, u_y
 
@@ -182,12 +239,18 @@ class UavPilot:
             return OwnTerms(p_vx=float(v_x), p_vy=float(v_y), a_vx=float(a_x), a_vy=float(a_y))
         return _NOTHING_OWN
 
-    def _radio(self, observation: UavObservation, estimate: Estimate) -> tuple[RelativeInformation, ...]:
+    def _radio(
+        self, observation: UavObservation, estimate: Estimate
+    ) -> tuple[RelativeInformation, ...]:
         if observation.tick % self._radio_ticks:
             return ()
         c = self._parameters
         (p_x, p_y), (g_x, g_y) = observation.position, estimate.position
         error = coverage_error(self.coverage, g_x, g_y, c.r_o, c.desired, c.cell)
         return (
-            RelativeInformation(time=observation.time, relative_position=(p_x - g_x, p_y - g_y), coverage_error=max(0.0, error)),
+            RelativeInformation(
+                time=observation.time,
+                relative_position=(p_x - g_x, p_y - g_y),
+                coverage_error=max(0.0, error),
+            ),
         )

@@ -22,7 +22,12 @@ class UgvPilot:
     """
 
     def __init__(
-        self, briefing: UgvBriefing, *, driver: Driver | None = None, policy: Policy | None = None, policy_name: str = "policy"
+        self,
+        briefing: UgvBriefing,
+        *,
+        driver: Driver | None = None,
+        policy: Policy | None = None,
+        policy_name: str = "policy",
     ) -> None:
         self._briefing = briefing
         self._policy, self._policy_name = policy, policy_name
@@ -31,7 +36,9 @@ class UgvPilot:
     def _seat(self, name: str) -> Driver:
         if name == "policy":
             if self._policy is None:
-                raise ScenarioError("driver = 'policy': needs a policy, given to the UGV as module:function")
+                raise ScenarioError(
+                    "driver = 'policy': needs a policy, given to the UGV as module:function"
+                )
             return PolicyDriver(self._briefing, policy=self._policy, name=self._policy_name)
         if name not in DRIVERS:
             raise ScenarioError(f"driver = {name!r}: unknown; allowed: {', '.join(DRIVERS)}")

@@ -19,9 +19,10 @@ _RELATIVE = [UavRow._fields.index("relative_x"), UavRow._fields.index("relative_
 class EstimateWrapper(BaseParallelWrapper):  # type: ignore[misc]
     """Puts the filter's estimate in the place of the UAVs' raw detections; everything else stays.
 
-    The row keeps its layout. `detected` is 1 from the first detection on, `relative_x` and `relative_y` are the UAV's own
-    position minus the estimate of p_g, `age` is the time since the newest detection that the filter believed. An estimate has
-    no largest distance, so the space of the relative position is unbounded.
+    The row keeps its layout. `detected` is 1 from the first detection on, `relative_x` and `relative_y` are the
+    UAV's own
+    position minus the estimate of p_g, `age` is the time since the newest detection that the filter believed. An
+    estimate has no largest distance, so the space of the relative position is unbounded.
 
     Args:
         env: The environment, or a wrapper of it whose UAVs still have their own rows.
@@ -35,12 +36,16 @@ class EstimateWrapper(BaseParallelWrapper):  # type: ignore[misc]
             told = env.unwrapped.briefing(agent)
             if isinstance(told, UavBriefing):
                 self._briefings[agent] = told
-        self._spaces = {agent: self._without_bounds(env.observation_space(agent)) for agent in self._briefings}
+        self._spaces = {
+            agent: self._without_bounds(env.observation_space(agent)) for agent in self._briefings
+        }
 
     @staticmethod
     def _without_bounds(space: spaces.Space[Any]) -> spaces.Space[Any]:
         if isinstance(space, spaces.Dict):
-            return spaces.Dict({**space.spaces, "row": EstimateWrapper._without_bounds(space.spaces["row"])})
+            return spaces.Dict(
+                {**space.spaces, "row": EstimateWrapper._without_bounds(space.spaces["row"])}
+            )
         if not isinstance(space, spaces.Box):
             raise TypeError(f"EstimateWrapper needs UAVs that observe their rows, not {space}")
         low, high = space.low.copy(), space.high.copy()
@@ -51,11 +56,18 @@ class EstimateWrapper(BaseParallelWrapper):  # type: ignore[misc]
         """The space of an agent's observations."""
         return self._spaces[agent] if agent in self._spaces else self.env.observation_space(agent)
 
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Begin an episode, with new filters."""
         observations, infos = self.env.reset(seed=seed, options=options)
         self._filters = {
-            agent: RelativeEstimator(detector=told.detector, target=told.target_limits, dt=told.dt, settings=told.estimator)
+            agent: RelativeEstimator(
+                detector=told.detector,
+                target=told.target_limits,
+                dt=told.dt,
+                settings=told.estimator,
+            )
             for agent, told in self._briefings.items()
         }
         return self._estimated(observations), infos
@@ -79,20 +91,24 @@ class EstimateWrapper(BaseParallelWrapper):  # type: ignore[misc]
         """The row with the estimate in it, once there is one."""
         observation = uav_observation(row, dt=self._briefings[agent].dt)
         (p_x, p_y), time, world = observation.position, observation.time, self.env.unwrapped
-        looks = world.received(agent) if world.degraded else observation.detections  # the row has room for one
+        looks = (
+            world.received(agent) if world.degraded else observation.detections
+        )  # the row has room for one
         estimate = self._filters[agent].update(time=time, own_position=(p_x, p_y), detections=looks)
         if estimate is None:
             return row
         (g_x, g_y), age = estimate.position, estimate.age
-        entries = UavRow._make(row.tolist())._replace(detected=1.0, relative_x=p_x - g_x, relative_y=p_y - g_y, age=age)
+        entries = UavRow._make(row.tolist())._replace(
+            detected=1.0, relative_x=p_x - g_x, relative_y=p_y - g_y, age=age
+        )
         return np.array(entries, dtype=row.dtype)
 
 
 class SafetyFilterWrapper(BaseParallelWrapper):  # type: ignore[misc]
     """Keeps sight of the UGVs, whatever the UAVs' policies want: their actions go through the safety filter.
 
-    Each UAV's info says what became of its action: `intervened`, `certified`, `uncertified` (why not; empty if it is) and
-    `certified_distance` [m]. `filters` has the filters of the episode, with their counts.
+    Each UAV's info says what became of its action: `intervened`, `certified`, `uncertified` (why not; empty if it
+    is) and `certified_distance` [m]. `filters` has the filters of the episode, with their counts.
 
     Args:
         env: The environment, or a wrapper of it whose UAVs still have their own rows, float64.
@@ -104,11 +120,15 @@ class SafetyFilterWrapper(BaseParallelWrapper):  # type: ignore[misc]
         """By agent."""
         self._seen: dict[str, UavObservation] = {}
 
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Begin an episode, with new filters."""
         observations, infos = self.env.reset(seed=seed, options=options)
         told = {agent: self.env.unwrapped.briefing(agent) for agent in self.env.possible_agents}
-        self.filters = {agent: SafetyFilter(one) for agent, one in told.items() if isinstance(one, UavBriefing)}
+        self.filters = {
+            agent: SafetyFilter(one) for agent, one in told.items() if isinstance(one, UavBriefing)
+        }
         self._see(observations)
         return observations, infos
 

@@ -1,4 +1,6 @@
-"""The tables of docs/certificate.md: `python benchmarks/certificate.py NAME`, with a NAME of `TABLES`; about a minute each.
+"""The tables of docs/certificate.md: `python benchmarks/certificate.py NAME`, with a NAME of `TABLES`.
+
+About a minute each.
 
 radius: R_h, E and r_cert over eps, A and tau_c; and the largest A.
 guards: how often guards that are known to be wrong lose sight, and the filter beside them.
@@ -29,8 +31,21 @@ def radius() -> Iterator[str]:
     numbers = {name: a.PAPER_BOUNDS[name] for name in ("r_v", "v_a", "u_a", "v_g", "dt")}
     yield "| ε [m] | A [s] | τ_c [s] | R_h [m] | E [m] | r_cert [m] |"
     yield "|---|---|---|---|---|---|"
-    rows = [(0.0, 0.05, 0.0), (0.3, 0.05, 0.0), (0.3, 5.0, 0.0), (0.3, 10.0, 0.0), (0.3, 15.0, 0.0), (0.9, 10.0, 0.0)]
-    rows += [(1.5, 0.05, 0.0), (1.5, 5.0, 0.0), (0.3, 0.05, 0.5), (0.3, 0.05, 1.0), (0.3, 15.0, 1.0)]
+    rows = [
+        (0.0, 0.05, 0.0),
+        (0.3, 0.05, 0.0),
+        (0.3, 5.0, 0.0),
+        (0.3, 10.0, 0.0),
+        (0.3, 15.0, 0.0),
+        (0.9, 10.0, 0.0),
+    ]
+    rows += [
+        (1.5, 0.05, 0.0),
+        (1.5, 5.0, 0.0),
+        (0.3, 0.05, 0.5),
+        (0.3, 0.05, 1.0),
+        (0.3, 15.0, 1.0),
+    ]
     for eps, age, delay in rows:
         c = certificate(**numbers, eps=eps, age=age, delay=delay)
         r_cert = certified_radius(c.handover, c.v_a, c.u_a, c.v_g, c.dt, c.delay)
@@ -40,13 +55,17 @@ def radius() -> Iterator[str]:
     yield f"| largest A [s] at ε [m] | {' | '.join(f'{eps:g}' for eps in errors)} |"
     yield f"|---|{'---|' * len(errors)}"
     for delay in (0.0, 1.0):
-        ages = [largest_age(certificate(**numbers, eps=eps, age=0.05, delay=delay)) for eps in errors]
+        ages = [
+            largest_age(certificate(**numbers, eps=eps, age=0.05, delay=delay)) for eps in errors
+        ]
         yield f"| τ_c = {delay:g} s | {' | '.join(f'{age:.1f}' for age in ages)} |"
 
 
 def _attacked(task: tuple[str, a.Conditions, float, float]) -> tuple[str, FloatArray]:
     name, conditions, eps, margin = task
-    return name, a.attack(a.declared(conditions, eps, margin=margin), conditions, 3, 0, RUNS, DURATION)
+    return name, a.attack(
+        a.declared(conditions, eps, margin=margin), conditions, 3, 0, RUNS, DURATION
+    )
 
 
 def _fly(tasks: list[tuple[str, a.Conditions, float, float]]) -> Iterator[tuple[str, FloatArray]]:
@@ -63,7 +82,9 @@ def guards() -> Iterator[str]:
     def add(name: str, conditions: a.Conditions, eps: float) -> None:
         if conditions.law != a.FILTER and not conditions.radius:
             late = conditions.law != a.SWITCH_SERVO or not conditions.delay
-            conditions = conditions._replace(radius=a.spec_radius(a.declared(conditions, eps), with_latency=late))
+            conditions = conditions._replace(
+                radius=a.spec_radius(a.declared(conditions, eps), with_latency=late)
+            )
         tasks.append((name, conditions, eps, 0.0))
 
     paper = a.Conditions(law=a.PAPER, radius=a.spec_radius(a.declared(a.Conditions(), 0.0)) + 0.04)
@@ -73,28 +94,47 @@ def guards() -> Iterator[str]:
     add("(18), commands 0.5 s late", paper._replace(delay=0.5), 0.0)
     add("(18), blackouts of 10 s", paper._replace(blackout=periodic, blackout_time=10.0), 0.0)
     add("d_cert and (15), ε 0.3 m", a.Conditions(law=a.SWITCH_TRACKING), 0.3)
-    add("d_cert and (15), errors of norm 0.3 m", a.Conditions(law=a.SWITCH_TRACKING, error=sphere), 0.3)
+    add(
+        "d_cert and (15), errors of norm 0.3 m",
+        a.Conditions(law=a.SWITCH_TRACKING, error=sphere),
+        0.3,
+    )
     add("d_cert and (15), ε 0.9 m", a.Conditions(law=a.SWITCH_TRACKING), 0.9)
     add(
         "d_cert and the best detection, ε 0.9 m, blackouts of 8 s",
         a.Conditions(a.SWITCH_BEST, blackout=1, blackout_time=8.0),
         0.9,
     )
-    add("d_cert and the servo without τ_c, commands 1 s late", a.Conditions(law=a.SWITCH_SERVO, delay=1.0), 0.3)
+    add(
+        "d_cert and the servo without τ_c, commands 1 s late",
+        a.Conditions(law=a.SWITCH_SERVO, delay=1.0),
+        0.3,
+    )
     add("d_cert and the servo, cos θ = 1, ε 0.3 m", a.Conditions(law=a.SWITCH_SERVO), 0.3)
     add("d_cert and the servo, cos θ = 1, ε 1.5 m", a.Conditions(law=a.SWITCH_SERVO), 1.5)
     add("the filter, ε 0.3 m", a.Conditions(), 0.3)
     add("the filter, ε 1.5 m", a.Conditions(), 1.5)
     add("the filter, errors of norm 0.3 m", a.Conditions(error=sphere), 0.3)
-    add("the filter, ε 0.9 m, blackouts of 8 s", a.Conditions(blackout=periodic, blackout_time=8.0), 0.9)
-    add("the filter, ε 0.3 m, blackouts of 15 s", a.Conditions(blackout=periodic, blackout_time=15.0), 0.3)
+    add(
+        "the filter, ε 0.9 m, blackouts of 8 s",
+        a.Conditions(blackout=periodic, blackout_time=8.0),
+        0.9,
+    )
+    add(
+        "the filter, ε 0.3 m, blackouts of 15 s",
+        a.Conditions(blackout=periodic, blackout_time=15.0),
+        0.3,
+    )
     add("the filter, commands 1 s late", a.Conditions(delay=1.0), 0.3)
     add("the filter, in a small room", a.Conditions(area=a.AREAS.index("small")), 0.3)
     columns = "lose sight | certified while lost | certificate broken | largest d [m] | mean d [m]"
     yield f"| guard and conditions, {RUNS:,} runs | {columns} |"
     yield "|---|---|---|---|---|---|"
     for name, rows in _fly(tasks):
-        told = [f"{int((rows[:, column] > 0).sum())}" if "filter" in name else "–" for column in (a.CERTIFIED_LOST, a.BROKEN)]
+        told = [
+            f"{int((rows[:, column] > 0).sum())}" if "filter" in name else "–"
+            for column in (a.CERTIFIED_LOST, a.BROKEN)
+        ]
         lost, far = int((rows[:, a.MAX_DISTANCE] >= 4.75).sum()), rows[:, a.MAX_DISTANCE].max()
         yield f"| {name} | {lost} | {told[0]} | {told[1]} | {far:.4f} | {rows[:, a.MEAN_DISTANCE].mean():.2f} |"
 
@@ -102,32 +142,60 @@ def guards() -> Iterator[str]:
 def commands() -> Iterator[str]:
     """Commands that are early, late or lost: with margins in units of (v_a + v_g) times the longest such time."""
     silences = a.DISTURBANCES.index("silences")
-    cases = {f"0 to {late:g} s late": (a.Conditions(delay=late, jitter=True), late) for late in (0.2, 0.5, 1.0)}
-    for name, kind in (("one lost now and then", "single_losses"), ("up to 0.25 s later than declared", "late")):
+    cases = {
+        f"0 to {late:g} s late": (a.Conditions(delay=late, jitter=True), late)
+        for late in (0.2, 0.5, 1.0)
+    }
+    for name, kind in (
+        ("one lost now and then", "single_losses"),
+        ("up to 0.25 s later than declared", "late"),
+    ):
         cases[name] = (a.Conditions(disturbance=a.DISTURBANCES.index(kind)), 0.3)
     cases |= {
-        f"lost for up to {out:g} s": (a.Conditions(disturbance=silences, silence=out, hold=0.5), out)
+        f"lost for up to {out:g} s": (
+            a.Conditions(disturbance=silences, silence=out, hold=0.5),
+            out,
+        )
         for out in (0.2, 0.5, 1.0, 2.0)
     }
     margins = (0.0, 1.0, 1.5, 2.0)
-    tasks = [(name, conditions, 0.3, share * 0.8 * longest) for name, (conditions, longest) in cases.items() for share in margins]
+    tasks = [
+        (name, conditions, 0.3, share * 0.8 * longest)
+        for name, (conditions, longest) in cases.items()
+        for share in margins
+    ]
     columns = "0 | 1 | 1.5 | 2 | certified while lost | certificate broken | ticks not certified"
     yield f"| commands; runs of {RUNS:,} that lose sight with a margin of | {columns} |"
     yield "|---|---|---|---|---|---|---|---|"
     for name, group in itertools.groupby(_fly(tasks), key=lambda one: one[0]):
         rows = [one[1] for one in group]
         lost = " | ".join(str(int((one[:, a.MAX_DISTANCE] >= 4.75).sum())) for one in rows)
-        false, broken = (sum(int((one[:, column] > 0).sum()) for one in rows) for column in (a.CERTIFIED_LOST, a.BROKEN))
+        false, broken = (
+            sum(int((one[:, column] > 0).sum()) for one in rows)
+            for column in (a.CERTIFIED_LOST, a.BROKEN)
+        )
         yield f"| {name} | {lost} | {false} | {broken} | {rows[0][:, a.UNCERTIFIED].mean():.0%} |"
 
 
 def _flown(task: tuple[str, str, int]) -> tuple[float, float, int, float]:
     profile, links, seed = task
-    changes = ["law.name=certified", "ugv.0.driver=evade", "area.cell=0.5", "duration=160.0", "hold=2.0", "certificate.age=6.0"]
+    changes = [
+        "law.name=certified",
+        "ugv.0.driver=evade",
+        "area.cell=0.5",
+        "duration=160.0",
+        "hold=2.0",
+        "certificate.age=6.0",
+    ]
     names = ("detections", "commands") if links == "both" else (links,)
-    scenario = load_scenario("escort", overrides=[*changes, *(f"links.{name}={{profile = '{profile}'}}" for name in names)])
+    scenario = load_scenario(
+        "escort",
+        overrides=[*changes, *(f"links.{name}={{profile = '{profile}'}}" for name in names)],
+    )
     flight, said = Flight(scenario, seed), []
-    flight.fly(InProcess(make_pilots(scenario, seed)), on_tick=lambda: said.append(flight.reports[0]))
+    flight.fly(
+        InProcess(make_pilots(scenario, seed)), on_tick=lambda: said.append(flight.reports[0])
+    )
     distance, error = flight.recorder.escorts[:, 0, 0], flight.recorder.escorts[:, 0, 1]
     certified = [report is not None and bool(report.certified) for report in said]
     false = sum(distance[tick] >= 4.75 for tick, sure in enumerate(certified) if sure)
@@ -139,7 +207,10 @@ def profiles() -> Iterator[str]:
     yield f"| profile, {SEEDS} flights of 160 s | on | ticks certified | certified while lost | mean e(t) [m²] | largest d [m] |"
     yield "|---|---|---|---|---|---|"
     tasks = [
-        (profile, links, seed) for profile in PROFILES for links in ("detections", "commands", "both") for seed in range(SEEDS)
+        (profile, links, seed)
+        for profile in PROFILES
+        for links in ("detections", "commands", "both")
+        for seed in range(SEEDS)
     ]
     with ProcessPoolExecutor() as pool:
         found = list(pool.map(_flown, tasks))

@@ -2,8 +2,8 @@
 
 Credentials are passwords, or certificates (`bus.certificates`) where traffic is encrypted.
 
-There is no second list: what `bus.keys` gives a party is what the router lets through, everything else it drops. Zenoh denies
-in silence, so the session asks the same table first and says `AccessDenied`.
+There is no second list: what `bus.keys` gives a party is what the router lets through, everything else it drops.
+Zenoh denies in silence, so the session asks the same table first and says `AccessDenied`.
 """
 
 import base64
@@ -48,7 +48,9 @@ AUTHORITY_FILE = "authority"
 """Name of the file with which certificates are renewed: the owner's, and no process'."""
 
 
-class Credential(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
+class Credential(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True
+):
     """By what the router knows one party: a password or a certificate."""
 
     name: Name
@@ -66,7 +68,9 @@ class Credential(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         return f"Credential(name={self.name!r}, role={self.role.value!r})"
 
 
-class CredentialSet(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
+class CredentialSet(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True
+):
     """Everybody's credentials for one run: what its router knows, and nobody else."""
 
     run: str
@@ -76,7 +80,9 @@ class CredentialSet(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
     def for_router(self) -> "CredentialSet":
         """The same without what the router need not know: the keys of others."""
-        return msgspec.structs.replace(self, parties=tuple(msgspec.structs.replace(party, tls=None) for party in self.parties))
+        return msgspec.structs.replace(
+            self, parties=tuple(msgspec.structs.replace(party, tls=None) for party in self.parties)
+        )
 
     def of(self, name: str) -> Credential:
         """One party's.
@@ -87,7 +93,9 @@ class CredentialSet(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
         for credential in self.parties:
             if credential.name == name:
                 return credential
-        raise AccessDenied(f"there are no credentials for {name}; there are some for {', '.join(c.name for c in self.parties)}")
+        raise AccessDenied(
+            f"there are no credentials for {name}; there are some for {', '.join(c.name for c in self.parties)}"
+        )
 
 
 def new_credentials(run: str, uavs: Iterable[str], ugvs: Iterable[str]) -> CredentialSet:
@@ -102,14 +110,22 @@ def new_credentials(run: str, uavs: Iterable[str], ugvs: Iterable[str]) -> Crede
         ValueError: If two parties have one name.
     """
     made = tuple(
-        msgspec.convert({"name": name, "role": role.value, "password": secrets.token_urlsafe(_PASSWORD_BYTES)}, Credential)
+        msgspec.convert(
+            {"name": name, "role": role.value, "password": secrets.token_urlsafe(_PASSWORD_BYTES)},
+            Credential,
+        )
         for name, role in _roles(uavs, ugvs)
     )
     return CredentialSet(run=run, parties=made)
 
 
 def new_certificates(
-    authority: Authority, uavs: Iterable[str], ugvs: Iterable[str], *, hosts: Sequence[str] = (), days: float = PARTY_DAYS
+    authority: Authority,
+    uavs: Iterable[str],
+    ugvs: Iterable[str],
+    *,
+    hosts: Sequence[str] = (),
+    days: float = PARTY_DAYS,
 ) -> CredentialSet:
     """Certificates for a run's router, vehicles, simulator, operator and observers.
 
@@ -126,7 +142,9 @@ def new_certificates(
         BusError: If the extra [tls] is missing.
     """
     made = tuple(
-        msgspec.convert({"name": name, "role": role.value, "tls": issue(authority, name, days=days)}, Credential)
+        msgspec.convert(
+            {"name": name, "role": role.value, "tls": issue(authority, name, days=days)}, Credential
+        )
         for name, role in _roles(uavs, ugvs)
     )
     known_at = tuple(dict.fromkeys((*ROUTER_HOSTS, *hosts)))
@@ -140,7 +158,9 @@ def _roles(uavs: Iterable[str], ugvs: Iterable[str]) -> list[tuple[str, Role]]:
     names = [name for name, _ in roles]
     for name in names:
         if names.count(name) > 1 or name in (ROUTER_FILE, AUTHORITY_FILE):
-            raise ValueError(f"{name}: two parties with one name; {', '.join((*STAFF, ROUTER_FILE, AUTHORITY_FILE))} are taken")
+            raise ValueError(
+                f"{name}: two parties with one name; {', '.join((*STAFF, ROUTER_FILE, AUTHORITY_FILE))} are taken"
+            )
     return roles
 
 
@@ -154,7 +174,9 @@ def write_private(path: Path, content: bytes) -> None:
         file.write(content)
 
 
-def write_credentials(given: CredentialSet, folder: Path, authority: Authority | None = None) -> dict[str, Path]:
+def write_credentials(
+    given: CredentialSet, folder: Path, authority: Authority | None = None
+) -> dict[str, Path]:
     """Write a file for each party, and one with all of them for the router; mode 600.
 
     Args:
@@ -187,7 +209,9 @@ def _encoded(content: Credential | CredentialSet | Authority) -> bytes:
 
 
 def replace_credentials(content: Credential | CredentialSet, path: Path) -> None:
-    """Put renewed credentials into the place of others: at no moment is the file half of each, or anybody else's to read.
+    """Put renewed credentials into the place of others.
+
+    At no moment is the file half of each, or anybody else's to read.
 
     Raises:
         OSError: If it cannot be written.
@@ -204,8 +228,12 @@ def _read(path: Path, kind: type[_Kind], what: str) -> _Kind:
     try:
         status = path.stat()
         mode = stat.S_IMODE(status.st_mode)
-        if mode & 0o077 and status.st_uid == os.geteuid():  # a container's secrets are another user's, and theirs to protect
-            raise AccessDenied(f"{path}: others can read these credentials (mode {mode:o}); chmod 600 it")
+        if (
+            mode & 0o077 and status.st_uid == os.geteuid()
+        ):  # a container's secrets are another user's, and theirs to protect
+            raise AccessDenied(
+                f"{path}: others can read these credentials (mode {mode:o}); chmod 600 it"
+            )
         return msgspec.json.decode(read_regular(path, _MOST_BYTES), type=kind)
     except OSError as error:
         raise AccessDenied(f"{path}: cannot read {what}: {error.strerror or error}") from error
@@ -221,7 +249,9 @@ def read_credential(path: Path) -> Credential:
     """
     found = _read(path, Credential, "a party's credentials")
     if (found.password is None) == (found.tls is None):
-        raise AccessDenied(f"{path}: not a party's credentials: needs a password or a certificate, one of the two")
+        raise AccessDenied(
+            f"{path}: not a party's credentials: needs a password or a certificate, one of the two"
+        )
     return found
 
 
@@ -234,7 +264,9 @@ def read_credentials(path: Path) -> CredentialSet:
     found = _read(path, CredentialSet, "a router's credentials")
     for party in found.parties:
         if (party.password is None) == (found.tls is None):
-            raise AccessDenied(f"{path}: not a router's credentials: {party.name} needs a password, or the router a certificate")
+            raise AccessDenied(
+                f"{path}: not a router's credentials: {party.name} needs a password, or the router a certificate"
+            )
     return found
 
 
@@ -248,7 +280,10 @@ def read_authority(path: Path) -> Authority:
 
 
 class Grant(msgspec.Struct, frozen=True, kw_only=True, order=True):
-    """One thing the router lets through for one party: Zenoh's message kind, direction (as the router sees it) and keys."""
+    """One thing the router lets through for one party.
+
+    Zenoh's message kind, direction (as the router sees it) and keys.
+    """
 
     message: str
     flow: str
@@ -268,16 +303,24 @@ def grants(party: Party, run: str) -> tuple[Grant, ...]:
     for key in written_by(party):
         own = _expressions(key, party, run)
         found.add(Grant(message="put", flow="ingress", keys=(own,)))
-        # A publisher sends only if it is told that somebody has subscribed; the simulator subscribes to all vehicles at once.
+        # A publisher sends only if it is told that somebody has subscribed; the simulator subscribes to all
+        # vehicles at once.
         told = (own, any_vehicle(run, key.topic)) if key.vehicle is not None else (own,)
         found.add(Grant(message="declare_subscriber", flow="egress", keys=told))
     for key in read_by(party):
         own = _expressions(key, party, run)
-        wide = any_vehicle(run, key.topic) if key.vehicle is not None and party.role is Role.SIMULATOR else own
+        wide = (
+            any_vehicle(run, key.topic)
+            if key.vehicle is not None and party.role is Role.SIMULATOR
+            else own
+        )
         found.add(Grant(message="declare_subscriber", flow="ingress", keys=(wide,)))
         found.add(Grant(message="put", flow="egress", keys=(own,)))
     watched = token(run, "*" if party.role is Role.SIMULATOR else SIMULATOR_NAME, "*")
-    own, places = token(run, party.name, "*"), tuple(token(run, party.name, place) for place in range(PLACES))
+    own, places = (
+        token(run, party.name, "*"),
+        tuple(token(run, party.name, place) for place in range(PLACES)),
+    )
     found.add(Grant(message="liveliness_token", flow="ingress", keys=places))
     found.add(Grant(message="liveliness_query", flow="ingress", keys=(own,)))
     found.add(Grant(message="declare_liveliness_subscriber", flow="ingress", keys=(watched,)))
@@ -307,7 +350,9 @@ def access_control(given: CredentialSet) -> dict[str, Any]:
         "enabled": True,
         "default_permission": "deny",
         "rules": rules,
-        "subjects": [{"id": credential.name, by: [credential.name]} for credential in given.parties],
+        "subjects": [
+            {"id": credential.name, by: [credential.name]} for credential in given.parties
+        ],
         "policies": policies,
     }
 
@@ -331,11 +376,16 @@ def router_settings(given: CredentialSet | None) -> Iterator[dict[str, Any]]:
     try:
         folder = tempfile.TemporaryDirectory(prefix="outrider-")
     except OSError as error:
-        raise BusError(f"cannot write the router's names and passwords: {error.strerror or error}") from error
+        raise BusError(
+            f"cannot write the router's names and passwords: {error.strerror or error}"
+        ) from error
     with folder as private:
         path = Path(private) / "users"
         write_private(path, lines.encode())
-        yield {"transport/auth/usrpwd/dictionary_file": str(path), "access_control": access_control(given)}
+        yield {
+            "transport/auth/usrpwd/dictionary_file": str(path),
+            "access_control": access_control(given),
+        }
 
 
 def _tls_settings(identity: Identity, side: str) -> dict[str, Any]:
@@ -359,4 +409,7 @@ def client_settings(credential: Credential | None) -> dict[str, Any]:
         return {}
     if credential.tls is not None:
         return _tls_settings(credential.tls, "connect")
-    return {"transport/auth/usrpwd/user": credential.name, "transport/auth/usrpwd/password": credential.password}
+    return {
+        "transport/auth/usrpwd/user": credential.name,
+        "transport/auth/usrpwd/password": credential.password,
+    }

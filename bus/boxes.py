@@ -64,7 +64,9 @@ class Outbox:
         """
         payload = self._encoder.encode(message)
         try:
-            self._decoder.decode(payload)  # what the reader will do: NaN has become null, 1e308 is out of bounds
+            self._decoder.decode(
+                payload
+            )  # what the reader will do: NaN has become null, 1e308 is out of bounds
         except msgspec.ValidationError as error:
             raise ValueError(f"{self._topic}: {error}") from error
         try:
@@ -79,7 +81,8 @@ class Inbox:
     def __init__(self, wake: Callable[[], None], known: Mapping[str, tuple[str, Key]]) -> None:
         self._wake = wake
         self._decoders = {  # sender, decoder and largest payload by key
-            expression: (sender, msgspec.json.Decoder(key.message), key.largest) for expression, (sender, key) in known.items()
+            expression: (sender, msgspec.json.Decoder(key.message), key.largest)
+            for expression, (sender, key) in known.items()
         }
         self._subscriber: zenoh.Subscriber[zenoh.Handler[zenoh.Sample]] | None = None
         self._since: float | None = None
@@ -141,7 +144,10 @@ class Inbox:
         return self._peeked is not None
 
     def close(self) -> None:
-        """Read no more. Until that has been done, what still comes is read and dropped: a full inbox would hold up the end."""
+        """Read no more. Until that has been done, what still comes is read and dropped.
+
+        A full inbox would hold up the end.
+        """
         subscriber, self._subscriber = self._subscriber, None
         if subscriber is None:
             return
@@ -186,11 +192,22 @@ class Inbox:
         source = sample.source_info
         if source is None:
             return Letter(sender=sender, session="", place=None, message=message)
-        return Letter(sender=sender, session=str(source.source_id.zid), place=source.source_sn, message=message)
+        return Letter(
+            sender=sender,
+            session=str(source.source_id.zid),
+            place=source.source_sn,
+            message=message,
+        )
 
     def _refuse(self, sender: str, expression: str, reason: str) -> None:
-        reason = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in reason[:500])
+        reason = "".join(
+            letter if letter.isprintable() else ascii(letter)[1:-1] for letter in reason[:500]
+        )
         self.refused[sender] += 1
         self.fault[sender] = reason
-        if self.refused[sender] & (self.refused[sender] - 1) == 0:  # the 1st, 2nd, 4th, 8th ...: a flood must not fill a log
-            _LOG.warning("refused a message on %s: %s (%d so far)", expression, reason, self.refused[sender])
+        if (
+            self.refused[sender] & (self.refused[sender] - 1) == 0
+        ):  # the 1st, 2nd, 4th, 8th ...: a flood must not fill a log
+            _LOG.warning(
+                "refused a message on %s: %s (%d so far)", expression, reason, self.refused[sender]
+            )

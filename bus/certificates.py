@@ -1,6 +1,7 @@
 """Certificates in the place of passwords: an authority for a run, and one identity for each party (mutual TLS).
 
-Made and read by `cryptography`, which is the extra [tls] and imported only where certificates are used. A vehicle's certificate
+Made and read by `cryptography`, which is the extra [tls] and imported only where certificates are used. A
+vehicle's certificate
 is good for a client alone, the router's for a server alone: nobody's may stand for the router's.
 """
 
@@ -90,7 +91,9 @@ def _read_key(text: str, what: str) -> "ec.EllipticCurvePrivateKey":
 def _pem(key: "ec.EllipticCurvePrivateKey") -> str:
     from cryptography.hazmat.primitives import serialization as form  # noqa: PLC0415
 
-    return key.private_bytes(form.Encoding.PEM, form.PrivateFormat.PKCS8, form.NoEncryption()).decode()
+    return key.private_bytes(
+        form.Encoding.PEM, form.PrivateFormat.PKCS8, form.NoEncryption()
+    ).decode()
 
 
 def _text(certificate: "x509.Certificate") -> str:
@@ -143,12 +146,18 @@ def new_authority(run: str, *, days: float = AUTHORITY_DAYS) -> Authority:
         encipher_only=False,
         decipher_only=False,
     )
-    named = builder.issuer_name(x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, f"Outrider {run} {serial}"[:64])]))
-    made = named.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True).add_extension(usage, critical=True)
+    named = builder.issuer_name(
+        x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, f"Outrider {run} {serial}"[:64])])
+    )
+    made = named.add_extension(
+        x509.BasicConstraints(ca=True, path_length=0), critical=True
+    ).add_extension(usage, critical=True)
     return Authority(run=run, certificate=_text(made.sign(key, hashes.SHA256())), key=_pem(key))
 
 
-def issue(authority: Authority, name: str, *, days: float = PARTY_DAYS, hosts: Sequence[str] = ()) -> Identity:
+def issue(
+    authority: Authority, name: str, *, days: float = PARTY_DAYS, hosts: Sequence[str] = ()
+) -> Identity:
     """A new key, and a certificate for it.
 
     Args:
@@ -166,10 +175,15 @@ def issue(authority: Authority, name: str, *, days: float = PARTY_DAYS, hosts: S
     from cryptography.hazmat.primitives import hashes  # noqa: PLC0415
     from cryptography.x509.oid import ExtendedKeyUsageOID  # noqa: PLC0415
 
-    issuer, signing = _read(authority.certificate, "the authority"), _read_key(authority.key, "the authority")
+    issuer, signing = (
+        _read(authority.certificate, "the authority"),
+        _read_key(authority.key, "the authority"),
+    )
     left = (issuer.not_valid_after_utc - datetime.now(UTC)) / timedelta(days=1)
     if left <= 0.0:
-        raise AccessDenied(f"the authority has expired on {issuer.not_valid_after_utc:%Y-%m-%d}: make all credentials anew")
+        raise AccessDenied(
+            f"the authority has expired on {issuer.not_valid_after_utc:%Y-%m-%d}: make all credentials anew"
+        )
     key, builder = _begin(name, min(days, left))
     purpose = ExtendedKeyUsageOID.SERVER_AUTH if hosts else ExtendedKeyUsageOID.CLIENT_AUTH
     builder = (
@@ -178,7 +192,9 @@ def issue(authority: Authority, name: str, *, days: float = PARTY_DAYS, hosts: S
         .add_extension(x509.ExtendedKeyUsage([purpose]), critical=False)
     )
     if hosts:
-        builder = builder.add_extension(x509.SubjectAlternativeName([_host(host) for host in hosts]), critical=False)
+        builder = builder.add_extension(
+            x509.SubjectAlternativeName([_host(host) for host in hosts]), critical=False
+        )
     made = builder.sign(signing, hashes.SHA256())
     return Identity(authority=authority.certificate, certificate=_text(made), key=_pem(key))
 
@@ -232,8 +248,13 @@ def check_identity(identity: Identity, name: str) -> datetime:
     from cryptography.x509.oid import NameOID  # noqa: PLC0415
 
     what = f"the certificate of {name}"
-    certificate, authority = _read(identity.certificate, what), _read(identity.authority, f"the authority of {name}")
-    names = [str(part.value) for part in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)]
+    certificate, authority = (
+        _read(identity.certificate, what),
+        _read(identity.authority, f"the authority of {name}"),
+    )
+    names = [
+        str(part.value) for part in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    ]
     if names != [name]:
         raise AccessDenied(f"{what} is for {' and '.join(names) or 'nobody'}")
     if _read_key(identity.key, f"the key of {name}").public_key() != certificate.public_key():
@@ -247,7 +268,9 @@ def check_identity(identity: Identity, name: str) -> datetime:
         if part.not_valid_after_utc <= now:
             raise AccessDenied(f"{called} has expired on {_day(part.not_valid_after_utc)}: {RENEW}")
         if part.not_valid_before_utc > now:
-            raise AccessDenied(f"{called} holds only from {_day(part.not_valid_before_utc)} on: is this machine's clock right?")
+            raise AccessDenied(
+                f"{called} holds only from {_day(part.not_valid_before_utc)} on: is this machine's clock right?"
+            )
     return min(certificate.not_valid_after_utc, authority.not_valid_after_utc)
 
 
@@ -305,7 +328,10 @@ def find_fault(host: str, port: int, identity: Identity) -> str:
         path.write_text(identity.certificate + identity.key, encoding="ascii")
         context.load_cert_chain(path)
     try:
-        with create_connection((host, port), _PATIENCE) as plain, context.wrap_socket(plain, server_hostname=host) as opened:
+        with (
+            create_connection((host, port), _PATIENCE) as plain,
+            context.wrap_socket(plain, server_hostname=host) as opened,
+        ):
             opened.settimeout(_PATIENCE)
             opened.read(1)  # what the router has against a certificate comes after the handshake
     except ssl.SSLCertVerificationError as error:
@@ -315,7 +341,9 @@ def find_fault(host: str, port: int, identity: Identity) -> str:
         return f"has a certificate that {_UNVERIFIED.get(told, f'cannot be verified: {told}')}"
     except ssl.SSLError as error:
         reason = error.reason or str(error)
-        return _REASONS.get(reason, f"refuses this certificate ({reason.lower().replace('_', ' ')})")
+        return _REASONS.get(
+            reason, f"refuses this certificate ({reason.lower().replace('_', ' ')})"
+        )
     except TimeoutError:
         pass
     return ""

@@ -1,4 +1,7 @@
-"""Reading files that others may have made: regular ones alone, and none that is larger than it can have reason to be."""
+"""Reading files that others may have made.
+
+Regular ones alone, and none that is larger than it can have reason to be.
+"""
 
 import errno
 import os

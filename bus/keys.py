@@ -39,7 +39,11 @@ class Role(StrEnum):
     OBSERVER = "observer"
 
 
-SIMULATOR_NAME, OPERATOR_NAME, OBSERVER_NAME = Role.SIMULATOR.value, Role.OPERATOR.value, Role.OBSERVER.value
+SIMULATOR_NAME, OPERATOR_NAME, OBSERVER_NAME = (
+    Role.SIMULATOR.value,
+    Role.OPERATOR.value,
+    Role.OBSERVER.value,
+)
 STAFF = {SIMULATOR_NAME: Role.SIMULATOR, OPERATOR_NAME: Role.OPERATOR, OBSERVER_NAME: Role.OBSERVER}
 """The names on the bus that no vehicle may bear, and whose they are."""
 
@@ -217,7 +221,9 @@ def check_run_name(run: str) -> str:
         ValueError: If it cannot.
     """
     if not _NAME.fullmatch(run):
-        raise ValueError(f"run = {run!r}: allowed are 1 to 64 letters, digits, '_', '.' and '-', first a letter or digit")
+        raise ValueError(
+            f"run = {run!r}: allowed are 1 to 64 letters, digits, '_', '.' and '-', first a letter or digit"
+        )
     return run
 
 
@@ -263,7 +269,11 @@ def vehicle_of(expression: str) -> str:
 
 
 def _own(key: Key, party: Party, vehicle: str) -> bool:
-    return key.vehicle is None or party.role not in (Role.UAV, Role.UGV) or (party.role is key.vehicle and party.name == vehicle)
+    return (
+        key.vehicle is None
+        or party.role not in (Role.UAV, Role.UGV)
+        or (party.role is key.vehicle and party.name == vehicle)
+    )
 
 
 def written_by(party: Party) -> tuple[Key, ...]:
@@ -283,7 +293,9 @@ def check_writes(key: Key, party: Party, vehicle: str = "") -> None:
         AccessDenied: If this party may not write this key of this vehicle.
     """
     if party.role is not key.writer or not _own(key, party, vehicle):
-        raise AccessDenied(f"{party.name} ({party.role}) may not write {vehicle or 'the'} {key.topic}")
+        raise AccessDenied(
+            f"{party.name} ({party.role}) may not write {vehicle or 'the'} {key.topic}"
+        )
 
 
 def check_reads(key: Key, party: Party, vehicle: str = "") -> None:
@@ -293,4 +305,6 @@ def check_reads(key: Key, party: Party, vehicle: str = "") -> None:
         AccessDenied: If this party may not read this key of this vehicle.
     """
     if party.role not in key.readers or not _own(key, party, vehicle):
-        raise AccessDenied(f"{party.name} ({party.role}) may not read {vehicle or 'the'} {key.topic}")
+        raise AccessDenied(
+            f"{party.name} ({party.role}) may not read {vehicle or 'the'} {key.topic}"
+        )

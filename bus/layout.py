@@ -1,8 +1,11 @@
 """Each observation array once: index, name, meaning, unit, range. Environment, wrappers and documentation read it here.
 
-A row is a `NamedTuple` whose fields, in order, are the array's entries; behind each stands its `Field`. SI units; positions
-are in the world frame, relative positions are p_delta = p_a - p_g. The rows keep the information contract of `bus.messages`:
-a vehicle's row holds its own state and what it perceives. The rows of the state hold the truth, and no vehicle reads them.
+A row is a `NamedTuple` whose fields, in order, are the array's entries; behind each stands its `Field`. SI units;
+positions
+are in the world frame, relative positions are p_delta = p_a - p_g. The rows keep the information contract of
+`bus.messages`:
+a vehicle's row holds its own state and what it perceives. The rows of the state hold the truth, and no vehicle
+reads them.
 """
 
 from collections.abc import Iterable, Mapping
@@ -49,20 +52,40 @@ class UavRow(NamedTuple):
     y: Annotated[float, Field("own position, y", "m", "0", "H")]
     vx: Annotated[float, Field("own velocity, x", "m/s", "-v_max", "v_max")]
     vy: Annotated[float, Field("own velocity, y", "m/s", "-v_max", "v_max")]
-    detected: Annotated[float, Field("1 where a detection has come at this tick, else 0", "", "0", "1")]
-    relative_x: Annotated[float, Field("detected p_a - p_g, x; 0 where none has come", "m", "-d_max", "d_max")]
-    relative_y: Annotated[float, Field("detected p_a - p_g, y; 0 where none has come", "m", "-d_max", "d_max")]
-    age: Annotated[float, Field("time since the newest detection was taken; T before the first", "s", "0", "T")]
+    detected: Annotated[
+        float, Field("1 where a detection has come at this tick, else 0", "", "0", "1")
+    ]
+    relative_x: Annotated[
+        float, Field("detected p_a - p_g, x; 0 where none has come", "m", "-d_max", "d_max")
+    ]
+    relative_y: Annotated[
+        float, Field("detected p_a - p_g, y; 0 where none has come", "m", "-d_max", "d_max")
+    ]
+    age: Annotated[
+        float, Field("time since the newest detection was taken; T before the first", "s", "0", "T")
+    ]
 
 
 class GradientCue(NamedTuple):
     """Two more entries that a UAV's row may end with: where it would see most that is new, as far as it knows."""
 
     gradient_x: Annotated[
-        float, Field("u_cov of (6) at the estimate, over the size of its integrand, x; 0 without one", "", "-1", "1")
+        float,
+        Field(
+            "u_cov of (6) at the estimate, over the size of its integrand, x; 0 without one",
+            "",
+            "-1",
+            "1",
+        ),
     ]
     gradient_y: Annotated[
-        float, Field("u_cov of (6) at the estimate, over the size of its integrand, y; 0 without one", "", "-1", "1")
+        float,
+        Field(
+            "u_cov of (6) at the estimate, over the size of its integrand, y; 0 without one",
+            "",
+            "-1",
+            "1",
+        ),
     ]
 
 
@@ -75,8 +98,12 @@ class UgvRow(NamedTuple):
     vx: Annotated[float, Field("own velocity, x", "m/s", "-v_max", "v_max")]
     vy: Annotated[float, Field("own velocity, y", "m/s", "-v_max", "v_max")]
     underway: Annotated[float, Field("1 while a goal is still to be reached, else 0", "", "0", "1")]
-    goal_x: Annotated[float, Field("goal, x; the last one stays when reached; 0 without goals", "m", "0", "W")]
-    goal_y: Annotated[float, Field("goal, y; the last one stays when reached; 0 without goals", "m", "0", "H")]
+    goal_x: Annotated[
+        float, Field("goal, x; the last one stays when reached; 0 without goals", "m", "0", "W")
+    ]
+    goal_y: Annotated[
+        float, Field("goal, y; the last one stays when reached; 0 without goals", "m", "0", "H")
+    ]
 
 
 class UavState(NamedTuple):
@@ -88,7 +115,9 @@ class UavState(NamedTuple):
     vy: Annotated[float, Field("velocity, y", "m/s", "-v_max", "v_max")]
     distance: Annotated[float, Field("true distance from its UGV", "m", "0", "D")]
     coverage_error: Annotated[float, Field("e(t) of (4) with the true p_g", "m^2", "0", "E")]
-    age: Annotated[float, Field("time since the newest detection was taken; T before the first", "s", "0", "T")]
+    age: Annotated[
+        float, Field("time since the newest detection was taken; T before the first", "s", "0", "T")
+    ]
 
 
 class UgvState(NamedTuple):
@@ -134,20 +163,27 @@ def bounds(row: RowType, extent: Mapping[str, float]) -> tuple[list[float], list
         extent: The values of `SYMBOLS` that it needs.
     """
     entries = fields(row).values()
-    return [_value(entry.low, extent) for entry in entries], [_value(entry.high, extent) for entry in entries]
+    return [_value(entry.low, extent) for entry in entries], [
+        _value(entry.high, extent) for entry in entries
+    ]
 
 
 def table(row: RowType) -> str:
     """The row as a Markdown table: index, name, meaning, unit, range."""
     lines = ["| index | name | meaning | unit | range |", "|---|---|---|---|---|"]
     for index, (name, field) in enumerate(fields(row).items()):
-        lines.append(f"| {index} | `{name}` | {field.meaning} | {field.unit or '-'} | {field.low} … {field.high} |")
+        lines.append(
+            f"| {index} | `{name}` | {field.meaning} | {field.unit or '-'} | {field.low} … {field.high} |"
+        )
     return "\n".join(lines)
 
 
 def state_names(vehicles: Iterable[tuple[str, RowType]]) -> list[str]:
     """The names of the state's entries: the common ones, then each vehicle's in name order, as `uav_0.x`."""
-    return [*CommonState._fields, *(f"{name}.{field}" for name, row in vehicles for field in row._fields)]
+    return [
+        *CommonState._fields,
+        *(f"{name}.{field}" for name, row in vehicles for field in row._fields),
+    ]
 
 
 def uav_observation(row: Row, *, dt: float) -> UavObservation:

@@ -1,8 +1,8 @@
 """Every message, as a frozen struct: the information contract in types.
 
 JSON by msgspec. Unknown fields are refused, numbers carry bounds. SI units; positions are in the world frame,
-relative positions are p_delta = p_a - p_g, from the UGV to the UAV. No message to a UAV has a field for the UGV's velocity,
-input or goal, and none to a UGV for the UAV's.
+relative positions are p_delta = p_a - p_g, from the UGV to the UAV. No message to a UAV has a field for the UGV's
+velocity, input or goal, and none to a UGV for the UAV's.
 """
 
 from enum import StrEnum
@@ -212,7 +212,10 @@ class Estimator(Message, frozen=True, kw_only=True):
 
 
 class UavBriefing(Message, frozen=True, kw_only=True):
-    """All a UAV is told when it joins. One that joins again is told its own past too, in parts: each is a briefing of its own."""
+    """All a UAV is told when it joins.
+
+    One that joins again is told its own past too, in parts: each is a briefing of its own.
+    """
 
     vehicle: Name
     dt: Positive
@@ -233,7 +236,9 @@ class UavBriefing(Message, frozen=True, kw_only=True):
     estimator: Estimator
     certificate: Certificate = Certificate(error=None, age=1.0)
     key: PilotKey
-    """Of the pilot's own random numbers. Where the run has a secret it leads to nothing else: not to the seed, nor to any other
+    """Of the pilot's own random numbers.
+
+    Where the run has a secret it leads to nothing else: not to the seed, nor to any other
     draw. Where it has none, whoever tries all seeds finds the run's: there the seed is the secret."""
     past: "tuple[UavObservation, ...]" = ()
     """What it has perceived so far in this run, tick by tick; where its process was away, without detections."""
@@ -424,7 +429,10 @@ class VehicleTruth(Message, frozen=True, kw_only=True):
     acceleration: Vector
     """Applied since the last tick, after the bounds."""
     command: Vector
-    """What it was asked for since the last tick, before the bounds [m/s²]; where it was silent, what stood in for it."""
+    """What it was asked for since the last tick, before the bounds [m/s²].
+
+    Where it was silent, what stood in for it.
+    """
 
 
 class EscortTruth(Message, frozen=True, kw_only=True):

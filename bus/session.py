@@ -81,7 +81,9 @@ class Session:
     Use `open_session`.
     """
 
-    def __init__(self, zenoh_session: zenoh.Session, party: Party, run: str, *, hosts: bool) -> None:
+    def __init__(
+        self, zenoh_session: zenoh.Session, party: Party, run: str, *, hosts: bool
+    ) -> None:
         self._zenoh = zenoh_session
         self._hosts = hosts
         self._inboxes: list[Inbox] = []
@@ -132,7 +134,9 @@ class Session:
         publisher = self._zenoh.declare_publisher(
             key.expression(self.run, vehicle),
             encoding=zenoh.Encoding.APPLICATION_JSON.with_schema(key.message.__name__),
-            congestion_control=zenoh.CongestionControl.BLOCK if every else zenoh.CongestionControl.DROP,
+            congestion_control=zenoh.CongestionControl.BLOCK
+            if every
+            else zenoh.CongestionControl.DROP,
         )
         outbox = Outbox(publisher, key)
         outbox.take_place(self.place)
@@ -154,7 +158,9 @@ class Session:
         check_reads(key, self.party, vehicle)
         expression = key.expression(self.run, vehicle)
         kept = newest or (1 if key.delivery is Delivery.NEWEST else 0)
-        return self._subscribe(expression, expression, {expression: (vehicle_of(expression), key)}, kept=kept)
+        return self._subscribe(
+            expression, expression, {expression: (vehicle_of(expression), key)}, kept=kept
+        )
 
     def inbox_of_all(self, keys: Mapping[str, Key]) -> Inbox:
         """One reader for the same topic of several vehicles, in the order of arrival.
@@ -169,16 +175,29 @@ class Session:
             check_reads(key, self.party, vehicle)
         topic = next(iter(keys.values())).topic
         known = {key.expression(self.run, vehicle): (vehicle, key) for vehicle, key in keys.items()}
-        return self._subscribe(any_vehicle(self.run, topic), f"{ROOT}/{self.run}/-/{topic}", known, kept=0)
+        return self._subscribe(
+            any_vehicle(self.run, topic), f"{ROOT}/{self.run}/-/{topic}", known, kept=0
+        )
 
-    def _subscribe(self, expression: str, wake_expression: str, known: Mapping[str, tuple[str, Key]], *, kept: int) -> Inbox:
+    def _subscribe(
+        self,
+        expression: str,
+        wake_expression: str,
+        known: Mapping[str, tuple[str, Key]],
+        *,
+        kept: int,
+    ) -> Inbox:
         def wake() -> None:
             with self._gate:  # Zenoh's session cannot be used while another thread closes it
                 if not self._closing.is_set():
-                    self._zenoh.put(wake_expression, b"", allowed_destination=zenoh.Locality.SESSION_LOCAL)
+                    self._zenoh.put(
+                        wake_expression, b"", allowed_destination=zenoh.Locality.SESSION_LOCAL
+                    )
 
         inbox = Inbox(wake, known)
-        handler: Any = zenoh.handlers.RingChannel(kept) if kept else zenoh.handlers.FifoChannel(_ROOM)
+        handler: Any = (
+            zenoh.handlers.RingChannel(kept) if kept else zenoh.handlers.FifoChannel(_ROOM)
+        )
         subscriber = self._zenoh.declare_subscriber(expression, handler)
         inbox.attach(subscriber)
         self._inboxes.append(inbox)
@@ -195,7 +214,9 @@ class Session:
         taken = {token_owner(str(reply.ok.key_expr))[1] for reply in there if reply.ok is not None}
         free = [place for place in range(PLACES) if place not in taken]
         if not free:
-            raise AccessDenied(f"{self.party.name} has {PLACES} sessions in the run {self.run} already; no more are let in")
+            raise AccessDenied(
+                f"{self.party.name} has {PLACES} sessions in the run {self.run} already; no more are let in"
+            )
         self.place = free[0]
         for outbox in self._outboxes:
             outbox.take_place(self.place)
@@ -218,7 +239,9 @@ class Session:
                 on_change(name, place, sample.kind == zenoh.SampleKind.PUT)
 
         expression = token(self.run, party_name, "*")
-        self._kept.append(self._zenoh.liveliness().declare_subscriber(expression, see, history=True))
+        self._kept.append(
+            self._zenoh.liveliness().declare_subscriber(expression, see, history=True)
+        )
 
     def watch_names(self, known: frozenset[str]) -> None:
         """Name in the log who connects with a certificate of the right authority and none of these names.
@@ -229,7 +252,10 @@ class Session:
         def see(event: zenoh.LinkEvent) -> None:
             name = event.link.auth_identifier
             if event.kind == zenoh.SampleKind.PUT and name is not None and name not in known:
-                _LOG.warning("%r has a certificate of this run's authority, but is no party of it: it gets nothing", name[:64])
+                _LOG.warning(
+                    "%r has a certificate of this run's authority, but is no party of it: it gets nothing",
+                    name[:64],
+                )
 
         self._kept.append(self._zenoh.info.declare_link_events_listener(see))
 
@@ -263,18 +289,30 @@ def _dropped(run: str) -> dict[str, Any]:
 
 
 def _allow_open_files() -> None:
-    """As many open files as this user may have: each connection is one, and 1,024 of those who say nothing keep others out."""
+    """As many open files as this user may have.
+
+    Each connection is one, and 1,024 of those who say nothing keep others out.
+    """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft != hard:
         with suppress(OSError, ValueError):
             resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
 
 
-def _open_router(listen: tuple[str, ...], party: Party, run: str, given: CredentialSet | None) -> zenoh.Session:
+def _open_router(
+    listen: tuple[str, ...], party: Party, run: str, given: CredentialSet | None
+) -> zenoh.Session:
     _allow_open_files()
     largest = max(key.largest for key in KEYS if key.writer is not party.role)
     with router_settings(given) as access:
-        settings = _COMMON | _ROUTER | _received(largest) | _dropped(run) | access | {"listen/endpoints": list(listen)}
+        settings = (
+            _COMMON
+            | _ROUTER
+            | _received(largest)
+            | _dropped(run)
+            | access
+            | {"listen/endpoints": list(listen)}
+        )
         return _open_zenoh(settings, f"cannot listen on {', '.join(listen)}: is it in use?")
 
 
@@ -288,13 +326,17 @@ def _address(endpoint: str) -> tuple[str, int]:
     return host.strip("[]"), int(port)
 
 
-def _explained(endpoint: str, credential: Credential, identity: Identity, error: BusError) -> BusError:
+def _explained(
+    endpoint: str, credential: Credential, identity: Identity, error: BusError
+) -> BusError:
     """What stands between a certificate and a router; all that Zenoh says is that it could not connect."""
     try:
         fault = find_fault(*_address(endpoint), identity)
     except (OSError, ValueError):
         return error
-    return AccessDenied(f"the router at {endpoint} {fault or 'refuses this process'} (as {credential.name})")
+    return AccessDenied(
+        f"the router at {endpoint} {fault or 'refuses this process'} (as {credential.name})"
+    )
 
 
 def _check_protocol(endpoints: tuple[str, ...], *, certified: bool) -> None:
@@ -305,9 +347,13 @@ def _check_protocol(endpoints: tuple[str, ...], *, certified: bool) -> None:
     """
     for endpoint in endpoints:
         if certified and not endpoint.startswith("tls/"):
-            raise AccessDenied(f"endpoint {endpoint}: these credentials are certificates, so it must begin with tls/")
+            raise AccessDenied(
+                f"endpoint {endpoint}: these credentials are certificates, so it must begin with tls/"
+            )
         if endpoint.startswith("tls/") and not certified:
-            raise AccessDenied(f"endpoint {endpoint}: needs certificates; `outrider credentials --tls` makes them")
+            raise AccessDenied(
+                f"endpoint {endpoint}: needs certificates; `outrider credentials --tls` makes them"
+            )
 
 
 def _check_certificate(identity: Identity, name: str) -> None:
@@ -333,7 +379,9 @@ def _answers(endpoint: str) -> bool:
 
 def _open_client(connect: str, party: Party, credential: Credential | None) -> zenoh.Session:
     size = _received(max(key.largest for key in (*read_by(party), *written_by(party))))
-    settings = _COMMON | _CLIENT | size | client_settings(credential) | {"connect/endpoints": [connect]}
+    settings = (
+        _COMMON | _CLIENT | size | client_settings(credential) | {"connect/endpoints": [connect]}
+    )
     try:
         return _open_zenoh(settings, f"no router at {connect}: is the simulator running there?")
     except BusError as error:
@@ -341,7 +389,11 @@ def _open_client(connect: str, party: Party, credential: Credential | None) -> z
             raise _explained(connect, credential, credential.tls, error) from error
         if not _answers(connect):
             raise
-        who = "without credentials" if credential is None else f"as {credential.name}: is the password the run's?"
+        who = (
+            "without credentials"
+            if credential is None
+            else f"as {credential.name}: is the password the run's?"
+        )
         raise AccessDenied(f"the router at {connect} refuses this process {who}") from error
 
 
@@ -368,11 +420,14 @@ def open_session(
     Raises:
         ValueError: If the run's name cannot be part of a key.
         BusError: If the router cannot be reached, or an endpoint is not free.
-        AccessDenied: If the router does not know the credential, or it does not fit the endpoint, or its certificate is not good.
+        AccessDenied: If the router does not know the credential, or it does not fit the endpoint, or its
+            certificate is not good.
     """
     check_run_name(run)
     if credential is not None and credential.party != party:
-        raise AccessDenied(f"{party.name} ({party.role}) cannot use the credentials of {credential.name} ({credential.role})")
+        raise AccessDenied(
+            f"{party.name} ({party.role}) cannot use the credentials of {credential.name} ({credential.role})"
+        )
     if listen:
         name, identity = ROUTER_FILE, None if given is None else given.tls
     else:
@@ -380,7 +435,11 @@ def open_session(
     _check_protocol(listen or (connect,), certified=identity is not None)
     if identity is not None:
         _check_certificate(identity, name)
-    opened = _open_router(listen, party, run, given) if listen else _open_client(connect, party, credential)
+    opened = (
+        _open_router(listen, party, run, given)
+        if listen
+        else _open_client(connect, party, credential)
+    )
     session = Session(opened, party, run, hosts=bool(listen))
     if listen and given is not None and given.tls is not None:
         session.watch_names(frozenset(credential.name for credential in given.parties))

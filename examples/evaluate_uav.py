@@ -11,7 +11,9 @@ from outrider.learning.curve import draw_curve
 from outrider.learning.evaluate import CASES, as_dicts, evaluate, markdown
 
 parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-parser.add_argument("policy", type=Path, nargs="?", default=Path(__file__).parent / "policies" / "uav_ppo.npz")
+parser.add_argument(
+    "policy", type=Path, nargs="?", default=Path(__file__).parent / "policies" / "uav_ppo.npz"
+)
 parser.add_argument("--flights", type=int, default=20, help="for each pilot and case")
 parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
 parser.add_argument("--json", type=Path, help="write the table here, too")

@@ -18,7 +18,9 @@ from outrider.wrappers import normalized
 
 def make_env(config):
     """The environment for RLlib; of a UAV's and a UGV's row, each has its own length."""
-    return ParallelPettingZooEnv(normalized(outrider.parallel_env("escort", duration=config.get("duration"))))
+    return ParallelPettingZooEnv(
+        normalized(outrider.parallel_env("escort", duration=config.get("duration")))
+    )
 
 
 def policy_of(agent, *_, **__):
@@ -39,9 +41,13 @@ def fly_randomly(env, seed):
 
 
 def main():
-    parser = argparse.ArgumentParser(description="PPO for both vehicles of the escort scenario with RLlib.")
+    parser = argparse.ArgumentParser(
+        description="PPO for both vehicles of the escort scenario with RLlib."
+    )
     parser.add_argument("--iterations", type=int, default=100)
-    parser.add_argument("--batch", type=int, default=4000, help="steps of the environment in an iteration")
+    parser.add_argument(
+        "--batch", type=int, default=4000, help="steps of the environment in an iteration"
+    )
     parser.add_argument("--runners", type=int, default=1, help="processes that fly; 0: in this one")
     parser.add_argument("--duration", type=float, default=60.0, help="length of an episode [s]")
     parser.add_argument("--seed", type=int, default=1)
@@ -50,7 +56,12 @@ def main():
 
     env = make_env({"duration": args.duration})
     ticks, returns = fly_randomly(env, args.seed)
-    print("random actions:", ticks, "ticks;", ", ".join(f"{name} {returns[name]:+.3f}" for name in sorted(returns)))
+    print(
+        "random actions:",
+        ticks,
+        "ticks;",
+        ", ".join(f"{name} {returns[name]:+.3f}" for name in sorted(returns)),
+    )
     env.close()
 
     register_env("outrider", make_env)
@@ -59,7 +70,12 @@ def main():
         .environment("outrider", env_config={"duration": args.duration})
         .env_runners(num_env_runners=args.runners)
         .multi_agent(policies=["uav", "ugv"], policy_mapping_fn=policy_of)
-        .training(train_batch_size_per_learner=args.batch, minibatch_size=min(250, args.batch), num_epochs=6, gamma=0.995)
+        .training(
+            train_batch_size_per_learner=args.batch,
+            minibatch_size=min(250, args.batch),
+            num_epochs=6,
+            gamma=0.995,
+        )
         # Without a seed every runner flies the same episodes, those of the scenario's seed.
         .debugging(seed=args.seed)
     )
@@ -71,7 +87,8 @@ def main():
             means = found.get("module_episode_returns_mean", {})  # empty until an episode has ended
             print(
                 f"{iteration:>4}  {int(found['num_env_steps_sampled_lifetime']):>9} steps  mean return:",
-                ", ".join(f"{name} {mean:+.3f}" for name, mean in sorted(means.items())) or "no episode has ended yet",
+                ", ".join(f"{name} {mean:+.3f}" for name, mean in sorted(means.items()))
+                or "no episode has ended yet",
                 flush=True,
             )
         print("saved:", algorithm.save_to_path(str(args.out.resolve() / "checkpoint")))

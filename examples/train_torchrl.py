@@ -52,9 +52,12 @@ class Hold(BaseParallelWrapper):
 def make_env(duration: float) -> PettingZooWrapper:
     """The environment for TorchRL, with one group for the UAVs and one for the UGVs, and the state beside them."""
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "PettingZoo in TorchRL is tested using")  # it names 1.24.3 whatever is installed
+        warnings.filterwarnings(
+            "ignore", "PettingZoo in TorchRL is tested using"
+        )  # it names 1.24.3 whatever is installed
         return PettingZooWrapper(
-            Hold(normalized(outrider.parallel_env("escort", duration=duration, dtype=np.float32))), return_state=True
+            Hold(normalized(outrider.parallel_env("escort", duration=duration, dtype=np.float32))),
+            return_state=True,
         )
 
 
@@ -63,7 +66,10 @@ def make_actor(env: PettingZooWrapper, group: str) -> ProbabilisticActor:
     spec = env.full_action_spec[group, "action"]
     net = nn.Sequential(
         MLP(
-            env.observation_spec[group, "observation"].shape[-1], 2 * spec.shape[-1], num_cells=[64, 64], activation_class=nn.Tanh
+            env.observation_spec[group, "observation"].shape[-1],
+            2 * spec.shape[-1],
+            num_cells=[64, 64],
+            activation_class=nn.Tanh,
         ),
         NormalParamExtractor(),
     )
@@ -83,10 +89,15 @@ class Critic(nn.Module):
 
     def __init__(self, env: PettingZooWrapper, group: str) -> None:
         super().__init__()
-        low, high = env.observation_spec["state"].space.low, env.observation_spec["state"].space.high
+        low, high = (
+            env.observation_spec["state"].space.low,
+            env.observation_spec["state"].space.high,
+        )
         self.register_buffer("middle", (low + high) / 2.0)
         self.register_buffer("reach", ((high - low) / 2.0).clamp_min(1e-6))
-        self.net = MLP(len(low), len(env.group_map[group]), num_cells=[128, 128], activation_class=nn.Tanh)
+        self.net = MLP(
+            len(low), len(env.group_map[group]), num_cells=[128, 128], activation_class=nn.Tanh
+        )
 
     def forward(self, state: torch.Tensor) -> torch.Tensor:
         return self.net((state - self.middle) / self.reach).unsqueeze(-1)
@@ -107,8 +118,10 @@ class Learner:
             "done": (group, "done"),
             "terminated": (group, "terminated"),
         }
-        # Only `terminated` ends the future: where an episode is merely cut off at its duration, or a batch at its length, the
-        # value of the last state goes on to count. The last state is the episode's own: Collector begins anew only after it.
+        # Only `terminated` ends the future: where an episode is merely cut off at its duration, or a batch at its
+        # length, the
+        # value of the last state goes on to count. The last state is the episode's own: Collector begins anew only
+        # after it.
         self.advantages = GAE(gamma=DISCOUNT, lmbda=TRACE, value_network=critic)
         self.advantages.set_keys(**keys)
         self.loss = ClipPPOLoss(self.actor, critic, entropy_coeff=1e-3, normalize_advantage=True)
@@ -119,12 +132,17 @@ class Learner:
         losses = self.loss(frames)
         self.optimizer.zero_grad()
         (losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]).backward()
-        for params in (self.loss.actor_network_params, self.loss.critic_network_params):  # apart: a critic's may be far larger
+        for params in (
+            self.loss.actor_network_params,
+            self.loss.critic_network_params,
+        ):  # apart: a critic's may be far larger
             nn.utils.clip_grad_norm_(params.values(True, True), 0.5)
         self.optimizer.step()
 
 
-def train(env: PettingZooWrapper, *, steps: int, minutes: float, seed: int) -> dict[str, ProbabilisticActor]:
+def train(
+    env: PettingZooWrapper, *, steps: int, minutes: float, seed: int
+) -> dict[str, ProbabilisticActor]:
     """Let all groups learn until the steps or the minutes are over."""
     torch.manual_seed(seed)
     env.set_seed(seed)
@@ -142,7 +160,9 @@ def train(env: PettingZooWrapper, *, steps: int, minutes: float, seed: int) -> d
     period = HOLD * env.unwrapped.scenario.dt
     for frames in collector:
         done += len(frames)
-        paid = {group: frames["next", group, "reward"].mean().item() / period for group in env.group_map}
+        paid = {
+            group: frames["next", group, "reward"].mean().item() / period for group in env.group_map
+        }
         for learner in learners:
             frames["next", learner.group, "reward"] *= REWARD_SCALE
         for _ in range(EPOCHS):
@@ -154,20 +174,32 @@ def train(env: PettingZooWrapper, *, steps: int, minutes: float, seed: int) -> d
                     learner.step(frames[part])
         elapsed = time.monotonic() - begun
         rewards = ", ".join(f"{group} {reward:+.3f}" for group, reward in paid.items())
-        print(f"{done:>9} steps  {done / elapsed:5.0f} /s  reward per second: {rewards}", flush=True)
+        print(
+            f"{done:>9} steps  {done / elapsed:5.0f} /s  reward per second: {rewards}", flush=True
+        )
         if elapsed > 60.0 * minutes:
             break
     collector.shutdown(close_env=False)
     return {learner.group: learner.actor for learner in learners}
 
 
-def fly_learned(env: PettingZooWrapper, actors: Mapping[str, ProbabilisticActor], seed: int) -> dict[str, float]:
+def fly_learned(
+    env: PettingZooWrapper, actors: Mapping[str, ProbabilisticActor], seed: int
+) -> dict[str, float]:
     """Returns of one episode of the learned policies, without exploration."""
     policy = TensorDictSequential(*actors.values())
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        flight = env.rollout(env.unwrapped.scenario.ticks, policy, auto_reset=False, tensordict=env.reset(seed=seed))
-    paid = {group: flight["next", group, "reward"].sum(0).flatten().tolist() for group in env.group_map}
-    return {name: paid[group][k] for group, names in env.group_map.items() for k, name in enumerate(names)}
+        flight = env.rollout(
+            env.unwrapped.scenario.ticks, policy, auto_reset=False, tensordict=env.reset(seed=seed)
+        )
+    paid = {
+        group: flight["next", group, "reward"].sum(0).flatten().tolist() for group in env.group_map
+    }
+    return {
+        name: paid[group][k]
+        for group, names in env.group_map.items()
+        for k, name in enumerate(names)
+    }
 
 
 def fly_pilots(duration: float, seed: int) -> dict[str, float]:
@@ -177,15 +209,23 @@ def fly_pilots(duration: float, seed: int) -> dict[str, float]:
     observations, _ = env.reset(seed=seed)
     returns = dict.fromkeys(env.agents, 0.0)
     while env.agents:
-        observations, rewards, *_ = env.step({name: policies[name](observations[name]) for name in env.agents})
+        observations, rewards, *_ = env.step(
+            {name: policies[name](observations[name]) for name in env.agents}
+        )
         returns = {name: returns[name] + reward for name, reward in rewards.items()}
     return returns
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="MAPPO for both vehicles of the escort scenario with TorchRL.")
-    parser.add_argument("--steps", type=int, default=1_000_000, help="half a second each; whole batches of 2000")
-    parser.add_argument("--minutes", type=float, default=float("inf"), help="stop learning after these")
+    parser = argparse.ArgumentParser(
+        description="MAPPO for both vehicles of the escort scenario with TorchRL."
+    )
+    parser.add_argument(
+        "--steps", type=int, default=1_000_000, help="half a second each; whole batches of 2000"
+    )
+    parser.add_argument(
+        "--minutes", type=float, default=float("inf"), help="stop learning after these"
+    )
     parser.add_argument("--duration", type=float, default=60.0, help="length of an episode [s]")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("runs/torchrl"))
@@ -194,7 +234,9 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     env = make_env(args.duration)
     actors = train(env, steps=args.steps, minutes=args.minutes, seed=args.seed)
-    torch.save({group: actor.state_dict() for group, actor in actors.items()}, args.out / "policies.pt")
+    torch.save(
+        {group: actor.state_dict() for group, actor in actors.items()}, args.out / "policies.pt"
+    )
 
     saved = torch.load(args.out / "policies.pt", weights_only=True)
     for group, actor in actors.items():
@@ -205,12 +247,15 @@ def main() -> None:
         "pilots": [fly_pilots(args.duration, seed) for seed in seeds],
     }
     table = {
-        who: {name: float(np.mean([one[name] for one in flights])) for name in flights[0]} for who, flights in returns.items()
+        who: {name: float(np.mean([one[name] for one in flights])) for name in flights[0]}
+        for who, flights in returns.items()
     }
     print(f"mean return of {len(seeds)} episodes of {args.duration:g} s")
     for who, means in table.items():
         print(f"{who:>9}", *(f"{name} {mean:+9.3f}" for name, mean in means.items()), sep="  ")
-    (args.out / "evaluation.json").write_text(json.dumps({"seeds": seeds, "returns": table}, indent=2) + "\n")
+    (args.out / "evaluation.json").write_text(
+        json.dumps({"seeds": seeds, "returns": table}, indent=2) + "\n"
+    )
     env.close()
 
 

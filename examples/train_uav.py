@@ -1,4 +1,6 @@
-"""Train a UAV to see more ground than the paper's laws do: PPO of Stable-Baselines3, many worlds at once, on a processor.
+"""Train a UAV to see more ground than the paper's laws do.
+
+PPO of Stable-Baselines3, many worlds at once, on a processor.
 
 python -m pip install 'outrider[sb3]'; python examples/train_uav.py --minutes 12
 """
@@ -52,10 +54,17 @@ def make_recipe(seed: int, num_envs: int) -> dict:
             "lag": 4,
         },
         "rewards": REWARDS,
-        "ppo": PPO_SETTINGS | {"batch_size": PPO_SETTINGS["n_steps"] * num_envs // MINIBATCHES, "learning_rate": LEARNING_RATE},
+        "ppo": PPO_SETTINGS
+        | {
+            "batch_size": PPO_SETTINGS["n_steps"] * num_envs // MINIBATCHES,
+            "learning_rate": LEARNING_RATE,
+        },
         "networks": {"policy": NETWORK, "critic": CRITIC, "log_std": LOG_STD},
         "versions": {"python": platform.python_version()}
-        | {name: version(name) for name in ("outrider", "numpy", "gymnasium", "torch", "stable_baselines3")},
+        | {
+            name: version(name)
+            for name in ("outrider", "numpy", "gymnasium", "torch", "stable_baselines3")
+        },
     }
 
 
@@ -71,12 +80,18 @@ def make_worlds(recipe: dict) -> VecEnvAdapter:
         safety_filter=recipe["safety_filter"],
         rewards=outrider.RewardWeights(**recipe["rewards"]),
     )
-    return VecEnvAdapter(transformed(ActionRepeat(env, recipe["repeat"]), lambda: make_view(recipe)))
+    return VecEnvAdapter(
+        transformed(ActionRepeat(env, recipe["repeat"]), lambda: make_view(recipe))
+    )
 
 
 def network_of(model: PPO) -> Mlp:
     """The policy's mean, as it is now."""
-    layers = [layer for layer in model.policy.mlp_extractor.policy_net if isinstance(layer, torch.nn.Linear)]
+    layers = [
+        layer
+        for layer in model.policy.mlp_extractor.policy_net
+        if isinstance(layer, torch.nn.Linear)
+    ]
     layers.append(model.policy.action_net)
     weights = tuple(layer.weight.detach().numpy().astype(np.float64) for layer in layers)
     return Mlp(weights, tuple(layer.bias.detach().numpy().astype(np.float64) for layer in layers))
@@ -87,7 +102,12 @@ class Progress(BaseCallback):
 
     def __init__(self, recipe: dict, seconds: float) -> None:
         super().__init__()
-        self._recipe, self._seconds, self._begun, self._rollouts = recipe, seconds, time.perf_counter(), 0
+        self._recipe, self._seconds, self._begun, self._rollouts = (
+            recipe,
+            seconds,
+            time.perf_counter(),
+            0,
+        )
         self.curve = []
 
     @property
@@ -107,21 +127,34 @@ class Progress(BaseCallback):
         """Note how well the policy flies without exploring."""
         policy = LearnedPolicy(network_of(self.model), self._recipe)
         flown = fly_policy(CASE, policy, VALIDATION_SEEDS, shielded=True)
-        minutes, error = (time.perf_counter() - self._begun) / 60.0, float(flown["mean_error"].mean())
+        minutes, error = (
+            (time.perf_counter() - self._begun) / 60.0,
+            float(flown["mean_error"].mean()),
+        )
         self.curve.append([self.num_timesteps, round(minutes, 3), round(error, 2)])
         speed = self.num_timesteps / (60.0 * minutes)
-        print(f"{minutes:6.2f} min  {self.num_timesteps:9d} decisions ({speed:5.0f} /s)  mean e(t) {error:6.1f} m²", flush=True)
+        print(
+            f"{minutes:6.2f} min  {self.num_timesteps:9d} decisions ({speed:5.0f} /s)  mean e(t) {error:6.1f} m²",
+            flush=True,
+        )
 
 
 def main() -> None:
     """Train, and save what there is."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--minutes", type=float, default=12.0, help="how long to train")
-    parser.add_argument("--seed", type=int, default=0, help="of the worlds and of the network, below 1000")
     parser.add_argument(
-        "--out", type=Path, default=Path("uav_ppo.npz"), help="the policy; Stable-Baselines3's own file beside it"
+        "--seed", type=int, default=0, help="of the worlds and of the network, below 1000"
     )
-    parser.add_argument("--num-envs", type=int, default=64, help="worlds; a rollout is 200 decisions in each")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("uav_ppo.npz"),
+        help="the policy; Stable-Baselines3's own file beside it",
+    )
+    parser.add_argument(
+        "--num-envs", type=int, default=64, help="worlds; a rollout is 200 decisions in each"
+    )
     given = parser.parse_args()
     if not (given.minutes > 0.0 and 0 <= given.seed < 1000 and given.num_envs >= 1):
         parser.error("--minutes must be positive, --seed from 0 to 999, --num-envs 1 or more")
@@ -133,10 +166,16 @@ def main() -> None:
     model = PPO(
         "MlpPolicy",
         env,
-        policy_kwargs={"net_arch": {"pi": list(NETWORK), "vf": list(CRITIC)}, "log_std_init": LOG_STD},
-        seed=recipe["first_world_seed"],  # of the network, too; world k begins with the k-th from here on
+        policy_kwargs={
+            "net_arch": {"pi": list(NETWORK), "vf": list(CRITIC)},
+            "log_std_init": LOG_STD,
+        },
+        seed=recipe[
+            "first_world_seed"
+        ],  # of the network, too; world k begins with the k-th from here on
         device="cpu",
-        **recipe["ppo"] | {"learning_rate": lambda _: LEARNING_RATE * max(LAST_SHARE, 1.0 - progress.share)},
+        **recipe["ppo"]
+        | {"learning_rate": lambda _: LEARNING_RATE * max(LAST_SHARE, 1.0 - progress.share)},
     )
     begun = time.perf_counter()
     try:
@@ -148,11 +187,20 @@ def main() -> None:
     env.close()
 
     ticks = model.num_timesteps * recipe["repeat"]
-    recipe["trained"] = {"decisions": model.num_timesteps, "ticks": ticks, "minutes": round(minutes, 2)}
+    recipe["trained"] = {
+        "decisions": model.num_timesteps,
+        "ticks": ticks,
+        "minutes": round(minutes, 2),
+    }
     save_policy(given.out, network_of(model), recipe | {"curve": progress.curve})
-    model.learning_rate, model.lr_schedule = LEARNING_RATE, None  # the schedule of now would hold on to the clock
+    model.learning_rate, model.lr_schedule = (
+        LEARNING_RATE,
+        None,
+    )  # the schedule of now would hold on to the clock
     model.save(given.out.with_suffix(".zip"))
-    print(f"{given.out}: {model.num_timesteps} decisions in {minutes:.1f} min, {ticks / minutes / 60.0:.0f} world-steps/s")
+    print(
+        f"{given.out}: {model.num_timesteps} decisions in {minutes:.1f} min, {ticks / minutes / 60.0:.0f} world-steps/s"
+    )
 
 
 if __name__ == "__main__":

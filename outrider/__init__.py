@@ -54,5 +54,7 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - a module's names have any t
     raise AttributeError(f"module 'outrider' has no attribute {name!r}")
 
 
-if "gymnasium" in sys.modules:  # whoever uses Gymnasium finds our names there; nobody else pays for its import
+if (
+    "gymnasium" in sys.modules
+):  # whoever uses Gymnasium finds our names there; nobody else pays for its import
     import_module("outrider.registration")

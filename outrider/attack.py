@@ -1,7 +1,11 @@
-"""An attack on the certificate: the project's own world and links, the UAV's filter, and adversaries in everything else.
+"""An attack on the certificate.
 
-The adversary knows the truth and the code. It is the inner control, the UGV, the errors of the detections, which of them are made
-at all, and what becomes of commands. Everything is drawn from the seed and the run's number, so any run can be flown again alone.
+The project's own world and links, the UAV's filter, and adversaries in everything else.
+
+The adversary knows the truth and the code. It is the inner control, the UGV, the errors of the detections, which
+of them are made
+at all, and what becomes of commands. Everything is drawn from the seed and the run's number, so any run can be
+flown again alone.
 """
 
 import itertools
@@ -41,7 +45,16 @@ from sim.batch import (
 )
 from sim.compile import FloatArray, borrowing, compiled, released
 from sim.randomness import draw
-from sim.scenario import Coverage, Detections, LinkTable, Scenario, Uav, Ugv, VehicleLinks, Visibility
+from sim.scenario import (
+    Coverage,
+    Detections,
+    LinkTable,
+    Scenario,
+    Uav,
+    Ugv,
+    VehicleLinks,
+    Visibility,
+)
 from sim.tick import WorldParameters, advance
 from sim.vehicles import brake, clip_norm, norm
 
@@ -53,27 +66,60 @@ LAWS = {
     "switch_tracking": SWITCH_TRACKING,
     "paper": PAPER,
 }
-"""Who guards the promise: the filter; beyond a radius of d_cert full speed to the newest detection, full speed to the one with
+"""Who guards the promise: the filter.
+
+Beyond a radius of d_cert full speed to the newest detection, full speed to the one with
 the least bound, or tracking (15); beyond (18) of the newest detection's distance tracking (15)."""
 
-INNERS = ("outward", "random", "tangential", "outward_then_tangential", "sinusoidal", "tracking", "still", "away_from_detection")
+INNERS = (
+    "outward",
+    "random",
+    "tangential",
+    "outward_then_tangential",
+    "sinusoidal",
+    "tracking",
+    "still",
+    "away_from_detection",
+)
 UGVS = ("flees", "straight", "random", "turns", "dodges", "ambush", "still")
 ERRORS = ("ball", "sphere", "alternating", "constant", "hides", "none")
 BLACKOUTS = ("none", "periodic", "random", "when_far")
 AREAS = ("open", "corner", "small")
-"""Where it is flown: so large that nobody meets a wall; from a corner of that; in a room of 9 m by 7 m, at the paper's radius."""
+"""Where it is flown: so large that nobody meets a wall; from a corner of that.
+
+In a room of 9 m by 7 m, at the paper's radius.
+"""
 DISTURBANCES = ("none", "single_losses", "silences", "late", "law_changes", "rejoins")
-"""What breaks A5 now and then: a command that is lost; none for up to `silence`; all later than declared for a while; the
+"""What breaks A5 now and then: a command that is lost; none for up to `silence`.
+
+All later than declared for a while; the
 filter switched off for a while and begun anew; a process that is away for a while and joins again."""
 
 ANY = -1
-"""In place of an adversary's number: another one for each run; of an inner control or a UGV also now and then within the run."""
+"""In place of an adversary's number: another one for each run.
 
-(MAX_DISTANCE, MAX_EXCESS, INTERVENED, UNCERTIFIED, MEAN_DISTANCE, MAX_AGE, CERTIFIED_LOST, BROKEN, MAX_CERTIFIED) = range(9)
+Of an inner control or a UGV also now and then within the run.
+"""
+
+(
+    MAX_DISTANCE,
+    MAX_EXCESS,
+    INTERVENED,
+    UNCERTIFIED,
+    MEAN_DISTANCE,
+    MAX_AGE,
+    CERTIFIED_LOST,
+    BROKEN,
+    MAX_CERTIFIED,
+) = range(9)
 RESULTS = 9
 
 _ATTACK = 1001  # purpose of the draws
-_GOLDEN, _MIX_1, _MIX_2 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+_GOLDEN, _MIX_1, _MIX_2 = (
+    np.uint64(0x9E3779B97F4A7C15),
+    np.uint64(0xBF58476D1CE4E5B9),
+    np.uint64(0x94D049BB133111EB),
+)
 _RING = 256
 """Commands that are remembered, to see whether they act when they should."""
 _A_C, _B_C, _C_C, _D_C = -3.0, -3.0, -8.0 / 3.0, -3.0  # (15) with the paper's closed loop (s + 1)^3
@@ -142,9 +188,21 @@ def _direction(x: float, y: float) -> tuple[float, float]:
 
 @compiled
 def _inner(
-    kind: int, x: float, y: float, v_x: float, v_y: float, zx: float, zy: float, phase: float, held: FloatArray, u: float
+    kind: int,
+    x: float,
+    y: float,
+    v_x: float,
+    v_y: float,
+    zx: float,
+    zy: float,
+    phase: float,
+    held: FloatArray,
+    u: float,
 ) -> tuple[float, float]:
-    """What the inner control wants; (x, y) is the true p_a - p_g, (zx, zy) that of the newest detection, `held` its memory."""
+    """What the inner control wants.
+
+    (x, y) is the true p_a - p_g, (zx, zy) that of the newest detection, `held` its memory.
+    """
     e_x, e_y = _direction(x, y)
     side = held[2]
     if kind == 0:
@@ -168,7 +226,15 @@ def _inner(
 
 @compiled
 def _ugv(
-    kind: int, x: float, y: float, v_x: float, v_y: float, w_x: float, w_y: float, held: FloatArray, u: float
+    kind: int,
+    x: float,
+    y: float,
+    v_x: float,
+    v_y: float,
+    w_x: float,
+    w_y: float,
+    held: FloatArray,
+    u: float,
 ) -> tuple[float, float]:
     """What the UGV does; (x, y) is p_a - p_g, v the UAV's velocity, w its own."""
     e_x, e_y = _direction(x, y)
@@ -193,7 +259,13 @@ def _ugv(
 
 @compiled
 def _error(
-    kind: int, random: npt.NDArray[np.uint64], tick: int, size: float, x: float, y: float, held: FloatArray
+    kind: int,
+    random: npt.NDArray[np.uint64],
+    tick: int,
+    size: float,
+    x: float,
+    y: float,
+    held: FloatArray,
 ) -> tuple[float, float]:
     """The error of one detected position, of norm `size` at most."""
     if kind == 5:
@@ -225,7 +297,9 @@ def _guard(c: Conditions, x: float, y: float, d: float, r: float) -> bool:
 
 
 @compiled
-def largest_in_tick(r_x: float, r_y: float, v_x: float, v_y: float, w_x: float, w_y: float, dt: float) -> float:
+def largest_in_tick(
+    r_x: float, r_y: float, v_x: float, v_y: float, w_x: float, w_y: float, dt: float
+) -> float:
     """The largest distance within a tick of two vehicles with constant accelerations [m].
 
     The derivative of half its square is a cubic in the time; between its stationary points it has one root at most.
@@ -250,28 +324,45 @@ def largest_in_tick(r_x: float, r_y: float, v_x: float, v_y: float, w_x: float, 
     for k in range(3):
         low = 0.0 if k == 0 else (first if k == 1 else second)
         high = first if k == 0 else (second if k == 1 else dt)
-        if ((c_3 * low + c_2) * low + c_1) * low + c_0 > 0.0 > ((c_3 * high + c_2) * high + c_1) * high + c_0:
+        if (
+            ((c_3 * low + c_2) * low + c_1) * low + c_0
+            > 0.0
+            > ((c_3 * high + c_2) * high + c_1) * high + c_0
+        ):
             for _ in range(50):
                 middle = 0.5 * (low + high)
                 if ((c_3 * middle + c_2) * middle + c_1) * middle + c_0 > 0.0:
                     low = middle
                 else:
                     high = middle
-            most = max(most, norm(r_x + (v_x + 0.5 * a_x * low) * low, r_y + (v_y + 0.5 * a_y * low) * low))
+            most = max(
+                most, norm(r_x + (v_x + 0.5 * a_x * low) * low, r_y + (v_y + 0.5 * a_y * low) * low)
+            )
     return most
 
 
 @borrowing
 def _within_tick(before: FloatArray, after: FloatArray, a: int, g: int, dt: float) -> float:
-    """The largest distance within the last tick [m]; rows are position and velocity. At the ends only, where a wall was met."""
+    """The largest distance within the last tick [m]; rows are position and velocity.
+
+    At the ends only, where a wall was met.
+    """
     r_x, r_y = before[a, 0] - before[g, 0], before[a, 1] - before[g, 1]
     most = max(norm(r_x, r_y), norm(after[a, 0] - after[g, 0], after[a, 1] - after[g, 1]))
     for k in (a, g):
         for i in range(2):
-            if abs(after[k, i] - before[k, i] - 0.5 * (before[k, 2 + i] + after[k, 2 + i]) * dt) > 1e-12:
+            if (
+                abs(after[k, i] - before[k, i] - 0.5 * (before[k, 2 + i] + after[k, 2 + i]) * dt)
+                > 1e-12
+            ):
                 return most
     v_x, v_y = before[a, 2] - before[g, 2], before[a, 3] - before[g, 3]
-    return max(most, largest_in_tick(r_x, r_y, v_x, v_y, after[a, 2] - after[g, 2], after[a, 3] - after[g, 3], dt))
+    return max(
+        most,
+        largest_in_tick(
+            r_x, r_y, v_x, v_y, after[a, 2] - after[g, 2], after[a, 3] - after[g, 3], dt
+        ),
+    )
 
 
 @borrowing
@@ -306,9 +397,12 @@ def fly_one(
         work: Room for what the adversaries remember, for two states and the commands of the last ticks. (6 + _RING, 8)
         random: State of the adversary's draws. (1,)
         ticks: Length of the run.
-        result: Filled: largest distance [m]; largest d - d_cert [m]; share of ticks with an intervention, and of those since the
-            first detection arrived the share uncertified; mean distance [m]; largest age of the newest detection [s]; ticks
-            certified with a distance of r_v or more at them or, if the right command acted, until the next; ticks at which the
+        result: Filled: largest distance [m]; largest d - d_cert [m]; share of ticks with an intervention, and of
+            those since the
+            first detection arrived the share uncertified; mean distance [m]; largest age of the newest detection
+            [s]; ticks
+            certified with a distance of r_v or more at them or, if the right command acted, until the next; ticks
+            at which the
             certificate is lost although its assumptions hold; largest distance while certified [m]. Shape (RESULTS,).
     """
     c, p = conditions, promise
@@ -343,7 +437,14 @@ def fly_one(
         position[0, i] = min(max(position[1, i] + away, 0.0), w.width if i == 0 else w.height)
     begin_guard(memory)
     begin_world(w, tables, s, 0)
-    dark, since_seen, last_break, certified_before, first_seen, seen_ticks = 0, 1, -1_000_000, False, -1, 0
+    dark, since_seen, last_break, certified_before, first_seen, seen_ticks = (
+        0,
+        1,
+        -1_000_000,
+        False,
+        -1,
+        0,
+    )
     silent, late, away_ticks, filtering = 0, 0, 0, True
     total, intervened, uncertified = 0.0, 0, 0
     acts, code = INNER, NO_DETECTION
@@ -361,7 +462,9 @@ def fly_one(
             note_position(memory, tick, p_x, p_y)
             for n in range(s.arrived[0, 0]):
                 look = s.looks[0, 0, n]
-                note_detection(p, memory, int(look[TAKEN]), tick, look[LOOK_X], look[LOOK_Y], p_x, p_y)
+                note_detection(
+                    p, memory, int(look[TAKEN]), tick, look[LOOK_X], look[LOOK_Y], p_x, p_y
+                )
         detections = memory.detections
         new = newest_detection(detections)
         bound = certified_distance(p_x, p_y, t, detections, p.eps, v_g)
@@ -410,7 +513,9 @@ def fly_one(
                 if c.law == SWITCH_BEST:
                     least = math.inf
                     for k in range(KEPT):
-                        r = norm(p_x - detections[k, 0], p_y - detections[k, 1]) + v_g * (t - detections[k, 2])
+                        r = norm(p_x - detections[k, 0], p_y - detections[k, 1]) + v_g * (
+                            t - detections[k, 2]
+                        )
                         if r < least:
                             least, z_x, z_y = r, p_x - detections[k, 0], p_y - detections[k, 1]
                 e_x, e_y = _direction(z_x, z_y)
@@ -451,7 +556,8 @@ def fly_one(
             if c.ugv < 0 and _next(random) < 0.2:
                 ugv = _choose(random, c.ugv, len(UGVS))
         commands[1, 0], commands[1, 1] = _ugv(ugv, x, y, v_x, v_y, w_x, w_y, g, u_g)
-        # the motion, as the world steps it, but that the adversary chooses which detections are made, and with which error
+        # the motion, as the world steps it, but that the adversary chooses which detections are made, and with
+        # which error
         for k in range(2):
             for i in range(4):
                 before[k, i] = now[k, i]
@@ -479,7 +585,9 @@ def fly_one(
         deliver_detections(tables, s, 0)
         # whether the command acted that should have
         should = (tick - d_ticks) % _RING
-        expected_x, expected_y = (ring[should, 0], ring[should, 1]) if tick >= d_ticks else (0.0, 0.0)
+        expected_x, expected_y = (
+            (ring[should, 0], ring[should, 1]) if tick >= d_ticks else (0.0, 0.0)
+        )
         acted = truth.commands[0, 0] == expected_x and truth.commands[0, 1] == expected_y
         if not acted:
             last_break = max(last_break, tick + d_ticks)
@@ -502,7 +610,10 @@ def area_of(conditions: Conditions) -> tuple[float, float]:
 
 
 def scenario_of(promise: Promise, conditions: Conditions) -> Scenario:
-    """The world that is flown: no noise and no dropouts, as the adversary makes them; a coarse grid, as nobody looks at it."""
+    """The world that is flown: no noise and no dropouts, as the adversary makes them.
+
+    A coarse grid, as nobody looks at it.
+    """
     c, p = conditions, promise
     width, height = area_of(c)
     looks = LinkSettings(delay=c.latency)
@@ -521,11 +632,19 @@ def scenario_of(promise: Promise, conditions: Conditions) -> Scenario:
         detections=Detections(rate=1.0 / p.dt),
         links=LinkTable(only=(VehicleLinks(vehicle="uav_0", detections=looks, commands=commands),)),
         uav=(Uav(position=(0.0, 0.0), max_speed=p.v_a, max_acceleration=p.u_a),),
-        ugv=(Ugv(position=(0.0, 0.0), max_speed=p.v_g, max_acceleration=c.u_g if math.isfinite(c.u_g) else math.inf),),
+        ugv=(
+            Ugv(
+                position=(0.0, 0.0),
+                max_speed=p.v_g,
+                max_acceleration=c.u_g if math.isfinite(c.u_g) else math.inf,
+            ),
+        ),
     )
 
 
-def attack(promise: Promise, conditions: Conditions, seed: int, first: int, runs: int, duration: float) -> FloatArray:
+def attack(
+    promise: Promise, conditions: Conditions, seed: int, first: int, runs: int, duration: float
+) -> FloatArray:
     """Runs of an attack from `first` on.
 
     Args:
@@ -543,7 +662,11 @@ def attack(promise: Promise, conditions: Conditions, seed: int, first: int, runs
     tables, parameters = batch.tables._replace(perfect_commands=False), batch.parameters
     late = batch.ways_in.longest + 1
     memory = guard_state(promise, max(1, late))
-    results, work, random = np.empty((runs, RESULTS)), np.zeros((6 + _RING, 8)), np.empty(1, np.uint64)
+    results, work, random = (
+        np.empty((runs, RESULTS)),
+        np.zeros((6 + _RING, 8)),
+        np.empty(1, np.uint64),
+    )
     commands = np.zeros((2, 2))
     for k in range(runs):
         random[0] = draw((np.uint64(seed), np.uint64(_ATTACK) << np.uint64(32)), 0, first + k, 0)[0]
@@ -577,13 +700,24 @@ PAPER_BOUNDS = {"r_v": 4.75, "v_a": 0.6, "u_a": 0.3, "v_g": 0.2, "dt": 0.05}
 """The paper's vehicles: r_v [m], speeds [m/s], acceleration [m/s²]; and our tick [s]."""
 
 
-def declared(conditions: Conditions, eps: float, *, margin: float = 0.0, **bounds: float) -> Promise:
+def declared(
+    conditions: Conditions, eps: float, *, margin: float = 0.0, **bounds: float
+) -> Promise:
     """The certificate that just covers these conditions; eps and margin [m], bounds other than the paper's by name."""
     c = conditions
     numbers = {**PAPER_BOUNDS, "r_v": c.r_v, **bounds}
     age = c.latency + c.blackout_time + numbers["dt"]
     width, height = area_of(c)
-    return certificate(**numbers, eps=eps, age=age, delay=c.delay, margin=margin, width=width, height=height, hold=c.hold)
+    return certificate(
+        **numbers,
+        eps=eps,
+        age=age,
+        delay=c.delay,
+        margin=margin,
+        width=width,
+        height=height,
+        hold=c.hold,
+    )
 
 
 EPS = (0.0, 0.3, 0.6, 0.9, 1.2, 1.5)
@@ -599,18 +733,31 @@ _OTHER_BOUNDS = (
     {"v_a": 3.0, "u_a": 4.0, "v_g": 1.0, "dt": 0.1},
     {"v_a": 1.5, "u_a": 0.5, "v_g": 0.5, "dt": 0.02},
 )
-"""Vehicles and ticks unlike the paper's: short and long ticks; a UGV up to 0.99 as fast as the UAV, which only a large radius can
+"""Vehicles and ticks unlike the paper's: short and long ticks.
+
+A UGV up to 0.99 as fast as the UAV, which only a large radius can
 certify; fast vehicles."""
 
 
 def _networks() -> Iterator[Conditions]:
     """Every network that keeps the assumptions."""
     times = (0.0, 2.0, 5.0, 10.0, 15.0)
-    networks = itertools.product(times, (1, 2, 3), ((0.0, False), (1.0, False), (3.0, True)), (0.0, 0.3, 1.0), (0.1, math.inf))
+    networks = itertools.product(
+        times,
+        (1, 2, 3),
+        ((0.0, False), (1.0, False), (3.0, True)),
+        (0.0, 0.3, 1.0),
+        (0.1, math.inf),
+    )
     for dark, kind, (latency, scattered), delay, u_g in networks:
         if dark > 0.0 or kind == 1:
             yield Conditions(
-                blackout=kind if dark else 0, blackout_time=dark, latency=latency, scattered=scattered, delay=delay, u_g=u_g
+                blackout=kind if dark else 0,
+                blackout_time=dark,
+                latency=latency,
+                scattered=scattered,
+                delay=delay,
+                u_g=u_g,
             )
 
 
@@ -623,8 +770,12 @@ def _places() -> Iterator[Conditions]:
 
 def _disturbed() -> Iterator[Conditions]:
     """Commands and processes that now and then break A5."""
-    for delay, area, dark, kind in itertools.product((0.0, 0.3, 1.0), range(len(AREAS)), (0.0, 5.0), range(len(DISTURBANCES))):
-        conditions = Conditions(blackout=3 if dark else 0, blackout_time=dark, delay=delay, area=area, disturbance=kind)
+    for delay, area, dark, kind in itertools.product(
+        (0.0, 0.3, 1.0), range(len(AREAS)), (0.0, 5.0), range(len(DISTURBANCES))
+    ):
+        conditions = Conditions(
+            blackout=3 if dark else 0, blackout_time=dark, delay=delay, area=area, disturbance=kind
+        )
         if kind:
             yield conditions
         elif delay:
@@ -642,7 +793,9 @@ def grid() -> Iterator[tuple[Promise, Conditions]]:
             if not math.isnan(promise.handover):
                 yield promise, conditions
     sphere = ERRORS.index("sphere")
-    for bounds, area, delay, dark in itertools.product(_OTHER_BOUNDS, range(len(AREAS)), (0.0, 0.4), (0.0, 4.0)):
+    for bounds, area, delay, dark in itertools.product(
+        _OTHER_BOUNDS, range(len(AREAS)), (0.0, 0.4), (0.0, 4.0)
+    ):
         conditions = Conditions(
             blackout=1 if dark else 0,
             blackout_time=dark,

@@ -1,4 +1,7 @@
-"""What the paper's figures claim, and whether it comes out: every claim is computed from flights, none is taken for granted."""
+"""What the paper's figures claim, and whether it comes out.
+
+Every claim is computed from flights, none is taken for granted.
+"""
 
 import itertools
 import math
@@ -74,11 +77,20 @@ def claims_1(low: Flight, high: Flight, bounded: Flight) -> list[Claim]:
 def _claims_1b(low: Flight, high: Flight) -> list[Claim]:
     (e_low, w_low), (e_high, w_high) = velocity_errors(low), velocity_errors(high)
     n_low, n_high = np.linalg.norm(e_low, axis=1), np.linalg.norm(e_high, axis=1)
-    rms_low, rms_high = (float(np.sqrt((n[searching(w)] ** 2).mean())) for n, w in ((n_low, w_low), (n_high, w_high)))
-    mean_low, mean_high = float(n_low[searching(w_low)].mean()), float(n_high[searching(w_high)].mean())
+    rms_low, rms_high = (
+        float(np.sqrt((n[searching(w)] ** 2).mean())) for n, w in ((n_low, w_low), (n_high, w_high))
+    )
+    mean_low, mean_high = (
+        float(n_low[searching(w_low)].mean()),
+        float(n_high[searching(w_high)].mean()),
+    )
     gains = f"k_v {low.scenario.law.speed_gain:g} and {high.scenario.law.speed_gain:g}"
     v_ref = float(np.linalg.norm(w_high, axis=1).max())
-    found = [k for k in peaks(n_high, v_ref).tolist() if k >= WINDOW and searching(w_high)[k - WINDOW : k + 1].all()]
+    found = [
+        k
+        for k in peaks(n_high, v_ref).tolist()
+        if k >= WINDOW and searching(w_high)[k - WINDOW : k + 1].all()
+    ]
     turned = turns(w_high)
     least, usual = (
         math.degrees(min(turned[found], default=0.0)),
@@ -144,7 +156,8 @@ def _claim_weighting(scenario: Scenario) -> Claim:
     return Claim(
         figure="2",
         claim=f"{scenario.law.name} weights: α = 1, β = 0 from r_s on (Proposition 2); β never rises with distance",
-        value=fault or f"r_s = {r_s:.3f} m; β = {betas[0]:g} at 0 m, {betas[500]:.3g} at r_s/2, {max(betas[1000:]):g} beyond r_s",
+        value=fault
+        or f"r_s = {r_s:.3f} m; β = {betas[0]:g} at 0 m, {betas[500]:.3g} at r_s/2, {max(betas[1000:]):g} beyond r_s",
         number=r_s,
         holds=not fault and falling,
     )
@@ -157,7 +170,13 @@ def claims_3(linear: Flight, switching: Flight, logarithmic: Flight) -> list[Cla
     far, rises = _farthest(*flights.values()), [crossings(flight) for flight in flights.values()]
     mean = [float(distance(flight).mean()) for flight in flights.values()]
     kept = [
-        Claim(figure="3", claim=f"{name}: ‖p_Δ‖ < r_v", value=f"{d:.3f} m of {r_v:g} m", number=d, holds=d < r_v)
+        Claim(
+            figure="3",
+            claim=f"{name}: ‖p_Δ‖ < r_v",
+            value=f"{d:.3f} m of {r_v:g} m",
+            number=d,
+            holds=d < r_v,
+        )
         for name, d in zip(flights, far, strict=True)
     ]
     return [
@@ -221,7 +240,9 @@ def claims_4(coverage: Flight, circle: Flight) -> list[Claim]:
     return _claims_lower("4", coverage, circle)
 
 
-def claims_5(open_coverage: Flight, open_circle: Flight, coverage: Flight, circle: Flight) -> list[Claim]:
+def claims_5(
+    open_coverage: Flight, open_circle: Flight, coverage: Flight, circle: Flight
+) -> list[Claim]:
     """Figure 5: coverage against the circle beside covered ground, held against the open ground of figure 4."""
     near = until(coverage, BESIDE)
     e, e_circle = error(coverage)[near], error(circle)[near]

@@ -1,4 +1,7 @@
-"""The closed loop in many worlds at once: world, links, filters, laws, drivers and rewards of a tick in one compiled pass."""
+"""The closed loop in many worlds at once.
+
+World, links, filters, laws, drivers and rewards of a tick in one compiled pass.
+"""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -10,7 +13,16 @@ import numpy.typing as npt
 
 from agents.control.guard import GuardState, guard_state, pack_promise
 from agents.control.handover import check_assumptions
-from agents.control.laws import CERTIFIED, LAWS, PATH, STATE_SIZE, WEIGHTED, LawParameters, law_parameters, pack_law
+from agents.control.laws import (
+    CERTIFIED,
+    LAWS,
+    PATH,
+    STATE_SIZE,
+    WEIGHTED,
+    LawParameters,
+    law_parameters,
+    pack_law,
+)
 from agents.control.visibility import promise_of
 from agents.drivers.compiled import (
     COMPILED_DRIVERS,
@@ -58,12 +70,17 @@ from sim.scenario import Scenario
 from sim.tick import first_state
 
 _TRACK = 120.0
-"""A detection older than this is of no use to the safety filter [s]: `agents.control.guard` keeps the track no longer."""
+"""A detection older than this is of no use to the safety filter [s].
+
+`agents.control.guard` keeps the track no longer.
+"""
 
 _NO_ACTIONS = np.zeros((0, 0, 2))
 
 
-def _repeated(state: tuple[npt.NDArray[Any], ...], worlds: int, of_each: int) -> list[npt.NDArray[Any]]:
+def _repeated(
+    state: tuple[npt.NDArray[Any], ...], worlds: int, of_each: int
+) -> list[npt.NDArray[Any]]:
     """The arrays of one memory for each of `of_each` vehicles in each world."""
     return [np.broadcast_to(array, (worlds, of_each, *array.shape)).copy() for array in state]
 
@@ -89,7 +106,8 @@ class ClosedLoop:
         worlds: How many.
         external: Vehicles whose actions come from outside, in the order of the actions.
         pilots: Who flies or drives the others, by name, instead of the scenario's law and drivers.
-        rewards: What the vehicles are paid for; e(t) is computed at every tick only if `uncovered` is paid, or `error` is set.
+        rewards: What the vehicles are paid for; e(t) is computed at every tick only if `uncovered` is paid, or
+            `error` is set.
         error: Whether e(t) is computed at every tick in any case.
         estimate: Whether the UAVs' rows have the filter's estimate in the place of the raw detection.
         gradient: Whether the UAVs' rows end with `GradientCue`.
@@ -139,8 +157,12 @@ class ClosedLoop:
         for name in (*self.external, *chosen):
             if name not in self.names:
                 raise ValueError(f"vehicle = {name!r}; allowed: {', '.join(self.names)}")
-        crew = _Crew(scenario, self.uavs, self.ugvs, set(self.external), chosen, shield=safety_filter)
-        self.batch = Batch(scenario, worlds, gains=weights.seen > 0.0, threads=threads, secret=secret)
+        crew = _Crew(
+            scenario, self.uavs, self.ugvs, set(self.external), chosen, shield=safety_filter
+        )
+        self.batch = Batch(
+            scenario, worlds, gains=weights.seen > 0.0, threads=threads, secret=secret
+        )
         ways = self._ways = BatchLinks(scenario, LinkKind.RADIO, 3, worlds)
         listening = crew.radio
         thinking = crew.thinking | (estimate or gradient or listening)
@@ -157,7 +179,9 @@ class ClosedLoop:
             radio=listening,
             perfect_radio=ways.perfect,
             radio_ticks=max(1, round(RADIO_PERIOD / dt)),
-            full=full_error(scenario.visibility.radius + scenario.sensor.range, scenario.coverage.desired),
+            full=full_error(
+                scenario.visibility.radius + scenario.sensor.range, scenario.coverage.desired
+            ),
             meters_per_pixel=float(patch.meters_per_pixel) if patch else 1.0,
         )
         goals, goal_rows = _joined(crew.goals, 2)
@@ -166,9 +190,16 @@ class ClosedLoop:
         self.tables = LoopTables(
             batch=self.batch.tables,
             place=np.array(
-                [self.uavs.index(n) if n in self.uavs else -1 - self.ugvs.index(n) for n in self.names], dtype=np.int64
+                [
+                    self.uavs.index(n) if n in self.uavs else -1 - self.ugvs.index(n)
+                    for n in self.names
+                ],
+                dtype=np.int64,
             ),
-            hand=np.array([self.external.index(n) if n in self.external else -1 for n in self.names], dtype=np.int64),
+            hand=np.array(
+                [self.external.index(n) if n in self.external else -1 for n in self.names],
+                dtype=np.int64,
+            ),
             ugv_rows=np.array([index[n] for n in self.ugvs], dtype=np.int64),
             thinking=thinking.astype(np.int64),
             guarded=crew.guarded.astype(np.int64),
@@ -176,7 +207,10 @@ class ClosedLoop:
             delays=crew.delays,
             ages=crew.ages,
             bounded=crew.bounded.astype(np.int64),
-            listeners=np.array([self.ugvs.index(self.names[g]) for g in self.batch.tables.escorts[:, 1]], dtype=np.int64),
+            listeners=np.array(
+                [self.ugvs.index(self.names[g]) for g in self.batch.tables.escorts[:, 1]],
+                dtype=np.int64,
+            ),
             laws=crew.laws,
             kalman=crew.kalman,
             promises=crew.promises,
@@ -189,7 +223,9 @@ class ClosedLoop:
             weights=np.array(numbers, dtype=np.float64),
             ways=ways.table,
             seen=disc_widths(scenario.sensor.range, scenario.area.cell),
-            around=disc_widths(scenario.visibility.radius + scenario.sensor.range, scenario.area.cell),
+            around=disc_widths(
+                scenario.visibility.radius + scenario.sensor.range, scenario.area.cell
+            ),
         )
         late = self.batch.ways_in.longest
         kalman = kalman_state(min(late, round(SPAN / dt)) + 1)
@@ -232,9 +268,13 @@ class ClosedLoop:
     @property
     def degraded(self) -> bool:
         """Whether any link does anything to a message."""
-        return not (self.batch.ways_in.perfect and self.batch.ways_out.perfect and self._ways.perfect)
+        return not (
+            self.batch.ways_in.perfect and self.batch.ways_out.perfect and self._ways.perfect
+        )
 
-    def begin(self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None = None) -> None:
+    def begin(
+        self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None = None
+    ) -> None:
         """Begin worlds anew.
 
         Args:
@@ -260,11 +300,15 @@ class ClosedLoop:
             ValueError: If actions are to come from outside.
         """
         if self.external:
-            raise ValueError(f"the actions of {', '.join(self.external)} come from outside: use step")
+            raise ValueError(
+                f"the actions of {', '.join(self.external)} come from outside: use step"
+            )
         none, most = np.zeros((self.worlds, 0, 2)), self.scenario.ticks if ticks is None else ticks
         self._run(self._all, none, most)
 
-    def _run(self, worlds: IntArray, actions: FloatArray, ticks: int, *, beginning: bool = False) -> None:
+    def _run(
+        self, worlds: IntArray, actions: FloatArray, ticks: int, *, beginning: bool = False
+    ) -> None:
         told = (self.parameters, self.tables, self.state, worlds, beginning, actions, ticks)
         self.batch.crew.share(run_worlds, len(worlds), *told)
 
@@ -272,8 +316,10 @@ class ClosedLoop:
         """How a UAV has truly done in this episode, in each world; arrays of shape (worlds,).
 
         `mean_error` is the mean of e(t) [m²] over the ticks so far, the first included; NaN where e(t) is not computed.
-        `certified_while_lost` counts the ticks that the safety filter certified with the UGV out of sight, `certificate_broken`
-        those that it did not certify although the one before was and all assumptions held: any is a fault of the certificate.
+        `certified_while_lost` counts the ticks that the safety filter certified with the UGV out of sight,
+        `certificate_broken`
+        those that it did not certify although the one before was and all assumptions held: any is a fault of the
+        certificate.
         """
         seats, ticks = self.state.uav_seats[:, self.uavs.index(uav)], self.state.batch.ticks
         shielded = np.maximum(seats[:, SHIELDED], 1.0)
@@ -333,32 +379,55 @@ class _Crew:
         told = {name: briefing(scenario, name, 0) for name in (*uavs, *ugvs)}
         told_uavs = [one for name in uavs if isinstance(one := told[name], UavBriefing)]
         self.told_ugvs = [one for name in ugvs if isinstance(one := told[name], UgvBriefing)]
-        laws = [self._law(one, chosen.get(one.vehicle), outside=one.vehicle in external) for one in told_uavs]
+        laws = [
+            self._law(one, chosen.get(one.vehicle), outside=one.vehicle in external)
+            for one in told_uavs
+        ]
         promises = [promise_of(one) for one in told_uavs]
         self.laws = np.stack([pack_law(law) for law in laws])
         self.slowest = max(promises, key=lambda promise: promise.delay)
-        self.delays = np.array([round(promise.delay / promise.dt) for promise in promises], dtype=np.int64)
-        self.ages = np.array([math.floor(one.certificate.age / one.dt + DUST) for one in told_uavs], dtype=np.int64)
+        self.delays = np.array(
+            [round(promise.delay / promise.dt) for promise in promises], dtype=np.int64
+        )
+        self.ages = np.array(
+            [math.floor(one.certificate.age / one.dt + DUST) for one in told_uavs], dtype=np.int64
+        )
         self.bounded = np.array([_is_bounded(one) for one in told_uavs])
         self.promises = np.stack([pack_promise(promise) for promise in promises])
         self.faults = np.array([bool(check_assumptions(promise)) for promise in promises])
         self.kalman = np.stack(
             [
-                pack_kalman(kalman_parameters(detector=one.detector, target=one.target_limits, dt=one.dt, settings=one.estimator))
+                pack_kalman(
+                    kalman_parameters(
+                        detector=one.detector,
+                        target=one.target_limits,
+                        dt=one.dt,
+                        settings=one.estimator,
+                    )
+                )
                 for one in told_uavs
             ]
         )
         outside = np.array([name in external for name in uavs])
-        self.guarded = np.array([law.law == CERTIFIED for law in laws]) & ~outside | outside & shield
+        self.guarded = (
+            np.array([law.law == CERTIFIED for law in laws]) & ~outside | outside & shield
+        )
         self.thinking = ~outside
-        drivers = [self._driver(one, chosen.get(one.vehicle), outside=one.vehicle in external) for one in self.told_ugvs]
+        drivers = [
+            self._driver(one, chosen.get(one.vehicle), outside=one.vehicle in external)
+            for one in self.told_ugvs
+        ]
         self.drivers = np.stack(
-            [pack_driver(driver_parameters(one, name)) for one, name in zip(self.told_ugvs, drivers, strict=True)]
+            [
+                pack_driver(driver_parameters(one, name))
+                for one, name in zip(self.told_ugvs, drivers, strict=True)
+            ]
         )
         self.goals = [driver_goals(one) for one in self.told_ugvs]
         self.scripts = [driver_script(one) for one in self.told_ugvs]
         self.radio = any(
-            name == "evade" and one.vehicle not in external for name, one in zip(drivers, self.told_ugvs, strict=True)
+            name == "evade" and one.vehicle not in external
+            for name, one in zip(drivers, self.told_ugvs, strict=True)
         )
 
     @staticmethod
@@ -367,7 +436,9 @@ class _Crew:
         if outside:
             law = msgspec.structs.replace(law, name="tracking")  # never asked
         elif law.name in ("weighted", "path"):
-            raise ScenarioError(f"{told.vehicle}: law.name = {law.name!r} is a function of your own and cannot be compiled")
+            raise ScenarioError(
+                f"{told.vehicle}: law.name = {law.name!r} is a function of your own and cannot be compiled"
+            )
         return law_parameters(told, law)
 
     @staticmethod

@@ -14,18 +14,37 @@ from sim.tick import WorldParameters
 UAV_ROW = len(UavRow._fields) + len(GradientCue._fields)
 """Numbers of a UAV's row: `UavRow`, then `GradientCue`."""
 
-(NEWEST, WAS_LOST, LOST, DISTANCE, MAX_DISTANCE, VIOLATIONS, ERROR, ERROR_SUM, INTERVENED, CERTIFIED_TICKS, SHIELDED) = range(11)
+(
+    NEWEST,
+    WAS_LOST,
+    LOST,
+    DISTANCE,
+    MAX_DISTANCE,
+    VIOLATIONS,
+    ERROR,
+    ERROR_SUM,
+    INTERVENED,
+    CERTIFIED_TICKS,
+    SHIELDED,
+) = range(11)
 ACTED, SURE, BOUND = range(11, 14)
 OBEYED, FALSE_TICKS, BROKEN = range(14, 17)
-"""Columns of `LoopState.uav_seats`: tick of the newest detection (-1: none); whether sight was and is lost; distance now and at
-most [m]; ticks out of sight; e(t) now and summed over the ticks so far [m²]; ticks in which the safety filter acted, which were
-certified, and which it was asked; of the last tick, whether it acted, whether certified, and the distance that it bounds [m];
+"""Columns of `LoopState.uav_seats`: tick of the newest detection (-1: none); whether sight was and is lost.
+
+Distance now and at
+most [m]; ticks out of sight; e(t) now and summed over the ticks so far [m²]; ticks in which the safety filter
+acted, which were
+certified, and which it was asked; of the last tick, whether it acted, whether certified, and the distance that it
+bounds [m];
 whether the command that acted in the last tick was the one that was due; ticks that were certified out of sight, and
 ticks that were not certified although the one before was and all assumptions held."""
 SEAT_SIZE = 17
 
 REACHED, ARRIVALS, NEARER, TO_GO = range(4)
-"""Columns of `LoopState.ugv_seats`: goals reached, those of this tick, how much nearer it came [m], way to the next one [m]."""
+"""Columns of `LoopState.ugv_seats`.
+
+Goals reached, those of this tick, how much nearer it came [m], way to the next one [m].
+"""
 
 
 class LoopParameters(NamedTuple):
@@ -107,7 +126,10 @@ class LoopState(NamedTuple):
     commands: FloatArray
     """What each vehicle answered last [m/s²]. Shape (worlds, vehicles, 2)."""
     sent: FloatArray
-    """The UAVs' last commands [m/s²], that of tick k in row k % (delay + 1). Shape (worlds, UAVs, largest delay + 1, 2)."""
+    """The UAVs' last commands [m/s²], that of tick k in row k % (delay + 1).
+
+    Shape (worlds, UAVs, largest delay + 1, 2).
+    """
     laws: FloatArray
     kalman: KalmanState
     guards: GuardState

@@ -1,7 +1,7 @@
 """One tick of the closed loop, compiled: world, links, filters, laws, drivers and rewards in one pass.
 
-The pilots' own functions are called, so a vehicle that is flown in here gets the commands that its pilot would give over the bus.
-One pass a world, so that its grid stays near the core until the tick is done.
+The pilots' own functions are called, so a vehicle that is flown in here gets the commands that its pilot would
+give over the bus. One pass a world, so that its grid stays near the core until the tick is done.
 """
 
 from agents.control.certificate import CERTIFIED as NOTHING_AGAINST
@@ -55,7 +55,9 @@ _PENDING, _SENT_X, _SENT_Y = range(3)
 @inlined
 def _guard_of(t: LoopTables, s: GuardState, k: int, u: int) -> GuardState:
     course = s.course[k, u, : t.delays[u] + 1]
-    return GuardState(s.detections[k, u], s.plan[k, u], course, s.track[k, u], s.track_ticks[k, u], s.flags[k, u])
+    return GuardState(
+        s.detections[k, u], s.plan[k, u], course, s.track[k, u], s.track_ticks[k, u], s.flags[k, u]
+    )
 
 
 @inlined
@@ -64,7 +66,9 @@ def _kalman_of(s: KalmanState, k: int, u: int) -> KalmanState:
 
 
 @inlined
-def _wanted(p: LoopParameters, t: LoopTables, s: LoopState, k: int, v: int, u: int) -> tuple[float, float]:
+def _wanted(
+    p: LoopParameters, t: LoopTables, s: LoopState, k: int, v: int, u: int
+) -> tuple[float, float]:
     """What the law of UAV u, vehicle v, wants [m/s²]; before the first detection it stays where it is."""
     law, tick = unpack_law(t.laws[u], key_of(s.batch.keys[k], PILOT, v)), s.batch.ticks[k]
     position, velocity = s.batch.truth.position[k], s.batch.truth.velocity[k]
@@ -87,7 +91,9 @@ def _wanted(p: LoopParameters, t: LoopTables, s: LoopState, k: int, v: int, u: i
 
 
 @inlined
-def _fly(p: LoopParameters, t: LoopTables, s: LoopState, k: int, v: int, u: int, actions: FloatArray) -> None:
+def _fly(
+    p: LoopParameters, t: LoopTables, s: LoopState, k: int, v: int, u: int, actions: FloatArray
+) -> None:
     """The command of UAV u, vehicle v, and what it radios."""
     tick, seat = s.batch.ticks[k], s.uav_seats[k, u]
     position, velocity = s.batch.truth.position[k], s.batch.truth.velocity[k]
@@ -109,7 +115,10 @@ def _fly(p: LoopParameters, t: LoopTables, s: LoopState, k: int, v: int, u: int,
             u_y,
         )
         seat[ACTED] = 1.0 if acts != INNER else 0.0
-        before, seat[SURE] = seat[SURE], 1.0 if code == NOTHING_AGAINST and t.faults[u] == 0 else 0.0
+        before, seat[SURE] = (
+            seat[SURE],
+            1.0 if code == NOTHING_AGAINST and t.faults[u] == 0 else 0.0,
+        )
         if seat[SURE] != 0.0:
             seat[FALSE_TICKS] += seat[LOST]
         elif before != 0.0 and seat[OBEYED] != 0.0 and tick - seat[NEWEST] <= t.ages[u]:
@@ -122,16 +131,25 @@ def _fly(p: LoopParameters, t: LoopTables, s: LoopState, k: int, v: int, u: int,
         known, g_x, g_y = kalman_estimate(_kalman_of(s.kalman, k, u))
         says = known and tick % p.radio_ticks == 0
         s.outbox[k, u, _PENDING] = 1.0 if says else 0.0
-        s.outbox[k, u, _SENT_X], s.outbox[k, u, _SENT_Y] = position[v, 0] - g_x, position[v, 1] - g_y
+        s.outbox[k, u, _SENT_X], s.outbox[k, u, _SENT_Y] = (
+            position[v, 0] - g_x,
+            position[v, 1] - g_y,
+        )
 
 
 @inlined
-def _drive(p: LoopParameters, t: LoopTables, s: LoopState, k: int, v: int, g: int, actions: FloatArray) -> None:
+def _drive(
+    p: LoopParameters, t: LoopTables, s: LoopState, k: int, v: int, g: int, actions: FloatArray
+) -> None:
     """The command of UGV g, vehicle v."""
     if t.hand[v] >= 0:
         s.commands[k, v, 0], s.commands[k, v, 1] = actions[t.hand[v], 0], actions[t.hand[v], 1]
         return
-    tick, position, velocity = s.batch.ticks[k], s.batch.truth.position[k], s.batch.truth.velocity[k]
+    tick, position, velocity = (
+        s.batch.ticks[k],
+        s.batch.truth.position[k],
+        s.batch.truth.velocity[k],
+    )
     s.commands[k, v, 0], s.commands[k, v, 1] = ugv_control(
         unpack_driver(t.drivers[g], key_of(s.batch.keys[k], PILOT, v)),
         t.goals[t.goal_rows[g] : t.goal_rows[g + 1]],
@@ -159,7 +177,11 @@ def _listen(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
         if p.perfect_radio:
             if outbox[_PENDING] != 0.0:
                 n = hearing[g]
-                heard[n, 0], heard[n, 1], heard[n, 2] = (tick - 1) * p.w.dt, outbox[_SENT_X], outbox[_SENT_Y]
+                heard[n, 0], heard[n, 1], heard[n, 2] = (
+                    (tick - 1) * p.w.dt,
+                    outbox[_SENT_X],
+                    outbox[_SENT_Y],
+                )
                 hearing[g] = n + 1
             continue
         ways, link = parameters_of(t.ways, u), link_of(s.ways, k, u)
@@ -190,9 +212,19 @@ def _perceive(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
             note_position(memory, tick, x, y)
             for n in range(arrived[u]):
                 taken = int(looks[u, n, TAKEN])
-                note_detection(promise, memory, taken, tick, looks[u, n, LOOK_X], looks[u, n, LOOK_Y], x, y)
+                note_detection(
+                    promise, memory, taken, tick, looks[u, n, LOOK_X], looks[u, n, LOOK_Y], x, y
+                )
         if t.thinking[u]:
-            kalman_step(unpack_kalman(t.kalman[u]), _kalman_of(s.kalman, k, u), tick, x, y, looks[u], arrived[u])
+            kalman_step(
+                unpack_kalman(t.kalman[u]),
+                _kalman_of(s.kalman, k, u),
+                tick,
+                x,
+                y,
+                looks[u],
+                arrived[u],
+            )
     if p.radio:
         _listen(p, t, s, k)
 
@@ -209,7 +241,9 @@ def _seat_uav(p: LoopParameters, t: LoopTables, s: LoopState, k: int, u: int) ->
     seat[DISTANCE], seat[MAX_DISTANCE] = distance, max(seat[MAX_DISTANCE], distance)
     seat[VIOLATIONS] += seat[LOST]
     if p.error:
-        seat[ERROR] = coverage_error(truth.coverage[k], position[g, 0], position[g, 1], w.r_o, w.desired, w.cell)
+        seat[ERROR] = coverage_error(
+            truth.coverage[k], position[g, 0], position[g, 1], w.r_o, w.desired, w.cell
+        )
         seat[ERROR_SUM] += seat[ERROR]
     looks = s.batch.looks[k, u]
     for n in range(s.batch.arrived[k, u]):
@@ -222,7 +256,13 @@ def _observe_uav(p: LoopParameters, t: LoopTables, s: LoopState, k: int, u: int)
     w, truth, tick, row = p.w, s.batch.truth, s.batch.ticks[k], s.uav_rows[k, u]
     a, time, looks = t.batch.escorts[u, 0], tick * w.dt, s.batch.looks[k, u]
     x, y = truth.position[k, a, 0], truth.position[k, a, 1]
-    row[0], row[1], row[2], row[3], row[4] = time, x, y, truth.velocity[k, a, 0], truth.velocity[k, a, 1]
+    row[0], row[1], row[2], row[3], row[4] = (
+        time,
+        x,
+        y,
+        truth.velocity[k, a, 0],
+        truth.velocity[k, a, 1],
+    )
     row[5], row[6], row[7] = 0.0, 0.0, 0.0
     newest = s.uav_seats[k, u, NEWEST]
     row[8] = p.ticks * w.dt if newest < 0.0 else time - newest * w.dt
@@ -278,7 +318,11 @@ def _observe_ugv(p: LoopParameters, t: LoopTables, s: LoopState, k: int, g: int)
     v, row, truth = t.ugv_rows[g], s.ugv_rows[k, g], s.batch.truth
     first, last = t.goal_rows[g], t.goal_rows[g + 1]
     reached = first + int(s.ugv_seats[k, g, REACHED])
-    row[0], row[1], row[2] = s.batch.ticks[k] * p.w.dt, truth.position[k, v, 0], truth.position[k, v, 1]
+    row[0], row[1], row[2] = (
+        s.batch.ticks[k] * p.w.dt,
+        truth.position[k, v, 0],
+        truth.position[k, v, 1],
+    )
     row[3], row[4] = truth.velocity[k, v, 0], truth.velocity[k, v, 1]
     row[5], row[6], row[7] = 1.0 if reached < last else 0.0, 0.0, 0.0
     if last > first:
@@ -324,7 +368,9 @@ def _pay(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
             s.rewards[k, v] = 0.0 + first + second + third + fourth + fifth
         else:
             seat = s.ugv_seats[k, -1 - t.place[v]]
-            nearer, goal, effort = ugv_terms(r[4], r[5], r[6], seat[NEARER], int(seat[ARRIVALS]), u_x, u_y, w.dt)
+            nearer, goal, effort = ugv_terms(
+                r[4], r[5], r[6], seat[NEARER], int(seat[ARRIVALS]), u_x, u_y, w.dt
+            )
             s.rewards[k, v] = 0.0 + nearer + goal + effort
 
 
@@ -354,7 +400,11 @@ def _begin(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
     """World k, whose arrays are as they are at the start but for its keys: everybody has a first look."""
     begin_world(p.w, t.batch, s.batch, k)
     for g in range(t.ugv_rows.shape[0]):
-        v, seat, goals = t.ugv_rows[g], s.ugv_seats[k, g], t.goals[t.goal_rows[g] : t.goal_rows[g + 1]]
+        v, seat, goals = (
+            t.ugv_rows[g],
+            s.ugv_seats[k, g],
+            t.goals[t.goal_rows[g] : t.goal_rows[g + 1]],
+        )
         x, y = s.batch.truth.position[k, v, 0], s.batch.truth.position[k, v, 1]
         seat[REACHED], seat[TO_GO] = turn(goals, 0, t.tolerances[g], x, y)
         seat[ARRIVALS] = seat[REACHED]
@@ -409,7 +459,9 @@ def _fetch_rows(s: LoopState, k: int) -> None:
     if k < 0:
         return
     b, truth = s.batch, s.batch.truth
-    fetch_rows((b.keys, b.ticks, b.looks, b.arrived, truth.velocity, truth.acceleration, truth.commands), k)  # type: ignore[call-arg]
+    fetch_rows(
+        (b.keys, b.ticks, b.looks, b.arrived, truth.velocity, truth.acceleration, truth.commands), k
+    )  # type: ignore[call-arg]
     fetch_rows((truth.detections, truth.gains, s.kalman.numbers, s.uav_seats, s.ugv_seats), k)
     fetch_rows((s.commands, s.uav_rows, s.ugv_rows, s.rewards, s.terminated, s.truncated), k)
 
@@ -428,11 +480,14 @@ def run_worlds(
 ) -> None:
     """Begin these worlds, or fly each on for so many ticks or to the end of its episode.
 
-    World by world, so that a grid stays near its core for a whole flight. One function for all, as each compiles for long.
+    World by world, so that a grid stays near its core for a whole flight. One function for all, as each compiles
+    for long.
     """
     for n in range(begin, end):
         k = worlds[n]
-        after = worlds[n + 1] if n + 1 < end else -1  # while this world is computed, the next one's cells come
+        after = (
+            worlds[n + 1] if n + 1 < end else -1
+        )  # while this world is computed, the next one's cells come
         if beginning:
             _begin(p, t, s, k)
         for tick in range(1 if beginning else ticks):

@@ -17,7 +17,9 @@ from bus.messages import LinkKind, RelativeInformation, UavBriefing
 from outrider.flying import Pilot, make_pilots
 from sim.compile import FloatArray
 
-Policy = Callable[[npt.NDArray[np.floating[Any]] | Mapping[str, npt.NDArray[np.floating[Any]]]], FloatArray]
+Policy = Callable[
+    [npt.NDArray[np.floating[Any]] | Mapping[str, npt.NDArray[np.floating[Any]]]], FloatArray
+]
 """A vehicle's observation in, its acceleration [m/s²] out."""
 
 
@@ -27,9 +29,15 @@ class _Radio:
     def __init__(self, env: Any) -> None:  # noqa: ANN401
         self._env, self._dt, self._tick = env, env.scenario.dt, -1
         self._rows = {name: k for k, name in enumerate(env.possible_agents)}
-        told = [one for name in env.possible_agents if isinstance(one := env.briefing(name), UavBriefing)]
+        told = [
+            one
+            for name in env.possible_agents
+            if isinstance(one := env.briefing(name), UavBriefing)
+        ]
         self._filters = {
-            one.vehicle: RelativeEstimator(detector=one.detector, target=one.target_limits, dt=one.dt, settings=one.estimator)
+            one.vehicle: RelativeEstimator(
+                detector=one.detector, target=one.target_limits, dt=one.dt, settings=one.estimator
+            )
             for one in told
         }
         self._escorts = {uav.name: uav.escorts for uav in env.scenario.uav}
@@ -58,11 +66,15 @@ class _Radio:
     def _speak(self, uav: str) -> None:
         world, time = self._env.world, self._tick * self._dt
         p_x, p_y = world.position[self._rows[uav]].tolist()
-        estimate = self._filters[uav].update(time=time, own_position=(p_x, p_y), detections=self._env.received(uav))
+        estimate = self._filters[uav].update(
+            time=time, own_position=(p_x, p_y), detections=self._env.received(uav)
+        )
         if estimate is None or self._tick % max(1, round(RADIO_PERIOD / self._dt)):
             return
         (g_x, g_y), no_error = estimate.position, 0.0  # drivers make nothing of the error
-        self._said[uav] = RelativeInformation(time=time, relative_position=(p_x - g_x, p_y - g_y), coverage_error=no_error)
+        self._said[uav] = RelativeInformation(
+            time=time, relative_position=(p_x - g_x, p_y - g_y), coverage_error=no_error
+        )
 
 
 class _Crew:
@@ -79,11 +91,17 @@ class _Crew:
         listens = any(ugv.driver == "evade" for ugv in env.scenario.ugv)
         self._radio = _Radio(env) if listens and env.episode else None
         self._pilots: dict[str, Pilot] = make_pilots(
-            env.scenario, env.episode_seed, secret=env.secret, weighting=self._weighting, path=self._path
+            env.scenario,
+            env.episode_seed,
+            secret=env.secret,
+            weighting=self._weighting,
+            path=self._path,
         )
 
     def act(
-        self, name: str, observation: npt.NDArray[np.floating[Any]] | Mapping[str, npt.NDArray[np.floating[Any]]]
+        self,
+        name: str,
+        observation: npt.NDArray[np.floating[Any]] | Mapping[str, npt.NDArray[np.floating[Any]]],
     ) -> FloatArray:
         if self._episode != self._env.episode:
             self._board()
@@ -100,10 +118,16 @@ class _Crew:
         return np.array(pilot.act(heard).acceleration)
 
 
-def pilots(env: Any, *, weighting: Weighting | None = None, path: VirtualPath | None = None) -> dict[str, Policy]:  # noqa: ANN401
+def pilots(
+    env: Any,  # noqa: ANN401
+    *,
+    weighting: Weighting | None = None,
+    path: VirtualPath | None = None,
+) -> dict[str, Policy]:
     """A policy for each agent of the environment: the scenario's law for a UAV, its driver for a UGV.
 
-    Each knows what it would know over the bus: its briefing, and then the rows of its own observations. They have a memory, so
+    Each knows what it would know over the bus: its briefing, and then the rows of its own observations. They have
+    a memory, so
     call each once a tick; with a new episode they begin anew by themselves. With float64 rows they fly the same bits as
     `outrider.run` with the same scenario and seed.
 

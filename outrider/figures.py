@@ -11,7 +11,17 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from outrider import style
-from outrider.claims import BESIDE, Claim, claim_anchor, claim_collapse, claims_1, claims_2, claims_3, claims_4, claims_5
+from outrider.claims import (
+    BESIDE,
+    Claim,
+    claim_anchor,
+    claim_collapse,
+    claims_1,
+    claims_2,
+    claims_3,
+    claims_4,
+    claims_5,
+)
 from outrider.flying import fly
 from outrider.render import draw_ground, draw_track, draw_vehicles, times
 from outrider.traces import crossings, distance, error, stop_row, velocity_errors, weighting_of
@@ -27,7 +37,9 @@ WEIGHTINGS = ("linear", "switching", "logarithmic")
 """The flights of figure 3."""
 
 
-def make_figures(out: Path, *, on_progress: Callable[[str, float], None] | None = None) -> list[Claim]:
+def make_figures(
+    out: Path, *, on_progress: Callable[[str, float], None] | None = None
+) -> list[Claim]:
     """Fly the paper's experiments, draw figure-1.png to figure-5.png and hold their claims against the flights.
 
     Args:
@@ -91,34 +103,60 @@ def all_claims(flights: Flights) -> list[Claim]:
         *claims_3(*(flights[law] for law in WEIGHTINGS)),
         *claims_4(flights["open"], flights["open, circle"]),
         claim_collapse(flights["too fast"]),
-        *claims_5(*(flights[name] for name in ("open", "open, circle", "beside", "beside, circle"))),
+        *claims_5(
+            *(flights[name] for name in ("open", "open, circle", "beside", "beside, circle"))
+        ),
         *anchors(flights),
     ]
 
 
 def full_error(scenario: Scenario) -> tuple[float, float]:
-    """e(0) with the UGV in the middle of Q and nothing covered [m²]: on the grid, and the integral 2π C*² r_o² (1/2 - 2/π²)."""
+    """e(0) with the UGV in the middle of Q and nothing covered [m²].
+
+    On the grid, and the integral 2π C*² r_o² (1/2 - 2/π²).
+    """
     middle = (0.5 * scenario.area.width, 0.5 * scenario.area.height)
     ugvs = tuple(msgspec.structs.replace(ugv, position=middle) for ugv in scenario.ugv)
     world = World(msgspec.structs.replace(scenario, ugv=ugvs), 0)
     c = world.parameters
-    return float(world.measure()[0, 1]), 2.0 * math.pi * c.desired**2 * c.r_o**2 * (0.5 - 2.0 / math.pi**2)
+    return float(world.measure()[0, 1]), 2.0 * math.pi * c.desired**2 * c.r_o**2 * (
+        0.5 - 2.0 / math.pi**2
+    )
 
 
 def anchors(flights: Flights) -> list[Claim]:
     """The check values of a program written apart from this one, for a UGV on a straight line, and the error of bare ground."""
     rows = [
         ("e(0) over bare ground", *full_error(flights["open"].scenario), " m²", 0.1),
-        ("largest distance, coverage alone", float(distance(flights["bounded"]).max()), 9.4, " m", 0.1),
+        (
+            "largest distance, coverage alone",
+            float(distance(flights["bounded"]).max()),
+            9.4,
+            " m",
+            0.1,
+        ),
     ]
-    # Sliding is chaotic: a start 1 mm away changes the switching law's largest distance by 2 cm and its count by 3; 1 cm, by 8.
+    # Sliding is chaotic: a start 1 mm away changes the switching law's largest distance by 2 cm and its count by
+    # 3; 1 cm, by 8.
     for law, known, slack in zip(WEIGHTINGS, (3.12, 4.14, 3.65), (0.02, 0.15, 0.02), strict=True):
-        rows.append((f"largest distance, {law}", float(distance(flights[law]).max()), known, " m", slack))
+        rows.append(
+            (f"largest distance, {law}", float(distance(flights[law]).max()), known, " m", slack)
+        )
     for law, often, slack in zip(WEIGHTINGS, (0.0, 25.0, 0.0), (0.0, 12.0, 0.0), strict=True):
         rows.append((f"rises to r_s, {law}", float(crossings(flights[law])), often, "", slack))
     for name, known in (("logarithmic", 147.0), ("circle", 254.0)):
-        rows.append((f"mean e(t) on the straight line, {name}", float(error(flights[name]).mean()), known, " m²", 3.0))
-    return [claim_anchor(what, found, known, unit, slack) for what, found, known, unit, slack in rows]
+        rows.append(
+            (
+                f"mean e(t) on the straight line, {name}",
+                float(error(flights[name]).mean()),
+                known,
+                " m²",
+                3.0,
+            )
+        )
+    return [
+        claim_anchor(what, found, known, unit, slack) for what, found, known, unit, slack in rows
+    ]
 
 
 def figure_1(flights: Flights) -> Figure:
@@ -150,7 +188,14 @@ def figure_1(flights: Flights) -> Figure:
 def _mark_stop(axes: Axes, flight: Flight) -> None:
     when = stop_row(flight) * flight.scenario.dt
     axes.axvline(when, color=style.UGV[0], linewidth=1.2, linestyle=":")
-    axes.annotate("UGV stops ", (when, 0.93), xycoords=("data", "axes fraction"), color=style.UGV[0], ha="right", va="top")
+    axes.annotate(
+        "UGV stops ",
+        (when, 0.93),
+        xycoords=("data", "axes fraction"),
+        color=style.UGV[0],
+        ha="right",
+        va="top",
+    )
 
 
 def _draw_departure(axes: Axes, flights: Flights, labels: dict[str, str]) -> None:
@@ -158,14 +203,30 @@ def _draw_departure(axes: Axes, flights: Flights, labels: dict[str, str]) -> Non
     one = flights["bounded"]
     style.ground(axes, one.scenario.area.width, one.scenario.area.height)
     a, g = one.world.escorts[0].tolist()
-    draw_track(axes, one.recorder.states[:, g, :2], style.UGV[0], marker="s", width=2.2, label="UGV")
+    draw_track(
+        axes, one.recorder.states[:, g, :2], style.UGV[0], marker="s", width=2.2, label="UGV"
+    )
     for name in GAINS:
         track = flights[name].recorder.states[:, a, :2]
-        draw_track(axes, track, style.GAIN[name], marker="o", label=labels[name], line="--" if name == "bounded" else "-")
+        draw_track(
+            axes,
+            track,
+            style.GAIN[name],
+            marker="o",
+            label=labels[name],
+            line="--" if name == "bounded" else "-",
+        )
     k = int(distance(one).argmax())
     p_a, p_g = one.recorder.states[k, a, :2], one.recorder.states[k, g, :2]
     style.ring(axes, (p_g[0], p_g[1]), one.scenario.visibility.radius)
-    axes.plot(*zip(p_a, p_g, strict=True), color=style.LIMIT, linewidth=1.0, linestyle=":", marker=".", zorder=8)
+    axes.plot(
+        *zip(p_a, p_g, strict=True),
+        color=style.LIMIT,
+        linewidth=1.0,
+        linestyle=":",
+        marker=".",
+        zorder=8,
+    )
     text = f"t = {k * one.scenario.dt:.0f} s: {distance(one)[k]:.1f} m apart, $r_v$ = {one.scenario.visibility.radius:g} m"
     axes.text(0.025, 0.77, text, color=style.LIMIT, transform=axes.transAxes)
     axes.legend(loc="upper left", ncols=2)
@@ -191,11 +252,20 @@ def figure_2(flights: Flights) -> Figure:
     for panel, letter, (title, label) in zip(axes, "abc", titles, strict=True):
         for radius, name, line in ((r_s, "$r_s$", style.DASHED), (r_v, "$r_v$", "-")):
             panel.axvline(radius, color=style.LIMIT, linewidth=1.2, linestyle=line, zorder=1.5)
-            panel.text(radius, 1.015, name, color=style.LIMIT, ha="center", transform=panel.get_xaxis_transform())
+            panel.text(
+                radius,
+                1.015,
+                name,
+                color=style.LIMIT,
+                ha="center",
+                transform=panel.get_xaxis_transform(),
+            )
         panel.set(xlim=(0.0, d[-1]), xlabel=r"distance $\|p_\Delta\|$ [m]", ylabel=label)
         style.panel(panel, letter, title)
     axes[1].set_yscale("symlog", linthresh=1.0)
-    axes[1].set(ylim=(0.0, 130.0), yticks=(0.0, 1.0, 10.0, 100.0), yticklabels=("0", "1", "10", "100"))
+    axes[1].set(
+        ylim=(0.0, 130.0), yticks=(0.0, 1.0, 10.0, 100.0), yticklabels=("0", "1", "10", "100")
+    )
     axes[0].legend(loc="upper left", bbox_to_anchor=(0.02, 0.92))
     return figure
 
@@ -208,7 +278,10 @@ def figure_3(flights: Flights) -> Figure:
     for law in WEIGHTINGS:
         for axes in (whole, close):
             axes.plot(times(flights[law]), distance(flights[law]), color=style.LAW[law], label=law)
-    for axes, letter, title in ((whole, "a", "Distance under the three weightings"), (close, "b", "The same, close to $r_s$")):
+    for axes, letter, title in (
+        (whole, "a", "Distance under the three weightings"),
+        (close, "b", "The same, close to $r_s$"),
+    ):
         style.over_time(axes, one.scenario.duration, r"$\|p_\Delta\|$ [m]")
         style.panel(axes, letter, title)
     r_v, r_s = one.scenario.visibility.radius, weighting_of(one.scenario)[1]
@@ -229,9 +302,16 @@ def figure_4(flights: Flights) -> Figure:
 def figure_5(flights: Flights) -> Figure:
     """Coverage against the circle beside covered ground."""
     figure = _comparison(flights["beside"], flights["beside, circle"], "covered before")
-    figure.axes[2].axvspan(0.0, BESIDE, color=style.COVERED(0.6), alpha=0.35, linewidth=0.0, zorder=0.5)
+    figure.axes[2].axvspan(
+        0.0, BESIDE, color=style.COVERED(0.6), alpha=0.35, linewidth=0.0, zorder=0.5
+    )
     figure.axes[2].text(
-        0.5 * BESIDE, 0.94, "beside covered ground", transform=figure.axes[2].get_xaxis_transform(), ha="center", va="top"
+        0.5 * BESIDE,
+        0.94,
+        "beside covered ground",
+        transform=figure.axes[2].get_xaxis_transform(),
+        ha="center",
+        va="top",
     )
     return figure
 
@@ -239,7 +319,9 @@ def figure_5(flights: Flights) -> Figure:
 def _comparison(coverage: Flight, circle: Flight, known: str) -> Figure:
     figure = style.new_figure(1400, 1100)
     grid = figure.add_gridspec(2, 2, height_ratios=(2.1, 1.0))
-    for k, (letter, title, flight) in enumerate((("a", "Coverage and tracking", coverage), ("b", "Circle", circle))):
+    for k, (letter, title, flight) in enumerate(
+        (("a", "Coverage and tracking", coverage), ("b", "Circle", circle))
+    ):
         axes = figure.add_subplot(grid[0, k])
         image = draw_ground(axes, flight)
         draw_vehicles(axes, flight)
@@ -249,17 +331,29 @@ def _comparison(coverage: Flight, circle: Flight, known: str) -> Figure:
         style.ring(axes, (here[0], here[1]), flight.scenario.visibility.radius)
         style.panel(axes, letter, title)
     below = figure.add_subplot(grid[1, :])
-    for law, label, flight in (("logarithmic", "coverage and tracking", coverage), ("circle", "circle", circle)):
-        below.plot(times(flight), error(flight), color=style.LAW[law], label=f"{label}, mean {error(flight).mean():.0f} m²")
+    for law, label, flight in (
+        ("logarithmic", "coverage and tracking", coverage),
+        ("circle", "circle", circle),
+    ):
+        below.plot(
+            times(flight),
+            error(flight),
+            color=style.LAW[law],
+            label=f"{label}, mean {error(flight).mean():.0f} m²",
+        )
     style.over_time(below, coverage.scenario.duration, "e(t) [m²]")
     style.panel(below, "c", "Coverage error")
     below.legend(loc="upper right")
     style.coverage_bar(figure, image, figure.axes[:2])
-    figure.axes[0].legend(handles=[*style.vehicle_keys(), style.key(style.LIMIT, "$r_v$")], loc="upper left", ncols=4)
+    figure.axes[0].legend(
+        handles=[*style.vehicle_keys(), style.key(style.LIMIT, "$r_v$")], loc="upper left", ncols=4
+    )
     return figure
 
 
-def _outline(axes: Axes, lower: tuple[float, float], upper: tuple[float, float], known: str) -> None:
+def _outline(
+    axes: Axes, lower: tuple[float, float], upper: tuple[float, float], known: str
+) -> None:
     axes.add_patch(
         Rectangle(
             lower,
@@ -272,4 +366,11 @@ def _outline(axes: Axes, lower: tuple[float, float], upper: tuple[float, float],
             alpha=0.6,
         )
     )
-    axes.text(0.5 * (lower[0] + upper[0]), 0.5 * (lower[1] + upper[1]), known, ha="center", va="center", color=style.INK)
+    axes.text(
+        0.5 * (lower[0] + upper[0]),
+        0.5 * (lower[1] + upper[1]),
+        known,
+        ha="center",
+        va="center",
+        color=style.INK,
+    )

@@ -104,7 +104,11 @@ def fly(
 
 
 def run(
-    scenario: str | Path | Scenario = "escort", *, seed: int | None = None, secret: str = "", allow_code: bool = False
+    scenario: str | Path | Scenario = "escort",
+    *,
+    seed: int | None = None,
+    secret: str = "",
+    allow_code: bool = False,
 ) -> Summary:
     """Fly a scenario in this process and sum it up.
 

@@ -43,7 +43,10 @@ _LIVES = 3
 
 
 def _environment(secret: str) -> dict[str, str]:
-    """A child's environment: ours, without our run's secret unless it is for it. A command line would show it to everybody."""
+    """A child's environment: ours, without our run's secret unless it is for it.
+
+    A command line would show it to everybody.
+    """
     ours = {name: value for name, value in os.environ.items() if name != _SECRET}
     return ours | ({_SECRET: secret} if secret else {})
 
@@ -78,9 +81,15 @@ class Child:
             env=_environment(secret),
             start_new_session=True,  # Ctrl-C reaches us alone; we end the children in order
         )
-        self._readers = [threading.Thread(target=self._listen, args=(self._process.stderr,), daemon=True)]
+        self._readers = [
+            threading.Thread(target=self._listen, args=(self._process.stderr,), daemon=True)
+        ]
         if lines is not None:
-            self._readers.append(threading.Thread(target=self._pass_on, args=(self._process.stdout, lines), daemon=True))
+            self._readers.append(
+                threading.Thread(
+                    target=self._pass_on, args=(self._process.stdout, lines), daemon=True
+                )
+            )
         for reader in self._readers:
             reader.start()
 
@@ -113,7 +122,11 @@ class Child:
     def epitaph(self) -> str:
         """How it ended, for a person."""
         code = self.ended
-        how = f"was killed by signal {-code}" if code is not None and code < 0 else f"ended with exit code {code}"
+        how = (
+            f"was killed by signal {-code}"
+            if code is not None and code < 0
+            else f"ended with exit code {code}"
+        )
         words = self.last_words()
         return f"{self.name} (pid {self.pid}) {how}" + (f": {words}" if words else "")
 
@@ -241,11 +254,13 @@ def launch(
         deadline: How long it waits for the commands of one tick [s].
         join_timeout: How long it waits for the vehicles [s].
         respawn: Whether a vehicle's process that dies is started again.
-        pin: Whether the UAVs keep to one half of the processor cores and the others to the other half, if there are few of them.
+        pin: Whether the UAVs keep to one half of the processor cores and the others to the other half, if there
+            are few of them.
         secured: Whether there are credentials and access control; False only to measure what they cost.
-        transport: `tcp` and `tls`, with certificates for passwords, use a port of this machine; only to measure what they cost.
-        page: A socket that listens, on which the run is shown in the browser; None: it is not. The page's process is no part of
-            the flight: where it fails, that is told, and the flight goes on.
+        transport: `tcp` and `tls`, with certificates for passwords, use a port of this machine; only to measure
+            what they cost.
+        page: A socket that listens, on which the run is shown in the browser; None: it is not. The page's process
+            is no part of the flight: where it fails, that is told, and the flight goes on.
         secret: Of the run, for the simulator's process alone; empty: none.
 
     Returns:
@@ -255,7 +270,9 @@ def launch(
         run = f"run-{os.getpid()}-{secrets.token_hex(4)}"
         crew = _Crew(scenario, folder, run, children, pin=pin, secured=secured, transport=transport)
         timing = ["--deadline", str(deadline), "--join-timeout", str(join_timeout)]
-        pace = (["--realtime", str(realtime)] if realtime is not None else []) + (["--respawn"] if respawn else [])
+        pace = (["--realtime", str(realtime)] if realtime is not None else []) + (
+            ["--respawn"] if respawn else []
+        )
         settings = [argument for override in overrides for argument in ("--set", override)]
         output = (["--out", str(out)] if out else []) + ([] if picture else ["--no-picture"])
         output += ["--record", str(record)] if record else []
@@ -314,7 +331,11 @@ class _Crew:
         self._page: Child | None = None
         if secured:
             names = [uav.name for uav in scenario.uav], [ugv.name for ugv in scenario.ugv]
-            given = new_certificates(new_authority(run), *names) if transport == "tls" else new_credentials(run, *names)
+            given = (
+                new_certificates(new_authority(run), *names)
+                if transport == "tls"
+                else new_credentials(run, *names)
+            )
             self._files = write_credentials(given, folder / "credentials")
 
     @property
@@ -325,9 +346,19 @@ class _Crew:
     def _known_as(self, name: str) -> list[str]:
         return ["--credentials", str(self._files[name])] if self._files else []
 
-    def start_simulator(self, source: str, settings: list[str], watcher: Watcher, secret: str) -> None:
+    def start_simulator(
+        self, source: str, settings: list[str], watcher: Watcher, secret: str
+    ) -> None:
         """Start it and wait until its router listens: before that a client would only try in vain."""
-        arguments = ["simulator", source, "--listen", self._endpoint, "--run", self._run, "--events"]
+        arguments = [
+            "simulator",
+            source,
+            "--listen",
+            self._endpoint,
+            "--run",
+            self._run,
+            "--events",
+        ]
         arguments += [*self._known_as(ROUTER_FILE), *settings, "--leash-folder", str(self._folder)]
         self.children.append(Child(SIMULATOR_NAME, arguments, self.lines, secret=secret))
         while not self._listens() and self.simulator.ended is None and not watcher.stop():
@@ -342,7 +373,14 @@ class _Crew:
 
     def show_on(self, page: socket.socket, pages: list[Child], watcher: Watcher) -> None:
         """Start the dashboard, and wait until it shows what comes: the first tick is part of it."""
-        arguments = ["dashboard", "--connect", self._endpoint, "--run", self._run, *self._known_as(OPERATOR_NAME)]
+        arguments = [
+            "dashboard",
+            "--connect",
+            self._endpoint,
+            "--run",
+            self._run,
+            *self._known_as(OPERATOR_NAME),
+        ]
         arguments += ["--host", "127.0.0.1", "--listening", str(page.fileno())]
         arguments += ["--law", msgspec.json.encode(self._scenario.law).decode()]
         lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
@@ -365,12 +403,29 @@ class _Crew:
         return f"{page.epitaph()}; the run goes on without its page"
 
     def _start(self, name: str) -> Child:
-        common = ["--name", name, "--connect", self._endpoint, "--run", self._run, *self._known_as(name)]
+        common = [
+            "--name",
+            name,
+            "--connect",
+            self._endpoint,
+            "--run",
+            self._run,
+            *self._known_as(name),
+        ]
         custom = self._scenario.custom
         if name not in self._uavs:
-            return Child(name, ["ugv", *common, *(["--policy", custom.policy] if custom.policy else [])])
+            return Child(
+                name, ["ugv", *common, *(["--policy", custom.policy] if custom.policy else [])]
+            )
         own = [("--weighting", custom.weighting), ("--path", custom.path)]
-        return Child(name, ["uav", *common, *(argument for option, value in own if value for argument in (option, value))])
+        return Child(
+            name,
+            [
+                "uav",
+                *common,
+                *(argument for option, value in own if value for argument in (option, value)),
+            ],
+        )
 
     def start_vehicles(self, watcher: Watcher) -> None:
         """Start a process for each, and say what one of the user's own needs to know."""
@@ -423,7 +478,9 @@ def _follow(crew: _Crew, watcher: Watcher, *, respawn: bool) -> Outcome:
         again = respawn and deaths[dead.name] <= _LIVES
         epitaph = dead.epitaph()
         if respawn and not again:
-            epitaph += f"; for the {deaths[dead.name]}th time at tick {tick}, and it is not started again"
+            epitaph += (
+                f"; for the {deaths[dead.name]}th time at tick {tick}, and it is not started again"
+            )
         watcher.on_event(epitaph + (": started again" if again else ""))
         if again:
             crew.start_again(dead)
@@ -440,7 +497,11 @@ def _follow(crew: _Crew, watcher: Watcher, *, respawn: bool) -> Outcome:
         if not asked and outcome.summary is None:
             if lost := crew.lost_page():
                 watcher.on_event(lost)
-            dead = [child for child in crew.children[1:] if child.ended not in (None, 0) and child.pid not in mourned]
+            dead = [
+                child
+                for child in crew.children[1:]
+                if child.ended not in (None, 0) and child.pid not in mourned
+            ]
             for child in dead:
                 if bury(child):
                     asked = True

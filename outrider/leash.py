@@ -43,7 +43,8 @@ def hold(folder: Path | None = None) -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
     def leave() -> None:
-        # The main thread may hear first that the parent has gone (a broken pipe, the run's end) and would cut `wait` short.
+        # The main thread may hear first that the parent has gone (a broken pipe, the run's end) and would cut
+        # `wait` short.
         if select.select([sys.stdin.fileno()], [], [], 0)[0]:
             tidy()
 
@@ -70,7 +71,10 @@ def leave_with(parent: int) -> None:
 
 @contextmanager
 def deaf_to_interrupts() -> Iterator[None]:
-    """Processes that are started meanwhile do not hear of Ctrl-C, which a terminal sends to all: their parent ends them."""
+    """Processes that are started meanwhile do not hear of Ctrl-C, which a terminal sends to all.
+
+    Their parent ends them.
+    """
     resource_tracker.ensure_running()  # it would be started with the first process, and let SIGINT through again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

@@ -38,7 +38,9 @@ def write_summary(summary: Summary, folder: Path) -> Path:
     return path
 
 
-def write_flight(flight: Flight, summary: Summary, folder: Path, *, picture: bool = True) -> list[Path]:
+def write_flight(
+    flight: Flight, summary: Summary, folder: Path, *, picture: bool = True
+) -> list[Path]:
     """Write all there is of a flight.
 
     Args:
@@ -54,7 +56,9 @@ def write_flight(flight: Flight, summary: Summary, folder: Path, *, picture: boo
         OSError: If a file cannot be written; all that can be are there.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    work: dict[str, Callable[[Path], object]] = {  # the smallest first: what is there when the disk is full is there
+    work: dict[
+        str, Callable[[Path], object]
+    ] = {  # the smallest first: what is there when the disk is full is there
         SUMMARY: lambda path: write_summary(summary, path.parent),
         COVERAGE: lambda path: np.save(path, flight.world.coverage),
         TRAJECTORY: flight.recorder.write,
@@ -71,7 +75,9 @@ def write_flight(flight: Flight, summary: Summary, folder: Path, *, picture: boo
             write(path)
             files.append(path)
         except OSError as error:
-            faults.append(OSError(error.errno, error.strerror or str(error), str(path)))  # a failed write does not know its file
+            faults.append(
+                OSError(error.errno, error.strerror or str(error), str(path))
+            )  # a failed write does not know its file
     if faults:
         raise faults[0]
     return files

@@ -36,7 +36,8 @@ def load_function(name: str, *, what: str) -> Callable[..., Any] | None:
 
     Args:
         name: Where it is.
-        what: What it is for, for the error; a `policy` may also be saved, or an object that predicts: see `load_policy`.
+        what: What it is for, for the error; a `policy` may also be saved, or an object that predicts: see
+            `load_policy`.
 
     Raises:
         ScenarioError: If it is not there, or no function.
@@ -72,12 +73,13 @@ def _named(name: str, what: str) -> Any:  # noqa: ANN401 - whatever it is
 def load_policy(name: str, *, what: str = "policy") -> Any:  # noqa: ANN401 - a function, or an object that predicts
     """A policy for the driver `policy`.
 
-    What a library has saved is loaded by that library, which must be installed, and runs code that is in the file: load only
-    what you trust. It sees the UGV's row as the environment gives it (`bus.layout.UgvRow`) and answers the acceleration.
+    What a library has saved is loaded by that library, which must be installed, and runs code that is in the file:
+    load only what you trust. It sees the UGV's row as the environment gives it (`bus.layout.UgvRow`) and answers the
+    acceleration.
 
     Args:
-        name: `module:function`, or `module:object` with a method `predict`; `sb3:ALGORITHM:FILE.zip` of Stable-Baselines3;
-            `torch:FILE.pt`, a TorchScript file; `onnx:FILE.onnx`.
+        name: `module:function`, or `module:object` with a method `predict`; `sb3:ALGORITHM:FILE.zip` of
+            Stable-Baselines3; `torch:FILE.pt`, a TorchScript file; `onnx:FILE.onnx`.
         what: What it is for, for the error.
 
     Raises:
@@ -90,7 +92,9 @@ def load_policy(name: str, *, what: str = "policy") -> Any:  # noqa: ANN401 - a 
         raise ScenarioError(f"{what} = {name!r}: of which library? {_FORMS}")
     found = _named(name, what)
     if isinstance(found, type) or not (callable(found) or isinstance(found, RowPolicy)):
-        raise ScenarioError(f"{what} = {name!r}: neither a function nor an object with a method predict")
+        raise ScenarioError(
+            f"{what} = {name!r}: neither a function nor an object with a method predict"
+        )
     return found
 
 
@@ -98,7 +102,9 @@ def _library(module: str, package: str, where: str) -> ModuleType:
     try:
         return import_module(module)
     except ImportError as error:
-        raise ScenarioError(f"{where}: needs {package}: pip install {package} ({_reason(error)})") from error
+        raise ScenarioError(
+            f"{where}: needs {package}: pip install {package} ({_reason(error)})"
+        ) from error
     except Exception as error:
         raise ScenarioError(f"{where}: {package} cannot be imported: {_reason(error)}") from error
 
@@ -129,12 +135,17 @@ def _load_sb3(rest: str, where: str) -> RowPolicy:
         known |= _algorithms(_library("sb3_contrib", "sb3-contrib", where))
     found = known.get(algorithm.lower())
     if found is None:
-        raise ScenarioError(f"{where}: unknown algorithm {algorithm!r}; installed: {', '.join(sorted(known))}")
+        raise ScenarioError(
+            f"{where}: unknown algorithm {algorithm!r}; installed: {', '.join(sorted(known))}"
+        )
     try:
         model: RowPolicy = found.load(file, device="cpu")
     except Exception as error:
         raise ScenarioError(f"{where}: cannot be loaded: {_reason(error)}") from error
-    seen, done = (getattr(getattr(model, space, None), "shape", None) for space in ("observation_space", "action_space"))
+    seen, done = (
+        getattr(getattr(model, space, None), "shape", None)
+        for space in ("observation_space", "action_space")
+    )
     _check_shapes(seen, done, where)
     return model
 
@@ -142,7 +153,11 @@ def _load_sb3(rest: str, where: str) -> RowPolicy:
 def _algorithms(library: ModuleType) -> dict[str, Any]:
     """The library's algorithms by name in lower case."""
     known = {name.lower(): found for name, found in vars(library).items()}
-    return {name: found for name, found in known.items() if hasattr(found, "load") and hasattr(found, "predict")}
+    return {
+        name: found
+        for name, found in known.items()
+        if hasattr(found, "load") and hasattr(found, "predict")
+    }
 
 
 class _Torch:
@@ -164,7 +179,9 @@ def _load_torch(path: str, where: str) -> RowPolicy:
         module = torch.jit.load(file, map_location="cpu")
         module.eval()
     except Exception as error:
-        raise ScenarioError(f"{where}: cannot be loaded as TorchScript: {_reason(error)}") from error
+        raise ScenarioError(
+            f"{where}: cannot be loaded as TorchScript: {_reason(error)}"
+        ) from error
     return _Torch(torch, module)
 
 
@@ -186,7 +203,9 @@ class _Onnx:
     def predict(self, row: Row) -> object:
         """The action: the first output."""
         seen = row.astype(self._dtype)
-        answer = self._session.run(None, {self._name: seen[np.newaxis] if self._batched else seen})[0]
+        answer = self._session.run(None, {self._name: seen[np.newaxis] if self._batched else seen})[
+            0
+        ]
         return answer[0] if self._batched and len(answer) == 1 else answer
 
 
@@ -201,12 +220,18 @@ def _load_onnx(path: str, where: str) -> RowPolicy:
     return _Onnx(session, where)
 
 
-SAVED: dict[str, Callable[[str, str], RowPolicy]] = {"sb3": _load_sb3, "torch": _load_torch, "onnx": _load_onnx}
+SAVED: dict[str, Callable[[str, str], RowPolicy]] = {
+    "sb3": _load_sb3,
+    "torch": _load_torch,
+    "onnx": _load_onnx,
+}
 """Libraries whose files can be flown: each is imported where it is needed, and never else."""
 
 
 def foreign_code(scenario: "Scenario", named: Iterable[str] = ()) -> tuple[str, ...]:
-    """The code that a scenario's file names, and not the user: it is somebody else's until the user says that it may be loaded.
+    """The code that a scenario's file names, and not the user.
+
+    It is somebody else's until the user says that it may be loaded.
 
     Args:
         scenario: What is flown.
@@ -216,7 +241,13 @@ def foreign_code(scenario: "Scenario", named: Iterable[str] = ()) -> tuple[str, 
         A line for each field.
     """
     own = {change.partition("=")[0].strip() for change in named}
-    fields = [] if "custom" in own else [name for name in type(scenario.custom).__struct_fields__ if f"custom.{name}" not in own]
+    fields = (
+        []
+        if "custom" in own
+        else [
+            name for name in type(scenario.custom).__struct_fields__ if f"custom.{name}" not in own
+        ]
+    )
     given = {f"custom.{name}": getattr(scenario.custom, name) for name in fields}
     return tuple(
         f"{field} = {value!r}: the file names code, which is loaded with --allow-code alone (in Python: allow_code=True)"
@@ -225,7 +256,9 @@ def foreign_code(scenario: "Scenario", named: Iterable[str] = ()) -> tuple[str, 
     )
 
 
-def check_code(scenario: "Scenario", named: Iterable[str] = (), *, source: object, allowed: bool) -> None:
+def check_code(
+    scenario: "Scenario", named: Iterable[str] = (), *, source: object, allowed: bool
+) -> None:
     """Refuse a scenario whose file names code, unless that is allowed; arguments otherwise as of `foreign_code`.
 
     Raises:
@@ -252,7 +285,11 @@ def check_own_functions(scenario: "Scenario") -> tuple[str, ...]:
     for uav in scenario.uav:
         r_v, v_g = scenario.visibility.radius, ugvs[uav.escorts].max_speed
         if weighting is not None and scenario.law.name == "weighted":
-            check_weighting(weighting, switching_radius(r_v, uav.max_speed, v_g, uav.max_acceleration))
+            check_weighting(
+                weighting, switching_radius(r_v, uav.max_speed, v_g, uav.max_acceleration)
+            )
         if path is not None and scenario.law.name == "path":
-            warnings += check_path(path, scenario.duration, r_v, uav.max_speed, v_g, uav.max_acceleration)
+            warnings += check_path(
+                path, scenario.duration, r_v, uav.max_speed, v_g, uav.max_acceleration
+            )
     return tuple(dict.fromkeys(warnings))

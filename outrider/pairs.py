@@ -22,7 +22,9 @@ goals = [[{x:.2f}, {up:.2f}], [{across:.2f}, {up:.2f}], [{across:.2f}, {y:.2f}]]
 
 
 def pairs_toml(count: int, *, seconds: float) -> str:
-    """The scenario as TOML: the UGVs stand in rows over the paper's area, and each drives along three sides of a square.
+    """The scenario as TOML.
+
+    The UGVs stand in rows over the paper's area, and each drives along three sides of a square.
 
     Args:
         count: How many pairs.

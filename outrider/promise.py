@@ -1,6 +1,7 @@
 """Whether a scenario's UAVs can certify that they keep sight, told before it is flown and when its links change in flight.
 
-The declared assumptions are those of docs/certificate.md: A1 the error of a detection, A2 the age of the newest one, A5 a
+The declared assumptions are those of docs/certificate.md: A1 the error of a detection, A2 the age of the newest
+one, A5 a
 command that acts exactly tau_c after its tick. Links and detector say which of them they cannot keep, and how often.
 """
 
@@ -63,7 +64,10 @@ def promise_warnings(scenario: Scenario, links: LinkTable | None = None) -> tupl
 
 
 def how_certifiable(scenario: Scenario) -> str | None:
-    """Whether sight can be certified `always`, `not always` or `hardly ever`, as far as that is known; None for other laws."""
+    """Whether sight can be certified `always`, `not always` or `hardly ever`, as far as that is known.
+
+    None for other laws.
+    """
     if scenario.law.name != "certified":
         return None
     broken = {found.how for found in shortfalls(scenario)}
@@ -78,8 +82,8 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
         links: What the links do now, where an operator has changed them; by default the scenario's.
 
     Returns:
-        Empty for other laws, and where nothing stands in the way. What is expected less than once in a million flights is
-        left out.
+        Empty for other laws, and where nothing stands in the way. What is expected less than once in a million
+        flights is left out.
     """
     if scenario.law.name != "certified":
         return ()
@@ -89,9 +93,13 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
         if not isinstance(told, UavBriefing):
             continue
         promise = promise_of(told)
-        found += [Shortfall(uav.name, "", How.THROUGHOUT, fault) for fault in check_assumptions(promise)]
+        found += [
+            Shortfall(uav.name, "", How.THROUGHOUT, fault) for fault in check_assumptions(promise)
+        ]
         if math.isfinite(promise.eps):
-            found += [Shortfall(uav.name, "A1", how, what) for how, what in _errors(scenario, promise.eps)]
+            found += [
+                Shortfall(uav.name, "A1", how, what) for how, what in _errors(scenario, promise.eps)
+            ]
         for kind, check, declared in (
             (LinkKind.DETECTIONS, _ages, promise.age),
             (LinkKind.COMMANDS, _delays, promise.delay),
@@ -115,7 +123,9 @@ class _Link:
     def named(self, *fields: str) -> str:
         """These fields with their values, but for those that are zero."""
         values = {field: getattr(self.settings, field) for field in fields}
-        return ", ".join(f"{self.path}.{field} = {value:g}" for field, value in values.items() if value)
+        return ", ".join(
+            f"{self.path}.{field} = {value:g}" for field, value in values.items() if value
+        )
 
     def dark(self) -> Iterator[tuple[int, int]]:
         """First tick of each planned blackout of this flight, and the first after it."""
@@ -147,7 +157,11 @@ def _errors(s: Scenario, eps: float) -> Iterator[tuple[How, str]]:
     beyond = math.exp(-0.5 * cut * cut)
     share = (math.exp(-0.5 * (eps / sigma) ** 2) - beyond) / (1.0 - beyond)
     if share * s.ticks / s.detection_period > _RARE:
-        errors = "have no bound (detections.cut = 0)" if math.isinf(cut) else f"of the detections reach {sigma * cut:g} m"
+        errors = (
+            "have no bound (detections.cut = 0)"
+            if math.isinf(cut)
+            else f"of the detections reach {sigma * cut:g} m"
+        )
         yield (
             _often(share),
             f"certificate.error = {eps:g} m, but the errors {errors} at detections.noise = {sigma:g} m: "
@@ -172,15 +186,23 @@ def _ages(link: _Link, declared: float) -> Iterator[tuple[How, str]]:
             yield how, f"{what}: they are up to {link.seconds(link.most + waits)} old, {limit}"
         else:
             in_a_row = math.floor((age - link.most - waits) / p.spacing) + 1
-            chance = -math.expm1(s.ticks / p.spacing * math.log1p(-min(p.loss**in_a_row, 1.0 - DUST)))
+            chance = -math.expm1(
+                s.ticks / p.spacing * math.log1p(-min(p.loss**in_a_row, 1.0 - DUST))
+            )
             if chance > _RARE:
                 lost = f"{link.named('loss')}, {in_a_row} lost in a row"
-                yield How.SOMETIMES, f"{what}: {lost} outlast {limit}, in {_percent(chance)} of such flights"
+                yield (
+                    How.SOMETIMES,
+                    f"{what}: {lost} outlast {limit}, in {_percent(chance)} of such flights",
+                )
     elif link.least + period - 1 > age:
         how = How.THROUGHOUT if link.least > age else How.CERTAIN
         why = link.named("delay", "jitter") or f"detections.rate = {s.detections.rate:g} /s"
         oldest = link.seconds(link.least + period - 1)
-        yield how, f"{why}: the newest detection is {oldest} old before the next one arrives, {limit}"
+        yield (
+            how,
+            f"{why}: the newest detection is {oldest} old before the next one arrives, {limit}",
+        )
     else:
         yield from _unlucky_ages(link, age, limit)
     yield from _dark_ages(link, age, limit)
@@ -209,7 +231,10 @@ def _unlucky_ages(link: _Link, age: int, limit: str) -> Iterator[tuple[How, str]
         if text
     )
     if old * s.ticks > _RARE:
-        yield _often(old), f"{fields}: the newest detection is older than {limit} in {_percent(old)} of the ticks"
+        yield (
+            _often(old),
+            f"{fields}: the newest detection is older than {limit} in {_percent(old)} of the ticks",
+        )
     looks = max(0, (age - link.most + 1) // period)
     if p.bursts:
         lost = 1.0 - (1.0 - p.burst_loss) * (1.0 - missed)
@@ -217,7 +242,10 @@ def _unlucky_ages(link: _Link, age: int, limit: str) -> Iterator[tuple[How, str]
         count = s.duration / (link.settings.burst_length + link.settings.burst_interval) * longer
         if count > _RARE:
             fields = link.named("burst_length", "burst_interval")
-            yield How.SOMETIMES, f"{fields}: {_percent(longer)} of the bursts outlast {limit}, {_times(count)}"
+            yield (
+                How.SOMETIMES,
+                f"{fields}: {_percent(longer)} of the bursts outlast {limit}, {_times(count)}",
+            )
     if p.up > 0.0:
         dark = math.ceil(p.down / period)
         count = s.duration / (link.settings.blackout_interval + link.settings.blackout_length)
@@ -226,13 +254,21 @@ def _unlucky_ages(link: _Link, age: int, limit: str) -> Iterator[tuple[How, str]
         chance = 1.0 if dark >= looks else merged if 2 * dark >= looks else 0.0
         if chance * count > _RARE:
             fields = link.named("blackout_length", "blackout_interval")
-            which = "each outlasts" if chance == 1.0 else f"{_percent(chance)} outlast with the next one"
+            which = (
+                "each outlasts"
+                if chance == 1.0
+                else f"{_percent(chance)} outlast with the next one"
+            )
             yield How.SOMETIMES, f"{fields}: {which} {limit}, {_times(chance * count)}"
 
 
 def _times(count: float) -> str:
     """An expected number in a flight."""
-    return f"about {count:.2g} times in this flight" if count >= 1.0 else f"in {_percent(count)} of such flights"
+    return (
+        f"about {count:.2g} times in this flight"
+        if count >= 1.0
+        else f"in {_percent(count)} of such flights"
+    )
 
 
 def _dark_ages(link: _Link, age: int, limit: str) -> Iterator[tuple[How, str]]:
@@ -247,7 +283,10 @@ def _dark_ages(link: _Link, age: int, limit: str) -> Iterator[tuple[How, str]]:
         before, later = looks[through & (looks < first)], looks[through & (looks >= after)]
         until = min(int(later[0]) + link.least if later.size else s.ticks, s.ticks)
         if not before.size:
-            yield How.CERTAIN, f"{link.path}.blackouts: nothing is detected before {link.seconds(until)}"
+            yield (
+                How.CERTAIN,
+                f"{link.path}.blackouts: nothing is detected before {link.seconds(until)}",
+            )
         elif until - 1 - int(before[-1]) > age:
             since, oldest = int(before[-1]) + age + 1, until - 1 - int(before[-1])
             span = f"from {link.seconds(since)} to {link.seconds(until)}"
@@ -275,10 +314,14 @@ def _delays(link: _Link, declared: float) -> Iterator[tuple[How, str]]:
         yield How.THROUGHOUT, f"{link.named('bandwidth', 'queue')}: {fewer}"
     elif not link.least <= exact <= link.most:
         delays = link.named("delay", "jitter", "reorder_delay") or f"{link.path}.delay = 0"
-        acts = link.seconds(link.least) + ("" if link.least == link.most else f" to {link.seconds(link.most)}")
+        acts = link.seconds(link.least) + (
+            "" if link.least == link.most else f" to {link.seconds(link.most)}"
+        )
         yield How.THROUGHOUT, f"{delays}: a command acts {acts} after its tick, {tau}"
     else:
-        kept = arrival_share(p, exact) * math.prod(1.0 - arrival_share(p, ticks) for ticks in range(exact))
+        kept = arrival_share(p, exact) * math.prod(
+            1.0 - arrival_share(p, ticks) for ticks in range(exact)
+        )
         if (1.0 - kept) * s.ticks > _RARE:
             what = f"{link.named('jitter', 'reorder')}: commands overtake each other or take other times than {tau}"
             yield _often(1.0 - kept), f"{what}, in {_percent(1.0 - kept)} of the ticks"
@@ -288,7 +331,10 @@ def _delays(link: _Link, declared: float) -> Iterator[tuple[How, str]]:
 def _lost_commands(link: _Link) -> Iterator[tuple[How, str]]:
     p, instead = link.parameters, "the command before goes on instead"
     if p.loss > 0.0:
-        yield _often(p.loss), f"{link.named('loss')}: for {_percent(p.loss)} of the commands {instead}"
+        yield (
+            _often(p.loss),
+            f"{link.named('loss')}: for {_percent(p.loss)} of the commands {instead}",
+        )
     if p.bursts and p.burst_loss > 0.0:
         share = p.bad_share * p.burst_loss
         fields = link.named("burst_length", "burst_interval", "burst_loss")
@@ -300,4 +346,7 @@ def _lost_commands(link: _Link) -> Iterator[tuple[How, str]]:
             f"{link.named('blackout_length', 'blackout_interval')}: for {_percent(share)} of the commands {instead}",
         )
     for first, after in link.dark():
-        yield How.CERTAIN, f"{link.path}.blackouts, {link.seconds(first)} to {link.seconds(after)}: no command gets through"
+        yield (
+            How.CERTAIN,
+            f"{link.path}.blackouts, {link.seconds(first)} to {link.seconds(after)}: no command gets through",
+        )

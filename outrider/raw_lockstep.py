@@ -19,14 +19,20 @@ def _settings(mode: str, endpoint: str) -> zenoh.Config:
     config.insert_json5("scouting/gossip/enabled", "false")
     config.insert_json5("scouting/delay", "0")
     config.insert_json5("transport/shared_memory/enabled", "false")
-    config.insert_json5(f"{'listen' if mode == 'router' else 'connect'}/endpoints", f'["{endpoint}"]')
+    config.insert_json5(
+        f"{'listen' if mode == 'router' else 'connect'}/endpoints", f'["{endpoint}"]'
+    )
     return config
 
 
 def _peer(name: str, endpoint: str, answer: bytes) -> None:
     with zenoh.open(_settings("client", endpoint)) as session:
-        subscriber = session.declare_subscriber(f"raw/{name}/observation", zenoh.handlers.FifoChannel(256))
-        publisher = session.declare_publisher(f"raw/{name}/command", congestion_control=zenoh.CongestionControl.BLOCK)
+        subscriber = session.declare_subscriber(
+            f"raw/{name}/observation", zenoh.handlers.FifoChannel(256)
+        )
+        publisher = session.declare_publisher(
+            f"raw/{name}/command", congestion_control=zenoh.CongestionControl.BLOCK
+        )
         publisher.put(b"ready")
         while subscriber.recv().payload.to_bytes() != b"over":
             publisher.put(answer)
@@ -45,13 +51,27 @@ def ticks_per_second(observation: bytes, answer: bytes, ticks: int, *, peers: in
     with tempfile.TemporaryDirectory(prefix="outrider-") as folder:
         endpoint = f"unixsock-stream/{Path(folder) / 'raw.sock'}"
         with zenoh.open(_settings("router", endpoint)) as session:
-            subscriber = session.declare_subscriber("raw/*/command", zenoh.handlers.FifoChannel(256))
+            subscriber = session.declare_subscriber(
+                "raw/*/command", zenoh.handlers.FifoChannel(256)
+            )
             publishers = [
-                session.declare_publisher(f"raw/{name}/observation", congestion_control=zenoh.CongestionControl.BLOCK)
+                session.declare_publisher(
+                    f"raw/{name}/observation", congestion_control=zenoh.CongestionControl.BLOCK
+                )
                 for name in names
             ]
             processes = [
-                subprocess.Popen([sys.executable, "-P", "-m", "outrider.raw_lockstep", name, endpoint, answer.hex()])
+                subprocess.Popen(
+                    [
+                        sys.executable,
+                        "-P",
+                        "-m",
+                        "outrider.raw_lockstep",
+                        name,
+                        endpoint,
+                        answer.hex(),
+                    ]
+                )
                 for name in names
             ]
             try:

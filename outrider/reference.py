@@ -1,4 +1,6 @@
-"""The field of `sim.field` once more, as the paper prints it: NumPy on the whole grid, with masks. Slow, and plain to check.
+"""The field of `sim.field` once more, as the paper prints it: NumPy on the whole grid, with masks.
+
+Slow, and plain to check.
 
 The tests hold the compiled kernels against it, and `outrider bench` measures against it.
 """
@@ -45,13 +47,25 @@ def density(rho: FloatGrid, r_o: float) -> FloatGrid:
 
 
 def accumulate(
-    coverage: FloatGrid, p_x: float, p_y: float, sensor: int, peak: float, reach: float, cell: float, duration: float
+    coverage: FloatGrid,
+    p_x: float,
+    p_y: float,
+    sensor: int,
+    peak: float,
+    reach: float,
+    cell: float,
+    duration: float,
 ) -> FloatGrid:
     """(3): C after one look; arguments as in `sim.field.accumulate`, but C is not changed."""
-    return coverage + sensor_quality(sensor, distances(coverage, p_x, p_y, cell), peak, reach) * duration
+    return (
+        coverage
+        + sensor_quality(sensor, distances(coverage, p_x, p_y, cell), peak, reach) * duration
+    )
 
 
-def coverage_error(coverage: FloatGrid, p_gx: float, p_gy: float, r_o: float, desired: float, cell: float) -> float:
+def coverage_error(
+    coverage: FloatGrid, p_gx: float, p_gy: float, r_o: float, desired: float, cell: float
+) -> float:
     """(4): e(t) [m²]; arguments as in `sim.field.coverage_error`."""
     phi = density(distances(coverage, p_gx, p_gy, cell), r_o)
     return float((np.maximum(0.0, desired - coverage) ** 2 * phi).sum() * cell**2)
@@ -76,7 +90,9 @@ def coverage_gradient(
     slope = np.where(rho <= reach, 2.0 * _SLOPE[sensor](rho, peak, reach), 0.0)
     lack = 2.0 * np.maximum(0.0, desired - coverage)
     weight = lack * slope * density(distances(coverage, p_gx, p_gy, cell), r_o)
-    return float((weight * (p_ax - x)).sum() * cell**2), float((weight * (p_ay - y)).sum() * cell**2)
+    return float((weight * (p_ax - x)).sum() * cell**2), float(
+        (weight * (p_ay - y)).sum() * cell**2
+    )
 
 
 def error_decrease(
@@ -92,13 +108,20 @@ def error_decrease(
     reach: float,
     cell: float,
 ) -> float:
-    r"""$-\dot e$ while the UGV stands: $\int h'(C^* - C)\, S_a(p_a, q)\, \phi\, dq$; arguments as in `coverage_gradient`."""
+    r"""$-\dot e$ while the UGV stands: $\int h'(C^* - C)\, S_a(p_a, q)\, \phi\, dq$.
+
+    Arguments as in `coverage_gradient`.
+    """
     quality = sensor_quality(sensor, distances(coverage, p_ax, p_ay, cell), peak, reach)
     lack = 2.0 * np.maximum(0.0, desired - coverage)
-    return float((lack * quality * density(distances(coverage, p_gx, p_gy, cell), r_o)).sum() * cell**2)
+    return float(
+        (lack * quality * density(distances(coverage, p_gx, p_gy, cell), r_o)).sum() * cell**2
+    )
 
 
-def uncovered(coverage: FloatGrid, p_gx: float, p_gy: float, r_o: float, desired: float, cell: float) -> BoolGrid:
+def uncovered(
+    coverage: FloatGrid, p_gx: float, p_gy: float, r_o: float, desired: float, cell: float
+) -> BoolGrid:
     """The cells that fulfil conditions 1 and 2 of (7)."""
     x, y = centres(coverage, cell)
     return (coverage < desired) & ((x - p_gx) ** 2 + (y - p_gy) ** 2 < r_o**2)

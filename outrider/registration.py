@@ -1,6 +1,7 @@
 """The environments' names at Gymnasium: `outrider/Escort-v0`, and one for each task of the suite.
 
-Gymnasium asks no package for its names; it imports the module in front of a colon, `outrider.registration:outrider/Escort-v0`,
+Gymnasium asks no package for its names; it imports the module in front of a colon,
+`outrider.registration:outrider/Escort-v0`,
 and expects it to have registered them. Therefore, and only here, importing does something.
 """
 
@@ -34,8 +35,14 @@ def vector(*, num_envs: int, task: str = "", **settings: Any) -> "OutriderVector
 
     if "max_episode_steps" in settings:
         limit = settings["max_episode_steps"]
-        raise ValueError(f"max_episode_steps = {limit!r}: not for many worlds at once; allowed: duration=..., in s")
-    return suite()[task].make(num_envs, **settings) if task else OutriderVectorEnv(num_envs=num_envs, **settings)
+        raise ValueError(
+            f"max_episode_steps = {limit!r}: not for many worlds at once; allowed: duration=..., in s"
+        )
+    return (
+        suite()[task].make(num_envs, **settings)
+        if task
+        else OutriderVectorEnv(num_envs=num_envs, **settings)
+    )
 
 
 def env_ids() -> tuple[str, ...]:
@@ -48,7 +55,9 @@ def register() -> None:
 
     No limit of steps is registered: the episodes end by themselves, and a second limit would only hide it.
     """
-    settings: dict[str, dict[str, str]] = {ESCORT: {"scenario": BASE}} | {task.env_id: {"task": task.name} for task in TASKS}
+    settings: dict[str, dict[str, str]] = {ESCORT: {"scenario": BASE}} | {
+        task.env_id: {"task": task.name} for task in TASKS
+    }
     for env_id, kwargs in settings.items():
         if env_id not in gymnasium.registry:
             gymnasium.register(

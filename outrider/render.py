@@ -45,8 +45,14 @@ def flight_figure(flight: Flight) -> Figure:
     with style.look():
         figure = style.new_figure(*SIZE, header=0.1)
         noisy = flight.scenario.detections.noise > 0.0
-        panels = (_draw_distance, _draw_error, _draw_estimate) if noisy else (_draw_distance, _draw_error)
-        grid = figure.add_gridspec(len(panels), 2, width_ratios=(1.2, 1.0), height_ratios=(1.35, 1.0, 0.8)[: len(panels)])
+        panels = (
+            (_draw_distance, _draw_error, _draw_estimate)
+            if noisy
+            else (_draw_distance, _draw_error)
+        )
+        grid = figure.add_gridspec(
+            len(panels), 2, width_ratios=(1.2, 1.0), height_ratios=(1.35, 1.0, 0.8)[: len(panels)]
+        )
         _draw_map(figure, figure.add_subplot(grid[:, 0]), flight)
         for k, draw in enumerate(panels):
             axes = figure.add_subplot(grid[k, 1])
@@ -79,16 +85,46 @@ def draw_ground(axes: Axes, flight: Flight) -> AxesImage:
     area = flight.scenario.area
     style.ground(axes, area.width, area.height)
     share = np.minimum(flight.world.coverage / flight.scenario.coverage.desired, 1.0)
-    return axes.imshow(share, cmap=style.COVERED, vmin=0.0, vmax=1.0, origin="lower", extent=(0.0, area.width, 0.0, area.height))
+    return axes.imshow(
+        share,
+        cmap=style.COVERED,
+        vmin=0.0,
+        vmax=1.0,
+        origin="lower",
+        extent=(0.0, area.width, 0.0, area.height),
+    )
 
 
 def draw_track(
-    axes: Axes, track: FloatArray, color: str, *, marker: str, width: float = 1.6, line: str = "-", label: str = ""
+    axes: Axes,
+    track: FloatArray,
+    color: str,
+    *,
+    marker: str,
+    width: float = 1.6,
+    line: str = "-",
+    label: str = "",
 ) -> None:
     """The way of one vehicle, with a hollow mark where it started and a full one where it is."""
     axes.plot(track[:, 0], track[:, 1], line, color=color, linewidth=width, label=label, zorder=4)
-    axes.plot(*track[0], marker, markersize=6, color="white", markeredgecolor=color, markeredgewidth=1.5, zorder=6)
-    axes.plot(*track[-1], marker, markersize=8, color=color, markeredgecolor="white", markeredgewidth=1.2, zorder=7)
+    axes.plot(
+        *track[0],
+        marker,
+        markersize=6,
+        color="white",
+        markeredgecolor=color,
+        markeredgewidth=1.5,
+        zorder=6,
+    )
+    axes.plot(
+        *track[-1],
+        marker,
+        markersize=8,
+        color=color,
+        markeredgecolor="white",
+        markeredgewidth=1.2,
+        zorder=7,
+    )
 
 
 def draw_vehicles(axes: Axes, flight: Flight) -> None:
@@ -99,7 +135,9 @@ def draw_vehicles(axes: Axes, flight: Flight) -> None:
         if isinstance(vehicle, Ugv):
             color = ugv_color(flight, vehicle.name)
             for goal in vehicle.goals:
-                axes.plot(*goal, marker="x", markersize=6, markeredgewidth=1.8, color=color, zorder=3.5)
+                axes.plot(
+                    *goal, marker="x", markersize=6, markeredgewidth=1.8, color=color, zorder=3.5
+                )
             draw_track(axes, states[:, row[vehicle.name], :2], color, marker="s", width=2.2)
     for k, uav in enumerate(flight.world.uavs):
         draw_track(axes, states[:, row[uav.name], :2], style.color(style.UAV, k), marker="o")
@@ -119,14 +157,22 @@ def _draw_rings(axes: Axes, flight: Flight) -> None:
         r_s = _inner_radius(flight, k)
         if r_s is not None:
             style.ring(axes, (p_g[0], p_g[1]), r_s, dashed=True, width=1.2)
-        style.ring(axes, (p_a[0], p_a[1]), flight.scenario.sensor.range, color=style.color(style.UAV, k), width=0.8)
+        style.ring(
+            axes,
+            (p_a[0], p_a[1]),
+            flight.scenario.sensor.range,
+            color=style.color(style.UAV, k),
+            width=0.8,
+        )
 
 
 def _map_legend(flight: Flight) -> list[Line2D]:
     entries = style.vehicle_keys(len(flight.world.uavs), len(flight.scenario.ugv))
     entries.append(style.key(style.LIMIT, "limit of sight $r_v$"))
     if _inner_radius(flight, 0) is not None:
-        entries.append(style.key(style.LIMIT, "only tracking, $r_s$", linestyle=(0, (3, 1.6)), linewidth=1.2))
+        entries.append(
+            style.key(style.LIMIT, "only tracking, $r_s$", linestyle=(0, (3, 1.6)), linewidth=1.2)
+        )
     return [*entries, style.key(style.UAV[0], "range of the sensor", linewidth=0.8)]
 
 
@@ -134,14 +180,29 @@ def _draw_map(figure: Figure, axes: Axes, flight: Flight) -> None:
     image = draw_ground(axes, flight)
     draw_vehicles(axes, flight)
     _draw_rings(axes, flight)
-    axes.legend(handles=_map_legend(flight), loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=3, columnspacing=1.6)
+    axes.legend(
+        handles=_map_legend(flight),
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.08),
+        ncols=3,
+        columnspacing=1.6,
+    )
     style.coverage_bar(figure, image, axes)
 
 
 def shade_violations(axes: Axes, time: FloatArray, distance: FloatArray, r_v: float) -> None:
     """A red veil over the times at which the UGV is out of sight (5)."""
     top = axes.get_ylim()[1]
-    axes.fill_between(time, 0.0, top, where=(distance >= r_v).tolist(), color=style.LIMIT, alpha=0.12, linewidth=0.0, step="post")
+    axes.fill_between(
+        time,
+        0.0,
+        top,
+        where=(distance >= r_v).tolist(),
+        color=style.LIMIT,
+        alpha=0.12,
+        linewidth=0.0,
+        step="post",
+    )
     axes.set_ylim(0.0, top)
 
 
@@ -174,8 +235,21 @@ def _draw_estimate(axes: Axes, flight: Flight) -> None:
         p_a, p_g = states[:, a, :2], states[:, g, :2]
         detected = np.linalg.norm(escorts[:, k, 2:4] - (p_a - p_g), axis=1)
         estimated = np.linalg.norm(escorts[:, k, 4:6] - p_g, axis=1)
-        axes.plot(time, detected, ".", color="#b4bac4", markersize=1.6, label="detection" if k == 0 else "")
-        axes.plot(time, estimated, color=style.color(style.UAV, k), linewidth=1.2, label="filter" if k == 0 else "")
+        axes.plot(
+            time,
+            detected,
+            ".",
+            color="#b4bac4",
+            markersize=1.6,
+            label="detection" if k == 0 else "",
+        )
+        axes.plot(
+            time,
+            estimated,
+            color=style.color(style.UAV, k),
+            linewidth=1.2,
+            label="filter" if k == 0 else "",
+        )
     style.over_time(axes, _end(flight), "error [m]")
     axes.set_title("Estimate of the UGV's place")
     style.legend_above(axes)
@@ -195,4 +269,6 @@ def _draw_header(figure: Figure, flight: Flight) -> None:
     name = textwrap.shorten(scenario.name, 48) or "scenario"
     figure.text(0.014, 0.968, name, fontsize=15, fontweight="bold", va="top", parse_math=False)
     figure.text(0.014, 0.908, facts, color=style.MUTED, va="top")
-    figure.text(0.986, 0.962, verdict, fontsize=11, fontweight="bold", color=color, va="top", ha="right")
+    figure.text(
+        0.986, 0.962, verdict, fontsize=11, fontweight="bold", color=color, va="top", ha="right"
+    )

@@ -44,7 +44,9 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         **settings: Any,  # noqa: ANN401 - those of Worlds
     ) -> None:
         if render_mode is not None:
-            raise ValueError(f"render_mode = {render_mode!r}; allowed: None; outrider.parallel_env draws the same flight")
+            raise ValueError(
+                f"render_mode = {render_mode!r}; allowed: None; outrider.parallel_env draws the same flight"
+            )
         self.worlds = Worlds(scenario, 1, [agent], **settings)
         """The one world, and what is true of it."""
         self.agent = agent
@@ -54,12 +56,14 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         self._action = np.zeros((1, 2))
         self._over = True
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
         """Begin an episode.
 
         Args:
-            seed: Of all its random numbers. Without one, the first episode has the scenario's seed, and each later one a seed
-                derived from the last that was given and the number of episodes since.
+            seed: Of all its random numbers. Without one, the first episode has the scenario's seed, and each later
+                one a seed derived from the last that was given and the number of episodes since.
             options: Not used.
 
         Returns:
@@ -88,12 +92,22 @@ class SingleEnv(gymnasium.Env[Any, Any]):
             ValueError: If the action is not two finite numbers; nothing has happened then.
         """
         if self._over:
-            when = "after the end of the episode: call reset() first" if self.worlds.begun else "before reset()"
+            when = (
+                "after the end of the episode: call reset() first"
+                if self.worlds.begun
+                else "before reset()"
+            )
             raise ResetNeeded(f"step() {when}")
         take_actions({self.agent: action}, [self.agent], self._action)
         self._over = bool(self.worlds.step({self.agent: self._action})[0])
         (terminated,), (truncated,) = (flags.tolist() for flags in self.worlds.ends())
-        return self._observation(), float(self.worlds.rewards(self.agent)[0]), terminated, truncated, self._info()
+        return (
+            self._observation(),
+            float(self.worlds.rewards(self.agent)[0]),
+            terminated,
+            truncated,
+            self._info(),
+        )
 
     def _observation(self) -> Observation:
         seen = self.worlds.observe(self.agent)
@@ -101,7 +115,11 @@ class SingleEnv(gymnasium.Env[Any, Any]):
 
     def _info(self) -> dict[str, Any]:
         """Facts of its own that are in no row, as plain numbers."""
-        return {key: array[0].item() for key, array in self.worlds.infos(self.agent).items() if not key.startswith("_")}
+        return {
+            key: array[0].item()
+            for key, array in self.worlds.infos(self.agent).items()
+            if not key.startswith("_")
+        }
 
     @property
     def episode_seed(self) -> int:
@@ -110,7 +128,10 @@ class SingleEnv(gymnasium.Env[Any, Any]):
 
     def metrics(self) -> dict[str, dict[str, float]]:
         """How each UAV truly stands in its episode: for people and logs, not for policies."""
-        return {uav: {key: float(array[0]) for key, array in told.items()} for uav, told in self.worlds.metrics().items()}
+        return {
+            uav: {key: float(array[0]) for key, array in told.items()}
+            for uav, told in self.worlds.metrics().items()
+        }
 
     def close(self) -> None:
         """End the threads."""

@@ -1,4 +1,7 @@
-"""Intervals for what a sweep counts and averages: 95 % unless told otherwise, without anything but the standard library."""
+"""Intervals for what a sweep counts and averages.
+
+95 % unless told otherwise, without anything but the standard library.
+"""
 
 import math
 from collections.abc import Sequence
@@ -9,7 +12,9 @@ _SMALL = {1: 12.706204736, 2: 4.302652730, 3: 3.182446305, 4: 2.776445105, 5: 2.
 
 
 def wilson_interval(hits: int, trials: int, *, confidence: float = 0.95) -> tuple[float, float]:
-    r"""The interval of a share, Wilson 1927; honest for few trials and for shares of 0 and 1, where hits/trials ± error is not.
+    r"""The interval of a share, Wilson 1927.
+
+    Honest for few trials and for shares of 0 and 1, where hits/trials ± error is not.
 
     $$ \frac{\hat p + z^2/2n \pm z \sqrt{\hat p (1 - \hat p)/n + z^2/4n^2}}{1 + z^2/n} $$
 
@@ -22,7 +27,9 @@ def wilson_interval(hits: int, trials: int, *, confidence: float = 0.95) -> tupl
         ValueError: If hits lies outside 0 to trials, or there are no trials.
     """
     if trials < 1 or not 0 <= hits <= trials:
-        raise ValueError(f"hits = {hits} of trials = {trials}: allowed are 1 trial or more, and hits from 0 to trials")
+        raise ValueError(
+            f"hits = {hits} of trials = {trials}: allowed are 1 trial or more, and hits from 0 to trials"
+        )
     z = NormalDist().inv_cdf(0.5 + 0.5 * confidence)
     share, square = hits / trials, z * z / trials
     middle = share + 0.5 * square

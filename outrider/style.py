@@ -1,7 +1,7 @@
 """The one visual language of every picture: colours, fonts, axes, and how a figure is made and saved.
 
-Blue flies, orange drives, red is the limit of sight: solid where it must not be crossed (r_v), dashed where only tracking
-acts (r_s). Drawn with matplotlib's objects on Agg; nothing here touches pyplot or leaves a setting behind.
+Blue flies, orange drives, red is the limit of sight: solid where it must not be crossed (r_v), dashed where only
+tracking acts (r_s). Drawn with matplotlib's objects on Agg; nothing here touches pyplot or leaves a setting behind.
 """
 
 from collections.abc import Iterator, Sequence
@@ -70,7 +70,10 @@ _LOOK: dict[str, Any] = {
 
 @contextmanager
 def look() -> Iterator[None]:
-    """While it is open, new artists look like ours, whatever the user's own settings are; afterwards all is as before."""
+    """While it is open, new artists look like ours, whatever the user's own settings are.
+
+    Afterwards all is as before.
+    """
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(_LOOK)  # type: ignore[arg-type]
@@ -85,7 +88,9 @@ def new_figure(width: int, height: int, *, header: float = 0.0) -> Figure:
         height: [px].
         header: Share of the height that is kept free at the top.
     """
-    figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI, facecolor="white", layout="constrained")
+    figure = Figure(
+        figsize=(width / DPI, height / DPI), dpi=DPI, facecolor="white", layout="constrained"
+    )
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.set(rect=(0.008, 0.01, 0.984, 0.98 - header), w_pad=0.06, h_pad=0.06)  # type: ignore[call-arg]
@@ -125,11 +130,21 @@ def ground(axes: Axes, width: float, height: float) -> None:
 
 
 def ring(
-    axes: Axes, center: tuple[float, float], radius: float, *, color: str = LIMIT, dashed: bool = False, width: float = 1.5
+    axes: Axes,
+    center: tuple[float, float],
+    radius: float,
+    *,
+    color: str = LIMIT,
+    dashed: bool = False,
+    width: float = 1.5,
 ) -> None:
     """A circle on the ground."""
     line = DASHED if dashed else "-"
-    axes.add_patch(Circle(center, radius, fill=False, edgecolor=color, linewidth=width, linestyle=line, zorder=5))
+    axes.add_patch(
+        Circle(
+            center, radius, fill=False, edgecolor=color, linewidth=width, linestyle=line, zorder=5
+        )
+    )
 
 
 def limits_of_sight(axes: Axes, r_v: float | None, r_s: float | None) -> None:
@@ -137,7 +152,9 @@ def limits_of_sight(axes: Axes, r_v: float | None, r_s: float | None) -> None:
     for radius, name, line in ((r_v, "$r_v$", "-"), (r_s, "$r_s$", DASHED)):
         if radius is not None:
             axes.axhline(radius, color=LIMIT, linewidth=1.3, linestyle=line, zorder=1.5)
-            axes.text(1.012, radius, name, color=LIMIT, va="center", transform=axes.get_yaxis_transform())
+            axes.text(
+                1.012, radius, name, color=LIMIT, va="center", transform=axes.get_yaxis_transform()
+            )
 
 
 def coverage_bar(figure: Figure, image: AxesImage, axes: Axes | Sequence[Axes]) -> None:
@@ -149,7 +166,9 @@ def coverage_bar(figure: Figure, image: AxesImage, axes: Axes | Sequence[Axes]) 
 
 def legend_above(axes: Axes) -> None:
     """A legend in one line, to the right of the title."""
-    legend = axes.legend(loc="lower right", bbox_to_anchor=(1.01, 0.95), ncols=4, markerscale=4.0, columnspacing=1.2)
+    legend = axes.legend(
+        loc="lower right", bbox_to_anchor=(1.01, 0.95), ncols=4, markerscale=4.0, columnspacing=1.2
+    )
     legend.set_in_layout(False)
 
 

@@ -26,7 +26,10 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     scenario: str
     seed: int
     secret: str = ""
-    """Of the run, for its owner alone: with the seed it gives the same flight again. Empty: none, and the seed alone does."""
+    """Of the run, for its owner alone: with the seed it gives the same flight again.
+
+    Empty: none, and the seed alone does.
+    """
     law: str
     dt: float
     """[s]"""
@@ -83,7 +86,10 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     changes: list[Change] = []
     """What operators have changed while it flew, and at which tick."""
     deterministic: bool
-    """Whether every command came in time and no operator had a hand in it: the hash is that of scenario, seed and secret."""
+    """Whether every command came in time and no operator had a hand in it.
+
+    The hash is that of scenario, seed and secret.
+    """
     first_missing_tick: int | None
     trajectory_sha256: str
     platform: dict[str, str]
@@ -159,7 +165,10 @@ def summarize(
     """
     scenario, recorder, world = flight.scenario, flight.recorder, flight.world
     distance, error = recorder.escorts[:, :, 0], recorder.escorts[:, :, 1]
-    p_a, p_g = recorder.states[:, world.escorts[:, 0], :2], recorder.states[:, world.escorts[:, 1], :2]
+    p_a, p_g = (
+        recorder.states[:, world.escorts[:, 0], :2],
+        recorder.states[:, world.escorts[:, 1], :2],
+    )
     radii = [switching_radius_of(flight, k) for k in range(len(world.uavs))]
     beyond = distance >= np.array([math.inf if r_s is None else r_s for r_s in radii])
     return Summary(
@@ -191,7 +200,8 @@ def summarize(
         realtime_factor=recorder.ticks * scenario.dt / seconds if seconds > 0.0 else 0.0,
         late_ticks=late_ticks,
         changes=list(changes),
-        deterministic=flight.first_missing is None and not any(change.control.action in _FLOWN for change in changes),
+        deterministic=flight.first_missing is None
+        and not any(change.control.action in _FLOWN for change in changes),
         first_missing_tick=flight.first_missing,
         trajectory_sha256=recorder.sha256(),
         platform=platform_row(),

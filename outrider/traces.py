@@ -65,28 +65,38 @@ def _briefing(scenario: Scenario, seed: int, uav: str, secret: str = "") -> UavB
 
 
 def velocity_errors(flight: Flight) -> tuple[FloatArray, FloatArray]:
-    """e_vel of (10) at each tick of the first UAV, and the velocity wanted (v_ref along u_si); both [m/s], shape (ticks, 2).
+    """e_vel of (10) at each tick of the first UAV, and the velocity wanted (v_ref along u_si).
 
-    What the UAV flew is gone through once more with its own law: with k_v = 1 and no border, the coverage term (11) is e_vel.
+    Both [m/s], shape (ticks, 2).
+
+    What the UAV flew is gone through once more with its own law: with k_v = 1 and no border, the coverage term
+    (11) is e_vel.
     """
     told = _briefing(flight.scenario, flight.seed, flight.world.uavs[0].name, flight.secret)
     c = law_parameters(told, told.law)._replace(k_v=1.0, margin=0.0)
     coverage, state = empty_coverage(c.width, c.height, c.cell), initial_state()
     for region in told.covered:
         cover(coverage, region.lower, region.upper, c.cell, c.desired)
-    states, estimates = flight.recorder.states[:, flight.world.escorts[0, 0]], flight.recorder.escorts[:, 0, 4:6]
+    states, estimates = (
+        flight.recorder.states[:, flight.world.escorts[0, 0]],
+        flight.recorder.escorts[:, 0, 4:6],
+    )
     errors = np.empty((flight.recorder.ticks, 2))
     for tick in range(flight.recorder.ticks):
         p_x, p_y, v_x, v_y = states[tick, :4].tolist()
         if tick > 0:
             accumulate(coverage, p_x, p_y, c.sensor, c.peak, c.reach, c.cell, c.dt)
-        errors[tick] = coverage_term(c, coverage, state, tick, p_x, p_y, v_x, v_y, *estimates[tick].tolist())
+        errors[tick] = coverage_term(
+            c, coverage, state, tick, p_x, p_y, v_x, v_y, *estimates[tick].tolist()
+        )
     return errors, errors + states[: flight.recorder.ticks, 2:4]
 
 
 def searching(wanted: FloatArray) -> BoolArray:
     """The ticks at which the UAV wants to move at all, because something is uncovered."""
-    found: BoolArray = np.linalg.norm(wanted, axis=1) > 0.5 * float(np.linalg.norm(wanted, axis=1).max())
+    found: BoolArray = np.linalg.norm(wanted, axis=1) > 0.5 * float(
+        np.linalg.norm(wanted, axis=1).max()
+    )
     return found
 
 
@@ -94,7 +104,9 @@ def turns(wanted: FloatArray) -> FloatArray:
     """How far u_si has turned at each tick, at most over the last few ticks, each against the one before [rad]."""
     course = wanted[:, 0] + 1j * wanted[:, 1]
     step = np.concatenate(([0.0], np.abs(np.angle(course[1:] * course[:-1].conj()))))
-    found: FloatArray = np.max([np.concatenate((np.zeros(k), step[: len(step) - k])) for k in range(WINDOW)], axis=0)
+    found: FloatArray = np.max(
+        [np.concatenate((np.zeros(k), step[: len(step) - k])) for k in range(WINDOW)], axis=0
+    )
     return found
 
 

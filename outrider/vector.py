@@ -1,8 +1,9 @@
 """Many worlds at once for whoever trains: a Gymnasium vector environment for one vehicle, and one for all of them.
 
-`docs/environment.md` says what a vehicle observes and is paid: it is the same here, bit for bit, as in `outrider.parallel_env`.
-An episode that ends begins anew in the same step (Gymnasium's SAME_STEP): the observation is the new episode's first one, and the
-last one of the old episode is in `infos["final_obs"]`.
+`docs/environment.md` says what a vehicle observes and is paid: it is the same here, bit for bit, as in
+`outrider.parallel_env`.
+An episode that ends begins anew in the same step (Gymnasium's SAME_STEP): the observation is the new episode's
+first one, and the last one of the old episode is in `infos["final_obs"]`.
 """
 
 import operator
@@ -49,14 +50,16 @@ def _checked_count(num_envs: int) -> int:
 
 
 class Worlds:
-    """What both vector environments stand on: the closed loop, its seeds, spaces, and the change from one episode to the next.
+    """What both vector environments stand on.
+
+    The closed loop, its seeds, spaces, and the change from one episode to the next.
 
     Args:
         scenario: A shipped name, a file, or a scenario.
         num_envs: How many worlds.
         learners: Vehicles whose actions come from outside.
-        others: Who flies or drives the other vehicles: a law or driver by name, or a policy for all worlds at once. By default
-            the scenario's law and drivers.
+        others: Who flies or drives the other vehicles: a law or driver by name, or a policy for all worlds at
+            once. By default the scenario's law and drivers.
         duration: Length of an episode [s], instead of the scenario's.
         rewards: What the vehicles are paid for.
         end_on_sight_lost: Whether an episode terminates when a UAV loses sight.
@@ -93,7 +96,9 @@ class Worlds:
         if dtype not in {np.float32, np.float64}:
             raise ValueError(f"dtype = {dtype!r}; allowed: np.float32, np.float64")
         loaded = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
-        self.scenario = check_scenario(loaded if duration is None else msgspec.structs.replace(loaded, duration=duration))
+        self.scenario = check_scenario(
+            loaded if duration is None else msgspec.structs.replace(loaded, duration=duration)
+        )
         names = [vehicle.name for vehicle in self.scenario.vehicles]
         self.learners = list(names if learners is None else learners)
         for name in self.learners:
@@ -104,7 +109,9 @@ class Worlds:
         if self._patch is not None:
             self._patch.check()
         given = dict(others or {})
-        self._policies = {name: pilot for name, pilot in given.items() if not isinstance(pilot, str)}
+        self._policies = {
+            name: pilot for name, pilot in given.items() if not isinstance(pilot, str)
+        }
         named = {name: pilot for name, pilot in given.items() if isinstance(pilot, str)}
         self._check_others(given, named, names)
         self._gradient = gradient
@@ -135,7 +142,9 @@ class Worlds:
         self.begun = False
         """Whether there is an episode to step."""
 
-    def _check_others(self, given: Mapping[str, object], named: Mapping[str, str], names: list[str]) -> None:
+    def _check_others(
+        self, given: Mapping[str, object], named: Mapping[str, str], names: list[str]
+    ) -> None:
         for name, pilot in given.items():
             if name not in names:
                 raise ValueError(f"others: {name!r}: no such vehicle; allowed: {', '.join(names)}")
@@ -174,20 +183,28 @@ class Worlds:
         u = self.loop.uavs.index(name)
         width = len(UavRow._fields) + (len(GradientCue._fields) if self._gradient else 0)
         row = state.uav_rows[:, u, :width].astype(self._dtype)
-        return row if self._patch is None else {"row": row, "coverage": state.patches[:, u].astype(self._dtype)}
+        return (
+            row
+            if self._patch is None
+            else {"row": row, "coverage": state.patches[:, u].astype(self._dtype)}
+        )
 
     def infos(self, name: str) -> dict[str, Any]:
         """Facts of a vehicle's own that are in no row, in all worlds, with Gymnasium's masks."""
         found: dict[str, Any] = {}
         if name in self.loop.ugvs:
-            found["goals_reached"] = self.loop.state.ugv_seats[:, self.loop.ugvs.index(name), REACHED].astype(np.int64)
+            found["goals_reached"] = self.loop.state.ugv_seats[
+                :, self.loop.ugvs.index(name), REACHED
+            ].astype(np.int64)
         elif self._shielded and name in self._hands:
             seats = self.loop.state.uav_seats[:, self.loop.uavs.index(name)]
             found["intervened"], found["certified"] = seats[:, ACTED] != 0.0, seats[:, SURE] != 0.0
             found["certified_distance"] = seats[:, BOUND].copy()
         return found | {f"_{key}": np.ones(self.num_envs, dtype=np.bool_) for key in found}
 
-    def reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> None:
+    def reset(
+        self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None
+    ) -> None:
         """Begin episodes: in all worlds, or in those of the boolean array `options["reset_mask"]`.
 
         Raises:
@@ -197,7 +214,9 @@ class Worlds:
         if options is not None and options.get("reset_mask") is not None:
             mask = np.asarray(options["reset_mask"])
             if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
-                raise ValueError(f"options['reset_mask']: must be {self.num_envs} booleans, at least one of them true")
+                raise ValueError(
+                    f"options['reset_mask']: must be {self.num_envs} booleans, at least one of them true"
+                )
             if not self.begun and not mask.all():
                 raise ResetNeeded("reset() all worlds before a part of them")
         seeds = self._given(seed)
@@ -215,7 +234,9 @@ class Worlds:
         try:
             first = operator.index(seed)
         except TypeError:
-            raise ValueError(f"seed = {seed!r}: must be a whole number, or one for each world") from None
+            raise ValueError(
+                f"seed = {seed!r}: must be a whole number, or one for each world"
+            ) from None
         return [first + k for k in range(self.num_envs)]
 
     def _begin(self, which: npt.NDArray[np.int64], seeds: Sequence[int | None]) -> None:
@@ -242,15 +263,21 @@ class Worlds:
 
         Raises:
             ResetNeeded: Before the first reset.
-            ValueError: If an action is missing, of nobody, or not two finite numbers for each world; nothing has happened then.
+            ValueError: If an action is missing, of nobody, or not two finite numbers for each world; nothing has
+                happened then.
         """
         if not self.begun:
             raise ResetNeeded("step() before reset()")
         if set(actions) != set(self.learners):
             given = ", ".join(map(str, actions)) or "nobody"
-            raise ValueError(f"actions for: {given}; needed is one for each of: {', '.join(self.learners)}")
+            raise ValueError(
+                f"actions for: {given}; needed is one for each of: {', '.join(self.learners)}"
+            )
         taken = [take_batch(name, actions[name], self.num_envs) for name in self.learners]
-        taken += [take_batch(name, policy(self.observe(name)), self.num_envs) for name, policy in self._policies.items()]
+        taken += [
+            take_batch(name, policy(self.observe(name)), self.num_envs)
+            for name, policy in self._policies.items()
+        ]
         for place, action in enumerate(taken):
             self._actions[:, place] = action
         self.loop.step(self._actions)
@@ -273,7 +300,11 @@ class Worlds:
         last, told = self.observe(name), self.infos(name)
         observations = np.full(self.num_envs, None, dtype=object)
         for k in np.flatnonzero(ended).tolist():
-            observations[k] = {key: array[k] for key, array in last.items()} if isinstance(last, dict) else last[k]
+            observations[k] = (
+                {key: array[k] for key, array in last.items()}
+                if isinstance(last, dict)
+                else last[k]
+            )
         info = {key: value for key, value in told.items() if not key.startswith("_")}
         info["episode"] = {
             "r": np.where(ended, self._returns[:, self._rows[name]], 0.0),
@@ -282,7 +313,12 @@ class Worlds:
             "_l": ended.copy(),
         }
         final_info = info | {f"_{key}": ended.copy() for key in info}
-        return {"final_obs": observations, "_final_obs": ended.copy(), "final_info": final_info, "_final_info": ended.copy()}
+        return {
+            "final_obs": observations,
+            "_final_obs": ended.copy(),
+            "final_info": final_info,
+            "_final_info": ended.copy(),
+        }
 
     def begin_ended(self, ended: npt.NDArray[np.bool_]) -> None:
         """New episodes in these worlds, each with the seed that follows from its last one."""
@@ -301,8 +337,8 @@ class Worlds:
 class OutriderVectorEnv(VectorEnv):
     """One vehicle learns in many worlds at once; the others fly and drive in the compiled loop.
 
-    World k, once reset with a seed, is bit for bit `outrider.parallel_env` with that seed, the same actions, and the others'
-    pilots. Arguments beside these are those of `Worlds`.
+    World k, once reset with a seed, is bit for bit `outrider.parallel_env` with that seed, the same actions, and
+    the others' pilots. Arguments beside these are those of `Worlds`.
 
     Args:
         scenario: A shipped name, a file, or a scenario.
@@ -335,13 +371,16 @@ class OutriderVectorEnv(VectorEnv):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Observation, dict[str, Any]]:
         """Begin an episode in every world.
 
         Args:
-            seed: World k gets seed + k; or one seed for each. Without any, the first episodes have the scenario's seed and those
-                after it, and each later one a seed derived from the last that was given to its world.
+            seed: World k gets seed + k; or one seed for each. Without any, the first episodes have the scenario's
+                seed and those after it, and each later one a seed derived from the last that was given to its world.
             options: `reset_mask`, booleans: which worlds.
 
         Returns:
@@ -352,7 +391,9 @@ class OutriderVectorEnv(VectorEnv):
 
     def step(
         self, actions: npt.ArrayLike
-    ) -> tuple[Observation, FloatArray, npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
+    ) -> tuple[
+        Observation, FloatArray, npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]
+    ]:
         """Let the vehicle act for one tick in every world.
 
         Args:
@@ -368,7 +409,13 @@ class OutriderVectorEnv(VectorEnv):
         if ended.any():
             final = self.worlds.final(self.agent, ended)
             self.worlds.begin_ended(ended)
-        return self.worlds.observe(self.agent), rewards, terminated, truncated, self.worlds.infos(self.agent) | final
+        return (
+            self.worlds.observe(self.agent),
+            rewards,
+            terminated,
+            truncated,
+            self.worlds.infos(self.agent) | final,
+        )
 
     def metrics(self) -> dict[str, dict[str, FloatArray]]:
         """How each UAV truly stands in its episode, in all worlds: for people and logs, not for policies."""
@@ -380,7 +427,9 @@ class OutriderVectorEnv(VectorEnv):
 
 
 class OutriderParallelVectorEnv:
-    """All vehicles learn, in many worlds at once: PettingZoo's parallel interface with arrays that have an axis for worlds.
+    """All vehicles learn, in many worlds at once.
+
+    PettingZoo's parallel interface with arrays that have an axis for worlds.
 
     Args:
         scenario: A shipped name, a file, or a scenario.
@@ -393,7 +442,11 @@ class OutriderParallelVectorEnv:
         ValueError: If another argument is not allowed.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"name": "outrider_v0", "render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
+    metadata: ClassVar[dict[str, Any]] = {
+        "name": "outrider_v0",
+        "render_modes": [],
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+    }
 
     def __init__(
         self,
@@ -418,7 +471,9 @@ class OutriderParallelVectorEnv:
         return self.worlds.action_spaces[agent]
 
     def reset(
-        self, seed: int | Sequence[int | None] | None = None, options: Mapping[str, Any] | None = None
+        self,
+        seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
         """Begin an episode in every world; arguments as in `OutriderVectorEnv.reset`."""
         self.worlds.reset(seed, options)
@@ -446,10 +501,14 @@ class OutriderParallelVectorEnv:
 
         Raises:
             ResetNeeded: Before the first reset.
-            ValueError: If an agent's actions are missing or not two finite numbers for each world; nothing has happened then.
+            ValueError: If an agent's actions are missing or not two finite numbers for each world; nothing has
+                happened then.
         """
         ended = self.worlds.step(actions)
-        rewards, (terminated, truncated) = {name: self.worlds.rewards(name) for name in self.agents}, self.worlds.ends()
+        rewards, (terminated, truncated) = (
+            {name: self.worlds.rewards(name) for name in self.agents},
+            self.worlds.ends(),
+        )
         final: dict[str, dict[str, Any]] = {name: {} for name in self.agents}
         if ended.any():
             final = {name: self.worlds.final(name, ended) for name in self.agents}

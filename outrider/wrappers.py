@@ -1,8 +1,11 @@
-"""Wrappers that prepare observations for learning; each takes a PettingZoo parallel environment or a Gymnasium vector one.
+"""Wrappers that prepare observations for learning.
+
+Each takes a PettingZoo parallel environment or a Gymnasium vector one.
 
     env = history(normalized(egocentric(outrider.parallel_env("escort"))), 4)
 
-`outrider.observations` says what each does. They are ordinary wrappers of their ecosystem: they go around each other, and
+`outrider.observations` says what each does. They are ordinary wrappers of their ecosystem: they go around each
+other, and
 around or inside those of others. What needs rows in SI units goes first: `agents.wrappers`, then `egocentric`, then
 `coverage_image` and `normalized`, then `history`.
 """
@@ -22,7 +25,13 @@ from outrider.observations.body import Egocentric
 from outrider.observations.history import History
 from outrider.observations.image import CoverageImage
 from outrider.observations.normalized import Normalized
-from outrider.observations.transformation import COVERAGE, Channels, Observation, Transformation, Worlds
+from outrider.observations.transformation import (
+    COVERAGE,
+    Channels,
+    Observation,
+    Transformation,
+    Worlds,
+)
 
 _ONE_WORLD: Worlds = np.array(True)
 
@@ -49,11 +58,15 @@ class ParallelObservations(BaseParallelWrapper):  # type: ignore[misc]
         super().__init__(env)
         unknown = set(agents or ()) - set(env.possible_agents)
         if unknown or isinstance(agents, str):
-            raise ValueError(f"agents = {agents!r}; allowed: a list of any of {', '.join(env.possible_agents)}")
+            raise ValueError(
+                f"agents = {agents!r}; allowed: a list of any of {', '.join(env.possible_agents)}"
+            )
         self.observation_spaces: dict[str, spaces.Space[Any]] = {
             agent: env.observation_space(agent) for agent in env.possible_agents
         }
-        self.action_spaces: dict[str, spaces.Space[Any]] = {agent: env.action_space(agent) for agent in env.possible_agents}
+        self.action_spaces: dict[str, spaces.Space[Any]] = {
+            agent: env.action_space(agent) for agent in env.possible_agents
+        }
         self._transformations: dict[str, Transformation] = {}
         for agent in env.possible_agents if agents is None else agents:
             self._transformations[agent] = one = make()
@@ -71,7 +84,9 @@ class ParallelObservations(BaseParallelWrapper):  # type: ignore[misc]
         """The space of an agent's actions."""
         return self.action_spaces[agent]
 
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Begin an episode."""
         observations, infos = self.env.reset(seed=seed, options=options)
         begun = {
@@ -84,17 +99,24 @@ class ParallelObservations(BaseParallelWrapper):  # type: ignore[misc]
     def step(self, actions: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
         """Let all vehicles act for one tick."""
         own = self._transformations
-        acted = {agent: own[agent].action(action) if agent in own else action for agent, action in actions.items()}
+        acted = {
+            agent: own[agent].action(action) if agent in own else action
+            for agent, action in actions.items()
+        }
         observations, *rest = self.env.step(acted)
-        seen = {agent: one.apply(observations[agent]) for agent, one in own.items() if agent in observations}
+        seen = {
+            agent: one.apply(observations[agent])
+            for agent, one in own.items()
+            if agent in observations
+        }
         return observations | seen, *rest
 
 
 class VectorObservations(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes no arguments here
     """The observations of all worlds transformed, `infos["final_obs"]` too, each with the memory of its own episode.
 
-    `final_obs` keeps its form: an array or a dictionary of arrays, where worlds outside the mask have their observation of now,
-    or an array of objects.
+    `final_obs` keeps its form: an array or a dictionary of arrays, where worlds outside the mask have their
+    observation of now, or an array of objects.
 
     Args:
         env: The environment, or a wrapper of it; any autoreset mode.
@@ -109,7 +131,9 @@ class VectorObservations(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes
         try:
             self._mode = AutoresetMode(env.metadata["autoreset_mode"])
         except (KeyError, ValueError) as error:
-            raise ValueError(f"{env}: env.metadata['autoreset_mode'] must be a gymnasium.vector.AutoresetMode") from error
+            raise ValueError(
+                f"{env}: env.metadata['autoreset_mode'] must be a gymnasium.vector.AutoresetMode"
+            ) from error
         self._transformation = make()
         self.single_observation_space = self._transformation.space(env.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
@@ -176,7 +200,11 @@ def _in_form(seen: Observation, final: Any, worlds: Worlds) -> Any:  # noqa: ANN
         return seen
     form = np.full(len(worlds), None, dtype=object)
     for k in np.flatnonzero(worlds):
-        form[k] = {key: array[k].copy() for key, array in seen.items()} if isinstance(seen, dict) else seen[k].copy()
+        form[k] = (
+            {key: array[k].copy() for key, array in seen.items()}
+            if isinstance(seen, dict)
+            else seen[k].copy()
+        )
     return form
 
 
@@ -199,11 +227,15 @@ def transformed(
     """
     if isinstance(env, VectorEnv):
         if agents is not None:
-            raise ValueError(f"agents = {agents!r}; the worlds of a vector environment have one observation each: leave it out")
+            raise ValueError(
+                f"agents = {agents!r}; the worlds of a vector environment have one observation each: leave it out"
+            )
         return VectorObservations(env, make)
     if isinstance(env, ParallelEnv):
         return ParallelObservations(env, make, agents=agents)
-    raise TypeError(f"env must be a PettingZoo ParallelEnv or a gymnasium.vector.VectorEnv, not {type(env).__name__}")
+    raise TypeError(
+        f"env must be a PettingZoo ParallelEnv or a gymnasium.vector.VectorEnv, not {type(env).__name__}"
+    )
 
 
 def normalized(
@@ -232,7 +264,11 @@ def history(
     agents: Collection[str] | None = None,
 ) -> Any:  # noqa: ANN401
     """The last observations together; arguments as `outrider.observations.History`, errors as `transformed`."""
-    return transformed(env, lambda: History(length, stride=stride, new_axis=new_axis, channels=channels), agents=agents)
+    return transformed(
+        env,
+        lambda: History(length, stride=stride, new_axis=new_axis, channels=channels),
+        agents=agents,
+    )
 
 
 def coverage_image(
@@ -252,8 +288,12 @@ def coverage_image(
     """
     if agents is None and isinstance(env, ParallelEnv):
         agents = [
-            agent for agent in env.possible_agents if COVERAGE in (getattr(env.observation_space(agent), "spaces", None) or ())
+            agent
+            for agent in env.possible_agents
+            if COVERAGE in (getattr(env.observation_space(agent), "spaces", None) or ())
         ]
         if not agents:
-            raise ValueError("coverage_image: no agent observes 'coverage': make the environment with coverage_patch")
+            raise ValueError(
+                "coverage_image: no agent observes 'coverage': make the environment with coverage_patch"
+            )
     return transformed(env, lambda: CoverageImage(channels=channels, only=only), agents=agents)

@@ -1,7 +1,7 @@
 """Whether the safety filters tell the truth: what each UAV reports, held against what the simulator knows.
 
-Two counts must be 0 in every flight of every law and network: ticks that are certified while the UGV is out of sight, and
-certificates that are lost although every declared assumption holds.
+Two counts must be 0 in every flight of every law and network: ticks that are certified while the UGV is out of
+sight, and certificates that are lost although every declared assumption holds.
 """
 
 import math
@@ -70,7 +70,10 @@ class Assumptions:
         self._obeyed = self._sent[due % len(self._sent)] == (due, acceleration)
 
     def hold(self, tick: int) -> bool:
-        """Whether they do now: the newest detection's age, all detections' errors, the command that acted just before."""
+        """Whether they do now.
+
+        The newest detection's age, all detections' errors, the command that acted just before.
+        """
         return self._exact and self._obeyed and tick - self._newest <= self._age
 
 
@@ -91,10 +94,15 @@ class Assurance:
         self.reasons: Counter[str] = Counter()
         """Why ticks were not certified."""
         self.certified_while_lost = 0
-        """Ticks that were certified although the UGV was out of sight then; the certificate is wrong if there is one."""
+        """Ticks that were certified although the UGV was out of sight then.
+
+        The certificate is wrong if there is one.
+        """
         self.certificate_broken = 0
         """Ticks that were not certified although the one before was and all assumptions hold; likewise."""
-        uavs = [one.name for one in scenario.vehicles if isinstance(one, Uav)]  # rows as the world's
+        uavs = [
+            one.name for one in scenario.vehicles if isinstance(one, Uav)
+        ]  # rows as the world's
         self._radius = scenario.visibility.radius
         self._assumptions = [Assumptions(declared(scenario, uav), scenario.dt) for uav in uavs]
         self._promised = [False] * len(uavs)
@@ -153,7 +161,9 @@ class Assurance:
             self.certified_while_lost += certified and distance >= self._radius
             if not certified:
                 self.reasons[report.uncertified] += 1
-                self.certificate_broken += current and self._promised[uav] and assumptions.hold(tick)
+                self.certificate_broken += (
+                    current and self._promised[uav] and assumptions.hold(tick)
+                )
         self._promised[uav] = certified and current
         assumptions.act(tick, acts)
 

@@ -69,7 +69,10 @@ class BatchState(NamedTuple):
     arrived: IntArray
     """How many. Shape (worlds, UAVs)."""
     answered: IntArray
-    """The tick that the newest command of each vehicle, as it has arrived, answers; -1: none. Shape (worlds, vehicles)."""
+    """The tick that the newest command of each vehicle, as it has arrived, answers; -1: none.
+
+    Shape (worlds, vehicles).
+    """
     message: FloatArray
     """Where a message is put together. Shape (worlds, 3)."""
     orders: FloatArray
@@ -101,7 +104,11 @@ def deliver_detections(t: BatchTables, s: BatchState, k: int) -> None:
         seen = not math.isnan(found[u, 0])
         if t.perfect_detections:
             s.arrived[k, u] = 1 if seen else 0
-            looks[u, 0, TAKEN], looks[u, 0, LOOK_X], looks[u, 0, LOOK_Y] = tick, found[u, 0], found[u, 1]
+            looks[u, 0, TAKEN], looks[u, 0, LOOK_X], looks[u, 0, LOOK_Y] = (
+                tick,
+                found[u, 0],
+                found[u, 1],
+            )
             continue
         p, link = parameters_of(t.ways_in, u), link_of(s.ways_in, k, u)
         key = key_of(keys, DETECTION_LINK, t.ways_in.vehicles[u])
@@ -114,8 +121,12 @@ def deliver_detections(t: BatchTables, s: BatchState, k: int) -> None:
 
 
 @inlined
-def act_on_commands(w: WorldParameters, t: BatchTables, s: BatchState, k: int, commands: FloatArray) -> None:
-    """The commands set out; each vehicle acts on its newest one that has arrived, and brakes where none has come for a while.
+def act_on_commands(
+    w: WorldParameters, t: BatchTables, s: BatchState, k: int, commands: FloatArray
+) -> None:
+    """The commands set out.
+
+    Each vehicle acts on its newest one that has arrived, and brakes where none has come for a while.
 
     A command that is not a number has not been given: nothing sets out.
     """
@@ -134,7 +145,11 @@ def act_on_commands(w: WorldParameters, t: BatchTables, s: BatchState, k: int, c
             send(p, link, key, message)
         for n in range(receive(link, orders)):
             if orders[n, 0] > answered[v]:
-                answered[v], acting[v, 0], acting[v, 1] = int(orders[n, 0]), orders[n, 1], orders[n, 2]
+                answered[v], acting[v, 0], acting[v, 1] = (
+                    int(orders[n, 0]),
+                    orders[n, 1],
+                    orders[n, 2],
+                )
         if tick - answered[v] > t.hold_ticks:
             v_x, v_y = s.truth.velocity[k, v, 0], s.truth.velocity[k, v, 1]
             acting[v, 0], acting[v, 1] = brake(v_x, v_y, t.bounds[v, 1], w.dt)
@@ -148,7 +163,9 @@ def begin_world(w: WorldParameters, t: BatchTables, s: BatchState, k: int) -> No
 
 
 @inlined
-def step_world(w: WorldParameters, t: BatchTables, s: BatchState, k: int, commands: FloatArray) -> None:
+def step_world(
+    w: WorldParameters, t: BatchTables, s: BatchState, k: int, commands: FloatArray
+) -> None:
     """World k advances by one tick under these commands [m/s²], shape (vehicles, 2), once they have crossed their links."""
     act_on_commands(w, t, s, k, commands)
     s.ticks[k] += 1
@@ -158,19 +175,25 @@ def step_world(w: WorldParameters, t: BatchTables, s: BatchState, k: int, comman
 
 
 @released
-def _begin_worlds(w: WorldParameters, t: BatchTables, s: BatchState, worlds: IntArray, begin: int, end: int) -> None:
+def _begin_worlds(
+    w: WorldParameters, t: BatchTables, s: BatchState, worlds: IntArray, begin: int, end: int
+) -> None:
     for n in range(begin, end):
         begin_world(w, t, s, worlds[n])
 
 
 @released
-def _step_worlds(w: WorldParameters, t: BatchTables, s: BatchState, commands: FloatArray, begin: int, end: int) -> None:
+def _step_worlds(
+    w: WorldParameters, t: BatchTables, s: BatchState, commands: FloatArray, begin: int, end: int
+) -> None:
     for k in range(begin, end):
         step_world(w, t, s, k, commands[k])
 
 
 @released
-def _measure_worlds(w: WorldParameters, t: BatchTables, s: BatchState, begin: int, end: int) -> None:
+def _measure_worlds(
+    w: WorldParameters, t: BatchTables, s: BatchState, begin: int, end: int
+) -> None:
     for k in range(begin, end):
         measure(w, s.truth.position[k], t.escorts, s.truth.coverage[k], s.truth.measures[k])
 
@@ -227,7 +250,11 @@ class Batch:
         """The threads that share the worlds."""
         self.ways_in = BatchLinks(scenario, LinkKind.DETECTIONS, 3, worlds)
         self.ways_out = BatchLinks(scenario, LinkKind.COMMANDS, 3, worlds)
-        first, escorts, vehicles = first_state(scenario), escorts_of(scenario), len(scenario.vehicles)
+        first, escorts, vehicles = (
+            first_state(scenario),
+            escorts_of(scenario),
+            len(scenario.vehicles),
+        )
         self.tables = BatchTables(
             bounds=bounds_of(scenario),
             escorts=escorts,
@@ -241,7 +268,9 @@ class Batch:
             keys=np.zeros((worlds, RUN_PURPOSES, vehicles, 2), dtype=np.uint64),
             ticks=np.zeros(worlds, dtype=np.int64),
             truth=WorldState._make(np.repeat(array[None], worlds, axis=0) for array in first),
-            looks=np.zeros((worlds, len(escorts), 1 if self.ways_in.perfect else self.ways_in.room, 3)),
+            looks=np.zeros(
+                (worlds, len(escorts), 1 if self.ways_in.perfect else self.ways_in.room, 3)
+            ),
             arrived=np.zeros((worlds, len(escorts)), dtype=np.int64),
             answered=np.full((worlds, vehicles), -1, dtype=np.int64),
             message=np.zeros((worlds, 3)),
@@ -252,7 +281,9 @@ class Batch:
         self.fresh = Fresh(self.state)
         """How every world begins."""
 
-    def begin(self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None = None) -> None:
+    def begin(
+        self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None = None
+    ) -> None:
         """Begin worlds anew.
 
         Args:
@@ -262,7 +293,9 @@ class Batch:
         which = self.restore(seeds, worlds)
         self.crew.share(_begin_worlds, len(which), self.parameters, self.tables, self.state, which)
 
-    def restore(self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None) -> IntArray:
+    def restore(
+        self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None
+    ) -> IntArray:
         """Let worlds be as they were at the start, with the keys of these seeds; before the first look.
 
         Args:
@@ -276,16 +309,21 @@ class Batch:
         if given.shape != which.shape:
             raise ValueError(f"{given.size} seeds for {which.size} worlds")
         self.fresh.restore(which)
-        self.state.keys[which] = derive_keys(given.tolist(), len(self.scenario.vehicles), self._secret)
+        self.state.keys[which] = derive_keys(
+            given.tolist(), len(self.scenario.vehicles), self._secret
+        )
         return which
 
     def step(self, commands: npt.NDArray[np.float64]) -> None:
         """All worlds advance by one tick.
 
         Args:
-            commands: Accelerations [m/s²], shape (worlds, vehicles, 2), finite; they cross the links, then (1) bounds them.
+            commands: Accelerations [m/s²], shape (worlds, vehicles, 2), finite; they cross the links, then (1)
+                bounds them.
         """
-        self.crew.share(_step_worlds, self.worlds, self.parameters, self.tables, self.state, commands)
+        self.crew.share(
+            _step_worlds, self.worlds, self.parameters, self.tables, self.state, commands
+        )
 
     def measure(self) -> FloatArray:
         """Distance [m] and e(t) [m²] of each UAV in each world, with the true p_g. Shape (worlds, UAVs, 2); a view."""
@@ -295,4 +333,8 @@ class Batch:
     def links(self, world: int) -> dict[str, LinkStatus]:
         """How each link of one world has done so far, by `vehicle/kind`."""
         kinds = {LinkKind.DETECTIONS: self.ways_in, LinkKind.COMMANDS: self.ways_out}
-        return {f"{name}/{kind}": one for kind, links in kinds.items() for name, one in links.status(world).items()}
+        return {
+            f"{name}/{kind}": one
+            for kind, links in kinds.items()
+            for name, one in links.status(world).items()
+        }

@@ -15,7 +15,9 @@ def _bound(value: float) -> float | None:
 
 def limits(vehicle: Uav | Ugv) -> Limits:
     """A vehicle's bounds as messages carry them."""
-    return Limits(max_speed=_bound(vehicle.max_speed), max_acceleration=_bound(vehicle.max_acceleration))
+    return Limits(
+        max_speed=_bound(vehicle.max_speed), max_acceleration=_bound(vehicle.max_acceleration)
+    )
 
 
 def _error(scenario: Scenario) -> float | None:
@@ -28,9 +30,15 @@ def declared(scenario: Scenario, uav: str) -> Certificate:
     """What a UAV may rely on."""
     given, commands = scenario.certificate, scenario.links.of(uav, LinkKind.COMMANDS)
     error = given.error if given.error is not None else _error(scenario)
-    longest = commands.delay + extra_delays(commands)[1] + (commands.reorder_delay if commands.reorder else 0.0)
+    longest = (
+        commands.delay
+        + extra_delays(commands)[1]
+        + (commands.reorder_delay if commands.reorder else 0.0)
+    )
     delay = given.delay if given.delay is not None else longest
-    return Certificate(error=error, age=given.age, delay=delay, margin=given.margin, hold=scenario.hold)
+    return Certificate(
+        error=error, age=given.age, delay=delay, margin=given.margin, hold=scenario.hold
+    )
 
 
 def briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> Briefing:

@@ -1,4 +1,7 @@
-"""Where numba keeps its cache, and how our functions are compiled: strict floating point, one cache for one source text."""
+"""Where numba keeps its cache, and how our functions are compiled.
+
+Strict floating point, one cache for one source text.
+"""
 
 import contextlib
 import fcntl
@@ -37,7 +40,10 @@ def _source_digest() -> str:
     for folder in ("sim", "agents", "outrider"):
         for path in sorted((root / folder).rglob("*.py")):
             text = path.read_bytes()
-            if any(mark in text for mark in (b"@compiled", b"@borrowing", b"@inlined", b"@released", b"@intrinsic")):
+            if any(
+                mark in text
+                for mark in (b"@compiled", b"@borrowing", b"@inlined", b"@released", b"@intrinsic")
+            ):
                 digest.update(text)
     return digest.hexdigest()[:16]
 
@@ -79,7 +85,10 @@ if _FOLDER is not None:
 
 
 def _compile(function: _F, **options: Any) -> _F:  # noqa: ANN401 - numba's
-    """No `fastmath`: the bits must not depend on who calls. No entry for C, which nobody uses and which takes time to compile."""
+    """No `fastmath`: the bits must not depend on who calls.
+
+    No entry for C, which nobody uses and which takes time to compile.
+    """
     njit: Any = numba.njit
     chosen = {"cache": _FOLDER is not None, "error_model": "numpy", "no_cfunc_wrapper": True}
     return cast("_F", njit(**chosen, **options)(function))
@@ -93,9 +102,10 @@ def compiled(function: _F) -> _F:
 def borrowing(function: _F) -> _F:
     """Compile as `compiled` does, but without reference counting: the function borrows its arrays.
 
-    Handing a view or a tuple of arrays about then costs nothing; counted, it costs more than a small kernel, the more so where
-    threads count the same array. Such a function cannot make arrays. One that returns views may only be called from another
-    that borrows, never from Python or `compiled`, which would count the view down.
+    Handing a view or a tuple of arrays about then costs nothing; counted, it costs more than a small kernel, the
+    more so where
+    threads count the same array. Such a function cannot make arrays. One that returns views may only be called
+    from another that borrows, never from Python or `compiled`, which would count the view down.
     """
     return _compile(function, _nrt=False)
 
@@ -103,14 +113,17 @@ def borrowing(function: _F) -> _F:
 def inlined(function: _F) -> _F:
     """Compile as `borrowing` does, but as a part of each caller: for what is handed the state of many worlds.
 
-    Such a state has a hundred arrays: a call would copy what describes them, some kilobytes, for one world's tick, and each
-    function would take seconds to compile for itself.
+    Such a state has a hundred arrays: a call would copy what describes them, some kilobytes, for one world's tick,
+    and each function would take seconds to compile for itself.
     """
     return _compile(function, _nrt=False, inline="always")
 
 
 def released(function: _F) -> _F:
-    """Compile as `borrowing` does, and give the interpreter away while it runs: for loops over worlds that threads share."""
+    """Compile as `borrowing` does, and give the interpreter away while it runs.
+
+    For loops over worlds that threads share.
+    """
     return _compile(function, _nrt=False, nogil=True)
 
 

@@ -70,7 +70,9 @@ class Desk:
         if self._next_seed is None:
             return None
         old = self._flight
-        self._flight = Flight(old.scenario, self._next_seed, secret=old.secret, episode=old.episode + 1)
+        self._flight = Flight(
+            old.scenario, self._next_seed, secret=old.secret, episode=old.episode + 1
+        )
         self._next_seed = None
         return self._flight
 
@@ -80,7 +82,9 @@ class Desk:
         Args:
             patience: How long to wait for something [s]; None: not at all.
         """
-        letter = self._controls.next_waiting() if patience is None else self._controls.receive(patience)
+        letter = (
+            self._controls.next_waiting() if patience is None else self._controls.receive(patience)
+        )
         while letter is not None:
             if isinstance(letter.message, Control):
                 self._do(letter.message)
@@ -97,7 +101,10 @@ class Desk:
             _DEEDS[control.action](self, control)
         except ScenarioError as error:
             refusal = f"an operator's {control.action} is refused: {error}"
-            self.refusals = [*self.refusals, f"tick {self._flight.world.tick}: {refusal}"[:_LONGEST]][-_REFUSALS:]
+            self.refusals = [
+                *self.refusals,
+                f"tick {self._flight.world.tick}: {refusal}"[:_LONGEST],
+            ][-_REFUSALS:]
             self._on_event(refusal)
             return
         self.changes.append(Change(tick=self._flight.world.tick, control=control))
@@ -124,18 +131,27 @@ class Desk:
     def _law(self, control: Control) -> None:
         if control.law is None:
             raise ScenarioError("law is missing")
-        check_scenario(msgspec.structs.replace(self._flight.scenario, law=control.law), source="law")
+        check_scenario(
+            msgspec.structs.replace(self._flight.scenario, law=control.law), source="law"
+        )
         self._flight.order(control.law)
 
     def _driver(self, control: Control) -> None:
         names = [control.vehicle] if control.vehicle is not None else list(self._ugvs)
         if control.vehicle is not None and control.vehicle not in self._ugvs:
-            raise ScenarioError(f"vehicle = {control.vehicle!r}: unknown; allowed: {', '.join(self._ugvs)}")
+            raise ScenarioError(
+                f"vehicle = {control.vehicle!r}: unknown; allowed: {', '.join(self._ugvs)}"
+            )
         if control.driver not in DRIVER_NAMES or control.driver == _OUTSIDE:
             allowed = (name for name in DRIVER_NAMES if name != _OUTSIDE)
-            raise ScenarioError(f"driver = {control.driver!r}: cannot take a wheel; allowed: {', '.join(allowed)}")
+            raise ScenarioError(
+                f"driver = {control.driver!r}: cannot take a wheel; allowed: {', '.join(allowed)}"
+            )
         scenario = self._flight.scenario
-        seated = [msgspec.structs.replace(ugv, driver=control.driver) if ugv.name in names else ugv for ugv in scenario.ugv]
+        seated = [
+            msgspec.structs.replace(ugv, driver=control.driver) if ugv.name in names else ugv
+            for ugv in scenario.ugv
+        ]
         check_scenario(msgspec.structs.replace(scenario, ugv=tuple(seated)), source="driver")
         for name in names:
             self._flight.seat(name, control.driver)

@@ -83,18 +83,43 @@ def link_faults(settings: LinkSettings, path: str = "") -> Iterator[Fault]:
         yield Fault(f"{path}jitter_shape", settings.jitter_shape, wrong, ", ".join(SHAPES))
         return
     if settings.keep not in KEEPS:
-        yield Fault(f"{path}keep", settings.keep, f"no such order{near(settings.keep, KEEPS)}", ", ".join(KEEPS))
+        yield Fault(
+            f"{path}keep",
+            settings.keep,
+            f"no such order{near(settings.keep, KEEPS)}",
+            ", ".join(KEEPS),
+        )
     if settings.burst_length > 0.0 and settings.burst_interval == 0.0:
-        yield Fault(f"{path}burst_interval", 0.0, "bursts without an end", f"above 0 s, since {path}burst_length is above 0")
+        yield Fault(
+            f"{path}burst_interval",
+            0.0,
+            "bursts without an end",
+            f"above 0 s, since {path}burst_length is above 0",
+        )
     if 0.0 < settings.blackout_interval < _SHORTEST:
-        yield Fault(f"{path}blackout_interval", settings.blackout_interval, "too short", f"0, or {_SHORTEST:g} s or more")
+        yield Fault(
+            f"{path}blackout_interval",
+            settings.blackout_interval,
+            "too short",
+            f"0, or {_SHORTEST:g} s or more",
+        )
     if settings.blackout_interval > 0.0 and settings.blackout_length == 0.0:
         allowed = f"above 0 s, since {path}blackout_interval is above 0"
         yield Fault(f"{path}blackout_length", 0.0, "blackouts that do not last", allowed)
     if settings.reorder > 0.0 and settings.reorder_delay == 0.0:
-        yield Fault(f"{path}reorder_delay", 0.0, "nothing is held back", f"above 0 s, since {path}reorder is above 0")
+        yield Fault(
+            f"{path}reorder_delay",
+            0.0,
+            "nothing is held back",
+            f"above 0 s, since {path}reorder is above 0",
+        )
     if 0.0 < settings.bandwidth < _SLOWEST:
-        yield Fault(f"{path}bandwidth", settings.bandwidth, "too small", f"0 for no limit, or {_SLOWEST:g} /s or more")
+        yield Fault(
+            f"{path}bandwidth",
+            settings.bandwidth,
+            "too small",
+            f"0 for no limit, or {_SLOWEST:g} /s or more",
+        )
     longest = settings.delay + extra_delays(settings)[1] + settings.reorder_delay
     if longest > _LONGEST:
         wrong = f"the delay can be {longest:.4g} s with jitter and reordering"
@@ -108,9 +133,16 @@ def _number_faults(settings: LinkSettings, path: str) -> Iterator[Fault]:
             yield Fault(f"{path}{field}", value, "not a number", "finite numbers")
     for k, (start, length) in enumerate(settings.blackouts):
         if not 0.0 <= start < math.inf:
-            yield Fault(f"{path}blackouts.{k}.0", start, "a blackout begins before the run", "0 s or more, finite")
+            yield Fault(
+                f"{path}blackouts.{k}.0",
+                start,
+                "a blackout begins before the run",
+                "0 s or more, finite",
+            )
         if not 0.0 < length < math.inf:
-            yield Fault(f"{path}blackouts.{k}.1", length, "a blackout does not last", "above 0 s, finite")
+            yield Fault(
+                f"{path}blackouts.{k}.1", length, "a blackout does not last", "above 0 s, finite"
+            )
 
 
 def check_link(settings: LinkSettings, where: str) -> LinkSettings:
@@ -132,7 +164,9 @@ def check_link(settings: LinkSettings, where: str) -> LinkSettings:
     return checked
 
 
-def _dark_ticks(settings: LinkSettings, dt: float) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:
+def _dark_ticks(
+    settings: LinkSettings, dt: float
+) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:
     """Rows (first dark tick, first tick after) in order; what overlaps is one."""
     rows: list[list[int]] = []
     for start, length in sorted(settings.blackouts):
@@ -163,10 +197,19 @@ def link_parameters(settings: LinkSettings, dt: float, *, per_tick: int = 1) -> 
     if bursts:
         share = settings.burst_length / (settings.burst_length + settings.burst_interval)
         decay = -math.expm1(-dt / settings.burst_length - dt / settings.burst_interval)
-    longest = in_ticks(settings.delay + most + (settings.reorder_delay if settings.reorder > 0.0 else 0.0), dt)
+    longest = in_ticks(
+        settings.delay + most + (settings.reorder_delay if settings.reorder > 0.0 else 0.0), dt
+    )
     room = per_tick * (longest + 1) + (settings.queue if settings.bandwidth > 0.0 else 0)
     blackouts = _dark_ticks(settings, dt)
-    harmless = (settings.loss, settings.bandwidth, settings.blackout_interval, settings.duplicates, longest, len(blackouts))
+    harmless = (
+        settings.loss,
+        settings.bandwidth,
+        settings.blackout_interval,
+        settings.duplicates,
+        longest,
+        len(blackouts),
+    )
     return LinkParameters(
         perfect=not bursts and not any(harmless),
         dt=dt,
@@ -200,8 +243,8 @@ def link_parameters(settings: LinkSettings, dt: float, *, per_tick: int = 1) -> 
 def least_ticks(p: LinkParameters) -> int:
     """The age in ticks below which no message arrives, if one is sent in every tick; with a sender that is kept busy.
 
-    Where the bandwidth is less than one message a tick the queue fills and stays full. From then on each message that leaves
-    has waited `queue` ticks if the newest are kept, and `queue` spacings if the oldest are.
+    Where the bandwidth is less than one message a tick the queue fills and stays full. From then on each message
+    that leaves has waited `queue` ticks if the newest are kept, and `queue` spacings if the oldest are.
     """
     waits = 0
     if p.spacing > 1.0 + DUST:
@@ -225,9 +268,10 @@ def arrival_share(p: LinkParameters, ticks: int) -> float:
 def relink(old: LinkParameters, state: LinkState, new: LinkParameters) -> LinkState:
     """The state with which a link goes on under new parameters, between two ticks.
 
-    What flies arrives when it would have; what waits goes on waiting, but for what a shorter queue drops; the message that left
-    last keeps the new spacing to the next. Counters stay. A burst or random blackout goes on where there still are any; the
-    time to the next random blackout is drawn anew, from now on, if its law has changed.
+    What flies arrives when it would have; what waits goes on waiting, but for what a shorter queue drops; the
+    message that left
+    last keeps the new spacing to the next. Counters stay. A burst or random blackout goes on where there still are
+    any; the time to the next random blackout is drawn anew, from now on, if its law has changed.
 
     Args:
         old: Parameters so far.
@@ -237,7 +281,12 @@ def relink(old: LinkParameters, state: LinkState, new: LinkParameters) -> LinkSt
     tick, before = int(state.counts[TICK]), LinkState._make(array.copy() for array in state)
     waiting, flying = int(state.counts[WAITING]), int(state.counts[FLYING])
     ahead = max((int(due) - tick for due in _dues(state)), default=0)
-    fresh = link_state(new, state.payload.shape[1], room=new.room + 2 * waiting + flying, wheel=max(new.longest, ahead) + 1)
+    fresh = link_state(
+        new,
+        state.payload.shape[1],
+        room=new.room + 2 * waiting + flying,
+        wheel=max(new.longest, ahead) + 1,
+    )
     kept = [k for k in range(len(state.counts)) if k not in (FREE, WAITING, FLYING)]
     fresh.counts[kept], fresh.numbers[:] = state.counts[kept], state.numbers
     for k in range(waiting):
@@ -291,7 +340,9 @@ def _change_weather(old: LinkParameters, new: LinkParameters, state: LinkState) 
         state.numbers[DARK_FROM] = state.numbers[DARK_TO] = tick
 
 
-def link_status(parameters: LinkParameters, state: LinkState, settings: LinkSettings | None = None) -> LinkStatus:
+def link_status(
+    parameters: LinkParameters, state: LinkState, settings: LinkSettings | None = None
+) -> LinkStatus:
     """What a link has done so far, from its state; and its settings, where they are given."""
     count, numbers, dt = state.counts.tolist(), state.numbers.tolist(), parameters.dt
     lost, ages = dict(zip(CAUSES, count[LOST:], strict=True)), count[AGES]
@@ -325,7 +376,9 @@ class Link:
         per_tick: Messages that may be sent in every tick without any being lost for want of room.
     """
 
-    def __init__(self, settings: LinkSettings, *, dt: float, key: Key, label: str = "link", per_tick: int = 1) -> None:
+    def __init__(
+        self, settings: LinkSettings, *, dt: float, key: Key, label: str = "link", per_tick: int = 1
+    ) -> None:
         self.settings = check_link(settings, label)
         """What it does now."""
         self._dt, self._key, self._label, self._per_tick = dt, key, label, per_tick
@@ -338,7 +391,9 @@ class Link:
         self._objects: dict[int, Any] = {}
         self._passing: list[Any] = []
         self._stamps: list[float] = []
-        self._passed = self._ages = self._since = 0  # and the first tick whose age is not yet in the sum
+        self._passed = self._ages = self._since = (
+            0  # and the first tick whose age is not yet in the sum
+        )
         self._newest, self._age_sum, self._age_max = -math.inf, 0.0, 0.0
         self._open = self._parameters.perfect  # whether whatever is sent arrives at once
 
@@ -390,7 +445,10 @@ class Link:
         return messages
 
     def _count_ages(self, tick: int) -> None:
-        """Add the ages of the ticks up to this one, which is not counted: whole numbers, so in any order the same sum."""
+        """Add the ages of the ticks up to this one, which is not counted.
+
+        Whole numbers, so in any order the same sum.
+        """
         n = tick - self._since
         if self._newest > -math.inf and n > 0:
             first, last = self._since - self._newest, tick - 1 - self._newest
@@ -410,7 +468,11 @@ class Link:
         self._count_ages(self._tick)
         if self._ages:
             counts[AGES] = self._ages
-            numbers[NEWEST], numbers[AGE_SUM], numbers[AGE_MAX] = self._newest, self._age_sum, self._age_max
+            numbers[NEWEST], numbers[AGE_SUM], numbers[AGE_MAX] = (
+                self._newest,
+                self._age_sum,
+                self._age_max,
+            )
 
     def change(self, settings: LinkSettings) -> None:
         """Go on with other settings from the next tick on; see `relink`."""
@@ -422,7 +484,9 @@ class Link:
         self._out = np.empty_like(self._state.payload)
         passing, self._passing = self._passing, []
         stamps, self._stamps = self._stamps, []
-        for message, stamp in zip(passing, stamps, strict=True):  # sent at this tick, before the change
+        for message, stamp in zip(
+            passing, stamps, strict=True
+        ):  # sent at this tick, before the change
             self.send(self._tick, message, stamp)
 
     def counters(self) -> LinkStatus:
@@ -431,7 +495,9 @@ class Link:
         return link_status(self._parameters, self._state, self.settings)
 
     def _out_of_order(self, tick: int) -> ValueError:
-        return ValueError(f"the link is at tick {self._tick}, not {tick}: every tick once, in order")
+        return ValueError(
+            f"the link is at tick {self._tick}, not {tick}: every tick once, in order"
+        )
 
     def _forget(self) -> None:
         """Drop the objects that nobody will get any more."""

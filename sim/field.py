@@ -1,11 +1,12 @@
 r"""The coverage field: sensor (2), accumulation (3), error (4), density (9) and the integral of (6), on a grid.
 
-The grid's cells are squares with their centres at (i + ½)·cell; arrays are [row, column], row 0 at y = 0. The kernels walk
-the rows that a disc meets and, in each, the chord. Sums go through a row buffer and a fixed number of lanes, so the bits do not
-depend on who calls, nor on how the compiler arranges the loop.
+The grid's cells are squares with their centres at (i + ½)·cell; arrays are [row, column], row 0 at y = 0. The
+kernels walk
+the rows that a disc meets and, in each, the chord. Sums go through a row buffer and a fixed number of lanes, so
+the bits do not depend on who calls, nor on how the compiler arranges the loop.
 
-A sensor is a pair, the quality $S(\rho^2)$ and its slope $dS/d\rho^2$, with a range: a new one is one branch in each of the two
-functions and one row in `SENSORS`.
+A sensor is a pair, the quality $S(\rho^2)$ and its slope $dS/d\rho^2$, with a range: a new one is one branch in
+each of the two functions and one row in `SENSORS`.
 """
 
 import math
@@ -46,7 +47,10 @@ def sensor_quality(sensor: int, rho2: float, peak: float, reach: float) -> float
 
 @compiled
 def sensor_slope(sensor: int, rho2: float, peak: float, reach: float) -> float:
-    r"""Slope $dS_a/d\rho^2$ [1/(s m²)] of the sensor quality, which makes (6) of any sensor; arguments as `sensor_quality`."""
+    r"""Slope $dS_a/d\rho^2$ [1/(s m²)] of the sensor quality, which makes (6) of any sensor.
+
+    Arguments as `sensor_quality`.
+    """
     scale = 1.0 / (reach * reach)
     s = rho2 * scale
     if sensor == PLATEAU:
@@ -74,8 +78,8 @@ def density(rho2: float, r_o: float) -> float:
 
     $$ \phi = \cos(\pi \rho / r_o) + 1 \text{ inside } r_o, \quad 0 \text{ outside} $$
 
-    Written as $(1 - s)^2 g(s)$ with $s = (\rho/r_o)^2$ and g a polynomial (Chebyshev interpolation on [0, 1]): no cosine, no
-    root, never negative, and within 2e-13 of the formula.
+    Written as $(1 - s)^2 g(s)$ with $s = (\rho/r_o)^2$ and g a polynomial (Chebyshev interpolation on [0, 1]): no
+    cosine, no root, never negative, and within 2e-13 of the formula.
 
     Args:
         rho2: Squared distance from the UGV [m²].
@@ -109,11 +113,13 @@ def half_chord(radius: float, offset: float) -> float:
 
 
 @compiled
-def disc_chords(p_x: float, p_y: float, radius: float, cell: float, rows: int, columns: int) -> tuple[int, IntArray]:
+def disc_chords(
+    p_x: float, p_y: float, radius: float, cell: float, rows: int, columns: int
+) -> tuple[int, IntArray]:
     """The cells whose centres lie in a disc.
 
-    All chords at once, several to a vector: worked out row by row, each would make the processor wait for a root and a quotient
-    before it knows how far its loop goes.
+    All chords at once, several to a vector: worked out row by row, each would make the processor wait for a root
+    and a quotient before it knows how far its loop goes.
 
     Args:
         p_x, p_y: Centre of the disc [m].
@@ -122,7 +128,8 @@ def disc_chords(p_x: float, p_y: float, radius: float, cell: float, rows: int, c
         rows, columns: Of the grid.
 
     Returns:
-        The first row that the disc meets; and from there on of each its first column and the one after the last, shape (2, any).
+        The first row that the disc meets; and from there on of each its first column and the one after the last,
+        shape (2, any).
     """
     first_row, end_row = chord(p_y, radius, cell, rows)
     met = max(0, end_row - first_row)
@@ -135,7 +142,14 @@ def disc_chords(p_x: float, p_y: float, radius: float, cell: float, rows: int, c
 
 @compiled
 def accumulate(
-    coverage: FloatArray, p_x: float, p_y: float, sensor: int, peak: float, reach: float, cell: float, duration: float
+    coverage: FloatArray,
+    p_x: float,
+    p_y: float,
+    sensor: int,
+    peak: float,
+    reach: float,
+    cell: float,
+    duration: float,
 ) -> None:
     r"""Add what the sensor sees from one place, Klodt 2015, eq. (3).
 
@@ -216,7 +230,9 @@ def accumulate_with_gain(
 
 
 @compiled
-def coverage_error(coverage: FloatArray, p_gx: float, p_gy: float, r_o: float, desired: float, cell: float) -> float:
+def coverage_error(
+    coverage: FloatArray, p_gx: float, p_gy: float, r_o: float, desired: float, cell: float
+) -> float:
     r"""How much of the ground around the UGV is not yet seen, Klodt 2015, eq. (4).
 
     $$ e(t) = \int_Q h(C^* - C(q, t))\, \phi(q, p_g)\, dq $$
@@ -279,7 +295,8 @@ def coverage_gradient(
         cell: Width of a cell [m].
 
     Returns:
-        u_cov, x and y, and the size of its integrand, r times the sum of the magnitudes, against which "u_cov = 0" is judged.
+        u_cov, x and y, and the size of its integrand, r times the sum of the magnitudes, against which "u_cov = 0"
+        is judged.
     """
     rows, columns = coverage.shape
     pulls = np.empty(columns + LANES)
@@ -311,7 +328,14 @@ def coverage_gradient(
 
 @compiled
 def is_uncovered(
-    coverage: FloatArray, q_x: float, q_y: float, p_gx: float, p_gy: float, r_o: float, desired: float, cell: float
+    coverage: FloatArray,
+    q_x: float,
+    q_y: float,
+    p_gx: float,
+    p_gy: float,
+    r_o: float,
+    desired: float,
+    cell: float,
 ) -> bool:
     """Whether the cell around q lacks coverage and lies in the support of the density: conditions 1 and 2 of (7)."""
     rows, columns = coverage.shape
@@ -372,7 +396,13 @@ def empty_coverage(width: float, height: float, cell: float) -> FloatArray:
     return np.zeros((round(height / cell), round(width / cell)))
 
 
-def cover(coverage: FloatArray, lower: tuple[float, float], upper: tuple[float, float], cell: float, value: float) -> None:
+def cover(
+    coverage: FloatArray,
+    lower: tuple[float, float],
+    upper: tuple[float, float],
+    cell: float,
+    value: float,
+) -> None:
     """Give every cell whose centre lies in the rectangle at least the coverage `value`."""
     rows, columns = coverage.shape
     x = (np.arange(columns) + 0.5) * cell

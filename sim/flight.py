@@ -82,7 +82,9 @@ class Flight:
         episode: Which flight of the run it is.
     """
 
-    def __init__(self, scenario: Scenario, seed: int, *, secret: str = "", episode: int = 0) -> None:
+    def __init__(
+        self, scenario: Scenario, seed: int, *, secret: str = "", episode: int = 0
+    ) -> None:
         self.scenario = scenario
         self.seed = seed
         self.secret = secret
@@ -108,11 +110,15 @@ class Flight:
         """What has been done to links while it was flown, and when."""
         self._stopped = self._abandoned = False
         self._ticks = scenario.ticks
-        self._answered = dict.fromkeys(self.world.names, -1)  # the tick that each vehicle's newest command answers
+        self._answered = dict.fromkeys(
+            self.world.names, -1
+        )  # the tick that each vehicle's newest command answers
         self._rows = {name: k for k, name in enumerate(self.world.names)}
         self._uav_row = {uav.name: k for k, uav in enumerate(self.world.uavs)}
         self._pairs: list[tuple[int, int]] = [(a, g) for a, g in self.world.escorts.tolist()]
-        self._radio: dict[str, tuple[RelativeInformation, ...]] = {}  # what each UGV hears at this tick
+        self._radio: dict[
+            str, tuple[RelativeInformation, ...]
+        ] = {}  # what each UGV hears at this tick
         self._operators = self.world.links.of(LinkKind.OPERATOR)
         self._radios = self.world.links.of(LinkKind.RADIO)
         self._listened = -1
@@ -173,7 +179,11 @@ class Flight:
     def watched(self) -> dict[str, UavReport]:
         """The last reports of the UAVs that a safety filter watches over."""
         told = zip(self.world.uavs, self.reports, strict=True)
-        return {uav.name: report for uav, report in told if report is not None and report.certified is not None}
+        return {
+            uav.name: report
+            for uav, report in told
+            if report is not None and report.certified is not None
+        }
 
     def news(self, tick: int) -> dict[str, News]:
         """What vehicles were told at a tick besides what they perceived; only those that were told something."""
@@ -208,7 +218,9 @@ class Flight:
             if messages:
                 self._radio[uav.escorts] = self._radio.get(uav.escorts, ()) + messages
                 for message in messages:
-                    self._arrived[uav.escorts].extend((tick, message.time, *message.relative_position, message.coverage_error))
+                    self._arrived[uav.escorts].extend(
+                        (tick, message.time, *message.relative_position, message.coverage_error)
+                    )
 
     def _observation(
         self,
@@ -268,20 +280,30 @@ class Flight:
         for k, name in enumerate(world.names):
             row = self._uav_row.get(name)
             looks = (
-                () if row is None else tuple(Detection(time=t * dt, relative_position=(x, y)) for t, x, y in world.received[row])
+                ()
+                if row is None
+                else tuple(
+                    Detection(time=t * dt, relative_position=(x, y))
+                    for t, x, y in world.received[row]
+                )
             )
             radio = self._radio.get(name, ())
-            seen[name] = self._observation(name, world.tick, positions[k] + velocities[k], looks, radio, over=over)
+            seen[name] = self._observation(
+                name, world.tick, positions[k] + velocities[k], looks, radio, over=over
+            )
         return seen
 
-    def past(self, name: str, begin: int, end: int, unheard: Collection[int]) -> tuple[Observation, ...]:
+    def past(
+        self, name: str, begin: int, end: int, unheard: Collection[int]
+    ) -> tuple[Observation, ...]:
         """What a vehicle has perceived from tick `begin` up to `end`, for a process that joins again.
 
         Args:
             name: The vehicle.
             begin: First tick.
             end: The tick after the last one; all must have been recorded.
-            unheard: Ticks whose observation it was not sent: of those it is told its own motion, law and driver and nothing else.
+            unheard: Ticks whose observation it was not sent: of those it is told its own motion, law and driver
+                and nothing else.
         """
         states = self.recorder.states[begin:end, self._rows[name], :4].tolist()
         looks: dict[int, tuple[Detection, ...]] = {}
@@ -293,10 +315,19 @@ class Flight:
                 looks[int(tick)] = (*looks.get(int(tick), ()), look)
         else:
             for tick, time, x, y, error in self._arrived_between(name, _RADIO, begin, end):
-                message = RelativeInformation(time=time, relative_position=(x, y), coverage_error=error)
+                message = RelativeInformation(
+                    time=time, relative_position=(x, y), coverage_error=error
+                )
                 radio[int(tick)] = (*radio.get(int(tick), ()), message)
         return tuple(
-            self._observation(name, tick, state, looks.get(tick, ()), radio.get(tick, ()), known=tick not in unheard)
+            self._observation(
+                name,
+                tick,
+                state,
+                looks.get(tick, ()),
+                radio.get(tick, ()),
+                known=tick not in unheard,
+            )
             for tick, state in enumerate(states, begin)
         )
 
@@ -318,7 +349,10 @@ class Flight:
             self.first_missing = tick
 
     def apply(self, commands: Mapping[str, Command]) -> None:
-        """Let these commands set out, and what has arrived act for one tick; what the UAVs radio arrives at the next one."""
+        """Let these commands set out, and what has arrived act for one tick.
+
+        What the UAVs radio arrives at the next one.
+        """
         self._listen()
         world, watched = self.world, self.law.name in WATCHED_LAWS
         if watched:
@@ -335,14 +369,18 @@ class Flight:
                     self.reports[uav] = command.report
                     self.assurance.send(uav, command.tick, command.acceleration)
                     for message in command.radio:
-                        self._radios[name].send(world.tick + 1, message, world.tick)  # heard at the next tick at the earliest
+                        self._radios[name].send(
+                            world.tick + 1, message, world.tick
+                        )  # heard at the next tick at the earliest
         acting = world.heed()
         if watched:
             for uav, (a, g) in enumerate(self._pairs):
                 self._assure(uav, a, g, commands.get(world.names[a]), acting[a])
         world.step(acting)
 
-    def _assure(self, uav: int, a: int, g: int, command: Command | None, acting: FloatArray) -> None:
+    def _assure(
+        self, uav: int, a: int, g: int, command: Command | None, acting: FloatArray
+    ) -> None:
         """Hold what a UAV says of this tick against the truth.
 
         Args:
@@ -356,7 +394,9 @@ class Flight:
         for taken, x, y in self.world.received[uav] if command is not None else ():
             there = states[taken].tolist()
             p_a, p_g = there[a], there[g]
-            arrivals.append(Arrival(taken, math.hypot(x - (p_a[0] - p_g[0]), y - (p_a[1] - p_g[1]))))
+            arrivals.append(
+                Arrival(taken, math.hypot(x - (p_a[0] - p_g[0]), y - (p_a[1] - p_g[1])))
+            )
         self.assurance.take(
             uav,
             tick,
@@ -400,12 +440,17 @@ class Flight:
         arrays = (world.position, world.velocity, world.acceleration, self.commands)
         rows = zip(*(rows.tolist() for rows in arrays), strict=True)
         self.recorder.record(self.reports)
-        measures, detections = self.recorder.escorts[world.tick, :, :2].tolist(), world.detections.tolist()
+        measures, detections = (
+            self.recorder.escorts[world.tick, :, :2].tolist(),
+            world.detections.tolist(),
+        )
         return Truth(
             tick=world.tick,
             time=world.time,
             vehicles={
-                name: VehicleTruth(position=tuple(p), velocity=tuple(v), acceleration=tuple(u), command=tuple(c))
+                name: VehicleTruth(
+                    position=tuple(p), velocity=tuple(v), acceleration=tuple(u), command=tuple(c)
+                )
                 for name, (p, v, u, c) in zip(world.names, rows, strict=True)
             },
             escorts=tuple(
@@ -414,7 +459,9 @@ class Flight:
                     ugv=uav.escorts,
                     distance=measures[k][0],
                     coverage_error=max(0.0, measures[k][1]),
-                    detection=tuple(detections[k]) if detections[k][0] == detections[k][0] else None,
+                    detection=tuple(detections[k])
+                    if detections[k][0] == detections[k][0]
+                    else None,
                     report=self.reports[k],
                 )
                 for k, uav in enumerate(world.uavs)

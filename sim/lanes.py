@@ -1,7 +1,7 @@
 """Sums in eight lanes: one vector instruction of the processor adds eight terms, and the order is always the same.
 
-numba leaves eight running sums as they are written, one addition after the other; here they are told to be one vector. The bits
-are those of the plain loop, on every processor: lanes do not meet until the end.
+numba leaves eight running sums as they are written, one addition after the other; here they are told to be one
+vector. The bits are those of the plain loop, on every processor: lanes do not meet until the end.
 """
 
 from collections.abc import Callable
@@ -60,7 +60,9 @@ def _vector_sum(typingctx: Any, terms: Any, begin: Any, blocks: Any) -> Any:  # 
             block.align = 8
             builder.store(builder.fadd(builder.load(total), block), total)
         sums = builder.load(total)
-        a, b, c, d, e, f, g, h = (builder.extract_element(sums, ir.Constant(ir.IntType(32), k)) for k in range(LANES))
+        a, b, c, d, e, f, g, h = (
+            builder.extract_element(sums, ir.Constant(ir.IntType(32), k)) for k in range(LANES)
+        )
         add = builder.fadd
         return add(add(add(a, e), add(c, g)), add(add(b, f), add(d, h)))
 

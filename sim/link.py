@@ -1,20 +1,25 @@
 r"""What one radio link does to messages, in simulated time: compiled, seeded, the same bits for one world and for many.
 
-A tick of a link has one order: `advance` once, `send` for each message of this tick, `receive` once; `exchange` does the three.
-`advance` comes first: it settles what the channel is like at this tick, and what waits at the sender leaves before what is new.
+A tick of a link has one order: `advance` once, `send` for each message of this tick, `receive` once; `exchange`
+does the three.
+`advance` comes first: it settles what the channel is like at this tick, and what waits at the sender leaves before
+what is new.
 
 A message meets, in this order:
 
-1. The sender's queue, where the bandwidth is limited: one message leaves every 1/bandwidth; one that finds the queue full costs
+1. The sender's queue, where the bandwidth is limited: one message leaves every 1/bandwidth; one that finds the
+queue full costs
    the oldest that waits, or itself. The time on the air is no part of this, it belongs to the delay.
-2. The channel at the tick at which it leaves. A blackout takes it, or a burst, or independent loss: the first of them is the
+2. The channel at the tick at which it leaves. A blackout takes it, or a burst, or independent loss: the first of
+them is the
    cause that is counted. The sender does not notice.
-3. What gets through may be doubled, and each of the two has a delay of its own: delay + jitter, and for those held back more.
-   One that leaves at tick k with the delay d arrives at the first tick n with n dt >= k dt + d; among those of one tick the first
-   sent comes first.
+3. What gets through may be doubled, and each of the two has a delay of its own: delay + jitter, and for those held
+back more.
+   One that leaves at tick k with the delay d arrives at the first tick n with n dt >= k dt + d; among those of one
+   tick the first sent comes first.
 
-Draws are pure functions of (the link's key, purpose, tick, index): those of a message by the tick at which it was sent and its
-number within that tick; those of the channel by the tick, or by the number of the random blackout.
+Draws are pure functions of (the link's key, purpose, tick, index): those of a message by the tick at which it was
+sent and its number within that tick; those of the channel by the tick, or by the number of the random blackout.
 """
 
 import math
@@ -30,22 +35,33 @@ NORMAL = 1
 EXPONENTIAL = 2
 PARETO = 3
 SHAPES = {"uniform": UNIFORM, "normal": NORMAL, "exponential": EXPONENTIAL, "pareto": PARETO}
-"""How the extra delay is spread, by the scale j: within -j and j; normal with deviation j; exponential with mean j; Pareto's law
+"""How the extra delay is spread, by the scale j: within -j and j; normal with deviation j.
+
+Exponential with mean j; Pareto's law
 of the second kind (from 0 on) with mean j and the tail index 2.5, whose variance is finite and whose skew is not."""
 
 CAUSES = ("loss", "burst", "blackout", "queue", "full")
-"""Why messages are lost, as counted from `LOST` on; `full`: the link had no room, which one message a tick never meets."""
+"""Why messages are lost, as counted from `LOST` on; `full`.
+
+The link had no room, which one message a tick never meets.
+"""
 
 LOSS, BURST, BLACKOUT, QUEUE, FULL = range(5)
 
 TICK, INDEX, FREE, WAITING, FLYING, CHAIN, DARK, SERVED, RENEWALS = range(9)
 SENT, DELIVERED, DUPLICATED, ORIGINALS, AGES, LOST = range(9, 15)
-"""Places in `LinkState.counts`: the tick and the messages sent in it; the first free slot; how many wait and fly; the channel's
-state (-1: not drawn yet, 1: bad) and whether it is dark; messages served since the sender was last idle; random blackouts drawn;
+"""Places in `LinkState.counts`: the tick and the messages sent in it; the first free slot; how many wait and fly.
+
+The channel's
+state (-1: not drawn yet, 1: bad) and whether it is dark; messages served since the sender was last idle; random
+blackouts drawn;
 the counters, ORIGINALS for what was delivered without copies, AGES for the ticks in AGE_SUM; the losses by cause."""
 
 BEGAN, DARK_FROM, DARK_TO, NEWEST, AGE_SUM, AGE_MAX = range(6)
-"""Places in `LinkState.numbers`, all in ticks: since when the sender is busy, the random blackout, newest stamp, its age."""
+"""Places in `LinkState.numbers`, all in ticks.
+
+Since when the sender is busy, the random blackout, newest stamp, its age.
+"""
 
 NEXT, DUE, SENT_AT, NUMBER, COPY = range(5)
 """Columns of `LinkState.slots`."""
@@ -60,15 +76,22 @@ _TAIL = 2.5
 def normal_quantile(share: float) -> float:
     """The x below which this share of a standard normal lies; 0 < share < 1.
 
-    Abramowitz and Stegun, *Handbook of Mathematical Functions*, 26.2.23, off by less than 4.5e-4, then two steps of Halley
-    towards the share, which leave rounding.
+    Abramowitz and Stegun, *Handbook of Mathematical Functions*, 26.2.23, off by less than 4.5e-4, then two steps
+    of Halley towards the share, which leave rounding.
     """
     tail = min(share, 1.0 - share)
     t = math.sqrt(-2.0 * math.log(tail))
-    top, bottom = (0.010328 * t + 0.802853) * t + 2.515517, ((0.001308 * t + 0.189269) * t + 1.432788) * t + 1.0
+    top, bottom = (
+        (0.010328 * t + 0.802853) * t + 2.515517,
+        ((0.001308 * t + 0.189269) * t + 1.432788) * t + 1.0,
+    )
     x = top / bottom - t
     for _ in range(2):
-        step = (0.5 * math.erfc(-x / math.sqrt(2.0)) - tail) * math.sqrt(2.0 * math.pi) * math.exp(0.5 * x * x)
+        step = (
+            (0.5 * math.erfc(-x / math.sqrt(2.0)) - tail)
+            * math.sqrt(2.0 * math.pi)
+            * math.exp(0.5 * x * x)
+        )
         x -= step / (1.0 + 0.5 * x * step)
     return x if share < 0.5 else -x
 
@@ -148,10 +171,16 @@ class LinkParameters(NamedTuple):
 
 
 class LinkState(NamedTuple):
-    """Everything that a link remembers. With an axis for worlds in front it is the state of one link in each of them."""
+    """Everything that a link remembers.
+
+    With an axis for worlds in front it is the state of one link in each of them.
+    """
 
     slots: IntArray
-    """One row a message that waits or flies: next slot, due tick, tick and number when sent, whether a copy. Shape (room, 5)."""
+    """One row a message that waits or flies: next slot, due tick, tick and number when sent, whether a copy.
+
+    Shape (room, 5).
+    """
     payload: FloatArray
     """What it carries; column 0 is the tick that its content is from. Shape (room, width)."""
     buckets: IntArray
@@ -162,7 +191,9 @@ class LinkState(NamedTuple):
     """Times in ticks, at `BEGAN` and so on."""
 
 
-def link_state(parameters: LinkParameters, width: int, *, room: int = 0, wheel: int = 0) -> LinkState:
+def link_state(
+    parameters: LinkParameters, width: int, *, room: int = 0, wheel: int = 0
+) -> LinkState:
     """A link on which nothing was ever sent.
 
     Args:
@@ -253,8 +284,13 @@ def _flight_time(p: LinkParameters, share: float, held: bool) -> int:
 
 
 @compiled
-def _fate(p: LinkParameters, dark: bool, bad: bool, key: Key, tick: int, index: int) -> tuple[int, bool, bool]:
-    """What the channel does to one message: the cause of its loss or -1, whether it is doubled, whether it is held back."""
+def _fate(
+    p: LinkParameters, dark: bool, bad: bool, key: Key, tick: int, index: int
+) -> tuple[int, bool, bool]:
+    """What the channel does to one message.
+
+    The cause of its loss or -1, whether it is doubled, whether it is held back.
+    """
     if dark:
         return BLACKOUT, False, False
     if not (p.loss > 0.0 or bad or p.duplicates > 0.0 or p.reorder > 0.0):
@@ -280,7 +316,11 @@ def _transmit(p: LinkParameters, s: LinkState, key: Key, slot: int) -> None:
     share, share_too, held_too = 0.0, 0.0, False
     if p.jitter > 0.0 or twice:
         word_0, word_1, word_2, _ = draw(key, LINK_DELAY, tick, index)
-        share, share_too, held_too = to_uniform(word_0), to_uniform(word_1), to_uniform(word_2) < p.reorder
+        share, share_too, held_too = (
+            to_uniform(word_0),
+            to_uniform(word_1),
+            to_uniform(word_2) < p.reorder,
+        )
     fly(slots, buckets, counts, slot, counts[TICK] + _flight_time(p, share, held))
     other = take(slots, counts) if twice else -1
     if other >= 0:
@@ -304,7 +344,9 @@ def _dark_by_plan(blackouts: IntArray, tick: int) -> bool:
 
 
 @borrowing
-def _dark_by_chance(up: float, down: float, counts: IntArray, numbers: FloatArray, key: Key, tick: int) -> bool:
+def _dark_by_chance(
+    up: float, down: float, counts: IntArray, numbers: FloatArray, key: Key, tick: int
+) -> bool:
     """Exponential times of light and fixed ones of darkness, in continuous time; stationary from the first tick on."""
     while numbers[DARK_TO] <= tick + DUST:
         word_0, word_1, _, _ = draw(key, LINK_STATE, counts[RENEWALS], 1)
@@ -335,7 +377,10 @@ def _settle(p: LinkParameters, counts: IntArray, numbers: FloatArray, key: Key, 
 
 @borrowing
 def _is_free(spacing: float, counts: IntArray, numbers: FloatArray) -> bool:
-    """Whether the sender may let a message go at this tick: number m of a busy time leaves m spacings after the first."""
+    """Whether the sender may let a message go at this tick.
+
+    Number m of a busy time leaves m spacings after the first.
+    """
     return bool(numbers[BEGAN] + counts[SERVED] * spacing <= counts[TICK] + DUST)
 
 
@@ -401,7 +446,8 @@ def receive(s: LinkState, out: FloatArray) -> int:
 
     Args:
         s: Is changed.
-        out: Gets a row for each message that arrives; as many rows as the state has slots are always enough. Shape (rows, width).
+        out: Gets a row for each message that arrives; as many rows as the state has slots are always enough. Shape
+            (rows, width).
 
     Returns:
         How many have arrived.
@@ -435,8 +481,13 @@ def receive(s: LinkState, out: FloatArray) -> int:
 
 
 @borrowing
-def exchange(p: LinkParameters, s: LinkState, key: Key, tick: int, payloads: FloatArray, out: FloatArray) -> int:
-    """One whole tick of a link: `advance`, `send` for each row of `payloads`, `receive` into `out`; how many have arrived."""
+def exchange(
+    p: LinkParameters, s: LinkState, key: Key, tick: int, payloads: FloatArray, out: FloatArray
+) -> int:
+    """One whole tick of a link: `advance`, `send` for each row of `payloads`, `receive` into `out`.
+
+    How many have arrived.
+    """
     advance(p, s, key, tick)
     for k in range(payloads.shape[0]):
         send(p, s, key, payloads[k])

@@ -1,4 +1,7 @@
-"""The links of many worlds in arrays: what each link does in one table, what it remembers with axes for worlds and links."""
+"""The links of many worlds in arrays.
+
+What each link does in one table, what it remembers with axes for worlds and links.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -17,7 +20,10 @@ class LinkTable(NamedTuple):
     """What the links of one kind do, one row a link."""
 
     numbers: FloatArray
-    """Everything but the planned blackouts, in the order of `LinkParameters`; then which blackouts. Shape (links, 27)."""
+    """Everything but the planned blackouts, in the order of `LinkParameters`; then which blackouts.
+
+    Shape (links, 27).
+    """
     blackouts: IntArray
     """The planned blackouts of all links, one after the other. Shape (any, 2)."""
     vehicles: IntArray
@@ -35,7 +41,11 @@ def _table(parameters: Sequence[LinkParameters], vehicles: Sequence[int]) -> Lin
         rows.append([*numbers, first, last])
         blackouts.append(p.blackouts)
         first = last
-    return LinkTable(np.array(rows, dtype=np.float64), np.concatenate(blackouts), np.array(vehicles, dtype=np.int64))
+    return LinkTable(
+        np.array(rows, dtype=np.float64),
+        np.concatenate(blackouts),
+        np.array(vehicles, dtype=np.int64),
+    )
 
 
 @inlined
@@ -86,9 +96,13 @@ class BatchLinks:
         self.names = owners(scenario, kind)
         """Whose link each row is."""
         rows = {vehicle.name: k for k, vehicle in enumerate(scenario.vehicles)}
-        settings = [check_link(scenario.links.of(name, kind), f"{name}/{kind}") for name in self.names]
+        settings = [
+            check_link(scenario.links.of(name, kind), f"{name}/{kind}") for name in self.names
+        ]
         self._settings = settings
-        self._parameters = [link_parameters(one, scenario.dt, per_tick=PER_TICK[kind]) for one in settings]
+        self._parameters = [
+            link_parameters(one, scenario.dt, per_tick=PER_TICK[kind]) for one in settings
+        ]
         self.perfect = all(p.perfect for p in self._parameters)
         """Whether none of them does anything to a message."""
         self.longest = max((p.longest for p in self._parameters), default=0)

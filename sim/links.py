@@ -1,6 +1,9 @@
-"""All links of a run: what crosses the ether between a vehicle and its sensor, its actuators, its operator and the other.
+"""All links of a run.
 
-Every message crosses in simulated time, inside the simulator: the environment, three processes and containers meet one network.
+What crosses the ether between a vehicle and its sensor, its actuators, its operator and the other.
+
+Every message crosses in simulated time, inside the simulator: the environment, three processes and containers meet
+one network.
 """
 
 from bus.errors import ScenarioError
@@ -94,7 +97,9 @@ class Links:
         """
         links = self._of[kind]
         if vehicle is not None and vehicle not in links:
-            raise ScenarioError(f"vehicle = {vehicle!r}: has no link for its {kind}; allowed: {', '.join(links)}")
+            raise ScenarioError(
+                f"vehicle = {vehicle!r}: has no link for its {kind}; allowed: {', '.join(links)}"
+            )
         check_link(settings, str(kind))
         for name in links if vehicle is None else (vehicle,):
             links[name].change(settings)

@@ -13,12 +13,17 @@ from sim.seats import Seats
 _LOOK_AROUND = 0.2
 """While it waits, a pace looks this often [s] at who is still there and whether somebody wants the end."""
 _GRACE = 0.3
-"""A vehicle is only gone if it has been for so long [s] while the router was there: a router that dies takes all tokens with
+"""A vehicle is only gone if it has been for so long [s] while the router was there.
+
+A router that dies takes all tokens with
 it, and Zenoh may tell of those first."""
 _NAP = 0.05
 """Longest sleep of the clock in one piece [s]."""
 _BEHIND = 1.0
-"""A clock that is further behind than this [s] of wall time starts anew: a burst of ticks would leave nobody time to answer."""
+"""A clock that is further behind than this [s] of wall time starts anew.
+
+A burst of ticks would leave nobody time to answer.
+"""
 _LATE = 0.5
 """A tick that ends later than it should by more than this share of its length is late."""
 
@@ -130,7 +135,9 @@ class Lockstep:
                 if self._seats.take(letter, tick, commands, oldest=tick):
                     awaited.pop(letter.sender, None)
                     self._cut_off.pop(letter.sender, None)
-                if time.monotonic() < look:  # a flood of letters must not keep us from looking around
+                if (
+                    time.monotonic() < look
+                ):  # a flood of letters must not keep us from looking around
                     continue
             self._seats.follow()
             if idle():
@@ -139,7 +146,10 @@ class Lockstep:
             if self._bus_is_there():
                 self._mind_the_absent()
                 self._give_up(tick)
-                rest = min((wait.since + wait.limit for wait in awaited.values()), default=0.0) - time.monotonic()
+                rest = (
+                    min((wait.since + wait.limit for wait in awaited.values()), default=0.0)
+                    - time.monotonic()
+                )
                 patience = min(patience, max(rest, 0.0))
             look = time.monotonic() + patience
         return commands
@@ -161,7 +171,9 @@ class Lockstep:
         if self._alone_since is not None or routers != self._routers:
             self._alone_since, self._routers = None, routers
             self._on_event("the router is back")
-            self._cut_off = dict.fromkeys(self._flying, now + self._patience)  # the vehicles have to find it again too
+            self._cut_off = dict.fromkeys(
+                self._flying, now + self._patience
+            )  # the vehicles have to find it again too
             for name in self._awaited:
                 self._awaited[name] = _Wait(now, self._patience, patient=True)
         return True
@@ -191,7 +203,9 @@ class Lockstep:
             if name in absent:
                 self._given_up.add(name)
                 if self._is_waited_for(name):
-                    self._on_event(f"{name} has not come back within {waited:.1f} s; it brakes and the run goes on")
+                    self._on_event(
+                        f"{name} has not come back within {waited:.1f} s; it brakes and the run goes on"
+                    )
             else:
                 self._seats.name_late([name], tick, waited)
 
@@ -208,7 +222,9 @@ class RealTime:
         on_event: Called with one line for a person.
     """
 
-    def __init__(self, seats: Seats, *, dt: float, factor: float, on_event: Callable[[str], None]) -> None:
+    def __init__(
+        self, seats: Seats, *, dt: float, factor: float, on_event: Callable[[str], None]
+    ) -> None:
         self.factor: float | None = factor
         self.late_ticks = 0
         self._seats = seats
@@ -234,7 +250,9 @@ class RealTime:
             self._start, self._first, self._restart = now, tick, False
         due = self._start + (tick + 1 - self._first) * self._period
         if now - due > _BEHIND:
-            self._on_event(f"the clock is {now - due:.1f} s behind at tick {tick}; it goes on from here")
+            self._on_event(
+                f"the clock is {now - due:.1f} s behind at tick {tick}; it goes on from here"
+            )
             self._start, self._first = now, tick
             due = now + self._period
             self.late_ticks += 1

@@ -1,6 +1,7 @@
 """A hint to the processor: cells that will be needed soon.
 
-A batch of worlds is larger than any cache. While one world is computed, the part of the next one's grid that its tick will touch
+A batch of worlds is larger than any cache. While one world is computed, the part of the next one's grid that its
+tick will touch
 is brought near the core; without this the core waits for memory most of the time. No result depends on it.
 """
 
@@ -45,7 +46,10 @@ def _hint(typingctx: Any, array: Any, row: Any, column: Any) -> Any:  # noqa: AN
 
 @intrinsic
 def fetch_rows(typingctx: Any, arrays: Any, k: Any) -> Any:  # noqa: ANN401 - numba's own types
-    """Bring row k of each of these arrays, a tuple, near the core: of C-contiguous arrays with an axis for worlds in front."""
+    """Bring row k of each of these arrays, a tuple, near the core.
+
+    Of C-contiguous arrays with an axis for worlds in front.
+    """
     signature = types.void(arrays, types.intp)
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ANN401
@@ -79,7 +83,13 @@ def disc_widths(radius: float, cell: float) -> IntArray:
 
 @borrowing
 def fetch_disc(
-    coverage: FloatArray, p_x: float, p_y: float, cell: float, widths: IntArray, part: int = 0, parts: int = 1
+    coverage: FloatArray,
+    p_x: float,
+    p_y: float,
+    cell: float,
+    widths: IntArray,
+    part: int = 0,
+    parts: int = 1,
 ) -> None:
     """Bring the cells of a disc around (p_x, p_y) [m] near the core.
 
@@ -88,7 +98,8 @@ def fetch_disc(
         p_x, p_y: Centre of the disc [m].
         cell: Width of a cell [m].
         widths: The disc, from `disc_widths`.
-        part, parts: Only this one of so many parts, from 0: so many cells asked for at once would keep the core from its own.
+        part, parts: Only this one of so many parts, from 0: so many cells asked for at once would keep the core
+        from its own.
     """
     rows, columns = coverage.shape
     size = widths.shape[0]

@@ -1,6 +1,7 @@
 """Named radio links, to start from.
 
-The numbers are rounded from what is commonly published for each kind of link, one way, for small messages; none is a fit to one
+The numbers are rounded from what is commonly published for each kind of link, one way, for small messages; none is
+a fit to one
 measurement. Delays shorter than a tick arrive at the next tick, so at dt = 0.05 s a good Wi-Fi is a link of one tick.
 """
 
@@ -9,7 +10,8 @@ from bus.messages import LinkSettings
 PROFILES: dict[str, LinkSettings] = {
     # Nothing happens to anything.
     "perfect": LinkSettings(),
-    # A good 802.11 link in line of sight: a few ms, retransmissions make a tail, short fades; the rest loses one in some hundred.
+    # A good 802.11 link in line of sight: a few ms, retransmissions make a tail, short fades; the rest loses one
+    # in some hundred.
     "wifi": LinkSettings(
         delay=0.003,
         jitter=0.003,
@@ -21,8 +23,8 @@ PROFILES: dict[str, LinkSettings] = {
         burst_loss=0.5,
         duplicates=0.0005,
     ),
-    # The same at the edge of its range or in a busy channel: a heavy tail up to half a second, a few percent lost, fades of 0.3 s
-    # every few seconds, lost acknowledgements that make duplicates.
+    # The same at the edge of its range or in a busy channel: a heavy tail up to half a second, a few percent lost,
+    # fades of 0.3 s every few seconds, lost acknowledgements that make duplicates.
     "wifi-poor": LinkSettings(
         delay=0.01,
         jitter=0.03,
@@ -36,8 +38,8 @@ PROFILES: dict[str, LinkSettings] = {
         reorder=0.005,
         reorder_delay=0.05,
     ),
-    # A public 4G network: round trips of 50 to 80 ms, so 25 ms and more one way; the radio layer repeats until little is lost; a
-    # handover interrupts for some tens of ms, here once a minute.
+    # A public 4G network: round trips of 50 to 80 ms, so 25 ms and more one way; the radio layer repeats until
+    # little is lost; a handover interrupts for some tens of ms, here once a minute.
     "lte": LinkSettings(
         delay=0.025,
         jitter=0.01,
@@ -58,8 +60,8 @@ PROFILES: dict[str, LinkSettings] = {
         burst_interval=120.0,
         burst_loss=0.5,
     ),
-    # LoRa-like: 13 bytes at spreading factor 9 and 125 kHz are 165 ms on the air (Semtech AN1200.13), 300 ms with the protocol
-    # around it. Two messages a second is generous: a duty cycle of 1 % by law would allow one in 16 s.
+    # LoRa-like: 13 bytes at spreading factor 9 and 125 kHz are 165 ms on the air (Semtech AN1200.13), 300 ms with
+    # the protocol around it. Two messages a second is generous: a duty cycle of 1 % by law would allow one in 16 s.
     "narrowband": LinkSettings(
         delay=0.3,
         jitter=0.05,

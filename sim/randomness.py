@@ -1,10 +1,11 @@
 """Counter-based random numbers: each draw is a pure function of a key, a purpose, tick and index.
 
-So a process that comes back, a batch of worlds and a single world draw the same numbers, and a new purpose leaves the others
+So a process that comes back, a batch of worlds and a single world draw the same numbers, and a new purpose leaves
+the others
 alone. Philox4x64-10 of Salmon, Moraes, Dror, Shaw, *Parallel Random Numbers: As Easy as 1, 2, 3* (SC 2011).
 
-Philox is fast and no cipher: what it draws is only as secret as its key. So whatever must not lead to something else has a key of
-its own, of 128 bits; `sim.run_keys` derives them one-way.
+Philox is fast and no cipher: what it draws is only as secret as its key. So whatever must not lead to something
+else has a key of its own, of 128 bits; `sim.run_keys` derives them one-way.
 """
 
 import math
@@ -60,7 +61,12 @@ def _high_product(a: np.uint64, b: np.uint64) -> np.uint64:
 
 @compiled
 def philox(
-    key_0: np.uint64, key_1: np.uint64, c_0: np.uint64, c_1: np.uint64, c_2: np.uint64, c_3: np.uint64
+    key_0: np.uint64,
+    key_1: np.uint64,
+    c_0: np.uint64,
+    c_1: np.uint64,
+    c_2: np.uint64,
+    c_3: np.uint64,
 ) -> tuple[np.uint64, np.uint64, np.uint64, np.uint64]:
     """One block of Philox4x64-10: four 64-bit words from a key of two and a counter of four."""
     for _ in range(10):
@@ -91,9 +97,13 @@ def words_of(key: str) -> Key:
 
 
 @compiled
-def draw(key: Key, purpose: int, tick: int, index: int) -> tuple[np.uint64, np.uint64, np.uint64, np.uint64]:
+def draw(
+    key: Key, purpose: int, tick: int, index: int
+) -> tuple[np.uint64, np.uint64, np.uint64, np.uint64]:
     """Four random words for one key, purpose, tick and index."""
-    return philox(key[0], key[1], np.uint64(index), np.uint64(tick), np.uint64(purpose), np.uint64(0))
+    return philox(
+        key[0], key[1], np.uint64(index), np.uint64(tick), np.uint64(purpose), np.uint64(0)
+    )
 
 
 @compiled
@@ -109,7 +119,9 @@ def uniform(key: Key, purpose: int, tick: int, index: int) -> float:
 
 
 @compiled
-def cut_normal_vector(sigma: float, cut: float, key: Key, purpose: int, tick: int, index: int) -> tuple[float, float]:
+def cut_normal_vector(
+    sigma: float, cut: float, key: Key, purpose: int, tick: int, index: int
+) -> tuple[float, float]:
     r"""A Gaussian vector of standard deviation sigma per axis, given that its norm is at most cut * sigma.
 
     Drawn by inversion of the Rayleigh distribution, $\|n\| = \sigma\sqrt{-2\ln(1 - u(1 - e^{-k^2/2}))}$, which is what

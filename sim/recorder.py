@@ -23,7 +23,9 @@ def _certificate(report: UavReport) -> tuple[float, float]:
     """Whether the tick is certified (1 or 0), and the certified distance [m]; NaN where a report does not say."""
     if report.certified is None:
         return math.nan, math.nan
-    return float(report.certified), math.nan if report.certified_distance is None else report.certified_distance
+    return float(
+        report.certified
+    ), math.nan if report.certified_distance is None else report.certified_distance
 
 
 class Recorder:
@@ -40,8 +42,12 @@ class Recorder:
         self.rows = 0
         """Number of states taken down: one more than complete ticks, once the flight is over."""
         vehicles, uavs = len(world.names), len(world.uavs)
-        self._states: FloatArray = np.empty((_ROOM, vehicles, 6))  # p, v at k; then the command applied during k
-        self._escorts: FloatArray = np.empty((_ROOM, uavs, 8))  # distance, e, detection, estimate, certified, bound
+        self._states: FloatArray = np.empty(
+            (_ROOM, vehicles, 6)
+        )  # p, v at k; then the command applied during k
+        self._escorts: FloatArray = np.empty(
+            (_ROOM, uavs, 8)
+        )  # distance, e, detection, estimate, certified, bound
 
     def _make_room(self, k: int) -> None:
         if k == len(self._states):
@@ -85,7 +91,8 @@ class Recorder:
     def escorts(self) -> FloatArray:
         """What is known of each UAV and its UGV, shape (rows, UAVs, 8); NaN where there is none.
 
-        Distance [m], e(t) [m²], detected p_delta [m], estimated p_g [m], whether certified (1 or 0), certified distance [m].
+        Distance [m], e(t) [m²], detected p_delta [m], estimated p_g [m], whether certified (1 or 0), certified
+        distance [m].
         """
         return self._escorts[: self.rows]
 
@@ -109,10 +116,16 @@ class Recorder:
             yield [k, k * dt, *("" if math.isnan(number) else number for number in numbers)]
 
     def write(self, path: Path) -> None:
-        """Write the trajectory as CSV with a header that carries the units; numbers survive exactly, none is an empty field."""
+        """Write the trajectory as CSV with a header that carries the units.
+
+        Numbers survive exactly, none is an empty field.
+        """
         header = ["tick", "time [s]"]
         for name in self._world.names:
-            header += [f"{name}.{field}" for field in ("x [m]", "y [m]", "vx [m/s]", "vy [m/s]", "ux [m/s2]", "uy [m/s2]")]
+            header += [
+                f"{name}.{field}"
+                for field in ("x [m]", "y [m]", "vx [m/s]", "vy [m/s]", "ux [m/s2]", "uy [m/s2]")
+            ]
         for uav in self._world.uavs:
             header += [f"{uav.name}.{field}" for field in ("distance [m]", "coverage_error [m2]")]
             header += [f"{uav.name}.{field}" for field in ("detected_x [m]", "detected_y [m]")]

@@ -60,7 +60,9 @@ def derive_keys(seeds: Iterable[int], vehicles: int, secret: str = "") -> WordAr
         Two words for each purpose and vehicle. Shape (seeds, RUN_PURPOSES, vehicles, 2).
     """
     base = blake2b(digest_size=16, key=bytes.fromhex(secret), person=_PERSON)
-    places = [_PLACE.pack(purpose, row) for purpose in range(RUN_PURPOSES) for row in range(vehicles)]
+    places = [
+        _PLACE.pack(purpose, row) for purpose in range(RUN_PURPOSES) for row in range(vehicles)
+    ]
     digests = []
     for seed in seeds:
         told = _SEED.pack(seed)

@@ -100,7 +100,10 @@ class Ugv(_Table, frozen=True, kw_only=True):
 
 
 class Certificate(_Table, frozen=True, kw_only=True):
-    """What is declared to the UAVs for the law `certified`; a network that is worse is told as uncertified, tick by tick."""
+    """What is declared to the UAVs for the law `certified`.
+
+    A network that is worse is told as uncertified, tick by tick.
+    """
 
     error: NonNegative | None = None
     """Largest error of a detection [m]; by default the noise at its cut, and without a cut none."""
@@ -113,7 +116,10 @@ class Certificate(_Table, frozen=True, kw_only=True):
 
 
 class Custom(_Table, frozen=True, kw_only=True):
-    """Functions of the user's own, as `module:function`; each is loaded by its vehicle's process alone and never travels."""
+    """Functions of the user's own, as `module:function`.
+
+    Each is loaded by its vehicle's process alone and never travels.
+    """
 
     weighting: Text = ""
     """(distance, r_s) -> (alpha, beta), for the law `weighted`."""
@@ -134,7 +140,10 @@ class VehicleLinks(_Table, frozen=True, kw_only=True):
 
 
 class LinkTable(_Table, frozen=True, kw_only=True):
-    """What the ether does to messages, kind by kind. In TOML each may name a `profile` that it starts from, and so may all."""
+    """What the ether does to messages, kind by kind.
+
+    In TOML each may name a `profile` that it starts from, and so may all.
+    """
 
     detections: LinkSettings = LinkSettings()
     """From a UAV's detector to its computer."""
@@ -228,7 +237,9 @@ FILE_RULE = f"a TOML file of {MOST_BYTES >> 20} MiB at most"
 def _shipped() -> dict[str, Traversable]:
     """The shipped scenarios by name."""
     entries = (files("sim") / "scenarios").iterdir()
-    return {entry.name.removesuffix(".toml"): entry for entry in entries if entry.name.endswith(".toml")}
+    return {
+        entry.name.removesuffix(".toml"): entry for entry in entries if entry.name.endswith(".toml")
+    }
 
 
 def scenario_names() -> tuple[str, ...]:
@@ -240,27 +251,37 @@ def _read(source: str | Path, file: str) -> str:
     """The TOML text of a shipped scenario or of a file."""
     try:
         shipped = _shipped().get(str(source))
-        content = shipped.read_bytes() if shipped is not None else read_regular(Path(source), MOST_BYTES)
+        content = (
+            shipped.read_bytes() if shipped is not None else read_regular(Path(source), MOST_BYTES)
+        )
         return content.decode("utf-8-sig")
     except FileNotFoundError as error:
         known = scenario_names()
         meant = near(Path(source).stem, known)
-        raise ScenarioError(f"{file}: no such file or scenario{meant}; allowed: a TOML file, or {', '.join(known)}") from error
+        raise ScenarioError(
+            f"{file}: no such file or scenario{meant}; allowed: a TOML file, or {', '.join(known)}"
+        ) from error
     except UnicodeDecodeError as error:
-        raise ScenarioError(f"{file}: byte {error.start}: not UTF-8, {error.reason}; allowed: text in UTF-8") from error
+        raise ScenarioError(
+            f"{file}: byte {error.start}: not UTF-8, {error.reason}; allowed: text in UTF-8"
+        ) from error
     except (OSError, ValueError) as error:  # a ValueError: a NUL in the path
         reason = one_line(str(getattr(error, "strerror", None) or error))
         raise ScenarioError(f"{file}: cannot be read: {reason}; allowed: {FILE_RULE}") from error
 
 
-def _changes(overrides: Mapping[str, object] | Sequence[str], file: str) -> list[tuple[str, object]]:
+def _changes(
+    overrides: Mapping[str, object] | Sequence[str], file: str
+) -> list[tuple[str, object]]:
     if isinstance(overrides, Mapping):
         return [(str(key), as_raw(value, file=file)) for key, value in overrides.items()]
     changes = [overrides] if isinstance(overrides, str) else overrides
     return [parse_override(change, file=file) for change in changes]
 
 
-def load_scenario(source: str | Path = DEFAULT_SCENARIO, *, overrides: Mapping[str, object] | Sequence[str] = ()) -> Scenario:
+def load_scenario(
+    source: str | Path = DEFAULT_SCENARIO, *, overrides: Mapping[str, object] | Sequence[str] = ()
+) -> Scenario:
     """Read and validate a scenario.
 
     Args:
@@ -272,7 +293,8 @@ def load_scenario(source: str | Path = DEFAULT_SCENARIO, *, overrides: Mapping[s
         The scenario; its name is the file's, without its ending, where none is given.
 
     Raises:
-        ScenarioError: If it cannot be read or cannot be flown; one line with file, field, value, what is wrong and allowed.
+        ScenarioError: If it cannot be read or cannot be flown; one line with file, field, value, what is wrong and
+            allowed.
     """
     file = one_line(str(source)) or "."
     raw = parse_toml(_read(source, file), file=file)

@@ -16,12 +16,25 @@ from sim.vehicles import stopping_distance
 if TYPE_CHECKING:
     from sim.scenario import Scenario, Uav, Ugv
 
-LAW_NAMES = ("tracking", "coverage", "linear", "switching", "logarithmic", "circle", "weighted", "path", "certified")
+LAW_NAMES = (
+    "tracking",
+    "coverage",
+    "linear",
+    "switching",
+    "logarithmic",
+    "circle",
+    "weighted",
+    "path",
+    "certified",
+)
 """The laws; the agents' own table may not be imported here, a test holds the two equal."""
 DRIVER_NAMES = ("waypoints", "wander", "script", "evade", "teleop", "policy", "external")
 """The drivers; likewise. `policy` is a function of the user's own, `external` a process of the user's own."""
 SAVED_POLICIES = ("sb3", "torch", "onnx")
-"""The libraries whose saved policies can drive; the loaders' own table may not be imported here, a test holds the two equal."""
+"""The libraries whose saved policies can drive.
+
+The loaders' own table may not be imported here, a test holds the two equal.
+"""
 _POLICY = "module:function, sb3:ALGORITHM:FILE.zip, torch:FILE.pt or onnx:FILE.onnx"
 SENSOR_NAMES = tuple(SENSORS)
 """The sensor models."""
@@ -39,7 +52,9 @@ _ROUNDING = 1e-9
 
 def switching_radius(s: Scenario, uav: Uav, ugv: Ugv) -> float:
     """r_s of (18) [m], whatever its sign."""
-    return s.visibility.radius - float(stopping_distance(uav.max_speed + ugv.max_speed, uav.max_acceleration))
+    return s.visibility.radius - float(
+        stopping_distance(uav.max_speed + ugv.max_speed, uav.max_acceleration)
+    )
 
 
 def _in_table(field: str, name: str, table: Sequence[str]) -> Iterator[Fault]:
@@ -85,11 +100,16 @@ def scripts_are_in_order(s: Scenario) -> Iterator[Fault]:
         times = [step.time for step in ugv.script]
         if ugv.driver == "script" and not times:
             yield Fault(
-                f"ugv.{k}.script", [], "the driver 'script' needs it", "steps such as { time = 0.0, velocity = [0.2, 0.0] }"
+                f"ugv.{k}.script",
+                [],
+                "the driver 'script' needs it",
+                "steps such as { time = 0.0, velocity = [0.2, 0.0] }",
             )
         for n, (earlier, later) in enumerate(pairwise(times), 1):
             if not later > earlier:
-                yield Fault(f"ugv.{k}.script.{n}.time", later, f"not after {earlier:g} s", "times that rise")
+                yield Fault(
+                    f"ugv.{k}.script.{n}.time", later, f"not after {earlier:g} s", "times that rise"
+                )
 
 
 def switching_radius_is_positive(s: Scenario) -> Iterator[Fault]:
@@ -100,11 +120,18 @@ def switching_radius_is_positive(s: Scenario) -> Iterator[Fault]:
         r_s = switching_radius(s, uav, ugv)
         if r_s == -math.inf:
             wrong = "r_s of (18) does not exist without a bound of the speed"
-            yield Fault(f"{path}.max_speed", uav.max_speed, wrong, "finite speeds, or max_acceleration = inf too")
+            yield Fault(
+                f"{path}.max_speed",
+                uav.max_speed,
+                wrong,
+                "finite speeds, or max_acceleration = inf too",
+            )
         elif not r_s > 0.0:
             least = (uav.max_speed + ugv.max_speed) ** 2 / (2.0 * s.visibility.radius)
             wrong = f"too weak for these speeds and this r_v: r_s = {r_s:.4g} m (18)"
-            yield Fault(f"{path}.max_acceleration", uav.max_acceleration, wrong, f"above {least:.4g} m/s²")
+            yield Fault(
+                f"{path}.max_acceleration", uav.max_acceleration, wrong, f"above {least:.4g} m/s²"
+            )
 
 
 def reference_speed_is_possible(s: Scenario) -> Iterator[Fault]:
@@ -112,7 +139,12 @@ def reference_speed_is_possible(s: Scenario) -> Iterator[Fault]:
     v_ref = s.law.reference_speed
     for k, uav in enumerate(s.uav):
         if v_ref is None and math.isinf(uav.max_speed) and s.law.name in _WITH_COVERAGE:
-            yield Fault("law.reference_speed", None, f"missing, and uav.{k}.max_speed = inf is none", "a number > 0, in m/s")
+            yield Fault(
+                "law.reference_speed",
+                None,
+                f"missing, and uav.{k}.max_speed = inf is none",
+                "a number > 0, in m/s",
+            )
         elif v_ref is not None and v_ref > uav.max_speed:
             allowed = f"up to uav.{k}.max_speed = {uav.max_speed:g} m/s"
             yield Fault("law.reference_speed", v_ref, "faster than the UAV can fly", allowed)
@@ -129,7 +161,12 @@ def controller_is_stable(s: Scenario) -> Iterator[Fault]:
     last = d * a - b * c
     if not (a < 0.0 and d < 0.0 and last > 0.0 and a * d > last):
         value = {"a_c": a, "b_c": b, "c_c": c, "d_c": d}
-        yield Fault("law", value, "the tracking loop (15), (16) is unstable", "A < 0, D < 0, 0 < D A - B C < A D")
+        yield Fault(
+            "law",
+            value,
+            "the tracking loop (15), (16) is unstable",
+            "A < 0, D < 0, 0 < D A - B C < A D",
+        )
 
 
 def circle_is_within_sight(s: Scenario) -> Iterator[Fault]:
@@ -139,7 +176,12 @@ def circle_is_within_sight(s: Scenario) -> Iterator[Fault]:
     r_v, radius = s.visibility.radius, s.law.circle_radius
     for path, uav, ugv in escorts(s):
         if radius is not None and radius >= r_v:
-            yield Fault("law.circle_radius", radius, "the circle lies out of sight", f"less than r_v = {r_v:g} m")
+            yield Fault(
+                "law.circle_radius",
+                radius,
+                "the circle lies out of sight",
+                f"less than r_v = {r_v:g} m",
+            )
         elif radius is None and switching_radius(s, uav, ugv) >= r_v:
             wrong = f"missing, and r_s = r_v since {path}.max_acceleration = inf"
             yield Fault("law.circle_radius", None, wrong, f"less than r_v = {r_v:g} m")
@@ -180,8 +222,15 @@ def check_scenario(scenario: Scenario, *, source: str = "") -> Scenario:
 
 
 def scenario_warnings(scenario: Scenario) -> tuple[str, ...]:
-    """What can be flown but will not do what one may expect: a line each, for a scenario that `check_scenario` has passed."""
-    return tuple(line for warnings in (_law_warnings, _circle_warnings, _goal_warnings) for line in warnings(scenario))
+    """What can be flown but will not do what one may expect.
+
+    A line each, for a scenario that `check_scenario` has passed.
+    """
+    return tuple(
+        line
+        for warnings in (_law_warnings, _circle_warnings, _goal_warnings)
+        for line in warnings(scenario)
+    )
 
 
 def _law_warnings(s: Scenario) -> Iterator[str]:
@@ -202,7 +251,9 @@ def _circle_warnings(s: Scenario) -> Iterator[str]:
         spare = uav.max_speed - ugv.max_speed
         bound = min(spare / radius, math.sqrt(uav.max_acceleration / radius))
         if rate > bound * (1.0 + _ROUNDING):
-            needs = f"needs {radius * rate:.3g} m/s and {radius * rate * rate:.3g} m/s² of {uav.name}"
+            needs = (
+                f"needs {radius * rate:.3g} m/s and {radius * rate * rate:.3g} m/s² of {uav.name}"
+            )
             has = f"which beside {ugv.name} has v_a - v_g = {spare:.3g} m/s and u_a = {uav.max_acceleration:.3g} m/s²"
             reason = f"the smaller of (v_a - v_g)/r_pv and sqrt(u_a/r_pv), r_pv = {radius:.4g} m"
             field = f"law.circle_rate = {s.law.circle_rate}"

@@ -15,7 +15,9 @@ _LONGEST_INT_BITS = 256
 
 def one_line(text: str) -> str:
     """The text with everything escaped that does not print: line breaks, control characters, lone surrogates."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+    return "".join(
+        c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text
+    )
 
 
 def _written(value: object, depth: int) -> str:
@@ -64,7 +66,9 @@ class Fault(NamedTuple):
     def line(self, file: str) -> str:
         """`FILE: field = VALUE: what is wrong; allowed: what is allowed`."""
         value = "" if self.value is None else f" = {shown(self.value)}"
-        return one_line(f"{file}: {short(self.field)}{value}: {self.wrong}; allowed: {self.allowed}")
+        return one_line(
+            f"{file}: {short(self.field)}{value}: {self.wrong}; allowed: {self.allowed}"
+        )
 
     def error(self, file: str) -> ScenarioError:
         """The exception to raise."""

@@ -27,8 +27,13 @@ def _profile(table: dict[str, Any], path: str, file: str) -> dict[str, Any]:
     return settings
 
 
-def _fill(table: dict[str, Any], base: dict[str, dict[str, Any]], path: str, file: str) -> dict[str, dict[str, Any]]:
-    """Give every kind of link in a table its settings, in place: those of `base`, or of its profile, and then its own."""
+def _fill(
+    table: dict[str, Any], base: dict[str, dict[str, Any]], path: str, file: str
+) -> dict[str, dict[str, Any]]:
+    """Give every kind of link in a table its settings, in place.
+
+    Those of `base`, or of its profile, and then its own.
+    """
     common = _profile(table, path, file)
     filled: dict[str, dict[str, Any]] = {}
     for kind in _KINDS:

@@ -13,12 +13,18 @@ from sim.scenario_faults import Fault, near, one_line, short, shown
 
 Typed = TypeVar("Typed", bound=msgspec.Struct)
 
-_TOML_FAULT = re.compile(r"(?P<wrong>.*) \(at (?:line (?P<line>\d+), column (?P<column>\d+)|end of document)\)", re.DOTALL)
+_TOML_FAULT = re.compile(
+    r"(?P<wrong>.*) \(at (?:line (?P<line>\d+), column (?P<column>\d+)|end of document)\)",
+    re.DOTALL,
+)
 _COMMENT = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
 _BETWEEN_KEYS = re.compile(r"[=,{}\[\]\n]")
 _DEEPEST = 64
 _WHERE = re.compile(r"(?P<text>.*) - at `\$(?P<path>[^`]*)`", re.DOTALL)
-_EXPECTED = re.compile(r"Expected `(?P<kind>\w+)(?: \| null)?`(?: (?P<rule>[^,].*?))?(?:, got (?P<got>\S+))?", re.DOTALL)
+_EXPECTED = re.compile(
+    r"Expected `(?P<kind>\w+)(?: \| null)?`(?: (?P<rule>[^,].*?))?(?:, got (?P<got>\S+))?",
+    re.DOTALL,
+)
 _MISSING = re.compile(r"Object missing required field `(?P<field>\w+)`")
 _KINDS = {
     "float": "a number",
@@ -40,11 +46,18 @@ def parse_toml(text: str, *, file: str) -> dict[str, Any]:
         ScenarioError: If it is no TOML, with the line.
     """
     pieces = _BETWEEN_KEYS.split(_COMMENT.sub("", text))
-    if any(piece.count(".") >= _DEEPEST for piece in pieces):  # tomllib takes hours over a key of a million parts
-        raise ScenarioError(f"{file}: a key of more than {_DEEPEST} parts; allowed: the fields of a scenario")
+    if any(
+        piece.count(".") >= _DEEPEST for piece in pieces
+    ):  # tomllib takes hours over a key of a million parts
+        raise ScenarioError(
+            f"{file}: a key of more than {_DEEPEST} parts; allowed: the fields of a scenario"
+        )
     try:
         return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # a ValueError of another kind: a number of more than 4300 digits
+    except (
+        ValueError,
+        RecursionError,
+    ) as error:  # a ValueError of another kind: a number of more than 4300 digits
         raise ScenarioError(_toml_line(str(error), text, file)) from error
 
 
@@ -106,7 +119,9 @@ def _place(table: object, part: str, *, here: str) -> str | int:
     if isinstance(table, dict):
         return part
     if not isinstance(table, list):
-        raise LookupError(f"{short(here)} = {shown(table)} is no table", f"a value for {short(here)} itself")
+        raise LookupError(
+            f"{short(here)} = {shown(table)} is no table", f"a value for {short(here)} itself"
+        )
     entries = [str(index) for index in range(len(table))]
     if not entries:
         raise LookupError(f"{here} has no entries", f"a value for {here} itself")
@@ -122,7 +137,12 @@ def unknown_keys(raw: object, kind: inspect.Type, path: str = "") -> Iterator[Fa
         fields = {field.encode_name: field.type for field in kind.fields}
         for key, value in raw.items():
             if key not in fields:
-                yield Fault(f"{path}{key}", value, f"no such field{near(key, list(fields))}", ", ".join(fields))
+                yield Fault(
+                    f"{path}{key}",
+                    value,
+                    f"no such field{near(key, list(fields))}",
+                    ", ".join(fields),
+                )
             else:
                 yield from unknown_keys(value, fields[key], f"{path}{key}.")
     elif isinstance(kind, inspect.VarTupleType) and isinstance(raw, list):
@@ -148,7 +168,9 @@ def as_raw(value: object, *, file: str) -> Any:  # noqa: ANN401 - as TOML would 
     try:
         return msgspec.to_builtins(value, enc_hook=_as_python, str_keys=True)
     except (TypeError, RecursionError) as error:
-        raise ScenarioError(f"{file}: {one_line(str(error))}; allowed: numbers, text, lists and tables") from error
+        raise ScenarioError(
+            f"{file}: {one_line(str(error))}; allowed: numbers, text, lists and tables"
+        ) from error
 
 
 def typed(raw: object, kind: type[Typed], *, file: str) -> Typed:
@@ -184,7 +206,11 @@ def _expectation(text: str, path: list[str]) -> tuple[str, str]:
     found = _EXPECTED.fullmatch(text)
     if found is None:
         return text[0].lower() + text[1:], "a number that a float can hold"
-    kind, rule, got = _KINDS.get(found["kind"], found["kind"]), found["rule"] or "", (found["got"] or "").strip("`")
+    kind, rule, got = (
+        _KINDS.get(found["kind"], found["kind"]),
+        found["rule"] or "",
+        (found["got"] or "").strip("`"),
+    )
     rule = re.sub(r"\d+\.\d+", lambda number: f"{float(number[0]):g}", rule)
     if rule.startswith("matching"):
         return "no name", _NAME_RULE

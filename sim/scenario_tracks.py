@@ -29,7 +29,9 @@ def with_tracks(scenario: Scenario, *, file: str) -> Scenario:
     Raises:
         ScenarioError: If a track cannot be read, or has nothing of the UGV.
     """
-    ugvs = tuple(_with_track(ugv, k, file) if ugv.track else ugv for k, ugv in enumerate(scenario.ugv))
+    ugvs = tuple(
+        _with_track(ugv, k, file) if ugv.track else ugv for k, ugv in enumerate(scenario.ugv)
+    )
     return scenario if ugvs == scenario.ugv else msgspec.structs.replace(scenario, ugv=ugvs)
 
 
@@ -37,14 +39,27 @@ def _with_track(ugv: Ugv, k: int, file: str) -> Ugv:
     where = f"{file}: ugv.{k}.track = {ugv.track!r}"
     columns = (f"{ugv.name}.vx [m/s]", f"{ugv.name}.vy [m/s]")
     try:
-        with TextIOWrapper(open_regular(Path(ugv.track), _MOST_BYTES), newline="", encoding="utf-8") as table:
+        with TextIOWrapper(
+            open_regular(Path(ugv.track), _MOST_BYTES), newline="", encoding="utf-8"
+        ) as table:
             read = islice(csv.DictReader(table), _MOST_ROWS + 1)
-            rows = [(float(row["time [s]"]), float(row[columns[0]]), float(row[columns[1]])) for row in read]
+            rows = [
+                (float(row["time [s]"]), float(row[columns[0]]), float(row[columns[1]]))
+                for row in read
+            ]
     except OSError as error:
-        raise ScenarioError(f"{where}: cannot be read: {error.strerror or error}; allowed: a run's trajectory.csv") from error
+        raise ScenarioError(
+            f"{where}: cannot be read: {error.strerror or error}; allowed: a run's trajectory.csv"
+        ) from error
     except (KeyError, ValueError, TypeError, UnicodeDecodeError, csv.Error) as error:
-        wrong = f"has no column {error}" if isinstance(error, KeyError) else f"not a trajectory: {error}"
-        raise ScenarioError(f"{where}: {wrong}; allowed: the trajectory.csv of a run with {ugv.name}") from error
+        wrong = (
+            f"has no column {error}"
+            if isinstance(error, KeyError)
+            else f"not a trajectory: {error}"
+        )
+        raise ScenarioError(
+            f"{where}: {wrong}; allowed: the trajectory.csv of a run with {ugv.name}"
+        ) from error
     if len(rows) > _MOST_ROWS:
         raise ScenarioError(f"{where}: is too long; allowed: {_MOST_ROWS:,} ticks at most")
     if len(rows) < 2:

@@ -74,9 +74,16 @@ def names_are_different(s: Scenario) -> Iterator[Fault]:
     taken = [*STAFF]
     for path, vehicle in vehicles(s):
         if vehicle.name in taken:
-            yield Fault(f"{path}.name", vehicle.name, "the name is taken", f"any other than {', '.join(taken)}")
+            yield Fault(
+                f"{path}.name",
+                vehicle.name,
+                "the name is taken",
+                f"any other than {', '.join(taken)}",
+            )
         if vehicle.name != vehicle.name.strip():  # a pattern's $ lets a line break at the end pass
-            yield Fault(f"{path}.name", vehicle.name, "a line break", "lower-case letters, digits and '_'")
+            yield Fault(
+                f"{path}.name", vehicle.name, "a line break", "lower-case letters, digits and '_'"
+            )
         taken.append(vehicle.name)
 
 
@@ -95,11 +102,21 @@ def grid_divides_area(s: Scenario) -> Iterator[Fault]:
         if size > _WIDEST:
             yield Fault(f"area.{side}", size, "too large", f"up to {_WIDEST:g} m")
         if not is_whole(size / cell, 1e-9 * max(1.0, size / cell)):
-            yield Fault("area.cell", cell, f"does not divide area.{side} = {size:g} m", "a whole part of both sides, in m")
+            yield Fault(
+                "area.cell",
+                cell,
+                f"does not divide area.{side} = {size:g} m",
+                "a whole part of both sides, in m",
+            )
     cells = (s.area.width / cell) * (s.area.height / cell)
     if cells > _MOST_CELLS:
         least = math.sqrt(s.area.width) * math.sqrt(s.area.height / _MOST_CELLS)
-        yield Fault("area.cell", cell, f"makes {cells:.3g} cells, {_MOST_CELLS:,} are the most", f"{least:.3g} m or more")
+        yield Fault(
+            "area.cell",
+            cell,
+            f"makes {cells:.3g} cells, {_MOST_CELLS:,} are the most",
+            f"{least:.3g} m or more",
+        )
 
 
 def time_is_whole(s: Scenario) -> Iterator[Fault]:
@@ -110,11 +127,19 @@ def time_is_whole(s: Scenario) -> Iterator[Fault]:
     ticks = s.duration / s.dt
     if ticks > _MOST_TICKS:
         yield Fault(
-            "duration", s.duration, f"makes {ticks:.3g} ticks", f"{_MOST_TICKS:,} ticks at most, {_MOST_TICKS * s.dt:g} s"
+            "duration",
+            s.duration,
+            f"makes {ticks:.3g} ticks",
+            f"{_MOST_TICKS:,} ticks at most, {_MOST_TICKS * s.dt:g} s",
         )
     elif not is_whole(ticks, 1e-6):
         near = max(1, round(ticks)) * s.dt
-        yield Fault("duration", s.duration, "no whole number of ticks", f"multiples of dt = {s.dt:g} s, such as {near:.6g}")
+        yield Fault(
+            "duration",
+            s.duration,
+            "no whole number of ticks",
+            f"multiples of dt = {s.dt:g} s, such as {near:.6g}",
+        )
 
 
 def looks_fit_ticks(s: Scenario) -> Iterator[Fault]:
@@ -123,7 +148,12 @@ def looks_fit_ticks(s: Scenario) -> Iterator[Fault]:
     period = 1.0 / looks if looks > 0.0 else math.inf
     if period > _MOST_TICKS or not is_whole(period, 1e-6):
         some = ", ".join(f"{1.0 / (n * s.dt):.4g}" for n in (1, 2, 3))
-        yield Fault("detections.rate", s.detections.rate, "no whole number of ticks fits between two looks", f"{some}, ... 1/s")
+        yield Fault(
+            "detections.rate",
+            s.detections.rate,
+            "no whole number of ticks fits between two looks",
+            f"{some}, ... 1/s",
+        )
 
 
 def sight_is_within_range(s: Scenario) -> Iterator[Fault]:
@@ -136,10 +166,16 @@ def sight_is_within_range(s: Scenario) -> Iterator[Fault]:
 def points_are_inside(s: Scenario) -> Iterator[Fault]:
     """Vehicles and goals lie in Q."""
     points = [(f"{path}.position", vehicle.position) for path, vehicle in vehicles(s)]
-    points += [(f"ugv.{k}.goals.{i}", goal) for k, ugv in enumerate(s.ugv) for i, goal in enumerate(ugv.goals)]
+    points += [
+        (f"ugv.{k}.goals.{i}", goal)
+        for k, ugv in enumerate(s.ugv)
+        for i, goal in enumerate(ugv.goals)
+    ]
     for path, (x, y) in points:
         if not (0.0 <= x <= s.area.width and 0.0 <= y <= s.area.height):
-            yield Fault(path, [x, y], "outside Q", f"[0, {s.area.width:g}] x [0, {s.area.height:g}] m")
+            yield Fault(
+                path, [x, y], "outside Q", f"[0, {s.area.width:g}] x [0, {s.area.height:g}] m"
+            )
 
 
 def covered_is_inside(s: Scenario) -> Iterator[Fault]:
@@ -149,11 +185,20 @@ def covered_is_inside(s: Scenario) -> Iterator[Fault]:
             low, high = region.lower[axis], region.upper[axis]
             path = f"coverage.covered.{k}"
             if low >= high:
-                yield Fault(f"{path}.upper.{axis}", high, "not above the lower corner", f"more than {low:g} m")
+                yield Fault(
+                    f"{path}.upper.{axis}",
+                    high,
+                    "not above the lower corner",
+                    f"more than {low:g} m",
+                )
             if low < 0.0:
-                yield Fault(f"{path}.lower.{axis}", low, "outside Q", f"{letter} from 0 to {size:g} m")
+                yield Fault(
+                    f"{path}.lower.{axis}", low, "outside Q", f"{letter} from 0 to {size:g} m"
+                )
             if high > size:
-                yield Fault(f"{path}.upper.{axis}", high, "outside Q", f"{letter} from 0 to {size:g} m")
+                yield Fault(
+                    f"{path}.upper.{axis}", high, "outside Q", f"{letter} from 0 to {size:g} m"
+                )
 
 
 def starts_are_within_bounds(s: Scenario) -> Iterator[Fault]:
@@ -162,7 +207,9 @@ def starts_are_within_bounds(s: Scenario) -> Iterator[Fault]:
         speed = math.hypot(*vehicle.velocity)
         if speed > vehicle.max_speed * (1.0 + _ROUNDING):
             allowed = f"up to {path}.max_speed = {vehicle.max_speed:g} m/s"
-            yield Fault(f"{path}.velocity", vehicle.velocity, f"a speed of {speed:.4g} m/s", allowed)
+            yield Fault(
+                f"{path}.velocity", vehicle.velocity, f"a speed of {speed:.4g} m/s", allowed
+            )
 
 
 def uav_is_stronger(s: Scenario) -> Iterator[Fault]:
@@ -171,7 +218,12 @@ def uav_is_stronger(s: Scenario) -> Iterator[Fault]:
         for field, unit in (("max_speed", "m/s"), ("max_acceleration", "m/s²")):
             mine, its = getattr(uav, field), getattr(ugv, field)
             if mine <= its:
-                yield Fault(f"{path}.{field}", mine, f"the UAV must have more than the UGV {ugv.name}", f"above {its:g} {unit}")
+                yield Fault(
+                    f"{path}.{field}",
+                    mine,
+                    f"the UAV must have more than the UGV {ugv.name}",
+                    f"above {its:g} {unit}",
+                )
 
 
 def ugv_is_seen_at_start(s: Scenario) -> Iterator[Fault]:
@@ -180,7 +232,12 @@ def ugv_is_seen_at_start(s: Scenario) -> Iterator[Fault]:
         distance = math.dist(uav.position, ugv.position)
         if distance >= s.visibility.radius:
             allowed = f"nearer than visibility.radius = {s.visibility.radius:g} m"
-            yield Fault(f"{path}.position", uav.position, f"{distance:.4g} m away from {ugv.name} at the start", allowed)
+            yield Fault(
+                f"{path}.position",
+                uav.position,
+                f"{distance:.4g} m away from {ugv.name} at the start",
+                allowed,
+            )
 
 
 def links_are_possible(s: Scenario) -> Iterator[Fault]:
@@ -190,7 +247,9 @@ def links_are_possible(s: Scenario) -> Iterator[Fault]:
         yield from link_faults(getattr(s.links, kind), f"links.{kind}.")
     for k, own in enumerate(s.links.only):
         if own.vehicle not in names:
-            yield Fault(f"links.only.{k}.vehicle", own.vehicle, "no vehicle has this name", ", ".join(names))
+            yield Fault(
+                f"links.only.{k}.vehicle", own.vehicle, "no vehicle has this name", ", ".join(names)
+            )
         for kind in LinkKind:
             yield from link_faults(getattr(own, kind), f"links.only.{k}.{kind}.")
 

@@ -68,8 +68,12 @@ class Seats:
         self._flight = flight
         self._on_event = on_event
         self._gate = threading.Lock()
-        self._arrivals: Counter[tuple[str, int]] = Counter()  # how often somebody came to each place of each vehicle
-        self._changes: dict[tuple[str, int], bool] = {}  # where somebody came or went since they were last taken in
+        self._arrivals: Counter[tuple[str, int]] = (
+            Counter()
+        )  # how often somebody came to each place of each vehicle
+        self._changes: dict[
+            tuple[str, int], bool
+        ] = {}  # where somebody came or went since they were last taken in
         self._seats: dict[str, Seat] = {}
         for vehicle in flight.scenario.vehicles:
             role = Role.UAV if isinstance(vehicle, Uav) else Role.UGV
@@ -94,7 +98,8 @@ class Seats:
     def _note(self, name: str, place: int, present: bool) -> None:
         """A session comes or goes; called from a thread of Zenoh's.
 
-        However often that happens, it is kept once for each place: a flood of it must neither fill the memory nor stop the clock.
+        However often that happens, it is kept once for each place: a flood of it must neither fill the memory nor
+        stop the clock.
         """
         if name not in self._seats:
             return
@@ -108,7 +113,10 @@ class Seats:
     def follow(self) -> None:
         """Take in who has come and gone since the last call, and name what did not decode."""
         with self._gate:
-            changes = [(name, place, self._arrivals[name, place], there) for (name, place), there in self._changes.items()]
+            changes = [
+                (name, place, self._arrivals[name, place], there)
+                for (name, place), there in self._changes.items()
+            ]
             self._changes.clear()
         for name, place, arrivals, present in changes:
             seat = self._seats[name]
@@ -119,7 +127,12 @@ class Seats:
         for name, seat in self._seats.items():
             unreadable = self.commands.refused[name]
             if unreadable > seat.refused[UNREADABLE]:
-                self._refuse(seat, UNREADABLE, self.commands.fault[name], unreadable - seat.refused[UNREADABLE])
+                self._refuse(
+                    seat,
+                    UNREADABLE,
+                    self.commands.fault[name],
+                    unreadable - seat.refused[UNREADABLE],
+                )
 
     def _arrive(self, seat: Seat, place: int, arrivals: int) -> None:
         seat.sessions[place] = arrivals
@@ -165,7 +178,9 @@ class Seats:
     @property
     def unbriefed(self) -> list[str]:
         """Vehicles that somebody sits in who does not know all yet."""
-        return [name for name, seat in self._seats.items() if seat.present and seat.owed is not None]
+        return [
+            name for name, seat in self._seats.items() if seat.present and seat.owed is not None
+        ]
 
     def brief(self, name: str, *, parts: int | None = None) -> bool:
         """Send a vehicle what it is owed.
@@ -183,12 +198,18 @@ class Seats:
             end = min(seat.owed + PART, now)
             told = briefing(self._flight.scenario, name, self._flight.seed, self._flight.secret)
             past = self._flight.past(name, seat.owed, end, seat.unheard)
-            seat.briefings.send(msgspec.structs.replace(told, past=past, more=end < now, episode=self._flight.episode))
+            seat.briefings.send(
+                msgspec.structs.replace(
+                    told, past=past, more=end < now, episode=self._flight.episode
+                )
+            )
             sent += 1
             seat.owed = end if end < now else None
         return seat.owed is None
 
-    def send(self, observations: Mapping[str, Observation], *, parts: int | None = None) -> set[str]:
+    def send(
+        self, observations: Mapping[str, Observation], *, parts: int | None = None
+    ) -> set[str]:
         """Give each vehicle that is there and briefed its observation of this tick.
 
         Args:
@@ -209,7 +230,9 @@ class Seats:
                 seat.unheard.add(observation.tick)
         return given
 
-    def take(self, letter: Letter, tick: int, commands: dict[str, Command], *, oldest: int | None = None) -> bool:
+    def take(
+        self, letter: Letter, tick: int, commands: dict[str, Command], *, oldest: int | None = None
+    ) -> bool:
         """Put a command among those of this tick, or refuse it.
 
         Args:
@@ -226,10 +249,16 @@ class Seats:
             return False
         answered = command.tick
         if letter.place is not None and seat.present and letter.place != seat.holder:
-            self._refuse(seat, SECOND_SESSION, f"a command for tick {answered} from the session number {letter.place}")
+            self._refuse(
+                seat,
+                SECOND_SESSION,
+                f"a command for tick {answered} from the session number {letter.place}",
+            )
         elif answered == seat.newest:
             self._refuse(seat, TWICE, f"tick {answered} once more at tick {tick}")
-        elif answered > tick or answered < seat.newest or (oldest is not None and answered < oldest):
+        elif (
+            answered > tick or answered < seat.newest or (oldest is not None and answered < oldest)
+        ):
             self._refuse(seat, ANOTHER_TICK, f"tick {answered} at tick {tick}")
         else:
             seat.newest = answered

@@ -24,7 +24,8 @@ class Server:
         secret: Of the run, which stays in this process; empty: none.
         realtime: Simulated seconds per second of wall time; None: lockstep, as fast as the vehicles answer.
         deadline: In lockstep, how long to wait for the commands of one tick [s].
-        join_timeout: How long to wait for all vehicles at the start, for one that is to come back, and for the router [s].
+        join_timeout: How long to wait for all vehicles at the start, for one that is to come back, and for the
+            router [s].
         respawn: In lockstep, whether the clock stands still for a vehicle that was lost.
         on_event: Called with one line for a person: who joined, who was lost, who is late.
         stop: Asked now and then whether somebody wants the run to end.
@@ -56,7 +57,14 @@ class Server:
         def make_pace(factor: float | None) -> Pace:
             if factor is not None:
                 return RealTime(self._seats, dt=scenario.dt, factor=factor, on_event=on_event)
-            return Lockstep(session, self._seats, deadline=deadline, patience=join_timeout, respawn=respawn, on_event=on_event)
+            return Lockstep(
+                session,
+                self._seats,
+                deadline=deadline,
+                patience=join_timeout,
+                respawn=respawn,
+                on_event=on_event,
+            )
 
         self._desk = Desk(session, self.flight, make_pace, realtime, on_event)
         self._telemetry = Telemetry(session, self.flight, self._seats, self._desk, warn)
@@ -77,7 +85,9 @@ class Server:
             if not missing:
                 return
             if time.monotonic() > limit:
-                raise PeerLost(f"{' and '.join(missing)} did not join within {self._join_timeout:g} s")
+                raise PeerLost(
+                    f"{' and '.join(missing)} did not join within {self._join_timeout:g} s"
+                )
             self._seats.commands.receive(0.2)
 
     def _idle(self) -> bool:
@@ -128,7 +138,10 @@ class Server:
     def changes(self) -> tuple[Change, ...]:
         """What operators have changed in this flight so far, and when."""
         changes = self._desk.changes
-        begun = max((n + 1 for n, change in enumerate(changes) if change.control.action is Action.RESET), default=0)
+        begun = max(
+            (n + 1 for n, change in enumerate(changes) if change.control.action is Action.RESET),
+            default=0,
+        )
         return tuple(changes[begun:])
 
     @property

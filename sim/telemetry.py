@@ -1,4 +1,7 @@
-"""What the simulator tells observers: the truth, the map and the status, to whoever listens, and never in the tick's way."""
+"""What the simulator tells observers.
+
+The truth, the map and the status, to whoever listens, and never in the tick's way.
+"""
 
 import math
 import time
@@ -59,7 +62,9 @@ class Telemetry:
         warn: What cannot be promised of a scenario whose links are now these, a line each.
     """
 
-    def __init__(self, session: Session, flight: Flight, seats: Seats, desk: Desk, warn: Warn) -> None:
+    def __init__(
+        self, session: Session, flight: Flight, seats: Seats, desk: Desk, warn: Warn
+    ) -> None:
         self._warn = warn
         self._flight, self._seats, self._desk = flight, seats, desk
         self._geometry = _geometry(flight.scenario)
@@ -111,7 +116,9 @@ class Telemetry:
             tick=world.tick,
             ticks=flight.scenario.ticks,
             time=world.time,
-            realtime_factor=(world.tick - tick) * flight.scenario.dt / elapsed if before and elapsed > 0.0 else 0.0,
+            realtime_factor=(world.tick - tick) * flight.scenario.dt / elapsed
+            if before and elapsed > 0.0
+            else 0.0,
             wanted_factor=self._desk.pace.factor,
             late_ticks=self._desk.late_ticks,
             paused=self._desk.paused,
@@ -121,7 +128,9 @@ class Telemetry:
             refusals=tuple(self._desk.refusals),
             geometry=self._geometry,
             certified={name: bool(report.certified) for name, report in watched.items()},
-            uncertified={name: report.uncertified for name, report in watched.items() if not report.certified},
+            uncertified={
+                name: report.uncertified for name, report in watched.items() if not report.certified
+            },
             certificates=flight.assurance.status(),
             warnings=self._warn(flight.flown, world.links.table),
             links=world.links.status(),
@@ -133,4 +142,10 @@ class Telemetry:
         world = self._flight.world
         rows, columns = world.coverage.shape
         share = (world.coverage * (255.0 / world.parameters.desired)).clip(0.0, 255.0).astype("u1")
-        return CoverageMap(tick=world.tick, rows=rows, columns=columns, cell=world.parameters.cell, cells=share.tobytes())
+        return CoverageMap(
+            tick=world.tick,
+            rows=rows,
+            columns=columns,
+            cell=world.parameters.cell,
+            cells=share.tobytes(),
+        )

@@ -1,7 +1,7 @@
 """Many worlds on several cores: compiled loops over a range of worlds, each thread with a range of its own.
 
-Threads of Python, not of numba: compiled code gives the interpreter away while it runs, so nothing else is needed, the compile
-cache works as everywhere, and processes that fork or spawn meet no thread pool of a library.
+Threads of Python, not of numba: compiled code gives the interpreter away while it runs, so nothing else is needed,
+the compile cache works as everywhere, and processes that fork or spawn meet no thread pool of a library.
 """
 
 import itertools
@@ -48,7 +48,10 @@ class Crew:
             work(*arguments, 0, count)
             return
         edges = [count * part // parts for part in range(parts + 1)]
-        others = [self._executor().submit(work, *arguments, begin, end) for begin, end in itertools.pairwise(edges[1:])]
+        others = [
+            self._executor().submit(work, *arguments, begin, end)
+            for begin, end in itertools.pairwise(edges[1:])
+        ]
         try:
             work(*arguments, 0, edges[1])
         finally:
@@ -60,7 +63,9 @@ class Crew:
     def _executor(self) -> ThreadPoolExecutor:
         with self._lock:
             if self._pool is None or self._owner != os.getpid():
-                self._pool = ThreadPoolExecutor(self.threads - 1, thread_name_prefix="outrider-worlds")
+                self._pool = ThreadPoolExecutor(
+                    self.threads - 1, thread_name_prefix="outrider-worlds"
+                )
                 self._owner = os.getpid()
             return self._pool
 

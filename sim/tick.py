@@ -9,7 +9,14 @@ import numpy as np
 
 from sim.compile import FloatArray, IntArray, borrowing
 from sim.detection import detect
-from sim.field import SENSORS, accumulate, accumulate_with_gain, cover, coverage_error, empty_coverage
+from sim.field import (
+    SENSORS,
+    accumulate,
+    accumulate_with_gain,
+    cover,
+    coverage_error,
+    empty_coverage,
+)
 from sim.randomness import DETECTION_CHANCE, DETECTION_NOISE, WordArray, key_of
 from sim.scenario import Scenario
 from sim.vehicles import norm, step_vehicle, within_walls
@@ -98,14 +105,18 @@ def first_state(scenario: Scenario) -> WorldState:
 
 def bounds_of(scenario: Scenario) -> FloatArray:
     """v_max [m/s] and u_max [m/s²] of each vehicle. Shape (vehicles, 2)."""
-    return np.array([(v.max_speed, v.max_acceleration) for v in scenario.vehicles], dtype=np.float64)
+    return np.array(
+        [(v.max_speed, v.max_acceleration) for v in scenario.vehicles], dtype=np.float64
+    )
 
 
 def escorts_of(scenario: Scenario) -> IntArray:
     """Rows (UAV, UGV), one for each UAV, in name order. Shape (UAVs, 2)."""
     index = {vehicle.name: k for k, vehicle in enumerate(scenario.vehicles)}
     escorts = {uav.name: uav.escorts for uav in scenario.uav}
-    return np.array([(index[name], index[escorts[name]]) for name in index if name in escorts], dtype=np.int64)
+    return np.array(
+        [(index[name], index[escorts[name]]) for name in index if name in escorts], dtype=np.int64
+    )
 
 
 @borrowing
@@ -135,7 +146,13 @@ def _move(
 
 
 @borrowing
-def _see(w: WorldParameters, position: FloatArray, escorts: IntArray, coverage: FloatArray, gains: FloatArray) -> None:
+def _see(
+    w: WorldParameters,
+    position: FloatArray,
+    escorts: IntArray,
+    coverage: FloatArray,
+    gains: FloatArray,
+) -> None:
     for k in range(escorts.shape[0]):
         a, g = escorts[k, 0], escorts[k, 1]
         if w.gains:
@@ -154,12 +171,19 @@ def _see(w: WorldParameters, position: FloatArray, escorts: IntArray, coverage: 
                 w.dt,
             )
         else:
-            accumulate(coverage, position[a, 0], position[a, 1], w.sensor, w.peak, w.reach, w.cell, w.dt)
+            accumulate(
+                coverage, position[a, 0], position[a, 1], w.sensor, w.peak, w.reach, w.cell, w.dt
+            )
 
 
 @borrowing
 def detect_all(
-    w: WorldParameters, keys: WordArray, tick: int, position: FloatArray, escorts: IntArray, detections: FloatArray
+    w: WorldParameters,
+    keys: WordArray,
+    tick: int,
+    position: FloatArray,
+    escorts: IntArray,
+    detections: FloatArray,
 ) -> None:
     """Every UAV's detector looks for its UGV, where it is due at this tick."""
     for k in range(escorts.shape[0]):
@@ -181,12 +205,20 @@ def detect_all(
 
 
 @borrowing
-def measure(w: WorldParameters, position: FloatArray, escorts: IntArray, coverage: FloatArray, measures: FloatArray) -> None:
+def measure(
+    w: WorldParameters,
+    position: FloatArray,
+    escorts: IntArray,
+    coverage: FloatArray,
+    measures: FloatArray,
+) -> None:
     """Distance [m] and e(t) (4) with the true p_g [m²] of each UAV, into `measures`."""
     for k in range(escorts.shape[0]):
         a, g = escorts[k, 0], escorts[k, 1]
         measures[k, 0] = norm(position[a, 0] - position[g, 0], position[a, 1] - position[g, 1])
-        measures[k, 1] = coverage_error(coverage, position[g, 0], position[g, 1], w.r_o, w.desired, w.cell)
+        measures[k, 1] = coverage_error(
+            coverage, position[g, 0], position[g, 1], w.r_o, w.desired, w.cell
+        )
 
 
 @borrowing

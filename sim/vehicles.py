@@ -23,7 +23,15 @@ def clip_norm(x: float, y: float, limit: float) -> tuple[float, float]:
 
 @compiled
 def step_vehicle(
-    p_x: float, p_y: float, v_x: float, v_y: float, u_x: float, u_y: float, v_max: float, u_max: float, dt: float
+    p_x: float,
+    p_y: float,
+    v_x: float,
+    v_y: float,
+    u_x: float,
+    u_y: float,
+    v_max: float,
+    u_max: float,
+    dt: float,
 ) -> tuple[float, float, float, float, float, float]:
     r"""Move one vehicle over one tick, Klodt 2015, eq. (1).
 
@@ -50,7 +58,9 @@ def step_vehicle(
 
 @compiled
 def within_walls(p: float, v: float, size: float) -> tuple[float, float]:
-    """Position [m] and velocity [m/s] on one axis of an area: a vehicle that runs into a wall, at 0 or `size` [m], stops there.
+    """Position [m] and velocity [m/s] on one axis of an area.
+
+    A vehicle that runs into a wall, at 0 or `size` [m], stops there.
 
     An infinite size means that there are no walls on this axis, at 0 neither.
     """
@@ -73,8 +83,8 @@ def brake(v_x: float, v_y: float, u_max: float, dt: float) -> tuple[float, float
 def speed_to_stop_within(distance: float, u_max: float, dt: float) -> float:
     r"""The largest speed [m/s] from which a sampled vehicle still stops within `distance` [m].
 
-    It may fly one more tick before it brakes: $v\,dt + v^2/(2u) = d$. A caller whose speed changes within the coming tick
-    takes off what that tick still goes at the old one.
+    It may fly one more tick before it brakes: $v\,dt + v^2/(2u) = d$. A caller whose speed changes within the
+    coming tick takes off what that tick still goes at the old one.
     """
     if math.isinf(u_max):
         return max(distance, 0.0) / dt
@@ -90,7 +100,10 @@ def goal_reached(p_x: float, p_y: float, goal_x: float, goal_y: float, tolerance
 
 @compiled
 def stopping_distance(speed: float, u_max: float) -> float:
-    r"""Way to a stop [m] from `speed` [m/s] at the deceleration `u_max` [m/s²]: $v^2 / (2u)$; 0 where it has no bound."""
+    r"""Way to a stop [m] from `speed` [m/s] at the deceleration `u_max` [m/s²]: $v^2 / (2u)$.
+
+    0 where it has no bound.
+    """
     if math.isinf(u_max):
         return 0.0
     return speed * speed / (2.0 * u_max)

@@ -11,7 +11,15 @@ from sim.compile import FloatArray
 from sim.links import Links, hold_ticks
 from sim.run_keys import derive_keys
 from sim.scenario import Scenario, Uav
-from sim.tick import advance, bounds_of, detect_all, escorts_of, first_state, measure, world_parameters
+from sim.tick import (
+    advance,
+    bounds_of,
+    detect_all,
+    escorts_of,
+    first_state,
+    measure,
+    world_parameters,
+)
 from sim.vehicles import brake
 
 
@@ -35,7 +43,9 @@ class World:
         gains: Whether the fall of e(t) by each look is counted, in `state.gains`.
     """
 
-    def __init__(self, scenario: Scenario, seed: int, *, secret: str = "", gains: bool = False) -> None:
+    def __init__(
+        self, scenario: Scenario, seed: int, *, secret: str = "", gains: bool = False
+    ) -> None:
         vehicles = scenario.vehicles
         self.scenario = scenario
         self.seed = seed
@@ -43,7 +53,9 @@ class World:
         """Of all random numbers. Shape (RUN_PURPOSES, vehicles, 2)."""
         self.names: tuple[str, ...] = tuple(vehicle.name for vehicle in vehicles)
         """Vehicles in the order of every array."""
-        self.uavs: tuple[Uav, ...] = tuple(vehicle for vehicle in vehicles if isinstance(vehicle, Uav))
+        self.uavs: tuple[Uav, ...] = tuple(
+            vehicle for vehicle in vehicles if isinstance(vehicle, Uav)
+        )
         self.escorts = escorts_of(scenario)
         """Rows (UAV, UGV), one for each UAV, in name order."""
         self.bounds = bounds_of(scenario)
@@ -70,7 +82,9 @@ class World:
         """What each vehicle acted on in the last tick, before the bounds [m/s²], shape (vehicles, 2)."""
         self._ways_in = [self.links.of(LinkKind.DETECTIONS)[uav.name] for uav in self.uavs]
         self._ways_out = [self.links.of(LinkKind.COMMANDS)[name] for name in self.names]
-        self._answered = [-1] * len(vehicles)  # the tick that the newest command of each, as it has arrived, answers
+        self._answered = [-1] * len(
+            vehicles
+        )  # the tick that the newest command of each, as it has arrived, answers
         self._hold_ticks = hold_ticks(scenario)
         detect_all(self.parameters, self.keys, 0, self.position, self.escorts, self.detections)
         self._hear()
@@ -102,7 +116,8 @@ class World:
     def heed(self) -> FloatArray:
         """What each vehicle acts on in this tick, once all have sent: its newest command that has arrived.
 
-        Where none comes, the last one is held for a while; then the vehicle brakes. Shape (vehicles, 2); changed next time.
+        Where none comes, the last one is held for a while; then the vehicle brakes. Shape (vehicles, 2); changed
+        next time.
         """
         tick = self.tick
         for k, link in enumerate(self._ways_out):
@@ -121,7 +136,9 @@ class World:
             commands: Accelerations [m/s²], shape (vehicles, 2), float64, finite; the bounds of (1) are applied here.
         """
         self.tick += 1
-        advance(self.parameters, self.state, self.keys, self.tick, self.bounds, self.escorts, commands)
+        advance(
+            self.parameters, self.state, self.keys, self.tick, self.bounds, self.escorts, commands
+        )
         self._hear()
 
     def measure(self) -> FloatArray:

@@ -55,7 +55,9 @@ def _mixed(
 
 
 @inlined
-def _compress(h: WordArray, m: WordArray, count: np.uint64, last: np.uint64, out: WordArray) -> None:
+def _compress(
+    h: WordArray, m: WordArray, count: np.uint64, last: np.uint64, out: WordArray
+) -> None:
     """One block: the state h and the message m, shape (16,), after `count` bytes, into `out`, shape (8,)."""
     v_0, v_1, v_2, v_3, v_4, v_5, v_6, v_7 = h[0], h[1], h[2], h[3], h[4], h[5], h[6], h[7]
     v_8, v_9, v_10, v_11, v_12, v_13 = _IV[0], _IV[1], _IV[2], _IV[3], _IV[4] ^ count, _IV[5]
@@ -69,8 +71,18 @@ def _compress(h: WordArray, m: WordArray, count: np.uint64, last: np.uint64, out
         v_1, v_6, v_11, v_12 = _mixed(v_1, v_6, v_11, v_12, m[_ORDER[r, 10]], m[_ORDER[r, 11]])
         v_2, v_7, v_8, v_13 = _mixed(v_2, v_7, v_8, v_13, m[_ORDER[r, 12]], m[_ORDER[r, 13]])
         v_3, v_4, v_9, v_14 = _mixed(v_3, v_4, v_9, v_14, m[_ORDER[r, 14]], m[_ORDER[r, 15]])
-    out[0], out[1], out[2], out[3] = h[0] ^ v_0 ^ v_8, h[1] ^ v_1 ^ v_9, h[2] ^ v_2 ^ v_10, h[3] ^ v_3 ^ v_11
-    out[4], out[5], out[6], out[7] = h[4] ^ v_4 ^ v_12, h[5] ^ v_5 ^ v_13, h[6] ^ v_6 ^ v_14, h[7] ^ v_7 ^ v_15
+    out[0], out[1], out[2], out[3] = (
+        h[0] ^ v_0 ^ v_8,
+        h[1] ^ v_1 ^ v_9,
+        h[2] ^ v_2 ^ v_10,
+        h[3] ^ v_3 ^ v_11,
+    )
+    out[4], out[5], out[6], out[7] = (
+        h[4] ^ v_4 ^ v_12,
+        h[5] ^ v_5 ^ v_13,
+        h[6] ^ v_6 ^ v_14,
+        h[7] ^ v_7 ^ v_15,
+    )
 
 
 @compiled
@@ -88,11 +100,15 @@ def begun(secret: str) -> tuple[WordArray, int]:
     parameters[6] = int.from_bytes(b"outrider", "little")
     if not key:
         return _IV ^ parameters, _TOLD
-    return _after(_IV ^ parameters, np.frombuffer(key.ljust(128, b"\0"), dtype="<u8").copy(), 128), 128 + _TOLD
+    return _after(
+        _IV ^ parameters, np.frombuffer(key.ljust(128, b"\0"), dtype="<u8").copy(), 128
+    ), 128 + _TOLD
 
 
 @inlined
-def key_for(h: WordArray, count: int, seed: int, purpose: int, vehicle: int, m: WordArray, out: WordArray) -> Key:
+def key_for(
+    h: WordArray, count: int, seed: int, purpose: int, vehicle: int, m: WordArray, out: WordArray
+) -> Key:
     """The key of one seed, purpose and vehicle; `m`, shape (16,), of zeros, and `out`, shape (8,), are for its sums."""
     m[0], m[1] = np.uint64(seed), np.uint64(purpose) | np.uint64(vehicle) << np.uint64(32)
     _compress(h, m, np.uint64(count), _ALL, out)
@@ -100,6 +116,14 @@ def key_for(h: WordArray, count: int, seed: int, purpose: int, vehicle: int, m: 
 
 
 @released
-def one_key(state: WordArray, count: int, seed: int, purpose: int, vehicle: int, m: WordArray, out: WordArray) -> Key:
+def one_key(
+    state: WordArray,
+    count: int,
+    seed: int,
+    purpose: int,
+    vehicle: int,
+    m: WordArray,
+    out: WordArray,
+) -> Key:
     """`key_for`, for Python."""
     return key_for(state, count, seed, purpose, vehicle, m, out)

@@ -1,4 +1,7 @@
-"""How the machine's BLAS sums: where it fuses, as on all but old processors, the compiled filter has the pilots' bits."""
+"""How the machine's BLAS sums.
+
+Where it fuses, as on all but old processors, the compiled filter has the pilots' bits.
+"""
 
 from functools import cache
 

@@ -28,7 +28,9 @@ def escort(
     **fields: Any,
 ) -> Scenario:
     """One UAV that escorts one UGV; `fields` are the scenario's."""
-    return Scenario(law=Law(name=law) if isinstance(law, str) else law, uav=(uav,), ugv=(ugv,), **fields)
+    return Scenario(
+        law=Law(name=law) if isinstance(law, str) else law, uav=(uav,), ugv=(ugv,), **fields
+    )
 
 
 def told(scenario: Scenario, seed: int = 0) -> UavBriefing:
@@ -46,7 +48,9 @@ def parameters(scenario: Scenario, seed: int = 0) -> LawParameters:
 def tracks(flight: Flight) -> tuple[FloatArray, FloatArray]:
     """p, v and u of the UAV and of the UGV of a flight with one of each, shape (rows, 6)."""
     states = flight.recorder.states
-    return states[:, flight.world.names.index("uav_0")], states[:, flight.world.names.index("ugv_0")]
+    return states[:, flight.world.names.index("uav_0")], states[
+        :, flight.world.names.index("ugv_0")
+    ]
 
 
 def distances(flight: Flight) -> FloatArray:

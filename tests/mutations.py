@@ -1,4 +1,7 @@
-"""Garbage for the tests of the bus: mutations of real messages, from seeds, and whether a value is what its type allows."""
+"""Garbage for the tests of the bus.
+
+Mutations of real messages, from seeds, and whether a value is what its type allows.
+"""
 
 import base64
 import math
@@ -34,7 +37,10 @@ def valid(kind: Any, rng: random.Random) -> Any:
             low = kind.ge if kind.ge is not None else math.nextafter(kind.gt, math.inf)
             return edge_or_between(kind, low, rng.choice([1.0, kind.le]), rng)
         case kinds.IntType():
-            low, high = (-(2**70) if kind.ge is None else kind.ge), (2**70 if kind.le is None else kind.le)
+            low, high = (
+                (-(2**70) if kind.ge is None else kind.ge),
+                (2**70 if kind.le is None else kind.le),
+            )
             return rng.choice([low, high, rng.randint(low, high), rng.randint(low, low + 1000)])
         case kinds.StrType(pattern=None):
             return "".join(rng.choices('aZ0 _/"\\\n\0∞𝄞', k=rng.choice([0, 1, 8, kind.max_length])))
@@ -47,7 +53,10 @@ def valid(kind: Any, rng: random.Random) -> Any:
         case kinds.TupleType():
             return [valid(part, rng) for part in kind.item_types]
         case kinds.DictType():
-            return {valid(kind.key_type, rng): valid(kind.value_type, rng) for _ in range(rng.randrange(3))}
+            return {
+                valid(kind.key_type, rng): valid(kind.value_type, rng)
+                for _ in range(rng.randrange(3))
+            }
         case kinds.UnionType():
             return valid(rng.choice(kind.types), rng)
         case kinds.EnumType():
@@ -75,13 +84,24 @@ def allowed(value: Any, kind: Any) -> bool:
     """Whether a decoded value is what its type says, to the last part of it."""
     match kind:
         case kinds.StructType():
-            return type(value) is kind.cls and all(allowed(getattr(value, part.name), part.type) for part in kind.fields)
+            return type(value) is kind.cls and all(
+                allowed(getattr(value, part.name), part.type) for part in kind.fields
+            )
         case kinds.FloatType():
-            return type(value) is float and math.isfinite(value) and abs(value) <= 1e12 and between(value, kind)
+            return (
+                type(value) is float
+                and math.isfinite(value)
+                and abs(value) <= 1e12
+                and between(value, kind)
+            )
         case kinds.IntType():
             return type(value) is int and between(value, kind)
         case kinds.StrType():
-            whole = kind.pattern.removesuffix(r"(?!\n)").strip("^$") if kind.pattern else rf"(?s:.){{0,{kind.max_length}}}"
+            whole = (
+                kind.pattern.removesuffix(r"(?!\n)").strip("^$")
+                if kind.pattern
+                else rf"(?s:.){{0,{kind.max_length}}}"
+            )
             fits = re.compile(whole).fullmatch
             return type(value) is str and fits(value) is not None
         case kinds.VarTupleType():
@@ -91,7 +111,8 @@ def allowed(value: Any, kind: Any) -> bool:
             return right and all(map(allowed, value, kind.item_types))
         case kinds.DictType():
             return type(value) is dict and all(
-                allowed(name, kind.key_type) and allowed(part, kind.value_type) for name, part in value.items()
+                allowed(name, kind.key_type) and allowed(part, kind.value_type)
+                for name, part in value.items()
             )
         case kinds.UnionType():
             return any(allowed(value, part) for part in kind.types)
@@ -107,12 +128,17 @@ def allowed(value: Any, kind: Any) -> bool:
 
 
 def says(value: Any, told: Any) -> bool:
-    """Whether a decoded value is what Python's own reader of JSON finds in its payload; a field that is not told is free."""
+    """Whether a decoded value is what Python's own reader of JSON finds in its payload.
+
+    A field that is not told is free.
+    """
     if isinstance(value, msgspec.Struct):
         known = told.keys() <= set(value.__struct_fields__)
         return known and all(says(getattr(value, name), part) for name, part in told.items())
     if isinstance(value, dict):
-        return value.keys() == told.keys() and all(says(value[name], part) for name, part in told.items())
+        return value.keys() == told.keys() and all(
+            says(value[name], part) for name, part in told.items()
+        )
     if isinstance(value, tuple):
         return len(value) == len(told) and all(map(says, value, told))
     if isinstance(value, bytes):
@@ -123,13 +149,77 @@ def says(value: Any, told: Any) -> bool:
 NUMBER = re.compile(rb"(?<=[:\[,])-?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?(?=[,\]}])")
 STRING = re.compile(rb'"[^"\\]*"')
 ODD = [
-    *(b"NaN", b"Infinity", b"-Infinity", b"1e308", b"-1e308", b"1e999", b"-1e999", b"5e-324", b"1e-999", b"-1", b"0", b"-0"),
-    *(b"-0.0", b"0.1", b"1.0", b"1e2", b"01", b"+1", b".5", b"1.", b"0x10", b"1_0", b"true", b"null", b'""', b'"1"', b'"NaN"'),
-    *(b"[]", b"{}", b"[1]", b"9007199254740993", b"18446744073709551616", b"-9223372036854775809", b"1e6", b"1000000.0000000001"),
-    *(b"9" * 400, b"9" * 4300, b"9" * 5000, b"-" + b"9" * 5000, b"0." + b"9" * 2000, b"1" + b"0" * 400 + b"e-400"),
+    *(
+        b"NaN",
+        b"Infinity",
+        b"-Infinity",
+        b"1e308",
+        b"-1e308",
+        b"1e999",
+        b"-1e999",
+        b"5e-324",
+        b"1e-999",
+        b"-1",
+        b"0",
+        b"-0",
+    ),
+    *(
+        b"-0.0",
+        b"0.1",
+        b"1.0",
+        b"1e2",
+        b"01",
+        b"+1",
+        b".5",
+        b"1.",
+        b"0x10",
+        b"1_0",
+        b"true",
+        b"null",
+        b'""',
+        b'"1"',
+        b'"NaN"',
+    ),
+    *(
+        b"[]",
+        b"{}",
+        b"[1]",
+        b"9007199254740993",
+        b"18446744073709551616",
+        b"-9223372036854775809",
+        b"1e6",
+        b"1000000.0000000001",
+    ),
+    *(
+        b"9" * 400,
+        b"9" * 4300,
+        b"9" * 5000,
+        b"-" + b"9" * 5000,
+        b"0." + b"9" * 2000,
+        b"1" + b"0" * 400 + b"e-400",
+    ),
 ]
-NOT_TEXT = [b"\xff", b"\xc3", b"\xed\xa0\x80", b"\xc0\x80", b"\xf5\x80\x80\x80", b"\\ud800", b"\\udc00\\ud800", b"\\x41", b"\x00"]
-LONG_TEXT = [b"x" * 501, b"x" * 5000, "∞".encode() * 500, b"\\u221e" * 500, b"a" * 33, b"\\n", b"\xc3\xa9", b""]
+NOT_TEXT = [
+    b"\xff",
+    b"\xc3",
+    b"\xed\xa0\x80",
+    b"\xc0\x80",
+    b"\xf5\x80\x80\x80",
+    b"\\ud800",
+    b"\\udc00\\ud800",
+    b"\\x41",
+    b"\x00",
+]
+LONG_TEXT = [
+    b"x" * 501,
+    b"x" * 5000,
+    "∞".encode() * 500,
+    b"\\u221e" * 500,
+    b"a" * 33,
+    b"\\n",
+    b"\xc3\xa9",
+    b"",
+]
 
 Mutation = Callable[[bytes, bytes, random.Random], bytes]
 
@@ -154,7 +244,11 @@ def delete(payload: bytes, _other: bytes, rng: random.Random) -> bytes:
 
 def insert(payload: bytes, _other: bytes, rng: random.Random) -> bytes:
     begin, _ = place(payload, rng)
-    return payload[:begin] + rng.choice([rng.randbytes(3), b" ", b"\n", b",", b"]", b'"', b"0", b"9", b"\\"]) + payload[begin:]
+    return (
+        payload[:begin]
+        + rng.choice([rng.randbytes(3), b" ", b"\n", b",", b"]", b'"', b"0", b"9", b"\\"])
+        + payload[begin:]
+    )
 
 
 def duplicate(payload: bytes, _other: bytes, rng: random.Random) -> bytes:
@@ -170,7 +264,9 @@ def splice(payload: bytes, other: bytes, rng: random.Random) -> bytes:
     return payload[: rng.randrange(len(payload))] + other[rng.randrange(len(other)) :]
 
 
-def replaced(pattern: re.Pattern[bytes], payload: bytes, rng: random.Random, new: Callable[[bytes], bytes]) -> bytes:
+def replaced(
+    pattern: re.Pattern[bytes], payload: bytes, rng: random.Random, new: Callable[[bytes], bytes]
+) -> bytes:
     found = list(pattern.finditer(payload))
     if not found:
         return payload
@@ -183,20 +279,31 @@ def number(payload: bytes, _other: bytes, rng: random.Random) -> bytes:
 
 
 def string(payload: bytes, _other: bytes, rng: random.Random) -> bytes:
-    return replaced(STRING, payload, rng, lambda old: old[:-1] + rng.choice(NOT_TEXT + LONG_TEXT) + b'"')
+    return replaced(
+        STRING, payload, rng, lambda old: old[:-1] + rng.choice(NOT_TEXT + LONG_TEXT) + b'"'
+    )
 
 
 def nest(payload: bytes, _other: bytes, rng: random.Random) -> bytes:
     depth = rng.choice([1, 3, 3, 50, 2000])
     opened, closed = rng.choice([(b"[", b"]"), (b'{"a":', b"}"), (b"[", b"")])
-    return replaced(rng.choice([NUMBER, STRING]), payload, rng, lambda old: opened * depth + old + closed * depth)
+    return replaced(
+        rng.choice([NUMBER, STRING]),
+        payload,
+        rng,
+        lambda old: opened * depth + old + closed * depth,
+    )
 
 
 def fields(payload: bytes, other: bytes, rng: random.Random) -> bytes:
     """One field of one object removed, renamed, doubled, added, or one of another message put in its place."""
     tree = msgspec.json.decode(payload)
     branch = tree
-    while below := [part for part in (branch.values() if isinstance(branch, dict) else branch) if part and type(part) in HOLDERS]:
+    while below := [
+        part
+        for part in (branch.values() if isinstance(branch, dict) else branch)
+        if part and type(part) in HOLDERS
+    ]:
         if rng.random() < 0.4:
             break
         branch = rng.choice(below)
@@ -217,7 +324,9 @@ def fields(payload: bytes, other: bytes, rng: random.Random) -> bytes:
     elif change == 5 and rng.random() < 0.3:
         tree = {name: tree}
     elif isinstance(branch, list):
-        branch[:] = rng.choice([branch[:-1], branch + branch[-1:], [], [stranger, *branch], branch[::-1]])
+        branch[:] = rng.choice(
+            [branch[:-1], branch + branch[-1:], [], [stranger, *branch], branch[::-1]]
+        )
     return msgspec.json.encode(tree)
 
 
@@ -231,7 +340,10 @@ def real_messages(key: Key) -> tuple[bytes, ...]:
     """Encoded messages of one row, as its writer sends them."""
     rng = random.Random(key.message.__name__)
     decoder, kind = msgspec.json.Decoder(key.message), kinds.type_info(key.message)
-    return tuple(msgspec.json.encode(decoder.decode(msgspec.json.encode(valid(kind, rng)))) for _ in range(200))
+    return tuple(
+        msgspec.json.encode(decoder.decode(msgspec.json.encode(valid(kind, rng))))
+        for _ in range(200)
+    )
 
 
 def mutated(key: Key, rng: random.Random) -> bytes:

@@ -21,7 +21,9 @@ OUTRIDER = [sys.executable, "-m", "outrider"]
 
 
 def outrider(*arguments: str, timeout: float = 120.0) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run([*OUTRIDER, *arguments], capture_output=True, text=True, check=False, timeout=timeout)
+    return subprocess.run(
+        [*OUTRIDER, *arguments], capture_output=True, text=True, check=False, timeout=timeout
+    )
 
 
 def run_json(*arguments: str) -> dict[str, object]:
@@ -39,12 +41,22 @@ def family(pid: int) -> list[int]:
 
 def alive(pid: int) -> bool:
     try:
-        return "Z" not in Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()[0]
+        return (
+            "Z"
+            not in Path(f"/proc/{pid}/stat")
+            .read_text(encoding="ascii")
+            .rsplit(")", 1)[1]
+            .split()[0]
+        )
     except (FileNotFoundError, ProcessLookupError):
         return False
 
 
-def wait_until(condition: Callable[[], bool], seconds: float = 30.0, told: Callable[[], str] = lambda: "waited in vain") -> None:
+def wait_until(
+    condition: Callable[[], bool],
+    seconds: float = 30.0,
+    told: Callable[[], str] = lambda: "waited in vain",
+) -> None:
     limit = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < limit, told()
@@ -53,25 +65,37 @@ def wait_until(condition: Callable[[], bool], seconds: float = 30.0, told: Calla
 
 @pytest.fixture
 def nothing_left_behind(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Each test has a folder for temporary things of its own, which must be empty in the end; its path is short, for sockets."""
+    """Each test has a folder for temporary things of its own, which must be empty in the end.
+
+    Its path is short, for sockets.
+    """
     with tempfile.TemporaryDirectory(prefix="o-") as folder:
         monkeypatch.setenv("TMPDIR", folder)
         yield
-        wait_until(lambda: not os.listdir(folder), told=lambda: f"left behind: {[str(path) for path in Path(folder).rglob('*')]}")
+        wait_until(
+            lambda: not os.listdir(folder),
+            told=lambda: f"left behind: {[str(path) for path in Path(folder).rglob('*')]}",
+        )
 
 
 @contextmanager
 def observing(run: "subprocess.Popen[str]") -> Iterator[Session]:
     """An observer's session on the bus of a run."""
     words = command_line(child_of(run, "simulator")).split()
-    endpoint, name, known = (words[words.index(option) + 1] for option in ("--listen", "--run", "--credentials"))
+    endpoint, name, known = (
+        words[words.index(option) + 1] for option in ("--listen", "--run", "--credentials")
+    )
     wait_until(lambda: Path(endpoint.removeprefix("unixsock-stream/")).exists())
     credential = read_credential(Path(known).with_name("observer.json"))
-    with open_session(Party(role=Role.OBSERVER, name="observer"), name, connect=endpoint, credential=credential) as session:
+    with open_session(
+        Party(role=Role.OBSERVER, name="observer"), name, connect=endpoint, credential=credential
+    ) as session:
         yield session
 
 
-def await_status(session: Session, wanted: Callable[[Status], bool], seconds: float = 60.0) -> Status:
+def await_status(
+    session: Session, wanted: Callable[[Status], bool], seconds: float = 60.0
+) -> Status:
     """The first status that is as wanted."""
     inbox = session.inbox(STATUS)
     limit = time.monotonic() + seconds
@@ -88,7 +112,9 @@ def await_status(session: Session, wanted: Callable[[Status], bool], seconds: fl
 @contextmanager
 def flying(*arguments: str) -> Iterator["subprocess.Popen[str]"]:
     """A run in the background that is under way: all its children are there and it has flown for a moment."""
-    run = subprocess.Popen([*OUTRIDER, "run", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    run = subprocess.Popen(
+        [*OUTRIDER, "run", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     try:
         wait_until(lambda: len(family(run.pid)) == 3)
         with observing(run) as session:
@@ -109,7 +135,10 @@ def command_line(pid: int) -> str:
 
 def blocks(pid: int, number: int) -> bool:
     """Whether a process has blocked a signal."""
-    status = dict(line.split(":\t", 1) for line in Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines())
+    status = dict(
+        line.split(":\t", 1)
+        for line in Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines()
+    )
     return bool(int(status["SigBlk"], 16) >> (number - 1) & 1)
 
 

@@ -1,4 +1,7 @@
-"""A server and its vehicles as threads of this process, with real sessions, for the tests: the real loop and the real pilots."""
+"""A server and its vehicles as threads of this process, with real sessions, for the tests.
+
+The real loop and the real pilots.
+"""
 
 import threading
 import time
@@ -36,7 +39,9 @@ class Vehicle:
         on_tick: Called with each tick before it acts.
     """
 
-    def __init__(self, endpoint: str, name: str, until: int | None, on_tick: Callable[[int], None]) -> None:
+    def __init__(
+        self, endpoint: str, name: str, until: int | None, on_tick: Callable[[int], None]
+    ) -> None:
         self.name = name
         self.seen: list[Any] = []
         """All it has acted on, its past first."""
@@ -51,7 +56,13 @@ class Vehicle:
     def _run(self) -> None:
         credential = GIVEN.of(self.name)
         with suppress(Gone):
-            process.fly(credential.party, self._make, connect=self._endpoint, run="run", credential=credential)
+            process.fly(
+                credential.party,
+                self._make,
+                connect=self._endpoint,
+                run="run",
+                credential=credential,
+            )
 
     def _make(self, told: Any) -> "Vehicle":
         self._pilot = PILOT[self.name](told)
@@ -73,18 +84,30 @@ class Stage:
         self.endpoint = f"unixsock-stream/{folder / 'bus.sock'}"
         self.events: list[str] = []
         simulator = GIVEN.of("simulator").party
-        self.server_session = stack.enter_context(open_session(simulator, "run", listen=(self.endpoint,), given=GIVEN))
-        self.server = Server(self.server_session, scenario, scenario.seed, on_event=self.events.append, **options)
+        self.server_session = stack.enter_context(
+            open_session(simulator, "run", listen=(self.endpoint,), given=GIVEN)
+        )
+        self.server = Server(
+            self.server_session, scenario, scenario.seed, on_event=self.events.append, **options
+        )
         self.vehicles: list[Vehicle] = []
         self._stack = stack
 
-    def start(self, name: str, *, until: int | None = None, on_tick: Callable[[int], None] = lambda _tick: None) -> Vehicle:
+    def start(
+        self,
+        name: str,
+        *,
+        until: int | None = None,
+        on_tick: Callable[[int], None] = lambda _tick: None,
+    ) -> Vehicle:
         self.vehicles.append(Vehicle(self.endpoint, name, until, on_tick))
         return self.vehicles[-1]
 
     def client(self, name: str) -> Session:
         credential = GIVEN.of(name)
-        return self._stack.enter_context(open_session(credential.party, "run", connect=self.endpoint, credential=credential))
+        return self._stack.enter_context(
+            open_session(credential.party, "run", connect=self.endpoint, credential=credential)
+        )
 
     def fly(self, on_tick: Callable[[], None] | None = None) -> Flight:
         flight = self.server.fly(on_tick=on_tick)
@@ -94,7 +117,9 @@ class Stage:
 
 
 @contextmanager
-def stage(folder: Path, ticks: int, *, scenario: Scenario | None = None, **options: Any) -> Iterator[Stage]:
+def stage(
+    folder: Path, ticks: int, *, scenario: Scenario | None = None, **options: Any
+) -> Iterator[Stage]:
     scenario = scenario or load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}"])
     with ExitStack() as stack:
         yield Stage(stack, folder, scenario, **options)

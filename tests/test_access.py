@@ -1,4 +1,7 @@
-"""The information contract, layer three: what the router enforces, tried with real sessions that do not ask our API first."""
+"""The information contract, layer three.
+
+What the router enforces, tried with real sessions that do not ask our API first.
+"""
 
 import stat
 import time
@@ -64,8 +67,17 @@ def router(endpoint: str) -> AbstractContextManager[Session]:
 
 def raw(endpoint: str, credential: Credential | None, **settings: Any) -> zenoh.Session:
     """A session that asks nobody's leave."""
-    wanted = session._COMMON | session._CLIENT | client_settings(credential) | {"connect/endpoints": [endpoint]}
-    return zenoh.open(session._config(wanted | {name.replace("__", "/"): value for name, value in settings.items()}))
+    wanted = (
+        session._COMMON
+        | session._CLIENT
+        | client_settings(credential)
+        | {"connect/endpoints": [endpoint]}
+    )
+    return zenoh.open(
+        session._config(
+            wanted | {name.replace("__", "/"): value for name, value in settings.items()}
+        )
+    )
 
 
 def concrete() -> list[tuple[Any, str, str]]:
@@ -119,7 +131,10 @@ def everybody(endpoint: str) -> Iterator[dict[str, zenoh.Session]]:
     """A router of its own, and a raw client for each party."""
     with ExitStack() as stack:
         stack.enter_context(router(endpoint))
-        yield {credential.name: stack.enter_context(raw(endpoint, credential)) for credential in given(endpoint).parties}
+        yield {
+            credential.name: stack.enter_context(raw(endpoint, credential))
+            for credential in given(endpoint).parties
+        }
 
 
 def test_every_row_reaches_its_readers_from_its_writer_and_nobody_else(known_by: str) -> None:
@@ -129,7 +144,9 @@ def test_every_row_reaches_its_readers_from_its_writer_and_nobody_else(known_by:
         for key, vehicle, expression in concrete()
         for reader in NAMES
         for writer in NAMES
-        if reader != writer and may(check_reads, key, reader, vehicle) and may(check_writes, key, writer, vehicle)
+        if reader != writer
+        and may(check_reads, key, reader, vehicle)
+        and may(check_writes, key, writer, vehicle)
     }
     assert len(wanted) >= 20
     with everybody(known_by) as sessions:
@@ -143,7 +160,10 @@ def test_every_row_reaches_its_readers_from_its_writer_and_nobody_else(known_by:
         }
         remote = zenoh.Locality.REMOTE
         publishers = {
-            name: [opened.declare_publisher(expression, allowed_destination=remote) for expression in expressions]
+            name: [
+                opened.declare_publisher(expression, allowed_destination=remote)
+                for expression in expressions
+            ]
             for name, opened in sessions.items()
         }
 
@@ -161,7 +181,9 @@ def places(name: str) -> tuple[int | str, ...]:
     return NAMES.index(name), PLACES, "0/more", f"by_{name}"
 
 
-def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulators_alone(known_by: str) -> None:
+def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulators_alone(
+    known_by: str,
+) -> None:
     """Each declares the place of its number in everybody's name, and places that nobody has."""
     seen: dict[str, set[str]] = {name: set() for name in NAMES}
     assert len(NAMES) <= PLACES
@@ -171,7 +193,9 @@ def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulator
             for expression in (token(RUN, "*", "*"), token(RUN, "simulator", "*"), "outrider/**"):
                 kept.append(
                     opened.liveliness().declare_subscriber(
-                        expression, lambda sample, name=name: seen[name].add(str(sample.key_expr)), history=True
+                        expression,
+                        lambda sample, name=name: seen[name].add(str(sample.key_expr)),
+                        history=True,
                     )
                 )
         for name, opened in sessions.items():
@@ -183,7 +207,10 @@ def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulator
         while time.monotonic() < limit and not seen["simulator"] >= wanted:
             time.sleep(0.05)
         time.sleep(0.3)
-    own = {name: {token(RUN, owner, place) for owner in NAMES for place in places(name)} for name in NAMES}  # it hears itself
+    own = {
+        name: {token(RUN, owner, place) for owner in NAMES for place in places(name)}
+        for name in NAMES
+    }  # it hears itself
     assert seen["simulator"] - own["simulator"] == wanted - own["simulator"]
     for name in set(NAMES) - {"simulator"}:
         assert seen[name] - own[name] == {token(RUN, "simulator", NAMES.index("simulator"))}
@@ -191,12 +218,20 @@ def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulator
 
 def test_nobody_can_ask_the_router_or_another_for_anything(known_by: str) -> None:
     with everybody(known_by) as sessions:
-        answered = sessions["ugv_0"].declare_queryable("outrider/**", lambda query: query.reply(query.key_expr, b"secret"))
+        answered = sessions["ugv_0"].declare_queryable(
+            "outrider/**", lambda query: query.reply(query.key_expr, b"secret")
+        )
         for name in set(NAMES) - {"ugv_0"}:
             own = str(sessions[name].zid())
             for selector in ("outrider/**", "@/**", "**"):
-                replies = [reply.ok for reply in sessions[name].get(selector, timeout=0.3) if reply.ok is not None]
-                assert all(own in str(reply.key_expr) for reply in replies)  # of itself it knows anyway
+                replies = [
+                    reply.ok
+                    for reply in sessions[name].get(selector, timeout=0.3)
+                    if reply.ok is not None
+                ]
+                assert all(
+                    own in str(reply.key_expr) for reply in replies
+                )  # of itself it knows anyway
         answered.undeclare()
 
 
@@ -211,7 +246,12 @@ def stranger(kind: str) -> Credential | None:
     return Credential(name="nobody", role=Role.UAV, password=fake)
 
 
-STRANGERS = ["no password", "a wrong password", "another's name with its own password", "an unknown name"]
+STRANGERS = [
+    "no password",
+    "a wrong password",
+    "another's name with its own password",
+    "an unknown name",
+]
 
 
 @pytest.mark.parametrize("kind", STRANGERS)
@@ -219,13 +259,23 @@ STRANGERS = ["no password", "a wrong password", "another's name with its own pas
 def test_a_stranger_gets_nothing(endpoint: str, kind: str, mode: str) -> None:
     simulator = GIVEN.of("simulator")
     with ExitStack() as stack:
-        hosted = stack.enter_context(open_session(simulator.party, RUN, listen=(endpoint,), given=GIVEN))
+        hosted = stack.enter_context(
+            open_session(simulator.party, RUN, listen=(endpoint,), given=GIVEN)
+        )
         remote = zenoh.Locality.REMOTE
-        publishers = [hosted._zenoh.declare_publisher(e, allowed_destination=remote) for _, _, e in concrete()]
+        publishers = [
+            hosted._zenoh.declare_publisher(e, allowed_destination=remote) for _, _, e in concrete()
+        ]
         commands = hosted._zenoh.declare_subscriber("outrider/**", zenoh.handlers.FifoChannel(100))
         try:
             opened = stack.enter_context(
-                raw(endpoint, stranger(kind), mode=mode, scouting__gossip__enabled=True, listen__endpoints=[])
+                raw(
+                    endpoint,
+                    stranger(kind),
+                    mode=mode,
+                    scouting__gossip__enabled=True,
+                    listen__endpoints=[],
+                )
             )
         except zenoh.ZError:
             return  # it was not even let in
@@ -243,18 +293,33 @@ def test_a_stranger_gets_nothing(endpoint: str, kind: str, mode: str) -> None:
 def test_a_known_peer_with_gossip_gets_no_more_than_a_client(endpoint: str) -> None:
     simulator = GIVEN.of("simulator")
     with ExitStack() as stack:
-        hosted = stack.enter_context(open_session(simulator.party, RUN, listen=(endpoint,), given=GIVEN))
+        hosted = stack.enter_context(
+            open_session(simulator.party, RUN, listen=(endpoint,), given=GIVEN)
+        )
         stack.enter_context(raw(endpoint, GIVEN.of("ugv_0")))
-        peer = stack.enter_context(raw(endpoint, GIVEN.of("uav_0"), mode="peer", scouting__gossip__enabled=True))
+        peer = stack.enter_context(
+            raw(endpoint, GIVEN.of("uav_0"), mode="peer", scouting__gossip__enabled=True)
+        )
         expressions = [row[2] for row in concrete()]
-        inboxes = {"uav_0": [peer.declare_subscriber(e, zenoh.handlers.FifoChannel(1000)) for e in (*expressions, "**")]}
-        publishers = [hosted._zenoh.declare_publisher(e, allowed_destination=zenoh.Locality.REMOTE) for e in expressions]
+        inboxes = {
+            "uav_0": [
+                peer.declare_subscriber(e, zenoh.handlers.FifoChannel(1000))
+                for e in (*expressions, "**")
+            ]
+        }
+        publishers = [
+            hosted._zenoh.declare_publisher(e, allowed_destination=zenoh.Locality.REMOTE)
+            for e in expressions
+        ]
 
         def say() -> None:
             for publisher in publishers:
                 publisher.put(b"simulator")
 
-        own = {("uav_0", f"outrider/{RUN}/uav_0/{topic}", "simulator") for topic in ("observation", "briefing")}
+        own = {
+            ("uav_0", f"outrider/{RUN}/uav_0/{topic}", "simulator")
+            for topic in ("observation", "briefing")
+        }
         assert gather(inboxes, own, say) == own
         assert [str(zid) for zid in peer.info.peers_zid()] == []
 
@@ -263,8 +328,14 @@ def test_a_refused_client_is_told_why(endpoint: str) -> None:
     uav = GIVEN.of("uav_0")
     wrong = Credential(name="uav_0", role=Role.UAV, password="x" * 32)
     with router(endpoint):
-        for credential, told in ((None, "without credentials"), (wrong, "as uav_0: is the password the run's")):
-            with pytest.raises(AccessDenied, match=told), open_session(uav.party, RUN, connect=endpoint, credential=credential):
+        for credential, told in (
+            (None, "without credentials"),
+            (wrong, "as uav_0: is the password the run's"),
+        ):
+            with (
+                pytest.raises(AccessDenied, match=told),
+                open_session(uav.party, RUN, connect=endpoint, credential=credential),
+            ):
                 pass
         with (
             pytest.raises(AccessDenied, match="cannot use the credentials of uav_0"),
@@ -285,12 +356,16 @@ def test_the_grants_are_the_table_and_nothing_more() -> None:
         for message, flow, expression in own:
             assert any(
                 (grant.message, grant.flow) == (message, flow)
-                and any(zenoh.KeyExpr(wide).includes(zenoh.KeyExpr(expression)) for wide in grant.keys)
+                and any(
+                    zenoh.KeyExpr(wide).includes(zenoh.KeyExpr(expression)) for wide in grant.keys
+                )
                 for grant in given
             )
         for grant in given:
             for key, _, expression in concrete():
-                if any(zenoh.KeyExpr(wide).includes(zenoh.KeyExpr(expression)) for wide in grant.keys):
+                if any(
+                    zenoh.KeyExpr(wide).includes(zenoh.KeyExpr(expression)) for wide in grant.keys
+                ):
                     assert (grant.message, grant.flow, expression) in own, (party, key)
 
 
@@ -298,7 +373,11 @@ def test_nothing_is_allowed_by_default_and_no_grant_is_wider_than_its_run() -> N
     rules = access_control(GIVEN)
     assert rules["default_permission"] == "deny"
     assert {rule["permission"] for rule in rules["rules"]} == {"allow"}
-    assert all(key.startswith(f"outrider/{RUN}/") and "**" not in key for rule in rules["rules"] for key in rule["key_exprs"])
+    assert all(
+        key.startswith(f"outrider/{RUN}/") and "**" not in key
+        for rule in rules["rules"]
+        for key in rule["key_exprs"]
+    )
     assert {name for subject in rules["subjects"] for name in subject["usernames"]} == set(NAMES)
 
 

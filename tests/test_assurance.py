@@ -23,7 +23,12 @@ from sim.scenario import Certificate, LinkTable, Scenario, load_scenario
 
 DELAYED = load_scenario(
     "escort",
-    overrides={"law.name": "certified", "links.commands.delay": 0.1, "certificate.error": 0.3, "certificate.age": 0.5},
+    overrides={
+        "law.name": "certified",
+        "links.commands.delay": 0.1,
+        "certificate.error": 0.3,
+        "certificate.age": 0.5,
+    },
 )
 """Commands act two ticks late, and the newest detection is never older than ten ticks."""
 
@@ -56,7 +61,12 @@ def taken(*claims: bool | None, at: float = 1.0, scenario: Scenario = DELAYED) -
 def take(assurance: Assurance, tick: int, certified: bool | None, **given: Any) -> None:
     assurance.send(0, tick, command(tick))
     report = None if certified is None else said(certified, reason="" if certified else "because")
-    arguments = {"distance": 1.0, "arrivals": [Arrival(tick, 0.3)], "acts": command(tick - 2), **given}
+    arguments = {
+        "distance": 1.0,
+        "arrivals": [Arrival(tick, 0.3)],
+        "acts": command(tick - 2),
+        **given,
+    }
     assurance.take(0, tick, report, **arguments)
 
 
@@ -78,7 +88,9 @@ EXCUSES: dict[str, dict[int, dict[str, Any]]] = {
     "the command that acted just before was another": {AT - 1: {"acts": (0.0, 0.0)}},
     "the command of the tick before acted": {AT - 1: {"acts": command(AT - 4)}},
     "no detection for longer than declared": {tick: {"arrivals": []} for tick in range(AT + 1)},
-    "a detection arrives that is older than declared": {tick: {"arrivals": [Arrival(tick - 11, 0.0)]} for tick in range(AT + 1)},
+    "a detection arrives that is older than declared": {
+        tick: {"arrivals": [Arrival(tick - 11, 0.0)]} for tick in range(AT + 1)
+    },
     "a larger error than declared": {AT: {"arrivals": [Arrival(AT, 0.31)]}},
     "a larger error than declared long before": {0: {"arrivals": [Arrival(0, 0.31)]}},
     "the report is of an earlier tick": {AT: {"current": False}},
@@ -89,7 +101,9 @@ NO_EXCUSES: dict[str, dict[int, dict[str, Any]]] = {
     "an age of exactly what is declared": {tick: {"arrivals": []} for tick in range(1, AT + 1)}
     | {0: {"arrivals": [Arrival(-4, 0.0)]}},
     "an error of exactly what is declared": {AT: {"arrivals": [Arrival(AT, 0.3)]}},
-    "an old detection that comes after newer ones": {AT: {"arrivals": [Arrival(AT - 10, 0.0), Arrival(AT - 30, 0.0)]}},
+    "an old detection that comes after newer ones": {
+        AT: {"arrivals": [Arrival(AT - 10, 0.0), Arrival(AT - 30, 0.0)]}
+    },
     "another command acts in the tick itself": {AT: {"acts": (0.0, 0.0)}},
     "a command was late long before": {1: {"acts": (5.0, 5.0)}},
 }
@@ -133,11 +147,15 @@ class Liar(InProcess):
         return commands | {"uav_0": msgspec.structs.replace(command, report=report)}
 
 
-LOSING = escort("certified", duration=40.0, area=msgspec.structs.replace(escort().area, cell=0.5), name="losing")
+LOSING = escort(
+    "certified", duration=40.0, area=msgspec.structs.replace(escort().area, cell=0.5), name="losing"
+)
 LOSING = msgspec.structs.replace(
     LOSING,
     certificate=Certificate(age=60.0),  # nothing can be certified, and nothing is seen from 5 s on
-    links=LinkTable(detections=msgspec.structs.replace(LOSING.links.detections, blackouts=((5.0, 60.0),))),
+    links=LinkTable(
+        detections=msgspec.structs.replace(LOSING.links.detections, blackouts=((5.0, 60.0),))
+    ),
     ugv=(msgspec.structs.replace(LOSING.ugv[0], position=(21.0, 20.0), goals=((39.0, 20.0),)),),
 )
 
@@ -168,45 +186,77 @@ def test_every_lie_of_a_flight_is_in_its_summary(lied: tuple[Flight, Summary, Pa
     assert truth.certified
 
 
-def test_the_trajectory_s_file_tells_each_tick_what_was_certified(lied: tuple[Flight, Summary, Path], tmp_path: Path) -> None:
+def test_the_trajectory_s_file_tells_each_tick_what_was_certified(
+    lied: tuple[Flight, Summary, Path], tmp_path: Path
+) -> None:
     flight, summary, _ = lied
     flight.recorder.write(tmp_path / "trajectory.csv")
     with (tmp_path / "trajectory.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0])[-2:] == ["uav_0.certified", "uav_0.certified_distance [m]"]
     claims = [row["uav_0.certified"] for row in rows]
-    assert claims == ["1"] * 7 + [""] + ["1"] * (LOSING.ticks - 8) + [""]  # no report at tick 7, none after the last tick
+    assert claims == ["1"] * 7 + [""] + ["1"] * (LOSING.ticks - 8) + [
+        ""
+    ]  # no report at tick 7, none after the last tick
     assert {row["uav_0.certified_distance [m]"] for row in rows} == {"0.5", ""}
-    lies = [row for row in rows if row["uav_0.certified"] == "1" and float(row["uav_0.distance [m]"]) >= R_V]
+    lies = [
+        row
+        for row in rows
+        if row["uav_0.certified"] == "1" and float(row["uav_0.distance [m]"]) >= R_V
+    ]
     assert len(lies) == summary.certified_while_lost
 
 
-def test_a_recording_tells_the_same_counts_and_each_tick_s_claim(lied: tuple[Flight, Summary, Path]) -> None:
+def test_a_recording_tells_the_same_counts_and_each_tick_s_claim(
+    lied: tuple[Flight, Summary, Path],
+) -> None:
     from outrider.recording.reader import flight_of
 
     _, summary, path = lied
     truths = flight_of(path).truths
     reports = [truth.escorts[0].report for truth in truths[1:]]  # what was said at the tick before
-    assert [report is not None and report.certified for report in reports] == [tick != 7 for tick in range(LOSING.ticks)]
+    assert [report is not None and report.certified for report in reports] == [
+        tick != 7 for tick in range(LOSING.ticks)
+    ]
     assert {report.certified_distance for report in reports if report is not None} == {0.5}
-    lies = [t.escorts[0].distance >= R_V for t, report in zip(truths, reports, strict=False) if report is not None]
+    lies = [
+        t.escorts[0].distance >= R_V
+        for t, report in zip(truths, reports, strict=False)
+        if report is not None
+    ]
     assert sum(lies) == summary.certified_while_lost
     app = typer.Typer()
     app.command()(replay.command)
     for arguments in ((str(path), "--json"), (str(path), "--refly", "--json")):
         told = json.loads(CliRunner().invoke(app, arguments).stdout)
-        for field in ("certified_share", "intervened_share", "uncertified", "certified_while_lost", "certificate_broken"):
+        for field in (
+            "certified_share",
+            "intervened_share",
+            "uncertified",
+            "certified_while_lost",
+            "certificate_broken",
+        ):
             assert told[field] == getattr(summary, field), (arguments, field)
 
 
-def test_the_table_has_a_line_for_each_fault_of_the_certificate_and_none_without(lied: tuple[Flight, Summary, Path]) -> None:
+def test_the_table_has_a_line_for_each_fault_of_the_certificate_and_none_without(
+    lied: tuple[Flight, Summary, Path],
+) -> None:
     _, summary, _ = lied
     broken = msgspec.structs.replace(summary, certified_while_lost=0, certificate_broken=3)
     clean = msgspec.structs.replace(summary, certified_while_lost=0)
-    for shown, lines in ((summary, {"certified while lost"}), (broken, {"certificate broken"}), (clean, set())):
+    for shown, lines in (
+        (summary, {"certified while lost"}),
+        (broken, {"certificate broken"}),
+        (clean, set()),
+    ):
         with OUT.capture() as captured:
             print_summary(shown, [])
-        assert {line for line in ("certified while lost", "certificate broken") if line in captured.get()} == lines
+        assert {
+            line
+            for line in ("certified while lost", "certificate broken")
+            if line in captured.get()
+        } == lines
     assert "wrong" not in captured.get()
 
 
@@ -236,7 +286,13 @@ class LosesTheThread(InProcess):
 def test_a_flight_s_certificate_is_broken_only_where_the_truth_keeps_what_is_declared(
     changes: dict[str, Any], broken: int
 ) -> None:
-    given = {"law.name": "certified", "area.cell": 0.5, "duration": 10.0, "uav.0.velocity": [0.3, 0.2], "detections.dropout": 0.0}
+    given = {
+        "law.name": "certified",
+        "area.cell": 0.5,
+        "duration": 10.0,
+        "uav.0.velocity": [0.3, 0.2],
+        "detections.dropout": 0.0,
+    }
     scenario = load_scenario("escort", overrides=given | changes)
     flight = Flight(scenario, 7)
     flight.fly(LosesTheThread(make_pilots(scenario, 7)))
@@ -245,7 +301,9 @@ def test_a_flight_s_certificate_is_broken_only_where_the_truth_keeps_what_is_dec
 
 
 def test_a_law_that_is_ordered_in_flight_excuses_the_tick_at_which_it_begins() -> None:
-    scenario = load_scenario("escort", overrides={"law.name": "certified", "area.cell": 0.5, "duration": 10.0})
+    scenario = load_scenario(
+        "escort", overrides={"law.name": "certified", "area.cell": 0.5, "duration": 10.0}
+    )
 
     def broken(at: int | None) -> int:
         flight = Flight(scenario, 7)
@@ -268,8 +326,18 @@ HARSH: dict[str, list[str]] = {
         "certificate.age=5.0",
         "links.detections.blackouts=[[30.0,20.0],[80.0,30.0]]",
     ],
-    "jitter of the commands": ["links.commands.delay=0.5", "links.commands.jitter=0.1", "hold=1.5", "certificate.delay=0.5"],
-    "loss of commands": ["links.commands.delay=1.0", "links.commands.loss=0.02", "hold=2.0", "certificate.age=3.0"],
+    "jitter of the commands": [
+        "links.commands.delay=0.5",
+        "links.commands.jitter=0.1",
+        "hold=1.5",
+        "certificate.delay=0.5",
+    ],
+    "loss of commands": [
+        "links.commands.delay=1.0",
+        "links.commands.loss=0.02",
+        "hold=2.0",
+        "certificate.age=3.0",
+    ],
     "narrowband commands": ["links.commands.profile=narrowband", "hold=2.0", "certificate.age=6.0"],
     "jammed commands": ["links.commands.profile=jammed", "hold=2.0", "certificate.age=6.0"],
 }
@@ -277,11 +345,16 @@ HARSH: dict[str, list[str]] = {
 
 
 HARSH_SEEDS = {"jitter of the commands": 11, "jammed commands": 11}
-"""Where it is not 7: flights in which a filter that looks only at the state when its command acts certifies what is lost."""
+"""Where it is not 7.
+
+Flights in which a filter that looks only at the state when its command acts certifies what is lost.
+"""
 
 
 @pytest.mark.parametrize("name", HARSH)
-def test_nothing_is_certified_out_of_sight_where_the_network_breaks_what_is_declared(name: str) -> None:
+def test_nothing_is_certified_out_of_sight_where_the_network_breaks_what_is_declared(
+    name: str,
+) -> None:
     quiet = ["detections.noise=0", "detections.dropout=0", "duration=160"]
     flown = ["law.name=certified", "ugv.0.driver=evade", "area.cell=0.5", *quiet, *HARSH[name]]
     summary = fly(load_scenario("escort", overrides=flown), HARSH_SEEDS.get(name, 7))[1]

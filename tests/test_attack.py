@@ -1,4 +1,7 @@
-"""The attack on the certificate: it finds nothing where the theorem holds, and what is known to be wrong does not survive it."""
+"""The attack on the certificate.
+
+It finds nothing where the theorem holds, and what is known to be wrong does not survive it.
+"""
 
 import math
 
@@ -11,15 +14,30 @@ from sim.compile import FloatArray
 
 CONDITIONS = {
     "undegraded": (a.Conditions(), 0.3),
-    "turns on the spot": (a.Conditions(inner=a.INNERS.index("outward"), ugv=a.UGVS.index("flees"), u_g=math.inf), 0.0),
+    "turns on the spot": (
+        a.Conditions(inner=a.INNERS.index("outward"), ugv=a.UGVS.index("flees"), u_g=math.inf),
+        0.0,
+    ),
     "errors of 1.5 m": (a.Conditions(error=a.ERRORS.index("sphere")), 1.5),
     "alternating errors": (a.Conditions(error=a.ERRORS.index("alternating")), 0.9),
-    "blackouts of 15 s": (a.Conditions(blackout=a.BLACKOUTS.index("periodic"), blackout_time=15.0), 0.3),
-    "blackouts when it is far": (a.Conditions(blackout=a.BLACKOUTS.index("when_far"), blackout_time=8.0), 0.9),
+    "blackouts of 15 s": (
+        a.Conditions(blackout=a.BLACKOUTS.index("periodic"), blackout_time=15.0),
+        0.3,
+    ),
+    "blackouts when it is far": (
+        a.Conditions(blackout=a.BLACKOUTS.index("when_far"), blackout_time=8.0),
+        0.9,
+    ),
     "overtaking detections": (a.Conditions(latency=3.0, scattered=True), 0.3),
     "late commands": (a.Conditions(delay=1.0), 0.3),
     "all at once": (
-        a.Conditions(blackout=a.BLACKOUTS.index("random"), blackout_time=5.0, latency=1.0, scattered=True, delay=0.5),
+        a.Conditions(
+            blackout=a.BLACKOUTS.index("random"),
+            blackout_time=5.0,
+            latency=1.0,
+            scattered=True,
+            delay=0.5,
+        ),
         0.6,
     ),
 }
@@ -27,12 +45,17 @@ CONDITIONS = {
 
 CONDITIONS |= {
     "errors of norm eps, straight at v_g": (
-        a.Conditions(inner=0, ugv=a.UGVS.index("straight"), error=a.ERRORS.index("sphere"), u_g=math.inf),
+        a.Conditions(
+            inner=0, ugv=a.UGVS.index("straight"), error=a.ERRORS.index("sphere"), u_g=math.inf
+        ),
         0.3,
     ),
     "a corner": (a.Conditions(area=a.AREAS.index("corner"), blackout=3, blackout_time=5.0), 0.3),
     "a small room": (a.Conditions(area=a.AREAS.index("small"), delay=0.3), 0.3),
-    "commands that come twice": (a.Conditions(area=a.AREAS.index("small"), delay=0.3, duplicates=0.5), 0.0),
+    "commands that come twice": (
+        a.Conditions(area=a.AREAS.index("small"), delay=0.3, duplicates=0.5),
+        0.0,
+    ),
 }
 
 RUNS, DURATION = 60, 100.0
@@ -100,14 +123,20 @@ def test_errors_larger_than_declared_break_the_bound_and_are_noticed() -> None:
 
 DISTURBED = {
     "jitter": a.Conditions(delay=0.5, jitter=True),
-    "jitter and duplicates": a.Conditions(delay=0.3, jitter=True, duplicates=0.5, area=a.AREAS.index("small")),
+    "jitter and duplicates": a.Conditions(
+        delay=0.3, jitter=True, duplicates=0.5, area=a.AREAS.index("small")
+    ),
     **{
-        f"{name}, {delay:g} s late": a.Conditions(disturbance=k, delay=delay, blackout=3, blackout_time=4.0)
+        f"{name}, {delay:g} s late": a.Conditions(
+            disturbance=k, delay=delay, blackout=3, blackout_time=4.0
+        )
         for k, name in enumerate(a.DISTURBANCES)
         for delay in (0.0, 1.0)
         if k
     },
-    "silences in a corner": a.Conditions(disturbance=2, silence=2.0, hold=4.0, delay=0.3, area=a.AREAS.index("corner")),
+    "silences in a corner": a.Conditions(
+        disturbance=2, silence=2.0, hold=4.0, delay=0.3, area=a.AREAS.index("corner")
+    ),
 }
 """What breaks A5, and the rest within the assumptions."""
 
@@ -122,7 +151,10 @@ def test_no_tick_is_certified_while_sight_is_lost_whatever_becomes_of_commands(n
 
 
 def test_commands_that_do_not_act_lose_sight_without_a_margin() -> None:
-    for conditions in (DISTURBED["jitter"], a.Conditions(disturbance=a.DISTURBANCES.index("silences"))):
+    for conditions in (
+        DISTURBED["jitter"],
+        a.Conditions(disturbance=a.DISTURBANCES.index("silences")),
+    ):
         rows = flown(conditions, 0.3)
         assert rows[:, a.MAX_DISTANCE].max() > R_V
         assert flown(conditions, 0.3, margin=0.6)[:, a.MAX_DISTANCE].max() < R_V

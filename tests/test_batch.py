@@ -10,20 +10,41 @@ from flights import escort
 
 from sim.batch import Batch
 from sim.profiles import PROFILES
-from sim.scenario import Area, Coverage, Detections, LinkTable, Region, Scenario, Sensor, Uav, Ugv, VehicleLinks
+from sim.scenario import (
+    Area,
+    Coverage,
+    Detections,
+    LinkTable,
+    Region,
+    Scenario,
+    Sensor,
+    Uav,
+    Ugv,
+    VehicleLinks,
+)
 from sim.threads import Crew
 from sim.world import World
 
-pytestmark = pytest.mark.xdist_group("batch")  # on one worker: what they compile takes half a minute, once
+pytestmark = pytest.mark.xdist_group(
+    "batch"
+)  # on one worker: what they compile takes half a minute, once
 
 POOR = PROFILES["wifi-poor"]
-LATE = msgspec.structs.replace(POOR, delay=0.4, jitter=0.3, duplicates=0.2, reorder=0.2, reorder_delay=0.3)
+LATE = msgspec.structs.replace(
+    POOR, delay=0.4, jitter=0.3, duplicates=0.2, reorder=0.2, reorder_delay=0.3
+)
 SMALL = Area(width=16.0, height=12.0, cell=0.5)
 
 SCENARIOS: dict[str, Scenario] = {
     "plain": escort(),
-    "noise": escort(detections=Detections(noise=0.3, dropout=0.3, rate=5.0), sensor=Sensor(model="plateau"), area=SMALL),
-    "covered": escort(coverage=Coverage(desired=1.0, covered=(Region(lower=(2.0, 2.0), upper=(20.0, 20.0)),))),
+    "noise": escort(
+        detections=Detections(noise=0.3, dropout=0.3, rate=5.0),
+        sensor=Sensor(model="plateau"),
+        area=SMALL,
+    ),
+    "covered": escort(
+        coverage=Coverage(desired=1.0, covered=(Region(lower=(2.0, 2.0), upper=(20.0, 20.0)),))
+    ),
     "several": Scenario(
         area=SMALL,
         uav=(
@@ -31,10 +52,16 @@ SCENARIOS: dict[str, Scenario] = {
             Uav(name="uav_0", position=(9.0, 4.0), escorts="ugv_1"),
             Uav(name="uav_2", position=(9.0, 6.0), escorts="ugv_1"),
         ),
-        ugv=(Ugv(name="ugv_0", position=(4.0, 5.0)), Ugv(name="ugv_1", position=(9.0, 5.0), max_acceleration=1.0)),
+        ugv=(
+            Ugv(name="ugv_0", position=(4.0, 5.0)),
+            Ugv(name="ugv_1", position=(9.0, 5.0), max_acceleration=1.0),
+        ),
     ),
     "network": escort(
-        area=SMALL, ugv=Ugv(position=(8.0, 6.0)), uav=Uav(position=(8.0, 6.0)), links=LinkTable(detections=LATE, commands=LATE)
+        area=SMALL,
+        ugv=Ugv(position=(8.0, 6.0)),
+        uav=Uav(position=(8.0, 6.0)),
+        links=LinkTable(detections=LATE, commands=LATE),
     ),
     "one link": escort(
         area=SMALL,
@@ -45,7 +72,9 @@ SCENARIOS: dict[str, Scenario] = {
 }
 
 
-def _fly_both(scenario: Scenario, seeds: list[int], ticks: int, **settings: Any) -> tuple[Batch, list[World]]:
+def _fly_both(
+    scenario: Scenario, seeds: list[int], ticks: int, **settings: Any
+) -> tuple[Batch, list[World]]:
     batch = Batch(scenario, len(seeds), gains=True, **settings)
     batch.begin(seeds)
     worlds = [World(scenario, seed, gains=True) for seed in seeds]
@@ -77,7 +106,11 @@ def _same(batch: Batch, worlds: list[World]) -> None:
 def test_world_k_of_a_batch_is_the_single_world_of_its_seed(name: str) -> None:
     batch, worlds = _fly_both(SCENARIOS[name], [3, 2**53 - 1, 40], 150)
     for k, world in enumerate(worlds):
-        expected = {key: one for key, one in world.links.status().items() if not key.endswith(("radio", "operator"))}
+        expected = {
+            key: one
+            for key, one in world.links.status().items()
+            if not key.endswith(("radio", "operator"))
+        }
         if world.links.degraded:
             assert batch.links(k).keys() == expected.keys()
         for key, one in expected.items():
@@ -99,7 +132,9 @@ def test_the_bits_do_not_depend_on_the_number_of_worlds_or_threads() -> None:
     alone.begin(seeds[69:])
     for row in commands:
         alone.step(np.ascontiguousarray(row[69:]))
-    for one, other, last in zip(found[0].state.truth, found[1].state.truth, alone.state.truth, strict=True):
+    for one, other, last in zip(
+        found[0].state.truth, found[1].state.truth, alone.state.truth, strict=True
+    ):
         assert one.tobytes() == other.tobytes()
         assert one[69].tobytes() == last[0].tobytes()
 

@@ -16,7 +16,9 @@ from outrider.bench.profile import disc, floor
 from outrider.cli import bench as command
 from sim.scenario import load_scenario
 
-pytestmark = pytest.mark.xdist_group("many worlds")  # on one worker: what they compile takes a minute, once
+pytestmark = pytest.mark.xdist_group(
+    "many worlds"
+)  # on one worker: what they compile takes a minute, once
 
 SHORT = SCENARIOS["certified"]
 
@@ -46,7 +48,11 @@ def test_c_kernels_that_compute_something_else_are_no_reference(
         found = getattr(kernels, name)(coverage, *place)
         coverage[0, 0] += 1e-12 if name == "accumulate" else 0.0
         return (
-            None if found is None else tuple(1.0 + 1e-9 + value for value in found) if isinstance(found, tuple) else found + 1e-9
+            None
+            if found is None
+            else tuple(1.0 + 1e-9 + value for value in found)
+            if isinstance(found, tuple)
+            else found + 1e-9
         )
 
     monkeypatch.setattr(c_kernels, name, wrong)
@@ -55,7 +61,9 @@ def test_c_kernels_that_compute_something_else_are_no_reference(
 
 
 @pytest.mark.parametrize("name", ["kernel_vs_c", "kernel_vs_c_lanes"])
-def test_without_a_compiler_the_row_still_comes(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_compiler_the_row_still_comes(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(kernels, "_PASSES", 10)
     monkeypatch.setenv("PATH", str(tmp_path))
     row = measure([name], 1)[0]
@@ -68,7 +76,9 @@ def test_without_a_compiler_the_row_still_comes(name: str, tmp_path: Path, monke
     assert measure([name], 1)[0].reference_value is None
 
 
-def test_with_a_compiler_the_row_stands_beside_it(built: CKernels, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_with_a_compiler_the_row_stands_beside_it(
+    built: CKernels, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(kernels, "_PASSES", 10)
     row = measure(["kernel_vs_c"], 2)[0]
     assert row.reference == ROWS["kernel_vs_c"].reference
@@ -98,9 +108,13 @@ def test_a_sweep_has_a_rate() -> None:
     assert limit is not None
 
 
-def test_a_row_whose_extra_is_missing_is_left_out_unless_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_row_whose_extra_is_missing_is_left_out_unless_it_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     layer = rows.Layer(lambda: (2.0, 1.0), "1", "one")
-    monkeypatch.setattr(rows, "ROWS", {"can": layer, "cannot": layer._replace(needs=("joblib", "no_such_package"))})
+    monkeypatch.setattr(
+        rows, "ROWS", {"can": layer, "cannot": layer._replace(needs=("joblib", "no_such_package"))}
+    )
     assert [row.name for row in measure([], 1)] == ["can"]
     with pytest.raises(ScenarioError, match="joblib and no_such_package"):
         measure(["cannot"], 1)

@@ -25,19 +25,31 @@ def test_the_safety_distance_is_the_papers_and_at_most_two_ticks_more() -> None:
     assert border_distance(V_A, math.inf, DT) <= 2.0 * V_A * DT
 
 
-def _kept(u: tuple[float, float], p: tuple[float, float], v: tuple[float, float]) -> tuple[float, float]:
+def _kept(
+    u: tuple[float, float], p: tuple[float, float], v: tuple[float, float]
+) -> tuple[float, float]:
     return keep_off_border(*u, *p, *v, 10.0, WIDTH, HEIGHT, MARGIN, DT)
 
 
-@given(st.floats(MARGIN, WIDTH - MARGIN), st.floats(MARGIN, HEIGHT - MARGIN), st.floats(-9.0, 9.0), speeds, speeds)
+@given(
+    st.floats(MARGIN, WIDTH - MARGIN),
+    st.floats(MARGIN, HEIGHT - MARGIN),
+    st.floats(-9.0, 9.0),
+    speeds,
+    speeds,
+)
 @settings(PROPERTY)
-def test_away_from_the_border_the_law_is_left_alone(x: float, y: float, u: float, v_x: float, v_y: float) -> None:
+def test_away_from_the_border_the_law_is_left_alone(
+    x: float, y: float, u: float, v_x: float, v_y: float
+) -> None:
     assert _kept((u, -u), (x, y), (v_x, v_y)) == (u, -u)
 
 
 @given(st.floats(0.0, 1.0), st.floats(-9.0, 9.0), st.floats(-9.0, 9.0), speeds, speeds)
 @settings(PROPERTY, max_examples=300)
-def test_at_a_side_nothing_of_the_law_points_out(depth: float, u_x: float, u_y: float, v_x: float, v_y: float) -> None:
+def test_at_a_side_nothing_of_the_law_points_out(
+    depth: float, u_x: float, u_y: float, v_x: float, v_y: float
+) -> None:
     """At x near 0; the other sides are the same by reflection."""
     p = (0.999 * depth * MARGIN, 0.5 * HEIGHT)
     a_x, a_y = _kept((u_x, u_y), p, (v_x, v_y))
@@ -54,7 +66,9 @@ def test_at_a_side_nothing_of_the_law_points_out(depth: float, u_x: float, u_y: 
 
 @given(st.integers(0, 2**32), st.floats(0.0, math.tau), st.sampled_from((1.0, 10.0, 39.0)))
 @settings(PROPERTY, max_examples=150)
-def test_whatever_the_law_wants_it_never_crosses_the_border(seed: int, course: float, k_v: float) -> None:
+def test_whatever_the_law_wants_it_never_crosses_the_border(
+    seed: int, course: float, k_v: float
+) -> None:
     """At full speed from anywhere outside the margin, wanting another direction every few ticks, most of them outward."""
     rng = np.random.default_rng(seed)
     start = (rng.uniform(MARGIN, WIDTH - MARGIN), rng.uniform(MARGIN, HEIGHT - MARGIN))
@@ -95,9 +109,16 @@ def test_a_uav_without_bounds_never_reaches_the_border() -> None:
     assert (uav[:, 1] > 0.0).all()
 
 
-edges = {"x": st.sampled_from((0.0, 0.3, WIDTH - 0.3, WIDTH)), "y": st.sampled_from((0.0, 0.3, HEIGHT - 0.3, HEIGHT))}
+edges = {
+    "x": st.sampled_from((0.0, 0.3, WIDTH - 0.3, WIDTH)),
+    "y": st.sampled_from((0.0, 0.3, HEIGHT - 0.3, HEIGHT)),
+}
 anywhere = {"x": st.floats(0.0, WIDTH), "y": st.floats(0.0, HEIGHT)}
-places = st.tuples(edges["x"], edges["y"]) | st.tuples(edges["x"], anywhere["y"]) | st.tuples(anywhere["x"], edges["y"])
+places = (
+    st.tuples(edges["x"], edges["y"])
+    | st.tuples(edges["x"], anywhere["y"])
+    | st.tuples(anywhere["x"], edges["y"])
+)
 
 
 def _between(share: float, center: float, way: float, size: float) -> float:
@@ -125,7 +146,10 @@ def test_the_coverage_law_never_reaches_the_border(
 ) -> None:
     velocity = (speed * math.cos(course), speed * math.sin(course))
     stop = speed / (2.0 * U_A) + 2.0 * DT  # a UAV that could not stop in time is not asked to
-    start = tuple(_between(share[k], ugv[k], stop * velocity[k], size) for k, size in enumerate((WIDTH, HEIGHT)))
+    start = tuple(
+        _between(share[k], ugv[k], stop * velocity[k], size)
+        for k, size in enumerate((WIDTH, HEIGHT))
+    )
     assert norm(start[0] - ugv[0], start[1] - ugv[1]) < R_V
     scenario = escort(
         Law(name="coverage", speed_gain=k_v),
@@ -136,7 +160,9 @@ def test_the_coverage_law_never_reaches_the_border(
         duration=45.0,
     )
     uav, _ = tracks(fly(scenario, 0)[0])
-    assert (uav[:, :2] > 0.0).all()  # the world's walls hold a vehicle at 0, so it never touched them
+    assert (
+        uav[:, :2] > 0.0
+    ).all()  # the world's walls hold a vehicle at 0, so it never touched them
     assert (uav[:, :2] < (WIDTH, HEIGHT)).all()
 
 
@@ -145,6 +171,11 @@ def test_ground_at_the_border_is_covered_too(ugv: tuple[float, float]) -> None:
     """Proposition 1 in a corner and at a side."""
     inside = (min(max(ugv[0], 1.0), WIDTH - 1.0), min(max(ugv[1], 1.0), HEIGHT - 1.0))
     area = Area(width=WIDTH, height=HEIGHT, cell=0.5)
-    flight, summary = fly(escort("coverage", uav=Uav(position=inside), ugv=Ugv(position=ugv), area=area, duration=200.0), 0)
+    flight, summary = fly(
+        escort(
+            "coverage", uav=Uav(position=inside), ugv=Ugv(position=ugv), area=area, duration=200.0
+        ),
+        0,
+    )
     assert summary.final_error == 0.0
     assert np.flatnonzero(errors(flight) == 0.0)[0] > 0

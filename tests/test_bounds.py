@@ -33,13 +33,20 @@ EMPTY = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0)
 
 def zeros(size: int, *, told: bool) -> bytes:
     """A zstd frame of so many zeros, which tells its size or does not."""
-    packer = zstandard.ZstdCompressor(level=1, write_content_size=told).compressobj(*([size] if told else []))
+    packer = zstandard.ZstdCompressor(level=1, write_content_size=told).compressobj(
+        *([size] if told else [])
+    )
     block = bytes(1 << 20)
     return b"".join([*(packer.compress(block) for _ in range(size >> 20)), packer.flush()])
 
 
 def chunk(packed: bytes, declared: int, compression: bytes = b"zstd") -> bytes:
-    content = struct.pack("<QQQII", 0, 0, declared, 0, len(compression)) + compression + struct.pack("<Q", len(packed)) + packed
+    content = (
+        struct.pack("<QQQII", 0, 0, declared, 0, len(compression))
+        + compression
+        + struct.pack("<Q", len(packed))
+        + packed
+    )
     return struct.pack("<BQ", 6, len(content)) + content
 
 
@@ -54,7 +61,10 @@ BOMBS: dict[str, tuple[Callable[[], bytes], str]] = {
     "hidden": (lambda: chunk(zeros(64 << 20, told=False), 1 << 20), "Zstd|decompress"),
     "belied": (lambda: chunk(zeros(64 << 20, told=True), 1 << 20), "that declares 1,048,576"),
     "small": (many_small, "unpacks to more than 200 times its size"),
-    "filled": (lambda: chunk(zeros(16 << 20, told=True), 16 << 20) * 50, "a chunk with a record of kind 0"),
+    "filled": (
+        lambda: chunk(zeros(16 << 20, told=True), 16 << 20) * 50,
+        "a chunk with a record of kind 0",
+    ),
     "unknown": (lambda: chunk(b"", 0, b"zip"), "packed with 'zip'"),
     "sparse": (lambda: struct.pack("<BQ", 5, 1 << 30), "a record of 1,073,741,824 bytes"),
 }
@@ -70,7 +80,9 @@ def bomb(folder: Path, name: str) -> Path:
 
 
 @pytest.mark.parametrize("name", BOMBS)
-def test_a_recording_that_unpacks_to_more_than_a_flight_is_one_line(name: str, tmp_path: Path) -> None:
+def test_a_recording_that_unpacks_to_more_than_a_flight_is_one_line(
+    name: str, tmp_path: Path
+) -> None:
     with pytest.raises(ScenarioError, match=BOMBS[name][1]) as caught:
         load(bomb(tmp_path, name))
     assert len(str(caught.value).splitlines()) == 1
@@ -93,11 +105,23 @@ def test_no_file_fills_the_memory_or_keeps_the_reader_waiting(tmp_path: Path) ->
     (tmp_path / "title.toml").write_bytes(b'title = "' + b"a" * (100 << 20) + b'"\n')
     (tmp_path / "folder.toml").mkdir()
     endless = ("/dev/zero", tmp_path / "fifo")
-    lines = [f"{command} {file}" for command in ("check", "sweep", "replay", "record --repair") for file in endless]
+    lines = [
+        f"{command} {file}"
+        for command in ("check", "sweep", "replay", "record --repair")
+        for file in endless
+    ]
     lines += [f"check {tmp_path / name}" for name in ("title.toml", "folder.toml")]
-    lines += [f"replay {bomb(tmp_path, name)}" for name in ("declared", "hidden", "belied", "filled", "small")]
+    lines += [
+        f"replay {bomb(tmp_path, name)}"
+        for name in ("declared", "hidden", "belied", "filled", "small")
+    ]
     done = subprocess.run(
-        [sys.executable, "-c", _PEAK], input="\n".join(lines), capture_output=True, text=True, check=False, timeout=120
+        [sys.executable, "-c", _PEAK],
+        input="\n".join(lines),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
     )
     assert done.returncode == 0, done.stderr
     told = done.stderr.splitlines()
@@ -107,7 +131,9 @@ def test_no_file_fills_the_memory_or_keeps_the_reader_waiting(tmp_path: Path) ->
     assert int(done.stdout) < 300 * 1024  # [kB], libraries and all
 
 
-@pytest.mark.parametrize("text", [".".join("a" * 500_000) + " = 1", "[" + ".".join("a" * 64 + "b") + "]"])
+@pytest.mark.parametrize(
+    "text", [".".join("a" * 500_000) + " = 1", "[" + ".".join("a" * 64 + "b") + "]"]
+)
 def test_a_key_of_a_million_parts_is_refused_unparsed(text: str, tmp_path: Path) -> None:
     (tmp_path / "deep.toml").write_text(text, encoding="utf-8")
     with pytest.raises(ScenarioError, match="a key of more than 64 parts"):
@@ -135,13 +161,23 @@ def test_other_files_are_bounded_too(tmp_path: Path) -> None:
     rows = "time [s],ugv_0.vx [m/s],ugv_0.vy [m/s]\n" + "0,0,0\n" * 250_001
     (tmp_path / "track.csv").write_text(rows, encoding="utf-8")
     with pytest.raises(ScenarioError, match="too long; allowed: 250,000 ticks"):
-        load_scenario("escort", overrides={"ugv.0.driver": "script", "ugv.0.track": str(tmp_path / "track.csv")})
+        load_scenario(
+            "escort",
+            overrides={"ugv.0.driver": "script", "ugv.0.track": str(tmp_path / "track.csv")},
+        )
 
 
-def test_warnings_that_differ_in_numbers_alone_are_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    print_warnings([*(f"ugv.{k}.goals = []: ugv_{k} will stand still" for k in range(1000)), "x [/y]"])
+def test_warnings_that_differ_in_numbers_alone_are_one_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    print_warnings(
+        [*(f"ugv.{k}.goals = []: ugv_{k} will stand still" for k in range(1000)), "x [/y]"]
+    )
     lines = capsys.readouterr().err.splitlines()
-    assert lines == ["warning: ugv.0.goals = []: ugv_0 will stand still (and 999 more like it)", "warning: x [/y]"]
+    assert lines == [
+        "warning: ugv.0.goals = []: ugv_0 will stand still (and 999 more like it)",
+        "warning: x [/y]",
+    ]
 
 
 @pytest.fixture
@@ -151,16 +187,26 @@ def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(sys, "path", [*sys.path])
     body = "from pathlib import Path\nPath('loaded').touch()\ndef policy(seen, told):\n    return (0.0, 0.0)\n"
     (tmp_path / "theirs.py").write_text(body, encoding="utf-8")
-    text = (Path(__file__).parents[1] / "sim/scenarios/escort.toml").read_text("utf-8").replace('driver = "waypoints"', "")
-    text = text.replace("[[ugv]]", '[[ugv]]\ndriver = "policy"').replace("duration = ", "duration = 0.5 # ")
-    (tmp_path / "theirs.toml").write_text(f'{text}\n[custom]\npolicy = "theirs:policy"\n', encoding="utf-8")
+    text = (
+        (Path(__file__).parents[1] / "sim/scenarios/escort.toml")
+        .read_text("utf-8")
+        .replace('driver = "waypoints"', "")
+    )
+    text = text.replace("[[ugv]]", '[[ugv]]\ndriver = "policy"').replace(
+        "duration = ", "duration = 0.5 # "
+    )
+    (tmp_path / "theirs.toml").write_text(
+        f'{text}\n[custom]\npolicy = "theirs:policy"\n', encoding="utf-8"
+    )
     (tmp_path / "sweep.toml").write_text('scenario = "theirs.toml"\nseeds = 1\n', encoding="utf-8")
     monkeypatch.delitem(sys.modules, "theirs", raising=False)
     return tmp_path / "theirs.toml"
 
 
 def test_code_that_a_file_names_is_loaded_on_demand_alone(foreign: Path) -> None:
-    refused = pytest.raises(ScenarioError, match=r"custom\.policy = 'theirs:policy': the file names code.*--allow-code")
+    refused = pytest.raises(
+        ScenarioError, match=r"custom\.policy = 'theirs:policy': the file names code.*--allow-code"
+    )
     with refused:
         run(foreign)
     sweep, _ = describe_sweep("sweep.toml")
@@ -188,8 +234,14 @@ def test_commands_ask_before_they_load_code_of_a_file(
 def test_code_that_the_user_names_is_the_users(foreign: Path) -> None:
     scenario = load_scenario(foreign)
     assert len(foreign_code(scenario)) == len(foreign_code(scenario, ["custom.path=a:b"])) == 1
-    assert foreign_code(scenario, ['custom.policy="theirs:policy"']) == foreign_code(scenario, ["custom={}"]) == ()
+    assert (
+        foreign_code(scenario, ['custom.policy="theirs:policy"'])
+        == foreign_code(scenario, ["custom={}"])
+        == ()
+    )
 
 
 def test_no_shipped_scenario_names_code() -> None:
-    assert [foreign_code(load_scenario(name)) for name in scenario_names()] == [()] * len(scenario_names())
+    assert [foreign_code(load_scenario(name)) for name in scenario_names()] == [()] * len(
+        scenario_names()
+    )

@@ -55,7 +55,11 @@ def endpoint(tmp_path: Path) -> str:
 def sessions(endpoint: str) -> Iterator[dict[Role, Session]]:
     """A router and one client for each other role."""
     with ExitStack() as stack:
-        opened = {Role.SIMULATOR: stack.enter_context(open_session(party(Role.SIMULATOR), "run", listen=(endpoint,)))}
+        opened = {
+            Role.SIMULATOR: stack.enter_context(
+                open_session(party(Role.SIMULATOR), "run", listen=(endpoint,))
+            )
+        }
         for role in set(Role) - {Role.SIMULATOR}:
             opened[role] = stack.enter_context(open_session(party(role), "run", connect=endpoint))
         yield opened
@@ -68,7 +72,13 @@ def sample(kind: object, rng: random.Random) -> object:
         return kind(**{name: sample(hints[name], rng) for name in kind.__struct_fields__})
     parts = get_args(kind)
     limits = [part for part in getattr(kind, "__metadata__", ()) if isinstance(part, msgspec.Meta)]
-    if parts and parts[0] is float and limits and limits[0].le is not None and limits[0].ge is not None:
+    if (
+        parts
+        and parts[0] is float
+        and limits
+        and limits[0].le is not None
+        and limits[0].ge is not None
+    ):
         return rng.uniform(limits[0].ge, limits[0].le)
     if kind in (float, messages.Coordinate):
         return rng.uniform(-1e6, 1e6)
@@ -102,12 +112,18 @@ def sample(kind: object, rng: random.Random) -> object:
     if origin is tuple:
         return tuple(sample(part, rng) for part in parts)
     if type(None) in parts:
-        return None if rng.random() < 0.3 else sample(next(part for part in parts if part is not type(None)), rng)
+        return (
+            None
+            if rng.random() < 0.3
+            else sample(next(part for part in parts if part is not type(None)), rng)
+        )
     raise AssertionError(f"no sample for {kind}")
 
 
 @pytest.mark.parametrize("key", KEYS, ids=lambda key: key.message.__name__)
-def test_every_row_round_trips_to_its_reader_with_the_same_bits(sessions: dict[Role, Session], key: Key) -> None:
+def test_every_row_round_trips_to_its_reader_with_the_same_bits(
+    sessions: dict[Role, Session], key: Key
+) -> None:
     reader = key.readers[0]
     vehicle = NAMES.get(key.vehicle, "") if key.vehicle else ""
     inbox = sessions[reader].inbox(key, vehicle)
@@ -158,7 +174,13 @@ def test_a_vehicle_is_denied_the_row_of_another_of_its_kind() -> None:
 
 
 def test_a_denied_reader_and_writer_never_reach_the_bus(sessions: dict[Role, Session]) -> None:
-    for key, vehicle in ((UGV_OBSERVATION, "ugv_0"), (UGV_COMMAND, "ugv_0"), (TRUTH, ""), (COVERAGE, ""), (STATUS, "")):
+    for key, vehicle in (
+        (UGV_OBSERVATION, "ugv_0"),
+        (UGV_COMMAND, "ugv_0"),
+        (TRUTH, ""),
+        (COVERAGE, ""),
+        (STATUS, ""),
+    ):
         with pytest.raises(AccessDenied):
             sessions[Role.UAV].inbox(key, vehicle)
         with pytest.raises(AccessDenied):
@@ -193,7 +215,9 @@ def test_what_does_not_decode_is_counted_named_and_dropped(sessions: dict[Role, 
     good = UgvCommand(tick=3, acceleration=(0.0, 0.1))
     outbox = sessions[Role.UGV].outbox(UGV_COMMAND, "ugv_0")
     for payload in GARBAGE:
-        raw.put("outrider/run/ugv_0/command", payload, congestion_control=zenoh.CongestionControl.BLOCK)
+        raw.put(
+            "outrider/run/ugv_0/command", payload, congestion_control=zenoh.CongestionControl.BLOCK
+        )
     outbox.send(good)
     letter = inbox.receive(10.0)
     assert letter is not None
@@ -201,13 +225,19 @@ def test_what_does_not_decode_is_counted_named_and_dropped(sessions: dict[Role, 
     assert inbox.refused == {"uav_0": 0, "ugv_0": len(GARBAGE)}
 
 
-def test_what_is_too_large_is_dropped_by_the_router_or_refused_by_the_reader(sessions: dict[Role, Session]) -> None:
+def test_what_is_too_large_is_dropped_by_the_router_or_refused_by_the_reader(
+    sessions: dict[Role, Session],
+) -> None:
     inbox = sessions[Role.SIMULATOR].inbox_of_all({"uav_0": UAV_COMMAND, "ugv_0": UGV_COMMAND})
     observer = sessions[Role.OBSERVER].inbox(TRUTH)
     client, router = sessions[Role.UGV]._zenoh, sessions[Role.SIMULATOR]._zenoh
     good = msgspec.json.encode(UgvCommand(tick=3, acceleration=(0.0, 0.1)))
     for size in (UGV_COMMAND.largest + 1, 2 << 20, UGV_COMMAND.largest):
-        client.put("outrider/run/ugv_0/command", good.ljust(size), congestion_control=zenoh.CongestionControl.BLOCK)
+        client.put(
+            "outrider/run/ugv_0/command",
+            good.ljust(size),
+            congestion_control=zenoh.CongestionControl.BLOCK,
+        )
     assert inbox.receive(10.0) is not None
     assert inbox.next_waiting() is None
     assert inbox.refused == {"uav_0": 0, "ugv_0": 0}
@@ -216,13 +246,19 @@ def test_what_is_too_large_is_dropped_by_the_router_or_refused_by_the_reader(ses
         assert observer.receive(0.05) is None
         if any(observer.refused.values()):
             break
-    assert list(observer.fault.values()) == [f"{TRUTH.largest + 1} bytes; allowed up to {TRUTH.largest}"]
+    assert list(observer.fault.values()) == [
+        f"{TRUTH.largest + 1} bytes; allowed up to {TRUTH.largest}"
+    ]
 
 
 def test_a_stranger_in_the_run_is_not_heard(sessions: dict[Role, Session]) -> None:
     inbox = sessions[Role.SIMULATOR].inbox_of_all({"uav_0": UAV_COMMAND, "ugv_0": UGV_COMMAND})
-    sessions[Role.UGV]._zenoh.put("outrider/run/nobody/command", b'{"tick":1,"acceleration":[0.0,0.0]}')
-    sessions[Role.UGV]._zenoh.put("outrider/another/ugv_0/command", b'{"tick":1,"acceleration":[0.0,0.0]}')
+    sessions[Role.UGV]._zenoh.put(
+        "outrider/run/nobody/command", b'{"tick":1,"acceleration":[0.0,0.0]}'
+    )
+    sessions[Role.UGV]._zenoh.put(
+        "outrider/another/ugv_0/command", b'{"tick":1,"acceleration":[0.0,0.0]}'
+    )
     assert inbox.receive(0.5) is None
 
 

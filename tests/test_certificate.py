@@ -18,7 +18,15 @@ from agents.control import discs, handover
 from sim.compile import FloatArray
 from sim.vehicles import norm, step_vehicle
 
-NUMBERS: dict[str, Any] = {"r_v": R_V, "v_a": V_A, "u_a": U_A, "v_g": V_G, "dt": DT, "eps": 0.3, "age": 5.0}
+NUMBERS: dict[str, Any] = {
+    "r_v": R_V,
+    "v_a": V_A,
+    "u_a": U_A,
+    "v_g": V_G,
+    "dt": DT,
+    "eps": 0.3,
+    "age": 5.0,
+}
 
 seeds = st.integers(0, 2**32 - 1)
 errors = st.sampled_from([0.0, 0.3, 0.9, 1.5])
@@ -71,7 +79,9 @@ def test_the_certified_distance_is_never_less_than_the_distance(seed: int, eps: 
             newest = max(newest, t_z)
             assert kept[:, 2].max() == newest
             assert kept[discs.newest_detection(kept), 2] == newest
-        assert np.linalg.norm(p - g) <= discs.certified_distance(p[0], p[1], t, kept, eps, V_G) + 1e-9
+        assert (
+            np.linalg.norm(p - g) <= discs.certified_distance(p[0], p[1], t, kept, eps, V_G) + 1e-9
+        )
         course = in_disc(rng, V_G) if rng.random() < 0.2 else V_G * away(p, g)
         g = g + DT * course
         p = p + DT * in_disc(rng, V_A)
@@ -90,7 +100,9 @@ def test_what_is_dropped_can_only_raise_the_bound(seed: int, eps: float) -> None
         discs.keep_detection(kept, z[0], z[1], t, t, p[0], p[1], eps, V_G)
         every.append((z[0], z[1], t))
         full = np.array(every)
-        bound, least = (discs.certified_distance(p[0], p[1], t, rows, eps, V_G) for rows in (kept, full))
+        bound, least = (
+            discs.certified_distance(p[0], p[1], t, rows, eps, V_G) for rows in (kept, full)
+        )
         assert bound >= least
         if tick < discs.KEPT:  # only what another makes superfluous has gone
             assert bound == pytest.approx(least, abs=1e-12)
@@ -129,7 +141,9 @@ def test_the_farthest_point_of_a_lens_is_farthest_and_in_it(
             rng.uniform(-8.0, 8.0, (2000, 2)),
         ]
     )
-    inside = (np.hypot(*circles.T) <= r_a + 1e-9) & (np.hypot(*(circles - [b_x, b_y]).T) <= r_b + 1e-9)
+    inside = (np.hypot(*circles.T) <= r_a + 1e-9) & (
+        np.hypot(*(circles - [b_x, b_y]).T) <= r_b + 1e-9
+    )
     far = np.hypot(*(circles[inside] - [p_x, p_y]).T).max()
     assert found >= far - 1e-6
     assert found <= far + 2e-2 + 2e-6
@@ -174,7 +188,9 @@ def ways_down(**numbers: float) -> list[float]:
         ("margin", (0.0, 0.3, 1.0), -1),
     ],
 )
-def test_the_radii_move_with_each_number_in_one_direction(name: str, values: tuple[float, ...], sign: int) -> None:
+def test_the_radii_move_with_each_number_in_one_direction(
+    name: str, values: tuple[float, ...], sign: int
+) -> None:
     rows = [ways_down(**{name: value}) for value in values]
     for less, more in itertools.pairwise(rows):
         assert all(sign * (b - a) >= -1e-9 for a, b in zip(less, more, strict=True))
@@ -189,14 +205,20 @@ def test_with_perfect_information_the_certified_radius_is_the_papers() -> None:
 
 def test_a_delay_of_commands_counts_as_age() -> None:
     """A plan begins when its first command acts, and all that is known is older by then."""
-    assert promise(age=14.0, delay=1.0).handover == promise(age=15.0).handover < promise(age=14.0).handover
+    assert (
+        promise(age=14.0, delay=1.0).handover
+        == promise(age=15.0).handover
+        < promise(age=14.0).handover
+    )
     assert promise(age=14.0, delay=1.0).reach == promise(age=15.0).reach
     assert math.isnan(promise(age=17.0, delay=1.0).handover)
 
 
 def test_the_shipped_numbers() -> None:
     q = promise(age=0.05)
-    assert handover.certified_radius(q.handover, V_A, U_A, V_G, DT, 0.0) == pytest.approx(3.61, abs=0.01)
+    assert handover.certified_radius(q.handover, V_A, U_A, V_G, DT, 0.0) == pytest.approx(
+        3.61, abs=0.01
+    )
     assert handover.check_assumptions(promise(age=15.05)) == ()
     assert 17.0 < handover.largest_age(q) < 18.0
 
@@ -214,7 +236,9 @@ def test_the_servo_keeps_the_bound_and_stops_at_its_point(
     assert norm(p_x - z_x, p_y - z_y) < 0.05
 
 
-def fly_plan(q: handover.Promise, plan: FloatArray, state: list[float], g: FloatArray) -> list[float]:
+def fly_plan(
+    q: handover.Promise, plan: FloatArray, state: list[float], g: FloatArray
+) -> list[float]:
     """Let a plan act to its end while a UGV at g flees as fast as it may; the distances."""
     plan = plan.copy()
     p_x, p_y, v_x, v_y = state
@@ -235,7 +259,14 @@ def fly_plan(q: handover.Promise, plan: FloatArray, state: list[float], g: Float
 @given(st.floats(0.0, 4.7), angles, shares, angles, errors, ages, seeds)
 @settings(PROPERTY, max_examples=300)
 def test_a_plan_keeps_in_sight_whatever_agrees_with_the_detections(
-    kind: str, far: float, where: float, share: float, angle: float, eps: float, age: float, seed: int
+    kind: str,
+    far: float,
+    where: float,
+    share: float,
+    angle: float,
+    eps: float,
+    age: float,
+    seed: int,
 ) -> None:
     rng = np.random.default_rng(seed)
     q = promise(eps=eps, age=age)
@@ -251,7 +282,9 @@ def test_a_plan_keeps_in_sight_whatever_agrees_with_the_detections(
     state[2:] = [share * V_A * math.cos(angle), share * V_A * math.sin(angle)]
     plan = c.no_plan()
     last = in_disc(rng, 1.0)
-    plan[8:12] = (*(g + last), norm(last[0], last[1]), 0.0) if seed % 5 else (*centre, math.inf, 0.0)
+    plan[8:12] = (
+        (*(g + last), norm(last[0], last[1]), 0.0) if seed % 5 else (*centre, math.inf, 0.0)
+    )
     make = c.plan_stop if kind == "stop" else c.plan_return
     near = discs.nearest(state[0], state[1], 0.0, detections, eps, V_G)
     if not make(q, detections, plan, 1, near, 0.0, *state):
@@ -295,16 +328,25 @@ def test_within_the_certified_radius_every_inner_control_acts(
 def test_beyond_it_outward_flight_is_stopped_and_return_is_left_alone() -> None:
     q = promise(age=1.0)
     for v, acts in ((V_A, c.PLAN), (-V_A, c.INNER)):
-        assert c.safe_control(q, seen((0.0, 0.0, 0.0)), c.no_plan(), 0.0, 3.36, 0.0, v, 0.0, U_A, 0.0)[2] == acts
+        assert (
+            c.safe_control(q, seen((0.0, 0.0, 0.0)), c.no_plan(), 0.0, 3.36, 0.0, v, 0.0, U_A, 0.0)[
+                2
+            ]
+            == acts
+        )
 
 
 def test_out_of_reach_the_filter_says_so_and_flies_back() -> None:
-    u_x, _, acts = c.safe_control(promise(), seen((0.0, 0.0, 0.0)), c.no_plan(), 0.0, 6.0, 0.0, 0.0, 0.0, U_A, 0.0)
+    u_x, _, acts = c.safe_control(
+        promise(), seen((0.0, 0.0, 0.0)), c.no_plan(), 0.0, 6.0, 0.0, 0.0, 0.0, U_A, 0.0
+    )
     assert (u_x, acts) == (-U_A, c.BEST_EFFORT)
 
 
 def test_without_a_detection_the_uav_brakes() -> None:
-    u_x, u_y, acts = c.safe_control(promise(), discs.no_detections(), c.no_plan(), 0.0, 1.0, 1.0, 0.3, 0.0, U_A, U_A)
+    u_x, u_y, acts = c.safe_control(
+        promise(), discs.no_detections(), c.no_plan(), 0.0, 1.0, 1.0, 0.3, 0.0, U_A, U_A
+    )
     assert (u_x, u_y, acts) == (-U_A, 0.0, c.BEST_EFFORT)
 
 
@@ -316,11 +358,16 @@ def test_without_a_detection_the_uav_brakes() -> None:
         ({"v_g": 0.6}, r"v_a = 0.6 m/s: .* faster than the UGV, v_g = 0.6 m/s"),
         ({"v_a": math.inf}, r"v_a = inf m/s.*must be bounded"),
         ({"u_a": 0.0}, r"u_a = 0 m/s²"),
-        ({"age": 19.0}, r"= 4.1 m \(eps 0.3 m, A 19 s, tau_c 0 s\): too much for r_v = 4.75 m; .* for A up to 17\.\d\d s"),
+        (
+            {"age": 19.0},
+            r"= 4.1 m \(eps 0.3 m, A 19 s, tau_c 0 s\): too much for r_v = 4.75 m; .* for A up to 17\.\d\d s",
+        ),
         ({"eps": 4.0}, r"= 5 m .* for no A"),
     ],
 )
-def test_an_assumption_that_fails_names_itself_with_its_numbers(numbers: dict[str, float], text: str) -> None:
+def test_an_assumption_that_fails_names_itself_with_its_numbers(
+    numbers: dict[str, float], text: str
+) -> None:
     (reason,) = handover.check_assumptions(promise(**numbers))
     assert re.search(text, reason), reason
     assert math.isnan(promise(**numbers).handover)
@@ -341,7 +388,9 @@ def test_a_vehicle_that_is_driven_into_a_wall_keeps_a_plan_there() -> None:
     p_x, p_y, v_x, v_y, least = 2.0, 5.0, 0.0, 0.0, 2.0
     for tick in range(400):
         detections[0, 2] = tick * DT
-        u_x, u_y, acts = c.safe_control(q, detections, plan, tick * DT, p_x, p_y, v_x, v_y, -U_A, 0.0)
+        u_x, u_y, acts = c.safe_control(
+            q, detections, plan, tick * DT, p_x, p_y, v_x, v_y, -U_A, 0.0
+        )
         assert acts != c.BEST_EFFORT
         p_x, p_y, v_x, v_y, _ = c.step_in_area(q, p_x, p_y, v_x, v_y, u_x, u_y)
         least = min(least, p_x)
@@ -350,14 +399,22 @@ def test_a_vehicle_that_is_driven_into_a_wall_keeps_a_plan_there() -> None:
 
 @given(st.floats(-0.2, 10.2), st.floats(-0.2, 10.2), shares, angles, seeds)
 @settings(PROPERTY, max_examples=300)
-def test_a_plan_never_touches_a_wall_that_it_does_not_start_at(x: float, y: float, share: float, angle: float, seed: int) -> None:
+def test_a_plan_never_touches_a_wall_that_it_does_not_start_at(
+    x: float, y: float, share: float, angle: float, seed: int
+) -> None:
     """A wall would take the UAV off its plan; one that began 10 cm outside was accepted once."""
     rng = np.random.default_rng(seed)
     q, plan = promise(**ROOM), c.no_plan()
     x, y = (float(rng.choice([one, 0.0, 10.0, max(0.0, min(one, 10.0))])) for one in (x, y))
     v_x, v_y = share * V_A * math.cos(angle), share * V_A * math.sin(angle)
     z = rng.choice([0.0, 10.0, rng.uniform(0.0, 10.0)], 2)
-    detections = seen((min(max(x + rng.uniform(-2, 2), 0.0), 10.0), z[1] if abs(z[1] - y) < 3.0 else min(max(y, 0.0), 10.0), 0.0))
+    detections = seen(
+        (
+            min(max(x + rng.uniform(-2, 2), 0.0), 10.0),
+            z[1] if abs(z[1] - y) < 3.0 else min(max(y, 0.0), 10.0),
+            0.0,
+        )
+    )
     for make in (c.plan_stop, c.plan_return):
         if not make(q, detections, plan, 0, 0, 0.0, x, y, v_x, v_y):
             continue
@@ -368,7 +425,9 @@ def test_a_plan_never_touches_a_wall_that_it_does_not_start_at(x: float, y: floa
             u_x, u_y = c._follow(plan, state[2], state[3], q.u_a, q.dt)
             free = step_vehicle(*state, u_x, u_y, q.v_a, q.u_a, q.dt)[:4]
             *state, _ = c.step_in_area(q, *state, u_x, u_y)
-            assert np.allclose(state, free, rtol=0.0, atol=1e-9)  # a velocity that counts as rest may lead into a wall
+            assert np.allclose(
+                state, free, rtol=0.0, atol=1e-9
+            )  # a velocity that counts as rest may lead into a wall
 
 
 @pytest.mark.parametrize("steps", range(-4, 5))
@@ -380,7 +439,9 @@ def test_discs_that_touch_but_for_rounding_give_the_point_where_they_do(steps: i
         b_x, b_y = 7.1 + gap * math.cos(angle), 3.3 + gap * math.sin(angle)
         touch = np.array([7.1 + r_a * math.cos(angle), 3.3 + r_a * math.sin(angle)])
         p = touch + 2.0 * np.array([math.cos(1.1 * k), math.sin(1.1 * k)])
-        assert discs.lens_distance(p[0], p[1], 7.1, 3.3, r_a, b_x, b_y, r_b) == pytest.approx(2.0, abs=3e-6)
+        assert discs.lens_distance(p[0], p[1], 7.1, 3.3, r_a, b_x, b_y, r_b) == pytest.approx(
+            2.0, abs=3e-6
+        )
 
 
 @given(points, points, angles, shares, angles, shares)
@@ -390,8 +451,13 @@ def test_between_ticks_the_vehicle_is_near_the_chord_of_its_way(
 ) -> None:
     v_x, v_y = share * V_A * math.cos(angle), share * V_A * math.sin(angle)
     for dt in (0.05, 0.2, 3.0):
-        p_x, p_y, w_x, w_y, _, _ = step_vehicle(x, y, v_x, v_y, math.cos(wanted), math.sin(wanted), V_A, U_A, dt)
+        p_x, p_y, w_x, w_y, _, _ = step_vehicle(
+            x, y, v_x, v_y, math.cos(wanted), math.sin(wanted), V_A, U_A, dt
+        )
         a_x, a_y, t = (w_x - v_x) / dt, (w_y - v_y) / dt, s * dt
         way = (x + (v_x + 0.5 * a_x * t) * t, y + (v_y + 0.5 * a_y * t) * t)
         chord = (x + s * (p_x - x), y + s * (p_y - y))
-        assert norm(way[0] - chord[0], way[1] - chord[1]) <= handover.tick_sagitta(V_A, U_A, dt) + 1e-12
+        assert (
+            norm(way[0] - chord[0], way[1] - chord[1])
+            <= handover.tick_sagitta(V_A, U_A, dt) + 1e-12
+        )

@@ -17,13 +17,18 @@ PERFECT = ("detections.noise=0.0", "detections.dropout=0.0")
 BROKEN = {
     "regained with commands under way": ((*PERFECT, *LATE, DARK), 7),
     "late and early by 0.1 s": ((*PERFECT, *LATE, "links.commands.jitter=0.1"), 7),
-    "narrowband": (("links.commands={profile = 'narrowband'}", "hold=2.0", "certificate.age=6.0"), 8),
+    "narrowband": (
+        ("links.commands={profile = 'narrowband'}", "hold=2.0", "certificate.age=6.0"),
+        8,
+    ),
     "jammed": (("links.commands={profile = 'jammed'}", "hold=2.0", "certificate.age=6.0"), 9),
     "commands lost": ((*LATE, "links.commands.loss=0.05"), 7),
 }
 
 
-def told(changes: tuple[str, ...], seed: int, on_tick: Any = None) -> list[tuple[bool | None, float]]:
+def told(
+    changes: tuple[str, ...], seed: int, on_tick: Any = None
+) -> list[tuple[bool | None, float]]:
     """Whether each tick was certified, and the true distance then [m]."""
     base = ("law.name=certified", "ugv.0.driver=evade", "area.cell=0.5", "duration=160.0")
     scenario = load_scenario("escort", overrides=[*base, *changes])
@@ -46,7 +51,9 @@ def test_no_tick_is_certified_beyond_r_v_where_commands_do_not_act_as_declared(n
     assert any(certified is False for certified, _ in ticks)
 
 
-def test_a_law_that_is_changed_in_flight_is_not_certified_before_its_own_commands_are_under_way() -> None:
+def test_a_law_that_is_changed_in_flight_is_not_certified_before_its_own_commands_are_under_way() -> (
+    None
+):
     """The filter once believed that nothing was under way."""
 
     def change(flight: Flight) -> None:
@@ -55,7 +62,9 @@ def test_a_law_that_is_changed_in_flight_is_not_certified_before_its_own_command
         if flight.world.tick % 400 == 0:
             flight.order(Law(name="certified"))
 
-    ticks = told((*PERFECT, "links.commands.delay=2.0", "hold=3.0", "certificate.age=2.0"), 7, change)
+    ticks = told(
+        (*PERFECT, "links.commands.delay=2.0", "hold=3.0", "certificate.age=2.0"), 7, change
+    )
     assert not [distance for certified, distance in ticks if certified and distance >= R_V]
     for begin in range(400, 3200, 400):
         assert all(certified is False for certified, _ in ticks[begin : begin + 40])

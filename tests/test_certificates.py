@@ -25,7 +25,14 @@ from bus.access import (
     replace_credentials,
     write_credentials,
 )
-from bus.certificates import Identity, check_identity, expiry_warning, hosts_of, issue, new_authority
+from bus.certificates import (
+    Identity,
+    check_identity,
+    expiry_warning,
+    hosts_of,
+    issue,
+    new_authority,
+)
 from bus.errors import AccessDenied
 from bus.keys import COMMAND, Role
 from bus.messages import UavCommand
@@ -51,7 +58,9 @@ def endpoint() -> str:
     return f"tls/127.0.0.1:{free_port()}"
 
 
-def identity(name: str = "uav_0", *, days: float = 365.0, authority=AUTHORITY, hosts=()) -> Identity:
+def identity(
+    name: str = "uav_0", *, days: float = 365.0, authority=AUTHORITY, hosts=()
+) -> Identity:
     return issue(authority, name, days=days, hosts=hosts)
 
 
@@ -61,7 +70,10 @@ def known_as(found: Identity) -> Credential:
 
 def refusal(endpoint: str, credential: Credential | None) -> str:
     """The one line with which our client says that it is not let in."""
-    with pytest.raises(AccessDenied) as caught, open_session(UAV.party, RUN, connect=endpoint, credential=credential):
+    with (
+        pytest.raises(AccessDenied) as caught,
+        open_session(UAV.party, RUN, connect=endpoint, credential=credential),
+    ):
         pass
     assert len(str(caught.value).splitlines()) == 1
     return str(caught.value)
@@ -69,7 +81,12 @@ def refusal(endpoint: str, credential: Credential | None) -> str:
 
 def raw(endpoint: str, credential: Credential | None) -> zenoh.Session:
     """A session that asks nobody's leave."""
-    wanted = session._COMMON | session._CLIENT | client_settings(credential) | {"connect/endpoints": [endpoint]}
+    wanted = (
+        session._COMMON
+        | session._CLIENT
+        | client_settings(credential)
+        | {"connect/endpoints": [endpoint]}
+    )
     return zenoh.open(session._config(wanted))
 
 
@@ -80,10 +97,19 @@ def test_each_party_has_a_name_of_its_own_and_no_file_has_anothers_key(tmp_path:
     for credential in GIVEN.parties:
         assert read_credential(files[credential.name]) == credential
         key = json.dumps(credential.tls.key)[1:-1]  # type: ignore[union-attr]
-        assert [name for name, path in files.items() if key in path.read_text(encoding="utf-8")] == [credential.name]
+        assert [
+            name for name, path in files.items() if key in path.read_text(encoding="utf-8")
+        ] == [credential.name]
         assert "PRIVATE" not in repr(credential) + repr(credential.tls)
     assert "PRIVATE" not in repr(GIVEN) + repr(AUTHORITY)
-    assert hosts_of(GIVEN.tls) == ("localhost", "127.0.0.1", "::1", "router", "10.0.0.7", "base.example")  # type: ignore[arg-type]
+    assert hosts_of(GIVEN.tls) == (
+        "localhost",
+        "127.0.0.1",
+        "::1",
+        "router",
+        "10.0.0.7",
+        "base.example",
+    )  # type: ignore[arg-type]
     assert hosts_of(UAV.tls) == ()  # type: ignore[arg-type]
 
 
@@ -97,13 +123,25 @@ def mixed(**parts: str) -> Identity:
         (lambda: identity("ugv_0"), "the certificate of uav_0 is for ugv_0"),
         (lambda: identity(days=-0.5), "the certificate of uav_0 has expired on"),
         (lambda: mixed(key=identity().key), "and its key do not belong together"),
-        (lambda: mixed(authority=FOREIGN.certificate), "of another authority than the one beside it"),
+        (
+            lambda: mixed(authority=FOREIGN.certificate),
+            "of another authority than the one beside it",
+        ),
         (lambda: mixed(certificate="garbage"), "not a certificate in PEM"),
         (lambda: mixed(key="garbage"), "not a private key in PEM"),
     ],
-    ids=["another's", "expired", "another key", "another authority", "garbage", "garbage for a key"],
+    ids=[
+        "another's",
+        "expired",
+        "another key",
+        "another authority",
+        "garbage",
+        "garbage for a key",
+    ],
 )
-def test_a_certificate_that_would_be_refused_is_named_before_anything_is_sent(made: Callable[[], Identity], told: str) -> None:
+def test_a_certificate_that_would_be_refused_is_named_before_anything_is_sent(
+    made: Callable[[], Identity], told: str
+) -> None:
     with pytest.raises(AccessDenied, match=told):
         check_identity(made(), "uav_0")
     assert told in refusal("tls/127.0.0.1:1", known_as(made()))
@@ -114,8 +152,14 @@ def test_a_certificate_that_would_be_refused_is_named_before_anything_is_sent(ma
     [
         ("no certificate", "needs certificates; `outrider credentials --tls` makes them"),
         ("a password", "needs certificates; `outrider credentials --tls` makes them"),
-        ("a foreign authority", "has a certificate that is of another authority than this process' own"),
-        ("a foreign authority that trusts ours", "does not trust the authority of this certificate"),
+        (
+            "a foreign authority",
+            "has a certificate that is of another authority than this process' own",
+        ),
+        (
+            "a foreign authority that trusts ours",
+            "does not trust the authority of this certificate",
+        ),
         ("a router's certificate", "says that this certificate is not for a client"),
         ("expired", "says that this certificate has expired"),
     ],
@@ -128,7 +172,9 @@ def test_who_is_not_of_the_run_is_refused_by_the_router_and_told_why(
         "no certificate": None,
         "a password": new_credentials(RUN, ["uav_0"], []).of("uav_0"),
         "a foreign authority": known_as(foreign),
-        "a foreign authority that trusts ours": known_as(msgspec.structs.replace(foreign, authority=AUTHORITY.certificate)),
+        "a foreign authority that trusts ours": known_as(
+            msgspec.structs.replace(foreign, authority=AUTHORITY.certificate)
+        ),
         "a router's certificate": known_as(identity(hosts=("127.0.0.1",))),
         "expired": known_as(identity(days=-0.5)),
     }[kind]
@@ -139,7 +185,9 @@ def test_who_is_not_of_the_run_is_refused_by_the_router_and_told_why(
         assert told in refusal(endpoint, credential)
 
 
-def test_a_client_trusts_nobody_but_its_router(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_client_trusts_nobody_but_its_router(
+    endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Neither a router under a name that its certificate has not, nor another party that listens."""
     elsewhere = endpoint.replace("127.0.0.1", "127.0.0.2")
     with open_session(SIMULATOR, RUN, listen=(elsewhere,), given=GIVEN):
@@ -157,7 +205,10 @@ def test_certificates_and_unencrypted_endpoints_do_not_go_together() -> None:
     ):
         pass
     assert "must begin with tls/" in refusal("tcp/127.0.0.1:1", UAV)
-    with pytest.raises(AccessDenied, match="needs certificates"), open_session(SIMULATOR, RUN, listen=("tls/127.0.0.1:1",)):
+    with (
+        pytest.raises(AccessDenied, match="needs certificates"),
+        open_session(SIMULATOR, RUN, listen=("tls/127.0.0.1:1",)),
+    ):
         pass
 
 
@@ -172,26 +223,40 @@ def passes(router: session.Session, client: session.Session) -> bool:
     return False
 
 
-def test_a_name_that_the_router_does_not_know_gets_nothing_and_is_named(endpoint: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_name_that_the_router_does_not_know_gets_nothing_and_is_named(
+    endpoint: str, caplog: pytest.LogCaptureFixture
+) -> None:
     stranger = known_as(identity("nobody"))
     with open_session(SIMULATOR, RUN, listen=(endpoint,), given=GIVEN) as router:
         hears = router._zenoh.declare_subscriber("**", zenoh.handlers.RingChannel(10))
         with raw(endpoint, stranger) as opened:
             heard = opened.declare_subscriber("outrider/**", zenoh.handlers.RingChannel(10))
-            told, there = threading.Event(), zenoh.Locality.REMOTE  # its own subscriber hears nothing of what it puts
+            told, there = (
+                threading.Event(),
+                zenoh.Locality.REMOTE,
+            )  # its own subscriber hears nothing of what it puts
             for k in range(250):
                 opened.put(f"outrider/{RUN}/uav_0/command", b"{}", allowed_destination=there)
-                router._zenoh.put(f"outrider/{RUN}/uav_0/observation", b"{}", allowed_destination=there)
+                router._zenoh.put(
+                    f"outrider/{RUN}/uav_0/observation", b"{}", allowed_destination=there
+                )
                 if k >= 20 and caplog.records:
                     break
                 told.wait(0.02)
             assert hears.try_recv() is None
             assert heard.try_recv() is None
-    assert "'nobody' has a certificate of this run's authority, but is no party of it" in caplog.text
+    assert (
+        "'nobody' has a certificate of this run's authority, but is no party of it" in caplog.text
+    )
 
 
-def test_certificates_are_renewed_while_the_router_goes_on(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever is there stays also where its certificate ends meanwhile; the old one is refused then, a new one is let in."""
+def test_certificates_are_renewed_while_the_router_goes_on(
+    endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever is there stays also where its certificate ends meanwhile.
+
+    The old one is refused then, a new one is let in.
+    """
     monkeypatch.setattr(session, "_check_certificate", lambda *_: None)
     seconds = 3.0
     ends = time.monotonic() + seconds
@@ -204,7 +269,9 @@ def test_certificates_are_renewed_while_the_router_goes_on(endpoint: str, monkey
         while time.monotonic() < ends + 1.5:  # X.509 counts whole seconds
             time.sleep(0.1)
         assert "has expired" in refusal(endpoint, old)
-        with open_session(UAV.party, RUN, connect=endpoint, credential=known_as(identity())) as late:
+        with open_session(
+            UAV.party, RUN, connect=endpoint, credential=known_as(identity())
+        ) as late:
             assert passes(router, late)
         assert passes(router, early)
 
@@ -213,7 +280,9 @@ def test_an_end_is_told_a_month_ahead(endpoint: str, caplog: pytest.LogCaptureFi
     now = datetime.now(UTC)
     assert expiry_warning("uav_0", now + timedelta(days=30, hours=1)) == ""
     assert "uav_0 ends in 30 days" in expiry_warning("uav_0", now + timedelta(days=29, hours=23))
-    ending = msgspec.structs.replace(GIVEN, tls=issue(AUTHORITY, "router", days=20, hosts=("127.0.0.1",)))
+    ending = msgspec.structs.replace(
+        GIVEN, tls=issue(AUTHORITY, "router", days=20, hosts=("127.0.0.1",))
+    )
     with (
         open_session(SIMULATOR, RUN, listen=(endpoint,), given=ending),
         open_session(UAV.party, RUN, connect=endpoint, credential=known_as(identity(days=10))),
@@ -233,7 +302,9 @@ def test_renewed_credentials_stay_private(tmp_path: Path) -> None:
     assert not [left for left in path.parent.iterdir() if left.name.startswith(".")]
 
 
-def test_the_command_makes_checks_and_renews(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_makes_checks_and_renews(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder = str(tmp_path / "made")
 
     def command(*arguments: str) -> tuple[int, Any]:
@@ -244,7 +315,10 @@ def test_the_command_makes_checks_and_renews(tmp_path: Path, capsys: pytest.Capt
     code, told = command("--check")
     days = {Path(row["file"]).stem: row["days"] for row in told["credentials"]}
     assert (code, days.pop("router"), set(days.values())) == (0, 3649, {364})
-    assert command("--renew", "--party", "uav_0", "--days", "3")[1] == {"run": RUN, "files": {"uav_0": f"{folder}/uav_0.json"}}
+    assert command("--renew", "--party", "uav_0", "--days", "3")[1] == {
+        "run": RUN,
+        "files": {"uav_0": f"{folder}/uav_0.json"},
+    }
     code, told = command("--check")
     notes = {Path(row["file"]).stem: row["note"] for row in told["credentials"] if row["note"]}
     assert code == 0
@@ -253,6 +327,8 @@ def test_the_command_makes_checks_and_renews(tmp_path: Path, capsys: pytest.Capt
     (tmp_path / "made" / "ugv_0.json").write_bytes((tmp_path / "made" / "uav_0.json").read_bytes())
     code, told = command("--check")
     assert code == 1
-    assert [row["note"] for row in told["credentials"] if not row["good"]] == ["the certificate of ugv_0 is for uav_0"]
+    assert [row["note"] for row in told["credentials"] if not row["good"]] == [
+        "the certificate of ugv_0 is for uav_0"
+    ]
     with pytest.raises(AccessDenied, match="no party of the run"):
         command("--renew", "--party", "uav_7")

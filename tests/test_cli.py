@@ -15,7 +15,9 @@ OUTRIDER = [sys.executable, "-m", "outrider"]
 
 
 def outrider(*arguments: str, cwd: Path | None = None) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run([*OUTRIDER, *arguments], capture_output=True, text=True, check=False, timeout=120, cwd=cwd)
+    return subprocess.run(
+        [*OUTRIDER, *arguments], capture_output=True, text=True, check=False, timeout=120, cwd=cwd
+    )
 
 
 def here(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
@@ -47,15 +49,27 @@ BAD = {
     "negative time": (["run", "--duration", "-1"], "duration = -1"),
     "no whole tick": (["run", "--duration", "0.07"], "duration = 0.07"),
     "weighting missing": (["run", "--law", "weighted"], "custom.weighting"),
-    "weighting not there": (["run", "--in-process", "--law", "weighted", "--weighting", "nowhere:f"], "nowhere"),
+    "weighting not there": (
+        ["run", "--in-process", "--law", "weighted", "--weighting", "nowhere:f"],
+        "nowhere",
+    ),
     "weighting quoted": (["run", "--law", "weighted", "--weighting", 'a"b:c'], "custom.weighting"),
-    "weighting that does not fit": (["run", "--law", "weighted", "--weighting", "json:dumps"], "weighting at a distance"),
+    "weighting that does not fit": (
+        ["run", "--law", "weighted", "--weighting", "json:dumps"],
+        "weighting at a distance",
+    ),
     "path that does not fit": (["run", "--law", "path", "--path", "math:sin"], "path at t ="),
     "check": (["check", "nowhere.toml"], "nowhere.toml"),
     "bench row": (["bench", "--only", "nothing"], "no such row"),
     "run name": (["uav", "--run", "a/b"], "run = 'a/b'"),
-    "router for strangers": (["router", "--listen", "tcp/0.0.0.0:17447"], "there are no credentials"),
-    "simulator for strangers": (["simulator", "--listen", "tcp/[::]:17447"], "there are no credentials"),
+    "router for strangers": (
+        ["router", "--listen", "tcp/0.0.0.0:17447"],
+        "there are no credentials",
+    ),
+    "simulator for strangers": (
+        ["simulator", "--listen", "tcp/[::]:17447"],
+        "there are no credentials",
+    ),
     "no endpoint": (["router", "--listen", "17447"], "endpoint '17447'"),
     "no endpoint to go to": (["uav", "--connect", "nowhere"], "endpoint 'nowhere'"),
     "unknown protocol": (["uav", "--connect", "carrier-pigeon/roof"], "carrier-pigeon"),
@@ -90,7 +104,9 @@ def test_bad_input_ends_the_process_with_the_same_line_and_code(tmp_path: Path) 
     assert not list(tmp_path.iterdir())
 
 
-def test_no_router_is_one_line_and_exit_code_1(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_router_is_one_line_and_exit_code_1(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setitem(session._CLIENT, "connect/timeout_ms", 300)
     assert here(monkeypatch, "uav", "--connect", "tcp/127.0.0.1:1") == 1
     line = capsys.readouterr().err
@@ -107,7 +123,9 @@ def test_a_folder_that_cannot_be_written_shows_before_the_flight(tmp_path: Path)
 
 
 def test_a_run_leaves_its_files_and_prints_one_json_object(tmp_path: Path) -> None:
-    run = outrider("run", "--in-process", "--duration", "2", "--out", str(tmp_path / "mine"), "--json")
+    run = outrider(
+        "run", "--in-process", "--duration", "2", "--out", str(tmp_path / "mine"), "--json"
+    )
     assert run.returncode == 0, run.stderr
     summary = json.loads(run.stdout)
     wanted = (
@@ -134,7 +152,9 @@ def test_json_of_the_lists(tmp_path: Path) -> None:
         "certifiable": "always",
         "warnings": [],
     }
-    rows = json.loads(outrider("bench", "--only", "kernel_vs_numpy", "--repeats", "1", "--json").stdout)["rows"]
+    rows = json.loads(
+        outrider("bench", "--only", "kernel_vs_numpy", "--repeats", "1", "--json").stdout
+    )["rows"]
     assert set(rows[0]) == {"name", "value", "unit", "reference", "reference_value", "ratio"}
     assert rows[0]["value"] > 0.0
 
@@ -147,12 +167,15 @@ def test_a_circle_that_cannot_be_flown_warns_and_flies() -> None:
 
 def test_a_weighting_of_ones_own_flies_over_the_bus(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
-        "def careful(distance, r_s):\n    share = min(distance / r_s, 1.0)\n    return share, 1.0 - share\n", encoding="utf-8"
+        "def careful(distance, r_s):\n    share = min(distance / r_s, 1.0)\n    return share, 1.0 - share\n",
+        encoding="utf-8",
     )
     own = ["--law", "weighted", "--weighting", "mine:careful"]
     hashes = set()
     for arguments in (own, [*own, "--in-process"], ["--law", "linear", "--in-process"]):
-        run = outrider("run", "escort", *arguments, "--duration", "20", "--no-files", "--json", cwd=tmp_path)
+        run = outrider(
+            "run", "escort", *arguments, "--duration", "20", "--no-files", "--json", cwd=tmp_path
+        )
         assert run.returncode == 0, run.stderr
         hashes.add(json.loads(run.stdout)["trajectory_sha256"])
     assert len(hashes) == 1
@@ -167,7 +190,18 @@ def test_a_path_that_cannot_be_followed_warns_with_the_bound(tmp_path: Path) -> 
         "import math\n\ndef path(t):\n    x, y = 2 * math.cos(t), 2 * math.sin(t)\n    return (x, y), (-x, -y)\n",
         encoding="utf-8",
     )
-    run = outrider("run", "--law", "path", "--path", "mine:path", "--in-process", "--duration", "2", "--no-files", cwd=tmp_path)
+    run = outrider(
+        "run",
+        "--law",
+        "path",
+        "--path",
+        "mine:path",
+        "--in-process",
+        "--duration",
+        "2",
+        "--no-files",
+        cwd=tmp_path,
+    )
     assert run.returncode == 0
     told = " ".join(run.stderr.split())
     assert "cannot be flown: 2 m/s" in told
@@ -191,7 +225,9 @@ def test_credentials_are_made_once_and_each_party_gets_its_own(tmp_path: Path) -
     assert "for the run night" in another.stderr
 
 
-def test_a_password_may_come_from_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_password_may_come_from_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from bus.access import read_credential
     from bus.errors import ScenarioError
     from bus.keys import Role

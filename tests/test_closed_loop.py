@@ -1,4 +1,7 @@
-"""The closed loop in many worlds: whoever flies and drives in it gives the commands of the pilots in a single flight."""
+"""The closed loop in many worlds.
+
+Whoever flies and drives in it gives the commands of the pilots in a single flight.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -21,7 +24,9 @@ from sim.flight import Flight
 from sim.profiles import PROFILES
 from sim.scenario import Certificate, Detections, LinkTable, Scenario, Uav, Ugv, load_scenario
 
-pytestmark = pytest.mark.xdist_group("many worlds")  # on one worker: what they compile takes a minute, once
+pytestmark = pytest.mark.xdist_group(
+    "many worlds"
+)  # on one worker: what they compile takes a minute, once
 
 NOISY = Detections(noise=0.2, dropout=0.2)
 HERE = (8.0, 6.0)
@@ -52,18 +57,35 @@ SEVERAL = Scenario(
 )
 POOR = LinkTable(detections=LATE, commands=LATE, radio=LATE)
 SCENARIOS: dict[str, Scenario] = {
-    **{law: _small(law) for law in ("tracking", "coverage", "linear", "switching", "logarithmic", "circle", "certified")},
+    **{
+        law: _small(law)
+        for law in (
+            "tracking",
+            "coverage",
+            "linear",
+            "switching",
+            "logarithmic",
+            "circle",
+            "certified",
+        )
+    },
     **{driver: _small("certified", driver) for driver in ("wander", "script", "evade")},
     "raw detections": _small("logarithmic", estimator=Estimator(enabled=False)),
     "network": _small("certified", "evade", links=POOR, duration=30.0),
-    "delayed commands": _small("certified", links=LinkTable(commands=msgspec.structs.replace(PROFILES["perfect"], delay=0.2))),
+    "delayed commands": _small(
+        "certified",
+        links=LinkTable(commands=msgspec.structs.replace(PROFILES["perfect"], delay=0.2)),
+    ),
     "uncertifiable": _small("certified", certificate=Certificate(error=0.01)),
     "several": SEVERAL,
 }
 
 
 def _same(one: np.ndarray, other: np.ndarray) -> bool:
-    """Bit for bit where NumPy's products are fused as everywhere but on old processors; else as near as rounding allows."""
+    """Bit for bit where NumPy's products are fused as everywhere but on old processors.
+
+    Else as near as rounding allows.
+    """
     if blas_fuses():
         return one.tobytes() == np.ascontiguousarray(other).tobytes()
     return np.allclose(one, other, rtol=1e-6, atol=1e-6, equal_nan=True)
@@ -85,13 +107,26 @@ def test_world_k_flies_as_the_single_flight_of_its_seed(name: str) -> None:
             assert found["ticks"] == scenario.ticks
             assert found["max_distance"] == pytest.approx(escorts[:, u, 0].max(), rel=1e-12)
             assert found["mean_error"] == pytest.approx(escorts[:, u, 1].mean(), rel=1e-9)
-            assert found["visibility_violations"] == (escorts[:, u, 0] >= scenario.visibility.radius).sum()
+            assert (
+                found["visibility_violations"]
+                == (escorts[:, u, 0] >= scenario.visibility.radius).sum()
+            )
         if summary.certified_share is not None and len(loop.uavs) == 1:
-            assert found["certified"] == pytest.approx(summary.certified_share, abs=1.5 / scenario.ticks)
+            assert found["certified"] == pytest.approx(
+                summary.certified_share, abs=1.5 / scenario.ticks
+            )
         for count in ("certified_while_lost", "certificate_broken"):
-            assert sum(loop.metrics(uav)[count][k] for uav in loop.uavs) == getattr(summary, count) == 0
+            assert (
+                sum(loop.metrics(uav)[count][k] for uav in loop.uavs)
+                == getattr(summary, count)
+                == 0
+            )
         if loop.degraded:
-            links = {key: one for key, one in flight.world.links.status().items() if not key.endswith(str(LinkKind.OPERATOR))}
+            links = {
+                key: one
+                for key, one in flight.world.links.status().items()
+                if not key.endswith(str(LinkKind.OPERATOR))
+            }
             assert {key: one for key, one in loop.links(k).items() if one.degraded} == {
                 key: one for key, one in links.items() if one.degraded
             }
@@ -124,7 +159,12 @@ def test_a_certificate_that_ends_is_counted_unless_an_assumption_has_failed() ->
     dark = msgspec.structs.replace(PROFILES["perfect"], blackouts=((4.0, 2.0), (8.0, 3.0)))
     late = msgspec.structs.replace(PROFILES["perfect"], delay=0.2)
     links = LinkTable(detections=dark, commands=late)
-    scenario = _small("certified", links=links, certificate=Certificate(age=1.0), detections=Detections(noise=0.1, dropout=0.0))
+    scenario = _small(
+        "certified",
+        links=links,
+        certificate=Certificate(age=1.0),
+        detections=Detections(noise=0.1, dropout=0.0),
+    )
     loop = ClosedLoop(scenario, 1, error=True)
     assert _flown_with(loop, [5])["certificate_broken"] == 0.0
     told = loop.tables
@@ -177,7 +217,12 @@ def test_a_ugv_that_evades_hears_a_uav_that_is_flown_from_outside(name: str) -> 
         flight = Flight(scenario, seed)
         flight.fly(_Overruled(scenario, seed, actions))
         assert _same(flight.world.position, loop.state.batch.truth.position[k])
-    still = ClosedLoop(msgspec.structs.replace(scenario, ugv=(msgspec.structs.replace(scenario.ugv[0], driver="wander"),)), 1)
+    still = ClosedLoop(
+        msgspec.structs.replace(
+            scenario, ugv=(msgspec.structs.replace(scenario.ugv[0], driver="wander"),)
+        ),
+        1,
+    )
     still.begin([4])
     still.fly()
     assert not _same(still.state.batch.truth.position[0, 1], loop.state.batch.truth.position[0, 1])
@@ -205,7 +250,9 @@ def test_pilots_are_chosen_by_name() -> None:
         ({"pilots": {"uav_0": "nonsense"}}, ScenarioError, "unknown; allowed"),
     ],
 )
-def test_who_cannot_fly_in_here_is_refused(settings: dict[str, Any], error: type[Exception], message: str) -> None:
+def test_who_cannot_fly_in_here_is_refused(
+    settings: dict[str, Any], error: type[Exception], message: str
+) -> None:
     with pytest.raises(error, match=message):
         ClosedLoop(_small("tracking"), 1, **settings)
 
@@ -231,7 +278,12 @@ def test_an_episode_ends_by_itself_and_begins_anew_as_if_it_were_the_first() -> 
     for loop in (used, fresh):
         loop.fly(200)
     s, f = used.state, fresh.state
-    for one, other in ((s.rewards, f.rewards), (s.uav_rows, f.uav_rows), (s.ugv_rows, f.ugv_rows), (s.patches, f.patches)):
+    for one, other in (
+        (s.rewards, f.rewards),
+        (s.uav_rows, f.uav_rows),
+        (s.ugv_rows, f.ugv_rows),
+        (s.patches, f.patches),
+    ):
         assert one.tobytes() == other.tobytes()
     assert s.batch.truth.coverage.tobytes() == f.batch.truth.coverage.tobytes()
     used.fly()

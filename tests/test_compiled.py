@@ -19,7 +19,12 @@ from agents.control.discs import no_detections
 from agents.control.guard import guard_state, note_position, pack_promise
 from agents.control.handover import certificate
 from agents.control.laws import LAWS, OwnTerms
-from agents.drivers.compiled import COMPILED_DRIVERS, driver_parameters, fresh_driver_state, pack_driver
+from agents.drivers.compiled import (
+    COMPILED_DRIVERS,
+    driver_parameters,
+    fresh_driver_state,
+    pack_driver,
+)
 from agents.estimation_twin import COLUMNS, NUMBERS, KalmanState, kalman_parameters, pack_kalman
 from bus.messages import Detector, Estimator, Limits
 from sim.briefing import briefing
@@ -35,7 +40,10 @@ MODULES = (
     "sim.field",
     "sim.lanes",
     "sim.randomness",
-    *(f"agents.drivers.{name}" for name in ("waypoints", "steering", "wander", "script", "evade", "compiled")),
+    *(
+        f"agents.drivers.{name}"
+        for name in ("waypoints", "steering", "wander", "script", "evade", "compiled")
+    ),
 )
 
 
@@ -55,7 +63,17 @@ _WORDS = [np.uint64(word) for word in _RNG.integers(0, 2**63, 6)]
 _DETECTIONS = no_detections()
 _DETECTIONS[:2] = (20.1, 20.2, 0.3), (19.4, 20.9, 0.1)
 
-_NUMBERS = {"r_v": 4.75, "v_a": 0.6, "u_a": 0.3, "v_g": 0.2, "dt": 0.05, "eps": 0.3, "age": 1.0, "width": 40.0, "height": 40.0}
+_NUMBERS = {
+    "r_v": 4.75,
+    "v_a": 0.6,
+    "u_a": 0.3,
+    "v_g": 0.2,
+    "dt": 0.05,
+    "eps": 0.3,
+    "age": 1.0,
+    "width": 40.0,
+    "height": 40.0,
+}
 _PROMISE = certificate(**_NUMBERS)
 
 _GUARD = guard_state(certificate(**_NUMBERS, delay=0.15), depth=50)
@@ -71,7 +89,9 @@ _KALMAN = kalman_parameters(
 _BELIEF = 1.0 + np.abs(_RNG.normal(size=NUMBERS))
 _MEMORIES = _RNG.integers(0, 3, (7, COLUMNS)).astype(float)
 
-_DRIVERS = [driver_parameters(briefing(escort(), "ugv_0", seed=3), name) for name in COMPILED_DRIVERS]
+_DRIVERS = [
+    driver_parameters(briefing(escort(), "ugv_0", seed=3), name) for name in COMPILED_DRIVERS
+]
 _STATE = np.array([0.4, -1.0, 20.3, 21.1, 1.0, 0.05, 0.3, -0.2, 0.1, 0.0, -1.0, -0.5])
 """Of a law, and of a driver: which has heard the UAV and is out of its corner."""
 _CORNERED = np.array([*_STATE[:-1], 1e3])
@@ -162,7 +182,20 @@ IN_MODULE: dict[str, dict[str, object]] = {
 """But in the functions of this module it has this one."""
 
 POSITIVE = (
-    *("size", "v_", "u_max", "limit", "speed", "distance", "tolerance", "rho2", "peak", "duration", "half", "radius"),
+    *(
+        "size",
+        "v_",
+        "u_max",
+        "limit",
+        "speed",
+        "distance",
+        "tolerance",
+        "rho2",
+        "peak",
+        "duration",
+        "half",
+        "radius",
+    ),
     *("sigma", "cut", "k_", "length", "center", "omega", "t"),
 )
 """Any other argument is a number of its own; positive where its name begins so."""
@@ -180,13 +213,26 @@ EXTRA: dict[str, dict[str, list[object]]] = {
         "heard": [0, 3],
         "p_x": [0.1, 39.9],
     },
-    "agents.drivers.evade.evade_control": {"state": [fresh_driver_state(), _CORNERED], "p_x": [0.1, 39.9], "v_x": [30.0, -30.0]},
+    "agents.drivers.evade.evade_control": {
+        "state": [fresh_driver_state(), _CORNERED],
+        "p_x": [0.1, 39.9],
+        "v_x": [30.0, -30.0],
+    },
     "agents.drivers.evade.turned": {"time": [0.1 * k for k in range(300)]},
     "agents.drivers.evade.border_side": {"p": [0.1, 0.5, 39.9]},
-    "agents.drivers.script.script_control": {"time": [0.0, 0.5, 2.0, 1e12], "script": [np.zeros((0, 3))]},
+    "agents.drivers.script.script_control": {
+        "time": [0.0, 0.5, 2.0, 1e12],
+        "script": [np.zeros((0, 3))],
+    },
     "agents.drivers.waypoints.waypoint_control": {"goals": [np.zeros((0, 2))]},
-    "sim.field.sensor_quality": {"sensor": list(SENSORS.values()), "rho2": [0.0, 3.3, 24.9, 25.0, 30.0]},
-    "sim.field.sensor_slope": {"sensor": list(SENSORS.values()), "rho2": [0.0, 3.3, 24.9, 25.0, 30.0]},
+    "sim.field.sensor_quality": {
+        "sensor": list(SENSORS.values()),
+        "rho2": [0.0, 3.3, 24.9, 25.0, 30.0],
+    },
+    "sim.field.sensor_slope": {
+        "sensor": list(SENSORS.values()),
+        "rho2": [0.0, 3.3, 24.9, 25.0, 30.0],
+    },
     "sim.field.density": {"rho2": [0.0, 3.3, 90.0, 95.0625, 99.0]},
     "sim.field.disc_chords": {"radius": [0.01, 5.0, 9.75, 70.0], "p_y": [0.1, -3.0, -80.0]},
     "sim.field.accumulate": {"sensor": list(SENSORS.values())},
@@ -214,7 +260,9 @@ def _calls(qualified: str, names: list[str]) -> Iterator[list[object]]:
         yield [value * scale if isinstance(value, float) else value for value in base]
     for name, values in EXTRA.get(qualified, {}).items():
         for value in values:
-            yield [value if name == other else given for other, given in zip(names, base, strict=True)]
+            yield [
+                value if name == other else given for other, given in zip(names, base, strict=True)
+            ]
 
 
 def _bits(value: object) -> bytes:
@@ -247,7 +295,9 @@ def _answer(function: Callable[..., object], given: list[object]) -> bytes:
     """The bits of the result and of the arrays, which it may have changed."""
     arguments = [_copy(value) for value in given]
     result = _bits(function(*arguments))
-    return result + b"".join(_bits(value) for value in arguments if isinstance(value, (np.ndarray, tuple)))
+    return result + b"".join(
+        _bits(value) for value in arguments if isinstance(value, (np.ndarray, tuple))
+    )
 
 
 @pytest.mark.parametrize("qualified", FUNCTIONS)

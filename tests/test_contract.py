@@ -36,11 +36,41 @@ TO_UGV = [key.message for key in KEYS if Role.UGV in key.readers]
 
 def test_the_uav_is_told_these_fields_and_no_others() -> None:
     fields = set().union(*(_fields_within(kind) for kind in TO_UAV))
-    observation = {"tick", "time", "position", "velocity", "detections", "relative_position", "over", "episode"}
+    observation = {
+        "tick",
+        "time",
+        "position",
+        "velocity",
+        "detections",
+        "relative_position",
+        "over",
+        "episode",
+    }
     bounds = {"limits", "target_limits", "max_speed", "max_acceleration"}
-    map_and_sensor = {"area", "width", "height", "cell", "sensor", "model", "peak", "range", "desired_coverage", "covered"}
+    map_and_sensor = {
+        "area",
+        "width",
+        "height",
+        "cell",
+        "sensor",
+        "model",
+        "peak",
+        "range",
+        "desired_coverage",
+        "covered",
+    }
     region = {"lower", "upper"}
-    detector = {"detector", "noise", "cut", "period", "estimator", "enabled", "gate", "patience", "manoeuvre"}
+    detector = {
+        "detector",
+        "noise",
+        "cut",
+        "period",
+        "estimator",
+        "enabled",
+        "gate",
+        "patience",
+        "manoeuvre",
+    }
     law = _fields_within(messages.Law)
     declared = {
         "certificate",
@@ -51,20 +81,45 @@ def test_the_uav_is_told_these_fields_and_no_others() -> None:
         "hold",
     }  # of its own detections and commands, and its own actuators
     run = {"vehicle", "dt", "visibility_radius", "law", "key", "past", "more"}
-    assert fields == observation | bounds | map_and_sensor | region | detector | law | declared | run
+    assert (
+        fields == observation | bounds | map_and_sensor | region | detector | law | declared | run
+    )
 
 
 def test_the_ugv_is_told_these_fields_and_no_others() -> None:
     fields = set().union(*(_fields_within(kind) for kind in TO_UGV))
-    observation = {"tick", "time", "position", "velocity", "radio", "relative_position", "coverage_error", "over", "episode"}
+    observation = {
+        "tick",
+        "time",
+        "position",
+        "velocity",
+        "radio",
+        "relative_position",
+        "coverage_error",
+        "over",
+        "episode",
+    }
     operator = {"operator", "driver", "goal"}
-    briefing = {"vehicle", "dt", "area", "width", "height", "cell", "limits", "max_speed", "max_acceleration"}
+    briefing = {
+        "vehicle",
+        "dt",
+        "area",
+        "width",
+        "height",
+        "cell",
+        "limits",
+        "max_speed",
+        "max_acceleration",
+    }
     task = {"driver", "goals", "goal_tolerance", "script", "hold", "key", "past", "more"}
     assert fields == observation | operator | briefing | task
 
 
 def test_the_past_that_a_vehicle_is_told_is_its_own_observations_and_nothing_else() -> None:
-    for told, seen in ((messages.UavBriefing, messages.UavObservation), (messages.UgvBriefing, messages.UgvObservation)):
+    for told, seen in (
+        (messages.UavBriefing, messages.UavObservation),
+        (messages.UgvBriefing, messages.UgvObservation),
+    ):
         assert get_args(get_type_hints(told)["past"]) == (seen, ...)
         assert get_type_hints(told)["more"] is bool
 
@@ -89,8 +144,21 @@ def test_no_message_to_the_uav_names_goal_path_input_or_plan(kind: type[messages
 
 
 @pytest.mark.parametrize("kind", TO_UGV)
-def test_no_message_to_the_ugv_names_the_uavs_velocity_input_or_law(kind: type[messages.Message]) -> None:
-    forbidden = {"law", "acceleration", "command", "estimate", "detections", "detector", "truth", "seed", "secret", "vehicles"}
+def test_no_message_to_the_ugv_names_the_uavs_velocity_input_or_law(
+    kind: type[messages.Message],
+) -> None:
+    forbidden = {
+        "law",
+        "acceleration",
+        "command",
+        "estimate",
+        "detections",
+        "detector",
+        "truth",
+        "seed",
+        "secret",
+        "vehicles",
+    }
     assert not _fields_within(kind) & forbidden
     nested = _fields_within(messages.RelativeInformation)
     assert nested == {"time", "relative_position", "coverage_error"}
@@ -127,18 +195,33 @@ def test_the_pilots_key_does_not_tell_the_runs_seed() -> None:
 def test_the_contract_names_every_part_of_the_simulator_that_is_no_model_on_board() -> None:
     import tomllib
 
-    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
-    forbidden = next(set(c["forbidden_modules"]) for c in contracts if c["source_modules"] == ["agents"])
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
+        "importlinter"
+    ]["contracts"]
+    forbidden = next(
+        set(c["forbidden_modules"]) for c in contracts if c["source_modules"] == ["agents"]
+    )
     modules = {f"sim.{path.stem}" for path in (ROOT / "sim").glob("*.py")} | {
         f"sim.{path.parent.name}" for path in (ROOT / "sim").glob("*/__init__.py")
     }
-    on_board = {"sim.__init__", "sim.vehicles", "sim.field", "sim.lanes", "sim.randomness", "sim.compile"}
+    on_board = {
+        "sim.__init__",
+        "sim.vehicles",
+        "sim.field",
+        "sim.lanes",
+        "sim.randomness",
+        "sim.compile",
+    }
     assert forbidden == (modules - on_board) | {"outrider"}
 
 
 def test_the_import_contracts_hold() -> None:
     run = subprocess.run(
-        [str(Path(sys.executable).parent / "lint-imports"), "--no-cache"], cwd=ROOT, capture_output=True, text=True, check=False
+        [str(Path(sys.executable).parent / "lint-imports"), "--no-cache"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert run.returncode == 0, run.stdout + run.stderr
 
@@ -147,10 +230,14 @@ def test_the_import_contracts_catch_an_agent_that_reads_the_world(tmp_path: Path
     import shutil
 
     for package in ("agents", "sim", "bus", "outrider"):
-        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(
+            ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__")
+        )
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
     spy = tmp_path / "agents" / "uav.py"
-    spy.write_text(spy.read_text(encoding="utf-8") + "\nfrom sim.world import World\n", encoding="utf-8")
+    spy.write_text(
+        spy.read_text(encoding="utf-8") + "\nfrom sim.world import World\n", encoding="utf-8"
+    )
     run = subprocess.run(
         [str(Path(sys.executable).parent / "lint-imports"), "--no-cache"],
         cwd=tmp_path,
@@ -173,7 +260,16 @@ def test_a_vehicles_process_never_loads_the_world_nor_a_scenario(command: str) -
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = set(eval(run.stdout))  # noqa: S307 - a list of names that we have printed
     assert "sim.field" in loaded
-    forbidden = ("world", "server", "scenario", "env", "flight", "briefing", "detection", "recorder")
+    forbidden = (
+        "world",
+        "server",
+        "scenario",
+        "env",
+        "flight",
+        "briefing",
+        "detection",
+        "recorder",
+    )
     assert not loaded & {f"sim.{name}" for name in forbidden}
     assert hasattr(__import__("outrider.cli.vehicles", fromlist=[command]), command)
 

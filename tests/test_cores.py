@@ -23,7 +23,9 @@ def test_halves_share_nothing_and_leave_nothing(cores: set[int]) -> None:
 
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs two cores")
 def test_a_uav_gets_other_cores_than_the_simulator() -> None:
-    children = [subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) for _ in range(2)]
+    children = [
+        subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) for _ in range(2)
+    ]
     try:
         keep_apart({children[0].pid: True, children[1].pid: False})
         uav, other = (os.sched_getaffinity(child.pid) for child in children)

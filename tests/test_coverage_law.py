@@ -31,7 +31,9 @@ UNBOUNDED = {"max_speed": math.inf, "max_acceleration": math.inf}
 
 @given(numbers, numbers, st.floats(1e-6, 1e6))
 @settings(PROPERTY)
-def test_the_gradient_counts_unless_it_is_zero_beside_its_integrand(x: float, y: float, size: float) -> None:
+def test_the_gradient_counts_unless_it_is_zero_beside_its_integrand(
+    x: float, y: float, size: float
+) -> None:
     chosen = single_integrator_command(x, y, size, 7.0, 8.0)
     zero = math.hypot(x, y) / size < 1e-9
     assert is_zero_gradient(x, y, size) == zero
@@ -57,7 +59,9 @@ def test_the_velocity_error_leads_to_the_nominal_speed_along_the_command(
 
 @given(numbers, numbers, numbers, numbers)
 @settings(PROPERTY)
-def test_where_all_is_covered_the_velocity_error_brakes(x: float, y: float, v_x: float, v_y: float) -> None:
+def test_where_all_is_covered_the_velocity_error_brakes(
+    x: float, y: float, v_x: float, v_y: float
+) -> None:
     assert velocity_error(x, y, 0.6, v_x, v_y, False) == (-v_x, -v_y)
 
 
@@ -78,16 +82,24 @@ def test_the_approach_is_the_printed_one(
     if distance > 1e-9:
         pull = k_v * v_ref / distance
         wanted = (pull * (q_x - p_x) - k_v * v_x, pull * (q_y - p_y) - k_v * v_y)
-        assert approach_control(q_x, q_y, p_x, p_y, v_x, v_y, k_v, v_ref) == pytest.approx(wanted, rel=1e-9, abs=1e-9)
+        assert approach_control(q_x, q_y, p_x, p_y, v_x, v_y, k_v, v_ref) == pytest.approx(
+            wanted, rel=1e-9, abs=1e-9
+        )
 
 
 @pytest.mark.parametrize(("v_max", "u_max"), [(V_A, U_A), (math.inf, math.inf)])
 @pytest.mark.parametrize("k_v", [0.5, 2.0, 10.0, 20.0, 30.0])
-def test_the_approach_reaches_its_point_and_stays_near_it(v_max: float, u_max: float, k_v: float) -> None:
+def test_the_approach_reaches_its_point_and_stays_near_it(
+    v_max: float, u_max: float, k_v: float
+) -> None:
     rng = np.random.default_rng(5)
     for _ in range(5):
         (q_x, q_y), start = rng.uniform(0.0, 15.0, (2, 2)).tolist()
-        state, closest, farthest = (*start, *clip_norm(*rng.uniform(-V_A, V_A, 2).tolist(), V_A)), math.inf, 0.0
+        state, closest, farthest = (
+            (*start, *clip_norm(*rng.uniform(-V_A, V_A, 2).tolist(), V_A)),
+            math.inf,
+            0.0,
+        )
         for tick in range(1600):
             u = approach_control(q_x, q_y, *state, k_v, V_A)
             *state, _, _ = step_vehicle(*state, *u, v_max, u_max, DT)
@@ -113,7 +125,9 @@ def _standing(k_v: float, sensor: str, **limits: float) -> Scenario:
 @pytest.mark.parametrize("limits", [{}, UNBOUNDED], ids=["bounded", "unbounded"])
 @pytest.mark.parametrize("sensor", SENSORS)
 @pytest.mark.parametrize("k_v", [1.0, 10.0])
-def test_coverage_around_a_standing_ugv_ends_with_nothing_uncovered(k_v: float, sensor: str, limits: dict[str, float]) -> None:
+def test_coverage_around_a_standing_ugv_ends_with_nothing_uncovered(
+    k_v: float, sensor: str, limits: dict[str, float]
+) -> None:
     """Proposition 1; and then, (10), the UAV brakes."""
     flight, summary = fly(_standing(k_v, sensor, **limits), 0)
     assert summary.initial_error > 90.0
@@ -133,7 +147,10 @@ def test_the_gain_of_the_gradient_drops_out() -> None:
     coverage = np.random.default_rng(1).uniform(0.0, 2.0, (160, 160))
     c = parameters(escort("coverage"))
     one, ten = (
-        coverage_term(c._replace(peak=peak), coverage, initial_state(), 0, 21.0, 22.0, 0.1, 0.0, *HERE) for peak in (1.0, 10.0)
+        coverage_term(
+            c._replace(peak=peak), coverage, initial_state(), 0, 21.0, 22.0, 0.1, 0.0, *HERE
+        )
+        for peak in (1.0, 10.0)
     )
     assert one == pytest.approx(ten, rel=1e-12)
 
@@ -146,7 +163,9 @@ def _first_command(law: str, place: tuple[float, float], seed: int) -> tuple[flo
     """What the UAV does when it first sees the UGV, exactly below."""
     pilot = UavPilot(told(escort(law), seed))
     looks = (Detection(time=0.0, relative_position=(0.0, 0.0)),)
-    return pilot.act(UavObservation(tick=0, time=0.0, position=place, velocity=(0.0, 0.0), detections=looks)).acceleration
+    return pilot.act(
+        UavObservation(tick=0, time=0.0, position=place, velocity=(0.0, 0.0), detections=looks)
+    ).acceleration
 
 
 @pytest.mark.parametrize("place", PLACES.values(), ids=PLACES.keys())
@@ -163,7 +182,9 @@ def test_right_above_the_ugv_the_uav_sets_off_at_full_size_in_a_direction_of_its
 
 @pytest.mark.parametrize("place", PLACES.values(), ids=PLACES.keys())
 @pytest.mark.parametrize("law", LAWS)
-def test_right_above_the_ugv_the_uav_leaves_and_lowers_the_error(law: str, place: tuple[float, float]) -> None:
+def test_right_above_the_ugv_the_uav_leaves_and_lowers_the_error(
+    law: str, place: tuple[float, float]
+) -> None:
     scenario = escort(law, uav=Uav(position=place), ugv=Ugv(position=place), duration=10.0)
     flight, summary = fly(scenario, 3)
     assert summary.max_distance > 1.0

@@ -14,7 +14,10 @@ from bus.session import open_session
 from outrider.launch import free_port
 
 
-@pytest.mark.parametrize(("without", "zenohs_own", "patience"), [("accept_pending", 100, 6000), ("accept_timeout", 10_000, 2500)])
+@pytest.mark.parametrize(
+    ("without", "zenohs_own", "patience"),
+    [("accept_pending", 100, 6000), ("accept_timeout", 10_000, 2500)],
+)
 def test_a_client_joins_beside_connections_that_say_nothing_or_nonsense(
     without: str, zenohs_own: int, patience: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -24,26 +27,37 @@ def test_a_client_joins_beside_connections_that_say_nothing_or_nonsense(
     port, observer = free_port(), GIVEN.of("observer")
     endpoint = f"tcp/127.0.0.1:{port}"
     with ExitStack() as stack:
-        stack.enter_context(open_session(GIVEN.of("simulator").party, "run", listen=(endpoint,), given=GIVEN))
+        stack.enter_context(
+            open_session(GIVEN.of("simulator").party, "run", listen=(endpoint,), given=GIVEN)
+        )
         for number in range(300):
             opened = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
             if number % 2:
-                opened.sendall(b"\xff\xff" + b"\xa5" * 300)  # the beginning of a message that never ends
-        client = stack.enter_context(open_session(observer.party, "run", connect=endpoint, credential=observer))
+                opened.sendall(
+                    b"\xff\xff" + b"\xa5" * 300
+                )  # the beginning of a message that never ends
+        client = stack.enter_context(
+            open_session(observer.party, "run", connect=endpoint, credential=observer)
+        )
         assert client.connected
 
 
 def test_a_party_has_so_many_sessions_and_no_more(tmp_path: Path) -> None:
     endpoint, ugv = f"unixsock-stream/{tmp_path / 'bus.sock'}", GIVEN.of("ugv_0")
     with ExitStack() as stack:
-        stack.enter_context(open_session(GIVEN.of("simulator").party, "run", listen=(endpoint,), given=GIVEN))
+        stack.enter_context(
+            open_session(GIVEN.of("simulator").party, "run", listen=(endpoint,), given=GIVEN)
+        )
         opened = [
-            stack.enter_context(open_session(ugv.party, "run", connect=endpoint, credential=ugv)) for _ in range(PLACES + 1)
+            stack.enter_context(open_session(ugv.party, "run", connect=endpoint, credential=ugv))
+            for _ in range(PLACES + 1)
         ]
         for one in opened[:PLACES]:
             one.announce()
         assert [one.place for one in opened[:PLACES]] == list(range(PLACES))
-        with pytest.raises(AccessDenied, match=f"ugv_0 has {PLACES} sessions in the run run already"):
+        with pytest.raises(
+            AccessDenied, match=f"ugv_0 has {PLACES} sessions in the run run already"
+        ):
             opened[-1].announce()
 
 

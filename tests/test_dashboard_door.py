@@ -50,12 +50,18 @@ class Built:
 def guarded(admission: Admission) -> tuple[Built, TestClient]:
     built = Built()
     app = SecureHeaders(Guard(built, admission))
-    return built, TestClient(app, base_url=HERE, follow_redirects=False, client=("127.0.0.1", 50000))
+    return built, TestClient(
+        app, base_url=HERE, follow_redirects=False, client=("127.0.0.1", 50000)
+    )
 
 
 @pytest.mark.parametrize("site", ["cross-site", "same-site", "nonsense"])
-@pytest.mark.parametrize("admission", [Admission(), Admission(token=TOKEN, ticket=TICKET)], ids=["open", "token"])
-def test_what_another_site_asks_for_is_refused_before_anything_is_built(admission: Admission, site: str) -> None:
+@pytest.mark.parametrize(
+    "admission", [Admission(), Admission(token=TOKEN, ticket=TICKET)], ids=["open", "token"]
+)
+def test_what_another_site_asks_for_is_refused_before_anything_is_built(
+    admission: Admission, site: str
+) -> None:
     built, browser = guarded(admission)
     for path in ("/", f"/?ticket={TICKET}", "/static/main.js", "/_nicegui_ws/socket.io/"):
         assert browser.get(path, headers={"Sec-Fetch-Site": site}).status_code == 403
@@ -91,7 +97,10 @@ def test_the_browsers_user_and_the_page_itself_get_through() -> None:
 def test_a_malformed_host_or_origin_is_refused(headers: list[tuple[str, str]]) -> None:
     built, browser = guarded(Admission())
     assert browser.get("/", headers=headers).status_code == 400
-    with pytest.raises(WebSocketDisconnect), browser.websocket_connect("/frames", headers=dict(headers)):
+    with (
+        pytest.raises(WebSocketDisconnect),
+        browser.websocket_connect("/frames", headers=dict(headers)),
+    ):
         pass
     assert built.count == 0
 
@@ -107,7 +116,9 @@ def test_a_malformed_host_or_origin_is_refused(headers: list[tuple[str, str]]) -
         ("LOCALHOST:8080", "http://localhost:8080", 200),
     ],
 )
-def test_without_a_token_only_pages_of_this_machine_are_served(host: str, origin: str, status: int) -> None:
+def test_without_a_token_only_pages_of_this_machine_are_served(
+    host: str, origin: str, status: int
+) -> None:
     _, browser = guarded(Admission())
     assert browser.get("/", headers={"Host": host, "Origin": origin}).status_code == status
 
@@ -123,7 +134,9 @@ def test_a_ticket_lets_in_one_browser_and_leaves_an_address_that_lets_in_no_othe
     assert "samesite=strict" in cookie
     assert TOKEN not in cookie
     assert first.get("/").status_code == 200
-    assert first.get(f"/?ticket={TICKET}").headers["location"] == "/"  # whoever is in loses it from the bar too
+    assert (
+        first.get(f"/?ticket={TICKET}").headers["location"] == "/"
+    )  # whoever is in loses it from the bar too
     assert second.get(f"/?ticket={TICKET}").status_code == 401
     assert second.get(f"/?token={TOKEN}").status_code == 401  # a token is no part of an address
     assert second.post("/token", data={"token": TOKEN}).status_code == 303
@@ -132,7 +145,12 @@ def test_a_ticket_lets_in_one_browser_and_leaves_an_address_that_lets_in_no_othe
 
 
 def test_another_start_knows_no_cookie_of_an_earlier_one() -> None:
-    cookies = [guarded(Admission(token=TOKEN))[1].post("/token", data={"token": TOKEN}).headers["set-cookie"] for _ in range(2)]
+    cookies = [
+        guarded(Admission(token=TOKEN))[1]
+        .post("/token", data={"token": TOKEN})
+        .headers["set-cookie"]
+        for _ in range(2)
+    ]
     assert cookies[0] != cookies[1]
 
 
@@ -141,7 +159,10 @@ def test_every_answer_tells_the_browser_what_it_may_do() -> None:
     # a browser sends the form with its origin for this alone: under no-referrer it says null, which is refused
     assert '<meta name="referrer" content="same-origin">' in browser.get("/").text
     answers = [browser.get("/"), browser.get("/", headers={"Host": "["}), browser.get("/nowhere")]
-    answers += [browser.get("/", headers={"Sec-Fetch-Site": "cross-site"}), browser.post("/token", data={"token": "wrong"})]
+    answers += [
+        browser.get("/", headers={"Sec-Fetch-Site": "cross-site"}),
+        browser.post("/token", data={"token": "wrong"}),
+    ]
     answers += [browser.post("/token", data={"token": TOKEN}), browser.get("/")]
     assert [answer.status_code for answer in answers] == [401, 400, 404, 403, 401, 303, 200]
     for answer in answers:
@@ -175,7 +196,9 @@ def test_each_wrong_token_makes_the_next_wait_longer_and_the_right_one_waits_too
 
     async def try_tokens() -> list[Verdict]:
         judge = Attempts(TOKEN, clock=clock, sleep=clock.sleep)
-        return [(await judge.judge("10.0.0.1", given))[0] for given in [*["wrong"] * 7, TOKEN, "wrong"]]
+        return [
+            (await judge.judge("10.0.0.1", given))[0] for given in [*["wrong"] * 7, TOKEN, "wrong"]
+        ]
 
     verdicts = asyncio.run(try_tokens())
     assert verdicts == [*[Verdict.WRONG] * 7, Verdict.RIGHT, Verdict.WRONG]
@@ -225,7 +248,9 @@ def test_what_is_remembered_of_addresses_is_bounded() -> None:
     assert asyncio.run(try_tokens()) == attempts._ADDRESSES
 
 
-def test_a_browser_that_tries_tokens_too_fast_is_told_when_to_come_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_browser_that_tries_tokens_too_fast_is_told_when_to_come_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(attempts, "_WAITING", 0)
     _, browser = guarded(Admission(token=TOKEN))
     answer = browser.post("/token", data={"token": TOKEN})
@@ -233,7 +258,9 @@ def test_a_browser_that_tries_tokens_too_fast_is_told_when_to_come_again(monkeyp
     assert int(answer.headers["retry-after"]) >= 1
 
 
-def test_a_page_has_a_token_unless_it_is_told_otherwise_and_none_only_where_no_machine_comes() -> None:
+def test_a_page_has_a_token_unless_it_is_told_otherwise_and_none_only_where_no_machine_comes() -> (
+    None
+):
     first, second = choose_admission("127.0.0.1", ""), choose_admission("127.0.0.1", "")
     assert len({first.token, first.ticket, second.token, second.ticket}) == 4
     assert min(len(first.token), len(first.ticket)) >= 22  # 128 bits
@@ -271,7 +298,9 @@ class Silence:
 
 @pytest.fixture(scope="module")
 def page() -> Iterator[TestClient]:
-    app: ASGIApp = application(Hub(Silence()), Admission(token=TOKEN), controls=None, ready=lambda: None)
+    app: ASGIApp = application(
+        Hub(Silence()), Admission(token=TOKEN), controls=None, ready=lambda: None
+    )
     with TestClient(app, base_url=HERE) as browser:
         assert browser.post("/token", data={"token": TOKEN}).status_code == 200
         yield browser
@@ -304,7 +333,9 @@ def test_pages_that_nobody_opens_are_few(page: TestClient) -> None:
     assert len(Client.instances) == built
 
 
-def test_a_page_that_is_opened_is_not_taken_for_one_that_nobody_opens(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_that_is_opened_is_not_taken_for_one_that_nobody_opens(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     visitors, handlers = Visitors(), SimpleNamespace()
     deleted: list[str] = []
 
@@ -324,7 +355,9 @@ def test_a_page_that_is_opened_is_not_taken_for_one_that_nobody_opens(monkeypatc
 
     opened, left = Page(), Page()
     for built in (opened, left):
-        monkeypatch.setattr("outrider.dashboard.visitors.ui", SimpleNamespace(context=SimpleNamespace(client=built)))
+        monkeypatch.setattr(
+            "outrider.dashboard.visitors.ui", SimpleNamespace(context=SimpleNamespace(client=built))
+        )
         visitors.welcome()
         if built is opened:
             handlers.connect(built)

@@ -12,7 +12,15 @@ OTHER = Law(name="linear", weight_gain=7.0)
 
 def status(law: str, *controls: Control, **more: Any) -> Status:
     changes = tuple(Change(tick=k, control=control) for k, control in enumerate(controls))
-    told = {"scenario": "s", "seed": 1, "tick": 1, "ticks": 9, "time": 0.1, "realtime_factor": 1.0, "vehicles": {}}
+    told = {
+        "scenario": "s",
+        "seed": 1,
+        "tick": 1,
+        "ticks": 9,
+        "time": 0.1,
+        "realtime_factor": 1.0,
+        "vehicles": {},
+    }
     return Status(**told, law=law, changes=changes, **more)
 
 
@@ -25,7 +33,9 @@ def test_gains_that_nobody_has_told_are_not_known() -> None:
     assert running_law(status("logarithmic"), None) is None
     assert running_law(status("switching"), FIRST) is None  # chosen without our having seen it
     step = Control(action=Action.STEP)
-    assert running_law(status("logarithmic", *[step] * 20), FIRST) is None  # older changes are no longer told
+    assert (
+        running_law(status("logarithmic", *[step] * 20), FIRST) is None
+    )  # older changes are no longer told
     assert running_law(status("logarithmic", *[step] * 19), FIRST) == FIRST
 
 
@@ -47,4 +57,7 @@ def test_an_operator_whom_nobody_here_has_seated_is_a_stranger() -> None:
     assert wheel.strangers(seated) == ["ugv_1"]
     wheel.hand_back(1, seated)
     assert said[-1].driver == "waypoints"
-    assert wheel.strangers(seated) == ["ugv_0", "ugv_1"]  # until the simulator has seated the driver from before
+    assert wheel.strangers(seated) == [
+        "ugv_0",
+        "ugv_1",
+    ]  # until the simulator has seated the driver from before

@@ -22,7 +22,15 @@ from bus.messages import (
 )
 from outrider.dashboard.history import History
 from outrider.dashboard.hub import Hub
-from outrider.dashboard.network import ALL, chosen, controls_for, darkened, said_of_links, with_field, words
+from outrider.dashboard.network import (
+    ALL,
+    chosen,
+    controls_for,
+    darkened,
+    said_of_links,
+    with_field,
+    words,
+)
 from outrider.dashboard.tape import Tape
 from outrider.dashboard.wheel import Wheel
 from outrider.flying import fly
@@ -37,12 +45,21 @@ PERFECT = LinkSettings()
 
 
 def link(sent: int = 0, **lost: int) -> LinkStatus:
-    return LinkStatus(sent=sent, delivered=sent, duplicated=0, waiting=0, flying=0, lost=lost, settings=PERFECT)
+    return LinkStatus(
+        sent=sent, delivered=sent, duplicated=0, waiting=0, flying=0, lost=lost, settings=PERFECT
+    )
 
 
 def status(time: float, **links: LinkStatus) -> Status:
     named = {name.replace("__", "/"): told for name, told in links.items()}
-    told: dict[str, Any] = {"scenario": "s", "seed": 1, "tick": 1, "ticks": 9, "realtime_factor": 1.0, "vehicles": {}}
+    told: dict[str, Any] = {
+        "scenario": "s",
+        "seed": 1,
+        "tick": 1,
+        "ticks": 9,
+        "realtime_factor": 1.0,
+        "vehicles": {},
+    }
     return Status(**told, time=time, links=named)
 
 
@@ -59,8 +76,14 @@ def test_a_profile_is_called_by_its_name_whatever_is_planned(name: str) -> None:
     ("settings", "said"),
     [
         (LinkSettings(delay=0.5, loss=0.2), "delay 0.5 s, loss 20 %"),
-        (LinkSettings(jitter=0.1, burst_length=0.3, burst_interval=4.0), "jitter 0.1 s, bursts 0.3 s every 4 s"),
-        (LinkSettings(burst_interval=5.0, burst_loss=0.5), "perfect"),  # without a length there are no bursts
+        (
+            LinkSettings(jitter=0.1, burst_length=0.3, burst_interval=4.0),
+            "jitter 0.1 s, bursts 0.3 s every 4 s",
+        ),
+        (
+            LinkSettings(burst_interval=5.0, burst_loss=0.5),
+            "perfect",
+        ),  # without a length there are no bursts
         (msgspec.structs.replace(PROFILES["wifi-poor"], loss=0.5), "wifi-poor, loss 50 %"),
         (msgspec.structs.replace(PROFILES["wifi-poor"], burst_length=0.0), "wifi-poor, no bursts"),
         (LinkSettings(bandwidth=2.0), "2 messages/s"),
@@ -77,8 +100,13 @@ def test_a_status_is_told_with_the_words_for_its_links_and_for_its_changes() -> 
         Change(tick=1, control=Control(action=Action.PAUSE)),
         Change(tick=2, control=Control(action=Action.LINK, link=LinkKind.RADIO, settings=settings)),
     )
-    told = msgspec.structs.replace(status(1.0, uav_0__radio=degraded, uav_0__commands=link()), changes=changes)
-    assert said_of_links(told) == {"of": {"uav_0/radio": "loss 10 %", "uav_0/commands": "perfect"}, "changes": ["", "loss 10 %"]}
+    told = msgspec.structs.replace(
+        status(1.0, uav_0__radio=degraded, uav_0__commands=link()), changes=changes
+    )
+    assert said_of_links(told) == {
+        "of": {"uav_0/radio": "loss 10 %", "uav_0/commands": "perfect"},
+        "changes": ["", "loss 10 %"],
+    }
 
 
 # Wishes
@@ -127,10 +155,20 @@ def test_bursts_that_are_asked_for_come_with_a_time_between_them_that_can_be_flo
 
 
 def truth(time: float, age: float | None = 0.05) -> Truth:
-    report = None if age is None else UavReport(estimate=(0.0, 0.0), covariance=(1.0, 0.0, 1.0), age=age, refused=0)
-    here = VehicleTruth(position=(0.0, 0.0), velocity=(0.0, 0.0), acceleration=(0.0, 0.0), command=(0.0, 0.0))
-    escort = EscortTruth(uav="uav_0", ugv="ugv_0", distance=1.0, coverage_error=2.0, detection=None, report=report)
-    return Truth(tick=round(20 * time), time=time, vehicles={"uav_0": here, "ugv_0": here}, escorts=(escort,))
+    report = (
+        None
+        if age is None
+        else UavReport(estimate=(0.0, 0.0), covariance=(1.0, 0.0, 1.0), age=age, refused=0)
+    )
+    here = VehicleTruth(
+        position=(0.0, 0.0), velocity=(0.0, 0.0), acceleration=(0.0, 0.0), command=(0.0, 0.0)
+    )
+    escort = EscortTruth(
+        uav="uav_0", ugv="ugv_0", distance=1.0, coverage_error=2.0, detection=None, report=report
+    )
+    return Truth(
+        tick=round(20 * time), time=time, vehicles={"uav_0": here, "ugv_0": here}, escorts=(escort,)
+    )
 
 
 def told(history: History, at: float, age: float | None = 0.05) -> tuple[float | None, ...]:
@@ -144,13 +182,19 @@ def test_a_row_tells_the_age_the_share_lost_lately_and_a_blackout() -> None:
     history.losses.take(status(0.0, uav_0__detections=link(0), ugv_0__commands=link(0)))
     history.losses.take(status(1.0, uav_0__detections=link(20, loss=5), ugv_0__commands=link(20)))
     assert told(history, 1.0, 0.2) == (0.2, 0.25, 0.0)
-    history.losses.take(status(2.0, uav_0__detections=link(40, loss=5), ugv_0__commands=link(40, blackout=3)))
+    history.losses.take(
+        status(2.0, uav_0__detections=link(40, loss=5), ugv_0__commands=link(40, blackout=3))
+    )
     assert told(history, 2.0) == (0.05, 0.0, 1.0)
-    history.losses.take(status(3.0, uav_0__detections=link(60, loss=5), ugv_0__commands=link(60, blackout=3)))
+    history.losses.take(
+        status(3.0, uav_0__detections=link(60, loss=5), ugv_0__commands=link(60, blackout=3))
+    )
     assert told(history, 3.0, None) == (None, 0.0, 0.0)
 
 
-def test_a_new_flight_begins_to_count_anew_and_a_status_that_says_nothing_new_changes_nothing() -> None:
+def test_a_new_flight_begins_to_count_anew_and_a_status_that_says_nothing_new_changes_nothing() -> (
+    None
+):
     history = History()
     for time, sent in ((0.0, 0), (1.0, 100)):
         history.losses.take(status(time, uav_0__detections=link(sent, blackout=sent)))
@@ -185,7 +229,10 @@ def test_a_recording_that_is_wound_shows_its_blackout_where_it_was(tmp_path: Pat
 
 def test_full_deflection_asks_for_the_largest_speed_of_the_vehicle_that_is_driven() -> None:
     wheel = Wheel(lambda _control: True, lambda _name, _drive: True)
-    wheel.limits = {"ugv_0": Limits(max_speed=0.2, max_acceleration=0.1), "ugv_1": Limits(max_speed=None, max_acceleration=None)}
+    wheel.limits = {
+        "ugv_0": Limits(max_speed=0.2, max_acceleration=0.1),
+        "ugv_1": Limits(max_speed=None, max_acceleration=None),
+    }
     assert wheel.take(1, "browser 1", "ugv_0", {"ugv_0": "waypoints"})
     assert wheel.full == pytest.approx(0.2)
     wheel.share = 0.5

@@ -27,7 +27,9 @@ Frame = dict[str, Any]
 
 @contextlib.contextmanager
 def started(*arguments: str) -> Iterator["subprocess.Popen[str]"]:
-    process = subprocess.Popen([*OUTRIDER, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [*OUTRIDER, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     try:
         yield process
     finally:
@@ -47,7 +49,12 @@ class Page:
     cookie: str
 
     def text(self) -> str:
-        answer = httpx2.get(f"http://127.0.0.1:{self.port}/", headers={"Cookie": self.cookie}, trust_env=False, timeout=20.0)
+        answer = httpx2.get(
+            f"http://127.0.0.1:{self.port}/",
+            headers={"Cookie": self.cookie},
+            trust_env=False,
+            timeout=20.0,
+        )
         assert answer.status_code == 200
         return answer.text
 
@@ -84,7 +91,9 @@ def frames(channel: ClientConnection) -> Iterator[Frame]:
 
 
 def await_truth(channel: ClientConnection, tick: int) -> Frame:
-    return next(frame for frame in frames(channel) if frame.get("truth", {}).get("tick", -1) >= tick)
+    return next(
+        frame for frame in frames(channel) if frame.get("truth", {}).get("tick", -1) >= tick
+    )
 
 
 def serves(page: Page) -> bool:
@@ -93,7 +102,18 @@ def serves(page: Page) -> bool:
 
 
 def test_a_page_opens_with_the_run_shows_all_of_it_and_ends_with_it() -> None:
-    words = ("run", "--dashboard", "--dashboard-port", "0", "--realtime", "20", "--duration", "60", "--no-files", "--json")
+    words = (
+        "run",
+        "--dashboard",
+        "--dashboard-port",
+        "0",
+        "--realtime",
+        "20",
+        "--duration",
+        "60",
+        "--no-files",
+        "--json",
+    )
     with started(*words) as run:
         page = page_of(run)
         assert "Outrider" in page.text()
@@ -105,7 +125,9 @@ def test_a_page_opens_with_the_run_shows_all_of_it_and_ends_with_it() -> None:
                 statuses += [frame["status"]] if "status" in frame else []
         out, err = run.communicate(timeout=60)
         assert run.returncode == 0, err
-    assert rows[0][0] < 4.0  # it was there before the first tick, and looks every 0.1 s, in which 2 s are flown
+    assert (
+        rows[0][0] < 4.0
+    )  # it was there before the first tick, and looks every 0.1 s, in which 2 s are flown
     assert rows[-1][0] >= 59.0
     assert statuses[-1]["over"] is True
     assert {status["wanted_factor"] for status in statuses} == {20.0}
@@ -135,7 +157,17 @@ def test_a_run_with_a_page_keeps_the_wall_clock_unless_told_otherwise_and_ctrl_c
 
 
 def test_a_page_that_dies_is_told_once_and_the_run_goes_on_in_lockstep_to_its_end() -> None:
-    words = ("run", "--dashboard", "--lockstep", "--dashboard-port", "0", "--duration", "500", "--no-files", "--json")
+    words = (
+        "run",
+        "--dashboard",
+        "--lockstep",
+        "--dashboard-port",
+        "0",
+        "--duration",
+        "500",
+        "--no-files",
+        "--json",
+    )
     with started(*words) as run:
         page = page_of(run)
         with browser(page) as channel:
@@ -164,7 +196,9 @@ def test_the_page_ends_when_its_run_is_killed() -> None:
 def test_a_busy_port_is_refused_before_anything_flies(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
-        run = outrider("run", "--dashboard", "--dashboard-port", port, "--out", str(tmp_path / "flight"))
+        run = outrider(
+            "run", "--dashboard", "--dashboard-port", port, "--out", str(tmp_path / "flight")
+        )
     assert run.returncode == 2
     assert len(run.stderr.strip().splitlines()) == 1
     assert f"port {port}" in run.stderr
@@ -175,12 +209,22 @@ def test_a_busy_port_is_refused_before_anything_flies(tmp_path: Path) -> None:
 @pytest.mark.parametrize("words", [["run", "--dashboard"], ["dashboard"]])
 def test_a_missing_extra_is_one_line_that_says_what_to_install(words: list[str]) -> None:
     code = "import sys; sys.modules['nicegui'] = None; from outrider.cli.main import main; main()"
-    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
     assert done.returncode == 2
-    assert done.stderr.strip().splitlines() == ["outrider: nicegui is missing: pip install 'outrider[dashboard]'"]
+    assert done.stderr.strip().splitlines() == [
+        "outrider: nicegui is missing: pip install 'outrider[dashboard]'"
+    ]
 
 
-@pytest.mark.parametrize("words", [["--in-process", "--dashboard"], ["--lockstep", "--realtime", "1"]])
+@pytest.mark.parametrize(
+    "words", [["--in-process", "--dashboard"], ["--lockstep", "--realtime", "1"]]
+)
 def test_what_excludes_each_other_is_refused(words: list[str]) -> None:
     run = outrider("run", "--no-files", *words)
     assert run.returncode == 2

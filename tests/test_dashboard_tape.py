@@ -94,7 +94,11 @@ def test_wound_to_a_time_the_page_shows_what_it_would_have_shown_then(path: Path
     assert other.history.rows == played
     assert status is not None
     assert other.status is not None
-    assert (other.status.tick, other.status.law, other.status.geometry) == (status.tick, status.law, status.geometry)
+    assert (other.status.tick, other.status.law, other.status.geometry) == (
+        status.tick,
+        status.law,
+        status.geometry,
+    )
     assert other.history.rows[-1][0] == pytest.approx(20.0, abs=0.11)
 
 
@@ -135,7 +139,9 @@ def test_a_recording_that_was_cut_off_says_so_at_its_end(path: Path, tmp_path: P
     assert "not whole" in tape.standing.line
 
 
-def test_a_recording_without_a_status_is_shown_all_the_same(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_without_a_status_is_shown_all_the_same(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("outrider.dashboard.tape.statuses", lambda *_args, **_more: iter(()))
     _, _, hub = staged(path)
     shown(hub)

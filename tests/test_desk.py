@@ -58,7 +58,10 @@ def test_another_law_is_flown_from_its_tick_on(tmp_path: Path) -> None:
     tick = run.server.changes[0].tick
     before = whole(tick).recorder.states
     assert np.array_equal(flight.recorder.states[:tick, :, :4], before[:tick, :, :4])
-    assert not np.array_equal(flight.recorder.states[: tick + 60, 0, :2], whole(tick + 60).recorder.states[: tick + 60, 0, :2])
+    assert not np.array_equal(
+        flight.recorder.states[: tick + 60, 0, :2],
+        whole(tick + 60).recorder.states[: tick + 60, 0, :2],
+    )
     assert flight.recorder.escorts[-1, 0, 0] < 0.6  # it hovers over its UGV
     assert any(f"an operator: law tracking at tick {tick}" in event for event in run.events)
 
@@ -74,7 +77,9 @@ def test_another_law_is_flown_from_its_tick_on(tmp_path: Path) -> None:
         (Control(action=Action.DRIVER), "driver"),
     ],
 )
-def test_what_cannot_be_done_is_refused_named_and_changes_nothing(control: Control, told: str, tmp_path: Path) -> None:
+def test_what_cannot_be_done_is_refused_named_and_changes_nothing(
+    control: Control, told: str, tmp_path: Path
+) -> None:
     with stage(tmp_path, 300) as run:
         run.start("uav_0")
         run.start("ugv_0")
@@ -86,7 +91,9 @@ def test_what_cannot_be_done_is_refused_named_and_changes_nothing(control: Contr
             refused.set()
 
         end = operating(run, work)
-        flight = run.fly(lambda: wait_until(refused.is_set) if run.server.flight.world.tick == 100 else None)
+        flight = run.fly(
+            lambda: wait_until(refused.is_set) if run.server.flight.world.tick == 100 else None
+        )
         end()
     assert flight.recorder.sha256() == whole(300).recorder.sha256()
     assert "is refused" in run.events[0]
@@ -129,7 +136,9 @@ def test_a_reset_begins_a_new_flight_with_its_own_seed_and_new_pilots(tmp_path: 
     assert (flight.seed, flight.episode) == (8, 2)
     assert flight.first_missing is None
     assert status.vehicles["uav_0"].lost == 0
-    assert [seen.tick for seen in vehicles[0].seen] == list(range(400))  # of the last flight: the pilot before is gone
+    assert [seen.tick for seen in vehicles[0].seen] == list(
+        range(400)
+    )  # of the last flight: the pilot before is gone
     assert {seen.episode for seen in vehicles[0].seen} == {2}
     from outrider.flying import fly
 
@@ -174,7 +183,11 @@ def test_an_operator_takes_the_wheel_drives_is_silent_and_hands_back(tmp_path: P
             limit = time.monotonic() + 30.0
             while run.server.flight.world.velocity[1, 1] > -0.195 and time.monotonic() < limit:
                 wheel.send(Drive(driver="a person", velocity=(0.0, -1e5)))
-                wait_until(lambda tick=run.server.flight.world.tick: run.server.flight.world.tick > tick + 2)
+                wait_until(
+                    lambda tick=run.server.flight.world.tick: (
+                        run.server.flight.world.tick > tick + 2
+                    )
+                )
             seen["silent"] = run.server.flight.world.tick
             seen["still"] = status(lambda s: s.tick > seen["silent"] + 80).tick
             send(Control(action=Action.DRIVER, vehicle="ugv_0", driver="waypoints"))
@@ -208,7 +221,9 @@ def change(flight: Any) -> None:
 
 
 @pytest.mark.parametrize("victim", ["uav_0", "ugv_0"])
-def test_a_vehicle_that_comes_back_knows_what_was_changed_and_said(victim: str, tmp_path: Path) -> None:
+def test_a_vehicle_that_comes_back_knows_what_was_changed_and_said(
+    victim: str, tmp_path: Path
+) -> None:
     from outrider.flying import fly
     from sim.scenario import load_scenario
 

@@ -19,7 +19,18 @@ def _looks(
     distance: float, dropout: float, sigma: float = 0.0, cut: float = 3.0, seed: int = 1
 ) -> list[tuple[bool, float, float]]:
     return [
-        detect(0.6 * distance, -0.8 * distance, R_V, R, dropout, sigma, cut, a_key(seed, 1), a_key(seed, 2), tick)
+        detect(
+            0.6 * distance,
+            -0.8 * distance,
+            R_V,
+            R,
+            dropout,
+            sigma,
+            cut,
+            a_key(seed, 1),
+            a_key(seed, 2),
+            tick,
+        )
         for tick in range(LOOKS)
     ]
 
@@ -55,8 +66,13 @@ def test_dropouts_have_their_share(dropout: float) -> None:
 
 @given(st.floats(0.0, 10.0), st.floats(0.0, 1.0))
 @settings(PROPERTY)
-def test_the_chance_is_a_probability_that_never_grows_with_the_distance(distance: float, dropout: float) -> None:
-    near, far = detection_chance(distance, R_V, R, dropout), detection_chance(distance + 0.1, R_V, R, dropout)
+def test_the_chance_is_a_probability_that_never_grows_with_the_distance(
+    distance: float, dropout: float
+) -> None:
+    near, far = (
+        detection_chance(distance, R_V, R, dropout),
+        detection_chance(distance + 0.1, R_V, R, dropout),
+    )
     assert 0.0 <= far <= near <= 1.0
 
 
@@ -74,12 +90,16 @@ def test_a_look_without_noise_is_the_truth() -> None:
 @pytest.mark.parametrize("cut", [1.0, 3.0, math.inf])
 def test_the_noise_has_no_bias_the_variance_of_its_cut_and_stays_within_it(cut: float) -> None:
     sigma = 0.2
-    noise = np.array([(x - 1.8, y + 2.4) for _, x, y in _looks(3.0, dropout=0.0, sigma=sigma, cut=cut)])
+    noise = np.array(
+        [(x - 1.8, y + 2.4) for _, x, y in _looks(3.0, dropout=0.0, sigma=sigma, cut=cut)]
+    )
     h = 0.5 * cut * cut
     variance = sigma**2 * (1.0 - (h / math.expm1(h) if h < 700.0 else 0.0))
     assert np.hypot(*noise.T).max() <= cut * sigma + 1e-14
     assert noise.mean(axis=0) == pytest.approx([0.0, 0.0], abs=4.0 * sigma / math.sqrt(LOOKS))
-    assert noise.var(axis=0) == pytest.approx([variance, variance], rel=4.0 * math.sqrt(2.0 / LOOKS))
+    assert noise.var(axis=0) == pytest.approx(
+        [variance, variance], rel=4.0 * math.sqrt(2.0 / LOOKS)
+    )
 
 
 def test_noise_and_dropouts_are_drawn_apart() -> None:
@@ -90,5 +110,9 @@ def test_noise_and_dropouts_are_drawn_apart() -> None:
 
 
 def test_each_key_of_noise_has_noise_of_its_own_whatever_the_key_of_chance() -> None:
-    looks = {detect(1.0, 1.0, R_V, R, 0.0, 0.2, 3.0, a_key(n), a_key(m), 7) for n in range(5) for m in range(4)}
+    looks = {
+        detect(1.0, 1.0, R_V, R, 0.0, 0.2, 3.0, a_key(n), a_key(m), 7)
+        for n in range(5)
+        for m in range(4)
+    }
     assert len(looks) == 5

@@ -1,4 +1,7 @@
-"""An operator's seat, in a real pseudo-terminal: what keys become on the bus, what the screen says, and how it is left."""
+"""An operator's seat, in a real pseudo-terminal.
+
+What keys become on the bus, what the screen says, and how it is left.
+"""
 
 import codecs
 import fcntl
@@ -24,7 +27,18 @@ from test_faults import scattered
 
 from bus.access import read_credential
 from bus.keys import CONTROL, GLANCE, OPERATOR, STATUS, Party, Role
-from bus.messages import Action, Area, Control, Drive, EscortTruth, Geometry, Status, Truth, VehicleStatus, VehicleTruth
+from bus.messages import (
+    Action,
+    Area,
+    Control,
+    Drive,
+    EscortTruth,
+    Geometry,
+    Status,
+    Truth,
+    VehicleStatus,
+    VehicleTruth,
+)
 from bus.session import Session, open_session
 from outrider.drive.canvas import Canvas
 from outrider.drive.link import Link, View
@@ -58,7 +72,9 @@ class Screen:
         text = self._rest + text
         cut = re.search(r"\x1b(?:\[[^@-~]*)?$", text)
         text, self._rest = (text[: cut.start()], cut[0]) if cut else (text, "")
-        for found in re.finditer(r"\x1b(?:\[([?<>=]?)([\d;:]*)([$ ]?[@-~])|[^\[])|\r|\n|[^\x00-\x1f]", text):
+        for found in re.finditer(
+            r"\x1b(?:\[([?<>=]?)([\d;:]*)([$ ]?[@-~])|[^\[])|\r|\n|[^\x00-\x1f]", text
+        ):
             self._take(found[0], found[1], found[2], found[3])
 
     def _take(self, piece: str, mark: str, numbers: str, kind: str) -> None:
@@ -125,7 +141,9 @@ class Seat:
         limit = time.monotonic() + seconds
         while not condition():
             self.read()
-            assert time.monotonic() < limit, f"waited in vain before this screen:\n{self.screen.text}\n{self.told[-500:]!r}"
+            assert time.monotonic() < limit, (
+                f"waited in vain before this screen:\n{self.screen.text}\n{self.told[-500:]!r}"
+            )
 
     def until_shown(self, *texts: str) -> None:
         self.until(lambda: all(text in self.screen.text for text in texts))
@@ -145,7 +163,12 @@ class Seat:
 
     def left_as_it_was(self) -> bool:
         modes = self.screen.modes
-        return termios.tcgetattr(self.slave) == self.before and modes["25"] and not modes["1049"] and not modes.get("2004")
+        return (
+            termios.tcgetattr(self.slave) == self.before
+            and modes["25"]
+            and not modes["1049"]
+            and not modes.get("2004")
+        )
 
     def hang_up(self) -> None:
         os.close(self.master)
@@ -198,9 +221,18 @@ def a_status(**changes: object) -> Status:
 
 def a_truth(tick: int = 100, distance: float = 1.25) -> Truth:
     def at(x: float, y: float, speed: float) -> VehicleTruth:
-        return VehicleTruth(position=(x, y), velocity=(speed, 0.0), acceleration=(0.0, 0.0), command=(0.0, 0.0))
+        return VehicleTruth(
+            position=(x, y), velocity=(speed, 0.0), acceleration=(0.0, 0.0), command=(0.0, 0.0)
+        )
 
-    escort = EscortTruth(uav="uav_0", ugv="ugv_0", distance=distance, coverage_error=321.5, detection=None, report=None)
+    escort = EscortTruth(
+        uav="uav_0",
+        ugv="ugv_0",
+        distance=distance,
+        coverage_error=321.5,
+        detection=None,
+        report=None,
+    )
     return Truth(
         tick=tick,
         time=tick * 0.05,
@@ -219,7 +251,10 @@ class Scripted:
         self.tick = 100
         self._over = threading.Event()
         self._statuses, self._truths = session.outbox(STATUS), session.outbox(GLANCE)
-        self._controls, self._drives = session.inbox(CONTROL), session.inbox_of_all({"ugv_0": OPERATOR})
+        self._controls, self._drives = (
+            session.inbox(CONTROL),
+            session.inbox_of_all({"ugv_0": OPERATOR}),
+        )
         session.announce()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
@@ -234,11 +269,16 @@ class Scripted:
                 assert isinstance(letter.message, Drive)
                 self.drives.append(letter.message)
             self.tick += 1
-            self._statuses.send(a_status(tick=self.tick, time=self.tick * 0.05, drivers=dict(self.drivers)))
+            self._statuses.send(
+                a_status(tick=self.tick, time=self.tick * 0.05, drivers=dict(self.drivers))
+            )
             self._truths.send(a_truth(self.tick))
 
     def asked(self, driver: str) -> int:
-        return sum(one == Control(action=Action.DRIVER, vehicle="ugv_0", driver=driver) for one in self.controls)
+        return sum(
+            one == Control(action=Action.DRIVER, vehicle="ugv_0", driver=driver)
+            for one in self.controls
+        )
 
     def close(self) -> None:
         self._over.set()
@@ -247,7 +287,9 @@ class Scripted:
 
 @contextmanager
 def scripted(endpoint: str) -> Iterator[Scripted]:
-    with open_session(Party(role=Role.SIMULATOR, name="simulator"), "mine", connect=endpoint) as session:
+    with open_session(
+        Party(role=Role.SIMULATOR, name="simulator"), "mine", connect=endpoint
+    ) as session:
         one = Scripted(session)
         try:
             yield one
@@ -267,14 +309,28 @@ def arguments(endpoint: str, *more: str) -> tuple[str, ...]:
     return ("--connect", endpoint, "--run", "mine", *more)
 
 
-def test_keys_take_the_wheel_drive_brake_and_give_it_back_and_the_terminal_is_as_before(endpoint: str) -> None:
+def test_keys_take_the_wheel_drive_brake_and_give_it_back_and_the_terminal_is_as_before(
+    endpoint: str,
+) -> None:
     with scripted(endpoint) as simulator, seat(*arguments(endpoint)) as one:
-        one.until_shown("script drives ugv_0", "distance uav_0", "1.25 m", "+3.50 m", "e(t)", "321.5 m²", "▲", "■", "x 1.00")
+        one.until_shown(
+            "script drives ugv_0",
+            "distance uav_0",
+            "1.25 m",
+            "+3.50 m",
+            "e(t)",
+            "321.5 m²",
+            "▲",
+            "■",
+            "x 1.00",
+        )
         assert not simulator.controls  # to look on changes nothing
         assert termios.tcgetattr(one.slave) != one.before
         one.hold("d", lambda: len(simulator.drives) > 5)
         assert simulator.asked("teleop") == 1
-        assert all(word == Drive(driver="operator", velocity=(0.2, 0.0)) for word in simulator.drives)
+        assert all(
+            word == Drive(driver="operator", velocity=(0.2, 0.0)) for word in simulator.drives
+        )
         one.until_shown("YOU DRIVE ugv_0")
         one.until(lambda: simulator.drives[-1].velocity is None)  # nobody holds the key any more
         one.hold("\x1b[A", lambda: simulator.drives[-1].velocity == (0.0, 0.2))
@@ -318,7 +374,10 @@ def test_a_simulator_that_goes_is_told_and_the_next_one_is_driven_too(endpoint: 
             assert simulator.controls[-1].driver == "waypoints"
 
 
-@pytest.mark.parametrize(("way", "code"), [("ctrl-c", 130), ("SIGTERM", 143), ("hang-up", 129), ("at once", 0), ("stuck", 143)])
+@pytest.mark.parametrize(
+    ("way", "code"),
+    [("ctrl-c", 130), ("SIGTERM", 143), ("hang-up", 129), ("at once", 0), ("stuck", 143)],
+)
 def test_however_it_ends_the_wheel_is_given_back(way: str, code: int, endpoint: str) -> None:
     with scripted(endpoint) as simulator, seat(*arguments(endpoint)) as one:
         one.until_shown("script drives ugv_0")
@@ -350,7 +409,10 @@ def test_however_it_ends_the_wheel_is_given_back(way: str, code: int, endpoint: 
 
 
 def test_a_wheel_taken_before_any_news_came_is_given_back_too(endpoint: str) -> None:
-    simulator, operator = Party(role=Role.SIMULATOR, name="simulator"), Party(role=Role.OPERATOR, name="operator")
+    simulator, operator = (
+        Party(role=Role.SIMULATOR, name="simulator"),
+        Party(role=Role.OPERATOR, name="operator"),
+    )
     with (
         open_session(simulator, "silent", connect=endpoint) as mute,
         open_session(operator, "silent", connect=endpoint) as session,
@@ -367,7 +429,10 @@ def test_a_wheel_taken_before_any_news_came_is_given_back_too(endpoint: str) -> 
             asked.append((driver, letter.message))
             link.leave()
         assert link.wait(10.0)
-        assert asked == [(driver, Control(action=Action.DRIVER, vehicle="ugv_0", driver=driver)) for driver, _ in asked]
+        assert asked == [
+            (driver, Control(action=Action.DRIVER, vehicle="ugv_0", driver=driver))
+            for driver, _ in asked
+        ]
         assert "nobody has confirmed" in link.farewell()
 
 
@@ -380,10 +445,18 @@ def test_an_unknown_vehicle_is_refused_with_those_that_there_are(endpoint: str) 
 
 def test_without_a_terminal_there_is_one_clear_line() -> None:
     run = subprocess.run(
-        [sys.executable, "-c", CHILD, "drive"], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-c", CHILD, "drive"],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
     )
     assert run.returncode == 2
-    assert run.stderr == "outrider: drive: standard input is no terminal; over SSH use `ssh -t`, in a container `-it`\n"
+    assert (
+        run.stderr
+        == "outrider: drive: standard input is no terminal; over SSH use `ssh -t`, in a container `-it`\n"
+    )
 
 
 @pytest.mark.usefixtures("nothing_left_behind")
@@ -396,7 +469,12 @@ def test_an_operator_drives_a_flight_in_real_time_and_nothing_jumps(tmp_path: Pa
         observer = Party(role=Role.OBSERVER, name="observer")
         own = arguments(run.endpoint, "--credentials", str(files / "operator.json"))
         with (
-            open_session(observer, "mine", connect=run.endpoint, credential=read_credential(files / "observer.json")) as session,
+            open_session(
+                observer,
+                "mine",
+                connect=run.endpoint,
+                credential=read_credential(files / "observer.json"),
+            ) as session,
             seat(*own) as one,
         ):
             truths = session.inbox(GLANCE)
@@ -481,7 +559,9 @@ def test_the_banner_says_what_matters_most(view: View, words: str) -> None:
 def test_the_panel_says_what_is_lost_and_what_is_too_fast_and_lives_with_knowing_nothing() -> None:
     history = History()
     status = a_status(
-        realtime_factor=120.0, wanted_factor=None, vehicles={"uav_0": VehicleStatus(present=False, lost=2, missing_commands=5)}
+        realtime_factor=120.0,
+        wanted_factor=None,
+        vehicles={"uav_0": VehicleStatus(present=False, lost=2, missing_commands=5)},
     )
     history.follow(status)
     text = numbers(View(status=status, truth=a_truth(distance=5.0)), "ugv_0", history).plain
@@ -512,7 +592,10 @@ def test_the_map_shows_the_vehicles_where_they_are_and_the_limit_of_sight_around
         for width, height in ((1, 1), (3, 2), (200, 60)):
             drawn = characters(draw(view, "ugv_0", trails, width=width, height=height, wide=wide))
             assert [len(row) for row in drawn] == [width] * height
-    assert "no position yet" in characters(draw(View(), "ugv_0", trails, width=30, height=4, wide=False))[1]
+    assert (
+        "no position yet"
+        in characters(draw(View(), "ugv_0", trails, width=30, height=4, wide=False))[1]
+    )
 
 
 def test_dots_are_where_braille_has_them() -> None:

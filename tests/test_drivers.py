@@ -23,7 +23,16 @@ from agents.drivers.wander import WanderDriver
 from agents.drivers.waypoints import WaypointDriver
 from agents.ugv import UgvPilot
 from bus.errors import ScenarioError
-from bus.messages import Area, Drive, Limits, RelativeInformation, ScriptStep, UgvBriefing, UgvCommand, UgvObservation
+from bus.messages import (
+    Area,
+    Drive,
+    Limits,
+    RelativeInformation,
+    ScriptStep,
+    UgvBriefing,
+    UgvCommand,
+    UgvObservation,
+)
 from outrider.flying import InProcess, make_pilots
 from sim.briefing import briefing
 from sim.flight import Flight
@@ -51,7 +60,10 @@ def _told(**fields: Any) -> UgvBriefing:
         "driver": "waypoints",
         "goals": ((3.0, 4.0), (18.0, 1.0)),
         "goal_tolerance": 0.05,
-        "script": (ScriptStep(time=1.0, velocity=(1e6, -1e6)), ScriptStep(time=7.0, velocity=(-0.1, 0.05))),
+        "script": (
+            ScriptStep(time=1.0, velocity=(1e6, -1e6)),
+            ScriptStep(time=7.0, velocity=(-0.1, 0.05)),
+        ),
         "key": a_told_key(fields.pop("key", 7)),
     }
     return UgvBriefing(**usual | fields)
@@ -81,8 +93,16 @@ def _nothing(tick: int, place: Point) -> dict[str, Any]:
     return {}
 
 
-def _observe(tick: int, state: tuple[float, ...], heard: dict[str, Any], dt: float = DT) -> UgvObservation:
-    return UgvObservation(tick=tick, time=tick * dt, position=(state[0], state[1]), velocity=(state[2], state[3]), **heard)
+def _observe(
+    tick: int, state: tuple[float, ...], heard: dict[str, Any], dt: float = DT
+) -> UgvObservation:
+    return UgvObservation(
+        tick=tick,
+        time=tick * dt,
+        position=(state[0], state[1]),
+        velocity=(state[2], state[3]),
+        **heard,
+    )
 
 
 def _drive(
@@ -114,7 +134,12 @@ def _assert_within(rows: np.ndarray, v_max: float, u_max: float) -> None:
 
 anywhere = st.floats(-1e6, 1e6, allow_nan=False)
 anything = st.tuples(anywhere, anywhere)
-drives = st.builds(Drive, driver=st.just("somebody"), velocity=st.none() | anything, goal=st.none() | anything | st.just(MIDDLE))
+drives = st.builds(
+    Drive,
+    driver=st.just("somebody"),
+    velocity=st.none() | anything,
+    goal=st.none() | anything | st.just(MIDDLE),
+)
 places = st.tuples(st.floats(0.0, 20.0), st.floats(0.0, 20.0))
 relatives = st.tuples(st.floats(-6.0, 6.0), st.floats(-6.0, 6.0)) | anything
 radios = st.builds(
@@ -126,7 +151,10 @@ radios = st.builds(
 hearings = st.dictionaries(
     st.integers(0, 59),
     st.fixed_dictionaries(
-        {"operator": st.lists(drives, max_size=2).map(tuple), "radio": st.lists(radios, max_size=2).map(tuple)}
+        {
+            "operator": st.lists(drives, max_size=2).map(tuple),
+            "radio": st.lists(radios, max_size=2).map(tuple),
+        }
     ),
     max_size=25,
 )
@@ -174,7 +202,10 @@ def test_a_ugv_without_bounds_is_still_asked_for_what_a_message_can_hold(
 ) -> None:
     driver = DRIVERS[name](_told(v_max=v_max, u_max=math.inf))
     for tick in range(60):
-        command = UgvCommand(tick=tick, acceleration=driver.drive(_observe(tick, (*MIDDLE, 0.1, -0.1), heard.get(tick, {}))))
+        command = UgvCommand(
+            tick=tick,
+            acceleration=driver.drive(_observe(tick, (*MIDDLE, 0.1, -0.1), heard.get(tick, {}))),
+        )
         assert msgspec.json.decode(msgspec.json.encode(command), type=UgvCommand) == command
 
 
@@ -206,9 +237,13 @@ def test_a_driver_that_is_told_its_past_again_gives_the_same_bits(
 ) -> None:
     told = _told(v_max=1.0, u_max=0.5)
     first, other, again = (DRIVERS[name](told) for _ in range(3))
-    rows, seen = _drive(first, 150, begin=begin, hears=lambda tick, _: heard.get((tick - begin) % 60, {}))
+    rows, seen = _drive(
+        first, 150, begin=begin, hears=lambda tick, _: heard.get((tick - begin) % 60, {})
+    )
     for row, observation in zip(rows, seen, strict=False):
-        other.drive(_observe(observation.tick, (1.0, 19.0, -0.3, 0.3), {}))  # another vehicle of the same process
+        other.drive(
+            _observe(observation.tick, (1.0, 19.0, -0.3, 0.3), {})
+        )  # another vehicle of the same process
         assert again.drive(observation) == (row[4], row[5])
 
 
@@ -226,10 +261,22 @@ def _ticks_to_rest(v_max: float, u_max: float, dt: float) -> int:
     return math.ceil(v_max / (u_max * dt) - 1e-9) + 1
 
 
-@given(st.lists(drives, min_size=1, max_size=3), headings, speeds, accelerations, steps, st.sampled_from((0.0, 0.4, 1.0)))
+@given(
+    st.lists(drives, min_size=1, max_size=3),
+    headings,
+    speeds,
+    accelerations,
+    steps,
+    st.sampled_from((0.0, 0.4, 1.0)),
+)
 @settings(PROPERTY)
 def test_when_the_operator_falls_silent_the_ugv_comes_to_rest_in_time_and_stays_there(
-    words: list[Drive], heading: tuple[float, float], v_max: float, u_max: float, dt: float, hold: float
+    words: list[Drive],
+    heading: tuple[float, float],
+    v_max: float,
+    u_max: float,
+    dt: float,
+    hold: float,
 ) -> None:
     driver = TeleopDriver(_told(v_max=v_max, u_max=u_max, dt=dt, hold=hold))
     still = 1 + round(hold / dt) + _ticks_to_rest(v_max, u_max, dt)
@@ -247,7 +294,9 @@ def test_when_the_operator_falls_silent_the_ugv_comes_to_rest_in_time_and_stays_
 def test_an_operators_word_counts_for_hold_seconds_to_the_tick() -> None:
     for since in range(60):  # tick * dt rounds differently at each
         driver = TeleopDriver(_told(hold=0.5))
-        rows, _ = _drive(driver, 20, velocity=(0.1, 0.0), begin=since, hears=_says(**{f"t{since}": FULL}))
+        rows, _ = _drive(
+            driver, 20, velocity=(0.1, 0.0), begin=since, hears=_says(**{f"t{since}": FULL})
+        )
         assert (rows[:11, 4] > 0.0).all()
         assert rows[11, 4] == pytest.approx(-U_G, rel=1e-9)
 
@@ -276,15 +325,21 @@ def test_a_velocity_beyond_the_bound_is_driven_at_the_bound_in_its_direction(wan
 def test_a_living_operators_goal_is_reached_and_stood_on(goal: Point) -> None:
     word = Drive(driver="somebody", goal=goal)
     rows, _ = _drive(
-        TeleopDriver(_told(v_max=1.0, u_max=0.5)), 600, hears=lambda tick, _: {"operator": (word,)} if tick % 8 == 0 else {}
+        TeleopDriver(_told(v_max=1.0, u_max=0.5)),
+        600,
+        hears=lambda tick, _: {"operator": (word,)} if tick % 8 == 0 else {},
     )
     assert rows[-1, :2] == pytest.approx(goal, abs=1e-3)
 
 
 def test_nobody_at_the_wheel_and_an_empty_word_both_brake() -> None:
     nobody, _ = _drive(TeleopDriver(_told()), 80, velocity=(V_G, 0.0))
-    empty, _ = _drive(TeleopDriver(_told()), 80, velocity=(V_G, 0.0), hears=_says(t0=Drive(driver="somebody")))
-    stopped, _ = _drive(TeleopDriver(_told()), 80, hears=_says(t0=FULL, t5=Drive(driver="somebody")))
+    empty, _ = _drive(
+        TeleopDriver(_told()), 80, velocity=(V_G, 0.0), hears=_says(t0=Drive(driver="somebody"))
+    )
+    stopped, _ = _drive(
+        TeleopDriver(_told()), 80, hears=_says(t0=FULL, t5=Drive(driver="somebody"))
+    )
     for rows in (nobody, empty, stopped):
         assert np.abs(rows[-30:, 2:4]).max() <= 1e-15
     assert nobody[-1, 0] - MIDDLE[0] == pytest.approx(V_G**2 / (2.0 * U_G), abs=V_G * DT)
@@ -300,7 +355,9 @@ def test_an_operator_who_comes_back_drives_on() -> None:
 
 
 def _script(*steps: tuple[float, Point], **fields: Any) -> ScriptDriver:
-    return ScriptDriver(_told(script=tuple(ScriptStep(time=time, velocity=v) for time, v in steps), **fields))
+    return ScriptDriver(
+        _told(script=tuple(ScriptStep(time=time, velocity=v) for time, v in steps), **fields)
+    )
 
 
 def test_a_script_brakes_before_its_first_step_and_keeps_its_last() -> None:
@@ -316,16 +373,23 @@ def test_a_script_brakes_before_its_first_step_and_keeps_its_last() -> None:
 @pytest.mark.parametrize("dt", [0.02, DT, 0.03])
 def test_a_step_begins_at_the_first_tick_of_its_time(dt: float) -> None:
     for tick in range(1, 400):
-        for time in (tick * dt, round(tick * dt, 9)):  # as it is computed, and as a person writes it: which may be a bit later
+        for time in (
+            tick * dt,
+            round(tick * dt, 9),
+        ):  # as it is computed, and as a person writes it: which may be a bit later
             driver = _script((time, (V_G, 0.0)), dt=dt)
-            before, after = (driver.drive(_observe(k, (*MIDDLE, 0.0, 0.0), {}, dt)) for k in (tick - 1, tick))
+            before, after = (
+                driver.drive(_observe(k, (*MIDDLE, 0.0, 0.0), {}, dt)) for k in (tick - 1, tick)
+            )
             assert before == (0.0, 0.0)
             assert after[0] > 0.0
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 10.0), anything), max_size=5), st.integers(0, 300))
 @settings(PROPERTY)
-def test_a_script_taken_up_late_is_where_it_would_have_been(steps: list[tuple[float, Point]], tick: int) -> None:
+def test_a_script_taken_up_late_is_where_it_would_have_been(
+    steps: list[tuple[float, Point]], tick: int
+) -> None:
     late, whole = _script(*steps), _script(*steps)
     for k in range(tick):
         whole.drive(_observe(k, (*MIDDLE, 0.0, 0.0), {}))
@@ -333,7 +397,9 @@ def test_a_script_taken_up_late_is_where_it_would_have_been(steps: list[tuple[fl
     assert late.drive(now) == whole.drive(now)
 
 
-def test_of_a_scripts_steps_the_last_whose_time_has_come_counts_also_when_they_are_not_in_order() -> None:
+def test_of_a_scripts_steps_the_last_whose_time_has_come_counts_also_when_they_are_not_in_order() -> (
+    None
+):
     driver = _script((2.0, (0.0, V_G)), (2.0, (0.0, -V_G)), (1.0, (V_G, 0.0)))
     u = [driver.drive(_observe(tick, (*MIDDLE, 0.0, 0.0), {})) for tick in (10, 30, 50)]
     assert u == [(0.0, 0.0), pytest.approx((U_G, 0.0)), pytest.approx((0.0, -U_G))]
@@ -349,7 +415,9 @@ def test_an_empty_script_stands() -> None:
 
 @given(st.integers(0, 2**53 - 1), speeds, accelerations, steps, st.sampled_from((2.0, 20.0)))
 @settings(PROPERTY, max_examples=40)
-def test_a_wanderer_never_comes_to_the_border(key: int, v_max: float, u_max: float, dt: float, side: float) -> None:
+def test_a_wanderer_never_comes_to_the_border(
+    key: int, v_max: float, u_max: float, dt: float, side: float
+) -> None:
     driver = WanderDriver(_told(key=key, v_max=v_max, u_max=u_max, dt=dt, side=side))
     rows, _ = _drive(driver, 1500, start=(side / 2, side / 2), dt=dt)
     assert rows[:, :2].min() > 0.0
@@ -401,7 +469,13 @@ def _shadowed(place: Callable[[float], Point]) -> Hears:
             return {}
         time = (tick - 1) * DT
         x, y = place(time)
-        return {"radio": (RelativeInformation(time=time, relative_position=(x - at[0], y - at[1]), coverage_error=1.0),)}
+        return {
+            "radio": (
+                RelativeInformation(
+                    time=time, relative_position=(x - at[0], y - at[1]), coverage_error=1.0
+                ),
+            )
+        }
 
     return hears
 
@@ -428,16 +502,34 @@ def test_it_turns_off_sharply_now_and_then_when_its_key_says() -> None:
     turns = []
     for key in (1, 2, 3):
         rows, _ = _drive(
-            EvadeDriver(_told(key=key, side=1000.0)), 2000, start=(500.0, 500.0), hears=_shadowed(lambda t: (499.0, 500.0))
+            EvadeDriver(_told(key=key, side=1000.0)),
+            2000,
+            start=(500.0, 500.0),
+            hears=_shadowed(lambda t: (499.0, 500.0)),
         )
         u = rows[:-1, 4:6]
-        turns.append([tick for tick in range(1, 2000) if np.hypot(*u[tick - 1]) < 0.02 and np.hypot(*u[tick]) > 0.09])
+        turns.append(
+            [
+                tick
+                for tick in range(1, 2000)
+                if np.hypot(*u[tick - 1]) < 0.02 and np.hypot(*u[tick]) > 0.09
+            ]
+        )
         assert 5 <= len(turns[-1]) <= 15
     assert turns[0] != turns[1] != turns[2] != turns[0]
 
 
-@given(places, headings, speeds, st.sampled_from((0.05, U_G, 1.0, 10.0)), st.integers(0, 2**53 - 1), st.sampled_from((4.0, 20.0)))
-@example((8.5, 16.0), (0.0, 0.0), 1.0, 0.05, 7, 20.0)  # slides to and fro while it still drives at the wall
+@given(
+    places,
+    headings,
+    speeds,
+    st.sampled_from((0.05, U_G, 1.0, 10.0)),
+    st.integers(0, 2**53 - 1),
+    st.sampled_from((4.0, 20.0)),
+)
+@example(
+    (8.5, 16.0), (0.0, 0.0), 1.0, 0.05, 7, 20.0
+)  # slides to and fro while it still drives at the wall
 @settings(PROPERTY, max_examples=40)
 def test_it_neither_runs_into_the_border_nor_gets_stuck_there(
     uav: Point, circling: tuple[float, float], v_max: float, u_max: float, key: int, side: float
@@ -445,7 +537,9 @@ def test_it_neither_runs_into_the_border_nor_gets_stuck_there(
     driver = EvadeDriver(_told(v_max=v_max, u_max=u_max, key=key, side=side))
     (share, phase), speed = circling, WanderDriver(_told(v_max=v_max, u_max=u_max, side=side)).speed
     x, y = uav[0] * side / 20.0, uav[1] * side / 20.0
-    hears = _shadowed(lambda t: (x + share * math.cos(phase + 0.5 * t), y + share * math.sin(phase + 0.5 * t)))
+    hears = _shadowed(
+        lambda t: (x + share * math.cos(phase + 0.5 * t), y + share * math.sin(phase + 0.5 * t))
+    )
     rows, _ = _drive(driver, 2500, start=(side / 2, side / 2), hears=hears)
     assert rows[:, :2].min() >= 0.0
     assert rows[:, :2].max() <= side
@@ -469,7 +563,9 @@ def test_it_wanders_until_it_hears_the_uav_and_again_when_that_falls_silent() ->
     for tick in range(300):
         state = (*MIDDLE, 0.05, 0.0)
         heard = hears(tick, MIDDLE) if 100 <= tick < 150 else {}
-        same = evader.drive(_observe(tick, state, heard)) == wanderer.drive(_observe(tick, state, {}))
+        same = evader.drive(_observe(tick, state, heard)) == wanderer.drive(
+            _observe(tick, state, {})
+        )
         if tick != 149 + 100:  # five seconds to the tick, which round
             assert same == (tick < 101 or tick > 149 + 100)
 
@@ -487,17 +583,23 @@ def _flown(law: str, driver: Callable[[UgvBriefing], Driver], seed: int, **chang
 @pytest.mark.parametrize("law", ["linear", "logarithmic"])
 @pytest.mark.parametrize("seed", [7, 8])
 def test_in_flight_it_gets_further_from_the_uav_than_the_papers_driver(law: str, seed: int) -> None:
-    evading, papers = (distances(_flown(law, driver, seed)).max() for driver in (EvadeDriver, WaypointDriver))
+    evading, papers = (
+        distances(_flown(law, driver, seed)).max() for driver in (EvadeDriver, WaypointDriver)
+    )
     assert evading > papers
     assert evading < 4.75
 
 
 @pytest.mark.parametrize("law", ["linear", "switching", "logarithmic"])
 @pytest.mark.parametrize("seed", [7, 10])
-def test_without_noise_it_gets_beyond_the_visibility_radius_by_no_more_than_one_ticks_way(law: str, seed: int) -> None:
+def test_without_noise_it_gets_beyond_the_visibility_radius_by_no_more_than_one_ticks_way(
+    law: str, seed: int
+) -> None:
     clear = {"detections.noise": 0.0, "detections.dropout": 0.0}
     furthest = distances(_flown(law, EvadeDriver, seed, **clear)).max()
-    assert furthest < R_V + (V_A + V_G) * DT  # (18) knows no ticks, but r_s is passed between two of them
+    assert (
+        furthest < R_V + (V_A + V_G) * DT
+    )  # (18) knows no ticks, but r_s is passed between two of them
 
 
 # policy
@@ -509,13 +611,18 @@ def _asked(answer: object, velocity: Point = (0.0, 0.0)) -> Point:
 
 
 @pytest.mark.parametrize(
-    "answer", [(0.03, -0.01), [0.03, -0.01], np.array([0.03, -0.01]), (np.float64(0.03), -0.01)], ids=lambda a: type(a).__name__
+    "answer",
+    [(0.03, -0.01), [0.03, -0.01], np.array([0.03, -0.01]), (np.float64(0.03), -0.01)],
+    ids=lambda a: type(a).__name__,
 )
 def test_a_policys_answer_within_the_bounds_is_taken_as_it_is(answer: object) -> None:
     assert _asked(answer) == (0.03, -0.01)
 
 
-@pytest.mark.parametrize("answer", [(1, 1), (1e308, 1e308), (7e5, 7e5), np.array([3, 3]), np.array([5.0, 5.0], dtype=np.float32)])
+@pytest.mark.parametrize(
+    "answer",
+    [(1, 1), (1e308, 1e308), (7e5, 7e5), np.array([3, 3]), np.array([5.0, 5.0], dtype=np.float32)],
+)
 def test_a_policys_answer_beyond_the_bound_is_shortened(answer: object) -> None:
     assert _asked(answer) == pytest.approx((U_G / math.sqrt(2.0), U_G / math.sqrt(2.0)), rel=1e-12)
 
@@ -552,7 +659,8 @@ NONSENSE = [
 @pytest.mark.parametrize("answer", NONSENSE, ids=range(len(NONSENSE)))
 def test_a_policys_nonsense_is_named_in_one_line(answer: object) -> None:
     with pytest.raises(
-        ScenarioError, match=r"^policy = 'mine:drive': tick 12: returned .+; allowed: two finite numbers"
+        ScenarioError,
+        match=r"^policy = 'mine:drive': tick 12: returned .+; allowed: two finite numbers",
     ) as caught:
         _asked(answer)
     assert "\n" not in str(caught.value)
@@ -566,7 +674,9 @@ def test_a_policy_that_raises_is_named_in_one_line() -> None:
         raise KeyError("no\nsuch weights")
 
     driver = PolicyDriver(_told(), policy=broken, name="mine:broken")
-    with pytest.raises(ScenarioError, match=r"^policy = 'mine:broken': tick 3: raised KeyError: .*weights") as caught:
+    with pytest.raises(
+        ScenarioError, match=r"^policy = 'mine:broken': tick 3: raised KeyError: .*weights"
+    ) as caught:
         driver.drive(_observe(3, (*MIDDLE, 0.0, 0.0), {}))
     assert "\n" not in str(caught.value)
     assert isinstance(caught.value.__cause__, KeyError)
@@ -574,7 +684,11 @@ def test_a_policy_that_raises_is_named_in_one_line() -> None:
 
 def test_a_policy_is_given_the_observation_and_the_briefing() -> None:
     told, given_ = _told(), []
-    driver = PolicyDriver(told, policy=lambda observation, briefing: given_.append((observation, briefing)) or (0, 0), name="m:f")
+    driver = PolicyDriver(
+        told,
+        policy=lambda observation, briefing: given_.append((observation, briefing)) or (0, 0),
+        name="m:f",
+    )
     seen = _observe(4, (*MIDDLE, 0.0, 0.0), {})
     driver.drive(seen)
     assert given_ == [(seen, told)]

@@ -21,7 +21,9 @@ from sim.scenario import Detections, Scenario, Uav, Ugv
 from sim.vehicles import clip_norm
 
 with warnings.catch_warnings():
-    warnings.simplefilter("ignore", DeprecationWarning)  # PettingZoo 1.27 makes an old environment of its own
+    warnings.simplefilter(
+        "ignore", DeprecationWarning
+    )  # PettingZoo 1.27 makes an old environment of its own
     from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, state_test
 
 ONE = Scenario(
@@ -59,12 +61,18 @@ OPTIONS = [
     pytest.param(ONE, {"dtype": np.float32}, id="float32"),
     pytest.param(ONE, {"coverage_patch": (16, 0.5), "coverage_in_state": True}, id="patch"),
     pytest.param(FREE, {}, id="free"),
-    pytest.param(MANY, {"end_on_sight_lost": False, "dtype": np.float32, "coverage_patch": (7, 1.3)}, id="many"),
+    pytest.param(
+        MANY,
+        {"end_on_sight_lost": False, "dtype": np.float32, "coverage_patch": (7, 1.3)},
+        id="many",
+    ),
 ]
 
 
 def random_actions(env, rng, *, length=1.0):
-    return {name: rng.uniform(-length, length, 2) * env.action_space(name).high for name in env.agents}
+    return {
+        name: rng.uniform(-length, length, 2) * env.action_space(name).high for name in env.agents
+    }
 
 
 def fly(env, rng, ticks):
@@ -97,7 +105,10 @@ def test_passes_pettingzoos_seed_test():
 def test_passes_pettingzoos_tests_as_a_turn_based_environment():
     with warnings.catch_warnings():
         # A UAV and a UGV see different things.
-        warnings.filterwarnings("ignore", "Agents have different observation space sizes|Observations are different shapes")
+        warnings.filterwarnings(
+            "ignore",
+            "Agents have different observation space sizes|Observations are different shapes",
+        )
         api_test(parallel_to_aec(parallel_env(ONE)), num_cycles=200)
     state_test(parallel_to_aec(parallel_env(ONE)), parallel_env(ONE))
 
@@ -138,9 +149,15 @@ def test_everything_returned_lies_in_its_space(scenario, options, push):
     observations, _ = env.reset(seed=1)
     while env.agents:
         for name, observation in observations.items():
-            assert env.observation_space(name).contains(observation), (env.world.tick, name, observation)
+            assert env.observation_space(name).contains(observation), (
+                env.world.tick,
+                name,
+                observation,
+            )
         state = env.state()
-        assert env.state_space.contains(state), dict(zip(env.state_names, state.tolist(), strict=False))
+        assert env.state_space.contains(state), dict(
+            zip(env.state_names, state.tolist(), strict=False)
+        )
         actions = random_actions(env, rng)
         if push != "random":
             way = {"axis": (-1.0, 0.0), "diagonal": (1.0, 1.0), "out": (3.7, -50.0)}[push]
@@ -152,8 +169,12 @@ def test_spaces_are_as_tight_as_the_scenario_says():
     env = parallel_env(ONE)
     low, high = env.observation_space("uav_0").low, env.observation_space("uav_0").high
     reach = ONE.sensor.range + 3.0 * 0.1
-    np.testing.assert_allclose(high, [60.0, 40.0, 40.0, 0.6, 0.6, 1.0, reach, reach, 60.0], rtol=1e-12)
-    np.testing.assert_allclose(low, [0.0, 0.0, 0.0, -0.6, -0.6, 0.0, -reach, -reach, 0.0], rtol=1e-12)
+    np.testing.assert_allclose(
+        high, [60.0, 40.0, 40.0, 0.6, 0.6, 1.0, reach, reach, 60.0], rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        low, [0.0, 0.0, 0.0, -0.6, -0.6, 0.0, -reach, -reach, 0.0], rtol=1e-12
+    )
     high = env.observation_space("ugv_0").high
     np.testing.assert_allclose(high, [60.0, 40.0, 40.0, 0.2, 0.2, 1.0, 40.0, 40.0], rtol=1e-12)
     np.testing.assert_array_equal(env.action_space("uav_0").high, [0.3, 0.3])
@@ -196,7 +217,10 @@ def test_actions_may_be_lists_or_arrays_of_any_number_type(kind):
     twin.reset(seed=0)
     action = [0.0, 1.0]  # exact in every type
     given = kind(action) if kind in {list, tuple} else np.array(action, dtype=kind)
-    assert same(env.step({"uav_0": given, "ugv_0": given}), twin.step({"uav_0": np.array(action), "ugv_0": np.array(action)}))
+    assert same(
+        env.step({"uav_0": given, "ugv_0": given}),
+        twin.step({"uav_0": np.array(action), "ugv_0": np.array(action)}),
+    )
 
 
 GOOD = {"uav_0": np.array([0.1, 0.0]), "ugv_0": np.array([0.0, 0.1])}
@@ -300,7 +324,11 @@ def test_same_seed_same_bits_for_more_than_a_thousand_ticks(scenario, options):
     first.end_on_sight_lost = second.end_on_sight_lost = False
     assert same(first.reset(seed=7), second.reset(seed=7))
     steps = 0
-    for a, b in zip(fly(first, np.random.default_rng(7), 1200), fly(second, np.random.default_rng(7), 1200), strict=True):
+    for a, b in zip(
+        fly(first, np.random.default_rng(7), 1200),
+        fly(second, np.random.default_rng(7), 1200),
+        strict=True,
+    ):
         assert same(a, b)
         assert same(first.state(), second.state())
         assert same(first.metrics(), second.metrics())
@@ -316,7 +344,9 @@ def test_another_seed_gives_other_detections():
 
 
 def test_reset_in_the_middle_repeats_the_episode():
-    env = parallel_env(MANY, end_on_sight_lost=False, coverage_patch=(9, 1.0), coverage_in_state=True)
+    env = parallel_env(
+        MANY, end_on_sight_lost=False, coverage_patch=(9, 1.0), coverage_in_state=True
+    )
 
     def episode():
         yield env.reset(seed=11)
@@ -332,7 +362,9 @@ def test_reset_in_the_middle_repeats_the_episode():
 def test_an_episode_leaves_nothing_behind_for_the_next():
     """Detections that come late, goals that are reached, sight that is lost."""
     rare = msgspec.structs.replace(
-        ONE, detections=Detections(dropout=0.95), ugv=(Ugv(position=(10.0, 10.0), goals=((10.3, 10.0),)),)
+        ONE,
+        detections=Detections(dropout=0.95),
+        ugv=(Ugv(position=(10.0, 10.0), goals=((10.3, 10.0),)),),
     )
     env = parallel_env(rare, end_on_sight_lost=False)
 
@@ -391,12 +423,18 @@ def test_returned_arrays_never_change_later():
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])  # noqa: S301
 def test_a_copy_goes_on_like_the_original(duplicate):
-    env = parallel_env(MANY, coverage_patch=(8, 1.0), end_on_sight_lost=False, render_mode="rgb_array")
+    env = parallel_env(
+        MANY, coverage_patch=(8, 1.0), end_on_sight_lost=False, render_mode="rgb_array"
+    )
     env.reset(seed=2)
     list(fly(env, np.random.default_rng(0), 30))
     env.render()
     other = duplicate(env)
-    pairs = zip(fly(env, np.random.default_rng(1), 50), fly(other, np.random.default_rng(1), 50), strict=True)
+    pairs = zip(
+        fly(env, np.random.default_rng(1), 50),
+        fly(other, np.random.default_rng(1), 50),
+        strict=True,
+    )
     assert all(same(a, b) for a, b in pairs)
     assert same(env.state(), other.state())
     assert same(env.render(), other.render())

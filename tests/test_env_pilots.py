@@ -44,7 +44,9 @@ def record(env, policies, observations):
     world, rows = env.unwrapped.world, []
     while env.agents:
         before = (world.position.copy(), world.velocity.copy())
-        observations, *_ = env.step({name: policies[name](observations[name]) for name in env.agents})
+        observations, *_ = env.step(
+            {name: policies[name](observations[name]) for name in env.agents}
+        )
         rows.append(np.hstack((*before, world.acceleration)))
     return np.array(rows)
 
@@ -54,7 +56,9 @@ def sha256(states):
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.parametrize("scenario", [load_scenario("escort"), NOISY, ABOVE], ids=["escort", "noisy", "above"])
+@pytest.mark.parametrize(
+    "scenario", [load_scenario("escort"), NOISY, ABOVE], ids=["escort", "noisy", "above"]
+)
 def test_pilots_fly_the_same_bits_in_the_environment_as_in_a_run(scenario, seed):
     env = parallel_env(scenario)
     observations, _ = env.reset(seed=seed)
@@ -75,7 +79,9 @@ def test_another_seed_flies_another_trajectory(scenario):
 def test_pilots_begin_anew_with_each_episode():
     env = parallel_env(NOISY, duration=20.0)
     policies = pilots(env)
-    first, other, again = (sha256(record(env, policies, env.reset(seed=seed)[0])) for seed in (1, None, 1))
+    first, other, again = (
+        sha256(record(env, policies, env.reset(seed=seed)[0])) for seed in (1, None, 1)
+    )
     fresh = parallel_env(NOISY, duration=20.0)
     fresh.reset(seed=1)
     assert first == again
@@ -92,7 +98,9 @@ def test_pilots_also_fly_float32_rows_and_rows_with_a_picture():
 
 
 def test_pilots_take_a_weighting_of_ones_own():
-    own = msgspec.structs.replace(NOISY, law=Law(name="weighted"), custom=Custom(weighting="mine:weighting"))
+    own = msgspec.structs.replace(
+        NOISY, law=Law(name="weighted"), custom=Custom(weighting="mine:weighting")
+    )
     env = parallel_env(own, duration=20.0)
     observations, _ = env.reset(seed=1)
 
@@ -100,7 +108,10 @@ def test_pilots_take_a_weighting_of_ones_own():
         return min(1.0, distance / r_s), max(0.0, 1.0 - distance / r_s)
 
     _, summary = fly(env.scenario, 1, weighting=weighting)
-    assert sha256(record(env, pilots(env, weighting=weighting), observations)) == summary.trajectory_sha256
+    assert (
+        sha256(record(env, pilots(env, weighting=weighting), observations))
+        == summary.trajectory_sha256
+    )
 
 
 def test_the_page_prints_the_example():
@@ -129,11 +140,15 @@ def rows_of(env, ticks, seed=1):
 def test_wrapped_rows_hold_the_filters_estimate_and_leave_the_rest():
     raw, wrapped = parallel_env(NOISY), EstimateWrapper(parallel_env(NOISY))
     told = raw.briefing("uav_0")
-    own = RelativeEstimator(detector=told.detector, target=told.target_limits, dt=told.dt, settings=told.estimator)
+    own = RelativeEstimator(
+        detector=told.detector, target=told.target_limits, dt=told.dt, settings=told.estimator
+    )
     silent = 0
     for plain, estimated in zip(rows_of(raw, 300), rows_of(wrapped, 300), strict=True):
         seen = uav_observation(plain["uav_0"], dt=told.dt)
-        estimate = own.update(time=seen.time, own_position=seen.position, detections=seen.detections)
+        estimate = own.update(
+            time=seen.time, own_position=seen.position, detections=seen.detections
+        )
         before, after = UavRow(*plain["uav_0"]), UavRow(*estimated["uav_0"])
         silent += not before.detected
         assert after[:5] == before[:5]
@@ -147,11 +162,17 @@ def test_wrapped_rows_hold_the_filters_estimate_and_leave_the_rest():
 
 
 def test_estimates_are_nearer_to_the_truth_than_detections():
-    raw, wrapped = parallel_env(NOISY, end_on_sight_lost=False), EstimateWrapper(parallel_env(NOISY, end_on_sight_lost=False))
+    raw, wrapped = (
+        parallel_env(NOISY, end_on_sight_lost=False),
+        EstimateWrapper(parallel_env(NOISY, end_on_sight_lost=False)),
+    )
     errors = {"raw": [], "filter": []}
     for plain, estimated in zip(rows_of(raw, 1500), rows_of(wrapped, 1500), strict=True):
         truth = raw.world.position[0] - raw.world.position[2]
-        for name, row in (("raw", UavRow(*plain["uav_0"])), ("filter", UavRow(*estimated["uav_0"]))):
+        for name, row in (
+            ("raw", UavRow(*plain["uav_0"])),
+            ("filter", UavRow(*estimated["uav_0"])),
+        ):
             if row.detected:
                 errors[name].append(math.dist((row.relative_x, row.relative_y), truth))
     assert len(errors["filter"]) > len(errors["raw"])
@@ -175,6 +196,8 @@ def test_wrapped_environment_keeps_to_its_spaces_and_to_its_seed(options):
 
 
 def test_wrapper_leaves_the_row_alone_until_there_is_a_detection():
-    env = EstimateWrapper(parallel_env(msgspec.structs.replace(NOISY, detections=Detections(dropout=1.0))))
+    env = EstimateWrapper(
+        parallel_env(msgspec.structs.replace(NOISY, detections=Detections(dropout=1.0)))
+    )
     for rows in rows_of(env, 5):
         assert UavRow(*rows["uav_0"])[5:] == (0.0, 0.0, 0.0, 100.0)

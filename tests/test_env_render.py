@@ -27,12 +27,19 @@ ACTIONS = {"uav_0": [0.3, 0.0], "ugv_0": [0.0, 0.0]}
 
 def pixels_of(frame, color):
     """Where the picture has this color, as rows and columns."""
-    return np.argwhere((np.abs(frame.astype(int) - np.array(to_rgb(color)) * 255.0) < 3.0).all(axis=2))
+    return np.argwhere(
+        (np.abs(frame.astype(int) - np.array(to_rgb(color)) * 255.0) < 3.0).all(axis=2)
+    )
 
 
 def test_the_environment_loads_nothing_that_draws():
     code = "import sys, sim.env.parallel, outrider.env_pilots; print([m for m in ('matplotlib', 'pygame') if m in sys.modules])"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout.strip()
+        == "[]"
+    )
 
 
 def test_picture_is_an_array_of_bytes_in_the_areas_proportion():
@@ -50,7 +57,9 @@ def test_picture_shows_both_vehicles_and_the_limit_where_they_are():
     env.reset(seed=0)
     frame = env.render()
     legend = int(0.9 * frame.shape[0])
-    (a_row, a_column), (g_row, g_column) = (np.median(pixels_of(frame[:legend], color), axis=0) for color in (UAV[0], UGV[0]))
+    (a_row, a_column), (g_row, g_column) = (
+        np.median(pixels_of(frame[:legend], color), axis=0) for color in (UAV[0], UGV[0])
+    )
     assert a_row == pytest.approx(g_row, abs=3.0)
     assert a_column - g_column == pytest.approx(2.0 * 800 / 40, abs=8.0)
     ring = pixels_of(frame[:legend], LIMIT)
@@ -67,7 +76,10 @@ def test_pictures_follow_the_flight_and_are_not_overwritten():
     later = env.render()
     assert (first == kept).all()
     assert (first != later).any()
-    columns = [np.median(pixels_of(frame[: int(0.9 * len(frame))], UAV[0])[:, 1]) for frame in (first, later)]
+    columns = [
+        np.median(pixels_of(frame[: int(0.9 * len(frame))], UAV[0])[:, 1])
+        for frame in (first, later)
+    ]
     assert columns[1] > columns[0] + 5.0
 
 
@@ -90,7 +102,10 @@ def test_several_and_unbounded_vehicles_are_drawn():
     free = {"max_speed": float("inf"), "max_acceleration": float("inf")}
     many = Scenario(
         law=Law(reference_speed=0.5),
-        uav=(Uav(position=(10.0, 10.0)), Uav(name="uav_1", escorts="ugv_1", position=(20.0, 10.0), **free)),
+        uav=(
+            Uav(position=(10.0, 10.0)),
+            Uav(name="uav_1", escorts="ugv_1", position=(20.0, 10.0), **free),
+        ),
         ugv=(Ugv(position=(10.0, 11.0)), Ugv(name="ugv_1", position=(20.0, 11.0))),
     )
     env = parallel_env(many, render_mode="rgb_array")
@@ -100,7 +115,13 @@ def test_several_and_unbounded_vehicles_are_drawn():
 
 
 def test_colors_are_those_of_every_other_picture():
-    assert (UAV, UGV, LIMIT, INK, MUTED) == (style.UAV, style.UGV, style.LIMIT, style.INK, style.MUTED)
+    assert (UAV, UGV, LIMIT, INK, MUTED) == (
+        style.UAV,
+        style.UGV,
+        style.LIMIT,
+        style.INK,
+        style.MUTED,
+    )
 
 
 def test_without_a_mode_render_warns_and_draws_nothing():
@@ -123,7 +144,10 @@ def display(monkeypatch):
 def test_window_shows_the_same_picture(display):
     import pygame
 
-    human, plain = parallel_env(SCENARIO, render_mode="human"), parallel_env(SCENARIO, render_mode="rgb_array")
+    human, plain = (
+        parallel_env(SCENARIO, render_mode="human"),
+        parallel_env(SCENARIO, render_mode="rgb_array"),
+    )
     for env in (human, plain):
         env.reset(seed=0)
         for _ in range(3):

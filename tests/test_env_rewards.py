@@ -14,7 +14,11 @@ STILL = np.zeros(2)
 
 
 def scenario(*, duration=60.0, goals=((14.0, 20.0),)):
-    return Scenario(duration=duration, uav=(Uav(position=(12.0, 20.0)),), ugv=(Ugv(position=(10.0, 20.0), goals=goals),))
+    return Scenario(
+        duration=duration,
+        uav=(Uav(position=(12.0, 20.0)),),
+        ugv=(Ugv(position=(10.0, 20.0), goals=goals),),
+    )
 
 
 TWO = Scenario(
@@ -23,7 +27,10 @@ TWO = Scenario(
         Uav(name="uav_0", escorts="ugv_0", position=(12.0, 20.0)),
         Uav(name="uav_1", escorts="ugv_1", position=(22.0, 20.0)),
     ),
-    ugv=(Ugv(name="ugv_0", position=(12.0, 20.0), goals=((12.2, 20.0),)), Ugv(name="ugv_1", position=(22.0, 20.0))),
+    ugv=(
+        Ugv(name="ugv_0", position=(12.0, 20.0), goals=((12.2, 20.0),)),
+        Ugv(name="ugv_1", position=(22.0, 20.0)),
+    ),
 )
 
 
@@ -40,7 +47,9 @@ def flee(env, ticks=10**6):
 
 
 def test_full_error_is_the_papers_anchor():
-    assert full_error(9.75, 2.0) == pytest.approx(8.0 * math.pi * 9.75**2 * (0.5 - 2.0 / math.pi**2), rel=1e-15)
+    assert full_error(9.75, 2.0) == pytest.approx(
+        8.0 * math.pi * 9.75**2 * (0.5 - 2.0 / math.pi**2), rel=1e-15
+    )
     assert full_error(9.75, 2.0) == pytest.approx(710.44, abs=0.005)
 
 
@@ -61,7 +70,9 @@ def test_uav_pays_for_uncovered_ground_by_the_second():
 
 
 def test_weights_scale_their_own_terms():
-    weights = RewardWeights(uncovered=3.0, sight_lost=7.0, out_of_sight=11.0, progress=13.0, goal=17.0, effort=19.0)
+    weights = RewardWeights(
+        uncovered=3.0, sight_lost=7.0, out_of_sight=11.0, progress=13.0, goal=17.0, effort=19.0
+    )
     plain, scaled = parallel_env(scenario()), parallel_env(scenario(), rewards=weights)
     for env in (plain, scaled):
         env.reset(seed=0)
@@ -70,10 +81,16 @@ def test_weights_scale_their_own_terms():
         _, rewards, *_ = plain.step(actions)
         _, _, *_ = scaled.step(actions)
         base, large = plain.metrics(), scaled.metrics()
-        assert rewards["uav_0"] == pytest.approx(sum(v for k, v in base["uav_0"].items() if k.startswith("reward_")))
+        assert rewards["uav_0"] == pytest.approx(
+            sum(v for k, v in base["uav_0"].items() if k.startswith("reward_"))
+        )
         for name, term in (("uncovered", 3.0), ("sight_lost", 0.7), ("out_of_sight", 5.5)):
-            assert large["uav_0"][f"reward_{name}"] == pytest.approx(term * base["uav_0"][f"reward_{name}"])
-        assert large["ugv_0"]["reward_progress"] == pytest.approx(13.0 * base["ugv_0"]["reward_progress"])
+            assert large["uav_0"][f"reward_{name}"] == pytest.approx(
+                term * base["uav_0"][f"reward_{name}"]
+            )
+        assert large["ugv_0"]["reward_progress"] == pytest.approx(
+            13.0 * base["ugv_0"]["reward_progress"]
+        )
         assert large["uav_0"]["reward_effort"] == pytest.approx(-19.0 * 0.3**2 * 0.05)
         assert large["ugv_0"]["reward_effort"] == pytest.approx(-19.0 * 0.1**2 * 0.05)
     assert base["uav_0"]["reward_sight_lost"] == -10.0
@@ -89,7 +106,9 @@ def test_losing_sight_ends_the_episode_and_is_paid_to_its_end():
     assert env.metrics()["uav_0"]["visibility_violations"] == 1
     left = 60.0 - env.world.time + 0.05
     assert env.metrics()["uav_0"]["reward_out_of_sight"] == pytest.approx(-2.0 * left)
-    assert rewards[-1] == pytest.approx(-2.0 * left - 10.0 + env.metrics()["uav_0"]["reward_uncovered"])
+    assert rewards[-1] == pytest.approx(
+        -2.0 * left - 10.0 + env.metrics()["uav_0"]["reward_uncovered"]
+    )
 
 
 def test_losing_sight_early_never_pays():
@@ -138,11 +157,15 @@ def test_ugv_gains_by_coming_nearer_and_by_arriving():
         reached.append(infos["ugv_0"]["goals_reached"])
         if turn is None and reached[-1] == 1:
             turn = tick
-            assert sum(gains) == pytest.approx(5.0 + 1.0 - math.dist(env.world.position[1], (11.0, 20.0)))
+            assert sum(gains) == pytest.approx(
+                5.0 + 1.0 - math.dist(env.world.position[1], (11.0, 20.0))
+            )
     assert turn is not None
     away = parallel_env(scenario())
     away.reset(seed=0)
-    assert sum(away.step({"uav_0": STILL, "ugv_0": [-0.1, 0.0]})[1]["ugv_0"] for _ in range(20)) < 0.0
+    assert (
+        sum(away.step({"uav_0": STILL, "ugv_0": [-0.1, 0.0]})[1]["ugv_0"] for _ in range(20)) < 0.0
+    )
 
 
 def test_ugv_that_has_arrived_or_has_no_goal_gains_nothing_more():
@@ -159,7 +182,9 @@ def test_reaching_all_goals_ends_the_episode_where_that_is_wanted():
         env = parallel_env(TWO, end_on_goals_reached=wanted, end_on_sight_lost=False, duration=20.0)
         env.reset(seed=0)
         while env.agents:
-            *_, terminations, truncations, infos = env.step(dict.fromkeys(env.agents, STILL) | {"ugv_0": [0.1, 0.0]})
+            *_, terminations, truncations, infos = env.step(
+                dict.fromkeys(env.agents, STILL) | {"ugv_0": [0.1, 0.0]}
+            )
         assert set(terminations.values()) == {wanted}
         assert set(truncations.values()) == {not wanted}
         assert infos["ugv_0"]["goals_reached"] == 1

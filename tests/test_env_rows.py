@@ -7,7 +7,17 @@ import msgspec
 import numpy as np
 import pytest
 
-from bus.layout import SYMBOLS, UavRow, UavState, UgvRow, UgvState, fields, table, uav_observation, ugv_observation
+from bus.layout import (
+    SYMBOLS,
+    UavRow,
+    UavState,
+    UgvRow,
+    UgvState,
+    fields,
+    table,
+    uav_observation,
+    ugv_observation,
+)
 from bus.messages import Region
 from sim.env.parallel import OutriderEnv, parallel_env
 from sim.flight import Flight
@@ -17,7 +27,14 @@ from sim.world import World
 PAGE = Path(__file__).parent.parent / "docs" / "environment.md"
 
 
-def scenario(*, uav=(12.0, 10.0), ugv=(10.0, 10.0), goals=((14.0, 10.0), (14.0, 16.0)), velocity=(0.0, 0.0), **detections):
+def scenario(
+    *,
+    uav=(12.0, 10.0),
+    ugv=(10.0, 10.0),
+    goals=((14.0, 10.0), (14.0, 16.0)),
+    velocity=(0.0, 0.0),
+    **detections,
+):
     return Scenario(
         duration=60.0,
         detections=Detections(**detections),
@@ -120,9 +137,14 @@ def test_uav_perceives_nothing_of_the_ugv_but_its_detections():
     """Another velocity, other goals, other actions of a UGV that is not detected: not a bit of the UAV's changes."""
     options = {"end_on_sight_lost": False, "coverage_patch": (9, 1.0)}
     still = parallel_env(scenario(dropout=1.0), **options)
-    fast = parallel_env(scenario(dropout=1.0, ugv=(11.0, 9.0), velocity=(0.2, 0.0), goals=((20.0, 20.0),)), **options)
+    fast = parallel_env(
+        scenario(dropout=1.0, ugv=(11.0, 9.0), velocity=(0.2, 0.0), goals=((20.0, 20.0),)),
+        **options,
+    )
     for (a, info), (b, other) in zip(
-        drive(still, [0.1, 0.0], [0.0, 0.0], 100), drive(fast, [0.1, 0.0], [0.1, 0.05], 100), strict=True
+        drive(still, [0.1, 0.0], [0.0, 0.0], 100),
+        drive(fast, [0.1, 0.0], [0.1, 0.05], 100),
+        strict=True,
     ):
         assert a["uav_0"]["row"].tobytes() == b["uav_0"]["row"].tobytes()
         assert a["uav_0"]["coverage"].tobytes() == b["uav_0"]["coverage"].tobytes()
@@ -131,7 +153,9 @@ def test_uav_perceives_nothing_of_the_ugv_but_its_detections():
 
 def test_uav_sees_where_a_detected_ugv_is_but_not_how_it_moves_or_where_it_goes():
     slow = parallel_env(scenario(noise=0.1)).reset(seed=1)[0]["uav_0"]
-    fast = parallel_env(scenario(noise=0.1, velocity=(0.1, 0.1), goals=((1.0, 1.0),))).reset(seed=1)[0]["uav_0"]
+    fast = parallel_env(scenario(noise=0.1, velocity=(0.1, 0.1), goals=((1.0, 1.0),))).reset(
+        seed=1
+    )[0]["uav_0"]
     assert UavRow(*slow).detected
     assert slow.tobytes() == fast.tobytes()
 
@@ -140,7 +164,9 @@ def test_ugv_perceives_nothing_of_the_uav():
     env = parallel_env(scenario(), end_on_sight_lost=False)
     away = parallel_env(scenario(uav=(8.0, 13.0)), end_on_sight_lost=False)
     for (a, info), (b, other) in zip(
-        drive(env, [0.1, 0.3], [0.1, 0.0], 100), drive(away, [-0.3, 0.0], [0.1, 0.0], 100), strict=True
+        drive(env, [0.1, 0.3], [0.1, 0.0], 100),
+        drive(away, [-0.3, 0.0], [0.1, 0.0], 100),
+        strict=True,
     ):
         assert a["ugv_0"].tobytes() == b["ugv_0"].tobytes()
         assert info["ugv_0"] == other["ugv_0"]
@@ -206,7 +232,9 @@ def test_of_several_uavs_each_sees_its_own_map_alone():
         alone.step(np.array([[0.1, 0.1], [0.0, 0.0]]))
     assert rows[0]["uav_0"]["coverage"].tobytes() == rows[1]["uav_0"]["coverage"].tobytes()
     x, y = alone.position[0]
-    np.testing.assert_array_equal(rows[0]["uav_0"]["coverage"], brute_patch(alone.coverage, x, y, 2.0, 0.25, 21, 1.0))
+    np.testing.assert_array_equal(
+        rows[0]["uav_0"]["coverage"], brute_patch(alone.coverage, x, y, 2.0, 0.25, 21, 1.0)
+    )
     assert (envs[0].world.coverage > alone.coverage + 0.1).any()
 
 
@@ -242,14 +270,20 @@ def test_state_is_the_whole_truth_under_its_names(dtype):
     assert list(truth) == env.state_names
     assert state.dtype == dtype
     assert distance > 1.0
-    np.testing.assert_allclose([named[name] for name in truth], list(truth.values()), rtol=1e-12 if dtype is np.float64 else 1e-6)
+    np.testing.assert_allclose(
+        [named[name] for name in truth],
+        list(truth.values()),
+        rtol=1e-12 if dtype is np.float64 else 1e-6,
+    )
 
 
 def test_state_ends_with_the_map_where_it_is_asked_for():
     env = parallel_env(scenario(), coverage_in_state=True)
     drive(env, [0.1, 0.2], [0.1, 0.0], 33)
     cells = env.state()[len(env.state_names) :]
-    np.testing.assert_array_equal(cells.reshape(160, 160), np.minimum(env.world.coverage / 2.0, 1.0))
+    np.testing.assert_array_equal(
+        cells.reshape(160, 160), np.minimum(env.world.coverage / 2.0, 1.0)
+    )
 
 
 def test_state_of_several_vehicles_is_in_name_order():

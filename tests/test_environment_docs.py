@@ -13,7 +13,9 @@ from outrider.suites.board import LAWS, leaderboard
 from outrider.suites.tasks import TASKS, Task, suite
 from outrider.vector import Worlds, vector_env
 
-pytestmark = pytest.mark.xdist_group("many worlds")  # on one worker: what they compile takes a minute, once
+pytestmark = pytest.mark.xdist_group(
+    "many worlds"
+)  # on one worker: what they compile takes a minute, once
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = ("environment", "vector-environment", "suite", "tutorial")
@@ -34,14 +36,20 @@ def between(text: str, mark: str) -> list[list[str]]:
 
 
 @pytest.mark.parametrize(
-    "block", python_blocks("vector-environment"), ids=lambda block: re.search(r"outrider\.\w+|make", block)[0]
+    "block",
+    python_blocks("vector-environment"),
+    ids=lambda block: re.search(r"outrider\.\w+|make", block)[0],
 )
-def test_the_environments_shown_can_be_flown(block: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_environments_shown_can_be_flown(
+    block: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     exec(compile(block, "vector-environment.md", "exec"), {})  # noqa: S102 - our own page
     assert capsys.readouterr().out
 
 
-def test_the_entry_shown_is_scored(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_entry_shown_is_scored(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     (block,) = python_blocks("suite")
     short = Task(name="short", hard="", changes={**suite()["short-sight"].changes, "duration": 5.0})
     monkeypatch.setattr(outrider, "suite", lambda: {"short-sight": short}, raising=False)
@@ -52,14 +60,23 @@ def test_the_entry_shown_is_scored(monkeypatch: pytest.MonkeyPatch, capsys: pyte
 
 
 def test_all_the_arguments_are_told() -> None:
-    told = {row[0] for row in re.findall(r"^\| `(\w+)` \| (`[^`]*`) \|", page("vector-environment"), flags=re.MULTILINE)}
+    told = {
+        row[0]
+        for row in re.findall(
+            r"^\| `(\w+)` \| (`[^`]*`) \|", page("vector-environment"), flags=re.MULTILINE
+        )
+    }
     taken = set(inspect.signature(Worlds.__init__).parameters) - {"self", "num_envs", "learners"}
     assert told == taken
 
 
 def test_the_defaults_told_are_those_taken() -> None:
-    told = dict(re.findall(r"^\| `(\w+)` \| `([^`]*)` \|", page("vector-environment"), flags=re.MULTILINE))
-    assert told.pop("scenario") == repr(inspect.signature(vector_env).parameters["scenario"].default).replace("'", '"')
+    told = dict(
+        re.findall(r"^\| `(\w+)` \| `([^`]*)` \|", page("vector-environment"), flags=re.MULTILINE)
+    )
+    assert told.pop("scenario") == repr(
+        inspect.signature(vector_env).parameters["scenario"].default
+    ).replace("'", '"')
     assert told.pop("dtype") == "np.float64"
     parameters = inspect.signature(Worlds.__init__).parameters
     assert told == {name: repr(parameters[name].default) for name in told}
@@ -68,10 +85,15 @@ def test_the_defaults_told_are_those_taken() -> None:
 
 def test_the_tasks_told_are_the_suites() -> None:
     rows = between(page("suite"), "tasks")
-    assert [(row[0].strip("`"), row[1]) for row in rows] == [(task.name, task.hard) for task in TASKS]
+    assert [(row[0].strip("`"), row[1]) for row in rows] == [
+        (task.name, task.hard) for task in TASKS
+    ]
     for row, task in zip(rows, TASKS, strict=True):
         assert re.findall(r"`([\w.]+)", row[2]) == list(task.changes)
-    assert all(name in env_ids() for name in re.findall(r"`(outrider/[\w-]+-v\d)`", page("vector-environment")))
+    assert all(
+        name in env_ids()
+        for name in re.findall(r"`(outrider/[\w-]+-v\d)`", page("vector-environment"))
+    )
 
 
 def test_the_leaderboard_told_is_what_the_command_makes() -> None:
@@ -91,7 +113,11 @@ def test_the_leaderboard_told_is_what_the_command_makes() -> None:
 def test_the_tutorial_shows_the_example_as_it_is() -> None:
     source = (ROOT / "examples" / "tutorial.py").read_text(encoding="utf-8")
     cells = [cell.strip() for cell in re.split(r"^# %%.*\n", source, flags=re.MULTILINE)[1:]]
-    code = [cell for cell in cells if not all(line.startswith("#") or not line for line in cell.splitlines())]
+    code = [
+        cell
+        for cell in cells
+        if not all(line.startswith("#") or not line for line in cell.splitlines())
+    ]
     assert [block.strip() for block in python_blocks("tutorial")] == code
     compile(source, "tutorial.py", "exec")
 

@@ -104,9 +104,15 @@ CASES = {
     "late": Case(5000, late=2.0, every=4, wild=0.1),
     "late at 0.1 s": Case(5000, dt=0.1, late=2.0, every=2, wild=0.1),
     "late at unknown speed": Case(2400, target=FREE, late=2.0, every=4, wild=0.1),
-    "late, no patience": Case(2400, late=1.0, every=2, wild=0.3, settings=Estimator(patience=2, gate=5.0)),
-    "late, restless": Case(2000, dt=0.1, target=AGILE, late=1.5, noise=0.01, settings=Estimator(manoeuvre=2.5)),
-    "late, switched off": Case(4000, late=2.0, every=2, wild=0.2, settings=Estimator(enabled=False)),
+    "late, no patience": Case(
+        2400, late=1.0, every=2, wild=0.3, settings=Estimator(patience=2, gate=5.0)
+    ),
+    "late, restless": Case(
+        2000, dt=0.1, target=AGILE, late=1.5, noise=0.01, settings=Estimator(manoeuvre=2.5)
+    ),
+    "late, switched off": Case(
+        4000, late=2.0, every=2, wild=0.2, settings=Estimator(enabled=False)
+    ),
 }
 
 
@@ -159,9 +165,15 @@ def _detections(arrived, dt):
 
 
 def _pair(case):
-    parameters = kalman_parameters(detector=case.detector, target=case.target, dt=case.dt, settings=case.settings)
+    parameters = kalman_parameters(
+        detector=case.detector, target=case.target, dt=case.dt, settings=case.settings
+    )
     pilots = RelativeEstimator(
-        detector=case.detector, target=case.target, dt=case.dt, settings=case.settings, span=(case.depth - 1) * case.dt
+        detector=case.detector,
+        target=case.target,
+        dt=case.dt,
+        settings=case.settings,
+        span=(case.depth - 1) * case.dt,
     )
     return parameters, kalman_state(case.depth), pilots
 
@@ -193,7 +205,9 @@ def test_at_every_tick_it_is_the_pilots_filter(name, works_ahead, fuses):
     for k, (p_x, p_y) in enumerate(own.tolist()):
         arrived = at[k]
         kalman_step(parameters, state, k, p_x, p_y, _table(arrived), len(arrived))
-        estimate = pilots.update(time=k * case.dt, own_position=(p_x, p_y), detections=_detections(arrived, case.dt))
+        estimate = pilots.update(
+            time=k * case.dt, own_position=(p_x, p_y), detections=_detections(arrived, case.dt)
+        )
         _compare_filters(state, pilots, estimate, case, fuses, f"{name}, tick {k}")
         if works_ahead and rng.random() < 0.7:
             pilots.prepare()
@@ -204,7 +218,17 @@ def test_at_every_tick_it_is_the_pilots_filter(name, works_ahead, fuses):
 
 
 def test_it_is_filterpys_filter_where_nothing_is_capped():
-    dt, looks = 0.1, {0: (1.0, 2.0), 1: (1.05, 2.0), 2: (1.12, 1.97), 5: (1.2, 1.9), 9: (1.5, 1.7), 10: (1.3, 1.75)}
+    dt, looks = (
+        0.1,
+        {
+            0: (1.0, 2.0),
+            1: (1.05, 2.0),
+            2: (1.12, 1.97),
+            5: (1.2, 1.9),
+            9: (1.5, 1.7),
+            10: (1.3, 1.75),
+        },
+    )
     settings, detector = Estimator(gate=1e9), Detector(noise=0.1, cut=None, period=dt)
     parameters = kalman_parameters(detector=detector, target=FREE, dt=dt, settings=settings)
     state = kalman_state(1)
@@ -229,7 +253,9 @@ def test_it_is_filterpys_filter_where_nothing_is_capped():
 
 
 def test_a_ugv_that_was_not_seen_for_long_may_have_turned_round():
-    parameters = kalman_parameters(detector=Detector(noise=0.1, period=0.05), target=UGV, dt=0.05, settings=Estimator())
+    parameters = kalman_parameters(
+        detector=Detector(noise=0.1, period=0.05), target=UGV, dt=0.05, settings=Estimator()
+    )
     state = kalman_state(1)
     for k in range(4801):
         kalman_step(parameters, state, k, 0.0, 0.0, np.array([[0.0, 1.0, 1.0]]), int(k == 0))
@@ -244,7 +270,9 @@ def test_the_gate_closes_at_the_same_bit(fuses):
     for last in range(1, len(ugv)):
         _, _, pilots = _pair(wide)
         for k in range(last + 1):
-            look = Detection(time=k * wide.dt, relative_position=(own[0] - ugv[k, 0], own[1] - ugv[k, 1]))
+            look = Detection(
+                time=k * wide.dt, relative_position=(own[0] - ugv[k, 0], own[1] - ugv[k, 1])
+            )
             pilots.update(time=k * wide.dt, own_position=own, detections=(look,))
         squared = pilots.innovation_squared
         below = np.nextafter(squared, 0.0) if fuses else squared * (1.0 - 1e-9)
@@ -252,7 +280,14 @@ def test_the_gate_closes_at_the_same_bit(fuses):
             parameters, state, _ = _pair(wide)
             for k in range(last + 1):
                 judged = parameters._replace(gate=float(gate)) if k == last else parameters
-                kalman_step(judged, state, k, *own, np.array([[k, own[0] - ugv[k, 0], own[1] - ugv[k, 1]]]), 1)
+                kalman_step(
+                    judged,
+                    state,
+                    k,
+                    *own,
+                    np.array([[k, own[0] - ugv[k, 0], own[1] - ugv[k, 1]]]),
+                    1,
+                )
             assert state.numbers[REFUSED] == refused
 
 
@@ -316,7 +351,9 @@ def test_many_worlds_in_compiled_code_are_as_each_alone():
     parameters = [_pair(CASES[name])[0] for name in names]
     depth = CASES["late"].depth
     numbers, history = np.zeros((3, NUMBERS)), np.zeros((3, depth, COLUMNS))
-    _fly_worlds(np.array([pack_kalman(p) for p in parameters]), numbers, history, own, looks, counts)
+    _fly_worlds(
+        np.array([pack_kalman(p) for p in parameters]), numbers, history, own, looks, counts
+    )
     for world, chosen in enumerate(parameters):
         alone = kalman_state(depth)
         for k in range(len(own)):

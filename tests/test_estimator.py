@@ -15,7 +15,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from agents.estimator import Estimate, RelativeEstimator, acceleration_deviation, cut_variance, motion
+from agents.estimator import (
+    Estimate,
+    RelativeEstimator,
+    acceleration_deviation,
+    cut_variance,
+    motion,
+)
 from bus.messages import Detection, Detector, Estimator, Limits
 from sim.randomness import DETECTION_NOISE, cut_normal_vector
 
@@ -24,7 +30,9 @@ SIGMA = 0.1
 UGV = Limits(max_speed=0.2, max_acceleration=0.1)
 FREE = Limits(max_speed=None, max_acceleration=0.1)  # no caps: the plain Kalman filter
 VARIANCE = cut_variance(sigma=SIGMA, cut=3.0)  # of the detections, per axis
-PUSH = np.array([[DT * DT / 2, 0], [0, DT * DT / 2], [DT, 0], [0, DT]])  # a tick's acceleration to the state
+PUSH = np.array(
+    [[DT * DT / 2, 0], [0, DT * DT / 2], [DT, 0], [0, DT]]
+)  # a tick's acceleration to the state
 H = np.eye(2, 4)
 
 
@@ -37,12 +45,16 @@ def look(estimator, tick, seen=None, own=(0.0, 0.0), dt=DT) -> Estimate | None:
     """One call; `seen` is the detected position of the UGV in the world, or None."""
     detections = ()
     if seen is not None:
-        detections = (Detection(time=tick * dt, relative_position=(own[0] - seen[0], own[1] - seen[1])),)
+        detections = (
+            Detection(time=tick * dt, relative_position=(own[0] - seen[0], own[1] - seen[1])),
+        )
     return estimator.update(time=tick * dt, own_position=own, detections=detections)
 
 
 def cut_noise(seed, count, sigma=SIGMA, cut=3.0):
-    return np.array([cut_normal_vector(sigma, cut, a_key(seed), DETECTION_NOISE, k, 0) for k in range(count)])
+    return np.array(
+        [cut_normal_vector(sigma, cut, a_key(seed), DETECTION_NOISE, k, 0) for k in range(count)]
+    )
 
 
 def model(target=FREE, ticks=1):
@@ -82,7 +94,11 @@ def test_equals_the_equations_written_out_by_hand(target):
         ticks = int(rng.choice([1, 1, 1, 1, 2, 7]))
         tick += ticks
         own = rng.normal(size=2)
-        z = np.array([20.0, 20.0]) + rng.normal(size=2) * 0.3 if rng.random() < 0.8 or x is None else None
+        z = (
+            np.array([20.0, 20.0]) + rng.normal(size=2) * 0.3
+            if rng.random() < 0.8 or x is None
+            else None
+        )
         estimate = look(estimator, tick, z, own=tuple(own))
         if x is None:
             x, P = np.array([*z, 0.0, 0.0]), estimator.covariance
@@ -93,7 +109,9 @@ def test_equals_the_equations_written_out_by_hand(target):
             nu, S = z - H @ x, H @ P @ H.T + R
             K = P @ H.T @ np.linalg.inv(S)
             x, P = x + K @ nu, (np.eye(4) - K @ H) @ P
-            assert estimator.innovation_squared == pytest.approx(nu @ np.linalg.solve(S, nu), rel=1e-9)
+            assert estimator.innovation_squared == pytest.approx(
+                nu @ np.linalg.solve(S, nu), rel=1e-9
+            )
             if target.max_speed is not None:
                 x[2:] *= min(1.0, target.max_speed / np.linalg.norm(x[2:]))
         np.testing.assert_allclose(estimator.state, x, rtol=0, atol=1e-10)
@@ -104,7 +122,8 @@ def test_equals_the_equations_written_out_by_hand(target):
 
 
 def test_equals_batch_least_squares_over_the_whole_trajectory():
-    # Unknown are the first state and each tick's acceleration; the estimate is a linear function of their least squares.
+    # Unknown are the first state and each tick's acceleration; the estimate is a linear function of their least
+    # squares.
     rng = np.random.default_rng(2)
     estimator = make(target=FREE, gate=1e12)
     F, _ = model()
@@ -152,14 +171,20 @@ def test_process_noise_is_filterpys_discrete_white_noise():
 
 
 def test_process_noise_does_not_depend_on_how_finely_time_is_cut():
-    coarse = motion(ticks=20, dt=0.05, deviation=acceleration_deviation(target=UGV, manoeuvre=0.7, dt=0.05))[1]
-    fine = motion(ticks=200, dt=0.005, deviation=acceleration_deviation(target=UGV, manoeuvre=0.7, dt=0.005))[1]
+    coarse = motion(
+        ticks=20, dt=0.05, deviation=acceleration_deviation(target=UGV, manoeuvre=0.7, dt=0.05)
+    )[1]
+    fine = motion(
+        ticks=200, dt=0.005, deviation=acceleration_deviation(target=UGV, manoeuvre=0.7, dt=0.005)
+    )[1]
     np.testing.assert_allclose(coarse, fine, rtol=2e-3)
 
 
 def test_process_noise_of_the_default_ugv():
     # 0.7 u held for half of v / u = 1 s instead of for one tick of 0.05 s.
-    assert acceleration_deviation(target=UGV, manoeuvre=0.7, dt=DT) == pytest.approx(0.07 * math.sqrt(20.0))
+    assert acceleration_deviation(target=UGV, manoeuvre=0.7, dt=DT) == pytest.approx(
+        0.07 * math.sqrt(20.0)
+    )
 
 
 def test_a_vehicle_without_bound_on_acceleration_may_change_its_velocity_within_a_tick():
@@ -233,7 +258,9 @@ def drive(seed, count, legs):
         s = v = 0.0
         while len(states) < count and (length - s > 0.01 or v > 0.0):
             states.append([*(corner + s * along), *(v * along)])
-            can_stop = math.sqrt((u_max * DT) ** 2 + 2.0 * u_max * max(length - s, 0.0)) - u_max * DT
+            can_stop = (
+                math.sqrt((u_max * DT) ** 2 + 2.0 * u_max * max(length - s, 0.0)) - u_max * DT
+            )
             after = v + min(max(min(v_max, can_stop) - v, -u_max * DT), u_max * DT)
             s, v = s + 0.5 * (v + after) * DT, after if after > 2e-3 else 0.0
         corner = corner + s * along
@@ -364,7 +391,9 @@ def test_speed_is_never_believed_beyond_the_ugvs():
     acceleration=st.one_of(st.none(), st.floats(0.01, 10.0)),
 )
 @settings(max_examples=80, deadline=None)
-def test_uncertainty_while_coasting_is_bounded_by_what_the_ugv_can_do(gaps, noise, speed, acceleration):
+def test_uncertainty_while_coasting_is_bounded_by_what_the_ugv_can_do(
+    gaps, noise, speed, acceleration
+):
     estimator = make(noise=noise, target=Limits(max_speed=speed, max_acceleration=acceleration))
     for k in range(4):
         start = look(estimator, k, (20.0, 20.0))
@@ -392,7 +421,9 @@ def test_one_long_gap_and_many_ticks_end_in_the_same_place():
             step_by_step = look(walk, k)
         assert at_once.position == pytest.approx(step_by_step.position, abs=1e-9)
         assert at_once.age == step_by_step.age
-        np.testing.assert_allclose(leap.covariance, walk.covariance, rtol=1e-6 if target is FREE else 0.2, atol=1e-12)
+        np.testing.assert_allclose(
+            leap.covariance, walk.covariance, rtol=1e-6 if target is FREE else 0.2, atol=1e-12
+        )
 
 
 def test_a_detection_after_a_long_gap_is_let_in_again():
@@ -423,7 +454,9 @@ def test_duplicates_count_once_and_the_same_time_is_predicted_once():
     )
     expected = once.update(time=400 * DT, own_position=(0.0, 0.0), detections=(first,))
     twice.update(time=400 * DT, own_position=(0.0, 0.0), detections=())
-    assert twice.update(time=400 * DT, own_position=(0.0, 0.0), detections=(first, second)) == expected
+    assert (
+        twice.update(time=400 * DT, own_position=(0.0, 0.0), detections=(first, second)) == expected
+    )
     assert twice.update(time=400 * DT, own_position=(0.0, 0.0), detections=(first,)) == expected
     np.testing.assert_array_equal(once.covariance, twice.covariance)
 

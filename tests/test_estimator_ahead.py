@@ -9,7 +9,12 @@ from bus.messages import Detection, Detector, Estimator, Limits
 
 DT = 0.05
 steps = st.lists(
-    st.tuples(st.sampled_from([1, 1, 1, 2, 40]), st.sampled_from(["seen", "missed", "gross"]), st.booleans()), max_size=40
+    st.tuples(
+        st.sampled_from([1, 1, 1, 2, 40]),
+        st.sampled_from(["seen", "missed", "gross"]),
+        st.booleans(),
+    ),
+    max_size=40,
 )
 
 
@@ -25,7 +30,9 @@ def _fly(course: list[tuple[int, str, bool]], *, ahead: bool) -> list[Estimate |
         tick += elapsed
         place = (1.0 + 0.01 * tick, 0.1 * (tick % 3)) if what == "seen" else (30.0, 30.0)
         looks = () if what == "missed" else (Detection(time=tick * DT, relative_position=place),)
-        estimates.append(estimator.update(time=tick * DT, own_position=(20.0, 20.0), detections=looks))
+        estimates.append(
+            estimator.update(time=tick * DT, own_position=(20.0, 20.0), detections=looks)
+        )
         if ahead and works_ahead:
             estimator.prepare()
             estimator.prepare()
@@ -34,5 +41,7 @@ def _fly(course: list[tuple[int, str, bool]], *, ahead: bool) -> list[Estimate |
 
 @given(steps)
 @PROPERTY
-def test_an_estimator_that_works_ahead_estimates_the_same_bits(course: list[tuple[int, str, bool]]) -> None:
+def test_an_estimator_that_works_ahead_estimates_the_same_bits(
+    course: list[tuple[int, str, bool]],
+) -> None:
     assert _fly(course, ahead=True) == _fly(course, ahead=False)

@@ -9,7 +9,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
 from scipy.stats import chi2
-from test_estimator import DT, FREE, PUSH, SIGMA, UGV, VARIANCE, cut_noise, drive, look, make, model, settled, squared, within
+from test_estimator import (
+    DT,
+    FREE,
+    PUSH,
+    SIGMA,
+    UGV,
+    VARIANCE,
+    cut_noise,
+    drive,
+    look,
+    make,
+    model,
+    settled,
+    squared,
+    within,
+)
 
 from agents.estimation_history import SPAN, History
 from agents.estimation_model import acceleration_deviation, straying
@@ -121,7 +136,9 @@ def test_age_is_that_of_the_newest_believed_detection_however_late():
     estimator = make()
     assert [call(estimator, k) for k in range(30)] == [None] * 30
     assert call(estimator, 30, detection(10, (20.0, 20.0))).age == 20 * DT
-    assert call(estimator, 31, detection(25, (20.0, 20.0)), detection(5, (20.0, 20.0))).age == 6 * DT
+    assert (
+        call(estimator, 31, detection(25, (20.0, 20.0)), detection(5, (20.0, 20.0))).age == 6 * DT
+    )
     assert call(estimator, 32, detection(12, (20.0, 20.0))).age == 7 * DT
     assert call(estimator, 33, detection(30, (29.0, 20.0))).age == 8 * DT  # refused
 
@@ -157,7 +174,9 @@ def test_working_ahead_is_undone_by_what_comes_late():
         assert bits(ahead) == bits(plain)
     ahead.prepare()
     later = detection(204, (20.9, 20.3))
-    assert call(ahead, 205, later) == call(plain, 205, later)  # of the same tick that it has worked ahead from
+    assert call(ahead, 205, later) == call(
+        plain, 205, later
+    )  # of the same tick that it has worked ahead from
     assert call(ahead, 206) == call(plain, 206)
     assert bits(ahead) == bits(plain)
 
@@ -182,7 +201,9 @@ def test_duplicates_are_ignored_and_counted_whenever_they_come():
     assert (once.duplicates, often.duplicates, often.too_old) == (0, 3, 0)
     refused = detection(201, (30.0, 30.0))
     first = call(often, 201, refused)
-    assert call(often, 202, refused).refused == first.refused == 1  # a copy of a refused one is a copy
+    assert (
+        call(often, 202, refused).refused == first.refused == 1
+    )  # a copy of a refused one is a copy
     assert often.duplicates == 4
 
 
@@ -197,7 +218,11 @@ def test_another_late_detection_of_a_time_that_has_one_is_refused():
 def test_what_is_older_than_the_span_is_dropped_and_counted():
     def fly(*late):
         estimator = RelativeEstimator(
-            detector=Detector(noise=SIGMA, period=DT), target=UGV, dt=DT, settings=Estimator(), span=1.0
+            detector=Detector(noise=SIGMA, period=DT),
+            target=UGV,
+            dt=DT,
+            settings=Estimator(),
+            span=1.0,
         )
         for k in range(100):
             call(estimator, k, *([detection(k, along(k))] if k not in (79, 80) else []))
@@ -235,7 +260,9 @@ def test_where_the_filter_was_not_called_it_does_not_know_its_place_and_refuses(
 
 def test_the_past_that_is_kept_is_bounded():
     with pytest.raises(ValueError, match="span"):
-        RelativeEstimator(detector=Detector(period=DT), target=UGV, dt=DT, settings=Estimator(), span=-1.0)
+        RelativeEstimator(
+            detector=Detector(period=DT), target=UGV, dt=DT, settings=Estimator(), span=-1.0
+        )
     assert History(span=60.0, dt=0.05).ticks == 1200
     assert History(span=math.inf, dt=5e-324).ticks == 100_000
     estimator = make()
@@ -311,7 +338,9 @@ def test_is_consistent_on_a_bad_network_when_the_ugv_moves_as_the_model_says(net
     for seed in range(flights):
         noise = SIGMA * np.random.default_rng([seed, 1]).normal(size=(count, 2))
         estimator = make(target=FREE, cut=None, gate=1e12)
-        errors, covariances, _ = fly_through(network, seed, estimator, drawn_from_the_model(seed, count), noise)
+        errors, covariances, _ = fly_through(
+            network, seed, estimator, drawn_from_the_model(seed, count), noise
+        )
         nees.append(squared(errors, covariances))
     for k in (0, 99, 198, 201, 299):  # 5 s, 10 s, 14.9 s: the last of a blackout, 15.1 s, 20 s
         known = np.array(nees)[:, k]
@@ -326,7 +355,9 @@ def test_is_not_too_sure_of_a_real_ugv_on_a_bad_network(network, legs):
     flights, count = 40, 700
     nees, seen, refused = [], [], 0
     for seed in range(flights):
-        errors, covariances, estimate = fly_through(network, seed, make(), drive(seed, count, legs), cut_noise(seed, count))
+        errors, covariances, estimate = fly_through(
+            network, seed, make(), drive(seed, count, legs), cut_noise(seed, count)
+        )
         nees.append(squared(errors, covariances))
         seen.append(squared(errors[:, :2], covariances[:, :2, :2]))
         refused += estimate.refused
@@ -357,7 +388,9 @@ def test_straying_is_what_a_ugv_does_that_turns_round_at_once():
     x, v, u = 0.0, 0.2, 0.7 * 0.1
     for k in range(4000):
         t = k * DT
-        assert 0.2 * t - x == pytest.approx(straying(elapsed=t, target=UGV, manoeuvre=0.7, dt=DT), abs=2e-3)
+        assert 0.2 * t - x == pytest.approx(
+            straying(elapsed=t, target=UGV, manoeuvre=0.7, dt=DT), abs=2e-3
+        )
         v_after = max(v - u * DT, -0.2)
         x, v = x + 0.5 * (v + v_after) * DT, v_after
     assert straying(elapsed=0.0, target=AGILE, manoeuvre=0.7, dt=DT) == 0.0
@@ -386,7 +419,11 @@ def test_is_not_too_sure_of_a_real_ugv_after_a_long_gap(gap):
     flights, ticks = 40, round(gap / DT)
     errors, covariances = [], []
     for seed in range(flights):
-        truth, noise, estimator = drive(seed, 400 + ticks, (1.0, 80.0)), cut_noise(seed, 400), make()
+        truth, noise, estimator = (
+            drive(seed, 400 + ticks, (1.0, 80.0)),
+            cut_noise(seed, 400),
+            make(),
+        )
         for k in range(0, 400, EVERY):
             look(estimator, k, truth[k, :2] + noise[k])
         for k in range(400, 400 + ticks):
@@ -399,9 +436,15 @@ def test_is_not_too_sure_of_a_real_ugv_after_a_long_gap(gap):
     assert nees.max() < 18.4
 
 
-@given(flight=flights, speed=st.floats(0.01, 30.0), acceleration=st.one_of(st.none(), st.floats(0.01, 10.0)))
+@given(
+    flight=flights,
+    speed=st.floats(0.01, 30.0),
+    acceleration=st.one_of(st.none(), st.floats(0.01, 10.0)),
+)
 @PROPERTY
-def test_estimate_never_leaves_what_the_ugv_can_have_reached_since_it_was_believed(flight, speed, acceleration):
+def test_estimate_never_leaves_what_the_ugv_can_have_reached_since_it_was_believed(
+    flight, speed, acceleration
+):
     estimator = make(target=Limits(max_speed=speed, max_acceleration=acceleration))
     call(estimator, 0, detection(0, (20.0, 20.0)))
     tick, last, waiting = 0, None, []

@@ -1,4 +1,7 @@
-"""The radio channel: each impairment against its theory, conservation, the same bits, and going on under other settings."""
+"""The radio channel.
+
+Each impairment against its theory, conservation, the same bits, and going on under other settings.
+"""
 
 import math
 import re
@@ -45,7 +48,17 @@ KS = 1.95
 
 
 @compiled
-def _drive(p: LinkParameters, s: LinkState, key: Key, first: int, ticks: int, each: int, out: Any, log: Any, dark: Any) -> int:
+def _drive(
+    p: LinkParameters,
+    s: LinkState,
+    key: Key,
+    first: int,
+    ticks: int,
+    each: int,
+    out: Any,
+    log: Any,
+    dark: Any,
+) -> int:
     """Send `each` messages in every tick; a row (arrival tick, sent tick, number) in `log` for each that arrives."""
     payload = np.zeros(2)
     n = 0
@@ -64,7 +77,16 @@ def _drive(p: LinkParameters, s: LinkState, key: Key, first: int, ticks: int, ea
 class Flown:
     """A link over which something was sent in every tick."""
 
-    def __init__(self, wanted: LinkSettings, ticks: int, *, dt: float = DT, each: int = 1, seed: int = 1, link: int = 2) -> None:
+    def __init__(
+        self,
+        wanted: LinkSettings,
+        ticks: int,
+        *,
+        dt: float = DT,
+        each: int = 1,
+        seed: int = 1,
+        link: int = 2,
+    ) -> None:
         self.parameters = link_parameters(check_link(wanted, "test"), dt, per_tick=each)
         self.state = link_state(self.parameters, 2)
         self.key, self.each, self.tick = a_key(seed, link), each, 0
@@ -75,7 +97,9 @@ class Flown:
         rows = 2 * self.each * ticks + len(self.state.slots)
         log, self.dark = np.zeros((rows, 3), dtype=np.int64), np.zeros(ticks, dtype=np.int64)
         out = np.zeros_like(self.state.payload)
-        n = _drive(self.parameters, self.state, self.key, self.tick, ticks, self.each, out, log, self.dark)
+        n = _drive(
+            self.parameters, self.state, self.key, self.tick, ticks, self.each, out, log, self.dark
+        )
         self.tick += ticks
         self.arrived = np.concatenate([self.arrived, log[:n]])
 
@@ -110,7 +134,10 @@ def _spread(share: float, n: float = MILLION) -> float:
 
 
 def _conserved(status: LinkStatus) -> bool:
-    return status.sent + status.duplicated == status.delivered + sum(status.lost.values()) + status.waiting + status.flying
+    return (
+        status.sent + status.duplicated
+        == status.delivered + sum(status.lost.values()) + status.waiting + status.flying
+    )
 
 
 def _only(status: LinkStatus, *causes: str) -> bool:
@@ -134,11 +161,20 @@ def test_a_perfect_link_is_the_identity_and_draws_nothing() -> None:
 @pytest.mark.parametrize(
     ("delay", "dt", "ticks"),
     [
-        *((0.5, 0.05, 10), (0.35, 0.05, 7), (0.7, 0.1, 7), (1.1, 0.1, 11), (30.0, 0.01, 3000), (0.0, 0.05, 0)),
+        *(
+            (0.5, 0.05, 10),
+            (0.35, 0.05, 7),
+            (0.7, 0.1, 7),
+            (1.1, 0.1, 11),
+            (30.0, 0.01, 3000),
+            (0.0, 0.05, 0),
+        ),
         *((0.001, 0.05, 1), (0.05, 0.05, 1), (0.0501, 0.05, 2), (0.28, 0.05, 6), (0.07, 0.01, 7)),
     ],
 )
-def test_a_message_arrives_at_the_first_tick_that_is_not_before_its_delay(delay: float, dt: float, ticks: int) -> None:
+def test_a_message_arrives_at_the_first_tick_that_is_not_before_its_delay(
+    delay: float, dt: float, ticks: int
+) -> None:
     flown = Flown(LinkSettings(delay=delay), 4000, dt=dt)
     assert set(flown.delays.tolist()) == {ticks}
     assert len(flown.arrived) == 4000 - ticks
@@ -176,17 +212,25 @@ def _runs(flags: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(("length", "interval"), [(0.5, 2.0), (0.02, 0.03), (2.0, 1.0)])
 def test_bursts_are_a_gilbert_elliott_chain_sampled_exactly(length: float, interval: float) -> None:
     flown = Flown(LinkSettings(burst_length=length, burst_interval=interval), MILLION)
-    bad, share, decay = flown.missing, length / (length + interval), math.exp(-DT * (1.0 / length + 1.0 / interval))
+    bad, share, decay = (
+        flown.missing,
+        length / (length + interval),
+        math.exp(-DT * (1.0 / length + 1.0 / interval)),
+    )
     effective = MILLION * (1.0 - decay) / (1.0 + decay)
     assert bad.mean() == pytest.approx(share, abs=_spread(share, effective))
     assert flown.status.lost["burst"] == bad.sum()
     assert _only(flown.status, "burst")
     leave = (1.0 - share) * (1.0 - decay)
     runs = _runs(bad)
-    assert runs.mean() == pytest.approx(1.0 / leave, abs=4.0 * math.sqrt((1.0 - leave) / leave**2 / len(runs)))
+    assert runs.mean() == pytest.approx(
+        1.0 / leave, abs=4.0 * math.sqrt((1.0 - leave) / leave**2 / len(runs))
+    )
     top = max(2, int(math.log(100.0 / len(runs)) / math.log(1.0 - leave)))
     found = np.bincount(np.minimum(runs, top), minlength=top + 1)[1:]
-    wanted = len(runs) * np.array([*(leave * (1.0 - leave) ** np.arange(top - 1)), (1.0 - leave) ** (top - 1)])
+    wanted = len(runs) * np.array(
+        [*(leave * (1.0 - leave) ** np.arange(top - 1)), (1.0 - leave) ** (top - 1)]
+    )
     assert stats.chisquare(found, wanted).pvalue > 1e-3
 
 
@@ -198,15 +242,25 @@ def test_a_burst_lasts_as_long_as_it_should_whatever_the_tick() -> None:
 
 
 def test_a_burst_takes_its_own_share_beside_the_independent_losses() -> None:
-    status = Flown(LinkSettings(loss=0.1, burst_length=0.5, burst_interval=0.5, burst_loss=0.6), MILLION).status
+    status = Flown(
+        LinkSettings(loss=0.1, burst_length=0.5, burst_interval=0.5, burst_loss=0.6), MILLION
+    ).status
     correlated = MILLION * math.tanh(DT * 4.0 / 2.0)
     assert status.lost["burst"] / MILLION == pytest.approx(0.3, abs=_spread(0.5, correlated))
-    assert status.lost["loss"] / (MILLION - status.lost["burst"]) == pytest.approx(0.1, abs=_spread(0.1, 0.7 * MILLION))
+    assert status.lost["loss"] / (MILLION - status.lost["burst"]) == pytest.approx(
+        0.1, abs=_spread(0.1, 0.7 * MILLION)
+    )
 
 
 def test_the_channel_starts_in_its_stationary_state() -> None:
-    bad = [Flown(LinkSettings(burst_length=0.9, burst_interval=2.1), 1, seed=seed).status.lost["burst"] for seed in range(2000)]
-    dark = [Flown(LinkSettings(blackout_length=0.9, blackout_interval=2.1), 1, seed=seed).dark[0] for seed in range(2000)]
+    bad = [
+        Flown(LinkSettings(burst_length=0.9, burst_interval=2.1), 1, seed=seed).status.lost["burst"]
+        for seed in range(2000)
+    ]
+    dark = [
+        Flown(LinkSettings(blackout_length=0.9, blackout_interval=2.1), 1, seed=seed).dark[0]
+        for seed in range(2000)
+    ]
     assert np.mean(bad) == pytest.approx(0.3, abs=_spread(0.3, 2000))
     assert np.mean(dark) == pytest.approx(0.3, abs=_spread(0.3, 2000))
 
@@ -219,7 +273,9 @@ def test_planned_blackouts_take_what_leaves_from_their_start_until_their_end() -
     flown = Flown(LinkSettings(delay=0.2, blackouts=plan), 300)
     flown.go_on(10)
     times = np.arange(310) * DT + 1e-9
-    wanted = np.any([(times >= start) & (times + 1e-8 < start + length) for start, length in plan], axis=0)
+    wanted = np.any(
+        [(times >= start) & (times + 1e-8 < start + length) for start, length in plan], axis=0
+    )
     assert np.flatnonzero(flown.missing)[:-4].tolist() == np.flatnonzero(wanted).tolist()
     assert flown.status.lost["blackout"] == wanted.sum()
     assert _only(flown.status, "blackout")
@@ -236,10 +292,14 @@ def test_random_blackouts_take_their_share_of_the_time(length: float, interval: 
 
 
 def test_random_blackouts_have_their_length_and_come_as_a_poisson_process() -> None:
-    dark = Flown(LinkSettings(blackout_length=0.5, blackout_interval=1.0), MILLION, dt=0.001).dark.astype(bool)
+    dark = Flown(
+        LinkSettings(blackout_length=0.5, blackout_interval=1.0), MILLION, dt=0.001
+    ).dark.astype(bool)
     lit = _runs(~dark) * 0.001
     lengths, counts = np.unique(_runs(dark), return_counts=True)
-    assert (counts * (np.abs(lengths - 500) > 1)).sum() < 0.005 * counts.sum()  # two whose gap no tick has seen are one
+    assert (
+        counts * (np.abs(lengths - 500) > 1)
+    ).sum() < 0.005 * counts.sum()  # two whose gap no tick has seen are one
     assert stats.kstest(lit, "expon").statistic < KS / math.sqrt(len(lit)) + 0.001
 
 
@@ -249,7 +309,9 @@ def test_random_blackouts_have_their_length_and_come_as_a_poisson_process() -> N
 @given(st.floats(1e-300, 1.0, exclude_max=True))
 @settings(PROPERTY, max_examples=500)
 def test_the_quantile_of_the_normal_is_scipys(share: float) -> None:
-    assert normal_quantile(share) == pytest.approx(float(stats.norm.ppf(share)), rel=1e-13, abs=1e-15)
+    assert normal_quantile(share) == pytest.approx(
+        float(stats.norm.ppf(share)), rel=1e-13, abs=1e-15
+    )
 
 
 SCIPY: dict[str, Callable[[float], Any]] = {
@@ -276,7 +338,9 @@ def test_each_shape_is_its_distribution_and_has_its_mean(shape: str) -> None:
 @pytest.mark.parametrize(("delay", "cut"), [(0.0, 0.0), (0.05, 0.03), (0.5, 0.15)])
 def test_delays_follow_the_cut_distribution_in_ticks(shape: str, delay: float, cut: float) -> None:
     jitter, dt = 0.1, 0.001
-    flown = Flown(LinkSettings(delay=delay, jitter=jitter, jitter_shape=shape, jitter_cut=cut), 400_000, dt=dt)
+    flown = Flown(
+        LinkSettings(delay=delay, jitter=jitter, jitter_shape=shape, jitter_cut=cut), 400_000, dt=dt
+    )
     law, (least, most) = SCIPY[shape](jitter), (-delay, cut or 5.0 * jitter)
     low, high = law.cdf(least), law.cdf(most)
     delays = flown.delays[flown.arrived[:, 1] < 400_000 - flown.parameters.longest]
@@ -288,7 +352,9 @@ def test_delays_follow_the_cut_distribution_in_ticks(shape: str, delay: float, c
     assert flown.status.lost == dict.fromkeys(CAUSES, 0)
 
 
-def test_one_message_arrives_after_another_that_was_sent_later_only_if_its_delay_is_longer() -> None:
+def test_one_message_arrives_after_another_that_was_sent_later_only_if_its_delay_is_longer() -> (
+    None
+):
     flown = Flown(LinkSettings(delay=0.2, jitter=0.2), 20_000, each=2)
     order = np.lexsort((flown.arrived[:, 2], flown.arrived[:, 1], flown.arrived[:, 0]))
     assert order.tolist() == list(range(len(order)))
@@ -315,7 +381,9 @@ def _pairs(flown: Flown) -> np.ndarray:
 def test_a_copy_has_a_delay_of_its_own() -> None:
     flown = Flown(LinkSettings(delay=0.5, jitter=0.4, duplicates=1.0), 50_000, dt=0.01)
     pairs = _pairs(flown).astype(float)
-    swapped = np.where(np.random.default_rng(1).random((len(pairs), 1)) < 0.5, pairs, pairs[:, ::-1])
+    swapped = np.where(
+        np.random.default_rng(1).random((len(pairs), 1)) < 0.5, pairs, pairs[:, ::-1]
+    )
     assert abs(np.corrcoef(swapped.T)[0, 1]) < 4.0 / math.sqrt(len(pairs))
 
 
@@ -324,13 +392,17 @@ def test_a_copy_has_a_delay_of_its_own() -> None:
 
 @pytest.mark.parametrize("bandwidth", [0.37, 2.0, 7.0, 19.999, 20.0, 33.3, 50.0])
 @pytest.mark.parametrize("keep", KEEPS)
-def test_a_link_carries_the_smaller_of_its_bandwidth_and_what_is_offered(bandwidth: float, keep: str) -> None:
+def test_a_link_carries_the_smaller_of_its_bandwidth_and_what_is_offered(
+    bandwidth: float, keep: str
+) -> None:
     ticks = 40_000
     for each in (1, 3):
         flown = Flown(LinkSettings(bandwidth=bandwidth, queue=4, keep=keep), ticks, each=each)
         offered = each / DT
         if bandwidth < offered:
-            assert flown.status.delivered in {math.floor(bandwidth * (ticks - 1) * DT + 1e-6) + k for k in (0, 1)}
+            assert flown.status.delivered in {
+                math.floor(bandwidth * (ticks - 1) * DT + 1e-6) + k for k in (0, 1)
+            }
         else:
             assert flown.status.delivered == flown.status.sent
             assert flown.delays.max() == 0
@@ -342,7 +414,9 @@ def test_a_link_carries_the_smaller_of_its_bandwidth_and_what_is_offered(bandwid
 def test_a_full_queue_keeps_the_newest_or_the_oldest_as_wanted(queue: int) -> None:
     newest = Flown(LinkSettings(bandwidth=2.0, queue=queue, keep="newest"), 2000)
     oldest = Flown(LinkSettings(bandwidth=2.0, queue=queue, keep="oldest"), 2000)
-    assert newest.arrived[:, 0].tolist() == oldest.arrived[:, 0].tolist() == list(range(0, 2000, 10))
+    assert (
+        newest.arrived[:, 0].tolist() == oldest.arrived[:, 0].tolist() == list(range(0, 2000, 10))
+    )
     steady = slice(queue + 2, None)
     assert set(newest.delays[steady].tolist()) == {queue}
     assert set(oldest.delays[steady].tolist()) == {10 * queue}
@@ -432,7 +506,14 @@ def test_more_messages_than_the_room_holds_are_counted_and_break_nothing() -> No
 def test_too_few_rows_for_what_arrives_is_an_error() -> None:
     parameters = link_parameters(LinkSettings(), DT, per_tick=2)
     with pytest.raises(ValueError, match="fewer rows"):
-        exchange(parameters, link_state(parameters, 2), a_key(1, 1), 0, np.zeros((2, 2)), np.zeros((1, 2)))
+        exchange(
+            parameters,
+            link_state(parameters, 2),
+            a_key(1, 1),
+            0,
+            np.zeros((2, 2)),
+            np.zeros((1, 2)),
+        )
 
 
 # --- the same bits
@@ -457,7 +538,9 @@ BUSY = LinkSettings(
 
 def _many(parameters: LinkParameters, worlds: int) -> LinkState:
     """The state of one link in each of many worlds."""
-    return LinkState._make(np.repeat(array[None], worlds, axis=0) for array in link_state(parameters, 2))
+    return LinkState._make(
+        np.repeat(array[None], worlds, axis=0) for array in link_state(parameters, 2)
+    )
 
 
 def _of_world(states: LinkState, world: int) -> LinkState:
@@ -469,26 +552,50 @@ def test_a_link_does_the_same_twice_and_whatever_other_links_do() -> None:
     assert Flown(BUSY, 2000, seed=5, link=3).bits == alone
     parameters = link_parameters(BUSY, DT)
     worlds, others = _many(parameters, 3), _many(parameters, 4)
-    out, log, rows = np.zeros((parameters.room, 2)), np.zeros((9000, 3), dtype=np.int64), np.zeros(1, dtype=np.int64)
+    out, log, rows = (
+        np.zeros((parameters.room, 2)),
+        np.zeros((9000, 3), dtype=np.int64),
+        np.zeros(1, dtype=np.int64),
+    )
     arrived = []
     for tick in range(2000):
         for k in range(4):
             _drive(parameters, _of_world(others, k), a_key(5, 10 + k), tick, 1, 1, out, log, rows)
         for world in (2, 0, 1):
-            n = _drive(parameters, _of_world(worlds, world), a_key(5 + world, 3), tick, 1, 1, out, log, rows)
+            n = _drive(
+                parameters,
+                _of_world(worlds, world),
+                a_key(5 + world, 3),
+                tick,
+                1,
+                1,
+                out,
+                log,
+                rows,
+            )
             arrived += log[:n].tolist() if world == 0 else []
     state = b"".join(array[0].tobytes() for array in worlds)
     assert state + np.array(arrived, dtype=np.int64).tobytes() == alone
 
 
 def test_each_link_and_each_seed_has_a_fate_of_its_own() -> None:
-    assert len({Flown(BUSY, 300, seed=seed, link=link).bits for seed in range(4) for link in range(4)}) == 16
+    assert (
+        len({Flown(BUSY, 300, seed=seed, link=link).bits for seed in range(4) for link in range(4)})
+        == 16
+    )
 
 
 def test_neighbours_in_number_link_and_seed_share_no_luck() -> None:
     def table(number: int, seed: int, link: int) -> np.ndarray:
         """The delay of each message of this number within its tick; -1: lost."""
-        flown = Flown(LinkSettings(delay=0.5, jitter=0.5, loss=0.3), 20_000, dt=0.01, each=2, seed=seed, link=link)
+        flown = Flown(
+            LinkSettings(delay=0.5, jitter=0.5, loss=0.3),
+            20_000,
+            dt=0.01,
+            each=2,
+            seed=seed,
+            link=link,
+        )
         delays, chosen = np.full(20_000, -1), flown.arrived[:, 2] == number
         delays[flown.arrived[chosen, 1]] = flown.delays[chosen]
         return delays[:-200]
@@ -503,8 +610,13 @@ def test_neighbours_in_number_link_and_seed_share_no_luck() -> None:
 @pytest.mark.parametrize("field", ["loss", "burst_loss", "duplicates", "reorder"])
 def test_a_greater_share_takes_the_same_messages_and_more(field: str) -> None:
     """Draws stay when settings change, so two settings can be compared on the same luck."""
-    settled = msgspec.structs.replace(BUSY, bandwidth=0.0, loss=0.0, burst_loss=0.0, duplicates=0.0, reorder=0.0, jitter=0.0)
-    less, more = (Flown(msgspec.structs.replace(settled, **{field: share}), 5000).arrived for share in (0.1, 0.4))
+    settled = msgspec.structs.replace(
+        BUSY, bandwidth=0.0, loss=0.0, burst_loss=0.0, duplicates=0.0, reorder=0.0, jitter=0.0
+    )
+    less, more = (
+        Flown(msgspec.structs.replace(settled, **{field: share}), 5000).arrived
+        for share in (0.1, 0.4)
+    )
     seen = [{(int(sent), int(tick - sent)) for tick, sent, _ in rows} for rows in (less, more)]
     if field in {"loss", "burst_loss"}:
         assert seen[1] < seen[0]
@@ -512,7 +624,9 @@ def test_a_greater_share_takes_the_same_messages_and_more(field: str) -> None:
         late = [{sent for sent, delay in each if delay > 2} for each in seen]
         assert late[0] < late[1]
     else:
-        doubled = [{int(k) for k in np.flatnonzero(np.bincount(rows[:, 1]) == 2)} for rows in (less, more)]
+        doubled = [
+            {int(k) for k in np.flatnonzero(np.bincount(rows[:, 1]) == 2)} for rows in (less, more)
+        ]
         assert doubled[0] < doubled[1]
 
 
@@ -552,8 +666,14 @@ def test_a_shorter_queue_drops_what_it_would_not_keep(keep: str) -> None:
 
 def test_a_burst_and_a_blackout_go_on_under_other_settings() -> None:
     for before, after in (
-        (LinkSettings(burst_length=1e5, burst_interval=1.0), LinkSettings(burst_length=2e5, burst_interval=1.0, delay=0.1)),
-        (LinkSettings(blackout_length=1e5, blackout_interval=1.0), LinkSettings(blackout_length=0.1, blackout_interval=1.0)),
+        (
+            LinkSettings(burst_length=1e5, burst_interval=1.0),
+            LinkSettings(burst_length=2e5, burst_interval=1.0, delay=0.1),
+        ),
+        (
+            LinkSettings(blackout_length=1e5, blackout_interval=1.0),
+            LinkSettings(blackout_length=0.1, blackout_interval=1.0),
+        ),
     ):
         flown = Flown(before, 50)
         flown.change(after)
@@ -605,7 +725,9 @@ def test_python_objects_arrive_as_they_were_sent_and_none_is_kept(name: str) -> 
         assert len(link._objects) <= left
         assert bool(link._objects) == bool(left)
     number = {id(message): k for k, message in enumerate(sent)}
-    assert [(tick, number[id(message)]) for tick, message in arrived] == [(t, k) for t, k, _ in flown.arrived.tolist()]
+    assert [(tick, number[id(message)]) for tick, message in arrived] == [
+        (t, k) for t, k, _ in flown.arrived.tolist()
+    ]
     assert link.counters() == msgspec.structs.replace(flown.status, settings=wanted)
     link.change(LinkSettings())
     for tick in range(2000, 2200):
@@ -623,7 +745,14 @@ def test_a_perfect_link_counts_what_the_compiled_path_counts(every: int) -> None
         for stamp in stamps:
             link.send(tick, stamp, stamp)
         assert link.arrivals(tick) == stamps
-        exchange(parameters, state, a_key(1, 1), tick, np.array([[stamp, 0.0] for stamp in stamps]).reshape(-1, 2), out)
+        exchange(
+            parameters,
+            state,
+            a_key(1, 1),
+            tick,
+            np.array([[stamp, 0.0] for stamp in stamps]).reshape(-1, 2),
+            out,
+        )
         if tick % 13 == 0:
             assert link.counters() == link_status(parameters, state, LinkSettings())
     assert link.counters() == link_status(parameters, state, LinkSettings())
@@ -653,7 +782,13 @@ def test_ticks_come_once_and_in_order() -> None:
 
 WRONG: dict[str, dict[str, Any]] = {
     "delay": {"delay": -0.1},
-    "delay = 30.0": {"delay": 30.0, "jitter": 5.0, "jitter_shape": "normal", "reorder": 0.1, "reorder_delay": 6.0},
+    "delay = 30.0": {
+        "delay": 30.0,
+        "jitter": 5.0,
+        "jitter_shape": "normal",
+        "reorder": 0.1,
+        "reorder_delay": 6.0,
+    },
     "jitter_cut = -1.0": {"jitter_cut": -1.0},
     "jitter = nan": {"jitter": math.nan},
     "jitter_shape": {"jitter_shape": "gaussian"},
@@ -676,7 +811,9 @@ def test_an_impossible_link_is_refused_in_one_line(field: str) -> None:
     with pytest.raises(ScenarioError) as caught:
         check_link(LinkSettings(**WRONG[field]), "escort.toml: link.radio")
     line = str(caught.value)
-    assert re.fullmatch(rf"escort\.toml: link\.radio: {re.escape(field)}\b.*: .+; allowed: .+", line), line
+    assert re.fullmatch(
+        rf"escort\.toml: link\.radio: {re.escape(field)}\b.*: .+; allowed: .+", line
+    ), line
     with pytest.raises(ScenarioError):
         Link(LinkSettings(**WRONG[field]), dt=DT, key=a_key(1, 1))
 
@@ -684,7 +821,9 @@ def test_an_impossible_link_is_refused_in_one_line(field: str) -> None:
 def test_checked_settings_are_equal_and_have_their_types() -> None:
     checked = check_link(LinkSettings(delay=1, loss=np.float64(0.5), blackouts=((1, 2),)), "test")
     assert checked == LinkSettings(delay=1.0, loss=0.5, blackouts=((1.0, 2.0),))
-    assert [type(value) for value in (checked.delay, checked.loss, checked.blackouts[0][0])] == [float] * 3
+    assert [type(value) for value in (checked.delay, checked.loss, checked.blackouts[0][0])] == [
+        float
+    ] * 3
 
 
 @pytest.mark.parametrize("name", PROFILES)
@@ -696,7 +835,12 @@ def test_each_profile_is_a_link_that_does_what_it_says(name: str) -> None:
     assert status.lost["full"] == 0
     assert (status.delivery_ratio == 1.0) == (name == "perfect")
     assert extra_delays(profile)[1] + profile.delay < 1.0
-    ranges = {"wifi": (0.98, 0.999), "wifi-poor": (0.8, 0.95), "lte": (0.99, 0.999), "satellite": (0.98, 0.999)}
+    ranges = {
+        "wifi": (0.98, 0.999),
+        "wifi-poor": (0.8, 0.95),
+        "lte": (0.99, 0.999),
+        "satellite": (0.98, 0.999),
+    }
     low, high = ranges.get(name, (0.05, 1.0))
     assert low <= (status.delivery_ratio or 0.0) <= high
     assert status.lost["queue"] == 0 or name == "narrowband"

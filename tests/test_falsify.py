@@ -1,4 +1,7 @@
-"""The search for violations: what is known to be wrong is found, what is known to hold stands, and each find flies again."""
+"""The search for violations.
+
+What is known to be wrong is found, what is known to hold stands, and each find flies again.
+"""
 
 import json
 import math
@@ -45,24 +48,40 @@ def base(law: str, limits: Limits = UNDEGRADED, **changes: Any) -> Scenario:
 
 def found(law: str, runs: int, limits: Limits = UNDEGRADED, **wanted: Any) -> Found:
     changes = wanted.pop("changes", {})
-    result = Found(Wanted(base=base(law, limits, **changes), limits=limits, flies=True, attacks=False, runs=runs, **wanted))
+    result = Found(
+        Wanted(
+            base=base(law, limits, **changes),
+            limits=limits,
+            flies=True,
+            attacks=False,
+            runs=runs,
+            **wanted,
+        )
+    )
     search_both(result, asked=lambda: False, on_run=lambda *_: None)
     return result
 
 
 def outrider(*arguments: str, cwd: Path) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run([*OUTRIDER, *arguments], capture_output=True, text=True, check=False, timeout=150, cwd=cwd)
+    return subprocess.run(
+        [*OUTRIDER, *arguments], capture_output=True, text=True, check=False, timeout=150, cwd=cwd
+    )
 
 
 def candidates(count: int) -> list[Candidate]:
     chances = islice(search._chances(3), len(proof_cases()) + count)
-    return [Candidate(number=k, kind=kind, vector=x, seed=seed) for k, (kind, x, seed) in enumerate(chances)]
+    return [
+        Candidate(number=k, kind=kind, vector=x, seed=seed)
+        for k, (kind, x, seed) in enumerate(chances)
+    ]
 
 
 # What is found, and what is not
 
 
-def test_the_switching_law_is_broken_undegraded_and_the_find_flies_again_to_the_last_bit(tmp_path: Path) -> None:
+def test_the_switching_law_is_broken_undegraded_and_the_find_flies_again_to_the_last_bit(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "broken.toml"
     result = found("switching", 3, out=path, changes={"duration": 60.0})
     assert result.violations
@@ -118,7 +137,9 @@ def test_a_promise_counts_from_the_first_certified_tick_and_again_some_time_afte
     assert not promised(np.zeros(3, dtype=np.bool_), 0).any()
 
 
-def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a_gap(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     class Away(InProcess):
         """The UAV flies off, and claims now and then, too short for a promise, that sight is kept."""
 
@@ -128,9 +149,13 @@ def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a
             assert isinstance(said, UavCommand)
             assert said.report is not None
             report = msgspec.structs.replace(said.report, certified=tick % 10 == 9, uncertified="")
-            return commands | {"uav_0": msgspec.structs.replace(said, acceleration=(0.3, 0.3), report=report)}
+            return commands | {
+                "uav_0": msgspec.structs.replace(said, acceleration=(0.3, 0.3), report=report)
+            }
 
-    def fly_off(scenario: Scenario, seed: int, *, on_tick: Callable[[Flight], None]) -> tuple[Flight, None]:
+    def fly_off(
+        scenario: Scenario, seed: int, *, on_tick: Callable[[Flight], None]
+    ) -> tuple[Flight, None]:
         flight = Flight(scenario, seed)
         flight.fly(Away(make_pilots(scenario, seed)), on_tick=lambda: on_tick(flight))
         return flight, None
@@ -176,7 +201,9 @@ def test_every_candidate_can_be_flown_and_is_within_the_limits(law: str) -> None
 def test_a_saved_scenario_is_the_same_scenario(tmp_path: Path) -> None:
     for k, candidate in enumerate(candidates(12)[-14:]):
         title = 'a "quoted" \\ title, ü'
-        scenario = msgspec.structs.replace(decode(candidate, base("certified", DEGRADED), DEGRADED), name=f"c{k}", title=title)
+        scenario = msgspec.structs.replace(
+            decode(candidate, base("certified", DEGRADED), DEGRADED), name=f"c{k}", title=title
+        )
         path = tmp_path / f"c{k}.toml"
         path.write_text(as_toml(scenario, ["two\nlines"]), encoding="utf-8")
         assert load_scenario(path) == scenario
@@ -226,15 +253,21 @@ def test_cma_goes_on_from_the_best_and_leaves_numpys_own_random_numbers_alone() 
     expected = np.random.RandomState(5).random(3)
     result = found("linear", 100, changes={"duration": 6.0})
     assert np.array_equal(np.random.random(3), expected)  # noqa: NPY002
-    first = max(flown(one, base("linear", duration=6.0), Limits())[2].score for one in candidates(0))
+    first = max(
+        flown(one, base("linear", duration=6.0), Limits())[2].score for one in candidates(0)
+    )
     assert result.worst > first
-    assert all(candidate.number >= 64 for candidate, _ in result.flights.elite)  # two batches are chance's
+    assert all(
+        candidate.number >= 64 for candidate, _ in result.flights.elite
+    )  # two batches are chance's
 
 
 def test_the_budget_is_kept() -> None:
     assert found("linear", 37, changes={"duration": 2.0}).runs == 37
     began = time.monotonic()
-    result = Found(Wanted(base=base("linear"), limits=Limits(), flies=True, attacks=False, minutes=0.03))
+    result = Found(
+        Wanted(base=base("linear"), limits=Limits(), flies=True, attacks=False, minutes=0.03)
+    )
     search_both(result, asked=lambda: False, on_run=lambda *_: None)
     assert 1.0 < time.monotonic() - began < 20.0
     assert result.runs > 0
@@ -254,10 +287,14 @@ def test_a_worker_that_dies_is_told_in_one_line() -> None:
 # The attack
 
 
-def attacked(control: str | None, runs: int, *, duration: float = 40.0, **wanted: Any) -> attacks.AttackTally:
+def attacked(
+    control: str | None, runs: int, *, duration: float = 40.0, **wanted: Any
+) -> attacks.AttackTally:
     tally = attacks.AttackTally()
     with Workers(1, attacks.warm) as workers:
-        attacks.run_attack(workers, search.Budget(runs, None), tally, control=control, duration=duration, **wanted)
+        attacks.run_attack(
+            workers, search.Budget(runs, None), tally, control=control, duration=duration, **wanted
+        )
     return tally
 
 
@@ -285,7 +322,9 @@ def test_a_guard_that_is_wrong_is_caught_and_its_run_flies_again(control: str) -
 def test_the_best_detection_is_caught_where_there_are_blackouts() -> None:
     conditions = attack.Conditions(blackout=1, blackout_time=10.0)
     promise = attack.declared(conditions, 0.9)
-    assert attacks.fly_attack(promise, attacks._guarded("argmin", promise, conditions), 1, 0, 60, 200.0).violations
+    assert attacks.fly_attack(
+        promise, attacks._guarded("argmin", promise, conditions), 1, 0, 60, 200.0
+    ).violations
 
 
 def test_a_combination_with_uncertified_ticks_has_lost_nothing_that_was_promised() -> None:
@@ -305,7 +344,10 @@ BAD = {
     "negative limit": (["--max-delay", "-1"], "--max-delay"),
     "all is lost": (["--max-loss", "1.5"], "--max-loss"),
     "undegraded, with noise": (["--undegraded", "--noise", "0.1"], "--undegraded"),
-    "nothing to promise": (["--law", "certified", "--max-blackout", "60"], "nothing can be certified within these limits"),
+    "nothing to promise": (
+        ["--law", "certified", "--max-blackout", "60"],
+        "nothing can be certified within these limits",
+    ),
     "several pairs": (["pairs.toml"], "2 UAVs and 2 UGVs"),
     "control of another law": (["--control", "tracking", "--law", "linear"], "--control"),
     "engine of another law": (["--law", "linear", "--only", "attack"], "--only"),
@@ -340,13 +382,23 @@ def test_a_missing_extra_is_one_line_with_the_remedy(monkeypatch: pytest.MonkeyP
         search.check_extra()
 
 
-def test_the_command_saves_and_tells_and_its_exit_code_says_what_was_expected(tmp_path: Path) -> None:
+def test_the_command_saves_and_tells_and_its_exit_code_says_what_was_expected(
+    tmp_path: Path,
+) -> None:
     quick = ["--undegraded", "--duration", "25", "--jobs", "1", "--runs", "3"]
-    run = outrider("falsify", "--law", "switching", *quick, "--json", "--expect", "none", cwd=tmp_path)
+    run = outrider(
+        "falsify", "--law", "switching", *quick, "--json", "--expect", "none", cwd=tmp_path
+    )
     assert run.returncode == 1
     told = json.loads(run.stdout)
-    assert {"law", "runs", "violations", "worst_distance", "scenario", "seconds", "seed"} <= set(told)
-    assert (told["law"], told["runs"], told["scenario"]) == ("switching", 3, "counterexample-switching.toml")
+    assert {"law", "runs", "violations", "worst_distance", "scenario", "seconds", "seed"} <= set(
+        told
+    )
+    assert (told["law"], told["runs"], told["scenario"]) == (
+        "switching",
+        3,
+        "counterexample-switching.toml",
+    )
     assert "--expect none" in run.stderr
     again = outrider("run", told["scenario"], "--in-process", "--no-files", "--json", cwd=tmp_path)
     flown_again = json.loads(again.stdout)
@@ -354,11 +406,24 @@ def test_the_command_saves_and_tells_and_its_exit_code_says_what_was_expected(tm
     assert flown_again["trajectory_sha256"] == told["trajectory_sha256"]
 
 
-def test_nothing_found_is_no_file_and_exit_code_0(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_nothing_found_is_no_file_and_exit_code_0(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
     from outrider.cli import main
 
     monkeypatch.chdir(tmp_path)
-    arguments = ["--law", "linear", "--undegraded", "--duration", "5", "--jobs", "1", "--runs", "2", "--json"]
+    arguments = [
+        "--law",
+        "linear",
+        "--undegraded",
+        "--duration",
+        "5",
+        "--jobs",
+        "1",
+        "--runs",
+        "2",
+        "--json",
+    ]
     monkeypatch.setattr(sys, "argv", ["outrider", "falsify", *arguments, "--expect", "none"])
     assert main._run() == 0
     told = json.loads(capsys.readouterr().out)
@@ -369,8 +434,24 @@ def test_nothing_found_is_no_file_and_exit_code_0(tmp_path: Path, monkeypatch: p
 
 
 def test_ctrl_c_keeps_the_best(tmp_path: Path) -> None:
-    arguments = ["falsify", "--law", "switching", "--undegraded", "--minutes", "5", "--jobs", "2", "--json"]
-    process = subprocess.Popen([*OUTRIDER, *arguments], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    arguments = [
+        "falsify",
+        "--law",
+        "switching",
+        "--undegraded",
+        "--minutes",
+        "5",
+        "--jobs",
+        "2",
+        "--json",
+    ]
+    process = subprocess.Popen(
+        [*OUTRIDER, *arguments],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     assert process.stderr is not None
     while "runs" not in process.stderr.readline():  # the first line of progress
         assert process.poll() is None

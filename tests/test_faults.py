@@ -53,7 +53,9 @@ def undisturbed() -> str:
 @pytest.fixture(scope="module")
 def undisturbed_with_a_secret() -> str:
     """The same with the secret."""
-    return fly(load_scenario("escort", overrides=[f"duration={SECONDS}"]), 7, secret=SECRET)[1].trajectory_sha256
+    return fly(load_scenario("escort", overrides=[f"duration={SECONDS}"]), 7, secret=SECRET)[
+        1
+    ].trajectory_sha256
 
 
 def finished(run: "subprocess.Popen[str]", seconds: float = 90.0) -> tuple[dict[str, object], str]:
@@ -64,7 +66,9 @@ def finished(run: "subprocess.Popen[str]", seconds: float = 90.0) -> tuple[dict[
 
 
 @pytest.mark.parametrize(("victim", "blow"), [("uav", "SIGKILL"), ("ugv", "SIGTERM")])
-def test_with_respawn_a_killed_vehicle_changes_no_bit(victim: str, blow: str, undisturbed: str) -> None:
+def test_with_respawn_a_killed_vehicle_changes_no_bit(
+    victim: str, blow: str, undisturbed: str
+) -> None:
     with flying("escort", "--duration", str(SECONDS), "--respawn", "--no-files", "--json") as run:
         before = child_of(run, victim)
         os.kill(before, getattr(signal, blow))
@@ -95,13 +99,19 @@ def answered(status: Status) -> int:
     return status.tick - status.vehicles["uav_0"].missing_commands
 
 
-def test_in_real_time_a_vehicle_brakes_while_its_process_is_away_and_flies_on_when_it_is_back() -> None:
-    with flying("escort", "--duration", "150", "--realtime", "20", "--respawn", "--no-files", "--json") as run:
+def test_in_real_time_a_vehicle_brakes_while_its_process_is_away_and_flies_on_when_it_is_back() -> (
+    None
+):
+    with flying(
+        "escort", "--duration", "150", "--realtime", "20", "--respawn", "--no-files", "--json"
+    ) as run:
         os.kill(child_of(run, "uav"), signal.SIGKILL)
         with observing(run) as session:
             gone = await_status(session, lambda status: not status.vehicles["uav_0"].present)
             back = await_status(session, lambda status: status.vehicles["uav_0"].rejoined == 1)
-            later = await_status(session, lambda status: answered(status) > answered(back) + 100)  # it flies again
+            later = await_status(
+                session, lambda status: answered(status) > answered(back) + 100
+            )  # it flies again
         summary, _ = finished(run)
     assert gone.wanted_factor == 20.0
     assert back.tick > gone.tick  # nobody waited
@@ -124,7 +134,16 @@ def test_a_vehicle_that_cannot_live_is_not_started_for_ever(tmp_path: Path) -> N
         "import sys\nfrom outrider.cli import main\nimport outrider.own as own\n"
         "own.check_own_functions = lambda scenario: ()\nsys.argv[0] = 'outrider'\nmain.main()\n"
     )
-    arguments = ["run", "--law", "weighted", "--weighting", "deadly:weighting", "--respawn", "--no-files", "--json"]
+    arguments = [
+        "run",
+        "--law",
+        "weighted",
+        "--weighting",
+        "deadly:weighting",
+        "--respawn",
+        "--no-files",
+        "--json",
+    ]
     environment = os.environ | {"OUTRIDER_DIES": "1"}
     run = subprocess.run(
         [OUTRIDER[0], "-c", code, *arguments],
@@ -144,7 +163,9 @@ def test_a_vehicle_that_cannot_live_is_not_started_for_ever(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("respawn", [True, False])
-def test_a_vehicle_killed_before_the_first_tick_is_started_again(respawn: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_vehicle_killed_before_the_first_tick_is_started_again(
+    respawn: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     class Doomed(launch.Child):
         started: ClassVar[list[str]] = []
 
@@ -159,7 +180,9 @@ def test_a_vehicle_killed_before_the_first_tick_is_started_again(respawn: bool, 
     outcome = launch.launch(scenario, "escort", changes, launch.NOBODY, out=None, respawn=respawn)
     if respawn:
         assert outcome.summary is not None
-        assert outcome.summary.trajectory_sha256 == fly(scenario, scenario.seed)[1].trajectory_sha256
+        assert (
+            outcome.summary.trajectory_sha256 == fly(scenario, scenario.seed)[1].trajectory_sha256
+        )
         assert not outcome.fault
         assert Doomed.started == ["simulator", "uav_0", "ugv_0", "uav_0", "ugv_0"]
     else:
@@ -194,7 +217,10 @@ class Scattered:
         if kind != "router":
             common += ["--run", "mine", "--connect", self.endpoint]
         process = subprocess.Popen(
-            [*OUTRIDER, kind, *arguments, *common], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            [*OUTRIDER, kind, *arguments, *common],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
         )
         self.processes.append(process)
         return process
@@ -216,7 +242,9 @@ class Scattered:
         """Until the run has come so far, as an observer sees it."""
         credential = read_credential(Path(self._files["observer"]))
         observer = Party(role=Role.OBSERVER, name="observer")
-        with open_session(observer, "mine", connect=self.endpoint, credential=credential) as session:
+        with open_session(
+            observer, "mine", connect=self.endpoint, credential=credential
+        ) as session:
             await_status(session, lambda status: status.tick > tick)
 
 
@@ -244,7 +272,9 @@ def test_a_router_for_one_run_ends_with_it(tmp_path: Path) -> None:
         assert [process.wait(30.0) for process in (*vehicles, router)] == [0, 0, 0]
 
 
-def test_a_router_that_dies_and_comes_back_changes_no_bit(tmp_path: Path, undisturbed_with_a_secret: str) -> None:
+def test_a_router_that_dies_and_comes_back_changes_no_bit(
+    tmp_path: Path, undisturbed_with_a_secret: str
+) -> None:
     with scattered(tmp_path) as run:
         router = run.router()
         simulator = run.simulator()
@@ -333,7 +363,8 @@ def test_a_full_disk_takes_the_file_and_not_the_result(tmp_path: Path) -> None:
     summary = json.loads(run.stdout)
     assert summary["ticks"] == 400
     assert (
-        json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["trajectory_sha256"] == summary["trajectory_sha256"]
+        json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["trajectory_sha256"]
+        == summary["trajectory_sha256"]
     )
     assert (tmp_path / "coverage.npy").stat().st_size > 100_000
 
@@ -343,7 +374,9 @@ def test_credentials_go_with_the_run_however_it_ends() -> None:
         children = family(run.pid)
         folder = Path(os.environ["TMPDIR"])
         assert len(list(folder.glob("outrider-*/credentials/*.json"))) == 6
-        assert {path.stat().st_mode & 0o777 for path in folder.glob("outrider-*/credentials/*.json")} == {0o600}
+        assert {
+            path.stat().st_mode & 0o777 for path in folder.glob("outrider-*/credentials/*.json")
+        } == {0o600}
         run.kill()
         run.wait()
         wait_until(lambda: not any(alive(child) for child in children))
@@ -351,7 +384,9 @@ def test_credentials_go_with_the_run_however_it_ends() -> None:
 
 
 def test_a_late_vehicle_is_named_on_the_terminal() -> None:
-    with flying("escort", "--duration", str(SECONDS), "--deadline", "0.3", "--no-files", "--json") as run:
+    with flying(
+        "escort", "--duration", str(SECONDS), "--deadline", "0.3", "--no-files", "--json"
+    ) as run:
         frozen = child_of(run, "ugv")
         os.kill(frozen, signal.SIGSTOP)
         time.sleep(0.6)  # less than it takes until it counts as gone

@@ -42,7 +42,11 @@ def claims(flights):
 def made(tmp_path_factory):
     out = tmp_path_factory.mktemp("figures") / "a" / "b"
     steps = []
-    return out, make_figures(out, on_progress=lambda what, share: steps.append((what, share))), steps
+    return (
+        out,
+        make_figures(out, on_progress=lambda what, share: steps.append((what, share))),
+        steps,
+    )
 
 
 def found(claims, figure, words):
@@ -60,7 +64,12 @@ def brute_errors(flight, ticks):
     x, y = np.meshgrid((np.arange(160) + 0.5) * CELL, (np.arange(160) + 0.5) * CELL)
     coverage = np.zeros((160, 160))
     for region in flight.scenario.coverage.covered:
-        inside = (x >= region.lower[0]) & (x <= region.upper[0]) & (y >= region.lower[1]) & (y <= region.upper[1])
+        inside = (
+            (x >= region.lower[0])
+            & (x <= region.upper[0])
+            & (y >= region.lower[1])
+            & (y <= region.upper[1])
+        )
         coverage[inside] = DESIRED
     a, g = flight.world.escorts[0]
     errors = []
@@ -77,7 +86,9 @@ def brute_errors(flight, ticks):
 
 def test_five_pictures_are_made(made):
     out, _, _ = made
-    assert sorted(path.name for path in out.iterdir()) == [f"figure-{number}.png" for number in range(1, 6)]
+    assert sorted(path.name for path in out.iterdir()) == [
+        f"figure-{number}.png" for number in range(1, 6)
+    ]
     for number, size in WIDTHS.items():
         data = (out / f"figure-{number}.png").read_bytes()
         assert struct.unpack(">II", data[16:24]) == size
@@ -138,14 +149,25 @@ def test_claims_of_figure_3_are_those_of_the_recorded_positions(flights, claims)
         far = [math.dist(row[0, :2], row[1, :2]) for row in states]
         often = sum(before < R_S <= now for before, now in itertools.pairwise(far))
         assert found(claims, "3", f"{law}: ‖p_Δ‖").number == pytest.approx(max(far), abs=1e-12)
-        assert found(claims, "anchor", f"rises to r_s, {law}").number == often == crossings(flights[law])
+        assert (
+            found(claims, "anchor", f"rises to r_s, {law}").number
+            == often
+            == crossings(flights[law])
+        )
 
 
 def test_claims_of_figure_5_are_those_of_a_brute_force_integral(flights, claims):
-    ours, circle = brute_errors(flights["beside"], 801), brute_errors(flights["beside, circle"], 801)
+    ours, circle = (
+        brute_errors(flights["beside"], 801),
+        brute_errors(flights["beside, circle"], 801),
+    )
     np.testing.assert_allclose(error(flights["beside"])[:801], ours, rtol=1e-9, atol=1e-9)
-    assert found(claims, "5c", "difference is larger").number == pytest.approx(ours.mean() / circle.mean(), rel=1e-9)
-    assert found(claims, "5c", "steadier").number == pytest.approx(ours.std() / circle.std(), rel=1e-9)
+    assert found(claims, "5c", "difference is larger").number == pytest.approx(
+        ours.mean() / circle.mean(), rel=1e-9
+    )
+    assert found(claims, "5c", "steadier").number == pytest.approx(
+        ours.std() / circle.std(), rel=1e-9
+    )
 
 
 def test_velocity_error_times_k_v_is_what_the_unbounded_uav_flew(flights):
@@ -154,7 +176,9 @@ def test_velocity_error_times_k_v_is_what_the_unbounded_uav_flew(flights):
         a = flight.world.escorts[0, 0]
         flown = flight.recorder.states[:-1, a, 4:6]
         p = flight.recorder.states[:-1, a, :2]
-        inside = ((p > 0.0) & (p < 40.0)).all(axis=1)  # at the border of Q the coverage term is limited
+        inside = ((p > 0.0) & (p < 40.0)).all(
+            axis=1
+        )  # at the border of Q the coverage term is limited
         errors, wanted = velocity_errors(flight)
         np.testing.assert_allclose(flown[inside], k_v * errors[inside], rtol=0.0, atol=1e-12)
         speeds = np.linalg.norm(wanted, axis=1)
@@ -163,7 +187,13 @@ def test_velocity_error_times_k_v_is_what_the_unbounded_uav_flew(flights):
 
 
 def test_velocity_error_knows_the_ground_that_is_covered_from_the_start():
-    free = ["law.name=coverage", "law.reference_speed=0.6", "uav.0.max_speed=inf", "uav.0.max_acceleration=inf", "duration=20.0"]
+    free = [
+        "law.name=coverage",
+        "law.reference_speed=0.6",
+        "uav.0.max_speed=inf",
+        "uav.0.max_acceleration=inf",
+        "duration=20.0",
+    ]
     flight, _ = fly(load_scenario("scenario-2", overrides=free), 0)
     flown = flight.recorder.states[:-1, flight.world.escorts[0, 0], 4:6]
     np.testing.assert_allclose(flown, 10.0 * velocity_errors(flight)[0], rtol=0.0, atol=1e-12)
@@ -191,7 +221,9 @@ def test_another_law_in_place_of_the_logarithmic_breaks_figure_3(flights):
 def test_weightings_in_each_others_place_break_figure_3(flights):
     linear, switching, logarithmic = (flights[law] for law in WEIGHTINGS)
     assert ("3", "switching slides on r_s") in failing(claims_3(linear, logarithmic, switching))
-    assert ("3", "logarithmic goes further out than linear, without sliding") in failing(claims_3(linear, logarithmic, switching))
+    assert ("3", "logarithmic goes further out than linear, without sliding") in failing(
+        claims_3(linear, logarithmic, switching)
+    )
     assert ("3", "linear is conservative: it stays nearest and well inside r_s") in failing(
         claims_3(switching, linear, logarithmic)
     )
@@ -199,7 +231,9 @@ def test_weightings_in_each_others_place_break_figure_3(flights):
 
 def test_gains_in_each_others_place_break_figure_1b(flights):
     low, high, bounded = (flights[name] for name in GAINS)
-    assert ("1b", "the velocity error falls with a higher k_v") in failing(claims_1(high, low, bounded))
+    assert ("1b", "the velocity error falls with a higher k_v") in failing(
+        claims_1(high, low, bounded)
+    )
 
 
 def test_a_law_that_stays_in_sight_breaks_figure_1a(flights):
@@ -214,7 +248,9 @@ def test_a_uav_that_is_held_back_breaks_figure_1b(flights):
 
 
 def test_a_ugv_that_never_moves_breaks_figure_1c():
-    still, _ = fly(load_scenario("figure-1-high-gain", overrides=["ugv.0.goals=[]", "duration=20.0"]), 0)
+    still, _ = fly(
+        load_scenario("figure-1-high-gain", overrides=["ugv.0.goals=[]", "duration=20.0"]), 0
+    )
     assert stop_row(still) == 0
     assert ("1c", "e(t) can rise while the UGV moves") in failing(claims_1(still, still, still))
 
@@ -261,4 +297,6 @@ def test_an_anchor_holds_only_within_its_tolerance():
 
 
 def test_error_over_bare_ground_is_the_formula_s(claims):
-    assert found(claims, "anchor", "e(0)").number == pytest.approx(8.0 * math.pi * 9.75**2 * (0.5 - 2.0 / math.pi**2), abs=0.01)
+    assert found(claims, "anchor", "e(0)").number == pytest.approx(
+        8.0 * math.pi * 9.75**2 * (0.5 - 2.0 / math.pi**2), abs=0.01
+    )

@@ -1,4 +1,7 @@
-"""The filter from the literature that ours is compared with: it flies, keeps sight, and changes no more than it has to."""
+"""The filter from the literature that ours is compared with.
+
+It flies, keeps sight, and changes no more than it has to.
+"""
 
 import importlib
 import math
@@ -22,7 +25,16 @@ def compare(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 def test_the_peer_keeps_sight_where_the_inner_control_alone_loses_it(compare: ModuleType) -> None:
     flown = {
-        name: compare.fly(compare.Case(network="undegraded", inner="outward", filter=name, driver="evade", seed=7, duration=20.0))
+        name: compare.fly(
+            compare.Case(
+                network="undegraded",
+                inner="outward",
+                filter=name,
+                driver="evade",
+                seed=7,
+                duration=20.0,
+            )
+        )
         for name in ("none", "ours", "backup, γ = 1")
     }
     assert flown["none"].lost
@@ -39,7 +51,9 @@ def test_the_peer_keeps_sight_where_the_inner_control_alone_loses_it(compare: Mo
 
 
 def test_the_peer_takes_the_nearest_input_that_keeps_its_barrier(compare: ModuleType) -> None:
-    case = compare.Case(network="undegraded", inner="outward", filter="ours", driver="evade", seed=7, duration=30.0)
+    case = compare.Case(
+        network="undegraded", inner="outward", filter="ours", driver="evade", seed=7, duration=30.0
+    )
     told = briefing(compare.scenario_of(case), "uav_0", 7)
     peer = importlib.import_module("backup_filter")
 
@@ -71,7 +85,9 @@ def test_the_peer_takes_the_nearest_input_that_keeps_its_barrier(compare: Module
 
 def test_every_case_of_the_comparison_can_be_flown(compare: ModuleType) -> None:
     cases = list(compare.cases(1, 20.0))
-    assert len(cases) == len(compare.NETWORKS) * len(compare.DRIVERS) * (2 * len(compare.FILTERS) - 1)
+    assert len(cases) == len(compare.NETWORKS) * len(compare.DRIVERS) * (
+        2 * len(compare.FILTERS) - 1
+    )
     for case in cases:
         assert compare.scenario_of(case).duration == 20.0
     assert msgspec.to_builtins(cases[0])["network"] == "undegraded"

@@ -64,7 +64,9 @@ def stream() -> tuple[tuple[str, bytes], ...]:
         sent.insert(rng.randrange(len(sent)), (rng.choice(list(COMMANDS)), good.ljust(size)))
     for _ in range(200):
         sent.insert(rng.randrange(len(sent)), (rng.choice(list(COMMANDS)), b""))
-    return tuple((name, payload) for name, payload in sent if payload != msgspec.json.encode(SENTINEL))
+    return tuple(
+        (name, payload) for name, payload in sent if payload != msgspec.json.encode(SENTINEL)
+    )
 
 
 class Wire:
@@ -73,7 +75,9 @@ class Wire:
     def __init__(self, simulator: Session, client: Session) -> None:
         self.client = client
         self.inbox: Inbox = simulator.inbox_of_all(COMMANDS)
-        self._publishers = {name: publisher(client, key.expression("run", name)) for name, key in COMMANDS.items()}
+        self._publishers = {
+            name: publisher(client, key.expression("run", name)) for name, key in COMMANDS.items()
+        }
         while not all(each.matching_status.matching for each in self._publishers.values()):
             self.inbox.receive(0.02)
 
@@ -96,18 +100,25 @@ class Wire:
 
 def publisher(session: Session, expression: str) -> zenoh.Publisher:
     """A writer that waits rather than lose one, of any key."""
-    return session._zenoh.declare_publisher(expression, congestion_control=zenoh.CongestionControl.BLOCK)
+    return session._zenoh.declare_publisher(
+        expression, congestion_control=zenoh.CongestionControl.BLOCK
+    )
 
 
 @pytest.fixture
 def wire(tmp_path: Path) -> Iterator[Wire]:
     endpoint = f"unixsock-stream/{tmp_path / 'bus.sock'}"
-    with open_session(SIMULATOR, "run", listen=(endpoint,)) as simulator, open_session(UGV, "run", connect=endpoint) as client:
+    with (
+        open_session(SIMULATOR, "run", listen=(endpoint,)) as simulator,
+        open_session(UGV, "run", connect=endpoint) as client,
+    ):
         yield Wire(simulator, client)
 
 
 def test_an_inbox_gives_exactly_what_decodes_and_counts_exactly_what_does_not(wire: Wire) -> None:
-    sent = [(name, payload) for name, payload in stream() if 0 < len(payload) <= LARGEST]  # the router drops what is larger
+    sent = [
+        (name, payload) for name, payload in stream() if 0 < len(payload) <= LARGEST
+    ]  # the router drops what is larger
     refused = [name for name, payload in sent if refuses(COMMANDS[name], payload)]
     taken = [
         (name, msgspec.json.decode(payload, type=COMMANDS[name].message))
@@ -139,7 +150,12 @@ def test_garbage_leaves_nothing_behind(wire: Wire) -> None:
     assert after[2] - warm[2] < 10e6, measured  # of 5 MB
 
 
-FOREIGN: tuple[tuple[Key, str], ...] = ((UAV_COMMAND, "uav_0"), (UAV_OBSERVATION, "uav_0"), (OPERATOR, "ugv_0"), (CONTROL, ""))
+FOREIGN: tuple[tuple[Key, str], ...] = (
+    (UAV_COMMAND, "uav_0"),
+    (UAV_OBSERVATION, "uav_0"),
+    (OPERATOR, "ugv_0"),
+    (CONTROL, ""),
+)
 UNHEARD: tuple[tuple[Key, str], ...] = ((UGV_COMMAND, "nobody"), (TRUTH, ""), (STATUS, ""))
 """Keys that nobody reads in this run."""
 
@@ -176,7 +192,10 @@ class Flood:
     def __init__(self, session: Session) -> None:
         own = ((UGV_COMMAND, "ugv_0"),) * GARBAGE_PER_TICK
         self._rng = random.Random(13)
-        self._writers = [(key, publisher(session, key.expression("run", vehicle))) for key, vehicle in (*own, *FOREIGN, *UNHEARD)]
+        self._writers = [
+            (key, publisher(session, key.expression("run", vehicle)))
+            for key, vehicle in (*own, *FOREIGN, *UNHEARD)
+        ]
 
     def __call__(self) -> None:
         for key, writer in self._writers:
@@ -192,9 +211,14 @@ def flown(folder: Path, *, flooded: bool) -> Iterator[tuple[Flight, Server, Vehi
     with ExitStack() as stack:
         simulator = stack.enter_context(open_session(SIMULATOR, "run", listen=(endpoint,)))
         server = Server(simulator, scenario, 3, on_event=events.append)
-        ours = stack.enter_context(open_session(Party(role=Role.UAV, name="uav_0"), "run", connect=endpoint))
+        ours = stack.enter_context(
+            open_session(Party(role=Role.UAV, name="uav_0"), "run", connect=endpoint)
+        )
         theirs = stack.enter_context(open_session(UGV, "run", connect=endpoint))
-        uav, ugv = Vehicle(ours, lambda: None), Vehicle(theirs, Flood(theirs) if flooded else lambda: None)
+        uav, ugv = (
+            Vehicle(ours, lambda: None),
+            Vehicle(theirs, Flood(theirs) if flooded else lambda: None),
+        )
         for vehicle in (uav, ugv):
             vehicle.start()
         flight = server.fly()
@@ -219,7 +243,9 @@ def test_a_flood_of_garbage_is_counted_and_changes_nothing_of_a_flight(tmp_path:
     assert len(events) == 2
 
 
-@pytest.mark.parametrize("expression", ["**", "outrider/**", "*/run/ugv_0/*", "outrider/*/ugv_0/command"])
+@pytest.mark.parametrize(
+    "expression", ["**", "outrider/**", "*/run/ugv_0/*", "outrider/*/ugv_0/command"]
+)
 def test_what_is_put_on_a_pattern_is_nobodys_message(wire: Wire, expression: str) -> None:
     wire.client._zenoh.put(expression, b'{"tick":1,"acceleration":[0,0]}')
     assert wire.carry(()) == []

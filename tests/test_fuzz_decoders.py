@@ -1,6 +1,7 @@
 """Every decoder on garbage: it gives a message within its bounds, or one of three errors.
 
-The payloads are hypothesis' and mutations of real messages; the mutations come from fixed seeds, so every run sees the same.
+The payloads are hypothesis' and mutations of real messages; the mutations come from fixed seeds, so every run sees
+the same.
 """
 
 import json
@@ -41,7 +42,10 @@ class Tally:
         self._kind = kinds.type_info(self.key.message)
 
     def offer(self, payload: bytes) -> None:
-        """Decode as an inbox does; what comes out must be what was said, within its bounds, and be said again as it was."""
+        """Decode as an inbox does.
+
+        What comes out must be what was said, within its bounds, and be said again as it was.
+        """
         self.seen.add(hash(payload))
         try:
             message = self._decoder.decode(payload)
@@ -67,10 +71,18 @@ def test_a_mutated_message_decodes_within_its_bounds_or_is_refused(key: Key) -> 
 
 
 SCALARS = (
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8) | st.sampled_from([1e308, -1, 2**53 + 1, 1e6])
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats()
+    | st.text(max_size=8)
+    | st.sampled_from([1e308, -1, 2**53 + 1, 1e6])
 )
 VALUES = st.recursive(
-    SCALARS, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=4), inner, max_size=3)
+    SCALARS,
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=4), inner, max_size=3)
+    ),
 )
 
 
@@ -82,7 +94,9 @@ def as_json(value: Any) -> bytes:
 def garbage(key: Key) -> st.SearchStrategy[bytes]:
     """Bytes, text, JSON, and objects with the message's own field names and any values."""
     names = [part.encode_name for part in kinds.type_info(key.message).fields]
-    own = st.fixed_dictionaries({}, optional=dict.fromkeys(names, VALUES)) | st.fixed_dictionaries(dict.fromkeys(names, SCALARS))
+    own = st.fixed_dictionaries({}, optional=dict.fromkeys(names, VALUES)) | st.fixed_dictionaries(
+        dict.fromkeys(names, SCALARS)
+    )
     return st.one_of(
         st.binary(max_size=40),
         st.text(max_size=40).map(str.encode),

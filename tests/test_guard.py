@@ -52,10 +52,14 @@ LATEST = 40  # ticks that a detection is on its way at most
 
 def declared(delay: float = 0.0, error: float | None = 0.3) -> UavBriefing:
     """What the paper's UAV is told, with this delay of its commands [s] and this error of its detections [m]."""
-    return msgspec.structs.replace(told(escort("certified")), certificate=Certificate(error=error, age=1.0, delay=delay))
+    return msgspec.structs.replace(
+        told(escort("certified")), certificate=Certificate(error=error, age=1.0, delay=delay)
+    )
 
 
-def observed(tick: int, *found: tuple[float, float, float], time: float | None = None) -> UavObservation:
+def observed(
+    tick: int, *found: tuple[float, float, float], time: float | None = None
+) -> UavObservation:
     """An observation from (20 + tick / 100, 20) at rest, with detections: when [s], and p_a - p_g [m]."""
     return UavObservation(
         tick=tick,
@@ -67,37 +71,58 @@ def observed(tick: int, *found: tuple[float, float, float], time: float | None =
 
 
 def flown(seed: int, delay: float) -> tuple[SafetyFilter, FloatArray, FloatArray, FloatArray]:
-    """A flight with a `SafetyFilter`: late, lost and overtaking detections, some with too large an error, and missed ticks.
+    """A flight with a `SafetyFilter`.
+
+    Late, lost and overtaking detections, some with too large an error, and missed ticks.
 
     Returns:
-        The filter; what came in: the tick, p, v and the command that is wanted, (rows, 7); the detections that arrived: the
+        The filter; what came in: the tick, p, v and the command that is wanted, (rows, 7); the detections that
+        arrived: the
         row in which, the tick taken, p_delta, (found, 4); and what came out as `guard` gives it, (rows, 5).
     """
     rng = np.random.default_rng(seed)
     watch = SafetyFilter(declared(delay))
     pending = [(0.0, 0.0)] * round(delay / DT)
-    p, v, g, wanted, course = (20.0, 20.0), (0.0, 0.0), np.array([20.5, 20.0]), (0.0, 0.0), np.zeros(2)
+    p, v, g, wanted, course = (
+        (20.0, 20.0),
+        (0.0, 0.0),
+        np.array([20.5, 20.0]),
+        (0.0, 0.0),
+        np.zeros(2),
+    )
     underway: list[tuple[int, int, float, float]] = []
     inputs, arrived, outputs = [], [], []
     command = (0.0, 0.0)
     for tick in range(TICKS):
         if tick % 50 == 0:
             a, b = rng.uniform(0.0, 2.0 * math.pi, 2)
-            wanted, course = (0.3 * math.cos(a), 0.3 * math.sin(a)), V_G * np.array([math.cos(b), math.sin(b)])
+            wanted, course = (
+                (0.3 * math.cos(a), 0.3 * math.sin(a)),
+                V_G * np.array([math.cos(b), math.sin(b)]),
+            )
         if rng.random() < 0.8:
-            x, y = (np.array(p) - g + rng.uniform(-0.2, 0.2, 2) * (1.0 if tick < TICKS // 2 else 3.0)).tolist()
+            x, y = (
+                np.array(p) - g + rng.uniform(-0.2, 0.2, 2) * (1.0 if tick < TICKS // 2 else 3.0)
+            ).tolist()
             underway.append((tick + int(rng.integers(0, LATEST)), tick, x, y))
         if not 150 <= tick < 155:
             now = [one for one in underway if one[0] <= tick]
             underway = [one for one in underway if one[0] > tick]
-            looks = tuple(Detection(time=taken * DT, relative_position=(x, y)) for _, taken, x, y in now)
+            looks = tuple(
+                Detection(time=taken * DT, relative_position=(x, y)) for _, taken, x, y in now
+            )
             arrived += [(len(inputs), taken, x, y) for _, taken, x, y in now]
-            seen = UavObservation(tick=tick, time=tick * DT, position=p, velocity=v, detections=looks)
+            seen = UavObservation(
+                tick=tick, time=tick * DT, position=p, velocity=v, detections=looks
+            )
             inputs.append((tick, *p, *v, *wanted))
             watch.see(seen)
             verdict = watch.filter(seen, wanted)
             command = verdict.acceleration
-            code = next((code for code, reason in UNCERTIFIED.items() if reason == verdict.reason), CERTIFIED)
+            code = next(
+                (code for code, reason in UNCERTIFIED.items() if reason == verdict.reason),
+                CERTIFIED,
+            )
             outputs.append((*command, verdict.intervened, code, verdict.distance))
         pending.append(command)
         p_x, p_y, v_x, v_y, _, _ = step_vehicle(*p, *v, *pending.pop(0), V_A, U_A, DT)
@@ -106,12 +131,24 @@ def flown(seed: int, delay: float) -> tuple[SafetyFilter, FloatArray, FloatArray
 
 
 @numba.njit(error_model="numpy")  # type: ignore[untyped-decorator]
-def fly_all(rows: FloatArray, states: GuardState, inputs: FloatArray, arrived: FloatArray, counts: Any, out: FloatArray) -> None:
+def fly_all(
+    rows: FloatArray,
+    states: GuardState,
+    inputs: FloatArray,
+    arrived: FloatArray,
+    counts: Any,
+    out: FloatArray,
+) -> None:
     """All worlds' filters in one compiled loop: each with its row of numbers and its slice of the arrays."""
     for i in range(rows.shape[0]):
         c = unpack_promise(rows[i])
         state = GuardState(
-            states.detections[i], states.plan[i], states.course[i], states.track[i], states.track_ticks[i], states.flags[i]
+            states.detections[i],
+            states.plan[i],
+            states.course[i],
+            states.track[i],
+            states.track_ticks[i],
+            states.flags[i],
         )
         begin_guard(state)
         n = 0
@@ -120,10 +157,25 @@ def fly_all(rows: FloatArray, states: GuardState, inputs: FloatArray, arrived: F
             _, p_x, p_y, v_x, v_y, u_x, u_y = inputs[i, k]
             note_position(state, tick, p_x, p_y)
             while n < counts[i] and arrived[i, n, 0] == k:
-                note_detection(c, state, int(arrived[i, n, 1]), tick, arrived[i, n, 2], arrived[i, n, 3], p_x, p_y)
+                note_detection(
+                    c,
+                    state,
+                    int(arrived[i, n, 1]),
+                    tick,
+                    arrived[i, n, 2],
+                    arrived[i, n, 3],
+                    p_x,
+                    p_y,
+                )
                 n += 1
             u_x, u_y, acts, code, distance = guard(c, state, tick, p_x, p_y, v_x, v_y, u_x, u_y)
-            out[i, k, 0], out[i, k, 1], out[i, k, 2], out[i, k, 3], out[i, k, 4] = u_x, u_y, acts != INNER, code, distance
+            out[i, k, 0], out[i, k, 1], out[i, k, 2], out[i, k, 3], out[i, k, 4] = (
+                u_x,
+                u_y,
+                acts != INNER,
+                code,
+                distance,
+            )
 
 
 @pytest.mark.parametrize("delay", [0.0, 3 * DT])
@@ -131,7 +183,9 @@ def test_many_worlds_in_a_compiled_loop_give_what_the_filter_gives(delay: float)
     flights = [flown(seed, delay) for seed in range(WORLDS)]
     rows = np.array([pack_promise(watch.promise) for watch, *_ in flights])
     one = guard_state(flights[0][0].promise, DEPTH)
-    states = GuardState(*(np.full((WORLDS, *part.shape), 7, part.dtype) for part in one))  # `begin_guard` must clear them
+    states = GuardState(
+        *(np.full((WORLDS, *part.shape), 7, part.dtype) for part in one)
+    )  # `begin_guard` must clear them
     counts = np.array([len(arrived) for _, _, arrived, _ in flights])
     arrived = np.zeros((WORLDS, counts.max(), 4))
     for i, flight in enumerate(flights):
@@ -149,7 +203,10 @@ def test_many_worlds_in_a_compiled_loop_give_what_the_filter_gives(delay: float)
 
 @pytest.mark.parametrize("delay", [0.0, 3 * DT])
 def test_the_filter_is_what_its_parts_are_one_after_the_other(delay: float) -> None:
-    """Written out in plain Python: a dictionary of own positions, a list of commands under way, the whole course each time."""
+    """Written out in plain Python.
+
+    A dictionary of own positions, a list of commands under way, the whole course each time.
+    """
     watch, inputs, arrived, wanted = flown(seed=5, delay=delay)
     c = watch.promise
     kept, plan, contradicted = no_detections(), no_plan(), False
@@ -159,11 +216,20 @@ def test_the_filter_is_what_its_parts_are_one_after_the_other(delay: float) -> N
         positions[tick], t = (p_x, p_y), tick * DT
         for _, taken, x, y in arrived[arrived[:, 0] == k].tolist():
             if taken in positions:
-                z_x, z_y = (min(max(own - far, 0.0), 40.0) for own, far in zip(positions[taken], (x, y), strict=True))
-                contradicted |= not keep_detection(kept, z_x, z_y, taken * DT, t, p_x, p_y, c.eps, c.v_g)
+                z_x, z_y = (
+                    min(max(own - far, 0.0), 40.0)
+                    for own, far in zip(positions[taken], (x, y), strict=True)
+                )
+                contradicted |= not keep_detection(
+                    kept, z_x, z_y, taken * DT, t, p_x, p_y, c.eps, c.v_g
+                )
         on_course = True
         if tick != last + 1:
-            pending, known, safe = (pending + pending[-1:] * int(tick - last - 1))[-len(pending) :] if pending else [], 0, False
+            pending, known, safe = (
+                (pending + pending[-1:] * int(tick - last - 1))[-len(pending) :] if pending else [],
+                0,
+                False,
+            )
             drop_plan(plan)
         elif expected is not None and expected != (p_x, p_y, v_x, v_y):
             on_course, known, safe = False, 0, False
@@ -175,7 +241,10 @@ def test_the_filter_is_what_its_parts_are_one_after_the_other(delay: float) -> N
         if acts == BEST_EFFORT:
             safe = False
         elif not safe:
-            safe = all(is_within(c, kept, plan, (tick + j) * DT, x, y, 0.0) for j, (x, y, *_) in enumerate(course))
+            safe = all(
+                is_within(c, kept, plan, (tick + j) * DT, x, y, 0.0)
+                for j, (x, y, *_) in enumerate(course)
+            )
         newest = newest_detection(kept)
         checks = {
             NO_DETECTION: newest < 0,
@@ -198,7 +267,11 @@ def test_a_memory_that_begins_again_is_as_fresh_as_a_new_one(delay: float) -> No
     promise = promise_of(declared(delay))
     fresh, used = guard_state(promise, 8), guard_state(promise, 8)
     assert used.course.shape == (round(delay / DT) + 1, 6)
-    assert guard(promise, used, 0, 20.0, 20.0, 0.1, 0.0, 0.1, 0.0)[2:] == (BEST_EFFORT, NO_DETECTION, math.inf)
+    assert guard(promise, used, 0, 20.0, 20.0, 0.1, 0.0, 0.1, 0.0)[2:] == (
+        BEST_EFFORT,
+        NO_DETECTION,
+        math.inf,
+    )
     for part in used:
         part.fill(-5)
     begin_guard(used)
@@ -240,7 +313,9 @@ def test_a_detection_that_claims_another_moment_counts_for_the_nearest_tick() ->
     for tick in range(6):
         watch.see(observed(tick))
     watch.see(observed(6, (3.4 * DT, 0.0, 1.0), (1e12, 0.0, 1.0), (7 * DT, 0.0, 1.0)))
-    assert watch._state.detections[np.isfinite(watch._state.detections[:, 2])].tolist() == [[20.03, 19.0, 3 * DT]]
+    assert watch._state.detections[np.isfinite(watch._state.detections[:, 2])].tolist() == [
+        [20.03, 19.0, 3 * DT]
+    ]
 
 
 def test_where_the_ugv_was_detected_is_clipped_into_the_area() -> None:
@@ -248,7 +323,9 @@ def test_where_the_ugv_was_detected_is_clipped_into_the_area() -> None:
     state = guard_state(promise, 8)
     note_position(state, 0, 0.2, promise.height - 0.1)
     note_detection(promise, state, 0, 0, 0.3, -0.3, 0.2, promise.height - 0.1)
-    assert state.detections[np.isfinite(state.detections[:, 2])].tolist() == [[0.0, promise.height, 0.0]]
+    assert state.detections[np.isfinite(state.detections[:, 2])].tolist() == [
+        [0.0, promise.height, 0.0]
+    ]
 
 
 def test_a_contradiction_is_remembered_until_the_filter_begins_again() -> None:
@@ -266,7 +343,10 @@ def test_a_contradiction_is_remembered_until_the_filter_begins_again() -> None:
 
 @pytest.mark.parametrize("error", [0.3, None])
 def test_a_promise_comes_back_from_its_row(error: float | None) -> None:
-    for promise in (promise_of(declared(0.15, error)), certificate(r_v=5, v_a=1, u_a=1, v_g=0, dt=0.1, eps=0, age=2)):
+    for promise in (
+        promise_of(declared(0.15, error)),
+        certificate(r_v=5, v_a=1, u_a=1, v_g=0, dt=0.1, eps=0, age=2),
+    ):
         row = pack_promise(promise)
         assert (row.dtype, row.shape) == (np.float64, (len(Promise._fields),))
         back = unpack_promise(row)
@@ -287,7 +367,15 @@ class Vehicle:
     """A UAV that does what its filter says after a delay, and the codes of its ticks."""
 
     def __init__(self, delay: float, *, begin: int = 0, width: float = 40.0) -> None:
-        numbers = {"r_v": 4.75, "v_a": V_A, "u_a": U_A, "v_g": V_G, "dt": DT, "eps": 0.0, "age": 1.0}
+        numbers = {
+            "r_v": 4.75,
+            "v_a": V_A,
+            "u_a": U_A,
+            "v_g": V_G,
+            "dt": DT,
+            "eps": 0.0,
+            "age": 1.0,
+        }
         self.promise = certificate(**numbers, delay=delay, width=width, height=width)
         self.memory = guard_state(self.promise, 8)
         self.state, self.tick = (20.0, 20.0, 0.0, 0.0), begin
@@ -298,13 +386,26 @@ class Vehicle:
         """One tick; whether its command is lost; the code."""
         p_x, p_y, v_x, v_y = self.state
         note_position(self.memory, self.tick, p_x, p_y)
-        note_detection(self.promise, self.memory, self.tick, self.tick, p_x - self.g[0], p_y - self.g[1], p_x, p_y)
+        note_detection(
+            self.promise,
+            self.memory,
+            self.tick,
+            self.tick,
+            p_x - self.g[0],
+            p_y - self.g[1],
+            p_x,
+            p_y,
+        )
         code = CERTIFIED
         if filtered:
-            *command, _, code, _ = guard(self.promise, self.memory, self.tick, p_x, p_y, v_x, v_y, *wanted)
+            *command, _, code, _ = guard(
+                self.promise, self.memory, self.tick, p_x, p_y, v_x, v_y, *wanted
+            )
         else:
             command = wanted
-        self.pending.append(self.pending[-1] if lose and self.pending else (0.0, 0.0) if lose else tuple(command))
+        self.pending.append(
+            self.pending[-1] if lose and self.pending else (0.0, 0.0) if lose else tuple(command)
+        )
         *self.state, _ = step_in_area(self.promise, *self.state, *self.pending.pop(0))
         self.tick += 1
         return code
@@ -314,7 +415,9 @@ OUT, BACK = (U_A, 0.0), (-U_A, 0.0)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.5])
-def test_after_a_lost_command_nothing_is_certified_until_all_under_way_were_sent_since(delay: float) -> None:
+def test_after_a_lost_command_nothing_is_certified_until_all_under_way_were_sent_since(
+    delay: float,
+) -> None:
     uav, d = Vehicle(delay), round(delay / DT)
     for _ in range(10):
         assert uav.fly(OUT) == CERTIFIED
@@ -326,7 +429,9 @@ def test_after_a_lost_command_nothing_is_certified_until_all_under_way_were_sent
     assert set(codes[told + max(1, d) :]) == {CERTIFIED}
 
 
-def test_commands_under_way_that_lead_out_of_sight_are_not_certified_though_a_plan_brings_back() -> None:
+def test_commands_under_way_that_lead_out_of_sight_are_not_certified_though_a_plan_brings_back() -> (
+    None
+):
     """Only the state at t + tau_c was looked at once, and 4.895 m were certified."""
     uav, seen = Vehicle(1.0), set()
     for k in range(400):

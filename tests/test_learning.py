@@ -17,7 +17,17 @@ import outrider
 from outrider.env_pilots import pilots
 from outrider.learning.alone import alone
 from outrider.learning.curve import draw_curve
-from outrider.learning.evaluate import CASES, LAWS, LEARNED, VALIDATION_SEEDS, as_dicts, evaluate, fly_law, fly_policy, markdown
+from outrider.learning.evaluate import (
+    CASES,
+    LAWS,
+    LEARNED,
+    VALIDATION_SEEDS,
+    as_dicts,
+    evaluate,
+    fly_law,
+    fly_policy,
+    markdown,
+)
 from outrider.learning.mlp import Mlp, load_policy, save_policy
 from outrider.learning.policy import LearnedPolicy, make_view
 from outrider.learning.repeat import ActionRepeat
@@ -25,7 +35,9 @@ from outrider.vector import Worlds
 from outrider.wrappers import transformed
 from sim.scenario import load_scenario
 
-pytestmark = pytest.mark.xdist_group("many worlds")  # on one worker: what they compile takes a minute, once
+pytestmark = pytest.mark.xdist_group(
+    "many worlds"
+)  # on one worker: what they compile takes a minute, once
 
 POLICY = Path(__file__).parents[1] / "examples" / "policies" / "uav_ppo.npz"
 SEEDS = [41, 42, 43]
@@ -34,7 +46,8 @@ NOISY = msgspec.structs.replace(load_scenario("escort"), duration=30.0)
 
 def test_importing_it_imports_no_learning_library() -> None:
     code = (
-        "import sys, outrider.learning.curve, outrider.learning.alone; print({'torch', 'stable_baselines3'} & set(sys.modules))"
+        "import sys, outrider.learning.curve, outrider.learning.alone;"
+        "print({'torch', 'stable_baselines3'} & set(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
@@ -45,7 +58,15 @@ def test_the_shipped_file_is_small_and_says_how_it_was_made() -> None:
     assert POLICY.stat().st_size < 300_000
     assert recipe["algorithm"] == "PPO"
     assert recipe["trained"]["ticks"] == recipe["repeat"] * recipe["trained"]["decisions"] > 1e6
-    assert {"seed", "num_envs", "rewards", "versions", "scenario", "driver", "curve"} <= recipe.keys()
+    assert {
+        "seed",
+        "num_envs",
+        "rewards",
+        "versions",
+        "scenario",
+        "driver",
+        "curve",
+    } <= recipe.keys()
     assert recipe["seed"] * 100 + recipe["num_envs"] < VALIDATION_SEEDS[0]
     assert network.weights[-1].shape[0] == 2
 
@@ -61,7 +82,9 @@ def test_it_flies_a_single_environment_as_it_flies_a_batch() -> None:
     for _ in range(500):
         observed = worlds.observe("uav_0")
         assert isinstance(observed, dict)
-        assert all(np.array_equal(observed[key][k], seen["uav_0"][key]) for key in ("row", "coverage"))
+        assert all(
+            np.array_equal(observed[key][k], seen["uav_0"][key]) for key in ("row", "coverage")
+        )
         actions = policies["batch"](observed)
         action = policies["single"](seen["uav_0"])
         assert action.shape == (2,)
@@ -77,11 +100,15 @@ def test_it_sees_what_it_was_trained_on() -> None:
     policy = LearnedPolicy.load(POLICY)
 
     def make() -> Any:
-        return outrider.vector_env(NOISY, num_envs=3, duration=6.0, safety_filter=True, **policy.setup)
+        return outrider.vector_env(
+            NOISY, num_envs=3, duration=6.0, safety_filter=True, **policy.setup
+        )
 
     training = transformed(ActionRepeat(make(), recipe["repeat"]), lambda: make_view(recipe))
     plain = make()
-    assert training.action_space == batch_space(training.single_action_space, 3) != plain.action_space
+    assert (
+        training.action_space == batch_space(training.single_action_space, 3) != plain.action_space
+    )
     shown, _ = training.reset(seed=5)
     seen, _ = plain.reset(seed=5)
     for _ in range(30):
@@ -132,8 +159,14 @@ def test_the_table_is_the_same_twice_and_says_what_is_not_filtered() -> None:
     results = evaluate(POLICY, flights=2, cases=["covered"], duration=10.0)
     assert results == evaluate(POLICY, flights=2, cases=["covered"], duration=10.0)
     assert [result.pilot for result in results][: len(LAWS)] == list(LAWS)
-    assert all(result.lost == result.violations == 0 and 0.0 < result.max_distance < 4.75 for result in results)
-    assert {result.pilot for result in results if result.intervened is not None} == {"certified", LEARNED}
+    assert all(
+        result.lost == result.violations == 0 and 0.0 < result.max_distance < 4.75
+        for result in results
+    )
+    assert {result.pilot for result in results if result.intervened is not None} == {
+        "certified",
+        LEARNED,
+    }
     lines = markdown(results).splitlines()
     assert len(lines) == 4 + len(results)
     assert len({line.count("|") for line in lines[2:]}) == 1
@@ -157,8 +190,16 @@ def _bad_files(folder: Path) -> dict[str, str]:
     (folder / "half.npz").write_bytes(POLICY.read_bytes()[:5000])
     np.savez(folder / "other.npz", weight_0=np.eye(2))
     np.savez(folder / "objects.npz", recipe=np.array([{}], dtype=object))
-    save_policy(folder / "gap.npz", network._replace(weights=network.weights[::-1], biases=network.biases[::-1]), recipe)
-    save_policy(folder / "nan.npz", network._replace(biases=tuple(bias * np.nan for bias in network.biases)), recipe)
+    save_policy(
+        folder / "gap.npz",
+        network._replace(weights=network.weights[::-1], biases=network.biases[::-1]),
+        recipe,
+    )
+    save_policy(
+        folder / "nan.npz",
+        network._replace(biases=tuple(bias * np.nan for bias in network.biases)),
+        recipe,
+    )
     save_policy(folder / "recipe.npz", network, {"dt": 0.05})
     save_policy(folder / "view.npz", network, recipe | {"view": recipe["view"] | {"sectors": 3}})
     save_policy(folder / "list.npz", network, [])  # type: ignore[arg-type]
@@ -191,7 +232,9 @@ def test_a_policy_asks_for_the_observations_that_it_needs() -> None:
     with pytest.raises(ValueError, match=r"uav_0: max_speed = 0.7: the policy is made for 0.6"):
         alone(fast, policy)
     with pytest.raises(ValueError, match=r"v_max = 0.6 m/s, not 0.7 m/s"):
-        transformed(outrider.vector_env(fast, num_envs=2, **policy.setup), lambda: make_view(policy.recipe))
+        transformed(
+            outrider.vector_env(fast, num_envs=2, **policy.setup), lambda: make_view(policy.recipe)
+        )
     with pytest.raises(ValueError, match="flights = 0"):
         evaluate(POLICY, flights=0)
     with pytest.raises(ValueError, match="allowed: escort, wander, evade, covered"):
@@ -206,7 +249,9 @@ def test_a_world_is_answered_with_the_same_bits_alone_and_in_a_batch() -> None:
     )
     inputs = rng.normal(size=(50, 86))
     together = network(inputs)
-    assert all(np.array_equal(network(one), answer) for one, answer in zip(inputs, together, strict=True))
+    assert all(
+        np.array_equal(network(one), answer) for one, answer in zip(inputs, together, strict=True)
+    )
     x = inputs[0]
     for k, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
         x = weight @ x + bias if k == 2 else np.tanh(weight @ x + bias)
@@ -232,14 +277,22 @@ def test_a_repeated_action_is_so_many_ticks_and_the_sum_of_their_rewards() -> No
         assert np.array_equal(over, truncated)
         assert over.all() == (step % 5 == 4)
         if over.any():
-            assert all(np.array_equal(infos["final_obs"][k], told["final_obs"][k]) for k in range(2))
-            assert np.array_equal(infos["final_info"]["episode"]["r"], told["final_info"]["episode"]["r"])
+            assert all(
+                np.array_equal(infos["final_obs"][k], told["final_obs"][k]) for k in range(2)
+            )
+            assert np.array_equal(
+                infos["final_info"]["episode"]["r"], told["final_info"]["episode"]["r"]
+            )
 
 
 def test_an_end_inside_a_repeated_action_is_told_with_its_own_last_observation() -> None:
     scenario = load_scenario("escort")
-    plain, repeated = (outrider.vector_env(scenario, num_envs=2, duration=0.5, agent="uav_0") for _ in range(2))
-    env = ActionRepeat(repeated, 4)  # 10 ticks: the episode ends at the second tick of the third step
+    plain, repeated = (
+        outrider.vector_env(scenario, num_envs=2, duration=0.5, agent="uav_0") for _ in range(2)
+    )
+    env = ActionRepeat(
+        repeated, 4
+    )  # 10 ticks: the episode ends at the second tick of the third step
     plain.reset(seed=2)
     env.reset(seed=2)
     action = np.array([[0.2, 0.1], [-0.3, 0.0]])

@@ -24,16 +24,32 @@ def _searches(draw: st.DrawFn) -> tuple[np.ndarray, float, float, float, float, 
     rows, columns = draw(st.integers(1, 40)), draw(st.integers(1, 40))
     cell = draw(st.sampled_from((0.25, 0.4, 1.0)))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
-    coverage = np.where(rng.random((rows, columns)) < draw(st.sampled_from((0.0, 0.01, 0.1, 1.0))), 1.0, 2.0 * DESIRED)
+    coverage = np.where(
+        rng.random((rows, columns)) < draw(st.sampled_from((0.0, 0.01, 0.1, 1.0))),
+        1.0,
+        2.0 * DESIRED,
+    )
     points = st.floats(-2.0, 42 * cell) | st.sampled_from((0.0, cell, 3.5 * cell))
-    return coverage, draw(points), draw(points), draw(points), draw(points), draw(st.floats(0.2, 15.0)), cell
+    return (
+        coverage,
+        draw(points),
+        draw(points),
+        draw(points),
+        draw(points),
+        draw(st.floats(0.2, 15.0)),
+        cell,
+    )
 
 
 @given(_searches(), st.integers(0, 2**53 - 1))
 @settings(PROPERTY, max_examples=300)
-def test_no_uncovered_point_is_nearer(search: tuple[np.ndarray, float, float, float, float, float, float], key: int) -> None:
+def test_no_uncovered_point_is_nearer(
+    search: tuple[np.ndarray, float, float, float, float, float, float], key: int
+) -> None:
     coverage, p_ax, p_ay, p_gx, p_gy, r_o, cell = search
-    found, q_x, q_y = nearest_uncovered(coverage, p_ax, p_ay, p_gx, p_gy, r_o, DESIRED, cell, a_key(key), 0)
+    found, q_x, q_y = nearest_uncovered(
+        coverage, p_ax, p_ay, p_gx, p_gy, r_o, DESIRED, cell, a_key(key), 0
+    )
     candidates = reference.uncovered(coverage, p_gx, p_gy, r_o, DESIRED, cell)
     assert found == candidates.any()
     if found:
@@ -51,9 +67,13 @@ def _corner(key: int, tick: int = 0) -> Answer:
 
 @pytest.mark.parametrize("by", ["key", "tick"])
 def test_each_of_four_equals_is_drawn_about_equally(by: str) -> None:
-    answers = [_corner(key=k, tick=3) if by == "key" else _corner(key=5, tick=k) for k in range(2000)]
+    answers = [
+        _corner(key=k, tick=3) if by == "key" else _corner(key=5, tick=k) for k in range(2000)
+    ]
     points, counts = np.unique(answers, axis=0, return_counts=True)
-    assert {(x, y) for _, x, y in points.tolist()} == {(20.0 + i, 20.0 + j) for i in (-0.125, 0.125) for j in (-0.125, 0.125)}
+    assert {(x, y) for _, x, y in points.tolist()} == {
+        (20.0 + i, 20.0 + j) for i in (-0.125, 0.125) for j in (-0.125, 0.125)
+    }
     assert stats.chisquare(counts).pvalue > 1e-3
 
 
@@ -64,7 +84,9 @@ def test_the_same_key_and_tick_draw_the_same_point() -> None:
 def test_a_nearer_point_wins_whatever_is_drawn() -> None:
     coverage = empty_coverage(40.0, 40.0, CELL)
     for key in range(50):
-        _, x, y = nearest_uncovered(coverage, 20.001, 20.002, *HERE, R_O, DESIRED, CELL, a_key(key), 0)
+        _, x, y = nearest_uncovered(
+            coverage, 20.001, 20.002, *HERE, R_O, DESIRED, CELL, a_key(key), 0
+        )
         assert (x, y) == (20.125, 20.125)
 
 

@@ -30,7 +30,9 @@ from sim.profiles import PROFILES
 from sim.scenario import Detections, LinkTable, Scenario, Uav, Ugv
 
 with warnings.catch_warnings():
-    warnings.simplefilter("ignore", DeprecationWarning)  # PettingZoo 1.27 makes an old environment of its own
+    warnings.simplefilter(
+        "ignore", DeprecationWarning
+    )  # PettingZoo 1.27 makes an old environment of its own
     from pettingzoo.test import api_test, parallel_api_test
 
 ONE = Scenario(
@@ -49,7 +51,10 @@ FREE = msgspec.structs.replace(
 )
 MANY = msgspec.structs.replace(
     ONE,
-    uav=(Uav(name="uav_0", position=(3.0, 38.0), velocity=(0.0, 0.5)), Uav(name="uav_1", position=(0.2, 39.9))),
+    uav=(
+        Uav(name="uav_0", position=(3.0, 38.0), velocity=(0.0, 0.5)),
+        Uav(name="uav_1", position=(0.2, 39.9)),
+    ),
     ugv=(Ugv(name="ugv_0", position=(1.0, 39.0)),),
 )
 SCENARIOS = {"one": ONE, "free": FREE, "many": MANY}
@@ -57,7 +62,9 @@ PATCH = (9, 0.7)
 
 
 def linked(scenario, profile):
-    return msgspec.structs.replace(scenario, links=LinkTable(detections=PROFILES[profile], commands=PROFILES[profile]))
+    return msgspec.structs.replace(
+        scenario, links=LinkTable(detections=PROFILES[profile], commands=PROFILES[profile])
+    )
 
 
 def still(env):
@@ -76,7 +83,9 @@ def boxes(space):
 def same(a, b):
     """Bit for bit, types too."""
     a, b = arrays(a), arrays(b)
-    return a.keys() == b.keys() and all(a[k].dtype == b[k].dtype and np.array_equal(a[k], b[k]) for k in a)
+    return a.keys() == b.keys() and all(
+        a[k].dtype == b[k].dtype and np.array_equal(a[k], b[k]) for k in a
+    )
 
 
 def check_inside(env, observations):
@@ -108,12 +117,18 @@ def compositions(draw):
     only = draw(st.booleans())
     middle = []
     if second:
-        middle.append(lambda env, pictures: coverage_image(env, channels=channels, only=only) if pictures else env)
+        middle.append(
+            lambda env, pictures: (
+                coverage_image(env, channels=channels, only=only) if pictures else env
+            )
+        )
     if third:
         middle.append(lambda env, _: normalized(env, scale=scale, dtype=dtype))
     layers += draw(st.permutations(middle))
     if twice:
-        layers.append(lambda env, _: history(env, length, stride=stride, new_axis=new_axis, channels=channels))
+        layers.append(
+            lambda env, _: history(env, length, stride=stride, new_axis=new_axis, channels=channels)
+        )
     if late:
         layers.append(lambda env, _: normalized(env, dtype=dtype, scale=scale))
     return layers
@@ -132,7 +147,9 @@ SIZES = st.one_of(st.sampled_from([0.0, 1e-300, 1e-3, 1.0, -1.0, 1e6, -1e6]), st
     seed=st.integers(0, 99),
     sizes=st.lists(st.tuples(SIZES, SIZES), min_size=2, max_size=12),
 )
-def test_the_spaces_contain_what_is_returned_always(layers, scenario, profile, pictures, dtype, seed, sizes):
+def test_the_spaces_contain_what_is_returned_always(
+    layers, scenario, profile, pictures, dtype, seed, sizes
+):
     env = parallel_env(
         linked(SCENARIOS[scenario], profile),
         duration=1.5,
@@ -168,13 +185,25 @@ def test_what_is_done_to_a_returned_observation_changes_nothing_later():
     (one, _), (other, _) = touched.reset(seed=1), twin.reset(seed=1)
     for _ in range(10):
         assert all(same(one[name], other[name]) for name in one)
-        for array in itertools.chain(*(arrays(observation).values() for observation in one.values())):
+        for array in itertools.chain(
+            *(arrays(observation).values() for observation in one.values())
+        ):
             array[...] = 77
-        one, other = (env.step({name: np.array([0.05, 0.05]) for name in env.agents})[0] for env in (touched, twin))
+        one, other = (
+            env.step({name: np.array([0.05, 0.05]) for name in env.agents})[0]
+            for env in (touched, twin)
+        )
 
 
 @pytest.mark.parametrize(
-    "one", [Normalized(dtype=np.float64), Egocentric(), CoverageImage(), CoverageImage(only=True), History(1)]
+    "one",
+    [
+        Normalized(dtype=np.float64),
+        Egocentric(),
+        CoverageImage(),
+        CoverageImage(only=True),
+        History(1),
+    ],
 )
 def test_nothing_that_is_returned_shares_memory_with_what_was_given(one):
     space = parallel_env(ONE, coverage_patch=PATCH).observation_space("uav_0")
@@ -187,16 +216,32 @@ def test_nothing_that_is_returned_shares_memory_with_what_was_given(one):
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
-@pytest.mark.parametrize("wrap", [normalized, egocentric, lambda env: history(env, 3, new_axis=True), coverage_image, everything])
+@pytest.mark.parametrize(
+    "wrap",
+    [
+        normalized,
+        egocentric,
+        lambda env: history(env, 3, new_axis=True),
+        coverage_image,
+        everything,
+    ],
+)
 def test_passes_pettingzoos_parallel_test(scenario, wrap):
-    parallel_api_test(wrap(parallel_env(SCENARIOS[scenario], coverage_patch=PATCH, duration=2.0)), num_cycles=60)
+    parallel_api_test(
+        wrap(parallel_env(SCENARIOS[scenario], coverage_patch=PATCH, duration=2.0)), num_cycles=60
+    )
 
 
 def test_passes_pettingzoos_test_as_a_turn_based_environment():
     with warnings.catch_warnings():
         # A UAV and a UGV see different things, and an image is not in [0, 1].
-        warnings.filterwarnings("ignore", "Agents have different|Observations are different|Observation is not|The observation")
-        api_test(parallel_to_aec(history(normalized(egocentric(parallel_env(ONE))), 2)), num_cycles=50)
+        warnings.filterwarnings(
+            "ignore",
+            "Agents have different|Observations are different|Observation is not|The observation",
+        )
+        api_test(
+            parallel_to_aec(history(normalized(egocentric(parallel_env(ONE))), 2)), num_cycles=50
+        )
 
 
 def test_a_copy_goes_on_like_the_original():
@@ -218,23 +263,34 @@ def test_normalized_entries_are_where_their_bounds_put_them():
     seen, _ = env.reset(seed=3)
     space = env.unwrapped.observation_space("uav_0")
     np.testing.assert_allclose(
-        seen["uav_0"], 2.0 * (raw["uav_0"] - space.low) / (space.high - space.low) - 1.0, rtol=0, atol=1e-6
+        seen["uav_0"],
+        2.0 * (raw["uav_0"] - space.low) / (space.high - space.low) - 1.0,
+        rtol=0,
+        atol=1e-6,
     )
     one = Normalized()
     one.space(space)
-    np.testing.assert_array_equal(one.apply(np.stack([space.low, space.high])), [[-1.0] * 9, [1.0] * 9])
+    np.testing.assert_array_equal(
+        one.apply(np.stack([space.low, space.high])), [[-1.0] * 9, [1.0] * 9]
+    )
 
 
 def test_normalized_takes_what_has_no_bounds():
     low = np.array([-np.inf, 2.0, -np.inf, 3.0])
     high = np.array([np.inf, np.inf, 2.0, 3.0])
     one = Normalized(scale=4.0, dtype=np.float64)
-    assert one.space(gymnasium.spaces.Box(low, high, dtype=np.float64)) == gymnasium.spaces.Box(-1.0, 1.0, (4,), np.float64)
+    assert one.space(gymnasium.spaces.Box(low, high, dtype=np.float64)) == gymnasium.spaces.Box(
+        -1.0, 1.0, (4,), np.float64
+    )
     np.testing.assert_allclose(one.apply(np.array([0.0, 2.0, 2.0, 3.0])), [0.0, -1.0, 1.0, 0.0])
     np.testing.assert_allclose(one.apply(np.array([4.0, 6.0, -2.0, 3.0])), [0.5, 0.0, 0.0, 0.0])
     np.testing.assert_allclose(one.apply(np.array([-4.0, 6.0, -2.0, 3.0])), [-0.5, 0.0, 0.0, 0.0])
-    np.testing.assert_array_equal(one.apply(np.array([-np.inf, np.inf, -np.inf, 3.0])), [-1.0, 1.0, -1.0, 0.0])
-    np.testing.assert_array_equal(one.apply(np.array([1.7e308, 1.7e308, -1.7e308, 3.0])), [1.0, 1.0, -1.0, 0.0])
+    np.testing.assert_array_equal(
+        one.apply(np.array([-np.inf, np.inf, -np.inf, 3.0])), [-1.0, 1.0, -1.0, 0.0]
+    )
+    np.testing.assert_array_equal(
+        one.apply(np.array([1.7e308, 1.7e308, -1.7e308, 3.0])), [1.0, 1.0, -1.0, 0.0]
+    )
 
 
 def test_normalized_brings_what_rounding_has_put_outside_back_into_the_box():
@@ -251,7 +307,9 @@ def test_normalized_brings_what_rounding_has_put_outside_back_into_the_box():
 def test_the_image_has_the_bytes_of_the_coverage(channels, axis, pixels):
     plain = parallel_env(ONE, coverage_patch=(pixels, 1.1))
     env = coverage_image(parallel_env(ONE, coverage_patch=(pixels, 1.1)), channels=channels)
-    only = coverage_image(parallel_env(ONE, coverage_patch=(pixels, 1.1)), channels=channels, only=True)
+    only = coverage_image(
+        parallel_env(ONE, coverage_patch=(pixels, 1.1)), channels=channels, only=True
+    )
     space = env.observation_space("uav_0")["coverage"]
     assert space.shape == tuple(np.expand_dims(np.empty((pixels, pixels)), axis).shape)
     assert (space.dtype, space.low.min(), space.high.max()) == (np.uint8, 0, 255)
@@ -269,9 +327,16 @@ def test_the_image_has_the_bytes_of_the_coverage(channels, axis, pixels):
 def test_a_byte_is_the_nearest_and_halves_go_up():
     one = CoverageImage(only=True)
     share = gymnasium.spaces.Box(0.0, 1.0, (2, 2), np.float64)
-    one.space(gymnasium.spaces.Dict({"row": gymnasium.spaces.Box(0.0, 1.0, (9,), np.float64), "coverage": share}))
+    one.space(
+        gymnasium.spaces.Dict(
+            {"row": gymnasium.spaces.Box(0.0, 1.0, (9,), np.float64), "coverage": share}
+        )
+    )
     picture = np.array([[0.0, 0.5], [1.0, 0.49 / 255.0]])
-    assert one.apply({"row": np.zeros(9), "coverage": picture})[..., 0].tolist() == [[0, 128], [255, 0]]
+    assert one.apply({"row": np.zeros(9), "coverage": picture})[..., 0].tolist() == [
+        [0, 128],
+        [255, 0],
+    ]
 
 
 # The vehicle's frame.
@@ -283,20 +348,31 @@ def turned(heading, x, y):
 
 
 def test_the_rows_of_the_vehicles_frame_say_the_same_as_the_worlds():
-    plain, env = parallel_env(MANY, end_on_sight_lost=False), egocentric(parallel_env(MANY, end_on_sight_lost=False))
+    plain, env = (
+        parallel_env(MANY, end_on_sight_lost=False),
+        egocentric(parallel_env(MANY, end_on_sight_lost=False)),
+    )
     raw, seen = plain.reset(seed=4)[0], env.reset(seed=4)[0]
     rng = np.random.default_rng(4)
     for _ in range(200):
         for name, row in raw.items():
             uav = name.startswith("uav")
-            was, now = (UavRow(*row), UavBodyRow(*seen[name])) if uav else (UgvRow(*row), UgvBodyRow(*seen[name]))
+            was, now = (
+                (UavRow(*row), UavBodyRow(*seen[name]))
+                if uav
+                else (UgvRow(*row), UgvBodyRow(*seen[name]))
+            )
             heading = now.heading_x, now.heading_y
             assert now.time == was.time
             assert math.hypot(*heading) == pytest.approx(1.0)
             assert now.speed == pytest.approx(math.hypot(was.vx, was.vy))
             if now.speed >= 0.01:
-                np.testing.assert_allclose(turned(heading, now.speed, 0.0), (was.vx, was.vy), atol=1e-12)
-            np.testing.assert_allclose(turned(heading, now.centre_x, now.centre_y), (20.0 - was.x, 20.0 - was.y), atol=1e-9)
+                np.testing.assert_allclose(
+                    turned(heading, now.speed, 0.0), (was.vx, was.vy), atol=1e-12
+                )
+            np.testing.assert_allclose(
+                turned(heading, now.centre_x, now.centre_y), (20.0 - was.x, 20.0 - was.y), atol=1e-9
+            )
             if uav:
                 assert (now.detected, now.age) == (was.detected, was.age)
                 relative = turned(heading, now.relative_x, now.relative_y)
@@ -310,13 +386,16 @@ def test_the_rows_of_the_vehicles_frame_say_the_same_as_the_worlds():
 
 def test_the_goal_is_seen_from_the_ugv_and_is_gone_with_the_last_one():
     near = msgspec.structs.replace(
-        ONE, ugv=(Ugv(position=(10.0, 10.0), velocity=(0.0, 0.1), goals=((10.1, 10.3), (10.0, 10.4))),)
+        ONE,
+        ugv=(Ugv(position=(10.0, 10.0), velocity=(0.0, 0.1), goals=((10.1, 10.3), (10.0, 10.4))),),
     )
     env = egocentric(parallel_env(near, end_on_sight_lost=False))
     row = UgvBodyRow(*env.reset(seed=0)[0]["ugv_0"])
     assert (row.heading_x, row.heading_y, row.speed) == pytest.approx((0.0, 1.0, 0.1))
     assert row[-3:] == pytest.approx((1.0, 0.3, -0.1))  # ahead is north, the left is west
-    near = msgspec.structs.replace(ONE, ugv=(Ugv(position=(10.0, 10.0), velocity=(0.1, 0.0), goals=((10.1, 10.0),)),))
+    near = msgspec.structs.replace(
+        ONE, ugv=(Ugv(position=(10.0, 10.0), velocity=(0.1, 0.0), goals=((10.1, 10.0),)),)
+    )
     env = egocentric(parallel_env(near, end_on_sight_lost=False))
     row = UgvBodyRow(*env.reset(seed=0)[0]["ugv_0"])
     while row.underway:
@@ -346,7 +425,10 @@ def test_the_heading_stays_while_the_vehicle_rests_and_begins_east():
     assert heading(one.begin(row(-0.5, 0.0), np.array(True))) == [-1.0, 0.0]
 
 
-@pytest.mark.parametrize("bad", [[0.0], [0.0, 0.0, 0.0], [0.0, math.nan], [1e7, 0.0], ["a", "b"], None, [0.1, [0.2]], True])
+@pytest.mark.parametrize(
+    "bad",
+    [[0.0], [0.0, 0.0, 0.0], [0.0, math.nan], [1e7, 0.0], ["a", "b"], None, [0.1, [0.2]], True],
+)
 def test_a_bad_action_is_refused_by_the_environment_and_nothing_happens(bad):
     env, twin = egocentric(parallel_env(ONE)), egocentric(parallel_env(ONE))
     for one in (env, twin):
@@ -364,9 +446,13 @@ def test_a_bad_action_is_refused_by_the_environment_and_nothing_happens(bad):
 def test_the_gradient_behind_a_row_is_turned_too():
     one = Egocentric()
     row = parallel_env(ONE).observation_space("uav_0")
-    space = gymnasium.spaces.Box(np.append(row.low, [-1.0, -1.0]), np.append(row.high, [1.0, 1.0]), dtype=np.float64)
+    space = gymnasium.spaces.Box(
+        np.append(row.low, [-1.0, -1.0]), np.append(row.high, [1.0, 1.0]), dtype=np.float64
+    )
     assert one.space(space).shape == (12,)
-    seen = one.begin(np.array([*UavRow(0.0, 1.0, 1.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0), 0.6, 0.8]), np.array(True))
+    seen = one.begin(
+        np.array([*UavRow(0.0, 1.0, 1.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0), 0.6, 0.8]), np.array(True)
+    )
     np.testing.assert_allclose(seen[-2:], [0.8, -0.6])
 
 
@@ -420,7 +506,13 @@ class Rows(gymnasium.Env):
 
     def step(self, action):
         observations, rewards, *_ = self.env.step({"uav_0": action, "ugv_0": np.zeros(2)})
-        return observations["uav_0"], rewards["uav_0"], False, self.env.unwrapped.world.tick >= self.ticks, {}
+        return (
+            observations["uav_0"],
+            rewards["uav_0"],
+            False,
+            self.env.unwrapped.world.tick >= self.ticks,
+            {},
+        )
 
 
 @pytest.mark.parametrize("patch", [None, PATCH])
@@ -471,7 +563,10 @@ class Vector(VectorEnv):
     def __init__(self, worlds):
         self.worlds, self.num_envs = worlds, len(worlds)
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
-        self.single_observation_space, self.single_action_space = worlds[0].observation_space, worlds[0].action_space
+        self.single_observation_space, self.single_action_space = (
+            worlds[0].observation_space,
+            worlds[0].action_space,
+        )
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
 
@@ -482,20 +577,34 @@ class Vector(VectorEnv):
         return np.stack(observations)
 
     def reset(self, *, seed=None, options=None):
-        return self.together([world.reset(seed=seed + k)[0] for k, world in enumerate(self.worlds)]), {}
+        return self.together(
+            [world.reset(seed=seed + k)[0] for k, world in enumerate(self.worlds)]
+        ), {}
 
     def step(self, actions):
         last, rewards, terminations, truncations, _ = zip(
-            *(world.step(action) for world, action in zip(self.worlds, actions, strict=True)), strict=True
+            *(world.step(action) for world, action in zip(self.worlds, actions, strict=True)),
+            strict=True,
         )
         ended = np.logical_or(terminations, truncations)
-        now = [world.reset()[0] if end else one for world, one, end in zip(self.worlds, last, ended, strict=True)]
+        now = [
+            world.reset()[0] if end else one
+            for world, one, end in zip(self.worlds, last, ended, strict=True)
+        ]
         infos = {"final_obs": self.together(last), "_final_obs": ended} if ended.any() else {}
-        return self.together(now), np.array(rewards), np.array(terminations), np.array(truncations), infos
+        return (
+            self.together(now),
+            np.array(rewards),
+            np.array(terminations),
+            np.array(truncations),
+            infos,
+        )
 
 
 def sync(mode):
-    return lambda worlds: SyncVectorEnv([lambda world=world: world for world in worlds], autoreset_mode=mode)
+    return lambda worlds: SyncVectorEnv(
+        [lambda world=world: world for world in worlds], autoreset_mode=mode
+    )
 
 
 COMPOSITIONS = {
@@ -503,12 +612,16 @@ COMPOSITIONS = {
     "egocentric": egocentric,
     "history": lambda env: history(env, 3, stride=2),
     "all": lambda env: history(normalized(egocentric(env)), 4),
-    "reversed": lambda env: normalized(history(egocentric(env), 2, new_axis=True), dtype=np.float64),
+    "reversed": lambda env: normalized(
+        history(egocentric(env), 2, new_axis=True), dtype=np.float64
+    ),
 }
 PICTURES = {
     "image": lambda env: history(coverage_image(env, agents=pick(env)), 3),
     "all": lambda env: history(
-        normalized(coverage_image(egocentric(env), channels="first", agents=pick(env))), 3, channels="first"
+        normalized(coverage_image(egocentric(env), channels="first", agents=pick(env))),
+        3,
+        channels="first",
     ),
     "only": lambda env: history(coverage_image(egocentric(env), only=True, agents=pick(env)), 2),
 }
@@ -525,10 +638,16 @@ def final_of(infos, k):
 
 
 def world_of(observations, k):
-    return {key: array[k] for key, array in observations.items()} if isinstance(observations, dict) else observations[k]
+    return (
+        {key: array[k] for key, array in observations.items()}
+        if isinstance(observations, dict)
+        else observations[k]
+    )
 
 
-@pytest.mark.parametrize("make", [Vector, sync("SameStep"), sync("NextStep")], ids=["arrays", "same_step", "next_step"])
+@pytest.mark.parametrize(
+    "make", [Vector, sync("SameStep"), sync("NextStep")], ids=["arrays", "same_step", "next_step"]
+)
 @pytest.mark.parametrize(
     ("wrap", "patch"),
     [pytest.param(wrap, None, id=name) for name, wrap in COMPOSITIONS.items()]
@@ -602,9 +721,19 @@ def test_bad_rows_of_a_batch_of_actions_pass_as_they_are():
         (lambda env: egocentric(egocentric(env)), r"uav_0: Egocentric needs"),
         (lambda env: egocentric(egocentric(env), agents=["ugv_0"]), r"ugv_0: Egocentric needs"),
         (lambda env: egocentric(history(env, 1, new_axis=True)), r"uav_0: Egocentric needs"),
-        (lambda env: history(history(history(env, 2, new_axis=True), 2, new_axis=True), 2, new_axis=True), None),
         (
-            lambda env: history(history(history(history(env, 2, new_axis=True), 2, new_axis=True), 2, new_axis=True), 2),
+            lambda env: history(
+                history(history(env, 2, new_axis=True), 2, new_axis=True), 2, new_axis=True
+            ),
+            None,
+        ),
+        (
+            lambda env: history(
+                history(
+                    history(history(env, 2, new_axis=True), 2, new_axis=True), 2, new_axis=True
+                ),
+                2,
+            ),
             "new_axis",
         ),
         (lambda env: history(env, 0), "length = 0"),

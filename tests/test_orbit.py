@@ -43,14 +43,23 @@ def _after_a_second(a_x: float, a_y: float) -> tuple[float, float]:
 def test_the_path_error_accelerates_as_the_paper_derives(
     u_x: float, u_y: float, g_x: float, g_y: float, v_x: float, v_y: float
 ) -> None:
-    (a_x, a_y), (d_x, d_y) = _after_a_second(u_x, u_y), desired_position(*_after_a_second(g_x, g_y), *_after_a_second(v_x, v_y))
-    assert path_error_acceleration(u_x, u_y, g_x + v_x, g_y + v_y) == pytest.approx((a_x - d_x, a_y - d_y), abs=1e-11)
-    assert virtual_error_acceleration(u_x, u_y, v_x, v_y) == path_error_acceleration(u_x, u_y, v_x, v_y)  # g = 0
+    (a_x, a_y), (d_x, d_y) = (
+        _after_a_second(u_x, u_y),
+        desired_position(*_after_a_second(g_x, g_y), *_after_a_second(v_x, v_y)),
+    )
+    assert path_error_acceleration(u_x, u_y, g_x + v_x, g_y + v_y) == pytest.approx(
+        (a_x - d_x, a_y - d_y), abs=1e-11
+    )
+    assert virtual_error_acceleration(u_x, u_y, v_x, v_y) == path_error_acceleration(
+        u_x, u_y, v_x, v_y
+    )  # g = 0
 
 
 @given(*[numbers] * 4)
 @settings(PROPERTY)
-def test_under_the_orbit_law_the_tracking_law_alone_drives_the_path_error(u_x: float, u_y: float, v_x: float, v_y: float) -> None:
+def test_under_the_orbit_law_the_tracking_law_alone_drives_the_path_error(
+    u_x: float, u_y: float, v_x: float, v_y: float
+) -> None:
     a_x, a_y = _after_a_second(*orbit_control(u_x, u_y, v_x, v_y))
     d_x, d_y = _after_a_second(v_x, v_y)
     assert (a_x - d_x, a_y - d_y) == pytest.approx((u_x, u_y), abs=1e-11)
@@ -59,22 +68,37 @@ def test_under_the_orbit_law_the_tracking_law_alone_drives_the_path_error(u_x: f
 
 @given(st.floats(0.0, 500.0), st.floats(0.1, 10.0), st.floats(-2.0, 2.0))
 @settings(PROPERTY)
-def test_the_circle_has_its_radius_its_rate_and_its_second_derivative(t: float, r_pv: float, omega: float) -> None:
+def test_the_circle_has_its_radius_its_rate_and_its_second_derivative(
+    t: float, r_pv: float, omega: float
+) -> None:
     x, y, a_x, a_y = circle(t, r_pv, omega)
-    assert (x, y) == pytest.approx((r_pv * math.cos(omega * t), r_pv * math.sin(omega * t)), rel=1e-12, abs=1e-12)
+    assert (x, y) == pytest.approx(
+        (r_pv * math.cos(omega * t), r_pv * math.sin(omega * t)), rel=1e-12, abs=1e-12
+    )
     d = 1e-3
     (b_x, b_y, *_), (c_x, c_y, *_) = circle(t - d, r_pv, omega), circle(t + d, r_pv, omega)
-    assert (a_x, a_y) == pytest.approx(((c_x - 2.0 * x + b_x) / d**2, (c_y - 2.0 * y + b_y) / d**2), abs=1e-4)
-    assert math.hypot(c_x - b_x, c_y - b_y) / (2.0 * d) == pytest.approx(r_pv * abs(omega), rel=1e-5, abs=1e-9)
+    assert (a_x, a_y) == pytest.approx(
+        ((c_x - 2.0 * x + b_x) / d**2, (c_y - 2.0 * y + b_y) / d**2), abs=1e-4
+    )
+    assert math.hypot(c_x - b_x, c_y - b_y) / (2.0 * d) == pytest.approx(
+        r_pv * abs(omega), rel=1e-5, abs=1e-9
+    )
 
 
 def test_the_papers_vehicles_can_fly_the_circle_up_to_this_rate() -> None:
     assert largest_circle_rate(R_S, V_A, V_G, U_A) == pytest.approx(0.1086, abs=5e-5)
 
 
-@given(st.floats(0.1, 10.0), st.floats(0.3, 5.0), st.floats(0.01, 0.3), st.floats(0.01, 5.0) | st.just(math.inf))
+@given(
+    st.floats(0.1, 10.0),
+    st.floats(0.3, 5.0),
+    st.floats(0.01, 0.3),
+    st.floats(0.01, 5.0) | st.just(math.inf),
+)
 @settings(PROPERTY)
-def test_the_largest_rate_exhausts_the_speed_or_the_acceleration(r_pv: float, v_a: float, v_g: float, u_a: float) -> None:
+def test_the_largest_rate_exhausts_the_speed_or_the_acceleration(
+    r_pv: float, v_a: float, v_g: float, u_a: float
+) -> None:
     omega = largest_circle_rate(r_pv, v_a, v_g, u_a)
     speed, acceleration = (r_pv * omega + v_g) / v_a, r_pv * omega**2 / u_a
     assert max(speed, acceleration) == pytest.approx(1.0, rel=1e-12)
@@ -90,7 +114,10 @@ def _round_trip(law: Law, duration: float = 160.0) -> Scenario:
 def _path_error(flight: Flight, omega: float) -> FloatGrid:
     """p_a - p_d at each tick [m]."""
     uav, ugv = tracks(flight)
-    wanted = [desired_position(x, y, *circle(k * DT, R_S, omega)[:2]) for k, (x, y) in enumerate(ugv[:, :2].tolist())]
+    wanted = [
+        desired_position(x, y, *circle(k * DT, R_S, omega)[:2])
+        for k, (x, y) in enumerate(ugv[:, :2].tolist())
+    ]
     return uav[:, :2] - np.array(wanted)
 
 
@@ -148,7 +175,9 @@ def _check(path: Path, duration: float = 100.0) -> tuple[str, ...]:
 def test_paths_that_can_be_flown_pass() -> None:
     assert _check(_own_circle) == ()
     assert _check(lambda t: ((2.0, -1.0), (0.0, 0.0))) == ()
-    assert _check(lambda t: ((3.0 * math.sin(0.1 * t), 0.5), (-0.03 * math.sin(0.1 * t), 0.0))) == ()
+    assert (
+        _check(lambda t: ((3.0 * math.sin(0.1 * t), 0.5), (-0.03 * math.sin(0.1 * t), 0.0))) == ()
+    )
 
 
 def test_a_path_too_fast_for_the_uav_is_warned_of_with_time_and_bound() -> None:
@@ -165,9 +194,18 @@ def test_a_path_too_fast_for_the_uav_is_warned_of_with_time_and_bound() -> None:
 
 
 BAD: dict[str, tuple[Path, str]] = {
-    "outside": (lambda t: ((R_V, 0.0), (0.0, 0.0)), "4.75 m from the UGV; allowed: less than r_v = 4.75 m"),
-    "wrong derivative": (lambda t: ((math.cos(t), 0.0), (math.cos(t), 0.0)), "second derivative is off by"),
-    "forgotten derivative": (lambda t: ((0.02 * t * t, 0.0), (0.0, 0.0)), "second derivative is off by 0.04 m/s²"),
+    "outside": (
+        lambda t: ((R_V, 0.0), (0.0, 0.0)),
+        "4.75 m from the UGV; allowed: less than r_v = 4.75 m",
+    ),
+    "wrong derivative": (
+        lambda t: ((math.cos(t), 0.0), (math.cos(t), 0.0)),
+        "second derivative is off by",
+    ),
+    "forgotten derivative": (
+        lambda t: ((0.02 * t * t, 0.0), (0.0, 0.0)),
+        "second derivative is off by 0.04 m/s²",
+    ),
     "not finite": (lambda t: ((math.nan, 0.0), (0.0, 0.0)), "all finite"),
     "one vector": (lambda t: (1.0, 2.0), "must return"),  # type: ignore[dict-item,return-value]
     "three axes": (lambda t: ((1.0, 2.0, 3.0), (0.0, 0.0, 0.0)), "must return"),  # type: ignore[dict-item,return-value]

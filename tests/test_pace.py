@@ -11,11 +11,17 @@ from bus.messages import UgvObservation
 from sim.pace import Lockstep
 
 NAMES = ("uav_0", "ugv_0")
-SEEN = {name: UgvObservation(tick=0, time=0.0, position=(1.0, 1.0), velocity=(0.0, 0.0)) for name in NAMES}
+SEEN = {
+    name: UgvObservation(tick=0, time=0.0, position=(1.0, 1.0), velocity=(0.0, 0.0))
+    for name in NAMES
+}
 
 
 class Bus:
-    """A session and seats that follow a timetable: until when [s], which routers are there, which vehicles are absent."""
+    """A session and seats that follow a timetable.
+
+    Until when [s], which routers are there, which vehicles are absent.
+    """
 
     def __init__(self, *timetable: tuple[float, set[str], set[str]]) -> None:
         self._timetable = timetable
@@ -61,7 +67,9 @@ class Bus:
         time.sleep(min(patience, 0.01))
         return None
 
-    def take(self, letter: Any, _tick: int, commands: dict[str, Any], *, oldest: int | None = None) -> bool:
+    def take(
+        self, letter: Any, _tick: int, commands: dict[str, Any], *, oldest: int | None = None
+    ) -> bool:
         commands[letter.sender] = letter
         return True
 
@@ -72,7 +80,13 @@ def lockstep(bus: Any, on_event: Callable[[str], None], *, patience: float = 5.0
 
 BOTH = set(NAMES)
 TIMETABLES = {
-    "tokens first": [(0.05, {"r"}, set()), (0.15, {"r"}, BOTH), (0.5, set(), BOTH), (0.8, {"s"}, BOTH), (9.0, {"s"}, set())],
+    "tokens first": [
+        (0.05, {"r"}, set()),
+        (0.15, {"r"}, BOTH),
+        (0.5, set(), BOTH),
+        (0.8, {"s"}, BOTH),
+        (9.0, {"s"}, set()),
+    ],
     "one comes back late": [
         (0.05, {"r"}, set()),
         (0.15, {"r"}, BOTH),

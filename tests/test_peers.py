@@ -37,12 +37,32 @@ def runner(folder: Path, text: str) -> Path:
 
 
 def row(module: ModuleType, peer: str, worlds: int, rate: float, **other: Any) -> Any:
-    told = {"name": peer.title(), "variant": "task", "agents": 2, "field": True, "version": "1.0"} | other
-    return module.Row(peer=peer, worlds=worlds, steps_per_second=rate, slowest=0.9 * rate, fastest=1.1 * rate, **told)
+    told = {
+        "name": peer.title(),
+        "variant": "task",
+        "agents": 2,
+        "field": True,
+        "version": "1.0",
+    } | other
+    return module.Row(
+        peer=peer,
+        worlds=worlds,
+        steps_per_second=rate,
+        slowest=0.9 * rate,
+        fastest=1.1 * rate,
+        **told,
+    )
 
 
 def made_up(module: ModuleType, *rows: Any, failures: tuple[Any, ...] = ()) -> Any:
-    on = {"date": "2026-01-01", "cpu": "a CPU", "cores": 2, "python": "3.11.0", "seconds": 3.0, "repeats": 3}
+    on = {
+        "date": "2026-01-01",
+        "cpu": "a CPU",
+        "cores": 2,
+        "python": "3.11.0",
+        "seconds": 3.0,
+        "repeats": 3,
+    }
     return module.Report(rows=list(rows), failures=list(failures), **on)
 
 
@@ -65,11 +85,15 @@ def test_a_step_of_every_world_counts_one(load: Any, monkeypatch: pytest.MonkeyP
     clock = load("runners.clock")
     ticks = iter(range(100_000))
     monkeypatch.setattr(clock.time, "perf_counter", lambda: 0.01 * next(ticks))
-    made = clock.Variant(name="task", worlds=4, agents=2, field=True, steps=3, make=lambda: lambda: None)
+    made = clock.Variant(
+        name="task", worlds=4, agents=2, field=True, steps=3, make=lambda: lambda: None
+    )
     assert clock.measure(made, 1.0, 3)["steps_per_second"] == pytest.approx(100.0 * 4 * 3)
 
 
-def test_our_own_work_is_not_taken_for_that_of_others(load: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_our_own_work_is_not_taken_for_that_of_others(
+    load: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     clock = load("runners.clock")
     hertz = clock.os.sysconf("SC_CLK_TCK")
     now = iter([(0.0, 0.0), (7.0 * hertz, 10.0 * hertz)])  # 7 s of 10 s busy
@@ -103,21 +127,35 @@ def test_words_say_where_a_peer_is_faster(load: Any) -> None:
 
 def test_results_are_written_with_both_groups_failures_and_noise(load: Any, tmp_path: Path) -> None:
     report = load("peer_report")
-    ours, peer = row(report, "outrider", 1, 1000.0, others=0.5), row(report, "fast", 1, 2500.0, field=False)
+    ours, peer = (
+        row(report, "outrider", 1, 1000.0, others=0.5),
+        row(report, "fast", 1, 2500.0, field=False),
+    )
     failure = report.Failure(what="gone", reason="No matching distribution | found")
     report.write(made_up(report, ours, peer, failures=(failure,)), tmp_path)
     text = (tmp_path / "peers.md").read_text(encoding="utf-8")
-    assert text.index("## With a field") < text.index("| Outrider ") < text.index("## Without a field") < text.index("| Fast ")
+    assert (
+        text.index("## With a field")
+        < text.index("| Outrider ")
+        < text.index("## Without a field")
+        < text.index("| Fast ")
+    )
     assert "| gone | No matching distribution \\| found |" in text
     assert "Not quiet" in text
     assert "up to 50% of the cores" in text
-    assert json.loads((tmp_path / "peers.json").read_bytes())["rows"][1]["steps_per_second"] == 2500.0
+    assert (
+        json.loads((tmp_path / "peers.json").read_bytes())["rows"][1]["steps_per_second"] == 2500.0
+    )
     assert (tmp_path / "peers.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_runner_that_fails_becomes_a_row_with_its_reason(load: Any, tmp_path: Path) -> None:
-    rows, failures = load("peers").measure("fake", Path(sys.executable), GIVEN, cwd=runner(tmp_path, FAKE))
-    assert [(found.label, found.steps_per_second) for found in rows] == [("Fake task, 2 agents", 5.0)]
+    rows, failures = load("peers").measure(
+        "fake", Path(sys.executable), GIVEN, cwd=runner(tmp_path, FAKE)
+    )
+    assert [(found.label, found.steps_per_second) for found in rows] == [
+        ("Fake task, 2 agents", 5.0)
+    ]
     assert [(failure.what, failure.reason) for failure in failures] == [
         ("Fake task, 32 worlds", "MemoryError: too much"),
         ("fake", "OSError: no libfake.so at (address)"),
@@ -125,7 +163,9 @@ def test_a_runner_that_fails_becomes_a_row_with_its_reason(load: Any, tmp_path: 
 
 
 def test_a_runner_that_prints_nothing_is_said(load: Any, tmp_path: Path) -> None:
-    rows, failures = load("peers").measure("fake", Path(sys.executable), GIVEN, cwd=runner(tmp_path, ""))
+    rows, failures = load("peers").measure(
+        "fake", Path(sys.executable), GIVEN, cwd=runner(tmp_path, "")
+    )
     assert not rows
     assert failures[0].reason == "its runner has printed nothing"
 
@@ -133,14 +173,22 @@ def test_a_runner_that_prints_nothing_is_said(load: Any, tmp_path: Path) -> None
 def test_what_takes_too_long_is_ended_with_all_it_has_started(load: Any, tmp_path: Path) -> None:
     processes = load("peer_processes")
     child = "import time; time.sleep(60)"
-    command = [sys.executable, "-c", f"import subprocess, sys; subprocess.run([sys.executable, '-c', {child!r}])"]
+    command = [
+        sys.executable,
+        "-c",
+        f"import subprocess, sys; subprocess.run([sys.executable, '-c', {child!r}])",
+    ]
     started = time.monotonic()
     with pytest.raises(processes.Failed, match="not done after"):
         processes.run(command, cwd=tmp_path, deadline=0.3)
-    assert time.monotonic() - started < 30.0  # the child holds our pipe: while it lives, nothing comes back
+    assert (
+        time.monotonic() - started < 30.0
+    )  # the child holds our pipe: while it lives, nothing comes back
 
 
-def test_only_a_whole_environment_with_the_same_requirements_is_used_again(load: Any, tmp_path: Path) -> None:
+def test_only_a_whole_environment_with_the_same_requirements_is_used_again(
+    load: Any, tmp_path: Path
+) -> None:
     venvs = load("peer_venvs")
     (tmp_path / "bin").mkdir()
     (tmp_path / "bin" / "python").touch()
@@ -150,13 +198,20 @@ def test_only_a_whole_environment_with_the_same_requirements_is_used_again(load:
     assert not venvs.is_whole(tmp_path, ("a>=2,<3",))
 
 
-def test_torch_for_cuda_is_refused_unless_asked_for(load: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_torch_for_cuda_is_refused_unless_asked_for(
+    load: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     venvs = load("peer_venvs")
     installed: list[tuple[str, ...]] = []
 
     def pip(folder: Path, *arguments: str) -> None:
         if "--report" in arguments:
-            plan = {"install": [{"metadata": {"name": "torch"}}, {"metadata": {"name": "nvidia-cublas"}}]}
+            plan = {
+                "install": [
+                    {"metadata": {"name": "torch"}},
+                    {"metadata": {"name": "nvidia-cublas"}},
+                ]
+            }
             (folder / "plan.json").write_text(json.dumps(plan), encoding="utf-8")
         else:
             installed.append(arguments)

@@ -14,7 +14,17 @@ from agents.drivers.waypoints import WaypointDriver, goal_control
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.errors import ScenarioError
-from bus.messages import Area, Detection, Law, Limits, Sensor, UavCommand, UavObservation, UgvBriefing, UgvObservation
+from bus.messages import (
+    Area,
+    Detection,
+    Law,
+    Limits,
+    Sensor,
+    UavCommand,
+    UavObservation,
+    UgvBriefing,
+    UgvObservation,
+)
 from outrider.flying import InProcess, fly, make_pilots
 from sim.briefing import briefing
 from sim.flight import Flight
@@ -29,7 +39,12 @@ ticks = st.sampled_from((0.02, DT, 0.2))
 
 
 def _driver(
-    goals: tuple[Point, ...], *, v_max: float = V_G, u_max: float = U_G, dt: float = DT, tolerance: float = 0.05
+    goals: tuple[Point, ...],
+    *,
+    v_max: float = V_G,
+    u_max: float = U_G,
+    dt: float = DT,
+    tolerance: float = 0.05,
 ) -> WaypointDriver:
     limits = Limits(max_speed=v_max, max_acceleration=None if math.isinf(u_max) else u_max)
     area = Area(width=20.0, height=20.0, cell=0.5)
@@ -48,12 +63,22 @@ def _driver(
 
 
 def _drive(
-    driver: WaypointDriver, start: Point, count: int, *, v_max: float = V_G, u_max: float = U_G, dt: float = DT
+    driver: WaypointDriver,
+    start: Point,
+    count: int,
+    *,
+    v_max: float = V_G,
+    u_max: float = U_G,
+    dt: float = DT,
 ) -> np.ndarray:
     """p, v and the command before its bound at each tick, from rest."""
     state, rows = (*start, 0.0, 0.0), []
     for tick in range(count):
-        u = driver.drive(UgvObservation(tick=tick, time=tick * dt, position=tuple(state[:2]), velocity=tuple(state[2:])))
+        u = driver.drive(
+            UgvObservation(
+                tick=tick, time=tick * dt, position=tuple(state[:2]), velocity=tuple(state[2:])
+            )
+        )
         rows.append((*state, *u))
         *state, _, _ = step_vehicle(*state, *u, v_max, u_max, dt)
     return np.array(rows)
@@ -76,7 +101,14 @@ def test_the_ugv_drives_straight_to_its_goal_and_stands_there(
     start: Point, goal: Point, v_max: float, u_max: float, dt: float
 ) -> None:
     count = min(_ticks_for(math.dist(start, goal), v_max, u_max, dt), 20000)
-    rows = _drive(_driver((goal,), v_max=v_max, u_max=u_max, dt=dt), start, count, v_max=v_max, u_max=u_max, dt=dt)
+    rows = _drive(
+        _driver((goal,), v_max=v_max, u_max=u_max, dt=dt),
+        start,
+        count,
+        v_max=v_max,
+        u_max=u_max,
+        dt=dt,
+    )
     assert _along(rows, start, goal)[1].max() < 1e-9
     if count < 20000:
         assert rows[-1, :2] == pytest.approx(goal, abs=1e-3)
@@ -86,10 +118,19 @@ def test_the_ugv_drives_straight_to_its_goal_and_stands_there(
 
 @given(st.floats(0.01, 20.0), speeds, accelerations, ticks)
 @settings(PROPERTY, max_examples=60)
-def test_the_ugv_never_overshoots_its_last_goal(way: float, v_max: float, u_max: float, dt: float) -> None:
+def test_the_ugv_never_overshoots_its_last_goal(
+    way: float, v_max: float, u_max: float, dt: float
+) -> None:
     goal = (way, 3.0)
     count = min(_ticks_for(way, v_max, u_max, dt), 5000)
-    rows = _drive(_driver((goal,), v_max=v_max, u_max=u_max, dt=dt), (0.0, 3.0), count, v_max=v_max, u_max=u_max, dt=dt)
+    rows = _drive(
+        _driver((goal,), v_max=v_max, u_max=u_max, dt=dt),
+        (0.0, 3.0),
+        count,
+        v_max=v_max,
+        u_max=u_max,
+        dt=dt,
+    )
     assert _along(rows, (0.0, 3.0), goal)[0].min() > -1e-9
 
 
@@ -101,8 +142,16 @@ def test_the_papers_ugv_drives_at_its_largest_speed_and_stands_on_its_goal() -> 
 
 @given(st.lists(points, min_size=2, max_size=4), st.sampled_from((0.05, 0.5)))
 @settings(PROPERTY, max_examples=20)
-def test_a_goal_stays_until_it_is_nearer_than_the_tolerance(goals: list[Point], tolerance: float) -> None:
-    rows = _drive(_driver(tuple(goals), v_max=1.0, u_max=0.5, tolerance=tolerance), (1.0, 1.0), 1500, v_max=1.0, u_max=0.5)
+def test_a_goal_stays_until_it_is_nearer_than_the_tolerance(
+    goals: list[Point], tolerance: float
+) -> None:
+    rows = _drive(
+        _driver(tuple(goals), v_max=1.0, u_max=0.5, tolerance=tolerance),
+        (1.0, 1.0),
+        1500,
+        v_max=1.0,
+        u_max=0.5,
+    )
     at = 0
     for p_x, p_y, v_x, v_y, u_x, u_y in rows.tolist():
         while at < len(goals) - 1 and goal_reached(p_x, p_y, *goals[at], tolerance):
@@ -114,7 +163,11 @@ def test_a_goal_stays_until_it_is_nearer_than_the_tolerance(goals: list[Point], 
 @settings(PROPERTY, max_examples=20)
 def test_the_papers_ugv_keeps_to_the_lines_between_its_goals(goals: list[Point]) -> None:
     rows = _drive(_driver(tuple(goals)), (10.0, 10.0), 4000)
-    lines = [_along(rows, *ends)[1] for ends in pairwise([(10.0, 10.0), *goals]) if math.dist(*ends) > 0.1]
+    lines = [
+        _along(rows, *ends)[1]
+        for ends in pairwise([(10.0, 10.0), *goals])
+        if math.dist(*ends) > 0.1
+    ]
     corners = [np.hypot(*(rows[:, :2] - goal).T) for goal in goals]
     assert np.min([*lines, *corners], axis=0).max() < 0.1
 
@@ -122,7 +175,9 @@ def test_the_papers_ugv_keeps_to_the_lines_between_its_goals(goals: list[Point])
 def test_a_ugv_without_goals_brakes_and_stays() -> None:
     rows = _drive(_driver(()), HERE, 5)
     assert (rows[:, 2:] == 0.0).all()
-    command = _driver(()).drive(UgvObservation(tick=0, time=0.0, position=HERE, velocity=(0.2, 0.0)))
+    command = _driver(()).drive(
+        UgvObservation(tick=0, time=0.0, position=HERE, velocity=(0.2, 0.0))
+    )
     assert command == pytest.approx((-U_G, 0.0), abs=1e-15)
 
 
@@ -139,13 +194,17 @@ def test_an_unknown_driver_law_or_sensor_is_named() -> None:
         UgvPilot(briefing(escort(ugv=Ugv(position=HERE, driver="nobody")), "ugv_0", 0))
     with pytest.raises(ScenarioError, match=r"law.name = 'best': unknown; allowed: .*logarithmic"):
         UavPilot(told(escort("best")))
-    with pytest.raises(ScenarioError, match=r"sensor.model = 'eye': unknown; allowed: hill, plateau"):
+    with pytest.raises(
+        ScenarioError, match=r"sensor.model = 'eye': unknown; allowed: hill, plateau"
+    ):
         UavPilot(told(escort(sensor=Sensor(model="eye"))))
 
 
 def _seen(tick: int, relative: Point | None, velocity: Point = (0.0, 0.0)) -> UavObservation:
     looks = () if relative is None else (Detection(time=tick * DT, relative_position=relative),)
-    return UavObservation(tick=tick, time=tick * DT, position=HERE, velocity=velocity, detections=looks)
+    return UavObservation(
+        tick=tick, time=tick * DT, position=HERE, velocity=velocity, detections=looks
+    )
 
 
 def test_before_the_first_detection_the_uav_brakes() -> None:
@@ -155,7 +214,11 @@ def test_before_the_first_detection_the_uav_brakes() -> None:
 
 
 def test_a_uav_that_never_sees_its_ugv_stands_still() -> None:
-    far = escort(uav=Uav(position=(5.0, 5.0), velocity=(0.3, 0.0)), ugv=Ugv(position=(30.0, 30.0)), duration=20.0)
+    far = escort(
+        uav=Uav(position=(5.0, 5.0), velocity=(0.3, 0.0)),
+        ugv=Ugv(position=(30.0, 30.0)),
+        duration=20.0,
+    )
     uav, _ = tracks(fly(far, 0)[0])
     assert (uav[-100:, 2:4] == 0.0).all()
     assert uav[-1, 0] == pytest.approx(5.0 + 0.3**2 / (2.0 * U_A), abs=0.3 * DT)
@@ -187,7 +250,13 @@ def test_the_same_observations_get_the_same_commands() -> None:
 def test_the_uavs_own_map_is_the_worlds(sensor: str) -> None:
     ugv = Ugv(position=HERE, goals=((25.0, 23.0),))
     noisy = Detections(noise=0.1, dropout=0.2)
-    scenario = escort(Law(name="logarithmic"), ugv=ugv, sensor=Sensor(model=sensor), detections=noisy, duration=30.0)
+    scenario = escort(
+        Law(name="logarithmic"),
+        ugv=ugv,
+        sensor=Sensor(model=sensor),
+        detections=noisy,
+        duration=30.0,
+    )
     flight, pilots = Flight(scenario, 1), make_pilots(scenario, 1)
     flight.fly(InProcess(pilots))
     pilot = pilots["uav_0"]

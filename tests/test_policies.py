@@ -1,4 +1,6 @@
-"""Policies at the UGV's wheel that a learning library has saved: on the bus they see and do what they did in the environment.
+"""Policies at the UGV's wheel that a learning library has saved.
+
+On the bus they see and do what they did in the environment.
 
 The libraries need not be installed: stand-ins with the same calls lie on the path.
 """
@@ -104,7 +106,16 @@ class InferenceSession:
         return [np.tanh(given["x"] @ np.array(self.told["weights"]))]
 """,
 }
-WEIGHTS = [[0.0, 0.0], [0.1, -0.02], [-0.1, 0.03], [0.5, 0.1], [0.1, -0.7], [0.2, 0.2], [0.01, 0.0], [0.0, -0.02]]
+WEIGHTS = [
+    [0.0, 0.0],
+    [0.1, -0.02],
+    [-0.1, 0.03],
+    [0.5, 0.1],
+    [0.1, -0.7],
+    [0.2, 0.2],
+    [0.01, 0.0],
+    [0.0, -0.02],
+]
 TOLD = {"row": [8], "action": [2], "dtype": "float64", "weights": WEIGHTS, "batch": [], "inputs": 1}
 
 
@@ -137,7 +148,12 @@ def tell(folder: Path, file: str, **changes: Any) -> None:
 
 def _scenario(policy: str = "") -> Scenario:
     """A UGV that is fast enough to pass its goals, and then some."""
-    changes = {"duration": 60.0, "ugv.0.max_speed": 0.5, "ugv.0.max_acceleration": 0.2, "ugv.0.goals": [[10.4, 8.0], [9.0, 9.0]]}
+    changes = {
+        "duration": 60.0,
+        "ugv.0.max_speed": 0.5,
+        "ugv.0.max_acceleration": 0.2,
+        "ugv.0.goals": [[10.4, 8.0], [9.0, 9.0]],
+    }
     scenario = load_scenario("escort", overrides=changes)
     if not policy:
         return scenario
@@ -192,7 +208,11 @@ class _Watched(InProcess):
         super().publish(observations)
 
 
-@pytest.mark.parametrize("scenario", [_scenario(), load_scenario("escort", overrides={"duration": 20.0})], ids=["fast", "escort"])
+@pytest.mark.parametrize(
+    "scenario",
+    [_scenario(), load_scenario("escort", overrides={"duration": 20.0})],
+    ids=["fast", "escort"],
+)
 def test_the_pilots_row_is_the_environments_to_the_bit_over_a_flight(scenario: Scenario) -> None:
     env = outrider.parallel_env(scenario, end_on_sight_lost=False)
     fleet = pilots(env)
@@ -213,7 +233,9 @@ def test_the_pilots_row_is_the_environments_to_the_bit_over_a_flight(scenario: S
     assert underway[-1] == (0.0 if scenario.ugv[0].max_speed == 0.5 else 1.0)
 
 
-@pytest.mark.parametrize("name", ["sb3:ppo:model.zip", "sb3:PPO:model.zip", "torch:model.pt", "onnx:model.onnx"])
+@pytest.mark.parametrize(
+    "name", ["sb3:ppo:model.zip", "sb3:PPO:model.zip", "torch:model.pt", "onnx:model.onnx"]
+)
 def test_a_saved_policy_flies_the_same_bits_as_in_the_environment(here: Path, name: str) -> None:
     scenario = _scenario(name)
     flight, _ = fly(scenario, 3)
@@ -229,11 +251,15 @@ def test_a_saved_policy_flies_the_same_bits_as_in_the_environment(here: Path, na
             action, state = model.predict(row, state=state, episode_start=[False])
         else:
             action = model.predict(row)
-        observations, *_ = env.step({"uav_0": fleet["uav_0"](observations["uav_0"]), "ugv_0": action})
+        observations, *_ = env.step(
+            {"uav_0": fleet["uav_0"](observations["uav_0"]), "ugv_0": action}
+        )
         k += 1
     assert k == flight.recorder.ticks == scenario.ticks
     pace = np.hypot(*flight.recorder.states[:, 1, 2:4].T)
-    assert pace.max() == pytest.approx(0.5)  # the bounds of the world were met, and nothing else bent the action
+    assert pace.max() == pytest.approx(
+        0.5
+    )  # the bounds of the world were met, and nothing else bent the action
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
@@ -260,21 +286,46 @@ def test_ugvs_that_share_a_policy_reach_goals_of_their_own() -> None:
 
 
 def test_a_ugv_without_goals_has_a_row_too() -> None:
-    assert UgvRows(_told(goals=())).row(_seen(4)).tolist() == [0.2, 10.0, 10.0, 0.1, -0.1, 0.0, 0.0, 0.0]
+    assert UgvRows(_told(goals=())).row(_seen(4)).tolist() == [
+        0.2,
+        10.0,
+        10.0,
+        0.1,
+        -0.1,
+        0.0,
+        0.0,
+        0.0,
+    ]
 
 
-@pytest.mark.parametrize("answer", [(0.3, -4.0), np.array([0.3, -4.0]), ((0.3, -4.0), None), (np.array([0.3, -4.0]), (1.0, 2.0))])
+@pytest.mark.parametrize(
+    "answer",
+    [(0.3, -4.0), np.array([0.3, -4.0]), ((0.3, -4.0), None), (np.array([0.3, -4.0]), (1.0, 2.0))],
+)
 def test_what_was_predicted_is_passed_on_as_it_is_with_or_without_a_state(answer: object) -> None:
     assert ask(answer) == (0.3, -4.0)
 
 
 @pytest.mark.parametrize(
     "answer",
-    [None, 0.1, (0.1,), [[0.1, 0.2]], (math.nan, 0.0), (0.0, math.inf), ("a", "b"), (None, None), ((0.1,), None), (2e6, 0.0)],
+    [
+        None,
+        0.1,
+        (0.1,),
+        [[0.1, 0.2]],
+        (math.nan, 0.0),
+        (0.0, math.inf),
+        ("a", "b"),
+        (None, None),
+        ((0.1,), None),
+        (2e6, 0.0),
+    ],
     ids=str,
 )
 def test_nonsense_from_a_model_is_named_in_one_line(answer: object) -> None:
-    with pytest.raises(ScenarioError, match=r"^policy = 'mine:model': tick 12: returned .+; allowed: two finite") as caught:
+    with pytest.raises(
+        ScenarioError, match=r"^policy = 'mine:model': tick 12: returned .+; allowed: two finite"
+    ) as caught:
         ask(answer)
     assert "\n" not in str(caught.value)
 
@@ -283,7 +334,9 @@ def test_a_model_that_raises_is_named_in_one_line() -> None:
     def broken(row: Any) -> object:
         raise RuntimeError("mat1 and mat2\nshapes cannot be multiplied")
 
-    with pytest.raises(ScenarioError, match=r"^policy = 'm': tick 3: raised RuntimeError: mat1 and mat2 shapes") as caught:
+    with pytest.raises(
+        ScenarioError, match=r"^policy = 'm': tick 3: raised RuntimeError: mat1 and mat2 shapes"
+    ) as caught:
         PolicyDriver(_told(), policy=Model(broken), name="m").drive(_seen(3))
     assert "\n" not in str(caught.value)
 
@@ -298,7 +351,9 @@ def test_a_policy_that_is_slower_than_a_tick_is_named_once_and_not_for_its_first
         for tick in range(4):
             driver.drive(_seen(tick))
     (line,) = [record.getMessage() for record in caplog.records]
-    assert line.startswith("policy = 'mine:slow': tick 2: took 0.30 s to answer, longer than a tick of 0.05 s")
+    assert line.startswith(
+        "policy = 'mine:slow': tick 2: took 0.30 s to answer, longer than a tick of 0.05 s"
+    )
 
 
 def test_an_object_that_predicts_may_be_named_and_a_class_may_not(here: Path) -> None:
@@ -309,7 +364,10 @@ def test_an_object_that_predicts_may_be_named_and_a_class_may_not(here: Path) ->
     assert model is not None
     assert PolicyDriver(_told(), policy=model, name="x").drive(_seen()) == (0.1, -0.1)
     for name in ("mine_models:Model", "mine_models:number"):
-        with pytest.raises(ScenarioError, match=f"^policy = '{name}': neither a function nor an object with a method predict"):
+        with pytest.raises(
+            ScenarioError,
+            match=f"^policy = '{name}': neither a function nor an object with a method predict",
+        ):
             load_function(name, what="policy")
 
 
@@ -326,7 +384,11 @@ def refused(name: str) -> str:
 @pytest.mark.usefixtures("_no_libraries")
 @pytest.mark.parametrize(
     ("name", "package"),
-    [("sb3:ppo:m.zip", "stable-baselines3"), ("torch:m.zip", "torch"), ("onnx:m.zip", "onnxruntime")],
+    [
+        ("sb3:ppo:m.zip", "stable-baselines3"),
+        ("torch:m.zip", "torch"),
+        ("onnx:m.zip", "onnxruntime"),
+    ],
 )
 def test_a_missing_library_is_named_with_the_command_that_installs_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, package: str
@@ -336,14 +398,18 @@ def test_a_missing_library_is_named_with_the_command_that_installs_it(
     assert f"pip install {package}" in refused(name)
 
 
-@pytest.mark.parametrize("content", [b"", b"hello", json.dumps(TOLD).encode()[:-9], b"\xff\x00"], ids=range(4))
+@pytest.mark.parametrize(
+    "content", [b"", b"hello", json.dumps(TOLD).encode()[:-9], b"\xff\x00"], ids=range(4)
+)
 @pytest.mark.parametrize("name", ["sb3:ppo:bad.zip", "torch:bad.zip", "onnx:bad.zip"])
 def test_a_damaged_file_is_named_in_one_line(here: Path, name: str, content: bytes) -> None:
     (here / "bad.zip").write_bytes(content)
     assert "cannot be loaded" in refused(name)
 
 
-@pytest.mark.parametrize("name", ["sb3:ppo:none.zip", "sb3:ppo:", "torch:none.pt", "torch:", "onnx:none.onnx", "onnx:."])
+@pytest.mark.parametrize(
+    "name", ["sb3:ppo:none.zip", "sb3:ppo:", "torch:none.pt", "torch:", "onnx:none.onnx", "onnx:."]
+)
 def test_a_missing_file_is_named_in_one_line(here: Path, name: str) -> None:
     assert "no such file" in refused(name)
 
@@ -366,7 +432,9 @@ def test_an_unknown_algorithm_is_told_which_there_are(here: Path) -> None:
         ("onnx:model.onnx", {"inputs": 2}),
     ],
 )
-def test_a_policy_of_another_agent_is_refused_before_it_flies(here: Path, name: str, changes: dict[str, Any]) -> None:
+def test_a_policy_of_another_agent_is_refused_before_it_flies(
+    here: Path, name: str, changes: dict[str, Any]
+) -> None:
     tell(here, name.rpartition(":")[2], **changes)
     assert "allowed: " in refused(name)
 

@@ -9,7 +9,17 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from processes import OUTRIDER, alive, child_of, family, flying, nothing_left_behind, outrider, run_json, wait_until
+from processes import (
+    OUTRIDER,
+    alive,
+    child_of,
+    family,
+    flying,
+    nothing_left_behind,
+    outrider,
+    run_json,
+    wait_until,
+)
 
 from outrider.flying import fly
 from outrider.launch import Child
@@ -35,13 +45,20 @@ def test_three_processes_and_one_fly_the_same_bits(name: str) -> None:
 
 
 def test_another_seed_of_a_noisy_scenario_is_another_trajectory() -> None:
-    hashes = {str(run_json("escort", "--seed", str(seed), "--in-process")["trajectory_sha256"]) for seed in (1, 2, 3)}
+    hashes = {
+        str(run_json("escort", "--seed", str(seed), "--in-process")["trajectory_sha256"])
+        for seed in (1, 2, 3)
+    }
     assert len(hashes) == 3
 
 
 def test_two_runs_at_once_do_not_meet() -> None:
     runs = [
-        subprocess.Popen([*OUTRIDER, "run", "escort", "--json", "--no-files"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+        subprocess.Popen(
+            [*OUTRIDER, "run", "escort", "--json", "--no-files"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        )
         for _ in range(2)
     ]
     hashes = [json.loads(run.communicate(timeout=120)[0])["trajectory_sha256"] for run in runs]
@@ -59,7 +76,12 @@ def test_ctrl_c_ends_all_processes_and_keeps_what_was_flown(tmp_path: Path) -> N
     assert summary["complete"] is False
     rows = (tmp_path / "trajectory.csv").read_text(encoding="utf-8").splitlines()
     assert len(rows) == 1 + summary["ticks"] + 1
-    assert {path.name for path in tmp_path.iterdir()} == {"trajectory.csv", "flight.png", "coverage.npy", "summary.json"}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "trajectory.csv",
+        "flight.png",
+        "coverage.npy",
+        "summary.json",
+    }
     assert not any(alive(child) for child in children)
     # what was flown is the beginning of the whole flight
     _, whole = fly(load_scenario("escort", overrides=[f"duration={summary['ticks'] * 0.05!r}"]), 7)
@@ -67,8 +89,12 @@ def test_ctrl_c_ends_all_processes_and_keeps_what_was_flown(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("victim", ["uav", "ugv"])
-def test_a_vehicle_that_dies_brakes_and_the_run_ends_with_its_name(victim: str, tmp_path: Path) -> None:
-    with flying("escort", "--duration", "500", "--no-picture", "--out", str(tmp_path), "--json") as run:
+def test_a_vehicle_that_dies_brakes_and_the_run_ends_with_its_name(
+    victim: str, tmp_path: Path
+) -> None:
+    with flying(
+        "escort", "--duration", "500", "--no-picture", "--out", str(tmp_path), "--json"
+    ) as run:
         children = family(run.pid)
         os.kill(child_of(run, victim), signal.SIGKILL)
         out, err = run.communicate(timeout=60)
@@ -134,7 +160,9 @@ def test_a_child_that_hears_of_the_end_before_its_leash_leaves_nothing_either() 
         for number in range(2000):
             (folder / str(number)).touch()
         with subprocess.Popen(
-            [sys.executable, "-c", hears_first, folder], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+            [sys.executable, "-c", hears_first, folder],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
         ) as child:
             assert child.stdin
             assert child.stdout
@@ -161,7 +189,9 @@ def test_processes_started_one_by_one_fly_the_same_bits() -> None:
         stderr=subprocess.DEVNULL,
     )
     vehicles = [
-        subprocess.Popen([*OUTRIDER, kind, "--connect", endpoint, "--run", "mine"], stderr=subprocess.DEVNULL)
+        subprocess.Popen(
+            [*OUTRIDER, kind, "--connect", endpoint, "--run", "mine"], stderr=subprocess.DEVNULL
+        )
         for kind in ("ugv", "uav")
     ]
     summary = json.loads(simulator.communicate(timeout=120)[0])
@@ -185,14 +215,33 @@ def test_what_lies_in_the_working_folder_takes_no_modules_place(tmp_path: Path) 
     mine = "def policy(observation, briefing):\n    return (0.05, 0.0)\n"
     (tmp_path / "mine.py").write_text(mine, encoding="utf-8")
     checked = subprocess.run(
-        [*OUTRIDER, "check", "escort"], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
+        [*OUTRIDER, "check", "escort"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
     )
     assert checked.returncode == 0, checked.stderr
     for name in ("agents", "sim", "bus", "outrider"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text(hostile, encoding="utf-8")
-    script = Path(sys.executable).with_name("outrider")  # `python -m outrider` is the folder's own outrider, if it has one
-    arguments = ["run", "--driver", "policy", "--policy", "mine:policy", "--duration", "1", "--no-files", "--json"]
-    run = subprocess.run([script, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120)
+    script = Path(sys.executable).with_name(
+        "outrider"
+    )  # `python -m outrider` is the folder's own outrider, if it has one
+    arguments = [
+        "run",
+        "--driver",
+        "policy",
+        "--policy",
+        "mine:policy",
+        "--duration",
+        "1",
+        "--no-files",
+        "--json",
+    ]
+    run = subprocess.run(
+        [script, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120
+    )
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout)["ticks"] == 20

@@ -22,13 +22,23 @@ def certified(*overrides: str) -> Scenario:
 
 THROUGHOUT, CERTAIN, SOMETIMES = How.THROUGHOUT, How.CERTAIN, How.SOMETIMES
 BROKEN = [
-    ("A1", SOMETIMES, ["detections.noise=0.5", "certificate.error=1.2"], "certificate.error = 1.2 m"),
+    (
+        "A1",
+        SOMETIMES,
+        ["detections.noise=0.5", "certificate.error=1.2"],
+        "certificate.error = 1.2 m",
+    ),
     ("A1", THROUGHOUT, ["detections.noise=0.5", "certificate.error=0.2"], "92.2 % are larger"),
     ("A1", SOMETIMES, ["detections.cut=0", "certificate.error=0.4"], "detections.cut = 0"),
     ("", THROUGHOUT, ["detections.cut=0"], "the noise of the detections is not cut"),
     ("A2", CERTAIN, ["detections.rate=1.0", "certificate.age=0.5"], "detections.rate = 1 /s"),
     ("A2", THROUGHOUT, ["links.detections.delay=1.05"], "links.detections.delay = 1.05"),
-    ("A2", SOMETIMES, ["links.detections.delay=0.95", "links.detections.jitter=0.3"], "links.detections.jitter = 0.3"),
+    (
+        "A2",
+        SOMETIMES,
+        ["links.detections.delay=0.95", "links.detections.jitter=0.3"],
+        "links.detections.jitter = 0.3",
+    ),
     ("A2", SOMETIMES, ["links.detections.loss=0.5"], "links.detections.loss = 0.5"),
     ("A2", SOMETIMES, ["detections.dropout=0.7"], "detections.dropout = 0.7"),
     (
@@ -49,14 +59,34 @@ BROKEN = [
         ["links.detections.blackout_length=2.0", "links.detections.blackout_interval=9.0"],
         "links.detections.blackout_length = 2",
     ),
-    ("A2", CERTAIN, ["links.detections.blackouts=[[30.0,20.0]]"], "becomes 20 s old, certificate.age = 1 s, from 31 s to 50 s"),
+    (
+        "A2",
+        CERTAIN,
+        ["links.detections.blackouts=[[30.0,20.0]]"],
+        "becomes 20 s old, certificate.age = 1 s, from 31 s to 50 s",
+    ),
     ("A2", CERTAIN, ["links.detections.blackouts=[[30.0,1.05]]"], "from 31 s to 31.05 s"),
     ("A2", CERTAIN, ["links.detections.blackouts=[[0.0,0.5]]"], "nothing is detected before 0.5 s"),
     ("A2", CERTAIN, ["links.detections.bandwidth=1.0"], "links.detections.bandwidth = 1"),
-    ("A5", THROUGHOUT, ["links.commands.delay=0.5", "certificate.delay=0.0"], "links.commands.delay = 0.5"),
+    (
+        "A5",
+        THROUGHOUT,
+        ["links.commands.delay=0.5", "certificate.delay=0.0"],
+        "links.commands.delay = 0.5",
+    ),
     ("A5", THROUGHOUT, ["certificate.delay=0.3"], "links.commands.delay = 0"),
-    ("", THROUGHOUT, ["links.commands.delay=0.3", "links.commands.jitter=0.4"], "hold = 0.5 s: shorter than tau_c"),
-    ("A5", THROUGHOUT, ["links.commands.delay=0.3", "links.commands.jitter=0.1"], "links.commands.jitter = 0.1"),
+    (
+        "",
+        THROUGHOUT,
+        ["links.commands.delay=0.3", "links.commands.jitter=0.4"],
+        "hold = 0.5 s: shorter than tau_c",
+    ),
+    (
+        "A5",
+        THROUGHOUT,
+        ["links.commands.delay=0.3", "links.commands.jitter=0.1"],
+        "links.commands.jitter = 0.1",
+    ),
     (
         "A5",
         THROUGHOUT,
@@ -83,8 +113,18 @@ BROKEN = [
         ["links.commands.blackout_length=0.5", "links.commands.blackout_interval=9.0"],
         "links.commands.blackout_length = 0.5",
     ),
-    ("A5", CERTAIN, ["links.commands.blackouts=[[30.0,20.0]]"], "links.commands.blackouts, 30 s to 50 s"),
-    ("A5", SOMETIMES, ['links.only=[{vehicle="uav_0",commands={loss=0.1}}]'], "links.only.0.commands.loss = 0.1"),
+    (
+        "A5",
+        CERTAIN,
+        ["links.commands.blackouts=[[30.0,20.0]]"],
+        "links.commands.blackouts, 30 s to 50 s",
+    ),
+    (
+        "A5",
+        SOMETIMES,
+        ['links.only=[{vehicle="uav_0",commands={loss=0.1}}]'],
+        "links.only.0.commands.loss = 0.1",
+    ),
 ]
 
 
@@ -92,10 +132,16 @@ BROKEN = [
 def test_each_cause_is_told_with_its_assumption_its_field_and_how_often(
     assumption: str, how: How, changes: list[str], told: str
 ) -> None:
-    found = [fault for fault in shortfalls(certified(*changes)) if fault.assumption == assumption and told in fault.what]
+    found = [
+        fault
+        for fault in shortfalls(certified(*changes))
+        if fault.assumption == assumption and told in fault.what
+    ]
     assert [fault.how for fault in found] == [how]
     assert found[0].line in promise_warnings(certified(*changes))
-    assert how_certifiable(certified(*changes)) == ("hardly ever" if how is THROUGHOUT else "not always")
+    assert how_certifiable(certified(*changes)) == (
+        "hardly ever" if how is THROUGHOUT else "not always"
+    )
 
 
 KEPT = [
@@ -165,8 +211,12 @@ def test_what_is_said_of_a_link_is_what_the_link_does(settings: LinkSettings) ->
         assert settled.min() >= least_ticks(p)
         if not settings.duplicates:
             for age in range(12):
-                assert np.mean(arrived[: ticks - 100] <= age) == pytest.approx(arrival_share(p, age), abs=0.025)
-                exact = arrival_share(p, age) * np.prod([1.0 - arrival_share(p, j) for j in range(age)])
+                assert np.mean(arrived[: ticks - 100] <= age) == pytest.approx(
+                    arrival_share(p, age), abs=0.025
+                )
+                exact = arrival_share(p, age) * np.prod(
+                    [1.0 - arrival_share(p, j) for j in range(age)]
+                )
                 assert np.mean(settled == age) == pytest.approx(exact, abs=0.025)
     else:
         assert settled.min() == least_ticks(p)
@@ -180,7 +230,10 @@ def test_what_is_said_of_a_link_is_what_the_link_does(settings: LinkSettings) ->
             "hold = 0.2: commands are 0.25 s old or more when they arrive (links.commands of uav_0)",
         ),
         (["hold=0.0", "links.commands.delay=0.01"], "allowed: 0.05 s or more"),
-        (["dt=0.2", "detections.rate=5.0", "links.commands.delay=0.5"], "allowed: 0.6 s or more"),  # hold is two ticks
+        (
+            ["dt=0.2", "detections.rate=5.0", "links.commands.delay=0.5"],
+            "allowed: 0.6 s or more",
+        ),  # hold is two ticks
         (
             ['links.only=[{vehicle="uav_0",commands={delay=0.8,jitter=0.2}}]'],
             "0.6 s old or more when they arrive (links.only.0.commands of uav_0)",
@@ -188,7 +241,9 @@ def test_what_is_said_of_a_link_is_what_the_link_does(settings: LinkSettings) ->
         (["links.commands.bandwidth=10.0", "links.commands.queue=20"], "allowed: 1 s or more"),
     ],
 )
-def test_commands_that_are_always_too_old_to_act_are_refused_under_every_law(changes: list[str], told: str) -> None:
+def test_commands_that_are_always_too_old_to_act_are_refused_under_every_law(
+    changes: list[str], told: str
+) -> None:
     for law in ("linear", "certified"):
         with pytest.raises(ScenarioError) as refused:
             load_scenario("escort", overrides=[f"law.name={law}", *changes])
@@ -198,11 +253,20 @@ def test_commands_that_are_always_too_old_to_act_are_refused_under_every_law(cha
 
 def test_a_delay_that_hold_allows_is_flown() -> None:
     for hold, delay in ((0.5, 0.5), (0.0, 0.0), (0.35, 0.35)):
-        assert load_scenario("escort", overrides=[f"hold={hold}", f"links.commands.delay={delay}"]).hold == hold
+        assert (
+            load_scenario(
+                "escort", overrides=[f"hold={hold}", f"links.commands.delay={delay}"]
+            ).hold
+            == hold
+        )
 
 
 def test_check_says_that_nothing_can_be_certified() -> None:
-    done = outrider("check", "escort", "--set", "links.commands.delay=0.3", "--set", "links.commands.jitter=0.1")
+    done = outrider(
+        "check", "escort", "--set", "links.commands.delay=0.3", "--set", "links.commands.jitter=0.1"
+    )
     assert done.returncode == 0
     assert "certified hardly ever" in " ".join(done.stdout.split())
-    assert "A5 is broken for certain and throughout: links.commands.jitter = 0.1" in " ".join(done.stderr.split())
+    assert "A5 is broken for certain and throughout: links.commands.jitter = 0.1" in " ".join(
+        done.stderr.split()
+    )

@@ -1,4 +1,7 @@
-"""Counter-based random numbers: NumPy's Philox, every draw on its own, and the cut Gaussian vector against its theory."""
+"""Counter-based random numbers.
+
+NumPy's Philox, every draw on its own, and the cut Gaussian vector against its theory.
+"""
 
 import itertools
 import math
@@ -28,7 +31,11 @@ from sim.run_keys import check_secret, derive_key, derive_keys, new_secret
 words = st.integers(0, 2**64 - 1)
 seeds = st.integers(0, 2**53 - 1)
 small = st.integers(0, 2**32 - 1)
-PURPOSES = {name: value for name, value in vars(randomness).items() if name.isupper() and isinstance(value, int)}
+PURPOSES = {
+    name: value
+    for name, value in vars(randomness).items()
+    if name.isupper() and isinstance(value, int)
+}
 SECRET = bytes(range(16)).hex()
 
 
@@ -92,7 +99,10 @@ def test_a_word_becomes_a_number_below_one_with_53_bits(word: int) -> None:
 def test_the_norm_of_cut_noise_follows_the_cut_rayleigh_distribution(cut: float) -> None:
     noise = np.array([cut_normal_vector(0.3, cut, a_key(4), 1, k, 0) for k in range(4000)])
     radius, angle = np.hypot(*noise.T) / 0.3, np.arctan2(noise[:, 1], noise[:, 0])
-    assert stats.kstest(radius, lambda r: -np.expm1(-0.5 * r**2) / -np.expm1(-0.5 * cut**2)).pvalue > 1e-3
+    assert (
+        stats.kstest(radius, lambda r: -np.expm1(-0.5 * r**2) / -np.expm1(-0.5 * cut**2)).pvalue
+        > 1e-3
+    )
     assert stats.kstest(angle / math.tau + 0.5, "uniform").pvalue > 1e-3
     assert abs(stats.spearmanr(radius, angle).statistic) < 4.0 / math.sqrt(4000)
 
@@ -106,15 +116,21 @@ def test_noise_without_a_cut_is_gaussian_on_each_axis() -> None:
 
 @given(st.floats(1e-6, 1e3), st.floats(1e-3, 9.0), seeds, small)
 @settings(PROPERTY, max_examples=500)
-def test_cut_noise_never_goes_beyond_its_cut(sigma: float, cut: float, seed: int, tick: int) -> None:
-    assert math.hypot(*cut_normal_vector(sigma, cut, a_key(seed), 1, tick, 0)) <= cut * sigma * (1.0 + 1e-15)
+def test_cut_noise_never_goes_beyond_its_cut(
+    sigma: float, cut: float, seed: int, tick: int
+) -> None:
+    assert math.hypot(*cut_normal_vector(sigma, cut, a_key(seed), 1, tick, 0)) <= cut * sigma * (
+        1.0 + 1e-15
+    )
 
 
 def test_a_key_is_blake2b_of_seed_purpose_and_vehicle_keyed_with_the_secret() -> None:
     keys = derive_keys((5, 2**53 - 1), 3, SECRET)
     assert keys.shape == (2, RUN_PURPOSES, 3, 2)
     told = (2**53 - 1).to_bytes(8, "little") + (4).to_bytes(4, "little") + (2).to_bytes(4, "little")
-    digest = blake2b(told, digest_size=16, key=bytes.fromhex(SECRET), person=b"outrider").hexdigest()
+    digest = blake2b(
+        told, digest_size=16, key=bytes.fromhex(SECRET), person=b"outrider"
+    ).hexdigest()
     assert derive_key(2**53 - 1, 4, 2, SECRET) == digest
     assert key_of(keys[1], 4, 2) == words_of(digest) == tuple(keys[1, 4, 2])
 
@@ -140,10 +156,14 @@ def test_what_is_no_key_is_refused(bad: str) -> None:
 def test_a_new_secret_has_128_bits_and_is_another_one_each_time() -> None:
     made = {new_secret() for _ in range(100)}
     assert len(made) == 100
-    assert all(check_secret(secret) == secret and len(bytes.fromhex(secret)) == 16 for secret in made)
+    assert all(
+        check_secret(secret) == secret and len(bytes.fromhex(secret)) == 16 for secret in made
+    )
 
 
-@pytest.mark.parametrize("bad", ["0" * 30, "0" * 33, "0" * 130, "x" * 32, " " * 32, "0" * 31 + "\n"])
+@pytest.mark.parametrize(
+    "bad", ["0" * 30, "0" * 33, "0" * 130, "x" * 32, " " * 32, "0" * 31 + "\n"]
+)
 def test_what_is_no_secret_is_refused_and_not_repeated(bad: str) -> None:
     with pytest.raises(ValueError, match="32 to 128") as refusal:
         check_secret(bad, "the file")

@@ -33,7 +33,9 @@ def test_the_scenario_shown_can_be_flown(tmp_path: Path) -> None:
 
 
 def test_the_links_shown_can_be_flown(tmp_path: Path) -> None:
-    shown, links = (next(block for block in blocks("toml") if word in block) for word in ("title", "[links]"))
+    shown, links = (
+        next(block for block in blocks("toml") if word in block) for word in ("title", "[links]")
+    )
     (tmp_path / "mine.toml").write_text(shown + links, encoding="utf-8")
     settings = load_scenario(tmp_path / "mine.toml").links
     assert (settings.commands.delay, settings.detections.jitter_shape) == (0.1, "exponential")
@@ -42,7 +44,9 @@ def test_the_links_shown_can_be_flown(tmp_path: Path) -> None:
 
 def test_the_filter_shown_keeps_sight(tmp_path: Path) -> None:
     shown = next(block for block in blocks("python") if "SafetyFilterWrapper" in block)
-    run = subprocess.run([sys.executable, "-c", shown], cwd=tmp_path, capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-c", shown], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
     count, said = run.stdout.split(" ", 1)
     assert int(count) > 100
     assert said == "commands were not let through; certified: True\n"
@@ -51,7 +55,9 @@ def test_the_filter_shown_keeps_sight(tmp_path: Path) -> None:
 @pytest.mark.xdist_group("many worlds")
 def test_the_many_worlds_shown_fly(tmp_path: Path) -> None:
     shown = next(block for block in blocks("python") if "vector_env" in block)
-    run = subprocess.run([sys.executable, "-c", shown], cwd=tmp_path, capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-c", shown], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
     assert float(run.stdout) > 100.0
 
 
@@ -76,7 +82,13 @@ def test_the_weighting_shown_flies(tmp_path: Path) -> None:
         "--no-files",
         "--json",
     ]
-    run = subprocess.run([sys.executable, "-m", "outrider", *arguments], cwd=tmp_path, capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-m", "outrider", *arguments],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert json.loads(run.stdout)["visibility_violations"] == 0
 
 
@@ -85,7 +97,10 @@ def test_the_claims_shown_are_those_that_the_figures_make(tmp_path: Path) -> Non
 
     shown = README.split("<!-- claims -->")[1].split("<!-- /claims -->")[0]
     rows = [line.split(" | ") for line in shown.strip().splitlines()[2:]]
-    made = [(claim.figure, claim.claim, "yes" if claim.holds else "**no**") for claim in make_figures(tmp_path, on_progress=None)]
+    made = [
+        (claim.figure, claim.claim, "yes" if claim.holds else "**no**")
+        for claim in make_figures(tmp_path, on_progress=None)
+    ]
     assert [(row[0].removeprefix("| "), row[1], row[-1].removesuffix(" |")) for row in rows] == made
 
 

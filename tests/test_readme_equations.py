@@ -41,10 +41,14 @@ def _quoted(cell: str) -> tuple[str, ...]:
 
 def rows() -> Iterator[Row]:
     """The table between the README's markers."""
-    found = re.search(r"<!-- equations -->(.*)<!-- /equations -->", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    found = re.search(
+        r"<!-- equations -->(.*)<!-- /equations -->", PAGE.read_text(encoding="utf-8"), re.DOTALL
+    )
     lines = found.group(1).strip().splitlines()[2:] if found else []
     for line in lines:
-        equation, _, functions, tests = (cell.strip() for cell in line.strip().strip("|").split("|"))
+        equation, _, functions, tests = (
+            cell.strip() for cell in line.strip().strip("|").split("|")
+        )
         yield Row(equation=equation, functions=_quoted(functions), tests=_quoted(tests))
 
 
@@ -95,6 +99,10 @@ def test_no_function_that_cites_an_equation_is_missing_from_the_table() -> None:
     citing = set()
     for module in WRITTEN_IN:
         for name, function in vars(importlib.import_module(module)).items():
-            if getattr(function, "__module__", None) == module and callable(function) and _cited(function):
+            if (
+                getattr(function, "__module__", None) == module
+                and callable(function)
+                and _cited(function)
+            ):
                 citing.add(f"{module}.{name}")
     assert citing == {path for equation, path in FUNCTIONS if equation not in WEIGHTS}

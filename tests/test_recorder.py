@@ -33,7 +33,9 @@ def _documented(flight: Flight, ticks: int) -> str:
     digest = hashlib.sha256()
     for row in flight.recorder.states[:ticks].tolist():
         for vehicle in row:
-            digest.update(struct.pack("<6d", *(0.0 if number == 0.0 else number for number in vehicle)))
+            digest.update(
+                struct.pack("<6d", *(0.0 if number == 0.0 else number for number in vehicle))
+            )
     return digest.hexdigest()
 
 
@@ -67,7 +69,14 @@ def test_the_file_gives_back_every_number_exactly(flight: Flight, tmp_path: Path
     recorder = flight.recorder
     count = recorder.rows
     time = np.arange(count) * DT
-    wanted = np.column_stack((np.arange(count), time, recorder.states.reshape(count, -1), recorder.escorts.reshape(count, -1)))
+    wanted = np.column_stack(
+        (
+            np.arange(count),
+            time,
+            recorder.states.reshape(count, -1),
+            recorder.escorts.reshape(count, -1),
+        )
+    )
     assert found.tobytes() == wanted.tobytes()
     assert len(header) == len(rows[0]) == wanted.shape[1]
     assert header[:4] == ["tick", "time [s]", "uav_0.x [m]", "uav_0.y [m]"]

@@ -34,7 +34,18 @@ from bus.session import open_session
 from outrider.cli import record, render, replay
 from outrider.flying import InProcess, fly, make_pilots
 from outrider.recording.file import RecordingFile
-from outrider.recording.reader import Damage, Recording, coverages, entries, flight_of, load, repair, statuses, stream, truths
+from outrider.recording.reader import (
+    Damage,
+    Recording,
+    coverages,
+    entries,
+    flight_of,
+    load,
+    repair,
+    statuses,
+    stream,
+    truths,
+)
 from outrider.recording.refly import refly, restore
 from outrider.recording.schemas import TOPICS, head_of, inlined_schema, read_head, scenario_in
 from outrider.recording.writer import FlightRecorder
@@ -76,7 +87,9 @@ def plain(path: Path) -> dict[str, list[tuple[int, bytes]]]:
     return found
 
 
-@pytest.mark.parametrize("message", [*dict.fromkeys(key.message for key in KEYS), *(topic.message for topic in TOPICS)])
+@pytest.mark.parametrize(
+    "message", [*dict.fromkeys(key.message for key in KEYS), *(topic.message for topic in TOPICS)]
+)
 def test_no_schema_refers_to_another(message: type[Any]) -> None:
     schema = inlined_schema(message)
     text = json.dumps(schema)
@@ -86,13 +99,17 @@ def test_no_schema_refers_to_another(message: type[Any]) -> None:
     assert set(schema["properties"]) == set(message.__struct_fields__)
 
 
-def test_a_closed_file_opens_in_the_plain_reader_with_every_message_in_time_order(flown: tuple[Path, Flight]) -> None:
+def test_a_closed_file_opens_in_the_plain_reader_with_every_message_in_time_order(
+    flown: tuple[Path, Flight],
+) -> None:
     path, flight = flown
     found = plain(path)
     viewers = {"/tf", "/scene", "/grid", "/log", "/pose/uav_0", "/pose/ugv_0"}
     assert set(found) == {topic.name for topic in TOPICS} | viewers
     ticks = flight.recorder.ticks
-    assert [stamp for stamp, _ in found["/truth"]] == [round(k * SCENARIO.dt * 1e9) for k in range(ticks + 1)]
+    assert [stamp for stamp, _ in found["/truth"]] == [
+        round(k * SCENARIO.dt * 1e9) for k in range(ticks + 1)
+    ]
     assert len(found["/commands"]) == ticks
     assert len(found["/coverage"]) == len(found["/grid"]) >= SCENARIO.duration
     with path.open("rb") as file:
@@ -119,7 +136,10 @@ def test_every_float_comes_back_exactly(flown: tuple[Path, Flight]) -> None:
         assert truth.time == k * SCENARIO.dt
         for n, name in enumerate(flight.world.names):
             vehicle = truth.vehicles[name]
-            assert struct.pack("<4d", *vehicle.position, *vehicle.velocity) == states[k, n, :4].tobytes()  # -0.0 too
+            assert (
+                struct.pack("<4d", *vehicle.position, *vehicle.velocity)
+                == states[k, n, :4].tobytes()
+            )  # -0.0 too
             if k:
                 assert vehicle.acceleration == tuple(states[k - 1, n, 4:6])
         seen = truth.escorts[0]
@@ -130,8 +150,14 @@ def test_every_float_comes_back_exactly(flown: tuple[Path, Flight]) -> None:
         assert seen.report is None or seen.report.estimate == tuple(escorts[k - 1, 0, 4:6])
     for before, after in pairwise(rows):
         for name in flight.world.names:
-            numbers = (*before.vehicles[name].position, *before.vehicles[name].velocity, *after.vehicles[name].acceleration)
-            digest.update(struct.pack("<6d", *(0.0 if number == 0.0 else number for number in numbers)))
+            numbers = (
+                *before.vehicles[name].position,
+                *before.vehicles[name].velocity,
+                *after.vehicles[name].acceleration,
+            )
+            digest.update(
+                struct.pack("<6d", *(0.0 if number == 0.0 else number for number in numbers))
+            )
     assert digest.hexdigest() == flight.recorder.sha256()
 
 
@@ -150,19 +176,26 @@ def test_a_command_is_what_was_asked_for_before_the_bounds(tmp_path: Path) -> No
     asked = [(0.1 * k, -7.0 / 3.0) for k in range(30)]
     for k, u in enumerate(asked):
         flight.recorder.record(flight.reports)
-        flight.apply({"uav_0": UavCommand(tick=k, acceleration=u)})  # beyond u_max; the UGV is silent and brakes in the end
+        flight.apply(
+            {"uav_0": UavCommand(tick=k, acceleration=u)}
+        )  # beyond u_max; the UGV is silent and brakes in the end
         recorder.tick(flight)
     flight.recorder.record(flight.reports)
     recorder.close()
     recording = flight_of(path)
     assert [recording.commands[k].accelerations["uav_0"] for k in range(30)] == asked
     assert [truth.vehicles["uav_0"].command for truth in recording.truths[1:]] == asked
-    assert all(math.hypot(*truth.vehicles["uav_0"].acceleration) < 0.3 + 1e-12 for truth in recording.truths)
+    assert all(
+        math.hypot(*truth.vehicles["uav_0"].acceleration) < 0.3 + 1e-12
+        for truth in recording.truths
+    )
     assert refly(recording).trajectory_sha256 == flight.recorder.sha256()
 
 
 @pytest.mark.parametrize(("tick", "vehicle"), [(0, "uav_0"), (300, "ugv_0"), (799, "uav_0")])
-def test_a_changed_command_is_found_at_its_tick(flown: tuple[Path, Flight], tick: int, vehicle: str) -> None:
+def test_a_changed_command_is_found_at_its_tick(
+    flown: tuple[Path, Flight], tick: int, vehicle: str
+) -> None:
     recording = flight_of(flown[0])
     asked = recording.commands[tick]
     changed = {**asked.accelerations, vehicle: (asked.accelerations[vehicle][0] * 0.5 + 1e-9, 0.0)}
@@ -210,7 +243,9 @@ def test_the_map_is_the_ground(flown: tuple[Path, Flight]) -> None:
     assert [ground.tick for ground in maps[:3]] == [0, 1, 21]
     last = maps[-1]
     assert last.tick == flight.recorder.ticks
-    share = (flight.world.coverage * (255.0 / SCENARIO.coverage.desired)).clip(0.0, 255.0).astype("u1")
+    share = (
+        (flight.world.coverage * (255.0 / SCENARIO.coverage.desired)).clip(0.0, 255.0).astype("u1")
+    )
     assert last.cells == share.tobytes()
     assert (last.rows, last.columns) == flight.world.coverage.shape
 
@@ -237,7 +272,9 @@ def test_status_and_log_tell_how_it_went(tmp_path: Path) -> None:
     assert any(b"somebody coughed" in data and time == 5_000_000_000 for time, data in log)
     assert (flight.recorder.escorts[:, 0, 0] >= blind.visibility.radius).any()
     first = int((flight.recorder.escorts[:, 0, 0] >= blind.visibility.radius).argmax())
-    assert any(b"lost sight" in data and time == round(first * blind.dt * 1e9) for time, data in log)
+    assert any(
+        b"lost sight" in data and time == round(first * blind.dt * 1e9) for time, data in log
+    )
 
 
 def test_a_run_that_is_reset_has_several_flights_in_one_file(tmp_path: Path) -> None:
@@ -247,13 +284,18 @@ def test_a_run_that_is_reset_has_several_flights_in_one_file(tmp_path: Path) -> 
     for flight in flights:
         flight.fly(
             InProcess(make_pilots(flight.scenario, flight.seed)),
-            on_tick=lambda flight=flight: (recorder.tick(flight), flight.world.tick == 60 and flight.stop()),  # type: ignore[misc]
+            on_tick=lambda flight=flight: (
+                recorder.tick(flight),
+                flight.world.tick == 60 and flight.stop(),
+            ),  # type: ignore[misc]
         )
     recorder.close()
     found = load(path)
     assert [flight.head.seed for flight in found] == [SEED, 9]
     assert [len(flight.truths) for flight in found] == [61, 61]
-    assert [refly(flight).trajectory_sha256 for flight in found] == [flight.recorder.sha256() for flight in flights]
+    assert [refly(flight).trajectory_sha256 for flight in found] == [
+        flight.recorder.sha256() for flight in flights
+    ]
     times = [entry.time for entry in entries(path)]
     assert times == sorted(times)
     assert flight_of(path).number == 1
@@ -285,7 +327,9 @@ fly(scenario, 3, on_tick=follow)
 def killed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[int, float]], float]:
     """A recording whose process was killed with SIGKILL, when it was where, and when it was killed."""
     path = tmp_path_factory.mktemp("killed") / "run.mcap"
-    process = subprocess.Popen([sys.executable, "-c", _ENDLESS, str(path)], stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-c", _ENDLESS, str(path)], stdout=subprocess.PIPE, text=True
+    )
     assert process.stdout is not None
     reached: list[tuple[int, float]] = []
     for line in process.stdout:
@@ -295,13 +339,19 @@ def killed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[i
             break
     process.kill()
     now = time.monotonic()
-    reached += [(int(line.split()[0]), float(line.split()[1])) for line in process.stdout if line.endswith("\n")]
+    reached += [
+        (int(line.split()[0]), float(line.split()[1]))
+        for line in process.stdout
+        if line.endswith("\n")
+    ]
     process.stdout.close()
     assert process.wait() == -signal.SIGKILL
     return path, reached, now
 
 
-def test_a_kill_costs_half_a_second_at_most(killed: tuple[Path, list[tuple[int, float]], float]) -> None:
+def test_a_kill_costs_half_a_second_at_most(
+    killed: tuple[Path, list[tuple[int, float]], float],
+) -> None:
     path, reached, now = killed
     recording = flight_of(path)
     assert recording.damage.reason
@@ -311,16 +361,24 @@ def test_a_kill_costs_half_a_second_at_most(killed: tuple[Path, list[tuple[int, 
     assert last >= safe > 30
 
 
-def test_a_killed_file_is_flown_again_as_far_as_it_goes(killed: tuple[Path, list[tuple[int, float]], float]) -> None:
+def test_a_killed_file_is_flown_again_as_far_as_it_goes(
+    killed: tuple[Path, list[tuple[int, float]], float],
+) -> None:
     recording = flight_of(killed[0])
     found = refly(recording)
     assert found.difference is None
     assert found.ticks == recording.truths[-1].tick
-    flight, _ = fly(recording.scenario, 3, on_tick=lambda flight: flight.stop() if flight.world.tick == found.ticks else None)
+    flight, _ = fly(
+        recording.scenario,
+        3,
+        on_tick=lambda flight: flight.stop() if flight.world.tick == found.ticks else None,
+    )
     assert flight.recorder.sha256() == found.trajectory_sha256
 
 
-def test_a_repaired_file_opens_in_the_plain_reader(killed: tuple[Path, list[tuple[int, float]], float], tmp_path: Path) -> None:
+def test_a_repaired_file_opens_in_the_plain_reader(
+    killed: tuple[Path, list[tuple[int, float]], float], tmp_path: Path
+) -> None:
     path, out = killed[0], tmp_path / "saved.mcap"
     saved = repair(path, out)
     assert saved.reason
@@ -328,7 +386,9 @@ def test_a_repaired_file_opens_in_the_plain_reader(killed: tuple[Path, list[tupl
     assert sum(len(messages) for messages in found.values()) == saved.messages == len(before)
     for topic, count in Counter(entry.topic for entry in before).items():
         assert len(found[topic]) == count
-    assert [data for _, data in found["/truth"]] == [entry.data for entry in before if entry.topic == "/truth"]
+    assert [data for _, data in found["/truth"]] == [
+        entry.data for entry in before if entry.topic == "/truth"
+    ]
     assert not flight_of(out).damage.reason
     assert refly(flight_of(out)).trajectory_sha256 == refly(flight_of(path)).trajectory_sha256
     with pytest.raises(ScenarioError, match="the file to be repaired"):
@@ -347,7 +407,10 @@ def _boundaries(path: Path) -> Iterator[tuple[int, int]]:
 
 def test_a_file_cut_anywhere_gives_a_prefix_or_one_line(tmp_path: Path) -> None:
     path, cut = tmp_path / "run.mcap", tmp_path / "cut.mcap"
-    recorded(path, escort(ugv=Ugv(position=(20.0, 21.0), goals=((26.0, 21.0),)), duration=3.0, name="short"))
+    recorded(
+        path,
+        escort(ugv=Ugv(position=(20.0, 21.0), goals=((26.0, 21.0),)), duration=3.0, name="short"),
+    )
     data, whole = path.read_bytes(), list(truths(path))
     starts = [at for at, _ in _boundaries(path)]
     places = {0, 1, 7, 8, 9, len(data) - 1, len(data) - 8, len(data) - 9}
@@ -377,7 +440,10 @@ def _read_or_one_line(path: Path) -> Recording | None:
 
 def test_damaged_bytes_end_the_reading_and_nothing_false_comes_out(tmp_path: Path) -> None:
     path, hurt = tmp_path / "run.mcap", tmp_path / "hurt.mcap"
-    recorded(path, escort(ugv=Ugv(position=(20.0, 21.0), goals=((26.0, 21.0),)), duration=3.0, name="short"))
+    recorded(
+        path,
+        escort(ugv=Ugv(position=(20.0, 21.0), goals=((26.0, 21.0),)), duration=3.0, name="short"),
+    )
     data, whole = bytearray(path.read_bytes()), list(truths(path))
     for place in range(8, len(data), max(1, len(data) // 150)):
         data[place] ^= 0xFF
@@ -391,7 +457,10 @@ def test_a_file_of_another_version_is_refused() -> None:
     head = msgspec.json.encode(head_of(SCENARIO, 1))
     assert read_head(head, file="x").seed == 1
     with pytest.raises(ScenarioError, match=r"old\.mcap: a recording of format 7; allowed: 1"):
-        read_head(head.replace(b'"format":1', b'"format":7').replace(b'"seed"', b'"corn"'), file="old.mcap")
+        read_head(
+            head.replace(b'"format":1', b'"format":7').replace(b'"seed"', b'"corn"'),
+            file="old.mcap",
+        )
     for other in (b"", b"{}", b"[]", b'{"format":-1}', b"\xff", b'{"format":1,"seed":1}'):
         with pytest.raises(ScenarioError, match=r"old\.mcap"):
             read_head(other, file="old.mcap")
@@ -399,7 +468,11 @@ def test_a_file_of_another_version_is_refused() -> None:
 
 def _app() -> typer.Typer:
     app = typer.Typer()
-    for name, command in (("record", record.command), ("replay", replay.command), ("render", render.command)):
+    for name, command in (
+        ("record", record.command),
+        ("replay", replay.command),
+        ("render", render.command),
+    ):
         app.command(name)(command)
     return app
 
@@ -420,7 +493,9 @@ def test_replay_tells_the_runs_numbers(flown: tuple[Path, Flight]) -> None:
     assert call("replay", str(path), "--speed", "1000000").exit_code == 0
 
 
-def test_replay_refly_says_same_or_where_it_differs(flown: tuple[Path, Flight], tmp_path: Path) -> None:
+def test_replay_refly_says_same_or_where_it_differs(
+    flown: tuple[Path, Flight], tmp_path: Path
+) -> None:
     path, flight = flown
     same = call("replay", str(path), "--refly", "--json")
     assert same.exit_code == 0
@@ -443,15 +518,22 @@ def _rewrite(path: Path, out: Path, *, tick: int) -> None:
         file.truth(truth)
         asked = recording.commands.get(truth.tick)
         if asked is not None and truth.tick == tick:
-            asked = msgspec.structs.replace(asked, accelerations={**asked.accelerations, "ugv_0": (0.01, -0.02)})
+            asked = msgspec.structs.replace(
+                asked, accelerations={**asked.accelerations, "ugv_0": (0.01, -0.02)}
+            )
         if asked is not None:
             file.commands(asked, truth.time)
     file.close()
 
 
 @pytest.mark.parametrize("content", [b"", b"hello", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n\x01"])
-@pytest.mark.parametrize("arguments", [("replay",), ("replay", "--refly"), ("render", "-o", "x.gif"), ("record", "--repair")])
-def test_what_is_no_recording_gives_one_line(tmp_path: Path, content: bytes, arguments: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(
+    "arguments",
+    [("replay",), ("replay", "--refly"), ("render", "-o", "x.gif"), ("record", "--repair")],
+)
+def test_what_is_no_recording_gives_one_line(
+    tmp_path: Path, content: bytes, arguments: tuple[str, ...]
+) -> None:
     path = tmp_path / "no.mcap"
     path.write_bytes(content)
     found = call(*arguments, str(path))
@@ -499,9 +581,13 @@ def test_an_observer_records_a_run_in_progress_to_the_same_bits(tmp_path: Path) 
     endpoint, path = f"unixsock-stream/{tmp_path}/s", tmp_path / "run.mcap"
     body = _PILOT.replace("ENDPOINT", repr(endpoint))
     pilots = [subprocess.Popen([sys.executable, "-c", body, name]) for name in ("uav_0", "ugv_0")]
-    observer = subprocess.Popen([sys.executable, "-c", _OBSERVER.replace("ENDPOINT", repr(endpoint)), str(path)])
+    observer = subprocess.Popen(
+        [sys.executable, "-c", _OBSERVER.replace("ENDPOINT", repr(endpoint)), str(path)]
+    )
     try:
-        with open_session(Party(role=Role.SIMULATOR, name=SIMULATOR_NAME), "recorded", listen=(endpoint,)) as session:
+        with open_session(
+            Party(role=Role.SIMULATOR, name=SIMULATOR_NAME), "recorded", listen=(endpoint,)
+        ) as session:
             server = Server(session, SCENARIO, SEED, join_timeout=60.0)
             limit = time.monotonic() + 30.0
             while not server._telemetry._truth.wanted and time.monotonic() < limit:
@@ -574,11 +660,18 @@ def test_a_film_as_mp4_needs_ffmpeg_and_gives_it_every_frame(
     refused = call("render", str(flown[0]), "-o", str(tmp_path / "run.mp4"))
     assert isinstance(refused.exception, ScenarioError)
     assert "ffmpeg" in str(refused.exception)
-    assert isinstance(call("render", str(flown[0]), "-o", str(tmp_path / "run.avi")).exception, ScenarioError)
+    assert isinstance(
+        call("render", str(flown[0]), "-o", str(tmp_path / "run.avi")).exception, ScenarioError
+    )
     program = tmp_path / "ffmpeg"
-    program.write_text(f"#!{sys.executable}\nimport sys\nopen(sys.argv[-1], 'wb').write(sys.stdin.buffer.read())\n")
+    program.write_text(
+        f"#!{sys.executable}\nimport sys\nopen(sys.argv[-1], 'wb').write(sys.stdin.buffer.read())\n"
+    )
     program.chmod(0o755)
-    assert call("render", str(flown[0]), "-o", str(tmp_path / "run.mp4"), "--speed", "200").exit_code == 0
+    assert (
+        call("render", str(flown[0]), "-o", str(tmp_path / "run.mp4"), "--speed", "200").exit_code
+        == 0
+    )
     width, height = 800, (tmp_path / "run.mp4").stat().st_size // (800 * 4 * 5)
     assert (tmp_path / "run.mp4").stat().st_size == width * height * 4 * 5
     program.write_text(f"#!{sys.executable}\nimport sys\nsys.exit('no such codec')\n")
@@ -596,7 +689,10 @@ def test_without_the_extra_there_is_one_clear_line() -> None:
         "    except ScenarioError as error: print(error)\n"
     )
     found = subprocess.run([sys.executable, "-c", body], capture_output=True, text=True, check=True)
-    assert found.stdout.splitlines() == ["recording needs the extra: pip install 'outrider[record]'"] * 2
+    assert (
+        found.stdout.splitlines()
+        == ["recording needs the extra: pip install 'outrider[record]'"] * 2
+    )
 
 
 def test_the_commands_do_not_load_what_they_do_not_use() -> None:

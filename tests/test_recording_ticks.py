@@ -1,4 +1,7 @@
-"""What the recording's thread writes of each tick: the same bytes as the messages; and what operators said, with its tick."""
+"""What the recording's thread writes of each tick: the same bytes as the messages.
+
+And what operators said, with its tick.
+"""
 
 import math
 from pathlib import Path
@@ -39,8 +42,14 @@ from sim.flight import Flight
 from sim.scenario import Detections, Scenario, Uav, Ugv
 
 PAIRS = Scenario(
-    uav=(Uav(name="uav_0", position=HERE, escorts="ugv_0"), Uav(name="uav_1", position=(12.0, 21.0), escorts="ugv_1")),
-    ugv=(Ugv(name="ugv_0", position=HERE, goals=((26.0, 21.0),)), Ugv(name="ugv_1", position=(12.0, 20.0))),
+    uav=(
+        Uav(name="uav_0", position=HERE, escorts="ugv_0"),
+        Uav(name="uav_1", position=(12.0, 21.0), escorts="ugv_1"),
+    ),
+    ugv=(
+        Ugv(name="ugv_0", position=HERE, goals=((26.0, 21.0),)),
+        Ugv(name="ugv_1", position=(12.0, 20.0)),
+    ),
     detections=Detections(noise=0.1, dropout=0.3, rate=10.0),
     duration=8.0,
     name="pairs",
@@ -59,9 +68,18 @@ def _truth(flight: Flight, tick: int, commands: Any, reports: Any) -> Truth:
     world, recorder, dt = flight.world, flight.recorder, flight.scenario.dt
     applied = recorder.states[tick - 1, :, 4:6] if tick else np.zeros((len(world.names), 2))
     vehicles = {
-        name: VehicleTruth(position=tuple(row[:2]), velocity=tuple(row[2:4]), acceleration=tuple(u), command=tuple(asked))
+        name: VehicleTruth(
+            position=tuple(row[:2]),
+            velocity=tuple(row[2:4]),
+            acceleration=tuple(u),
+            command=tuple(asked),
+        )
         for name, row, u, asked in zip(
-            world.names, recorder.states[tick].tolist(), applied.tolist(), commands.tolist(), strict=True
+            world.names,
+            recorder.states[tick].tolist(),
+            applied.tolist(),
+            commands.tolist(),
+            strict=True,
         )
     }
     escorts = tuple(
@@ -73,7 +91,9 @@ def _truth(flight: Flight, tick: int, commands: Any, reports: Any) -> Truth:
             detection=None if math.isnan(row[2]) else (row[2], row[3]),
             report=report,
         )
-        for uav, row, report in zip(world.uavs, recorder.escorts[tick].tolist(), reports, strict=True)
+        for uav, row, report in zip(
+            world.uavs, recorder.escorts[tick].tolist(), reports, strict=True
+        )
     )
     return Truth(tick=tick, time=tick * dt, vehicles=vehicles, escorts=escorts)
 
@@ -86,7 +106,9 @@ def test_the_texts_of_ticks_are_the_bytes_of_their_messages(scenario: Scenario, 
 
     def follow() -> None:
         asked.append(flight.commands.copy())
-        said.append(tuple(None if flight.world.tick % 5 == 0 else report for report in flight.reports))
+        said.append(
+            tuple(None if flight.world.tick % 5 == 0 else report for report in flight.reports)
+        )
 
     flight.fly(InProcess(make_pilots(scenario, 3)), on_tick=follow)
     texts, missed = TickTexts(flight), 0
@@ -97,13 +119,17 @@ def test_the_texts_of_ticks_are_the_bytes_of_their_messages(scenario: Scenario, 
             assert found.truth == ENCODE(truth)
             missed += truth.escorts[0].detection is None
             accelerations = {name: vehicle.command for name, vehicle in truth.vehicles.items()}
-            assert found.commands == (ENCODE(Commands(tick=k - 1, accelerations=accelerations)) if k else b"")
+            assert found.commands == (
+                ENCODE(Commands(tick=k - 1, accelerations=accelerations)) if k else b""
+            )
             assert (found.time, found.begun) == (truth.time, (k - 1) * scenario.dt)
             assert found.distances == [seen.distance for seen in truth.escorts]
     assert 0 < missed < len(asked)
 
 
-@pytest.mark.parametrize("number", [-0.0, 5e-324, 1e300, 1.0 / 3.0, -700_001.0, 123456789012345680.0])
+@pytest.mark.parametrize(
+    "number", [-0.0, 5e-324, 1e300, 1.0 / 3.0, -700_001.0, 123456789012345680.0]
+)
 def test_every_float_keeps_its_text(number: float) -> None:
     flight = Flight(ONE, 3)
     flight.recorder.record(flight.reports)
@@ -114,7 +140,9 @@ def test_every_float_keeps_its_text(number: float) -> None:
     assert found.truth == ENCODE(_truth(flight, 0, asked[0], (report,)))
 
 
-def test_viewers_are_shown_no_more_than_five_poses_a_second_and_every_tick_is_there(tmp_path: Path) -> None:
+def test_viewers_are_shown_no_more_than_five_poses_a_second_and_every_tick_is_there(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "run.mcap"
     _fly(path, ONE)
     topics = [entry.topic for entry in entries(path)]
@@ -180,7 +208,9 @@ class Operated(InProcess):
         super().publish(observations)
 
 
-def _fly(path: Path, scenario: Scenario, spoken: dict[int, Any] | None = None) -> tuple[Flight, list[UgvObservation]]:
+def _fly(
+    path: Path, scenario: Scenario, spoken: dict[int, Any] | None = None
+) -> tuple[Flight, list[UgvObservation]]:
     recorder, flight = FlightRecorder(path, scenario, 3), Flight(scenario, 3)
     exchange = Operated(flight, spoken or {})
     flight.fly(exchange, on_tick=lambda: recorder.tick(flight))
@@ -195,12 +225,19 @@ def test_what_operators_said_and_changed_is_in_the_file_with_its_tick(tmp_path: 
     recording = flight_of(path)
     assert [word.tick for _, word in recording.words] == [0, 9, 9, 41]
     assert {ugv for ugv, _ in recording.words} == {"ugv_0"}
-    assert [Drive(driver=w.driver, velocity=w.velocity, goal=w.goal) for _, w in recording.words] == words
+    assert [
+        Drive(driver=w.driver, velocity=w.velocity, goal=w.goal) for _, w in recording.words
+    ] == words
     assert recording.changes == [
         Change(tick=7, control=Control(action=Action.DRIVER, vehicle="ugv_0", driver="teleop")),
         Change(
             tick=20,
-            control=Control(action=Action.LINK, link=LinkKind.RADIO, vehicle="uav_0", settings=LinkSettings(loss=0.5)),
+            control=Control(
+                action=Action.LINK,
+                link=LinkKind.RADIO,
+                vehicle="uav_0",
+                settings=LinkSettings(loss=0.5),
+            ),
         ),
         Change(tick=40, control=Control(action=Action.LAW, law=Law(name="switching"))),
         Change(tick=41, control=Control(action=Action.DRIVER, vehicle="ugv_0", driver="teleop")),
@@ -217,7 +254,11 @@ def test_the_restored_flight_has_the_last_law_and_drivers(tmp_path: Path) -> Non
     path = tmp_path / "run.mcap"
     flight, _ = _fly(path, ONE, SPOKEN)
     restored = restore(flight_of(path))
-    assert (restored.law, restored.drivers) == (flight.law, flight.drivers) == (Law(name="switching"), {"ugv_0": "teleop"})
+    assert (
+        (restored.law, restored.drivers)
+        == (flight.law, flight.drivers)
+        == (Law(name="switching"), {"ugv_0": "teleop"})
+    )
 
 
 def test_a_flight_that_nobody_operated_has_no_such_channels(tmp_path: Path) -> None:
@@ -254,12 +295,23 @@ def test_an_observer_writes_each_change_once(tmp_path: Path) -> None:
     session: Any = SimpleNamespace(inbox=lambda key, newest: next(given))
     recorder = RunRecorder(session, tmp_path / "run.mcap", ONE)
     flight = Flight(ONE, 3)
-    changes = [Change(tick=k // 2, control=Control(action=Action.STEP, ticks=1 + k % 3)) for k in range(60)]
+    changes = [
+        Change(tick=k // 2, control=Control(action=Action.STEP, ticks=1 + k % 3)) for k in range(60)
+    ]
     for told in (0, 0, 1, 3, 3, 18, 22, 41, 60, 60):  # a status holds the last 20
         boxes[0].messages.append(flight.truth())
         shown = tuple(changes[max(0, told - 20) : told])
         boxes[2].messages.append(
-            Status(scenario="said", seed=3, tick=0, ticks=1, time=0.0, realtime_factor=1.0, vehicles={}, changes=shown)
+            Status(
+                scenario="said",
+                seed=3,
+                tick=0,
+                ticks=1,
+                time=0.0,
+                realtime_factor=1.0,
+                vehicles={},
+                changes=shown,
+            )
         )
         recorder.take(0.0)
         recorder.take(0.0)
@@ -278,7 +330,10 @@ def test_a_word_that_does_not_decode_is_one_line(tmp_path: Path) -> None:
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
-        for topic, data in (("/scenario", ENCODE(head_of(ONE, 3))), ("/ugv_0/operator", b'{"tick":-1}')):
+        for topic, data in (
+            ("/scenario", ENCODE(head_of(ONE, 3))),
+            ("/ugv_0/operator", b'{"tick":-1}'),
+        ):
             writer.add_message(writer.register_channel(topic, "json", 0), 0, data, 0)
         writer.finish()
     with pytest.raises(ScenarioError, match=r"bad\.mcap: /ugv_0/operator at 0 s") as caught:

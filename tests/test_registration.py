@@ -19,7 +19,9 @@ from outrider.single import SingleEnv
 from outrider.suites.tasks import TASKS
 from outrider.vector import OutriderVectorEnv
 
-pytestmark = pytest.mark.xdist_group("many worlds")  # on one worker: what they compile takes a minute, once
+pytestmark = pytest.mark.xdist_group(
+    "many worlds"
+)  # on one worker: what they compile takes a minute, once
 
 
 def test_there_is_a_name_for_the_escort_and_for_each_task() -> None:
@@ -72,7 +74,9 @@ def test_a_limit_of_steps_is_gymnasiums_own() -> None:
     many = gymnasium.make_vec(ESCORT, num_envs=2, vectorization_mode="sync", max_episode_steps=3)
     many.reset(seed=1)
     assert [many.step(np.zeros((2, 2)))[3].tolist() for _ in range(3)][-1] == [True, True]
-    with pytest.raises(ValueError, match="max_episode_steps = 3: not for many worlds at once; allowed: duration") as caught:
+    with pytest.raises(
+        ValueError, match="max_episode_steps = 3: not for many worlds at once; allowed: duration"
+    ) as caught:
         gymnasium.make_vec(ESCORT, num_envs=2, max_episode_steps=3)
     assert "\n" not in str(caught.value)
 
@@ -82,7 +86,10 @@ def test_many_worlds_are_made_in_one_or_one_by_one_with_the_same_bits(env_id: st
     fast = gymnasium.make_vec(env_id, num_envs=3, duration=1.0)
     slow = gymnasium.make_vec(env_id, num_envs=3, vectorization_mode="sync", duration=1.0)
     assert isinstance(fast, OutriderVectorEnv)
-    assert isinstance(gymnasium.make_vec(env_id, num_envs=3, vectorization_mode="vector_entry_point"), OutriderVectorEnv)
+    assert isinstance(
+        gymnasium.make_vec(env_id, num_envs=3, vectorization_mode="vector_entry_point"),
+        OutriderVectorEnv,
+    )
     assert isinstance(slow, SyncVectorEnv)
     assert fast.single_observation_space == slow.single_observation_space
     seen, same = fast.reset(seed=5)[0], slow.reset(seed=5)[0]
@@ -100,14 +107,21 @@ def test_settings_go_through() -> None:
     assert env.observation_space.dtype == np.float32
 
 
-def test_names_alone_load_nothing_heavy_and_a_name_with_its_module_in_front_needs_no_import() -> None:
+def test_names_alone_load_nothing_heavy_and_a_name_with_its_module_in_front_needs_no_import() -> (
+    None
+):
     heavy = "sorted({'numba', 'sim', 'agents', 'zenoh', 'pettingzoo'} & set(sys.modules))"
     name = "outrider.registration:outrider/Suite-Noise-v0"
     for code, told in (
         (f"import sys, outrider.registration; print({heavy})", "[]"),
-        (f"import gymnasium; print(gymnasium.make({name!r}).unwrapped.worlds.scenario.name)", "noise"),
+        (
+            f"import gymnasium; print(gymnasium.make({name!r}).unwrapped.worlds.scenario.name)",
+            "noise",
+        ),
     ):
-        run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        run = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        )
         assert run.stdout == f"{told}\n"
 
 

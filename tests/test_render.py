@@ -23,7 +23,9 @@ GOALS = ((26.0, 20.0), (26.0, 26.0))
 def scenario(law="logarithmic", *, uav=None, **fields):
     one = Uav(position=(20.0, 21.0), **(uav or {}))
     fields = {"name": "test", "duration": 10.0, "detections": NOISY, **fields}
-    return Scenario(law=Law(name=law), uav=(one,), ugv=(Ugv(position=(20.0, 20.0), goals=GOALS),), **fields)
+    return Scenario(
+        law=Law(name=law), uav=(one,), ugv=(Ugv(position=(20.0, 20.0), goals=GOALS),), **fields
+    )
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +60,9 @@ def test_picture_is_a_png_of_its_size_and_light_enough_for_a_web_page(flight, tm
 
 def test_same_flight_gives_the_same_bytes_whatever_the_users_settings_are(flight, tmp_path):
     draw_flight(flight, tmp_path / "a.png")
-    with mpl.rc_context({"font.size": 20.0, "axes.facecolor": "black", "savefig.dpi": 50, "text.usetex": False}):
+    with mpl.rc_context(
+        {"font.size": 20.0, "axes.facecolor": "black", "savefig.dpi": 50, "text.usetex": False}
+    ):
         before = dict(mpl.rcParams)
         draw_flight(flight, tmp_path / "b.png")
         assert dict(mpl.rcParams) == before
@@ -70,7 +74,9 @@ def test_a_run_loads_no_matplotlib_and_drawing_no_pyplot():
         "import sys, outrider.flying, outrider.output; print('matplotlib' in sys.modules); "
         "import outrider.figures; print('matplotlib' in sys.modules, 'matplotlib.pyplot' in sys.modules)"
     )
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    told = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
     assert told.split() == ["False", "True", "False"]
 
 
@@ -86,7 +92,13 @@ def test_every_panel_names_its_quantities_and_units(flight):
 def test_header_tells_scenario_law_seed_distance_and_margin(flight):
     told = " ".join(words(flight_figure(flight)))
     farthest = flight.recorder.escorts[:, 0, 0].max()
-    for part in ("test", "law logarithmic", "seed 3", f"{farthest:.2f} m", f"margin {4.75 - farthest:.2f} m"):
+    for part in (
+        "test",
+        "law logarithmic",
+        "seed 3",
+        f"{farthest:.2f} m",
+        f"margin {4.75 - farthest:.2f} m",
+    ):
         assert part in told
 
 
@@ -97,14 +109,23 @@ def test_map_shows_the_share_of_the_coverage_wanted(flight):
 
 def test_lines_are_the_recorded_flight(flight):
     figure = flight_figure(flight)
-    np.testing.assert_array_equal(panel(figure, "Distance").lines[0].get_ydata(), flight.recorder.escorts[:, 0, 0])
-    np.testing.assert_array_equal(panel(figure, "Ground").lines[0].get_ydata(), flight.recorder.escorts[:, 0, 1])
+    np.testing.assert_array_equal(
+        panel(figure, "Distance").lines[0].get_ydata(), flight.recorder.escorts[:, 0, 0]
+    )
+    np.testing.assert_array_equal(
+        panel(figure, "Ground").lines[0].get_ydata(), flight.recorder.escorts[:, 0, 1]
+    )
     np.testing.assert_allclose(panel(figure, "Ground").lines[0].get_xdata(), np.arange(201) * 0.05)
 
 
 def test_without_noise_there_is_no_panel_for_it():
     figure = flight_figure(fly(scenario(detections=Detections(), duration=1.0), 0)[0])
-    assert [axes.get_ylabel() for axes in figure.axes] == ["y [m]", "coverage C/C*", r"$\|p_\Delta\|$ [m]", "e(t) [m²]"]
+    assert [axes.get_ylabel() for axes in figure.axes] == [
+        "y [m]",
+        "coverage C/C*",
+        r"$\|p_\Delta\|$ [m]",
+        "e(t) [m²]",
+    ]
 
 
 @pytest.mark.parametrize("ticks", [0, 1, 3])
@@ -112,7 +133,11 @@ def test_a_flight_cut_short_is_drawn(ticks, tmp_path):
     flown = Flight(scenario(), 0)
     flown.recorder.record(flown.reports)
     if ticks:
-        flown = fly(scenario(), 0, on_tick=lambda flight: flight.stop() if flight.world.tick == ticks else None)[0]
+        flown = fly(
+            scenario(),
+            0,
+            on_tick=lambda flight: flight.stop() if flight.world.tick == ticks else None,
+        )[0]
     assert flown.recorder.rows == ticks + 1
     draw_flight(flown, tmp_path / "flight.png")
     assert png_size(tmp_path / "flight.png") == SIZE
@@ -125,15 +150,23 @@ def test_nothing_flown_is_refused(tmp_path):
 
 
 def test_two_pairs_have_colors_and_names_of_their_own(tmp_path):
-    uavs = (Uav(name="uav_0", escorts="ugv_1", position=(9.0, 8.0)), Uav(name="uav_1", escorts="ugv_0", position=(30.0, 28.0)))
-    ugvs = (Ugv(name="ugv_0", position=(30.0, 27.0), goals=GOALS), Ugv(name="ugv_1", position=(8.0, 8.0)))
+    uavs = (
+        Uav(name="uav_0", escorts="ugv_1", position=(9.0, 8.0)),
+        Uav(name="uav_1", escorts="ugv_0", position=(30.0, 28.0)),
+    )
+    ugvs = (
+        Ugv(name="ugv_0", position=(30.0, 27.0), goals=GOALS),
+        Ugv(name="ugv_1", position=(8.0, 8.0)),
+    )
     flown = fly(Scenario(name="pairs", duration=5.0, detections=NOISY, uav=uavs, ugv=ugvs), 1)[0]
     figure = flight_figure(flown)
     lines = panel(figure, "Distance").get_legend_handles_labels()
     assert lines[1] == ["uav_0", "uav_1"]
     assert len({line.get_color() for line in lines[0]}) == 2
     circles = [patch for patch in figure.axes[0].patches if patch.get_radius() == 4.75]
-    assert sorted(tuple(circle.center) for circle in circles) == sorted(map(tuple, flown.recorder.states[-1, 2:, :2]))
+    assert sorted(tuple(circle.center) for circle in circles) == sorted(
+        map(tuple, flown.recorder.states[-1, 2:, :2])
+    )
     draw_flight(flown, tmp_path / "flight.png")
 
 
@@ -146,12 +179,18 @@ def test_a_uav_that_never_sees_its_ugv_is_drawn(tmp_path):
 
 @pytest.mark.parametrize(
     ("uav", "drawn"),
-    [({}, True), ({"max_speed": math.inf, "max_acceleration": math.inf}, False), ({"max_speed": 3.0}, False)],
+    [
+        ({}, True),
+        ({"max_speed": math.inf, "max_acceleration": math.inf}, False),
+        ({"max_speed": 3.0}, False),
+    ],
     ids=["paper", "unbounded", "too fast to stop in time"],
 )
 def test_r_s_is_drawn_only_where_it_is_a_circle_of_its_own(uav, drawn):
     law = Law(name="coverage", reference_speed=0.6)
-    figure = flight_figure(fly(msgspec.structs.replace(scenario(uav=uav, duration=1.0), law=law), 0)[0])
+    figure = flight_figure(
+        fly(msgspec.structs.replace(scenario(uav=uav, duration=1.0), law=law), 0)[0]
+    )
     assert ("$r_s$" in limits(panel(figure, "Distance"))) is drawn
     assert "$r_v$" in limits(panel(figure, "Distance"))
     radii = sorted({round(patch.get_radius(), 3) for patch in figure.axes[0].patches})
@@ -169,14 +208,20 @@ def test_lost_sight_is_shaded_and_said():
 
 
 def test_sight_that_is_kept_is_not_shaded(flight):
-    assert not any(len(path.vertices) for path in panel(flight_figure(flight), "Distance").collections[0].get_paths())
+    assert not any(
+        len(path.vertices)
+        for path in panel(flight_figure(flight), "Distance").collections[0].get_paths()
+    )
 
 
 @pytest.mark.parametrize("area", [(200.0, 12.0), (12.0, 200.0)])
 def test_a_narrow_area_is_drawn(area, tmp_path):
     one = scenario(duration=1.0, area=Area(width=area[0], height=area[1], cell=0.5))
     place = {"position": (6.0, 6.0)}
-    flown = fly(msgspec.structs.replace(one, uav=(Uav(**place),), ugv=(Ugv(**place, goals=((8.0, 8.0),)),)), 0)[0]
+    flown = fly(
+        msgspec.structs.replace(one, uav=(Uav(**place),), ugv=(Ugv(**place, goals=((8.0, 8.0),)),)),
+        0,
+    )[0]
     draw_flight(flown, tmp_path / "flight.png")
     assert png_size(tmp_path / "flight.png") == SIZE
 

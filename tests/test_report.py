@@ -23,11 +23,18 @@ from outrider.sweep.plan import Plan, lay_out
 from outrider.sweep.rows import RESULTS
 
 
-@pytest.mark.parametrize(("hits", "trials"), [(0, 1), (1, 1), (0, 20), (1, 20), (7, 20), (20, 20), (3, 1000), (500, 1000)])
+@pytest.mark.parametrize(
+    ("hits", "trials"),
+    [(0, 1), (1, 1), (0, 20), (1, 20), (7, 20), (20, 20), (3, 1000), (500, 1000)],
+)
 @pytest.mark.parametrize("confidence", [0.9, 0.95, 0.99])
 def test_the_wilson_interval_is_scipy_s(hits, trials, confidence):
-    known = stats.binomtest(hits, trials).proportion_ci(confidence_level=confidence, method="wilson")
-    assert wilson_interval(hits, trials, confidence=confidence) == pytest.approx((known.low, known.high), abs=1e-12)
+    known = stats.binomtest(hits, trials).proportion_ci(
+        confidence_level=confidence, method="wilson"
+    )
+    assert wilson_interval(hits, trials, confidence=confidence) == pytest.approx(
+        (known.low, known.high), abs=1e-12
+    )
 
 
 def test_the_wilson_interval_of_none_of_twenty():
@@ -56,7 +63,12 @@ def test_student_s_t_and_the_interval_of_a_mean_are_scipy_s():
 
 
 def plan_of(**given) -> Plan:
-    described = {"laws": "linear,switching", "vary": ["links.detections.delay=0,0.5,1,2"], "seeds": 5, **given}
+    described = {
+        "laws": "linear,switching",
+        "vary": ["links.detections.delay=0,0.5,1,2"],
+        "seeds": 5,
+        **given,
+    }
     return lay_out(describe_sweep("escort", **described)[0])
 
 
@@ -66,10 +78,25 @@ def made_up(plan: Plan, run: int) -> dict[str, object]:
     delay, seed = head.get("links.detections.delay") or 0.0, head["seed"]
     if (head["law"], delay, seed) == ("linear", 2.0, 0):
         return {**dict.fromkeys(RESULTS), "run": run, "error": "RuntimeError: made up <b>"}
-    lost = (head["law"] == "switching" and delay >= 1.0 and seed > 0) or (head["law"], delay, seed) == ("linear", 2.0, 4)
-    found = {"max_distance": 4.0 + lost + 0.01 * seed, "margin": 0.75 - lost - 0.01 * seed, "violated": lost}
-    age = {"detections_mean_age": delay, "detections_max_age": delay + 0.05, "detections_delivery_ratio": 0.9}
-    rest = {"mean_error": 100.0 + 10.0 * delay + seed, "trajectory_sha256": f"{head['law']}{delay}{seed}"}
+    lost = (head["law"] == "switching" and delay >= 1.0 and seed > 0) or (
+        head["law"],
+        delay,
+        seed,
+    ) == ("linear", 2.0, 4)
+    found = {
+        "max_distance": 4.0 + lost + 0.01 * seed,
+        "margin": 0.75 - lost - 0.01 * seed,
+        "violated": lost,
+    }
+    age = {
+        "detections_mean_age": delay,
+        "detections_max_age": delay + 0.05,
+        "detections_delivery_ratio": 0.9,
+    }
+    rest = {
+        "mean_error": 100.0 + 10.0 * delay + seed,
+        "trajectory_sha256": f"{head['law']}{delay}{seed}",
+    }
     return {**dict.fromkeys(RESULTS), **found, **age, **rest, "run": run}
 
 
@@ -89,11 +116,17 @@ def material(tmp_path_factory) -> Material:
 def test_runs_are_counted_where_they_belong(material):
     (panel,) = material.panels
     assert (panel.title, panel.label) == ("delay of the detections", "delay of the detections [s]")
-    assert (panel.values, panel.laws, material.law) == ([0.0, 0.5, 1.0, 2.0], ["linear", "switching"], ("linear", "switching"))
+    assert (panel.values, panel.laws, material.law) == (
+        [0.0, 0.5, 1.0, 2.0],
+        ["linear", "switching"],
+        ("linear", "switching"),
+    )
     assert (material.rows, material.failed, material.missing) == (40, 1, 0)
     cell = panel.cell("switching", 1.0)
     assert (len(cell.flown), cell.violated, cell.failed) == (5, 4, 0)
-    assert cell.rate() == pytest.approx((0.8, *stats.binomtest(4, 5).proportion_ci(method="wilson")))
+    assert cell.rate() == pytest.approx(
+        (0.8, *stats.binomtest(4, 5).proportion_ci(method="wilson"))
+    )
     last = panel.cell("linear", 2.0)
     assert (len(last.flown), last.violated, last.failed) == (4, 1, 1)  # what failed is in no rate
     assert cell.numbers("margin") == pytest.approx([0.75, -0.26, -0.27, -0.28, -0.29])
@@ -118,8 +151,13 @@ def test_where_nothing_was_certified_a_lost_run_breaks_no_certificate(tmp_path):
         folder.add(iter(rows))
         folder.finish()
     material = read_material([tmp_path / "sweep"])
-    assert holds(material.panels[0], "certified") == ("to 1 s, broken at 2 s, where it is not certified", False)
-    assert certified_runs(material) == "15 runs were certified at every tick; 0 of them lost the UGV."
+    assert holds(material.panels[0], "certified") == (
+        "to 1 s, broken at 2 s, where it is not certified",
+        False,
+    )
+    assert (
+        certified_runs(material) == "15 runs were certified at every tick; 0 of them lost the UGV."
+    )
     assert "| 50 % | 4 | 1,200 |\n" in markdown(material)
     assert "| 100 % | 0 | 0 |\n" in markdown(material)
     html = page(material, {}, "outrider report")
@@ -133,15 +171,22 @@ def test_where_nothing_was_certified_a_lost_run_breaks_no_certificate(tmp_path):
         folder.finish()
     material = read_material([tmp_path / "broken"])
     assert holds(material.panels[0], "certified") == ("to 1 s, broken at 2 s", False)
-    assert certified_runs(material) == "20 runs were certified at every tick; 1 of them lost the UGV."
+    assert (
+        certified_runs(material) == "20 runs were certified at every tick; 1 of them lost the UGV."
+    )
 
 
 def test_the_markdown_table_has_every_value_and_law(material):
     text = markdown(material)
     assert "| delay of the detections | to 1 s, broken at 2 s | to 0.5 s, broken at 1 s |" in text
-    assert "| 1 s | switching | 5 | 4 (80 %) | 38 % to 96 % | -0.29 | -0.27 | 112 | 1 | 90 % | - | - | - |" in text
+    assert (
+        "| 1 s | switching | 5 | 4 (80 %) | 38 % to 96 % | -0.29 | -0.27 | 112 | 1 | 90 % | - | - | - |"
+        in text
+    )
     assert "| 2 s | linear | 4 (+1 failed) | 1 (25 %) |" in text
-    widths = {line.count("|") for line in text.splitlines() if " s | " in line and "broken" not in line}
+    widths = {
+        line.count("|") for line in text.splitlines() if " s | " in line and "broken" not in line
+    }
     assert widths == {14}
     assert text.count(" s | linear | ") + text.count(" | 0 | linear") >= 3
 
@@ -152,7 +197,12 @@ def test_the_page_needs_nothing_beside_itself(material, tmp_path):
     text = page(material, pictures, "outrider report sweeps/delay")
     assert text.count('src="data:image/png;base64,') == 4
     assert not re.search(r"<script|<link|(src|href)=\"(?!data:)|url\(|@import", text)
-    for wanted in ("outrider sweep --out delay", "outrider report sweeps/delay", material.heads[0].outrider, "4 (80 %)"):
+    for wanted in (
+        "outrider sweep --out delay",
+        "outrider report sweeps/delay",
+        material.heads[0].outrider,
+        "4 (80 %)",
+    ):
         assert wanted in text
     assert "made up <b>" not in text
 
@@ -167,7 +217,9 @@ def test_the_same_material_gives_the_same_pictures(material, tmp_path):
 
 
 def test_laws_in_folders_of_their_own_are_one_experiment(tmp_path):
-    folders = [swept(tmp_path / law, plan_of(laws=law)) for law in ("switching", "linear", "circle")]
+    folders = [
+        swept(tmp_path / law, plan_of(laws=law)) for law in ("switching", "linear", "circle")
+    ]
     (panel,) = read_material(folders).panels
     assert panel.laws == ["linear", "switching", "circle"]
     assert len(panel.cell("circle", 0.0).flown) == 5
@@ -189,7 +241,10 @@ def test_a_run_that_two_folders_have_counts_once_and_others_are_told_apart(tmp_p
 def test_a_product_has_a_panel_for_each_value_of_the_smaller_field(tmp_path):
     plan = plan_of(vary=["links.detections.loss=0,0.5", "links.detections.delay=0,0.5,1"], seeds=2)
     panels = read_material([swept(tmp_path / "sweep", plan)]).panels
-    assert [panel.title for panel in panels] == ["loss of the detections 0 %", "loss of the detections 50 %"]
+    assert [panel.title for panel in panels] == [
+        "loss of the detections 0 %",
+        "loss of the detections 50 %",
+    ]
     assert all(panel.values == [0.0, 0.5, 1.0] for panel in panels)
     assert sum(len(cell.rows) for panel in panels for cell in panel.cells.values()) == plan.runs
 
@@ -222,14 +277,26 @@ def test_an_unfinished_sweep_is_reported_as_such_and_an_empty_one_refused(tmp_pa
 def test_a_sweep_of_nothing_but_failures_can_be_reported(tmp_path):
     plan = plan_of(vary=["dt=0.05,0.1"], changes=["detections.rate=10"], seeds=1)
     with SweepFolder(tmp_path / "sweep", plan, command="") as folder:
-        folder.add({**dict.fromkeys(RESULTS), "run": run, "error": "no"} for run in range(plan.runs))
+        folder.add(
+            {**dict.fromkeys(RESULTS), "run": run, "error": "no"} for run in range(plan.runs)
+        )
     material = read_material([folder.path])
     pictures = draw_all(material, tmp_path)
     assert "No run was flown to its end" in page(material, pictures, "")
 
 
 def test_every_law_has_a_colour_of_its_own_the_same_as_in_all_figures():
-    laws = ("tracking", "coverage", "linear", "switching", "logarithmic", "circle", "weighted", "path", "certified")
+    laws = (
+        "tracking",
+        "coverage",
+        "linear",
+        "switching",
+        "logarithmic",
+        "circle",
+        "weighted",
+        "path",
+        "certified",
+    )
     assert len({color_of(law) for law in laws}) == len(laws)
     assert all(color_of(law) == color for law, color in LAW.items())
 
@@ -248,8 +315,19 @@ def test_fields_have_words_and_units():
     assert label_of("uav.0.max_speed") == "largest speed, uav.0 [m/s]"
     assert label_of("law.a_c") == "law.a_c"
     assert (tick_of("links.radio.loss", 0.05), value_of("links.radio.loss", 0.05)) == ("5", "5 %")
-    assert (tick_of("x", None), tick_of("x", True), tick_of("x", "word")) == ("none", "true", "word")
-    assert [number(value) for value in (0.0, 0.05, 1.0, 12.345, 1234.5, math.inf)] == ["0", "0.05", "1", "12.3", "1234", "inf"]
+    assert (tick_of("x", None), tick_of("x", True), tick_of("x", "word")) == (
+        "none",
+        "true",
+        "word",
+    )
+    assert [number(value) for value in (0.0, 0.05, 1.0, 12.345, 1234.5, math.inf)] == [
+        "0",
+        "0.05",
+        "1",
+        "12.3",
+        "1234",
+        "inf",
+    ]
 
 
 def test_the_command_writes_page_and_pictures_and_prints_one_object(tmp_path):
@@ -259,7 +337,9 @@ def test_the_command_writes_page_and_pictures_and_prints_one_object(tmp_path):
     found = json.loads(told.stdout)
     assert (found["rows"], found["failed"], found["missing"]) == (16, 1, 0)
     assert Path(found["page"]) == folder / "report" / "report.html"
-    assert all(Path(path).read_bytes().startswith(b"\x89PNG") for path in found["pictures"].values())
+    assert all(
+        Path(path).read_bytes().startswith(b"\x89PNG") for path in found["pictures"].values()
+    )
     again = outrider("report", str(folder), "--markdown", "--out", str(tmp_path / "elsewhere"))
     assert again.stdout.startswith("| experiment | linear | switching |")
     assert (tmp_path / "elsewhere" / "report.html").exists()

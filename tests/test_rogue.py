@@ -1,7 +1,7 @@
 """The rogue: a UAV that wants to know what it may not, with all that it is told and a processor.
 
-It knows this program, so it tries every seed: which of them gives the key that it was told, the looks that failed, the noise?
-Who has the seed has p_delta without noise, and the other pilot's key.
+It knows this program, so it tries every seed: which of them gives the key that it was told, the looks that failed,
+the noise? Who has the seed has p_delta without noise, and the other pilot's key.
 """
 
 import math
@@ -35,7 +35,9 @@ from sim.randomness import (
 from sim.run_keys import derive_key
 from sim.scenario import load_scenario
 
-SCENARIO = load_scenario("escort", overrides=["duration=10.0", "detections.noise=0.2", "detections.dropout=0.08"])
+SCENARIO = load_scenario(
+    "escort", overrides=["duration=10.0", "detections.noise=0.2", "detections.dropout=0.08"]
+)
 SEED = 1_234_567
 """The run's: among those that are tried, and not so far on that the search that finds it takes long."""
 SEEDS = 2**24
@@ -81,7 +83,10 @@ def _try_seeds(
     begin: int,
     end: int,
 ) -> None:
-    """Write the seeds from `begin` on that may be the run's, as far as one way tells, into `hits`: the last row counts them."""
+    """Write the seeds from `begin` on that may be the run's, as far as one way tells, into `hits`.
+
+    The last row counts them.
+    """
     hits[-1] = 0
     for seed in range(begin, end):
         if way == KEY:
@@ -89,7 +94,10 @@ def _try_seeds(
             fits = tried[0] == key[0] and tried[1] == key[1]
         elif way == FLAGS:
             tried = key_for(state, count, seed, DETECTION_CHANCE, ROW, m, out)
-            low, high = 0.0, 1.0  # whatever the share of dropouts is, it divides what failed from what did not
+            low, high = (
+                0.0,
+                1.0,
+            )  # whatever the share of dropouts is, it divides what failed from what did not
             for n in range(ticks.shape[0]):
                 drawn = uniform(tried, DETECTION_CHANCE, ticks[n], 0)
                 if found[n]:
@@ -172,7 +180,12 @@ def _on_the_bus(secret: str) -> tuple[Told, FloatArray]:
     flight = Flight(SCENARIO, SEED, secret=secret)
     bug = _Bugged(flight)
     flight.fly(bug)
-    said = np.array([look.detections[0].relative_position if look.detections else (math.nan,) * 2 for look in bug.heard])
+    said = np.array(
+        [
+            look.detections[0].relative_position if look.detections else (math.nan,) * 2
+            for look in bug.heard
+        ]
+    )
     states = flight.recorder.states[:, :, :2]
     return _told(secret, np.arange(len(said)), said), states[:, 0] - states[:, 1]
 
@@ -198,7 +211,10 @@ PLACES = {"bus": _on_the_bus, "rows": _in_rows}
 def _without_noise(told: Told, seed: int, secret: str) -> FloatArray:
     """The looks that succeeded, less the noise of this seed. Shape (looks, 2)."""
     key = words_of(derive_key(seed, DETECTION_NOISE, ROW, secret))
-    noise = [cut_normal_vector(told.sigma, told.cut, key, DETECTION_NOISE, tick, 0) for tick in told.ticks.tolist()]
+    noise = [
+        cut_normal_vector(told.sigma, told.cut, key, DETECTION_NOISE, tick, 0)
+        for tick in told.ticks.tolist()
+    ]
     return (told.said - np.array(noise))[told.found]
 
 
@@ -222,8 +238,12 @@ def test_in_a_run_with_a_secret_the_rogue_finds_no_seed() -> None:
 
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("way", WAYS, ids=["key", "flags", "looks"])
-@pytest.mark.parametrize("secret", ["", SECRET], ids=["without a secret", "with a secret that it knows"])
-def test_else_it_finds_the_seed_and_from_it_where_the_ugv_truly_is(place: str, way: int, secret: str) -> None:
+@pytest.mark.parametrize(
+    "secret", ["", SECRET], ids=["without a secret", "with a secret that it knows"]
+)
+def test_else_it_finds_the_seed_and_from_it_where_the_ugv_truly_is(
+    place: str, way: int, secret: str
+) -> None:
     told, true = PLACES[place](secret)
     assert _search(told, way, secret, SEED - 50_000, 100_000) == [SEED]
     assert _without_noise(told, SEED, secret) == pytest.approx(true[told.found], abs=1e-12)

@@ -1,4 +1,7 @@
-"""The safety filter in the loop: around a law, a policy, an operator's choice; and honest where nothing can be promised."""
+"""The safety filter in the loop: around a law, a policy, an operator's choice.
+
+And honest where nothing can be promised.
+"""
 
 from typing import Any
 
@@ -20,7 +23,13 @@ R_V = 4.75
 
 
 def watched(*overrides: str, driver: str = "evade", duration: float = 120.0) -> Scenario:
-    changes = ["law.name=certified", f"ugv.0.driver={driver}", f"duration={duration}", "area.cell=0.5", *overrides]
+    changes = [
+        "law.name=certified",
+        f"ugv.0.driver={driver}",
+        f"duration={duration}",
+        "area.cell=0.5",
+        *overrides,
+    ]
     return load_scenario("escort", overrides=changes)
 
 
@@ -33,7 +42,11 @@ def told(scenario: Scenario) -> UavBriefing:
 NETWORKS = {
     "perfect": [],
     "late detections": ["links.detections.delay=1.0", "certificate.age=1.5"],
-    "blackouts": ["links.detections.blackout_interval=12.0", "links.detections.blackout_length=8.0", "certificate.age=9.0"],
+    "blackouts": [
+        "links.detections.blackout_interval=12.0",
+        "links.detections.blackout_length=8.0",
+        "certificate.age=9.0",
+    ],
     "late commands": ["links.commands.delay=0.5"],
     "loss": ["links.detections.loss=0.5"],
 }
@@ -43,10 +56,16 @@ NETWORKS = {
 @pytest.mark.parametrize("seed", [7, 8])
 def test_sight_is_kept_and_certified_in_every_tick(network: list[str], seed: int) -> None:
     scenario = watched(*network)
-    assert not [line for line in promise_warnings(scenario) if "now and then" not in line]  # what chance may do is told
+    assert not [
+        line for line in promise_warnings(scenario) if "now and then" not in line
+    ]  # what chance may do is told
     flight, summary = fly(scenario, seed)
     assert summary.max_distance < R_V
-    until = next(tick for tick in range(flight.recorder.ticks) if not np.isnan(flight.recorder.escorts[tick, 0, 4]))
+    until = next(
+        tick
+        for tick in range(flight.recorder.ticks)
+        if not np.isnan(flight.recorder.escorts[tick, 0, 4])
+    )
     silent = {"the UAV has no estimate yet, or its command did not come": until}
     assert summary.uncertified == {cause: count for cause, count in silent.items() if count}
     assert flight.assurance.certified == flight.assurance.ticks - until
@@ -54,8 +73,14 @@ def test_sight_is_kept_and_certified_in_every_tick(network: list[str], seed: int
 
 
 def test_the_paper_s_law_loses_sight_where_the_filter_keeps_it() -> None:
-    network = ("links.detections.blackout_interval=12.0", "links.detections.blackout_length=8.0", "certificate.age=9.0")
-    worst = max(fly(watched(*network, "law.name=switching"), seed)[1].max_distance for seed in range(7, 11))
+    network = (
+        "links.detections.blackout_interval=12.0",
+        "links.detections.blackout_length=8.0",
+        "certificate.age=9.0",
+    )
+    worst = max(
+        fly(watched(*network, "law.name=switching"), seed)[1].max_distance for seed in range(7, 11)
+    )
     kept = max(fly(watched(*network), seed)[1].max_distance for seed in range(7, 11))
     assert worst > R_V > kept
 
@@ -69,8 +94,14 @@ def test_undegraded_the_filter_leaves_the_law_alone() -> None:
 
 BROKEN = {
     "older than declared": (["links.detections.blackouts=[[20.0, 6.0]]"], "older than declared"),
-    "commands later than declared": (["links.commands.delay=0.5", "certificate.delay=0.0"], "not where its commands"),
-    "errors larger than declared": (["detections.noise=0.5", "certificate.error=0.2"], "contradict"),
+    "commands later than declared": (
+        ["links.commands.delay=0.5", "certificate.delay=0.0"],
+        "not where its commands",
+    ),
+    "errors larger than declared": (
+        ["detections.noise=0.5", "certificate.error=0.2"],
+        "contradict",
+    ),
 }
 
 
@@ -91,7 +122,9 @@ def test_a_broken_assumption_is_told_with_its_name(changes: list[str], reason: s
         (["certificate.delay=30.0"], "too much for r_v"),
     ],
 )
-def test_what_cannot_be_certified_is_told_before_it_is_flown_and_at_every_tick(changes: list[str], reason: str) -> None:
+def test_what_cannot_be_certified_is_told_before_it_is_flown_and_at_every_tick(
+    changes: list[str], reason: str
+) -> None:
     scenario = watched(*changes, duration=5.0)
     assert any(reason in line for line in promise_warnings(scenario))
     _, summary = fly(scenario, 7)
@@ -105,7 +138,12 @@ def test_what_is_declared_follows_from_the_scenario() -> None:
     declared = told(scenario).certificate
     assert declared.error == pytest.approx(0.3)
     assert declared.delay == pytest.approx(0.35)
-    assert told(msgspec.structs.replace(scenario, certificate=Certificate(delay=0.1, error=0.5))).certificate.error == 0.5
+    assert (
+        told(
+            msgspec.structs.replace(scenario, certificate=Certificate(delay=0.1, error=0.5))
+        ).certificate.error
+        == 0.5
+    )
 
 
 def test_a_detection_counts_for_where_the_uav_was_when_it_was_taken() -> None:
@@ -113,7 +151,15 @@ def test_a_detection_counts_for_where_the_uav_was_when_it_was_taken() -> None:
     for tick in range(10):
         found = (Detection(time=0.1, relative_position=(1.0, 0.0)),) if tick == 9 else ()
         position = (5.0 + 0.5 * tick, 5.0)
-        watch.see(UavObservation(tick=tick, time=tick * 0.05, position=position, velocity=(0.0, 0.0), detections=found))
+        watch.see(
+            UavObservation(
+                tick=tick,
+                time=tick * 0.05,
+                position=position,
+                velocity=(0.0, 0.0),
+                detections=found,
+            )
+        )
     newest = watch._detections[watch._detections[:, 2] > -np.inf]
     assert newest.tolist() == [[5.0, 5.0, 0.1]]  # it was at 6 m at tick 2
 
@@ -140,7 +186,9 @@ def test_a_wrapped_environment_keeps_sight_whatever_the_policy_wants() -> None:
         *_, infos = env.step({"uav_0": outward(env, "uav_0"), "ugv_0": np.array([-0.1, 0.0])})
         intervened += infos["uav_0"]["intervened"]
         assert infos["uav_0"]["certified"], infos
-        assert env.unwrapped.metrics()["uav_0"]["distance"] < min(R_V, infos["uav_0"]["certified_distance"] + 0.05)
+        assert env.unwrapped.metrics()["uav_0"]["distance"] < min(
+            R_V, infos["uav_0"]["certified_distance"] + 0.05
+        )
     assert env.unwrapped.world.tick == scenario.ticks
     assert intervened == env.filters["uav_0"].interventions > 100
     assert "intervened" not in infos["ugv_0"]
@@ -156,7 +204,10 @@ def test_a_wrapped_environment_refuses_nonsense_as_the_plain_one_does(action: An
 
 
 def test_commands_on_their_way_before_the_first_detection_are_known_to_the_filter() -> None:
-    """A UAV that starts moving brakes while it sees nothing; with a delay those commands still act after the first detection."""
+    """A UAV that starts moving brakes while it sees nothing.
+
+    With a delay those commands still act after the first detection.
+    """
     scenario = watched(
         "links.commands.delay=0.5",
         "links.detections.delay=0.3",

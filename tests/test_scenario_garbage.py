@@ -17,12 +17,35 @@ from sim.scenario_checks import check_scenario, scenario_warnings
 ESCORT = load_scenario("escort")
 
 FUZZ = settings(
-    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    max_examples=200,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
-TEXTS = [path.read_bytes() for path in sorted((Path(checks.__file__).parent / "scenarios").glob("*.toml"))]
+TEXTS = [
+    path.read_bytes()
+    for path in sorted((Path(checks.__file__).parent / "scenarios").glob("*.toml"))
+]
 ODD = st.one_of(
     st.sampled_from(
-        [math.nan, math.inf, -math.inf, 1e308, 1e12, 1e13, 5e-324, 1e-300, -0.0, 0, 1, 10**400, -(2**63), "", "inf", None, True]
+        [
+            math.nan,
+            math.inf,
+            -math.inf,
+            1e308,
+            1e12,
+            1e13,
+            5e-324,
+            1e-300,
+            -0.0,
+            0,
+            1,
+            10**400,
+            -(2**63),
+            "",
+            "inf",
+            None,
+            True,
+        ]
     ),
     st.floats(),
     st.integers(),
@@ -34,8 +57,16 @@ ODD = st.one_of(
 
 def paths(value: object, path: tuple[str, ...] = ()) -> list[str]:
     """The path of every table, list and value of the escort."""
-    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, tuple) else ()
-    return [".".join(path)] * bool(path) + [found for key, part in inner for found in paths(part, (*path, str(key)))]
+    inner = (
+        value.items()
+        if isinstance(value, dict)
+        else enumerate(value)
+        if isinstance(value, tuple)
+        else ()
+    )
+    return [".".join(path)] * bool(path) + [
+        found for key, part in inner for found in paths(part, (*path, str(key)))
+    ]
 
 
 PATHS = paths(msgspec.to_builtins(ESCORT))
@@ -63,7 +94,9 @@ def assert_vehicles_can_be_told(scenario: Scenario) -> None:
 
 
 @FUZZ
-@given(st.binary(max_size=60) | st.text(max_size=60).map(lambda text: text.encode("utf-8", "replace")))
+@given(
+    st.binary(max_size=60) | st.text(max_size=60).map(lambda text: text.encode("utf-8", "replace"))
+)
 def test_garbage_is_never_anything_but_a_scenario_error(tmp_path: Path, garbage: bytes) -> None:
     must_load_or_be_refused_in_one_line(written(tmp_path, garbage))
     must_load_or_be_refused_in_one_line(written(tmp_path, SMALL.encode() + garbage))
@@ -91,7 +124,11 @@ def test_a_mutated_value_is_never_anything_but_a_scenario_error(changes: dict[st
 
 @FUZZ
 @given(
-    st.lists(st.text(max_size=30) | st.tuples(st.sampled_from(PATHS), ODD).map(lambda pair: f"{pair[0]}={pair[1]}"), max_size=3)
+    st.lists(
+        st.text(max_size=30)
+        | st.tuples(st.sampled_from(PATHS), ODD).map(lambda pair: f"{pair[0]}={pair[1]}"),
+        max_size=3,
+    )
 )
 def test_a_mutated_command_line_is_never_anything_but_a_scenario_error(changes: list[str]) -> None:
     must_load_or_be_refused_in_one_line("escort", changes)

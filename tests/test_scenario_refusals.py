@@ -1,4 +1,7 @@
-"""Whatever is wrong with a scenario becomes one line: the file, the field, its value, what is wrong, what is allowed."""
+"""Whatever is wrong with a scenario becomes one line.
+
+The file, the field, its value, what is wrong, what is allowed.
+"""
 
 import math
 from pathlib import Path
@@ -19,35 +22,125 @@ ESCORT = load_scenario("escort")
 # What is refused: every check has a row, with the field, its value and what is allowed
 
 BROKEN = [
-    (world_checks.numbers_are_finite, ["uav.0.max_speed=1e13"], "uav.0.max_speed = 10000000000000.0", "up to 1e+12, or inf"),
+    (
+        world_checks.numbers_are_finite,
+        ["uav.0.max_speed=1e13"],
+        "uav.0.max_speed = 10000000000000.0",
+        "up to 1e+12, or inf",
+    ),
     (
         world_checks.names_are_different,
         ["uav.0.name=ugv_0"],
         'ugv.0.name = "ugv_0"',
         "simulator, operator, observer, ugv_0",
     ),
-    (world_checks.names_are_different, ["uav.0.name=simulator"], 'uav.0.name = "simulator"', "any other than simulator"),
-    (world_checks.names_are_different, ['uav.0.name="a\\n"'], 'uav.0.name = "a\\n"', "lower-case letters"),
+    (
+        world_checks.names_are_different,
+        ["uav.0.name=simulator"],
+        'uav.0.name = "simulator"',
+        "any other than simulator",
+    ),
+    (
+        world_checks.names_are_different,
+        ['uav.0.name="a\\n"'],
+        'uav.0.name = "a\\n"',
+        "lower-case letters",
+    ),
     (world_checks.escorts_are_there, ["uav.0.escorts=ugv_1"], 'uav.0.escorts = "ugv_1"', "ugv_0"),
-    (world_checks.grid_divides_area, ["area.cell=0.3"], "area.cell = 0.3", "a whole part of both sides"),
-    (world_checks.grid_divides_area, ["area.cell=80.0"], "area.cell = 80.0", "a whole part of both sides"),
-    (world_checks.grid_divides_area, ["area.cell=5e-324"], "area.cell = 5e-324", "a whole part of both sides"),
-    (world_checks.grid_divides_area, ["area.height=40.1"], "area.cell = 0.25", "a whole part of both sides"),
+    (
+        world_checks.grid_divides_area,
+        ["area.cell=0.3"],
+        "area.cell = 0.3",
+        "a whole part of both sides",
+    ),
+    (
+        world_checks.grid_divides_area,
+        ["area.cell=80.0"],
+        "area.cell = 80.0",
+        "a whole part of both sides",
+    ),
+    (
+        world_checks.grid_divides_area,
+        ["area.cell=5e-324"],
+        "area.cell = 5e-324",
+        "a whole part of both sides",
+    ),
+    (
+        world_checks.grid_divides_area,
+        ["area.height=40.1"],
+        "area.cell = 0.25",
+        "a whole part of both sides",
+    ),
     (world_checks.grid_divides_area, ["area.cell=0.01"], "area.cell = 0.01", "0.02 m or more"),
-    (world_checks.grid_divides_area, ["area.width=1e7"], "area.width = 10000000.0", "up to 1e+06 m"),
+    (
+        world_checks.grid_divides_area,
+        ["area.width=1e7"],
+        "area.width = 10000000.0",
+        "up to 1e+06 m",
+    ),
     (world_checks.time_is_whole, ["dt=1.5"], "dt = 1.5", "1e-06 to 1 s"),
     (world_checks.time_is_whole, ["dt=1e-9"], "dt = 1e-09", "1e-06 to 1 s"),
-    (world_checks.time_is_whole, ["duration=30.02"], "duration = 30.02", "multiples of dt = 0.05 s, such as 30"),
+    (
+        world_checks.time_is_whole,
+        ["duration=30.02"],
+        "duration = 30.02",
+        "multiples of dt = 0.05 s, such as 30",
+    ),
     (world_checks.time_is_whole, ["duration=0.01"], "duration = 0.01", "such as 0.05"),
-    (world_checks.time_is_whole, ["duration=500000.05"], "duration = 500000.05", "10,000,000 ticks at most, 500000 s"),
-    (world_checks.looks_fit_ticks, ["detections.rate=7"], "detections.rate = 7.0", "20, 10, 6.667, ... 1/s"),
-    (world_checks.looks_fit_ticks, ["detections.rate=40"], "detections.rate = 40.0", "20, 10, 6.667, ... 1/s"),
-    (world_checks.looks_fit_ticks, ["detections.rate=1e-6"], "detections.rate = 1e-06", "20, 10, 6.667, ... 1/s"),
-    (world_checks.looks_fit_ticks, ["detections.rate=5e-324"], "detections.rate = 5e-324", "20, 10, 6.667, ... 1/s"),
-    (world_checks.sight_is_within_range, ["visibility.radius=5"], "visibility.radius = 5.0", "less than sensor.range = 5 m"),
-    (world_checks.points_are_inside, ["uav.0.position=[40.5, 9]"], "uav.0.position = [40.5, 9.0]", "[0, 40] x [0, 40] m"),
-    (world_checks.points_are_inside, ["ugv.0.position=[7, -1]"], "ugv.0.position = [7.0, -1.0]", "[0, 40] x [0, 40] m"),
-    (world_checks.points_are_inside, ["ugv.0.goals.1=[1, 41]"], "ugv.0.goals.1 = [1.0, 41.0]", "[0, 40] x [0, 40] m"),
+    (
+        world_checks.time_is_whole,
+        ["duration=500000.05"],
+        "duration = 500000.05",
+        "10,000,000 ticks at most, 500000 s",
+    ),
+    (
+        world_checks.looks_fit_ticks,
+        ["detections.rate=7"],
+        "detections.rate = 7.0",
+        "20, 10, 6.667, ... 1/s",
+    ),
+    (
+        world_checks.looks_fit_ticks,
+        ["detections.rate=40"],
+        "detections.rate = 40.0",
+        "20, 10, 6.667, ... 1/s",
+    ),
+    (
+        world_checks.looks_fit_ticks,
+        ["detections.rate=1e-6"],
+        "detections.rate = 1e-06",
+        "20, 10, 6.667, ... 1/s",
+    ),
+    (
+        world_checks.looks_fit_ticks,
+        ["detections.rate=5e-324"],
+        "detections.rate = 5e-324",
+        "20, 10, 6.667, ... 1/s",
+    ),
+    (
+        world_checks.sight_is_within_range,
+        ["visibility.radius=5"],
+        "visibility.radius = 5.0",
+        "less than sensor.range = 5 m",
+    ),
+    (
+        world_checks.points_are_inside,
+        ["uav.0.position=[40.5, 9]"],
+        "uav.0.position = [40.5, 9.0]",
+        "[0, 40] x [0, 40] m",
+    ),
+    (
+        world_checks.points_are_inside,
+        ["ugv.0.position=[7, -1]"],
+        "ugv.0.position = [7.0, -1.0]",
+        "[0, 40] x [0, 40] m",
+    ),
+    (
+        world_checks.points_are_inside,
+        ["ugv.0.goals.1=[1, 41]"],
+        "ugv.0.goals.1 = [1.0, 41.0]",
+        "[0, 40] x [0, 40] m",
+    ),
     (
         world_checks.covered_is_inside,
         ["coverage.covered=[{lower=[1, 5], upper=[2, 5]}]"],
@@ -72,22 +165,57 @@ BROKEN = [
         "ugv.0.velocity = [0.2, 0.1]",
         "up to ugv.0.max_speed",
     ),
-    (world_checks.uav_is_stronger, ["uav.0.max_speed=0.2"], "uav.0.max_speed = 0.2", "above 0.2 m/s"),
-    (world_checks.uav_is_stronger, ["uav.0.max_acceleration=0.1"], "uav.0.max_acceleration = 0.1", "above 0.1 m/s²"),
+    (
+        world_checks.uav_is_stronger,
+        ["uav.0.max_speed=0.2"],
+        "uav.0.max_speed = 0.2",
+        "above 0.2 m/s",
+    ),
+    (
+        world_checks.uav_is_stronger,
+        ["uav.0.max_acceleration=0.1"],
+        "uav.0.max_acceleration = 0.1",
+        "above 0.1 m/s²",
+    ),
     (
         world_checks.ugv_is_seen_at_start,
         ["uav.0.position=[7, 12.75]"],
         "uav.0.position = [7.0, 12.75]",
         "visibility.radius = 4.75 m",
     ),
-    (checks.names_are_known, ["law.name=circel"], 'law.name = "circel"', ", ".join(checks.LAW_NAMES)),
+    (
+        checks.names_are_known,
+        ["law.name=circel"],
+        'law.name = "circel"',
+        ", ".join(checks.LAW_NAMES),
+    ),
     (checks.names_are_known, ["sensor.model=cone"], 'sensor.model = "cone"', "hill, plateau"),
     (checks.names_are_known, ["ugv.0.driver=ghost"], 'ugv.0.driver = "ghost"', "waypoints"),
-    (world_checks.links_are_possible, ["links.radio.burst_length=1.0"], "links.radio.burst_interval = 0.0", "above 0 s"),
-    (world_checks.links_are_possible, ['links.only=[{vehicle="uav_7"}]'], 'links.only.0.vehicle = "uav_7"', "uav_0"),
+    (
+        world_checks.links_are_possible,
+        ["links.radio.burst_length=1.0"],
+        "links.radio.burst_interval = 0.0",
+        "above 0 s",
+    ),
+    (
+        world_checks.links_are_possible,
+        ['links.only=[{vehicle="uav_7"}]'],
+        'links.only.0.vehicle = "uav_7"',
+        "uav_0",
+    ),
     (world_checks.commands_act, ["links.commands.delay=0.6"], "hold = 0.5", "0.6 s or more"),
-    (checks.own_functions_are_named, ["ugv.0.driver=policy"], 'custom.policy = ""', "module:function"),
-    (checks.own_functions_are_named, ["custom.policy=mine"], 'custom.policy = "mine"', "module:function"),
+    (
+        checks.own_functions_are_named,
+        ["ugv.0.driver=policy"],
+        'custom.policy = ""',
+        "module:function",
+    ),
+    (
+        checks.own_functions_are_named,
+        ["custom.policy=mine"],
+        'custom.policy = "mine"',
+        "module:function",
+    ),
     (checks.scripts_are_in_order, ["ugv.0.driver=script"], "ugv.0.script = []", "velocity"),
     (
         checks.scripts_are_in_order,
@@ -95,12 +223,37 @@ BROKEN = [
         "ugv.0.script.1.time = 1.0",
         "times that rise",
     ),
-    (checks.own_functions_are_named, ["law.name=weighted"], 'custom.weighting = ""', "module:function"),
+    (
+        checks.own_functions_are_named,
+        ["law.name=weighted"],
+        'custom.weighting = ""',
+        "module:function",
+    ),
     (checks.own_functions_are_named, ["law.name=path"], 'custom.path = ""', "module:function"),
-    (checks.own_functions_are_named, ["custom.path=mine.path"], 'custom.path = "mine.path"', "module:function"),
-    (checks.own_functions_are_named, ["custom.path=a..b:c"], 'custom.path = "a..b:c"', "module:function"),
-    (checks.switching_radius_is_positive, ["visibility.radius=1.05"], "uav.0.max_acceleration = 0.3", "above 0.3048 m/s²"),
-    (checks.switching_radius_is_positive, ["uav.0.max_speed=inf"], "uav.0.max_speed = inf", "finite speeds"),
+    (
+        checks.own_functions_are_named,
+        ["custom.path=mine.path"],
+        'custom.path = "mine.path"',
+        "module:function",
+    ),
+    (
+        checks.own_functions_are_named,
+        ["custom.path=a..b:c"],
+        'custom.path = "a..b:c"',
+        "module:function",
+    ),
+    (
+        checks.switching_radius_is_positive,
+        ["visibility.radius=1.05"],
+        "uav.0.max_acceleration = 0.3",
+        "above 0.3048 m/s²",
+    ),
+    (
+        checks.switching_radius_is_positive,
+        ["uav.0.max_speed=inf"],
+        "uav.0.max_speed = inf",
+        "finite speeds",
+    ),
     (
         checks.reference_speed_is_possible,
         ["law.reference_speed=0.7"],
@@ -113,7 +266,12 @@ BROKEN = [
         "law.reference_speed",
         "a number > 0, in m/s",
     ),
-    (checks.controller_is_stable, ["law.b_c=-4.0"], "law = {a_c = -3.0, b_c = -4.0", "0 < D A - B C < A D"),
+    (
+        checks.controller_is_stable,
+        ["law.b_c=-4.0"],
+        "law = {a_c = -3.0, b_c = -4.0",
+        "0 < D A - B C < A D",
+    ),
     (
         checks.circle_is_within_sight,
         ["law.name=circle", "law.circle_radius=4.75"],
@@ -130,7 +288,9 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("check", "overrides", "field", "allowed"), BROKEN)
-def test_one_broken_field_gives_one_line_with_file_field_value_and_what_is_allowed(check, overrides, field, allowed) -> None:
+def test_one_broken_field_gives_one_line_with_file_field_value_and_what_is_allowed(
+    check, overrides, field, allowed
+) -> None:
     if "goals" not in overrides[0] and overrides[0].startswith("ugv.0.position"):
         overrides = [*overrides, "uav.0.position=[7, 1]"]
     line = refusal(overrides=overrides)
@@ -144,7 +304,9 @@ def test_every_check_has_a_row_above() -> None:
     assert {check for check, *_ in BROKEN} == set(CHECKS)
 
 
-@pytest.mark.parametrize("path", ["law.circle_rate", "uav.0.max_speed", "uav.0.position.1", "ugv.0.goals.2.0", "hold"])
+@pytest.mark.parametrize(
+    "path", ["law.circle_rate", "uav.0.max_speed", "uav.0.position.1", "ugv.0.goals.2.0", "hold"]
+)
 @pytest.mark.parametrize("value", ["nan", "-nan", "-inf"])
 def test_nan_and_minus_infinity_are_refused_everywhere(path: str, value: str) -> None:
     assert refusal(overrides=[f"{path}={value}"]).startswith(
@@ -163,9 +325,17 @@ def test_the_check_of_numbers_does_not_rely_on_the_types() -> None:
 
 
 def test_infinite_bounds_are_allowed_for_vehicles() -> None:
-    s = load_scenario("escort", overrides=["uav.0.max_speed=inf", "uav.0.max_acceleration=inf", "law.reference_speed=0.6"])
+    s = load_scenario(
+        "escort",
+        overrides=["uav.0.max_speed=inf", "uav.0.max_acceleration=inf", "law.reference_speed=0.6"],
+    )
     assert s.uav[0].max_speed == s.uav[0].max_acceleration == math.inf
-    assert load_scenario("escort", overrides=["law.name=tracking", "uav.0.max_speed=inf"]).law.reference_speed is None
+    assert (
+        load_scenario(
+            "escort", overrides=["law.name=tracking", "uav.0.max_speed=inf"]
+        ).law.reference_speed
+        is None
+    )
 
 
 @pytest.mark.parametrize(
@@ -184,12 +354,21 @@ def test_infinite_bounds_are_allowed_for_vehicles() -> None:
         ("detections.dropout=2", "detections.dropout = 2: out of bounds; allowed: a number <= 1"),
         ("law.reference_speed=x", 'law.reference_speed = "x": not a number; allowed: a number'),
         ("estimator.enabled=1", "estimator.enabled = 1: not true or false; allowed: true or false"),
-        ("uav.0.position=[1, 2, 3]", "uav.0.position = [1, 2, 3]: 3 entries; allowed: a list of length 2"),
+        (
+            "uav.0.position=[1, 2, 3]",
+            "uav.0.position = [1, 2, 3]: 3 entries; allowed: a list of length 2",
+        ),
         ("uav.0.position=[1, true]", "uav.0.position.1 = true: not a number; allowed: a number"),
         ("uav.0.name=UAV", 'uav.0.name = "UAV": no name; allowed: lower-case letters'),
         ("uav=[]", "uav = []: out of bounds; allowed: a list of length >= 1"),
-        ("uav={position=[1, 2]}", "uav = {position = [1, 2]}: a single table; allowed: a list, in TOML [[uav]]"),
-        ("coverage.covered=[{lower=[1, 1]}]", "coverage.covered.0.upper: missing; allowed: [x, y] in m"),
+        (
+            "uav={position=[1, 2]}",
+            "uav = {position = [1, 2]}: a single table; allowed: a list, in TOML [[uav]]",
+        ),
+        (
+            "coverage.covered=[{lower=[1, 1]}]",
+            "coverage.covered.0.upper: missing; allowed: [x, y] in m",
+        ),
         (f"seed=0x{'f' * 9000}", "seed = 0xfff"),
         (f"dt=0x{'f' * 9000}", "dt = 0xfff"),
     ],
@@ -207,10 +386,17 @@ def test_wrong_types_and_bounds_are_told_in_our_words(overrides: str, start: str
         ("law.nmae=circle", 'law.nmae = "circle"', "name", "name, speed_gain"),
         ("uav.0.max_sped=1", "uav.0.max_sped = 1", "max_speed", "name, escorts, position"),
         ("area.celll=1", "area.celll = 1", "cell", "width, height, cell"),
-        ("coverage.covered=[{lower=[1, 1], uper=[2, 2]}]", "coverage.covered.0.uper = [2, 2]", "upper", "lower, upper"),
+        (
+            "coverage.covered=[{lower=[1, 1], uper=[2, 2]}]",
+            "coverage.covered.0.uper = [2, 2]",
+            "upper",
+            "lower, upper",
+        ),
     ],
 )
-def test_an_unknown_key_is_named_with_the_nearest_and_all_that_are_known(overrides, field, meant, allowed) -> None:
+def test_an_unknown_key_is_named_with_the_nearest_and_all_that_are_known(
+    overrides, field, meant, allowed
+) -> None:
     assert refusal(overrides=[overrides]).startswith(
         f"escort: {field}: no such field, did you mean {meant!r}?; allowed: {allowed}"
     )
@@ -222,8 +408,14 @@ def test_an_unknown_key_is_named_with_the_nearest_and_all_that_are_known(overrid
 @pytest.mark.parametrize(
     ("content", "rest"),
     [
-        (b"dt = 0.05\nseed = = 3\n", 'line 2 = "seed = = 3": not TOML: Invalid value at column 8; allowed: TOML 1.0'),
-        (b"dt = 0.05\r\nseed = x\r\n", 'line 2 = "seed = x": not TOML: Invalid value at column 8; allowed: TOML 1.0'),
+        (
+            b"dt = 0.05\nseed = = 3\n",
+            'line 2 = "seed = = 3": not TOML: Invalid value at column 8; allowed: TOML 1.0',
+        ),
+        (
+            b"dt = 0.05\r\nseed = x\r\n",
+            'line 2 = "seed = x": not TOML: Invalid value at column 8; allowed: TOML 1.0',
+        ),
         (b"dt = 0.05\ntitle = '''\n", "line 2 = \"title = '''\": not TOML: "),
         (b"seed = " + b"1" * 5000, "not TOML: "),
         (b"seed = " + b"[" * 5000, "not TOML: "),
@@ -235,7 +427,9 @@ def test_an_unknown_key_is_named_with_the_nearest_and_all_that_are_known(overrid
         (b"[[uav]]\n", "uav.0.position: missing; allowed: [x, y] in m"),
     ],
 )
-def test_a_broken_file_is_refused_with_its_name_and_the_place(content: bytes, rest: str, tmp_path: Path) -> None:
+def test_a_broken_file_is_refused_with_its_name_and_the_place(
+    content: bytes, rest: str, tmp_path: Path
+) -> None:
     path = written(tmp_path, content)
     assert refusal(path).startswith(f"{path}: {rest}")
 
@@ -250,7 +444,10 @@ def test_an_unreadable_file_is_refused(tmp_path: Path, monkeypatch: pytest.Monke
 
     path = written(tmp_path, SMALL.encode())
     monkeypatch.setattr("sim.scenario.read_regular", denied)
-    assert refusal(path) == f"{path}: cannot be read: Permission denied; allowed: a TOML file of 1 MiB at most"
+    assert (
+        refusal(path)
+        == f"{path}: cannot be read: Permission denied; allowed: a TOML file of 1 MiB at most"
+    )
 
 
 @pytest.mark.parametrize("source", ["escrot", "no-such.toml", "/no/such/folder/escort.toml"])
@@ -269,9 +466,15 @@ def test_an_unknown_scenario_lists_the_known_ones_and_the_closest(source: str) -
         ("law..name=x", '--set = "law..name=x": not of the form key=value'),
         ("uav.1.max_speed=1", 'uav.1.max_speed = 1: uav has no entry "1"; allowed: uav.0'),
         ("uav.²=1", 'uav.² = 1: uav has no entry "²"; allowed: uav.0'),
-        ("ugv.0.goals.9=[1, 1]", 'ugv.0.goals.9 = [1, 1]: ugv.0.goals has no entry "9"; allowed: ugv.0.goals.0 to ugv.0.goals.4'),
+        (
+            "ugv.0.goals.9=[1, 1]",
+            'ugv.0.goals.9 = [1, 1]: ugv.0.goals has no entry "9"; allowed: ugv.0.goals.0 to ugv.0.goals.4',
+        ),
         ("seed.x=1", "seed.x = 1: seed = 7 is no table; allowed: a value for seed itself"),
-        ("dt=0.3", "duration = 200.0: no whole number of ticks; allowed: multiples of dt = 0.3 s, such as 200.1"),
+        (
+            "dt=0.3",
+            "duration = 200.0: no whole number of ticks; allowed: multiples of dt = 0.3 s, such as 200.1",
+        ),
     ],
 )
 def test_a_bad_override_is_refused(override: str, start: str) -> None:

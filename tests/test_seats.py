@@ -1,4 +1,7 @@
-"""The seats of a run, with real sessions: second sessions, vehicles that come back with their past, real time, pause and step."""
+"""The seats of a run, with real sessions.
+
+Second sessions, vehicles that come back with their past, real time, pause and step.
+"""
 
 import threading
 import time
@@ -20,7 +23,9 @@ from sim.scenario import Scenario, load_scenario
 
 
 @pytest.mark.parametrize("victim", ["uav_0", "ugv_0"])
-def test_a_vehicle_that_comes_back_with_its_past_flies_the_same_bits(victim: str, tmp_path: Path) -> None:
+def test_a_vehicle_that_comes_back_with_its_past_flies_the_same_bits(
+    victim: str, tmp_path: Path
+) -> None:
     """More ticks than one part of a briefing holds; the newcomer knows nothing but what it is told."""
     with stage(tmp_path, 1500, respawn=True) as run:
         run.start("uav_0" if victim == "ugv_0" else "ugv_0")
@@ -44,7 +49,10 @@ def test_a_vehicle_that_comes_back_with_its_past_flies_the_same_bits(victim: str
     assert flight.recorder.sha256() == whole(1500).recorder.sha256()
     assert flight.first_missing is None
     assert (statuses[victim].lost, statuses[victim].rejoined) == (1, 1)
-    assert run.events == [f"{victim} is lost at tick 1234", f"{victim} has joined again at tick 1234"]
+    assert run.events == [
+        f"{victim} is lost at tick 1234",
+        f"{victim} has joined again at tick 1234",
+    ]
 
 
 def test_a_past_is_what_the_vehicle_has_perceived(tmp_path: Path) -> None:
@@ -57,7 +65,9 @@ def test_a_past_is_what_the_vehicle_has_perceived(tmp_path: Path) -> None:
         flight.recorder.record(flight.reports)
         for name, observation in observations.items():
             seen[name].append(observation)
-        flight.apply({name: pilots[name].act(observation) for name, observation in observations.items()})
+        flight.apply(
+            {name: pilots[name].act(observation) for name, observation in observations.items()}
+        )
     assert any(observation.radio for observation in seen["ugv_0"])
     assert any(not observation.detections for observation in seen["uav_0"])
     for name in pilots:
@@ -67,17 +77,24 @@ def test_a_past_is_what_the_vehicle_has_perceived(tmp_path: Path) -> None:
         assert [o for k, o in enumerate(deaf) if not 100 <= k < 200] == [
             o for k, o in enumerate(seen[name]) if not 100 <= k < 200
         ]
-        assert not any(getattr(o, "detections", ()) or getattr(o, "radio", ()) for o in deaf[100:200])
+        assert not any(
+            getattr(o, "detections", ()) or getattr(o, "radio", ()) for o in deaf[100:200]
+        )
         assert [o.position for o in deaf] == [o.position for o in seen[name]]
 
 
 def _briefings(scenario: Scenario) -> dict[str, Any]:
     from sim.briefing import briefing
 
-    return {vehicle.name: briefing(scenario, vehicle.name, scenario.seed) for vehicle in scenario.vehicles}
+    return {
+        vehicle.name: briefing(scenario, vehicle.name, scenario.seed)
+        for vehicle in scenario.vehicles
+    }
 
 
-def test_a_lost_vehicle_brakes_and_one_that_returns_is_told_nothing_it_has_missed(tmp_path: Path) -> None:
+def test_a_lost_vehicle_brakes_and_one_that_returns_is_told_nothing_it_has_missed(
+    tmp_path: Path,
+) -> None:
     """Without respawn the clock does not wait; what was detected while nobody was there stays unknown."""
     with stage(tmp_path, 20_000) as run:
         run.start("ugv_0")
@@ -113,11 +130,15 @@ def test_a_vehicle_that_does_not_come_back_is_given_up_once(tmp_path: Path) -> N
         flight = run.fly()
     assert flight.complete
     assert flight.missing == {"uav_0": 39, "ugv_0": 0}
-    assert [event for event in run.events if "has not come back within 0." in event] == run.events[1:]
+    assert [event for event in run.events if "has not come back within 0." in event] == run.events[
+        1:
+    ]
     assert len(run.events) == 2
 
 
-def test_the_first_session_keeps_the_seat_and_a_second_one_is_counted_named_and_ignored(tmp_path: Path) -> None:
+def test_the_first_session_keeps_the_seat_and_a_second_one_is_counted_named_and_ignored(
+    tmp_path: Path,
+) -> None:
     with stage(tmp_path, 400) as run:
         first = run.start("uav_0")
         run.start("ugv_0")
@@ -161,14 +182,18 @@ def test_the_second_session_takes_the_seat_when_the_first_has_gone(tmp_path: Pat
     assert [seen.tick for seen in run.vehicles[2].seen] == list(range(300))
 
 
-def test_real_time_keeps_the_clock_and_flies_the_lockstep_bits_if_all_are_in_time(tmp_path: Path) -> None:
+def test_real_time_keeps_the_clock_and_flies_the_lockstep_bits_if_all_are_in_time(
+    tmp_path: Path,
+) -> None:
     with stage(tmp_path, 100, realtime=2.0) as run:
         run.start("uav_0")
         run.start("ugv_0")
         started: list[float] = []
         flight = run.fly(lambda: started.append(time.monotonic()))
     seconds = started[-1] - started[0]
-    assert seconds >= 99 * 0.025 - 0.05  # never faster than asked for; how much slower is the machine's affair
+    assert (
+        seconds >= 99 * 0.025 - 0.05
+    )  # never faster than asked for; how much slower is the machine's affair
     if flight.first_missing is None:
         assert flight.recorder.sha256() == whole(100).recorder.sha256()
     assert flight.missing["uav_0"] + flight.missing["ugv_0"] < 100
@@ -196,13 +221,17 @@ def test_in_real_time_a_command_is_used_by_its_age_and_then_the_vehicle_brakes()
     ugv = flight.world.names.index("ugv_0")
 
     def step(answered: int | None) -> float:
-        commands: dict[str, Any] = {"uav_0": UavCommand(tick=flight.world.tick, acceleration=(0.0, 0.0))}
+        commands: dict[str, Any] = {
+            "uav_0": UavCommand(tick=flight.world.tick, acceleration=(0.0, 0.0))
+        }
         if answered is not None:
             commands["ugv_0"] = UgvCommand(tick=answered, acceleration=(0.05, 0.0))
         flight.apply(commands)
         return float(flight.world.acceleration[ugv, 0])
 
-    assert [step(0), step(None), step(None), step(None), step(None)] == [0.05] * 5  # ticks 0 to 4: up to 0.2 s old
+    assert [step(0), step(None), step(None), step(None), step(None)] == [
+        0.05
+    ] * 5  # ticks 0 to 4: up to 0.2 s old
     assert step(None) < 0.0  # tick 5: too old
     assert step(3) == 0.05  # tick 6: late, 3 ticks old
     assert step(None) == 0.05  # tick 7: 4 ticks old
@@ -225,7 +254,9 @@ def test_a_flight_can_be_paused_stepped_and_resumed(tmp_path: Path) -> None:
             controls.send(Control(action=Action.PAUSE))
             paused = await_status(statuses, lambda status: status.paused)
             controls.send(Control(action=Action.STEP, ticks=5))
-            stepped = await_status(statuses, lambda status: status.paused and status.tick == paused.tick + 5)
+            stepped = await_status(
+                statuses, lambda status: status.paused and status.tick == paused.tick + 5
+            )
             seen.extend((paused, stepped))
             controls.send(Control(action=Action.RESUME))
 
@@ -248,15 +279,26 @@ def test_an_observer_cannot_pause(tmp_path: Path) -> None:
         assert Party(role=Role.OBSERVER, name="observer") == observer.party
 
 
-@pytest.mark.parametrize("payload", [b'{"tick":999999,"acceleration":[0,0]}', b'{"tick":-1}'], ids=["readable", "unreadable"])
-def test_a_flood_of_letters_neither_stops_the_clock_nor_the_end(payload: bytes, tmp_path: Path) -> None:
-    """The UGV answers nothing and never stops talking: it is late like any other, and the session closes while it goes on."""
+@pytest.mark.parametrize(
+    "payload",
+    [b'{"tick":999999,"acceleration":[0,0]}', b'{"tick":-1}'],
+    ids=["readable", "unreadable"],
+)
+def test_a_flood_of_letters_neither_stops_the_clock_nor_the_end(
+    payload: bytes, tmp_path: Path
+) -> None:
+    """The UGV answers nothing and never stops talking.
+
+    It is late like any other, and the session closes while it goes on.
+    """
     over = threading.Event()
     with stage(tmp_path, 8, deadline=0.3) as run:
         ugv = run.client("ugv_0")
         ugv.announce()
         uav = run.start("uav_0")
-        flooding = ugv._zenoh.declare_publisher("outrider/run/ugv_0/command", congestion_control=zenoh.CongestionControl.BLOCK)
+        flooding = ugv._zenoh.declare_publisher(
+            "outrider/run/ugv_0/command", congestion_control=zenoh.CongestionControl.BLOCK
+        )
 
         def flood() -> None:
             while not over.is_set():
@@ -311,11 +353,19 @@ def test_a_vehicle_acts_once_on_each_observation_of_its_own_run_alone(tmp_path: 
         flight.apply({})
     party, uav = GIVEN.of("simulator").party, GIVEN.of("uav_0")
     with ExitStack() as stack:
-        stack.enter_context(open_session(GIVEN.of("observer").party, "run", listen=(endpoint,), given=GIVEN))
-        old, new = (
-            stack.enter_context(open_session(party, "run", connect=endpoint, credential=GIVEN.of("simulator"))) for _ in range(2)
+        stack.enter_context(
+            open_session(GIVEN.of("observer").party, "run", listen=(endpoint,), given=GIVEN)
         )
-        writers = [(s.outbox(BRIEFING[Role.UAV], "uav_0"), s.outbox(OBSERVATION[Role.UAV], "uav_0")) for s in (old, new)]
+        old, new = (
+            stack.enter_context(
+                open_session(party, "run", connect=endpoint, credential=GIVEN.of("simulator"))
+            )
+            for _ in range(2)
+        )
+        writers = [
+            (s.outbox(BRIEFING[Role.UAV], "uav_0"), s.outbox(OBSERVATION[Role.UAV], "uav_0"))
+            for s in (old, new)
+        ]
         answers = new.inbox(COMMAND[Role.UAV], "uav_0")
         new.announce()
         vehicle = Vehicle(endpoint, uav.name, None, lambda _tick: None)
@@ -323,7 +373,9 @@ def test_a_vehicle_acts_once_on_each_observation_of_its_own_run_alone(tmp_path: 
         (old_briefing, old_sight), (briefing, sight) = writers
         part = msgspec.structs.replace
         old_briefing.send(part(told, past=tuple(observations[:2]), more=True))  # interrupted
-        wait_until(lambda: len(vehicle.seen) == 2)  # two sessions: nothing else says whose words come first
+        wait_until(
+            lambda: len(vehicle.seen) == 2
+        )  # two sessions: nothing else says whose words come first
         briefing.send(part(told, past=tuple(observations[:3]), more=True))
         briefing.send(part(told, past=tuple(observations[3:5])))
         wait_until(lambda: len(vehicle.seen) == 5)
@@ -339,12 +391,17 @@ def test_a_vehicle_acts_once_on_each_observation_of_its_own_run_alone(tmp_path: 
         sight.send(part(observations[8], over=True))
         vehicle.join()
     assert [seen.tick for seen in vehicle.seen] == sorted({seen.tick for seen in vehicle.seen})
-    assert [seen.tick for seen in vehicle.seen][:6] == [0, 1, 2, 3, 4, 5] or vehicle.seen[5].tick in (6, 7)
+    assert [seen.tick for seen in vehicle.seen][:6] == [0, 1, 2, 3, 4, 5] or vehicle.seen[
+        5
+    ].tick in (6, 7)
     assert ticks <= {5, 6, 7}
 
 
 def test_an_observation_that_was_missed_is_acted_on_and_many_are_only_perceived() -> None:
-    """One missed: lockstep after joining again, where the state must be exact; more: a pilot that is slower than the clock."""
+    """One missed: lockstep after joining again, where the state must be exact; more.
+
+    A pilot that is slower than the clock.
+    """
 
     class Pilot:
         def __init__(self) -> None:

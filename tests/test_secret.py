@@ -12,7 +12,15 @@ from typing import get_type_hints
 import msgspec
 import numpy as np
 import pytest
-from processes import OUTRIDER, child_of, command_line, family, flying, nothing_left_behind, outrider
+from processes import (
+    OUTRIDER,
+    child_of,
+    command_line,
+    family,
+    flying,
+    nothing_left_behind,
+    outrider,
+)
 from staging import stage
 from test_contract import _fields_within
 from test_links import degraded
@@ -69,7 +77,9 @@ def test_of_a_runs_processes_only_the_simulators_has_it(monkeypatch: pytest.Monk
     monkeypatch.setenv(VARIABLE, SECRET)
     with flying("escort", "--set", "duration=100000.0", "--no-files", "--json") as going:
         children = family(going.pid)
-        having = [pid for pid in children if SECRET.encode() in Path(f"/proc/{pid}/environ").read_bytes()]
+        having = [
+            pid for pid in children if SECRET.encode() in Path(f"/proc/{pid}/environ").read_bytes()
+        ]
         assert having == [child_of(going, "simulator")]
         assert not any(SECRET in command_line(pid) for pid in (going.pid, *children))
         going.send_signal(signal.SIGINT)
@@ -100,7 +110,9 @@ def test_over_the_bus_with_a_process_that_joins_again_and_after_a_reset_too(tmp_
     with stage(tmp_path, 300, scenario=scenario, secret=SECRET, respawn=True) as going:
         going.start("ugv_0")
         first = going.start("uav_0", until=100)
-        operator = going.client("operator").outbox(next(key for key in KEYS if key.message is Control))
+        operator = going.client("operator").outbox(
+            next(key for key in KEYS if key.message is Control)
+        )
         asked = False
 
         def on_tick() -> None:
@@ -115,11 +127,15 @@ def test_over_the_bus_with_a_process_that_joins_again_and_after_a_reset_too(tmp_
 
         flight = going.fly(on_tick)
     assert flight.episode == 1
-    assert flight.recorder.sha256() == fly(scenario, scenario.seed, secret=SECRET)[1].trajectory_sha256
+    assert (
+        flight.recorder.sha256() == fly(scenario, scenario.seed, secret=SECRET)[1].trajectory_sha256
+    )
     assert flight.recorder.sha256() != fly(scenario, scenario.seed)[1].trajectory_sha256
 
 
-def test_three_processes_and_one_fly_the_same_bits_and_leave_files_for_the_owner_alone(tmp_path: Path, secret_file: str) -> None:
+def test_three_processes_and_one_fly_the_same_bits_and_leave_files_for_the_owner_alone(
+    tmp_path: Path, secret_file: str
+) -> None:
     written = {}
     for name, more in {"three": (), "one": ("--in-process",)}.items():
         folder, recorded = tmp_path / name, tmp_path / f"{name}.mcap"
@@ -142,7 +158,9 @@ def test_three_processes_and_one_fly_the_same_bits_and_leave_files_for_the_owner
 # who makes one
 
 
-def test_a_simulator_with_credentials_makes_one_and_a_run_on_this_machine_none(tmp_path: Path) -> None:
+def test_a_simulator_with_credentials_makes_one_and_a_run_on_this_machine_none(
+    tmp_path: Path,
+) -> None:
     endpoint = f"unixsock-stream/{tmp_path / 'bus.sock'}"
     known = tmp_path / "credentials"
     assert outrider("credentials", str(known), "--scenario", "escort").returncode == 0
@@ -154,8 +172,19 @@ def test_a_simulator_with_credentials_makes_one_and_a_run_on_this_machine_none(t
             (["uav"], "uav_0", "--connect"),
             (["ugv"], "ugv_0", "--connect"),
         ):
-            words = [*OUTRIDER, *role, "--credentials", str(known / f"{name}.json"), where, endpoint]
-            processes.append(subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment))
+            words = [
+                *OUTRIDER,
+                *role,
+                "--credentials",
+                str(known / f"{name}.json"),
+                where,
+                endpoint,
+            ]
+            processes.append(
+                subprocess.Popen(
+                    words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
+                )
+            )
         out, err = processes[0].communicate(timeout=120)
     finally:
         for process in processes:
@@ -174,7 +203,12 @@ def test_where_one_is_wanted_it_is_new_unless_it_is_given(secret_file: str) -> N
     assert len(made) == 3
     assert all(re.fullmatch("[0-9a-f]{32}", secret) for secret in made)
     assert secret_of("") == ""
-    assert secret_of(SECRET, wanted=True) == secret_of(secret_file) == secret_of(SECRET.upper()) == SECRET
+    assert (
+        secret_of(SECRET, wanted=True)
+        == secret_of(secret_file)
+        == secret_of(SECRET.upper())
+        == SECRET
+    )
 
 
 @pytest.mark.parametrize(
@@ -189,7 +223,9 @@ def test_where_one_is_wanted_it_is_new_unless_it_is_given(secret_file: str) -> N
     ],
     ids=["missing", "empty", "no text", "short", "long", "words"],
 )
-def test_a_file_that_holds_none_is_refused_in_one_line(content: bytes | None, message: str, tmp_path: Path) -> None:
+def test_a_file_that_holds_none_is_refused_in_one_line(
+    content: bytes | None, message: str, tmp_path: Path
+) -> None:
     path = tmp_path / "kept"
     if content is not None:
         path.write_bytes(content)
@@ -199,7 +235,9 @@ def test_a_file_that_holds_none_is_refused_in_one_line(content: bytes | None, me
     assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("make", [parallel_env, lambda **settings: OutriderVectorEnv(num_envs=1, **settings)])
+@pytest.mark.parametrize(
+    "make", [parallel_env, lambda **settings: OutriderVectorEnv(num_envs=1, **settings)]
+)
 def test_an_environment_refuses_what_is_none(make: object) -> None:
     with pytest.raises(ValueError, match="secret: 4 characters that are no secret"):
         make(secret="1234")  # type: ignore[operator]  # noqa: S106 - it is none

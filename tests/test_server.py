@@ -9,7 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from bus.keys import BRIEFING, COMMAND, COVERAGE, GLANCE, OBSERVATION, STATUS, TRUTH, Party, Role
-from bus.messages import Command, CoverageMap, Status, Truth, UavBriefing, UavCommand, UgvBriefing, UgvCommand
+from bus.messages import (
+    Command,
+    CoverageMap,
+    Status,
+    Truth,
+    UavBriefing,
+    UavCommand,
+    UgvBriefing,
+    UgvCommand,
+)
 from bus.session import Outbox, Session, open_session
 from sim.flight import Flight
 from sim.scenario import load_scenario
@@ -40,26 +49,39 @@ def _fly(session: Session, party: Party, answer: Answer, told: list[object]) -> 
     session.announce()
     letter = briefings.receive(20.0)
     told.append(letter.message if letter else None)
-    while (letter := observations.receive(20.0)) is not None and not getattr(letter.message, "over", True):
+    while (letter := observations.receive(20.0)) is not None and not getattr(
+        letter.message, "over", True
+    ):
         answer(outbox, party.role, getattr(letter.message, "tick", -1))
 
 
 class Run:
     """A flight with its sessions, in threads of this process."""
 
-    def __init__(self, stack: ExitStack, endpoint: str, ticks: int, answers: dict[str, Answer], deadline: float) -> None:
+    def __init__(
+        self,
+        stack: ExitStack,
+        endpoint: str,
+        ticks: int,
+        answers: dict[str, Answer],
+        deadline: float,
+    ) -> None:
         scenario = load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}", "hold=0.1"])
         simulator = Party(role=Role.SIMULATOR, name="simulator")
         self.events: list[str] = []
         self.told: dict[str, list[object]] = {name: [] for name in answers}
         session = stack.enter_context(open_session(simulator, "run", listen=(endpoint,)))
         self.server = Server(session, scenario, 3, deadline=deadline, on_event=self.events.append)
-        self.observer = stack.enter_context(open_session(Party(role=Role.OBSERVER, name="watcher"), "run", connect=endpoint))
+        self.observer = stack.enter_context(
+            open_session(Party(role=Role.OBSERVER, name="watcher"), "run", connect=endpoint)
+        )
         self._threads = []
         for name, answer in answers.items():
             party = Party(role=Role.UAV if name.startswith("uav") else Role.UGV, name=name)
             own = stack.enter_context(open_session(party, "run", connect=endpoint))
-            self._threads.append(threading.Thread(target=_fly, args=(own, party, answer, self.told[name])))
+            self._threads.append(
+                threading.Thread(target=_fly, args=(own, party, answer, self.told[name]))
+            )
 
     def fly(self, on_tick: Callable[[], None] | None = None) -> Flight:
         for thread in self._threads:
@@ -72,15 +94,26 @@ class Run:
 
 
 @contextmanager
-def flying(folder: Path, ticks: int, *, deadline: float = 10.0, uav: Answer = honest, ugv: Answer = honest) -> Iterator[Run]:
+def flying(
+    folder: Path, ticks: int, *, deadline: float = 10.0, uav: Answer = honest, ugv: Answer = honest
+) -> Iterator[Run]:
     with ExitStack() as stack:
-        yield Run(stack, f"unixsock-stream/{folder / 'bus.sock'}", ticks, {"uav_0": uav, "ugv_0": ugv}, deadline)
+        yield Run(
+            stack,
+            f"unixsock-stream/{folder / 'bus.sock'}",
+            ticks,
+            {"uav_0": uav, "ugv_0": ugv},
+            deadline,
+        )
 
 
 def test_each_vehicle_is_told_its_own_briefing(tmp_path: Path) -> None:
     with flying(tmp_path, 3) as run:
         run.fly()
-    assert [type(told) for told in (*run.told["uav_0"], *run.told["ugv_0"])] == [UavBriefing, UgvBriefing]
+    assert [type(told) for told in (*run.told["uav_0"], *run.told["ugv_0"])] == [
+        UavBriefing,
+        UgvBriefing,
+    ]
 
 
 def test_honest_vehicles_miss_nothing(tmp_path: Path) -> None:
@@ -91,7 +124,9 @@ def test_honest_vehicles_miss_nothing(tmp_path: Path) -> None:
     assert not run.events
 
 
-def test_an_answer_to_another_tick_or_a_second_one_is_counted_and_changes_nothing(tmp_path: Path) -> None:
+def test_an_answer_to_another_tick_or_a_second_one_is_counted_and_changes_nothing(
+    tmp_path: Path,
+) -> None:
     with flying(tmp_path, 20, ugv=confused) as run:
         confused_flight = run.fly()
         status = run.server.status(1.0).vehicles["ugv_0"]

@@ -14,7 +14,9 @@ from test_vector import CASES, _actions, _equal, _world
 from outrider.single import SingleEnv, single_env
 from outrider.vector import vector_env
 
-pytestmark = pytest.mark.xdist_group("many worlds")  # on one worker: what they compile takes a minute, once
+pytestmark = pytest.mark.xdist_group(
+    "many worlds"
+)  # on one worker: what they compile takes a minute, once
 
 SCENARIO = SCENARIOS["certified"]
 SETTINGS: dict[str, dict[str, Any]] = {
@@ -118,7 +120,18 @@ def test_a_bad_seed_is_refused_and_the_episode_goes_on(seed: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "action", [np.zeros(3), [[0.0, 0.0]], None, "a", [np.nan, 0.0], [0.0, 1e9], {"uav_0": [0, 0]}, [True, False]], ids=str
+    "action",
+    [
+        np.zeros(3),
+        [[0.0, 0.0]],
+        None,
+        "a",
+        [np.nan, 0.0],
+        [0.0, 1e9],
+        {"uav_0": [0, 0]},
+        [True, False],
+    ],
+    ids=str,
 )
 def test_a_bad_action_is_refused_in_one_line_and_nothing_has_happened(action: Any) -> None:
     env, other = single_env(SCENARIO), single_env(SCENARIO)

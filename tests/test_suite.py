@@ -26,9 +26,16 @@ from sim.scenario_checks import scenario_warnings
 from sim.tick import first_state
 
 SECRET = bytes(range(16)).hex()
-pytestmark = pytest.mark.xdist_group("many worlds")  # on one worker: what they compile takes a minute, once
+pytestmark = pytest.mark.xdist_group(
+    "many worlds"
+)  # on one worker: what they compile takes a minute, once
 
-SHORT: dict[str, object] = {"duration": 4.0, "area.width": 16.0, "area.height": 12.0, "ugv.0.goals": [[12.0, 9.0]]}
+SHORT: dict[str, object] = {
+    "duration": 4.0,
+    "area.width": 16.0,
+    "area.height": 12.0,
+    "ugv.0.goals": [[12.0, 9.0]],
+}
 CERTIFICATES = ("certified_while_lost", "certificate_broken")
 TASK = Task(name="short", hard="it is over soon", changes=SHORT)
 SLOW = Task(name="slow", hard="", changes={**SHORT, "duration": 30.0})
@@ -78,14 +85,26 @@ def test_the_seeds_are_twenty_and_no_training_run_begins_with_them() -> None:
 
 def test_the_score_is_the_mean_share_of_what_there_was_to_see() -> None:
     """Against a single flight over the bus' own loop, tick by tick."""
-    task = Task(name="half", hard="", changes={**SHORT, "coverage.covered": [{"lower": [0.0, 0.0], "upper": [8.0, 12.0]}]})
+    task = Task(
+        name="half",
+        hard="",
+        changes={**SHORT, "coverage.covered": [{"lower": [0.0, 0.0], "upper": [8.0, 12.0]}]},
+    )
     scenario = task.scenario
     flight = Flight(scenario, 9001, secret=SECRET)
     flight.fly(InProcess(make_pilots(scenario, 9001, secret=SECRET)))
     errors = flight.recorder.escorts[:, 0, 1]
     places = flight.recorder.states[:, flight.world.escorts[0, 1], :2].tolist()
-    r_o, nothing = scenario.visibility.radius + scenario.sensor.range, first_state(scenario).coverage
-    most = np.array([coverage_error(nothing, x, y, r_o, scenario.coverage.desired, scenario.area.cell) for x, y in places])
+    r_o, nothing = (
+        scenario.visibility.radius + scenario.sensor.range,
+        first_state(scenario).coverage,
+    )
+    most = np.array(
+        [
+            coverage_error(nothing, x, y, r_o, scenario.coverage.desired, scenario.area.cell)
+            for x, y in places
+        ]
+    )
     result = evaluate(task, "certified", seeds=[9000, 9001], secret=SECRET)
     assert result.scores[1] == pytest.approx(100.0 * np.mean(1.0 - errors / most), rel=1e-12)
     assert 0.0 < result.scores[1] < 100.0
@@ -117,10 +136,13 @@ def test_a_law_and_the_same_flight_from_outside_have_the_same_score() -> None:
 
 def test_from_the_tick_at_which_sight_is_lost_nothing_counts_as_seen() -> None:
     lost, kept = (
-        SLOW.evaluate(entry, seeds=[9000, 9001], secret=SECRET, **settings) for entry, settings in ((away, {}), ("tracking", {}))
+        SLOW.evaluate(entry, seeds=[9000, 9001], secret=SECRET, **settings)
+        for entry, settings in ((away, {}), ("tracking", {}))
     )
     assert (lost.lost, kept.lost) == (2, 0)
-    shorter = Task(name="shorter", hard="", changes={**SHORT, "duration": 60.0}).evaluate(away, seeds=[9000, 9001], secret=SECRET)
+    shorter = Task(name="shorter", hard="", changes={**SHORT, "duration": 60.0}).evaluate(
+        away, seeds=[9000, 9001], secret=SECRET
+    )
     # Twice the time with the same flight: what was seen counts half.
     assert np.array(shorter.scores) * 1201 == pytest.approx(np.array(lost.scores) * 601, rel=1e-12)
     assert lost.score < kept.score
@@ -143,7 +165,9 @@ def test_sight_that_is_found_again_stays_lost() -> None:
     assert scores(turns_back=True) == scores(turns_back=False)
 
 
-def test_what_is_certified_out_of_sight_is_told_with_the_score(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_certified_out_of_sight_is_told_with_the_score(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     class Near(ClosedLoop):
         """Sight ends at two metres, and the filter was told another r_v."""
 
@@ -154,7 +178,10 @@ def test_what_is_certified_out_of_sight_is_told_with_the_score(monkeypatch: pyte
     assert SLOW.evaluate("certified", seeds=[9000], secret=SECRET).certified_while_lost == 0
     monkeypatch.setattr(scoring, "ClosedLoop", Near)
     result = SLOW.evaluate("certified", seeds=[9000], secret=SECRET)
-    assert (result.lost, result.certified_while_lost) == (1, 1)  # at the tick at which sight is lost; then the task is over
+    assert (result.lost, result.certified_while_lost) == (
+        1,
+        1,
+    )  # at the tick at which sight is lost; then the task is over
     result = SLOW.evaluate("certified", seeds=[9000, 9001], secret=SECRET)
     board = leaderboard(["certified", "linear"], tasks=[SLOW], seeds=[9000, 9001], secret=SECRET)
     told = {standing.entry: standing.certified_while_lost for standing in board.standings}
@@ -217,12 +244,18 @@ def test_an_evaluation_is_the_same_again_and_from_another_thread() -> None:
     tasks = [TASK, SLOW]
     entries: dict[str, Any] = {"tracking": "tracking", "mine": hover}
     board = leaderboard(entries, tasks=tasks, seeds=[5, 6], estimate=True)  # its secret is told
-    assert board == leaderboard(entries, tasks=tasks, seeds=[5, 6], secret=board.secret, estimate=True)
+    assert board == leaderboard(
+        entries, tasks=tasks, seeds=[5, 6], secret=board.secret, estimate=True
+    )
     for standing in board.standings:
         entry = hover if standing.entry == "mine" else "tracking"
         settings: dict[str, Any] = {"estimate": True} if standing.entry == "mine" else {}
-        assert standing.results[1] == SLOW.evaluate(entry, name=standing.entry, seeds=[5, 6], secret=board.secret, **settings)
-        assert standing.score == pytest.approx(np.mean([result.score for result in standing.results]))
+        assert standing.results[1] == SLOW.evaluate(
+            entry, name=standing.entry, seeds=[5, 6], secret=board.secret, **settings
+        )
+        assert standing.score == pytest.approx(
+            np.mean([result.score for result in standing.results])
+        )
 
 
 def test_the_board_has_the_best_first_and_says_who_lost_sight() -> None:
@@ -247,18 +280,27 @@ def test_the_board_has_the_best_first_and_says_who_lost_sight() -> None:
     [
         ("lograithmic", {}, "law = 'lograithmic': unknown; allowed: tracking,"),
         ("linear", {"estimate": True}, "estimate: for policies alone"),
-        (hover, {"duration": 1.0}, "duration: cannot be set, it belongs to the task; allowed: estimate,"),
+        (
+            hover,
+            {"duration": 1.0},
+            "duration: cannot be set, it belongs to the task; allowed: estimate,",
+        ),
         (lambda seen: np.zeros(3), {}, r"actions of uav_0: an array of shape \(3,\)"),
     ],
     ids=["law", "setting of a law", "setting of the task", "no action"],
 )
-def test_what_cannot_be_scored_is_refused_in_one_line(entry: Any, settings: dict[str, Any], message: str) -> None:
+def test_what_cannot_be_scored_is_refused_in_one_line(
+    entry: Any, settings: dict[str, Any], message: str
+) -> None:
     with pytest.raises(ValueError, match=message) as caught:
         TASK.evaluate(entry, seeds=[1, 2], **settings)
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(("seeds", "message"), [([], "seeds: none are given"), ([1, -1], "seed = -1"), ([1.5], "seed = 1.5")])
+@pytest.mark.parametrize(
+    ("seeds", "message"),
+    [([], "seeds: none are given"), ([1, -1], "seed = -1"), ([1.5], "seed = 1.5")],
+)
 def test_bad_seeds_are_refused(seeds: Any, message: str) -> None:
     for entry in ("tracking", hover):
         with pytest.raises(ValueError, match=message):
@@ -283,7 +325,9 @@ def test_a_scenario_of_ones_own_is_scored_alike() -> None:
 
 
 @pytest.fixture
-def outrider(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
+def outrider(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., Any]:
     """The command in this process, in an empty folder: its exit code, and what it wrote to stdout and stderr."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
@@ -315,7 +359,10 @@ def test_the_command_scores_laws_and_policies(outrider: Callable[..., Any], tmp_
     told = json.loads(out)
     assert told["tasks"] == ["short-sight"]
     assert told["secret"] == SECRET
-    assert {standing["entry"] for standing in told["standings"]} == {"tracking", "mine_for_the_suite:away"}
+    assert {standing["entry"] for standing in told["standings"]} == {
+        "tracking",
+        "mine_for_the_suite:away",
+    }
     result = told["standings"][0]["results"][0]
     assert set(result) == {
         "task",

@@ -23,12 +23,28 @@ from sim.scenario import load_scenario, scenario_names
 
 OUTRIDER = [sys.executable, "-m", "outrider"]
 QUICK = ("duration=5.0", "area.cell=0.5")
-SMALL = {"laws": "linear,switching", "vary": ["detections.noise=0,0.5"], "changes": QUICK, "seeds": 3}
-GRID = ["sweep", "escort", "--law", "linear,switching", "--vary", "detections.noise=0,0.5", "--set", "area.cell=0.5"]
+SMALL = {
+    "laws": "linear,switching",
+    "vary": ["detections.noise=0,0.5"],
+    "changes": QUICK,
+    "seeds": 3,
+}
+GRID = [
+    "sweep",
+    "escort",
+    "--law",
+    "linear,switching",
+    "--vary",
+    "detections.noise=0,0.5",
+    "--set",
+    "area.cell=0.5",
+]
 
 
 def outrider(*arguments: str, cwd: Path | None = None) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run([*OUTRIDER, *arguments], capture_output=True, text=True, check=False, timeout=120, cwd=cwd)
+    return subprocess.run(
+        [*OUTRIDER, *arguments], capture_output=True, text=True, check=False, timeout=120, cwd=cwd
+    )
 
 
 def plan_of(source: str = "escort", **given) -> Plan:
@@ -75,13 +91,22 @@ def refusal(source: str = "escort", **given) -> str:
 
 def test_a_sweep_is_the_product_of_laws_values_and_seeds():
     plan = plan_of(
-        laws="linear,circle", vary=["detections.noise=0,0.1,0.2", "dt=0.05,0.1"], changes=["detections.rate=10"], seeds=4
+        laws="linear,circle",
+        vary=["detections.noise=0,0.1,0.2", "dt=0.05,0.1"],
+        changes=["detections.rate=10"],
+        seeds=4,
     )
     assert plan.runs == 2 * 3 * 2 * 4
     heads = [plan.head(run) for run in range(plan.runs)]
-    combinations = {(head["law"], head["detections.noise"], head["dt"], head["seed"]) for head in heads}
+    combinations = {
+        (head["law"], head["detections.noise"], head["dt"], head["seed"]) for head in heads
+    }
     assert combinations == {
-        (a, b, c, d) for a in ("linear", "circle") for b in (0.0, 0.1, 0.2) for c in (0.05, 0.1) for d in range(4)
+        (a, b, c, d)
+        for a in ("linear", "circle")
+        for b in (0.0, 0.1, 0.2)
+        for c in (0.05, 0.1)
+        for d in range(4)
     }
     assert all(plan.points[head["run"] // 4].scenario.detections.rate == 10.0 for head in heads)
 
@@ -95,7 +120,10 @@ def test_blocks_vary_one_thing_each_and_the_columns_say_what_the_others_are(tmp_
     )
     plan = plan_of(str(tmp_path / "mine.toml"))
     heads = [plan.head(run) for run in range(plan.runs)]
-    assert [(head["block"], head["seed"], head["detections.noise"], head["detections.dropout"]) for head in heads] == [
+    assert [
+        (head["block"], head["seed"], head["detections.noise"], head["detections.dropout"])
+        for head in heads
+    ] == [
         ("noise", 10, 0.2, 0.1),
         ("noise", 11, 0.2, 0.1),
         ("noise", 10, 0.3, 0.1),
@@ -106,11 +134,22 @@ def test_blocks_vary_one_thing_each_and_the_columns_say_what_the_others_are(tmp_
 
 
 def test_values_of_any_kind_can_be_varied():
-    plan = plan_of(vary=["ugv.0.driver=evade,wander", "estimator.enabled=true,false", "ugv.0.goals=[[1, 2]],[[3.5, 4]]"], seeds=1)
+    plan = plan_of(
+        vary=[
+            "ugv.0.driver=evade,wander",
+            "estimator.enabled=true,false",
+            "ugv.0.goals=[[1, 2]],[[3.5, 4]]",
+        ],
+        seeds=1,
+    )
     assert plan.columns["ugv.0.driver"] == plan.columns["ugv.0.goals"] == "string"
     assert plan.columns["estimator.enabled"] == "bool"
     last = plan.head(plan.runs - 1)
-    assert (last["ugv.0.driver"], last["estimator.enabled"], last["ugv.0.goals"]) == ("wander", False, "[[3.5,4.0]]")
+    assert (last["ugv.0.driver"], last["estimator.enabled"], last["ugv.0.goals"]) == (
+        "wander",
+        False,
+        "[[3.5,4.0]]",
+    )
 
 
 def test_a_scenario_beside_the_sweep_s_file_is_found(tmp_path, monkeypatch):
@@ -140,7 +179,10 @@ def test_tasks_are_every_missing_run_once_and_never_of_two_points():
         assert {plan.points[run // 30].scenario for run in task.seeds} == {task.scenario}
         assert all(plan.seed_of(run) == seed for run, seed in task.seeds.items())
     longest = {
-        task.scenario.duration: max(len(other.seeds) for other in tasks if other.scenario is task.scenario) for task in tasks
+        task.scenario.duration: max(
+            len(other.seeds) for other in tasks if other.scenario is task.scenario
+        )
+        for task in tasks
     }
     assert longest[500.0] < longest[5.0]
 
@@ -153,7 +195,11 @@ def test_each_row_is_the_run_that_outrider_run_flies_and_the_rows_do_not_depend_
     two = flown(tmp_path / "two", plan, jobs=2)
     assert two["run"] == list(range(12))
     for k in (0, 4, 11):
-        settings = [*QUICK, f"law.name={two['law'][k]}", f"detections.noise={two['detections.noise'][k]}"]
+        settings = [
+            *QUICK,
+            f"law.name={two['law'][k]}",
+            f"detections.noise={two['detections.noise'][k]}",
+        ]
         summary = run(load_scenario("escort", overrides=settings), seed=two["seed"][k])
         assert two["trajectory_sha256"][k] == summary.trajectory_sha256
         assert two["max_distance"][k] == summary.max_distance
@@ -161,7 +207,9 @@ def test_each_row_is_the_run_that_outrider_run_flies_and_the_rows_do_not_depend_
         assert two["mean_error"][k] == summary.mean_error
         assert two["violated"][k] is (summary.visibility_violations > 0)
         assert (two["certified_while_lost"][k], two["certificate_broken"][k]) == (0, 0)
-        assert two["detections_delivery_ratio"][k] == summary.links["uav_0/detections"].delivery_ratio
+        assert (
+            two["detections_delivery_ratio"][k] == summary.links["uav_0/detections"].delivery_ratio
+        )
     assert set(two["error"]) == {None}
     assert len(set(two["trajectory_sha256"])) == 12
     assert flown(tmp_path / "one", plan, jobs=1) == two
@@ -189,7 +237,9 @@ def test_a_sweep_goes_on_where_its_files_stop_and_flies_nothing_twice(tmp_path):
     again = SweepFolder(tmp_path / "cut", plan, command="")
     assert again.done == {0, 4, 5}
     new: list[int] = []
-    fly_sweep(plan, again, jobs=2, on_results=lambda results: new.extend(row["run"] for row in results))
+    fly_sweep(
+        plan, again, jobs=2, on_results=lambda results: new.extend(row["run"] for row in results)
+    )
     assert sorted(new) == [1, 2, 3, 6, 7, 8, 9, 10, 11]
     again.finish()
     again.close()
@@ -197,16 +247,22 @@ def test_a_sweep_goes_on_where_its_files_stop_and_flies_nothing_twice(tmp_path):
     assert not list((tmp_path / "cut" / "parts").iterdir())
 
 
-def test_many_small_files_are_merged_and_rows_that_are_there_twice_count_once(tmp_path, monkeypatch):
+def test_many_small_files_are_merged_and_rows_that_are_there_twice_count_once(
+    tmp_path, monkeypatch
+):
     monkeypatch.setattr("outrider.sweep.folder._MOST_PARTS", 5)
     plan = plan_of()
     results = fly_runs(plan.points[0].scenario, {0: 0})
     folder = SweepFolder(tmp_path / "sweep", plan, command="")
     for number in range(11):
-        folder.add([{**results[0], "run": number, "error": "ValueError: no" if number == 3 else None}])
+        folder.add(
+            [{**results[0], "run": number, "error": "ValueError: no" if number == 3 else None}]
+        )
     assert parts(folder.path) < 6
     assert (folder.rows, folder.failed) == (11, 1)
-    folder.add([{**results[0], "run": 3}, {**results[0], "run": 4}])  # 3 was flown again; 4 is there already
+    folder.add(
+        [{**results[0], "run": 3}, {**results[0], "run": 4}]
+    )  # 3 was flown again; 4 is there already
     assert (folder.rows, folder.failed) == (11, 0)
     file = folder.finish()
     folder.close()
@@ -218,7 +274,12 @@ def test_many_small_files_are_merged_and_rows_that_are_there_twice_count_once(tm
 
 def test_a_sweep_that_is_killed_goes_on_and_its_table_is_that_of_an_undisturbed_one(tmp_path):
     command = [*OUTRIDER, *GRID, "--seeds", "24", "--set", "duration=20.0", "--jobs", "2", "--out"]
-    victim = subprocess.Popen([*command, str(tmp_path / "killed")], start_new_session=True, stderr=subprocess.PIPE, text=True)
+    victim = subprocess.Popen(
+        [*command, str(tmp_path / "killed")],
+        start_new_session=True,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     wait_for(lambda: parts(tmp_path / "killed") >= 2, victim)
     os.killpg(victim.pid, signal.SIGKILL)
     victim.communicate()
@@ -226,22 +287,35 @@ def test_a_sweep_that_is_killed_goes_on_and_its_table_is_that_of_an_undisturbed_
     assert 0 < kept < 96
     assert not (tmp_path / "killed" / "results.parquet").exists()
     again = subprocess.run(
-        [*command, str(tmp_path / "killed"), "--json"], capture_output=True, text=True, check=False, timeout=120
+        [*command, str(tmp_path / "killed"), "--json"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
     )
     assert again.returncode == 0, again.stderr
     told = json.loads(again.stdout)
     assert (told["rows"], told["failed"], told["flown"]) == (96, 0, 96 - kept)
     assert told["runs_per_second"] > 0.0
-    plan = plan_of(laws="linear,switching", vary=["detections.noise=0,0.5"], changes=["area.cell=0.5", "duration=20.0"], seeds=24)
+    plan = plan_of(
+        laws="linear,switching",
+        vary=["detections.noise=0,0.5"],
+        changes=["area.cell=0.5", "duration=20.0"],
+        seeds=24,
+    )
     assert rows_of(tmp_path / "killed") == flown(tmp_path / "whole", plan)
 
 
 def test_ctrl_c_keeps_what_is_done_says_how_to_go_on_and_leaves_no_process(tmp_path):
     command = [*OUTRIDER, *GRID, "--seeds", "200", "--out", str(tmp_path / "sweep"), "--jobs", "2"]
-    process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command, start_new_session=True, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
     wait_for(lambda: parts(tmp_path / "sweep") >= 1, process)
     workers = [pid for pid in map(int, _session(process.pid)) if "LokyProcess" in command_line(pid)]
-    deaf = [blocks(pid, signal.SIGINT) for pid in workers]  # else one may show where it was interrupted
+    deaf = [
+        blocks(pid, signal.SIGINT) for pid in workers
+    ]  # else one may show where it was interrupted
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
     out, err = process.communicate(timeout=30)
     assert deaf == [True, True]
@@ -309,8 +383,12 @@ def test_a_run_that_raises_is_a_row_with_its_error_and_the_others_go_on(tmp_path
     assert f"{told['failed']} of 6 runs failed" in swept.stderr
     assert "the wheel came off" in swept.stderr
     rows = rows_of(tmp_path / "out")
-    assert [error is None for error in rows["error"]] == [sha is not None for sha in rows["trajectory_sha256"]]
-    (tmp_path / "mine.py").write_text("def policy(observation, briefing):\n    return 0.0, 0.0\n", encoding="utf-8")
+    assert [error is None for error in rows["error"]] == [
+        sha is not None for sha in rows["trajectory_sha256"]
+    ]
+    (tmp_path / "mine.py").write_text(
+        "def policy(observation, briefing):\n    return 0.0, 0.0\n", encoding="utf-8"
+    )
     mended = outrider(*command, cwd=tmp_path)
     assert mended.returncode == 0, mended.stderr
     assert json.loads(mended.stdout)["flown"] == told["failed"]
@@ -324,16 +402,53 @@ def test_on_a_cluster_a_worker_may_die_and_the_rows_are_those_of_this_machine(tm
     info = tmp_path / "scheduler.json"
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "start_new_session": True}
     local = ["--host", "127.0.0.1", "--no-dashboard"]
-    scheduler = [sys.executable, "-m", "distributed.cli.dask_scheduler", *local, "--port", "0", "--scheduler-file", str(info)]
-    worker = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(info), *local, "--nthreads", "1"]
+    scheduler = [
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_scheduler",
+        *local,
+        "--port",
+        "0",
+        "--scheduler-file",
+        str(info),
+    ]
+    worker = [
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_worker",
+        "--scheduler-file",
+        str(info),
+        *local,
+        "--nthreads",
+        "1",
+    ]
     processes = [subprocess.Popen(scheduler, **quiet)]
     try:
         wait_for(info.exists, processes[0])
-        processes += [subprocess.Popen([*worker, "--no-nanny", "--local-directory", str(tmp_path)], **quiet) for _ in range(2)]
+        processes += [
+            subprocess.Popen([*worker, "--no-nanny", "--local-directory", str(tmp_path)], **quiet)
+            for _ in range(2)
+        ]
         address = json.loads(info.read_text())["address"]
         _await_workers(address, 2)
-        command = [*OUTRIDER, *GRID, "--seeds", "24", "--set", "duration=20.0", "--dask", address, "--json", "--out"]
-        sweep = subprocess.Popen([*command, str(tmp_path / "far")], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        command = [
+            *OUTRIDER,
+            *GRID,
+            "--seeds",
+            "24",
+            "--set",
+            "duration=20.0",
+            "--dask",
+            address,
+            "--json",
+            "--out",
+        ]
+        sweep = subprocess.Popen(
+            [*command, str(tmp_path / "far")],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
         wait_for(lambda: parts(tmp_path / "far") >= 2, sweep)
         processes[1].kill()
         out, err = sweep.communicate(timeout=100)
@@ -343,18 +458,28 @@ def test_on_a_cluster_a_worker_may_die_and_the_rows_are_those_of_this_machine(tm
         for process in processes:
             process.kill()
             process.wait()
-    plan = plan_of(laws="linear,switching", vary=["detections.noise=0,0.5"], changes=["area.cell=0.5", "duration=20.0"], seeds=24)
+    plan = plan_of(
+        laws="linear,switching",
+        vary=["detections.noise=0,0.5"],
+        changes=["area.cell=0.5", "duration=20.0"],
+        seeds=24,
+    )
     assert rows_of(tmp_path / "far") == flown(tmp_path / "near", plan)
 
 
 def _await_workers(address: str, count: int) -> None:
-    code = f"from distributed import Client; Client({address!r}).wait_for_workers({count}, timeout=60)"
+    code = (
+        f"from distributed import Client; Client({address!r}).wait_for_workers({count}, timeout=60)"
+    )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=90, capture_output=True)
 
 
 def test_no_cluster_is_one_line(monkeypatch):
     monkeypatch.setattr("outrider.sweep.running._CONNECT", 0.5)
-    with pytest.raises(PeerLost, match="no scheduler there") as caught, open_cluster("tcp://127.0.0.1:1", "1.0"):
+    with (
+        pytest.raises(PeerLost, match="no scheduler there") as caught,
+        open_cluster("tcp://127.0.0.1:1", "1.0"),
+    ):
         pass
     assert len(str(caught.value).splitlines()) == 1
 
@@ -459,7 +584,9 @@ def test_a_damaged_part_is_named_with_what_to_do(tmp_path, content):
         part.write_bytes(content)
     else:
         pq.write_table(pa.table({"run": [1]}), part)
-    with pytest.raises(ScenarioError, match=r"00000001\.parquet: .*; delete it and its runs are flown again") as caught:
+    with pytest.raises(
+        ScenarioError, match=r"00000001\.parquet: .*; delete it and its runs are flown again"
+    ) as caught:
         SweepFolder(tmp_path / "sweep", plan, command="")
     assert len(str(caught.value).splitlines()) == 1
     part.unlink()
@@ -483,7 +610,11 @@ def test_bad_input_on_the_command_line_is_one_line_and_writes_nothing(tmp_path):
 def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(monkeypatch):
     from outrider.sweep import extras
 
-    monkeypatch.setattr(extras, "find_spec", lambda module: None if module == "distributed" else object())
+    monkeypatch.setattr(
+        extras, "find_spec", lambda module: None if module == "distributed" else object()
+    )
     extras.check_extras("joblib", "pyarrow")
-    with pytest.raises(ScenarioError, match=r"distributed is missing: pip install 'outrider\[dask\]'"):
+    with pytest.raises(
+        ScenarioError, match=r"distributed is missing: pip install 'outrider\[dask\]'"
+    ):
         extras.check_extras("joblib", "pyarrow", "distributed")

@@ -28,7 +28,8 @@ def test_every_table_gives_each_row_a_code_of_its_own() -> None:
 
 def test_the_command_line_tells_every_law_and_driver() -> None:
     law, driver, network, policy = (
-        get_args(option)[1].help for option in (options.LawName, options.DriverName, options.NetworkName, options.PolicyName)
+        get_args(option)[1].help
+        for option in (options.LawName, options.DriverName, options.NetworkName, options.PolicyName)
     )
     assert all(name in network for name in PROFILES)
     assert all(f"{name}:" in policy for name in checks.SAVED_POLICIES)
@@ -39,7 +40,9 @@ def test_the_command_line_tells_every_law_and_driver() -> None:
 def test_the_circle_warning_names_the_bound_of_the_law() -> None:
     scenario = load_scenario("circle-too-fast")
     uav, ugv = scenario.uav[0], scenario.ugv[0]
-    r_s = switching_radius(scenario.visibility.radius, uav.max_speed, ugv.max_speed, uav.max_acceleration)
+    r_s = switching_radius(
+        scenario.visibility.radius, uav.max_speed, ugv.max_speed, uav.max_acceleration
+    )
     bound = largest_circle_rate(r_s, uav.max_speed, ugv.max_speed, uav.max_acceleration)
     (line,) = checks.scenario_warnings(scenario)
     assert f"{bound:.4f} rad/s" in line

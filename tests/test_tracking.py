@@ -1,4 +1,7 @@
-"""Tracking, (13) to (16): the controller's exact discretization, its closed loop, and that it never stops integrating."""
+"""Tracking, (13) to (16).
+
+The controller's exact discretization, its closed loop, and that it never stops integrating.
+"""
 
 import math
 
@@ -12,7 +15,13 @@ from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete
 
 from agents.control.laws import OwnTerms, initial_state, uav_control
-from agents.control.tracking import relative_acceleration, relative_motion, state_feedback, tracking_output, tracking_step
+from agents.control.tracking import (
+    relative_acceleration,
+    relative_motion,
+    state_feedback,
+    tracking_output,
+    tracking_step,
+)
 from bus.messages import Law
 from outrider.flying import fly
 from outrider.reference import FloatGrid
@@ -34,26 +43,42 @@ def test_the_error_accelerates_by_the_difference_of_the_commands(
     g = step_vehicle(p_gx, p_gy, v_gx, v_gy, u_gx, u_gy, math.inf, math.inf, 1.0)
     a_x, a_y = relative_acceleration(u_ax, u_ay, u_gx, u_gy)
     wanted = relative_motion(p_ax - p_gx, p_ay - p_gy, v_ax - v_gx, v_ay - v_gy, a_x, a_y, 1.0)
-    assert (a[0] - g[0], a[1] - g[1], a[2] - g[2], a[3] - g[3]) == pytest.approx(wanted, rel=1e-12, abs=1e-11)
+    assert (a[0] - g[0], a[1] - g[1], a[2] - g[2], a[3] - g[3]) == pytest.approx(
+        wanted, rel=1e-12, abs=1e-11
+    )
 
 
 @given(*[numbers] * 8, st.floats(0.0, 5.0))
 @settings(PROPERTY)
 def test_around_a_ugv_of_constant_velocity_the_error_is_a_double_integrator(
-    p_ax: float, p_ay: float, v_ax: float, v_ay: float, u_ax: float, u_ay: float, v_gx: float, v_gy: float, t: float
+    p_ax: float,
+    p_ay: float,
+    v_ax: float,
+    v_ay: float,
+    u_ax: float,
+    u_ay: float,
+    v_gx: float,
+    v_gy: float,
+    t: float,
 ) -> None:
     a = step_vehicle(p_ax, p_ay, v_ax, v_ay, u_ax, u_ay, math.inf, math.inf, t)
     g = step_vehicle(1.0, 2.0, v_gx, v_gy, 0.0, 0.0, math.inf, math.inf, t)
     found = relative_motion(p_ax - 1.0, p_ay - 2.0, v_ax - v_gx, v_ay - v_gy, u_ax, u_ay, t)
-    assert (a[0] - g[0], a[1] - g[1], a[2] - g[2], a[3] - g[3]) == pytest.approx(found, rel=1e-12, abs=1e-10)
+    assert (a[0] - g[0], a[1] - g[1], a[2] - g[2], a[3] - g[3]) == pytest.approx(
+        found, rel=1e-12, abs=1e-10
+    )
 
 
 @pytest.mark.parametrize("poles", [(-1.0, -1.0), (-0.5, -2.0), (-1.0 + 1.0j, -1.0 - 1.0j)])
 def test_state_feedback_places_the_poles_of_its_gains(poles: tuple[complex, complex]) -> None:
     _, k_1, k_0 = np.poly(poles).real.tolist()
-    columns = [[v, state_feedback(p, 0.0, v, 0.0, k_0, k_1)[0]] for p, v in ((1.0, 0.0), (0.0, 1.0))]
+    columns = [
+        [v, state_feedback(p, 0.0, v, 0.0, k_0, k_1)[0]] for p, v in ((1.0, 0.0), (0.0, 1.0))
+    ]
     np.testing.assert_allclose(np.poly(np.array(columns).T), np.poly(poles).real, atol=1e-12)
-    assert state_feedback(0.0, 3.0, 0.0, 2.0, k_0, k_1) == pytest.approx((0.0, -3.0 * k_0 - 2.0 * k_1))
+    assert state_feedback(0.0, 3.0, 0.0, 2.0, k_0, k_1) == pytest.approx(
+        (0.0, -3.0 * k_0 - 2.0 * k_1)
+    )
 
 
 @given(st.floats(-50.0, 5.0), numbers, st.floats(1e-3, 1.0))
@@ -66,14 +91,22 @@ def test_the_controllers_step_is_scipys_zero_order_hold(a_c: float, b_c: float, 
 
 
 def test_the_controllers_step_is_what_an_ode_solver_finds() -> None:
-    solved = solve_ivp(lambda _, x: A_C * x + B_C * np.array([2.0, -1.0]), (0.0, 0.4), [0.3, 0.9], rtol=1e-12, atol=1e-13)
+    solved = solve_ivp(
+        lambda _, x: A_C * x + B_C * np.array([2.0, -1.0]),
+        (0.0, 0.4),
+        [0.3, 0.9],
+        rtol=1e-12,
+        atol=1e-13,
+    )
     found = tracking_step(0.3, 0.9, 2.0, -1.0, A_C, B_C, 0.4)
     np.testing.assert_allclose(found, solved.y[:, -1], rtol=1e-9)
 
 
 def test_a_controller_without_a_pole_is_a_plain_integral_and_the_limit_of_slow_ones() -> None:
     plain = (1.0 + B_C * 3.0 * 0.1, -2.0 + B_C * 4.0 * 0.1)
-    assert tracking_step(1.0, -2.0, 3.0, 4.0, 0.0, B_C, 0.1) == pytest.approx(plain, rel=1e-14, abs=1e-14)
+    assert tracking_step(1.0, -2.0, 3.0, 4.0, 0.0, B_C, 0.1) == pytest.approx(
+        plain, rel=1e-14, abs=1e-14
+    )
     for a_c in (1e-6, -1e-6, 1e-12, -1e-300):
         found = tracking_step(1.0, -2.0, 3.0, 4.0, a_c, B_C, 0.1)
         assert found == pytest.approx(plain, abs=1e-6)
@@ -82,7 +115,9 @@ def test_a_controller_without_a_pole_is_a_plain_integral_and_the_limit_of_slow_o
 def _loop() -> FloatGrid:
     """The closed loop of (15) and (16) on one axis, state (p, v, x_c), read off the shipped functions and defaults."""
     law = Law()
-    rows = [tracking_output(x, 0.0, p, 0.0, law.c_c, law.d_c)[0] for p, x in ((1.0, 0.0), (0.0, 1.0))]
+    rows = [
+        tracking_output(x, 0.0, p, 0.0, law.c_c, law.d_c)[0] for p, x in ((1.0, 0.0), (0.0, 1.0))
+    ]
     return np.array([[0.0, 1.0, 0.0], [rows[0], 0.0, rows[1]], [law.b_c, 0.0, law.a_c]])
 
 
@@ -109,7 +144,9 @@ def test_the_sampled_loop_converges_and_nears_the_continuous_one() -> None:
 
 def test_tracking_alone_reaches_a_ugv_of_constant_velocity() -> None:
     ugv = Ugv(position=HERE, velocity=(V_G, 0.0), goals=((39.0, 20.0),))
-    flight, summary = fly(escort("tracking", uav=Uav(position=(18.5, 22.0)), ugv=ugv, duration=60.0), 0)
+    flight, summary = fly(
+        escort("tracking", uav=Uav(position=(18.5, 22.0)), ugv=ugv, duration=60.0), 0
+    )
     assert distances(flight)[-200:].max() < 1e-3
     assert summary.visibility_violations == 0
     np.testing.assert_allclose(tracks(flight)[0][-1, 2:4], (V_G, 0.0), atol=1e-4)
@@ -123,12 +160,16 @@ def _state_after(law: str, positions: FloatGrid, coverage: FloatGrid) -> FloatGr
     return state[:2]
 
 
-@pytest.mark.parametrize("law", ["switching", "linear", "logarithmic", "coverage", "weighted", "tracking"])
+@pytest.mark.parametrize(
+    "law", ["switching", "linear", "logarithmic", "coverage", "weighted", "tracking"]
+)
 def test_tracking_keeps_integrating_while_its_weight_is_zero(law: str) -> None:
     angle = np.linspace(0.0, 7.0, 120)
     positions = np.stack(((1.0 + 0.2 * angle) * np.cos(angle), 2.0 * np.sin(2.0 * angle)), axis=1)
     assert np.hypot(*positions.T).max() < R_S
-    age = DT * np.arange(len(positions) - 1, -1, -1)  # from the end of a sample's tick to the end of the last one
+    age = DT * np.arange(
+        len(positions) - 1, -1, -1
+    )  # from the end of a sample's tick to the end of the last one
     share = np.exp(A_C * age) * (np.exp(A_C * DT) - 1.0) / A_C * B_C
     found = _state_after(law, positions, empty_coverage(40.0, 40.0, 0.25))
     np.testing.assert_allclose(found, share @ positions, rtol=1e-10)
@@ -136,7 +177,11 @@ def test_tracking_keeps_integrating_while_its_weight_is_zero(law: str) -> None:
 
 def _farthest(stale: bool) -> float:
     """The UAV has been tracking at (3.7, 0) for long, then is drawn over the UGV, which drives off, to the far side of it."""
-    c, state, coverage = parameters(escort("switching")), initial_state(), empty_coverage(40.0, 40.0, 0.25)
+    c, state, coverage = (
+        parameters(escort("switching")),
+        initial_state(),
+        empty_coverage(40.0, 40.0, 0.25),
+    )
     cover(coverage, (0.0, 0.0), (40.0, 22.0), 0.25, 2.0)
     state[:2] = -3.7, 0.0  # the steady state of x_c
     uav, ugv, farthest = (20.0, 20.0, 0.0, V_A), (20.0, 20.0, 0.0, -V_G), 0.0

@@ -13,11 +13,20 @@ from sim.scenario import load_scenario
 def test_a_recorded_track_is_driven_again(tmp_path: Path) -> None:
     flight = fly(load_scenario("escort", overrides=["duration=60.0"]), 7)[0]
     flight.recorder.write(tmp_path / "trajectory.csv")
-    again = {"duration": 60.0, "ugv.0.driver": "script", "ugv.0.track": str(tmp_path / "trajectory.csv"), "ugv.0.goals": []}
+    again = {
+        "duration": 60.0,
+        "ugv.0.driver": "script",
+        "ugv.0.track": str(tmp_path / "trajectory.csv"),
+        "ugv.0.goals": [],
+    }
     played = fly(load_scenario("escort", overrides=again), 7)[0]
     ugv = flight.world.names.index("ugv_0")
-    assert np.abs(played.recorder.states[:, ugv, :4] - flight.recorder.states[:, ugv, :4]).max() < 1e-9
-    assert np.abs(flight.recorder.states[-1, ugv, :2] - flight.recorder.states[0, ugv, :2]).max() > 5.0
+    assert (
+        np.abs(played.recorder.states[:, ugv, :4] - flight.recorder.states[:, ugv, :4]).max() < 1e-9
+    )
+    assert (
+        np.abs(flight.recorder.states[-1, ugv, :2] - flight.recorder.states[0, ugv, :2]).max() > 5.0
+    )
 
 
 @pytest.mark.parametrize(
@@ -30,7 +39,9 @@ def test_a_recorded_track_is_driven_again(tmp_path: Path) -> None:
         ("time [s],ugv_0.vx [m/s],ugv_0.vy [m/s]\n0,0,0\n0,0,0\n0,0,0\n", "times that rise"),
     ],
 )
-def test_a_track_that_is_none_is_refused_in_one_line(content: str | None, told: str, tmp_path: Path) -> None:
+def test_a_track_that_is_none_is_refused_in_one_line(
+    content: str | None, told: str, tmp_path: Path
+) -> None:
     path = tmp_path / "track.csv"
     if content is not None:
         path.write_text(content, encoding="utf-8")

@@ -1,4 +1,7 @@
-"""The vector environments: the parallel environment many times over, to the bit, with Gymnasium's ways to begin anew."""
+"""The vector environments.
+
+The parallel environment many times over, to the bit, with Gymnasium's ways to begin anew.
+"""
 
 from typing import Any
 
@@ -20,7 +23,9 @@ from outrider.env_pilots import pilots
 from sim.env.rewards import RewardWeights
 from sim.scenario import LinkTable, Scenario
 
-pytestmark = pytest.mark.xdist_group("many worlds")  # on one worker: what they compile takes a minute, once
+pytestmark = pytest.mark.xdist_group(
+    "many worlds"
+)  # on one worker: what they compile takes a minute, once
 
 SCENARIO = SCENARIOS["certified"]
 SEEN = RewardWeights(uncovered=0.5, seen=2.0, effort=0.3)
@@ -38,7 +43,11 @@ def _equal(one: Any, other: Any) -> bool:
 
 
 def _world(observations: Any, k: int) -> Any:
-    return {key: array[k] for key, array in observations.items()} if isinstance(observations, dict) else observations[k]
+    return (
+        {key: array[k] for key, array in observations.items()}
+        if isinstance(observations, dict)
+        else observations[k]
+    )
 
 
 CASES: dict[str, tuple[Scenario, str, dict[str, Any]]] = {
@@ -67,9 +76,15 @@ def test_each_world_is_the_parallel_environment_also_over_ends(name: str) -> Non
         assert all(_equal(last[k][agent], _world(seen, k)) for k in range(3))
         seen, rewards, terminated, truncated, infos = many.step(actions)
         for k, env in enumerate(singles):
-            commands = {one: policy(last[k][one]) for one, policy in crews[k].items()} | {agent: actions[k]}
+            commands = {one: policy(last[k][one]) for one, policy in crews[k].items()} | {
+                agent: actions[k]
+            }
             last[k], paid, terms, truncs, told = env.step(commands)
-            assert (paid[agent], terms[agent], truncs[agent]) == (rewards[k], terminated[k], truncated[k])
+            assert (paid[agent], terms[agent], truncs[agent]) == (
+                rewards[k],
+                terminated[k],
+                truncated[k],
+            )
             if terms[agent] or truncs[agent]:
                 ends += 1
                 assert infos["_final_obs"][k]
@@ -94,9 +109,15 @@ def test_everybody_may_learn() -> None:
         actions = {name: rng.uniform(-0.1, 0.1, (2, 2)) for name in many.possible_agents}
         seen, rewards, terminated, truncated, infos = many.step(actions)
         for k, env in enumerate(singles):
-            last[k], paid, terms, truncs, _ = env.step({name: action[k] for name, action in actions.items()})
+            last[k], paid, terms, truncs, _ = env.step(
+                {name: action[k] for name, action in actions.items()}
+            )
             for name in many.possible_agents:
-                assert (paid[name], terms[name], truncs[name]) == (rewards[name][k], terminated[name][k], truncated[name][k])
+                assert (paid[name], terms[name], truncs[name]) == (
+                    rewards[name][k],
+                    terminated[name][k],
+                    truncated[name][k],
+                )
                 if not env.agents:
                     assert _equal(last[k][name], infos[name]["final_obs"][k])
                 else:
@@ -110,7 +131,9 @@ def test_everybody_may_learn() -> None:
 def test_the_filters_are_those_of_the_wrappers(scenario: Scenario) -> None:
     single = SafetyFilterWrapper(EstimateWrapper(outrider.parallel_env(scenario)))
     driver = pilots(single)["ugv_0"]
-    many = outrider.vector_env(scenario, num_envs=1, agent="uav_0", estimate=True, safety_filter=True)
+    many = outrider.vector_env(
+        scenario, num_envs=1, agent="uav_0", estimate=True, safety_filter=True
+    )
     seen, _ = many.reset(seed=4)
     last, _ = single.reset(seed=4)
     acted = 0
@@ -128,7 +151,8 @@ def test_the_filters_are_those_of_the_wrappers(scenario: Scenario) -> None:
 
 def test_single_precision_is_the_double_rounded() -> None:
     one, other = (
-        outrider.vector_env(SCENARIO, num_envs=2, coverage_patch=(4, 1.0), dtype=dtype) for dtype in (np.float32, np.float64)
+        outrider.vector_env(SCENARIO, num_envs=2, coverage_patch=(4, 1.0), dtype=dtype)
+        for dtype in (np.float32, np.float64)
     )
     pairs = [(one.reset(seed=1)[0], other.reset(seed=1)[0])]
     for actions in _actions(2, 20):
@@ -212,13 +236,18 @@ def test_what_was_returned_is_never_changed_later() -> None:
         (np.full((2, 2), "a"), "must be"),
         (np.zeros((2, 2), dtype=bool), "must be"),
         (None, "must be"),
-        (np.array([[0.0, 0.0], [0.0, np.nan]]), r"world 1 = \[0.0, nan\]: must be two finite numbers"),
+        (
+            np.array([[0.0, 0.0], [0.0, np.nan]]),
+            r"world 1 = \[0.0, nan\]: must be two finite numbers",
+        ),
         (np.array([[np.inf, 0.0], [0.0, 0.0]]), "world 0"),
         (np.array([[0.0, 1e9], [0.0, 0.0]]), "at most 1e\\+06"),
     ],
     ids=str,
 )
-def test_a_bad_action_is_refused_in_one_line_and_nothing_has_happened(actions: Any, message: str) -> None:
+def test_a_bad_action_is_refused_in_one_line_and_nothing_has_happened(
+    actions: Any, message: str
+) -> None:
     env = outrider.vector_env(SCENARIO, num_envs=2, agent="uav_0")
     env.reset(seed=1)
     good = _actions(2, 6)
@@ -263,7 +292,9 @@ EXTREMES = st.sampled_from([0.0, 1e-300, -1e-9, 0.3, -0.3, 1e6, -1e6])
 def test_the_spaces_contain_whatever_is_returned(
     name: str, agent: str, options: dict[str, Any], held: list[tuple[float, float]]
 ) -> None:
-    env = outrider.vector_env(SCENARIOS[name], num_envs=2, agent=agent, duration=4.0, threads=1, **options)
+    env = outrider.vector_env(
+        SCENARIOS[name], num_envs=2, agent=agent, duration=4.0, threads=1, **options
+    )
     seen, _ = env.reset(seed=len(held))
     assert env.observation_space.contains(seen)
     for tick in range(100):
@@ -322,6 +353,8 @@ def test_a_bad_seed_is_refused_and_the_episode_goes_on(seed: Any) -> None:
 def test_everybody_who_learns_must_act() -> None:
     env = outrider.parallel_vector_env(SCENARIO, num_envs=2)
     env.reset(seed=1)
-    with pytest.raises(ValueError, match="actions for: uav_0; needed is one for each of: uav_0, ugv_0"):
+    with pytest.raises(
+        ValueError, match="actions for: uav_0; needed is one for each of: uav_0, ugv_0"
+    ):
         env.step({"uav_0": np.zeros((2, 2))})
     env.step({name: np.zeros((2, 2)) for name in env.agents})

@@ -10,7 +10,15 @@ from hypothesis import strategies as st
 from properties import PROPERTY
 from scipy.integrate import solve_ivp
 
-from sim.vehicles import brake, clip_norm, goal_reached, norm, speed_to_stop_within, step_vehicle, stopping_distance
+from sim.vehicles import (
+    brake,
+    clip_norm,
+    goal_reached,
+    norm,
+    speed_to_stop_within,
+    step_vehicle,
+    stopping_distance,
+)
 
 ONE = 1.0 + 4.0 * np.finfo(float).eps  # what rounding may add to a norm
 
@@ -29,7 +37,12 @@ def test_constant_acceleration_between_the_bounds_is_the_closed_form(
         *state, a_x, a_y = step_vehicle(*state, u_x, u_y, math.inf, math.inf, dt)
         assert (a_x, a_y) == (u_x, u_y)
     t = count * dt
-    wanted = (p_x + v_x * t + 0.5 * u_x * t * t, p_y + v_y * t + 0.5 * u_y * t * t, v_x + u_x * t, v_y + u_y * t)
+    wanted = (
+        p_x + v_x * t + 0.5 * u_x * t * t,
+        p_y + v_y * t + 0.5 * u_y * t * t,
+        v_x + u_x * t,
+        v_y + u_y * t,
+    )
     assert state == pytest.approx(wanted, rel=1e-12, abs=1e-10 * max(1.0, t * t))
 
 
@@ -49,21 +62,33 @@ def test_commands_held_over_the_ticks_are_flown_as_an_ode_solver_flies_them() ->
 
 @given(st.floats(0.05, 2.0), st.floats(0.05, 2.0), ticks)
 @settings(PROPERTY)
-def test_gathering_speed_up_to_the_bound_is_the_closed_form_within_one_tick(v_max: float, u_max: float, dt: float) -> None:
+def test_gathering_speed_up_to_the_bound_is_the_closed_form_within_one_tick(
+    v_max: float, u_max: float, dt: float
+) -> None:
     state = (0.0, 0.0, 0.0, 0.0)
     for k in range(1, 61):
         *state, _, _ = step_vehicle(*state, u_max, 0.0, v_max, u_max, dt)
         t, full = k * dt, v_max / u_max
         wanted = 0.5 * u_max * t * t if t <= full else 0.5 * v_max * full + v_max * (t - full)
         assert state[2] == pytest.approx(min(u_max * t, v_max), rel=1e-12)
-        assert abs(state[0] - wanted) <= u_max * dt * dt / 8.0 + 1e-9  # the tick in which the bound is met
+        assert (
+            abs(state[0] - wanted) <= u_max * dt * dt / 8.0 + 1e-9
+        )  # the tick in which the bound is met
         assert state[1] == state[3] == 0.0
 
 
 @given(*[numbers] * 6, bounds, bounds, ticks)
 @settings(PROPERTY, max_examples=500)
 def test_speed_and_acceleration_never_exceed_their_bounds(
-    p_x: float, p_y: float, v_x: float, v_y: float, u_x: float, u_y: float, v_max: float, u_max: float, dt: float
+    p_x: float,
+    p_y: float,
+    v_x: float,
+    v_y: float,
+    u_x: float,
+    u_y: float,
+    v_max: float,
+    u_max: float,
+    dt: float,
 ) -> None:
     q_x, q_y, w_x, w_y, a_x, a_y = step_vehicle(p_x, p_y, v_x, v_y, u_x, u_y, v_max, u_max, dt)
     assert norm(a_x, a_y) <= u_max * ONE
@@ -81,22 +106,30 @@ def test_bounds_are_on_the_norm_and_not_on_each_axis() -> None:
 
 @given(numbers, numbers, bounds)
 @settings(PROPERTY)
-def test_clipping_shortens_what_is_too_long_and_turns_nothing(x: float, y: float, limit: float) -> None:
+def test_clipping_shortens_what_is_too_long_and_turns_nothing(
+    x: float, y: float, limit: float
+) -> None:
     c_x, c_y = clip_norm(x, y, limit)
     if norm(x, y) <= limit:
         assert (c_x, c_y) == (x, y)
     else:
         assert norm(c_x, c_y) == pytest.approx(limit, rel=1e-14)
-        assert (c_x * norm(x, y), c_y * norm(x, y)) == pytest.approx((x * limit, y * limit), rel=1e-13, abs=1e-250)
+        assert (c_x * norm(x, y), c_y * norm(x, y)) == pytest.approx(
+            (x * limit, y * limit), rel=1e-13, abs=1e-250
+        )
 
 
 @given(numbers, numbers, st.floats(0.05, 5.0) | st.just(math.inf), ticks)
 @settings(PROPERTY)
-def test_braking_stops_on_a_straight_line_without_turning_back(v_x: float, v_y: float, u_max: float, dt: float) -> None:
+def test_braking_stops_on_a_straight_line_without_turning_back(
+    v_x: float, v_y: float, u_max: float, dt: float
+) -> None:
     state, speeds = (0.0, 0.0, v_x, v_y), [norm(v_x, v_y)]
     needed = 1 if math.isinf(u_max) else math.ceil(speeds[0] / (u_max * dt)) + 1
     for _ in range(min(needed, 2000)):
-        *state, _, _ = step_vehicle(*state, *brake(state[2], state[3], u_max, dt), math.inf, u_max, dt)
+        *state, _, _ = step_vehicle(
+            *state, *brake(state[2], state[3], u_max, dt), math.inf, u_max, dt
+        )
         speeds.append(norm(state[2], state[3]))
         assert state[2] * v_x + state[3] * v_y >= -1e-12
     assert all(later <= earlier for earlier, later in pairwise(speeds))
@@ -110,10 +143,14 @@ def test_braking_stops_on_a_straight_line_without_turning_back(v_x: float, v_y: 
 
 @given(st.floats(0.0, 100.0), st.floats(0.01, 10.0) | st.just(math.inf), ticks)
 @settings(PROPERTY)
-def test_the_speed_to_stop_within_a_distance_leaves_room_for_one_more_tick(distance: float, u_max: float, dt: float) -> None:
+def test_the_speed_to_stop_within_a_distance_leaves_room_for_one_more_tick(
+    distance: float, u_max: float, dt: float
+) -> None:
     speed = speed_to_stop_within(distance, u_max, dt)
     assert speed >= 0.0
-    assert speed * dt + stopping_distance(speed, u_max) == pytest.approx(distance, rel=1e-9, abs=1e-9)
+    assert speed * dt + stopping_distance(speed, u_max) == pytest.approx(
+        distance, rel=1e-9, abs=1e-9
+    )
 
 
 @pytest.mark.parametrize("u_max", [0.3, math.inf])

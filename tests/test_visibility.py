@@ -27,9 +27,13 @@ def test_the_ugv_is_visible_nearer_than_the_visibility_radius() -> None:
 
 @given(st.floats(1.0, 50.0), speeds, speeds, st.floats(0.01, 10.0))
 @settings(PROPERTY, max_examples=300)
-def test_the_switching_radius_is_the_papers_two_phases(r_v: float, v_a: float, v_g: float, u_a: float) -> None:
+def test_the_switching_radius_is_the_papers_two_phases(
+    r_v: float, v_a: float, v_g: float, u_a: float
+) -> None:
     printed = r_v - (v_g * (v_a + v_g) + 0.5 * (v_a**2 - v_g**2)) / u_a
-    assert raw_switching_radius(r_v, v_a, v_g, u_a) == pytest.approx(printed, rel=1e-12, abs=1e-12 * (r_v - printed))
+    assert raw_switching_radius(r_v, v_a, v_g, u_a) == pytest.approx(
+        printed, rel=1e-12, abs=1e-12 * (r_v - printed)
+    )
     assume(printed > 1e-9)
     assert switching_radius(r_v, v_a, v_g, u_a) == raw_switching_radius(r_v, v_a, v_g, u_a)
 
@@ -46,7 +50,10 @@ def test_from_the_switching_radius_the_worst_case_just_reaches_the_visibility_ra
 ) -> None:
     r_s = raw_switching_radius(r_v, v_a, v_g, u_a)
     turn = (v_a + v_g) / u_a
-    reached = [relative_motion(r_s, 0.0, v_a + v_g, 0.0, -u_a, 0.0, share * turn)[0] for share in (0.5, 0.99, 1.0, 1.01, 2.0)]
+    reached = [
+        relative_motion(r_s, 0.0, v_a + v_g, 0.0, -u_a, 0.0, share * turn)[0]
+        for share in (0.5, 0.99, 1.0, 1.01, 2.0)
+    ]
     assert max(reached) == reached[2] == pytest.approx(r_v, rel=1e-9)
 
 
@@ -56,7 +63,9 @@ def test_a_uav_that_stops_on_the_spot_may_use_the_whole_radius() -> None:
 
 @pytest.mark.parametrize(("v_a", "u_a"), [(2.0, 0.3), (V_A, 0.06), (math.inf, 0.3)])
 def test_a_uav_too_weak_for_the_radius_is_refused(v_a: float, u_a: float) -> None:
-    with pytest.raises(ScenarioError, match=r"r_s = -?\S+ m: the UAV .* too weak .*must be positive"):
+    with pytest.raises(
+        ScenarioError, match=r"r_s = -?\S+ m: the UAV .* too weak .*must be positive"
+    ):
         switching_radius(R_V, v_a, V_G, u_a)
 
 
@@ -65,7 +74,9 @@ def test_a_switching_radius_of_nothing_is_refused() -> None:
         switching_radius(4.0, 0.75, 0.25, 0.125)
 
 
-@pytest.mark.parametrize("law", ["linear", "switching", "logarithmic", "circle", "tracking", "coverage"])
+@pytest.mark.parametrize(
+    "law", ["linear", "switching", "logarithmic", "circle", "tracking", "coverage"]
+)
 def test_only_laws_that_use_the_switching_radius_ask_for_it(law: str) -> None:
     weak = escort(law, uav=Uav(position=HERE, max_acceleration=0.05))
     if law in {"tracking", "coverage"}:
@@ -78,7 +89,12 @@ def test_only_laws_that_use_the_switching_radius_ask_for_it(law: str) -> None:
 def _worst_case(law: str, **fields: float) -> Scenario:
     """All that is uncovered lies on one side, and the UGV drives off to the other."""
     covered = Coverage(covered=(Region(lower=(0.0, 0.0), upper=(40.0, 24.0)),))
-    return escort(law, ugv=Ugv(position=HERE, goals=((20.0, 2.0),)), coverage=covered, **{"duration": 30.0, **fields})
+    return escort(
+        law,
+        ugv=Ugv(position=HERE, goals=((20.0, 2.0),)),
+        coverage=covered,
+        **{"duration": 30.0, **fields},
+    )
 
 
 def test_proposition_2_has_no_margin_for_a_sample_time() -> None:
@@ -90,7 +106,9 @@ def test_proposition_2_has_no_margin_for_a_sample_time() -> None:
 
 
 def test_the_loss_of_sight_is_the_sample_times_and_goes_with_it() -> None:
-    beyond = [fly(_worst_case("switching", dt=dt), 0)[1].max_distance - R_V for dt in (0.05, 0.0125)]
+    beyond = [
+        fly(_worst_case("switching", dt=dt), 0)[1].max_distance - R_V for dt in (0.05, 0.0125)
+    ]
     assert beyond[0] > 0.0
     assert beyond[1] <= (V_A + V_G) * 0.0125 < beyond[0]
 

@@ -1,4 +1,7 @@
-"""Weighing tracking against coverage: (17), the three weightings with (19), Proposition 2's conditions, and one's own."""
+"""Weighing tracking against coverage.
+
+(17), the three weightings with (19), Proposition 2's conditions, and one's own.
+"""
 
 import math
 
@@ -34,8 +37,12 @@ shares = st.floats(0.0, 0.999999)
 
 @given(*[numbers] * 6)
 @settings(PROPERTY)
-def test_the_combined_law_is_the_weighted_sum(a: float, b: float, t_x: float, t_y: float, c_x: float, c_y: float) -> None:
-    assert combine(a, b, t_x, t_y, c_x, c_y) == pytest.approx((a * t_x + b * c_x, a * t_y + b * c_y), rel=1e-14, abs=1e-11)
+def test_the_combined_law_is_the_weighted_sum(
+    a: float, b: float, t_x: float, t_y: float, c_x: float, c_y: float
+) -> None:
+    assert combine(a, b, t_x, t_y, c_x, c_y) == pytest.approx(
+        (a * t_x + b * c_x, a * t_y + b * c_y), rel=1e-14, abs=1e-11
+    )
     assert combine(1.0, 0.0, t_x, t_y, c_x, c_y) == (t_x, t_y)
     assert combine(0.0, 1.0, t_x, t_y, c_x, c_y) == (c_x, c_y)
 
@@ -56,10 +63,14 @@ def test_switching_weights_are_all_or_nothing(r_s: float, share: float) -> None:
 
 @given(radii, st.floats(1e-9, 0.999999), st.floats(0.1, 50.0))
 @settings(PROPERTY)
-def test_logarithmic_weights_follow_the_logarithm_up_to_their_limit(r_s: float, share: float, k_beta: float) -> None:
+def test_logarithmic_weights_follow_the_logarithm_up_to_their_limit(
+    r_s: float, share: float, k_beta: float
+) -> None:
     alpha, beta = logarithmic_weights(share * r_s, r_s, k_beta, LIMIT)
     assert alpha == 1.0
-    assert beta == pytest.approx(min(-k_beta * math.log(share), LIMIT), rel=1e-9, abs=1e-13 * k_beta)
+    assert beta == pytest.approx(
+        min(-k_beta * math.log(share), LIMIT), rel=1e-9, abs=1e-13 * k_beta
+    )
 
 
 def test_the_logarithmic_weight_stays_at_its_limit_down_to_no_distance() -> None:
@@ -107,7 +118,9 @@ def test_every_law_weighs_the_same_two_terms(law: str, place: tuple[float, float
     tracking = tracking_output(0.4, -1.0, x, y, c.c_c, c.d_c)
     covering = coverage_term(c, coverage, state.copy(), 3, *place, 0.2, 0.1, *HERE)
     wanted = combine(*weights(c, own, norm(x, y)), *tracking, *covering)
-    assert uav_control(c, own, coverage, state, 3, *place, 0.2, 0.1, *HERE) == pytest.approx(wanted, rel=1e-12)
+    assert uav_control(c, own, coverage, state, 3, *place, 0.2, 0.1, *HERE) == pytest.approx(
+        wanted, rel=1e-12
+    )
 
 
 def _linear(distance: float, r_s: float) -> tuple[float, float]:
@@ -148,7 +161,9 @@ BAD: dict[str, tuple[float, object]] = {
 
 
 @pytest.mark.parametrize(("distance", "bad"), BAD.values(), ids=BAD.keys())
-def test_a_weighting_against_proposition_2_is_refused_at_its_distance(distance: float, bad: object) -> None:
+def test_a_weighting_against_proposition_2_is_refused_at_its_distance(
+    distance: float, bad: object
+) -> None:
     with pytest.raises(ScenarioError, match=r"^weighting at a distance of [\d.]+ m") as refused:
         check_weighting(_from(distance, bad), R_S)
     named = float(str(refused.value).split("distance of ")[1].split(" m")[0])

@@ -19,7 +19,13 @@ ON_THE_WAY = Ugv(position=HERE, goals=((25.0, 20.0), (25.0, 26.0)))
 
 def _noisy(seed_of_file: int = 0, **fields: float) -> Scenario:
     noise = Detections(noise=0.1, dropout=0.1)
-    return escort("logarithmic", seed=seed_of_file, ugv=ON_THE_WAY, detections=noise, **{"duration": 20.0, **fields})
+    return escort(
+        "logarithmic",
+        seed=seed_of_file,
+        ugv=ON_THE_WAY,
+        detections=noise,
+        **{"duration": 20.0, **fields},
+    )
 
 
 def test_the_same_seed_flies_the_same_bits_and_another_seed_others() -> None:
@@ -31,7 +37,10 @@ def test_the_same_seed_flies_the_same_bits_and_another_seed_others() -> None:
 
 
 def test_the_seed_that_counts_is_the_runs_and_not_the_files() -> None:
-    assert fly(_noisy(seed_of_file=1), 4)[1].trajectory_sha256 == fly(_noisy(seed_of_file=2), 4)[1].trajectory_sha256
+    assert (
+        fly(_noisy(seed_of_file=1), 4)[1].trajectory_sha256
+        == fly(_noisy(seed_of_file=2), 4)[1].trajectory_sha256
+    )
 
 
 @pytest.mark.parametrize("dt", [0.05, 0.1, 0.3])
@@ -49,7 +58,14 @@ def test_time_is_the_tick_times_the_length_of_a_tick(dt: float) -> None:
 
 def test_a_vehicle_that_runs_into_a_wall_stops_there_on_that_axis_and_can_leave() -> None:
     area = Area(width=10.0, height=8.0, cell=0.5)
-    world = World(escort(uav=Uav(position=(9.9, 4.0), velocity=(0.5, 0.1)), ugv=Ugv(position=(0.1, 7.9)), area=area), 0)
+    world = World(
+        escort(
+            uav=Uav(position=(9.9, 4.0), velocity=(0.5, 0.1)),
+            ugv=Ugv(position=(0.1, 7.9)),
+            area=area,
+        ),
+        0,
+    )
     uav, ugv = world.names.index("uav_0"), world.names.index("ugv_0")
     for _ in range(40):
         push = np.zeros((2, 2))
@@ -82,7 +98,9 @@ def test_commands_are_bounded_by_the_world() -> None:
 
 @pytest.mark.parametrize(("rate", "period"), [(20.0, 1), (4.0, 5), (1.0, 20)])
 def test_detections_come_at_their_period_and_at_no_other_tick(rate: float, period: int) -> None:
-    scenario = escort("tracking", ugv=ON_THE_WAY, detections=Detections(rate=rate, noise=0.05), duration=20.0)
+    scenario = escort(
+        "tracking", ugv=ON_THE_WAY, detections=Detections(rate=rate, noise=0.05), duration=20.0
+    )
     detected = ~np.isnan(fly(scenario, 0)[0].recorder.escorts[:, 0, 2])
     assert np.flatnonzero(detected).tolist() == list(range(0, len(detected), period))
 
@@ -95,19 +113,28 @@ def test_noise_and_dropouts_in_flight_are_those_of_the_scenario() -> None:
     errors = flight.recorder.escorts[:, 0, 2:4] - (uav[:, :2] - ugv[:, :2])
     found = ~np.isnan(errors[:, 0])
     assert flight.recorder.escorts[:, 0, 0].max() < R_V
-    assert found.mean() == pytest.approx(1.0 - dropout, abs=4.0 * math.sqrt(dropout * (1.0 - dropout) / len(found)))
+    assert found.mean() == pytest.approx(
+        1.0 - dropout, abs=4.0 * math.sqrt(dropout * (1.0 - dropout) / len(found))
+    )
     assert np.hypot(*errors[found].T).max() <= cut * sigma + 1e-13
     h = 0.5 * cut * cut
     variance = sigma**2 * (1.0 - h / math.expm1(h))
-    assert errors[found].var(axis=0) == pytest.approx([variance, variance], rel=4.0 * math.sqrt(2.0 / found.sum()))
+    assert errors[found].var(axis=0) == pytest.approx(
+        [variance, variance], rel=4.0 * math.sqrt(2.0 / found.sum())
+    )
 
 
-def test_the_ugv_is_seen_at_every_look_within_the_visibility_radius_and_at_none_beyond_the_range() -> None:
+def test_the_ugv_is_seen_at_every_look_within_the_visibility_radius_and_at_none_beyond_the_range() -> (
+    None
+):
     """Coverage alone drifts away from its UGV."""
     covered = Coverage(covered=(Region(lower=(0.0, 0.0), upper=(40.0, 24.0)),))
     ugv = Ugv(position=HERE, goals=((20.0, 2.0),))
     flight, _ = fly(escort("coverage", ugv=ugv, coverage=covered, duration=60.0), 0)
-    distance, detected = flight.recorder.escorts[:, 0, 0], ~np.isnan(flight.recorder.escorts[:, 0, 2])
+    distance, detected = (
+        flight.recorder.escorts[:, 0, 0],
+        ~np.isnan(flight.recorder.escorts[:, 0, 2]),
+    )
     assert detected[distance < R_V].all()
     assert not detected[distance >= R].any()
     between = (distance >= R_V) & (distance < R)
@@ -130,7 +157,9 @@ def test_distance_and_error_are_measured_with_the_true_positions() -> None:
     uav, ugv = (track[-1, :2].tolist() for track in tracks(flight))
     distance, error = flight.recorder.escorts[-1, 0, :2]
     assert distance == pytest.approx(math.dist(uav, ugv), rel=1e-14)
-    assert error == pytest.approx(reference.coverage_error(flight.world.coverage, *ugv, R_O, DESIRED, 0.25), rel=1e-11)
+    assert error == pytest.approx(
+        reference.coverage_error(flight.world.coverage, *ugv, R_O, DESIRED, 0.25), rel=1e-11
+    )
 
 
 def test_ground_covered_from_the_start_is_covered_for_world_and_uav() -> None:
@@ -165,7 +194,9 @@ def test_two_pairs_fly_each_uav_with_the_ugv_it_escorts() -> None:
         distance = np.hypot(*(states[:, a, :2] - states[:, g, :2]).T)
         np.testing.assert_allclose(flight.recorder.escorts[:, row, 0], distance, rtol=1e-13)
         assert 1.0 < distance.max() < R_V
-    np.testing.assert_allclose(states[-1, 2:, :2], [(17.8, 11.0), (30.0, 21.2)], atol=1e-6)  # V_G t - V_G²/(2 U_G)
+    np.testing.assert_allclose(
+        states[-1, 2:, :2], [(17.8, 11.0), (30.0, 21.2)], atol=1e-6
+    )  # V_G t - V_G²/(2 U_G)
 
 
 def test_one_map_holds_what_all_uavs_have_seen() -> None:
@@ -177,5 +208,8 @@ def test_one_map_holds_what_all_uavs_have_seen() -> None:
 def test_two_uavs_draw_noise_of_their_own() -> None:
     flight, _ = fly(_two_pairs(), 0)
     states, escorts = flight.recorder.states, flight.recorder.escorts
-    noise = [escorts[:, k, 2:4] - (states[:, a, :2] - states[:, g, :2]) for k, (a, g) in enumerate(((0, 3), (1, 2)))]
+    noise = [
+        escorts[:, k, 2:4] - (states[:, a, :2] - states[:, g, :2])
+        for k, (a, g) in enumerate(((0, 3), (1, 2)))
+    ]
     assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 0.1

@@ -1,4 +1,7 @@
-"""RLlib meets the environment: spaces, values, ends, the example, and no process left behind. Run by `make learn-test`."""
+"""RLlib meets the environment: spaces, values, ends, the example, and no process left behind.
+
+Run by `make learn-test`.
+"""
 
 import os
 import subprocess
@@ -14,10 +17,15 @@ import pytest
 import outrider
 from outrider.wrappers import normalized
 
-pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::UserWarning")
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::UserWarning"
+)
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "train_rllib.py"
-MAKE = {"raw": outrider.parallel_env, "normalized": lambda *args, **options: normalized(outrider.parallel_env(*args, **options))}
+MAKE = {
+    "raw": outrider.parallel_env,
+    "normalized": lambda *args, **options: normalized(outrider.parallel_env(*args, **options)),
+}
 AWAY = {"uav_0": np.array([0.3, 0.0]), "ugv_0": np.array([-0.1, 0.0])}
 
 
@@ -39,7 +47,9 @@ def test_an_episode_is_the_bare_environments_to_its_end(kind, end):
         assert env.observation_space.contains(seen)
         for name, row in expected.items():
             np.testing.assert_array_equal(seen[name], row)
-        actions = {name: rng.uniform(-1.0, 1.0, 2) * bare.action_space(name).high for name in bare.agents}
+        actions = {
+            name: rng.uniform(-1.0, 1.0, 2) * bare.action_space(name).high for name in bare.agents
+        }
         actions = AWAY if end == "terminated" else actions
         expected, rewards, terminations, truncations, infos = bare.step(actions)
         seen, paid, terminated, truncated, told = env.step(actions)
@@ -58,7 +68,12 @@ def marked(mark):
     for entry in Path("/proc").glob("[0-9]*/environ"):
         try:
             if mark.encode() in entry.read_bytes():
-                found.append((entry.parent / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace"))
+                found.append(
+                    (entry.parent / "cmdline")
+                    .read_bytes()
+                    .replace(b"\0", b" ")
+                    .decode(errors="replace")
+                )
         except OSError:  # it has ended, or is another user's
             continue
     return found
@@ -68,12 +83,23 @@ def marked(mark):
 def test_the_example_learns_saves_and_leaves_nothing_behind(tmp_path):
     mark = f"OUTRIDER_TEST_{uuid.uuid4().hex}"
     cache = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")  # not compiled anew
-    command = [sys.executable, str(EXAMPLE), "--iterations", "2", "--batch", "500", "--duration", "2"]
+    command = [
+        sys.executable,
+        str(EXAMPLE),
+        "--iterations",
+        "2",
+        "--batch",
+        "500",
+        "--duration",
+        "2",
+    ]
     command += ["--runners", "1", "--out", str(tmp_path / "out")]
     with tempfile.TemporaryDirectory(prefix="r") as short:  # Ray's sockets need a short path
         own = {"HOME": str(tmp_path), "XDG_CACHE_HOME": cache, "RAY_TMPDIR": short, mark: "1"}
         with (tmp_path / "log").open("w") as log:
-            process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, cwd=tmp_path, env=os.environ | own)
+            process = subprocess.Popen(
+                command, stdout=log, stderr=subprocess.STDOUT, cwd=tmp_path, env=os.environ | own
+            )
         seen, until = set(), time.monotonic() + 300.0
         while process.poll() is None and time.monotonic() < until:
             seen.update(marked(mark))

@@ -1,4 +1,7 @@
-"""Stable-Baselines3 on our vector environments: what it is told, step by step, and that it learns. Run by `make learn-test`."""
+"""Stable-Baselines3 on our vector environments: what it is told, step by step, and that it learns.
+
+Run by `make learn-test`.
+"""
 
 import json
 import runpy
@@ -39,7 +42,9 @@ def _rows(duration=2.0, **settings):
 ENVS = {
     "rows": _rows,
     "dictionaries": lambda **settings: _rows(coverage_patch=(5, 1.0), **settings),
-    "wrapped": lambda **settings: history(normalized(_rows(coverage_patch=(5, 1.0), **settings)), 3),
+    "wrapped": lambda **settings: history(
+        normalized(_rows(coverage_patch=(5, 1.0), **settings)), 3
+    ),
     "repeated": lambda **settings: normalized(ActionRepeat(_rows(**settings), 5)),
 }
 
@@ -51,7 +56,11 @@ def _same(one, other):
 
 
 def _world(observations, k):
-    return {key: array[k] for key, array in observations.items()} if isinstance(observations, dict) else observations[k]
+    return (
+        {key: array[k] for key, array in observations.items()}
+        if isinstance(observations, dict)
+        else observations[k]
+    )
 
 
 @pytest.mark.parametrize("end", ["terminated", "truncated"])
@@ -90,7 +99,10 @@ def test_the_adapter_says_what_the_vector_environment_says(name, end):
 
 
 def test_infos_of_an_ended_episode_are_its_last_ones_and_the_new_one_has_its_own():
-    raw, adapter = _rows(duration=0.1, safety_filter=True), VecEnvAdapter(_rows(duration=0.1, safety_filter=True))
+    raw, adapter = (
+        _rows(duration=0.1, safety_filter=True),
+        VecEnvAdapter(_rows(duration=0.1, safety_filter=True)),
+    )
     raw.reset(seed=1)
     adapter.seed(1)
     adapter.reset()
@@ -112,7 +124,10 @@ class _Scripted(VectorEnv):
 
     def __init__(self, ends):
         self.num_envs, self._ends = 2, list(ends)
-        self.single_observation_space, self.single_action_space = spaces.Box(-9, 9, (1,)), spaces.Box(-1, 1, (1,))
+        self.single_observation_space, self.single_action_space = (
+            spaces.Box(-9, 9, (1,)),
+            spaces.Box(-1, 1, (1,)),
+        )
         self.observation_space = batch_space(self.single_observation_space, 2)
         self.action_space = batch_space(self.single_action_space, 2)
 
@@ -124,14 +139,23 @@ class _Scripted(VectorEnv):
         terminated, truncated = self._ends.pop(0)
         ended = np.array([terminated or truncated, False])
         infos = (
-            {"final_obs": np.array([np.full(1, 7.0, np.float32), None], dtype=object), "_final_obs": ended} if ended[0] else {}
+            {
+                "final_obs": np.array([np.full(1, 7.0, np.float32), None], dtype=object),
+                "_final_obs": ended,
+            }
+            if ended[0]
+            else {}
         )
         both = np.array([terminated, False]), np.array([truncated, False])
         return np.ones((2, 1), np.float32), np.ones(2), *both, infos
 
 
-@pytest.mark.parametrize(("terminated", "truncated", "limit"), [(1, 0, False), (0, 1, True), (1, 1, False)])
-def test_a_time_limit_is_one_only_where_nothing_else_has_ended_the_episode(terminated, truncated, limit):
+@pytest.mark.parametrize(
+    ("terminated", "truncated", "limit"), [(1, 0, False), (0, 1, True), (1, 1, False)]
+)
+def test_a_time_limit_is_one_only_where_nothing_else_has_ended_the_episode(
+    terminated, truncated, limit
+):
     adapter = VecEnvAdapter(_Scripted([(bool(terminated), bool(truncated))]))
     adapter.reset()
     _, _, dones, infos = adapter.step(np.zeros((2, 1)))
@@ -189,7 +213,9 @@ def test_a_truncated_end_is_worth_what_the_critic_says_of_its_last_observation()
 
         def step_wait(self):
             seen, rewards, dones, infos = super().step_wait()
-            self.told.append((rewards.copy(), dones, infos))  # the library adds to the rewards in their place
+            self.told.append(
+                (rewards.copy(), dones, infos)
+            )  # the library adds to the rewards in their place
             return seen, rewards, dones, infos
 
     class Compare(BaseCallback):
@@ -211,23 +237,35 @@ def test_a_truncated_end_is_worth_what_the_critic_says_of_its_last_observation()
 
     compare = Compare()
     env = Recorded(normalized(_rows(duration=1.0)))
-    PPO("MlpPolicy", env, n_steps=45, batch_size=45, n_epochs=1, gamma=0.9, seed=0, device="cpu").learn(135, callback=compare)
+    PPO(
+        "MlpPolicy", env, n_steps=45, batch_size=45, n_epochs=1, gamma=0.9, seed=0, device="cpu"
+    ).learn(135, callback=compare)
     assert compare.ends == 6
 
 
 def test_the_library_s_own_wrappers_and_its_evaluation():
-    env = VecNormalize(VecMonitor(VecCheckNan(VecEnvAdapter(normalized(_rows(duration=1.0))), raise_exception=True)))
+    env = VecNormalize(
+        VecMonitor(
+            VecCheckNan(VecEnvAdapter(normalized(_rows(duration=1.0))), raise_exception=True)
+        )
+    )
     model = PPO("MlpPolicy", env, n_steps=20, batch_size=60, device="cpu", seed=0).learn(120)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        mean, _ = evaluate_policy(model, VecEnvAdapter(normalized(_rows(duration=1.0))), n_eval_episodes=3)
+        mean, _ = evaluate_policy(
+            model, VecEnvAdapter(normalized(_rows(duration=1.0))), n_eval_episodes=3
+        )
     assert -5.0 < mean < 0.0
 
 
-@pytest.mark.parametrize(("name", "policy"), [("rows", "MlpPolicy"), ("dictionaries", "MultiInputPolicy")])
+@pytest.mark.parametrize(
+    ("name", "policy"), [("rows", "MlpPolicy"), ("dictionaries", "MultiInputPolicy")]
+)
 def test_ppo_learns_saves_and_loads(name, policy, tmp_path):
     adapter = VecEnvAdapter(normalized(ENVS[name](duration=1.0)))
-    model = PPO(policy, adapter, n_steps=100, batch_size=300, n_epochs=2, seed=3, device="cpu").learn(3000)
+    model = PPO(
+        policy, adapter, n_steps=100, batch_size=300, n_epochs=2, seed=3, device="cpu"
+    ).learn(3000)
     assert model.num_timesteps == 3000
     assert len(model.ep_info_buffer) == 100
     assert all(one["l"] == 20 for one in model.ep_info_buffer)
@@ -235,13 +273,26 @@ def test_ppo_learns_saves_and_loads(name, policy, tmp_path):
     seen = adapter.reset()
     model.save(tmp_path / "model.zip")
     loaded = PPO.load(tmp_path / "model.zip", env=adapter, device="cpu")
-    assert np.array_equal(loaded.predict(seen, deterministic=True)[0], model.predict(seen, deterministic=True)[0])
+    assert np.array_equal(
+        loaded.predict(seen, deterministic=True)[0], model.predict(seen, deterministic=True)[0]
+    )
     loaded.learn(300)
 
 
 def test_the_example_trains_briefly_and_what_it_writes_flies(tmp_path):
     out = tmp_path / "uav.npz"
-    command = [sys.executable, str(EXAMPLE), "--minutes", "0.2", "--num-envs", "16", "--seed", "2", "--out", str(out)]
+    command = [
+        sys.executable,
+        str(EXAMPLE),
+        "--minutes",
+        "0.2",
+        "--num-envs",
+        "16",
+        "--seed",
+        "2",
+        "--out",
+        str(out),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=170, check=False)
     assert done.returncode == 0, done.stderr
     assert "mean e(t)" in done.stdout
@@ -250,7 +301,11 @@ def test_the_example_trains_briefly_and_what_it_writes_flies(tmp_path):
     assert recipe["trained"]["ticks"] == 10 * recipe["trained"]["decisions"]
     assert json.loads(json.dumps(recipe)) == recipe
     model = PPO.load(out.with_suffix(".zip"), device="cpu")
-    shown = np.random.default_rng(0).uniform(-1.0, 1.0, (50, network.weights[0].shape[1])).astype(np.float32)
+    shown = (
+        np.random.default_rng(0)
+        .uniform(-1.0, 1.0, (50, network.weights[0].shape[1]))
+        .astype(np.float32)
+    )
     by_torch, _ = model.predict(shown, deterministic=True)
     assert np.allclose(np.clip(network(shown), -1.0, 1.0), by_torch, atol=1e-5)
     assert LearnedPolicy.load(out).setup["estimate"]

@@ -19,7 +19,9 @@ from outrider.wrappers import history, normalized
 from sim.scenario import LinkSettings, LinkTable, load_scenario
 
 pytestmark = pytest.mark.filterwarnings(
-    "ignore:PettingZoo in TorchRL is tested using:UserWarning", "ignore::DeprecationWarning", "ignore::FutureWarning"
+    "ignore:PettingZoo in TorchRL is tested using:UserWarning",
+    "ignore::DeprecationWarning",
+    "ignore::FutureWarning",
 )
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "train_torchrl.py"
@@ -27,8 +29,12 @@ MAKE = {
     "raw": outrider.parallel_env,
     "float32": lambda *args, **options: outrider.parallel_env(*args, **options, dtype=np.float32),
     "normalized": lambda *args, **options: normalized(outrider.parallel_env(*args, **options)),
-    "history": lambda *args, **options: history(normalized(outrider.parallel_env(*args, **options)), 3),
-    "coverage": lambda *args, **options: outrider.parallel_env(*args, **options, coverage_patch=(8, 1.0)),
+    "history": lambda *args, **options: history(
+        normalized(outrider.parallel_env(*args, **options)), 3
+    ),
+    "coverage": lambda *args, **options: outrider.parallel_env(
+        *args, **options, coverage_patch=(8, 1.0)
+    ),
 }
 AWAY = {"uav_0": np.array([0.3, 0.0]), "ugv_0": np.array([-0.1, 0.0])}
 
@@ -37,7 +43,10 @@ def actions_of(env, rng, end):
     """Random ones, or such as lose sight."""
     if end == "terminated":
         return AWAY
-    return {name: rng.uniform(-1.0, 1.0, 2) * env.action_space(name).high for name in env.possible_agents}
+    return {
+        name: rng.uniform(-1.0, 1.0, 2) * env.action_space(name).high
+        for name in env.possible_agents
+    }
 
 
 def put(frame, actions):
@@ -50,7 +59,9 @@ def put(frame, actions):
 @pytest.mark.parametrize("kind", MAKE)
 @pytest.mark.parametrize("return_state", [False, True])
 def test_torchrls_own_check_passes(kind, return_state):
-    check_env_specs(PettingZooWrapper(MAKE[kind]("escort", duration=2.0), return_state=return_state))
+    check_env_specs(
+        PettingZooWrapper(MAKE[kind]("escort", duration=2.0), return_state=return_state)
+    )
 
 
 @pytest.mark.parametrize("kind", ["raw", "normalized"])
@@ -76,8 +87,14 @@ def test_an_episode_is_the_bare_environments_to_its_end(kind, end):
         ticks += 1
         for name, group in (("uav_0", "uav"), ("ugv_0", "ugv")):
             assert frame[group, "reward"].item() == np.float32(rewards[name])
-            assert frame[group, "terminated"].item() == terminations[name] == frame["terminated"].item()
-            assert frame[group, "truncated"].item() == truncations[name] == frame["truncated"].item()
+            assert (
+                frame[group, "terminated"].item()
+                == terminations[name]
+                == frame["terminated"].item()
+            )
+            assert (
+                frame[group, "truncated"].item() == truncations[name] == frame["truncated"].item()
+            )
             assert frame[group, "done"].item() == (not bare.agents)
     assert frame[end].item()
     assert not frame["truncated" if end == "terminated" else "terminated"].item()
@@ -95,7 +112,9 @@ def test_only_a_termination_ends_the_future():
     env.set_seed(3)
     frame, episode, flown = env.reset(), 0, []
     for _ in range(100):
-        step, frame = env.step_and_maybe_reset(put(frame, {name: (episode % 2) * push for name, push in AWAY.items()}))
+        step, frame = env.step_and_maybe_reset(
+            put(frame, {name: (episode % 2) * push for name, push in AWAY.items()})
+        )
         flown.append(step)
         episode += step["next", "done"].item()
     frames = torch.stack(flown)
@@ -105,15 +124,21 @@ def test_only_a_termination_ends_the_future():
     with torch.no_grad():
         learner.advantages(frames)
         value = learner.advantages.value_network
-        now, after = (value(part.clone())["uav", "state_value"].flatten() for part in (frames, frames["next"]))
+        now, after = (
+            value(part.clone())["uav", "state_value"].flatten() for part in (frames, frames["next"])
+        )
     rewards = frames["next", "uav", "reward"].flatten()
     expected, carried = torch.zeros(len(frames)), 0.0
     for k in reversed(range(len(frames))):
         error = rewards[k] + example["DISCOUNT"] * after[k] * (not terminated[k]) - now[k]
-        expected[k] = carried = error + example["DISCOUNT"] * example["TRACE"] * carried * (not ended[k])
+        expected[k] = carried = error + example["DISCOUNT"] * example["TRACE"] * carried * (
+            not ended[k]
+        )
     torch.testing.assert_close(frames["uav", "advantage"].flatten(), expected, rtol=1e-4, atol=1e-4)
     last = int(ended.nonzero()[0])
-    assert frames["next", "uav", "observation"][last, 0, 0] == 1.0  # the end of the old episode, not the beginning of the new
+    assert (
+        frames["next", "uav", "observation"][last, 0, 0] == 1.0
+    )  # the end of the old episode, not the beginning of the new
     assert frames["uav", "observation"][last + 1, 0, 0] == -1.0
 
 
@@ -138,13 +163,30 @@ def test_a_bad_network_needs_its_infos_left_out():
             *results, infos = super().step(actions)
             return *results, {name: {} for name in infos}
 
-    poor = msgspec.structs.replace(load_scenario("escort"), links=LinkTable(detections=LinkSettings(delay=0.2)))
-    check_env_specs(PettingZooWrapper(WithoutInfos(normalized(outrider.parallel_env(poor, duration=2.0))), return_state=True))
+    poor = msgspec.structs.replace(
+        load_scenario("escort"), links=LinkTable(detections=LinkSettings(delay=0.2))
+    )
+    check_env_specs(
+        PettingZooWrapper(
+            WithoutInfos(normalized(outrider.parallel_env(poor, duration=2.0))), return_state=True
+        )
+    )
 
 
 def test_the_example_learns_saves_and_evaluates(tmp_path):
-    command = [sys.executable, str(EXAMPLE), "--steps", "2000", "--duration", "5", "--out", str(tmp_path / "out")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=170, cwd=tmp_path, check=False)
+    command = [
+        sys.executable,
+        str(EXAMPLE),
+        "--steps",
+        "2000",
+        "--duration",
+        "5",
+        "--out",
+        str(tmp_path / "out"),
+    ]
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=170, cwd=tmp_path, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert "Warning" not in done.stderr
     assert "2000 steps" in done.stdout

@@ -1,10 +1,12 @@
-"""Flies in containers and disturbs them: builds the image, flies, kills, pauses, cuts off, and listens where it must not.
+"""Flies in containers and disturbs them.
+
+Builds the image, flies, kills, pauses, cuts off, and listens where it must not.
 
     make compose-test
 
 Exit code 0: all checks hold; 1: one does not; 77: there is no Docker engine with Compose here, so nothing was checked.
-It publishes one port, the dashboard's, to this machine alone, writes only to a temporary folder, and removes every container,
-network, volume and image that it has made.
+It publishes one port, the dashboard's, to this machine alone, writes only to a temporary folder, and removes every
+container, network, volume and image that it has made.
 """
 
 import contextlib
@@ -33,7 +35,10 @@ LONG = "1000"  # s of simulated time: some ten seconds of flight, long enough to
 ENDLESS = "100000"
 LARGEST = 1000  # MB that the image may have
 PAGE_LARGEST = 150  # MB that the dashboard's image may have besides
-PIP_SETTINGS = {"PIP_INDEX_URL": "index-url", "PIP_TRUSTED_HOST": "trusted-host"}  # for a package mirror
+PIP_SETTINGS = {
+    "PIP_INDEX_URL": "index-url",
+    "PIP_TRUSTED_HOST": "trusted-host",
+}  # for a package mirror
 Json = dict[str, Any]
 
 # These run inside the containers, where the project's own packages are.
@@ -128,12 +133,16 @@ class Hover:
         v_x, v_y = observation.velocity
         return UavCommand(tick=observation.tick, acceleration=(-0.2 * x - v_x, -0.2 * y - v_y))
 credential = read_credential(Path(os.environ["OUTRIDER_CREDENTIALS"]))
-fly(credential.party, Hover, connect=os.environ["OUTRIDER_CONNECT"], run=os.environ["OUTRIDER_RUN"], credential=credential)
+fly(credential.party, Hover, connect=os.environ["OUTRIDER_CONNECT"], run=os.environ["OUTRIDER_RUN"],
+credential=credential)
 """
-PILOT_IMAGE = 'ARG BASE\nFROM ${BASE}\nCOPY pilot.py /pilot.py\nENTRYPOINT ["python", "/pilot.py"]\n'
+PILOT_IMAGE = (
+    'ARG BASE\nFROM ${BASE}\nCOPY pilot.py /pilot.py\nENTRYPOINT ["python", "/pilot.py"]\n'
+)
 
 
-# A browser's side of the opening handshake; what the server sends is plain text in frames that need no decoding to be searched.
+# A browser's side of the opening handshake; what the server sends is plain text in frames that need no decoding to
+# be searched.
 UPGRADE = (
     "GET /frames HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nCookie: {cookie}\r\n"
     "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
@@ -210,13 +219,21 @@ class Docker:
         name = f"outrider-test-{os.getpid()}"
         root = os.getuid() == 0
         self.program, self.folder, self.project = program, folder, name
-        self.image, self.pilot_image, self.page_image = f"{name}:image", f"{name}:pilot", f"{name}:page"
+        self.image, self.pilot_image, self.page_image = (
+            f"{name}:image",
+            f"{name}:pilot",
+            f"{name}:page",
+        )
         self.runs = folder / "runs"
         self.runs.mkdir()
         if root:
             os.chown(self.runs, 1000, 1000)
         user = "1000:1000" if root else f"{os.getuid()}:{os.getgid()}"
-        kept = {key: value for key, value in os.environ.items() if not key.startswith(("OUTRIDER_", "COMPOSE_"))}
+        kept = {
+            key: value
+            for key, value in os.environ.items()
+            if not key.startswith(("OUTRIDER_", "COMPOSE_"))
+        }
         self.environment = kept | {
             "COMPOSE_PROJECT_NAME": name,
             "OUTRIDER_IMAGE": self.image,
@@ -274,7 +291,16 @@ class Docker:
     def clean(self) -> None:
         """Remove all that belongs to the project."""
         for words in (
-            ("compose", "--profile", "*", "down", "--volumes", "--remove-orphans", "--timeout", "2"),
+            (
+                "compose",
+                "--profile",
+                "*",
+                "down",
+                "--volumes",
+                "--remove-orphans",
+                "--timeout",
+                "2",
+            ),
             ("image", "rm", "--force", self.pilot_image, self.page_image, self.image),
         ):
             with contextlib.suppress(CheckFailed):
@@ -292,7 +318,9 @@ class Docker:
 
     def down(self) -> None:
         """Take the stack down and forget its volumes."""
-        self.compose("--profile", "*", "down", "--volumes", "--timeout", "5", limit=90.0, check=False)
+        self.compose(
+            "--profile", "*", "down", "--volumes", "--timeout", "5", limit=90.0, check=False
+        )
 
     def landed(self) -> tuple[int, str]:
         """Wait for the simulator's end: its exit code, and what it said."""
@@ -310,8 +338,17 @@ class Docker:
 
     def reference(self, duration: str | None = None) -> Json:
         """The same flight in one process, in the same image."""
-        words = ["run", "escort", "--in-process", "--no-files", "--json"] + (["--duration", duration] if duration else [])
-        apart = ["--rm", "--env=OUTRIDER_SECRET", "--network=none", "--read-only", "--tmpfs=/tmp", "--volume=/var/cache/outrider"]
+        words = ["run", "escort", "--in-process", "--no-files", "--json"] + (
+            ["--duration", duration] if duration else []
+        )
+        apart = [
+            "--rm",
+            "--env=OUTRIDER_SECRET",
+            "--network=none",
+            "--read-only",
+            "--tmpfs=/tmp",
+            "--volume=/var/cache/outrider",
+        ]
         found: Json = json.loads(self("run", *apart, self.image, *words))
         return found
 
@@ -323,8 +360,14 @@ def same_flight(flown: Json, reference: Json) -> str:
         CheckFailed: If they have not.
     """
     for field in ("platform", "ticks", "secret", "trajectory_sha256"):
-        expect(flown[field] == reference[field], f"{field} is {flown[field]!r}, in one process {reference[field]!r}")
-    expect(flown["complete"] and flown["deterministic"], f"first missing command at tick {flown['first_missing_tick']}")
+        expect(
+            flown[field] == reference[field],
+            f"{field} is {flown[field]!r}, in one process {reference[field]!r}",
+        )
+    expect(
+        flown["complete"] and flown["deterministic"],
+        f"first missing command at tick {flown['first_missing_tick']}",
+    )
     return f"{flown['ticks']} ticks, {flown['ticks_per_second']:,.0f} ticks/s, sha256 {flown['trajectory_sha256'][:12]}"
 
 
@@ -355,12 +398,21 @@ class Checks:
     def _build(self, tag: str, *more: str) -> None:
         docker = self.docker
         words = ["build", "--tag", tag, *more]
-        proxies = [name for name in os.environ if name.upper() in ("HTTP_PROXY", "HTTPS_PROXY", "NO_PROXY")]
+        proxies = [
+            name for name in os.environ if name.upper() in ("HTTP_PROXY", "HTTPS_PROXY", "NO_PROXY")
+        ]
         for name in proxies:
-            words += ["--build-arg", name]  # predefined: handed on from here, and no part of the image
+            words += [
+                "--build-arg",
+                name,
+            ]  # predefined: handed on from here, and no part of the image
         if any(host in os.environ[name] for name in proxies for host in ("127.0.0.1", "localhost")):
             words.append("--network=host")
-        index = [f"{key} = {os.environ[name]}" for name, key in PIP_SETTINGS.items() if name in os.environ]
+        index = [
+            f"{key} = {os.environ[name]}"
+            for name, key in PIP_SETTINGS.items()
+            if name in os.environ
+        ]
         if index:
             pip = docker.folder / "pip.conf"
             pip.write_text("\n".join(["[global]", *index]) + "\n")
@@ -441,7 +493,11 @@ class Checks:
         """The UGV's container is off its network for 3 s."""
 
         def disturb() -> None:
-            docker, container, network = self.docker, self.docker.container("ugv"), f"{self.docker.project}_ugv"
+            docker, container, network = (
+                self.docker,
+                self.docker.container("ugv"),
+                f"{self.docker.project}_ugv",
+            )
             docker("network", "disconnect", network, container)
             time.sleep(3)
             docker("network", "connect", "--alias", "ugv", network, container)
@@ -470,18 +526,37 @@ class Checks:
             addresses = {}
             for service in ("ugv", "simulator"):
                 docker.compose("exec", "--detach", service, "python", "-c", ANSWER)
-                (network,) = docker.inspect(docker.container(service))["NetworkSettings"]["Networks"].values()
+                (network,) = docker.inspect(docker.container(service))["NetworkSettings"][
+                    "Networks"
+                ].values()
                 addresses[service] = network["IPAddress"]
             time.sleep(1)
-            others = [f"{host}:9000" for service, address in addresses.items() for host in (service, address)]
+            others = [
+                f"{host}:9000"
+                for service, address in addresses.items()
+                for host in (service, address)
+            ]
             for service, address in addresses.items():  # somebody does listen there
-                heard = json.loads(docker.python("router", CALL, f"{service}:9000", f"{address}:9000"))
-                expect(set(heard.values()) == {"open"}, f"the router, which shares a network with {service}, finds {heard}")
+                heard = json.loads(
+                    docker.python("router", CALL, f"{service}:9000", f"{address}:9000")
+                )
+                expect(
+                    set(heard.values()) == {"open"},
+                    f"the router, which shares a network with {service}, finds {heard}",
+                )
             found = json.loads(docker.python("uav", CALL, "router:17447", *others))
-            with socket.create_server(("", 0)) as host:  # a service of the host, on all of its addresses
-                gateway = docker.inspect(f"{docker.project}_uav")["IPAM"]["Config"][0]["Gateway"].partition("/")[0]
+            with socket.create_server(
+                ("", 0)
+            ) as host:  # a service of the host, on all of its addresses
+                gateway = docker.inspect(f"{docker.project}_uav")["IPAM"]["Config"][0][
+                    "Gateway"
+                ].partition("/")[0]
                 port = host.getsockname()[1]
-                outside = json.loads(docker.python("uav", CALL, *(f"{address}:{port}" for address in {gateway, own_address()})))
+                outside = json.loads(
+                    docker.python(
+                        "uav", CALL, *(f"{address}:{port}" for address in {gateway, own_address()})
+                    )
+                )
             expect(found.pop("router:17447") == "open", "it does not reach the router")
             expect(set((found | outside).values()) == {"unreachable"}, f"found {found | outside}")
             return f"router: open; {', '.join(addresses)} by name and address, the host, near and far: unreachable"
@@ -490,7 +565,14 @@ class Checks:
         """The UAV's container hears its own keys only, writes its own only, and strangers do not get in."""
         docker, prefix = self.docker, f"outrider/{RUN}"
         own = f"{prefix}/uav_0/observation"
-        topics = ("ugv_0/observation", "ugv_0/command", "ugv_0/briefing", "truth", "status", "*/observation")
+        topics = (
+            "ugv_0/observation",
+            "ugv_0/command",
+            "ugv_0/briefing",
+            "truth",
+            "status",
+            "*/observation",
+        )
         others = [f"{prefix}/{topic}" for topic in topics]
 
         def listen(service: str, name: str, password: str, *keys: str, spoiled: str = "") -> Any:  # noqa: ANN401 - JSON
@@ -499,15 +581,26 @@ class Checks:
         with docker.flying(duration=ENDLESS), ThreadPoolExecutor() as pool:
             spoiled = f"{prefix}/ugv_0/command,{prefix}/uav_0/command"
             asked = {
-                "uav": pool.submit(listen, "uav", "uav_0", "own", own, *others, "**", spoiled=spoiled),
+                "uav": pool.submit(
+                    listen, "uav", "uav_0", "own", own, *others, "**", spoiled=spoiled
+                ),
                 "ugv": pool.submit(listen, "ugv", "ugv_0", "own", others[0]),
                 "simulator": pool.submit(listen, "simulator", "simulator", "own", others[1]),
                 "observer": pool.submit(listen, "router", "observer", "own", *others[3:5]),
             }
             heard = {who: answer.result() for who, answer in asked.items()}
-            for who, allowed in {"ugv": others[:1], "simulator": others[1:2], "observer": others[3:5]}.items():
-                expect(set(heard[who]) == set(allowed), f"{who} should hear {allowed}, and hears {heard[who]}")
-            expect(set(heard["uav"]) == {own}, f"the UAV should hear {own}, and hears {heard['uav']}")
+            for who, allowed in {
+                "ugv": others[:1],
+                "simulator": others[1:2],
+                "observer": others[3:5],
+            }.items():
+                expect(
+                    set(heard[who]) == set(allowed),
+                    f"{who} should hear {allowed}, and hears {heard[who]}",
+                )
+            expect(
+                set(heard["uav"]) == {own}, f"the UAV should hear {own}, and hears {heard['uav']}"
+            )
             strangers = {
                 "a wrong password": listen("uav", "uav_0", "wrong-password", own),
                 "no password": listen("uav", "", "", own),
@@ -516,7 +609,10 @@ class Checks:
             expect(set(strangers.values()) == {"refused"}, f"strangers: {strangers}")
             docker.compose("stop", "simulator", limit=60.0)
             faults = docker.summary()["faults"]
-            expect("uav_0" in faults and "ugv_0" not in faults, f"nonsense in the commands of: {list(faults)}")
+            expect(
+                "uav_0" in faults and "ugv_0" not in faults,
+                f"nonsense in the commands of: {list(faults)}",
+            )
         return f"{heard['uav'][own]} of its own observations, nothing else; strangers are refused; it cannot write for the UGV"
 
     def realtime(self) -> str:
@@ -544,22 +640,30 @@ class Checks:
         image = docker.inspect(docker.page_image)
         more = (image["Size"] - docker.inspect(docker.image)["Size"]) / 1e6
         expect(image["Config"]["User"] == "1000:1000", f"it runs as {image['Config']['User']!r}")
-        expect(more < PAGE_LARGEST, f"the page takes {more:.0f} MB more; allowed are {PAGE_LARGEST} MB")
+        expect(
+            more < PAGE_LARGEST, f"the page takes {more:.0f} MB more; allowed are {PAGE_LARGEST} MB"
+        )
         try:
             words = ("up", "--detach", "simulator-realtime", "dashboard")
             docker.compose(*words, limit=120.0, OUTRIDER_DURATION=ENDLESS, OUTRIDER_PORT=str(port))
             address = self._address_of_the_page(port)
-            bound = docker.inspect(docker.container("dashboard"))["NetworkSettings"]["Ports"][f"{port}/tcp"]
+            bound = docker.inspect(docker.container("dashboard"))["NetworkSettings"]["Ports"][
+                f"{port}/tcp"
+            ]
             expect([row["HostIp"] for row in bound] == ["127.0.0.1"], f"it is published at {bound}")
             expect(fetch(port, "/")[0] == 401, "it is served without the token")
-            expect(fetch(port, "/?ticket=not-the-ticket")[0] == 401, "it is served with a wrong ticket")
+            expect(
+                fetch(port, "/?ticket=not-the-ticket")[0] == 401, "it is served with a wrong ticket"
+            )
             expect(not ticks_shown(port, "", 5.0), "it is told how the run goes without the token")
             status, cookie = fetch(port, address)
             expect(status == 303 and bool(cookie), f"the address in the log gives {status}")
             ticks = ticks_shown(port, cookie, 20.0)
             expect(len(ticks) > 1 and ticks[-1] > ticks[0], f"it shows the ticks {ticks}")
             found = json.loads(docker.python("uav", CALL, f"dashboard:{port}"))
-            found |= json.loads(docker.python("dashboard", CALL, "uav:9000", "ugv:9000", "simulator-realtime:9000"))
+            found |= json.loads(
+                docker.python("dashboard", CALL, "uav:9000", "ugv:9000", "simulator-realtime:9000")
+            )
             expect(set(found.values()) == {"unreachable"}, f"found {found}")
         finally:
             docker.down()
@@ -596,8 +700,13 @@ class Checks:
         flown = docker.summary()
         docker.down()
         missing = flown["missing_commands"]
-        expect(flown["complete"] and not any(missing.values()), f"commands that are missing: {missing}")
-        expect(flown["trajectory_sha256"] != self._reference()["trajectory_sha256"], "it flew like the image's own pilot")
+        expect(
+            flown["complete"] and not any(missing.values()), f"commands that are missing: {missing}"
+        )
+        expect(
+            flown["trajectory_sha256"] != self._reference()["trajectory_sha256"],
+            "it flew like the image's own pilot",
+        )
         return f"flown to the end, mean distance {flown['mean_distance']:.2f} m"
 
     def stop(self) -> str:
@@ -607,9 +716,14 @@ class Checks:
             services = ("simulator", "uav", "ugv", "router")
             containers = [docker.container(service) for service in services]
             started = time.monotonic()
-            docker("stop", *containers)  # all at once: Compose would let the vehicles see the flight's end first
+            docker(
+                "stop", *containers
+            )  # all at once: Compose would let the vehicles see the flight's end first
             seconds = time.monotonic() - started
-            codes = {service: docker.inspect(docker.container(service))["State"]["ExitCode"] for service in services}
+            codes = {
+                service: docker.inspect(docker.container(service))["State"]["ExitCode"]
+                for service in services
+            }
             flown = docker.summary()
         expect(seconds < 8, f"it took {seconds:.1f} s")
         expect(all(code in (0, 143) for code in codes.values()), f"exit codes {codes}")
@@ -647,7 +761,9 @@ def engine() -> str | None:
         return None
     for words in (["info"], ["compose", "version"]):
         with contextlib.suppress(subprocess.TimeoutExpired):
-            if not subprocess.run([program, *words], capture_output=True, timeout=30, check=False).returncode:
+            if not subprocess.run(
+                [program, *words], capture_output=True, timeout=30, check=False
+            ).returncode:
                 continue
         return None
     return program
@@ -670,7 +786,11 @@ def run_checks(docker: Docker, chosen: list[str]) -> bool:
         say(f"{verdict:<6}{name:<14}{time.monotonic() - started:6.1f} s  {told}")
         if failed and name in ("build", "credentials"):
             break  # without these there is nothing to try
-    say(f"{len(failed)} of {len(chosen)} checks do not hold: {', '.join(failed)}" if failed else f"all {len(chosen)} checks hold")
+    say(
+        f"{len(failed)} of {len(chosen)} checks do not hold: {', '.join(failed)}"
+        if failed
+        else f"all {len(chosen)} checks hold"
+    )
     return not failed
 
 
@@ -685,8 +805,14 @@ def main() -> int:
         say("compose-test: skipped, no Docker engine with Compose v2 answers here")
         return NO_ENGINE
     signal.signal(signal.SIGTERM, _interrupted)
-    chosen = [name for name in ORDER if not sys.argv[1:] or name in ("build", "credentials", *sys.argv[1:])]
-    with tempfile.TemporaryDirectory(prefix="outrider-compose-", ignore_cleanup_errors=True) as folder:
+    chosen = [
+        name
+        for name in ORDER
+        if not sys.argv[1:] or name in ("build", "credentials", *sys.argv[1:])
+    ]
+    with tempfile.TemporaryDirectory(
+        prefix="outrider-compose-", ignore_cleanup_errors=True
+    ) as folder:
         docker = Docker(program, Path(folder))
         try:
             return 0 if run_checks(docker, chosen) else 1

@@ -1,7 +1,11 @@
-"""What a crowd at the router's port can do, and what a vehicle with credentials can: each attack against a real run, as a table.
+"""What a crowd at the router's port can do, and what a vehicle with credentials can.
 
-Each row is a run on the wall clock with a simulator, a UAV and a UGV as processes over loopback. While it flies, the attack is
-made, and then an observer joins. The table tells how long that took, what the simulator's memory was and became, and how many
+Each attack against a real run, as a table.
+
+Each row is a run on the wall clock with a simulator, a UAV and a UGV as processes over loopback. While it flies,
+the attack is
+made, and then an observer joins. The table tells how long that took, what the simulator's memory was and became,
+and how many
 ticks were late. `make crowd-test`, or `python tools/crowd_test.py ATTACK ...`; exit code 1 where a limit is not kept.
 """
 
@@ -46,7 +50,11 @@ class Run:
             "connect/endpoints": [f"tcp/127.0.0.1:{PORT}"],
             "connect/timeout_ms": int(1000 * patience),
             "connect/exit_on_failure": True,
-            "connect/retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 2},
+            "connect/retry": {
+                "period_init_ms": 50,
+                "period_max_ms": 200,
+                "period_increase_factor": 2,
+            },
             "scouting/multicast/enabled": False,
             "scouting/gossip/enabled": False,
             "scouting/delay": 0,
@@ -101,7 +109,11 @@ def puts(count: int, size: int, sessions: int = 1) -> Attack:
         def send() -> None:
             with run.session(run.rogue) as opened, contextlib.suppress(zenoh.ZError):
                 for _ in range(count // sessions):
-                    opened.put(f"outrider/{RUN}/ugv_0/command", payload, congestion_control=zenoh.CongestionControl.BLOCK)
+                    opened.put(
+                        f"outrider/{RUN}/ugv_0/command",
+                        payload,
+                        congestion_control=zenoh.CongestionControl.BLOCK,
+                    )
 
         threads = [threading.Thread(target=send, daemon=True) for _ in range(sessions)]
         for thread in threads:
@@ -122,7 +134,9 @@ def tokens(key: str, count: int, *, kept: bool) -> Attack:
         with run.session(run.rogue) as opened:
             held = []
             for number in range(count):
-                token = opened.liveliness().declare_token(f"outrider/{RUN}/ugv_0/alive/" + key.format(number))
+                token = opened.liveliness().declare_token(
+                    f"outrider/{RUN}/ugv_0/alive/" + key.format(number)
+                )
                 held.append(token) if kept else token.undeclare()
             yield
 
@@ -165,28 +179,47 @@ ATTACKS: dict[str, Attack] = {
 def measure(name: str) -> dict[str, Any]:
     """Fly a run, attack it, and say what happened."""
     given = new_credentials(RUN, ["uav_0"], ["ugv_0"])
-    with tempfile.TemporaryDirectory(prefix="outrider-crowd-") as folder, contextlib.ExitStack() as stack:
+    with (
+        tempfile.TemporaryDirectory(prefix="outrider-crowd-") as folder,
+        contextlib.ExitStack() as stack,
+    ):
         files = write_credentials(given, Path(folder) / "credentials")
         endpoint = f"tcp/127.0.0.1:{PORT}"
 
         def start(*arguments: str) -> "subprocess.Popen[str]":
             command = [sys.executable, "-m", "outrider", *arguments, "--run", RUN]
-            log = stack.enter_context((Path(folder) / f"{arguments[0]}.log").open("w+", encoding="utf-8"))
+            log = stack.enter_context(
+                (Path(folder) / f"{arguments[0]}.log").open("w+", encoding="utf-8")
+            )
             return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
 
         pace = ["--realtime", "1", "--duration", "3600", "--json"]
-        simulator = start("simulator", "escort", "--listen", endpoint, "--credentials", str(files["router"]), *pace)
+        simulator = start(
+            "simulator",
+            "escort",
+            "--listen",
+            endpoint,
+            "--credentials",
+            str(files["router"]),
+            *pace,
+        )
         children = [simulator]
         try:
             for role in ("uav", "ugv"):
-                children.append(start(role, "--connect", endpoint, "--credentials", str(files[f"{role}_0"])))
+                children.append(
+                    start(role, "--connect", endpoint, "--credentials", str(files[f"{role}_0"]))
+                )
             run = Run(given, simulator.pid)
             with run.session(given.of("observer"), 60.0) as watching:
-                status = watching.declare_subscriber(f"outrider/{RUN}/status", zenoh.handlers.RingChannel(1))
+                status = watching.declare_subscriber(
+                    f"outrider/{RUN}/status", zenoh.handlers.RingChannel(1)
+                )
                 tick = 0
                 while tick < 20:
                     if simulator.poll() is not None:
-                        raise SystemExit(f"the simulator has ended: {(Path(folder) / 'simulator.log').read_text()[-500:]}")
+                        raise SystemExit(
+                            f"the simulator has ended: {(Path(folder) / 'simulator.log').read_text()[-500:]}"
+                        )
                     sample = status.try_recv()
                     tick = tick if sample is None else json.loads(sample.payload.to_bytes())["tick"]
                     time.sleep(0.05)
@@ -196,7 +229,9 @@ def measure(name: str) -> dict[str, Any]:
                 attacked, started = time.monotonic() - started, time.monotonic()
                 try:
                     with run.session(given.of("observer"), 20.0) as late:
-                        heard = late.declare_subscriber(f"outrider/{RUN}/status", zenoh.handlers.RingChannel(1))
+                        heard = late.declare_subscriber(
+                            f"outrider/{RUN}/status", zenoh.handlers.RingChannel(1)
+                        )
                         joined = time.monotonic() - started
                         heard.recv()
                 except zenoh.ZError:
@@ -243,7 +278,9 @@ def main(names: list[str]) -> int:
         return 2
     failed = 0
     limits = f"join {JOIN_LIMIT:g} s, +{GROWTH_LIMIT:g} MB, {LATE_LIMIT:.0%} of ticks late"
-    sys.stdout.write(f"{os.cpu_count()} cores; limits: {limits}\n{'attack':18}{'took s':>8}{'join s':>8}{'MB before':>11}")
+    sys.stdout.write(
+        f"{os.cpu_count()} cores; limits: {limits}\n{'attack':18}{'took s':>8}{'join s':>8}{'MB before':>11}"
+    )
     sys.stdout.write(f"{'after':>8}{'peak':>8}{'late':>6}{'of':>6}  missing commands, faults\n")
     warm = [sys.executable, "-m", "outrider", "run", "escort", "--duration", "1", "--no-files"]
     subprocess.run(warm, check=True, capture_output=True)  # nobody must wait for a compiler

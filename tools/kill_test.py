@@ -1,7 +1,7 @@
 """A vehicle killed at any moment, from its process' start to the run's end: does `--respawn` fly the same bits?
 
-Flies a short run again and again, kills one vehicle's process of each at a random moment, and prints what became of it. Exit
-code 0 if every run flew the trajectory of an undisturbed one and nothing is left behind.
+Flies a short run again and again, kills one vehicle's process of each at a random moment, and prints what became
+of it. Exit code 0 if every run flew the trajectory of an undisturbed one and nothing is left behind.
 
 Example: python tools/kill_test.py --kills 40 --seed 1
 """
@@ -36,7 +36,10 @@ def flown(duration: float, blow: Blow) -> tuple[str, dict[str, object], str, flo
         tempfile.TemporaryDirectory(prefix="o-") as folder,
         tempfile.TemporaryFile() as said,
         subprocess.Popen(
-            [*OUTRIDER, *arguments], stdout=subprocess.PIPE, stderr=said, env=os.environ | {"TMPDIR": folder}
+            [*OUTRIDER, *arguments],
+            stdout=subprocess.PIPE,
+            stderr=said,
+            env=os.environ | {"TMPDIR": folder},
         ) as run,
     ):
         done = blow(run)
@@ -56,7 +59,10 @@ def at(moment: float, rng: random.Random) -> Blow:
         while run.poll() is None:
             victims = {pid: kind for pid, kind in family(run.pid).items() if kind in ("uav", "ugv")}
             if victims:
-                pid, how = rng.choice(sorted(victims)), rng.choice([signal.SIGKILL, signal.SIGKILL, signal.SIGTERM])
+                pid, how = (
+                    rng.choice(sorted(victims)),
+                    rng.choice([signal.SIGKILL, signal.SIGKILL, signal.SIGTERM]),
+                )
                 try:
                     os.kill(pid, how)
                 except ProcessLookupError:
@@ -70,8 +76,12 @@ def at(moment: float, rng: random.Random) -> Blow:
 
 def main() -> int:
     """Fly, kill, and judge."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kills", type=int, default=40, help="how many vehicles are killed, one in each run")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--kills", type=int, default=40, help="how many vehicles are killed, one in each run"
+    )
     parser.add_argument("--duration", type=float, default=200.0, help="simulated time of a run [s]")
     parser.add_argument("--seed", type=int, default=1, help="of victims and moments")
     options = parser.parse_args()
@@ -90,14 +100,22 @@ def main() -> int:
         lost = told.partition("is lost at tick ")[2].split()[:1]
         before = not lost or lost == ["0"]
         early += before
-        fine = summary.get("trajectory_sha256") == wanted and summary["code"] == 0 and not summary["left"]
+        fine = (
+            summary.get("trajectory_sha256") == wanted
+            and summary["code"] == 0
+            and not summary["left"]
+        )
         bad += not fine
         where = f"lost at tick {lost[0]}" if lost else "nobody had met it, or the flight was over"
-        sys.stdout.write(f"{struck:3d}  {moment:6.2f} s  {done:12}  {where:42}  {'the same' if fine else 'CHANGED'}\n")
+        sys.stdout.write(
+            f"{struck:3d}  {moment:6.2f} s  {done:12}  {where:42}  {'the same' if fine else 'CHANGED'}\n"
+        )
         if not fine:
             sys.stdout.write(f"{told}\n{summary}\n")
         sys.stdout.flush()
-    sys.stdout.write(f"{struck} kills, {early} of them before the first tick or after the last: {struck - bad} with one hash\n")
+    sys.stdout.write(
+        f"{struck} kills, {early} of them before the first tick or after the last: {struck - bad} with one hash\n"
+    )
     return 1 if bad else 0
 
 

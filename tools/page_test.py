@@ -1,9 +1,11 @@
-"""The dashboard in a real browser, with real processes: router, simulator, both vehicles, and Debian's Chromium without a screen.
+"""The dashboard in a real browser, with real processes.
+
+Router, simulator, both vehicles, and Debian's Chromium without a screen.
 
     make page-test
 
-Exit code 0: all is as it should be; 1: something is not, and it is named; 77: something is missing, in one line. With --install
-it gets Chromium from Debian's packages first, where it may and can.
+Exit code 0: all is as it should be; 1: something is not, and it is named; 77: something is missing, in one line.
+With --install it gets Chromium from Debian's packages first, where it may and can.
 """
 
 import argparse
@@ -91,10 +93,21 @@ class Processes:
 
     def start(self, kind: str, *arguments: str, name: str = "") -> "subprocess.Popen[bytes]":
         """One process, with its own credentials."""
-        where = ["--listen", self.endpoint] if kind == "router" else ["--run", RUN, "--connect", self.endpoint]
+        where = (
+            ["--listen", self.endpoint]
+            if kind == "router"
+            else ["--run", RUN, "--connect", self.endpoint]
+        )
         with (self._folder / f"{name or kind}.log").open("ab") as log:
             process = subprocess.Popen(
-                [*OUTRIDER, kind, *arguments, "--credentials", self.files[self._party(name or kind)], *where],
+                [
+                    *OUTRIDER,
+                    kind,
+                    *arguments,
+                    "--credentials",
+                    self.files[self._party(name or kind)],
+                    *where,
+                ],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
@@ -111,9 +124,20 @@ class Processes:
 
     def start_all(self, port: int, factor: float) -> None:
         """The whole run, the dashboard on this port, and beside it a flight that is recorded."""
-        words = ["run", "escort", "--in-process", "--no-files", "--duration", "25", "--record", str(self._folder / "run.mcap")]
+        words = [
+            "run",
+            "escort",
+            "--in-process",
+            "--no-files",
+            "--duration",
+            "25",
+            "--record",
+            str(self._folder / "run.mcap"),
+        ]
         with (self._folder / "recording.log").open("ab") as log:
-            self._running["recording"] = subprocess.Popen([*OUTRIDER, *words], stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+            self._running["recording"] = subprocess.Popen(
+                [*OUTRIDER, *words], stdin=subprocess.DEVNULL, stdout=log, stderr=log
+            )
         self.start("router")
         wait_until(lambda: answers(int(self.endpoint.rpartition(":")[2])), "the router listens")
         self.simulator(factor)
@@ -142,11 +166,22 @@ class Processes:
             raise Failed("nothing was recorded")
         words = ["replay", path, "--dashboard", "--dashboard-port", str(port), "--speed", "0.5"]
         with (self._folder / "replay.log").open("ab") as log:
-            self._running["replay"] = subprocess.Popen([*OUTRIDER, *words], stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+            self._running["replay"] = subprocess.Popen(
+                [*OUTRIDER, *words], stdin=subprocess.DEVNULL, stdout=log, stderr=log
+            )
 
     def simulator(self, factor: float) -> None:
         """A simulator that keeps the wall clock."""
-        self.start("simulator", "escort", "--duration", "20000", "--realtime", str(factor), "--join-timeout", "120")
+        self.start(
+            "simulator",
+            "escort",
+            "--duration",
+            "20000",
+            "--realtime",
+            str(factor),
+            "--join-timeout",
+            "120",
+        )
 
     def kill(self, name: str) -> None:
         """As a crash would."""
@@ -167,7 +202,10 @@ class Processes:
 
     def logs(self) -> str:
         """The last words of each process."""
-        return "\n".join(f"--- {path.name}\n{path.read_text(errors='replace')[-1500:]}" for path in self._folder.glob("*.log"))
+        return "\n".join(
+            f"--- {path.name}\n{path.read_text(errors='replace')[-1500:]}"
+            for path in self._folder.glob("*.log")
+        )
 
 
 class Page:
@@ -176,9 +214,16 @@ class Page:
     def __init__(self, context: Any, address: str, complaints: list[str]) -> None:  # noqa: ANN401 - Playwright's own
         context.add_init_script(_PAD)
         self.page = context.new_page()
-        self.page.on("console", lambda m: complaints.append(f"console: {m.text}") if m.type in ("error", "warning") else None)
+        self.page.on(
+            "console",
+            lambda m: (
+                complaints.append(f"console: {m.text}") if m.type in ("error", "warning") else None
+            ),
+        )
         self.page.on("pageerror", lambda error: complaints.append(f"script: {error}"))
-        self.page.on("request", lambda request: self._see(request.url, address.partition("?")[0], complaints))
+        self.page.on(
+            "request", lambda request: self._see(request.url, address.partition("?")[0], complaints)
+        )
         self.page.goto(address)
         self.ready()
         if "?" in self.page.url:
@@ -192,7 +237,10 @@ class Page:
     def ready(self) -> None:
         """Wait until it shows a run."""
         wait_until(
-            lambda: self.run("window.outrider && outrider.store.status && outrider.store.truth && true"), "the page shows a run"
+            lambda: self.run(
+                "window.outrider && outrider.store.status && outrider.store.truth && true"
+            ),
+            "the page shows a run",
         )
 
     def run(self, script: str) -> Any:  # noqa: ANN401 - whatever the script gives
@@ -231,7 +279,11 @@ class Page:
 
     def banner(self) -> str:
         """What is wrong, as the page says; empty: nothing."""
-        return str(self.run("document.getElementById('banner').hidden ? '' : document.getElementById('banner').innerText"))
+        return str(
+            self.run(
+                "document.getElementById('banner').hidden ? '' : document.getElementById('banner').innerText"
+            )
+        )
 
     def click(self, text: str) -> None:
         """A button."""
@@ -246,7 +298,9 @@ class Page:
 def check_open_and_moving(first: Page) -> str:
     """Numbers in the tiles, colours on the map, and both vehicles on their way."""
     before = {name: first.position(name) for name in ("uav_0", "ugv_0")}
-    wait_until(lambda: all(first.position(name) != before[name] for name in before), "both vehicles move")
+    wait_until(
+        lambda: all(first.position(name) != before[name] for name in before), "both vehicles move"
+    )
     for tile in ("time", "distance", "margin", "error", "factor"):
         text = first.page.locator(f"#tile-{tile} output").inner_text()
         if not text.replace(".", "").replace("-", "").isdigit():
@@ -265,8 +319,8 @@ def check_policy(context: Any, address: str) -> str:  # noqa: ANN401 - Playwrigh
       const image = document.createElement("div");
       image.innerHTML = "<img src='data:,' onerror='window.ran = true'>";
       const script = Object.assign(document.createElement("script"), { textContent: "window.ran = true" });
-      const elsewhere = Object.assign(document.createElement("script"), { src: "data:text/javascript,window.ran = true" });
-      document.body.append(image, script, elsewhere);
+      const elsewhere = Object.assign(document.createElement("script"), { src: "data:text/javascript,window.ran =
+      true" }); document.body.append(image, script, elsewhere);
     }""")
     time.sleep(0.5)
     if page.evaluate("() => window.ran"):
@@ -298,7 +352,10 @@ def admit_by_form(context: Any, processes: Processes, address: str) -> str:  # n
 
 
 def check_frame_rate(first: Page) -> str:
-    """Twenty a second on a machine that has time; on one that has not fewer, and never more: the rate is told, not judged."""
+    """Twenty a second on a machine that has time; on one that has not fewer, and never more.
+
+    The rate is told, not judged.
+    """
     count, began = first.run("outrider.stats.frames"), time.monotonic()
     time.sleep(5.0)
     rate = (first.run("outrider.stats.frames") - count) / (time.monotonic() - began)
@@ -339,10 +396,14 @@ def check_key(first: Page) -> str:
 
 def check_pad(first: Page) -> str:
     """So does a gamepad."""
-    first.run("window.pads = [{ id: 'stub pad', connected: true, axes: [-1, 0, 0, 0], buttons: [] }]")
+    first.run(
+        "window.pads = [{ id: 'stub pad', connected: true, axes: [-1, 0, 0, 0], buttons: [] }]"
+    )
     wait_until(lambda: first.velocity()[0] < -0.1, "a gamepad drives the UGV west")
     wait_until(lambda: "stub pad" in first.page.locator("#pad").inner_text(), "the pad is named")
-    first.run("window.pads = [{ id: 'stub pad', connected: true, axes: [0.05, 0.05], buttons: [] }]")
+    first.run(
+        "window.pads = [{ id: 'stub pad', connected: true, axes: [0.05, 0.05], buttons: [] }]"
+    )
     wait_until(lambda: first.speed() < 0.01, "in the dead zone it brakes")
     first.run("window.pads = [null]")
     return "a stubbed pad"
@@ -373,13 +434,20 @@ def check_touch(second: Page, context: Any) -> str:  # noqa: ANN401 - Playwright
     box = stick.bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     touch = context.new_cdp_session(second.page)
-    touch.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]})
-    touch.send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": [{"x": x, "y": y + box["height"] / 2}]})
+    touch.send(
+        "Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]}
+    )
+    touch.send(
+        "Input.dispatchTouchEvent",
+        {"type": "touchMove", "touchPoints": [{"x": x, "y": y + box["height"] / 2}]},
+    )
     wait_until(lambda: second.velocity()[1] < -0.1, "a finger on the stick drives the UGV south")
     touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
     wait_until(lambda: second.speed() < 0.01, "lifted, it brakes")
     second.click("Hand back")
-    wait_until(lambda: second.status["drivers"]["ugv_0"] == "waypoints", "the driver from before drives on")
+    wait_until(
+        lambda: second.status["drivers"]["ugv_0"] == "waypoints", "the driver from before drives on"
+    )
     wait_until(lambda: second.wheel() == "free" and second.speed() > 0.05, "and moves")
     return "a finger drives; handing back seats the driver from before"
 
@@ -411,7 +479,10 @@ def check_controls(page: Page) -> str:
     page.page.get_by_label("seed").fill("11")
     page.page.get_by_label("seed").blur()
     page.click("Reset")
-    wait_until(lambda: page.status["seed"] == 11 and page.status["tick"] < before, "a new flight with the seed")
+    wait_until(
+        lambda: page.status["seed"] == 11 and page.status["tick"] < before,
+        "a new flight with the seed",
+    )
     wait_until(lambda: 0 < page.tick < before, "it is flown")
     return f"pause, step, law, driver, lockstep (factor {fast:.0f}), reset with a seed"
 
@@ -435,37 +506,60 @@ def check_links(page: Page) -> str:
     name = "uav_0/detections"
     row = page.page.locator(f"[data-link='{name}']")
     row.click()
-    wait_until(lambda: page.page.get_by_role("combobox", name="link").input_value() == "detections", "the form shows the row")
+    wait_until(
+        lambda: page.page.get_by_role("combobox", name="link").input_value() == "detections",
+        "the form shows the row",
+    )
     before = len(page.status["changes"])
     _slider(page, "loss [%]", 0.5)
-    wait_until(lambda: 0.3 < page.status["links"][name]["settings"]["loss"] < 0.7, "the slider sets the loss")
+    wait_until(
+        lambda: 0.3 < page.status["links"][name]["settings"]["loss"] < 0.7,
+        "the slider sets the loss",
+    )
     share = page.status["links"][name]["settings"]["loss"]
     wait_until(lambda: page.status["links"][name]["lost"]["loss"] > 0, "detections are lost")
     if (said := len(page.status["changes"]) - before) != 1:
         raise Failed(f"one drag of a slider has said {said} things")
     if any(other["degraded"] for key, other in page.status["links"].items() if key != name):
         raise Failed("other links are degraded too")
-    wait_until(lambda: f"loss {100 * share:.3g} %" in row.inner_text() and "lost: loss" in row.inner_text(), "the row shows it")
+    wait_until(
+        lambda: (
+            f"loss {100 * share:.3g} %" in row.inner_text() and "lost: loss" in row.inner_text()
+        ),
+        "the row shows it",
+    )
     page.page.get_by_label("length of the blackout").fill("2")
     page.click("Blackout for 2 s")
-    wait_until(lambda: "blackout" in row.inner_text() and "left" in row.inner_text(), "the row shows the blackout")
-    wait_until(lambda: page.status["links"][name]["lost"]["blackout"] >= 20, "it takes what is sent meanwhile")
+    wait_until(
+        lambda: "blackout" in row.inner_text() and "left" in row.inner_text(),
+        "the row shows the blackout",
+    )
+    wait_until(
+        lambda: page.status["links"][name]["lost"]["blackout"] >= 20,
+        "it takes what is sent meanwhile",
+    )
     if page.status["links"][name]["settings"]["loss"] != share:
         raise Failed("a blackout has changed the loss")
     wait_until(lambda: "left" not in row.inner_text(), "it passes")
     _slider(page, "bursts of [s]", 0.2)
-    wait_until(lambda: page.status["links"][name]["settings"]["burst_interval"] > 0.0, "bursts come with a time between them")
+    wait_until(
+        lambda: page.status["links"][name]["settings"]["burst_interval"] > 0.0,
+        "bursts come with a time between them",
+    )
     interval = page.page.get_by_label("one every, number")
     interval.fill("0")
     interval.press("Enter")
     refusal = page.page.locator("#link-refusal")
     wait_until(
-        lambda: "burst_interval" in refusal.inner_text() and "allowed" in refusal.inner_text(), "a refusal is shown, and why"
+        lambda: "burst_interval" in refusal.inner_text() and "allowed" in refusal.inner_text(),
+        "a refusal is shown, and why",
     )
     wait_until(lambda: float(interval.input_value()) > 0.0, "the form shows again what is")
     page.page.get_by_role("button", name="Perfect", exact=True).click()
     wait_until(lambda: not page.status["links"][name]["degraded"], "it is perfect again")
-    wait_until(lambda: not refusal.inner_text() and "perfect" in row.inner_text(), "and the page says so")
+    wait_until(
+        lambda: not refusal.inner_text() and "perfect" in row.inner_text(), "and the page says so"
+    )
     return f"one word for a drag, loss {100 * share:.0f} %; blackout of 2 s; a refusal with its reason; perfect again"
 
 
@@ -485,7 +579,12 @@ def check_observer(processes: Processes, context: Any, complaints: list[str]) ->
     return "all is shown, nothing can be pressed, and the reason is given"
 
 
-def check_recording(processes: Processes, context: Any, pictures: Path | None, complaints: list[str]) -> str:  # noqa: ANN401
+def check_recording(
+    processes: Processes,
+    context: Any,  # noqa: ANN401
+    pictures: Path | None,
+    complaints: list[str],
+) -> str:
     """It is played, paused, wound and stepped; nothing else can be touched."""
     page = Page(context, processes.address("replay"), complaints)
     wait_until(lambda: page.tick > 20, "it is played")
@@ -529,7 +628,10 @@ def check_dead_simulator(page: Page, processes: Processes) -> str:
 
 
 class Doors:
-    """Dashboards that are refused, and one with a chosen token: started before they are looked at, since all that takes time."""
+    """Dashboards that are refused, and one with a chosen token.
+
+    Started before they are looked at, since all that takes time.
+    """
 
     def __init__(self, processes: Processes, port: int) -> None:
         self.port = free_port()
@@ -545,9 +647,19 @@ def _refused(processes: Processes, port: int) -> "dict[str, tuple[subprocess.Pop
     }
     tried = {}
     for what, (arguments, said) in refused.items():
-        command = [*OUTRIDER, "dashboard", *arguments, "--connect", processes.endpoint, "--run", RUN]
+        command = [
+            *OUTRIDER,
+            "dashboard",
+            *arguments,
+            "--connect",
+            processes.endpoint,
+            "--run",
+            RUN,
+        ]
         command += ["--credentials", processes.files["operator"]]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
         tried[what] = (process, said)
     return tried
 
@@ -626,10 +738,14 @@ def perform(playwright: Any, chromium: str, pictures: Path | None) -> None:  # n
         say(f"ok {time.monotonic() - began:5.1f} s  {what}: {found}")
 
     with staged(port) as processes:
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", _OFFLINE])
+        browser = playwright.chromium.launch(
+            executable_path=chromium, args=["--no-sandbox", _OFFLINE]
+        )
         try:
             desk = browser.new_context(viewport={"width": 1280, "height": 800})
-            phone = browser.new_context(viewport={"width": 390, "height": 844}, device_scale_factor=2, has_touch=True)
+            phone = browser.new_context(
+                viewport={"width": 390, "height": 844}, device_scale_factor=2, has_touch=True
+            )
             first = Page(desk, processes.address("dashboard"), complaints)
             report("what may run in it", check_policy(desk, address))
             report("the page opens and the vehicles move", check_open_and_moving(first))
@@ -672,8 +788,19 @@ def install_browser() -> None:
         return
     say("page-test: installing chromium from Debian's packages")
     environment = os.environ | {"DEBIAN_FRONTEND": "noninteractive"}
-    patient = ["-qq", "-o", "Acquire::Retries=1", "-o", "Acquire::http::Timeout=20", "-o", "Acquire::https::Timeout=20"]
-    for words in (["update"], ["install", "-y", "--no-install-recommends", "chromium", "fonts-dejavu-core"]):
+    patient = [
+        "-qq",
+        "-o",
+        "Acquire::Retries=1",
+        "-o",
+        "Acquire::http::Timeout=20",
+        "-o",
+        "Acquire::https::Timeout=20",
+    ]
+    for words in (
+        ["update"],
+        ["install", "-y", "--no-install-recommends", "chromium", "fonts-dejavu-core"],
+    ):
         with contextlib.suppress(subprocess.TimeoutExpired):
             done = subprocess.run(
                 ["apt-get", *patient, *words],
@@ -685,7 +812,9 @@ def install_browser() -> None:
                 check=False,
             )
             if done.returncode:
-                last = (done.stderr.strip() or done.stdout.strip() or "no word why").splitlines()[-1]
+                last = (done.stderr.strip() or done.stdout.strip() or "no word why").splitlines()[
+                    -1
+                ]
                 say(f"page-test: apt-get {words[0]} failed: {last}")
 
 
@@ -704,8 +833,14 @@ def missing() -> str:
 def main() -> int:
     """Run all checks."""
     parser = argparse.ArgumentParser(description="Test the dashboard in a real browser.")
-    parser.add_argument("--pictures", type=Path, help="a folder for pictures of the page on a desk and on a phone")
-    parser.add_argument("--install", action="store_true", help="get Chromium from Debian's packages if it is not there")
+    parser.add_argument(
+        "--pictures", type=Path, help="a folder for pictures of the page on a desk and on a phone"
+    )
+    parser.add_argument(
+        "--install",
+        action="store_true",
+        help="get Chromium from Debian's packages if it is not there",
+    )
     arguments = parser.parse_args()
     if arguments.install:
         install_browser()

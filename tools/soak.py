@@ -1,4 +1,6 @@
-"""An hour of simulated time at full speed, with processes killed and frozen at random: does anything leak, drift or change?
+"""An hour of simulated time at full speed, with processes killed and frozen at random.
+
+Does anything leak, drift or change?
 
 Flies `outrider run --respawn` and prints what was done to it, how the memory of each process grew, and whether the
 trajectory is the one of an undisturbed run in one process. Exit code 0 if it is and nothing is left behind.
@@ -42,11 +44,20 @@ def words(pid: int) -> list[str]:
 def family(pid: int) -> dict[int, str]:
     """The run's processes: pid, and what each is."""
     try:
-        children = [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()]
+        children = [
+            int(child)
+            for child in Path(f"/proc/{pid}/task/{pid}/children")
+            .read_text(encoding="ascii")
+            .split()
+        ]
     except (FileNotFoundError, ProcessLookupError):
         return {}
     found = {child: words(child) for child in children}
-    return {child: said[said.index("outrider") + 1] for child, said in found.items() if "outrider" in said}
+    return {
+        child: said[said.index("outrider") + 1]
+        for child, said in found.items()
+        if "outrider" in said
+    }
 
 
 def memory(pid: int) -> float | None:
@@ -108,17 +119,26 @@ def strike(run: int, rng: random.Random) -> str:
     return f"{blow.name} {victims[pid]}"
 
 
-def watch(run: "subprocess.Popen[bytes]", rng: random.Random, every: float) -> tuple[Tracks, list[str]]:
+def watch(
+    run: "subprocess.Popen[bytes]", rng: random.Random, every: float
+) -> tuple[Tracks, list[str]]:
     """Follow a run to its end, and disturb it every few seconds of wall time."""
     said: list[str] = []
     while "--credentials" not in said:
         time.sleep(0.1)
-        said = next((words(pid) for pid, kind in family(run.pid).items() if kind == "simulator"), [])
-    endpoint, name, known = (said[said.index(option) + 1] for option in ("--listen", "--run", "--credentials"))
+        said = next(
+            (words(pid) for pid, kind in family(run.pid).items() if kind == "simulator"), []
+        )
+    endpoint, name, known = (
+        said[said.index(option) + 1] for option in ("--listen", "--run", "--credentials")
+    )
     while not Path(endpoint.removeprefix("unixsock-stream/")).exists():
         time.sleep(0.1)
     tracks, blows, due = Tracks(), list[str](), time.monotonic() + 2.0 * every
-    observer, credential = Party(role=Role.OBSERVER, name="observer"), read_credential(Path(known).with_name("observer.json"))
+    observer, credential = (
+        Party(role=Role.OBSERVER, name="observer"),
+        read_credential(Path(known).with_name("observer.json")),
+    )
     with open_session(observer, name, connect=endpoint, credential=credential) as session:
         inbox, shown = session.inbox(STATUS), 0.0
         while run.poll() is None:
@@ -146,17 +166,34 @@ def watch(run: "subprocess.Popen[bytes]", rng: random.Random, every: float) -> t
 
 def main() -> int:
     """Fly, disturb, and judge."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--duration", type=float, default=3600.0, help="simulated time [s]")
     parser.add_argument("--seed", type=int, default=1, help="of the blows")
-    parser.add_argument("--every", type=float, default=3.0, help="wall time between two blows, on average [s]")
+    parser.add_argument(
+        "--every", type=float, default=3.0, help="wall time between two blows, on average [s]"
+    )
     options = parser.parse_args()
     rng = random.Random(options.seed)
     with tempfile.TemporaryDirectory(prefix="o-") as folder:
-        arguments = ["run", "escort", "--duration", str(options.duration), "--respawn", "--no-files", "--json"]
+        arguments = [
+            "run",
+            "escort",
+            "--duration",
+            str(options.duration),
+            "--respawn",
+            "--no-files",
+            "--json",
+        ]
         environment = os.environ | {"TMPDIR": folder}
         started = time.monotonic()
-        with subprocess.Popen([*OUTRIDER, *arguments], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment) as run:
+        with subprocess.Popen(
+            [*OUTRIDER, *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+        ) as run:
             tracks, blows = watch(run, rng, options.every)
             out, _ = run.communicate(timeout=120)
         seconds = time.monotonic() - started

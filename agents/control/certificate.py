@@ -1,10 +1,10 @@
 r"""The certificate: a filter around any inner control that keeps $\|p_a - p_g\| < r_v$. Beyond Klodt 2015.
 
-The proof is in docs/certificate.md. What is known of the UGV is a set: each detection z, taken at t_z with an error of at most
-$\epsilon$, puts it into a disc of radius $\rho(t) = \epsilon + v_g (t - t_z)$ around z.
-The filter always holds a **plan**: a motion of the UAV that ends at rest and is checked against those discs to its end. A
-command of the inner control acts only if a plan still exists after it; else the plan acts. At a plan's end the hand-over
-inequality says that the next plan exists, whatever has been detected meanwhile.
+The proof is in docs/certificate.md. What is known of the UGV is a set: each detection z, taken at t_z with an
+error of at most $\epsilon$, puts it into a disc of radius $\rho(t) = \epsilon + v_g (t - t_z)$ around z.
+The filter always holds a **plan**: a motion of the UAV that ends at rest and is checked against those discs to its
+end. A command of the inner control acts only if a plan still exists after it; else the plan acts. At a plan's end the
+hand-over inequality says that the next plan exists, whatever has been detected meanwhile.
 
 All positions in the world's frame [m], times [s], speeds [m/s], accelerations [m/s²].
 """
@@ -26,7 +26,10 @@ _REST = 1e-9
 """A vehicle slower than this [m/s] is at rest."""
 
 _OFF_WALL = 1e-6
-"""A plan that moves towards a wall turns or ends at least so far from it [m]: rounding must not make the vehicle touch it."""
+"""A plan that moves towards a wall turns or ends at least so far from it [m].
+
+Rounding must not make the vehicle touch it.
+"""
 
 
 _SPEEDS = (1.0, 0.6, 0.35, 0.2)
@@ -35,7 +38,16 @@ _SPEEDS = (1.0, 0.6, 0.35, 0.2)
 INNER, PLAN, BEST_EFFORT = 0, 1, 2
 """Who acts: the inner control; the plan (certified); nobody certified, the filter does what it can."""
 
-CERTIFIED, NO_DETECTION, TOO_OLD, CONTRADICTED, OFF_COURSE, NO_PLAN, UNKNOWN_COMMANDS, UNSAFE_COURSE = range(8)
+(
+    CERTIFIED,
+    NO_DETECTION,
+    TOO_OLD,
+    CONTRADICTED,
+    OFF_COURSE,
+    NO_PLAN,
+    UNKNOWN_COMMANDS,
+    UNSAFE_COURSE,
+) = range(8)
 UNCERTIFIED = {
     NO_DETECTION: "no detection has arrived yet",
     TOO_OLD: "the newest detection is older than declared (age > A)",
@@ -50,11 +62,20 @@ UNCERTIFIED = {
 
 @compiled
 def servo(
-    p_x: float, p_y: float, v_x: float, v_y: float, z_x: float, z_y: float, v_a: float, u_a: float, dt: float
+    p_x: float,
+    p_y: float,
+    v_x: float,
+    v_y: float,
+    z_x: float,
+    z_y: float,
+    v_a: float,
+    u_a: float,
+    dt: float,
 ) -> tuple[float, float]:
     r"""To z as fast as it can still stop there, $u = clip((v^* - v_a)/dt, u_a)$, $v^* = -s (p_a - z)/\|p_a - z\|$ [m/s²].
 
-    s is the speed from which the UAV stops at z, at most v_a. Acts where nothing is certified, as the best that can be done.
+    s is the speed from which the UAV stops at z, at most v_a. Acts where nothing is certified, as the best that
+    can be done.
     """
     x, y = z_x - p_x, z_y - p_y
     way = norm(x, y)
@@ -88,7 +109,15 @@ def no_plan() -> FloatArray:
 
 @compiled
 def farthest(
-    promise: Promise, detections: FloatArray, plan: FloatArray, new: int, near: int, t: float, x: float, y: float, enough: float
+    promise: Promise,
+    detections: FloatArray,
+    plan: FloatArray,
+    new: int,
+    near: int,
+    t: float,
+    x: float,
+    y: float,
+    enough: float,
 ) -> float:
     """Upper bound of the distance from (x, y) to the UGV at time t [m], from the newest disc, the nearest and the last plan's.
 
@@ -107,11 +136,17 @@ def farthest(
     bound: float = norm(x - n_x, y - n_y) + n_r
     if bound <= enough:
         return bound
-    e_r = plan[_END_RADIUS] + c.v_g * abs(t - plan[_END_TIME])  # also of a time before, which commands under way ask for
+    e_r = plan[_END_RADIUS] + c.v_g * abs(
+        t - plan[_END_TIME]
+    )  # also of a time before, which commands under way ask for
     bound = min(bound, lens_distance(x, y, n_x, n_y, n_r, plan[_END_X], plan[_END_Y], e_r))
     if bound <= enough or near == new:
         return bound
-    b_x, b_y, b_r = detections[near, 0], detections[near, 1], c.eps + c.v_g * (t - detections[near, 2])
+    b_x, b_y, b_r = (
+        detections[near, 0],
+        detections[near, 1],
+        c.eps + c.v_g * (t - detections[near, 2]),
+    )
     bound = min(bound, lens_distance(x, y, n_x, n_y, n_r, b_x, b_y, b_r))
     return min(bound, lens_distance(x, y, b_x, b_y, b_r, plan[_END_X], plan[_END_Y], e_r))
 
@@ -159,25 +194,51 @@ def _is_off_wall(p: float, v: float, a: float, duration: float, size: float) -> 
 @compiled
 def _is_in_area(promise: Promise, x: float, y: float) -> bool:
     c = promise
-    return (math.isinf(c.width) or 0.0 <= x <= c.width) and (math.isinf(c.height) or 0.0 <= y <= c.height)
+    return (math.isinf(c.width) or 0.0 <= x <= c.width) and (
+        math.isinf(c.height) or 0.0 <= y <= c.height
+    )
 
 
 @compiled
 def _stays_in_area(
-    promise: Promise, p_x: float, p_y: float, v_x: float, v_y: float, a_x: float, a_y: float, duration: float
+    promise: Promise,
+    p_x: float,
+    p_y: float,
+    v_x: float,
+    v_y: float,
+    a_x: float,
+    a_y: float,
+    duration: float,
 ) -> bool:
-    """Whether a motion with constant acceleration stays within the walls: one that it touched would take the UAV off its plan."""
+    """Whether a motion with constant acceleration stays within the walls.
+
+    One that it touched would take the UAV off its plan.
+    """
     c = promise
-    return _is_off_wall(p_x, v_x, a_x, duration, c.width) and _is_off_wall(p_y, v_y, a_y, duration, c.height)
+    return _is_off_wall(p_x, v_x, a_x, duration, c.width) and _is_off_wall(
+        p_y, v_y, a_y, duration, c.height
+    )
 
 
 @compiled
 def _end_radius(
-    promise: Promise, detections: FloatArray, plan: FloatArray, new: int, near: int, t: float, x: float, y: float, duration: float
+    promise: Promise,
+    detections: FloatArray,
+    plan: FloatArray,
+    new: int,
+    near: int,
+    t: float,
+    x: float,
+    y: float,
+    duration: float,
 ) -> float:
     """How far the UGV is at most from a plan's end, now [m], if the plan may end there; else infinite."""
     c = promise
-    single = norm(x - detections[new, 0], y - detections[new, 1]) + c.eps + c.v_g * (t - detections[new, 2])
+    single = (
+        norm(x - detections[new, 0], y - detections[new, 1])
+        + c.eps
+        + c.v_g * (t - detections[new, 2])
+    )
     growth = c.v_g * duration
     if not single + growth <= c.reach:
         return math.inf
@@ -200,8 +261,8 @@ def plan_stop(
 ) -> bool:
     """Whether the UAV may brake to a stop from this state at time t; if so, that is the plan.
 
-    Along a straight line on which it only slows down, the bound is largest at one of the ends: the distance to a fixed point is
-    convex in the way, and the way concave in time.
+    Along a straight line on which it only slows down, the bound is largest at one of the ends: the distance to a
+    fixed point is convex in the way, and the way concave in time.
     """
     c = promise
     speed = norm(v_x, v_y)
@@ -210,7 +271,9 @@ def plan_stop(
     share = -1.0 / duration if ticks else 0.0
     if not _is_in_area(promise, p_x, p_y):
         return False
-    if ticks and not _stays_in_area(promise, p_x, p_y, v_x, v_y, share * v_x, share * v_y, duration):
+    if ticks and not _stays_in_area(
+        promise, p_x, p_y, v_x, v_y, share * v_x, share * v_y, duration
+    ):
         return False
     end_x, end_y = p_x + 0.5 * v_x * duration, p_y + 0.5 * v_y * duration
     end_radius = _end_radius(promise, detections, plan, new, near, t, end_x, end_y, duration)
@@ -247,7 +310,11 @@ def _turn_is_safe(
     while k <= ticks:
         s = k * c.dt
         x, y = p_x + (v_x + 0.5 * a_x * s) * s, p_y + (v_y + 0.5 * a_y * s) * s
-        room = c.r_v - c.v_g * s - farthest(promise, detections, plan, new, near, t, x, y, c.r_v - c.v_g * s)
+        room = (
+            c.r_v
+            - c.v_g * s
+            - farthest(promise, detections, plan, new, near, t, x, y, c.r_v - c.v_g * s)
+        )
         if not room >= 0.0:
             return False
         k += max(1, int(room / ((c.v_a + c.v_g) * c.dt)))
@@ -290,13 +357,18 @@ def _plan_at_speed(
             w_x, w_y = speed * (z_x - q_x) / way, speed * (z_y - q_y) / way
             turn = max(1, math.ceil(norm(w_x - v_x, w_y - v_y) / (c.u_a * c.dt) - ROUNDING))
             q_x, q_y = p_x + 0.5 * (v_x + w_x) * turn * c.dt, p_y + 0.5 * (v_y + w_y) * turn * c.dt
-        left = ((z_x - q_x) * w_x + (z_y - q_y) * w_y) / (speed * speed * c.dt) - 0.5 * stop  # ticks at constant speed
+        left = ((z_x - q_x) * w_x + (z_y - q_y) * w_y) / (
+            speed * speed * c.dt
+        ) - 0.5 * stop  # ticks at constant speed
         if not left >= 0.0:
             return False
         cruise = int(left)
     duration = (turn + cruise + stop) * c.dt
     level = (0.5 * turn + cruise + 0.5 * stop) * c.dt
-    end_x, end_y = p_x + 0.5 * v_x * turn * c.dt + w_x * level, p_y + 0.5 * v_y * turn * c.dt + w_y * level
+    end_x, end_y = (
+        p_x + 0.5 * v_x * turn * c.dt + w_x * level,
+        p_y + 0.5 * v_y * turn * c.dt + w_y * level,
+    )
     end_radius = _end_radius(promise, detections, plan, new, near, t, end_x, end_y, duration)
     if end_radius == math.inf:
         return False
@@ -308,7 +380,9 @@ def _plan_at_speed(
             and _stays_in_area(promise, q_x, q_y, end_x - q_x, end_y - q_y, 0.0, 0.0, 1.0)
         ):
             return False
-    if not _turn_is_safe(promise, detections, plan, new, near, t, p_x, p_y, v_x, v_y, a_x, a_y, turn):
+    if not _turn_is_safe(
+        promise, detections, plan, new, near, t, p_x, p_y, v_x, v_y, a_x, a_y, turn
+    ):
         return False
     b_x, b_y = (-w_x / (stop * c.dt), -w_y / (stop * c.dt)) if stop else (0.0, 0.0)
     _adopt(plan, turn, cruise, stop, a_x, a_y, b_x, b_y, end_x, end_y, end_radius, t)
@@ -328,13 +402,18 @@ def plan_return(
     v_x: float,
     v_y: float,
 ) -> bool:
-    """Whether the UAV may turn to the newest detection, fly there and stop, from this state at time t; if so, that is the plan.
+    """Whether the UAV may turn to the newest detection, fly there and stop, from this state at time t.
 
-    The turn takes the velocity along a straight line to the one that leads from the turn's end to the detection; bounds are kept,
+    If so, that is the plan.
+
+    The turn takes the velocity along a straight line to the one that leads from the turn's end to the detection;
+    bounds are kept,
     since both ends keep them. After it the way is straight, and the bound is largest at one of its ends.
     """
     for share in _SPEEDS:
-        if _plan_at_speed(promise, detections, plan, new, near, t, p_x, p_y, v_x, v_y, share * promise.v_a):
+        if _plan_at_speed(
+            promise, detections, plan, new, near, t, p_x, p_y, v_x, v_y, share * promise.v_a
+        ):
             return True
     return False
 
@@ -373,10 +452,12 @@ def safe_control(
     u_x: float,
     u_y: float,
 ) -> tuple[float, float, int]:
-    """The command that acts in the tick from t on: the inner control's if a plan still exists after it, else the plan's.
+    """The command that acts in the tick from t on.
 
-    With delayed commands t, p and v are those of the tick in which this command will act. The plan that is held begins in this
-    state; where the vehicle has come to another one, `drop_plan` is to be called first.
+    The inner control's if a plan still exists after it, else the plan's.
+
+    With delayed commands t, p and v are those of the tick in which this command will act. The plan that is held
+    begins in this state; where the vehicle has come to another one, `drop_plan` is to be called first.
 
     Args:
         promise: The declared numbers.
@@ -399,10 +480,15 @@ def safe_control(
     near = nearest(p_x, p_y, t, detections, c.eps, c.v_g)
     w_x, w_y = clip_norm(u_x, u_y, c.u_a)
     x, y, s_x, s_y, over = step_in_area(promise, p_x, p_y, v_x, v_y, w_x, w_y)
-    within = plan[_VALID] != 0.0 or farthest(promise, detections, plan, new, near, t, p_x, p_y, c.r_v) <= c.r_v
+    within = (
+        plan[_VALID] != 0.0
+        or farthest(promise, detections, plan, new, near, t, p_x, p_y, c.r_v) <= c.r_v
+    )
     if over > 0.0:  # within the tick the bound is at most that of the point beyond the wall
         room = c.r_v - over
-        within = within and farthest(promise, detections, plan, new, near, t + c.dt, x, y, room) <= room
+        within = (
+            within and farthest(promise, detections, plan, new, near, t + c.dt, x, y, room) <= room
+        )
     if within and (
         plan_stop(promise, detections, plan, new, near, t + c.dt, x, y, s_x, s_y)
         or plan_return(promise, detections, plan, new, near, t + c.dt, x, y, s_x, s_y)
@@ -421,7 +507,15 @@ def safe_control(
 
 
 @compiled
-def is_within(promise: Promise, detections: FloatArray, plan: FloatArray, t: float, p_x: float, p_y: float, over: float) -> bool:
+def is_within(
+    promise: Promise,
+    detections: FloatArray,
+    plan: FloatArray,
+    t: float,
+    p_x: float,
+    p_y: float,
+    over: float,
+) -> bool:
     """Whether the UGV is surely within r_v of this point at time t, also if a wall has kept the UAV `over` [m] from beyond it."""
     c = promise
     new = newest_detection(detections)
@@ -433,10 +527,16 @@ def is_within(promise: Promise, detections: FloatArray, plan: FloatArray, t: flo
 
 @compiled
 def contradicts_plan(promise: Promise, detections: FloatArray, plan: FloatArray) -> bool:
-    """Whether the newest detection cannot be true if the UGV was where the last plan's check has it: an assumption is broken."""
+    """Whether the newest detection cannot be true if the UGV was where the last plan's check has it.
+
+    An assumption is broken.
+    """
     c = promise
     new = newest_detection(detections)
     if new < 0 or math.isinf(plan[_END_RADIUS]):
         return False
     apart = norm(detections[new, 0] - plan[_END_X], detections[new, 1] - plan[_END_Y])
-    return bool(apart > plan[_END_RADIUS] + c.eps + c.v_g * abs(plan[_END_TIME] - detections[new, 2]) + MARGIN)
+    return bool(
+        apart
+        > plan[_END_RADIUS] + c.eps + c.v_g * abs(plan[_END_TIME] - detections[new, 2]) + MARGIN
+    )

@@ -8,8 +8,13 @@ ZERO_GRADIENT = 1e-9
 
 
 @compiled
-def symmetry_breaker(q_x: float, q_y: float, p_ax: float, p_ay: float, k: float) -> tuple[float, float]:
-    r"""The way out of symmetry, to the nearest uncovered point, Klodt 2015, eq. (7): $\tilde u_{cov} = k(\tilde q - p_a)$."""
+def symmetry_breaker(
+    q_x: float, q_y: float, p_ax: float, p_ay: float, k: float
+) -> tuple[float, float]:
+    r"""The way out of symmetry, to the nearest uncovered point, Klodt 2015, eq.
+
+    (7): $\tilde u_{cov} = k(\tilde q - p_a)$.
+    """
     return k * (q_x - p_ax), k * (q_y - p_ay)
 
 
@@ -20,8 +25,12 @@ def is_zero_gradient(u_cov_x: float, u_cov_y: float, size: float) -> bool:
 
 
 @compiled
-def single_integrator_command(u_cov_x: float, u_cov_y: float, size: float, other_x: float, other_y: float) -> tuple[float, float]:
-    r"""What a single integrator would do, Klodt 2015, eq. (8): $u_{si} = u_{cov}$, or $\tilde u_{cov}$ where $u_{cov} = 0$.
+def single_integrator_command(
+    u_cov_x: float, u_cov_y: float, size: float, other_x: float, other_y: float
+) -> tuple[float, float]:
+    r"""What a single integrator would do, Klodt 2015, eq.
+
+    (8): $u_{si} = u_{cov}$, or $\tilde u_{cov}$ where $u_{cov} = 0$.
 
     Args:
         u_cov_x, u_cov_y: u_cov of (6).
@@ -43,7 +52,9 @@ def desired_velocity(u_si_x: float, u_si_y: float, v_ref: float) -> tuple[float,
 
 
 @compiled
-def velocity_error(u_si_x: float, u_si_y: float, v_ref: float, v_ax: float, v_ay: float, uncovered: bool) -> tuple[float, float]:
+def velocity_error(
+    u_si_x: float, u_si_y: float, v_ref: float, v_ax: float, v_ay: float, uncovered: bool
+) -> tuple[float, float]:
     r"""Error of the velocity [m/s], Klodt 2015, eq. (10).
 
     $$ e_{vel} = \frac{u_{si}}{\|u_{si}\|} v_{ref} - \dot p_a \text{ where } e(t) \ne 0,
@@ -69,7 +80,14 @@ def coverage_control(e_vel_x: float, e_vel_y: float, k_v: float) -> tuple[float,
 
 @compiled
 def approach_control(
-    q_x: float, q_y: float, p_ax: float, p_ay: float, v_ax: float, v_ay: float, k_v: float, v_ref: float
+    q_x: float,
+    q_y: float,
+    p_ax: float,
+    p_ay: float,
+    v_ax: float,
+    v_ay: float,
+    k_v: float,
+    v_ref: float,
 ) -> tuple[float, float]:
     r"""The coverage law on the way to an uncovered point [m/s²], Klodt 2015, eq. (12).
 
@@ -84,7 +102,9 @@ def approach_control(
 
 @compiled
 def border_distance(v_max: float, u_max: float, dt: float) -> float:
-    r"""The safety distance to the border of Q [m]: $v_a^2/(2u_a)$ (after Proposition 1 of the paper), and a tick and a half.
+    r"""The safety distance to the border of Q [m].
+
+    $v_a^2/(2u_a)$ (after Proposition 1 of the paper), and a tick and a half.
 
     One tick passes before the border is seen, and a sampled stop takes up to half a tick's way more than the formula.
     """
@@ -93,7 +113,10 @@ def border_distance(v_max: float, u_max: float, dt: float) -> float:
 
 @compiled
 def _outward(p: float, size: float, margin: float) -> float:
-    """Which way is out, on one axis, for a vehicle nearer to the border than the margin: -1, 1, or 0 if it is not near."""
+    """Which way is out, on one axis, for a vehicle nearer to the border than the margin.
+
+    -1, 1, or 0 if it is not near.
+    """
     if p < margin and p <= 0.5 * size:
         return -1.0
     if size - p < margin:
@@ -117,8 +140,8 @@ def keep_off_border(
 ) -> tuple[float, float]:
     """The coverage law, held inside Q: within the margin of a side nothing of it points outward.
 
-    There an outward velocity is braked first, with all that the vehicle has, and only then it may turn along the border.
-    It limits the coverage term alone: tracking wins, and since Q is convex it points inward.
+    There an outward velocity is braked first, with all that the vehicle has, and only then it may turn along the
+    border. It limits the coverage term alone: tracking wins, and since Q is convex it points inward.
 
     Args:
         u_x, u_y: u_a,cov of (11) [m/s²].

@@ -29,8 +29,12 @@ def no_detections() -> FloatArray:
 
 
 @compiled
-def certified_distance(p_x: float, p_y: float, t: float, detections: FloatArray, eps: float, v_g: float) -> float:
-    r"""Upper bound of the true distance [m], $d_{cert} = \min_i \|p_a - z_i\| + \epsilon + v_g (t - t_i)$; infinite without any.
+def certified_distance(
+    p_x: float, p_y: float, t: float, detections: FloatArray, eps: float, v_g: float
+) -> float:
+    r"""Upper bound of the true distance [m], $d_{cert} = \min_i \|p_a - z_i\| + \epsilon + v_g (t - t_i)$.
+
+    Infinite without any.
 
     Args:
         p_x, p_y: Position of the UAV [m].
@@ -42,17 +46,25 @@ def certified_distance(p_x: float, p_y: float, t: float, detections: FloatArray,
     k = nearest(p_x, p_y, t, detections, eps, v_g)
     if k < 0:
         return math.inf
-    bound: float = norm(p_x - detections[k, 0], p_y - detections[k, 1]) + eps + v_g * (t - detections[k, 2])
+    bound: float = (
+        norm(p_x - detections[k, 0], p_y - detections[k, 1]) + eps + v_g * (t - detections[k, 2])
+    )
     return bound
 
 
 @compiled
-def nearest(p_x: float, p_y: float, t: float, detections: FloatArray, eps: float, v_g: float) -> int:
+def nearest(
+    p_x: float, p_y: float, t: float, detections: FloatArray, eps: float, v_g: float
+) -> int:
     """The row whose bound is least; -1 if there is no detection."""
     least, found = math.inf, -1
     for k in range(detections.shape[0]):
         if detections[k, 2] > -math.inf:
-            bound = norm(p_x - detections[k, 0], p_y - detections[k, 1]) + eps + v_g * (t - detections[k, 2])
+            bound = (
+                norm(p_x - detections[k, 0], p_y - detections[k, 1])
+                + eps
+                + v_g * (t - detections[k, 2])
+            )
             if bound < least:
                 least, found = bound, k
     return found
@@ -70,16 +82,26 @@ def newest_detection(detections: FloatArray) -> int:
 
 @compiled
 def keep_detection(
-    detections: FloatArray, z_x: float, z_y: float, t_z: float, t: float, p_x: float, p_y: float, eps: float, v_g: float
+    detections: FloatArray,
+    z_x: float,
+    z_y: float,
+    t_z: float,
+    t: float,
+    p_x: float,
+    p_y: float,
+    eps: float,
+    v_g: float,
 ) -> bool:
     r"""Take a detection that has arrived into the ones that are kept, in any order of arrival.
 
-    One whose disc holds another's is dropped: it can never again give the least bound. If there is no room, the one with the
+    One whose disc holds another's is dropped: it can never again give the least bound. If there is no room, the
+    one with the
     largest bound at the UAV's position goes, but never the newest. A subset of detections bounds the distance as well.
 
     Args:
         detections: Kept so far, changed in place. (rows, 3)
-        z_x, z_y: Where the UGV was detected [m]: own position when it was taken less the measured p_a - p_g; where there are
+        z_x, z_y: Where the UGV was detected [m]: own position when it was taken less the measured p_a - p_g; where
+        there are
             walls, clipped to the area, which brings it nearer to every point in it.
         t_z: When it was taken [s].
         t: Now [s].
@@ -88,8 +110,8 @@ def keep_detection(
         v_g: Largest speed of the UGV [m/s].
 
     Returns:
-        Whether it agrees with the others: no two may be farther apart than $2\epsilon + v_g |t_i - t_j|$. If it does not, eps or
-        v_g is not what was declared.
+        Whether it agrees with the others: no two may be farther apart than $2\epsilon + v_g |t_i - t_j|$. If it
+        does not, eps or v_g is not what was declared.
     """
     agrees, place, worst, largest = True, -1, -1, -math.inf
     newest = newest_detection(detections)
@@ -124,12 +146,15 @@ def keep_detection(
 
 
 @compiled
-def lens_distance(p_x: float, p_y: float, a_x: float, a_y: float, r_a: float, b_x: float, b_y: float, r_b: float) -> float:
+def lens_distance(
+    p_x: float, p_y: float, a_x: float, a_y: float, r_a: float, b_x: float, b_y: float, r_b: float
+) -> float:
     """How far a point of two discs' intersection can be from p [m]: their farthest common point, exactly.
 
-    It is the far point of one disc if that lies in the other, else a corner of the lens; of discs that touch, but for rounding,
-    the point where they do. Discs that do not meet (no UGV can be in both: an assumption is broken) give the smaller of the two
-    bounds; an infinite radius is no disc.
+    It is the far point of one disc if that lies in the other, else a corner of the lens; of discs that touch, but
+    for rounding,
+    the point where they do. Discs that do not meet (no UGV can be in both: an assumption is broken) give the
+    smaller of the two bounds; an infinite radius is no disc.
 
     Args:
         p_x, p_y: From where [m].
@@ -150,5 +175,10 @@ def lens_distance(p_x: float, p_y: float, a_x: float, a_y: float, r_a: float, b_
         return d_b + r_b
     along = 0.5 * (gap + (r_a * r_a - r_b * r_b) / gap)
     across = math.sqrt(max(0.0, r_a * r_a - along * along))
-    c_x, c_y, n_x, n_y = a_x + x / gap * along - p_x, a_y + y / gap * along - p_y, -y / gap * across, x / gap * across
+    c_x, c_y, n_x, n_y = (
+        a_x + x / gap * along - p_x,
+        a_y + y / gap * along - p_y,
+        -y / gap * across,
+        x / gap * across,
+    )
     return min(least, max(norm(c_x + n_x, c_y + n_y), norm(c_x - n_x, c_y - n_y)))

@@ -1,10 +1,11 @@
 """One UAV's safety filter over plain arrays: what it remembers, and what it does in a tick. See docs/certificate.md.
 
-`SafetyFilter` calls these functions for one UAV, compiled loops call them for many worlds. In a tick: `note_position`, then
+`SafetyFilter` calls these functions for one UAV, compiled loops call them for many worlds. In a tick:
+`note_position`, then
 `note_detection` for each detection that has arrived, then `guard` with the command that is wanted.
 
-The filter keeps a **course**: the states in which the ticks until the next command acts will begin, and the commands under way
-that lead there. The UAV is on course if its state is the one that the course has for this tick.
+The filter keeps a **course**: the states in which the ticks until the next command acts will begin, and the
+commands under way that lead there. The UAV is on course if its state is the one that the course has for this tick.
 
 All positions in the world's frame [m], speeds [m/s], accelerations [m/s²]; a tick k is the time k dt [s].
 """
@@ -31,7 +32,13 @@ from agents.control.certificate import (
     safe_control,
     step_in_area,
 )
-from agents.control.discs import KEPT, certified_distance, keep_detection, newest_detection, no_detections
+from agents.control.discs import (
+    KEPT,
+    certified_distance,
+    keep_detection,
+    newest_detection,
+    no_detections,
+)
 from agents.control.handover import Promise
 from sim.compile import FloatArray, IntArray, borrowing, compiled
 from sim.vehicles import within_walls
@@ -48,7 +55,9 @@ _DUST = 1e-9
 
 _CONTRADICTED, _TICK, _KNOWN, _SAFE = range(4)
 _FLAGS = 4
-"""Whether detections have ever contradicted each other; the tick of the last call; how many of the last commands are known to be
+"""Whether detections have ever contradicted each other; the tick of the last call.
+
+How many of the last commands are known to be
 under way, as they were sent since the UAV was last found off its course; whether the course is safe up to the plan."""
 
 _P_X, _P_Y, _V_X, _V_Y, _U_X, _U_Y = range(6)
@@ -56,7 +65,10 @@ _COURSE = 6
 
 
 class GuardState(NamedTuple):
-    """What the filter of one UAV remembers; from `guard_state`. Arrays with an axis in front are the memories of many worlds."""
+    """What the filter of one UAV remembers; from `guard_state`.
+
+    Arrays with an axis in front are the memories of many worlds.
+    """
 
     detections: FloatArray
     """Where the UGV was detected [m] and when [s], as `keep_detection` keeps them. (KEPT, 3)"""
@@ -140,13 +152,18 @@ def note_detection(
     c = promise
     z_x, _ = within_walls(state.track[place, 0] - p_delta_x, 0.0, c.width)  # the UGV is in the area
     z_y, _ = within_walls(state.track[place, 1] - p_delta_y, 0.0, c.height)
-    if not keep_detection(state.detections, z_x, z_y, taken * c.dt, tick * c.dt, p_x, p_y, c.eps, c.v_g):
+    if not keep_detection(
+        state.detections, z_x, z_y, taken * c.dt, tick * c.dt, p_x, p_y, c.eps, c.v_g
+    ):
         state.flags[_CONTRADICTED] = 1
 
 
 @borrowing
 def forget_commands(state: GuardState) -> None:
-    """It is not known whether the last commands were sent: until those under way are known again, nothing is certified."""
+    """It is not known whether the last commands were sent.
+
+    Until those under way are known again, nothing is certified.
+    """
     state.flags[_KNOWN] = 0
 
 
@@ -156,7 +173,8 @@ def note_commands(state: GuardState, commands: FloatArray) -> None:
 
     Args:
         state: The filter's memory, changed in place.
-        commands: Those of the ticks before the one that it will be asked for first, the oldest first [m/s²]. Shape (any, 2).
+        commands: Those of the ticks before the one that it will be asked for first, the oldest first [m/s²]. Shape
+            (any, 2).
     """
     last, given = state.course.shape[0] - 1, commands.shape[0]
     for k in range(min(last, given)):
@@ -170,16 +188,30 @@ def _predict(promise: Promise, state: GuardState) -> None:
     course = state.course
     for k in range(course.shape[0] - 1):
         p_x, p_y, v_x, v_y = course[k, _P_X], course[k, _P_Y], course[k, _V_X], course[k, _V_Y]
-        p_x, p_y, v_x, v_y, _ = step_in_area(promise, p_x, p_y, v_x, v_y, course[k, _U_X], course[k, _U_Y])
-        course[k + 1, _P_X], course[k + 1, _P_Y], course[k + 1, _V_X], course[k + 1, _V_Y] = p_x, p_y, v_x, v_y
+        p_x, p_y, v_x, v_y, _ = step_in_area(
+            promise, p_x, p_y, v_x, v_y, course[k, _U_X], course[k, _U_Y]
+        )
+        course[k + 1, _P_X], course[k + 1, _P_Y], course[k + 1, _V_X], course[k + 1, _V_Y] = (
+            p_x,
+            p_y,
+            v_x,
+            v_y,
+        )
 
 
 @borrowing
-def _set_out(promise: Promise, state: GuardState, tick: int, p_x: float, p_y: float, v_x: float, v_y: float) -> bool:
-    """Bring the course to this tick; whether the UAV is on it, as far as there was one. If not, it begins anew from here."""
+def _set_out(
+    promise: Promise, state: GuardState, tick: int, p_x: float, p_y: float, v_x: float, v_y: float
+) -> bool:
+    """Bring the course to this tick; whether the UAV is on it, as far as there was one.
+
+    If not, it begins anew from here.
+    """
     course, flags, on_course = state.course, state.flags, True
     if flags[_TICK] == _NEVER and tick == 0:
-        flags[_KNOWN] = course.shape[0]  # a vehicle that has had no command yet does nothing: that is known
+        flags[_KNOWN] = course.shape[
+            0
+        ]  # a vehicle that has had no command yet does nothing: that is known
     elif flags[_TICK] != tick - 1:
         last = course.shape[0] - 1
         for _ in range(min(last, tick - 1 - flags[_TICK]) if flags[_TICK] != _NEVER else 0):
@@ -208,11 +240,21 @@ def _course_is_safe(promise: Promise, state: GuardState, tick: int) -> bool:
     """Whether the UGV is surely in sight from now until the next command acts, if the commands under way act."""
     course, over = state.course, 0.0
     for k in range(course.shape[0]):
-        if not is_within(promise, state.detections, state.plan, (tick + k) * promise.dt, course[k, _P_X], course[k, _P_Y], over):
+        if not is_within(
+            promise,
+            state.detections,
+            state.plan,
+            (tick + k) * promise.dt,
+            course[k, _P_X],
+            course[k, _P_Y],
+            over,
+        ):
             return False
         if k + 1 < course.shape[0]:
             p_x, p_y, v_x, v_y = course[k, _P_X], course[k, _P_Y], course[k, _V_X], course[k, _V_Y]
-            _, _, _, _, over = step_in_area(promise, p_x, p_y, v_x, v_y, course[k, _U_X], course[k, _U_Y])
+            _, _, _, _, over = step_in_area(
+                promise, p_x, p_y, v_x, v_y, course[k, _U_X], course[k, _U_Y]
+            )
     return True
 
 
@@ -222,17 +264,29 @@ def _send(promise: Promise, state: GuardState, tick: int, u_x: float, u_y: float
     course, flags = state.course, state.flags
     last = course.shape[0] - 1
     course[last, _U_X], course[last, _U_Y] = u_x, u_y
-    p_x, p_y, v_x, v_y = course[last, _P_X], course[last, _P_Y], course[last, _V_X], course[last, _V_Y]
+    p_x, p_y, v_x, v_y = (
+        course[last, _P_X],
+        course[last, _P_Y],
+        course[last, _V_X],
+        course[last, _V_Y],
+    )
     p_x, p_y, v_x, v_y, _ = step_in_area(promise, p_x, p_y, v_x, v_y, u_x, u_y)
     for k in range(last):
         for i in range(_COURSE):
             course[k, i] = course[k + 1, i]
-    course[last, _P_X], course[last, _P_Y], course[last, _V_X], course[last, _V_Y] = p_x, p_y, v_x, v_y
+    course[last, _P_X], course[last, _P_Y], course[last, _V_X], course[last, _V_Y] = (
+        p_x,
+        p_y,
+        v_x,
+        v_y,
+    )
     flags[_TICK], flags[_KNOWN] = tick, min(flags[_KNOWN] + 1, course.shape[0])
 
 
 @borrowing
-def _reason(promise: Promise, state: GuardState, tick: int, acts: int, on_course: bool, known: bool) -> int:
+def _reason(
+    promise: Promise, state: GuardState, tick: int, acts: int, on_course: bool, known: bool
+) -> int:
     """Why this tick is not certified, a code of `UNCERTIFIED`; CERTIFIED if it is."""
     new = newest_detection(state.detections)
     if new < 0:
@@ -262,7 +316,9 @@ def guard(
     u_x: float,
     u_y: float,
 ) -> tuple[float, float, int, int, float]:
-    """Let a command through if sight is kept after it, else give the one that keeps it; once a tick, for it takes a plan on.
+    """Let a command through if sight is kept after it, else give the one that keeps it.
+
+    Once a tick, for it takes a plan on.
 
     Args:
         promise: The declared numbers.
@@ -273,8 +329,10 @@ def guard(
         u_x, u_y: What the inner control wants [m/s²].
 
     Returns:
-        The command [m/s²]; who acts: INNER, PLAN or BEST_EFFORT; why this tick is not certified, a code of `UNCERTIFIED`, or
-        CERTIFIED, which holds only if `check_assumptions` finds nothing in the promise; and the certified distance now [m].
+        The command [m/s²]; who acts: INNER, PLAN or BEST_EFFORT; why this tick is not certified, a code of
+        `UNCERTIFIED`, or
+        CERTIFIED, which holds only if `check_assumptions` finds nothing in the promise; and the certified distance
+        now [m].
     """
     c, flags = promise, state.flags
     on_course = _set_out(c, state, tick, p_x, p_y, v_x, v_y)
@@ -282,7 +340,16 @@ def guard(
         flags[_CONTRADICTED] = 1
     ahead = state.course[state.course.shape[0] - 1]
     u_x, u_y, acts = safe_control(
-        c, state.detections, state.plan, tick * c.dt + c.delay, ahead[_P_X], ahead[_P_Y], ahead[_V_X], ahead[_V_Y], u_x, u_y
+        c,
+        state.detections,
+        state.plan,
+        tick * c.dt + c.delay,
+        ahead[_P_X],
+        ahead[_P_Y],
+        ahead[_V_X],
+        ahead[_V_Y],
+        u_x,
+        u_y,
     )
     if acts == BEST_EFFORT:
         flags[_SAFE] = 0
@@ -291,11 +358,20 @@ def guard(
     known = flags[_KNOWN] >= state.course.shape[0] - 1
     code = _reason(c, state, tick, acts, on_course, known)
     _send(c, state, tick, u_x, u_y)
-    return u_x, u_y, acts, code, certified_distance(p_x, p_y, tick * c.dt, state.detections, c.eps, c.v_g)
+    return (
+        u_x,
+        u_y,
+        acts,
+        code,
+        certified_distance(p_x, p_y, tick * c.dt, state.detections, c.eps, c.v_g),
+    )
 
 
 def pack_promise(promise: Promise) -> FloatArray:
-    """The promise as a row of numbers, in the order of its fields; the rows of many worlds make one array. Shape (13,)."""
+    """The promise as a row of numbers, in the order of its fields; the rows of many worlds make one array.
+
+    Shape (13,).
+    """
     return np.array(promise, dtype=np.float64)
 
 

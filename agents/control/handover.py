@@ -1,4 +1,6 @@
-"""The numbers of a certificate, found when a scenario loads: what is declared, and the hand-over from one plan to the next.
+"""The numbers of a certificate, found when a scenario loads.
+
+What is declared, and the hand-over from one plan to the next.
 
 The proof is in docs/certificate.md. SI units.
 """
@@ -14,7 +16,9 @@ ROUNDING = 1e-12
 """Ticks by which a quotient may exceed a whole number and still be that number."""
 
 _GRID, _STEPS = 0.005, 950
-"""Step of the distances [m] over which the hand-over is checked when a scenario loads, and its margin; but no more steps than
+"""Step of the distances [m] over which the hand-over is checked when a scenario loads, and its margin.
+
+But no more steps than
 these to r_v, or a large radius would take minutes."""
 
 
@@ -60,7 +64,10 @@ def rest_to_rest(way: float, v_a: float, u_a: float, dt: float) -> tuple[int, in
     """
     if way <= 0.0:
         return 0, 0, 0.0
-    full, moving = max(1, math.ceil(v_a / (u_a * dt) - ROUNDING)), math.ceil(way / (v_a * dt) - ROUNDING)
+    full, moving = (
+        max(1, math.ceil(v_a / (u_a * dt) - ROUNDING)),
+        math.ceil(way / (v_a * dt) - ROUNDING),
+    )
     if moving >= full:
         return full, moving - full, way / (moving * dt)
     half = max(1, math.ceil(math.sqrt(way / u_a) / dt - ROUNDING))
@@ -68,7 +75,9 @@ def rest_to_rest(way: float, v_a: float, u_a: float, dt: float) -> tuple[int, in
 
 
 @compiled
-def handover_peak(radius: float, rho: float, way: float, turn: int, cruise: int, v_g: float, dt: float) -> float:
+def handover_peak(
+    radius: float, rho: float, way: float, turn: int, cruise: int, v_g: float, dt: float
+) -> float:
     """The largest distance [m] while the UAV flies from rest to a new detection, given that two discs hold the UGV at the start.
 
     Args:
@@ -89,7 +98,9 @@ def handover_peak(radius: float, rho: float, way: float, turn: int, cruise: int,
 
 
 @compiled
-def handover_reach(radius: float, eps: float, rho: float, v_a: float, u_a: float, v_g: float, dt: float) -> float:
+def handover_reach(
+    radius: float, eps: float, rho: float, v_a: float, u_a: float, v_g: float, dt: float
+) -> float:
     r"""E [m]: where the newest detection's own bound is at most this, the plan to any later one ends within `radius` in time.
 
     $$ E = \frac{v_a}{v_g}\left(R_h - \rho_A (1 - v_g/v_a) - v_g (v_a/u_a + 2 dt)\right) - 2 \epsilon $$
@@ -98,15 +109,23 @@ def handover_reach(radius: float, eps: float, rho: float, v_a: float, u_a: float
     """
     if v_g == 0.0:
         return math.inf
-    return v_a / v_g * (radius - rho * (1.0 - v_g / v_a) - v_g * (v_a / u_a + 2.0 * dt)) - 2.0 * eps - MARGIN
+    return (
+        v_a / v_g * (radius - rho * (1.0 - v_g / v_a) - v_g * (v_a / u_a + 2.0 * dt))
+        - 2.0 * eps
+        - MARGIN
+    )
 
 
 @compiled
-def handover_fits(radius: float, r_v: float, eps: float, rho: float, v_a: float, u_a: float, v_g: float, dt: float) -> bool:
+def handover_fits(
+    radius: float, r_v: float, eps: float, rho: float, v_a: float, u_a: float, v_g: float, dt: float
+) -> bool:
     """Whether every motion from rest to a newer detection stays within r_v, if the UGV is within `radius` [m] at its start.
 
-    Over all ways in steps of half a centimetre, more where r_v is large: between two of them the motion with the same ticks
-    scales with the way, so that no point of it and no disc moves by more than a step. The farther a detection, the younger it
+    Over all ways in steps of half a centimetre, more where r_v is large: between two of them the motion with the
+    same ticks
+    scales with the way, so that no point of it and no disc moves by more than a step. The farther a detection, the
+    younger it
     is: way + rho <= E + 2 eps.
     Arguments as in `handover_radius`.
     """
@@ -127,8 +146,12 @@ def handover_fits(radius: float, r_v: float, eps: float, rho: float, v_a: float,
 
 
 @compiled
-def handover_radius(r_v: float, eps: float, rho: float, v_a: float, u_a: float, v_g: float, dt: float) -> float:
-    """R_h [m]: from rest, with the UGV surely within it, every plan to a newer detection stays within r_v; NaN if there is none.
+def handover_radius(
+    r_v: float, eps: float, rho: float, v_a: float, u_a: float, v_g: float, dt: float
+) -> float:
+    """R_h [m]: from rest, with the UGV surely within it, every plan to a newer detection stays within r_v.
+
+    NaN if there is none.
 
     Downwards in the same steps, as long as R_h <= E: the plan to a later detection ends where the next may begin. E
     falls faster than R_h, so where that fails no smaller radius helps.
@@ -152,10 +175,12 @@ def handover_radius(r_v: float, eps: float, rho: float, v_a: float, u_a: float, 
 
 @compiled
 def tick_sagitta(v_a: float, u_a: float, dt: float) -> float:
-    r"""How far a vehicle is at most from the chord of its way within a tick of constant acceleration a [m]: $a\,dt^2/8$.
+    r"""How far a vehicle is at most from the chord of its way within a tick of constant acceleration a [m].
 
-    The acceleration that acts is at most u_a [m/s²], and within the speed v_a [m/s] at most 2 v_a / dt. So between two ticks the
-    distance exceeds neither end's bound by more than this.
+    $a\,dt^2/8$.
+
+    The acceleration that acts is at most u_a [m/s²], and within the speed v_a [m/s] at most 2 v_a / dt. So between
+    two ticks the distance exceeds neither end's bound by more than this.
     """
     return min(0.125 * u_a * dt * dt, 0.25 * v_a * dt)
 
@@ -200,18 +225,32 @@ def certificate(
         radius = float(handover_radius(r_v, eps, rho, v_a, u_a, v_g, dt))
         reach = float(handover_reach(radius, eps, rho, v_a, u_a, v_g, dt))
     return Promise(
-        dt, eps, float(age), delay, r_v - MARGIN, v_a, u_a, v_g, float(width), float(height), radius, reach, float(hold)
+        dt,
+        eps,
+        float(age),
+        delay,
+        r_v - MARGIN,
+        v_a,
+        u_a,
+        v_g,
+        float(width),
+        float(height),
+        radius,
+        reach,
+        float(hold),
     )
 
 
 @compiled
-def certified_radius(handover: float, v_a: float, u_a: float, v_g: float, dt: float, delay: float) -> float:
+def certified_radius(
+    handover: float, v_a: float, u_a: float, v_g: float, dt: float, delay: float
+) -> float:
     r"""r_cert [m]: while d_cert is less, every inner control acts, whatever the velocity.
 
     $$ r_{cert} = R_h - \frac{v_a^2}{2 u_a} - \frac{v_a v_g}{u_a} - (\tfrac32 v_a + 2 v_g) dt - (v_a + v_g) \tau_c $$
 
-    With $R_h \to r_v - v_g^2 / (2 u_a)$ this is (18) as dt and tau_c go to 0. Beyond it the filter decides by the velocity that
-    the UAV really has: r_cert is for display, for tuning and for tests.
+    With $R_h \to r_v - v_g^2 / (2 u_a)$ this is (18) as dt and tau_c go to 0. Beyond it the filter decides by the
+    velocity that the UAV really has: r_cert is for display, for tuning and for tests.
 
     Args:
         handover: R_h [m].
@@ -224,12 +263,17 @@ def certified_radius(handover: float, v_a: float, u_a: float, v_g: float, dt: fl
 
 
 def largest_age(promise: Promise) -> float:
-    """The largest A [s] for which the hand-over holds, other numbers as they are; NaN if there is none. To a hundredth."""
+    """The largest A [s] for which the hand-over holds, other numbers as they are; NaN if there is none.
+
+    To a hundredth.
+    """
     c = promise
 
     def fits(age: float) -> bool:
         rho = c.eps + c.v_g * (age + c.delay)
-        return not math.isnan(handover_radius(c.r_v + MARGIN, c.eps, rho, c.v_a, c.u_a, c.v_g, c.dt))
+        return not math.isnan(
+            handover_radius(c.r_v + MARGIN, c.eps, rho, c.v_a, c.u_a, c.v_g, c.dt)
+        )
 
     low, high = 0.0, c.r_v / max(c.v_g, 1e-9)
     if not fits(low):
@@ -241,17 +285,24 @@ def largest_age(promise: Promise) -> float:
 
 
 def check_assumptions(promise: Promise) -> tuple[str, ...]:
-    """Which assumptions do not hold, one line each with its numbers; empty if all hold that are known when a run is loaded."""
+    """Which assumptions do not hold, one line each with its numbers.
+
+    Empty if all hold that are known when a run is loaded.
+    """
     c = promise
     faults = []
     if not math.isfinite(c.eps):
-        faults.append(f"eps = {c.eps:g} m: the noise of the detections is not cut, so none of them bounds the distance")
+        faults.append(
+            f"eps = {c.eps:g} m: the noise of the detections is not cut, so none of them bounds the distance"
+        )
     if not math.isfinite(c.age):
         faults.append(f"A = {c.age:g} s: the age of the newest detection has no bound")
     if not math.isfinite(c.v_a) or not math.isfinite(c.v_g):
         faults.append(f"v_a = {c.v_a:g} m/s, v_g = {c.v_g:g} m/s: both speeds must be bounded")
     elif not c.v_g < c.v_a:
-        faults.append(f"v_a = {c.v_a:g} m/s: the UAV must be faster than the UGV, v_g = {c.v_g:g} m/s")
+        faults.append(
+            f"v_a = {c.v_a:g} m/s: the UAV must be faster than the UGV, v_g = {c.v_g:g} m/s"
+        )
     if not c.u_a > 0.0:
         faults.append(f"u_a = {c.u_a:g} m/s²: must be positive")
     if not faults and math.isnan(c.handover):
@@ -262,5 +313,7 @@ def check_assumptions(promise: Promise) -> tuple[str, ...]:
             f"too much for r_v = {c.r_v:.4g} m; with these numbers the hand-over holds {limit}"
         )
     if c.hold < c.delay - 0.5 * c.dt:
-        faults.append(f"hold = {c.hold:g} s: shorter than tau_c = {c.delay:g} s, so that the UAV brakes before a command acts")
+        faults.append(
+            f"hold = {c.hold:g} s: shorter than tau_c = {c.delay:g} s, so that the UAV brakes before a command acts"
+        )
     return tuple(faults)

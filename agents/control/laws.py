@@ -1,4 +1,7 @@
-"""The laws a UAV can fly, put together from the equations: a table of names, and one compiled function for all of them."""
+"""The laws a UAV can fly, put together from the equations.
+
+A table of names, and one compiled function for all of them.
+"""
 
 import math
 from typing import NamedTuple
@@ -37,9 +40,16 @@ LAWS = {
     "path": PATH,
     "certified": CERTIFIED,
 }
-"""Laws by name. `weighted` and `path` take a function of the user's own; `certified` is `logarithmic` in the safety filter."""
+"""Laws by name. `weighted` and `path` take a function of the user's own.
 
-_X_C, _Q, _HELD = 0, 2, 4  # rows of the state: x_c (2), the held point of (7) (2), whether there is one
+`certified` is `logarithmic` in the safety filter.
+"""
+
+_X_C, _Q, _HELD = (
+    0,
+    2,
+    4,
+)  # rows of the state: x_c (2), the held point of (7) (2), whether there is one
 STATE_SIZE = 5
 
 _ON_THE_SPOT = 1e-9
@@ -76,7 +86,10 @@ class LawParameters(NamedTuple):
 
 
 class OwnTerms(NamedTuple):
-    """What a function of the user's own says at this tick: the weights, or the virtual point and its second derivative."""
+    """What a function of the user's own says at this tick.
+
+    The weights, or the virtual point and its second derivative.
+    """
 
     alpha: float = 1.0
     beta: float = 0.0
@@ -197,7 +210,9 @@ def way_to_uncovered(
         Whether anything is uncovered at all, and the direction.
     """
     c = parameters
-    held = state[_HELD] != 0.0 and is_uncovered(coverage, state[_Q], state[_Q + 1], p_gx, p_gy, c.r_o, c.desired, c.cell)
+    held = state[_HELD] != 0.0 and is_uncovered(
+        coverage, state[_Q], state[_Q + 1], p_gx, p_gy, c.r_o, c.desired, c.cell
+    )
     if not held:
         held, state[_Q], state[_Q + 1] = nearest_uncovered(
             coverage, p_ax, p_ay, p_gx, p_gy, c.r_o, c.desired, c.cell, c.key, tick
@@ -233,11 +248,15 @@ def coverage_term(
     )
     uncovered, other_x, other_y = True, 0.0, 0.0
     if is_zero_gradient(u_cov_x, u_cov_y, size):
-        uncovered, other_x, other_y = way_to_uncovered(parameters, coverage, state, tick, p_ax, p_ay, p_gx, p_gy)
+        uncovered, other_x, other_y = way_to_uncovered(
+            parameters, coverage, state, tick, p_ax, p_ay, p_gx, p_gy
+        )
     u_si_x, u_si_y = single_integrator_command(u_cov_x, u_cov_y, size, other_x, other_y)
     e_x, e_y = velocity_error(u_si_x, u_si_y, c.v_ref, v_ax, v_ay, uncovered)
     u_x, u_y = coverage_control(e_x, e_y, c.k_v)
-    return keep_off_border(u_x, u_y, p_ax, p_ay, v_ax, v_ay, c.k_v, c.width, c.height, c.margin, c.dt)
+    return keep_off_border(
+        u_x, u_y, p_ax, p_ay, v_ax, v_ay, c.k_v, c.width, c.height, c.margin, c.dt
+    )
 
 
 @compiled
@@ -293,12 +312,16 @@ def uav_control(
     if orbiting:
         x, y = x - p_vx, y - p_vy
     u_tr_x, u_tr_y = tracking_output(state[_X_C], state[_X_C + 1], x, y, c.c_c, c.d_c)
-    state[_X_C], state[_X_C + 1] = tracking_step(state[_X_C], state[_X_C + 1], x, y, c.a_c, c.b_c, c.dt)
+    state[_X_C], state[_X_C + 1] = tracking_step(
+        state[_X_C], state[_X_C + 1], x, y, c.a_c, c.b_c, c.dt
+    )
     if orbiting:
         return orbit_control(u_tr_x, u_tr_y, a_vx, a_vy)
     if c.law == TRACKING:
         return u_tr_x, u_tr_y
-    u_cov_x, u_cov_y = coverage_term(parameters, coverage, state, tick, p_ax, p_ay, v_ax, v_ay, p_gx, p_gy)
+    u_cov_x, u_cov_y = coverage_term(
+        parameters, coverage, state, tick, p_ax, p_ay, v_ax, v_ay, p_gx, p_gy
+    )
     alpha, beta = weights(parameters, own, distance)
     return combine(alpha, beta, u_tr_x, u_tr_y, u_cov_x, u_cov_y)
 
@@ -318,5 +341,7 @@ def bounded_uav_control(
     p_gy: float,
 ) -> tuple[float, float]:
     """`uav_control` within the bound of (1) [m/s²]; the same arguments."""
-    u_x, u_y = uav_control(parameters, own, coverage, state, tick, p_ax, p_ay, v_ax, v_ay, p_gx, p_gy)
+    u_x, u_y = uav_control(
+        parameters, own, coverage, state, tick, p_ax, p_ay, v_ax, v_ay, p_gx, p_gy
+    )
     return clip_norm(u_x, u_y, parameters.u_max)

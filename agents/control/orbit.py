@@ -1,4 +1,7 @@
-"""Virtual point tracking, section V.B of the paper: (20) to (25). The circle is shipped; any path with two derivatives does."""
+"""Virtual point tracking, section V.B of the paper: (20) to (25).
+
+The circle is shipped; any path with two derivatives does.
+"""
 
 import math
 from collections.abc import Callable
@@ -17,7 +20,9 @@ def desired_position(p_gx: float, p_gy: float, p_vx: float, p_vy: float) -> tupl
 
 
 @compiled
-def path_error_acceleration(u_ax: float, u_ay: float, a_dx: float, a_dy: float) -> tuple[float, float]:
+def path_error_acceleration(
+    u_ax: float, u_ay: float, a_dx: float, a_dy: float
+) -> tuple[float, float]:
     r"""Acceleration of the path error $p_{\Delta,d} = p_a - p_d$ [m/s²], Klodt 2015, eq. (21).
 
     $$ \ddot p_{\Delta,d} = u_a - \ddot p_d $$
@@ -26,7 +31,9 @@ def path_error_acceleration(u_ax: float, u_ay: float, a_dx: float, a_dy: float) 
 
 
 @compiled
-def virtual_error_acceleration(u_ax: float, u_ay: float, a_vx: float, a_vy: float) -> tuple[float, float]:
+def virtual_error_acceleration(
+    u_ax: float, u_ay: float, a_vx: float, a_vy: float
+) -> tuple[float, float]:
     r"""The same while the UGV keeps its velocity, so that $\ddot p_d = \ddot p_v$, Klodt 2015, eq. (22).
 
     $$ \ddot p_{\Delta,d} = u_a - \ddot p_v $$
@@ -35,8 +42,12 @@ def virtual_error_acceleration(u_ax: float, u_ay: float, a_vx: float, a_vy: floa
 
 
 @compiled
-def orbit_error_acceleration(u_tr_x: float, u_tr_y: float, a_vx: float, a_vy: float) -> tuple[float, float]:
-    r"""The path error under the law (24) is a double integrator driven by the tracking law [m/s²], Klodt 2015, eq. (23).
+def orbit_error_acceleration(
+    u_tr_x: float, u_tr_y: float, a_vx: float, a_vy: float
+) -> tuple[float, float]:
+    r"""The path error under the law (24) is a double integrator driven by the tracking law [m/s²], Klodt 2015, eq.
+
+    (23).
 
     $$ \ddot p_{\Delta,d} = u_{a,tr} $$
     """
@@ -97,19 +108,29 @@ def check_path(
         t = step + index * (duration - 2.0 * step) / samples
         try:
             (before, _), (here, acceleration), (after, _) = path(t - step), path(t), path(t + step)
-            values = [float(value) for pair in (before, here, after, acceleration) for value in pair]
+            values = [
+                float(value) for pair in (before, here, after, acceleration) for value in pair
+            ]
         except (TypeError, ValueError, ArithmeticError) as error:
-            raise ScenarioError(f"path at t = {t:.6g} s: {error}; it must return ((x, y), (x'', y''))") from error
+            raise ScenarioError(
+                f"path at t = {t:.6g} s: {error}; it must return ((x, y), (x'', y''))"
+            ) from error
         if len(values) != 8 or not all(math.isfinite(value) for value in values):
-            raise ScenarioError(f"path at t = {t:.6g} s: {values}; it must return ((x, y), (x'', y'')), all finite")
+            raise ScenarioError(
+                f"path at t = {t:.6g} s: {values}; it must return ((x, y), (x'', y'')), all finite"
+            )
         b_x, b_y, x, y, c_x, c_y, a_x, a_y = values
         if math.hypot(x, y) >= r_v:
             raise ScenarioError(
                 f"path at t = {t:.6g} s lies {math.hypot(x, y):.6g} m from the UGV; allowed: less than r_v = {r_v:g} m"
             )
-        found = math.hypot((c_x - 2.0 * x + b_x) / step**2 - a_x, (c_y - 2.0 * y + b_y) / step**2 - a_y)
+        found = math.hypot(
+            (c_x - 2.0 * x + b_x) / step**2 - a_x, (c_y - 2.0 * y + b_y) / step**2 - a_y
+        )
         if found > 1e-2 * (1.0 + math.hypot(a_x, a_y)):
-            raise ScenarioError(f"path at t = {t:.6g} s: its second derivative is off by {found:.3g} m/s²")
+            raise ScenarioError(
+                f"path at t = {t:.6g} s: its second derivative is off by {found:.3g} m/s²"
+            )
         fastest = max(fastest, (math.hypot(c_x - b_x, c_y - b_y) / (2.0 * step), t))
         hardest = max(hardest, (math.hypot(a_x, a_y), t))
     warnings = []

@@ -6,7 +6,9 @@ from sim.compile import compiled
 
 
 @compiled
-def relative_acceleration(u_ax: float, u_ay: float, u_gx: float, u_gy: float) -> tuple[float, float]:
+def relative_acceleration(
+    u_ax: float, u_ay: float, u_gx: float, u_gy: float
+) -> tuple[float, float]:
     r"""Acceleration of the position error [m/s²], Klodt 2015, eq. (13).
 
     $$ \ddot p_\Delta = \ddot p_a - \ddot p_g = u_a - u_g $$
@@ -51,14 +53,21 @@ def tracking_output(
 
 @compiled
 def tracking_step(
-    x_c_x: float, x_c_y: float, p_delta_x: float, p_delta_y: float, a_c: float, b_c: float, dt: float
+    x_c_x: float,
+    x_c_y: float,
+    p_delta_x: float,
+    p_delta_y: float,
+    a_c: float,
+    b_c: float,
+    dt: float,
 ) -> tuple[float, float]:
     r"""State of the dynamic tracking controller one tick later, Klodt 2015, eq. (15a).
 
-    $$ \dot x_c = A_c x_c + B_c p_\Delta \quad\Rightarrow\quad x_c^+ = e^{A_c dt} x_c + \frac{e^{A_c dt} - 1}{A_c} B_c p_\Delta $$
+    $$ \dot x_c = A_c x_c + B_c p_\Delta \quad\Rightarrow\quad x_c^+ = e^{A_c dt} x_c + \frac{e^{A_c dt} - 1}{A_c}
+    B_c p_\Delta $$
 
-    exact for an input that is held over the tick. To be called at every tick, also where the tracking term has no weight: a
-    stale state makes the distance overshoot.
+    exact for an input that is held over the tick. To be called at every tick, also where the tracking term has no
+    weight: a stale state makes the distance overshoot.
 
     Args:
         x_c_x, x_c_y: Its state, one per axis [m].
@@ -73,7 +82,13 @@ def tracking_step(
 
 @compiled
 def relative_motion(
-    p_delta_x: float, p_delta_y: float, v_delta_x: float, v_delta_y: float, u_ax: float, u_ay: float, t: float
+    p_delta_x: float,
+    p_delta_y: float,
+    v_delta_x: float,
+    v_delta_y: float,
+    u_ax: float,
+    u_ay: float,
+    t: float,
 ) -> tuple[float, float, float, float]:
     r"""The position error after the time t while the UGV keeps its velocity, Klodt 2015, eq. (16).
 

@@ -70,7 +70,10 @@ def switching_radius(r_v: float, v_a: float, v_g: float, u_a: float) -> float:
 def promise_of(briefing: UavBriefing) -> Promise:
     """The certificate that a UAV can give on what it is told."""
     own, target, declared = briefing.limits, briefing.target_limits, briefing.certificate
-    bounds = [math.inf if bound is None else bound for bound in (own.max_speed, own.max_acceleration, target.max_speed)]
+    bounds = [
+        math.inf if bound is None else bound
+        for bound in (own.max_speed, own.max_acceleration, target.max_speed)
+    ]
     return certificate(
         r_v=briefing.visibility_radius,
         v_a=bounds[0],
@@ -109,7 +112,8 @@ class SafetyFilter:
 
     Args:
         briefing: What the UAV is told when it joins: bounds, r_v, and what is declared of detections and commands.
-        sent: Where the filter begins in the middle of a flight: the commands of the last ticks, the oldest first [m/s²].
+        sent: Where the filter begins in the middle of a flight: the commands of the last ticks, the oldest first
+            [m/s²].
     """
 
     def __init__(self, briefing: UavBriefing, *, sent: Collection[Vector] = ()) -> None:
@@ -123,22 +127,34 @@ class SafetyFilter:
         """Those that were not let through."""
         self.uncertified: Counter[str] = Counter()
         """Ticks that were not certified, by reason."""
-        self._state = guard_state(self.promise, depth=max(1, min(_MOST_TICKS, math.ceil(_TRACK / briefing.dt))))
+        self._state = guard_state(
+            self.promise, depth=max(1, min(_MOST_TICKS, math.ceil(_TRACK / briefing.dt)))
+        )
         self._detections = self._state.detections
         if sent:
             note_commands(self._state, np.array(list(sent), dtype=np.float64))
 
     def forget_commands(self) -> None:
-        """It is not known whether the last commands were sent: until those under way are known again, nothing is certified."""
+        """It is not known whether the last commands were sent.
+
+        Until those under way are known again, nothing is certified.
+        """
         forget_commands(self._state)
 
     def see(self, observation: UavObservation) -> None:
         """Take in where the UAV is, and the detections that have arrived, in any order."""
-        c, state, tick, (p_x, p_y) = self.promise, self._state, observation.tick, observation.position
+        c, state, tick, (p_x, p_y) = (
+            self.promise,
+            self._state,
+            observation.tick,
+            observation.position,
+        )
         note_position.py_func(state, tick, p_x, p_y)  # type: ignore[attr-defined] # in Python: done before a compiled call begins
         for found in observation.detections:
             taken, (x, y) = round(found.time / c.dt), found.relative_position
-            if taken <= tick:  # any other is of no tick that was seen, and may be too large for a compiled function
+            if (
+                taken <= tick
+            ):  # any other is of no tick that was seen, and may be too large for a compiled function
                 note_detection(c, state, taken, tick, x, y, p_x, p_y)
 
     def filter(self, observation: UavObservation, acceleration: Vector) -> Verdict:
@@ -148,7 +164,11 @@ class SafetyFilter:
             observation: What `see` was called with last.
             acceleration: What the law, the person or the policy wants [m/s²].
         """
-        (p_x, p_y), (v_x, v_y), (u_x, u_y) = observation.position, observation.velocity, acceleration
+        (p_x, p_y), (v_x, v_y), (u_x, u_y) = (
+            observation.position,
+            observation.velocity,
+            acceleration,
+        )
         u_x, u_y, acts, code, distance = guard(
             self.promise, self._state, observation.tick, p_x, p_y, v_x, v_y, float(u_x), float(u_y)
         )

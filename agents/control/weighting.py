@@ -11,7 +11,9 @@ Weighting = Callable[[float, float], tuple[float, float]]
 
 
 @compiled
-def combine(alpha: float, beta: float, u_tr_x: float, u_tr_y: float, u_cov_x: float, u_cov_y: float) -> tuple[float, float]:
+def combine(
+    alpha: float, beta: float, u_tr_x: float, u_tr_y: float, u_cov_x: float, u_cov_y: float
+) -> tuple[float, float]:
     r"""The combined control law [m/s²], Klodt 2015, eq. (17).
 
     $$ u_a = \alpha(\|p_\Delta\|)\, u_{a,tr} + \beta(\|p_\Delta\|)\, u_{a,cov} $$
@@ -21,7 +23,10 @@ def combine(alpha: float, beta: float, u_tr_x: float, u_tr_y: float, u_cov_x: fl
 
 @compiled
 def linear_weights(distance: float, r_s: float) -> tuple[float, float]:
-    r"""Linear weighting $\alpha_1, \beta_1$: $\alpha_1 = \|p_\Delta\|/r_s$ inside r_s, 1 outside; $\beta_1 = 1 - \alpha_1$."""
+    r"""Linear weighting $\alpha_1, \beta_1$: $\alpha_1 = \|p_\Delta\|/r_s$ inside r_s, 1 outside.
+
+    $\beta_1 = 1 - \alpha_1$.
+    """
     alpha = distance / r_s if distance < r_s else 1.0
     return alpha, 1.0 - alpha
 
@@ -34,7 +39,9 @@ def switching_weights(distance: float, r_s: float) -> tuple[float, float]:
 
 
 @compiled
-def logarithmic_weights(distance: float, r_s: float, k_beta: float, limit: float) -> tuple[float, float]:
+def logarithmic_weights(
+    distance: float, r_s: float, k_beta: float, limit: float
+) -> tuple[float, float]:
     r"""Logarithmic weighting $\alpha_3, \beta_3$, Klodt 2015, eq. (19).
 
     $$ \alpha_3 = 1, \quad \beta_3 = -k_\beta \log(\|p_\Delta\|/r_s) \text{ inside } r_s, \quad 0 \text{ outside} $$
@@ -56,8 +63,8 @@ def check_weighting(weighting: Weighting, r_s: float, samples: int = 2000) -> No
     """Hold a weighting of one's own against the conditions of the paper's Proposition 2, at many distances up to 3 r_s.
 
     Raises:
-        ScenarioError: Where alpha or beta is no finite number >= 0, or where alpha = 1, beta = 0 fails for a distance >= r_s. It
-            names the distance. Samples are no proof.
+        ScenarioError: Where alpha or beta is no finite number >= 0, or where alpha = 1, beta = 0 fails for a
+            distance >= r_s. It names the distance. Samples are no proof.
     """
     for index in range(3 * samples + 1):
         distance = r_s * (index / samples)
@@ -65,7 +72,9 @@ def check_weighting(weighting: Weighting, r_s: float, samples: int = 2000) -> No
             alpha, beta = weighting(distance, r_s)
             fine = math.isfinite(alpha) and math.isfinite(beta) and alpha >= 0.0 and beta >= 0.0
         except (TypeError, ValueError, ArithmeticError) as error:
-            raise ScenarioError(f"weighting at a distance of {distance:.6g} m: {error}; it must return alpha and beta") from error
+            raise ScenarioError(
+                f"weighting at a distance of {distance:.6g} m: {error}; it must return alpha and beta"
+            ) from error
         if not fine:
             raise ScenarioError(
                 f"weighting at a distance of {distance:.6g} m gives alpha = {alpha:g}, beta = {beta:g}; "

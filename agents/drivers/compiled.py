@@ -1,7 +1,7 @@
 """The drivers that compiled loops can call: one function for all of them, and what each needs as plain numbers.
 
-The classes of `agents.drivers.table` are shells around the same functions. A driver that listens to a person or to a policy has
-no compiled form.
+The classes of `agents.drivers.table` are shells around the same functions. A driver that listens to a person or to
+a policy has no compiled form.
 """
 
 import math
@@ -68,7 +68,9 @@ def driver_parameters(briefing: UgvBriefing, driver: str) -> DriverParameters:
         ScenarioError: If the driver has no compiled form.
     """
     if driver not in COMPILED_DRIVERS:
-        raise ScenarioError(f"driver = {driver!r}: has no compiled form; allowed: {', '.join(COMPILED_DRIVERS)}")
+        raise ScenarioError(
+            f"driver = {driver!r}: has no compiled form; allowed: {', '.join(COMPILED_DRIVERS)}"
+        )
     wheel, limits = Steering(briefing), briefing.limits
     width, height = float(briefing.area.width), float(briefing.area.height)
     speed, margin = wander_pace(width, height, wheel.v_max, wheel.u_max, wheel.dt)
@@ -132,10 +134,25 @@ def ugv_control(
     """
     c = parameters
     if c.driver == WAYPOINTS:
-        return waypoint_control(goals, state, p_x, p_y, v_x, v_y, c.tolerance, c.v_max, c.u_max, c.dt)
+        return waypoint_control(
+            goals, state, p_x, p_y, v_x, v_y, c.tolerance, c.v_max, c.u_max, c.dt
+        )
     if c.driver == WANDER:
         return wander_control(
-            state, tick, p_x, p_y, v_x, v_y, c.speed, c.margin, c.width, c.height, c.tolerance, c.u_max, c.dt, c.key
+            state,
+            tick,
+            p_x,
+            p_y,
+            v_x,
+            v_y,
+            c.speed,
+            c.margin,
+            c.width,
+            c.height,
+            c.tolerance,
+            c.u_max,
+            c.dt,
+            c.key,
         )
     if c.driver == SCRIPT:
         return script_control(script, time, v_x, v_y, c.v_max, c.u_max, c.dt)

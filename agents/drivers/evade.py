@@ -16,10 +16,12 @@ _FORGOTTEN = 5.0  # after so long without a message [s] the last one says nothin
 _LEAD = 1.0, 10.0  # least and largest lead [s], for a UGV that turns at once or hardly at all
 _SLOT = 5.0  # one sharp turn in so many leads
 _DASH = 4.0  # out of a corner it drives along a wall for so many leads
-_BEGIN, _SIDE, _ANGLE, _WALL, _SPOT = range(2, 7)  # indices of the draws of a slot; 0 and 1 are the wanderer's
+_BEGIN, _SIDE, _ANGLE, _WALL, _SPOT = range(
+    2, 7
+)  # indices of the draws of a slot; 0 and 1 are the wanderer's
 
-# Rows of the state, after the wanderer's: the UAV's place [m] (2) at a time [s], its smoothed velocity [m/s] (2), when the newest
-# message came [s], the direction out of a corner (2) and until when it counts [s].
+# Rows of the state, after the wanderer's: the UAV's place [m] (2) at a time [s], its smoothed velocity [m/s] (2),
+# when the newest message came [s], the direction out of a corner (2) and until when it counts [s].
 _PLACE, _AT, _VELOCITY, _HEARD, _OUT, _OUT_END = (WANDER_STATE + row for row in (0, 2, 3, 5, 6, 8))
 EVADE_STATE = WANDER_STATE + 9
 
@@ -50,7 +52,9 @@ def listen(
     v_y: float,
     dt: float,
 ) -> None:
-    """Take in what has come at this tick: place and smoothed velocity of the UAV. Of several, that which was heard last.
+    """Take in what has come at this tick: place and smoothed velocity of the UAV.
+
+    Of several, that which was heard last.
 
     Args:
         state: Of the driver, changed in place.
@@ -63,7 +67,10 @@ def listen(
     """
     for row in range(heard):
         age = min(max(time - radio[row, 0], 0.0), _FORGOTTEN)
-        x, y = p_x - age * v_x + radio[row, 1], p_y - age * v_y + radio[row, 2]  # the UGV has driven on since
+        x, y = (
+            p_x - age * v_x + radio[row, 1],
+            p_y - age * v_y + radio[row, 2],
+        )  # the UGV has driven on since
         at = time - age
         gap = at - state[_AT]
         if not is_known(state, time):
@@ -83,10 +90,15 @@ def slot_draw(time: float, lead: float, index: int, key: Key) -> float:
 
 
 @compiled
-def away(state: FloatArray, time: float, p_x: float, p_y: float, lead: float, key: Key) -> tuple[float, float]:
+def away(
+    state: FloatArray, time: float, p_x: float, p_y: float, lead: float, key: Key
+) -> tuple[float, float]:
     """Away from where the UAV will be after the lead [s] if it flies on as it does; a unit vector."""
     gap = time + lead - state[_AT]
-    x, y = p_x - (state[_PLACE] + gap * state[_VELOCITY]), p_y - (state[_PLACE + 1] + gap * state[_VELOCITY + 1])
+    x, y = (
+        p_x - (state[_PLACE] + gap * state[_VELOCITY]),
+        p_y - (state[_PLACE + 1] + gap * state[_VELOCITY + 1]),
+    )
     length = norm(x, y)
     if length > 0.0:
         return x / length, y / length
@@ -117,7 +129,9 @@ def border_side(p: float, size: float, margin: float) -> float:
 
 
 @compiled
-def leave_wall(state: FloatArray, out_x: float, out_y: float, time: float, lead: float, key: Key) -> tuple[float, float]:
+def leave_wall(
+    state: FloatArray, out_x: float, out_y: float, time: float, lead: float, key: Key
+) -> tuple[float, float]:
     """Off a wall that it stands square to, or out of a corner: along a wall, and it stays with that for a while.
 
     Args:
@@ -248,10 +262,30 @@ def evade_control(
     """
     listen(state, radio, heard, time, p_x, p_y, v_x, v_y, dt)
     if not is_known(state, time):
-        return wander_control(state, tick, p_x, p_y, v_x, v_y, speed, margin, width, height, tolerance, u_max, dt, key)
+        return wander_control(
+            state, tick, p_x, p_y, v_x, v_y, speed, margin, width, height, tolerance, u_max, dt, key
+        )
     x, y = away(state, time, p_x, p_y, lead, key)
     x, y = turned(x, y, time, lead, key)
-    return flee(state, x, y, time, p_x, p_y, v_x, v_y, speed, margin, lead, width, height, v_max, u_max, dt, key)
+    return flee(
+        state,
+        x,
+        y,
+        time,
+        p_x,
+        p_y,
+        v_x,
+        v_y,
+        speed,
+        margin,
+        lead,
+        width,
+        height,
+        v_max,
+        u_max,
+        dt,
+        key,
+    )
 
 
 def evade_lead(speed: float, u_max: float) -> float:
@@ -262,15 +296,19 @@ def evade_lead(speed: float, u_max: float) -> float:
 class EvadeDriver:
     """Drives at full speed away from where the UAV will be by the time the UGV has turned round.
 
-    A UAV that flies off is left behind; one that comes up fast will have flown past by then, so the UGV reverses and drives at
-    it: either way the two velocities point apart when the UAV has most to brake. The lead is 2 v/u, the UGV's own time to
-    reverse: it knows no bound of the UAV. In each slot of five leads it turns off sharply once, for one lead, by 60° to 120° to
-    one side; when and where to is drawn from its key. It knows its own state and what the UAV radios, p_a - p_g up to 0.2 s and
-    a tick ago, and neither the visibility radius nor the law.
+    A UAV that flies off is left behind; one that comes up fast will have flown past by then, so the UGV reverses
+    and drives at
+    it: either way the two velocities point apart when the UAV has most to brake. The lead is 2 v/u, the UGV's own
+    time to
+    reverse: it knows no bound of the UAV. In each slot of five leads it turns off sharply once, for one lead, by
+    60° to 120° to
+    one side; when and where to is drawn from its key. It knows its own state and what the UAV radios, p_a - p_g up
+    to 0.2 s and a tick ago, and neither the visibility radius nor the law.
 
-    Within the wanderer's margin of the border it drops what points outward and slides along at full speed, braking first where
-    a wall is too near; in a corner it picks one of the two walls at random and drives out along it for four leads. Before the
-    first message, and five seconds after the last one, it wanders.
+    Within the wanderer's margin of the border it drops what points outward and slides along at full speed, braking
+    first where
+    a wall is too near; in a corner it picks one of the two walls at random and drives out along it for four leads.
+    Before the first message, and five seconds after the last one, it wanders.
 
     It is a heuristic, not the worst case: it looks one manoeuvre ahead and solves no game.
     """
@@ -279,7 +317,9 @@ class EvadeDriver:
         self._steering = wheel = Steering(briefing)
         self._width, self._height = float(briefing.area.width), float(briefing.area.height)
         self._tolerance, self._key = float(briefing.goal_tolerance), words_of(briefing.key)
-        self._speed, self._margin = wander_pace(self._width, self._height, wheel.v_max, wheel.u_max, wheel.dt)
+        self._speed, self._margin = wander_pace(
+            self._width, self._height, wheel.v_max, wheel.u_max, wheel.dt
+        )
         self._lead = evade_lead(self._speed, wheel.u_max)
         self._state = np.empty(EVADE_STATE)
         begin_evade(self._state)
@@ -289,14 +329,55 @@ class EvadeDriver:
         state, lead, tolerance, key = self._state, self._lead, self._tolerance, self._key
         speed, margin, width, height = self._speed, self._margin, self._width, self._height
         v_max, u_max, dt = self._steering.v_max, self._steering.u_max, self._steering.dt
-        tick, time, (p_x, p_y), (v_x, v_y) = observation.tick, observation.time, observation.position, observation.velocity
+        tick, time, (p_x, p_y), (v_x, v_y) = (
+            observation.tick,
+            observation.time,
+            observation.position,
+            observation.velocity,
+        )
         if observation.radio:
-            radio = np.array([(message.time, *message.relative_position) for message in observation.radio], dtype=np.float64)
+            radio = np.array(
+                [(message.time, *message.relative_position) for message in observation.radio],
+                dtype=np.float64,
+            )
             listen(state, radio, len(radio), time, p_x, p_y, v_x, v_y, dt)
         if not is_known(state, time):
-            return wander_control(state, tick, p_x, p_y, v_x, v_y, speed, margin, width, height, tolerance, u_max, dt, key)
+            return wander_control(
+                state,
+                tick,
+                p_x,
+                p_y,
+                v_x,
+                v_y,
+                speed,
+                margin,
+                width,
+                height,
+                tolerance,
+                u_max,
+                dt,
+                key,
+            )
         x, y = self._turned(away(state, time, p_x, p_y, lead, key), time)
-        return flee(state, x, y, time, p_x, p_y, v_x, v_y, speed, margin, lead, width, height, v_max, u_max, dt, key)
+        return flee(
+            state,
+            x,
+            y,
+            time,
+            p_x,
+            p_y,
+            v_x,
+            v_y,
+            speed,
+            margin,
+            lead,
+            width,
+            height,
+            v_max,
+            u_max,
+            dt,
+            key,
+        )
 
     def _turned(self, direction: tuple[float, float], time: float) -> tuple[float, float]:
         """The direction, turned off sharply for one lead of each slot."""

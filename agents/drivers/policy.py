@@ -22,7 +22,8 @@ _LOG = logging.getLogger("outrider.policy")
 class RowPolicy(Protocol):
     """A policy as learning libraries make them, for the row that the environment gives this agent.
 
-    `predict` may return the action alone or, as Stable-Baselines3 does, the action and a state. Where it has parameters of
+    `predict` may return the action alone or, as Stable-Baselines3 does, the action and a state. Where it has
+    parameters of
     these names it is given `deterministic=True`, the `state` that it returned last, and `episode_start`.
     """
 
@@ -49,7 +50,9 @@ def _pair(answer: object) -> tuple[float, float] | None:
         array = np.asarray(answer)
         if array.shape != (2,) or array.dtype.kind not in "fiu":
             return None
-        with np.errstate(over="ignore"):  # a long double may be too large: it is infinite then, and refused
+        with np.errstate(
+            over="ignore"
+        ):  # a long double may be too large: it is infinite then, and refused
             x, y = array.astype(np.float64).tolist()
     except Exception:  # noqa: BLE001 - what turns an answer into an array is the policy's own code, as a tensor's
         return None
@@ -71,11 +74,16 @@ class UgvRows:
     def row(self, observation: UgvObservation) -> Row:
         """The row of this tick; shape (8,), float64."""
         (x, y), (v_x, v_y), goals = observation.position, observation.velocity, self._goals
-        while self._reached < len(goals) and goal_reached(x, y, *goals[self._reached], self._tolerance):
+        while self._reached < len(goals) and goal_reached(
+            x, y, *goals[self._reached], self._tolerance
+        ):
             self._reached += 1
         underway = self._reached < len(goals)
         goal_x, goal_y = goals[min(self._reached, len(goals) - 1)] if goals else (0.0, 0.0)
-        return np.array(UgvRow(observation.time, x, y, v_x, v_y, float(underway), goal_x, goal_y), dtype=np.float64)
+        return np.array(
+            UgvRow(observation.time, x, y, v_x, v_y, float(underway), goal_x, goal_y),
+            dtype=np.float64,
+        )
 
 
 class _Predictor:
@@ -97,7 +105,11 @@ class _Predictor:
 
     def __call__(self, observation: UgvObservation, _briefing: UgvBriefing) -> object:
         row = self._rows.row(observation).astype(self._dtype, copy=False)
-        told: dict[str, Any] = {"deterministic": True, "state": self._state, "episode_start": np.array([self._start])}
+        told: dict[str, Any] = {
+            "deterministic": True,
+            "state": self._state,
+            "episode_start": np.array([self._start]),
+        }
         self._start = False
         answer = self._predict(row, **{name: told[name] for name in told.keys() & self._known})
         if isinstance(answer, tuple) and len(answer) == 2 and _pair(answer) is None:
@@ -115,10 +127,12 @@ def _parameters(function: Callable[..., object]) -> set[str]:
 class PolicyDriver:
     """Asks the policy at each observation.
 
-    What a function answers is kept within the UGV's bounds: longer than u_max it is shortened, and where it would go beyond
-    v_max it is turned off there. What was predicted from a row is passed on as it is, and the bounds of (1) act on it in the
-    world, so it moves the UGV here to the bit as it does in the environment. What the policy remembers is its own affair: a
-    process that joins again calls it with all observations from the first.
+    What a function answers is kept within the UGV's bounds: longer than u_max it is shortened, and where it would
+    go beyond
+    v_max it is turned off there. What was predicted from a row is passed on as it is, and the bounds of (1) act on
+    it in the
+    world, so it moves the UGV here to the bit as it does in the environment. What the policy remembers is its own
+    affair: a process that joins again calls it with all observations from the first.
 
     Args:
         briefing: What the UGV is told when it joins.
@@ -138,15 +152,17 @@ class PolicyDriver:
         """The acceleration [m/s²] for this observation.
 
         Raises:
-            ScenarioError: If the policy raises, or answers anything but two finite numbers; one line with its name, the tick
-                and the answer.
+            ScenarioError: If the policy raises, or answers anything but two finite numbers; one line with its
+                name, the tick and the answer.
         """
         where = f"policy = {self._name!r}: tick {observation.tick}"
         begun = time.perf_counter()
         try:
             answer = self._policy(observation, self._briefing)
         except Exception as error:
-            raise ScenarioError(f"{where}: raised {_one_line(f'{type(error).__name__}: {error}')}") from error
+            raise ScenarioError(
+                f"{where}: raised {_one_line(f'{type(error).__name__}: {error}')}"
+            ) from error
         self._mind_time(where, time.perf_counter() - begun)
         pair = _pair(answer)
         if pair is None or (self._sees_rows and max(map(abs, pair)) > LARGEST):

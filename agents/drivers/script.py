@@ -29,15 +29,19 @@ def script_control(
 
 def driver_script(briefing: UgvBriefing) -> FloatArray:
     """Time [s], v_x and v_y [m/s] of each step of a briefing's script, in the order of time; shape (steps, 3)."""
-    steps = sorted(briefing.script, key=lambda step: step.time)  # of two at one time the later in the list counts
-    return np.array([(step.time, *step.velocity) for step in steps], dtype=np.float64).reshape(-1, 3)
+    steps = sorted(
+        briefing.script, key=lambda step: step.time
+    )  # of two at one time the later in the list counts
+    return np.array([(step.time, *step.velocity) for step in steps], dtype=np.float64).reshape(
+        -1, 3
+    )
 
 
 class ScriptDriver:
     """Holds the velocity of the last step whose time has come; brakes before the first, keeps the last.
 
-    A velocity longer than v_max is shortened to it. It does not look where it goes: at the border of Q it meets the wall.
-    It remembers nothing, so it may take the wheel at any time.
+    A velocity longer than v_max is shortened to it. It does not look where it goes: at the border of Q it meets
+    the wall. It remembers nothing, so it may take the wheel at any time.
     """
 
     def __init__(self, briefing: UgvBriefing) -> None:
@@ -47,4 +51,6 @@ class ScriptDriver:
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """The acceleration [m/s²] for this observation."""
         (v_x, v_y), wheel = observation.velocity, self._steering
-        return script_control(self._script, observation.time, v_x, v_y, wheel.v_max, wheel.u_max, wheel.dt)
+        return script_control(
+            self._script, observation.time, v_x, v_y, wheel.v_max, wheel.u_max, wheel.dt
+        )

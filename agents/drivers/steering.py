@@ -53,16 +53,32 @@ class Steering:
         self.dt = float(briefing.dt)
         """Length of a tick [s]."""
 
-    def to_velocity(self, observation: UgvObservation, wanted: tuple[float, float]) -> tuple[float, float]:
+    def to_velocity(
+        self, observation: UgvObservation, wanted: tuple[float, float]
+    ) -> tuple[float, float]:
         """The acceleration [m/s²] towards a wanted velocity [m/s], which is shortened to v_max where it is longer."""
         (v_x, v_y), (w_x, w_y) = observation.velocity, wanted
-        u_x, u_y = velocity_control(v_x, v_y, float(w_x), float(w_y), self.v_max, self.u_max, self.dt)
+        u_x, u_y = velocity_control(
+            v_x, v_y, float(w_x), float(w_y), self.v_max, self.u_max, self.dt
+        )
         return u_x, u_y
 
-    def to_goal(self, observation: UgvObservation, goal: tuple[float, float], *, speed: float = math.inf) -> tuple[float, float]:
+    def to_goal(
+        self, observation: UgvObservation, goal: tuple[float, float], *, speed: float = math.inf
+    ) -> tuple[float, float]:
         """The acceleration [m/s²] towards a goal [m], by the paper's driver, no faster than `speed` [m/s]."""
         (p_x, p_y), (v_x, v_y) = observation.position, observation.velocity
-        u_x, u_y = goal_control(p_x, p_y, v_x, v_y, float(goal[0]), float(goal[1]), min(speed, self.v_max), self.u_max, self.dt)
+        u_x, u_y = goal_control(
+            p_x,
+            p_y,
+            v_x,
+            v_y,
+            float(goal[0]),
+            float(goal[1]),
+            min(speed, self.v_max),
+            self.u_max,
+            self.dt,
+        )
         return u_x, u_y
 
     def to_rest(self, observation: UgvObservation) -> tuple[float, float]:
@@ -71,7 +87,9 @@ class Steering:
         u_x, u_y = brake(v_x, v_y, self.u_max, self.dt)
         return u_x, u_y
 
-    def within(self, observation: UgvObservation, wanted: tuple[float, float]) -> tuple[float, float]:
+    def within(
+        self, observation: UgvObservation, wanted: tuple[float, float]
+    ) -> tuple[float, float]:
         """A finite acceleration [m/s²] of anybody's, shortened to u_max and turned off where it would go beyond v_max."""
         u_x, u_y = wanted
         size = max(abs(u_x), abs(u_y))
@@ -80,4 +98,6 @@ class Steering:
         u_x, u_y = clip_norm(u_x, u_y, self.u_max)
         v_x, v_y = observation.velocity
         w_x, w_y = v_x + u_x * self.dt, v_y + u_y * self.dt
-        return self.to_velocity(observation, (w_x, w_y)) if norm(w_x, w_y) > self.v_max else (u_x, u_y)
+        return (
+            self.to_velocity(observation, (w_x, w_y)) if norm(w_x, w_y) > self.v_max else (u_x, u_y)
+        )

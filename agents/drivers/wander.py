@@ -13,7 +13,9 @@ _GOAL, _CHOSEN = 0, 2  # rows of the state: the goal (2), whether there is one
 WANDER_STATE = 3
 
 
-def wander_pace(width: float, height: float, v_max: float, u_max: float, dt: float) -> tuple[float, float]:
+def wander_pace(
+    width: float, height: float, v_max: float, u_max: float, dt: float
+) -> tuple[float, float]:
     """The largest speed of a wanderer [m/s], and how near to the border its goals may be [m].
 
     Args:
@@ -27,7 +29,9 @@ def wander_pace(width: float, height: float, v_max: float, u_max: float, dt: flo
 
 
 @compiled
-def wander_goal(tick: int, width: float, height: float, margin: float, key: Key) -> tuple[float, float]:
+def wander_goal(
+    tick: int, width: float, height: float, margin: float, key: Key
+) -> tuple[float, float]:
     """The goal [m] that is drawn at a tick: evenly over Q without a margin [m] along the border."""
     return (
         margin + (width - 2.0 * margin) * uniform(key, WANDER, tick, 0),
@@ -75,9 +79,12 @@ def wander_control(
 class WanderDriver:
     """Drives to a random goal inside Q, and when it is nearer than the tolerance, to another one.
 
-    A goal is drawn from the UGV's key and the tick at which it is needed, evenly over Q without a margin along the border.
-    Turning from one goal to the next a UGV drifts outward by no more than v²/u, twice its stopping distance, so the margin is
-    that and two ticks' way. It is at most a quarter of Q's shorter side: a UGV that needs more drives slower than it could.
+    A goal is drawn from the UGV's key and the tick at which it is needed, evenly over Q without a margin along the
+    border.
+    Turning from one goal to the next a UGV drifts outward by no more than v²/u, twice its stopping distance, so
+    the margin is
+    that and two ticks' way. It is at most a quarter of Q's shorter side: a UGV that needs more drives slower than
+    it could.
     """
 
     def __init__(self, briefing: UgvBriefing) -> None:
@@ -94,11 +101,41 @@ class WanderDriver:
     @property
     def goal(self) -> tuple[float, float] | None:
         """Where it drives to [m]; None before the first observation."""
-        return (float(self._state[_GOAL]), float(self._state[_GOAL + 1])) if self._state[_CHOSEN] else None
+        return (
+            (float(self._state[_GOAL]), float(self._state[_GOAL + 1]))
+            if self._state[_CHOSEN]
+            else None
+        )
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """The acceleration [m/s²] for this observation."""
-        (p_x, p_y), (v_x, v_y), tick, key = observation.position, observation.velocity, observation.tick, self._key
-        speed, margin, width, height, tolerance = self.speed, self.margin, self._width, self._height, self._tolerance
+        (p_x, p_y), (v_x, v_y), tick, key = (
+            observation.position,
+            observation.velocity,
+            observation.tick,
+            self._key,
+        )
+        speed, margin, width, height, tolerance = (
+            self.speed,
+            self.margin,
+            self._width,
+            self._height,
+            self._tolerance,
+        )
         u_max, dt = self._steering.u_max, self._steering.dt
-        return wander_control(self._state, tick, p_x, p_y, v_x, v_y, speed, margin, width, height, tolerance, u_max, dt, key)
+        return wander_control(
+            self._state,
+            tick,
+            p_x,
+            p_y,
+            v_x,
+            v_y,
+            speed,
+            margin,
+            width,
+            height,
+            tolerance,
+            u_max,
+            dt,
+            key,
+        )

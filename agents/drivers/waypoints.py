@@ -14,7 +14,15 @@ WAYPOINT_STATE = 1
 
 @compiled
 def goal_control(
-    p_x: float, p_y: float, v_x: float, v_y: float, goal_x: float, goal_y: float, v_max: float, u_max: float, dt: float
+    p_x: float,
+    p_y: float,
+    v_x: float,
+    v_y: float,
+    goal_x: float,
+    goal_y: float,
+    v_max: float,
+    u_max: float,
+    dt: float,
 ) -> tuple[float, float]:
     """The stabilizing controller f(p_g, goal) [m/s²]: straight, as fast as the bounds allow, braking in time.
 
@@ -30,7 +38,9 @@ def goal_control(
     w_x, w_y = 0.0, 0.0
     if distance > 0.0:
         e_x, e_y = d_x / distance, d_y / distance
-        rest = distance - 0.5 * dt * max(v_x * e_x + v_y * e_y, 0.0)  # half of the coming tick goes at the old speed
+        rest = distance - 0.5 * dt * max(
+            v_x * e_x + v_y * e_y, 0.0
+        )  # half of the coming tick goes at the old speed
         speed = min(v_max, speed_to_stop_within(rest, u_max, dt))
         w_x, w_y = e_x * speed, e_y * speed
     return clip_norm((w_x - v_x) / dt, (w_y - v_y) / dt, u_max)
@@ -88,4 +98,15 @@ class WaypointDriver:
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """The acceleration [m/s²] for this observation."""
         (p_x, p_y), (v_x, v_y) = observation.position, observation.velocity
-        return waypoint_control(self._goals, self._state, p_x, p_y, v_x, v_y, self._tolerance, self._v_max, self._u_max, self._dt)
+        return waypoint_control(
+            self._goals,
+            self._state,
+            p_x,
+            p_y,
+            v_x,
+            v_y,
+            self._tolerance,
+            self._v_max,
+            self._u_max,
+            self._dt,
+        )

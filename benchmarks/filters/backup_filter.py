@@ -1,27 +1,37 @@
 """A discrete-time backup barrier filter, on what our own filter is told: the peer in `compare.py`.
 
-Gurriet, Mote, Singletary, Nilsson, Feron and Ames (IEEE Access 2020) and Chen, Jankovic, Santillo and Ames (CDC 2021) keep a
-state safe that leads, under a known backup policy, through safe states into a backup set. With the flow x(s) of that policy
+Gurriet, Mote, Singletary, Nilsson, Feron and Ames (IEEE Access 2020) and Chen, Jankovic, Santillo and Ames (CDC
+2021) keep a
+state safe that leads, under a known backup policy, through safe states into a backup set. With the flow x(s) of
+that policy
 
     h_I(x) = min( min over s of h(x(s)),  h_b(x(T)) )
 
-is a barrier, positive where the backup is safe, and of all inputs the one nearest to the wanted is taken for which it holds in
-discrete time (Agrawal and Sreenath, RSS 2017)
+is a barrier, positive where the backup is safe, and of all inputs the one nearest to the wanted is taken for which
+it holds in discrete time (Agrawal and Sreenath, RSS 2017)
 
     h_I(x+) >= (1 - gamma) h_I(x).
 
-Here h is r_v less the largest distance at which the UGV can be, which grows along the flow (van Wijk, Coogan, Molnar, Majji and
-Hobbs 2024 keep a tube around the flow likewise). The backup policy flies to the newest detection and stops there, as fast as the
-bounds allow. The backup set is our own: at rest, with the UGV within R_h and the newest detection's bound within E, from which
-docs/certificate.md proves that the next one can be flown to. Commands under way are flown first.
+Here h is r_v less the largest distance at which the UGV can be, which grows along the flow (van Wijk, Coogan,
+Molnar, Majji and
+Hobbs 2024 keep a tube around the flow likewise). The backup policy flies to the newest detection and stops there,
+as fast as the
+bounds allow. The backup set is our own: at rest, with the UGV within R_h and the newest detection's bound within
+E, from which docs/certificate.md proves that the next one can be flown to. Commands under way are flown first.
 
-The policy knows nothing of its past: with each detection the flow is another one. Where h_I < 0 no input is known to be safe,
-and the backup policy acts; such ticks are counted as not feasible.
+The policy knows nothing of its past: with each detection the flow is another one. Where h_I < 0 no input is known
+to be safe, and the backup policy acts; such ticks are counted as not feasible.
 """
 
 import math
 
-from agents.control.discs import keep_detection, lens_distance, nearest, newest_detection, no_detections
+from agents.control.discs import (
+    keep_detection,
+    lens_distance,
+    nearest,
+    newest_detection,
+    no_detections,
+)
 from agents.control.handover import Promise
 from agents.control.visibility import Verdict, promise_of
 from bus.messages import UavBriefing, UavObservation, Vector
@@ -42,7 +52,15 @@ _WALL = 1e-6
 
 @compiled
 def backup_policy(
-    p_x: float, p_y: float, v_x: float, v_y: float, z_x: float, z_y: float, v_a: float, u_a: float, dt: float
+    p_x: float,
+    p_y: float,
+    v_x: float,
+    v_y: float,
+    z_x: float,
+    z_y: float,
+    v_a: float,
+    u_a: float,
+    dt: float,
 ) -> tuple[float, float]:
     """The acceleration [m/s²] that leads to the newest detection z [m] as fast as the UAV can still stop there."""
     x, y = z_x - p_x, z_y - p_y
@@ -52,14 +70,21 @@ def backup_policy(
 
 
 @compiled
-def worst_distance(promise: Promise, discs: FloatArray, new: int, near: int, t: float, x: float, y: float) -> float:
+def worst_distance(
+    promise: Promise, discs: FloatArray, new: int, near: int, t: float, x: float, y: float
+) -> float:
     """How far from (x, y) [m] the UGV can be at time t [s], by the newest disc and the one with the least bound."""
     c = promise
-    new_radius, near_radius = c.eps + c.v_g * (t - discs[new, 2]), c.eps + c.v_g * (t - discs[near, 2])
+    new_radius, near_radius = (
+        c.eps + c.v_g * (t - discs[new, 2]),
+        c.eps + c.v_g * (t - discs[near, 2]),
+    )
     if new == near:
         bound: float = norm(x - discs[new, 0], y - discs[new, 1]) + new_radius
         return bound
-    lens: float = lens_distance(x, y, discs[new, 0], discs[new, 1], new_radius, discs[near, 0], discs[near, 1], near_radius)
+    lens: float = lens_distance(
+        x, y, discs[new, 0], discs[new, 1], new_radius, discs[near, 0], discs[near, 1], near_radius
+    )
     return lens
 
 
@@ -77,10 +102,12 @@ def flow_value(
     v_y: float,
     enough: float,
 ) -> float:
-    """h_I [m] of the state in which the UAV is `spent` seconds after t; with a finite `enough` only whether it is at least that.
+    """h_I [m] of the state in which the UAV is `spent` seconds after t.
 
-    What is known of the UGV at t grows by v_g. A tick is looked at only where the worst distance can have come near: it grows by
-    at most v_a + v_g.
+    With a finite `enough` only whether it is at least that.
+
+    What is known of the UGV at t grows by v_g. A tick is looked at only where the worst distance can have come
+    near: it grows by at most v_a + v_g.
 
     Returns:
         h_I; with a finite `enough` a number below it if h_I is less, and else one that is not.
@@ -98,7 +125,9 @@ def flow_value(
             value = min(value, room)
             if value < enough:
                 return value
-            wait = room - (value if enough == -math.inf else enough)  # until it can be the least, or too small
+            wait = room - (
+                value if enough == -math.inf else enough
+            )  # until it can be the least, or too small
         if arrived:
             end = worst_distance(c, discs, new, near, t, p_x, p_y) + c.v_g * s + _NEAR
             reach = norm(p_x - z_x, p_y - z_y) + c.eps + c.v_g * (t - discs[new, 2] + s) + _NEAR
@@ -124,7 +153,10 @@ def value_after(
     u_y: float,
     enough: float,
 ) -> float:
-    """h_I [m] one tick later, under the input u [m/s²]; arguments else as in `flow_value`, at the time `promise.delay`."""
+    """h_I [m] one tick later, under the input u [m/s²].
+
+    Arguments else as in `flow_value`, at the time `promise.delay`.
+    """
     c = promise
     x, y, w_x, w_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, u_x, u_y, c.v_a, c.u_a, c.dt)
     return flow_value(c, discs, new, near, t, c.delay + c.dt, x, y, w_x, w_y, enough)
@@ -145,8 +177,8 @@ def filtered(
 ) -> tuple[float, float, bool, bool]:
     """The input nearest to u for which the barrier holds.
 
-    First between u and the backup's input, which always satisfies it, by halving; then whatever is nearer, in `_DIRECTIONS`
-    directions around u.
+    First between u and the backup's input, which always satisfies it, by halving; then whatever is nearer, in
+    `_DIRECTIONS` directions around u.
 
     Args:
         promise: The declared numbers.
@@ -183,15 +215,24 @@ def filtered(
     best_x, best_y = u_x + high * (b_x - u_x), u_y + high * (b_y - u_y)
     best = high * norm(b_x - u_x, b_y - u_y)
     for k in range(_DIRECTIONS):
-        e_x, e_y = math.cos(2.0 * math.pi * k / _DIRECTIONS), math.sin(2.0 * math.pi * k / _DIRECTIONS)
+        e_x, e_y = (
+            math.cos(2.0 * math.pi * k / _DIRECTIONS),
+            math.sin(2.0 * math.pi * k / _DIRECTIONS),
+        )
         near_by, far = 0.0, 0.98 * best
         x, y = u_x + far * e_x, u_y + far * e_y
-        if norm(x, y) > c.u_a or not value_after(c, discs, new, near, t, p_x, p_y, v_x, v_y, x, y, least) >= least:
+        if (
+            norm(x, y) > c.u_a
+            or not value_after(c, discs, new, near, t, p_x, p_y, v_x, v_y, x, y, least) >= least
+        ):
             continue
         for _ in range(_HALVINGS):
             middle = 0.5 * (near_by + far)
             x, y = u_x + middle * e_x, u_y + middle * e_y
-            if norm(x, y) <= c.u_a and value_after(c, discs, new, near, t, p_x, p_y, v_x, v_y, x, y, least) >= least:
+            if (
+                norm(x, y) <= c.u_a
+                and value_after(c, discs, new, near, t, p_x, p_y, v_x, v_y, x, y, least) >= least
+            ):
                 far = middle
             else:
                 near_by = middle
@@ -224,10 +265,23 @@ class BackupFilter:
             if was is not None:
                 z_x = min(max(was[0] - found.relative_position[0], 0.0), c.width)
                 z_y = min(max(was[1] - found.relative_position[1], 0.0), c.height)
-                keep_detection(self._discs, z_x, z_y, round(found.time / c.dt) * c.dt, t, p_x, p_y, c.eps, c.v_g)
+                keep_detection(
+                    self._discs,
+                    z_x,
+                    z_y,
+                    round(found.time / c.dt) * c.dt,
+                    t,
+                    p_x,
+                    p_y,
+                    c.eps,
+                    c.v_g,
+                )
 
     def filter(self, observation: UavObservation, acceleration: Vector) -> Verdict:
-        """The nearest input [m/s²] that keeps the barrier; `certified` says whether there is one that is known to be safe."""
+        """The nearest input [m/s²] that keeps the barrier.
+
+        `certified` says whether there is one that is known to be safe.
+        """
         c, t = self.promise, observation.tick * self.promise.dt
         (p_x, p_y), (v_x, v_y) = observation.position, observation.velocity
         for x, y in self._pending:
@@ -241,8 +295,16 @@ class BackupFilter:
         else:
             age = t - float(self._discs[new, 2])
             wanted = (float(acceleration[0]), float(acceleration[1]))
-            u_x, u_y, acts, feasible = filtered(c, self._discs, t, p_x, p_y, v_x, v_y, *wanted, self.gamma)
+            u_x, u_y, acts, feasible = filtered(
+                c, self._discs, t, p_x, p_y, v_x, v_y, *wanted, self.gamma
+            )
         if self._pending:
             self._pending = [*self._pending[1:], (u_x, u_y)]
         known = bool(feasible and age <= c.age + 1e-9)
-        return Verdict((u_x, u_y), bool(acts), known, "" if known else "the backup policy is not known to be safe", math.inf)
+        return Verdict(
+            (u_x, u_y),
+            bool(acts),
+            known,
+            "" if known else "the backup policy is not known to be safe",
+            math.inf,
+        )

@@ -1,4 +1,6 @@
-"""Our safety filter beside a backup barrier filter from the literature: the same tasks, the same detections, the same bounds.
+"""Our safety filter beside a backup barrier filter from the literature.
+
+The same tasks, the same detections, the same bounds.
 
     python benchmarks/filters/compare.py --jobs 2           # in the project's environment; about 10 minutes
     python benchmarks/filters/compare.py --seeds 2 --duration 30 --jobs 2
@@ -49,7 +51,10 @@ def _dark(length: float, seed: int, duration: float) -> dict[str, object]:
     """Blackouts with 10 s between them, at other times for each seed."""
     first, every = 8.0 + 0.5 * (seed % 20), length + 10.0
     starts = [first + k * every for k in range(int((duration - first) / every) + 1)]
-    return {"links.detections.blackouts": [[start, length] for start in starts], "certificate.age": length + 1.0}
+    return {
+        "links.detections.blackouts": [[start, length] for start in starts],
+        "certificate.age": length + 1.0,
+    }
 
 
 NETWORKS: Mapping[str, Callable[[int, float], dict[str, object]]] = {
@@ -57,7 +62,9 @@ NETWORKS: Mapping[str, Callable[[int, float], dict[str, object]]] = {
     "noise": lambda _seed, _duration: {"detections.noise": 0.3, "detections.dropout": 0.1},
     "blackouts of 5 s": lambda seed, duration: _QUIET | _dark(5.0, seed, duration),
     "blackouts of 10 s": lambda seed, duration: _QUIET | _dark(10.0, seed, duration),
-    "commands 0.5 s late": lambda _seed, _duration: _QUIET | {"links.commands.delay": 0.5, "hold": 1.0},
+    "commands 0.5 s late": lambda _seed, _duration: (
+        _QUIET | {"links.commands.delay": 0.5, "hold": 1.0}
+    ),
 }
 DRIVERS = ("evade", "waypoints", "wander")
 INNER = ("logarithmic", "outward")
@@ -104,7 +111,9 @@ class FilteredPilot(UavPilot):
         outward: Whether the inner control is full thrust away from the UGV, instead of the law.
     """
 
-    def __init__(self, told: UavBriefing, make: Callable[[UavBriefing], Any] | None, *, outward: bool) -> None:
+    def __init__(
+        self, told: UavBriefing, make: Callable[[UavBriefing], Any] | None, *, outward: bool
+    ) -> None:
         super().__init__(told)
         self._around = None if make is None else make(told)
         self._outward = told.limits.max_acceleration or 0.0 if outward else 0.0
@@ -130,7 +139,11 @@ class FilteredPilot(UavPilot):
     def _away(self, own: Vector, target: Vector) -> Vector:
         x, y = own[0] - target[0], own[1] - target[1]
         length = (x * x + y * y) ** 0.5
-        return (x / length * self._outward, y / length * self._outward) if length > 1e-9 else (self._outward, 0.0)
+        return (
+            (x / length * self._outward, y / length * self._outward)
+            if length > 1e-9
+            else (self._outward, 0.0)
+        )
 
 
 def scenario_of(case: Case) -> Scenario:
@@ -142,7 +155,9 @@ def scenario_of(case: Case) -> Scenario:
         "area.cell": 0.5,
         "seed": case.seed,
     }
-    return load_scenario("escort", overrides=changes | NETWORKS[case.network](case.seed, case.duration))
+    return load_scenario(
+        "escort", overrides=changes | NETWORKS[case.network](case.seed, case.duration)
+    )
 
 
 def fly(case: Case) -> Result:
@@ -152,7 +167,9 @@ def fly(case: Case) -> Result:
     for vehicle in scenario.vehicles:
         told = briefing(scenario, vehicle.name, case.seed)
         if isinstance(told, UavBriefing):
-            uav = pilots[vehicle.name] = FilteredPilot(told, FILTERS[case.filter], outward=case.inner == "outward")
+            uav = pilots[vehicle.name] = FilteredPilot(
+                told, FILTERS[case.filter], outward=case.inner == "outward"
+            )
         else:
             pilots[vehicle.name] = UgvPilot(told)
     flight = Flight(scenario, case.seed)
@@ -169,7 +186,8 @@ def fly(case: Case) -> Result:
         mean_error=summary.mean_error,
         known=sum(uav.known),
         known_while_lost=sum(
-            known and d >= scenario.visibility.radius for known, d in zip(uav.known, distances.tolist(), strict=True)
+            known and d >= scenario.visibility.radius
+            for known, d in zip(uav.known, distances.tolist(), strict=True)
         ),
         interventions=uav.interventions,
         microseconds=uav.nanoseconds / 1000.0 / max(1, len(uav.known)),
@@ -178,9 +196,18 @@ def fly(case: Case) -> Result:
 
 def cases(seeds: int, duration: float) -> Iterator[Case]:
     """All flights; those of one row of the table one after the other."""
-    for network, inner, name, driver, seed in product(NETWORKS, INNER, FILTERS, DRIVERS, range(7, 7 + seeds)):
+    for network, inner, name, driver, seed in product(
+        NETWORKS, INNER, FILTERS, DRIVERS, range(7, 7 + seeds)
+    ):
         if not (name == "none" and inner == "outward"):  # which is gone after eight seconds
-            yield Case(network=network, inner=inner, filter=name, driver=driver, seed=seed, duration=duration)
+            yield Case(
+                network=network,
+                inner=inner,
+                filter=name,
+                driver=driver,
+                seed=seed,
+                duration=duration,
+            )
 
 
 COLUMNS = (
@@ -202,7 +229,9 @@ def rows(results: Sequence[Result]) -> Iterator[list[str]]:
     """One row for each network, inner control and filter: all drivers and seeds together."""
     groups: dict[tuple[str, str, str], list[Result]] = {}
     for result in results:
-        groups.setdefault((result.case.network, result.case.inner, result.case.filter), []).append(result)
+        groups.setdefault((result.case.network, result.case.inner, result.case.filter), []).append(
+            result
+        )
     for key, found in groups.items():
         ticks, watched = sum(r.ticks for r in found), key[2] != "none"
         yield [
@@ -226,30 +255,58 @@ def table(lines: Iterable[Sequence[str]]) -> str:
 
 def main() -> None:
     """Fly all cases, print the table, write it and every flight's numbers."""
-    parser = argparse.ArgumentParser(description="Our safety filter beside a backup barrier filter, on the same tasks.")
-    parser.add_argument("--seeds", type=int, default=20, help="flights for each driver, network, inner control and filter")
+    parser = argparse.ArgumentParser(
+        description="Our safety filter beside a backup barrier filter, on the same tasks."
+    )
+    parser.add_argument(
+        "--seeds",
+        type=int,
+        default=20,
+        help="flights for each driver, network, inner control and filter",
+    )
     parser.add_argument("--duration", type=float, default=60.0, help="of a flight [s]")
-    parser.add_argument("--jobs", type=int, default=1, help="processes; the times a tick are those of one core")
-    parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for filters.json and filters.md")
+    parser.add_argument(
+        "--jobs", type=int, default=1, help="processes; the times a tick are those of one core"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=HERE / "results", help="folder for filters.json and filters.md"
+    )
     given = parser.parse_args()
     if given.seeds < 1 or given.jobs < 1 or not given.duration > 0.0:
         parser.error("--seeds and --jobs must be 1 or more, --duration above 0 s")
     wanted, began = list(cases(given.seeds, given.duration)), time.monotonic()
     for name in FILTERS:  # compile before anything is timed
-        fly(Case(network="undegraded", inner="outward", filter=name, driver="evade", seed=1, duration=5.0))
+        fly(
+            Case(
+                network="undegraded",
+                inner="outward",
+                filter=name,
+                driver="evade",
+                seed=1,
+                duration=5.0,
+            )
+        )
     results: list[Result] = []
     with ProcessPoolExecutor(given.jobs) as pool:
         for n, result in enumerate(pool.map(fly, wanted, chunksize=5), 1):
             results.append(result)
             if n % 50 == 0 or n == len(wanted):
-                sys.stderr.write(f"\r{n} of {len(wanted)} flights, {time.monotonic() - began:.0f} s")
+                sys.stderr.write(
+                    f"\r{n} of {len(wanted)} flights, {time.monotonic() - began:.0f} s"
+                )
                 sys.stderr.flush()
     text = table(rows(results))
     sys.stdout.write(f"\n{text}")
     given.out.mkdir(parents=True, exist_ok=True)
     given.out.joinpath("filters.md").write_text(text, encoding="utf-8")
-    told = {"cores": os.cpu_count(), "jobs": given.jobs, "flights": [asdict(result) for result in results]}
-    given.out.joinpath("filters.json").write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+    told = {
+        "cores": os.cpu_count(),
+        "jobs": given.jobs,
+        "flights": [asdict(result) for result in results],
+    }
+    given.out.joinpath("filters.json").write_text(
+        json.dumps(told, indent=1) + "\n", encoding="utf-8"
+    )
 
 
 if __name__ == "__main__":

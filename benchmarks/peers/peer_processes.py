@@ -1,4 +1,7 @@
-"""Starting what measures and installs: its lines as they come, an end to it in any case, and why it failed in one line."""
+"""Starting what measures and installs.
+
+Its lines as they come, an end to it in any case, and why it failed in one line.
+"""
 
 import contextlib
 import os
@@ -21,7 +24,9 @@ class Failed(Exception):
     """Something could not be installed or measured; says why in one line."""
 
 
-def run(command: list[str], *, cwd: Path, deadline: float, on_line: Callable[[str], None] | None = None) -> None:
+def run(
+    command: list[str], *, cwd: Path, deadline: float, on_line: Callable[[str], None] | None = None
+) -> None:
     """Run a command to its end.
 
     Args:
@@ -79,7 +84,9 @@ def _started(command: list[str], cwd: Path, errors: int) -> Iterator[subprocess.
 
 def _end(process: subprocess.Popen[str]) -> None:
     with contextlib.suppress(ProcessLookupError, PermissionError):
-        os.killpg(process.pid, signal.SIGKILL)  # they hold nothing that would have to be put in order
+        os.killpg(
+            process.pid, signal.SIGKILL
+        )  # they hold nothing that would have to be put in order
 
 
 def reason(text: str) -> str:

@@ -95,7 +95,9 @@ def write(report: Report, out: Path) -> None:
         OSError: If a file cannot be written.
     """
     out.mkdir(parents=True, exist_ok=True)
-    (out / "peers.json").write_bytes(msgspec.json.format(msgspec.json.encode(report), indent=2) + b"\n")
+    (out / "peers.json").write_bytes(
+        msgspec.json.format(msgspec.json.encode(report), indent=2) + b"\n"
+    )
     (out / "peers.md").write_text(markdown(report), encoding="utf-8")
     if report.rows:
         with style.look():
@@ -104,7 +106,9 @@ def write(report: Report, out: Path) -> None:
 
 def _ordered(report: Report, field: bool) -> list[Row]:
     """The rows of a group: ours first, then each peer's as it has measured them."""
-    return sorted((row for row in report.rows if row.field == field), key=lambda row: row.peer != OURS)
+    return sorted(
+        (row for row in report.rows if row.field == field), key=lambda row: row.peer != OURS
+    )
 
 
 def markdown(report: Report) -> str:
@@ -117,7 +121,9 @@ def markdown(report: Report) -> str:
         if not rows:
             continue
         lines += [f"## {title.capitalize()}", ""]
-        lines += ["| package | task | agents | worlds | world-steps/s | slowest to fastest | cores used by others | version |"]
+        lines += [
+            "| package | task | agents | worlds | world-steps/s | slowest to fastest | cores used by others | version |"
+        ]
         lines += ["|---|---|--:|--:|--:|--:|--:|---|"]
         lines += [
             f"| {row.name} | {row.variant} | {row.agents} | {row.worlds} | {row.steps_per_second:,.0f} "
@@ -127,9 +133,17 @@ def markdown(report: Report) -> str:
         lines += [""]
     if report.failures:
         lines += ["## Not measured", "", "| what | why |", "|---|---|"]
-        lines += [f"| {failure.what} | {failure.reason.replace('|', chr(92) + '|')} |" for failure in report.failures] + [""]
+        lines += [
+            f"| {failure.what} | {failure.reason.replace('|', chr(92) + '|')} |"
+            for failure in report.failures
+        ] + [""]
     if report.rows:
-        lines += ["## Where a peer is faster", "", *[f"- {sentence}" for sentence in where_faster(report)], ""]
+        lines += [
+            "## Where a peer is faster",
+            "",
+            *[f"- {sentence}" for sentence in where_faster(report)],
+            "",
+        ]
     return "\n".join(lines)
 
 
@@ -142,10 +156,14 @@ def where_faster(report: Report) -> list[str]:
         peers = [row for row in here if row.peer != OURS]
         at = f"At {here[0].worlds_in_words}"
         if not peers or not ours:
-            sentences.append(f"{at} there is no {'peer' if ours else 'row of ours'} to compare with.")
+            sentences.append(
+                f"{at} there is no {'peer' if ours else 'row of ours'} to compare with."
+            )
             continue
         faster = [sentence for row in peers if (sentence := _faster(row, ours))]
-        sentences += [f"{at} {sentence}" for sentence in faster] or [f"{at} no peer is faster than ours."]
+        sentences += [f"{at} {sentence}" for sentence in faster] or [
+            f"{at} no peer is faster than ours."
+        ]
     return sentences
 
 
@@ -164,12 +182,22 @@ def _faster(row: Row, ours: list[Row]) -> str:
 
 
 def _times(ratio: float) -> str:
-    return f"{ratio:.2f} times" if ratio < 1.1 else f"{ratio:.1f} times" if ratio < 10.0 else f"{ratio:.0f} times"
+    return (
+        f"{ratio:.2f} times"
+        if ratio < 1.1
+        else f"{ratio:.1f} times"
+        if ratio < 10.0
+        else f"{ratio:.0f} times"
+    )
 
 
 def console_table(report: Report) -> Table:
     """The same table for a terminal, failures as lines of it."""
-    table = Table(title=f"World-steps per second\n{report.conditions}", title_justify="left", caption=crowded(report) or None)
+    table = Table(
+        title=f"World-steps per second\n{report.conditions}",
+        title_justify="left",
+        caption=crowded(report) or None,
+    )
     table.add_column("package", no_wrap=True)
     table.add_column("task")
     for heading in ("agents", "worlds", "steps/s"):
@@ -181,7 +209,9 @@ def console_table(report: Report) -> Table:
             table.add_row(f"[bold]{title}[/bold]")
         for row in rows:
             rate = f"{row.steps_per_second:,.0f}"
-            table.add_row(row.name, row.variant, str(row.agents), str(row.worlds), rate, row.version)
+            table.add_row(
+                row.name, row.variant, str(row.agents), str(row.worlds), rate, row.version
+            )
         table.add_section()
     for failure in report.failures:
         table.add_row(escape(failure.what), f"not measured: {escape(failure.reason)}", style="red")
@@ -210,22 +240,45 @@ def draw(report: Report) -> Figure:
 
 def _at_left(axes: Axes, y: float, text: str, **font: str) -> None:
     """A text left of the number of worlds."""
-    place = {"xycoords": axes.get_yaxis_transform(), "xytext": (-76, 0), "textcoords": "offset points"}
+    place = {
+        "xycoords": axes.get_yaxis_transform(),
+        "xytext": (-76, 0),
+        "textcoords": "offset points",
+    }
     axes.annotate(text, (0.0, y), ha="right", va="center_baseline", **place, **font)
 
 
 def _draw_row(axes: Axes, row: Row, y: float, *, named: bool) -> None:
     color, ink = (style.UAV[0], style.UAV[0]) if row.peer == OURS else (style.MUTED, style.INK)
     axes.plot((row.slowest, row.fastest), (y, y), color=color, linewidth=2.4, alpha=0.45)
-    axes.plot(row.steps_per_second, y, "o", color=color, markersize=6.5, markeredgecolor="white", markeredgewidth=0.8)
-    number = axes.annotate(f"{row.steps_per_second:,.0f}", (row.fastest, y), (7, 0), textcoords="offset points", color=ink)
-    number.set(va="center_baseline", bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8})  # no line through a number
+    axes.plot(
+        row.steps_per_second,
+        y,
+        "o",
+        color=color,
+        markersize=6.5,
+        markeredgecolor="white",
+        markeredgewidth=0.8,
+    )
+    number = axes.annotate(
+        f"{row.steps_per_second:,.0f}",
+        (row.fastest, y),
+        (7, 0),
+        textcoords="offset points",
+        color=ink,
+    )
+    number.set(
+        va="center_baseline", bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8}
+    )  # no line through a number
     if named:
         _at_left(axes, y, row.label, color=ink)
 
 
 def _dress(axes: Axes, report: Report, ticks: list[tuple[float, str]], end: float) -> None:
-    slowest, fastest = min(row.slowest for row in report.rows), max(row.fastest for row in report.rows)
+    slowest, fastest = (
+        min(row.slowest for row in report.rows),
+        max(row.fastest for row in report.rows),
+    )
     axes.set_xlim(slowest / 2.0, fastest * 5.0)  # room for the last number
     axes.set_ylim(end - 0.5, -0.8)
     axes.xaxis.set_major_locator(LogLocator(10.0))
@@ -236,7 +289,10 @@ def _dress(axes: Axes, report: Report, ticks: list[tuple[float, str]], end: floa
     axes.tick_params(axis="y", length=0)
     axes.grid(visible=False, axis="y")
     axes.spines["left"].set_visible(False)
-    axes.set_xlabel("world-steps per second, logarithmic" + ("; bar: range of the repeats" if report.repeats > 1 else ""))
+    axes.set_xlabel(
+        "world-steps per second, logarithmic"
+        + ("; bar: range of the repeats" if report.repeats > 1 else "")
+    )
     heading = "Speed of the environment on a CPU: Outrider and packages with other tasks"
     axes.figure.suptitle(heading, x=0.014, ha="left", weight="bold", size=11.0)
     below = "\n".join(filter(None, (report.conditions, crowded(report))))

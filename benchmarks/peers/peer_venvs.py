@@ -1,4 +1,7 @@
-"""A virtual environment for each peer: made, filled by pip, stamped when it is whole, and used again while the stamp holds."""
+"""A virtual environment for each peer.
+
+Made, filled by pip, stamped when it is whole, and used again while the stamp holds.
+"""
 
 import json
 import shutil
@@ -21,13 +24,20 @@ def python_of(folder: Path) -> Path:
 
 def stamp_of(requirements: tuple[str, ...]) -> str:
     """What is written into an environment that is whole."""
-    return json.dumps({"python": sys.version.split()[0], "requirements": list(requirements)}, indent=2) + "\n"
+    return (
+        json.dumps({"python": sys.version.split()[0], "requirements": list(requirements)}, indent=2)
+        + "\n"
+    )
 
 
 def is_whole(folder: Path, requirements: tuple[str, ...]) -> bool:
     """Whether the environment is there, was filled to the end, and with these requirements."""
     stamp = folder / STAMP
-    return python_of(folder).exists() and stamp.is_file() and stamp.read_text(encoding="utf-8") == stamp_of(requirements)
+    return (
+        python_of(folder).exists()
+        and stamp.is_file()
+        and stamp.read_text(encoding="utf-8") == stamp_of(requirements)
+    )
 
 
 def provide(folder: Path, requirements: tuple[str, ...], *, cuda: bool = False) -> Path:
@@ -54,7 +64,15 @@ def provide(folder: Path, requirements: tuple[str, ...], *, cuda: bool = False) 
 
 
 def _pip(folder: Path, *arguments: str) -> None:
-    command = [str(python_of(folder)), "-m", "pip", *arguments, "--quiet", "--no-input", "--disable-pip-version-check"]
+    command = [
+        str(python_of(folder)),
+        "-m",
+        "pip",
+        *arguments,
+        "--quiet",
+        "--no-input",
+        "--disable-pip-version-check",
+    ]
     run(command, cwd=folder, deadline=DEADLINE)
 
 

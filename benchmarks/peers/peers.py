@@ -31,7 +31,9 @@ PEERS: dict[str, tuple[str, ...]] = {
 ERR = Console(stderr=True)
 
 
-def measure(name: str, python: Path, given: argparse.Namespace, *, cwd: Path = HERE) -> tuple[list[Row], list[Failure]]:
+def measure(
+    name: str, python: Path, given: argparse.Namespace, *, cwd: Path = HERE
+) -> tuple[list[Row], list[Failure]]:
     """Let a peer's runner measure.
 
     Args:
@@ -51,7 +53,10 @@ def measure(name: str, python: Path, given: argparse.Namespace, *, cwd: Path = H
             return  # a greeting of the package
         found: dict[str, Any] = msgspec.json.decode(line)
         if "error" in found:
-            what, why = f"{found['name']} {found['variant']}, {worlds_in_words(found['worlds'])}", in_one_line(found["error"])
+            what, why = (
+                f"{found['name']} {found['variant']}, {worlds_in_words(found['worlds'])}",
+                in_one_line(found["error"]),
+            )
             failures.append(Failure(what=what, reason=why))
             _tell(f"  {what}: {why}", failed=True)
             return
@@ -59,7 +64,15 @@ def measure(name: str, python: Path, given: argparse.Namespace, *, cwd: Path = H
         rows.append(row)
         _tell(f"  {row.label}, {row.worlds_in_words}: {row.steps_per_second:,.0f}/s")
 
-    command = [str(python), "-m", f"runners.{name}", "--seconds", str(given.seconds), "--repeats", str(given.repeats)]
+    command = [
+        str(python),
+        "-m",
+        f"runners.{name}",
+        "--seconds",
+        str(given.seconds),
+        "--repeats",
+        str(given.repeats),
+    ]
     deadline = 300.0 + 60.0 * given.seconds * given.repeats
     try:
         run(command, cwd=cwd, deadline=deadline, on_line=take)
@@ -79,7 +92,11 @@ def compare(given: argparse.Namespace) -> Report:
         at = f"[{number}/{len(names)}] {name}"
         try:
             with ERR.status(f"{at}: installing"):
-                python = Path(sys.executable) if name == OURS else provide(given.venvs / name, PEERS[name], cuda=given.cuda)
+                python = (
+                    Path(sys.executable)
+                    if name == OURS
+                    else provide(given.venvs / name, PEERS[name], cuda=given.cuda)
+                )
         except Failed as error:
             failures.append(Failure(what=name, reason=str(error)))
             _tell(f"{at}: {error}", failed=True)
@@ -92,7 +109,9 @@ def compare(given: argparse.Namespace) -> Report:
     return Report(
         date=datetime.now(UTC).date().isoformat(),
         cpu=_cpu(),
-        cores=len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1,
+        cores=len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count() or 1,
         python=platform.python_version(),
         seconds=given.seconds,
         repeats=given.repeats,
@@ -115,14 +134,39 @@ def _cpu() -> str:
 
 
 def _arguments(words: list[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="peers.py", description="The speed of our environment beside those of other packages.")
-    parser.add_argument("--only", nargs="+", metavar="NAME", choices=PEERS, help=f"only these: {', '.join(PEERS)}")
-    parser.add_argument("--repeats", type=int, default=3, help="measurements of each row; the median counts (%(default)s)")
-    parser.add_argument("--seconds", type=float, default=3.0, help="length of a measurement [s] (%(default)s)")
-    parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for the results (results/ beside this)")
-    parser.add_argument("--venvs", type=Path, default=HERE / ".venvs", help="folder for the environments (.venvs/ beside this)")
-    parser.add_argument("--cuda", action="store_true", help="take torch's CUDA build where pip finds no other")
-    parser.add_argument("--json", action="store_true", help="print the results as one JSON object on stdout")
+    parser = argparse.ArgumentParser(
+        prog="peers.py", description="The speed of our environment beside those of other packages."
+    )
+    parser.add_argument(
+        "--only", nargs="+", metavar="NAME", choices=PEERS, help=f"only these: {', '.join(PEERS)}"
+    )
+    parser.add_argument(
+        "--repeats",
+        type=int,
+        default=3,
+        help="measurements of each row; the median counts (%(default)s)",
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=3.0, help="length of a measurement [s] (%(default)s)"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=HERE / "results",
+        help="folder for the results (results/ beside this)",
+    )
+    parser.add_argument(
+        "--venvs",
+        type=Path,
+        default=HERE / ".venvs",
+        help="folder for the environments (.venvs/ beside this)",
+    )
+    parser.add_argument(
+        "--cuda", action="store_true", help="take torch's CUDA build where pip finds no other"
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print the results as one JSON object on stdout"
+    )
     given = parser.parse_args(words)
     if given.repeats < 1 or not given.seconds > 0.0:
         parser.error("--repeats and --seconds must be positive")
@@ -133,7 +177,9 @@ def _arguments(words: list[str] | None) -> argparse.Namespace:
 def main(words: list[str] | None = None) -> int:
     """Compare, write the results and show them; 1 if nothing could be measured."""
     given = _arguments(words)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that what was started is ended, too
+    signal.signal(
+        signal.SIGTERM, lambda *_: sys.exit(143)
+    )  # so that what was started is ended, too
     try:
         report = compare(given)
     except KeyboardInterrupt:

@@ -1,4 +1,7 @@
-"""The kernels in C: built by the system's compiler when they are asked for, checked against ours, called through ctypes."""
+"""The kernels in C.
+
+Built by the system's compiler when they are asked for, checked against ours, called through ctypes.
+"""
 
 import ctypes
 import math
@@ -44,9 +47,25 @@ class CKernels:
         sensor: list[Any] = [_INT, _DOUBLE, _DOUBLE]
         self._accumulate, self._error = library.accumulate, library.coverage_error
         self._gradient, self._passes = library.coverage_gradient, library.passes
-        self._accumulate.argtypes, self._accumulate.restype = [*grid, *place, *sensor, _DOUBLE, _DOUBLE], None
-        self._error.argtypes, self._error.restype = [_INT, *grid, *place, _DOUBLE, _DOUBLE, _DOUBLE], _DOUBLE
-        self._gradient.argtypes = [_INT, *grid, *place, *place, _DOUBLE, _DOUBLE, *sensor, _DOUBLE, _ARRAY]
+        self._accumulate.argtypes, self._accumulate.restype = (
+            [*grid, *place, *sensor, _DOUBLE, _DOUBLE],
+            None,
+        )
+        self._error.argtypes, self._error.restype = (
+            [_INT, *grid, *place, _DOUBLE, _DOUBLE, _DOUBLE],
+            _DOUBLE,
+        )
+        self._gradient.argtypes = [
+            _INT,
+            *grid,
+            *place,
+            *place,
+            _DOUBLE,
+            _DOUBLE,
+            *sensor,
+            _DOUBLE,
+            _ARRAY,
+        ]
         self._gradient.restype = None
         self._passes.argtypes, self._passes.restype = [_INT, *grid, _LONG], _DOUBLE
 
@@ -72,16 +91,36 @@ class CKernels:
             yield cls(library) if built.returncode == 0 else None
 
     def accumulate(
-        self, coverage: FloatArray, p_x: float, p_y: float, sensor: int, peak: float, reach: float, cell: float, duration: float
+        self,
+        coverage: FloatArray,
+        p_x: float,
+        p_y: float,
+        sensor: int,
+        peak: float,
+        reach: float,
+        cell: float,
+        duration: float,
     ) -> None:
         """`sim.field.accumulate`."""
-        self._accumulate(_pointer(coverage), *coverage.shape, p_x, p_y, sensor, peak, reach, cell, duration)
+        self._accumulate(
+            _pointer(coverage), *coverage.shape, p_x, p_y, sensor, peak, reach, cell, duration
+        )
 
     def coverage_error(
-        self, coverage: FloatArray, p_gx: float, p_gy: float, r_o: float, desired: float, cell: float, *, lanes: bool
+        self,
+        coverage: FloatArray,
+        p_gx: float,
+        p_gy: float,
+        r_o: float,
+        desired: float,
+        cell: float,
+        *,
+        lanes: bool,
     ) -> float:
         """`sim.field.coverage_error`, with one running sum or with eight lanes."""
-        found: float = self._error(lanes, _pointer(coverage), *coverage.shape, p_gx, p_gy, r_o, desired, cell)
+        found: float = self._error(
+            lanes, _pointer(coverage), *coverage.shape, p_gx, p_gy, r_o, desired, cell
+        )
         return found
 
     def coverage_gradient(
@@ -135,14 +174,19 @@ class CKernels:
             seen = (a_x, a_y, sensor, 1.3, reach, cell, 0.05)
             accumulate(ours, *seen)
             self.accumulate(theirs, *seen)
-            near, around = (g_x, g_y, reach + 4.75, 2.0, cell), (a_x, a_y, g_x, g_y, reach + 4.75, 2.0, sensor, 1.3, reach, cell)
+            near, around = (
+                (g_x, g_y, reach + 4.75, 2.0, cell),
+                (a_x, a_y, g_x, g_y, reach + 4.75, 2.0, sensor, 1.3, reach, cell),
+            )
             e, pull = coverage_error(ours, *near), coverage_gradient(ours, *around)
             same = ours.tobytes() == theirs.tobytes()
-            same &= e == self.coverage_error(ours, *near, lanes=True) and pull == self.coverage_gradient(
-                ours, *around, lanes=True
-            )
+            same &= e == self.coverage_error(
+                ours, *near, lanes=True
+            ) and pull == self.coverage_gradient(ours, *around, lanes=True)
             plain = self.coverage_gradient(ours, *around, lanes=False)
             same &= math.isclose(e, self.coverage_error(ours, *near, lanes=False), rel_tol=_CLOSE)
-            same &= all(abs(one - other) <= _CLOSE * pull[2] for one, other in zip(pull, plain, strict=True))
+            same &= all(
+                abs(one - other) <= _CLOSE * pull[2] for one, other in zip(pull, plain, strict=True)
+            )
             if not same:
                 raise ArithmeticError("the kernels in C compute something else than ours")

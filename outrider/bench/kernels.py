@@ -71,7 +71,19 @@ def world_step() -> Pair:
         world.step(commands)
         world.measure()
         (p_ax, p_ay), (p_gx, p_gy) = world.position.tolist()
-        coverage_gradient(world.coverage, p_ax, p_ay, p_gx, p_gy, w.r_o, w.desired, w.sensor, w.peak, w.reach, w.cell)
+        coverage_gradient(
+            world.coverage,
+            p_ax,
+            p_ay,
+            p_gx,
+            p_gy,
+            w.r_o,
+            w.desired,
+            w.sensor,
+            w.peak,
+            w.reach,
+            w.cell,
+        )
 
     rate(step, 200)
     return rate(step, 20_000), kernel_rate(ground())
@@ -84,7 +96,9 @@ def env_step() -> Pair:
     env = parallel_env("escort")
     env.reset(seed=1)
     rng = np.random.default_rng(1)
-    actions = [{name: rng.uniform(-0.05, 0.05, 2) for name in env.possible_agents} for _ in range(64)]
+    actions = [
+        {name: rng.uniform(-0.05, 0.05, 2) for name in env.possible_agents} for _ in range(64)
+    ]
     steps = 0
 
     def step() -> None:

@@ -1,4 +1,7 @@
-"""Many worlds at once: all cores, beside the same kernels alone on as many grids; their memory, and that of the machine."""
+"""Many worlds at once: all cores, beside the same kernels alone on as many grids.
+
+Their memory, and that of the machine.
+"""
 
 import json
 import resource
@@ -54,9 +57,22 @@ def _kernels_alone(
                 out[k] += coverage_error(grid, g_x, g_y, w.r_o, w.desired, w.cell)
             else:
                 out[k] += accumulate_with_gain(
-                    grid, a_x, a_y, g_x, g_y, w.r_o, w.desired, w.sensor, w.peak, w.reach, w.cell, w.dt
+                    grid,
+                    a_x,
+                    a_y,
+                    g_x,
+                    g_y,
+                    w.r_o,
+                    w.desired,
+                    w.sensor,
+                    w.peak,
+                    w.reach,
+                    w.cell,
+                    w.dt,
                 )
-            out[k] += coverage_gradient(grid, a_x, a_y, g_x, g_y, w.r_o, w.desired, w.sensor, w.peak, w.reach, w.cell)[0]
+            out[k] += coverage_gradient(
+                grid, a_x, a_y, g_x, g_y, w.r_o, w.desired, w.sensor, w.peak, w.reach, w.cell
+            )[0]
 
 
 def _limit(loop: ClosedLoop, *, full: bool, ticks: int, calls: int) -> float:
@@ -68,7 +84,9 @@ def _limit(loop: ClosedLoop, *, full: bool, ticks: int, calls: int) -> float:
     out = np.zeros(loop.worlds)
 
     def call() -> None:
-        loop.batch.crew.share(_kernels_alone, loop.worlds, w, full, widths, truth.coverage, places, out, ticks)
+        loop.batch.crew.share(
+            _kernels_alone, loop.worlds, w, full, widths, truth.coverage, places, out, ticks
+        )
 
     call()
     return rate(call, calls) * loop.worlds * ticks
@@ -91,7 +109,9 @@ def stepped(
         steps: Of all worlds, that are timed.
         limit: Whether the kernels alone are measured, too; only for one pair of vehicles.
     """
-    env = vector_env(scenario, num_envs=worlds, agent="uav_0", estimate=True, gradient=True, rewards=rewards)
+    env = vector_env(
+        scenario, num_envs=worlds, agent="uav_0", estimate=True, gradient=True, rewards=rewards
+    )
     try:
         env.reset(seed=1)
         space: Any = env.single_action_space
@@ -106,7 +126,9 @@ def stepped(
 
         rate(step, max(3, steps // 10))
         found = rate(step, steps) * worlds
-        return found, _limit(env.worlds.loop, full=rewards is None, ticks=1, calls=steps) if limit else None
+        return found, _limit(
+            env.worlds.loop, full=rewards is None, ticks=1, calls=steps
+        ) if limit else None
     finally:
         env.close()
 
@@ -155,7 +177,12 @@ def growth(worlds: int = WORLDS) -> tuple[float, float]:
 def memory() -> Pair:
     """Bytes that one more world needs, beside the growth of a process that makes 1,024."""
     told = "import json; from outrider.bench.many import growth; print(json.dumps(growth()))"
-    done = subprocess.run([sys.executable, "-P", "-c", told], stdin=subprocess.DEVNULL, capture_output=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", told],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        check=True,
+    )
     counted, grown = json.loads(done.stdout)
     return counted, grown
 

@@ -20,7 +20,13 @@ from outrider.closed_loop import ClosedLoop
 from outrider.vector import vector_env
 from sim.compile import FloatArray, compiled
 from sim.env.rewards import RewardWeights
-from sim.field import accumulate, accumulate_with_gain, coverage_error, coverage_gradient, disc_chords
+from sim.field import (
+    accumulate,
+    accumulate_with_gain,
+    coverage_error,
+    coverage_gradient,
+    disc_chords,
+)
 from sim.scenario import Scenario, load_scenario
 
 _PASSES = 200
@@ -30,7 +36,12 @@ _FEW = 16
 """Worlds whose grids stay in the second-level cache."""
 _LINE = 64
 """Bytes of a cache line."""
-FLOPS = {"accumulate": 13, "accumulate_with_gain": 45, "coverage_error": 30, "coverage_gradient": 42}
+FLOPS = {
+    "accumulate": 13,
+    "accumulate_with_gain": 45,
+    "coverage_error": 30,
+    "coverage_gradient": 42,
+}
 """Additions, multiplications, divisions and comparisons of each cell, counted in sim/field.py with the sensor `hill`."""
 
 
@@ -56,14 +67,18 @@ def floor(scenario: Scenario) -> dict[str, Any]:
     cell, width, reach = scenario.area.cell, scenario.area.width, scenario.sensor.range
     seen, seen_lines = disc(reach, cell, width)
     around, around_lines = disc(scenario.visibility.radius + reach, cell, width)
-    full = seen * (FLOPS["accumulate"] + FLOPS["coverage_gradient"]) + around * FLOPS["coverage_error"]
+    full = (
+        seen * (FLOPS["accumulate"] + FLOPS["coverage_gradient"]) + around * FLOPS["coverage_error"]
+    )
     rate = seen * (FLOPS["accumulate_with_gain"] + FLOPS["coverage_gradient"])
     return {
         "cells_sensor": seen,
         "cells_density": around,
         "flops_full": full,
         "flops_rate": rate,
-        "bytes_full": math.ceil(_LINE * (around_lines + seen_lines)),  # read all, write back what was seen
+        "bytes_full": math.ceil(
+            _LINE * (around_lines + seen_lines)
+        ),  # read all, write back what was seen
         "bytes_rate": math.ceil(_LINE * 2 * seen_lines),
     }
 
@@ -85,7 +100,12 @@ def _again(kernel: int, grid: FloatArray, count: int) -> float:
     return total
 
 
-def _loop(scenario: Scenario, worlds: int, threads: int | None, **settings: Any) -> Callable[[], None]:  # noqa: ANN401
+def _loop(
+    scenario: Scenario,
+    worlds: int,
+    threads: int | None,
+    **settings: Any,  # noqa: ANN401
+) -> Callable[[], None]:
     external = () if "pilots" in settings else ("uav_0",)
     loop = ClosedLoop(scenario, worlds, external=external, threads=threads, **settings)
     actions = np.random.default_rng(1).uniform(-0.05, 0.05, (worlds, len(external), 2))
@@ -104,7 +124,12 @@ def _loop(scenario: Scenario, worlds: int, threads: int | None, **settings: Any)
     return step
 
 
-def _env(scenario: Scenario, worlds: int, threads: int | None, **settings: Any) -> Callable[[], object]:  # noqa: ANN401
+def _env(
+    scenario: Scenario,
+    worlds: int,
+    threads: int | None,
+    **settings: Any,  # noqa: ANN401
+) -> Callable[[], object]:
     env = vector_env(scenario, num_envs=worlds, agent="uav_0", threads=threads, **settings)
     env.reset(seed=1)
     actions = np.random.default_rng(1).uniform(-0.05, 0.05, (worlds, 2))
@@ -112,7 +137,9 @@ def _env(scenario: Scenario, worlds: int, threads: int | None, **settings: Any) 
 
 
 def profile(*, seconds: float = 15.0, worlds: int = WORLDS) -> dict[str, float]:
-    """The least time [µs] of a world-step in each arrangement: of one core's own time, or the clock's where it says all cores.
+    """The least time [µs] of a world-step in each arrangement.
+
+    Of one core's own time, or the clock's where it says all cores.
 
     The least, and the core's own: what other programs take is not ours.
     """
@@ -128,10 +155,19 @@ def profile(*, seconds: float = 15.0, worlds: int = WORLDS) -> dict[str, float]:
         "whole, as vector_env": (worlds, _env(scenario, worlds, 1, **seen)),
         "fall, 16 worlds, in cache": (_FEW, _loop(scenario, _FEW, 1, rewards=RATE, **seen)),
         "whole, 16 worlds, in cache": (_FEW, _loop(scenario, _FEW, 1, **seen)),
-        "fall, as vector_env, all cores": (worlds, _env(scenario, worlds, None, rewards=RATE, **seen)),
+        "fall, as vector_env, all cores": (
+            worlds,
+            _env(scenario, worlds, None, rewards=RATE, **seen),
+        ),
         "whole, as vector_env, all cores": (worlds, _env(scenario, worlds, None, **seen)),
-        "law certified, no error": (worlds, _loop(scenario, worlds, 1, rewards=nothing, pilots={"uav_0": "certified"})),
-        "law logarithmic, no error": (worlds, _loop(scenario, worlds, 1, rewards=nothing, pilots={"uav_0": "logarithmic"})),
+        "law certified, no error": (
+            worlds,
+            _loop(scenario, worlds, 1, rewards=nothing, pilots={"uav_0": "certified"}),
+        ),
+        "law logarithmic, no error": (
+            worlds,
+            _loop(scenario, worlds, 1, rewards=nothing, pilots={"uav_0": "logarithmic"}),
+        ),
     }
     grid = ground()
     for kernel, name in enumerate(FLOPS):
@@ -153,18 +189,30 @@ def profile(*, seconds: float = 15.0, worlds: int = WORLDS) -> dict[str, float]:
 
 def main(words: list[str] | None = None) -> None:
     """Print both as Markdown, or as JSON."""
-    parser = argparse.ArgumentParser(prog="python -m outrider.bench.profile", description=main.__doc__)
-    parser.add_argument("--seconds", type=float, default=15.0, help="how long to measure [s] (%(default)s)")
+    parser = argparse.ArgumentParser(
+        prog="python -m outrider.bench.profile", description=main.__doc__
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=15.0, help="how long to measure [s] (%(default)s)"
+    )
     parser.add_argument("--worlds", type=int, default=WORLDS, help="how many worlds (%(default)s)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     given = parser.parse_args(words)
-    least, found = floor(load_scenario("escort")), profile(seconds=given.seconds, worlds=given.worlds)
+    least, found = (
+        floor(load_scenario("escort")),
+        profile(seconds=given.seconds, worlds=given.worlds),
+    )
     if given.json:
         sys.stdout.write(json.dumps({"floor": least, "microseconds": found}) + "\n")
         return
     lines = ["| arrangement | µs a world-step | world-steps/s |", "|---|---|---|"]
     lines += [f"| {name} | {us:.2f} | {1e6 / us:,.0f} |" for name, us in found.items()]
-    lines += ["", "| floor | |", "|---|---|", *(f"| {name} | {value:,} |" for name, value in least.items())]
+    lines += [
+        "",
+        "| floor | |",
+        "|---|---|",
+        *(f"| {name} | {value:,} |" for name, value in least.items()),
+    ]
     sys.stdout.write("\n".join(lines) + "\n")
 
 

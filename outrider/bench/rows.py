@@ -51,17 +51,35 @@ ALONE = "its kernels alone, compiled, as many grids and threads"
 ROWS: dict[str, Layer] = {
     "lockstep": Layer(runs.lockstep, "ticks/s", "bare three-process exchange"),
     "access_control": Layer(runs.access_control, "ticks/s", "lockstep without credentials"),
-    "tls": Layer(runs.tls, "ticks/s", "lockstep over TCP with passwords", needs=("cryptography",), extra="tls"),
+    "tls": Layer(
+        runs.tls,
+        "ticks/s",
+        "lockstep over TCP with passwords",
+        needs=("cryptography",),
+        extra="tls",
+    ),
     "run_in_process": Layer(runs.run_in_process, "ticks/s", "world_step"),
-    "sweep": Layer(runs.sweep, "runs/s", "runs in one process, times cores", needs=("joblib", "pyarrow"), extra="sweep"),
+    "sweep": Layer(
+        runs.sweep,
+        "runs/s",
+        "runs in one process, times cores",
+        needs=("joblib", "pyarrow"),
+        extra="sweep",
+    ),
     "env_step": Layer(kernels.env_step, "steps/s", "world_step"),
     "world_step": Layer(kernels.world_step, "steps/s", "its kernels alone, compiled"),
     "kernel_vs_numpy": Layer(kernels.kernel_vs_numpy, "passes/s", "plain NumPy"),
     "kernel_vs_c": Layer(
-        partial(kernels.kernel_vs_c, lanes=False), "passes/s", "plain C, -O3, one running sum", missing=NO_COMPILER
+        partial(kernels.kernel_vs_c, lanes=False),
+        "passes/s",
+        "plain C, -O3, one running sum",
+        missing=NO_COMPILER,
     ),
     "kernel_vs_c_lanes": Layer(
-        partial(kernels.kernel_vs_c, lanes=True), "passes/s", "C, -O3, our eight lanes, same bits", missing=NO_COMPILER
+        partial(kernels.kernel_vs_c, lanes=True),
+        "passes/s",
+        "C, -O3, our eight lanes, same bits",
+        missing=NO_COMPILER,
     ),
     "batch_1024": Layer(many.stepped, "steps/s", ALONE),
     "batch_1024_rate": Layer(partial(many.stepped, rewards=many.RATE), "steps/s", ALONE),
@@ -103,7 +121,9 @@ def measure(only: list[str], repeats: int, *, on_progress: Progress | None = Non
     for name in only:
         if not _can(ROWS[name]):
             layer = ROWS[name]
-            raise ScenarioError(f"--only {name}: needs {' and '.join(layer.needs)}: pip install 'outrider[{layer.extra}]'")
+            raise ScenarioError(
+                f"--only {name}: needs {' and '.join(layer.needs)}: pip install 'outrider[{layer.extra}]'"
+            )
     rows: list[Row] = []
     names = only or [name for name, layer in ROWS.items() if _can(layer)]
     for done, name in enumerate(names):
@@ -119,7 +139,9 @@ def measure(only: list[str], repeats: int, *, on_progress: Progress | None = Non
 def _row(name: str, pairs: list[Pair]) -> Row:
     layer = ROWS[name]
     references = [other for _, other in pairs if other is not None]
-    ratios = [(other / value if layer.unit == "s" else value / other) for value, other in pairs if other]
+    ratios = [
+        (other / value if layer.unit == "s" else value / other) for value, other in pairs if other
+    ]
     return Row(
         name=name,
         value=statistics.median(value for value, _ in pairs),

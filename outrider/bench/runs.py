@@ -43,7 +43,9 @@ def _flown(outcome: Outcome) -> float:
         BusError: If it has not.
     """
     if outcome.summary is None or not outcome.summary.complete or outcome.fault:
-        raise BusError(f"the run that was to be measured failed: {outcome.fault or 'it was cut short'}")
+        raise BusError(
+            f"the run that was to be measured failed: {outcome.fault or 'it was cut short'}"
+        )
     return outcome.summary.ticks_per_second
 
 
@@ -57,7 +59,10 @@ def lockstep() -> Pair:
 def access_control() -> Pair:
     """Lockstep with credentials and access control, beside the same without."""
     scenario = load_scenario("escort")
-    closed, opened = (_flown(launch(scenario, "escort", (), NOBODY, out=None, secured=secured)) for secured in (True, False))
+    closed, opened = (
+        _flown(launch(scenario, "escort", (), NOBODY, out=None, secured=secured))
+        for secured in (True, False)
+    )
     return closed, opened
 
 
@@ -72,9 +77,13 @@ def pairs(count: int) -> Pair:
     """So many UAVs with their UGVs in lockstep, each in a process of its own, beside a bare exchange among as many peers."""
     with tempfile.TemporaryDirectory(prefix="outrider-pairs-") as folder:
         path = Path(folder) / f"pairs-{count}.toml"
-        path.write_text(pairs_toml(count, seconds=round(max(10.0, 200.0 / count))), encoding="utf-8")
+        path.write_text(
+            pairs_toml(count, seconds=round(max(10.0, 200.0 / count))), encoding="utf-8"
+        )
         scenario = load_scenario(path)
-        outcome = launch(scenario, str(path), (), NOBODY, out=None, deadline=120.0, join_timeout=900.0)
+        outcome = launch(
+            scenario, str(path), (), NOBODY, out=None, deadline=120.0, join_timeout=900.0
+        )
     escort = load_scenario("escort")
     return _flown(outcome), ticks_per_second(*_payloads(escort), scenario.ticks, peers=2 * count)
 
@@ -133,9 +142,22 @@ def _seconds_of(scenario: Scenario) -> float:
 def _one_tick(cache: str | None) -> float:
     """Wall time [s] of `outrider run` over a single tick: from its start to the end, so more than to its first tick."""
     environment = os.environ | ({"OUTRIDER_CACHE": cache} if cache else {})
-    arguments = [sys.executable, "-P", "-m", "outrider", "run", "escort", "--duration", "0.05", "--no-files", "--json"]
+    arguments = [
+        sys.executable,
+        "-P",
+        "-m",
+        "outrider",
+        "run",
+        "escort",
+        "--duration",
+        "0.05",
+        "--no-files",
+        "--json",
+    ]
     started = time.perf_counter()
-    done = subprocess.run(arguments, env=environment, stdin=subprocess.DEVNULL, capture_output=True, check=True)
+    done = subprocess.run(
+        arguments, env=environment, stdin=subprocess.DEVNULL, capture_output=True, check=True
+    )
     seconds = time.perf_counter() - started
     json.loads(done.stdout)
     return seconds

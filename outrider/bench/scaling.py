@@ -1,4 +1,7 @@
-"""How the speed of many worlds depends on their number, on the grid and on the vehicles: numbers, and a picture of them."""
+"""How the speed of many worlds depends on their number, on the grid and on the vehicles.
+
+Numbers, and a picture of them.
+"""
 
 import tempfile
 from collections.abc import Callable
@@ -60,7 +63,12 @@ def _pairs(count: int) -> Scenario:
 def _fitting(scenario: Scenario, worlds: int) -> int:
     """So many worlds, or as many as there is memory for: each UAV of several has a map of its own."""
     maps = 1 + (len(scenario.uav) if len(scenario.uav) > 1 else 0)
-    each = 8.0 * maps * round(scenario.area.width / scenario.area.cell) * round(scenario.area.height / scenario.area.cell)
+    each = (
+        8.0
+        * maps
+        * round(scenario.area.width / scenario.area.cell)
+        * round(scenario.area.height / scenario.area.cell)
+    )
     return min(worlds, int(_BYTES / each))
 
 
@@ -68,12 +76,23 @@ def _cases(most: int) -> list[_Case]:
     escort = load_scenario("escort")
     found = [_Case("worlds", count, escort, count) for count in COUNTS if count <= most]
     usual = min(WORLDS, most)
-    found += [_Case("cells", cell, grid, _fitting(grid, usual)) for cell in CELLS for grid in (_grid(cell),)]
-    return found + [_Case("pairs", count, many, _fitting(many, usual)) for count in PAIRS for many in (_pairs(count),)]
+    found += [
+        _Case("cells", cell, grid, _fitting(grid, usual))
+        for cell in CELLS
+        for grid in (_grid(cell),)
+    ]
+    return found + [
+        _Case("pairs", count, many, _fitting(many, usual))
+        for count in PAIRS
+        for many in (_pairs(count),)
+    ]
 
 
 def measure_scaling(
-    *, seconds: float = 1.0, most: int = COUNTS[-1], on_progress: Callable[[str, float], None] = lambda _what, _share: None
+    *,
+    seconds: float = 1.0,
+    most: int = COUNTS[-1],
+    on_progress: Callable[[str, float], None] = lambda _what, _share: None,
 ) -> list[Point]:
     """World-steps a second over the number of worlds, the grid and the vehicles, on all cores; the best of three.
 
@@ -90,17 +109,46 @@ def measure_scaling(
         steps = max(3, round(seconds * guess / case.worlds))
         found = max(stepped(case.scenario, steps=steps, **settings)[0] for _ in range(3))
         points.append(
-            Point(panel=case.panel, value=case.value, mode=mode, worlds=case.worlds, world_steps_per_second=round(found, 1))
+            Point(
+                panel=case.panel,
+                value=case.value,
+                mode=mode,
+                worlds=case.worlds,
+                world_steps_per_second=round(found, 1),
+            )
         )
         on_progress(f"{case.panel} {case.value:g} {mode}", (done + 1) / len(jobs))
     return points
 
 
-def _curves(axes: Axes, points: list[Point], name: str, *, x: Callable[[float], float] = float, ticks: dict[float, str]) -> None:
-    for mode, colour, label in (("rate", UAV[0], "only the fall of e(t)"), ("full", UGV[0], "e(t) at every tick")):
-        here = [(x(p.value), p.world_steps_per_second) for p in points if p.panel == name and p.mode == mode]
+def _curves(
+    axes: Axes,
+    points: list[Point],
+    name: str,
+    *,
+    x: Callable[[float], float] = float,
+    ticks: dict[float, str],
+) -> None:
+    for mode, colour, label in (
+        ("rate", UAV[0], "only the fall of e(t)"),
+        ("full", UGV[0], "e(t) at every tick"),
+    ):
+        here = [
+            (x(p.value), p.world_steps_per_second)
+            for p in points
+            if p.panel == name and p.mode == mode
+        ]
         across, up = zip(*here, strict=True)
-        axes.plot(across, up, color=colour, marker="o", markersize=5.0, markeredgecolor="white", label=label, zorder=3)
+        axes.plot(
+            across,
+            up,
+            color=colour,
+            marker="o",
+            markersize=5.0,
+            markeredgecolor="white",
+            label=label,
+            zorder=3,
+        )
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xticks(list(ticks), list(ticks.values()))
@@ -110,11 +158,18 @@ def _curves(axes: Axes, points: list[Point], name: str, *, x: Callable[[float], 
     axes.yaxis.set_minor_locator(NullLocator())
 
 
-def _guide(axes: Axes, points: list[Point], name: str, label: str, *, ticks: dict[float, str], power: float) -> None:
-    """A line through the first point with the whole error: what the speed would be if all that is varied cost the same."""
+def _guide(
+    axes: Axes, points: list[Point], name: str, label: str, *, ticks: dict[float, str], power: float
+) -> None:
+    """A line through the first point with the whole error.
+
+    What the speed would be if all that is varied cost the same.
+    """
     here = [p for p in points if p.panel == name and p.mode == "full"]
     speeds = [here[0].world_steps_per_second * (p.value / here[0].value) ** power for p in here]
-    axes.plot(list(ticks)[: len(here)], speeds, color=MUTED, linestyle=DASHED, linewidth=1.0, label=label)
+    axes.plot(
+        list(ticks)[: len(here)], speeds, color=MUTED, linestyle=DASHED, linewidth=1.0, label=label
+    )
 
 
 def draw_scaling(points: list[Point], path: Path, *, on: str) -> None:
@@ -145,13 +200,25 @@ def draw_scaling(points: list[Point], path: Path, *, on: str) -> None:
             axes, "abc", ("worlds", "cells", "pairs"), ("worlds", "grid", "vehicles"), strict=True
         ):
             numbers = {p.worlds for p in points if p.panel == name}
-            told = f"{max(numbers):,} worlds" if len(numbers) == 1 else f"{min(numbers):,} to {max(numbers):,} worlds"
+            told = (
+                f"{max(numbers):,} worlds"
+                if len(numbers) == 1
+                else f"{min(numbers):,} to {max(numbers):,} worlds"
+            )
             panel(one, letter, title if name == "worlds" else f"{title}, {told}")
         axes[0].legend(loc="lower right")
         for one in axes[1:]:
             one.legend(handles=one.lines[-1:], loc="lower left")
         axes[0].set_ylim(bottom=0.8 * min(p.world_steps_per_second for p in points))
-        figure.text(0.012, 0.962, "Speed of many worlds", fontsize=12.0, fontweight="bold", color=INK, va="center")
+        figure.text(
+            0.012,
+            0.962,
+            "Speed of many worlds",
+            fontsize=12.0,
+            fontweight="bold",
+            color=INK,
+            va="center",
+        )
         told = "coverage, gradient, Kalman filter, drivers, rewards and observations at every tick of every world"
         figure.text(0.012, 0.908, f"{on}; {told}", fontsize=9.0, color=MUTED, va="center")
         save(figure, path)
@@ -167,6 +234,8 @@ def make_scaling(path: Path, **settings: Any) -> list[Point]:  # noqa: ANN401 - 
     path.parent.mkdir(parents=True, exist_ok=True)
     points = measure_scaling(**settings)
     told = {"cores": cores(), "points": points}
-    path.with_suffix(".json").write_bytes(msgspec.json.format(msgspec.json.encode(told), indent=1) + b"\n")
+    path.with_suffix(".json").write_bytes(
+        msgspec.json.format(msgspec.json.encode(told), indent=1) + b"\n"
+    )
     draw_scaling(points, path, on=f"escort, {cores()} cores")
     return points

@@ -8,7 +8,9 @@ import typer
 
 def command(
     only: Annotated[list[str] | None, typer.Option(help="Only this row; may be repeated.")] = None,
-    repeats: Annotated[int, typer.Option(help="Measurements of each row; the median is shown.", min=1)] = 5,
+    repeats: Annotated[
+        int, typer.Option(help="Measurements of each row; the median is shown.", min=1)
+    ] = 5,
     scaling: Annotated[
         Path | None,
         typer.Option(

@@ -27,7 +27,10 @@ def print_json(value: object) -> None:
 
 
 def print_warnings(lines: Iterable[str]) -> None:
-    """What can be flown but will not do what one may expect; lines that differ in numbers alone are one, with their count."""
+    """What can be flown but will not do what one may expect.
+
+    Lines that differ in numbers alone are one, with their count.
+    """
     alike: dict[str, list[str]] = {}
     for line in lines:
         alike.setdefault(re.sub(r"\d+", "0", line), []).append(line)
@@ -45,7 +48,9 @@ class FlightProgress:
     def show(self, tick: int) -> None:
         """The flight has come to this tick."""
         if tick:
-            self._progress.update(self._task, description="flying", completed=tick, seconds=tick * self._dt)
+            self._progress.update(
+                self._task, description="flying", completed=tick, seconds=tick * self._dt
+            )
 
     def say(self, line: str) -> None:
         """Print a line above the bar."""
@@ -74,23 +79,46 @@ def _meters(value: float | None) -> str:
 def _link(status: LinkStatus) -> str:
     lost = ", ".join(f"{cause} {count}" for cause, count in status.lost.items() if count)
     ratio = "-" if status.delivery_ratio is None else f"{100.0 * status.delivery_ratio:.1f} %"
-    age = "-" if status.mean_age is None else f"{status.mean_age:.2f} s (at most {status.max_age:.2f} s)"
+    age = (
+        "-"
+        if status.mean_age is None
+        else f"{status.mean_age:.2f} s (at most {status.max_age:.2f} s)"
+    )
     return f"{ratio} of {status.sent} arrived, age {age}" + (f"; lost: {lost}" if lost else "")
 
 
 def print_summary(summary: Summary, files: list[Path]) -> None:
     """The table that a run ends with."""
-    table = Table(title=f"{summary.scenario}, law {summary.law}, seed {summary.seed}", title_justify="left", show_header=False)
+    table = Table(
+        title=f"{summary.scenario}, law {summary.law}, seed {summary.seed}",
+        title_justify="left",
+        show_header=False,
+    )
     table.add_column(style="bold")
     table.add_column(justify="right")
     seen = summary.visibility_violations == 0
     rows = [
-        ("flown", f"{summary.ticks * summary.dt:.2f} s in {summary.ticks} ticks" + ("" if summary.complete else " (cut short)")),
+        (
+            "flown",
+            f"{summary.ticks * summary.dt:.2f} s in {summary.ticks} ticks"
+            + ("" if summary.complete else " (cut short)"),
+        ),
         ("speed", f"{summary.ticks_per_second:,.0f} ticks/s"),
-        ("UGV in sight (5)", "[green]always[/]" if seen else f"[red]lost in {summary.visibility_violations} ticks[/]"),
-        ("largest distance", f"{_meters(summary.max_distance)} of r_v = {summary.visibility_radius:g} m"),
+        (
+            "UGV in sight (5)",
+            "[green]always[/]"
+            if seen
+            else f"[red]lost in {summary.visibility_violations} ticks[/]",
+        ),
+        (
+            "largest distance",
+            f"{_meters(summary.max_distance)} of r_v = {summary.visibility_radius:g} m",
+        ),
         ("mean distance", _meters(summary.mean_distance)),
-        ("switching radius r_s (18)", f"{_meters(summary.switching_radius)}, reached {summary.crossings} times"),
+        (
+            "switching radius r_s (18)",
+            f"{_meters(summary.switching_radius)}, reached {summary.crossings} times",
+        ),
         (
             "coverage error e (4)",
             f"start {summary.initial_error:.1f}, mean {summary.mean_error:.1f}, end {summary.final_error:.1f} m²",
@@ -104,26 +132,48 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
     for change in summary.changes:
         control = change.control
         what = control.driver or control.link or (control.law.name if control.law else "")
-        rows.append((f"operator at {change.tick * summary.dt:.2f} s", f"{control.action} {what}".strip()))
+        rows.append(
+            (f"operator at {change.tick * summary.dt:.2f} s", f"{control.action} {what}".strip())
+        )
     if summary.certified_share is not None:
         share, colour = (
             f"{100.0 * summary.certified_share:.2f} % of the ticks",
             "green" if summary.certified_share == 1.0 else "yellow",
         )
         rows.append(
-            ("sight certified", f"[{colour}]{share}[/], filter acted in {100.0 * (summary.intervened_share or 0.0):.1f} %")
+            (
+                "sight certified",
+                f"[{colour}]{share}[/], filter acted in {100.0 * (summary.intervened_share or 0.0):.1f} %",
+            )
         )
     if summary.certified_while_lost:
-        rows.append(("[red]certified while lost[/]", f"[red]{summary.certified_while_lost} ticks: the certificate is wrong[/]"))
+        rows.append(
+            (
+                "[red]certified while lost[/]",
+                f"[red]{summary.certified_while_lost} ticks: the certificate is wrong[/]",
+            )
+        )
     if summary.certificate_broken:
         broken = f"[red]{summary.certificate_broken} times, although all assumptions held: the certificate is wrong[/]"
         rows.append(("[red]certificate broken[/]", broken))
-    rows += [("not certified", f"{count} ticks: {reason}") for reason, count in summary.uncertified.items()]
-    rows += [(f"link {name}", _link(status)) for name, status in summary.links.items() if status.degraded]
+    rows += [
+        ("not certified", f"{count} ticks: {reason}")
+        for reason, count in summary.uncertified.items()
+    ]
+    rows += [
+        (f"link {name}", _link(status)) for name, status in summary.links.items() if status.degraded
+    ]
     for name, counts in summary.faults.items():
-        rows.append((f"faults of {name}", ", ".join(f"{cause} {count}" for cause, count in counts.items())))
+        rows.append(
+            (f"faults of {name}", ", ".join(f"{cause} {count}" for cause, count in counts.items()))
+        )
     rows += (
-        [("processes", ", ".join(f"{process.name} ({process.pid})" for process in summary.processes))]
+        [
+            (
+                "processes",
+                ", ".join(f"{process.name} ({process.pid})" for process in summary.processes),
+            )
+        ]
         if summary.processes
         else []
     )
@@ -132,6 +182,8 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
     OUT.print(table)
     OUT.print(f"  trajectory_sha256 {summary.trajectory_sha256}", soft_wrap=True)
     if summary.secret:
-        OUT.print(f"  secret {summary.secret}: with it and the seed the same flight again", soft_wrap=True)
+        OUT.print(
+            f"  secret {summary.secret}: with it and the seed the same flight again", soft_wrap=True
+        )
     for file in files:
         OUT.print(f"  {file}", soft_wrap=True)

@@ -14,11 +14,19 @@ if TYPE_CHECKING:
 
 
 def command(
-    folder: Annotated[Path, typer.Argument(help="Where to write them; is made if it is not there.")] = Path("credentials"),
-    scenario: Annotated[str, typer.Option(help="Whose vehicles: a shipped scenario's name, or a TOML file.")] = "escort",
+    folder: Annotated[
+        Path, typer.Argument(help="Where to write them; is made if it is not there.")
+    ] = Path("credentials"),
+    scenario: Annotated[
+        str, typer.Option(help="Whose vehicles: a shipped scenario's name, or a TOML file.")
+    ] = "escort",
     run: RunName = DEFAULT_RUN,
     owner: Annotated[
-        str, typer.Option(metavar="UID:GID", help="Give the files to this user, such as a container's; for root only.")
+        str,
+        typer.Option(
+            metavar="UID:GID",
+            help="Give the files to this user, such as a container's; for root only.",
+        ),
     ] = "",
     tls: Annotated[
         bool,
@@ -34,24 +42,39 @@ def command(
         ),
     ] = None,
     days: Annotated[
-        float | None, typer.Option(help="How long the parties' certificates hold; 365 by default.", min=0.001, max=3650.0)
+        float | None,
+        typer.Option(
+            help="How long the parties' certificates hold; 365 by default.", min=0.001, max=3650.0
+        ),
     ] = None,
     renew: Annotated[
         bool,
-        typer.Option("--renew", help="New certificates for the parties in FOLDER, by the authority.json that is there."),
+        typer.Option(
+            "--renew",
+            help="New certificates for the parties in FOLDER, by the authority.json that is there.",
+        ),
     ] = False,
     party: Annotated[
         list[str] | None,
-        typer.Option(help="With --renew: only this party, or `router`, which is left alone otherwise; may be repeated."),
+        typer.Option(
+            help="With --renew: only this party, or `router`, which is left alone otherwise; may be repeated."
+        ),
     ] = None,
     check: Annotated[
-        bool, typer.Option("--check", help="Tell how long the certificates in FOLDER hold; exit code 1 if one does not.")
+        bool,
+        typer.Option(
+            "--check",
+            help="Tell how long the certificates in FOLDER hold; exit code 1 if one does not.",
+        ),
     ] = False,
     json: Json = False,
 ) -> None:
-    """Make a set of random credentials for a run: a file for each party, and router.json with all of them for the router.
+    """Make a set of random credentials for a run.
 
-    Each file can be read by its owner alone. Give each process its own and no other. Nothing is ever overwritten but by --renew.
+    A file for each party, and router.json with all of them for the router.
+
+    Each file can be read by its owner alone. Give each process its own and no other. Nothing is ever overwritten
+    but by --renew.
     With --tls there is also authority.json, with which certificates are renewed: keep it, and give it to no process.
 
     Example: outrider credentials credentials --scenario escort --run flight
@@ -66,7 +89,9 @@ def command(
         {
             "--tls and --renew or --check": tls and (renew or check),
             "--renew and --check": renew and check,
-            "--host without --tls or --renew --party router": bool(host) and not tls and "router" not in (party or ()),
+            "--host without --tls or --renew --party router": bool(host)
+            and not tls
+            and "router" not in (party or ()),
             "--days without --tls or --renew": days is not None and not (tls or renew),
             "--party without --renew": bool(party) and not renew,
         }
@@ -81,20 +106,28 @@ def command(
 
         flown = load_scenario(scenario)
         names = ([uav.name for uav in flown.uav], [ugv.name for ugv in flown.ugv])
-        given, authority = _certificates(run, *names, host or (), days) if tls else (new_credentials(run, *names), None)
+        given, authority = (
+            _certificates(run, *names, host or (), days)
+            if tls
+            else (new_credentials(run, *names), None)
+        )
         files = write_credentials(given, folder, authority)
     if user is not None:
         try:
             for path in (folder, *files.values()):
                 os.chown(path, *user)
         except PermissionError as error:
-            raise ScenarioError(f"--owner {owner}: only root can give files away ({folder} is written and yours)") from error
+            raise ScenarioError(
+                f"--owner {owner}: only root can give files away ({folder} is written and yours)"
+            ) from error
     if json:
         print_json({"run": run, "files": {name: str(path) for name, path in files.items()}})
         return
     whose = {"router": "the router: everybody", "authority": "you alone: renews certificates"}
     for name, path in files.items():
-        OUT.print(f"{path}  {'renewed ' if renew else ''}for {whose.get(name, name)}", soft_wrap=True)
+        OUT.print(
+            f"{path}  {'renewed ' if renew else ''}for {whose.get(name, name)}", soft_wrap=True
+        )
 
 
 def _owner(text: str) -> tuple[int, int] | None:
@@ -121,14 +154,25 @@ def _certificates(
     from bus.certificates import PARTY_DAYS, new_authority
 
     authority = new_authority(run)
-    return new_certificates(authority, uavs, ugvs, hosts=tuple(hosts), days=days or PARTY_DAYS), authority
+    return new_certificates(
+        authority, uavs, ugvs, hosts=tuple(hosts), days=days or PARTY_DAYS
+    ), authority
 
 
-def _renew(folder: Path, names: Iterable[str], hosts: Iterable[str], days: float | None) -> tuple[str, dict[str, Path]]:
+def _renew(
+    folder: Path, names: Iterable[str], hosts: Iterable[str], days: float | None
+) -> tuple[str, dict[str, Path]]:
     """New certificates for parties that have some, in the place of the old ones; the run's name, and the files."""
     from msgspec.structs import replace
 
-    from bus.access import AUTHORITY_FILE, ROUTER_FILE, read_authority, read_credential, read_credentials, replace_credentials
+    from bus.access import (
+        AUTHORITY_FILE,
+        ROUTER_FILE,
+        read_authority,
+        read_credential,
+        read_credentials,
+        replace_credentials,
+    )
     from bus.certificates import AUTHORITY_DAYS, PARTY_DAYS, ROUTER_HOSTS, hosts_of, issue
     from bus.errors import AccessDenied
 
@@ -138,7 +182,9 @@ def _renew(folder: Path, names: Iterable[str], hosts: Iterable[str], days: float
     wanted = list(names) or [name for name in known if (folder / f"{name}.json").exists()]
     for name in wanted:
         if name not in (*known, ROUTER_FILE):
-            raise AccessDenied(f"--party {name}: no party of the run {router.run}; there are {', '.join((*known, ROUTER_FILE))}")
+            raise AccessDenied(
+                f"--party {name}: no party of the run {router.run}; there are {', '.join((*known, ROUTER_FILE))}"
+            )
     if router.tls is None:
         raise AccessDenied(f"{folder}: these credentials are passwords, which do not end")
     renewed = {}
@@ -170,15 +216,27 @@ def _check(folder: Path, *, json: bool) -> int:
         name = path.stem
         if name == "authority":
             continue
-        row: dict[str, object] = {"file": str(path), "good": True, "ends": None, "days": None, "note": ""}
+        row: dict[str, object] = {
+            "file": str(path),
+            "good": True,
+            "ends": None,
+            "days": None,
+            "note": "",
+        }
         told.append(row)
         try:
-            identity: Identity | None = (read_credentials(path) if name == ROUTER_FILE else read_credential(path)).tls
+            identity: Identity | None = (
+                read_credentials(path) if name == ROUTER_FILE else read_credential(path)
+            ).tls
             if identity is None:
                 row["note"] = "a password, which does not end"
                 continue
             end = check_identity(identity, name)
-            row |= {"ends": end.isoformat(), "days": (end - datetime.now(UTC)).days, "note": expiry_warning(name, end)}
+            row |= {
+                "ends": end.isoformat(),
+                "days": (end - datetime.now(UTC)).days,
+                "note": expiry_warning(name, end),
+            }
         except AccessDenied as error:
             row |= {"good": False, "note": str(error)}
     if json:

@@ -5,7 +5,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from outrider.cli.options import DEFAULT_ENDPOINT, DEFAULT_RUN, Connect, CredentialFile, Leash, NoPageToken, PageToken, RunName
+from outrider.cli.options import (
+    DEFAULT_ENDPOINT,
+    DEFAULT_RUN,
+    Connect,
+    CredentialFile,
+    Leash,
+    NoPageToken,
+    PageToken,
+    RunName,
+)
 
 if TYPE_CHECKING:
     import socket
@@ -21,18 +30,30 @@ def command(
     connect: Connect = DEFAULT_ENDPOINT,
     run: RunName = DEFAULT_RUN,
     credentials: CredentialFile = None,
-    host: Annotated[str, typer.Option(help="Address to serve the page on.", envvar="OUTRIDER_HOST")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="0 takes any that is free.", min=0, max=65535, envvar="OUTRIDER_PORT")] = 8080,
+    host: Annotated[
+        str, typer.Option(help="Address to serve the page on.", envvar="OUTRIDER_HOST")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int,
+        typer.Option(help="0 takes any that is free.", min=0, max=65535, envvar="OUTRIDER_PORT"),
+    ] = 8080,
     token: PageToken = "",
     no_token: NoPageToken = False,
-    law: Annotated[str, typer.Option(hidden=True, help="What the UAVs fly at first, with its gains, as JSON.")] = "",
-    listening: Annotated[int, typer.Option(hidden=True, help="Serve on this socket of the parent's, and say so on stdout.")] = -1,
+    law: Annotated[
+        str, typer.Option(hidden=True, help="What the UAVs fly at first, with its gains, as JSON.")
+    ] = "",
+    listening: Annotated[
+        int,
+        typer.Option(
+            hidden=True, help="Serve on this socket of the parent's, and say so on stdout."
+        ),
+    ] = -1,
     leash: Leash = False,
 ) -> None:
     """Show a run in the browser while it is flown, and steer it: pause, speed, law, driver, and a UGV's wheel.
 
-    With the operator's credentials; with the observer's it only shows. Runs until Ctrl-C or SIGTERM. Needs no internet. The
-    printed address lets in one browser, once, and another one asks for the token.
+    With the operator's credentials; with the observer's it only shows. Runs until Ctrl-C or SIGTERM. Needs no
+    internet. The printed address lets in one browser, once, and another one asks for the token.
     `outrider run --dashboard` starts one with the run.
 
     Example: outrider dashboard --connect tcp/127.0.0.1:17447 --credentials credentials/operator.json
@@ -59,7 +80,9 @@ def command(
 
     credential = _credential(credentials)
     os.nice(_NICE)
-    party = Party(role=Role.OPERATOR, name=OPERATOR_NAME) if credential is None else credential.party
+    party = (
+        Party(role=Role.OPERATOR, name=OPERATOR_NAME) if credential is None else credential.party
+    )
     with (
         _socket(listening, host, port) as opened,
         open_session(party, run, connect=connect, credential=credential) as session,
@@ -106,5 +129,7 @@ def _credential(file: Path | None) -> "Credential | None":
         return credential_of(None, Role.OPERATOR, OPERATOR_NAME)
     found = read_credential(file)
     if found.role not in (Role.OPERATOR, Role.OBSERVER):
-        raise AccessDenied(f"{file}: the credentials of {found.name} ({found.role}), not of an operator or observer")
+        raise AccessDenied(
+            f"{file}: the credentials of {found.name} ({found.role}), not of an operator or observer"
+        )
     return found

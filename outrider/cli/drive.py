@@ -5,7 +5,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from outrider.cli.options import DEFAULT_ENDPOINT, DEFAULT_RUN, Connect, CredentialFile, RunName, check_endpoints, credential_of
+from outrider.cli.options import (
+    DEFAULT_ENDPOINT,
+    DEFAULT_RUN,
+    Connect,
+    CredentialFile,
+    RunName,
+    check_endpoints,
+    credential_of,
+)
 
 if TYPE_CHECKING:
     from bus.messages import Status
@@ -18,18 +26,27 @@ def command(
     run: RunName = DEFAULT_RUN,
     credentials: CredentialFile = None,
     vehicle: Annotated[str, typer.Option(help="Which UGV to drive.")] = "ugv_0",
-    speed: Annotated[float, typer.Option(help="How fast a pressed key drives, in m/s.", min=0.05, max=20.0)] = 0.2,
+    speed: Annotated[
+        float, typer.Option(help="How fast a pressed key drives, in m/s.", min=0.05, max=20.0)
+    ] = 0.2,
     back: Annotated[
-        str, typer.Option(metavar="DRIVER", help="Who gets the wheel in the end; by default who had it before.")
+        str,
+        typer.Option(
+            metavar="DRIVER", help="Who gets the wheel in the end; by default who had it before."
+        ),
     ] = "",
 ) -> None:
-    """Drive a UGV from this terminal, and see how its escort fares. Over SSH and in containers too (`ssh -t`, `docker run -it`).
+    """Drive a UGV from this terminal, and see how its escort fares.
 
-    Watching changes nothing; the first of the keys WASD, arrows or space takes the wheel. A held key drives that way, two pressed
-    at once drive diagonally. A terminal does not tell when a key is let go: a press counts for 0.7 s and its repeats prolong it,
-    then the UGV brakes. So it does whenever nothing is heard of its operator.
+    Over SSH and in containers too (`ssh -t`, `docker run -it`).
 
-    Space brakes, + and - set the speed, z shows the whole area, h hands the wheel back, q (or Ctrl-C) hands it back and leaves.
+    Watching changes nothing; the first of the keys WASD, arrows or space takes the wheel. A held key drives that
+    way, two pressed
+    at once drive diagonally. A terminal does not tell when a key is let go: a press counts for 0.7 s and its
+    repeats prolong it, then the UGV brakes. So it does whenever nothing is heard of its operator.
+
+    Space brakes, + and - set the speed, z shows the whole area, h hands the wheel back, q (or Ctrl-C) hands it
+    back and leaves.
 
     In lockstep simulated time runs about 100 times faster than a hand: give the simulator --realtime 1.
 
@@ -43,7 +60,9 @@ def command(
     try:
         from outrider.drive.terminal import check_terminal
     except ImportError as error:
-        raise ScenarioError(f"drive: {error.name} is missing; it drives on Unix terminals only") from error
+        raise ScenarioError(
+            f"drive: {error.name} is missing; it drives on Unix terminals only"
+        ) from error
     check_terminal()
     check_endpoints((connect,), secured=True, insecure=False)
     credential = credential_of(credentials, Role.OPERATOR, OPERATOR_NAME)
@@ -73,7 +92,9 @@ def _await_run(session: "Session", vehicle: str, stop: "Stop") -> "Status | None
     statuses = session.inbox(STATUS)
     letter = statuses.receive(1.0)
     if letter is None and not stop:
-        ERR.print(f"waiting for the simulator of the run {session.run}; Ctrl-C leaves", soft_wrap=True)
+        ERR.print(
+            f"waiting for the simulator of the run {session.run}; Ctrl-C leaves", soft_wrap=True
+        )
     while letter is None and not stop:
         letter = statuses.receive(0.5)
     statuses.close()

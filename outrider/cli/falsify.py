@@ -52,66 +52,119 @@ class Control(StrEnum):
 
 def command(
     scenario: ScenarioName = "escort",
-    law: Annotated[str | None, typer.Option("--law", help="The law to be broken, instead of the scenario's.")] = None,
+    law: Annotated[
+        str | None, typer.Option("--law", help="The law to be broken, instead of the scenario's.")
+    ] = None,
     undegraded: Annotated[
-        bool, typer.Option("--undegraded", help="No noise and a perfect network: the UGV's motion and the start alone.")
+        bool,
+        typer.Option(
+            "--undegraded",
+            help="No noise and a perfect network: the UGV's motion and the start alone.",
+        ),
     ] = False,
-    runs: Annotated[int | None, typer.Option(help="How many runs; the same seed finds the same.", min=1)] = None,
-    minutes: Annotated[float | None, typer.Option(help="For how long; 1 minute by default.", min=0.01)] = None,
+    runs: Annotated[
+        int | None, typer.Option(help="How many runs; the same seed finds the same.", min=1)
+    ] = None,
+    minutes: Annotated[
+        float | None, typer.Option(help="For how long; 1 minute by default.", min=0.01)
+    ] = None,
     max_delay: Annotated[
-        float | None, typer.Option(help=f"Of a detection, jitter and all, in s; {_DELAY:g} by default.", min=0.0, max=30.0)
+        float | None,
+        typer.Option(
+            help=f"Of a detection, jitter and all, in s; {_DELAY:g} by default.", min=0.0, max=30.0
+        ),
     ] = None,
     max_loss: Annotated[
-        float | None, typer.Option(help=f"Share of detections that are lost; {_LOSS:g} by default.", min=0.0, max=0.99)
+        float | None,
+        typer.Option(
+            help=f"Share of detections that are lost; {_LOSS:g} by default.", min=0.0, max=0.99
+        ),
     ] = None,
     max_blackout: Annotated[
-        float | None, typer.Option(help=f"Of the detections, in s; {_BLACKOUT:g} by default.", min=0.0, max=1000.0)
+        float | None,
+        typer.Option(
+            help=f"Of the detections, in s; {_BLACKOUT:g} by default.", min=0.0, max=1000.0
+        ),
     ] = None,
     max_command_delay: Annotated[
-        float | None, typer.Option(help=f"Of the UAV's commands, in s; {_COMMAND_DELAY:g} by default.", min=0.0, max=30.0)
+        float | None,
+        typer.Option(
+            help=f"Of the UAV's commands, in s; {_COMMAND_DELAY:g} by default.", min=0.0, max=30.0
+        ),
     ] = None,
     noise: Annotated[
         float | None,
-        typer.Option(help="Of the detections: standard deviation per axis in m; the scenario's by default.", min=0.0, max=100.0),
+        typer.Option(
+            help="Of the detections: standard deviation per axis in m; the scenario's by default.",
+            min=0.0,
+            max=100.0,
+        ),
     ] = None,
     duration: Annotated[
-        float | None, typer.Option(help=f"Of a run in s; {_FLIGHT:g} by default, {_ATTACK:g} for the attack.", min=0.05)
+        float | None,
+        typer.Option(
+            help=f"Of a run in s; {_FLIGHT:g} by default, {_ATTACK:g} for the attack.", min=0.05
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Of the search.", min=0, max=2**53 - 1)] = 1,
-    jobs: Annotated[int | None, typer.Option(help="Worker processes; one a core by default.", min=1, max=1024)] = None,
-    first: Annotated[bool, typer.Option("--first", help="End with the first violation, not with the budget.")] = False,
+    jobs: Annotated[
+        int | None, typer.Option(help="Worker processes; one a core by default.", min=1, max=1024)
+    ] = None,
+    first: Annotated[
+        bool, typer.Option("--first", help="End with the first violation, not with the budget.")
+    ] = False,
     expect: Annotated[
-        Expect | None, typer.Option(help="Exit with 1 if violations are found (none), or if none is (some).")
+        Expect | None,
+        typer.Option(help="Exit with 1 if violations are found (none), or if none is (some)."),
     ] = None,
     only: Annotated[
-        Only | None, typer.Option(help="For the law certified: whole flights alone, or the compiled attack alone.")
+        Only | None,
+        typer.Option(
+            help="For the law certified: whole flights alone, or the compiled attack alone."
+        ),
     ] = None,
     control: Annotated[
         Control | None,
-        typer.Option(help="Attack a guard that is known to be wrong in the place of the filter, to see that it is caught."),
+        typer.Option(
+            help="Attack a guard that is known to be wrong in the place of the filter, to see that it is caught."
+        ),
     ] = None,
-    eps: Annotated[float | None, typer.Option(help="For the attack: only this largest error of a detection, in m.")] = None,
+    eps: Annotated[
+        float | None,
+        typer.Option(help="For the attack: only this largest error of a detection, in m."),
+    ] = None,
     changes: Set = None,
     allow_code: AllowCode = False,
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Where the counterexample goes; counterexample-LAW.toml by default.")
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Where the counterexample goes; counterexample-LAW.toml by default.",
+        ),
     ] = None,
     json: Json = False,
 ) -> None:
     """Search for a run in which the UAV loses sight of the UGV, on all cores.
 
-    Turned are the UGV's motion within its bounds, the start, the draws of the noise and, within the limits below, the network:
-    first what the proofs fear, then chance, then CMA-ES on the largest distance. Starts are such that braking at once keeps
-    the UGV within r_s, so that a law that loses it did so itself. The worst run with a violation is saved as a scenario that
-    flies it again, to the last bit: `outrider run FILE --in-process`.
+    Turned are the UGV's motion within its bounds, the start, the draws of the noise and, within the limits below,
+    the network:
+    first what the proofs fear, then chance, then CMA-ES on the largest distance. Starts are such that braking at
+    once keeps
+    the UGV within r_s, so that a law that loses it did so itself. The worst run with a violation is saved as a
+    scenario that flies it again, to the last bit: `outrider run FILE --in-process`.
 
-    The law `certified` promises only where it says so: a run counts as violated if every tick from its first certified one up to
-    the loss was certified (after a gap: those of the last second), or if any tick was certified while the UGV was out of sight;
-    all numbers are told. What the scenario does not declare in [certificate] is declared as the limits need it. For this law a
-    compiled attack is flown as well, over its own grid: adversaries in the UAV and in the UGV, errors on the border of their
-    ball, blackouts up to 15 s, commands up to 1 s late, walls and corners; and commands that are lost, early, doubled or later
-    than declared, laws changed in flight, processes that join again. One in a hundred of --runs are whole flights, the others
-    attacks; of --minutes, a third.
+    The law `certified` promises only where it says so: a run counts as violated if every tick from its first
+    certified one up to
+    the loss was certified (after a gap: those of the last second), or if any tick was certified while the UGV was
+    out of sight;
+    all numbers are told. What the scenario does not declare in [certificate] is declared as the limits need it.
+    For this law a
+    compiled attack is flown as well, over its own grid: adversaries in the UAV and in the UGV, errors on the
+    border of their
+    ball, blackouts up to 15 s, commands up to 1 s late, walls and corners; and commands that are lost, early,
+    doubled or later
+    than declared, laws changed in flight, processes that join again. One in a hundred of --runs are whole flights,
+    the others attacks; of --minutes, a third.
 
     The exit code is 0 whatever is found, unless --expect says otherwise; 130 after Ctrl-C, which keeps the best.
     Needs the extra [falsify].
@@ -125,10 +178,20 @@ def command(
 
     limits_given = (max_delay, max_loss, max_blackout, max_command_delay, noise)
     if undegraded and any(given is not None for given in limits_given):
-        raise typer.BadParameter("--undegraded allows no --noise and no --max-...: leave one of them out")
+        raise typer.BadParameter(
+            "--undegraded allows no --noise and no --max-...: leave one of them out"
+        )
     if control is not None and (law not in (None, "certified") or only is Only.FLIGHTS):
-        raise typer.BadParameter("--control stands in the place of the law certified in the attack; leave --law and --only out")
-    flown = _scenario(scenario, "certified" if control is not None else law, duration, changes, allow_code=allow_code)
+        raise typer.BadParameter(
+            "--control stands in the place of the law certified in the attack; leave --law and --only out"
+        )
+    flown = _scenario(
+        scenario,
+        "certified" if control is not None else law,
+        duration,
+        changes,
+        allow_code=allow_code,
+    )
     certified = flown.law.name == "certified"
     if (only is not None or eps is not None) and not certified:
         raise typer.BadParameter("--only and --eps are for the law certified")
@@ -152,7 +215,9 @@ def command(
         check_extra()
         given, flown = flown, base_of(flown, limits)
         if flown.hold > given.hold:
-            raised = (f"hold = {given.hold:g} s is raised to {flown.hold:g} s, the latest command that the limits allow",)
+            raised = (
+                f"hold = {given.hold:g} s is raised to {flown.hold:g} s, the latest command that the limits allow",
+            )
     _check_out(out)
     wanted = Wanted(
         base=flown,
@@ -174,11 +239,20 @@ def command(
     _search(wanted, expect, json=json)
 
 
-def _scenario(name: str, law: str | None, duration: float | None, changes: list[str] | None, *, allow_code: bool) -> "Scenario":
+def _scenario(
+    name: str,
+    law: str | None,
+    duration: float | None,
+    changes: list[str] | None,
+    *,
+    allow_code: bool,
+) -> "Scenario":
     from outrider.cli.options import scenario_of
     from outrider.own import check_code, check_own_functions
 
-    flown, overrides = scenario_of(name, law=law, duration=_FLIGHT if duration is None else duration, changes=changes)
+    flown, overrides = scenario_of(
+        name, law=law, duration=_FLIGHT if duration is None else duration, changes=changes
+    )
     if flown.custom != type(flown.custom)():
         check_code(flown, overrides, source=name, allowed=allow_code)
         check_own_functions(flown)
@@ -194,7 +268,9 @@ def _check_eps(eps: float | None) -> None:
     from outrider.attack import EPS
 
     if eps is not None and eps not in EPS:
-        raise typer.BadParameter(f"--eps {eps:g}: not in the attack's grid; allowed: {', '.join(f'{e:g}' for e in EPS)}")
+        raise typer.BadParameter(
+            f"--eps {eps:g}: not in the attack's grid; allowed: {', '.join(f'{e:g}' for e in EPS)}"
+        )
 
 
 def _check_out(out: Path | None) -> None:
@@ -224,10 +300,16 @@ def _search(wanted: "Wanted", expect: Expect | None, *, json: bool) -> None:
     if fault is not None:
         raise fault
     if stop:
-        ERR.print(f"outrider: interrupted after {found.runs:,} runs; what was found by then is told", soft_wrap=True)
+        ERR.print(
+            f"outrider: interrupted after {found.runs:,} runs; what was found by then is told",
+            soft_wrap=True,
+        )
         raise typer.Exit(stop.exit_code)
     if expect is not None and (found.violations > 0) is (expect is Expect.NONE):
-        ERR.print(f"outrider: --expect {expect}, but {found.violations:,} of {found.runs:,} runs are violations", soft_wrap=True)
+        ERR.print(
+            f"outrider: --expect {expect}, but {found.violations:,} of {found.runs:,} runs are violations",
+            soft_wrap=True,
+        )
         raise typer.Exit(1)
 
 
@@ -277,7 +359,11 @@ def _lines(found: "Found") -> "Iterator[str]":
     from outrider.own import foreign_code
 
     wanted, flights, attacks = found.wanted, found.flights, found.attacks
-    law = wanted.base.law.name if wanted.control is None else f"{wanted.control}, in the place of the filter"
+    law = (
+        wanted.base.law.name
+        if wanted.control is None
+        else f"{wanted.control}, in the place of the filter"
+    )
     rate = found.runs / found.seconds if found.seconds > 0.0 else 0.0
     much = f"{found.runs:,} runs in {found.seconds:.1f} s, {rate:.1f} runs/s"
     yield f"{law}: {found.violations:,} violations of r_v = {wanted.base.visibility.radius:g} m in {much}"
@@ -289,7 +375,10 @@ def _lines(found: "Found") -> "Iterator[str]":
             yield f"    certified while lost: {flights.certified_while_lost:,} ticks"
             yield f"    certificate lost while all assumptions held: {flights.certificate_broken:,} times"
     if attacks.worst is not None:
-        worst, over = attacks.worst, f"over {attacks.combinations:,} combinations of network and error"
+        worst, over = (
+            attacks.worst,
+            f"over {attacks.combinations:,} combinations of network and error",
+        )
         said = "are certified while sight is lost" if wanted.control is None else "lose sight"
         yield f"  attack: {attacks.violations:,} of {attacks.runs:,} {over} {said}; the farthest {worst.worst_distance:.6f} m"
         if wanted.control is None:
@@ -311,5 +400,7 @@ def _lines(found: "Found") -> "Iterator[str]":
         yield "  The worst flight:"
         yield from (f"    {line}" for line in found.words)
         yield f"  {found.path}"
-        code = " --allow-code" if foreign_code(found.wanted.base) else ""  # the file names what the command has named
+        code = (
+            " --allow-code" if foreign_code(found.wanted.base) else ""
+        )  # the file names what the command has named
         yield f"  outrider run {shlex.quote(str(found.path))} --in-process{code} flies it again: {found.sha256}"

@@ -24,7 +24,12 @@ def command(
 
     with Progress(console=ERR, transient=True) as progress:
         task = progress.add_task("drawing", total=1.0)
-        claims = make_figures(out, on_progress=lambda what, share: progress.update(task, description=what, completed=share))
+        claims = make_figures(
+            out,
+            on_progress=lambda what, share: progress.update(
+                task, description=what, completed=share
+            ),
+        )
     if json:
         print_json({"claims": claims, "folder": str(out)})
     else:
@@ -32,7 +37,12 @@ def command(
         for heading in ("figure", "claim", "found", "holds"):
             table.add_column(heading, no_wrap=heading in ("figure", "holds"))
         for claim in claims:
-            table.add_row(claim.figure, claim.claim, claim.value, "[green]yes[/]" if claim.holds else "[red]no[/]")
+            table.add_row(
+                claim.figure,
+                claim.claim,
+                claim.value,
+                "[green]yes[/]" if claim.holds else "[red]no[/]",
+            )
         OUT.print(table)
         OUT.print(f"  {out}/figure-1.png ... figure-5.png", soft_wrap=True)
     if not all(claim.holds for claim in claims):

@@ -70,11 +70,18 @@ def _version(wanted: bool) -> None:
 
 
 def _app() -> typer.Typer:
-    app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="markdown")
+    app = typer.Typer(
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode="markdown",
+    )
 
     @app.callback(help=_about.__doc__)
     def about(
-        version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version and stop."),
+        version: bool = typer.Option(
+            False, "--version", callback=_version, is_eager=True, help="Print the version and stop."
+        ),
     ) -> None:
         pass
 
@@ -106,7 +113,9 @@ def _run() -> int:
     except KeyboardInterrupt:
         return _fail("interrupted", 130)
     except Exception as error:
-        told = getattr(error, "format_message", None)  # typer's own errors, of whichever click it carries
+        told = getattr(
+            error, "format_message", None
+        )  # typer's own errors, of whichever click it carries
         if told is None:
             raise
         return _fail(f"{told()} (outrider --help tells more)", int(getattr(error, "exit_code", 2)))

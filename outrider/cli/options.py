@@ -15,7 +15,10 @@ if TYPE_CHECKING:
 
 ScenarioName = Annotated[str, typer.Argument(help="A shipped scenario's name, or a TOML file.")]
 Seed = Annotated[
-    int | None, typer.Option(help="Seed of all random numbers; the scenario's own by default.", min=0, max=2**53 - 1)
+    int | None,
+    typer.Option(
+        help="Seed of all random numbers; the scenario's own by default.", min=0, max=2**53 - 1
+    ),
 ]
 Secret = Annotated[
     str,
@@ -27,10 +30,15 @@ Secret = Annotated[
         envvar="OUTRIDER_SECRET",
     ),
 ]
-Duration = Annotated[float | None, typer.Option(help="Simulated time in s, instead of the scenario's.")]
+Duration = Annotated[
+    float | None, typer.Option(help="Simulated time in s, instead of the scenario's.")
+]
 LawName = Annotated[
     str | None,
-    typer.Option("--law", help="certified, tracking, coverage, linear, switching, logarithmic, circle, weighted or path."),
+    typer.Option(
+        "--law",
+        help="certified, tracking, coverage, linear, switching, logarithmic, circle, weighted or path.",
+    ),
 ]
 DriverName = Annotated[
     str | None,
@@ -41,9 +49,15 @@ DriverName = Annotated[
 ]
 Set = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Any field of the scenario, such as detections.noise=0.2; may be repeated."),
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Any field of the scenario, such as detections.noise=0.2; may be repeated.",
+    ),
 ]
-Weighting = Annotated[str, typer.Option(help="A weighting of your own as module:function, for the law `weighted`.")]
+Weighting = Annotated[
+    str, typer.Option(help="A weighting of your own as module:function, for the law `weighted`.")
+]
 PolicyName = Annotated[
     str,
     typer.Option(
@@ -67,9 +81,15 @@ AllowCode = Annotated[
         help="Load the code that the file itself names ([custom]); code that you name in the command is loaded without it.",
     ),
 ]
-VirtualPath = Annotated[str, typer.Option("--path", help="A path of your own as module:function, for the law `path`.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else there.")]
-Leash = Annotated[bool, typer.Option(hidden=True, help="End when standard input closes: the parent has gone.")]
+VirtualPath = Annotated[
+    str, typer.Option("--path", help="A path of your own as module:function, for the law `path`.")
+]
+Json = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else there.")
+]
+Leash = Annotated[
+    bool, typer.Option(hidden=True, help="End when standard input closes: the parent has gone.")
+]
 
 
 def _run_name(name: str) -> str:
@@ -81,25 +101,39 @@ def _run_name(name: str) -> str:
         raise typer.BadParameter(str(error)) from error
 
 
-RunName = Annotated[str, typer.Option("--run", help="Name of the run.", envvar="OUTRIDER_RUN", callback=_run_name)]
+RunName = Annotated[
+    str, typer.Option("--run", help="Name of the run.", envvar="OUTRIDER_RUN", callback=_run_name)
+]
 
 Connect = Annotated[str, typer.Option(help="Endpoint of the router.", envvar="OUTRIDER_CONNECT")]
 CredentialFile = Annotated[
     Path | None,
     typer.Option(
-        "--credentials", help="File with this process' name and password (outrider credentials).", envvar="OUTRIDER_CREDENTIALS"
+        "--credentials",
+        help="File with this process' name and password (outrider credentials).",
+        envvar="OUTRIDER_CREDENTIALS",
     ),
 ]
 RouterCredentials = Annotated[
     Path | None,
-    typer.Option("--credentials", help="The router's file of all credentials (router.json).", envvar="OUTRIDER_CREDENTIALS"),
+    typer.Option(
+        "--credentials",
+        help="The router's file of all credentials (router.json).",
+        envvar="OUTRIDER_CREDENTIALS",
+    ),
 ]
 Insecure = Annotated[
     bool,
-    typer.Option("--insecure", help="Listen beyond this machine without credentials: anybody may read and write everything."),
+    typer.Option(
+        "--insecure",
+        help="Listen beyond this machine without credentials: anybody may read and write everything.",
+    ),
 ]
 Record = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Record every tick into this MCAP file; needs the extra [record].")
+    Path | None,
+    typer.Option(
+        metavar="FILE", help="Record every tick into this MCAP file; needs the extra [record]."
+    ),
 ]
 RealTime = Annotated[
     float | None,
@@ -113,7 +147,12 @@ RealTime = Annotated[
     ),
 ]
 PagePort = Annotated[
-    int, typer.Option(help="Where the page is served, on this machine alone; 0 takes any that is free.", min=0, max=65535)
+    int,
+    typer.Option(
+        help="Where the page is served, on this machine alone; 0 takes any that is free.",
+        min=0,
+        max=65535,
+    ),
 ]
 
 PageToken = Annotated[
@@ -158,7 +197,9 @@ def scenario_of(
     Raises:
         ScenarioError: If it cannot be flown.
     """
-    from sim.scenario import load_scenario  # a vehicle's process, which shares these options, must not load it
+    from sim.scenario import (
+        load_scenario,
+    )  # a vehicle's process, which shares these options, must not load it
 
     overrides = list(changes or ())
     quoted = {
@@ -182,7 +223,11 @@ def scenario_of(
 def _plain(field: str, value: str) -> str:
     a_file = field == "custom.policy"  # a saved policy: any path that TOML's quotes hold
     if not re.fullmatch(r"[^\"\\\x00-\x1f\x7f]+" if a_file else r"[A-Za-z0-9_.:-]+", value):
-        allowed = "no quotes, backslashes and control characters" if a_file else "letters, digits, '_', '.', ':' and '-'"
+        allowed = (
+            "no quotes, backslashes and control characters"
+            if a_file
+            else "letters, digits, '_', '.', ':' and '-'"
+        )
         raise ScenarioError(f"{field} = {value!r}: allowed are {allowed}")
     return value
 
@@ -208,9 +253,13 @@ def secret_of(given: str, *, wanted: bool = False) -> str:
             with Path(source).open(encoding="ascii") as file:
                 given = file.read(1000).strip()
         except (OSError, UnicodeDecodeError) as error:
-            raise ScenarioError(f"--secret {source}: {getattr(error, 'strerror', '') or 'is no text'}") from error
+            raise ScenarioError(
+                f"--secret {source}: {getattr(error, 'strerror', '') or 'is no text'}"
+            ) from error
         if not given:
-            raise ScenarioError(f"--secret {source}: is empty; allowed: 32 to 128 hexadecimal digits")
+            raise ScenarioError(
+                f"--secret {source}: is empty; allowed: 32 to 128 hexadecimal digits"
+            )
     try:
         return check_secret(given, source)
     except ValueError as error:
@@ -263,7 +312,9 @@ def credential_of(file: Path | None, role: "Role", name: str) -> "Credential | N
     if file is not None:
         found = read_credential(file)
         if (found.role, found.name) != (role, name):
-            raise AccessDenied(f"{file}: the credentials of {found.name} ({found.role}), not of {name} ({role})")
+            raise AccessDenied(
+                f"{file}: the credentials of {found.name} ({found.role}), not of {name} ({role})"
+            )
         return found
     password = os.environ.get("OUTRIDER_PASSWORD")
     if not password:

@@ -26,25 +26,33 @@ if TYPE_CHECKING:
 
 def command(
     out: Annotated[
-        Path | None, typer.Argument(help="The file to write, such as run.mcap; one that is there is replaced.")
+        Path | None,
+        typer.Argument(help="The file to write, such as run.mcap; one that is there is replaced."),
     ] = None,
     repair: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Save what is whole of a killed recording; nothing is recorded.")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Save what is whole of a killed recording; nothing is recorded."
+        ),
     ] = None,
     connect: Connect = DEFAULT_ENDPOINT,
     run: RunName = DEFAULT_RUN,
     credentials: CredentialFile = None,
     scenario: Annotated[
-        str, typer.Option(help="What is flown there, name or file: with it the flight can be drawn and flown again.")
+        str,
+        typer.Option(
+            help="What is flown there, name or file: with it the flight can be drawn and flown again."
+        ),
     ] = "",
     changes: Set = None,
     json: Json = False,
 ) -> None:
     """Record a run in progress into an MCAP file: an observer, who disturbs nobody. Ends with the run, or at Ctrl-C.
 
-    The run's own `--record` keeps every tick whatever happens; an observer of a fast run in lockstep may miss some, and says so.
-    A recording whose process was killed can be replayed as it is; with --repair every whole record of it goes to a new file,
-    FILE with the ending .repaired.mcap, that any program for MCAP opens.
+    The run's own `--record` keeps every tick whatever happens; an observer of a fast run in lockstep may miss
+    some, and says so.
+    A recording whose process was killed can be replayed as it is; with --repair every whole record of it goes to a
+    new file, FILE with the ending .repaired.mcap, that any program for MCAP opens.
 
     Example: outrider record run.mcap --connect tcp/127.0.0.1:17447 --credentials credentials/observer.json
 
@@ -75,7 +83,12 @@ def command(
             lost = _follow(session, recorder, stop)
         finally:
             recorder.close()
-    found = {**recorder.counts(), "file": str(out), "bytes": out.stat().st_size, "router_lost": lost}
+    found = {
+        **recorder.counts(),
+        "file": str(out),
+        "bytes": out.stat().st_size,
+        "router_lost": lost,
+    }
     if json:
         print_json(found)
     else:
@@ -95,7 +108,9 @@ def _follow(session: "Session", recorder: "RunRecorder", stop: "Stop") -> bool:
     columns = (
         TextColumn("[bold]{task.description}"),
         BarColumn(bar_width=40, complete_style="blue", finished_style="blue"),
-        TextColumn("{task.fields[seconds]:>7.1f} s simulated, {task.fields[missing]} ticks missing"),
+        TextColumn(
+            "{task.fields[seconds]:>7.1f} s simulated, {task.fields[missing]} ticks missing"
+        ),
     )
     alone_since: float | None = None
     with Progress(*columns, console=ERR, transient=True) as progress:
@@ -125,7 +140,18 @@ def _repair(killed: Path, out: Path, *, json: bool) -> None:
 
     saved = repair(killed, out)
     if json:
-        print_json({"file": str(out), "messages": saved.messages, "lost_bytes": saved.lost_bytes, "reason": saved.reason})
+        print_json(
+            {
+                "file": str(out),
+                "messages": saved.messages,
+                "lost_bytes": saved.lost_bytes,
+                "reason": saved.reason,
+            }
+        )
         return
-    what = f"{saved.reason}, {saved.lost_bytes} bytes lost" if saved.reason else "nothing was wrong with it"
+    what = (
+        f"{saved.reason}, {saved.lost_bytes} bytes lost"
+        if saved.reason
+        else "nothing was wrong with it"
+    )
     ERR.print(f"{out}: {saved.messages} messages of {killed} ({what})", soft_wrap=True)

@@ -8,11 +8,19 @@ import typer
 
 def command(
     file: Annotated[Path, typer.Argument(help="A recording, also one whose process was killed.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="What to make, by its ending: .png, .gif, or .mp4 (needs ffmpeg).")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", "-o", help="What to make, by its ending: .png, .gif, or .mp4 (needs ffmpeg)."
+        ),
+    ],
     fps: Annotated[int, typer.Option(help="Frames per second of a film.", min=1, max=50)] = 20,
-    speed: Annotated[float, typer.Option(help="Simulated seconds per second of a film.", min=0.01, max=10_000.0)] = 10.0,
+    speed: Annotated[
+        float, typer.Option(help="Simulated seconds per second of a film.", min=0.01, max=10_000.0)
+    ] = 10.0,
     flight: Annotated[
-        int | None, typer.Option(help="Which flight of a run that was reset, from 0; the last one by default.")
+        int | None,
+        typer.Option(help="Which flight of a run that was reset, from 0; the last one by default."),
     ] = None,
 ) -> None:
     """Draw a recorded flight: the picture of a whole run as PNG, or a film from above as GIF or MP4.

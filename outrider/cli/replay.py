@@ -15,10 +15,17 @@ if TYPE_CHECKING:
 def command(
     file: Annotated[Path, typer.Argument(help="A recording, also one whose process was killed.")],
     refly: Annotated[
-        bool, typer.Option("--refly", help="Fly the recorded commands through the simulator again and compare every tick.")
+        bool,
+        typer.Option(
+            "--refly",
+            help="Fly the recorded commands through the simulator again and compare every tick.",
+        ),
     ] = False,
     speed: Annotated[
-        float | None, typer.Option(help="Play it, this many simulated seconds a second; Ctrl-C ends it.", min=0.01, max=1e6)
+        float | None,
+        typer.Option(
+            help="Play it, this many simulated seconds a second; Ctrl-C ends it.", min=0.01, max=1e6
+        ),
     ] = None,
     dashboard: Annotated[
         bool,
@@ -32,14 +39,15 @@ def command(
     token: PageToken = "",
     no_token: NoPageToken = False,
     flight: Annotated[
-        int | None, typer.Option(help="Which flight of a run that was reset, from 0; the last one by default.")
+        int | None,
+        typer.Option(help="Which flight of a run that was reset, from 0; the last one by default."),
     ] = None,
     json: Json = False,
 ) -> None:
     """Tell what is in a recording: the run's numbers, and whether the file is whole.
 
-    With --refly the recorded commands go through the same simulator again, without pilots: exit code 0 where every position,
-    velocity and applied command is the same to the last bit, 1 at the first that is not, which is named.
+    With --refly the recorded commands go through the same simulator again, without pilots: exit code 0 where every
+    position, velocity and applied command is the same to the last bit, 1 at the first that is not, which is named.
 
     Example: outrider replay run.mcap --refly
     """
@@ -52,7 +60,9 @@ def command(
         _refly(recording, json=json)
         return
     if dashboard:
-        _show(recording, 1.0 if speed is None else speed, dashboard_port, token, wanted=not no_token)
+        _show(
+            recording, 1.0 if speed is None else speed, dashboard_port, token, wanted=not no_token
+        )
         return
     if speed is not None:
         _play(recording, speed)
@@ -113,7 +123,13 @@ def _show(recording: "Recording", speed: float, port: int, token: str, *, wanted
         tape = Tape(recording, speed)
         hub = Hub(tape)
         line = f"{recording.path} is played at {address_of(opened, admission)}; Ctrl-C ends it"
-        serve(hub, opened, admission, controls=lambda: Player(hub, tape).show, ready=lambda: ERR.print(line, soft_wrap=True))
+        serve(
+            hub,
+            opened,
+            admission,
+            controls=lambda: Player(hub, tape).show,
+            ready=lambda: ERR.print(line, soft_wrap=True),
+        )
 
 
 def _play(recording: "Recording", speed: float) -> None:
@@ -131,15 +147,25 @@ def _play(recording: "Recording", speed: float) -> None:
         TextColumn("distance {task.fields[distance]:.2f} m, e = {task.fields[error]:.1f} m²"),
     )
     with Progress(*columns, console=ERR, transient=True) as progress, stop_on_signals() as stop:
-        task = progress.add_task("", total=max(end - begin, 1e-9), seconds=begin, distance=0.0, error=0.0)
+        task = progress.add_task(
+            "", total=max(end - begin, 1e-9), seconds=begin, distance=0.0, error=0.0
+        )
         started, row = time.monotonic(), 0
         while not stop and row < len(truths):
             now = begin + (time.monotonic() - started) * speed
             while row < len(truths) and truths[row].time <= now:
                 row += 1
             shown = truths[max(row - 1, 0)]
-            distance, error = max((escort.distance, escort.coverage_error) for escort in shown.escorts)
-            progress.update(task, completed=shown.time - begin, seconds=shown.time, distance=distance, error=error)
+            distance, error = max(
+                (escort.distance, escort.coverage_error) for escort in shown.escorts
+            )
+            progress.update(
+                task,
+                completed=shown.time - begin,
+                seconds=shown.time,
+                distance=distance,
+                error=error,
+            )
             time.sleep(0.05)
     if stop:
         raise typer.Exit(stop.exit_code)
@@ -173,7 +199,9 @@ def _tell(recording: "Recording", *, json: bool) -> None:
         OUT.print(
             f"{told['scenario']}, seed {told['seed']}: recorded by an observer, ticks {told['first_tick']} to {told['last_tick']}"
         )
-        OUT.print(f"  distance: largest {told['max_distance']:.3f} m, mean {told['mean_distance']:.3f} m")
+        OUT.print(
+            f"  distance: largest {told['max_distance']:.3f} m, mean {told['mean_distance']:.3f} m"
+        )
     whole = "whole" if told["whole"] else f"not whole: {told['reason']}"
     missing = f", {told['missing_ticks']} ticks missing" if told["missing_ticks"] else ""
     size = f"{told['bytes'] / 1e6:.2f} MB, {told['bytes_per_minute'] / 1e6:.2f} MB per simulated minute"

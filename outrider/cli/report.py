@@ -11,14 +11,24 @@ from outrider.cli.options import Json
 
 
 def command(
-    folders: Annotated[list[Path], typer.Argument(help="Folders of sweeps, finished or not; what they share becomes one.")],
+    folders: Annotated[
+        list[Path],
+        typer.Argument(help="Folders of sweeps, finished or not; what they share becomes one."),
+    ],
     out: Annotated[
-        Path | None, typer.Option(help="Folder for page and pictures; FOLDER/report by default, of several folders ./report.")
+        Path | None,
+        typer.Option(
+            help="Folder for page and pictures; FOLDER/report by default, of several folders ./report."
+        ),
     ] = None,
-    markdown: Annotated[bool, typer.Option("--markdown", help="Print the tables as Markdown on stdout.")] = False,
+    markdown: Annotated[
+        bool, typer.Option("--markdown", help="Print the tables as Markdown on stdout.")
+    ] = False,
     json: Json = False,
 ) -> None:
-    """Draw the results of sweeps: how often the UGV was lost, with intervals, by which margin, and what the network cost.
+    """Draw the results of sweeps.
+
+    How often the UGV was lost, with intervals, by which margin, and what the network cost.
 
     Writes pictures (PNG) and report.html, one page with everything inside. Needs the extra [sweep].
 
@@ -42,7 +52,9 @@ def command(
         where.mkdir(parents=True, exist_ok=True)
         pictures = draw_all(material, where)
         file = where / "report.html"
-        file.write_text(page(material, pictures, shlex.join(["outrider", *sys.argv[1:]])), encoding="utf-8")
+        file.write_text(
+            page(material, pictures, shlex.join(["outrider", *sys.argv[1:]])), encoding="utf-8"
+        )
     if markdown:
         sys.stdout.write(markdown_of(material))
         return

@@ -4,7 +4,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from outrider.cli.options import DEFAULT_ENDPOINT, DEFAULT_RUN, Insecure, RouterCredentials, RunName, check_endpoints
+from outrider.cli.options import (
+    DEFAULT_ENDPOINT,
+    DEFAULT_RUN,
+    Insecure,
+    RouterCredentials,
+    RunName,
+    check_endpoints,
+)
 
 if TYPE_CHECKING:
     from bus.session import Session
@@ -14,16 +21,25 @@ if TYPE_CHECKING:
 def command(
     listen: Annotated[
         list[str] | None,
-        typer.Option(help=f"Endpoint to listen on; {DEFAULT_ENDPOINT} by default; may be repeated.", envvar="OUTRIDER_LISTEN"),
+        typer.Option(
+            help=f"Endpoint to listen on; {DEFAULT_ENDPOINT} by default; may be repeated.",
+            envvar="OUTRIDER_LISTEN",
+        ),
     ] = None,
     credentials: RouterCredentials = None,
     run: RunName = DEFAULT_RUN,
-    once: Annotated[bool, typer.Option("--once", help="End with the run: when its simulator has said that it is over.")] = False,
+    once: Annotated[
+        bool,
+        typer.Option(
+            "--once", help="End with the run: when its simulator has said that it is over."
+        ),
+    ] = False,
     insecure: Insecure = False,
 ) -> None:
     """Route messages between the processes of a run, and let each have its own keys only.
 
-    Runs until Ctrl-C or SIGTERM. `outrider simulator` hosts a router itself; this one is for containers and several machines.
+    Runs until Ctrl-C or SIGTERM. `outrider simulator` hosts a router itself; this one is for containers and
+    several machines.
 
     Example: outrider router --listen tcp/0.0.0.0:17447 --credentials credentials/router.json
     """
@@ -38,11 +54,20 @@ def command(
     given = None if credentials is None else read_credentials(credentials)
     check_endpoints(endpoints, secured=given is not None, insecure=insecure)
     if given is not None and run not in (given.run, DEFAULT_RUN):
-        raise ScenarioError(f"--run {run}: the credentials in {credentials} are for the run {given.run}")
+        raise ScenarioError(
+            f"--run {run}: the credentials in {credentials} are for the run {given.run}"
+        )
     name = run if given is None else given.run
     observer = Party(role=Role.OBSERVER, name=OBSERVER_NAME)
-    with stop_on_signals() as stop, open_session(observer, name, listen=endpoints, given=given) as session:
-        who = "anybody" if given is None else ", ".join(credential.name for credential in given.parties)
+    with (
+        stop_on_signals() as stop,
+        open_session(observer, name, listen=endpoints, given=given) as session,
+    ):
+        who = (
+            "anybody"
+            if given is None
+            else ", ".join(credential.name for credential in given.parties)
+        )
         ERR.print(f"routing on {', '.join(endpoints)} for {who} in the run {name}", soft_wrap=True)
         if once:
             _until_over(session, stop)
@@ -58,7 +83,9 @@ def _until_over(session: "Session", stop: "Stop") -> None:
     from bus.messages import Status
 
     present = threading.Event()
-    session.watch(SIMULATOR_NAME, lambda _name, _place, there: present.set() if there else present.clear())
+    session.watch(
+        SIMULATOR_NAME, lambda _name, _place, there: present.set() if there else present.clear()
+    )
     statuses = session.inbox(STATUS)
     over = False
     while not stop and not (over and not present.is_set()):

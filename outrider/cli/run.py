@@ -48,14 +48,23 @@ def command(
     policy: PolicyName = "",
     network: NetworkName = "",
     allow_code: AllowCode = False,
-    in_process: Annotated[bool, typer.Option("--in-process", help="Without a bus, all in this process.")] = False,
+    in_process: Annotated[
+        bool, typer.Option("--in-process", help="Without a bus, all in this process.")
+    ] = False,
     pin: Annotated[
-        bool, typer.Option(help="Give the UAVs one half of the processor cores: faster, unless the machine is busy otherwise.")
+        bool,
+        typer.Option(
+            help="Give the UAVs one half of the processor cores: faster, unless the machine is busy otherwise."
+        ),
     ] = True,
     record: Record = None,
     realtime: RealTime = None,
     lockstep: Annotated[
-        bool, typer.Option("--lockstep", help="As fast as it goes, which is the default unless --dashboard is given.")
+        bool,
+        typer.Option(
+            "--lockstep",
+            help="As fast as it goes, which is the default unless --dashboard is given.",
+        ),
     ] = False,
     dashboard: Annotated[
         bool,
@@ -68,11 +77,19 @@ def command(
     dashboard_port: PagePort = 8080,
     respawn: Annotated[
         bool,
-        typer.Option("--respawn", help="Start a vehicle's process again if it dies; in lockstep the clock waits."),
+        typer.Option(
+            "--respawn",
+            help="Start a vehicle's process again if it dies; in lockstep the clock waits.",
+        ),
     ] = False,
-    deadline: Annotated[float, typer.Option(help="Seconds to wait for the commands of one tick.", min=0.01)] = 10.0,
+    deadline: Annotated[
+        float, typer.Option(help="Seconds to wait for the commands of one tick.", min=0.01)
+    ] = 10.0,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for trajectory, picture and summary; a new one in runs/ by default.")
+        Path | None,
+        typer.Option(
+            help="Folder for trajectory, picture and summary; a new one in runs/ by default."
+        ),
     ] = None,
     files: Annotated[bool, typer.Option(help="Write files at all.")] = True,
     picture: Annotated[bool, typer.Option(help="Draw the picture.")] = True,
@@ -80,9 +97,10 @@ def command(
 ) -> None:
     """Fly a scenario as three operating-system processes over Zenoh: simulator, UAV and UGV.
 
-    Ends with a table of numbers, a picture and the trajectory. Ctrl-C ends the run and keeps what was flown. A vehicle whose
-    process dies brakes, and the run goes on without it; with --respawn it is started again and flies on. With --dashboard a page
-    shows it live; the page ends with the run, and what it shows stays in the browser.
+    Ends with a table of numbers, a picture and the trajectory. Ctrl-C ends the run and keeps what was flown. A
+    vehicle whose
+    process dies brakes, and the run goes on without it; with --respawn it is started again and flies on. With
+    --dashboard a page shows it live; the page ends with the run, and what it shows stays in the browser.
 
     Example: outrider run escort --seed 3 --law switching
     """
@@ -95,25 +113,33 @@ def command(
     from sim.scenario_checks import scenario_warnings
 
     if in_process and (realtime is not None or respawn or dashboard):
-        raise typer.BadParameter("--realtime, --respawn and --dashboard need processes; leave --in-process out")
+        raise typer.BadParameter(
+            "--realtime, --respawn and --dashboard need processes; leave --in-process out"
+        )
     if lockstep and realtime is not None:
         raise typer.BadParameter("--lockstep and --realtime exclude each other")
     if dashboard and not lockstep and realtime is None:
         realtime = 1.0
     own = {"weighting": weighting, "path": path, "policy": policy, "network": network}
-    flown, overrides = scenario_of(scenario, seed=seed, duration=duration, law=law, driver=driver, changes=changes, **own)
+    flown, overrides = scenario_of(
+        scenario, seed=seed, duration=duration, law=law, driver=driver, changes=changes, **own
+    )
     strangers = any(ugv.driver == "external" for ugv in flown.ugv)
     if in_process and strangers:
         raise typer.BadParameter("--driver external is another process; leave --in-process out")
     kept = secret_of(secret, wanted=strangers)
     check_code(flown, overrides, source=scenario, allowed=allow_code)
     # what does not fit shows here, not in a child
-    print_warnings((*scenario_warnings(flown), *promise_warnings(flown), *check_own_functions(flown)))
+    print_warnings(
+        (*scenario_warnings(flown), *promise_warnings(flown), *check_own_functions(flown))
+    )
     if record is not None:
         import outrider.recording.writer  # noqa: F401 - a missing extra shows here, not in a child
     folder = (out or default_folder(flown.name)) if files else None
     if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made shows before the flight, not after it
+        folder.mkdir(
+            parents=True, exist_ok=True
+        )  # a folder that cannot be made shows before the flight, not after it
     with stop_on_signals() as stop, _page(dashboard, dashboard_port) as page:
         if in_process:
             outcome = _fly_here(flown, kept, folder, picture, record, stop)
@@ -121,7 +147,9 @@ def command(
             from outrider.launch import Watcher, launch
 
             with flight_progress(flown, "starting (the first start compiles)") as progress:
-                watcher = Watcher(on_tick=progress.show, on_event=progress.say, stop=lambda: stop.count)
+                watcher = Watcher(
+                    on_tick=progress.show, on_event=progress.say, stop=lambda: stop.count
+                )
                 outcome = launch(
                     flown,
                     scenario,
@@ -159,7 +187,14 @@ def _page(wanted: bool, port: int) -> "AbstractContextManager[socket.socket | No
     return open_socket("127.0.0.1", port, "--dashboard-port")
 
 
-def _fly_here(flown: "Scenario", secret: str, folder: Path | None, picture: bool, record: Path | None, stop: "Stop") -> "Outcome":
+def _fly_here(
+    flown: "Scenario",
+    secret: str,
+    folder: Path | None,
+    picture: bool,
+    record: Path | None,
+    stop: "Stop",
+) -> "Outcome":
     from agents.process import warm_up as warm_up_pilot
     from bus.keys import Role
     from outrider.cli.console import flight_progress
@@ -192,7 +227,9 @@ def _fly_here(flown: "Scenario", secret: str, folder: Path | None, picture: bool
             warm_up(flown)
             for role in (Role.UAV, Role.UGV):
                 warm_up_pilot(role)
-        flight, summary = fly(flown, flown.seed, secret=secret, on_tick=lambda flight: follow(flight, progress))
+        flight, summary = fly(
+            flown, flown.seed, secret=secret, on_tick=lambda flight: follow(flight, progress)
+        )
     outcome = Outcome(summary=summary)
     if recorder is not None and record is not None:
         try:

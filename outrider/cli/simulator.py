@@ -35,13 +35,21 @@ if TYPE_CHECKING:
 
 def command(
     scenario: Annotated[
-        str, typer.Argument(help="A shipped scenario's name, or a TOML file.", envvar="OUTRIDER_SCENARIO")
+        str,
+        typer.Argument(
+            help="A shipped scenario's name, or a TOML file.", envvar="OUTRIDER_SCENARIO"
+        ),
     ] = "escort",
     listen: Annotated[
-        list[str] | None, typer.Option(help=f"Host the router, on this endpoint; {DEFAULT_ENDPOINT} by default.")
+        list[str] | None,
+        typer.Option(help=f"Host the router, on this endpoint; {DEFAULT_ENDPOINT} by default."),
     ] = None,
     connect: Annotated[
-        str, typer.Option(help="Use the router at this endpoint instead of hosting one.", envvar="OUTRIDER_CONNECT")
+        str,
+        typer.Option(
+            help="Use the router at this endpoint instead of hosting one.",
+            envvar="OUTRIDER_CONNECT",
+        ),
     ] = "",
     run: RunName = DEFAULT_RUN,
     credentials: CredentialFile = None,
@@ -49,36 +57,59 @@ def command(
     seed: Annotated[
         int | None,
         typer.Option(
-            help="Seed of all random numbers; the scenario's own by default.", min=0, max=2**53 - 1, envvar="OUTRIDER_SEED"
+            help="Seed of all random numbers; the scenario's own by default.",
+            min=0,
+            max=2**53 - 1,
+            envvar="OUTRIDER_SEED",
         ),
     ] = None,
     secret: Secret = "",
     duration: Annotated[
-        float | None, typer.Option(help="Simulated time in s, instead of the scenario's.", envvar="OUTRIDER_DURATION")
+        float | None,
+        typer.Option(
+            help="Simulated time in s, instead of the scenario's.", envvar="OUTRIDER_DURATION"
+        ),
     ] = None,
     law: LawName = None,
     driver: DriverName = None,
     network: NetworkName = "",
     changes: Set = None,
     realtime: RealTime = None,
-    deadline: Annotated[float, typer.Option(help="Seconds to wait for the commands of one tick.", min=0.01)] = 10.0,
+    deadline: Annotated[
+        float, typer.Option(help="Seconds to wait for the commands of one tick.", min=0.01)
+    ] = 10.0,
     join_timeout: Annotated[
         float,
-        typer.Option(help="Seconds to wait for vehicles, or a router that is away.", min=0.0, envvar="OUTRIDER_JOIN_TIMEOUT"),
+        typer.Option(
+            help="Seconds to wait for vehicles, or a router that is away.",
+            min=0.0,
+            envvar="OUTRIDER_JOIN_TIMEOUT",
+        ),
     ] = 30.0,
-    respawn: Annotated[bool, typer.Option("--respawn", help="Let the clock stand still until a lost vehicle is back.")] = False,
+    respawn: Annotated[
+        bool,
+        typer.Option("--respawn", help="Let the clock stand still until a lost vehicle is back."),
+    ] = False,
     record: Record = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for trajectory, picture and summary; none by default.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for trajectory, picture and summary; none by default."),
+    ] = None,
     picture: Annotated[bool, typer.Option(help="Draw the picture too.")] = True,
     json: Json = False,
-    events: Annotated[bool, typer.Option(hidden=True, help="Report on stdout as JSON lines, for a parent process.")] = False,
+    events: Annotated[
+        bool,
+        typer.Option(hidden=True, help="Report on stdout as JSON lines, for a parent process."),
+    ] = False,
     leash: Leash = False,
-    leash_folder: Annotated[Path | None, typer.Option(hidden=True, help="Removed when the parent has gone.")] = None,
+    leash_folder: Annotated[
+        Path | None, typer.Option(hidden=True, help="Removed when the parent has gone.")
+    ] = None,
 ) -> None:
     """Simulate: wait for the scenario's vehicles, fly it with them, and sum it up.
 
-    In lockstep it goes as fast as they answer; with --realtime it keeps the wall clock. Where it hosts the router its credentials
-    are the file with everybody's (router.json), where it uses another its own (simulator.json).
+    In lockstep it goes as fast as they answer; with --realtime it keeps the wall clock. Where it hosts the router
+    its credentials are the file with everybody's (router.json), where it uses another its own (simulator.json).
 
     Example: outrider simulator escort --listen tcp/127.0.0.1:17447 --out runs/mine
     """
@@ -99,10 +130,20 @@ def command(
 
     if leash:
         hold(leash_folder)
-    flown, _ = scenario_of(scenario, seed=seed, duration=duration, law=law, driver=driver, changes=changes, network=network)
+    flown, _ = scenario_of(
+        scenario,
+        seed=seed,
+        duration=duration,
+        law=law,
+        driver=driver,
+        changes=changes,
+        network=network,
+    )
     endpoints = () if connect else tuple(listen or (DEFAULT_ENDPOINT,))
     given, credential = _credentials(credentials, hosts=not connect)
-    check_endpoints(endpoints or (connect,), secured=given is not None or bool(connect), insecure=insecure)
+    check_endpoints(
+        endpoints or (connect,), secured=given is not None or bool(connect), insecure=insecure
+    )
     secured = given is not None or credential is not None
     kept = secret_of(secret, wanted=secured and not events)  # a parent has decided
     with compiling():
@@ -110,16 +151,24 @@ def command(
     reports = Reports(enabled=events)
     if not events:
         print_warnings((*scenario_warnings(flown), *promise_warnings(flown)))
-        where = f"using the router at {connect}" if connect else f"listening on {', '.join(endpoints)}"
+        where = (
+            f"using the router at {connect}" if connect else f"listening on {', '.join(endpoints)}"
+        )
         ERR.print(f"{where}, run {run}: waiting for {', '.join(v.name for v in flown.vehicles)}")
         if endpoints and given is None:
-            ERR.print("no credentials: every process that reaches this endpoint may read and write everything")
+            ERR.print(
+                "no credentials: every process that reaches this endpoint may read and write everything"
+            )
     seats: list[Server] = []
-    recorder = _recorder(record, flown, kept, seats)  # a file that cannot be written shows before anybody joins
+    recorder = _recorder(
+        record, flown, kept, seats
+    )  # a file that cannot be written shows before anybody joins
     with stop_on_signals() as stop:
         party = Party(role=Role.SIMULATOR, name=SIMULATOR_NAME)
         with (
-            open_session(party, run, connect=connect, listen=endpoints, credential=credential, given=given) as session,
+            open_session(
+                party, run, connect=connect, listen=endpoints, credential=credential, given=given
+            ) as session,
             reports.progress() if events else flight_progress(flown, "waiting") as progress,
             closing(recorder) if recorder is not None else nullcontext(),
         ):
@@ -159,7 +208,9 @@ def command(
             finally:
                 seconds = time.perf_counter() - server.started
                 flight, vehicles, late_ticks = server.flight, server.vehicles(), server.late_ticks
-                if flight.recorder.rows:  # also where the router was lost for good: what was flown is kept
+                if (
+                    flight.recorder.rows
+                ):  # also where the router was lost for good: what was flown is kept
                     summary = summarize(
                         flight,
                         seconds=seconds,
@@ -179,16 +230,26 @@ def command(
     raise typer.Exit(stop.exit_code)
 
 
-def _recorder(path: Path | None, flown: "Scenario", secret: str, servers: "list[Server]") -> "FlightRecorder | None":
+def _recorder(
+    path: Path | None, flown: "Scenario", secret: str, servers: "list[Server]"
+) -> "FlightRecorder | None":
     """What records the flight; the server whose vehicles it asks for comes later."""
     if path is None:
         return None
     from outrider.recording.writer import FlightRecorder
 
-    return FlightRecorder(path, flown, flown.seed, secret=secret, vehicles=lambda: servers[0].vehicles() if servers else {})
+    return FlightRecorder(
+        path,
+        flown,
+        flown.seed,
+        secret=secret,
+        vehicles=lambda: servers[0].vehicles() if servers else {},
+    )
 
 
-def _credentials(file: Path | None, *, hosts: bool) -> "tuple[CredentialSet | None, Credential | None]":
+def _credentials(
+    file: Path | None, *, hosts: bool
+) -> "tuple[CredentialSet | None, Credential | None]":
     """What the router inside needs to know its clients, or what the client of another router is known by."""
     from bus.access import read_credentials
     from bus.keys import SIMULATOR_NAME, Role

@@ -39,7 +39,9 @@ class Stop:
 def stop_on_signals() -> Iterator[Stop]:
     """While this lasts, SIGINT and SIGTERM only set a flag."""
     stop = Stop()
-    before = {number: signal.signal(number, stop.handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {
+        number: signal.signal(number, stop.handle) for number in (signal.SIGINT, signal.SIGTERM)
+    }
     try:
         yield stop
     finally:

@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
 def command(
     laws: Annotated[
-        list[str] | None, typer.Argument(help="Laws by name; by default the paper's and certified, or none beside a --policy.")
+        list[str] | None,
+        typer.Argument(
+            help="Laws by name; by default the paper's and certified, or none beside a --policy."
+        ),
     ] = None,
     policy: Annotated[
         list[str] | None,
@@ -30,19 +33,32 @@ def command(
     ] = None,
     only: Annotated[list[str] | None, typer.Option(help="Only this task; may be repeated.")] = None,
     estimate: Annotated[
-        bool, typer.Option("--estimate", help="Policies observe the filter's estimate in the place of the raw detection.")
+        bool,
+        typer.Option(
+            "--estimate",
+            help="Policies observe the filter's estimate in the place of the raw detection.",
+        ),
     ] = False,
-    gradient: Annotated[bool, typer.Option("--gradient", help="Policies observe the direction to new ground besides.")] = False,
-    safety_filter: Annotated[bool, typer.Option("--safety-filter", help="Policies fly inside the safety filter.")] = False,
+    gradient: Annotated[
+        bool,
+        typer.Option("--gradient", help="Policies observe the direction to new ground besides."),
+    ] = False,
+    safety_filter: Annotated[
+        bool, typer.Option("--safety-filter", help="Policies fly inside the safety filter.")
+    ] = False,
     secret: Secret = "",
-    markdown: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the table into this file.")] = None,
-    list_tasks: Annotated[bool, typer.Option("--list", help="Tell what the tasks are, and fly nothing.")] = False,
+    markdown: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the table into this file.")
+    ] = None,
+    list_tasks: Annotated[
+        bool, typer.Option("--list", help="Tell what the tasks are, and fly nothing.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Fly laws and policies over the tasks of the benchmark suite, 20 seeds each, and score them.
 
-    The score is the share of the ground around the UGV that was seen, averaged over the flight, in percent; from the tick at
-    which sight is lost on, nothing counts as seen.
+    The score is the share of the ground around the UGV that was seen, averaged over the flight, in percent; from
+    the tick at which sight is lost on, nothing counts as seen.
 
     Example: outrider suite logarithmic certified --only noise --only bursts
     """
@@ -57,7 +73,9 @@ def command(
     settings = {name: True for name, wanted in chosen.items() if wanted}
     entries = _entries(laws or [], policy or [], tasks)
     if settings and not policy:
-        raise typer.BadParameter(f"--{'/'.join(settings).replace('_', '-')}: for a --policy alone; the laws are as they are")
+        raise typer.BadParameter(
+            f"--{'/'.join(settings).replace('_', '-')}: for a --policy alone; the laws are as they are"
+        )
     if markdown is not None and not markdown.parent.is_dir():
         raise typer.BadParameter(f"--markdown {markdown}: no such folder: {markdown.parent}")
     from outrider.cli.options import secret_of
@@ -93,7 +111,9 @@ def _entries(laws: list[str], policies: list[str], tasks: "Suite") -> "dict[str,
     allowed = pilot_names(tasks[0].scenario, "uav_0")
     for law in laws:
         if law not in allowed:
-            raise ScenarioError(f"law {law!r}: unknown; allowed: {', '.join(allowed)}, or --policy module:function")
+            raise ScenarioError(
+                f"law {law!r}: unknown; allowed: {', '.join(allowed)}, or --policy module:function"
+            )
     entries: dict[str, Entry] = {law: law for law in laws or ([] if policies else LAWS)}
     for name in policies:
         found = load_function(name, what="--policy")
@@ -115,10 +135,14 @@ class _Own:
         try:
             return self._policy(seen)
         except Exception as error:
-            raise OutriderError(f"--policy {self._name}: {type(error).__name__}: {error}") from error
+            raise OutriderError(
+                f"--policy {self._name}: {type(error).__name__}: {error}"
+            ) from error
 
 
-def _fly(entries: "dict[str, Entry]", tasks: "Suite", settings: dict[str, Any], secret: str) -> "Leaderboard":
+def _fly(
+    entries: "dict[str, Entry]", tasks: "Suite", settings: dict[str, Any], secret: str
+) -> "Leaderboard":
     from rich.progress import Progress
 
     from bus.errors import OutriderError
@@ -142,7 +166,9 @@ def _table(board: "Leaderboard") -> Any:  # noqa: ANN401 - rich's
     from rich.table import Table
 
     title = f"Seen of what there was to see [%], mean of {len(board.standings[0].results[0].scores)} seeds"
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table = Table(
+        title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False
+    )
     table.add_column("task", no_wrap=True)
     for standing in board.standings:
         table.add_column(standing.entry, justify="right")
@@ -163,7 +189,13 @@ def _tell_tasks(tasks: "Suite", *, json: bool) -> None:
     from outrider.cli.console import OUT, print_json
 
     if json:
-        print_json({"tasks": [{"name": task.name, "hard": task.hard, "env_id": task.env_id} for task in tasks]})
+        print_json(
+            {
+                "tasks": [
+                    {"name": task.name, "hard": task.hard, "env_id": task.env_id} for task in tasks
+                ]
+            }
+        )
         return
     table = Table(title="The tasks of the suite", title_justify="left")
     for heading in ("task", "what is hard", "at Gymnasium"):

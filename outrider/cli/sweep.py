@@ -22,34 +22,60 @@ if TYPE_CHECKING:
 
 def command(
     sweep: Annotated[
-        str, typer.Argument(help="A shipped sweep (network), a shipped scenario, or a TOML file of either kind.")
+        str,
+        typer.Argument(
+            help="A shipped sweep (network), a shipped scenario, or a TOML file of either kind."
+        ),
     ] = "network",
-    law: Annotated[str, typer.Option("--law", help="Laws, between commas, instead of the file's.")] = "",
+    law: Annotated[
+        str, typer.Option("--law", help="Laws, between commas, instead of the file's.")
+    ] = "",
     vary: Annotated[
         list[str] | None,
-        typer.Option("--vary", metavar="FIELD=V,V", help="A field of the scenario and its values; repeated: the product."),
+        typer.Option(
+            "--vary",
+            metavar="FIELD=V,V",
+            help="A field of the scenario and its values; repeated: the product.",
+        ),
     ] = None,
     changes: Set = None,
     allow_code: AllowCode = False,
-    seeds: Annotated[int | None, typer.Option(help="How many seeds each point is flown with.", min=1, max=1_000_000)] = None,
-    first_seed: Annotated[int | None, typer.Option(help="The first of them, 0 by default.", min=0, max=2**52)] = None,
+    seeds: Annotated[
+        int | None,
+        typer.Option(help="How many seeds each point is flown with.", min=1, max=1_000_000),
+    ] = None,
+    first_seed: Annotated[
+        int | None, typer.Option(help="The first of them, 0 by default.", min=0, max=2**52)
+    ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for the results, sweeps/NAME by default; a sweep that was cut short goes on there."),
+        typer.Option(
+            help="Folder for the results, sweeps/NAME by default; a sweep that was cut short goes on there."
+        ),
     ] = None,
-    jobs: Annotated[int | None, typer.Option(help="Worker processes; one a core by default.", min=1)] = None,
+    jobs: Annotated[
+        int | None, typer.Option(help="Worker processes; one a core by default.", min=1)
+    ] = None,
     dask: Annotated[
-        str, typer.Option("--dask", metavar="ADDRESS", help="Fly on this Dask cluster (its scheduler); needs the extra [dask].")
+        str,
+        typer.Option(
+            "--dask",
+            metavar="ADDRESS",
+            help="Fly on this Dask cluster (its scheduler); needs the extra [dask].",
+        ),
     ] = "",
-    fresh: Annotated[bool, typer.Option("--fresh", help="Throw away what the folder holds and start over.")] = False,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Throw away what the folder holds and start over.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Fly each law at each degradation with many seeds, on all cores; each run is a row of a Parquet table.
 
-    Interrupted or killed, the same command goes on where it stopped. A run that raises is a row with its error, and the exit
-    code is then 1. `outrider report FOLDER` draws the results. Needs the extra [sweep].
+    Interrupted or killed, the same command goes on where it stopped. A run that raises is a row with its error,
+    and the exit code is then 1. `outrider report FOLDER` draws the results. Needs the extra [sweep].
 
-    Example: outrider sweep escort --law linear,switching --vary links.detections.delay=0,0.5,1 --seeds 20 --out sweeps/delay
+    Example: outrider sweep escort --law linear,switching --vary links.detections.delay=0,0.5,1 --seeds 20 --out
+    sweeps/delay
     """
     from outrider.sweep.extras import check_extras
 
@@ -58,7 +84,9 @@ def command(
     from outrider.sweep.description import describe_sweep
     from outrider.sweep.folder import SweepFolder
 
-    described, text = describe_sweep(sweep, laws=law, vary=vary or (), changes=changes or (), seeds=seeds, first_seed=first_seed)
+    described, text = describe_sweep(
+        sweep, laws=law, vary=vary or (), changes=changes or (), seeds=seeds, first_seed=first_seed
+    )
     where = out or Path("sweeps") / Path(sweep).stem
     with _bar("loading the points") as progress:
         from outrider.sweep.plan import lay_out
@@ -72,7 +100,9 @@ def command(
         )
     print_warnings(plan.warnings)
     began = time.monotonic()
-    with SweepFolder(where, plan, command=shlex.join(["outrider", *sys.argv[1:]]), text=text, fresh=fresh) as folder:
+    with SweepFolder(
+        where, plan, command=shlex.join(["outrider", *sys.argv[1:]]), text=text, fresh=fresh
+    ) as folder:
         before = len(folder.done)
         try:
             with _cluster(dask, plan.version) as client:
@@ -82,7 +112,10 @@ def command(
         file = folder.finish()
     seconds = time.monotonic() - began
     flown = len(folder.done) - before + folder.failed
-    rates = {"seconds": round(seconds, 3), "runs_per_second": round(flown / seconds, 3) if seconds > 0.0 else 0.0}
+    rates = {
+        "seconds": round(seconds, 3),
+        "runs_per_second": round(flown / seconds, 3) if seconds > 0.0 else 0.0,
+    }
     told: dict[str, Any] = {
         "sweep": sweep,
         "rows": folder.rows,
@@ -121,7 +154,10 @@ def _bar(what: str) -> "AbstractContextManager[Progress]":
 
 
 def _fly(plan: "Plan", folder: "SweepFolder", jobs: int | None, client: Any) -> None:  # noqa: ANN401 - an extra's type
-    """Fly what is missing, with a bar; it fills with what runs cost, so that the time left is right for ticks of any length."""
+    """Fly what is missing, with a bar.
+
+    It fills with what runs cost, so that the time left is right for ticks of any length.
+    """
     from joblib import cpu_count
 
     from outrider.sweep.running import cost_of, fly_sweep
@@ -133,7 +169,10 @@ def _fly(plan: "Plan", folder: "SweepFolder", jobs: int | None, client: Any) -> 
     started, flown = time.monotonic(), 0
     with _bar("flying") as progress:
         bar = progress.add_task(
-            "", total=sum(costs) * plan.sweep.seeds, completed=kept, note=f"{len(done):,} of {plan.runs:,} runs"
+            "",
+            total=sum(costs) * plan.sweep.seeds,
+            completed=kept,
+            note=f"{len(done):,} of {plan.runs:,} runs",
         )
 
         def show(results: list[dict[str, Any]]) -> None:
@@ -142,7 +181,11 @@ def _fly(plan: "Plan", folder: "SweepFolder", jobs: int | None, client: Any) -> 
             rate = flown / (time.monotonic() - started)
             failed = f", {folder.failed} failed" if folder.failed else ""
             note = f"{folder.rows:,} of {plan.runs:,} runs, {rate:.1f} runs/s{failed}"
-            progress.update(bar, advance=sum(costs[row["run"] // plan.sweep.seeds] for row in results), note=note)
+            progress.update(
+                bar,
+                advance=sum(costs[row["run"] // plan.sweep.seeds] for row in results),
+                note=note,
+            )
 
         fly_sweep(plan, folder, jobs=workers, client=client, on_results=show)
 
@@ -152,7 +195,9 @@ def _interrupted(plan: "Plan", folder: "SweepFolder", end: KeyboardInterrupt | S
 
     folder.take_stock()  # what was written may not be counted yet
     kept = f"{len(folder.done):,} of {plan.runs:,} runs are kept in {folder.path}"
-    ERR.print(f"outrider: interrupted; {kept}, and the same command goes on from there", soft_wrap=True)
+    ERR.print(
+        f"outrider: interrupted; {kept}, and the same command goes on from there", soft_wrap=True
+    )
     raise typer.Exit(130 if isinstance(end, KeyboardInterrupt) else int(end.code or 0)) from end
 
 
@@ -163,12 +208,22 @@ def _tell(told: dict[str, Any], folder: "SweepFolder", where: Path, *, json: boo
         print_json(told)
     else:
         new = f"{told['flown']:,} of them now in {told['seconds']:.1f} s, {told['runs_per_second']:.1f} runs/s"
-        OUT.print(f"{told['rows']:,} runs, {new}; in {folder.violated:,} the UGV was lost from sight", soft_wrap=True)
-        OUT.print(f"  {told['file']}\n  outrider report {shlex.quote(str(where))} draws them", soft_wrap=True)
+        OUT.print(
+            f"{told['rows']:,} runs, {new}; in {folder.violated:,} the UGV was lost from sight",
+            soft_wrap=True,
+        )
+        OUT.print(
+            f"  {told['file']}\n  outrider report {shlex.quote(str(where))} draws them",
+            soft_wrap=True,
+        )
     if folder.failed:
         reason = next(_errors(folder), "")
         again = "the same command flies them again"
-        ERR.print(f"outrider: {folder.failed} of {told['rows']:,} runs failed: {reason}; {again}", soft_wrap=True, markup=False)
+        ERR.print(
+            f"outrider: {folder.failed} of {told['rows']:,} runs failed: {reason}; {again}",
+            soft_wrap=True,
+            markup=False,
+        )
         raise typer.Exit(1)
 
 
@@ -177,4 +232,6 @@ def _errors(folder: "SweepFolder") -> "Iterator[str]":
 
     head = read_head(folder.path)
     if head is not None:
-        yield from (error for error in read_results(folder.path, head.columns)["error"] if error is not None)
+        yield from (
+            error for error in read_results(folder.path, head.columns)["error"] if error is not None
+        )

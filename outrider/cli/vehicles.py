@@ -20,13 +20,19 @@ from outrider.cli.options import (
 
 JoinTimeout = Annotated[
     float,
-    typer.Option(help="Seconds to wait for a simulator or router that is away.", min=0.0, envvar="OUTRIDER_JOIN_TIMEOUT"),
+    typer.Option(
+        help="Seconds to wait for a simulator or router that is away.",
+        min=0.0,
+        envvar="OUTRIDER_JOIN_TIMEOUT",
+    ),
 ]
 
 
 def uav(
     connect: Connect = DEFAULT_ENDPOINT,
-    name: Annotated[str, typer.Option(help="The UAV's name in the scenario.", envvar="OUTRIDER_NAME")] = "uav_0",
+    name: Annotated[
+        str, typer.Option(help="The UAV's name in the scenario.", envvar="OUTRIDER_NAME")
+    ] = "uav_0",
     run: RunName = DEFAULT_RUN,
     credentials: CredentialFile = None,
     join_timeout: JoinTimeout = 30.0,
@@ -51,12 +57,21 @@ def uav(
         path=load_function(path, what="path"),
     )
     credential = credential_of(credentials, Role.UAV, name)
-    fly(Party(role=Role.UAV, name=name), maker, connect=connect, run=run, credential=credential, join_timeout=join_timeout)
+    fly(
+        Party(role=Role.UAV, name=name),
+        maker,
+        connect=connect,
+        run=run,
+        credential=credential,
+        join_timeout=join_timeout,
+    )
 
 
 def ugv(
     connect: Connect = DEFAULT_ENDPOINT,
-    name: Annotated[str, typer.Option(help="The UGV's name in the scenario.", envvar="OUTRIDER_NAME")] = "ugv_0",
+    name: Annotated[
+        str, typer.Option(help="The UGV's name in the scenario.", envvar="OUTRIDER_NAME")
+    ] = "ugv_0",
     run: RunName = DEFAULT_RUN,
     credentials: CredentialFile = None,
     join_timeout: JoinTimeout = 30.0,
@@ -77,7 +92,14 @@ def ugv(
     check_endpoints((connect,), secured=True, insecure=False)
     credential = credential_of(credentials, Role.UGV, name)
     maker = ugv_maker(policy=load_function(policy, what="policy"), policy_name=policy)
-    fly(Party(role=Role.UGV, name=name), maker, connect=connect, run=run, credential=credential, join_timeout=join_timeout)
+    fly(
+        Party(role=Role.UGV, name=name),
+        maker,
+        connect=connect,
+        run=run,
+        credential=credential,
+        join_timeout=join_timeout,
+    )
 
 
 def _hold(leash: bool) -> None:

@@ -52,7 +52,12 @@ class _Fresh(StaticFiles):
 
 
 def serve(
-    hub: Hub, listening: socket.socket, admission: Admission, *, controls: BuildControls | None, ready: Callable[[], None]
+    hub: Hub,
+    listening: socket.socket,
+    admission: Admission,
+    *,
+    controls: BuildControls | None,
+    ready: Callable[[], None],
 ) -> None:
     """Serve the page until SIGINT or SIGTERM.
 
@@ -68,7 +73,8 @@ def serve(
         lifespan="on",
         log_level="warning",
         access_log=False,
-        # Whoever asks is who is connected: a header must not give one another address, with tries at the token of its own.
+        # Whoever asks is who is connected: a header must not give one another address, with tries at the token of
+        # its own.
         proxy_headers=False,
         server_header=False,
         ws_per_message_deflate=False,
@@ -78,7 +84,9 @@ def serve(
     uvicorn.Server(config).run(sockets=[listening])
 
 
-def application(hub: Hub, admission: Admission, *, controls: BuildControls | None, ready: Callable[[], None]) -> ASGIApp:
+def application(
+    hub: Hub, admission: Admission, *, controls: BuildControls | None, ready: Callable[[], None]
+) -> ASGIApp:
     """All that is served, with what guards it; once a process, as NiceGUI is there once.
 
     Args:
@@ -91,7 +99,10 @@ def application(hub: Hub, admission: Admission, *, controls: BuildControls | Non
 
     @contextlib.asynccontextmanager
     async def living(_app: FastAPI) -> AsyncIterator[None]:
-        following = [asyncio.create_task(hub.follow()), asyncio.create_task(visitors.follow(time.time))]
+        following = [
+            asyncio.create_task(hub.follow()),
+            asyncio.create_task(visitors.follow(time.time)),
+        ]
         ready()
         yield
         for task in following:
@@ -138,7 +149,12 @@ async def _words(channel: WebSocket) -> AsyncIterator[str]:
 
 
 async def _send_frames(hub: Hub, browser: Browser, channel: WebSocket) -> None:
-    hello = {"kind": "hello", "number": browser.number, "colors": colors(), "steer": hub.source.may_steer}
+    hello = {
+        "kind": "hello",
+        "number": browser.number,
+        "colors": colors(),
+        "steer": hub.source.may_steer,
+    }
     with contextlib.suppress(WebSocketDisconnect, RuntimeError):
         await channel.send_text(msgspec.json.encode(hello).decode())
         while True:

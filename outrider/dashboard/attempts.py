@@ -87,11 +87,16 @@ class Attempts:
         return max(0.0, row.next - self._clock())
 
     def _row(self, owner: str) -> _Address | None:
-        """What is known of an address; None where there is no room for another: each that is known has a try that waits."""
+        """What is known of an address; None where there is no room for another.
+
+        Each that is known has a try that waits.
+        """
         row = self._addresses.get(owner)
         if row is None:
             if len(self._addresses) >= _ADDRESSES:
-                idle = next((name for name, old in self._addresses.items() if not old.waiting), None)
+                idle = next(
+                    (name for name, old in self._addresses.items() if not old.waiting), None
+                )
                 if idle is None:
                     return None
                 del self._addresses[idle]

@@ -19,7 +19,8 @@ _PATIENCE = 2.0
 
 _STICK = """<div id="stick" aria-label="joystick" role="slider" aria-valuetext="centred"><i></i></div><div class="hints">
 <div id="who"></div><div><kbd>&larr;</kbd><kbd>&uarr;</kbd><kbd>&darr;</kbd><kbd>&rarr;</kbd> or
-<kbd>W</kbd><kbd>A</kbd><kbd>S</kbd><kbd>D</kbd></div><div><kbd>space</kbd> brakes</div><div id="pad">no gamepad</div></div>"""
+<kbd>W</kbd><kbd>A</kbd><kbd>S</kbd><kbd>D</kbd></div><div><kbd>space</kbd> brakes</div><div id="pad">no
+gamepad</div></div>"""
 
 
 class Controls:
@@ -41,15 +42,35 @@ class Controls:
 
     def _build_run(self) -> None:
         with ui.element("div").classes("row-of"):
-            self._pause = ui.button("Pause", icon="pause", on_click=self._toggle_pause).props("unelevated dense").classes("grow")
-            self._step = ui.button("Step", icon="skip_next", on_click=self._make_step).props("outline dense").classes("grow")
-            self._ticks = ui.number("ticks", value=1, min=1, max=1_000_000, precision=0).props("dense outlined").classes("narrow")
+            self._pause = (
+                ui.button("Pause", icon="pause", on_click=self._toggle_pause)
+                .props("unelevated dense")
+                .classes("grow")
+            )
+            self._step = (
+                ui.button("Step", icon="skip_next", on_click=self._make_step)
+                .props("outline dense")
+                .classes("grow")
+            )
+            self._ticks = (
+                ui.number("ticks", value=1, min=1, max=1_000_000, precision=0)
+                .props("dense outlined")
+                .classes("narrow")
+            )
         with ui.element("div").classes("row-of"):
-            self._lockstep = ui.switch("lockstep", value=True, on_change=self._set_speed).props("dense")
-            self._speed = ui.slider(min=-1.0, max=2.0, step=0.1, value=0.0).props("aria-label=speed").classes("grow")
+            self._lockstep = ui.switch("lockstep", value=True, on_change=self._set_speed).props(
+                "dense"
+            )
+            self._speed = (
+                ui.slider(min=-1.0, max=2.0, step=0.1, value=0.0)
+                .props("aria-label=speed")
+                .classes("grow")
+            )
             self._speed.on("change", self._set_speed)
             self._factor = (
-                ui.label("").classes("readout").bind_text_from(self._speed, "value", lambda value: f"{factor_of(value):g} ×")
+                ui.label("")
+                .classes("readout")
+                .bind_text_from(self._speed, "value", lambda value: f"{factor_of(value):g} ×")
             )
             self._speed.bind_enabled_from(self._lockstep, "value", lambda lockstep: not lockstep)
         with ui.element("div").classes("row-of"):
@@ -62,13 +83,15 @@ class Controls:
 
     def _build_wheel(self) -> None:
         with ui.element("div").classes("row-of"):
-            ui.html('<select id="wheel-vehicle" aria-label="which UGV"></select>', sanitize=False).classes("vehicle-place")
-            ui.button("Take the wheel", icon="sports_esports").props("unelevated dense color=accent id=take").classes(
-                "grow take"
-            ).on("click", js_handler="() => window.outrider.take()")
-            ui.button("Hand back").props("outline dense color=accent id=back").classes("grow back").on(
-                "click", js_handler="() => window.outrider.back()"
-            )
+            ui.html(
+                '<select id="wheel-vehicle" aria-label="which UGV"></select>', sanitize=False
+            ).classes("vehicle-place")
+            ui.button("Take the wheel", icon="sports_esports").props(
+                "unelevated dense color=accent id=take"
+            ).classes("grow take").on("click", js_handler="() => window.outrider.take()")
+            ui.button("Hand back").props("outline dense color=accent id=back").classes(
+                "grow back"
+            ).on("click", js_handler="() => window.outrider.back()")
         ui.html(_STICK, sanitize=False).classes("stick-row")
         with ui.element("div").classes("row-of"):
             ui.label("full speed").classes("muted")
@@ -86,8 +109,16 @@ class Controls:
         laws = [name for name in LAW_NAMES if name not in _OWN]
         drivers = [name for name in DRIVER_NAMES if name not in (TELEOP, *_OWN)]
         with ui.element("div").classes("row-of"):
-            self._law = ui.select(laws, label="law", on_change=self._set_law).props("dense outlined").classes("grow")
-            self._driver = ui.select(drivers, label="driver", on_change=self._set_driver).props("dense outlined").classes("grow")
+            self._law = (
+                ui.select(laws, label="law", on_change=self._set_law)
+                .props("dense outlined")
+                .classes("grow")
+            )
+            self._driver = (
+                ui.select(drivers, label="driver", on_change=self._set_driver)
+                .props("dense outlined")
+                .classes("grow")
+            )
 
     # What people want
 
@@ -110,7 +141,12 @@ class Controls:
             self._say(Control(action=Action.SPEED, factor=factor))
 
     def _reset(self) -> None:
-        self._say(Control(action=Action.RESET, seed=None if self._seed.value is None else int(self._seed.value)))
+        self._say(
+            Control(
+                action=Action.RESET,
+                seed=None if self._seed.value is None else int(self._seed.value),
+            )
+        )
 
     def _set_law(self) -> None:
         if not self._shows and self._law.value:
@@ -119,7 +155,10 @@ class Controls:
             self._say(Control(action=Action.LAW, law=law))
             self._wanted = ("law", name)
             if known is None:
-                ui.notify(f"{name} gets the default gains: those of the law before are not known here.", type="warning")
+                ui.notify(
+                    f"{name} gets the default gains: those of the law before are not known here.",
+                    type="warning",
+                )
 
     def _set_driver(self) -> None:
         if not self._shows and self._driver.value:
@@ -132,7 +171,9 @@ class Controls:
     def _show_full(self) -> None:
         """The share of the slider as a speed: of the UGV that is driven, or of the fastest."""
         wheel = self._hub.wheel
-        tops = [wheel.top(name) for name in ([wheel.vehicle] if wheel.holder else self._hub.drivers)]
+        tops = [
+            wheel.top(name) for name in ([wheel.vehicle] if wheel.holder else self._hub.drivers)
+        ]
         self._top.set_text(f"{self._full.value * max(tops, default=wheel.top('')):.2f} m/s")
 
     # What is
@@ -164,9 +205,16 @@ class Controls:
     def _tell_refusal(self, status: Status) -> None:
         """Say so if what was chosen here is not what the simulator does."""
         (what, wanted), self._wanted = self._wanted, ("", "")
-        done = {"": True, "law": status.law == wanted, "driver": wanted in self._hub.drivers.values()}
+        done = {
+            "": True,
+            "law": status.law == wanted,
+            "driver": wanted in self._hub.drivers.values(),
+        }
         if not (done[what] or status.paused):
-            ui.notify(f"The simulator has refused the {what} {wanted}: the scenario does not allow it.", type="negative")
+            ui.notify(
+                f"The simulator has refused the {what} {wanted}: the scenario does not allow it.",
+                type="negative",
+            )
 
 
 def factor_of(position: float) -> float:

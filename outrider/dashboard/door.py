@@ -46,9 +46,13 @@ def choose_admission(host: str, token: str, *, wanted: bool = True) -> Admission
     """
     if not wanted:
         if token:
-            raise ScenarioError("--no-token: there is one, in --token or OUTRIDER_TOKEN; leave one of them out")
+            raise ScenarioError(
+                "--no-token: there is one, in --token or OUTRIDER_TOKEN; leave one of them out"
+            )
         if host not in LOOPBACK:
-            raise ScenarioError(f"--no-token: other machines reach --host {host}; allowed is this with {', '.join(LOOPBACK)}")
+            raise ScenarioError(
+                f"--no-token: other machines reach --host {host}; allowed is this with {', '.join(LOOPBACK)}"
+            )
         return Admission()
     if not token:
         return Admission(token=secrets.token_urlsafe(18), ticket=secrets.token_urlsafe(18))
@@ -69,7 +73,9 @@ def open_socket(host: str, port: int, option: str = "--port") -> socket.socket:
         ScenarioError: If the address is none of this machine's, or the port is taken.
     """
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
         opened = socket.socket(family, kind, protocol)
     except OSError as error:
         raise ScenarioError(f"--host {host}: {error.strerror or error}") from error
@@ -79,7 +85,9 @@ def open_socket(host: str, port: int, option: str = "--port") -> socket.socket:
         opened.listen(128)
     except OSError as error:
         opened.close()
-        raise ScenarioError(f"cannot listen on {host}, port {port}: {error.strerror or error}; try another {option}") from error
+        raise ScenarioError(
+            f"cannot listen on {host}, port {port}: {error.strerror or error}; try another {option}"
+        ) from error
     return opened
 
 

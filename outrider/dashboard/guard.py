@@ -1,7 +1,9 @@
-"""Who may look at the page: whoever knows the token or has the ticket, or this machine's own browsers where there is none.
+"""Who may look at the page.
 
-A request is judged by its headers before anything is built for it. Pages of other sites get nothing, whatever the browser sends
-along with their requests: otherwise any page in the same browser could take the wheel.
+Whoever knows the token or has the ticket, or this machine's own browsers where there is none.
+
+A request is judged by its headers before anything is built for it. Pages of other sites get nothing, whatever the
+browser sends along with their requests: otherwise any page in the same browser could take the wheel.
 """
 
 import hmac
@@ -27,7 +29,10 @@ _ORIGIN = re.compile(rf"https?://(?P<authority>{_AUTHORITY})")
 _OPAQUE = "null"
 """Origin of a page that has none: a file, or a frame without rights."""
 _TRUSTED_SITES = ("same-origin", "none")
-"""What `Sec-Fetch-Site` may say: the page itself asks, or the browser's user. Clients that are no browsers do not say it."""
+"""What `Sec-Fetch-Site` may say: the page itself asks, or the browser's user.
+
+Clients that are no browsers do not say it.
+"""
 _ONCE = ("host", "origin", "sec-fetch-site", "cookie")
 _SERVED = re.compile(r"/(token|favicon\.ico|frames|(static|_nicegui|_nicegui_ws)/.*)?")
 """Paths that lead anywhere: for others NiceGUI would build a page that says so."""
@@ -44,7 +49,10 @@ _FORM = f"""<!doctype html><html lang="en"><meta charset="utf-8"><meta name="vie
 <style>{FORM_STYLE}</style><form method="post" action="/token"><h3>Outrider</h3>%s
 <input type="password" name="token" placeholder="token" aria-label="token"
 autocomplete="off" autofocus> <button>Enter</button></form></html>"""
-"""Its own policy of referrers: under the one of all responses, which is none, a browser sends a form as from nowhere."""
+"""Its own policy of referrers.
+
+Under the one of all responses, which is none, a browser sends a form as from nowhere.
+"""
 _NOT_FROM_THERE = "Not from another site: open the page by its address."
 
 
@@ -92,21 +100,29 @@ class Guard:
             return PlainTextResponse("nothing is there", status_code=404)
         return await self._admit(scope, receive, headers)
 
-    def _is_stranger(self, host: re.Match[str], origin: str, said: re.Match[str] | None, site: str | None) -> bool:
+    def _is_stranger(
+        self, host: re.Match[str], origin: str, said: re.Match[str] | None, site: str | None
+    ) -> bool:
         if site is not None and site not in _TRUSTED_SITES:
             return True
         if origin and (said is None or said["authority"].lower() != host[0].lower()):
             return True
         return self._attempts is None and host["host"].strip("[]").lower() not in LOOPBACK
 
-    async def _admit(self, scope: Scope, receive: Receive, headers: dict[str, str]) -> Response | None:
+    async def _admit(
+        self, scope: Scope, receive: Receive, headers: dict[str, str]
+    ) -> Response | None:
         """Let through whoever has the pass, or give it to whoever knows token or ticket."""
         ticket = _ticket_in(scope)
         asked = scope["type"] == "http" and scope["path"] == "/token"
         if self._attempts is None or self._has_pass(headers, scope):
             return RedirectResponse("/", status_code=303) if ticket or asked else None
         if ticket:
-            return self._welcome(scope) if self._takes(ticket) else _form(401, "This address has been used: it opens once.")
+            return (
+                self._welcome(scope)
+                if self._takes(ticket)
+                else _form(401, "This address has been used: it opens once.")
+            )
         given = await _token_in_form(receive) if asked and scope["method"] == "POST" else ""
         if not given:
             return _form(401)

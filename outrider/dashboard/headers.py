@@ -1,4 +1,7 @@
-"""What browsers are told with every response: what may run in the page, and that nobody may frame, guess or follow it."""
+"""What browsers are told with every response.
+
+What may run in the page, and that nobody may frame, guess or follow it.
+"""
 
 import base64
 import hashlib
@@ -37,7 +40,8 @@ _FIXED = {
 def page_policy(nonce: str) -> str:
     """Content-Security-Policy of the page.
 
-    'unsafe-eval' remains: NiceGUI's components are templates that Vue compiles in the browser, and its handlers are text.
+    'unsafe-eval' remains: NiceGUI's components are templates that Vue compiles in the browser, and its handlers
+    are text.
     Scripts and styles in the page's text run by the nonce alone, so what finds its way into the text does not.
     """
     return (

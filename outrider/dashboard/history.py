@@ -38,15 +38,29 @@ class Losses:
         return min(1.0, lost / sent) if sent else None
 
     def dark(self, at: float, *vehicles: str) -> bool:
-        """Whether a blackout is on for one of these vehicles at a time [s]: a planned one, or one that has taken something."""
+        """Whether a blackout is on for one of these vehicles at a time [s].
+
+        A planned one, or one that has taken something.
+        """
         if not self._told:
             return False
-        links = {name: link for name, link in self._told[-1][1].items() if name.split("/")[0] in vehicles}
-        planned = [row for link in links.values() if link.settings is not None for row in link.settings.blackouts]
+        links = {
+            name: link for name, link in self._told[-1][1].items() if name.split("/")[0] in vehicles
+        }
+        planned = [
+            row
+            for link in links.values()
+            if link.settings is not None
+            for row in link.settings.blackouts
+        ]
         if any(start <= at < start + length for start, length in planned):
             return True
-        lately = len(self._told) > 1 and max(at, self._told[-1][0]) - self._told[-2][0] <= 2.0 * _LATELY
-        return lately and any(self._grown(name, -2, lambda now: now.lost.get("blackout", 0)) for name in links)
+        lately = (
+            len(self._told) > 1 and max(at, self._told[-1][0]) - self._told[-2][0] <= 2.0 * _LATELY
+        )
+        return lately and any(
+            self._grown(name, -2, lambda now: now.lost.get("blackout", 0)) for name in links
+        )
 
     def _grown(self, link: str, since: int, count: Callable[[LinkStatus], int]) -> int:
         if len(self._told) < 2 or link not in self._told[-1][1]:
@@ -57,9 +71,10 @@ class Losses:
 class History:
     """Rows of numbers over simulated time, thinned out as the run goes on.
 
-    A row is: time [s], real-time factor; x and y of each vehicle [m]; then for each escort the distance [m], e(t) [m²], the
-    error of the estimate [m] and the age of its newest detection [s] (None without one), the share of detections lost lately,
-    and 1 where there is a blackout.
+    A row is: time [s], real-time factor; x and y of each vehicle [m]; then for each escort the distance [m], e(t)
+    [m²], the
+    error of the estimate [m] and the age of its newest detection [s] (None without one), the share of detections
+    lost lately, and 1 where there is a blackout.
 
     Args:
         room: How many rows there are at most.
@@ -92,7 +107,9 @@ class History:
         """
         vehicles = tuple(truth.vehicles)
         escorts = tuple((escort.uav, escort.ugv) for escort in truth.escorts)
-        if (vehicles, escorts) != (self.vehicles, self.escorts) or (self.newest and truth.time < (self.newest[0] or 0.0)):
+        if (vehicles, escorts) != (self.vehicles, self.escorts) or (
+            self.newest and truth.time < (self.newest[0] or 0.0)
+        ):
             self.vehicles, self.escorts = vehicles, escorts
             self.clear()
         self.newest = _row(truth, factor, dt, self.losses)
@@ -109,7 +126,11 @@ def _row(truth: Truth, factor: float, dt: float, losses: Losses) -> Row:
     for vehicle in truth.vehicles.values():
         row += (round(vehicle.position[0], 3), round(vehicle.position[1], 3))
     for escort in truth.escorts:
-        row += (round(escort.distance, 4), round(escort.coverage_error, 2), _estimate_error(truth, escort, dt))
+        row += (
+            round(escort.distance, 4),
+            round(escort.coverage_error, 2),
+            _estimate_error(truth, escort, dt),
+        )
         lost = losses.share(f"{escort.uav}/detections")
         row += (
             None if escort.report is None else round(escort.report.age, 3),

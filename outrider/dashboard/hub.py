@@ -1,4 +1,6 @@
-"""Between a run, or its recording, and the browsers: the newest of everything, to each as fast as it can take it and not faster.
+"""Between a run, or its recording, and the browsers.
+
+The newest of everything, to each as fast as it can take it and not faster.
 
 Nobody waits for a browser: one that has not drawn its last frames gets no new one.
 """
@@ -130,7 +132,9 @@ class Hub:
     def welcome(self, host: str) -> Browser:
         """A page has opened, on this machine or another."""
         self._numbers += 1
-        browser = Browser(self._numbers, f"browser {self._numbers}" + ("" if host in LOOPBACK else f" at {host}"))
+        browser = Browser(
+            self._numbers, f"browser {self._numbers}" + ("" if host in LOOPBACK else f" at {host}")
+        )
         self.browsers[browser.number] = browser
         return browser
 
@@ -154,7 +158,11 @@ class Hub:
             frame["links"] = None if self.status is None else said_of_links(self.status)
         if browser.map != versions[CoverageMap]:
             frame["map"] = self._raw[CoverageMap]
-        browser.truth, browser.status, browser.map = versions[Truth], versions[Status], versions[CoverageMap]
+        browser.truth, browser.status, browser.map = (
+            versions[Truth],
+            versions[Status],
+            versions[CoverageMap],
+        )
         history = self.history
         if browser.generation != history.generation:
             frame["history"] = {"vehicles": history.vehicles, "escorts": history.escorts}
@@ -175,7 +183,11 @@ class Hub:
             "replay": standing.replay,
             "factor": self.source.factor,
             "browsers": len(self.browsers),
-            "wheel": "mine" if wheel.holder == browser.number else "other" if wheel.holder else "free",
+            "wheel": "mine"
+            if wheel.holder == browser.number
+            else "other"
+            if wheel.holder
+            else "free",
             "driver": wheel.name,
             "vehicle": wheel.vehicle,
             "full": wheel.full,
@@ -192,8 +204,13 @@ def running_law(status: Status, first: Law | None) -> Law | None:
         first: What was flown at first, where that is known.
     """
     changes = status.changes
-    begun = max((k + 1 for k, change in enumerate(changes) if change.control.action is Action.RESET), default=0)
-    chosen = [change.control.law for change in changes[begun:] if change.control.action is Action.LAW]
+    begun = max(
+        (k + 1 for k, change in enumerate(changes) if change.control.action is Action.RESET),
+        default=0,
+    )
+    chosen = [
+        change.control.law for change in changes[begun:] if change.control.action is Action.LAW
+    ]
     complete = begun or len(changes) < _CHANGES
     law = chosen[-1] if chosen else first if complete else None
     return law if law is not None and law.name == status.law else None

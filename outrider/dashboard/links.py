@@ -19,7 +19,10 @@ RECORDING = "No link can be changed: it has all been flown."
 _PATIENCE = 2.0
 """So long the form shows what was chosen before it shows what is [s]."""
 _LEAD = 0.1
-"""Wall time that a wish takes to the simulator at most [s]: a blackout begins after it, so that none of it is over by then."""
+"""Wall time that a wish takes to the simulator at most [s].
+
+A blackout begins after it, so that none of it is over by then.
+"""
 _OWN = "own"
 """Shown as the profile where the settings are none's."""
 
@@ -49,10 +52,14 @@ class LinkForm:
         self._refusals: tuple[str, ...] = ()
         self._off = "" if hub is not None else " disable"
         with ui.element("div").classes("card links-card").props("id=links-card hidden"):
-            ui.html('<span class="title">Links</span><span class="muted">got through · age now</span>', sanitize=False).classes(
-                "head"
+            ui.html(
+                '<span class="title">Links</span><span class="muted">got through · age now</span>',
+                sanitize=False,
+            ).classes("head")
+            ui.html(
+                '<div id="links"></div><div id="link-refusal" class="refused" role="alert"></div>',
+                sanitize=False,
             )
-            ui.html('<div id="links"></div><div id="link-refusal" class="refused" role="alert"></div>', sanitize=False)
             self._build(reason)
         if hub is not None:
             ui.on("choose_link", self._choose)
@@ -61,7 +68,9 @@ class LinkForm:
         if reason:
             ui.label(reason).classes("note reason")
         with ui.element("div").classes("row-of form-head"):
-            self._kind = self._select("link", {ALL: "all", **{str(kind): str(kind) for kind in LinkKind}}, ALL)
+            self._kind = self._select(
+                "link", {ALL: "all", **{str(kind): str(kind) for kind in LinkKind}}, ALL
+            )
             self._vehicle = self._select("of", {ALL: "all"}, ALL)
         with ui.element("div").classes("row-of"):
             self._profile = self._select("profile", [*PROFILES, _OWN], None)
@@ -76,20 +85,32 @@ class LinkForm:
                 "unelevated dense color=negative" + self._off
             )
             self._dark.classes("grow")
-            self._length = ui.number(value=5, min=0.1, max=3600, step=1, suffix="s", on_change=self._name_blackout)
-            self._length.props("dense outlined aria-label='length of the blackout [s]'" + self._off).classes("value")
-        self._note = ui.label("The chosen links differ; what you move is set for all of them, the rest stays.").classes("note")
+            self._length = ui.number(
+                value=5, min=0.1, max=3600, step=1, suffix="s", on_change=self._name_blackout
+            )
+            self._length.props(
+                "dense outlined aria-label='length of the blackout [s]'" + self._off
+            ).classes("value")
+        self._note = ui.label(
+            "The chosen links differ; what you move is set for all of them, the rest stays."
+        ).classes("note")
         self._note.set_visibility(False)
 
     def _select(self, label: str, options: Any, value: str | None) -> ui.select:  # noqa: ANN401 - a list or a dictionary
-        return ui.select(options, label=label, value=value).props("dense outlined" + self._off).classes("grow")
+        return (
+            ui.select(options, label=label, value=value)
+            .props("dense outlined" + self._off)
+            .classes("grow")
+        )
 
     def _slider(
         self, field: str, label: str, unit: str, end: float, step: float, most: float, one: float
     ) -> tuple[ui.slider, ui.number, float]:
         with ui.element("div").classes("row-of slider-row"):
             ui.label(label).classes("slider-label")
-            slider = ui.slider(min=0.0, max=end, step=step, value=0.0).props(f"aria-label='{label} [{unit}]'")
+            slider = ui.slider(min=0.0, max=end, step=step, value=0.0).props(
+                f"aria-label='{label} [{unit}]'"
+            )
             slider.classes("grow")
             number = ui.number(value=0, min=0.0, max=most, step=step, suffix=unit)
             number.props(f"dense outlined aria-label='{label}, number [{unit}]'").classes("value")
@@ -133,15 +154,24 @@ class LinkForm:
 
     def _set(self, field: str, value: float) -> None:
         names = self._chosen
-        if math.isfinite(value) and any(not math.isclose(getattr(self._settings(name), field), value) for name in names):
-            self._send({name: with_field(self._settings(name), field, round(value, 6)) for name in names})
+        if math.isfinite(value) and any(
+            not math.isclose(getattr(self._settings(name), field), value) for name in names
+        ):
+            self._send(
+                {name: with_field(self._settings(name), field, round(value, 6)) for name in names}
+            )
 
     def _set_profile(self) -> None:
         name = self._profile.value
         if not self._shows and name in PROFILES:
             profile = PROFILES[name]
             planned = {link: self._settings(link).blackouts for link in self._chosen}
-            self._send({link: msgspec.structs.replace(profile, blackouts=rows) for link, rows in planned.items()})
+            self._send(
+                {
+                    link: msgspec.structs.replace(profile, blackouts=rows)
+                    for link, rows in planned.items()
+                }
+            )
 
     def _perfect(self) -> None:
         self._send(dict.fromkeys(self._chosen, LinkSettings()))
@@ -154,7 +184,9 @@ class LinkForm:
         if hub is not None and length:
             now = (hub.history.newest[0] if hub.history.newest else 0.0) or 0.0
             now += hub.source.factor * _LEAD
-            self._send({name: darkened(self._settings(name), now, float(length)) for name in self._chosen})
+            self._send(
+                {name: darkened(self._settings(name), now, float(length)) for name in self._chosen}
+            )
 
     def _send(self, wanted: dict[str, LinkSettings]) -> None:
         if self._hub is None:
@@ -189,7 +221,9 @@ class LinkForm:
         owners = sorted({name.split("/")[0] for name in chosen(self._names, self._kind.value, ALL)})
         options = {ALL: "all", **{name: name for name in owners}}
         if self._vehicle.options != options:
-            self._vehicle.set_options(options, value=self._vehicle.value if self._vehicle.value in options else ALL)
+            self._vehicle.set_options(
+                options, value=self._vehicle.value if self._vehicle.value in options else ALL
+            )
 
     def show(self) -> None:
         """Let the form show how the chosen links are set, unless somebody has just touched it."""
@@ -203,7 +237,10 @@ class LinkForm:
             self._offer()
             names = self._chosen
             if names:
-                self._show(self._settings(names[0]), len({words(self._settings(name)) for name in names}) > 1)
+                self._show(
+                    self._settings(names[0]),
+                    len({words(self._settings(name)) for name in names}) > 1,
+                )
         finally:
             self._shows = False
 
@@ -213,7 +250,11 @@ class LinkForm:
             return
         if status.refusals != self._refusals:
             self._refusals, self._said, self._touched = status.refusals, {}, -math.inf
-        done = [name for name, settings in self._said.items() if name in status.links and status.links[name].settings == settings]
+        done = [
+            name
+            for name, settings in self._said.items()
+            if name in status.links and status.links[name].settings == settings
+        ]
         for name in done:
             del self._said[name]
 

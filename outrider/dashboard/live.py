@@ -76,7 +76,10 @@ class Live:
 
     @property
     def factor(self) -> float:
-        """Simulated seconds per second of wall time, over the last second: a status alone counts few ticks in real time."""
+        """Simulated seconds per second of wall time, over the last second.
+
+        A status alone counts few ticks in real time.
+        """
         if len(self._clock) < 2:
             return self._told
         (began, start), (now, end) = self._clock[0], self._clock[-1]
@@ -86,19 +89,30 @@ class Live:
     def standing(self) -> Standing:
         """How it stands, and what is wrong in one line."""
         level, line = self._banner()
-        return Standing(level=level, line=line, router=self._session.connected, simulator=bool(self._simulators))
+        return Standing(
+            level=level, line=line, router=self._session.connected, simulator=bool(self._simulators)
+        )
 
     def _banner(self) -> tuple[str, str]:
         silence = time.monotonic() - self._heard
         if not self._session.connected:
             if self._over:
                 return "info", "The run is over, and its router has left. Waiting for the next one."
-            return "bad", "The router is away: this page is cut off from the run, and shows what it knew last."
+            return (
+                "bad",
+                "The router is away: this page is cut off from the run, and shows what it knew last.",
+            )
         if not self._simulators:
             if self._over:
-                return "info", "The run is over and its simulator has left. Waiting for the next one."
+                return (
+                    "info",
+                    "The run is over and its simulator has left. Waiting for the next one.",
+                )
             if self._seen_simulator:
-                return "bad", "The simulator is gone: its process has died or has lost its way. Waiting for it to come back."
+                return (
+                    "bad",
+                    "The simulator is gone: its process has died or has lost its way. Waiting for it to come back.",
+                )
             return "info", "Waiting for a simulator to join the run."
         if self._over:
             return "info", "The run is over."

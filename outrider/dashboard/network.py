@@ -1,4 +1,7 @@
-"""The radio links as the page sees them: how each is set, in a few words, and what is to be said to set it otherwise."""
+"""The radio links as the page sees them.
+
+How each is set, in a few words, and what is to be said to set it otherwise.
+"""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
@@ -23,22 +26,36 @@ _PHRASES: tuple[tuple[tuple[str, ...], _Say], ...] = (
     (("loss",), lambda s: f"loss {100 * s.loss:.3g} %"),
     (
         ("burst_length", "burst_interval", "burst_loss"),
-        lambda s: f"bursts {s.burst_length:g} s every {s.burst_interval:g} s" if s.burst_length else "no bursts",
+        lambda s: (
+            f"bursts {s.burst_length:g} s every {s.burst_interval:g} s"
+            if s.burst_length
+            else "no bursts"
+        ),
     ),
     (
         ("blackout_interval", "blackout_length"),
-        lambda s: f"dark {s.blackout_length:g} s every {s.blackout_interval:g} s" if s.blackout_interval else "none dark",
+        lambda s: (
+            f"dark {s.blackout_length:g} s every {s.blackout_interval:g} s"
+            if s.blackout_interval
+            else "none dark"
+        ),
     ),
     (("duplicates",), lambda s: f"doubled {100 * s.duplicates:.3g} %"),
     (("reorder", "reorder_delay"), lambda s: f"held back {100 * s.reorder:.3g} %"),
-    (("bandwidth", "queue", "keep"), lambda s: f"{s.bandwidth:g} messages/s" if s.bandwidth else "any rate"),
+    (
+        ("bandwidth", "queue", "keep"),
+        lambda s: f"{s.bandwidth:g} messages/s" if s.bandwidth else "any rate",
+    ),
 )
 """Fields that belong together, of which the first says whether the others count, and what is said of them."""
 
 
 @lru_cache(maxsize=1000)
 def words(settings: LinkSettings) -> str:
-    """The settings in a few words: the nearest profile and what differs from it, or what is not perfect; no planned blackouts."""
+    """The settings in a few words: the nearest profile and what differs from it, or what is not perfect.
+
+    No planned blackouts.
+    """
     said = {name: _differences(settings, profile) for name, profile in PROFILES.items()}
     name = min(said, key=lambda name: len(said[name]) + (name != "perfect"))
     differences = said[name]
@@ -55,10 +72,20 @@ def _differences(settings: LinkSettings, profile: LinkSettings) -> list[str]:
 
 
 def said_of_links(status: Status) -> dict[str, Any]:
-    """What the page shows in words: `of` each link, and of each of the `changes` that is one of links ("" of others)."""
+    """What the page shows in words.
+
+    `of` each link, and of each of the `changes` that is one of links ("" of others).
+    """
     return {
-        "of": {name: words(link.settings) for name, link in status.links.items() if link.settings is not None},
-        "changes": ["" if change.control.settings is None else words(change.control.settings) for change in status.changes],
+        "of": {
+            name: words(link.settings)
+            for name, link in status.links.items()
+            if link.settings is not None
+        },
+        "changes": [
+            "" if change.control.settings is None else words(change.control.settings)
+            for change in status.changes
+        ],
     }
 
 
@@ -68,7 +95,11 @@ def said_of_links(status: Status) -> dict[str, Any]:
 def chosen(names: Iterable[str], kind: str, vehicle: str) -> list[str]:
     """The links of a kind and a vehicle, or of all."""
     parts = {name: name.split("/") for name in names}
-    return [name for name, (owner, what) in parts.items() if kind in (ALL, what) and vehicle in (ALL, owner)]
+    return [
+        name
+        for name, (owner, what) in parts.items()
+        if kind in (ALL, what) and vehicle in (ALL, owner)
+    ]
 
 
 def controls_for(wanted: Mapping[str, LinkSettings], names: Sequence[str]) -> list[Control]:
@@ -81,16 +112,22 @@ def controls_for(wanted: Mapping[str, LinkSettings], names: Sequence[str]) -> li
             controls.append(Control(action=Action.LINK, link=kind, settings=settings[owned[0]]))
             continue
         controls += [
-            Control(action=Action.LINK, link=kind, vehicle=name.split("/")[0], settings=one) for name, one in settings.items()
+            Control(action=Action.LINK, link=kind, vehicle=name.split("/")[0], settings=one)
+            for name, one in settings.items()
         ]
     return controls
 
 
 def darkened(settings: LinkSettings, now: float, length: float) -> LinkSettings:
-    """The settings with one more planned blackout; of those that are over, the oldest are dropped where they are many."""
+    """The settings with one more planned blackout.
+
+    Of those that are over, the oldest are dropped where they are many.
+    """
     over = [row for row in settings.blackouts if sum(row) <= now]
     kept = [row for row in settings.blackouts if sum(row) > now]
-    return msgspec.structs.replace(settings, blackouts=(*over[-_PAST:], *kept, (round(now, 4), length)))
+    return msgspec.structs.replace(
+        settings, blackouts=(*over[-_PAST:], *kept, (round(now, 4), length))
+    )
 
 
 def with_field(settings: LinkSettings, field: str, value: float) -> LinkSettings:

@@ -65,10 +65,19 @@ def colors() -> dict[str, Any]:
 
 
 def _head() -> str:
-    named = {"uav": style.UAV[0], "ugv": style.UGV[0], "limit": style.LIMIT, "good": style.GOOD, "ink": style.INK}
+    named = {
+        "uav": style.UAV[0],
+        "ugv": style.UGV[0],
+        "limit": style.LIMIT,
+        "good": style.GOOD,
+        "ink": style.INK,
+    }
     named |= {"muted": style.MUTED, "rule": style.RULE, "guess": style.UAV[2], "seen": style.UAV[1]}
     stops = ", ".join(to_hex(style.COVERED(k)) for k in (0, 128, 255))
-    variables = "".join(f"--{name}:{value};" for name, value in named.items()) + f"--covered:linear-gradient(90deg,{stops});"
+    variables = (
+        "".join(f"--{name}:{value};" for name, value in named.items())
+        + f"--covered:linear-gradient(90deg,{stops});"
+    )
     return (
         f"<style>:root{{{variables}}}</style><link rel='stylesheet' href='/static/dashboard.css'>"
         "<script type='module' src='/static/main.js'></script>"
@@ -87,7 +96,9 @@ def build_page(controls: BuildControls | None, welcome: Callable[[], None]) -> N
     def show() -> None:
         welcome()
         ui.add_head_html(_head())
-        ui.colors(primary=style.UAV[0], accent=style.UGV[0], negative=style.LIMIT, positive=style.GOOD)
+        ui.colors(
+            primary=style.UAV[0], accent=style.UGV[0], negative=style.LIMIT, positive=style.GOOD
+        )
         with ui.element("div").classes("dashboard"):
             ui.html(_HEADER, sanitize=False).classes("top")
             ui.html(_TILES, sanitize=False).classes("tiles")
@@ -99,6 +110,12 @@ def build_page(controls: BuildControls | None, welcome: Callable[[], None]) -> N
                 else:
                     LinkForm(None, OBSERVER)
                 with ui.element("div").classes("card"):
-                    ui.html('<span class="title">Processes</span><div id="processes"></div>', sanitize=False)
+                    ui.html(
+                        '<span class="title">Processes</span><div id="processes"></div>',
+                        sanitize=False,
+                    )
                 with ui.element("div").classes("card"):
-                    ui.html('<span class="title">What has been changed</span><div id="changes">nothing yet</div>', sanitize=False)
+                    ui.html(
+                        '<span class="title">What has been changed</span><div id="changes">nothing yet</div>',
+                        sanitize=False,
+                    )

@@ -30,7 +30,10 @@ class Player:
         self._hub, self._tape = hub, tape
         self._touched = -math.inf
         with ui.element("div").classes("card"):
-            ui.html('<span class="title">Replay</span><span id="file" class="muted"></span>', sanitize=False).classes("head")
+            ui.html(
+                '<span class="title">Replay</span><span id="file" class="muted"></span>',
+                sanitize=False,
+            ).classes("head")
             self._build_player()
         with ui.element("div").classes("card"):
             ui.html('<span class="title">As it was flown</span>', sanitize=False)
@@ -38,35 +41,57 @@ class Player:
         with ui.element("div").classes("card"):
             ui.html('<span class="title">The wheel</span>', sanitize=False)
             with ui.element("div").classes("row-of"):
-                ui.button("Take the wheel", icon="sports_esports").props("unelevated dense color=accent disable").classes("grow")
+                ui.button("Take the wheel", icon="sports_esports").props(
+                    "unelevated dense color=accent disable"
+                ).classes("grow")
             ui.label("Nobody can drive: this is a recording.").classes("note")
         LinkForm(None, RECORDING)
 
     def _build_player(self) -> None:
         tape = self._tape
         with ui.element("div").classes("row-of"):
-            self._play = ui.button("Pause", icon="pause", on_click=self._toggle).props("unelevated dense").classes("grow")
-            self._step = ui.button("Step", icon="skip_next", on_click=self._make_step).props("outline dense").classes("grow")
-            self._ticks = ui.number("ticks", value=1, min=1, max=1_000_000, precision=0).props("dense outlined").classes("narrow")
+            self._play = (
+                ui.button("Pause", icon="pause", on_click=self._toggle)
+                .props("unelevated dense")
+                .classes("grow")
+            )
+            self._step = (
+                ui.button("Step", icon="skip_next", on_click=self._make_step)
+                .props("outline dense")
+                .classes("grow")
+            )
+            self._ticks = (
+                ui.number("ticks", value=1, min=1, max=1_000_000, precision=0)
+                .props("dense outlined")
+                .classes("narrow")
+            )
         with ui.element("div").classes("row-of"):
             ui.button(icon="replay", on_click=lambda: self._wind(tape.begin)).props(
                 "flat dense round aria-label='to the start'"
             ).classes("small")
             span = max(tape.end - tape.begin, 1e-3)
-            self._at = ui.slider(min=tape.begin, max=tape.begin + span, step=span / 1000.0, value=tape.begin)
+            self._at = ui.slider(
+                min=tape.begin, max=tape.begin + span, step=span / 1000.0, value=tape.begin
+            )
             self._at.props("aria-label=time").classes("grow")
             self._at.on("update:model-value", self._seek, throttle=_THROTTLE)
             self._time = ui.label("").classes("readout wide")
         with ui.element("div").classes("row-of"):
             ui.label("speed").classes("muted")
-            self._speed = ui.slider(min=-1.0, max=2.0, step=0.1, value=position_of(tape.speed)).props("aria-label=speed")
-            self._speed.classes("grow").on("update:model-value", self._set_speed, throttle=_THROTTLE)
+            self._speed = ui.slider(
+                min=-1.0, max=2.0, step=0.1, value=position_of(tape.speed)
+            ).props("aria-label=speed")
+            self._speed.classes("grow").on(
+                "update:model-value", self._set_speed, throttle=_THROTTLE
+            )
             self._factor = ui.label("").classes("readout")
 
     def _build_settings(self) -> None:
         with ui.element("div").classes("row-of"):
             self._law = ui.select([], label="law").props("dense outlined disable").classes("grow")
-            self._driver = ui.select([], label="driver").props("dense outlined disable").classes("grow")
+            self._driver = (
+                ui.select([], label="driver").props("dense outlined disable").classes("grow")
+            )
         with ui.element("div").classes("row-of"):
             self._seed = ui.number("seed").props("dense outlined disable").classes("grow")
             ui.button("Reset", icon="restart_alt").props("outline dense disable")

@@ -33,16 +33,24 @@ class Tape:
 
     may_steer = False
 
-    def __init__(self, recording: Recording, speed: float, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, recording: Recording, speed: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._clock = clock
         self._truths = recording.truths
         self._times = [truth.time for truth in self._truths]
         self._maps = _thinned(coverages(recording.path, flight=recording.number))
         self._map_ticks = [ground.tick for ground in self._maps]
-        self._statuses = _thinned(statuses(recording.path, flight=recording.number)) or [_unknown_status(recording)]
+        self._statuses = _thinned(statuses(recording.path, flight=recording.number)) or [
+            _unknown_status(recording)
+        ]
         self._status_times = [status.time for status in self._statuses]
         # The last ones are told when the flight is over, and count ticks that were not flown.
-        self._factors = [(told.time, told.realtime_factor) for told in self._statuses if not told.over and told.realtime_factor]
+        self._factors = [
+            (told.time, told.realtime_factor)
+            for told in self._statuses
+            if not told.over and told.realtime_factor
+        ]
         self._geometry = None if recording.head.scenario is None else _geometry(recording.scenario)
         self._file = recording.path.name
         self._note = recording.damage.reason
@@ -113,7 +121,10 @@ class Tape:
             return
         first = self._truth + 1 if index > self._truth else 0
         self._truth = index
-        for truth in (*self._truths[first : index : max(1, (index - first) // _PAST)], self._truths[index]):
+        for truth in (
+            *self._truths[first : index : max(1, (index - first) // _PAST)],
+            self._truths[index],
+        ):
             if self._status_index(truth.time) != self._status_given:
                 yield self._status(truth)
             self._given = truth.time

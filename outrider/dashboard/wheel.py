@@ -26,7 +26,9 @@ class Wheel:
         drive: Says something to a UGV: its name, and what is wanted.
     """
 
-    def __init__(self, control: Callable[[Control], bool], drive: Callable[[str, Drive], bool]) -> None:
+    def __init__(
+        self, control: Callable[[Control], bool], drive: Callable[[str, Drive], bool]
+    ) -> None:
         self._control, self._drive = control, drive
         self._before: dict[str, str] = {}
         self._taken = self._heard = self._said = 0.0
@@ -81,8 +83,12 @@ class Wheel:
         if self.holder not in (0, browser):
             return
         self.release()
-        for vehicle in [name for name, driver in drivers.items() if driver == TELEOP and name in self._before]:
-            self._control(Control(action=Action.DRIVER, vehicle=vehicle, driver=self._before.pop(vehicle)))
+        for vehicle in [
+            name for name, driver in drivers.items() if driver == TELEOP and name in self._before
+        ]:
+            self._control(
+                Control(action=Action.DRIVER, vehicle=vehicle, driver=self._before.pop(vehicle))
+            )
 
     def release(self) -> None:
         """Take the hand off: the vehicle brakes, and the wheel is free."""
@@ -103,7 +109,9 @@ class Wheel:
     def check(self, drivers: Mapping[str, str]) -> None:
         """Free the wheel of whoever has fallen silent, or of whose vehicle somebody else has been seated in."""
         now = time.monotonic()
-        unseated = drivers.get(self.vehicle, "") not in ("", TELEOP) and now - self._taken > _SETTLING
+        unseated = (
+            drivers.get(self.vehicle, "") not in ("", TELEOP) and now - self._taken > _SETTLING
+        )
         if self.holder and (unseated or now - self._heard > _PATIENCE):
             self.release()
 
@@ -114,4 +122,8 @@ class Wheel:
     def strangers(self, drivers: Mapping[str, str]) -> list[str]:
         """The UGVs that obey an operator whom nobody here has seated: another operator may drive them."""
         mine = self.vehicle if self.holder else ""
-        return [name for name, driver in drivers.items() if driver == TELEOP and name not in self._before and name != mine]
+        return [
+            name
+            for name, driver in drivers.items()
+            if driver == TELEOP and name not in self._before and name != mine
+        ]

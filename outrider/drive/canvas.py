@@ -42,7 +42,9 @@ class Canvas:
             share = step / steps
             self.dot(x0 + (x1 - x0) * share, y0 + (y1 - y0) * share, color)
 
-    def circle(self, x: float, y: float, radius: float, color: str, *, dashed: bool = False) -> None:
+    def circle(
+        self, x: float, y: float, radius: float, color: str, *, dashed: bool = False
+    ) -> None:
         """Dots around a point."""
         steps = min(max(int(2.0 * math.pi * radius), 8), 10_000)
         for step in range(steps):
@@ -75,7 +77,9 @@ class Canvas:
                 segments.append(_segment(text, style))
                 text = ""
             style = own
-            text += letter or (chr(_BLANK | self._bits[row][column]) if self._bits[row][column] else " ")
+            text += letter or (
+                chr(_BLANK | self._bits[row][column]) if self._bits[row][column] else " "
+            )
         if text:
             segments.append(_segment(text, style))
         return segments

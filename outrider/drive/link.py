@@ -84,11 +84,21 @@ class Link:
         status: The first one, if it has been read already.
     """
 
-    def __init__(self, session: Session, vehicle: str, *, speed: float, back: str = "", status: Status | None = None) -> None:
+    def __init__(
+        self,
+        session: Session,
+        vehicle: str,
+        *,
+        speed: float,
+        back: str = "",
+        status: Status | None = None,
+    ) -> None:
         self.vehicle = vehicle
         self._session = session
         self._drives, self._controls = session.outbox(OPERATOR, vehicle), session.outbox(CONTROL)
-        self._statuses, self._truths, self._maps = (session.inbox(key) for key in (STATUS, GLANCE, COVERAGE))
+        self._statuses, self._truths, self._maps = (
+            session.inbox(key) for key in (STATUS, GLANCE, COVERAGE)
+        )
         self._wheel = Wheel(speed)
         self._lock = threading.Lock()
         self._nudge = threading.Event()
@@ -100,9 +110,15 @@ class Link:
         self._heard = time.monotonic()
         self._back, self._before = back, ""
         self._leaving = False
-        self._taken = self._granted = False  # whether the wheel must be handed back, and whether it was ours already
-        self._braked = self._moving = False  # whether a brake must be told, and whether the last word was a velocity
-        self._asked = self._sent = self._left = -math.inf  # when the wheel was asked for, a word said, the wheel left [s]
+        self._taken = self._granted = (
+            False  # whether the wheel must be handed back, and whether it was ours already
+        )
+        self._braked = self._moving = (
+            False  # whether a brake must be told, and whether the last word was a velocity
+        )
+        self._asked = self._sent = (
+            self._left
+        ) = -math.inf  # when the wheel was asked for, a word said, the wheel left [s]
         self._fault = ""
         self._error: Exception | None = None
         self.handed_to = ""
@@ -167,7 +183,11 @@ class Link:
         if self._left > self._asked:
             return f"{self.vehicle} was to be handed back to {self._heir()}; nobody has confirmed it yet"
         if self._taken:
-            why = "say --back DRIVER" if self._simulators and not self._heir() else "the simulator has gone"
+            why = (
+                "say --back DRIVER"
+                if self._simulators and not self._heir()
+                else "the simulator has gone"
+            )
             return f"{self.vehicle} could not be handed back ({why}); it brakes without an operator"
         return f"{self.vehicle} was left to {self._driver() or 'its driver'}"
 
@@ -228,7 +248,9 @@ class Link:
         wanted = self._wheel.velocity(now)
         if not self._simulators or self._status is None or self._status.over:
             self._wheel.release()
-            self._braked = self._moving = False  # nobody hears; the vehicle brakes when its operator is silent
+            self._braked = self._moving = (
+                False  # nobody hears; the vehicle brakes when its operator is silent
+            )
             return
         if wanted is not None or self._braked:
             self._take(now)
@@ -261,7 +283,9 @@ class Link:
 
     def _read(self, now: float) -> None:
         try:
-            status, truth, coverage = (_newest(inbox) for inbox in (self._statuses, self._truths, self._maps))
+            status, truth, coverage = (
+                _newest(inbox) for inbox in (self._statuses, self._truths, self._maps)
+            )
         except BusError as error:
             self._fault = str(error)
             return
@@ -287,7 +311,11 @@ class Link:
     def _last_driver(self) -> str:
         """Who drove before an operator who has not handed the wheel back, as far as the status still tells."""
         changes = () if self._status is None else self._status.changes
-        mine = [change.control.driver for change in changes if change.control.vehicle in (None, self.vehicle)]
+        mine = [
+            change.control.driver
+            for change in changes
+            if change.control.vehicle in (None, self.vehicle)
+        ]
         return next((driver for driver in reversed(mine) if driver and driver != TELEOP), "")
 
     def _driver(self) -> str:
@@ -299,10 +327,16 @@ class Link:
         return min(max(_HOLD / 3.0 / max(factor, 1e-3), _SEND_FASTEST), _SEND)
 
     def _control(self, driver: str) -> None:
-        self._send(lambda: self._controls.send(Control(action=Action.DRIVER, vehicle=self.vehicle, driver=driver)))
+        self._send(
+            lambda: self._controls.send(
+                Control(action=Action.DRIVER, vehicle=self.vehicle, driver=driver)
+            )
+        )
 
     def _say(self, velocity: tuple[float, float] | None, now: float) -> None:
-        self._send(lambda: self._drives.send(Drive(driver=self._session.party.name, velocity=velocity)))
+        self._send(
+            lambda: self._drives.send(Drive(driver=self._session.party.name, velocity=velocity))
+        )
         self._sent, self._moving, self._braked = now, velocity is not None, False
 
     def _send(self, deed: Callable[[], None]) -> None:

@@ -44,7 +44,10 @@ class History:
         """Smooth the real-time factor."""
         if status.tick != self.pace_tick:
             before = status.realtime_factor if self.pace is None else self.pace
-            self.pace, self.pace_tick = before + _SMOOTH * (status.realtime_factor - before), status.tick
+            self.pace, self.pace_tick = (
+                before + _SMOOTH * (status.realtime_factor - before),
+                status.tick,
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +63,11 @@ def farthest(view: View, vehicle: str) -> EscortTruth | None:
     """Of the UAVs that escort this UGV, the one that is farthest away."""
     if view.truth is None:
         return None
-    return max((escort for escort in view.truth.escorts if escort.ugv == vehicle), key=lambda one: one.distance, default=None)
+    return max(
+        (escort for escort in view.truth.escorts if escort.ugv == vehicle),
+        key=lambda one: one.distance,
+        default=None,
+    )
 
 
 def banner(view: View, vehicle: str, *, leaving: bool) -> Banner:
@@ -77,9 +84,19 @@ def banner(view: View, vehicle: str, *, leaving: bool) -> Banner:
         does = "paused" if paused else "driving" if view.wanted is not None else "braking"
         return Banner(text=f"YOU DRIVE {vehicle} · {does}", color="#12151a", ground=UGV[0])
     if view.asked:
-        return Banner(text=f"taking the wheel of {vehicle}{' (paused)' if paused else ''}", color="#12151a", ground=UGV[1])
-    who = f"{view.driver} drives {vehicle}" if view.driver else f"nobody is known to drive {vehicle}"
-    return Banner(text=f"{who}{' (paused)' if paused else ''} · an arrow key takes the wheel", color=INK, ground=EDGE)
+        return Banner(
+            text=f"taking the wheel of {vehicle}{' (paused)' if paused else ''}",
+            color="#12151a",
+            ground=UGV[1],
+        )
+    who = (
+        f"{view.driver} drives {vehicle}" if view.driver else f"nobody is known to drive {vehicle}"
+    )
+    return Banner(
+        text=f"{who}{' (paused)' if paused else ''} · an arrow key takes the wheel",
+        color=INK,
+        ground=EDGE,
+    )
 
 
 def _trouble(view: View) -> str:
@@ -105,7 +122,10 @@ def title(view: View, run: str) -> Text:
 
 
 def _time(view: View) -> float:
-    return max(view.truth.time if view.truth is not None else 0.0, view.status.time if view.status is not None else 0.0)
+    return max(
+        view.truth.time if view.truth is not None else 0.0,
+        view.status.time if view.status is not None else 0.0,
+    )
 
 
 def _total(status: Status) -> str:
@@ -139,7 +159,13 @@ def _distance(text: Text, view: View, escort: EscortTruth | None) -> None:
     _row(text, name, "-" if distance is None else f"{distance:.2f} m", color, bold=True)
     margin = "-" if distance is None or r_v is None else f"{r_v - distance:+.2f} m"
     text.append_text(_gauge(distance, r_v, r_s, color))
-    _row(text, "margin to r_v" + (f" = {r_v:g} m" if r_v is not None else ""), margin, color, bold=True)
+    _row(
+        text,
+        "margin to r_v" + (f" = {r_v:g} m" if r_v is not None else ""),
+        margin,
+        color,
+        bold=True,
+    )
     text.append("\n")
 
 
@@ -158,24 +184,42 @@ def _gauge(distance: float | None, r_v: float | None, r_s: float | None, color: 
     gauge = Text(bar, style=f"{color} on {EDGE}")
     if r_v is not None and r_s is not None and 0.0 < r_s < r_v:
         mark = int(r_s / r_v * _INNER)
-        gauge = gauge[:mark] + Text("┆", style=f"{LIMIT} on {color if mark < full else EDGE}") + gauge[mark + 1 :]
+        gauge = (
+            gauge[:mark]
+            + Text("┆", style=f"{LIMIT} on {color if mark < full else EDGE}")
+            + gauge[mark + 1 :]
+        )
     return gauge + Text("\n")
 
 
 def _coverage(text: Text, escort: EscortTruth | None, history: History) -> None:
-    _row(text, "coverage error e(t)", "-" if escort is None else f"{escort.coverage_error:.1f} m²", bold=True)
+    _row(
+        text,
+        "coverage error e(t)",
+        "-" if escort is None else f"{escort.coverage_error:.1f} m²",
+        bold=True,
+    )
     low, high = min(history.errors, default=0.0), max(history.errors, default=0.0)
     width = max(high - low, 1e-9)
-    text.append("".join(_BARS[int((error - low) / width * 7.99)] for error in history.errors).rjust(_INNER), style=UAV[0])
+    text.append(
+        "".join(_BARS[int((error - low) / width * 7.99)] for error in history.errors).rjust(_INNER),
+        style=UAV[0],
+    )
     text.append("\n\n")
 
 
 def _velocities(text: Text, view: View, vehicle: str, escort: EscortTruth | None) -> None:
-    text.append("velocity".ljust(12) + "x".rjust(6) + "y".rjust(7) + "m/s".rjust(_INNER - 25) + "\n", style=FAINT)
+    text.append(
+        "velocity".ljust(12) + "x".rjust(6) + "y".rjust(7) + "m/s".rjust(_INNER - 25) + "\n",
+        style=FAINT,
+    )
     wanted = view.wanted if view.wanted is not None else (0.0, 0.0) if view.mine else None
     _velocity(text, "you want", wanted, UGV[0])
     vehicles = view.truth.vehicles if view.truth is not None else {}
-    for name, color in ((vehicle, UGV[0]), *(((escort.uav, UAV[0]),) if escort is not None else ())):
+    for name, color in (
+        (vehicle, UGV[0]),
+        *(((escort.uav, UAV[0]),) if escort is not None else ()),
+    ):
         _velocity(text, name, vehicles[name].velocity if name in vehicles else None, color)
     text.append("\n")
 

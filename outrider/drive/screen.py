@@ -67,8 +67,15 @@ class DriveApp(App[int]):
     #map {{ width: 1fr; height: 100%; }}
     """
     BINDINGS: ClassVar[list[BindingType]] = [
-        *(Binding(key, f"press('{heading.name}')", show=False) for key, heading in HEADINGS.items()),
-        *(Binding(key.upper(), f"press('{heading.name}')", show=False) for key, heading in HEADINGS.items() if len(key) == 1),
+        *(
+            Binding(key, f"press('{heading.name}')", show=False)
+            for key, heading in HEADINGS.items()
+        ),
+        *(
+            Binding(key.upper(), f"press('{heading.name}')", show=False)
+            for key, heading in HEADINGS.items()
+            if len(key) == 1
+        ),
         Binding("space", "brake", show=False),
         Binding("plus,equals_sign", "faster(1)", show=False),
         Binding("minus", "faster(-1)", show=False),
@@ -136,7 +143,9 @@ class DriveApp(App[int]):
         widget = self.query_one(TopView)
         width, height = widget.size
         if widget.display and width and height:
-            widget.canvas = draw(view, self._link.vehicle, self._trails, width=width, height=height, wide=self._wide)
+            widget.canvas = draw(
+                view, self._link.vehicle, self._trails, width=width, height=height, wide=self._wide
+            )
             widget.refresh()
 
     def action_press(self, name: str) -> None:
@@ -168,7 +177,13 @@ class DriveApp(App[int]):
 
 def _keys(view: View) -> Text:
     text = Text(no_wrap=True, overflow="ellipsis")
-    words = ("WASD ←↑↓→", "drive"), ("space", "brake"), ("+-", f"{view.speed:.2f} m/s"), ("h", "hand back"), ("z", "zoom")
+    words = (
+        ("WASD ←↑↓→", "drive"),
+        ("space", "brake"),
+        ("+-", f"{view.speed:.2f} m/s"),
+        ("h", "hand back"),
+        ("z", "zoom"),
+    )
     for key, word in (*words, ("q", "leave")):
         text.append(f" {key}", style=f"bold {INK}")
         text.append(f" {word} ", style=FAINT)

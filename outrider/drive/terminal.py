@@ -15,7 +15,9 @@ from bus.errors import ScenarioError
 from outrider.drive.link import Link
 
 _GRACE, _PATIENCE = 2.0, 15.0
-"""How long the screen may take to close once all is handed back [s], after a signal and after a key: a terminal that has gone
+"""How long the screen may take to close once all is handed back [s], after a signal and after a key.
+
+A terminal that has gone
 never does, one that has just told a key is slow at worst."""
 _LEAVE = b"\x1b[<u\x1b[?1049l\x1b[?25h\x1b[?1004l\x1b[?2004l\x1b[?7h"
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -27,13 +29,22 @@ def check_terminal() -> None:
     Raises:
         ScenarioError: If standard input, output or error is none.
     """
-    for name, stream in (("input", sys.__stdin__), ("output", sys.__stdout__), ("error", sys.__stderr__)):
+    for name, stream in (
+        ("input", sys.__stdin__),
+        ("output", sys.__stdout__),
+        ("error", sys.__stderr__),
+    ):
         if stream is None or not stream.isatty():
-            raise ScenarioError(f"drive: standard {name} is no terminal; over SSH use `ssh -t`, in a container `-it`")
+            raise ScenarioError(
+                f"drive: standard {name} is no terminal; over SSH use `ssh -t`, in a container `-it`"
+            )
 
 
 def know_colours() -> None:
-    """Count on 256 colours where the terminal says no more than `xterm`, as in containers; to be called before Textual loads."""
+    """Count on 256 colours where the terminal says no more than `xterm`, as in containers.
+
+    To be called before Textual loads.
+    """
     if os.environ.get("TERM") in ("xterm", "screen", "tmux") and not os.environ.get("COLORTERM"):
         os.environ.setdefault("TEXTUAL_COLOR_SYSTEM", "256")
 
@@ -69,10 +80,14 @@ def ending(link: Link) -> Iterator[Ending]:
     """While this lasts, SIGINT, SIGTERM and SIGHUP hand the wheel back; afterwards the terminal is as before."""
     descriptor = sys.__stdin__.fileno() if sys.__stdin__ is not None else 0
     attributes = termios.tcgetattr(descriptor)
-    termios.tcflush(descriptor, termios.TCIFLUSH)  # what was typed before there was a screen drives nothing
+    termios.tcflush(
+        descriptor, termios.TCIFLUSH
+    )  # what was typed before there was a screen drives nothing
     end = Ending(link)
     before = {number: signal.signal(number, end.handle) for number in SIGNALS}
-    threading.Thread(target=end.guard, args=(descriptor, attributes), name="outrider-ending", daemon=True).start()
+    threading.Thread(
+        target=end.guard, args=(descriptor, attributes), name="outrider-ending", daemon=True
+    ).start()
     try:
         yield end
     finally:

@@ -50,13 +50,19 @@ class _Window:
     height: int
 
     def dot(self, point: tuple[float, float]) -> tuple[float, float]:
-        return self.width / 2 + (point[0] - self.x) / self.scale, self.height / 2 - (point[1] - self.y) / self.scale
+        return self.width / 2 + (point[0] - self.x) / self.scale, self.height / 2 - (
+            point[1] - self.y
+        ) / self.scale
 
     def point(self, x: float, y: float) -> tuple[float, float]:
-        return self.x + (x - self.width / 2) * self.scale, self.y - (y - self.height / 2) * self.scale
+        return self.x + (x - self.width / 2) * self.scale, self.y - (
+            y - self.height / 2
+        ) * self.scale
 
 
-def draw(view: View, vehicle: str, trails: Trails, *, width: int, height: int, wide: bool) -> Canvas:
+def draw(
+    view: View, vehicle: str, trails: Trails, *, width: int, height: int, wide: bool
+) -> Canvas:
     """The map.
 
     Args:
@@ -89,7 +95,9 @@ def _window(view: View, middle: tuple[float, float], canvas: Canvas, *, wide: bo
         scale = max(area.width / max(width - 4, 1), area.height / max(height - 4, 1))
         return _Window(x=area.width / 2, y=area.height / 2, scale=scale, width=width, height=height)
     reach = _SHOWN * (geometry.visibility_radius if geometry is not None else _UNKNOWN)
-    return _Window(x=middle[0], y=middle[1], scale=2.0 * reach / min(width, height), width=width, height=height)
+    return _Window(
+        x=middle[0], y=middle[1], scale=2.0 * reach / min(width, height), width=width, height=height
+    )
 
 
 def _paint_coverage(canvas: Canvas, window: _Window, coverage: CoverageMap) -> None:
@@ -117,12 +125,17 @@ def _paint_area(canvas: Canvas, window: _Window, view: View) -> None:
             canvas.dot(*window.dot((i * step, j * step)), EDGE)
     if geometry is not None:
         width, height = geometry.area.width, geometry.area.height
-        corners = [window.dot(corner) for corner in ((0.0, 0.0), (width, 0.0), (width, height), (0.0, height))]
+        corners = [
+            window.dot(corner)
+            for corner in ((0.0, 0.0), (width, 0.0), (width, height), (0.0, height))
+        ]
         for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
             canvas.line(*start, *end, FAINT)
 
 
-def _paint_vehicles(canvas: Canvas, window: _Window, view: View, truth: Truth, vehicle: str, trails: Trails) -> None:
+def _paint_vehicles(
+    canvas: Canvas, window: _Window, view: View, truth: Truth, vehicle: str, trails: Trails
+) -> None:
     escorts = {escort.uav for escort in truth.escorts}
     for name, trail in trails.points.items():
         for point in trail:
@@ -132,8 +145,12 @@ def _paint_vehicles(canvas: Canvas, window: _Window, view: View, truth: Truth, v
     if geometry is not None:
         canvas.circle(*window.dot(here), geometry.visibility_radius / window.scale, LIMIT)
         if geometry.switching_radius is not None and geometry.switching_radius > 0.0:
-            canvas.circle(*window.dot(here), geometry.switching_radius / window.scale, LIMIT, dashed=True)
-    for name, state in sorted(truth.vehicles.items(), key=lambda item: (item[0] in escorts, item[0] == vehicle)):
+            canvas.circle(
+                *window.dot(here), geometry.switching_radius / window.scale, LIMIT, dashed=True
+            )
+    for name, state in sorted(
+        truth.vehicles.items(), key=lambda item: (item[0] in escorts, item[0] == vehicle)
+    ):
         x, y = window.dot(state.position)
         mark, color = ("▲", UAV[0]) if name in escorts else ("■", UGV[0])
         canvas.letter(x, y, mark, color)
@@ -144,10 +161,17 @@ def _paint_vehicles(canvas: Canvas, window: _Window, view: View, truth: Truth, v
 _ARROWS = "→↗↑↖←↙↓↘"
 
 
-def _paint_arrow(canvas: Canvas, window: _Window, here: tuple[float, float], wanted: tuple[float, float]) -> None:
+def _paint_arrow(
+    canvas: Canvas, window: _Window, here: tuple[float, float], wanted: tuple[float, float]
+) -> None:
     angle = math.atan2(wanted[1], wanted[0])
     x, y = window.dot(here)
-    canvas.letter(x + 6.0 * math.cos(angle), y - 7.0 * math.sin(angle), _ARROWS[round(4.0 * angle / math.pi) % 8], UGV[0])
+    canvas.letter(
+        x + 6.0 * math.cos(angle),
+        y - 7.0 * math.sin(angle),
+        _ARROWS[round(4.0 * angle / math.pi) % 8],
+        UGV[0],
+    )
 
 
 def _paint_scale(canvas: Canvas, window: _Window) -> None:
@@ -160,4 +184,6 @@ def _paint_scale(canvas: Canvas, window: _Window) -> None:
 def _round_length(least: float) -> float:
     """1, 2 or 5 times a power of ten, not below this."""
     power = 10.0 ** math.floor(math.log10(least))
-    return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= least * 0.999)
+    return next(
+        factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= least * 0.999
+    )

@@ -1,7 +1,8 @@
 """The wheel: what pressed keys want of the UGV. Pure: the clock is an argument.
 
-A terminal tells when a key goes down and repeats it while it is held, but never tells when it is let go. So a key is a dead
-man's switch: it counts for a moment, and its repeats prolong it. Whoever lets go, falls asleep or loses the connection brakes.
+A terminal tells when a key goes down and repeats it while it is held, but never tells when it is let go. So a key
+is a dead man's switch: it counts for a moment, and its repeats prolong it. Whoever lets go, falls asleep or loses the
+connection brakes.
 """
 
 import math
@@ -52,7 +53,11 @@ class Wheel:
         if heading in self._held:
             self._until = max(self._until, now + REPEAT)
             return
-        partners = {one: since for one, since in self._held.items() if one.axis != heading.axis and now - since <= CHORD}
+        partners = {
+            one: since
+            for one, since in self._held.items()
+            if one.axis != heading.axis and now - since <= CHORD
+        }
         self._held = {**partners, heading: now}
         self._until = now + FIRST
 

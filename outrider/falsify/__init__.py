@@ -1,4 +1,7 @@
-"""The search for what breaks the promise: a UGV's motion, start states, noise and network events within declared limits."""
+"""The search for what breaks the promise.
+
+A UGV's motion, start states, noise and network events within declared limits.
+"""
 
 EXTRA = "outrider[falsify]"
 """What has to be installed."""

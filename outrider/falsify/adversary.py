@@ -30,7 +30,10 @@ class Tactics:
     period: int
     """Ticks between two decisions."""
     table: tuple[tuple[float, float], ...]
-    """Angle from straight away [rad] and speed [m/s], while it is near and flies off, neither, comes; then while it is far."""
+    """Angle from straight away [rad] and speed [m/s], while it is near and flies off, neither, comes.
+
+    Then while it is far.
+    """
 
 
 class Adversary:
@@ -50,7 +53,11 @@ class Adversary:
 
     def _wanted(self) -> Vector:
         c, ((a, g),) = self._tactics, self._world.escorts.tolist()
-        p_a, p_g, v_a = self._world.position[a].tolist(), self._world.position[g].tolist(), self._world.velocity[a].tolist()
+        p_a, p_g, v_a = (
+            self._world.position[a].tolist(),
+            self._world.position[g].tolist(),
+            self._world.velocity[a].tolist(),
+        )
         x, y = p_a[0] - p_g[0], p_a[1] - p_g[1]
         distance = math.hypot(x, y)
         outward = (v_a[0] * x + v_a[1] * y) / distance if distance > 0.0 else 0.0
@@ -66,7 +73,9 @@ class Adversary:
         return self._steering.to_velocity(observation, self.script[-1].velocity)
 
 
-def fly_adversary(scenario: Scenario, tactics: Tactics, on_tick: Callable[[Flight], None]) -> tuple[Flight, list[ScriptStep]]:
+def fly_adversary(
+    scenario: Scenario, tactics: Tactics, on_tick: Callable[[Flight], None]
+) -> tuple[Flight, list[ScriptStep]]:
     """Fly a scenario with the adversary at the UGV's wheel.
 
     Args:

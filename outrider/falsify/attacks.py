@@ -20,8 +20,11 @@ CONTROLS = {
     "paper-radius": attack.SWITCH_SERVO,
     "switching": attack.PAPER,
 }
-"""Guards that are known to be wrong: beyond the specification's radius of d_cert tracking (15), or full speed to the detection
-with the least bound; full speed to the newest one beyond a radius that does not know the delay; the paper's law (18)."""
+"""Guards that are known to be wrong.
+
+Beyond the specification's radius of d_cert tracking (15), or full speed to the detection
+with the least bound; full speed to the newest one beyond a radius that does not know the delay; the paper's law
+(18)."""
 
 _CHUNK = 8
 """Runs of a task, after the first round with one for each combination."""
@@ -129,14 +132,21 @@ def _guarded(control: str | None, promise: Promise, conditions: Conditions) -> C
     bounds = attack.PAPER_BOUNDS
     radius = attack.spec_radius(promise, with_latency=control != "paper-radius")
     if control == "switching":
-        radius = float(raw_switching_radius(bounds["r_v"], bounds["v_a"], bounds["v_g"], bounds["u_a"]))
+        radius = float(
+            raw_switching_radius(bounds["r_v"], bounds["v_a"], bounds["v_g"], bounds["u_a"])
+        )
     return conditions._replace(law=CONTROLS[control], radius=radius)
 
 
-def fly_attack(promise: Promise, conditions: Conditions, seed: int, first: int, runs: int, duration: float) -> Attacked:
+def fly_attack(
+    promise: Promise, conditions: Conditions, seed: int, first: int, runs: int, duration: float
+) -> Attacked:
     """A few runs of one combination; for a worker. Arguments as in `outrider.attack.attack`."""
     rows = attack.attack(promise, conditions, seed, first, runs, duration)
-    lost, uncertified = rows[:, attack.MAX_DISTANCE] >= conditions.r_v, rows[:, attack.UNCERTIFIED] > 0.0
+    lost, uncertified = (
+        rows[:, attack.MAX_DISTANCE] >= conditions.r_v,
+        rows[:, attack.UNCERTIFIED] > 0.0,
+    )
     certifies = conditions.law == attack.FILTER
     distance = rows[:, attack.MAX_CERTIFIED if certifies else attack.MAX_DISTANCE]
     violated = rows[:, attack.CERTIFIED_LOST] > 0.0 if certifies else lost
@@ -219,16 +229,29 @@ def run_attack(
     def ends() -> bool:
         return budget.ends() or (first and tally.violations > 0)
 
-    for found in workers.stream(fly_attack, _calls(control, eps, seed, budget.runs, duration), ends):
+    for found in workers.stream(
+        fly_attack, _calls(control, eps, seed, budget.runs, duration), ends
+    ):
         tally.take(found, new=found.runs == 1 and tally.runs == tally.combinations)
         on_task()
 
 
 def again(found: Attacked, seed: int) -> str:
     """The worst run as a line of Python that flies it again."""
-    changed = {name: value for name, value in found.conditions._asdict().items() if value != Conditions._field_defaults[name]}
-    changed = {name: value for name, value in changed.items() if name not in ("law", "radius") or found.conditions.law}
-    told = ", ".join(f"{name}=math.inf" if value == math.inf else f"{name}={value!r}" for name, value in changed.items())
+    changed = {
+        name: value
+        for name, value in found.conditions._asdict().items()
+        if value != Conditions._field_defaults[name]
+    }
+    changed = {
+        name: value
+        for name, value in changed.items()
+        if name not in ("law", "radius") or found.conditions.law
+    }
+    told = ", ".join(
+        f"{name}=math.inf" if value == math.inf else f"{name}={value!r}"
+        for name, value in changed.items()
+    )
     conditions = f"c = a.Conditions({told})"
     bounds = "".join(f", {name}={value!r}" for name, value in found.bounds.items())
     return f"{conditions}; a.attack(a.declared(c, {found.eps!r}{bounds}), c, {seed}, {found.worst_run}, 1, {found.duration!r})[0]"

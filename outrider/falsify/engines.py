@@ -140,7 +140,9 @@ class Found:
         }
 
 
-def search(found: Found, *, asked: Callable[[], bool], on_run: Callable[[str, float], None]) -> None:
+def search(
+    found: Found, *, asked: Callable[[], bool], on_run: Callable[[str, float], None]
+) -> None:
     """Search until the budget is used up; what is found is counted as it comes.
 
     Args:
@@ -173,12 +175,18 @@ def _fly(found: Found, asked: Callable[[], bool], on_run: Callable[[str, float],
         one.run(workers, budget, lambda: on_run("flights", budget.share(found.flights.runs)))
 
 
-def _attack(found: Found, asked: Callable[[], bool], on_run: Callable[[str, float], None], began: float) -> None:
+def _attack(
+    found: Found, asked: Callable[[], bool], on_run: Callable[[str, float], None], began: float
+) -> None:
     wanted, tally = found.wanted, found.attacks
     runs = None if wanted.runs is None else wanted.runs - found.flights.runs
     if runs == 0:
         return
-    budget = Budget(runs, None if wanted.minutes is None else 60.0 * wanted.minutes - (time.monotonic() - began), asked)
+    budget = Budget(
+        runs,
+        None if wanted.minutes is None else 60.0 * wanted.minutes - (time.monotonic() - began),
+        asked,
+    )
     with Workers(wanted.jobs, warm_attack) as workers:
         run_attack(
             workers,
@@ -194,7 +202,9 @@ def _attack(found: Found, asked: Callable[[], bool], on_run: Callable[[str, floa
 
 
 def save(found: Found) -> None:
-    """Fly the worst run with a violation once more, tell it in words, and save it as a scenario; nothing where there is none.
+    """Fly the worst run with a violation once more, tell it in words, and save it as a scenario.
+
+    Nothing where there is none.
 
     Raises:
         OSError: If it cannot be written.
@@ -205,7 +215,9 @@ def save(found: Found) -> None:
     scenario, flight, _ = flown(found.flights.elite[0][0], wanted.base, wanted.limits)
     found.words, found.sha256 = in_words(scenario, flight), flight.recorder.sha256()
     path = wanted.out or free_path(scenario.law.name)
-    title = f"The law {scenario.law.name} loses sight: found by outrider falsify, seed {wanted.seed}"
+    title = (
+        f"The law {scenario.law.name} loses sight: found by outrider falsify, seed {wanted.seed}"
+    )
     saved = check_scenario(msgspec.structs.replace(scenario, name=path.stem, title=title))
     path.write_text(as_toml(saved, found.words), encoding="utf-8")
     found.path = path

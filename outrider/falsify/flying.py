@@ -51,7 +51,9 @@ class _Watch:
 
 
 def promised(certified: npt.NDArray[np.bool_], patience: int) -> npt.NDArray[np.bool_]:
-    """At which states the promise stands: without a gap since the run's first certified tick, or for long enough since a gap.
+    """At which states the promise stands.
+
+    Without a gap since the run's first certified tick, or for long enough since a gap.
 
     Args:
         certified: Of each tick whether sight was certified from there on.
@@ -90,8 +92,12 @@ def flown(candidate: Candidate, base: Scenario, limits: Limits) -> tuple[Scenari
     distance = flight.recorder.escorts[:, 0, 0]
     certifies = scenario.law.name == "certified"
     patience = math.ceil((_WHILE + scenario.links.commands.delay) / scenario.dt)
-    stands = promised(watch.certified, patience) if certifies else np.ones(len(distance), dtype=np.bool_)
-    stands[:-1] |= watch.certified  # whatever has been before, a certified tick says that the UGV is in sight
+    stands = (
+        promised(watch.certified, patience) if certifies else np.ones(len(distance), dtype=np.bool_)
+    )
+    stands[:-1] |= (
+        watch.certified
+    )  # whatever has been before, a certified tick says that the UGV is in sight
     lost = distance >= scenario.visibility.radius
     result = Result(
         number=candidate.number,
@@ -99,7 +105,8 @@ def flown(candidate: Candidate, base: Scenario, limits: Limits) -> tuple[Scenari
         max_distance=float(distance.max()),
         violated=bool(np.any(lost & stands)),
         lost=bool(np.any(lost)),
-        uncertified=certifies and not bool(np.all(watch.certified[int(watch.certified.argmax()) :])),
+        uncertified=certifies
+        and not bool(np.all(watch.certified[int(watch.certified.argmax()) :])),
         certified_while_lost=flight.assurance.certified_while_lost,
         certificate_broken=flight.assurance.certificate_broken,
     )

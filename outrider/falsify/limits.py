@@ -41,7 +41,9 @@ class Limits:
 
 def needed_age(limits: Limits, scenario: Scenario) -> float:
     """The age A [s] that the newest detection does not exceed within these limits, but for one loss in a thousand million."""
-    return limits.delay + limits.blackout + looks_until_seen(limits.loss, scenario) + 2.0 * scenario.dt
+    return (
+        limits.delay + limits.blackout + looks_until_seen(limits.loss, scenario) + 2.0 * scenario.dt
+    )
 
 
 def needed_hold(limits: Limits, scenario: Scenario) -> float:
@@ -63,20 +65,27 @@ def pair(scenario: Scenario) -> tuple[Uav, Ugv]:
         ScenarioError: If there are more, or a speed has no bound.
     """
     if len(scenario.uav) != 1 or len(scenario.ugv) != 1:
-        raise ScenarioError(f"{scenario.name}: has {len(scenario.uav)} UAVs and {len(scenario.ugv)} UGVs; allowed: one of each")
+        raise ScenarioError(
+            f"{scenario.name}: has {len(scenario.uav)} UAVs and {len(scenario.ugv)} UGVs; allowed: one of each"
+        )
     uav, ugv = scenario.uav[0], scenario.ugv[0]
     for name, bound in (("uav.0", uav.max_speed), ("ugv.0", ugv.max_speed)):
         if not math.isfinite(bound):
-            raise ScenarioError(f"{scenario.name}: {name}.max_speed = {bound}: a search needs a bound; allowed: numbers above 0")
+            raise ScenarioError(
+                f"{scenario.name}: {name}.max_speed = {bound}: a search needs a bound; allowed: numbers above 0"
+            )
     return uav, ugv
 
 
 def base_of(scenario: Scenario, limits: Limits) -> Scenario:
     """What all candidates have in common.
 
-    What the scenario declares of its detections for the law `certified` is kept; what it leaves open is declared as these limits
-    need it. The delay of the commands must be what is declared, not less: left open, it is that of the candidate's link. Where
-    that delay may exceed `hold`, `hold` is raised with it: a vehicle whose commands are too old when they arrive only brakes.
+    What the scenario declares of its detections for the law `certified` is kept; what it leaves open is declared
+    as these limits
+    need it. The delay of the commands must be what is declared, not less: left open, it is that of the candidate's
+    link. Where
+    that delay may exceed `hold`, `hold` is raised with it: a vehicle whose commands are too old when they arrive
+    only brakes.
 
     Raises:
         ScenarioError: If the scenario has more than one pair, or within these limits nothing can be certified.
@@ -91,7 +100,11 @@ def base_of(scenario: Scenario, limits: Limits) -> Scenario:
         age=given.age if given != Certificate() else max(given.age, needed_age(limits, scenario)),
     )
     base = msgspec.structs.replace(
-        scenario, detections=detections, links=LinkTable(), certificate=certificate, hold=needed_hold(limits, scenario)
+        scenario,
+        detections=detections,
+        links=LinkTable(),
+        certificate=certificate,
+        hold=needed_hold(limits, scenario),
     )
     if base.law.name == "certified":
         _check_promise(base, limits)
@@ -100,12 +113,16 @@ def base_of(scenario: Scenario, limits: Limits) -> Scenario:
 
 def _check_promise(base: Scenario, limits: Limits) -> None:
     delay = LinkSettings(delay=limits.command_delay)
-    latest = msgspec.structs.replace(base, links=msgspec.structs.replace(base.links, commands=delay))
+    latest = msgspec.structs.replace(
+        base, links=msgspec.structs.replace(base.links, commands=delay)
+    )
     told = briefing(latest, base.uav[0].name, 0)
     faults = check_assumptions(promise_of(told)) if isinstance(told, UavBriefing) else ()
     if faults:
         allowed = "narrower limits (--max-delay, --max-blackout, --max-loss, --noise), or a certificate in the scenario"
-        raise ScenarioError(f"{base.name}: nothing can be certified within these limits: {faults[0]}; allowed: {allowed}")
+        raise ScenarioError(
+            f"{base.name}: nothing can be certified within these limits: {faults[0]}; allowed: {allowed}"
+        )
 
 
 def beyond_declared(base: Scenario, limits: Limits) -> tuple[str, ...]:

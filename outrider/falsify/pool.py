@@ -22,7 +22,10 @@ _LOOK = 0.1
 
 
 def _begin(parent: int, warm: Callable[[], None]) -> None:
-    """In a worker: leave Ctrl-C, which a terminal sends to all, to the parent; end when it has gone, however it went."""
+    """In a worker: leave Ctrl-C, which a terminal sends to all, to the parent.
+
+    End when it has gone, however it went.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     leave_with(parent)
     warm()
@@ -43,17 +46,27 @@ class Workers:
             warm()
         else:
             spawned = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(jobs, mp_context=spawned, initializer=_begin, initargs=(os.getpid(), warm))
+            self._pool = ProcessPoolExecutor(
+                jobs, mp_context=spawned, initializer=_begin, initargs=(os.getpid(), warm)
+            )
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=True)
 
     def stream(
-        self, function: Callable[..., _Result], calls: Iterable[tuple[Any, ...]], ends: Callable[[], bool]
+        self,
+        function: Callable[..., _Result],
+        calls: Iterable[tuple[Any, ...]],
+        ends: Callable[[], bool],
     ) -> Iterator[_Result]:
         """The results of these calls, in order.
 
@@ -93,6 +106,8 @@ class Workers:
             while not asked[0].done() and not ends():
                 wait((asked[0],), timeout=_LOOK)
             if ends():
-                yield from (future.result() for future in asked if not future.cancel() and future.done())
+                yield from (
+                    future.result() for future in asked if not future.cancel() and future.done()
+                )
                 return
             yield asked.popleft().result()

@@ -25,14 +25,22 @@ def _value(value: object) -> str:
         return f"{{ {', '.join(f'{key} = {_value(part)}' for key, part in value.items())} }}"
     if isinstance(value, list | tuple):
         flat = f"[{', '.join(_value(part) for part in value)}]"
-        return flat if len(flat) <= _WIDTH else "[\n{}]".format("".join(f"    {_value(part)},\n" for part in value))
+        return (
+            flat
+            if len(flat) <= _WIDTH
+            else "[\n{}]".format("".join(f"    {_value(part)},\n" for part in value))
+        )
     return str(value)
 
 
 def _changed(settings: LinkSettings) -> dict[str, Any]:
     """What a link does that a perfect one does not."""
     plain = msgspec.to_builtins(settings)
-    return {key: value for key, value in plain.items() if value != msgspec.to_builtins(LinkSettings())[key]}
+    return {
+        key: value
+        for key, value in plain.items()
+        if value != msgspec.to_builtins(LinkSettings())[key]
+    }
 
 
 def _links(links: LinkTable) -> Iterator[str]:
@@ -65,7 +73,10 @@ def as_toml(scenario: Scenario, comments: list[str]) -> str:
         comments: Lines at its head.
     """
     plain: dict[str, Any] = msgspec.to_builtins(scenario)
-    links, tables = plain.pop("links"), {key: plain.pop(key) for key, value in [*plain.items()] if isinstance(value, dict)}
+    links, tables = (
+        plain.pop("links"),
+        {key: plain.pop(key) for key, value in [*plain.items()] if isinstance(value, dict)},
+    )
     vehicles = {key: plain.pop(key) for key in ("uav", "ugv")}
     lines = [f"# {' '.join(line.split())}" for line in comments]
     lines += _table("", plain)

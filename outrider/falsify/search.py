@@ -1,4 +1,6 @@
-"""The search over scenarios: what the proofs fear, what chance finds, and from the best of it CMA-ES on the largest distance.
+"""The search over scenarios.
+
+What the proofs fear, what chance finds, and from the best of it CMA-ES on the largest distance.
 
 Which candidates are flown depends on the seed and on the results in their order, not on how many processes fly them.
 """
@@ -60,7 +62,9 @@ class Budget:
         asked: Whether somebody wants the end.
     """
 
-    def __init__(self, runs: int | None, seconds: float | None, asked: Callable[[], bool] = lambda: False) -> None:
+    def __init__(
+        self, runs: int | None, seconds: float | None, asked: Callable[[], bool] = lambda: False
+    ) -> None:
         self.runs, self._seconds, self._asked = runs, seconds, asked
         self._began = time.monotonic()
 
@@ -156,7 +160,10 @@ class _Island:
     def ask(self) -> list[tuple[str, tuple[float, ...], int]]:
         """The next generation."""
         self._asked = self._strategy.ask()
-        return [(self.kind, tuple(float(min(max(x, 0.0), 1.0)) for x in vector), self.seed) for vector in self._asked]
+        return [
+            (self.kind, tuple(float(min(max(x, 0.0), 1.0)) for x in vector), self.seed)
+            for vector in self._asked
+        ]
 
     def tell(self, scores: list[float]) -> None:
         """How far the UGV came in each [m]."""
@@ -174,13 +181,17 @@ class Search:
         first: Whether the first violation is enough.
     """
 
-    def __init__(self, base: Scenario, limits: Limits, seed: int, *, tally: Tally, first: bool = False) -> None:
+    def __init__(
+        self, base: Scenario, limits: Limits, seed: int, *, tally: Tally, first: bool = False
+    ) -> None:
         self._base, self._limits, self._seed, self._first = base, limits, seed, first
         self.tally = tally
         self._number = 0
         self._begun = 0
 
-    def run(self, workers: Workers, budget: Budget, on_run: Callable[[], None] = lambda: None) -> None:
+    def run(
+        self, workers: Workers, budget: Budget, on_run: Callable[[], None] = lambda: None
+    ) -> None:
         """Search until the budget is used up.
 
         Args:
@@ -199,17 +210,28 @@ class Search:
             explores = tally.runs < cases or budget.share(tally.runs) < _EXPLORED
             if not explores:
                 islands = self._islands(islands)
-            wanted = list(islice(chances, size)) if explores else [one for island in islands for one in island.ask()]
+            wanted = (
+                list(islice(chances, size))
+                if explores
+                else [one for island in islands for one in island.ask()]
+            )
             batch = [self._candidate(*one) for one in wanted][: budget.left(tally.runs)]
             flown = {candidate.number: candidate for candidate in batch}
             results: list[Result] = []
-            for result in workers.stream(fly_candidate, ((one, self._base, self._limits) for one in batch), ends):
+            for result in workers.stream(
+                fly_candidate, ((one, self._base, self._limits) for one in batch), ends
+            ):
                 tally.take(flown[result.number], result)
                 results.append(result)
                 on_run()
             if not explores and len(results) == size:
                 for k, island in enumerate(islands):
-                    island.tell([result.score for result in results[k * _POPULATION : (k + 1) * _POPULATION]])
+                    island.tell(
+                        [
+                            result.score
+                            for result in results[k * _POPULATION : (k + 1) * _POPULATION]
+                        ]
+                    )
 
     def _candidate(self, kind: str, vector: tuple[float, ...], seed: int) -> Candidate:
         self._number += 1

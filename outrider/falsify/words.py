@@ -39,8 +39,16 @@ def _at(flight: Flight, tick: int) -> str:
     x, y = float(a[0] - g[0]), float(a[1] - g[1])
     away = math.hypot(x, y) or 1.0
     flies, drives = (float(v[2] * x + v[3] * y) / away for v in (a, g))
-    uav = f"the UAV flies off at {flies:.2f} m/s" if flies >= 0.0 else f"the UAV comes at {-flies:.2f} m/s"
-    ugv = f"the UGV drives away at {-drives:.2f} m/s" if drives <= 0.0 else f"the UGV drives towards it at {drives:.2f} m/s"
+    uav = (
+        f"the UAV flies off at {flies:.2f} m/s"
+        if flies >= 0.0
+        else f"the UAV comes at {-flies:.2f} m/s"
+    )
+    ugv = (
+        f"the UGV drives away at {-drives:.2f} m/s"
+        if drives <= 0.0
+        else f"the UGV drives towards it at {drives:.2f} m/s"
+    )
     return f"{uav}, {ugv}"
 
 
@@ -49,10 +57,18 @@ def in_words(scenario: Scenario, flight: Flight) -> list[str]:
     distance, r_v, dt = flight.recorder.escorts[:, 0, 0], scenario.visibility.radius, scenario.dt
     farthest = int(distance.argmax())
     beyond = [int(tick) for tick in (distance >= r_v).nonzero()[0]]
-    lines = [_start(scenario), f"The UGV is driven by {len(scenario.ugv[0].script)} steps of a script.", _network(scenario)]
+    lines = [
+        _start(scenario),
+        f"The UGV is driven by {len(scenario.ugv[0].script)} steps of a script.",
+        _network(scenario),
+    ]
     if beyond:
         last = max(0, beyond[0] - 1)
-        lines.append(f"At {beyond[0] * dt:.2f} s the UGV is lost: just before, {_at(flight, last)}.")
+        lines.append(
+            f"At {beyond[0] * dt:.2f} s the UGV is lost: just before, {_at(flight, last)}."
+        )
         lines.append(f"It is out of sight for {len(beyond) * dt:.2f} s of {scenario.duration:g} s.")
-    lines.append(f"The largest distance is {distance[farthest]:.4f} m of r_v = {r_v:g} m, at {farthest * dt:.2f} s.")
+    lines.append(
+        f"The largest distance is {distance[farthest]:.4f} m of r_v = {r_v:g} m, at {farthest * dt:.2f} s."
+    )
     return lines

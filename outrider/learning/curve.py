@@ -9,7 +9,12 @@ from outrider.learning.mlp import load_policy
 from outrider.style import INK, LAW, look, new_figure, save
 
 
-def draw_curve(policy: str | Path, picture: str | Path, *, laws: Sequence[str] = ("circle", "linear", "logarithmic")) -> None:
+def draw_curve(
+    policy: str | Path,
+    picture: str | Path,
+    *,
+    laws: Sequence[str] = ("circle", "linear", "logarithmic"),
+) -> None:
     """Draw how e(t) on the validation flights fell while the policy learned.
 
     Args:
@@ -24,7 +29,10 @@ def draw_curve(policy: str | Path, picture: str | Path, *, laws: Sequence[str] =
     curve = [(float(decisions), float(error)) for decisions, _, error in recipe.get("curve", ())]
     if not curve:
         raise ValueError(f"policy {str(policy)!r}: its recipe has no learning curve")
-    levels = {law: float(fly_law(CASES["wander"], law, VALIDATION_SEEDS)["mean_error"].mean()) for law in laws}
+    levels = {
+        law: float(fly_law(CASES["wander"], law, VALIDATION_SEEDS)["mean_error"].mean())
+        for law in laws
+    }
     million = [decisions / 1e6 for decisions, _ in curve]
     errors = [error for _, error in curve]
     top = 1.08 * max(*errors, *levels.values())
@@ -36,13 +44,21 @@ def draw_curve(policy: str | Path, picture: str | Path, *, laws: Sequence[str] =
         axes.plot(million, errors, color=INK, marker="o", markersize=3.5, clip_on=False, zorder=3)
         ends = levels | {"learned": errors[-1]}
         for (name, _), height in zip(_by_level(ends), _spread(ends, 0.045 * top), strict=True):
-            place: dict[str, Any] = {"xycoords": axes.get_yaxis_transform(), "va": "center", "annotation_clip": False}
+            place: dict[str, Any] = {
+                "xycoords": axes.get_yaxis_transform(),
+                "va": "center",
+                "annotation_clip": False,
+            }
             axes.annotate(name, (1.015, height), color=LAW.get(name, INK), **place)
         axes.set_xlim(0.0, million[-1] or 1.0)
         axes.set_ylim(0.0, top)
-        axes.set_xlabel(f"decisions in training [million], each for {recipe['repeat'] * recipe['dt']:g} s")
+        axes.set_xlabel(
+            f"decisions in training [million], each for {recipe['repeat'] * recipe['dt']:g} s"
+        )
         axes.set_ylabel("mean e(t) [m²]")
-        axes.set_title(f"Unseen ground on {len(VALIDATION_SEEDS)} validation flights, UGV wandering")
+        axes.set_title(
+            f"Unseen ground on {len(VALIDATION_SEEDS)} validation flights, UGV wandering"
+        )
         save(figure, Path(picture))
 
 

@@ -41,8 +41,12 @@ class Case:
 
 CASES = {
     "escort": Case(title="`escort`: waypoints, 200 s", scenario="escort", driver="waypoints"),
-    "wander": Case(title="`escort` with a UGV that wanders, 200 s", scenario="escort", driver="wander"),
-    "evade": Case(title="`escort` with a UGV that evades, 200 s", scenario="escort", driver="evade"),
+    "wander": Case(
+        title="`escort` with a UGV that wanders, 200 s", scenario="escort", driver="wander"
+    ),
+    "evade": Case(
+        title="`escort` with a UGV that evades, 200 s", scenario="escort", driver="evade"
+    ),
     "covered": Case(
         title="`scenario-2` with the detections of `escort`: waypoints past covered ground, 200 s",
         scenario="scenario-2",
@@ -81,7 +85,9 @@ class Result:
 Metrics = Mapping[str, FloatArray]
 
 
-def fly_law(case: Case, law: str, seeds: Sequence[int], *, duration: float | None = None) -> Metrics:
+def fly_law(
+    case: Case, law: str, seeds: Sequence[int], *, duration: float | None = None
+) -> Metrics:
     """One of the paper's laws, or `certified`, in one flight for each seed."""
     scenario = case.load(duration)
     (uav,), (ugv,) = scenario.uav, scenario.ugv
@@ -95,7 +101,12 @@ def fly_law(case: Case, law: str, seeds: Sequence[int], *, duration: float | Non
 
 
 def fly_policy(
-    case: Case, policy: LearnedPolicy, seeds: Sequence[int], *, shielded: bool, duration: float | None = None
+    case: Case,
+    policy: LearnedPolicy,
+    seeds: Sequence[int],
+    *,
+    shielded: bool,
+    duration: float | None = None,
 ) -> Metrics:
     """A learned policy in one flight for each seed, with the safety filter around it or without."""
     scenario = case.load(duration)
@@ -121,7 +132,11 @@ def fly_policy(
 
 
 def evaluate(
-    path: str | Path, *, flights: int = 20, cases: Sequence[str] = tuple(CASES), duration: float | None = None
+    path: str | Path,
+    *,
+    flights: int = 20,
+    cases: Sequence[str] = tuple(CASES),
+    duration: float | None = None,
 ) -> list[Result]:
     """All pilots in these cases; the same file gives the same results.
 
@@ -142,15 +157,24 @@ def evaluate(
     for name in cases:
         if name not in CASES:
             raise ValueError(f"case = {name!r}; allowed: {', '.join(CASES)}")
-        flown: dict[str, Metrics] = {law: fly_law(CASES[name], law, seeds, duration=duration) for law in LAWS}
+        flown: dict[str, Metrics] = {
+            law: fly_law(CASES[name], law, seeds, duration=duration) for law in LAWS
+        }
         for pilot, shielded in ((LEARNED, True), (UNSHIELDED, False)):
-            flown[pilot] = fly_policy(CASES[name], LearnedPolicy.load(path), seeds, shielded=shielded, duration=duration)
+            flown[pilot] = fly_policy(
+                CASES[name], LearnedPolicy.load(path), seeds, shielded=shielded, duration=duration
+            )
         guarded = {"certified", LEARNED}
-        results += [_result(name, pilot, m, flown["logarithmic"], filtered=pilot in guarded) for pilot, m in flown.items()]
+        results += [
+            _result(name, pilot, m, flown["logarithmic"], filtered=pilot in guarded)
+            for pilot, m in flown.items()
+        ]
     return results
 
 
-def _result(case: str, pilot: str, metrics: Metrics, logarithmic: Metrics, *, filtered: bool) -> Result:
+def _result(
+    case: str, pilot: str, metrics: Metrics, logarithmic: Metrics, *, filtered: bool
+) -> Result:
     errors = metrics["mean_error"]
     mean, _, high = mean_interval(errors.tolist())
     difference, _, difference_high = mean_interval((errors - logarithmic["mean_error"]).tolist())
@@ -193,7 +217,9 @@ def markdown(results: Sequence[Result]) -> str:
 
 def _line(r: Result) -> str:
     acts = "no filter" if r.intervened is None else f"{100.0 * r.intervened:.1f} %"
-    more = "-" if r.pilot == "logarithmic" else f"{r.difference:+.1f} ± {r.difference_half_width:.1f}"
+    more = (
+        "-" if r.pilot == "logarithmic" else f"{r.difference:+.1f} ± {r.difference_half_width:.1f}"
+    )
     return (
         f"| {r.pilot} | {r.mean_error:.1f} ± {r.half_width:.1f} | {more} | {r.max_distance:.2f} | {acts} "
         f"| {r.lost} of {r.flights} | {r.violations} |"

@@ -1,4 +1,7 @@
-"""A small network in plain NumPy, and the file that it is kept in with its recipe: no learning library is needed to use it."""
+"""A small network in plain NumPy, and the file that it is kept in with its recipe.
+
+No learning library is needed to use it.
+"""
 
 import json
 import zipfile
@@ -64,7 +67,10 @@ def load_policy(path: str | Path) -> tuple[Mlp, dict[str, Any]]:
     """
     try:
         # Opened here: of a broken archive NumPy leaves its own file open.
-        with open_regular(Path(path), _MOST_BYTES) as file, np.load(file, allow_pickle=False) as archive:
+        with (
+            open_regular(Path(path), _MOST_BYTES) as file,
+            np.load(file, allow_pickle=False) as archive,
+        ):
             if sum(member.file_size for member in archive.zip.infolist()) > _MOST_BYTES:
                 raise ValueError(f"unpacks to more than {_MOST_BYTES >> 20} MiB")
             arrays = {name: archive[name] for name in archive.files}
@@ -72,14 +78,27 @@ def load_policy(path: str | Path) -> tuple[Mlp, dict[str, Any]]:
         layers = range(len(arrays) // 2)
         weights = tuple(arrays[f"weight_{k}"].astype(np.float64) for k in layers)
         biases = tuple(arrays[f"bias_{k}"].astype(np.float64) for k in layers)
-    except (OSError, KeyError, ValueError, TypeError, AttributeError, EOFError, MemoryError, zipfile.BadZipFile) as error:
+    except (
+        OSError,
+        KeyError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        EOFError,
+        MemoryError,
+        zipfile.BadZipFile,
+    ) as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:160]
-        raise ValueError(f"policy {str(path)!r}: cannot be read: {reason}; allowed: a file of examples/train_uav.py") from error
+        raise ValueError(
+            f"policy {str(path)!r}: cannot be read: {reason}; allowed: a file of examples/train_uav.py"
+        ) from error
     _check(path, weights, biases, recipe)
     return Mlp(weights, biases), recipe
 
 
-def _check(path: str | Path, weights: tuple[Array, ...], biases: tuple[Array, ...], recipe: object) -> None:
+def _check(
+    path: str | Path, weights: tuple[Array, ...], biases: tuple[Array, ...], recipe: object
+) -> None:
     shapes = [weight.shape for weight in weights]
     fits = (
         bool(weights)
@@ -89,6 +108,8 @@ def _check(path: str | Path, weights: tuple[Array, ...], biases: tuple[Array, ..
         and all(np.isfinite(array).all() for array in (*weights, *biases))
     )
     if not fits:
-        raise ValueError(f"policy {str(path)!r}: layers of shapes {shapes} do not follow each other, or are not finite")
+        raise ValueError(
+            f"policy {str(path)!r}: layers of shapes {shapes} do not follow each other, or are not finite"
+        )
     if not isinstance(recipe, dict):
         raise ValueError(f"policy {str(path)!r}: its recipe is no table")

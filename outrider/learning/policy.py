@@ -25,15 +25,20 @@ def make_view(recipe: Mapping[str, Any]) -> EscortView:
         pixel = float(recipe["coverage_patch"][1])
         return EscortView(step=recipe["repeat"] * recipe["dt"], pixel=pixel, **recipe["view"])
     except (KeyError, IndexError, TypeError) as error:
-        raise ValueError(f"recipe: {type(error).__name__}: {error}; allowed: one of examples/train_uav.py") from error
+        raise ValueError(
+            f"recipe: {type(error).__name__}: {error}; allowed: one of examples/train_uav.py"
+        ) from error
 
 
 class LearnedPolicy:
     """A policy for one world or for all worlds of a batch at once; it remembers each world's episode.
 
-    Call it once a tick with the observation of the environment that `setup` describes: of `outrider.vector_env(..., **setup)`
-    where it is one of the others, of `outrider.learning.alone.alone` where it flies a single world. It answers every `repeat`
-    ticks and holds that acceleration in between. An episode begins where the time is 0. One object serves one environment.
+    Call it once a tick with the observation of the environment that `setup` describes: of
+    `outrider.vector_env(..., **setup)`
+    where it is one of the others, of `outrider.learning.alone.alone` where it flies a single world. It answers
+    every `repeat`
+    ticks and holds that acceleration in between. An episode begins where the time is 0. One object serves one
+    environment.
 
     Args:
         network: From what the view shows to the action.
@@ -50,9 +55,14 @@ class LearnedPolicy:
         self._view = make_view(recipe)
         inputs, outputs = network.weights[0].shape[1], network.weights[-1].shape[0]
         if (inputs, outputs) != (self._view.size, 2):
-            raise ValueError(f"network from {inputs} to {outputs} numbers: the recipe's view needs {self._view.size} to 2")
+            raise ValueError(
+                f"network from {inputs} to {outputs} numbers: the recipe's view needs {self._view.size} to 2"
+            )
         pixels, meters = recipe["coverage_patch"]
-        self.setup: dict[str, Any] = {"estimate": True, "coverage_patch": (int(pixels), float(meters))}
+        self.setup: dict[str, Any] = {
+            "estimate": True,
+            "coverage_patch": (int(pixels), float(meters)),
+        }
         """Arguments for the vector environment whose observations it needs."""
         self._ticks, self._dt = int(recipe["repeat"]), float(recipe["dt"])
         self._held: Array = np.zeros((0, 2))
@@ -80,12 +90,16 @@ class LearnedPolicy:
         for uav in scenario.uav:
             for name, value in (("dt", scenario.dt), ("max_speed", uav.max_speed)):
                 if abs(value - made[name]) > 1e-9:
-                    raise ValueError(f"{scenario.name}: {uav.name}: {name} = {value:g}: the policy is made for {made[name]:g}")
+                    raise ValueError(
+                        f"{scenario.name}: {uav.name}: {name} = {value:g}: the policy is made for {made[name]:g}"
+                    )
 
     def __call__(self, observation: Observation) -> Array:
         """The acceleration [m/s²] for this tick's observation, of one world (2,) or of all (worlds, 2)."""
         if not isinstance(observation, dict):
-            raise ValueError("a learned policy needs the row and the coverage patch: make the environment with its setup")
+            raise ValueError(
+                "a learned policy needs the row and the coverage patch: make the environment with its setup"
+            )
         if observation["row"].ndim == 1:
             alone: Array = self._act({key: array[None] for key, array in observation.items()})[0]
             return alone

@@ -14,9 +14,10 @@ from outrider.learning.repeat import FINAL
 class VecEnvAdapter(VecEnv):  # type: ignore[misc]  # it has no types where it is not installed
     """A `VecEnv` around any Gymnasium vector environment in the mode SAME_STEP, wrapped or not.
 
-    Where an episode has ended, its info has `terminal_observation`, `TimeLimit.truncated` (truncated and not terminated), and
-    `episode` as `VecMonitor` gives it: `r` its return, `l` its steps, `t` the time since the adapter was made [s]. So the mean
-    return is logged without `VecMonitor`. The other infos are those of the environment, world by world.
+    Where an episode has ended, its info has `terminal_observation`, `TimeLimit.truncated` (truncated and not
+    terminated), and
+    `episode` as `VecMonitor` gives it: `r` its return, `l` its steps, `t` the time since the adapter was made [s].
+    So the mean return is logged without `VecMonitor`. The other infos are those of the environment, world by world.
 
     Args:
         env: The vector environment. The adapter's `seed` and `set_options` count at the next `reset`.
@@ -50,7 +51,10 @@ class VecEnvAdapter(VecEnv):  # type: ignore[misc]  # it has no types where it i
         if any(given != options for given in self._options):
             raise ValueError("set_options: the worlds share their options: set the same for all")
         unseeded = all(seed is None for seed in seeds)
-        observations, infos = self.env.reset(seed=None if unseeded else seeds, options=options or None)  # type: ignore[arg-type]
+        observations, infos = self.env.reset(
+            seed=None if unseeded else seeds,  # type: ignore[arg-type]
+            options=options or None,
+        )
         self.reset_infos = _by_world(infos, self.num_envs)
         self._reset_seeds()
         self._reset_options()
@@ -71,13 +75,18 @@ class VecEnvAdapter(VecEnv):  # type: ignore[misc]  # it has no types where it i
         dones = np.logical_or(terminated, truncated)
         self._returns += rewards
         self._lengths += 1
-        infos = _by_world({key: value for key, value in told.items() if key not in FINAL}, self.num_envs)
+        infos = _by_world(
+            {key: value for key, value in told.items() if key not in FINAL}, self.num_envs
+        )
         ended = np.flatnonzero(dones).tolist()
         if ended:
             last = _by_world(told.get("final_info", {}), self.num_envs)
             for k in ended:
                 self.reset_infos[k] = infos[k]
-                infos[k] = last[k] | {"terminal_observation": _of_world(told["final_obs"], k), "episode": self._episode(k)}
+                infos[k] = last[k] | {
+                    "terminal_observation": _of_world(told["final_obs"], k),
+                    "episode": self._episode(k),
+                }
             self._returns[ended], self._lengths[ended] = 0.0, 0
         for k, info in enumerate(infos):
             info["TimeLimit.truncated"] = bool(truncated[k] and not terminated[k])
@@ -102,25 +111,48 @@ class VecEnvAdapter(VecEnv):  # type: ignore[misc]  # it has no types where it i
             ValueError: If it is not for all worlds: they share it.
         """
         if set(self._worlds(indices)) != set(range(self.num_envs)):
-            raise ValueError(f"set_attr({attr_name!r}, indices={indices!r}): the worlds share their attributes: set it for all")
+            raise ValueError(
+                f"set_attr({attr_name!r}, indices={indices!r}): the worlds share their attributes: set it for all"
+            )
         layers = self._layers()
-        setattr(next((layer for layer in layers if attr_name in vars(layer)), layers[0]), attr_name, value)
+        setattr(
+            next((layer for layer in layers if attr_name in vars(layer)), layers[0]),
+            attr_name,
+            value,
+        )
 
-    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:  # noqa: ANN401
-        """Call a method of the environment once, for all worlds; what it returns, once for each of the worlds asked for."""
-        return [self._found(method_name)(*method_args, **method_kwargs)] * len(self._worlds(indices))
+    def env_method(
+        self,
+        method_name: str,
+        *method_args: Any,  # noqa: ANN401
+        indices: Any = None,  # noqa: ANN401
+        **method_kwargs: Any,  # noqa: ANN401
+    ) -> list[Any]:
+        """Call a method of the environment once, for all worlds.
+
+        What it returns, once for each of the worlds asked for.
+        """
+        return [self._found(method_name)(*method_args, **method_kwargs)] * len(
+            self._worlds(indices)
+        )
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:  # noqa: ANN401
         """Whether a layer is of this class; and yes for `Monitor`, whose work the adapter does."""
-        found = wrapper_class is Monitor or any(isinstance(layer, wrapper_class) for layer in self._layers())
+        found = wrapper_class is Monitor or any(
+            isinstance(layer, wrapper_class) for layer in self._layers()
+        )
         return [found] * len(self._worlds(indices))
 
     def _found(self, name: str) -> Any:  # noqa: ANN401
         """What the outermost layer that has this name has under it."""
-        return getattr(next((layer for layer in self._layers() if hasattr(layer, name)), self.env), name)
+        return getattr(
+            next((layer for layer in self._layers() if hasattr(layer, name)), self.env), name
+        )
 
     def _worlds(self, indices: Any) -> list[int]:  # noqa: ANN401
-        which: list[int] = np.arange(self.num_envs)[slice(None) if indices is None else np.atleast_1d(indices)].tolist()
+        which: list[int] = np.arange(self.num_envs)[
+            slice(None) if indices is None else np.atleast_1d(indices)
+        ].tolist()
         return which
 
     def _layers(self) -> list[Any]:

@@ -1,4 +1,7 @@
-"""What the learned UAV sees and does: the ground around its UGV and a velocity, both in the frame of the line between them."""
+"""What the learned UAV sees and does.
+
+The ground around its UGV and a velocity, both in the frame of the line between them.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -22,12 +25,13 @@ _NEAR = 1e-6
 class EscortView(Transformation):
     """The frame has its x axis from the UGV to the UAV, by the filter's estimate; before there is one it looks east.
 
-    An observation is one array: whether the UGV was ever detected; the distance over `scale`; own velocity over v_max; the
-    UGV's velocity, from two estimates `lag` steps apart, over v_max; and 1 - min(C / C*, 1) on rings around the UGV, ring by
-    ring and counter-clockwise from the UAV, interpolated in the coverage patch.
+    An observation is one array: whether the UGV was ever detected; the distance over `scale`; own velocity over
+    v_max; the
+    UGV's velocity, from two estimates `lag` steps apart, over v_max; and 1 - min(C / C*, 1) on rings around the
+    UGV, ring by ring and counter-clockwise from the UAV, interpolated in the coverage patch.
 
-    An action is the velocity to have a step later, over v_max. It becomes the acceleration that reaches it, which the world
-    shortens to u_max.
+    An action is the velocity to have a step later, over v_max. It becomes the acceleration that reaches it, which
+    the world shortens to u_max.
 
     Args:
         step: Between two observations [s].
@@ -53,7 +57,10 @@ class EscortView(Transformation):
         self._step, self._pixel, self._lag, self._scale = step, pixel, lag, scale
         angles = 2.0 * np.pi * np.arange(sectors) / sectors
         radii = np.repeat(np.asarray(rings, dtype=np.float64), sectors)
-        self._points = radii * np.tile(np.cos(angles), len(rings)), radii * np.tile(np.sin(angles), len(rings))
+        self._points = (
+            radii * np.tile(np.cos(angles), len(rings)),
+            radii * np.tile(np.sin(angles), len(rings)),
+        )
         self._v_max = v_max
         self._track: Array = np.empty((0, 2))
         self._axis: Array = np.empty((0, 2))
@@ -72,7 +79,9 @@ class EscortView(Transformation):
         if not isinstance(row, spaces.Box) or row.shape != (len(_ENTRIES),) or picture is None:
             raise ValueError(f"EscortView needs a UAV's row and a coverage patch, not {space}")
         if not np.isclose(row.high[_ENTRIES.index("vx")], self._v_max):
-            raise ValueError(f"EscortView is made for v_max = {self._v_max:g} m/s, not {row.high[_ENTRIES.index('vx')]:g} m/s")
+            raise ValueError(
+                f"EscortView is made for v_max = {self._v_max:g} m/s, not {row.high[_ENTRIES.index('vx')]:g} m/s"
+            )
         return spaces.Box(-_LARGEST, _LARGEST, (self.size,), np.float32)
 
     def action_space(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
@@ -102,7 +111,9 @@ class EscortView(Transformation):
         """The array of all worlds, of which only these go on by a step."""
         if not isinstance(observation, dict):
             raise ValueError("EscortView needs the row and the coverage patch")
-        row = dict(zip(_ENTRIES, np.moveaxis(observation["row"].astype(np.float64), -1, 0), strict=True))
+        row = dict(
+            zip(_ENTRIES, np.moveaxis(observation["row"].astype(np.float64), -1, 0), strict=True)
+        )
         detected = row["detected"] > 0.0
         relative = np.stack((row["relative_x"], row["relative_y"]), axis=-1)
         place = np.stack((row["x"], row["y"]), axis=-1) - relative
@@ -124,7 +135,9 @@ class EscortView(Transformation):
             self._turned(ugv) / self._v_max,
             self._lack(observation["coverage"], relative),
         ]
-        shown: Array = np.clip(np.concatenate(entries, axis=-1), -_LARGEST, _LARGEST).astype(np.float32)
+        shown: Array = np.clip(np.concatenate(entries, axis=-1), -_LARGEST, _LARGEST).astype(
+            np.float32
+        )
         return shown
 
     def _turned(self, vector: Array) -> Array:

@@ -29,14 +29,30 @@ class UavBodyRow(NamedTuple):
 
     time: Annotated[float, Field("time since the start of the episode", "s", "0", "T")]
     speed: Annotated[float, Field("own speed", "m/s", "0", "v_max")]
-    heading_x: Annotated[float, Field("own x axis in the world frame, x: cosine of the heading from east", "", "-1", "1")]
+    heading_x: Annotated[
+        float,
+        Field("own x axis in the world frame, x: cosine of the heading from east", "", "-1", "1"),
+    ]
     heading_y: Annotated[float, Field("own x axis in the world frame, y: its sine", "", "-1", "1")]
-    centre_x: Annotated[float, Field("from the UAV to the centre of the area, ahead", "m", "-R", "R")]
-    centre_y: Annotated[float, Field("from the UAV to the centre of the area, to the left", "m", "-R", "R")]
-    detected: Annotated[float, Field("1 where a detection has come at this tick, else 0", "", "0", "1")]
-    relative_x: Annotated[float, Field("detected p_a - p_g, ahead; 0 where none has come", "m", "-d_max", "d_max")]
-    relative_y: Annotated[float, Field("detected p_a - p_g, to the left; 0 where none has come", "m", "-d_max", "d_max")]
-    age: Annotated[float, Field("time since the newest detection was taken; T before the first", "s", "0", "T")]
+    centre_x: Annotated[
+        float, Field("from the UAV to the centre of the area, ahead", "m", "-R", "R")
+    ]
+    centre_y: Annotated[
+        float, Field("from the UAV to the centre of the area, to the left", "m", "-R", "R")
+    ]
+    detected: Annotated[
+        float, Field("1 where a detection has come at this tick, else 0", "", "0", "1")
+    ]
+    relative_x: Annotated[
+        float, Field("detected p_a - p_g, ahead; 0 where none has come", "m", "-d_max", "d_max")
+    ]
+    relative_y: Annotated[
+        float,
+        Field("detected p_a - p_g, to the left; 0 where none has come", "m", "-d_max", "d_max"),
+    ]
+    age: Annotated[
+        float, Field("time since the newest detection was taken; T before the first", "s", "0", "T")
+    ]
 
 
 class UgvBodyRow(NamedTuple):
@@ -44,24 +60,38 @@ class UgvBodyRow(NamedTuple):
 
     time: Annotated[float, Field("time since the start of the episode", "s", "0", "T")]
     speed: Annotated[float, Field("own speed", "m/s", "0", "v_max")]
-    heading_x: Annotated[float, Field("own x axis in the world frame, x: cosine of the heading from east", "", "-1", "1")]
+    heading_x: Annotated[
+        float,
+        Field("own x axis in the world frame, x: cosine of the heading from east", "", "-1", "1"),
+    ]
     heading_y: Annotated[float, Field("own x axis in the world frame, y: its sine", "", "-1", "1")]
-    centre_x: Annotated[float, Field("from the UGV to the centre of the area, ahead", "m", "-R", "R")]
-    centre_y: Annotated[float, Field("from the UGV to the centre of the area, to the left", "m", "-R", "R")]
+    centre_x: Annotated[
+        float, Field("from the UGV to the centre of the area, ahead", "m", "-R", "R")
+    ]
+    centre_y: Annotated[
+        float, Field("from the UGV to the centre of the area, to the left", "m", "-R", "R")
+    ]
     underway: Annotated[float, Field("1 while a goal is still to be reached, else 0", "", "0", "1")]
-    goal_x: Annotated[float, Field("from the UGV to its goal, ahead; 0 where it is not underway", "m", "-D", "D")]
-    goal_y: Annotated[float, Field("from the UGV to its goal, to the left; 0 where it is not underway", "m", "-D", "D")]
+    goal_x: Annotated[
+        float, Field("from the UGV to its goal, ahead; 0 where it is not underway", "m", "-D", "D")
+    ]
+    goal_y: Annotated[
+        float,
+        Field("from the UGV to its goal, to the left; 0 where it is not underway", "m", "-D", "D"),
+    ]
 
 
 class Egocentric(Transformation):
     """The vehicle's own frame: the origin at the vehicle, x along its velocity, y to the left.
 
     While it is slower than `rest` its last heading stays, at the start of an episode east. Rows become `UavBodyRow` and
-    `UgvBodyRow`, a `GradientCue` behind them is turned. Actions are accelerations [m/s²] in this frame, by the heading of the
-    last observation, and are turned into the world frame. The coverage picture turns along: columns ahead, rows to the left,
-    each pixel the nearest one of the environment's picture, and 1 where that has none.
+    `UgvBodyRow`, a `GradientCue` behind them is turned. Actions are accelerations [m/s²] in this frame, by the
+    heading of the
+    last observation, and are turned into the world frame. The coverage picture turns along: columns ahead, rows to
+    the left, each pixel the nearest one of the environment's picture, and 1 where that has none.
 
-    A turned action keeps its length and may leave the square of the action space: the world shortens it to u_max, as always.
+    A turned action keeps its length and may leave the square of the action space: the world shortens it to u_max,
+    as always.
 
     Args:
         rest: Speed below which the heading stays [m/s].
@@ -87,7 +117,9 @@ class Egocentric(Transformation):
     def _body(self, space: spaces.Space[Any]) -> spaces.Box:
         """Take in the row's space and give the new one."""
         entries = _entries(space)
-        limits = dict(zip(entries, cast("spaces.Box", space).high.astype(np.float64).tolist(), strict=True))
+        limits = dict(
+            zip(entries, cast("spaces.Box", space).high.astype(np.float64).tolist(), strict=True)
+        )
         width, height = limits["x"], limits["y"]
         diagonal = float(np.hypot(width, height))
         self._fields, self._centre = entries, (0.5 * width, 0.5 * height)
@@ -124,7 +156,9 @@ class Egocentric(Transformation):
     def _seen(self, observation: Observation, turning: Worlds) -> Observation:
         """The observation in the vehicles' frames; where `turning`, by their velocities of now."""
         whole = observation if isinstance(observation, dict) else {ROW: observation}
-        entries = dict(zip(self._fields, np.moveaxis(whole[ROW].astype(np.float64), -1, 0), strict=True))
+        entries = dict(
+            zip(self._fields, np.moveaxis(whole[ROW].astype(np.float64), -1, 0), strict=True)
+        )
         speed = np.hypot(entries["vx"], entries["vy"])
         turning = turning & (speed >= self._rest)
         velocity = np.stack((entries["vx"], entries["vy"]), axis=-1)
@@ -183,15 +217,23 @@ def _entries(space: spaces.Space[Any]) -> tuple[str, ...]:
     Raises:
         ValueError: If it is no row in SI units and in the world frame.
     """
-    rows: tuple[tuple[str, ...], ...] = (UavRow._fields, UavRow._fields + GradientCue._fields, UgvRow._fields)
+    rows: tuple[tuple[str, ...], ...] = (
+        UavRow._fields,
+        UavRow._fields + GradientCue._fields,
+        UgvRow._fields,
+    )
     for row in rows:
         if isinstance(space, spaces.Box) and space.shape == (len(row),) and space.dtype.kind == "f":
-            low, high = (dict(zip(row, bound.tolist(), strict=True)) for bound in (space.low, space.high))
+            low, high = (
+                dict(zip(row, bound.tolist(), strict=True)) for bound in (space.low, space.high)
+            )
             flag = "underway" if "underway" in row else "detected"
             zero = all(low[name] == 0.0 for name in ("time", "x", "y", flag))
             if zero and high[flag] == 1.0 and np.isfinite(high["x"]) and np.isfinite(high["y"]):
                 return row
-    raise ValueError(f"Egocentric needs a UAV's or a UGV's own row, before any other change, not {one_line(space)}")
+    raise ValueError(
+        f"Egocentric needs a UAV's or a UGV's own row, before any other change, not {one_line(space)}"
+    )
 
 
 def _turned_picture(picture: Array, heading: Array) -> Array:

@@ -5,14 +5,25 @@ from typing import Any, cast
 import numpy as np
 from gymnasium import spaces
 
-from outrider.observations.transformation import Array, Channels, EachArray, Part, Worlds, channel_axis, one_line
+from outrider.observations.transformation import (
+    Array,
+    Channels,
+    EachArray,
+    Part,
+    Worlds,
+    channel_axis,
+    one_line,
+)
 
 
 class History(EachArray):
-    """The last observations together, the oldest first; at the start of an episode the first one stands for those before it.
+    """The last observations together, the oldest first.
+
+    At the start of an episode the first one stands for those before it.
 
     Concatenated as SuperSuit's `frame_stack` does: rows (9,) to (length * 9,), pictures (pixels, pixels) to
-    (pixels, pixels, length), images along their channels. With `new_axis` stacked along a new first axis (length, ...), as
+    (pixels, pixels, length), images along their channels. With `new_axis` stacked along a new first axis (length,
+    ...), as
     Gymnasium's `FrameStackObservation` does. (SuperSuit fills the start with zeros; this repeats, as Gymnasium does.)
 
     Args:
@@ -25,7 +36,9 @@ class History(EachArray):
         ValueError: If `length` or `stride` is no whole number from 1 on, or `channels` is neither "last" nor "first".
     """
 
-    def __init__(self, length: int, *, stride: int = 1, new_axis: bool = False, channels: Channels = "last") -> None:
+    def __init__(
+        self, length: int, *, stride: int = 1, new_axis: bool = False, channels: Channels = "last"
+    ) -> None:
         super().__init__()
         self._length, self._stride = _whole("length", length), _whole("stride", stride)
         self._new_axis = new_axis
@@ -34,7 +47,9 @@ class History(EachArray):
     def _part(self, box: spaces.Box, *, picture: bool) -> Part:
         axes = len(box.shape)
         if not self._new_axis and not 1 <= axes <= 3:
-            raise ValueError(f"History concatenates arrays of 1 to 3 axes, not {one_line(box)}: use new_axis=True")
+            raise ValueError(
+                f"History concatenates arrays of 1 to 3 axes, not {one_line(box)}: use new_axis=True"
+            )
         # Pictures: after the rows and columns; images: before the channels.
         at = 0 if self._new_axis or self._first or axes == 1 else 2
         merge = not self._new_axis and axes != 2
@@ -65,7 +80,9 @@ class _Frames(Part):
             self._out = (*box.shape[:at], length * box.shape[at], *box.shape[at + 1 :])
         self._span = (length - 1) * stride + 1
         self._back = stride * np.arange(length - 1, -1, -1)
-        self._memory = np.empty((0, *box.shape), dtype=box.dtype)  # a ring: (span, worlds..., shape...)
+        self._memory = np.empty(
+            (0, *box.shape), dtype=box.dtype
+        )  # a ring: (span, worlds..., shape...)
         self._now = 0
         low, high = (self._together(np.stack([bound] * length)) for bound in (box.low, box.high))
         self.box = spaces.Box(low, high, dtype=cast("Any", box.dtype.type))

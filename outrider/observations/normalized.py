@@ -11,9 +11,12 @@ from outrider.observations.transformation import Array, EachArray, Part, inside_
 class Normalized(EachArray):
     r"""Every entry scaled by its bounds to [-1, 1].
 
-    With both bounds, $y = (x - m) / h$ with their middle m and half their distance h, or 0 where they are the same. Without
-    any, $y = x / (s + |x|)$: 0 at 0, ±1/2 at ±s, never beyond ±1. With one, the distance d from it, $y = d / (s + d)$ from 0
-    to 1 brought to [-1, 1]. A coverage picture lies in [0, 1] already, and a picture of bytes is what networks for images
+    With both bounds, $y = (x - m) / h$ with their middle m and half their distance h, or 0 where they are the
+    same. Without
+    any, $y = x / (s + |x|)$: 0 at 0, ±1/2 at ±s, never beyond ±1. With one, the distance d from it, $y = d / (s +
+    d)$ from 0
+    to 1 brought to [-1, 1]. A coverage picture lies in [0, 1] already, and a picture of bytes is what networks for
+    images
     take: both keep their values, and the first gets the type.
 
     Args:
@@ -42,7 +45,9 @@ class _Cast(Part):
     """Another type, the same values."""
 
     def __init__(self, box: spaces.Box, dtype: type[np.generic]) -> None:
-        self.box = spaces.Box(box.low.astype(dtype), box.high.astype(dtype), dtype=cast("Any", dtype))
+        self.box = spaces.Box(
+            box.low.astype(dtype), box.high.astype(dtype), dtype=cast("Any", dtype)
+        )
 
     def apply(self, array: Array) -> Array:
         """The array in the type."""

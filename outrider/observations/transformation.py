@@ -1,8 +1,9 @@
 """What a transformation of observations is.
 
-An observation is a row of `bus.layout`, or a dictionary of `row` and `coverage`; in a batch the worlds are leading axes of every
-array. A transformation is bound to the space of a single observation by `space`, and may have a memory of each world's episode:
-`begin` starts it, `apply` goes on by one tick.
+An observation is a row of `bus.layout`, or a dictionary of `row` and `coverage`; in a batch the worlds are leading
+axes of every
+array. A transformation is bound to the space of a single observation by `space`, and may have a memory of each
+world's episode: `begin` starts it, `apply` goes on by one tick.
 """
 
 from abc import ABC, abstractmethod
@@ -23,7 +24,10 @@ ROW, COVERAGE = "row", "coverage"
 
 
 class Transformation(ABC):
-    """What is done to one vehicle's observations, in one world or in each of a batch. One object serves one environment."""
+    """What is done to one vehicle's observations, in one world or in each of a batch.
+
+    One object serves one environment.
+    """
 
     @abstractmethod
     def space(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
@@ -117,7 +121,9 @@ class EachArray(Transformation):
         what = type(self).__name__
         if isinstance(space, spaces.Dict):
             for key, part in space.spaces.items():
-                self._parts[key] = self._part(the_box(part, f"{what}: {key}"), picture=key == COVERAGE)
+                self._parts[key] = self._part(
+                    the_box(part, f"{what}: {key}"), picture=key == COVERAGE
+                )
             return spaces.Dict({key: part.box for key, part in self._parts.items()})
         self._parts[ROW] = self._part(the_box(space, what), picture=False)
         return self._parts[ROW].box
@@ -151,5 +157,7 @@ def check_picture(space: spaces.Space[Any], what: str) -> spaces.Box:
     box = the_box(space, f"{what}: {COVERAGE}")
     plain = len(box.shape) == 2 and box.shape[0] == box.shape[1] and box.dtype.kind == "f"
     if not plain or np.any(box.low < 0.0) or np.any(box.high > 1.0):
-        raise ValueError(f"{what} needs the environment's own coverage, a square of shares in [0, 1], not {one_line(box)}")
+        raise ValueError(
+            f"{what} needs the environment's own coverage, a square of shares in [0, 1], not {one_line(box)}"
+        )
     return box

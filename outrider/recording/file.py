@@ -1,4 +1,7 @@
-"""The file of a recording: our own messages as JSON, exact to the last bit, beside what viewers of MCAP understand at once."""
+"""The file of a recording.
+
+Our own messages as JSON, exact to the last bit, beside what viewers of MCAP understand at once.
+"""
 
 import logging
 import math
@@ -45,7 +48,10 @@ _LEVEL = 1
 
 
 class _Sink:
-    """The file as foxglove-sdk writes to it. A write that fails is kept for us to raise: the library would print it, for ever."""
+    """The file as foxglove-sdk writes to it.
+
+    A write that fails is kept for us to raise: the library would print it, for ever.
+    """
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("wb", buffering=0)
@@ -89,7 +95,9 @@ class RecordingFile:
         logging.getLogger("foxglove").setLevel(logging.ERROR)
         self._sink = _Sink(path)
         self._context = foxglove.Context()
-        options = MCAPWriteOptions(profile=PROFILE, disable_seeking=True, compression_level=_LEVEL, compression_threads=0)
+        options = MCAPWriteOptions(
+            profile=PROFILE, disable_seeking=True, compression_level=_LEVEL, compression_threads=0
+        )
         self._writer = foxglove.open_mcap(self._sink, context=self._context, writer_options=options)
         self._own: dict[str, foxglove.Channel] = {}
         for topic in TOPICS:
@@ -102,7 +110,9 @@ class RecordingFile:
         self._lost: set[str] = set()
 
     def _add(self, topic: Topic) -> None:
-        self._own[topic.name] = foxglove.Channel(topic.name, schema=inlined_schema(topic.message), context=self._context)
+        self._own[topic.name] = foxglove.Channel(
+            topic.name, schema=inlined_schema(topic.message), context=self._context
+        )
 
     def begin(self, head: Head, scenario: Scenario | None) -> None:
         """A flight begins; it is in the file at once. A file that tells a secret is its owner's alone."""
@@ -139,7 +149,10 @@ class RecordingFile:
         time_ns = self._put(TRUTH, truth, truth.time)
         escorts = {escort.uav: escort.ugv for escort in truth.escorts}
         if self._viewers.due(truth.time):
-            places = {name: (*vehicle.position, *vehicle.velocity) for name, vehicle in truth.vehicles.items()}
+            places = {
+                name: (*vehicle.position, *vehicle.velocity)
+                for name, vehicle in truth.vehicles.items()
+            }
             self._viewers.show(truth.time, places, escorts, time_ns)
         self._watch(escorts, (escort.distance for escort in truth.escorts), truth.time)
 
@@ -158,18 +171,27 @@ class RecordingFile:
         time_ns = self._clock(tick.time)
         self._own[TRUTH.name].log(tick.truth, log_time=time_ns)
         if self._viewers.due(tick.time):
-            places = {name: (x, y, v_x, v_y) for name, (x, y, v_x, v_y) in zip(names, tick.states.tolist(), strict=True)}
+            places = {
+                name: (x, y, v_x, v_y)
+                for name, (x, y, v_x, v_y) in zip(names, tick.states.tolist(), strict=True)
+            }
             self._viewers.show(tick.time, places, escorts, time_ns)
         self._watch(escorts, tick.distances, tick.time)
 
-    def _watch(self, escorts: Mapping[str, str], distances: Iterable[float], seconds: float) -> None:
+    def _watch(
+        self, escorts: Mapping[str, str], distances: Iterable[float], seconds: float
+    ) -> None:
         """Say when a UAV loses sight of its UGV, and when it sees it again."""
         for uav, distance in zip(escorts, distances, strict=True):
             if (distance >= self._r_v) != (uav in self._lost):
                 self._lost ^= {uav}
                 seen = uav not in self._lost
                 what = "sees {} again" if seen else "has lost sight of {}"
-                self.log(f"{uav} {what.format(escorts[uav])}: {distance:.3f} m", seconds, warning=not seen)
+                self.log(
+                    f"{uav} {what.format(escorts[uav])}: {distance:.3f} m",
+                    seconds,
+                    warning=not seen,
+                )
 
     def commands(self, commands: Commands, seconds: float) -> None:
         """Take down what was asked for during a tick that began at `seconds`."""
@@ -177,7 +199,11 @@ class RecordingFile:
 
     def word(self, ugv: str, tick: int, said: Drive, seconds: float) -> None:
         """Take down what an operator's word was that a UGV heard at a tick, which began at `seconds`."""
-        self._put(operator_topic(ugv), Word(tick=tick, driver=said.driver, velocity=said.velocity, goal=said.goal), seconds)
+        self._put(
+            operator_topic(ugv),
+            Word(tick=tick, driver=said.driver, velocity=said.velocity, goal=said.goal),
+            seconds,
+        )
 
     def change(self, change: Change, seconds: float) -> None:
         """Take down what operators have changed, told at `seconds`."""

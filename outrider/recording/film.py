@@ -44,11 +44,18 @@ def check_output(out: Path) -> None:
     if out.suffix.lower() not in ENDINGS:
         raise ScenarioError(f"{out}: ending {out.suffix!r}; allowed: {', '.join(ENDINGS)}")
     if out.suffix.lower() == ".mp4" and shutil.which("ffmpeg") is None:
-        raise ScenarioError(f"{out}: MP4 needs the program ffmpeg, which is not on the PATH; allowed without it: .gif, .png")
+        raise ScenarioError(
+            f"{out}: MP4 needs the program ffmpeg, which is not on the PATH; allowed without it: .gif, .png"
+        )
 
 
 def render(
-    recording: Recording, out: Path, *, fps: int = 20, speed: float = 10.0, on_frame: Progress = lambda _done, _all: None
+    recording: Recording,
+    out: Path,
+    *,
+    fps: int = 20,
+    speed: float = 10.0,
+    on_frame: Progress = lambda _done, _all: None,
 ) -> None:
     """Draw a recorded flight.
 
@@ -84,14 +91,19 @@ def render(
             _write_mp4(frames, out, fps)
 
 
-def _counted(frames: "Iterator[np.ndarray[Any, Any]]", total: int, on_frame: Progress) -> "Iterator[np.ndarray[Any, Any]]":
+def _counted(
+    frames: "Iterator[np.ndarray[Any, Any]]", total: int, on_frame: Progress
+) -> "Iterator[np.ndarray[Any, Any]]":
     for done, frame in enumerate(frames, 1):
         yield frame
         on_frame(done, total)
 
 
 def _palette() -> Image.Image:
-    """The colours of a GIF: shades of what is drawn on ground seen and unseen; the same for all frames, so nothing flickers."""
+    """The colours of a GIF: shades of what is drawn on ground seen and unseen.
+
+    The same for all frames, so nothing flickers.
+    """
     ramp = [style.COVERED(k / 63.0)[:3] for k in range(64)]
     colors = [(1.0, 1.0, 1.0), *ramp]
     for ink in (style.LIMIT, style.UAV[0], style.UGV[0], style.INK, style.MUTED):
@@ -108,23 +120,48 @@ def _write_gif(frames: "Iterator[np.ndarray[Any, Any]]", out: Path, fps: int) ->
 
     def reduced() -> Iterator[Image.Image]:
         for frame in frames:
-            yield Image.fromarray(frame).convert("RGB").quantize(palette=palette, dither=Image.Dither.NONE)
+            yield (
+                Image.fromarray(frame)
+                .convert("RGB")
+                .quantize(palette=palette, dither=Image.Dither.NONE)
+            )
 
     pictures = reduced()
     first = next(pictures)
     held = round(1000.0 / fps)
     with out.open("wb") as file:
-        first.save(file, format="GIF", save_all=True, append_images=pictures, duration=held, loop=0, optimize=False)
+        first.save(
+            file,
+            format="GIF",
+            save_all=True,
+            append_images=pictures,
+            duration=held,
+            loop=0,
+            optimize=False,
+        )
 
 
 def _write_mp4(frames: "Iterator[np.ndarray[Any, Any]]", out: Path, fps: int) -> None:
     first = next(frames)
     height, width = first.shape[:2]
-    raw = ["-f", "rawvideo", "-pix_fmt", "rgba", "-s", f"{width}x{height}", "-r", str(fps), "-i", "-"]
+    raw = [
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgba",
+        "-s",
+        f"{width}x{height}",
+        "-r",
+        str(fps),
+        "-i",
+        "-",
+    ]
     coded = ["-pix_fmt", "yuv420p", "-movflags", "+faststart", str(out)]
     program = shutil.which("ffmpeg") or "ffmpeg"
     with subprocess.Popen(
-        [program, "-y", "-loglevel", "error", *raw, *coded], stdin=subprocess.PIPE, stderr=subprocess.PIPE
+        [program, "-y", "-loglevel", "error", *raw, *coded],
+        stdin=subprocess.PIPE,
+        stderr=subprocess.PIPE,
     ) as ffmpeg:
         stdin, stderr = ffmpeg.stdin, ffmpeg.stderr
         if stdin is None or stderr is None:
@@ -149,7 +186,9 @@ class Film:
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
-        self._scenario: Scenario | None = recording.scenario if recording.head.scenario is not None else None
+        self._scenario: Scenario | None = (
+            recording.scenario if recording.head.scenario is not None else None
+        )
         truths = recording.truths
         self.times: FloatArray = np.array([truth.time for truth in truths])
         """Of the recorded ticks [s]."""
@@ -157,7 +196,8 @@ class Film:
         self._uavs = sorted(self._escorts)
         self._ugvs = sorted(set(truths[0].vehicles) - set(self._uavs))
         self._tracks = {
-            name: np.array([truth.vehicles[name].position for truth in truths]) for name in (*self._uavs, *self._ugvs)
+            name: np.array([truth.vehicles[name].position for truth in truths])
+            for name in (*self._uavs, *self._ugvs)
         }
         self._maps = coverages(recording.path, flight=recording.number)
         self._waiting = next(self._maps, None)
@@ -165,7 +205,9 @@ class Film:
 
     def frame_times(self, step: float) -> FloatArray:
         """Simulated times [s], `step` apart, the flight's end included."""
-        found: FloatArray = np.append(np.arange(self.times[0], self.times[-1], step), self.times[-1])
+        found: FloatArray = np.append(
+            np.arange(self.times[0], self.times[-1], step), self.times[-1]
+        )
         return found
 
     def _area(self) -> tuple[float, float]:
@@ -173,7 +215,10 @@ class Film:
         if self._scenario is not None:
             return self._scenario.area.width, self._scenario.area.height
         if self._waiting is not None:
-            return self._waiting.columns * self._waiting.cell, self._waiting.rows * self._waiting.cell
+            return (
+                self._waiting.columns * self._waiting.cell,
+                self._waiting.rows * self._waiting.cell,
+            )
         highest = np.concatenate(list(self._tracks.values())).max(axis=0)
         return float(highest[0]) + 5.0, float(highest[1]) + 5.0
 
@@ -190,20 +235,39 @@ class Film:
         )
         style.ground(axes, width, height)
         self._ground = axes.imshow(
-            np.zeros((1, 1)), cmap=style.COVERED, vmin=0.0, vmax=255.0, origin="lower", extent=(0.0, width, 0.0, height)
+            np.zeros((1, 1)),
+            cmap=style.COVERED,
+            vmin=0.0,
+            vmax=255.0,
+            origin="lower",
+            extent=(0.0, width, 0.0, height),
         )
         self._artists: list[Artist] = [self._ground]
         self._draw_goals()
         self._lines, self._bodies = dict[str, Line2D](), dict[str, Line2D]()
-        for names, colors, marker, thick in ((self._ugvs, style.UGV, "s", 2.2), (self._uavs, style.UAV, "o", 1.4)):
+        for names, colors, marker, thick in (
+            (self._ugvs, style.UGV, "s", 2.2),
+            (self._uavs, style.UAV, "o", 1.4),
+        ):
             for k, name in enumerate(names):
                 code = style.color(colors, k)
                 (self._lines[name],) = axes.plot([], [], color=code, linewidth=thick, zorder=4)
                 (self._bodies[name],) = axes.plot(
-                    [], [], marker, color=code, markersize=9, markeredgecolor="white", markeredgewidth=1.2, zorder=7
+                    [],
+                    [],
+                    marker,
+                    color=code,
+                    markersize=9,
+                    markeredgecolor="white",
+                    markeredgewidth=1.2,
+                    zorder=7,
                 )
         self._rings = self._make_rings()
-        self._artists += [*self._lines.values(), *(ring for _, ring in self._rings), *self._bodies.values()]
+        self._artists += [
+            *self._lines.values(),
+            *(ring for _, ring in self._rings),
+            *self._bodies.values(),
+        ]
         self._draw_texts(total)
         for artist in self._artists:
             artist.set_animated(True)
@@ -214,7 +278,9 @@ class Film:
         for ugv in self._scenario.ugv if self._scenario is not None else ():
             code = style.color(style.UGV, self._ugvs.index(ugv.name))
             for goal in ugv.goals:
-                (mark,) = self._axes.plot(*goal, marker="x", markersize=6, markeredgewidth=1.8, color=code, zorder=3.5)
+                (mark,) = self._axes.plot(
+                    *goal, marker="x", markersize=6, markeredgewidth=1.8, color=code, zorder=3.5
+                )
                 self._artists.append(mark)
 
     def _make_rings(self) -> list[tuple[str, Circle]]:
@@ -226,11 +292,19 @@ class Film:
         for ugv in sorted(set(self._escorts.values())):
             r_s = inner_radius(scenario, ugv)
             red: dict[str, Any] = {"fill": False, "edgecolor": style.LIMIT, "zorder": 5}
-            rings.append((ugv, Circle((0.0, 0.0), scenario.visibility.radius, linewidth=1.8, **red)))
+            rings.append(
+                (ugv, Circle((0.0, 0.0), scenario.visibility.radius, linewidth=1.8, **red))
+            )
             if r_s is not None:
-                rings.append((ugv, Circle((0.0, 0.0), r_s, linewidth=1.2, linestyle=style.DASHED, **red)))
+                rings.append(
+                    (ugv, Circle((0.0, 0.0), r_s, linewidth=1.2, linestyle=style.DASHED, **red))
+                )
         for k, uav in enumerate(self._uavs):
-            blue: dict[str, Any] = {"fill": False, "edgecolor": style.color(style.UAV, k), "zorder": 5}
+            blue: dict[str, Any] = {
+                "fill": False,
+                "edgecolor": style.color(style.UAV, k),
+                "zorder": 5,
+            }
             rings.append((uav, Circle((0.0, 0.0), scenario.sensor.range, linewidth=0.8, **blue)))
         for _, ring in rings:
             self._axes.add_patch(ring)
@@ -240,21 +314,57 @@ class Film:
         head, figure = self._recording.head, self._figure
         left = _SIDE / 2 / WIDTH
         law = f"law {self._scenario.law.name}   ·   " if self._scenario is not None else ""
-        figure.text(left, 1.0 - 20 / total, head.name, fontsize=13, fontweight="bold", va="top", parse_math=False)
-        figure.text(left, 1.0 - 58 / total, f"{law}seed {head.seed}", color=style.MUTED, va="top", parse_math=False)
-        right: dict[str, Any] = {"va": "top", "ha": "right", "animated": True, "fontfamily": "DejaVu Sans Mono"}
-        self._clock = figure.text(1.0 - left, 1.0 - 20 / total, "", fontsize=11, fontweight="bold", **right)
+        figure.text(
+            left,
+            1.0 - 20 / total,
+            head.name,
+            fontsize=13,
+            fontweight="bold",
+            va="top",
+            parse_math=False,
+        )
+        figure.text(
+            left,
+            1.0 - 58 / total,
+            f"{law}seed {head.seed}",
+            color=style.MUTED,
+            va="top",
+            parse_math=False,
+        )
+        right: dict[str, Any] = {
+            "va": "top",
+            "ha": "right",
+            "animated": True,
+            "fontfamily": "DejaVu Sans Mono",
+        }
+        self._clock = figure.text(
+            1.0 - left, 1.0 - 20 / total, "", fontsize=11, fontweight="bold", **right
+        )
         self._distance = figure.text(1.0 - left, 1.0 - 58 / total, "", **right)
         self._artists += [self._clock, self._distance]
         keys = style.vehicle_keys(len(self._uavs), len(self._ugvs))
         if self._scenario is not None:
             keys.append(style.key(style.LIMIT, "limit of sight $r_v$"))
-            if any(ring.get_linestyle() != "solid" and ring.get_linestyle() != "-" for _, ring in self._rings):
-                keys.append(style.key(style.LIMIT, "only tracking, $r_s$", linestyle=(0, (3, 1.6)), linewidth=1.2))
+            if any(
+                ring.get_linestyle() != "solid" and ring.get_linestyle() != "-"
+                for _, ring in self._rings
+            ):
+                keys.append(
+                    style.key(
+                        style.LIMIT, "only tracking, $r_s$", linestyle=(0, (3, 1.6)), linewidth=1.2
+                    )
+                )
             keys.append(style.key(style.UAV[0], "range of the sensor", linewidth=0.8))
         else:
             keys = keys[:2]
-        figure.legend(handles=keys, loc="lower center", ncols=len(keys), columnspacing=1.3, fontsize=7.5, handletextpad=0.5)
+        figure.legend(
+            handles=keys,
+            loc="lower center",
+            ncols=len(keys),
+            columnspacing=1.3,
+            fontsize=7.5,
+            handletextpad=0.5,
+        )
 
     def frames(self, times: "FloatArray | list[float]") -> "Iterator[np.ndarray[Any, Any]]":
         """The frames at these simulated times [s], which rise; shape (height, width, 4), uint8."""
@@ -281,5 +391,7 @@ class Film:
         r_v = self._scenario.visibility.radius if self._scenario is not None else np.inf
         limit = f" of {r_v:g} m" if np.isfinite(r_v) else ""
         self._clock.set_text(f"{truth.time:7.1f} s")
-        self._distance.set_text(f"distance {distance:5.2f} m{limit}" + ("  OUT OF SIGHT" if distance >= r_v else ""))
+        self._distance.set_text(
+            f"distance {distance:5.2f} m{limit}" + ("  OUT OF SIGHT" if distance >= r_v else "")
+        )
         self._distance.set_color(style.LIMIT if distance >= r_v else style.MUTED)

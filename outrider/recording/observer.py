@@ -66,7 +66,11 @@ class RunRecorder:
     @property
     def over(self) -> bool:
         """Whether the run is."""
-        return not self._busy and self._over_since is not None and time.monotonic() - self._over_since > _LAST_WORDS
+        return (
+            not self._busy
+            and self._over_since is not None
+            and time.monotonic() - self._over_since > _LAST_WORDS
+        )
 
     def take(self, patience: float) -> None:
         """Take down what has come, and wait for up to `patience` [s] where nothing has."""
@@ -114,7 +118,9 @@ class RunRecorder:
             self.missing_ticks += truth.tick - self.newest_tick - 1
             if truth.tick == self.newest_tick + 1:
                 asked = {name: vehicle.command for name, vehicle in truth.vehicles.items()}
-                self._file.commands(Commands(tick=self.newest_tick, accelerations=asked), self.newest_time)
+                self._file.commands(
+                    Commands(tick=self.newest_tick, accelerations=asked), self.newest_time
+                )
         self.ticks += 1
         self.newest_tick, self.newest_time = truth.tick, truth.time
         self._file.truth(truth)
@@ -128,9 +134,16 @@ class RunRecorder:
         status = self._status
         seed = status.seed if status is not None else 0
         if self._scenario is not None:
-            self._file.begin(head_of(self._scenario, seed, episode=self._episode, start=start), self._scenario)
+            self._file.begin(
+                head_of(self._scenario, seed, episode=self._episode, start=start), self._scenario
+            )
         else:
-            self._file.begin(unknown_head(status.scenario if status else "", seed, episode=self._episode, start=start), None)
+            self._file.begin(
+                unknown_head(
+                    status.scenario if status else "", seed, episode=self._episode, start=start
+                ),
+                None,
+            )
 
     def counts(self) -> dict[str, object]:
         """What has come, in numbers."""

@@ -51,7 +51,9 @@ _HEAD = 9
 _MOST_BYTES = 16 << 20
 """Of a record and of a chunk's content: the largest map of the ground, and as much again as a viewer is shown of it."""
 _SPARE, _RATIO = 32 << 20, 200
-"""A whole file may unpack to so many bytes, and to so many times its size. Flights unpack to twelve times theirs, a short one of
+"""A whole file may unpack to so many bytes, and to so many times its size.
+
+Flights unpack to twelve times theirs, a short one of
 the largest area to 140 times."""
 _LEAST = 512
 """A packed record counts as so many bytes at least: a million empty ones take their time and room, too."""
@@ -61,7 +63,16 @@ _KINDS: dict[int, type[Any]] = {
     Opcode.CHANNEL: records.Channel,
     Opcode.CHUNK: records.Chunk,
 }
-_BROKEN = (McapError, struct.error, UnicodeDecodeError, ValueError, zlib.error, zstandard.ZstdError, RuntimeError, MemoryError)
+_BROKEN = (
+    McapError,
+    struct.error,
+    UnicodeDecodeError,
+    ValueError,
+    zlib.error,
+    zstandard.ZstdError,
+    RuntimeError,
+    MemoryError,
+)
 """What the libraries raise on bytes that are no record."""
 
 
@@ -91,7 +102,9 @@ def _open(path: Path) -> BinaryIO:
     try:
         file = open_regular(path)
     except (OSError, ValueError) as error:
-        raise ScenarioError(f"{path}: {getattr(error, 'strerror', None) or error}; allowed: an MCAP file") from error
+        raise ScenarioError(
+            f"{path}: {getattr(error, 'strerror', None) or error}; allowed: an MCAP file"
+        ) from error
     if file.read(len(_MAGIC)) != _MAGIC:
         file.close()
         raise ScenarioError(f"{path}: not an MCAP file; allowed: a recording of Outrider's")
@@ -138,20 +151,31 @@ class _Reader:
 def _unpacked(chunk: records.Chunk) -> bytes:
     """What is in a chunk; neither what it declares nor what is true may be more than fits."""
     if chunk.uncompressed_size > _MOST_BYTES:
-        raise ValueError(f"a chunk of {chunk.uncompressed_size:,} bytes; {_MOST_BYTES:,} are the most")
+        raise ValueError(
+            f"a chunk of {chunk.uncompressed_size:,} bytes; {_MOST_BYTES:,} are the most"
+        )
     if chunk.compression == "zstd":
         true = zstandard.frame_content_size(chunk.data)
-        if true not in (-1, chunk.uncompressed_size):  # -1: the frame does not tell, and the limit holds while it is unpacked
+        if true not in (
+            -1,
+            chunk.uncompressed_size,
+        ):  # -1: the frame does not tell, and the limit holds while it is unpacked
             raise ValueError(f"a chunk of {true:,} bytes that declares {chunk.uncompressed_size:,}")
         content: bytes = zstandard.decompress(chunk.data, chunk.uncompressed_size)
     elif chunk.compression == "lz4":
-        content = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=chunk.uncompressed_size + 1)
+        content = lz4.frame.LZ4FrameDecompressor().decompress(
+            chunk.data, max_length=chunk.uncompressed_size + 1
+        )
     elif chunk.compression == "":
         content = chunk.data
     else:
-        raise ValueError(f"a chunk packed with {chunk.compression[:20]!r}; read are zstd, lz4 and plain ones")
+        raise ValueError(
+            f"a chunk packed with {chunk.compression[:20]!r}; read are zstd, lz4 and plain ones"
+        )
     if len(content) != chunk.uncompressed_size:
-        raise ValueError(f"a chunk of {len(content):,} bytes that declares {chunk.uncompressed_size:,}")
+        raise ValueError(
+            f"a chunk of {len(content):,} bytes that declares {chunk.uncompressed_size:,}"
+        )
     return content
 
 
@@ -183,7 +207,9 @@ def stream(path: Path, damage: Damage | None = None) -> Iterator[Any]:
                 told.end = told.size
                 return
             if kind != Opcode.MESSAGE and kind not in _KINDS:
-                file.seek(length, os.SEEK_CUR)  # indexes and statistics, which a stream has no use for
+                file.seek(
+                    length, os.SEEK_CUR
+                )  # indexes and statistics, which a stream has no use for
                 told.end += _HEAD + length
                 continue
             if length > _MOST_BYTES:
@@ -198,7 +224,9 @@ def stream(path: Path, damage: Damage | None = None) -> Iterator[Any]:
             yield from found
 
 
-def entries(path: Path, topics: Collection[str] = (), damage: Damage | None = None) -> Iterator[Entry]:
+def entries(
+    path: Path, topics: Collection[str] = (), damage: Damage | None = None
+) -> Iterator[Entry]:
     """The messages in the order in which they were written.
 
     Args:
@@ -223,7 +251,9 @@ def _decoded(path: Path, entry: Entry, decoder: "msgspec.json.Decoder[Sent]") ->
     try:
         return decoder.decode(entry.data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ScenarioError(f"{path}: {entry.topic} at {entry.time / 1e9:g} s: {error}; allowed: what Outrider writes") from error
+        raise ScenarioError(
+            f"{path}: {entry.topic} at {entry.time / 1e9:g} s: {error}; allowed: what Outrider writes"
+        ) from error
 
 
 def _all(path: Path, topic: Topic, kind: type[Sent], flight: int | None) -> Iterator[Sent]:
@@ -294,7 +324,9 @@ class Recording:
     @property
     def missing_ticks(self) -> int:
         """Ticks between the first and the last that are not in the file."""
-        return self.truths[-1].tick - self.truths[0].tick + 1 - len(self.truths) if self.truths else 0
+        return (
+            self.truths[-1].tick - self.truths[0].tick + 1 - len(self.truths) if self.truths else 0
+        )
 
 
 def load(path: Path) -> list[Recording]:
@@ -306,7 +338,9 @@ def load(path: Path) -> list[Recording]:
     damage = Damage()
     flights: list[Recording] = []
     topics = (TRUTH, COMMANDS, STATUS, CHANGES)
-    decoders: dict[str, msgspec.json.Decoder[Any]] = {topic.name: msgspec.json.Decoder(topic.message) for topic in topics}
+    decoders: dict[str, msgspec.json.Decoder[Any]] = {
+        topic.name: msgspec.json.Decoder(topic.message) for topic in topics
+    }
     words = msgspec.json.Decoder(Word)
     seen = 0
     for entry in entries(path, damage=damage):
@@ -330,10 +364,16 @@ def load(path: Path) -> list[Recording]:
             flights[-1].changes.append(message)
         elif isinstance(message, Status):
             flights[-1].links, flights[-1].certificates = message.links, message.certificates
-            flights[-1].factors += [message.realtime_factor] if message.realtime_factor > 0.0 else []
+            flights[-1].factors += (
+                [message.realtime_factor] if message.realtime_factor > 0.0 else []
+            )
     if not flights:
         why = damage.reason or "closed, and empty"
-        what = "nothing whole is in it" if not seen else f"no {SCENARIO.name} in it: not a recording of Outrider's"
+        what = (
+            "nothing whole is in it"
+            if not seen
+            else f"no {SCENARIO.name} in it: not a recording of Outrider's"
+        )
         raise ScenarioError(f"{path}: {what} ({why})")
     return flights
 
@@ -352,7 +392,9 @@ def flight_of(path: Path, number: int | None = None) -> Recording:
     if number is None:
         flown = [flight for flight in flights if flight.truths]
         if not flown:
-            raise ScenarioError(f"{path}: no tick in it: the run was over before it began, or the file was cut off there")
+            raise ScenarioError(
+                f"{path}: no tick in it: the run was over before it began, or the file was cut off there"
+            )
         return flown[-1]
     if not -len(flights) <= number < len(flights):
         raise ScenarioError(f"{path}: flight {number}: allowed are 0 to {len(flights) - 1}")
@@ -393,18 +435,29 @@ def repair(path: Path, out: Path) -> Repair:
     schemas, channels = {0: 0}, dict[int, int]()
     with out.open("wb") as file:
         writer = Writer(file)
-        writer.start(profile=getattr(first, "profile", ""), library=f"outrider repair of {path.name}")
+        writer.start(
+            profile=getattr(first, "profile", ""), library=f"outrider repair of {path.name}"
+        )
         for record in found:
             if isinstance(record, records.Schema) and record.id not in schemas:
-                schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
+                schemas[record.id] = writer.register_schema(
+                    record.name, record.encoding, record.data
+                )
             elif isinstance(record, records.Channel) and record.id not in channels:
                 channels[record.id] = writer.register_channel(
-                    record.topic, record.message_encoding, schemas.get(record.schema_id, 0), dict(record.metadata)
+                    record.topic,
+                    record.message_encoding,
+                    schemas.get(record.schema_id, 0),
+                    dict(record.metadata),
                 )
             elif isinstance(record, records.Message) and record.channel_id in channels:
                 messages += 1
                 writer.add_message(
-                    channels[record.channel_id], record.log_time, record.data, record.publish_time, record.sequence
+                    channels[record.channel_id],
+                    record.log_time,
+                    record.data,
+                    record.publish_time,
+                    record.sequence,
                 )
         writer.finish()  # type: ignore[no-untyped-call]
     return Repair(messages=messages, lost_bytes=damage.size - damage.end, reason=damage.reason)

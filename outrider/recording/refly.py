@@ -1,4 +1,7 @@
-"""Flying a recording again: the same commands through the same simulator, without pilots; and the recorded flight as it was."""
+"""Flying a recording again: the same commands through the same simulator, without pilots.
+
+And the recorded flight as it was.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -56,15 +59,21 @@ def _new_flight(recording: Recording) -> Flight:
     flight = Flight(scenario, recording.head.seed, secret=recording.head.secret)
     if not from_the_start(recording):
         where = f"begins at tick {recording.truths[0].tick}" if recording.truths else "is empty"
-        raise ScenarioError(f"{recording.path}: {where}; allowed: a recording from the first tick on")
+        raise ScenarioError(
+            f"{recording.path}: {where}; allowed: a recording from the first tick on"
+        )
     if set(recording.truths[0].vehicles) != set(flight.world.names):
-        raise ScenarioError(f"{recording.path}: its vehicles are not those of its scenario {scenario.name!r}")
+        raise ScenarioError(
+            f"{recording.path}: its vehicles are not those of its scenario {scenario.name!r}"
+        )
     return flight
 
 
 def _without_gap(recording: Recording) -> int:
     """How many truths follow each other from the first on."""
-    return next((k for k, truth in enumerate(recording.truths) if truth.tick != k), len(recording.truths))
+    return next(
+        (k for k, truth in enumerate(recording.truths) if truth.tick != k), len(recording.truths)
+    )
 
 
 def _put(flight: Flight, truth: Truth) -> None:
@@ -72,7 +81,11 @@ def _put(flight: Flight, truth: Truth) -> None:
     world = flight.world
     for k, name in enumerate(world.names):
         vehicle = truth.vehicles[name]
-        world.position[k], world.velocity[k], world.acceleration[k] = vehicle.position, vehicle.velocity, vehicle.acceleration
+        world.position[k], world.velocity[k], world.acceleration[k] = (
+            vehicle.position,
+            vehicle.velocity,
+            vehicle.acceleration,
+        )
     escorts = {escort.uav: escort for escort in truth.escorts}
     for k, uav in enumerate(world.uavs):
         found = escorts[uav.name].detection
@@ -83,8 +96,8 @@ def _put(flight: Flight, truth: Truth) -> None:
 def restore(recording: Recording) -> Flight:
     """The recorded flight, with its record and its ground, as if it had just been flown.
 
-    Every state is the recorded one; the ground is what the UAVs saw from there. Ticks that an observer missed are bridged
-    with the last command that is known.
+    Every state is the recorded one; the ground is what the UAVs saw from there. Ticks that an observer missed are
+    bridged with the last command that is known.
 
     Raises:
         ScenarioError: If the file does not tell the scenario, or does not begin with the first tick.
@@ -130,9 +143,14 @@ def _difference(flight: Flight, truth: Truth) -> Difference | None:
     arrays = (world.position, world.velocity, world.acceleration)
     for k, name in enumerate(world.names):
         for field, array in zip(_FIELDS, arrays, strict=True):
-            recorded, flown = getattr(truth.vehicles[name], field), (float(array[k, 0]), float(array[k, 1]))
+            recorded, flown = (
+                getattr(truth.vehicles[name], field),
+                (float(array[k, 0]), float(array[k, 1])),
+            )
             if recorded != flown:
-                return Difference(tick=truth.tick, vehicle=name, field=field, recorded=recorded, flown=flown)
+                return Difference(
+                    tick=truth.tick, vehicle=name, field=field, recorded=recorded, flown=flown
+                )
     return None
 
 
@@ -142,7 +160,10 @@ def refly(recording: Recording) -> Reflight:
     Raises:
         ScenarioError: If the file does not tell the scenario, or does not begin with the first tick.
     """
-    flight, copy = _new_flight(recording), _new_flight(recording)  # the copy only hashes what was recorded
+    flight, copy = (
+        _new_flight(recording),
+        _new_flight(recording),
+    )  # the copy only hashes what was recorded
     difference = _difference(flight, recording.truths[0])
     flight.recorder.record(flight.reports)
     _put(copy, recording.truths[0])
@@ -167,9 +188,15 @@ def _note(recording: Recording, flight: Flight, difference: Difference | None) -
     notes = []
     here, there = platform_row(), recording.head.platform
     if difference is not None and here != there:
-        other = ", ".join(f"{key} {there.get(key)} there, {here[key]} here" for key in here if here[key] != there.get(key))
+        other = ", ".join(
+            f"{key} {there.get(key)} there, {here[key]} here"
+            for key in here
+            if here[key] != there.get(key)
+        )
         notes.append(f"recorded on another platform ({other}): compare to 1e-9")
     missing = recording.truths[-1].tick - flight.recorder.ticks
     if missing:
-        notes.append(f"flown again to tick {flight.recorder.ticks}: the next is not in the file, which has {missing} more")
+        notes.append(
+            f"flown again to tick {flight.recorder.ticks}: the next is not in the file, which has {missing} more"
+        )
     return "; ".join(notes)

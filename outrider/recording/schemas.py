@@ -1,7 +1,7 @@
 """What stands in a recording: its channels, their JSON schemas, and the head that says what was flown.
 
-Times are simulated: nanoseconds since the first tick. One file holds one run; a run that was reset has several flights, one after
-the other, each with a head of its own.
+Times are simulated: nanoseconds since the first tick. One file holds one run; a run that was reset has several
+flights, one after the other, each with a head of its own.
 """
 
 import math
@@ -14,7 +14,19 @@ from msgspec import Meta
 
 from agents.control.visibility import raw_switching_radius
 from bus.errors import ScenarioError
-from bus.messages import Change, CoverageMap, Drive, Message, Name, NonNegative, Status, Text, Tick, Truth, Vector
+from bus.messages import (
+    Change,
+    CoverageMap,
+    Drive,
+    Message,
+    Name,
+    NonNegative,
+    Status,
+    Text,
+    Tick,
+    Truth,
+    Vector,
+)
 from sim.recorder import platform_row
 from sim.scenario import Scenario
 from sim.scenario_checks import check_scenario
@@ -80,7 +92,10 @@ COVERAGE = Topic(name="/coverage", message=CoverageMap)
 TOPICS = (SCENARIO, TRUTH, COMMANDS, STATUS, COVERAGE)
 """Those that every recording has."""
 CHANGES = Topic(name="/changes", message=Change)
-"""What operators have changed, where they have: law and driver, each with its tick; an observer is told of the clock too."""
+"""What operators have changed, where they have: law and driver, each with its tick.
+
+An observer is told of the clock too.
+"""
 _OPERATOR = "operator"
 
 
@@ -118,11 +133,23 @@ def inlined_schema(message: type[Message]) -> dict[str, Any]:
 def _infinite(value: object, path: str) -> list[str]:
     if isinstance(value, float):
         return [path] if math.isinf(value) else []
-    pairs = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list | tuple) else ()
-    return [found for key, part in pairs for found in _infinite(part, f"{path}.{key}" if path else str(key))]
+    pairs = (
+        value.items()
+        if isinstance(value, dict)
+        else enumerate(value)
+        if isinstance(value, list | tuple)
+        else ()
+    )
+    return [
+        found
+        for key, part in pairs
+        for found in _infinite(part, f"{path}.{key}" if path else str(key))
+    ]
 
 
-def head_of(scenario: Scenario, seed: int, *, secret: str = "", episode: int = 0, start: float = 0.0) -> Head:
+def head_of(
+    scenario: Scenario, seed: int, *, secret: str = "", episode: int = 0, start: float = 0.0
+) -> Head:
     """The head of a flight whose scenario is known.
 
     Args:
@@ -148,7 +175,14 @@ def head_of(scenario: Scenario, seed: int, *, secret: str = "", episode: int = 0
 
 def unknown_head(name: str, seed: int, *, episode: int = 0, start: float = 0.0) -> Head:
     """The head of a run of which an observer knows no more than its name and seed; as `head_of`."""
-    return Head(outrider=version("outrider"), episode=episode, start=start, name=name, seed=seed, platform=platform_row())
+    return Head(
+        outrider=version("outrider"),
+        episode=episode,
+        start=start,
+        name=name,
+        seed=seed,
+        platform=platform_row(),
+    )
 
 
 def scenario_in(head: Head, *, file: str) -> Scenario:
@@ -158,8 +192,12 @@ def scenario_in(head: Head, *, file: str) -> Scenario:
         ScenarioError: If it is not there, or this version cannot fly it.
     """
     if head.scenario is None:
-        raise ScenarioError(f"{file}: recorded by an observer without the scenario; allowed: a file recorded with --scenario")
-    raw: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(head.scenario))  # a copy to put the infinite ones into
+        raise ScenarioError(
+            f"{file}: recorded by an observer without the scenario; allowed: a file recorded with --scenario"
+        )
+    raw: dict[str, Any] = msgspec.json.decode(
+        msgspec.json.encode(head.scenario)
+    )  # a copy to put the infinite ones into
     for field in head.infinite:
         apply_override(raw, field, math.inf, file=file)
     return check_scenario(typed(raw, Scenario, file=file), source=file)
@@ -170,7 +208,9 @@ def inner_radius(scenario: Scenario, ugv: str) -> float | None:
     vehicles = {vehicle.name: vehicle for vehicle in scenario.vehicles}
     r_v, v_g = scenario.visibility.radius, vehicles[ugv].max_speed
     uavs = [uav for uav in scenario.uav if uav.escorts == ugv]
-    radii = [float(raw_switching_radius(r_v, uav.max_speed, v_g, uav.max_acceleration)) for uav in uavs]
+    radii = [
+        float(raw_switching_radius(r_v, uav.max_speed, v_g, uav.max_acceleration)) for uav in uavs
+    ]
     return min((r_s for r_s in radii if 0.0 < r_s < r_v), default=None)
 
 
@@ -187,7 +227,11 @@ def read_head(data: bytes, *, file: str) -> Head:
     try:
         written = msgspec.json.decode(data, type=_AnyFormat).format
         if written != FORMAT:
-            raise ScenarioError(f"{file}: a recording of format {written}; allowed: {FORMAT}, which this version reads")
+            raise ScenarioError(
+                f"{file}: a recording of format {written}; allowed: {FORMAT}, which this version reads"
+            )
         return msgspec.json.decode(data, type=Head)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ScenarioError(f"{file}: {SCENARIO.name}: {error}; allowed: the head that Outrider writes") from error
+        raise ScenarioError(
+            f"{file}: {SCENARIO.name}: {error}; allowed: the head that Outrider writes"
+        ) from error

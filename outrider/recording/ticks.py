@@ -1,7 +1,7 @@
 """Many ticks of a flight as JSON at once: the same bytes as their `Truth` and `Commands`, without making those.
 
-A recording holds every tick, and to make the messages one by one costs more than to write them. What changes from tick to tick
-is numbers: they are written in one go, and put into the text that one message was, once.
+A recording holds every tick, and to make the messages one by one costs more than to write them. What changes from
+tick to tick is numbers: they are written in one go, and put into the text that one message was, once.
 """
 
 from collections.abc import Iterator, Sequence
@@ -52,7 +52,12 @@ class TickTexts:
         self._marks = _MARK
         time = self._number()
         vehicles = {
-            name: VehicleTruth(position=self._pair(), velocity=self._pair(), acceleration=self._pair(), command=self._pair())
+            name: VehicleTruth(
+                position=self._pair(),
+                velocity=self._pair(),
+                acceleration=self._pair(),
+                command=self._pair(),
+            )
             for name in flight.world.names
         }
         self._escorts = self._marks - _MARK
@@ -69,8 +74,12 @@ class TickTexts:
             for uav in flight.world.uavs
         )
         asked = {name: vehicle.command for name, vehicle in vehicles.items()}
-        self._asked = itemgetter(*(round(number) - _MARK for pair in asked.values() for number in pair))
-        self._truth = self._template(Truth(tick=_TICK, time=time, vehicles=vehicles, escorts=escorts))
+        self._asked = itemgetter(
+            *(round(number) - _MARK for pair in asked.values() for number in pair)
+        )
+        self._truth = self._template(
+            Truth(tick=_TICK, time=time, vehicles=vehicles, escorts=escorts)
+        )
         self._commands = self._template(Commands(tick=_TICK, accelerations=asked))
 
     def _number(self) -> float:
@@ -85,12 +94,16 @@ class TickTexts:
         text = self._encoder.encode(sample)
         for number in range(_MARK, self._marks):
             text = text.replace(b"%d.0" % number, b"%b")
-        return text.replace(b'"tick":%d' % _TICK, b'"tick":%d').replace(b'"report":null', b'"report":%b')
+        return text.replace(b'"tick":%d' % _TICK, b'"tick":%d').replace(
+            b'"report":null', b'"report":%b'
+        )
 
     def _numbers(self, first: int, commands: FloatArray) -> FloatArray:
         """The numbers of the texts in their order, a row for each tick; NaN is written as null."""
         recorder, (count, vehicles, _) = self._flight.recorder, commands.shape
-        numbers: FloatArray = np.full((count, self._escorts + 5 * len(self._flight.world.uavs)), np.nan)
+        numbers: FloatArray = np.full(
+            (count, self._escorts + 5 * len(self._flight.world.uavs)), np.nan
+        )
         numbers[:, 0] = np.arange(first, first + count) * self._flight.scenario.dt
         moving = numbers[:, 1 : self._escorts].reshape(count, vehicles, 8)
         moving[:, :, :4] = recorder.states[first : first + count, :, :4]
@@ -115,7 +128,10 @@ class TickTexts:
         numbers, dt, at = self._numbers(first, commands), self._flight.scenario.dt, self._escorts
         width, encode = numbers.shape[1], self._encoder.encode
         texts = encode(numbers.ravel().tolist())[1:-1].split(b",")
-        states, distances = numbers[:, 1:at].reshape(*commands.shape[:2], 8)[:, :, :4], numbers[:, at::5].tolist()
+        states, distances = (
+            numbers[:, 1:at].reshape(*commands.shape[:2], 8)[:, :, :4],
+            numbers[:, at::5].tolist(),
+        )
         for k, said in enumerate(reports):
             tick, row = first + k, texts[k * width : (k + 1) * width]
             for escort, report in enumerate(said):

@@ -1,7 +1,7 @@
 """What viewers of MCAP understand at once (Foxglove, Lichtblick): frames, poses, a scene, the grid, a log.
 
-They are shown a few poses per simulated second: a viewer draws what lies between two of them by itself. Every tick stands in our
-own channels.
+They are shown a few poses per simulated second: a viewer draws what lies between two of them by itself. Every tick
+stands in our own channels.
 """
 
 import math
@@ -41,13 +41,20 @@ def _stamp(time_ns: int) -> messages.Timestamp:
     return messages.Timestamp(sec=time_ns // 1_000_000_000, nsec=time_ns % 1_000_000_000)
 
 
-def _ring(radius: float, color: messages.Color, *, dashed: bool = False, thickness: float = 0.06) -> messages.LinePrimitive:
+def _ring(
+    radius: float, color: messages.Color, *, dashed: bool = False, thickness: float = 0.06
+) -> messages.LinePrimitive:
     """A circle around a vehicle, in its own frame."""
     angles = [2.0 * math.pi * k / 96 for k in range(96)]
     return messages.LinePrimitive(
-        type=messages.LinePrimitiveLineType.LineList if dashed else messages.LinePrimitiveLineType.LineLoop,
+        type=messages.LinePrimitiveLineType.LineList
+        if dashed
+        else messages.LinePrimitiveLineType.LineLoop,
         thickness=thickness,
-        points=[messages.Point3(x=radius * math.cos(angle), y=radius * math.sin(angle)) for angle in angles],
+        points=[
+            messages.Point3(x=radius * math.cos(angle), y=radius * math.sin(angle))
+            for angle in angles
+        ],
         color=color,
     )
 
@@ -80,7 +87,9 @@ class Viewers:
         self._context = context
         self._tf = channels.FrameTransformsChannel("/tf", context=context)
         scene = messages.SceneUpdate.get_schema()
-        self._scene = foxglove.Channel("/scene", schema=scene, message_encoding="protobuf", context=context)
+        self._scene = foxglove.Channel(
+            "/scene", schema=scene, message_encoding="protobuf", context=context
+        )
         self._grid = channels.GridChannel("/grid", context=context)
         self._log = channels.LogChannel("/log", context=context)
         self._poses: dict[str, channels.PoseInFrameChannel] = {}
@@ -110,14 +119,22 @@ class Viewers:
         """
         self._next_view = time + _VIEW_PERIOD * (1.0 - 1e-6)
         stamp = _stamp(time_ns)
-        transforms = [self._place(name, place, name in escorts, stamp, time_ns) for name, place in places.items()]
+        transforms = [
+            self._place(name, place, name in escorts, stamp, time_ns)
+            for name, place in places.items()
+        ]
         self._tf.log(messages.FrameTransforms(transforms=transforms), log_time=time_ns)
         if time >= self._next_scene:
             self._next_scene = time + _SCENE_PERIOD * (1.0 - 1e-6)
             self._draw(escorts, stamp, time_ns)
 
     def _place(
-        self, name: str, place: tuple[float, float, float, float], is_uav: bool, stamp: messages.Timestamp, time_ns: int
+        self,
+        name: str,
+        place: tuple[float, float, float, float],
+        is_uav: bool,
+        stamp: messages.Timestamp,
+        time_ns: int,
     ) -> messages.FrameTransform:
         """Show one vehicle's pose; the same as a transform."""
         x, y, v_x, v_y = place
@@ -129,12 +146,18 @@ class Viewers:
         if name not in self._poses:
             self._poses[name] = channels.PoseInFrameChannel(f"/pose/{name}", context=self._context)
         pose = messages.Pose(position=spot, orientation=turn)
-        self._poses[name].log(messages.PoseInFrame(timestamp=stamp, frame_id="world", pose=pose), log_time=time_ns)
+        self._poses[name].log(
+            messages.PoseInFrame(timestamp=stamp, frame_id="world", pose=pose), log_time=time_ns
+        )
         if name not in self._tracks:
             self._tracks[name] = _Track()
         self._tracks[name].follow(x, y)
         return messages.FrameTransform(
-            timestamp=stamp, parent_frame_id="world", child_frame_id=name, translation=spot, rotation=turn
+            timestamp=stamp,
+            parent_frame_id="world",
+            child_frame_id=name,
+            translation=spot,
+            rotation=turn,
         )
 
     def _draw(self, escorts: Mapping[str, str], stamp: messages.Timestamp, time_ns: int) -> None:
@@ -148,9 +171,15 @@ class Viewers:
                 points=track.points,
                 color=_color(self._colors[name], 0.8),
             )
-            tracks.append(messages.SceneEntity(timestamp=stamp, frame_id="world", id=f"{name} track", lines=[line]))
+            tracks.append(
+                messages.SceneEntity(
+                    timestamp=stamp, frame_id="world", id=f"{name} track", lines=[line]
+                )
+            )
         moving = messages.SceneUpdate(entities=tracks).encode()
-        self._scene.log(self._bodies + moving, log_time=time_ns)  # protobuf joins the two lists of entities
+        self._scene.log(
+            self._bodies + moving, log_time=time_ns
+        )  # protobuf joins the two lists of entities
 
     def _entities(self, escorts: Mapping[str, str]) -> list[messages.SceneEntity]:
         """Vehicles and circles: each hangs on its vehicle's frame, so they are made once."""
@@ -158,20 +187,33 @@ class Viewers:
         self._colors = {name: style.color(style.UGV, k) for k, name in enumerate(ugvs)}
         self._colors |= {name: style.color(style.UAV, k) for k, name in enumerate(uavs)}
         followed = set(escorts.values())
-        return [*(self._ugv(name, seen=name in followed) for name in ugvs), *(self._uav(name) for name in uavs)]
+        return [
+            *(self._ugv(name, seen=name in followed) for name in ugvs),
+            *(self._uav(name) for name in uavs),
+        ]
 
     def _ugv(self, name: str, *, seen: bool) -> messages.SceneEntity:
-        body = messages.CubePrimitive(size=messages.Vector3(x=0.7, y=0.45, z=0.3), color=_color(self._colors[name]))
+        body = messages.CubePrimitive(
+            size=messages.Vector3(x=0.7, y=0.45, z=0.3), color=_color(self._colors[name])
+        )
         lines = self._sight(name) if seen else []
-        return messages.SceneEntity(frame_id=name, id=name, frame_locked=True, cubes=[body], lines=lines)
+        return messages.SceneEntity(
+            frame_id=name, id=name, frame_locked=True, cubes=[body], lines=lines
+        )
 
     def _uav(self, name: str) -> messages.SceneEntity:
         color = _color(self._colors[name])
         size = messages.Vector3(x=0.6, y=0.6, z=0.12)
         body = messages.CylinderPrimitive(size=size, bottom_scale=1.0, top_scale=1.0, color=color)
-        nose = messages.ArrowPrimitive(shaft_length=0.4, shaft_diameter=0.06, head_length=0.15, head_diameter=0.15, color=color)
-        reach = [_ring(self._scenario.sensor.range, color, thickness=0.03)] if self._scenario else []
-        return messages.SceneEntity(frame_id=name, id=name, frame_locked=True, cylinders=[body], arrows=[nose], lines=reach)
+        nose = messages.ArrowPrimitive(
+            shaft_length=0.4, shaft_diameter=0.06, head_length=0.15, head_diameter=0.15, color=color
+        )
+        reach = (
+            [_ring(self._scenario.sensor.range, color, thickness=0.03)] if self._scenario else []
+        )
+        return messages.SceneEntity(
+            frame_id=name, id=name, frame_locked=True, cylinders=[body], arrows=[nose], lines=reach
+        )
 
     def _sight(self, ugv: str) -> list[messages.LinePrimitive]:
         """r_v, and r_s where it is a circle of its own."""
@@ -184,8 +226,12 @@ class Viewers:
 
     def coverage(self, ground: CoverageMap, time_ns: int) -> None:
         """What was seen of the ground."""
-        pose = messages.Pose(position=messages.Vector3(z=-0.01), orientation=messages.Quaternion(w=1.0))
-        share = messages.PackedElementField(name="coverage", type=messages.PackedElementFieldNumericType.Uint8)
+        pose = messages.Pose(
+            position=messages.Vector3(z=-0.01), orientation=messages.Quaternion(w=1.0)
+        )
+        share = messages.PackedElementField(
+            name="coverage", type=messages.PackedElementFieldNumericType.Uint8
+        )
         grid = messages.Grid(
             timestamp=_stamp(time_ns),
             frame_id="world",
@@ -202,4 +248,7 @@ class Viewers:
     def log(self, line: str, time_ns: int, *, warning: bool) -> None:
         """A line for a person."""
         level = messages.LogLevel.Warning if warning else messages.LogLevel.Info
-        self._log.log(messages.Log(timestamp=_stamp(time_ns), level=level, message=line, name="outrider"), log_time=time_ns)
+        self._log.log(
+            messages.Log(timestamp=_stamp(time_ns), level=level, message=line, name="outrider"),
+            log_time=time_ns,
+        )

@@ -10,7 +10,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.messages import Action, Change, Control, CoverageMap, Drive, Status, UavReport, VehicleStatus
+from bus.messages import (
+    Action,
+    Change,
+    Control,
+    CoverageMap,
+    Drive,
+    Status,
+    UavReport,
+    VehicleStatus,
+)
 from outrider.promise import promise_warnings
 from outrider.recording.file import RecordingFile
 from outrider.recording.schemas import head_of
@@ -23,10 +32,15 @@ from sim.world import World
 _WAKE = 0.02
 """Wall time between two looks of the thread [s]."""
 _BLOCK = 8
-"""Ticks that the thread writes at once; then it lets the flight have the interpreter, which comes back from the bus and must not
+"""Ticks that the thread writes at once.
+
+Then it lets the flight have the interpreter, which comes back from the bus and must not
 find it taken for long."""
 _SWITCH = 1e-4
-"""A flight that is back from the bus gets the interpreter from the thread within this [s]; Python's own 5 ms are many ticks."""
+"""A flight that is back from the bus gets the interpreter from the thread within this [s].
+
+Python's own 5 ms are many ticks.
+"""
 _CROWD = 128
 """For each of so many that wait it writes one block more before that."""
 _ROOM = 1024
@@ -50,7 +64,10 @@ _Flown = tuple[bytes, tuple[UavReport | None, ...]]
 _Other = _Said | Change | CoverageMap | Status | str
 """A text is a line for a person."""
 _Item = tuple[Flight, int, _Flown | None, _Other | None]
-"""Something for the thread, and its tick: one that was flown, or something else. Tuples, since the tick pays for making them."""
+"""Something for the thread, and its tick: one that was flown, or something else.
+
+Tuples, since the tick pays for making them.
+"""
 
 
 def _news_in(told: Mapping[str, News], tick: int) -> Iterator[_Said | Change]:
@@ -60,7 +77,9 @@ def _news_in(told: Mapping[str, News], tick: int) -> Iterator[_Said | Change]:
         for word in news.operator:
             yield _Said(name, word)
         if news.driver is not None:
-            yield Change(tick=tick, control=Control(action=Action.DRIVER, vehicle=name, driver=news.driver))
+            yield Change(
+                tick=tick, control=Control(action=Action.DRIVER, vehicle=name, driver=news.driver)
+            )
         if news.law is not None and news.law not in laws:  # one order to all UAVs
             laws.append(news.law)
             yield Change(tick=tick, control=Control(action=Action.LAW, law=news.law))
@@ -94,7 +113,9 @@ class FlightRecorder:
         self._items: deque[_Item] = deque()
         self._done = threading.Event()
         self._fault: Exception | None = None
-        self._flight: Flight | None = None  # the one that the flight's thread is at; _written is the writer's
+        self._flight: Flight | None = (
+            None  # the one that the flight's thread is at; _written is the writer's
+        )
         self._degradations = 0  # of the flight, those that are in the file
         self._written: Flight | None = None
         self._texts: TickTexts
@@ -113,8 +134,8 @@ class FlightRecorder:
     def tick(self, flight: Flight) -> None:
         """Take down the tick that has just been flown; called after each, from the flight's own thread.
 
-        Waits only where the disk is slower than the flight for long: nothing is dropped. After a fault of the disk it does
-        nothing; `close` tells.
+        Waits only where the disk is slower than the flight for long: nothing is dropped. After a fault of the disk
+        it does nothing; `close` tells.
 
         Args:
             flight: Another one than before begins a new flight in the file.
@@ -128,7 +149,9 @@ class FlightRecorder:
         if told:
             items.extend((flight, tick, None, what) for what in _news_in(told, tick - 1))
         if len(flight.degradations) > self._degradations:
-            items.extend((flight, tick, None, change) for change in flight.degradations[self._degradations :])
+            items.extend(
+                (flight, tick, None, change) for change in flight.degradations[self._degradations :]
+            )
             self._degradations = len(flight.degradations)
         items.append((flight, tick, (flight.commands.tobytes(), tuple(flight.reports)), None))
         while self._early:
@@ -147,7 +170,9 @@ class FlightRecorder:
         """The map and the status, if it is time."""
         if tick >= self._next_map or flight.over:
             cells = flight.world.coverage.size
-            self._next_map = tick + max(1, round(max(_MAP_PERIOD, _MAP_PERIOD * cells / _MAP_CELLS) / flight.scenario.dt))
+            self._next_map = tick + max(
+                1, round(max(_MAP_PERIOD, _MAP_PERIOD * cells / _MAP_CELLS) / flight.scenario.dt)
+            )
             self._items.append((flight, tick, None, self._map_of(flight.world, flight.scenario)))
         if tick >= self._next_status or flight.over:
             self._next_status = tick + max(1, round(_STATUS_PERIOD / flight.scenario.dt))
@@ -171,7 +196,11 @@ class FlightRecorder:
         self._pace = (now, flight.world.tick)
         vehicles = self._vehicles() if self._vehicles is not None else {}
         counted = {
-            name: VehicleStatus(present=True, missing_commands=flight.missing[name], stale_commands=flight.stale[name])
+            name: VehicleStatus(
+                present=True,
+                missing_commands=flight.missing[name],
+                stale_commands=flight.stale[name],
+            )
             for name in flight.world.names
         }
         return Status(
@@ -180,7 +209,9 @@ class FlightRecorder:
             tick=flight.world.tick,
             ticks=flight.scenario.ticks,
             time=flight.world.time,
-            realtime_factor=max(0, flight.world.tick - tick) * flight.scenario.dt / max(now - before, 1e-6),
+            realtime_factor=max(0, flight.world.tick - tick)
+            * flight.scenario.dt
+            / max(now - before, 1e-6),
             law=flight.law.name,
             drivers=dict(flight.drivers),
             vehicles={**counted, **vehicles},
@@ -283,14 +314,24 @@ class FlightRecorder:
         told = (flight.scenario, flight.seed, flight.secret, flight.episode)
         if told != self._head:
             self._head, start = told, self._file.next_start
-            head = head_of(flight.scenario, flight.seed, secret=flight.secret, episode=flight.episode, start=start)
+            head = head_of(
+                flight.scenario,
+                flight.seed,
+                secret=flight.secret,
+                episode=flight.episode,
+                start=start,
+            )
             self._file.begin(head, flight.scenario)
         still = np.zeros((1, len(flight.world.names), 2))
         for written in self._texts.of(tick - 1, still, [[None] * len(flight.world.uavs)]):
             self._file.tick(written._replace(commands=b""), flight.world.names, self._escorts)
         if tick == 1:
-            before = World(flight.scenario, flight.seed)  # the ground as it was before anybody moved
-            self._file.coverage(_map_of(before, flight.scenario, np.empty_like(before.coverage)), 0.0)
+            before = World(
+                flight.scenario, flight.seed
+            )  # the ground as it was before anybody moved
+            self._file.coverage(
+                _map_of(before, flight.scenario, np.empty_like(before.coverage)), 0.0
+            )
 
 
 def _map_of(world: World, scenario: Scenario, scratch: FloatArray) -> CoverageMap:
@@ -305,4 +346,6 @@ def _map_of(world: World, scenario: Scenario, scratch: FloatArray) -> CoverageMa
     np.multiply(world.coverage, 255.0 / scenario.coverage.desired, out=scratch)
     np.minimum(scratch, 255.0, out=scratch)
     cells = scratch.astype(np.uint8).tobytes()
-    return CoverageMap(tick=world.tick, rows=rows, columns=columns, cell=scenario.area.cell, cells=cells)
+    return CoverageMap(
+        tick=world.tick, rows=rows, columns=columns, cell=scenario.area.cell, cells=cells
+    )

@@ -1,4 +1,7 @@
-"""The report's pictures: how often the promise breaks, by how much, what is covered meanwhile, how old the information is."""
+"""The report's pictures.
+
+How often the promise breaks, by how much, what is covered meanwhile, how old the information is.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -25,7 +28,15 @@ _COLORS = {
     "weighted": "#d16ba5",
     "path": "#4bb3c9",
 }
-_MARKS = {"linear": "o", "switching": "s", "logarithmic": "D", "circle": "^", "certified": "P", "tracking": "v", "coverage": "<"}
+_MARKS = {
+    "linear": "o",
+    "switching": "s",
+    "logarithmic": "D",
+    "circle": "^",
+    "certified": "P",
+    "tracking": "v",
+    "coverage": "<",
+}
 _KINDS = {"detections": (style.UAV[0], "o"), "commands": (style.UGV[0], "s")}
 """Colour and mark of the links."""
 _UNEVEN = 6.0
@@ -47,7 +58,11 @@ def color_of(law: str) -> str:
 def positions(panel: Panel) -> tuple[list[float], float]:
     """Where the values stand on the axis, and the smallest gap between two."""
     values = panel.values
-    numbers = [float(value) for value in values if isinstance(value, int | float) and not isinstance(value, bool)]
+    numbers = [
+        float(value)
+        for value in values
+        if isinstance(value, int | float) and not isinstance(value, bool)
+    ]
     if len(numbers) == len(values) > 1:
         gap = min(b - a for a, b in pairwise(numbers))
         if gap > 0.0 and (numbers[-1] - numbers[0]) / gap <= _UNEVEN:
@@ -77,7 +92,13 @@ def _aside(panel: Panel, number: int, gap: float, share: float = 0.62) -> float:
 
 
 def _sheet(
-    material: Material, title: str, label: str, draw: Draw, keys: Sequence[Line2D | Patch], *, alike: bool = True
+    material: Material,
+    title: str,
+    label: str,
+    draw: Draw,
+    keys: Sequence[Line2D | Patch],
+    *,
+    alike: bool = True,
 ) -> Figure:
     """One picture: a panel for each experiment, all with the same axis upwards."""
     panels = material.panels[:MOST_PANELS]
@@ -97,12 +118,20 @@ def _sheet(
         if k % columns == 0:
             axes.set_ylabel(label)
     figure.text(0.012, 1.0 - 14.0 / height, title, fontsize=12, fontweight="bold", va="top")
-    figure.legend(handles=list(keys), loc="upper left", ncols=len(keys), bbox_to_anchor=(0.004, 1.0 - 36.0 / height))
+    figure.legend(
+        handles=list(keys),
+        loc="upper left",
+        ncols=len(keys),
+        bbox_to_anchor=(0.004, 1.0 - 36.0 / height),
+    )
     return figure
 
 
 def _law_keys(material: Material) -> list[Line2D | Patch]:
-    return [style.key(color_of(law), law, marker=_MARKS.get(law, "o"), markersize=5) for law in material.law]
+    return [
+        style.key(color_of(law), law, marker=_MARKS.get(law, "o"), markersize=5)
+        for law in material.law
+    ]
 
 
 def violations(material: Material) -> Figure:
@@ -111,10 +140,19 @@ def violations(material: Material) -> Figure:
     def draw(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
         for number, law in enumerate(panel.laws):
             aside = _aside(panel, number, gap)
-            rates = [(x + aside, panel.cell(law, value).rate()) for x, value in zip(where, panel.values, strict=True)]
+            rates = [
+                (x + aside, panel.cell(law, value).rate())
+                for x, value in zip(where, panel.values, strict=True)
+            ]
             found = [(x, *rate) for x, rate in rates if rate is not None]
             color = color_of(law)
-            axes.plot([row[0] for row in found], [row[1] for row in found], color=color, linewidth=1.0, alpha=0.45)
+            axes.plot(
+                [row[0] for row in found],
+                [row[1] for row in found],
+                color=color,
+                linewidth=1.0,
+                alpha=0.45,
+            )
             for x, _, low, high in found:
                 axes.plot([x, x], [low, high], color=color, linewidth=2.2, alpha=0.5)
             axes.plot(
@@ -130,15 +168,30 @@ def violations(material: Material) -> Figure:
         axes.set_ylim(0.0, 1.0)
         axes.yaxis.set_major_formatter(PercentFormatter(1.0))
 
-    keys = [*_law_keys(material), style.key(style.MUTED, "95 % interval (Wilson)", linewidth=2.2, alpha=0.6)]
-    return _sheet(material, "How often the UGV was lost from sight", "runs with a violation", draw, keys)
+    keys = [
+        *_law_keys(material),
+        style.key(style.MUTED, "95 % interval (Wilson)", linewidth=2.2, alpha=0.6),
+    ]
+    return _sheet(
+        material, "How often the UGV was lost from sight", "runs with a violation", draw, keys
+    )
 
 
 def margins(material: Material) -> Figure:
-    """The distribution of r_v minus the largest distance: all runs as a line, the middle half as a bar, the median as a mark."""
-    everything = [margin for panel in material.panels for cell in panel.cells.values() for margin in cell.numbers("margin")]
+    """The distribution of r_v minus the largest distance.
+
+    All runs as a line, the middle half as a bar, the median as a mark.
+    """
+    everything = [
+        margin
+        for panel in material.panels
+        for cell in panel.cells.values()
+        for margin in cell.numbers("margin")
+    ]
     highest = max([*everything, 0.5])
-    lowest = max(min([*everything, 0.0]), -highest) - 0.1 * highest  # once out of sight, how far hardly matters
+    lowest = (
+        max(min([*everything, 0.0]), -highest) - 0.1 * highest
+    )  # once out of sight, how far hardly matters
 
     def draw(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
         axes.axhline(0.0, color=style.LIMIT, linewidth=1.3, zorder=1.5)
@@ -150,23 +203,48 @@ def margins(material: Material) -> Figure:
                 found = panel.cell(law, value).numbers("margin")
                 if not found:
                     continue
-                low, high = (found[0], found[0]) if len(found) == 1 else quantiles(found, n=4, method="inclusive")[::2]
+                low, high = (
+                    (found[0], found[0])
+                    if len(found) == 1
+                    else quantiles(found, n=4, method="inclusive")[::2]
+                )
                 axes.plot([x + aside] * 2, [min(found), max(found)], color=color, linewidth=1.0)
-                axes.plot([x + aside] * 2, [low, high], color=color, linewidth=width, alpha=0.75, solid_capstyle="butt")
-                axes.plot(x + aside, median(found), "o", color="white", markeredgecolor=color, markersize=3.6, zorder=4)
+                axes.plot(
+                    [x + aside] * 2,
+                    [low, high],
+                    color=color,
+                    linewidth=width,
+                    alpha=0.75,
+                    solid_capstyle="butt",
+                )
+                axes.plot(
+                    x + aside,
+                    median(found),
+                    "o",
+                    color="white",
+                    markeredgecolor=color,
+                    markersize=3.6,
+                    zorder=4,
+                )
                 if min(found) < lowest:
-                    axes.plot(x + aside, lowest, "v", color=color, markersize=5.0, zorder=4, clip_on=False)
+                    axes.plot(
+                        x + aside, lowest, "v", color=color, markersize=5.0, zorder=4, clip_on=False
+                    )
 
     bar = [style.key(color_of(law), law, linewidth=5, alpha=0.75) for law in material.law]
     keys = [
         *bar,
-        style.key(style.MUTED, "median", marker="o", markerfacecolor="white", markersize=4, linestyle=""),
+        style.key(
+            style.MUTED, "median", marker="o", markerfacecolor="white", markersize=4, linestyle=""
+        ),
         style.key(style.MUTED, "middle half", linewidth=5, alpha=0.6),
         style.key(style.MUTED, "all runs", linewidth=1.0),
         style.key(style.LIMIT, "below: out of sight"),
         style.key(style.MUTED, "deeper", marker="v", markersize=5, linestyle=""),
     ]
-    return _sheet(material, "Margin: $r_v$ minus the largest distance of a run", "margin [m]", draw, keys)
+    return _sheet(
+        material, "Margin: $r_v$ minus the largest distance of a run", "margin [m]", draw, keys
+    )
 
 
 def _band(axes: Axes, xs: list[float], found: list[list[float]], color: str, mark: str) -> None:
@@ -183,7 +261,12 @@ def _band(axes: Axes, xs: list[float], found: list[list[float]], color: str, mar
 
 def errors(material: Material) -> Figure:
     """The coverage error e(t) (4), averaged over the flight and the runs."""
-    means = [fmean(found) for panel in material.panels for cell in panel.cells.values() if (found := cell.numbers("mean_error"))]
+    means = [
+        fmean(found)
+        for panel in material.panels
+        for cell in panel.cells.values()
+        if (found := cell.numbers("mean_error"))
+    ]
     top = 1.25 * max([*means, 1.0])
 
     def draw(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
@@ -193,9 +276,16 @@ def errors(material: Material) -> Figure:
             _band(axes, where, found, color_of(law), _MARKS.get(law, "o"))
         axes.set_ylim(0.0, top)
 
-    keys = [*_law_keys(material), Patch(color=style.MUTED, alpha=0.25, linewidth=0, label="95 % interval of the mean")]
+    keys = [
+        *_law_keys(material),
+        Patch(color=style.MUTED, alpha=0.25, linewidth=0, label="95 % interval of the mean"),
+    ]
     return _sheet(
-        material, "Coverage error, mean over the flight: what is not yet seen around the UGV", "mean e(t) [m²]", draw, keys
+        material,
+        "Coverage error, mean over the flight: what is not yet seen around the UGV",
+        "mean e(t) [m²]",
+        draw,
+        keys,
     )
 
 
@@ -204,37 +294,62 @@ def ages(material: Material) -> Figure | None:
     kinds = {
         kind: look
         for kind, look in _KINDS.items()
-        if any(cell.numbers(f"{kind}_mean_age") for panel in material.panels for cell in panel.cells.values())
+        if any(
+            cell.numbers(f"{kind}_mean_age")
+            for panel in material.panels
+            for cell in panel.cells.values()
+        )
     }
     if not kinds:
         return None
     cells = [cell for panel in material.panels for cell in panel.cells.values()]
-    top = 1.2 * max(1.0, *(age for cell in cells for kind in kinds for age in cell.numbers(f"{kind}_max_age")))
+    top = 1.2 * max(
+        1.0, *(age for cell in cells for kind in kinds for age in cell.numbers(f"{kind}_max_age"))
+    )
 
     def draw(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
         del gap
         for kind, (color, mark) in kinds.items():
             for column, line in (("mean_age", "-"), ("max_age", ":")):
                 found = [
-                    [number for law in panel.laws for number in panel.cell(law, value).numbers(f"{kind}_{column}")]
+                    [
+                        number
+                        for law in panel.laws
+                        for number in panel.cell(law, value).numbers(f"{kind}_{column}")
+                    ]
                     for value in panel.values
                 ]
                 if line == "-":
                     _band(axes, where, found, color, mark)
                 else:
-                    points = [(x, max(numbers)) for x, numbers in zip(where, found, strict=True) if numbers]
-                    axes.plot(*zip(*points, strict=True), color=color, linestyle=line, linewidth=1.2)
+                    points = [
+                        (x, max(numbers))
+                        for x, numbers in zip(where, found, strict=True)
+                        if numbers
+                    ]
+                    axes.plot(
+                        *zip(*points, strict=True), color=color, linestyle=line, linewidth=1.2
+                    )
         axes.set_yscale("symlog", linthresh=0.1, linscale=0.4)
         axes.set_yticks([0.0, 0.1, 1.0, 10.0, 100.0], ["0", "0.1", "1", "10", "100"])
         axes.set_ylim(0.0, top)
         axes.minorticks_off()
 
     keys: list[Line2D | Patch] = [
-        *(style.key(color, kind, marker=mark, markersize=4) for kind, (color, mark) in kinds.items()),
+        *(
+            style.key(color, kind, marker=mark, markersize=4)
+            for kind, (color, mark) in kinds.items()
+        ),
         style.key(style.MUTED, "mean"),
         style.key(style.MUTED, "oldest of all runs", linestyle=":"),
     ]
-    return _sheet(material, "Age of information: how old the newest that has arrived is", "age [s]", draw, keys)
+    return _sheet(
+        material,
+        "Age of information: how old the newest that has arrived is",
+        "age [s]",
+        draw,
+        keys,
+    )
 
 
 CAPTIONS = {
@@ -263,7 +378,12 @@ def draw_all(material: Material, out: Path) -> dict[str, Path]:
         OSError: If one cannot be written.
     """
     drawn: dict[str, Path] = {}
-    for name, draw in (("violations", violations), ("margins", margins), ("errors", errors), ("ages", ages)):
+    for name, draw in (
+        ("violations", violations),
+        ("margins", margins),
+        ("errors", errors),
+        ("ages", ages),
+    ):
         with style.look():
             figure = draw(material)
             path = out / f"{name}.png"

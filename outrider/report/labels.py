@@ -34,7 +34,10 @@ _FIELDS = {
     "law.circle_radius": ("radius of the circle", "m"),
     "law.reference_speed": ("reference speed v_ref", "m/s"),
 }
-_ENDINGS = {"max_speed": ("largest speed", "m/s"), "max_acceleration": ("largest acceleration", "m/s²")}
+_ENDINGS = {
+    "max_speed": ("largest speed", "m/s"),
+    "max_acceleration": ("largest acceleration", "m/s²"),
+}
 
 
 def _named(field: str) -> tuple[str, str]:

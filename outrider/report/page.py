@@ -28,7 +28,10 @@ COLUMNS = (
 )
 
 
-_FAULTS = tuple(COLUMNS.index(name) - 1 for name in ("lost the UGV", "certified while lost", "certificate broken"))
+_FAULTS = tuple(
+    COLUMNS.index(name) - 1
+    for name in ("lost the UGV", "certified while lost", "certificate broken")
+)
 """Columns after the law's that are bad where they are not 0."""
 _UNPROMISED = ", where it is not certified"
 
@@ -62,13 +65,21 @@ def cells_of(law: str, cell: Cell) -> list[str]:
         _mean(cell.numbers("detections_mean_age"), 2),
         _percent(fmean(arrived)) if arrived else "-",
         f"{100.0 * fmean(certified):.4g} %" if certified else "-",
-        *(_count(cell.numbers(name)) if certified else "-" for name in ("certified_while_lost", "certificate_broken")),
+        *(
+            _count(cell.numbers(name)) if certified else "-"
+            for name in ("certified_while_lost", "certificate_broken")
+        ),
     ]
 
 
 def certified_runs(material: Material) -> str:
     """How many runs were certified at every tick, and how many of them lost the UGV; empty where none was."""
-    cells = [panel.cell(law, value) for panel in material.panels for law in panel.laws for value in panel.values]
+    cells = [
+        panel.cell(law, value)
+        for panel in material.panels
+        for law in panel.laws
+        for value in panel.values
+    ]
     runs = [row for cell in cells for row in cell.certified]
     if not runs:
         return ""
@@ -95,24 +106,40 @@ def holds(panel: Panel, law: str) -> tuple[str, bool]:
         cell = panel.cell(law, value)
         if cell.violated:
             promised = (
-                "" if any(row["violated"] for row in cell.certified) or not cell.numbers("certified_share") else _UNPROMISED
+                ""
+                if any(row["violated"] for row in cell.certified)
+                or not cell.numbers("certified_share")
+                else _UNPROMISED
             )
             if kept is None:
-                return (f"broken at {value_of(panel.field, value)}" if panel.field else "broken") + promised, False
-            return f"to {value_of(panel.field, kept)}, broken at {value_of(panel.field, value)}{promised}", False
+                return (
+                    f"broken at {value_of(panel.field, value)}" if panel.field else "broken"
+                ) + promised, False
+            return (
+                f"to {value_of(panel.field, kept)}, broken at {value_of(panel.field, value)}{promised}",
+                False,
+            )
         kept = value
-    return (f"to {value_of(panel.field, kept)}, all that was tried" if panel.field else "holds"), True
+    return (
+        f"to {value_of(panel.field, kept)}, all that was tried" if panel.field else "holds"
+    ), True
 
 
 def markdown(material: Material) -> str:
     """The tables as Markdown: how far each law holds, then every value."""
-    lines = ["| experiment | " + " | ".join(material.law) + " |", "|---|" + "---|" * len(material.law)]
+    lines = [
+        "| experiment | " + " | ".join(material.law) + " |",
+        "|---|" + "---|" * len(material.law),
+    ]
     for panel in material.panels:
         words = [holds(panel, law)[0] if law in panel.laws else "-" for law in material.law]
         lines.append(f"| {_plain(panel.title)} | " + " | ".join(words) + " |")
     for panel in material.panels:
         lines += ["", f"**{_plain(panel.title)}**", ""]
-        lines += [f"| {_plain(panel.label) or '-'} | " + " | ".join(COLUMNS) + " |", "|---" * (len(COLUMNS) + 1) + "|"]
+        lines += [
+            f"| {_plain(panel.label) or '-'} | " + " | ".join(COLUMNS) + " |",
+            "|---" * (len(COLUMNS) + 1) + "|",
+        ]
         lines += [f"| {_plain(value)} | " + " | ".join(row) + " |" for value, row in rows_of(panel)]
     if certified_runs(material):
         lines += ["", certified_runs(material)]
@@ -184,13 +211,23 @@ def _settings(material: Material) -> Iterator[str]:
             yield f"<p>Changed in all runs of {escape(head.sweep.scenario)}: {escape(told)}.</p>"
         for block in head.sweep.block:
             if block.set:
-                told = ", ".join(f"{name} = {tick_of('', value)}" for name, value in block.set.items())
+                told = ", ".join(
+                    f"{name} = {tick_of('', value)}" for name, value in block.set.items()
+                )
                 yield f"<p>In “{escape(block.name)}”: {escape(told)}.</p>"
 
 
 def _caution(material: Material) -> str:
     """What it means that something has not happened in so many runs."""
-    fewest = min((len(cell.flown) for panel in material.panels for cell in panel.cells.values() if cell.flown), default=0)
+    fewest = min(
+        (
+            len(cell.flown)
+            for panel in material.panels
+            for cell in panel.cells.values()
+            if cell.flown
+        ),
+        default=0,
+    )
     if not fewest:
         return "No run was flown to its end."
     rate = _percent(wilson_interval(0, fewest)[1])
@@ -206,7 +243,9 @@ def page(material: Material, pictures: dict[str, Path], command: str) -> str:
         command: That makes this report.
     """
     look = (files("outrider") / "report" / "page.css").read_text("utf-8")
-    title = " · ".join(dict.fromkeys(head.sweep.title or head.sweep.scenario for head in material.heads))
+    title = " · ".join(
+        dict.fromkeys(head.sweep.title or head.sweep.scenario for head in material.heads)
+    )
     parts = [
         f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>{escape(title)}</title><style>{look}</style>",
@@ -215,7 +254,9 @@ def page(material: Material, pictures: dict[str, Path], command: str) -> str:
         *_facts(material),
     ]
     if material.missing:
-        parts.append(f"<p><b>Not finished:</b> {material.missing:,} runs are still to be flown; the same command goes on.</p>")
+        parts.append(
+            f"<p><b>Not finished:</b> {material.missing:,} runs are still to be flown; the same command goes on.</p>"
+        )
     parts += [
         "<h2>How far each law keeps the promise</h2>",
         f"<p>The largest value up to which no run lost sight of the UGV. {_caution(material)} {certified_runs(material)}</p>",
@@ -227,7 +268,14 @@ def page(material: Material, pictures: dict[str, Path], command: str) -> str:
         parts.append(
             f'<figure><img alt="{name}" src="data:image/png;base64,{image}"><figcaption>{escape(caption)}</figcaption></figure>'
         )
-    parts += ["<h2>All numbers</h2>", *(line for panel in material.panels for line in _table(panel))]
+    parts += [
+        "<h2>All numbers</h2>",
+        *(line for panel in material.panels for line in _table(panel)),
+    ]
     commands = "\n".join([*(head.command for head in material.heads), command])
-    parts += ["<h2>How this was made</h2>", *_settings(material), f"<pre>{escape(commands)}</pre></html>"]
+    parts += [
+        "<h2>How this was made</h2>",
+        *_settings(material),
+        f"<pre>{escape(commands)}</pre></html>",
+    ]
     return "\n".join(parts) + "\n"

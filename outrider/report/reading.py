@@ -52,7 +52,9 @@ class Cell:
 
     def numbers(self, column: str) -> list[float]:
         """The finite numbers of a column."""
-        found = [row.get(column) for row in self.flown]  # none in a sweep of a version that did not have it
+        found = [
+            row.get(column) for row in self.flown
+        ]  # none in a sweep of a version that did not have it
         return [value for value in found if value is not None and math.isfinite(value)]
 
 
@@ -114,16 +116,22 @@ def _ordered_laws(laws: set[str]) -> list[str]:
 def _rising(values: Sequence[Any]) -> list[Any]:
     """Each value once: numbers rising, then everything else as it came."""
     once = list(dict.fromkeys(values))
-    numbers = [value for value in once if isinstance(value, int | float) and not isinstance(value, bool)]
+    numbers = [
+        value for value in once if isinstance(value, int | float) and not isinstance(value, bool)
+    ]
     return sorted(numbers) + [value for value in once if value not in numbers]
 
 
 def _read(folder: Path) -> tuple[Head, list[dict[str, Any]]]:
     head = read_head(folder)
     if head is None:
-        raise ScenarioError(f"{folder}: no sweep's folder; allowed: one that `outrider sweep` has made")
+        raise ScenarioError(
+            f"{folder}: no sweep's folder; allowed: one that `outrider sweep` has made"
+        )
     results = read_results(folder, head.columns)
-    return head, [dict(zip(results, row, strict=True)) for row in zip(*results.values(), strict=True)]
+    return head, [
+        dict(zip(results, row, strict=True)) for row in zip(*results.values(), strict=True)
+    ]
 
 
 def _identity(row: dict[str, Any], vary: Sequence[str]) -> tuple[Any, ...]:
@@ -131,7 +139,10 @@ def _identity(row: dict[str, Any], vary: Sequence[str]) -> tuple[Any, ...]:
 
 
 def _join(into: _Block, rows: list[dict[str, Any]]) -> bool:
-    """Take rows of another folder in; False where the same run is there with another outcome, so that they must stay apart."""
+    """Take rows of another folder in.
+
+    False where the same run is there with another outcome, so that they must stay apart.
+    """
     vary = list(into.vary)
     there = {_identity(row, vary): row for row in into.rows}
     new = []
@@ -152,7 +163,8 @@ def _blocks(found: Sequence[tuple[Path, Head, list[dict[str, Any]]]]) -> list[_B
         for block in head.sweep.block:
             mine = [row for row in rows if row["block"] == block.name]
             key = msgspec.json.encode(
-                (block.name, sorted(block.vary), head.sweep.scenario, head.sweep.set, block.set), order="sorted"
+                (block.name, sorted(block.vary), head.sweep.scenario, head.sweep.set, block.set),
+                order="sorted",
             )
             if not any(_join(other, mine) for other in blocks[key]):
                 vary = dict.fromkeys(block.vary)
@@ -170,13 +182,18 @@ def _panels_of(block: _Block) -> Iterator[Panel]:
     values = {name: _rising([row[name] for row in block.rows]) for name in block.vary}
     axis = max(values, key=lambda name: len(values[name]), default="")
     others = [name for name in values if name != axis]
-    title = label_of(axis).partition(" [")[0] if block.name == ", ".join(block.vary) and not others else block.name
+    title = (
+        label_of(axis).partition(" [")[0]
+        if block.name == ", ".join(block.vary) and not others
+        else block.name
+    )
     parts: dict[tuple[Any, ...], list[dict[str, Any]]] = defaultdict(list)
     for row in block.rows:
         parts[tuple(row[name] for name in others)].append(row)
     for fixed, rows in parts.items():
         at = ", ".join(
-            f"{label_of(name).partition(' [')[0]} {value_of(name, value)}" for name, value in zip(others, fixed, strict=True)
+            f"{label_of(name).partition(' [')[0]} {value_of(name, value)}"
+            for name, value in zip(others, fixed, strict=True)
         )
         cells: dict[tuple[str, Any], Cell] = defaultdict(Cell)
         for row in rows:

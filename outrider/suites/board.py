@@ -13,7 +13,10 @@ from sim.run_keys import check_secret, new_secret
 from sim.threads import cores
 
 LAWS = ("tracking", "circle", "linear", "switching", "logarithmic", "certified")
-"""The paper's laws, and `certified`, which is `logarithmic` in the safety filter: the entries that are always there to beat."""
+"""The paper's laws, and `certified`, which is `logarithmic` in the safety filter.
+
+The entries that are always there to beat.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +53,10 @@ class Leaderboard:
     def rows(self) -> list[list[str]]:
         """The table: a head, a row for each task, and one for the mean over the tasks; a column for each entry."""
         table = [["task", *(standing.entry for standing in self.standings)]]
-        table += [[task, *(_cell(standing.results[k]) for standing in self.standings)] for k, task in enumerate(self.tasks)]
+        table += [
+            [task, *(_cell(standing.results[k]) for standing in self.standings)]
+            for k, task in enumerate(self.tasks)
+        ]
         return [*table, ["**mean**", *(_cell(standing) for standing in self.standings)]]
 
     def markdown(self) -> str:
@@ -106,14 +112,23 @@ def leaderboard(
     field = dict(entries) if isinstance(entries, Mapping) else {name: name for name in entries}
     flown = Suite(suite() if tasks is None else tasks)
     if not field or not flown:
-        raise ValueError(f"{len(field)} entries and {len(flown)} tasks: allowed is one or more of each")
+        raise ValueError(
+            f"{len(field)} entries and {len(flown)} tasks: allowed is one or more of each"
+        )
     kept = new_secret() if secret is None else check_secret(secret)
     jobs = [(name, entry, task) for task in flown for name, entry in field.items()]
     done = 0
 
     def fly(job: tuple[str, Entry, Task]) -> Result:
         name, entry, task = job
-        return evaluate(task, entry, name=name, seeds=seeds, secret=kept, **({} if isinstance(entry, str) else settings))
+        return evaluate(
+            task,
+            entry,
+            name=name,
+            seeds=seeds,
+            secret=kept,
+            **({} if isinstance(entry, str) else settings),
+        )
 
     results: dict[tuple[str, str], Result] = {}
 
@@ -135,4 +150,8 @@ def leaderboard(
             pool.shutdown(cancel_futures=True)
             raise
     standings = [_standing(name, [results[name, task.name] for task in flown]) for name in field]
-    return Leaderboard(tasks=flown.names, standings=tuple(sorted(standings, key=lambda standing: -standing.score)), secret=kept)
+    return Leaderboard(
+        tasks=flown.names,
+        standings=tuple(sorted(standings, key=lambda standing: -standing.score)),
+        secret=kept,
+    )

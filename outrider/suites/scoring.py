@@ -83,7 +83,9 @@ class _Meter:
         if which.size == 0:
             return
         error = state.uav_seats[which, :, ERROR]
-        most = np.array([[self._unseen(x, y) for x, y in of_world] for of_world in ugvs[which].tolist()])
+        most = np.array(
+            [[self._unseen(x, y) for x, y in of_world] for of_world in ugvs[which].tolist()]
+        )
         share = np.ones_like(error)  # where there is nothing to see, all of it has been seen
         np.divide(most - error, most, out=share, where=most > 0.0)
         self.seen[which] += share.mean(axis=1)
@@ -98,10 +100,15 @@ class _Meter:
             self.certificate_broken += int(told["certificate_broken"].sum())
 
     def _unseen(self, x: float, y: float) -> float:
-        """What e would be [m²] with the UGV at (x, y) [m], had no UAV seen anything; UGVs of many worlds often stand there."""
+        """What e would be [m²] with the UGV at (x, y) [m], had no UAV seen anything.
+
+        UGVs of many worlds often stand there.
+        """
         found = self._known.get((x, y))
         if found is None:
-            found = self._known[x, y] = coverage_error(self._untouched, x, y, self._r_o, self._desired, self._cell)
+            found = self._known[x, y] = coverage_error(
+                self._untouched, x, y, self._r_o, self._desired, self._cell
+            )
         return found
 
 
@@ -122,8 +129,12 @@ def _fly_law(task: Task, law: str, seeds: Sequence[int], secret: str) -> _Meter:
     uavs = [uav.name for uav in scenario.uav]
     allowed = pilot_names(scenario, uavs[0])
     if law not in allowed:
-        raise ValueError(f"law = {law!r}: unknown; allowed: {', '.join(allowed)}, or a policy for all worlds at once")
-    loop = ClosedLoop(scenario, len(seeds), pilots=dict.fromkeys(uavs, law), error=True, secret=secret)
+        raise ValueError(
+            f"law = {law!r}: unknown; allowed: {', '.join(allowed)}, or a policy for all worlds at once"
+        )
+    loop = ClosedLoop(
+        scenario, len(seeds), pilots=dict.fromkeys(uavs, law), error=True, secret=secret
+    )
     nothing = np.zeros((len(seeds), 0, 2))
     try:
         loop.begin(seeds)
@@ -132,17 +143,26 @@ def _fly_law(task: Task, law: str, seeds: Sequence[int], secret: str) -> _Meter:
         loop.close()
 
 
-def _fly_policy(task: Task, policy: Policy, seeds: Sequence[int], secret: str, settings: dict[str, Any]) -> _Meter:
+def _fly_policy(
+    task: Task, policy: Policy, seeds: Sequence[int], secret: str, settings: dict[str, Any]
+) -> _Meter:
     for name in settings:
         if name not in SETTINGS:
-            raise ValueError(f"{name}: cannot be set, it belongs to the task; allowed: {', '.join(SETTINGS)}")
+            raise ValueError(
+                f"{name}: cannot be set, it belongs to the task; allowed: {', '.join(SETTINGS)}"
+            )
     scenario = task.scenario
     uavs = [uav.name for uav in scenario.uav]
     worlds = Worlds(scenario, len(seeds), uavs, secret=secret, **settings)
-    pilots = {uav: copy.deepcopy(policy) for uav in uavs}  # a policy may have a memory: one for each UAV and each task
+    pilots = {
+        uav: copy.deepcopy(policy) for uav in uavs
+    }  # a policy may have a memory: one for each UAV and each task
     try:
         worlds.reset(list(seeds), None)
-        return _fly(worlds.loop, lambda: worlds.step({uav: pilot(worlds.observe(uav)) for uav, pilot in pilots.items()}))
+        return _fly(
+            worlds.loop,
+            lambda: worlds.step({uav: pilot(worlds.observe(uav)) for uav, pilot in pilots.items()}),
+        )
     finally:
         worlds.loop.close()
 
@@ -160,17 +180,19 @@ def evaluate(
 
     $$ S = \frac{100}{N + 1} \sum_{k < k_{lost}} \left( 1 - \frac{e(t_k)}{e_0(t_k)} \right) $$
 
-    e is the paper's (4); e_0 is what it would be at this tick had no UAV seen anything, with the UGV where it is. N is the number
-    of ticks that the task asks for, and k_lost the tick at which any UAV loses sight: from then on nothing counts as seen.
+    e is the paper's (4); e_0 is what it would be at this tick had no UAV seen anything, with the UGV where it is.
+    N is the number
+    of ticks that the task asks for, and k_lost the tick at which any UAV loses sight: from then on nothing counts
+    as seen.
 
     Args:
         task: What is flown.
-        entry: A law by name; or a policy: the observations of one UAV in all worlds in, its accelerations [m/s²] out, shape
-            (worlds, 2). In a task with several UAVs each has a copy of it, and sees its own row.
+        entry: A law by name; or a policy: the observations of one UAV in all worlds in, its accelerations [m/s²]
+            out, shape (worlds, 2). In a task with several UAVs each has a copy of it, and sees its own row.
         name: Of the entry, for tables.
         seeds: Of the episodes.
-        secret: Of the random numbers, with each seed: 32 to 128 hexadecimal digits. None: a new one, which nobody can have
-            prepared for; empty: none, and the noise of the seeds is known to whoever looks.
+        secret: Of the random numbers, with each seed: 32 to 128 hexadecimal digits. None: a new one, which nobody
+            can have prepared for; empty: none, and the noise of the seeds is known to whoever looks.
         settings: How a policy sees and acts: `SETTINGS`, as in `outrider.vector_env`.
 
     Raises:
@@ -184,7 +206,9 @@ def evaluate(
     kept = new_secret() if secret is None else check_secret(secret)
     if isinstance(entry, str):
         if settings:
-            raise ValueError(f"{', '.join(settings)}: for policies alone, not for the law {entry!r}")
+            raise ValueError(
+                f"{', '.join(settings)}: for policies alone, not for the law {entry!r}"
+            )
         meter = _fly_law(task, entry, seeds, kept)
     else:
         meter = _fly_policy(task, entry, seeds, kept, settings)
@@ -192,7 +216,8 @@ def evaluate(
     score, low, high = mean_interval(scores)
     return Result(
         task=task.name,
-        entry=name or (entry if isinstance(entry, str) else getattr(entry, "__name__", type(entry).__name__)),
+        entry=name
+        or (entry if isinstance(entry, str) else getattr(entry, "__name__", type(entry).__name__)),
         score=score,
         low=max(0.0, low),
         high=min(100.0, high),

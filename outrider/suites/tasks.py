@@ -40,7 +40,9 @@ class Task:
         """
         from sim.scenario import load_scenario  # noqa: PLC0415 - compiled code stands behind it
 
-        return load_scenario(BASE, overrides={"name": self.name, "title": self.hard, **self.changes})
+        return load_scenario(
+            BASE, overrides={"name": self.name, "title": self.hard, **self.changes}
+        )
 
     @property
     def env_id(self) -> str:
@@ -83,22 +85,46 @@ _PAIRS: dict[str, object] = {
         {"name": "uav_1", "escorts": "ugv_1", "position": [30.0, 29.0]},
     ],
     "ugv": [
-        {"name": "ugv_0", "position": [10.0, 12.0], "goals": [[20.0, 18.0], [28.0, 12.0], [30.0, 28.0]]},
-        {"name": "ugv_1", "position": [30.0, 28.0], "goals": [[20.0, 20.0], [12.0, 28.0], [10.0, 12.0]]},
+        {
+            "name": "ugv_0",
+            "position": [10.0, 12.0],
+            "goals": [[20.0, 18.0], [28.0, 12.0], [30.0, 28.0]],
+        },
+        {
+            "name": "ugv_1",
+            "position": [30.0, 28.0],
+            "goals": [[20.0, 20.0], [12.0, 28.0], [10.0, 12.0]],
+        },
     ],
 }
 
-_LONG_ROUTE = [[14.0, 8.0], [20.0, 13.0], [15.0, 19.0], [22.0, 24.0], [28.0, 21.0], [32.0, 30.0], [22.0, 34.0], [8.0, 30.0]]
+_LONG_ROUTE = [
+    [14.0, 8.0],
+    [20.0, 13.0],
+    [15.0, 19.0],
+    [22.0, 24.0],
+    [28.0, 21.0],
+    [32.0, 30.0],
+    [22.0, 34.0],
+    [8.0, 30.0],
+]
 """Far enough for a UGV that drives 0.4 m/s."""
 
 TASKS: tuple[Task, ...] = (
-    Task(name="paper", hard="nothing but the task itself: as in the paper, looks always succeed and are exact", changes=_QUIET),
+    Task(
+        name="paper",
+        hard="nothing but the task itself: as in the paper, looks always succeed and are exact",
+        changes=_QUIET,
+    ),
     Task(
         name="covered",
         hard="a part of the ground is covered from the start, and the gradient leads nowhere there",
         changes={
             **_QUIET,
-            "coverage.covered": [{"lower": [4.0, 4.0], "upper": [16.0, 14.0]}, {"lower": [17.0, 16.0], "upper": [27.0, 26.0]}],
+            "coverage.covered": [
+                {"lower": [4.0, 4.0], "upper": [16.0, 14.0]},
+                {"lower": [17.0, 16.0], "upper": [27.0, 26.0]},
+            ],
         },
     ),
     Task(
@@ -109,7 +135,11 @@ TASKS: tuple[Task, ...] = (
     Task(
         name="late-looks",
         hard="what the UAV knows of the UGV is two seconds old, give or take half a second",
-        changes={"links.detections.delay": 2.0, "links.detections.jitter": 0.5, "certificate.age": 3.0},
+        changes={
+            "links.detections.delay": 2.0,
+            "links.detections.jitter": 0.5,
+            "certificate.age": 3.0,
+        },
     ),
     Task(
         name="long-way",
@@ -123,7 +153,11 @@ TASKS: tuple[Task, ...] = (
             "ugv.0.goals": [[45.0, 20.0], [45.0, 40.0], [70.0, 45.0], [70.0, 70.0]],
         },
     ),
-    Task(name="two-pairs", hard="two UAVs and two UGVs whose ways cross; one lost sight ends it for both", changes=_PAIRS),
+    Task(
+        name="two-pairs",
+        hard="two UAVs and two UGVs whose ways cross; one lost sight ends it for both",
+        changes=_PAIRS,
+    ),
     Task(
         name="fast-ugv",
         hard="the UGV is twice as fast and twice as agile",
@@ -134,8 +168,14 @@ TASKS: tuple[Task, ...] = (
         hard="r_v is 2 m, half of which the UAV needs to brake and to catch up",
         changes={"visibility.radius": 2.0},
     ),
-    Task(name="wander", hard="the UGV wanders, and nobody could guess where to", changes={"ugv.0.driver": "wander"}),
-    Task(name="evade", hard="the UGV tries to shake the UAV off", changes={"ugv.0.driver": "evade"}),
+    Task(
+        name="wander",
+        hard="the UGV wanders, and nobody could guess where to",
+        changes={"ugv.0.driver": "wander"},
+    ),
+    Task(
+        name="evade", hard="the UGV tries to shake the UAV off", changes={"ugv.0.driver": "evade"}
+    ),
     Task(
         name="dropouts",
         hard="two looks a second, and four of five fail",
@@ -144,7 +184,11 @@ TASKS: tuple[Task, ...] = (
     Task(
         name="bursts",
         hard="every link is jammed, and the looks are now and then dark for five seconds",
-        changes={"links.profile": "jammed", "links.detections.blackout_length": 5.0, "certificate.age": 6.0},
+        changes={
+            "links.profile": "jammed",
+            "links.detections.blackout_length": 5.0,
+            "certificate.age": 6.0,
+        },
     ),
     Task(
         name="late-commands",

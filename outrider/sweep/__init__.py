@@ -1,4 +1,7 @@
-"""Experiments over a degraded network: laws, degradations and seeds, flown on all cores, each run one row of a table."""
+"""Experiments over a degraded network.
+
+Laws, degradations and seeds, flown on all cores, each run one row of a table.
+"""
 
 EXTRA = "outrider[sweep]"
 """What has to be installed."""

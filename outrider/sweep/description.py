@@ -60,7 +60,11 @@ class Sweep(_Table, frozen=True, kw_only=True):
 def shipped_sweeps() -> dict[str, Traversable]:
     """The shipped sweeps by name."""
     entries = (files("outrider") / "sweeps").iterdir()
-    return {entry.name.removesuffix(".toml"): entry for entry in sorted(entries, key=lambda e: e.name) if ".toml" in entry.name}
+    return {
+        entry.name.removesuffix(".toml"): entry
+        for entry in sorted(entries, key=lambda e: e.name)
+        if ".toml" in entry.name
+    }
 
 
 def _flat(table: Mapping[str, Any], path: str = "") -> dict[str, Any]:
@@ -84,7 +88,12 @@ def _varied(table: Mapping[str, Any], path: str, file: str) -> dict[str, Any]:
     for field, values in varied.items():
         if field in _OWN_FIELD:
             wrong = "is not varied like other fields"
-            raise Fault(f"{path}{field}", values, wrong, f"{_OWN_OPTION[field]}, in a file {_OWN_FIELD[field]}").error(file)
+            raise Fault(
+                f"{path}{field}",
+                values,
+                wrong,
+                f"{_OWN_OPTION[field]}, in a file {_OWN_FIELD[field]}",
+            ).error(file)
         if not isinstance(values, list) or not values:
             wrong = "empty" if isinstance(values, list) else "not a list"
             raise Fault(f"{path}{field}", values, wrong, "a list of one value or more").error(file)
@@ -104,7 +113,9 @@ def checked(sweep: Sweep, *, file: str) -> Sweep:
         ScenarioError: If it makes no sense; one line.
     """
     if sweep.vary and sweep.block:
-        raise Fault("vary", sweep.vary, "beside [[block]]", "either [vary] or [[block]]").error(file)
+        raise Fault("vary", sweep.vary, "beside [[block]]", "either [vary] or [[block]]").error(
+            file
+        )
     laws = sweep.laws or ()
     if len(set(laws)) < len(laws):
         raise Fault("laws", list(laws), "a law twice", "each law once").error(file)
@@ -113,7 +124,9 @@ def checked(sweep: Sweep, *, file: str) -> Sweep:
         varied = _varied(block.vary, f"block.{k}.vary." if sweep.block else "vary.", file)
         name = block.name or ", ".join(varied) or "unvaried"
         if name in [other.name for other in blocks]:
-            raise Fault(f"block.{k}.name", name, "taken by another block", "a name of its own").error(file)
+            raise Fault(
+                f"block.{k}.name", name, "taken by another block", "a name of its own"
+            ).error(file)
         blocks.append(Block(name=name, vary=varied, set=_flat(block.set)))
     return msgspec.structs.replace(sweep, set=_flat(sweep.set), vary={}, block=tuple(blocks))
 
@@ -153,7 +166,9 @@ def _read_file(source: str) -> tuple[str, Path | None]:
         wrong = f"no such sweep, scenario or file{near(Path(source).stem, known)}"
         raise ScenarioError(f"{file}: {wrong}; allowed: a TOML file, {', '.join(known)}") from error
     except UnicodeDecodeError as error:
-        raise ScenarioError(f"{file}: byte {error.start}: not UTF-8, {error.reason}; allowed: text in UTF-8") from error
+        raise ScenarioError(
+            f"{file}: byte {error.start}: not UTF-8, {error.reason}; allowed: text in UTF-8"
+        ) from error
     except (OSError, ValueError) as error:  # a ValueError: a NUL in the path
         reason = one_line(str(getattr(error, "strerror", None) or error))
         raise ScenarioError(f"{file}: cannot be read: {reason}; allowed: {FILE_RULE}") from error
@@ -203,12 +218,19 @@ def describe_sweep(
     file = one_line(source) or "."
     sweep, text = _read(source)
     if vary and (sweep.vary or sweep.block):
-        raise Fault("--vary", vary[0], "this sweep says itself what is varied", "a scenario, or another sweep file").error(file)
+        raise Fault(
+            "--vary",
+            vary[0],
+            "this sweep says itself what is varied",
+            "a scenario, or another sweep file",
+        ).error(file)
     varied: dict[str, Any] = dict(sweep.vary)
     for one in vary:
         field, values = parse_vary(one, file=file)
         if field in varied:
-            raise Fault("--vary", one, "this field is varied already", "each field once").error(file)
+            raise Fault("--vary", one, "this field is varied already", "each field once").error(
+                file
+            )
         varied[field] = values
     fixed = {**_flat(sweep.set), **dict(parse_override(change, file=file) for change in changes)}
     names = tuple(name.strip() for name in laws.split(",")) if laws else sweep.laws

@@ -1,7 +1,7 @@
 """A sweep's folder: what was asked for, and the results so far, which a kill at any time leaves whole.
 
-Every finished task of about a second is a Parquet file of its own in `parts/`, written beside it and renamed. The end merges all
-of them into `results.parquet`. So a kill loses the runs in flight and no others.
+Every finished task of about a second is a Parquet file of its own in `parts/`, written beside it and renamed. The
+end merges all of them into `results.parquet`. So a kill loses the runs in flight and no others.
 """
 
 import fcntl
@@ -56,7 +56,9 @@ def read_head(folder: Path) -> Head | None:
     except FileNotFoundError:
         return None
     except msgspec.MsgspecError as error:
-        raise ScenarioError(f"{folder / HEAD}: damaged: {error}; --fresh starts the sweep over") from error
+        raise ScenarioError(
+            f"{folder / HEAD}: damaged: {error}; --fresh starts the sweep over"
+        ) from error
 
 
 def _replace(path: Path, content: bytes) -> None:
@@ -112,14 +114,20 @@ def read_results(folder: Path, columns: dict[str, str]) -> dict[str, list[Any]]:
     """
     import pyarrow as pa  # noqa: PLC0415
 
-    paths = [path for path in (folder / RESULTS, *sorted((folder / PARTS).glob("*.parquet"))) if path.exists()]
+    paths = [
+        path
+        for path in (folder / RESULTS, *sorted((folder / PARTS).glob("*.parquet")))
+        if path.exists()
+    ]
     tables = [_read_table(path, columns) for path in paths]
     if not tables:
         return {name: [] for name in columns}
     table = pa.concat_tables(tables)
     runs, errors = table["run"].to_pylist(), table["error"].to_pylist()
     best: dict[int, int] = {}
-    for k, run in enumerate(runs):  # a run may be there twice: a part that is merged already, or one that first failed
+    for k, run in enumerate(
+        runs
+    ):  # a run may be there twice: a part that is merged already, or one that first failed
         if run not in best or errors[best[run]] is not None:
             best[run] = k
     found: dict[str, list[Any]] = table.take([best[run] for run in sorted(best)]).to_pydict()
@@ -141,16 +149,25 @@ class SweepFolder:
         OSError: If it cannot be written.
     """
 
-    def __init__(self, path: Path, plan: Plan, *, command: str, text: str = "", fresh: bool = False) -> None:
+    def __init__(
+        self, path: Path, plan: Plan, *, command: str, text: str = "", fresh: bool = False
+    ) -> None:
         self.path, self._plan = path, plan
         self._columns = plan.columns
-        begun = (_LOCK, FILE, f"{FILE}{_UNFINISHED}", f"{HEAD}{_UNFINISHED}")  # all there can be before there is a head
+        begun = (
+            _LOCK,
+            FILE,
+            f"{FILE}{_UNFINISHED}",
+            f"{HEAD}{_UNFINISHED}",
+        )  # all there can be before there is a head
         there = path.is_dir() and any(entry.name not in begun for entry in path.iterdir())
         if there and not (path / HEAD).exists():
             raise ScenarioError(f"{path}: not empty, and no sweep's folder; choose another --out")
         path.mkdir(parents=True, exist_ok=True)
         self._lock = (path / _LOCK).open("w")
-        self._rows: dict[int, tuple[bool, bool]] = {}  # of each run: whether it failed, whether the UGV was lost
+        self._rows: dict[
+            int, tuple[bool, bool]
+        ] = {}  # of each run: whether it failed, whether the UGV was lost
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if fresh:
@@ -200,12 +217,18 @@ class SweepFolder:
                 columns=plan.columns,
                 sweep=plan.sweep,
             )
-            _replace(self.path / HEAD, msgspec.json.format(msgspec.json.encode(head), indent=2) + b"\n")
+            _replace(
+                self.path / HEAD, msgspec.json.format(msgspec.json.encode(head), indent=2) + b"\n"
+            )
         elif head.outrider != plan.version:
             made = f"made by outrider {head.outrider}, this is {plan.version}"
-            raise ScenarioError(f"{self.path}: {made}; choose another --out, or start over with --fresh")
+            raise ScenarioError(
+                f"{self.path}: {made}; choose another --out, or start over with --fresh"
+            )
         elif head.digest != plan.digest:
-            raise ScenarioError(f"{self.path}: holds another sweep; choose another --out, or start over with --fresh")
+            raise ScenarioError(
+                f"{self.path}: holds another sweep; choose another --out, or start over with --fresh"
+            )
         self.path.joinpath(PARTS).mkdir(exist_ok=True)
 
     def _parts(self) -> list[Path]:
@@ -241,8 +264,12 @@ class SweepFolder:
 
         rows = [{**self._plan.head(result["run"]), **result} for result in results]
         self._number += 1
-        _write_table(self._part(self._number), pa.Table.from_pylist(rows, schema=schema_of(self._columns)))
-        self._rows |= {row["run"]: (row["error"] is not None, bool(row["violated"])) for row in rows}
+        _write_table(
+            self._part(self._number), pa.Table.from_pylist(rows, schema=schema_of(self._columns))
+        )
+        self._rows |= {
+            row["run"]: (row["error"] is not None, bool(row["violated"])) for row in rows
+        }
         if self._number % _MOST_PARTS == 0:
             self._merge(self._parts()[-_MOST_PARTS:])
 
@@ -254,7 +281,10 @@ class SweepFolder:
         import pyarrow as pa  # noqa: PLC0415
 
         self._number += 1
-        _write_table(self._part(self._number), pa.concat_tables([_read_table(part, self._columns) for part in parts]))
+        _write_table(
+            self._part(self._number),
+            pa.concat_tables([_read_table(part, self._columns) for part in parts]),
+        )
         for part in parts:
             part.unlink()
 
@@ -264,7 +294,9 @@ class SweepFolder:
 
         parts = self._parts()
         if parts:
-            table = pa.table(read_results(self.path, self._columns), schema=schema_of(self._columns))
+            table = pa.table(
+                read_results(self.path, self._columns), schema=schema_of(self._columns)
+            )
             _write_table(self.path / RESULTS, table)
             for part in parts:
                 part.unlink()

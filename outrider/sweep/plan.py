@@ -85,7 +85,9 @@ def _as_column(value: object, kind: str) -> object:
         return value if kind != "string" or value is None else str(value).lower()
     if kind == "double":
         return float(value) if isinstance(value, int | float) else None
-    return value if kind == "bool" or isinstance(value, str) else msgspec.json.encode(value).decode()
+    return (
+        value if kind == "bool" or isinstance(value, str) else msgspec.json.encode(value).decode()
+    )
 
 
 def _combinations(block: Block) -> Iterator[dict[str, Any]]:
@@ -96,13 +98,22 @@ def _combinations(block: Block) -> Iterator[dict[str, Any]]:
 def _loaded(sweep: Sweep, told: Callable[[int, int], None]) -> Iterator[tuple[Block, Scenario]]:
     """The scenario of every point, in order."""
     laws: tuple[str | None, ...] = sweep.laws or (None,)
-    wanted = [(block, law, values) for block in sweep.block for law in laws for values in _combinations(block)]
+    wanted = [
+        (block, law, values)
+        for block in sweep.block
+        for law in laws
+        for values in _combinations(block)
+    ]
     for number, (block, law, values) in enumerate(wanted):
         told(number, len(wanted))
         named = {} if law is None else {"law.name": law}
-        scenario = load_scenario(sweep.scenario, overrides={**sweep.set, **block.set, **named, **values})
+        scenario = load_scenario(
+            sweep.scenario, overrides={**sweep.set, **block.set, **named, **values}
+        )
         if any(ugv.driver == "external" for ugv in scenario.ugv):
-            raise ScenarioError(f"{one_line(sweep.scenario)}: the driver 'external' is another process; a sweep has none")
+            raise ScenarioError(
+                f"{one_line(sweep.scenario)}: the driver 'external' is another process; a sweep has none"
+            )
         yield block, scenario
 
 
@@ -134,7 +145,9 @@ def lay_out(
     for block, scenario in _loaded(sweep, told):
         raw = msgspec.to_builtins(scenario)
         fields = {field: _as_column(_value_of(raw, field), kind) for field, kind in kinds.items()}
-        points.append(Point(block=block.name, law=scenario.law.name, fields=fields, scenario=scenario))
+        points.append(
+            Point(block=block.name, law=scenario.law.name, fields=fields, scenario=scenario)
+        )
         warnings |= dict.fromkeys(scenario_warnings(scenario))
         if scenario.custom != type(scenario.custom)():
             check_code(scenario, named, source=sweep.scenario, allowed=allow_code)

@@ -5,7 +5,14 @@ from typing import Any
 from bus.messages import LinkKind
 from outrider.summary import Summary
 
-FIRST = {"run": "int64", "block": "string", "law": "string", "seed": "int64", "scenario": "string", "version": "string"}
+FIRST = {
+    "run": "int64",
+    "block": "string",
+    "law": "string",
+    "seed": "int64",
+    "scenario": "string",
+    "version": "string",
+}
 """Columns that come before the varied fields, with their Parquet types."""
 
 _LINKS = (LinkKind.DETECTIONS, LinkKind.COMMANDS)
@@ -23,7 +30,11 @@ RESULTS = {
     "mean_error": "double",  # [m²]
     "final_error": "double",  # [m²]
     "estimate_rmse": "double",  # [m]
-    **{f"{kind}_{what}": "double" for kind in _LINKS for what in ("mean_age", "max_age", "delivery_ratio")},  # [s], [s], share
+    **{
+        f"{kind}_{what}": "double"
+        for kind in _LINKS
+        for what in ("mean_age", "max_age", "delivery_ratio")
+    },  # [s], [s], share
     "certified_share": "double",  # of the ticks; none for a law without a safety filter
     "intervened_share": "double",
     "certified_while_lost": "int64",  # ticks, certified with the UGV out of sight; 0, or the certificate is wrong
@@ -40,7 +51,10 @@ def _known(values: list[float | None]) -> list[float]:
 
 
 def link_columns(summary: Summary, kind: LinkKind) -> dict[str, float | None]:
-    """Age of information [s] and delivery ratio of all links of one kind: the mean, the largest, and what arrived of all sent."""
+    """Age of information [s] and delivery ratio of all links of one kind.
+
+    The mean, the largest, and what arrived of all sent.
+    """
     links = [status for name, status in summary.links.items() if name.endswith(f"/{kind}")]
     means = _known([getattr(status, "mean_age", None) for status in links])
     largest = _known([getattr(status, "max_age", None) for status in links])

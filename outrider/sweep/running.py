@@ -1,4 +1,7 @@
-"""The sweep's loop: tasks of about a second, handed to worker processes here or on a cluster, results taken as they come."""
+"""The sweep's loop.
+
+Tasks of about a second, handed to worker processes here or on a cluster, results taken as they come.
+"""
 
 import os
 import warnings
@@ -51,7 +54,11 @@ def make_tasks(plan: Plan, done: set[int], workers: int) -> list[Task]:
     most = max(1, missing // (_TASKS_A_WORKER * workers))
     tasks: list[Task] = []
     for k, point in enumerate(plan.points):
-        runs = [run for run in range(k * plan.sweep.seeds, (k + 1) * plan.sweep.seeds) if run not in done]
+        runs = [
+            run
+            for run in range(k * plan.sweep.seeds, (k + 1) * plan.sweep.seeds)
+            if run not in done
+        ]
         size = min(most, max(1, _TASK // cost_of(point.scenario)))
         for first in range(0, len(runs), size):
             seeds = {run: plan.seed_of(run) for run in runs[first : first + size]}
@@ -83,22 +90,32 @@ def open_cluster(address: str, version: str) -> Iterator["Client"]:
             raise PeerLost(f"--dask {address}: a worker cannot load outrider: {error}") from error
         for worker, other in found.items():
             if other != version:
-                raise PeerLost(f"--dask {address}: worker {worker} has outrider {other}, this is {version}")
+                raise PeerLost(
+                    f"--dask {address}: worker {worker} has outrider {other}, this is {version}"
+                )
         if not found:
             raise PeerLost(f"--dask {address}: the cluster has no workers")
         yield client
 
 
-def _results(tasks: list[Task], jobs: int, client: "Client | None") -> Generator[list[dict[str, Any]]]:
+def _results(
+    tasks: list[Task], jobs: int, client: "Client | None"
+) -> Generator[list[dict[str, Any]]]:
     """The results of the tasks, as they come."""
     from joblib import Parallel, delayed, parallel_config  # noqa: PLC0415 - an extra
 
-    backend: dict[str, Any] = {"backend": "loky", "max_nbytes": None} if client is None else {"backend": "dask", "client": client}
+    backend: dict[str, Any] = (
+        {"backend": "loky", "max_nbytes": None}
+        if client is None
+        else {"backend": "dask", "client": client}
+    )
     with parallel_config(**backend, n_jobs=jobs):
         parent = os.getpid() if client is None else None
         calls = (delayed(fly_runs)(task.scenario, task.seeds, parent) for task in tasks)
         with deaf_to_interrupts():
-            results = Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch="3*n_jobs")(calls)
+            results = Parallel(
+                return_as="generator_unordered", batch_size=1, pre_dispatch="3*n_jobs"
+            )(calls)
         yield from results
 
 
@@ -106,7 +123,9 @@ def _results(tasks: list[Task], jobs: int, client: "Client | None") -> Generator
 def _silence() -> Iterator[None]:
     """Without joblib's advice to whoever does not wait for the end: that somebody has pressed Ctrl-C is no mistake."""
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*still being processed by the workers", category=UserWarning)
+        warnings.filterwarnings(
+            "ignore", message=".*still being processed by the workers", category=UserWarning
+        )
         yield
 
 
@@ -152,8 +171,12 @@ def fly_sweep(
             return
         except Exception as error:
             if client is not None and not _is_a_death(error):
-                raise PeerLost(f"--dask: the cluster is gone ({type(error).__name__}: {error}); what is done is kept") from error
+                raise PeerLost(
+                    f"--dask: the cluster is gone ({type(error).__name__}: {error}); what is done is kept"
+                ) from error
             if not _is_a_death(error):
                 raise
             if len(done) == before:
-                raise PeerLost("worker processes die at once; out of memory? (fewer --jobs); what is done is kept") from error
+                raise PeerLost(
+                    "worker processes die at once; out of memory? (fewer --jobs); what is done is kept"
+                ) from error

@@ -35,7 +35,9 @@ def fly_run(scenario: Scenario, seed: int) -> dict[str, Any]:
     return row_of(summary, time.perf_counter() - started)
 
 
-def fly_runs(scenario: Scenario, seeds: dict[int, int], parent: int | None = None) -> list[dict[str, Any]]:
+def fly_runs(
+    scenario: Scenario, seeds: dict[int, int], parent: int | None = None
+) -> list[dict[str, Any]]:
     """Fly a scenario with some seeds.
 
     Args:

@@ -11,7 +11,9 @@ LARGEST = 1e6
 """Larger components are nonsense [m/s²]; the same limit as on the bus."""
 
 
-def take_actions(actions: Mapping[str, npt.ArrayLike], names: Sequence[str], commands: FloatArray) -> None:
+def take_actions(
+    actions: Mapping[str, npt.ArrayLike], names: Sequence[str], commands: FloatArray
+) -> None:
     """Put each agent's action in its row.
 
     Args:
@@ -28,7 +30,9 @@ def take_actions(actions: Mapping[str, npt.ArrayLike], names: Sequence[str], com
     for k, name in enumerate(names):
         x, y = _pair(name, actions[name])
         if not (-LARGEST <= x <= LARGEST and -LARGEST <= y <= LARGEST):
-            raise ValueError(f"action of {name} = [{x}, {y}]: must be two finite numbers, at most {LARGEST:g} m/s² in size")
+            raise ValueError(
+                f"action of {name} = [{x}, {y}]: must be two finite numbers, at most {LARGEST:g} m/s² in size"
+            )
         commands[k, 0] = x
         commands[k, 1] = y
 
@@ -42,7 +46,9 @@ def _pair(name: str, action: npt.ArrayLike) -> list[float]:
     except (TypeError, ValueError):  # a ragged list
         pair = np.empty(0, dtype=object)
     if pair.shape != (2,) or pair.dtype.kind not in "fiu":
-        raise ValueError(f"action of {name} = {action!r}: must be two numbers, the acceleration x and y [m/s²]")
+        raise ValueError(
+            f"action of {name} = {action!r}: must be two numbers, the acceleration x and y [m/s²]"
+        )
     values: list[float] = pair.astype(np.float64).tolist()
     return values
 

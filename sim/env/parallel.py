@@ -1,6 +1,7 @@
 """The world as a PettingZoo environment: a thin shell over `sim.world.World`.
 
-`bus.layout` says what each entry of an observation means, `sim.env.rewards` what is paid, `sim.env.seats` who gets what.
+`bus.layout` says what each entry of an observation means, `sim.env.rewards` what is paid, `sim.env.seats` who gets
+what.
 """
 
 from collections.abc import Mapping
@@ -41,9 +42,10 @@ _DEFAULT_REWARDS = RewardWeights()
 class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     """A UAV escorts a UGV, sees as much ground around it as it can, and never loses sight of it.
 
-    Agents are the scenario's vehicles. An action is an acceleration [m/s²], held for one tick; the bound of (1) is on its norm,
-    and a longer one is shortened. An observation is the vehicle's own row and nothing else; the whole truth is in `state()`.
-    A UAV observes
+    Agents are the scenario's vehicles. An action is an acceleration [m/s²], held for one tick; the bound of (1) is
+    on its norm,
+    and a longer one is shortened. An observation is the vehicle's own row and nothing else; the whole truth is in
+    `state()`. A UAV observes
 
     | index | name | meaning | unit | range |
     |---|---|---|---|---|
@@ -70,8 +72,8 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     | 6 | `goal_x` | goal, x; the last one stays when reached; 0 without goals | m | 0 … W |
     | 7 | `goal_y` | goal, y; the last one stays when reached; 0 without goals | m | 0 … H |
 
-    The letters of the ranges are explained in `bus.layout.SYMBOLS`; all agents end together. `docs/environment.md` is the
-    environment's page.
+    The letters of the ranges are explained in `bus.layout.SYMBOLS`; all agents end together. `docs/environment.md`
+    is the environment's page.
 
     Args:
         scenario: A shipped name, a file, or a scenario.
@@ -84,8 +86,8 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         coverage_in_state: Whether min(C / C*, 1) of every cell, row by row from y = 0, ends the state.
         dtype: Of observations and state. With float64 the paper's pilots fly the same bits as in `outrider.run`.
         render_mode: None, "rgb_array" or "human".
-        secret: Of all random numbers, with each episode's seed: 32 to 128 hexadecimal digits; empty: none, and who sees what
-            is drawn finds the seed.
+        secret: Of all random numbers, with each episode's seed: 32 to 128 hexadecimal digits; empty: none, and who
+            sees what is drawn finds the seed.
 
     Raises:
         ScenarioError: If the scenario cannot be flown, or its duration is no whole number of ticks.
@@ -118,7 +120,9 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         if dtype not in {np.float32, np.float64}:
             raise ValueError(f"dtype = {dtype!r}; allowed: np.float32, np.float64")
         loaded = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
-        self.scenario = check_scenario(loaded if duration is None else msgspec.structs.replace(loaded, duration=duration))
+        self.scenario = check_scenario(
+            loaded if duration is None else msgspec.structs.replace(loaded, duration=duration)
+        )
         """What is flown."""
         self.render_mode = render_mode
         self.end_on_sight_lost = end_on_sight_lost
@@ -137,7 +141,8 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self._seats = seats(self.scenario, rewards)
         self.action_spaces = {vehicle.name: action_space(vehicle) for vehicle in vehicles}
         self.observation_spaces = {
-            vehicle.name: observation_space(self.scenario, vehicle, self._patch, dtype) for vehicle in vehicles
+            vehicle.name: observation_space(self.scenario, vehicle, self._patch, dtype)
+            for vehicle in vehicles
         }
         self.state_space = state_space(self.scenario, self._seats, cells=cells, dtype=dtype)
         self.state_names = state_names((seat.name, seat.state_row) for seat in self._seats)
@@ -193,7 +198,13 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
 
     def step(
         self, actions: Mapping[str, npt.ArrayLike]
-    ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+    ) -> tuple[
+        dict[str, Observation],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
         """Let all vehicles act for one tick.
 
         Args:
@@ -238,7 +249,10 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     def _infos(self) -> dict[str, dict[str, Any]]:
         """Facts that are in no row; where the network is not perfect, also how each vehicle's own links do."""
         links, degraded = self.world.links, self.degraded
-        return {seat.name: seat.info() | ({"links": links.status(seat.name)} if degraded else {}) for seat in self._seats}
+        return {
+            seat.name: seat.info() | ({"links": links.status(seat.name)} if degraded else {})
+            for seat in self._seats
+        }
 
     def _observations(self) -> dict[str, Observation]:
         """A new array for each vehicle, which nobody changes later."""
@@ -267,7 +281,13 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
 
         `state_names` names the entries; with `coverage_in_state` the cells of the grid follow.
         """
-        return state_array(self.world, self._moment, self._seats, with_cells=self.coverage_in_state, dtype=self._dtype)
+        return state_array(
+            self.world,
+            self._moment,
+            self._seats,
+            with_cells=self.coverage_in_state,
+            dtype=self._dtype,
+        )
 
     def metrics(self) -> dict[str, dict[str, float]]:
         """How each vehicle truly stands, and the terms of its last reward: for people and logs, not for policies."""
@@ -275,17 +295,25 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         return {seat.name: seat.metrics(moment) for seat in self._seats}
 
     def received(self, agent: str) -> tuple[Detection, ...]:
-        """All the detections that have reached a UAV at this tick, as it would be told on the bus; its row has the newest.
+        """All the detections that have reached a UAV at this tick, as it would be told on the bus.
+
+        Its row has the newest.
 
         Raises:
             ValueError: If there is no such UAV.
         """
-        seat = next((seat for seat in self._seats if seat.name == agent and isinstance(seat, UavSeat)), None)
+        seat = next(
+            (seat for seat in self._seats if seat.name == agent and isinstance(seat, UavSeat)), None
+        )
         if seat is None:
-            raise ValueError(f"agent = {agent!r}; allowed: {', '.join(uav.name for uav in self.scenario.uav)}")
+            raise ValueError(
+                f"agent = {agent!r}; allowed: {', '.join(uav.name for uav in self.scenario.uav)}"
+            )
         dt = self.scenario.dt
         looks = self._moment.received[seat.escort]
-        return tuple(Detection(time=look.tick * dt, relative_position=(look.x, look.y)) for look in looks)
+        return tuple(
+            Detection(time=look.tick * dt, relative_position=(look.x, look.y)) for look in looks
+        )
 
     def briefing(self, agent: str) -> Briefing:
         """What this vehicle would be told on the bus when it joins this episode: its limits, area, law, own goals.
@@ -309,7 +337,9 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
             OutriderError: If there is no display, or no pygame.
         """
         if self._view is None:
-            logger.warn("render() draws nothing: the environment was made without render_mode='human' or 'rgb_array'")
+            logger.warn(
+                "render() draws nothing: the environment was made without render_mode='human' or 'rgb_array'"
+            )
             return None
         return self._view.render(self.world, self._moment)
 

@@ -23,13 +23,25 @@ class CoveragePatch(NamedTuple):
             ValueError: If it has no pixels, or too many, or no size.
         """
         if not (1 <= self.pixels <= 1024 and self.pixels == int(self.pixels)):
-            raise ValueError(f"coverage_patch: pixels = {self.pixels!r}; must be a whole number from 1 to 1024")
+            raise ValueError(
+                f"coverage_patch: pixels = {self.pixels!r}; must be a whole number from 1 to 1024"
+            )
         if not 0.0 < self.meters_per_pixel < 1e6:
-            raise ValueError(f"coverage_patch: meters_per_pixel = {self.meters_per_pixel!r}; must be positive and finite")
+            raise ValueError(
+                f"coverage_patch: meters_per_pixel = {self.meters_per_pixel!r}; must be positive and finite"
+            )
 
 
 @compiled
-def sample(coverage: FloatArray, p_x: float, p_y: float, desired: float, cell: float, scale: float, picture: FloatArray) -> None:
+def sample(
+    coverage: FloatArray,
+    p_x: float,
+    p_y: float,
+    desired: float,
+    cell: float,
+    scale: float,
+    picture: FloatArray,
+) -> None:
     """Fill the picture around (p_x, p_y) [m] with min(C / C*, 1) of the cell under each pixel's centre; 1 outside Q."""
     rows, columns = coverage.shape
     count = picture.shape[0]
@@ -54,7 +66,9 @@ class OwnMaps:
 
     def __init__(self, world: World, *, needed: bool) -> None:
         self._shared = not needed or len(world.uavs) == 1
-        self._maps = [world.coverage] if self._shared else [world.coverage.copy() for _ in world.uavs]
+        self._maps = (
+            [world.coverage] if self._shared else [world.coverage.copy() for _ in world.uavs]
+        )
 
     def look(self, world: World) -> None:
         """Add what each UAV sees at this tick, as the world does (3)."""

@@ -25,7 +25,10 @@ from sim.world import World
 UAV = ("#1f5fbf", "#5aa9e6", "#173b7a", "#7d8fe0")
 UGV = ("#e8740c", "#f2a65a", "#a8500a", "#f6c453")
 LIMIT, INK, MUTED, RULE = "#cf2a3c", "#22262d", "#727985", "#e6e8ec"
-_UNSEEN, _SEEN = "#fafafa", "#c4decf"  # lighter than in the figures: here everything lies on top of it
+_UNSEEN, _SEEN = (
+    "#fafafa",
+    "#c4decf",
+)  # lighter than in the figures: here everything lies on top of it
 _COLORS = LinearSegmentedColormap.from_list("covered", [_UNSEEN, _SEEN])(np.arange(256), bytes=True)
 _LONG_SIDE = 8.0  # of the area on the canvas [in]
 _LEFT, _RIGHT, _BELOW, _ABOVE = 0.62, 0.34, 0.92, 0.58  # margins [in]
@@ -80,17 +83,31 @@ class Picture:
         size = (wide + _LEFT + _RIGHT, high + _BELOW + _ABOVE)
         self._figure = Figure(figsize=size, dpi=_DPI, facecolor="white")
         self._canvas = FigureCanvasAgg(self._figure)
-        self._axes = self._figure.add_axes((_LEFT / size[0], _BELOW / size[1], wide / size[0], high / size[1]))
+        self._axes = self._figure.add_axes(
+            (_LEFT / size[0], _BELOW / size[1], wide / size[0], high / size[1])
+        )
         self._dress(world)
-        self._title = self._figure.text(_LEFT / size[0], 1 - 0.5 * _ABOVE / size[1], "", color=INK, fontsize=12, va="center")
+        self._title = self._figure.text(
+            _LEFT / size[0], 1 - 0.5 * _ABOVE / size[1], "", color=INK, fontsize=12, va="center"
+        )
         self._ground = self._axes.imshow(
-            self._colors(world), origin="lower", extent=(0.0, w.width, 0.0, w.height), interpolation="bilinear"
+            self._colors(world),
+            origin="lower",
+            extent=(0.0, w.width, 0.0, w.height),
+            interpolation="bilinear",
         )
         still = self._draw_still(world)
         self._escorts = [_Escort(self._axes, world, k) for k in range(len(world.uavs))]
         self._tracks, self._vehicles = self._draw_vehicles(world)
         rings = [artist for escort in self._escorts for artist in escort.artists]
-        self._moving: list[Artist] = [self._ground, *still, *rings, *self._tracks, *self._vehicles, self._title]
+        self._moving: list[Artist] = [
+            self._ground,
+            *still,
+            *rings,
+            *self._tracks,
+            *self._vehicles,
+            self._title,
+        ]
         for artist in self._moving:
             artist.set_animated(True)
         self._canvas.draw()  # type: ignore[no-untyped-call]
@@ -98,7 +115,9 @@ class Picture:
 
     @staticmethod
     def _colors(world: World) -> npt.NDArray[np.uint8]:
-        levels = np.minimum(world.coverage * (255.0 / world.parameters.desired), 255.0).astype(np.uint8)
+        levels = np.minimum(world.coverage * (255.0 / world.parameters.desired), 255.0).astype(
+            np.uint8
+        )
         colors: npt.NDArray[np.uint8] = _COLORS[levels]
         return colors
 
@@ -114,24 +133,51 @@ class Picture:
             _mark(UGV[0], "s", "UGV"),
             _mark(UGV[0], "x", "goal"),
             Line2D([], [], color=LIMIT, linewidth=1.6, label="sight is lost, $r_v$"),
-            Line2D([], [], color=LIMIT, linewidth=1.0, linestyle=(0, (4, 3)), label="only tracking, $r_s$"),
+            Line2D(
+                [],
+                [],
+                color=LIMIT,
+                linewidth=1.0,
+                linestyle=(0, (4, 3)),
+                label="only tracking, $r_s$",
+            ),
             Line2D([], [], color=UAV[0], linewidth=0.8, label="sensor, $r$"),
             _mark(_SEEN, "s", "seen"),
         ]
         self._figure.legend(
-            handles=legend, loc="lower center", ncols=7, frameon=False, fontsize=8.5, labelcolor=INK, columnspacing=1.6
+            handles=legend,
+            loc="lower center",
+            ncols=7,
+            frameon=False,
+            fontsize=8.5,
+            labelcolor=INK,
+            columnspacing=1.6,
         )
 
     def _draw_still(self, world: World) -> list[Artist]:
         """What lies on the ground: the grid, and the UGVs' goals."""
         axes, w = self._axes, world.parameters
         still: list[Artist] = [
-            axes.vlines([x for x in axes.get_xticks() if 0.0 < x < w.width], 0.0, w.height, color=RULE, linewidth=0.5),
-            axes.hlines([y for y in axes.get_yticks() if 0.0 < y < w.height], 0.0, w.width, color=RULE, linewidth=0.5),
+            axes.vlines(
+                [x for x in axes.get_xticks() if 0.0 < x < w.width],
+                0.0,
+                w.height,
+                color=RULE,
+                linewidth=0.5,
+            ),
+            axes.hlines(
+                [y for y in axes.get_yticks() if 0.0 < y < w.height],
+                0.0,
+                w.width,
+                color=RULE,
+                linewidth=0.5,
+            ),
         ]
         for ugv in world.scenario.ugv:
             x, y = [goal[0] for goal in ugv.goals], [goal[1] for goal in ugv.goals]
-            still += axes.plot(x, y, "x", color=UGV[0], markersize=6, markeredgewidth=1.4, alpha=0.8)
+            still += axes.plot(
+                x, y, "x", color=UGV[0], markersize=6, markeredgewidth=1.4, alpha=0.8
+            )
         return still
 
     def _draw_vehicles(self, world: World) -> tuple[list[Line2D], list[Line2D]]:
@@ -140,10 +186,20 @@ class Picture:
         for vehicle in world.scenario.vehicles:
             color, marker = (next(oranges), "s") if isinstance(vehicle, Ugv) else (next(blues), "o")
             tracks += self._axes.plot([], [], color=color, linewidth=1.3, alpha=0.75)
-            marks += self._axes.plot([], [], marker, color=color, markersize=9, markeredgecolor="white", markeredgewidth=1.2)
+            marks += self._axes.plot(
+                [],
+                [],
+                marker,
+                color=color,
+                markersize=9,
+                markeredgecolor="white",
+                markeredgewidth=1.2,
+            )
         return tracks, marks
 
-    def draw(self, world: World, moment: Moment, tracks: Sequence[list[list[float]]]) -> npt.NDArray[np.uint8]:
+    def draw(
+        self, world: World, moment: Moment, tracks: Sequence[list[list[float]]]
+    ) -> npt.NDArray[np.uint8]:
         """The picture of this moment.
 
         Args:
@@ -170,7 +226,10 @@ class Picture:
     @staticmethod
     def _words(world: World, moment: Moment) -> str:
         name, many = world.scenario.name or "Outrider", len(moment.measures) > 1
-        distance, error = max(measure[0] for measure in moment.measures), sum(measure[1] for measure in moment.measures)
+        distance, error = (
+            max(measure[0] for measure in moment.measures),
+            sum(measure[1] for measure in moment.measures),
+        )
         return (
             f"{name}     $t$ = {moment.time:.2f} s     {'largest ' if many else ''}distance {distance:.2f} m     "
             f"{'sum of ' if many else ''}$e(t)$ = {error:.0f} m²"

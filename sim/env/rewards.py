@@ -22,7 +22,10 @@ class RewardWeights:
     uncovered: float = 1.0
     """UAV: cost of e(t) / e_full, the share of ground around its UGV that is unseen [1/s]."""
     seen: float = 0.0
-    """UAV: gain for e(t) / e_full falling by what it sees. Without `uncovered` e(t) itself is not needed, which is faster."""
+    """UAV: gain for e(t) / e_full falling by what it sees.
+
+    Without `uncovered` e(t) itself is not needed, which is faster.
+    """
     sight_lost: float = 10.0
     """UAV: cost each time that the distance reaches r_v."""
     out_of_sight: float = 2.0
@@ -38,7 +41,9 @@ class RewardWeights:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if not 0.0 <= value < math.inf:
-                raise ValueError(f"RewardWeights.{field.name} = {value!r}: must be finite and not negative")
+                raise ValueError(
+                    f"RewardWeights.{field.name} = {value!r}: must be finite and not negative"
+                )
 
 
 class UavTerms(NamedTuple):
@@ -105,7 +110,8 @@ def uav_terms(
         full: `full_error` [m²].
         lost: Whether the distance is r_v or more.
         was_lost: Whether it was at the tick before.
-        ticks_lost: Ticks that are charged if it is out of sight: one, and the rest of the episode where it ends by that.
+        ticks_lost: Ticks that are charged if it is out of sight: one, and the rest of the episode where it ends by
+            that.
         u_x, u_y: Acceleration as applied [m/s²].
         dt: Length of a tick [s].
     """
@@ -120,7 +126,14 @@ def uav_terms(
 
 @compiled
 def ugv_terms(
-    progress: float, goal: float, effort: float, nearer: float, arrivals: int, u_x: float, u_y: float, dt: float
+    progress: float,
+    goal: float,
+    effort: float,
+    nearer: float,
+    arrivals: int,
+    u_x: float,
+    u_y: float,
+    dt: float,
 ) -> tuple[float, float, float]:
     """A UGV's reward of one tick, in the order of `UgvTerms`.
 

@@ -7,7 +7,15 @@ import numpy as np
 
 from bus.layout import UavRow, UavState, UgvRow, UgvState
 from sim.compile import FloatArray, compiled
-from sim.env.rewards import RewardWeights, UavTerms, UgvTerms, full_error, total, uav_terms, ugv_terms
+from sim.env.rewards import (
+    RewardWeights,
+    UavTerms,
+    UgvTerms,
+    full_error,
+    total,
+    uav_terms,
+    ugv_terms,
+)
 from sim.scenario import Scenario, Ugv
 from sim.vehicles import goal_reached, norm
 from sim.world import Look, World
@@ -46,9 +54,13 @@ def route_of(ugv: Ugv) -> FloatArray:
 
 
 @compiled
-def turn(goals: FloatArray, reached: int, tolerance: float, x: float, y: float) -> tuple[int, float]:
+def turn(
+    goals: FloatArray, reached: int, tolerance: float, x: float, y: float
+) -> tuple[int, float]:
     """How many goals are reached from (x, y) [m] on, and the way to the next one [m]; 0 where none is left."""
-    while reached < goals.shape[0] and goal_reached(x, y, goals[reached, 0], goals[reached, 1], tolerance):
+    while reached < goals.shape[0] and goal_reached(
+        x, y, goals[reached, 0], goals[reached, 1], tolerance
+    ):
         reached += 1
     if reached == goals.shape[0]:
         return reached, 0.0
@@ -60,7 +72,9 @@ class UavSeat:
 
     state_row = UavState
 
-    def __init__(self, scenario: Scenario, weights: RewardWeights, name: str, vehicle: int, escort: int) -> None:
+    def __init__(
+        self, scenario: Scenario, weights: RewardWeights, name: str, vehicle: int, escort: int
+    ) -> None:
         self.name = name
         self.vehicle = vehicle
         """Its row in the world's arrays of vehicles."""
@@ -73,7 +87,9 @@ class UavSeat:
         self._dt = scenario.dt
         self._horizon = scenario.ticks * scenario.dt
         self._r_v = scenario.visibility.radius
-        self._full = full_error(scenario.visibility.radius + scenario.sensor.range, scenario.coverage.desired)
+        self._full = full_error(
+            scenario.visibility.radius + scenario.sensor.range, scenario.coverage.desired
+        )
 
     def begin(self, moment: Moment) -> None:
         """Forget the last episode."""
@@ -103,7 +119,9 @@ class UavSeat:
         looks = moment.received[self.escort]
         if looks:
             look = max(looks)  # the newest; the pilots that fly over the bus use them all
-            return UavRow(moment.time, x, y, vx, vy, 1.0, look.x, look.y, moment.time - look.tick * self._dt)
+            return UavRow(
+                moment.time, x, y, vx, vy, 1.0, look.x, look.y, moment.time - look.tick * self._dt
+            )
         return UavRow(moment.time, x, y, vx, vy, 0.0, 0.0, 0.0, self._age(moment))
 
     def state(self, moment: Moment) -> UavState:
@@ -118,7 +136,8 @@ class UavSeat:
 
         Args:
             moment: This tick.
-            ticks_lost: Ticks that are charged if it is out of sight: one, and the rest of the episode where it ends by that.
+            ticks_lost: Ticks that are charged if it is out of sight: one, and the rest of the episode where it
+                ends by that.
         """
         w, (u_x, u_y) = self._weights, moment.acceleration[self.vehicle]
         self.terms = UavTerms._make(
@@ -159,7 +178,10 @@ class UavSeat:
 
 
 class UgvSeat:
-    """One UGV: it may know its own state and its goal; it is paid for coming nearer to its goals and for reaching them."""
+    """One UGV: it may know its own state and its goal.
+
+    It is paid for coming nearer to its goals and for reaching them.
+    """
 
     state_row = UgvState
     lost = False
@@ -234,7 +256,11 @@ class UgvSeat:
     def reward(self, moment: Moment, ticks_lost: int) -> float:
         """What it is paid for this tick; the terms stay in `terms`. It is not its task to keep sight."""
         w, (u_x, u_y) = self._weights, moment.acceleration[self.vehicle]
-        self.terms = UgvTerms._make(ugv_terms(w.progress, w.goal, w.effort, self._progress, self._arrivals, u_x, u_y, self._dt))
+        self.terms = UgvTerms._make(
+            ugv_terms(
+                w.progress, w.goal, w.effort, self._progress, self._arrivals, u_x, u_y, self._dt
+            )
+        )
         return total(self.terms)
 
     def info(self) -> dict[str, float]:

@@ -28,7 +28,9 @@ class Seeds:
             _checked(seed)
 
     def begin(self, seed: int | None) -> None:
-        """Go on to the next episode: with this seed, or with one that the last given seed and the number of episodes since fix.
+        """Go on to the next episode.
+
+        With this seed, or with one that the last given seed and the number of episodes since fix.
 
         Raises:
             ValueError: If the seed is not a whole number from 0 to 2**53 - 1.

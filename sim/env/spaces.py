@@ -19,7 +19,9 @@ _ROUNDING = 1.0 + 2.0**-50  # a few last places: clipping to a length rounds
 def extent_of(scenario: Scenario, vehicle: Uav | Ugv) -> dict[str, float]:
     """The values of `bus.layout.SYMBOLS` for one vehicle."""
     area, noise = scenario.area, scenario.detections.noise
-    sight = max(scenario.sensor.range, scenario.visibility.radius) + (noise * scenario.noise_cut if noise > 0.0 else 0.0)
+    sight = max(scenario.sensor.range, scenario.visibility.radius) + (
+        noise * scenario.noise_cut if noise > 0.0 else 0.0
+    )
     return {
         "T": scenario.ticks * scenario.dt,
         "W": area.width,
@@ -38,7 +40,11 @@ def box(low: Sequence[float], high: Sequence[float], dtype: type[np.floating]) -
 
 def action_space(vehicle: Uav | Ugv) -> spaces.Box:
     """The square [-u_max, u_max]² [m/s²]; the world shortens a vector that is longer than u_max."""
-    limit = FREE_ACCELERATION if math.isinf(vehicle.max_acceleration) else float(vehicle.max_acceleration)
+    limit = (
+        FREE_ACCELERATION
+        if math.isinf(vehicle.max_acceleration)
+        else float(vehicle.max_acceleration)
+    )
     return box([-limit, -limit], [limit, limit], np.float64)
 
 

@@ -14,7 +14,9 @@ from sim.scenario import Scenario
 from sim.world import World
 
 
-def state_space(scenario: Scenario, seats: Sequence[Seat], *, cells: int, dtype: type[np.floating]) -> spaces.Box:
+def state_space(
+    scenario: Scenario, seats: Sequence[Seat], *, cells: int, dtype: type[np.floating]
+) -> spaces.Box:
     """The space of `state_array`; `cells` entries of coverage at the end."""
     vehicles = scenario.vehicles
     low, high = bounds(CommonState, extent_of(scenario, vehicles[0]))
@@ -25,7 +27,12 @@ def state_space(scenario: Scenario, seats: Sequence[Seat], *, cells: int, dtype:
 
 
 def state_array(
-    world: World, moment: Moment, seats: Sequence[Seat], *, with_cells: bool, dtype: type[np.floating]
+    world: World,
+    moment: Moment,
+    seats: Sequence[Seat],
+    *,
+    with_cells: bool,
+    dtype: type[np.floating],
 ) -> npt.NDArray[np.floating[Any]]:
     """The common entries, each vehicle's in name order and, `with_cells`, min(C / C*, 1) of every cell, row by row."""
     shares = np.minimum(world.coverage / world.parameters.desired, 1.0)

@@ -1,4 +1,7 @@
-"""Who looks at the environment: nobody, a caller who wants pictures, or a person. What draws is loaded with the first picture."""
+"""Who looks at the environment: nobody, a caller who wants pictures, or a person.
+
+What draws is loaded with the first picture.
+"""
 
 from typing import TYPE_CHECKING, Any
 

@@ -13,7 +13,9 @@ def _load_pygame() -> Any:  # noqa: ANN401 - a module without types
     try:
         return importlib.import_module("pygame")
     except ImportError as error:
-        raise OutriderError("render_mode 'human' needs pygame: pip install 'outrider[window]', or use 'rgb_array'") from error
+        raise OutriderError(
+            "render_mode 'human' needs pygame: pip install 'outrider[window]', or use 'rgb_array'"
+        ) from error
 
 
 class Window:
@@ -39,13 +41,17 @@ class Window:
         pygame = self._pygame
         try:
             pygame.display.init()
-            seen = pygame.display.get_driver() != "offscreen"  # SDL's last resort: nobody would see it
+            seen = (
+                pygame.display.get_driver() != "offscreen"
+            )  # SDL's last resort: nobody would see it
             self._screen = pygame.display.set_mode(size) if seen else None
         except pygame.error:
             self._screen = None
         if self._screen is None:
             pygame.display.quit()
-            raise OutriderError("render_mode 'human' needs a display and found none; use 'rgb_array'")
+            raise OutriderError(
+                "render_mode 'human' needs a display and found none; use 'rgb_array'"
+            )
         pygame.display.set_caption(self._title)
 
     def show(self, picture: npt.NDArray[np.uint8]) -> None:

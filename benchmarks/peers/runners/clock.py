@@ -1,4 +1,7 @@
-"""How every runner counts and what it prints: alike for all. Standard library only, since it runs in every environment."""
+"""How every runner counts and what it prints: alike for all.
+
+Standard library only, since it runs in every environment.
+"""
 
 import argparse
 import json
@@ -74,7 +77,9 @@ def measure(variant: Variant, seconds: float, repeats: int) -> dict[str, object]
     step()
     calls_per_second(step, seconds / 3.0)
     watch = Watch()
-    rates = [calls_per_second(step, seconds) * variant.worlds * variant.steps for _ in range(repeats)]
+    rates = [
+        calls_per_second(step, seconds) * variant.worlds * variant.steps for _ in range(repeats)
+    ]
     return {
         "others": watch.others(),
         "steps_per_second": statistics.median(rates),
@@ -84,7 +89,9 @@ def measure(variant: Variant, seconds: float, repeats: int) -> dict[str, object]
 
 
 def run(name: str, version: str, variants: Iterable[Variant]) -> None:
-    """Measure the variants and print each as a line of JSON as soon as it is there; one that fails is said, the others go on.
+    """Measure the variants and print each as a line of JSON as soon as it is there.
+
+    One that fails is said, the others go on.
 
     Args:
         name: What people call the package.
@@ -96,7 +103,12 @@ def run(name: str, version: str, variants: Iterable[Variant]) -> None:
     parser.add_argument("--repeats", type=int, default=3)
     given = parser.parse_args()
     for variant in variants:
-        line: dict[str, object] = {"name": name, "variant": variant.name, "worlds": variant.worlds, "version": version}
+        line: dict[str, object] = {
+            "name": name,
+            "variant": variant.name,
+            "worlds": variant.worlds,
+            "version": version,
+        }
         try:
             line |= {"agents": variant.agents, "field": variant.field}
             line |= measure(variant, given.seconds, given.repeats)

@@ -1,7 +1,7 @@
 """CoverageControl: two robots over a field of 256 x 256 cells, C++ called from Python.
 
-The package's Python side imports torch, torchvision and torch_geometric, which it does not ask pip for and which its simulator
-does not use: the compiled core is loaded alone.
+The package's Python side imports torch, torchvision and torch_geometric, which it does not ask pip for and which
+its simulator does not use: the compiled core is loaded alone.
 """
 
 import importlib.util
@@ -43,8 +43,13 @@ def swarm(objective: bool) -> Step:
     parameters.pNumRobots = ROBOTS
     parameters.pWorldMapSize = parameters.pRobotMapSize = parameters.pLocalMapSize = CELLS
     rng = np.random.default_rng(SEED)
-    peaks = [core.BivariateNormalDistribution(rng.uniform(0.0, CELLS, 2), 40.0, 1.0) for _ in range(PEAKS)]
-    starts = core.PointVector([np.array(start) for start in STARTS])  # left to itself it draws another world each time
+    peaks = [
+        core.BivariateNormalDistribution(rng.uniform(0.0, CELLS, 2), 40.0, 1.0)
+        for _ in range(PEAKS)
+    ]
+    starts = core.PointVector(
+        [np.array(start) for start in STARTS]
+    )  # left to itself it draws another world each time
     system = core.CoverageSystem(parameters, core.BNDVector(peaks), starts)
     drawn = rng.uniform(-1.0, 1.0, (ACTIONS, ROBOTS, 2))
     drawn -= drawn.mean(axis=0)  # or the robots end in a corner, where there is less to do

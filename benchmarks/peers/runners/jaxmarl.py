@@ -26,8 +26,12 @@ def stepped() -> Step:
     """`env.step` in a Python loop; as a policy in Python would, each step waits for its observations."""
     env = _spread()
     keys = list(jax.random.split(jax.random.key(SEED), ACTIONS))
-    drawn = {name: jax.random.randint(keys[i], (ACTIONS,), 0, 5) for i, name in enumerate(env.agents)}
-    given = cycle([(keys[k], {name: drawn[name][k] for name in env.agents}) for k in range(ACTIONS)])
+    drawn = {
+        name: jax.random.randint(keys[i], (ACTIONS,), 0, 5) for i, name in enumerate(env.agents)
+    }
+    given = cycle(
+        [(keys[k], {name: drawn[name][k] for name in env.agents}) for k in range(ACTIONS)]
+    )
     _, state = env.reset(keys[0])
 
     def step() -> None:
@@ -43,14 +47,19 @@ def scanned(worlds: int, steps: int) -> Step:
     """So many steps of all worlds in one compiled `scan`, which gives back what a learner needs of each step."""
     env = _spread()
     first, *keys = jax.random.split(jax.random.key(SEED), 1 + AGENTS)
-    drawn = {name: jax.random.randint(key, (steps, worlds), 0, 5) for name, key in zip(env.agents, keys, strict=True)}
+    drawn = {
+        name: jax.random.randint(key, (steps, worlds), 0, 5)
+        for name, key in zip(env.agents, keys, strict=True)
+    }
     _, states = jax.vmap(env.reset)(jax.random.split(first, worlds))
 
     @jax.jit
     def rollout(key: Any, states: Any, drawn: Any) -> Any:  # noqa: ANN401 - trees of arrays
         def one(states: Any, given: Any) -> Any:  # noqa: ANN401
             key, actions = given
-            observations, states, rewards, dones, _ = jax.vmap(env.step)(jax.random.split(key, worlds), states, actions)
+            observations, states, rewards, dones, _ = jax.vmap(env.step)(
+                jax.random.split(key, worlds), states, actions
+            )
             return states, (observations, rewards, dones)
 
         return jax.lax.scan(one, states, (jax.random.split(key, steps), drawn))
@@ -71,7 +80,11 @@ if __name__ == "__main__":
         f"{version('jaxmarl')}, jax {version('jax')}",
         [
             spread(name="simple_spread, step", worlds=1, make=stepped),
-            spread(name="simple_spread, scan", worlds=1, make=partial(scanned, 1, 1000), steps=1000),
-            spread(name="simple_spread, scan", worlds=1024, make=partial(scanned, 1024, 100), steps=100),
+            spread(
+                name="simple_spread, scan", worlds=1, make=partial(scanned, 1, 1000), steps=1000
+            ),
+            spread(
+                name="simple_spread, scan", worlds=1024, make=partial(scanned, 1024, 100), steps=100
+            ),
         ],
     )

@@ -22,7 +22,9 @@ def spread(agents: int) -> Step:
     names = env.possible_agents
     for name in names:
         env.action_space(name).seed(SEED)
-    actions = cycle([{name: env.action_space(name).sample() for name in names} for _ in range(ACTIONS)])
+    actions = cycle(
+        [{name: env.action_space(name).sample() for name in names} for _ in range(ACTIONS)]
+    )
 
     def step() -> None:
         if not env.agents:
@@ -36,5 +38,14 @@ if __name__ == "__main__":
     run(
         "MPE2",
         version("mpe2"),
-        [Variant(name="simple_spread", worlds=1, agents=agents, field=False, make=partial(spread, agents)) for agents in (2, 3)],
+        [
+            Variant(
+                name="simple_spread",
+                worlds=1,
+                agents=agents,
+                field=False,
+                make=partial(spread, agents),
+            )
+            for agents in (2, 3)
+        ],
     )

@@ -20,7 +20,9 @@ def parallel(**settings: object) -> Step:
     names = env.possible_agents
     for name in names:
         env.action_space(name).seed(SEED)
-    actions = cycle([{name: env.action_space(name).sample() for name in names} for _ in range(ACTIONS)])
+    actions = cycle(
+        [{name: env.action_space(name).sample() for name in names} for _ in range(ACTIONS)]
+    )
 
     def step() -> None:
         if not env.agents:

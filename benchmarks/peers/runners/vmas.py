@@ -26,7 +26,13 @@ if __name__ == "__main__":
         "VMAS",
         f"{version('vmas')}, torch {version('torch')}",
         [
-            Variant(name=name, worlds=worlds, agents=AGENTS, field=name == "sampling", make=partial(scenario, name, worlds))
+            Variant(
+                name=name,
+                worlds=worlds,
+                agents=AGENTS,
+                field=name == "sampling",
+                make=partial(scenario, name, worlds),
+            )
             for name in ("sampling", "simple_spread")
             for worlds in (1, 32, 1024)
         ],
