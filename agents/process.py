@@ -15,7 +15,7 @@ from bus.errors import BusError, PeerLost
 from bus.keys import BRIEFING, COMMAND, OBSERVATION, SIMULATOR_NAME, Party, Role
 from bus.messages import Command, UavBriefing, UavObservation, UgvBriefing, UgvObservation
 from bus.session import Letter, Outbox, Session, open_session
-from sim.compile import compiling
+from sim.kernels.compile import compiling
 
 _ROOM = 1024
 """Observations that wait for a pilot that is slower than the clock; the oldest make room."""

@@ -19,7 +19,7 @@ from agents.control.laws import (
 from agents.control.orbit import Path, check_path
 from agents.control.visibility import SafetyFilter, Verdict
 from agents.control.weighting import Weighting, check_weighting
-from agents.estimator import Estimate, RelativeEstimator
+from agents.estimation.estimator import Estimate, RelativeEstimator
 from bus.errors import ScenarioError
 from bus.messages import (
     Law,
@@ -30,9 +30,9 @@ from bus.messages import (
     UavReport,
     Vector,
 )
-from sim.compile import FloatArray
-from sim.field import accumulate, cover, coverage_error, empty_coverage
-from sim.vehicles import brake, norm
+from sim.kernels.compile import FloatArray
+from sim.models.field import accumulate, cover, coverage_error, empty_coverage
+from sim.models.vehicles import brake, norm
 
 RADIO_PERIOD = 0.2
 """Time between two radio messages to the UGV [s]."""

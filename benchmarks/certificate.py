@@ -15,12 +15,12 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 
 from agents.control.handover import certificate, certified_radius, largest_age
-from outrider import attack as a
-from outrider.flying import InProcess, make_pilots
-from sim.compile import FloatArray
-from sim.flight import Flight
-from sim.profiles import PROFILES
-from sim.scenario import load_scenario
+from outrider.experiments.falsify import attack as a
+from outrider.running.flying import InProcess, make_pilots
+from sim.channel.profiles import PROFILES
+from sim.kernels.compile import FloatArray
+from sim.scenario.types import load_scenario
+from sim.server.flight import Flight
 
 RUNS, DURATION = 1000, 200.0
 SEEDS = 10

@@ -57,7 +57,7 @@ class Sensor(Message, frozen=True, kw_only=True):
     """The UAV's downward sensor (2)."""
 
     model: Name = "hill"
-    """A row of `sim.field.SENSORS`."""
+    """A row of `sim.models.field.SENSORS`."""
     peak: Positive = 1.0
     """M_a [1/s]."""
     range: Positive = 5.0
@@ -116,7 +116,7 @@ class LinkSettings(Message, frozen=True, kw_only=True):
     jitter: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.0
     """Scale of the extra delay [s]."""
     jitter_shape: Name = "uniform"
-    """A row of `sim.link.SHAPES`, which says what the scale means."""
+    """A row of `sim.channel.link.SHAPES`, which says what the scale means."""
     jitter_cut: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.0
     """The extra delay lies between -delay and this [s], as if drawn again until it does; 0: five times the jitter."""
     loss: Share = 0.0
@@ -159,7 +159,7 @@ class LinkStatus(Message, frozen=True, kw_only=True):
     """At the sender."""
     flying: Tick
     lost: dict[Text, Tick]
-    """By cause, of `sim.link.CAUSES`."""
+    """By cause, of `sim.channel.link.CAUSES`."""
     delivery_ratio: Share | None = None
     """Of the messages whose fate is known, the share that was not lost."""
     age: NonNegative | None = None

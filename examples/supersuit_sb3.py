@@ -13,7 +13,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.utils import set_random_seed
 
 import outrider
-from outrider.wrappers import normalized
+from outrider.envs.wrappers import normalized
 
 
 class SayTruncated(BaseParallelWrapper):

@@ -27,8 +27,8 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 import outrider
-from outrider.env_pilots import pilots
-from outrider.wrappers import normalized
+from outrider.envs.env_pilots import pilots
+from outrider.envs.wrappers import normalized
 
 HOLD = 10  # ticks, half a second: in one tick of 0.05 s an acceleration moves nothing that a critic could tell
 BATCH, MINIBATCH, EPOCHS = 2000, 250, 8

@@ -10,28 +10,28 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from outrider.flying import run as run
-    from outrider.single import single_env as single_env
-    from outrider.suites.board import leaderboard as leaderboard
-    from outrider.suites.tasks import suite as suite
-    from outrider.vector import parallel_vector_env as parallel_vector_env
-    from outrider.vector import vector_env as vector_env
+    from outrider.envs.single import single_env as single_env
+    from outrider.envs.vector import parallel_vector_env as parallel_vector_env
+    from outrider.envs.vector import vector_env as vector_env
+    from outrider.experiments.suite.board import leaderboard as leaderboard
+    from outrider.experiments.suite.tasks import suite as suite
+    from outrider.running.flying import run as run
     from sim.env.parallel import parallel_env as parallel_env
     from sim.env.rewards import RewardWeights as RewardWeights
-    from sim.scenario import load_scenario as load_scenario
-    from sim.scenario import scenario_names as scenario_names
+    from sim.scenario.types import load_scenario as load_scenario
+    from sim.scenario.types import scenario_names as scenario_names
 
 _WHERE = {
     "RewardWeights": "sim.env.rewards",
-    "leaderboard": "outrider.suites.board",
-    "load_scenario": "sim.scenario",
+    "leaderboard": "outrider.experiments.suite.board",
+    "load_scenario": "sim.scenario.types",
     "parallel_env": "sim.env.parallel",
-    "parallel_vector_env": "outrider.vector",
-    "run": "outrider.flying",
-    "scenario_names": "sim.scenario",
-    "single_env": "outrider.single",
-    "suite": "outrider.suites.tasks",
-    "vector_env": "outrider.vector",
+    "parallel_vector_env": "outrider.envs.vector",
+    "run": "outrider.running.flying",
+    "scenario_names": "sim.scenario.types",
+    "single_env": "outrider.envs.single",
+    "suite": "outrider.experiments.suite.tasks",
+    "vector_env": "outrider.envs.vector",
 }
 
 __all__ = [
@@ -54,7 +54,6 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - a module's names have any t
     raise AttributeError(f"module 'outrider' has no attribute {name!r}")
 
 
-if (
-    "gymnasium" in sys.modules
-):  # whoever uses Gymnasium finds our names there; nobody else pays for its import
+# Gymnasium finds our names where it is used; nobody else pays for its import.
+if "gymnasium" in sys.modules:
     import_module("outrider.registration")

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
-from outrider.suites.tasks import BASE, TASKS, suite
+from outrider.experiments.suite.tasks import BASE, TASKS, suite
 
 if TYPE_CHECKING:
-    from outrider.single import SingleEnv
-    from outrider.vector import OutriderVectorEnv
+    from outrider.envs.single import SingleEnv
+    from outrider.envs.vector import OutriderVectorEnv
 
 ESCORT = "outrider/Escort-v0"
 
 
 def single(*, task: str = "", **settings: Any) -> "SingleEnv":  # noqa: ANN401 - those of the environment
     """What `gymnasium.make` calls: `outrider.single_env`, of a task of the suite if one is named."""
-    from outrider.single import SingleEnv  # noqa: PLC0415 - compiled code stands behind it
+    from outrider.envs.single import SingleEnv  # noqa: PLC0415 - compiled code stands behind it
 
     return suite()[task].make_single(**settings) if task else SingleEnv(**settings)
 
@@ -31,7 +31,7 @@ def vector(*, num_envs: int, task: str = "", **settings: Any) -> "OutriderVector
     Raises:
         ValueError: If it is given a limit of steps, which Gymnasium can put around single environments only.
     """
-    from outrider.vector import OutriderVectorEnv  # noqa: PLC0415
+    from outrider.envs.vector import OutriderVectorEnv  # noqa: PLC0415
 
     if "max_episode_steps" in settings:
         limit = settings["max_episode_steps"]

@@ -7,11 +7,9 @@ import math
 from typing import NamedTuple
 
 from bus.messages import LinkKind
-from sim.compile import FloatArray
-from sim.links import Links, hold_ticks
-from sim.run_keys import derive_keys
-from sim.scenario import Scenario, Uav
-from sim.tick import (
+from sim.engine.links import Links, hold_ticks
+from sim.engine.run_keys import derive_keys
+from sim.engine.world_tick import (
     advance,
     bounds_of,
     detect_all,
@@ -20,7 +18,9 @@ from sim.tick import (
     measure,
     world_parameters,
 )
-from sim.vehicles import brake
+from sim.kernels.compile import FloatArray
+from sim.models.vehicles import brake
+from sim.scenario.types import Scenario, Uav
 
 
 class Look(NamedTuple):
@@ -39,7 +39,7 @@ class World:
     Args:
         scenario: What is flown.
         seed: Of all random numbers, with the secret.
-        secret: Of the run, as `sim.run_keys.check_secret` returns it; empty: none.
+        secret: Of the run, as `sim.engine.run_keys.check_secret` returns it; empty: none.
         gains: Whether the fall of e(t) by each look is counted, in `state.gains`.
     """
 

@@ -4,10 +4,10 @@ from typing import Any
 
 from agents.control.laws import LawParameters, law_parameters
 from bus.messages import Law, UavBriefing
-from sim.briefing import briefing
-from sim.compile import FloatArray
-from sim.flight import Flight
-from sim.scenario import Scenario, Uav, Ugv
+from sim.engine.briefing import briefing
+from sim.kernels.compile import FloatArray
+from sim.scenario.types import Scenario, Uav, Ugv
+from sim.server.flight import Flight
 
 V_A, U_A, V_G, U_G = 0.6, 0.3, 0.2, 0.1  # the paper's vehicles: speeds [m/s], accelerations [m/s²]
 R, R_V, DESIRED = 5.0, 4.75, 2.0

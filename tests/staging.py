@@ -16,10 +16,10 @@ from agents.ugv import UgvPilot
 from bus.access import new_credentials
 from bus.messages import Status
 from bus.session import Session, open_session
-from outrider.flying import fly
-from sim.flight import Flight
-from sim.scenario import Scenario, load_scenario
-from sim.server import Server
+from outrider.running.flying import fly
+from sim.scenario.types import Scenario, load_scenario
+from sim.server.flight import Flight
+from sim.server.serving import Server
 
 GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"])
 PILOT = {"uav_0": UavPilot, "ugv_0": UgvPilot}

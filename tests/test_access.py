@@ -30,7 +30,7 @@ from bus.certificates import new_authority
 from bus.errors import AccessDenied
 from bus.keys import KEYS, PLACES, STAFF, Party, Role, check_reads, check_writes, token
 from bus.session import Session, open_session
-from outrider.launch import free_port
+from outrider.running.launch import free_port
 
 RUN = "run"
 GIVEN = new_credentials(RUN, ["uav_0", "uav_1"], ["ugv_0", "ugv_1"])

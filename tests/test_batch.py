@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from flights import escort
 
-from sim.batch import Batch
-from sim.profiles import PROFILES
-from sim.scenario import (
+from sim.channel.profiles import PROFILES
+from sim.engine.batch import Batch
+from sim.kernels.threads import Crew
+from sim.scenario.types import (
     Area,
     Coverage,
     Detections,
@@ -22,7 +23,6 @@ from sim.scenario import (
     Ugv,
     VehicleLinks,
 )
-from sim.threads import Crew
 from sim.world import World
 
 pytestmark = pytest.mark.xdist_group(

@@ -10,11 +10,12 @@ import pytest
 from test_closed_loop import SCENARIOS
 
 from bus.errors import ScenarioError
-from outrider.bench import ROWS, kernels, many, measure, rows, runs, scaling
+from outrider.bench import ROWS, kernels, many, measure, runs, scaling
+from outrider.bench import measured as rows
 from outrider.bench.c_kernels import COMPILERS, CKernels
 from outrider.bench.profile import disc, floor
 from outrider.cli import bench as command
-from sim.scenario import load_scenario
+from sim.scenario.types import load_scenario
 
 pytestmark = pytest.mark.xdist_group(
     "many worlds"

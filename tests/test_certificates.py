@@ -38,7 +38,7 @@ from bus.keys import COMMAND, Role
 from bus.messages import UavCommand
 from bus.session import open_session
 from outrider.cli.main import _app
-from outrider.launch import free_port
+from outrider.running.launch import free_port
 
 RUN = "run"
 AUTHORITY, FOREIGN = new_authority(RUN), new_authority(RUN)

@@ -25,21 +25,21 @@ from agents.drivers.compiled import (
     fresh_driver_state,
     pack_driver,
 )
-from agents.estimation_twin import COLUMNS, NUMBERS, KalmanState, kalman_parameters, pack_kalman
+from agents.estimation.twin import COLUMNS, NUMBERS, KalmanState, kalman_parameters, pack_kalman
 from bus.messages import Detector, Estimator, Limits
-from sim.briefing import briefing
-from sim.field import SENSORS
-from sim.run_keys import derive_keys
+from sim.engine.briefing import briefing
+from sim.engine.run_keys import derive_keys
+from sim.models.field import SENSORS
 
 MODULES = (
     *(f"agents.control.{module.name}" for module in pkgutil.iter_modules(agents.control.__path__)),
-    "agents.estimation_model",
-    "agents.estimation_twin",
-    "sim.vehicles",
-    "sim.detection",
-    "sim.field",
-    "sim.lanes",
-    "sim.randomness",
+    "agents.estimation.motion_model",
+    "agents.estimation.twin",
+    "sim.models.vehicles",
+    "sim.models.detection",
+    "sim.models.field",
+    "sim.kernels.lanes",
+    "sim.models.randomness",
     *(
         f"agents.drivers.{name}"
         for name in ("waypoints", "steering", "wander", "script", "evade", "compiled")
@@ -165,8 +165,8 @@ BY_NAME: dict[str, object] = {
 IN_MODULE: dict[str, dict[str, object]] = {
     "agents.drivers.compiled": {"parameters": _DRIVERS[-1], "row": pack_driver(_DRIVERS[-1])},
     "agents.control.guard": {"commands": np.array([[0.1, -0.2], [0.0, 0.3]]), "state": _GUARD},
-    "sim.lanes": {"first": 13, "end": 76},
-    "agents.estimation_twin": {
+    "sim.kernels.lanes": {"first": 13, "end": 76},
+    "agents.estimation.twin": {
         "parameters": _KALMAN,
         "row": pack_kalman(_KALMAN),
         "numbers": _BELIEF,
@@ -225,21 +225,21 @@ EXTRA: dict[str, dict[str, list[object]]] = {
         "script": [np.zeros((0, 3))],
     },
     "agents.drivers.waypoints.waypoint_control": {"goals": [np.zeros((0, 2))]},
-    "sim.field.sensor_quality": {
+    "sim.models.field.sensor_quality": {
         "sensor": list(SENSORS.values()),
         "rho2": [0.0, 3.3, 24.9, 25.0, 30.0],
     },
-    "sim.field.sensor_slope": {
+    "sim.models.field.sensor_slope": {
         "sensor": list(SENSORS.values()),
         "rho2": [0.0, 3.3, 24.9, 25.0, 30.0],
     },
-    "sim.field.density": {"rho2": [0.0, 3.3, 90.0, 95.0625, 99.0]},
-    "sim.field.disc_chords": {"radius": [0.01, 5.0, 9.75, 70.0], "p_y": [0.1, -3.0, -80.0]},
-    "sim.field.accumulate": {"sensor": list(SENSORS.values())},
-    "sim.field.coverage_gradient": {"sensor": list(SENSORS.values())},
-    "sim.lanes.lane_sum": {"count": list(range(20))},
-    "sim.vehicles.stopping_distance": {"u_max": [0.3, float("inf")]},
-    "sim.vehicles.speed_to_stop_within": {"u_max": [0.3, float("inf")]},
+    "sim.models.field.density": {"rho2": [0.0, 3.3, 90.0, 95.0625, 99.0]},
+    "sim.models.field.disc_chords": {"radius": [0.01, 5.0, 9.75, 70.0], "p_y": [0.1, -3.0, -80.0]},
+    "sim.models.field.accumulate": {"sensor": list(SENSORS.values())},
+    "sim.models.field.coverage_gradient": {"sensor": list(SENSORS.values())},
+    "sim.kernels.lanes.lane_sum": {"count": list(range(20))},
+    "sim.models.vehicles.stopping_distance": {"u_max": [0.3, float("inf")]},
+    "sim.models.vehicles.speed_to_stop_within": {"u_max": [0.3, float("inf")]},
 }
 """More values of single arguments, one after the other."""
 
@@ -310,9 +310,12 @@ def test_called_from_compiled_code_it_gives_the_bits_that_python_gets(qualified:
 
 
 KERNELS = (
-    "sim.lanes.lane_sum",
-    *(f"sim.field.{name}" for name in ("disc_chords", "accumulate", "accumulate_with_gain")),
-    *(f"sim.field.{name}" for name in ("coverage_error", "coverage_gradient", "nearest_uncovered")),
+    "sim.kernels.lanes.lane_sum",
+    *(f"sim.models.field.{name}" for name in ("disc_chords", "accumulate", "accumulate_with_gain")),
+    *(
+        f"sim.models.field.{name}"
+        for name in ("coverage_error", "coverage_gradient", "nearest_uncovered")
+    ),
 )
 
 

@@ -180,8 +180,8 @@ def test_an_observation_smuggled_with_another_vehicles_velocity_is_refused() -> 
 
 
 def test_the_pilots_key_does_not_tell_the_runs_seed() -> None:
-    from sim.briefing import briefing
-    from sim.scenario import load_scenario
+    from sim.engine.briefing import briefing
+    from sim.scenario.types import load_scenario
 
     scenario = load_scenario("escort")
     for seed in (0, 1, 2**53 - 1):
@@ -206,11 +206,11 @@ def test_the_contract_names_every_part_of_the_simulator_that_is_no_model_on_boar
     }
     on_board = {
         "sim.__init__",
-        "sim.vehicles",
-        "sim.field",
-        "sim.lanes",
-        "sim.randomness",
-        "sim.compile",
+        "sim.models.vehicles",
+        "sim.models.field",
+        "sim.kernels.lanes",
+        "sim.models.randomness",
+        "sim.kernels.compile",
     }
     assert forbidden == (modules - on_board) | {"outrider"}
 
@@ -254,12 +254,12 @@ def test_the_import_contracts_catch_an_agent_that_reads_the_world(tmp_path: Path
 def test_a_vehicles_process_never_loads_the_world_nor_a_scenario(command: str) -> None:
     code = (
         "import sys; from outrider.cli import main, vehicles;"
-        "import agents.process, agents.uav, agents.ugv, outrider.own, outrider.leash;"
+        "import agents.process, agents.uav, agents.ugv, outrider.running.user_code, outrider.running.watchdog;"
         "print(sorted(n for n in sys.modules if n.split('.')[0] in ('sim', 'outrider')))"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = set(eval(run.stdout))  # noqa: S307 - a list of names that we have printed
-    assert "sim.field" in loaded
+    assert "sim.models.field" in loaded
     forbidden = (
         "world",
         "server",
@@ -271,7 +271,7 @@ def test_a_vehicles_process_never_loads_the_world_nor_a_scenario(command: str) -
         "recorder",
     )
     assert not loaded & {f"sim.{name}" for name in forbidden}
-    assert hasattr(__import__("outrider.cli.vehicles", fromlist=[command]), command)
+    assert hasattr(__import__("outrider.cli.pilots", fromlist=[command]), command)
 
 
 def test_no_other_distribution_installs_our_package_names() -> None:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import PROPERTY
 
-from outrider.cores import can_be_kept_apart, halves, keep_apart
+from outrider.running.cores import can_be_kept_apart, halves, keep_apart
 
 
 @given(st.sets(st.integers(0, 255), min_size=1))

@@ -11,7 +11,7 @@ from bus import session
 from bus.errors import AccessDenied
 from bus.keys import PLACES
 from bus.session import open_session
-from outrider.launch import free_port
+from outrider.running.launch import free_port
 
 
 @pytest.mark.parametrize(

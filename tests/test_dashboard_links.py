@@ -20,9 +20,12 @@ from bus.messages import (
     UavReport,
     VehicleTruth,
 )
-from outrider.dashboard.history import History
-from outrider.dashboard.hub import Hub
-from outrider.dashboard.network import (
+from outrider.recording.reader import flight_of
+from outrider.recording.writer import FlightRecorder
+from outrider.running.flying import fly
+from outrider.view.page.chart_data import History
+from outrider.view.page.hub import Hub
+from outrider.view.page.network import (
     ALL,
     chosen,
     controls_for,
@@ -31,14 +34,11 @@ from outrider.dashboard.network import (
     with_field,
     words,
 )
-from outrider.dashboard.tape import Tape
-from outrider.dashboard.wheel import Wheel
-from outrider.flying import fly
-from outrider.recording.reader import flight_of
-from outrider.recording.writer import FlightRecorder
-from sim.ether import check_link
-from sim.profiles import PROFILES
-from sim.scenario import load_scenario
+from outrider.view.page.tape import Tape
+from outrider.view.page.wheel import Wheel
+from sim.channel.description import check_link
+from sim.channel.profiles import PROFILES
+from sim.scenario.types import load_scenario
 
 NAMES = ("uav_0/detections", "uav_0/commands", "ugv_0/commands", "ugv_0/operator", "uav_0/radio")
 PERFECT = LinkSettings()

@@ -12,7 +12,7 @@ from staging import await_status, stage, wait_until, whole
 
 from bus.keys import CONTROL, OPERATOR, STATUS
 from bus.messages import Action, Control, Drive, Law, LinkKind, LinkSettings
-from outrider.promise import promise_warnings
+from outrider.running.promise import promise_warnings
 
 
 def operating(run: Any, work: Callable[[Any, Any], None]) -> Callable[[], None]:
@@ -140,7 +140,7 @@ def test_a_reset_begins_a_new_flight_with_its_own_seed_and_new_pilots(tmp_path: 
         range(400)
     )  # of the last flight: the pilot before is gone
     assert {seen.episode for seen in vehicles[0].seen} == {2}
-    from outrider.flying import fly
+    from outrider.running.flying import fly
 
     assert flight.recorder.sha256() == fly(flight.scenario, 8)[0].recorder.sha256()
 
@@ -224,8 +224,8 @@ def change(flight: Any) -> None:
 def test_a_vehicle_that_comes_back_knows_what_was_changed_and_said(
     victim: str, tmp_path: Path
 ) -> None:
-    from outrider.flying import fly
-    from sim.scenario import load_scenario
+    from outrider.running.flying import fly
+    from sim.scenario.types import load_scenario
 
     expected = fly(load_scenario("escort", overrides=["duration=20.0"]), 7, on_tick=change)[0]
     with stage(tmp_path, 400, respawn=True) as run:

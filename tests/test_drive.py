@@ -40,12 +40,12 @@ from bus.messages import (
     VehicleTruth,
 )
 from bus.session import Session, open_session
-from outrider.drive.canvas import Canvas
-from outrider.drive.link import Link, View
-from outrider.drive.palette import BACKGROUND
-from outrider.drive.panel import History, banner, numbers
-from outrider.drive.topview import Trails, draw
-from outrider.drive.wheel import FIRST, HIGHEST, LOWEST, REPEAT, Heading, Wheel
+from outrider.view.terminal.canvas import Canvas
+from outrider.view.terminal.operator_link import Link, View
+from outrider.view.terminal.palette import BACKGROUND
+from outrider.view.terminal.panel import History, banner, numbers
+from outrider.view.terminal.pressed_keys import FIRST, HIGHEST, LOWEST, REPEAT, Heading, Wheel
+from outrider.view.terminal.topview import Trails, draw
 
 __all__ = ["nothing_left_behind"]
 

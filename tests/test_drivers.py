@@ -33,11 +33,11 @@ from bus.messages import (
     UgvCommand,
     UgvObservation,
 )
-from outrider.flying import InProcess, make_pilots
-from sim.briefing import briefing
-from sim.flight import Flight
-from sim.scenario import load_scenario
-from sim.vehicles import norm, step_vehicle
+from outrider.running.flying import InProcess, make_pilots
+from sim.engine.briefing import briefing
+from sim.models.vehicles import norm, step_vehicle
+from sim.scenario.types import load_scenario
+from sim.server.flight import Flight
 
 Point = tuple[float, float]
 Hears = Callable[[int, Point], dict[str, Any]]

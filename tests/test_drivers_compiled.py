@@ -28,9 +28,9 @@ from agents.drivers.table import DRIVERS
 from agents.drivers.wander import WanderDriver
 from bus.errors import ScenarioError
 from bus.messages import Area, Limits, RelativeInformation, ScriptStep, UgvBriefing, UgvObservation
-from sim.compile import FloatArray, compiled
-from sim.randomness import WordArray, words_of
-from sim.vehicles import step_vehicle
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.randomness import WordArray, words_of
+from sim.models.vehicles import step_vehicle
 
 TICKS = 3000
 HEARD = 2  # most messages of a tick

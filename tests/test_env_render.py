@@ -11,9 +11,9 @@ from bus.errors import OutriderError
 from bus.messages import Area, Law
 from outrider import style
 from sim.env.parallel import parallel_env
-from sim.env.render import INK, LIMIT, MUTED, UAV, UGV
+from sim.env.picture import INK, LIMIT, MUTED, UAV, UGV
 from sim.env.window import Window
-from sim.scenario import Scenario, Uav, Ugv
+from sim.scenario.types import Scenario, Uav, Ugv
 
 SCENARIO = Scenario(
     name="wide",
@@ -33,7 +33,10 @@ def pixels_of(frame, color):
 
 
 def test_the_environment_loads_nothing_that_draws():
-    code = "import sys, sim.env.parallel, outrider.env_pilots; print([m for m in ('matplotlib', 'pygame') if m in sys.modules])"
+    code = (
+        "import sys, sim.env.parallel, outrider.envs.env_pilots;"
+        "print([m for m in ('matplotlib', 'pygame') if m in sys.modules])"
+    )
     assert (
         subprocess.run(
             [sys.executable, "-c", code], capture_output=True, text=True, check=True

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 import outrider
+from outrider.envs.single import single_env
+from outrider.envs.vector import Worlds, vector_env
+from outrider.experiments.suite.board import LAWS, leaderboard
+from outrider.experiments.suite.tasks import TASKS, Task, suite
 from outrider.registration import env_ids
-from outrider.single import single_env
-from outrider.suites.board import LAWS, leaderboard
-from outrider.suites.tasks import TASKS, Task, suite
-from outrider.vector import Worlds, vector_env
 
 pytestmark = pytest.mark.xdist_group(
     "many worlds"

@@ -9,8 +9,9 @@ import pytest
 from blas import blas_fuses, fused
 from filterpy.kalman import KalmanFilter
 
-from agents.estimation_model import acceleration_deviation, cut_variance, motion, straying
-from agents.estimation_twin import (
+from agents.estimation.estimator import RelativeEstimator
+from agents.estimation.motion_model import acceleration_deviation, cut_variance, motion, straying
+from agents.estimation.twin import (
     AGE,
     COLUMNS,
     DUPLICATES,
@@ -36,9 +37,8 @@ from agents.estimation_twin import (
     pack_kalman,
     unpack_kalman,
 )
-from agents.estimator import RelativeEstimator
 from bus.messages import Detection, Detector, Estimator, Limits
-from sim.compile import compiled
+from sim.kernels.compile import compiled
 
 UGV = Limits(max_speed=0.2, max_acceleration=0.1)
 FREE = Limits(max_speed=None, max_acceleration=0.1)

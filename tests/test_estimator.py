@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from agents.estimator import (
+from agents.estimation.estimator import (
     Estimate,
     RelativeEstimator,
     acceleration_deviation,
@@ -23,7 +23,7 @@ from agents.estimator import (
     motion,
 )
 from bus.messages import Detection, Detector, Estimator, Limits
-from sim.randomness import DETECTION_NOISE, cut_normal_vector
+from sim.models.randomness import DETECTION_NOISE, cut_normal_vector
 
 DT = 0.05
 SIGMA = 0.1
@@ -518,7 +518,7 @@ def test_a_ugv_that_turns_within_a_tick_is_followed_where_its_acceleration_has_n
 
 _FLIGHT = """
 import hashlib, math, struct
-from agents.estimator import RelativeEstimator
+from agents.estimation.estimator import RelativeEstimator
 from bus.messages import Detection, Detector, Estimator, Limits
 digest = hashlib.sha256()
 estimator = RelativeEstimator(detector=Detector(noise=0.1, period=0.05), dt=0.05, settings=Estimator(),

@@ -26,9 +26,9 @@ from test_estimator import (
     within,
 )
 
-from agents.estimation_history import SPAN, History
-from agents.estimation_model import acceleration_deviation, straying
-from agents.estimator import RelativeEstimator
+from agents.estimation.estimator import RelativeEstimator
+from agents.estimation.motion_model import acceleration_deviation, straying
+from agents.estimation.past import SPAN, History
 from bus.messages import Detection, Detector, Estimator, Limits
 
 EVERY = 4  # ticks between two looks: 0.2 s

@@ -19,9 +19,16 @@ from scipy import stats
 
 from bus.errors import ScenarioError
 from bus.messages import LinkSettings, LinkStatus
-from sim.compile import compiled
-from sim.ether import KEEPS, Link, check_link, extra_delays, link_parameters, link_status, relink
-from sim.link import (
+from sim.channel.description import (
+    KEEPS,
+    Link,
+    check_link,
+    extra_delays,
+    link_parameters,
+    link_status,
+    relink,
+)
+from sim.channel.link import (
     AGE_SUM,
     CAUSES,
     DARK,
@@ -38,8 +45,9 @@ from sim.link import (
     receive,
     send,
 )
-from sim.profiles import PROFILES
-from sim.randomness import Key
+from sim.channel.profiles import PROFILES
+from sim.kernels.compile import compiled
+from sim.models.randomness import Key
 
 MILLION = 1_000_000
 DT = 0.05

@@ -22,19 +22,19 @@ from flights import R_S, R_V, distances
 
 from bus.errors import PeerLost, ScenarioError
 from bus.messages import Command, LinkKind, UavCommand
-from outrider import attack
-from outrider.falsify import attacks, flying, search
-from outrider.falsify.engines import Found, Wanted, save
-from outrider.falsify.engines import search as search_both
-from outrider.falsify.flying import flown, promised
-from outrider.falsify.genome import SIZES, Candidate, decode, proof_cases
-from outrider.falsify.limits import Limits, base_of, beyond_declared, needed_age
-from outrider.falsify.pool import Workers
-from outrider.falsify.saving import as_toml
-from outrider.flying import InProcess, fly, make_pilots
-from sim.flight import Flight
-from sim.scenario import Scenario, load_scenario
-from sim.scenario_checks import check_scenario
+from outrider.experiments.falsify import attack, attacks, search
+from outrider.experiments.falsify import candidate as flying
+from outrider.experiments.falsify.candidate import flown, promised
+from outrider.experiments.falsify.engines import Found, Wanted, save
+from outrider.experiments.falsify.engines import search as search_both
+from outrider.experiments.falsify.genome import SIZES, Candidate, decode, proof_cases
+from outrider.experiments.falsify.limits import Limits, base_of, beyond_declared, needed_age
+from outrider.experiments.falsify.pool import Workers
+from outrider.experiments.falsify.saving import as_toml
+from outrider.running.flying import InProcess, fly, make_pilots
+from sim.scenario.checks import check_scenario
+from sim.scenario.types import Scenario, load_scenario
+from sim.server.flight import Flight
 
 OUTRIDER = [sys.executable, "-m", "outrider"]
 DEGRADED = Limits(delay=1.0, loss=0.3, blackout=5.0, noise=0.1, command_delay=0.5)
@@ -361,8 +361,8 @@ BAD = {
 def test_bad_input_gets_one_line(
     case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    from outrider.bench.pairs import pairs_toml
     from outrider.cli import main
-    from outrider.pairs import pairs_toml
 
     monkeypatch.chdir(tmp_path)
     Path("pairs.toml").write_text(pairs_toml(2, seconds=10), encoding="utf-8")

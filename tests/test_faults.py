@@ -29,9 +29,9 @@ from bus.access import read_credential
 from bus.keys import Party, Role
 from bus.messages import Status
 from bus.session import open_session
-from outrider import launch
-from outrider.flying import fly
-from sim.scenario import load_scenario
+from outrider.running import launch
+from outrider.running.flying import fly
+from sim.scenario.types import load_scenario
 
 __all__ = ["nothing_left_behind"]
 pytestmark = pytest.mark.usefixtures("nothing_left_behind")
@@ -131,7 +131,7 @@ def test_a_vehicle_that_cannot_live_is_not_started_for_ever(tmp_path: Path) -> N
         encoding="utf-8",
     )
     code = (
-        "import sys\nfrom outrider.cli import main\nimport outrider.own as own\n"
+        "import sys\nfrom outrider.cli import main\nimport outrider.running.user_code as own\n"
         "own.check_own_functions = lambda scenario: ()\nsys.argv[0] = 'outrider'\nmain.main()\n"
     )
     arguments = [

@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from properties import PROPERTY
 
 from agents.control.coverage import is_zero_gradient
-from outrider import reference
-from outrider.reference import FloatGrid
-from sim.field import (
+from outrider.bench.reference import FloatGrid
+from sim.models.field import (
     SENSORS,
     accumulate,
     accumulate_with_gain,
@@ -26,6 +25,7 @@ from sim.field import (
     sensor_quality,
     sensor_slope,
 )
+from tests import reference
 
 R, R_V, DESIRED = 5.0, 4.75, 2.0
 R_O = R_V + R

@@ -43,8 +43,8 @@ from agents.control.guard import (
 from agents.control.handover import Promise, certificate
 from agents.control.visibility import SafetyFilter, promise_of
 from bus.messages import Certificate, Detection, UavBriefing, UavObservation
-from sim.compile import FloatArray
-from sim.vehicles import step_vehicle
+from sim.kernels.compile import FloatArray
+from sim.models.vehicles import step_vehicle
 
 TICKS, WORLDS, DEPTH = 600, 2, 2400
 LATEST = 40  # ticks that a detection is on its way at most

@@ -14,8 +14,9 @@ from gymnasium.vector import SyncVectorEnv
 from gymnasium.vector.utils import batch_space
 
 import outrider
-from outrider.env_pilots import pilots
-from outrider.learning.alone import alone
+from outrider.envs.env_pilots import pilots
+from outrider.envs.vector import Worlds
+from outrider.envs.wrappers import transformed
 from outrider.learning.curve import draw_curve
 from outrider.learning.evaluate import (
     CASES,
@@ -28,12 +29,11 @@ from outrider.learning.evaluate import (
     fly_policy,
     markdown,
 )
+from outrider.learning.learned import LearnedPolicy, make_view
 from outrider.learning.mlp import Mlp, load_policy, save_policy
-from outrider.learning.policy import LearnedPolicy, make_view
+from outrider.learning.one_world import alone
 from outrider.learning.repeat import ActionRepeat
-from outrider.vector import Worlds
-from outrider.wrappers import transformed
-from sim.scenario import load_scenario
+from sim.scenario.types import load_scenario
 
 pytestmark = pytest.mark.xdist_group(
     "many worlds"
@@ -46,7 +46,7 @@ NOISY = msgspec.structs.replace(load_scenario("escort"), duration=30.0)
 
 def test_importing_it_imports_no_learning_library() -> None:
     code = (
-        "import sys, outrider.learning.curve, outrider.learning.alone;"
+        "import sys, outrider.learning.curve, outrider.learning.one_world;"
         "print({'torch', 'stable_baselines3'} & set(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

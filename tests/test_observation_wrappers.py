@@ -17,17 +17,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pettingzoo.utils.conversions import parallel_to_aec
 
-from agents.wrappers import EstimateWrapper, SafetyFilterWrapper
+from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from bus.layout import UavRow, UgvRow, table
 from bus.messages import Law
-from outrider.observations.body import BODY_SYMBOLS, Egocentric, UavBodyRow, UgvBodyRow
-from outrider.observations.history import History
-from outrider.observations.image import CoverageImage
-from outrider.observations.normalized import Normalized
-from outrider.wrappers import coverage_image, egocentric, history, normalized, transformed
+from outrider.envs.observations.body import BODY_SYMBOLS, Egocentric, UavBodyRow, UgvBodyRow
+from outrider.envs.observations.image import CoverageImage
+from outrider.envs.observations.normalized import Normalized
+from outrider.envs.observations.stacking import History
+from outrider.envs.wrappers import coverage_image, egocentric, history, normalized, transformed
+from sim.channel.profiles import PROFILES
 from sim.env.parallel import parallel_env
-from sim.profiles import PROFILES
-from sim.scenario import Detections, LinkTable, Scenario, Uav, Ugv
+from sim.scenario.types import Detections, LinkTable, Scenario, Uav, Ugv
 
 with warnings.catch_warnings():
     warnings.simplefilter(

@@ -21,9 +21,9 @@ from processes import (
     wait_until,
 )
 
-from outrider.flying import fly
-from outrider.launch import Child
-from sim.scenario import load_scenario, scenario_names
+from outrider.running.flying import fly
+from outrider.running.launch import Child
+from sim.scenario.types import load_scenario, scenario_names
 
 __all__ = ["nothing_left_behind"]
 pytestmark = pytest.mark.usefixtures("nothing_left_behind")
@@ -151,7 +151,7 @@ def test_a_frozen_child_ends_too_when_the_parent_is_killed() -> None:
 
 def test_a_child_that_hears_of_the_end_before_its_leash_leaves_nothing_either() -> None:
     hears_first = (
-        "import pathlib, select, sys; from outrider.leash import hold; hold(pathlib.Path(sys.argv[1]));"
+        "import pathlib, select, sys; from outrider.running.watchdog import hold; hold(pathlib.Path(sys.argv[1]));"
         "print(flush=True); select.select([sys.stdin], [], [])"
     )
     with tempfile.TemporaryDirectory(prefix="o-") as home:

@@ -10,7 +10,7 @@ import pytest
 
 from bus.messages import LinkKind
 from outrider.cli.main import COMMANDS
-from sim.scenario import load_scenario
+from sim.scenario.types import load_scenario
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -93,7 +93,7 @@ def test_the_weighting_shown_flies(tmp_path: Path) -> None:
 
 
 def test_the_claims_shown_are_those_that_the_figures_make(tmp_path: Path) -> None:
-    from outrider.figures import make_figures
+    from outrider.experiments.paper_figures import make_figures
 
     shown = README.split("<!-- claims -->")[1].split("<!-- /claims -->")[0]
     rows = [line.split(" | ") for line in shown.strip().splitlines()[2:]]

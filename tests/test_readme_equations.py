@@ -20,8 +20,8 @@ EQUATIONS = [f"({number})" for number in range(1, 26)]
 WEIGHTS = {"α₁, β₁": r"\alpha_1, \beta_1", "α₂, β₂": r"\alpha_2, \beta_2"}
 """The weightings that the paper prints without a number, and how their docstrings write them."""
 WRITTEN_IN = (
-    "sim.vehicles",
-    "sim.field",
+    "sim.models.vehicles",
+    "sim.models.field",
     *(f"agents.control.{module.name}" for module in pkgutil.iter_modules(agents.control.__path__)),
 )
 

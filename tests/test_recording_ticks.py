@@ -31,15 +31,15 @@ from bus.messages import (
     UgvObservation,
     VehicleTruth,
 )
-from outrider.flying import InProcess, make_pilots
 from outrider.recording.observer import RunRecorder
 from outrider.recording.reader import entries, flight_of, load
 from outrider.recording.refly import refly, restore
 from outrider.recording.schemas import CHANGES, Commands, Word, inlined_schema, operator_topic
-from outrider.recording.ticks import TickTexts
+from outrider.recording.tick_rows import TickTexts
 from outrider.recording.writer import FlightRecorder
-from sim.flight import Flight
-from sim.scenario import Detections, Scenario, Uav, Ugv
+from outrider.running.flying import InProcess, make_pilots
+from sim.scenario.types import Detections, Scenario, Uav, Ugv
+from sim.server.flight import Flight
 
 PAIRS = Scenario(
     uav=(

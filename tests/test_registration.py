@@ -14,10 +14,10 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
 
+from outrider.envs.single import SingleEnv
+from outrider.envs.vector import OutriderVectorEnv
+from outrider.experiments.suite.tasks import TASKS
 from outrider.registration import ESCORT, env_ids, register
-from outrider.single import SingleEnv
-from outrider.suites.tasks import TASKS
-from outrider.vector import OutriderVectorEnv
 
 pytestmark = pytest.mark.xdist_group(
     "many worlds"

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from bus.messages import Area, Law
-from outrider.flying import fly
-from outrider.render import SIZE, draw_flight, flight_figure
-from sim.flight import Flight
-from sim.scenario import Detections, Scenario, Uav, Ugv
+from outrider.running.flying import fly
+from outrider.view.flight_picture import SIZE, draw_flight, flight_figure
+from sim.scenario.types import Detections, Scenario, Uav, Ugv
+from sim.server.flight import Flight
 
 NOISY = Detections(noise=0.1, dropout=0.1)
 GOALS = ((26.0, 20.0), (26.0, 26.0))
@@ -71,8 +71,8 @@ def test_same_flight_gives_the_same_bytes_whatever_the_users_settings_are(flight
 
 def test_a_run_loads_no_matplotlib_and_drawing_no_pyplot():
     code = (
-        "import sys, outrider.flying, outrider.output; print('matplotlib' in sys.modules); "
-        "import outrider.figures; print('matplotlib' in sys.modules, 'matplotlib.pyplot' in sys.modules)"
+        "import sys, outrider.running.flying, outrider.view.output; print('matplotlib' in sys.modules); "
+        "import outrider.experiments.paper_figures; print('matplotlib' in sys.modules, 'matplotlib.pyplot' in sys.modules)"
     )
     told = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True

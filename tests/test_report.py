@@ -11,16 +11,16 @@ from scipy import stats
 from test_sweep import outrider
 
 from bus.errors import ScenarioError
-from outrider.report.figures import MOST_PANELS, color_of, draw_all, positions
-from outrider.report.labels import label_of, number, tick_of, value_of
-from outrider.report.page import certified_runs, holds, markdown, page
-from outrider.report.reading import Material, read_material
-from outrider.statistics import mean_interval, student_t, wilson_interval
+from outrider.experiments.intervals import mean_interval, student_t, wilson_interval
+from outrider.experiments.report.document import certified_runs, holds, markdown, page
+from outrider.experiments.report.labels import label_of, number, tick_of, value_of
+from outrider.experiments.report.plots import MOST_PANELS, color_of, draw_all, positions
+from outrider.experiments.report.results import Material, read_material
+from outrider.experiments.sweep.columns import RESULTS
+from outrider.experiments.sweep.definition import describe_sweep
+from outrider.experiments.sweep.folder import SweepFolder
+from outrider.experiments.sweep.plan import Plan, lay_out
 from outrider.style import LAW
-from outrider.sweep.description import describe_sweep
-from outrider.sweep.folder import SweepFolder
-from outrider.sweep.plan import Plan, lay_out
-from outrider.sweep.rows import RESULTS
 
 
 @pytest.mark.parametrize(

@@ -16,13 +16,13 @@ from blake2b import begun, key_for, one_key
 
 from bus.layout import UavRow
 from bus.messages import Observation, UavBriefing, UavObservation
-from outrider.env_pilots import pilots
-from outrider.flying import InProcess, make_pilots
-from sim.briefing import briefing
-from sim.compile import FloatArray, IntArray, released
+from outrider.envs.env_pilots import pilots
+from outrider.running.flying import InProcess, make_pilots
+from sim.engine.briefing import briefing
+from sim.engine.run_keys import derive_key
 from sim.env.parallel import parallel_env
-from sim.flight import Flight
-from sim.randomness import (
+from sim.kernels.compile import FloatArray, IntArray, released
+from sim.models.randomness import (
     DETECTION_CHANCE,
     DETECTION_NOISE,
     PILOT,
@@ -32,8 +32,8 @@ from sim.randomness import (
     uniform,
     words_of,
 )
-from sim.run_keys import derive_key
-from sim.scenario import load_scenario
+from sim.scenario.types import load_scenario
+from sim.server.flight import Flight
 
 SCENARIO = load_scenario(
     "escort", overrides=["duration=10.0", "detections.noise=0.2", "detections.dropout=0.08"]

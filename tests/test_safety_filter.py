@@ -11,13 +11,13 @@ import pytest
 from flights import distances
 
 from agents.control.visibility import SafetyFilter, promise_of
-from agents.wrappers import SafetyFilterWrapper
+from agents.env_wrappers import SafetyFilterWrapper
 from bus.messages import Detection, LinkSettings, UavBriefing, UavObservation
-from outrider.flying import fly
-from outrider.promise import promise_warnings
-from sim.briefing import briefing
+from outrider.running.flying import fly
+from outrider.running.promise import promise_warnings
+from sim.engine.briefing import briefing
 from sim.env.parallel import parallel_env
-from sim.scenario import Certificate, LinkTable, Scenario, load_scenario
+from sim.scenario.types import Certificate, LinkTable, Scenario, load_scenario
 
 R_V = 4.75
 

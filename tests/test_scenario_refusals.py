@@ -11,10 +11,8 @@ import pytest
 from refusals import SHIPPED, SMALL, refusal, written
 
 from bus.messages import Law
-from sim import scenario_checks as checks
-from sim import scenario_world_checks as world_checks
-from sim.scenario import Uav, load_scenario
-from sim.scenario_checks import CHECKS
+from sim.scenario.checks import CHECKS
+from sim.scenario.types import Uav, checks, load_scenario, world_checks
 
 ESCORT = load_scenario("escort")
 
@@ -443,7 +441,7 @@ def test_an_unreadable_file_is_refused(tmp_path: Path, monkeypatch: pytest.Monke
         raise PermissionError(13, "Permission denied")
 
     path = written(tmp_path, SMALL.encode())
-    monkeypatch.setattr("sim.scenario.read_regular", denied)
+    monkeypatch.setattr("sim.scenario.types.read_regular", denied)
     assert (
         refusal(path)
         == f"{path}: cannot be read: Permission denied; allowed: a TOML file of 1 MiB at most"

@@ -29,14 +29,14 @@ from bus.errors import ScenarioError
 from bus.keys import KEYS
 from bus.messages import Action, Control
 from outrider.cli.options import secret_of
-from outrider.env_pilots import pilots
-from outrider.flying import fly, run
+from outrider.envs.env_pilots import pilots
+from outrider.envs.vector import OutriderVectorEnv
 from outrider.recording.reader import flight_of
 from outrider.recording.refly import refly
-from outrider.vector import OutriderVectorEnv
-from sim.briefing import briefing
+from outrider.running.flying import fly, run
+from sim.engine.briefing import briefing
 from sim.env.parallel import parallel_env
-from sim.scenario import load_scenario
+from sim.scenario.types import load_scenario
 
 __all__ = ["nothing_left_behind"]
 SECRET = bytes(range(100, 116)).hex()

@@ -11,8 +11,8 @@ from gymnasium.wrappers import RecordEpisodeStatistics
 from test_closed_loop import SCENARIOS
 from test_vector import CASES, _actions, _equal, _world
 
-from outrider.single import SingleEnv, single_env
-from outrider.vector import vector_env
+from outrider.envs.single import SingleEnv, single_env
+from outrider.envs.vector import vector_env
 
 pytestmark = pytest.mark.xdist_group(
     "many worlds"

@@ -12,18 +12,18 @@ from test_closed_loop import SCENARIOS
 
 from bus.messages import Command
 from outrider.cli import main
-from outrider.closed_loop import ClosedLoop, pilot_names
-from outrider.flying import InProcess, make_pilots, run
-from outrider.suites import scoring
-from outrider.suites.board import LAWS, leaderboard
-from outrider.suites.scoring import evaluate
-from outrider.suites.tasks import SEEDS, TASKS, Suite, Task, suite
-from outrider.vector import OutriderVectorEnv
-from sim.briefing import briefing
-from sim.field import coverage_error
-from sim.flight import Flight
-from sim.scenario_checks import scenario_warnings
-from sim.tick import first_state
+from outrider.envs.closed_loop import ClosedLoop, pilot_names
+from outrider.envs.vector import OutriderVectorEnv
+from outrider.experiments.suite import scoring
+from outrider.experiments.suite.board import LAWS, leaderboard
+from outrider.experiments.suite.scoring import evaluate
+from outrider.experiments.suite.tasks import SEEDS, TASKS, Suite, Task, suite
+from outrider.running.flying import InProcess, make_pilots, run
+from sim.engine.briefing import briefing
+from sim.engine.world_tick import first_state
+from sim.models.field import coverage_error
+from sim.scenario.checks import scenario_warnings
+from sim.server.flight import Flight
 
 SECRET = bytes(range(16)).hex()
 pytestmark = pytest.mark.xdist_group(

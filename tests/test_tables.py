@@ -7,11 +7,10 @@ from agents.control.orbit import largest_circle_rate
 from agents.control.visibility import switching_radius
 from agents.drivers.table import DRIVERS
 from outrider.cli import options
-from outrider.own import SAVED
-from sim import scenario_checks as checks
-from sim.field import SENSORS
-from sim.profiles import PROFILES
-from sim.scenario import load_scenario
+from outrider.running.user_code import SAVED
+from sim.channel.profiles import PROFILES
+from sim.models.field import SENSORS
+from sim.scenario.types import checks, load_scenario
 
 
 def test_a_scenario_may_name_every_law_driver_and_sensor_that_there_is_and_no_other() -> None:

@@ -18,10 +18,10 @@ from test_batch import LATE
 from test_closed_loop import SCENARIOS, SEVERAL
 
 import outrider
-from agents.wrappers import EstimateWrapper, SafetyFilterWrapper
-from outrider.env_pilots import pilots
+from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
+from outrider.envs.env_pilots import pilots
 from sim.env.rewards import RewardWeights
-from sim.scenario import LinkTable, Scenario
+from sim.scenario.types import LinkTable, Scenario
 
 pytestmark = pytest.mark.xdist_group(
     "many worlds"

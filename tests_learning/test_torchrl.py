@@ -15,8 +15,8 @@ from torchrl.envs import PettingZooWrapper
 from torchrl.envs.utils import check_env_specs
 
 import outrider
-from outrider.wrappers import history, normalized
-from sim.scenario import LinkSettings, LinkTable, load_scenario
+from outrider.envs.wrappers import history, normalized
+from sim.scenario.types import LinkSettings, LinkTable, load_scenario
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:PettingZoo in TorchRL is tested using:UserWarning",

@@ -25,8 +25,8 @@ from bus.access import read_credential
 from bus.keys import STATUS, Party, Role
 from bus.messages import Status
 from bus.session import open_session
-from outrider.flying import fly
-from sim.scenario import load_scenario
+from outrider.running.flying import fly
+from sim.scenario.types import load_scenario
 
 PAGE = os.sysconf("SC_PAGE_SIZE") / 2**20
 """MB."""

@@ -15,8 +15,15 @@ import numpy as np
 
 from agents.control.discs import MARGIN, lens_distance, nearest, newest_detection
 from agents.control.handover import ROUNDING, Promise, rest_to_rest
-from sim.compile import FloatArray, compiled
-from sim.vehicles import brake, clip_norm, norm, speed_to_stop_within, step_vehicle, within_walls
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.vehicles import (
+    brake,
+    clip_norm,
+    norm,
+    speed_to_stop_within,
+    step_vehicle,
+    within_walls,
+)
 
 (_VALID, _TURN, _CRUISE, _BRAKE, _TURN_X, _TURN_Y, _BRAKE_X, _BRAKE_Y) = range(8)
 (_END_X, _END_Y, _END_RADIUS, _END_TIME) = range(8, 12)

@@ -1,7 +1,7 @@
 """Dynamic coverage for a double integrator, section III of the paper: (7), (8), (10) to (12), and the border of Q."""
 
-from sim.compile import compiled
-from sim.vehicles import norm, stopping_distance
+from sim.kernels.compile import compiled
+from sim.models.vehicles import norm, stopping_distance
 
 ZERO_GRADIENT = 1e-9
 """u_cov counts as zero below this share of its integrand's size: on a grid a symmetric sum is never exactly zero."""

@@ -40,8 +40,8 @@ from agents.control.discs import (
     no_detections,
 )
 from agents.control.handover import Promise
-from sim.compile import FloatArray, IntArray, borrowing, compiled
-from sim.vehicles import within_walls
+from sim.kernels.compile import FloatArray, IntArray, borrowing, compiled
+from sim.models.vehicles import within_walls
 
 _NEVER = -1
 """The tick of a place in the track where no position has been noted, and of a filter that has not been asked yet."""

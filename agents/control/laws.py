@@ -23,10 +23,10 @@ from agents.control.visibility import raw_switching_radius, switching_radius
 from agents.control.weighting import combine, linear_weights, logarithmic_weights, switching_weights
 from bus.errors import ScenarioError
 from bus.messages import Law, UavBriefing
-from sim.compile import FloatArray, compiled
-from sim.field import SENSORS, coverage_gradient, is_uncovered, nearest_uncovered
-from sim.randomness import START_DIRECTION, Key, uniform, words_of
-from sim.vehicles import clip_norm, norm
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.field import SENSORS, coverage_gradient, is_uncovered, nearest_uncovered
+from sim.models.randomness import START_DIRECTION, Key, uniform, words_of
+from sim.models.vehicles import clip_norm, norm
 
 TRACKING, COVERAGE, LINEAR, SWITCHING, LOGARITHMIC, CIRCLE, WEIGHTED, PATH, CERTIFIED = range(9)
 LAWS = {

@@ -19,8 +19,8 @@ from agents.control.guard import (
 from agents.control.handover import Promise, certificate, check_assumptions
 from bus.errors import ScenarioError
 from bus.messages import UavBriefing, UavObservation, Vector
-from sim.compile import compiled
-from sim.vehicles import norm, stopping_distance
+from sim.kernels.compile import compiled
+from sim.models.vehicles import norm, stopping_distance
 
 _TRACK = 120.0
 """The UAV's own positions are kept for so long [s]; detections that are older are of no use."""

@@ -16,8 +16,8 @@ from agents.drivers.wander import wander_control, wander_pace
 from agents.drivers.waypoints import WAYPOINT_STATE, driver_goals, waypoint_control
 from bus.errors import ScenarioError
 from bus.messages import UgvBriefing
-from sim.compile import FloatArray, compiled
-from sim.randomness import Key, words_of
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.randomness import Key, words_of
 
 __all__ = [
     "COMPILED_DRIVERS",

@@ -7,9 +7,9 @@ import numpy as np
 from agents.drivers.steering import Steering, velocity_control
 from agents.drivers.wander import WANDER_STATE, wander_control, wander_pace
 from bus.messages import UgvBriefing, UgvObservation
-from sim.compile import FloatArray, compiled
-from sim.randomness import WANDER, Key, uniform, words_of
-from sim.vehicles import norm
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.randomness import WANDER, Key, uniform, words_of
+from sim.models.vehicles import norm
 
 _SMOOTHING = 1.0  # time constant of the UAV's estimated velocity [s]: a difference of two estimates is mostly noise
 _FORGOTTEN = 5.0  # after so long without a message [s] the last one says nothing any more

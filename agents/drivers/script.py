@@ -4,8 +4,8 @@ import numpy as np
 
 from agents.drivers.steering import EARLY, Steering, velocity_control
 from bus.messages import UgvBriefing, UgvObservation
-from sim.compile import FloatArray, compiled
-from sim.vehicles import brake
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.vehicles import brake
 
 
 @compiled

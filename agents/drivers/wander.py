@@ -5,9 +5,9 @@ import numpy as np
 from agents.drivers.steering import Steering
 from agents.drivers.waypoints import goal_control
 from bus.messages import UgvBriefing, UgvObservation
-from sim.compile import FloatArray, compiled
-from sim.randomness import WANDER, Key, uniform, words_of
-from sim.vehicles import goal_reached, speed_to_stop_within, stopping_distance
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.randomness import WANDER, Key, uniform, words_of
+from sim.models.vehicles import goal_reached, speed_to_stop_within, stopping_distance
 
 _GOAL, _CHOSEN = 0, 2  # rows of the state: the goal (2), whether there is one
 WANDER_STATE = 3

@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from bus.messages import UgvBriefing, UgvObservation
-from sim.compile import FloatArray, compiled
-from sim.vehicles import clip_norm, goal_reached, norm, speed_to_stop_within
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.vehicles import clip_norm, goal_reached, norm, speed_to_stop_within
 
 _INDEX = 0  # row of the state: which goal it drives to
 WAYPOINT_STATE = 1

@@ -35,8 +35,8 @@ from agents.control.discs import (
 from agents.control.handover import Promise
 from agents.control.visibility import Verdict, promise_of
 from bus.messages import UavBriefing, UavObservation, Vector
-from sim.compile import FloatArray, compiled
-from sim.vehicles import clip_norm, norm, speed_to_stop_within, step_vehicle, within_walls
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.vehicles import clip_norm, norm, speed_to_stop_within, step_vehicle, within_walls
 
 _REST = 0.02
 """The backup policy has arrived where it is slower than this [m/s], and nearer to its goal than `_NEAR` [m]."""

@@ -28,11 +28,11 @@ from agents.control.visibility import SafetyFilter
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.messages import UavBriefing, UavCommand, UavObservation, Vector
-from outrider.flying import InProcess, Pilot
-from outrider.summary import summarize
-from sim.briefing import briefing
-from sim.flight import Flight
-from sim.scenario import Scenario, load_scenario
+from outrider.running.flying import InProcess, Pilot
+from outrider.running.summary import summarize
+from sim.engine.briefing import briefing
+from sim.scenario.types import Scenario, load_scenario
+from sim.server.flight import Flight
 
 HERE = Path(__file__).resolve().parent
 

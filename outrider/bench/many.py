@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 
 from outrider.bench.timing import Pair, rate
-from outrider.closed_loop import ClosedLoop
-from outrider.vector import vector_env
-from sim.compile import FloatArray, IntArray, released
+from outrider.envs.closed_loop import ClosedLoop
+from outrider.envs.vector import vector_env
+from sim.engine.world_tick import WorldParameters
 from sim.env.rewards import RewardWeights
-from sim.field import accumulate, accumulate_with_gain, coverage_error, coverage_gradient
-from sim.prefetch import fetch_disc
-from sim.scenario import Scenario, load_scenario
-from sim.threads import Crew
-from sim.tick import WorldParameters
+from sim.kernels.compile import FloatArray, IntArray, released
+from sim.kernels.prefetch import fetch_disc
+from sim.kernels.threads import Crew
+from sim.models.field import accumulate, accumulate_with_gain, coverage_error, coverage_gradient
+from sim.scenario.types import Scenario, load_scenario
 
 WORLDS = 1024
 RATE = RewardWeights(uncovered=0.0, seen=1.0)

@@ -16,18 +16,18 @@ import numpy as np
 
 from outrider.bench.kernels import ground
 from outrider.bench.many import RATE, WORLDS
-from outrider.closed_loop import ClosedLoop
-from outrider.vector import vector_env
-from sim.compile import FloatArray, compiled
+from outrider.envs.closed_loop import ClosedLoop
+from outrider.envs.vector import vector_env
 from sim.env.rewards import RewardWeights
-from sim.field import (
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.field import (
     accumulate,
     accumulate_with_gain,
     coverage_error,
     coverage_gradient,
     disc_chords,
 )
-from sim.scenario import Scenario, load_scenario
+from sim.scenario.types import Scenario, load_scenario
 
 _PASSES = 200
 _ANEW = 60
@@ -42,7 +42,7 @@ FLOPS = {
     "coverage_error": 30,
     "coverage_gradient": 42,
 }
-"""Additions, multiplications, divisions and comparisons of each cell, counted in sim/field.py with the sensor `hill`."""
+"""Additions, multiplications, divisions and comparisons of each cell, counted in sim/models/field.py with the sensor `hill`."""
 
 
 def disc(radius: float, cell: float, width: float) -> tuple[int, float]:

@@ -14,14 +14,14 @@ import msgspec
 
 from bus.errors import BusError
 from outrider.bench.kernels import world_step
+from outrider.bench.pairs import pairs_toml
+from outrider.bench.raw_lockstep import ticks_per_second
 from outrider.bench.timing import Pair
-from outrider.flying import InProcess, fly, make_pilots
-from outrider.launch import NOBODY, Outcome, launch
-from outrider.pairs import pairs_toml
-from outrider.raw_lockstep import ticks_per_second
-from sim.flight import Flight
-from sim.scenario import Scenario, load_scenario
-from sim.threads import cores
+from outrider.running.flying import InProcess, fly, make_pilots
+from outrider.running.launch import NOBODY, Outcome, launch
+from sim.kernels.threads import cores
+from sim.scenario.types import Scenario, load_scenario
+from sim.server.flight import Flight
 
 
 def _payloads(scenario: Scenario) -> tuple[bytes, bytes]:
@@ -102,10 +102,10 @@ def sweep(*, seconds: float = 60.0, seeds: int = 16) -> Pair:
         seconds: Duration of each run [s].
         seeds: How often each of the four points is flown.
     """
-    from outrider.sweep.description import describe_sweep  # noqa: PLC0415 - an extra, as the next three
-    from outrider.sweep.folder import SweepFolder  # noqa: PLC0415
-    from outrider.sweep.plan import lay_out  # noqa: PLC0415
-    from outrider.sweep.running import fly_sweep  # noqa: PLC0415
+    from outrider.experiments.sweep.definition import describe_sweep  # noqa: PLC0415 - an extra, as the next three
+    from outrider.experiments.sweep.folder import SweepFolder  # noqa: PLC0415
+    from outrider.experiments.sweep.plan import lay_out  # noqa: PLC0415
+    from outrider.experiments.sweep.running import fly_sweep  # noqa: PLC0415
 
     def flown(count: int) -> float:
         settings: dict[str, Any] = {

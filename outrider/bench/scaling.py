@@ -13,10 +13,10 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from outrider.bench.many import RATE, WORLDS, stepped
-from outrider.pairs import pairs_toml
+from outrider.bench.pairs import pairs_toml
 from outrider.style import DASHED, INK, MUTED, UAV, UGV, look, new_figure, panel, save
-from sim.scenario import Scenario, load_scenario
-from sim.threads import cores
+from sim.kernels.threads import cores
+from sim.scenario.types import Scenario, load_scenario
 
 COUNTS = (1, 4, 16, 64, 256, 1024, 4096)
 """Worlds."""

@@ -13,8 +13,8 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from rich.table import Table
 
 from bus.messages import LinkStatus
-from outrider.summary import Summary
-from sim.scenario import Scenario
+from outrider.running.summary import Summary
+from sim.scenario.types import Scenario
 
 ERR = Console(stderr=True, highlight=False)
 OUT = Console(highlight=False)

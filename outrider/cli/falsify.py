@@ -15,8 +15,8 @@ from outrider.cli.options import AllowCode, Json, ScenarioName, Set
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from outrider.falsify.engines import Found, Wanted
-    from sim.scenario import Scenario
+    from outrider.experiments.falsify.engines import Found, Wanted
+    from sim.scenario.types import Scenario
 
 _MINUTES = 1.0
 _FLIGHT, _ATTACK = 60.0, 200.0
@@ -172,9 +172,9 @@ def command(
     Example: outrider falsify --law switching --undegraded
     """
     from outrider.cli.console import print_warnings
-    from outrider.falsify.engines import Wanted
-    from outrider.falsify.limits import Limits, base_of, beyond_declared
-    from outrider.falsify.search import check_extra
+    from outrider.experiments.falsify.engines import Wanted
+    from outrider.experiments.falsify.limits import Limits, base_of, beyond_declared
+    from outrider.experiments.falsify.search import check_extra
 
     limits_given = (max_delay, max_loss, max_blackout, max_command_delay, noise)
     if undegraded and any(given is not None for given in limits_given):
@@ -248,7 +248,7 @@ def _scenario(
     allow_code: bool,
 ) -> "Scenario":
     from outrider.cli.options import scenario_of
-    from outrider.own import check_code, check_own_functions
+    from outrider.running.user_code import check_code, check_own_functions
 
     flown, overrides = scenario_of(
         name, law=law, duration=_FLIGHT if duration is None else duration, changes=changes
@@ -265,7 +265,7 @@ def _cores() -> int:
 
 
 def _check_eps(eps: float | None) -> None:
-    from outrider.attack import EPS
+    from outrider.experiments.falsify.attack import EPS
 
     if eps is not None and eps not in EPS:
         raise typer.BadParameter(
@@ -286,7 +286,7 @@ def _search(wanted: "Wanted", expect: Expect | None, *, json: bool) -> None:
     from bus.errors import PeerLost
     from outrider.cli.console import ERR
     from outrider.cli.stopping import stop_on_signals
-    from outrider.falsify.engines import Found, save, search
+    from outrider.experiments.falsify.engines import Found, save, search
 
     found, fault = Found(wanted), None
     with stop_on_signals() as stop:
@@ -356,7 +356,7 @@ def _tell(found: "Found", *, json: bool) -> None:
 
 
 def _lines(found: "Found") -> "Iterator[str]":
-    from outrider.own import foreign_code
+    from outrider.running.user_code import foreign_code
 
     wanted, flights, attacks = found.wanted, found.flights, found.attacks
     law = (

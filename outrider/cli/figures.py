@@ -20,7 +20,7 @@ def command(
     from rich.table import Table
 
     from outrider.cli.console import ERR, OUT, print_json
-    from outrider.figures import make_figures
+    from outrider.experiments.paper_figures import make_figures
 
     with Progress(console=ERR, transient=True) as progress:
         task = progress.add_task("drawing", total=1.0)

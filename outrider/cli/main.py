@@ -18,6 +18,7 @@ from outrider.cli import (
     drive,
     falsify,
     figures,
+    pilots,
     record,
     render,
     replay,
@@ -28,14 +29,13 @@ from outrider.cli import (
     simulator,
     suite,
     sweep,
-    vehicles,
 )
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "run": run.command,
     "simulator": simulator.command,
-    "uav": vehicles.uav,
-    "ugv": vehicles.ugv,
+    "uav": pilots.uav,
+    "ugv": pilots.ugv,
     "router": router.command,
     "credentials": credentials.command,
     "dashboard": dashboard.command,

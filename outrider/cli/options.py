@@ -11,7 +11,7 @@ from bus.errors import ScenarioError
 if TYPE_CHECKING:
     from bus.access import Credential
     from bus.keys import Role
-    from sim.scenario import Scenario
+    from sim.scenario.types import Scenario
 
 ScenarioName = Annotated[str, typer.Argument(help="A shipped scenario's name, or a TOML file.")]
 Seed = Annotated[
@@ -197,7 +197,7 @@ def scenario_of(
     Raises:
         ScenarioError: If it cannot be flown.
     """
-    from sim.scenario import (
+    from sim.scenario.types import (
         load_scenario,
     )  # a vehicle's process, which shares these options, must not load it
 
@@ -242,7 +242,7 @@ def secret_of(given: str, *, wanted: bool = False) -> str:
     Raises:
         ScenarioError: If what is given is none, or its file cannot be read.
     """
-    from sim.run_keys import check_secret, new_secret
+    from sim.engine.run_keys import check_secret, new_secret
 
     if given == "new" or (wanted and not given):
         return new_secret()

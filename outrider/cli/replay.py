@@ -72,7 +72,7 @@ def command(
 def _refly(recording: "Recording", *, json: bool) -> None:
     from outrider.cli.console import ERR, OUT, print_json
     from outrider.recording.refly import refly
-    from outrider.summary import certificate_fields
+    from outrider.running.summary import certificate_fields
 
     with ERR.status("flying it again"):
         found = refly(recording)
@@ -110,15 +110,15 @@ def _refly(recording: "Recording", *, json: bool) -> None:
 def _show(recording: "Recording", speed: float, port: int, token: str, *, wanted: bool) -> None:
     """Serve the page until somebody ends it."""
     from outrider.cli.console import ERR
-    from outrider.dashboard.door import address_of, check_extra, choose_admission, open_socket
+    from outrider.view.page.door import address_of, check_extra, choose_admission, open_socket
 
     admission = choose_admission("127.0.0.1", token, wanted=wanted)
     check_extra()
     with open_socket("127.0.0.1", port, "--dashboard-port") as opened:
-        from outrider.dashboard.app import serve
-        from outrider.dashboard.hub import Hub
-        from outrider.dashboard.player import Player
-        from outrider.dashboard.tape import Tape
+        from outrider.view.page.app import serve
+        from outrider.view.page.hub import Hub
+        from outrider.view.page.player import Player
+        from outrider.view.page.tape import Tape
 
         tape = Tape(recording, speed)
         hub = Hub(tape)
@@ -176,7 +176,7 @@ def _tell(recording: "Recording", *, json: bool) -> None:
 
     from outrider.cli.console import OUT, print_json, print_summary
     from outrider.recording.refly import from_the_start, restore
-    from outrider.summary import certificate_fields, summarize
+    from outrider.running.summary import certificate_fields, summarize
 
     told = _facts(recording)
     if recording.head.scenario is not None and from_the_start(recording):

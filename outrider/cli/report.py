@@ -34,7 +34,7 @@ def command(
 
     Example: outrider report sweeps/network --markdown
     """
-    from outrider.sweep.extras import check_extras
+    from outrider.experiments.sweep.extras import check_extras
 
     check_extras("pyarrow")
     if markdown and json:
@@ -42,10 +42,10 @@ def command(
     from outrider.cli.console import ERR, OUT, print_json
 
     with ERR.status("reading and drawing"):
-        from outrider.report.figures import draw_all
-        from outrider.report.page import markdown as markdown_of
-        from outrider.report.page import page
-        from outrider.report.reading import read_material
+        from outrider.experiments.report.document import markdown as markdown_of
+        from outrider.experiments.report.document import page
+        from outrider.experiments.report.plots import draw_all
+        from outrider.experiments.report.results import read_material
 
         material = read_material(folders)
         where = out or (folders[0] / "report" if len(material.folders) == 1 else Path("report"))

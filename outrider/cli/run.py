@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
     from outrider.cli.console import FlightProgress
     from outrider.cli.stopping import Stop
-    from outrider.launch import Outcome
-    from sim.scenario import Scenario
+    from outrider.running.launch import Outcome
+    from sim.scenario.types import Scenario
 
 
 def command(
@@ -107,10 +107,10 @@ def command(
     from outrider.cli.console import flight_progress, print_json, print_summary, print_warnings
     from outrider.cli.options import scenario_of, secret_of
     from outrider.cli.stopping import stop_on_signals
-    from outrider.output import default_folder, write_summary
-    from outrider.own import check_code, check_own_functions
-    from outrider.promise import promise_warnings
-    from sim.scenario_checks import scenario_warnings
+    from outrider.running.promise import promise_warnings
+    from outrider.running.user_code import check_code, check_own_functions
+    from outrider.view.output import default_folder, write_summary
+    from sim.scenario.checks import scenario_warnings
 
     if in_process and (realtime is not None or respawn or dashboard):
         raise typer.BadParameter(
@@ -144,7 +144,7 @@ def command(
         if in_process:
             outcome = _fly_here(flown, kept, folder, picture, record, stop)
         else:
-            from outrider.launch import Watcher, launch
+            from outrider.running.launch import Watcher, launch
 
             with flight_progress(flown, "starting (the first start compiles)") as progress:
                 watcher = Watcher(
@@ -181,7 +181,7 @@ def _page(wanted: bool, port: int) -> "AbstractContextManager[socket.socket | No
 
     if not wanted:
         return nullcontext()
-    from outrider.dashboard.door import check_extra, open_socket
+    from outrider.view.page.door import check_extra, open_socket
 
     check_extra()
     return open_socket("127.0.0.1", port, "--dashboard-port")
@@ -198,11 +198,11 @@ def _fly_here(
     from agents.process import warm_up as warm_up_pilot
     from bus.keys import Role
     from outrider.cli.console import flight_progress
-    from outrider.flying import fly
-    from outrider.launch import Outcome
-    from outrider.output import write_flight
-    from sim.compile import compiling
-    from sim.flight import Flight, warm_up
+    from outrider.running.flying import fly
+    from outrider.running.launch import Outcome
+    from outrider.view.output import write_flight
+    from sim.kernels.compile import compiling
+    from sim.server.flight import Flight, warm_up
 
     shown = 0.0
     recorder = None

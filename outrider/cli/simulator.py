@@ -29,8 +29,8 @@ from outrider.cli.options import (
 if TYPE_CHECKING:
     from bus.access import Credential, CredentialSet
     from outrider.recording.writer import FlightRecorder
-    from sim.scenario import Scenario
-    from sim.server import Server
+    from sim.scenario.types import Scenario
+    from sim.server.serving import Server
 
 
 def command(
@@ -118,15 +118,15 @@ def command(
     from outrider.cli.console import ERR, flight_progress, print_json, print_summary, print_warnings
     from outrider.cli.options import scenario_of, secret_of
     from outrider.cli.stopping import stop_on_signals
-    from outrider.leash import hold
-    from outrider.output import write_flight
-    from outrider.promise import promise_warnings
-    from outrider.reports import Reports
-    from outrider.summary import summarize
-    from sim.compile import compiling
-    from sim.flight import warm_up
-    from sim.scenario_checks import scenario_warnings
-    from sim.server import Server
+    from outrider.running.exit_reports import Reports
+    from outrider.running.promise import promise_warnings
+    from outrider.running.summary import summarize
+    from outrider.running.watchdog import hold
+    from outrider.view.output import write_flight
+    from sim.kernels.compile import compiling
+    from sim.scenario.checks import scenario_warnings
+    from sim.server.flight import warm_up
+    from sim.server.serving import Server
 
     if leash:
         hold(leash_folder)

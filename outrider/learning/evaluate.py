@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from outrider.closed_loop import ClosedLoop
-from outrider.learning.policy import LearnedPolicy
-from outrider.statistics import mean_interval
-from outrider.vector import Worlds
-from sim.compile import FloatArray
+from outrider.envs.closed_loop import ClosedLoop
+from outrider.envs.vector import Worlds
+from outrider.experiments.intervals import mean_interval
+from outrider.learning.learned import LearnedPolicy
 from sim.env.rewards import RewardWeights
-from sim.scenario import Scenario, load_scenario
+from sim.kernels.compile import FloatArray
+from sim.scenario.types import Scenario, load_scenario
 
 LAWS = ("circle", "linear", "switching", "logarithmic", "certified")
 LEARNED, UNSHIELDED = "learned, in the filter", "learned, without it"

@@ -6,9 +6,9 @@ from pathlib import Path
 from bus import keys
 from bus.messages import Change, CoverageMap, Status, Truth
 from bus.session import Session
-from outrider.recording.file import RecordingFile
+from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.schemas import Commands, head_of, unknown_head
-from sim.scenario import Scenario
+from sim.scenario.types import Scenario
 
 _INBOX_ROOM = 4096
 """Truths that wait for us before the oldest are lost: two seconds of a fast run."""

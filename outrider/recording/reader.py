@@ -30,7 +30,7 @@ from outrider.recording.schemas import (
     scenario_in,
     ugv_of,
 )
-from sim.scenario import Scenario
+from sim.scenario.types import Scenario
 
 try:  # an extra
     import lz4.frame

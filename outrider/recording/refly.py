@@ -11,8 +11,8 @@ import numpy as np
 from bus.errors import ScenarioError
 from bus.messages import Action, Control, Truth
 from outrider.recording.reader import Recording
-from sim.flight import Flight
-from sim.recorder import platform_row
+from sim.server.flight import Flight
+from sim.server.recorder import platform_row
 
 _FIELDS = ("position", "velocity", "acceleration")
 

@@ -27,10 +27,10 @@ from bus.messages import (
     Truth,
     Vector,
 )
-from sim.recorder import platform_row
-from sim.scenario import Scenario
-from sim.scenario_checks import check_scenario
-from sim.scenario_reading import apply_override, typed
+from sim.input.reading import apply_override, typed
+from sim.scenario.checks import check_scenario
+from sim.scenario.types import Scenario
+from sim.server.recorder import platform_row
 
 FORMAT = 1
 """Of the file. Another number cannot be read."""

@@ -11,7 +11,7 @@ from bus.errors import ScenarioError
 from bus.messages import CoverageMap
 from outrider import style
 from outrider.recording.schemas import EXTRA, inner_radius
-from sim.scenario import Scenario
+from sim.scenario.types import Scenario
 
 try:  # an extra
     import foxglove

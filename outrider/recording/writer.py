@@ -20,13 +20,13 @@ from bus.messages import (
     UavReport,
     VehicleStatus,
 )
-from outrider.promise import promise_warnings
-from outrider.recording.file import RecordingFile
+from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.schemas import head_of
-from outrider.recording.ticks import TickTexts
-from sim.compile import FloatArray
-from sim.flight import Flight, News
-from sim.scenario import Scenario
+from outrider.recording.tick_rows import TickTexts
+from outrider.running.promise import promise_warnings
+from sim.kernels.compile import FloatArray
+from sim.scenario.types import Scenario
+from sim.server.flight import Flight, News
 from sim.world import World
 
 _WAKE = 0.02

@@ -1,6 +1,6 @@
 """The world as a PettingZoo environment: a thin shell over `sim.world.World`.
 
-`bus.layout` says what each entry of an observation means, `sim.env.rewards` what is paid, `sim.env.seats` who gets
+`bus.layout` says what each entry of an observation means, `sim.env.rewards` what is paid, `sim.env.rows` who gets
 what.
 """
 
@@ -17,20 +17,20 @@ from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
 from bus.layout import state_names
 from bus.messages import Briefing, Detection
-from sim.briefing import briefing
-from sim.compile import FloatArray
+from sim.engine.briefing import briefing
+from sim.engine.run_keys import check_secret
 from sim.env.actions import take_actions
 from sim.env.patch import CoveragePatch, OwnMaps
 from sim.env.rewards import RewardWeights
-from sim.env.seats import Moment, UavSeat, UgvSeat, all_arrived, seats
+from sim.env.rows import Moment, UavSeat, UgvSeat, all_arrived, seats
 from sim.env.seeds import Seeds
 from sim.env.spaces import action_space, observation_space
 from sim.env.state import state_array, state_space
 from sim.env.view import View
-from sim.field import empty_coverage
-from sim.run_keys import check_secret
-from sim.scenario import Scenario, load_scenario
-from sim.scenario_checks import check_scenario
+from sim.kernels.compile import FloatArray
+from sim.models.field import empty_coverage
+from sim.scenario.checks import check_scenario
+from sim.scenario.types import Scenario, load_scenario
 from sim.world import World
 
 Array = npt.NDArray[np.floating[Any]]

@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.compile import FloatArray, compiled
-from sim.field import accumulate
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.field import accumulate
 from sim.world import World
 
 

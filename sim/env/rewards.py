@@ -5,7 +5,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from sim.compile import compiled
+from sim.kernels.compile import compiled
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

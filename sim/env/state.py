@@ -8,9 +8,9 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from bus.layout import CommonState, bounds
-from sim.env.seats import Moment, Seat
+from sim.env.rows import Moment, Seat
 from sim.env.spaces import box, extent_of
-from sim.scenario import Scenario
+from sim.scenario.types import Scenario
 from sim.world import World
 
 

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from sim.env.seats import Moment
+from sim.env.rows import Moment
 from sim.world import World
 
 if TYPE_CHECKING:
-    from sim.env.render import Picture
+    from sim.env.picture import Picture
     from sim.env.window import Window
 
 
@@ -54,7 +54,7 @@ class View:
         return self._draw(world, moment)
 
     def _draw(self, world: World, moment: Moment) -> npt.NDArray[np.uint8]:
-        from sim.env.render import Picture  # noqa: PLC0415 - matplotlib is loaded when someone looks
+        from sim.env.picture import Picture  # noqa: PLC0415 - matplotlib is loaded when someone looks
 
         if self._picture is None:
             self._picture = Picture(world)

@@ -1,0 +1,1 @@
+"""What is drawn of a flight: pictures, films, terminal and page."""

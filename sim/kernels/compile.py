@@ -1,0 +1,138 @@
+"""Where numba keeps its cache, and how our functions are compiled.
+
+Strict floating point, one cache for one source text.
+"""
+
+import contextlib
+import fcntl
+import hashlib
+import os
+import shutil
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+"""The arrays that compiled functions take: C-contiguous float64."""
+
+IntArray = npt.NDArray[np.int64]
+"""Likewise int64."""
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+_KEEP = 6  # caches of other source texts (checkouts, versions) that stay beside ours
+
+
+def _source_digest() -> str:
+    """A digest of all the text that compiled code is made of.
+
+    numba looks only at the file that holds a function, not at those that it calls: after a change in a called
+    file it would run the old code. So each state of the sources has a cache of its own.
+    """
+    root = Path(__file__).resolve().parents[2]
+    digest = hashlib.sha256(f"{sys.version}{numba.__version__}{np.__version__}".encode())
+    for folder in ("sim", "agents", "outrider"):
+        for path in sorted((root / folder).rglob("*.py")):
+            text = path.read_bytes()
+            if any(
+                mark in text
+                for mark in (b"@compiled", b"@borrowing", b"@inlined", b"@released", b"@intrinsic")
+            ):
+                digest.update(text)
+    return digest.hexdigest()[:16]
+
+
+def _cache_home() -> Path:
+    chosen = os.environ.get("OUTRIDER_CACHE")
+    if chosen:
+        return Path(chosen)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "outrider"
+
+
+def _drop_old(home: Path) -> None:
+    others = sorted(home.glob("numba-*"), key=lambda path: path.stat().st_mtime, reverse=True)
+    for path in others[_KEEP:]:
+        shutil.rmtree(path, ignore_errors=True)
+
+
+def _open_cache() -> Path | None:
+    home = _cache_home()
+    folder = home / f"numba-{_source_digest()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            os.utime(folder)
+        _drop_old(home)
+    except OSError as error:
+        warnings.warn(
+            f"no compile cache at {folder} ({error.strerror}): every start compiles anew; set OUTRIDER_CACHE",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+        return None
+    return folder
+
+
+_FOLDER = _open_cache()
+if _FOLDER is not None:
+    numba.config.CACHE_DIR = str(_FOLDER)  # type: ignore[attr-defined]
+
+
+def _compile(function: _F, **options: Any) -> _F:  # noqa: ANN401 - numba's
+    """No `fastmath`: the bits must not depend on who calls.
+
+    No entry for C, which nobody uses and which takes time to compile.
+    """
+    njit: Any = numba.njit
+    chosen = {"cache": _FOLDER is not None, "error_model": "numpy", "no_cfunc_wrapper": True}
+    return cast("_F", njit(**chosen, **options)(function))
+
+
+def compiled(function: _F) -> _F:
+    """Compile a function of plain floats and arrays; the Python original is its attribute `py_func`."""
+    return _compile(function, _nrt=True)
+
+
+def borrowing(function: _F) -> _F:
+    """Compile as `compiled` does, but without reference counting: the function borrows its arrays.
+
+    Handing a view or a tuple of arrays about then costs nothing; counted, it costs more than a small kernel, the
+    more so where
+    threads count the same array. Such a function cannot make arrays. One that returns views may only be called
+    from another that borrows, never from Python or `compiled`, which would count the view down.
+    """
+    return _compile(function, _nrt=False)
+
+
+def inlined(function: _F) -> _F:
+    """Compile as `borrowing` does, but as a part of each caller: for what is handed the state of many worlds.
+
+    Such a state has a hundred arrays: a call would copy what describes them, some kilobytes, for one world's tick,
+    and each function would take seconds to compile for itself.
+    """
+    return _compile(function, _nrt=False, inline="always")
+
+
+def released(function: _F) -> _F:
+    """Compile as `borrowing` does, and give the interpreter away while it runs.
+
+    For loops over worlds that threads share.
+    """
+    return _compile(function, _nrt=False, nogil=True)
+
+
+@contextlib.contextmanager
+def compiling() -> Iterator[None]:
+    """While one process compiles, the others wait and then load what it has compiled."""
+    if _FOLDER is None:
+        yield
+        return
+    with (_FOLDER / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield

@@ -1,0 +1,266 @@
+"""What makes a scenario impossible to fly, and what makes it fly unlike what one may expect."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+from sim.input.faults import Fault, near, one_line
+from sim.input.reading import as_raw, typed
+from sim.models.field import SENSORS
+from sim.models.vehicles import stopping_distance
+from sim.scenario.world_checks import WORLD_CHECKS, Check, escorts
+
+if TYPE_CHECKING:
+    from sim.scenario.types import Scenario, Uav, Ugv
+
+LAW_NAMES = (
+    "tracking",
+    "coverage",
+    "linear",
+    "switching",
+    "logarithmic",
+    "circle",
+    "weighted",
+    "path",
+    "certified",
+)
+"""The laws; the agents' own table may not be imported here, a test holds the two equal."""
+DRIVER_NAMES = ("waypoints", "wander", "script", "evade", "teleop", "policy", "external")
+"""The drivers; likewise. `policy` is a function of the user's own, `external` a process of the user's own."""
+SAVED_POLICIES = ("sb3", "torch", "onnx")
+"""The libraries whose saved policies can drive.
+
+The loaders' own table may not be imported here, a test holds the two equal.
+"""
+_POLICY = "module:function, sb3:ALGORITHM:FILE.zip, torch:FILE.pt or onnx:FILE.onnx"
+SENSOR_NAMES = tuple(SENSORS)
+"""The sensor models."""
+
+WATCHED_LAWS = ("certified",)
+"""Laws that the safety filter watches over."""
+_WITHOUT_SWITCHING_RADIUS = ("tracking", "coverage")
+"""Laws that never ask for r_s."""
+_WITH_COVERAGE = ("coverage", "linear", "switching", "logarithmic", "weighted", "certified")
+"""Laws that steer by v_ref."""
+_OWN_FUNCTION = {"weighted": "weighting", "path": "path"}
+"""Laws that need a function of the user's own: the field that names it."""
+_ROUNDING = 1e-9
+
+
+def switching_radius(s: Scenario, uav: Uav, ugv: Ugv) -> float:
+    """r_s of (18) [m], whatever its sign."""
+    return s.visibility.radius - float(
+        stopping_distance(uav.max_speed + ugv.max_speed, uav.max_acceleration)
+    )
+
+
+def _in_table(field: str, name: str, table: Sequence[str]) -> Iterator[Fault]:
+    if name not in table:
+        yield Fault(field, name, f"unknown{near(name, table)}", ", ".join(table))
+
+
+def names_are_known(s: Scenario) -> Iterator[Fault]:
+    """Law, sensor and drivers are rows of their tables."""
+    yield from _in_table("law.name", s.law.name, LAW_NAMES)
+    yield from _in_table("sensor.model", s.sensor.model, SENSOR_NAMES)
+    for k, ugv in enumerate(s.ugv):
+        yield from _in_table(f"ugv.{k}.driver", ugv.driver, DRIVER_NAMES)
+
+
+def _names_a_function(text: str) -> bool:
+    module, separator, function = text.partition(":")
+    return bool(separator) and all(part.isidentifier() for part in (*module.split("."), function))
+
+
+def _names_a_policy(text: str) -> bool:
+    library, separator, file = text.partition(":")
+    return bool(separator and file) if library in SAVED_POLICIES else _names_a_function(text)
+
+
+def own_functions_are_named(s: Scenario) -> Iterator[Fault]:
+    """A law with a function of the user's own has one, as `module:function`; it is not loaded here."""
+    for law, field in _OWN_FUNCTION.items():
+        named = getattr(s.custom, field)
+        if named and not _names_a_function(named):
+            yield Fault(f"custom.{field}", named, "names no function", "module:function")
+        elif s.law.name == law and not named:
+            yield Fault(f"custom.{field}", named, f"the law {law!r} needs it", "module:function")
+    if s.custom.policy and not _names_a_policy(s.custom.policy):
+        yield Fault("custom.policy", s.custom.policy, "names no policy", _POLICY)
+    elif not s.custom.policy and any(ugv.driver == "policy" for ugv in s.ugv):
+        yield Fault("custom.policy", s.custom.policy, "the driver 'policy' needs it", _POLICY)
+
+
+def scripts_are_in_order(s: Scenario) -> Iterator[Fault]:
+    """A UGV that is driven by its script has one, each step later than the one before."""
+    for k, ugv in enumerate(s.ugv):
+        times = [step.time for step in ugv.script]
+        if ugv.driver == "script" and not times:
+            yield Fault(
+                f"ugv.{k}.script",
+                [],
+                "the driver 'script' needs it",
+                "steps such as { time = 0.0, velocity = [0.2, 0.0] }",
+            )
+        for n, (earlier, later) in enumerate(pairwise(times), 1):
+            if not later > earlier:
+                yield Fault(
+                    f"ugv.{k}.script.{n}.time", later, f"not after {earlier:g} s", "times that rise"
+                )
+
+
+def switching_radius_is_positive(s: Scenario) -> Iterator[Fault]:
+    """There is room to cover ground in, Klodt 2015, eq. (18): r_s > 0."""
+    if s.law.name in _WITHOUT_SWITCHING_RADIUS:
+        return
+    for path, uav, ugv in escorts(s):
+        r_s = switching_radius(s, uav, ugv)
+        if r_s == -math.inf:
+            wrong = "r_s of (18) does not exist without a bound of the speed"
+            yield Fault(
+                f"{path}.max_speed",
+                uav.max_speed,
+                wrong,
+                "finite speeds, or max_acceleration = inf too",
+            )
+        elif not r_s > 0.0:
+            least = (uav.max_speed + ugv.max_speed) ** 2 / (2.0 * s.visibility.radius)
+            wrong = f"too weak for these speeds and this r_v: r_s = {r_s:.4g} m (18)"
+            yield Fault(
+                f"{path}.max_acceleration", uav.max_acceleration, wrong, f"above {least:.4g} m/s²"
+            )
+
+
+def reference_speed_is_possible(s: Scenario) -> Iterator[Fault]:
+    """There is a v_ref of (10), and every UAV can fly it."""
+    v_ref = s.law.reference_speed
+    for k, uav in enumerate(s.uav):
+        if v_ref is None and math.isinf(uav.max_speed) and s.law.name in _WITH_COVERAGE:
+            yield Fault(
+                "law.reference_speed",
+                None,
+                f"missing, and uav.{k}.max_speed = inf is none",
+                "a number > 0, in m/s",
+            )
+        elif v_ref is not None and v_ref > uav.max_speed:
+            allowed = f"up to uav.{k}.max_speed = {uav.max_speed:g} m/s"
+            yield Fault("law.reference_speed", v_ref, "faster than the UAV can fly", allowed)
+
+
+def controller_is_stable(s: Scenario) -> Iterator[Fault]:
+    r"""The tracking loop of (15) and (16) is Hurwitz in continuous time.
+
+    $$ s^3 - A_c s^2 - D_c s + (D_c A_c - B_c C_c) $$
+
+    By Routh: all coefficients positive, and A_c D_c > D_c A_c - B_c C_c. The default is (s + 1)³.
+    """
+    a, b, c, d = s.law.a_c, s.law.b_c, s.law.c_c, s.law.d_c
+    last = d * a - b * c
+    if not (a < 0.0 and d < 0.0 and last > 0.0 and a * d > last):
+        value = {"a_c": a, "b_c": b, "c_c": c, "d_c": d}
+        yield Fault(
+            "law",
+            value,
+            "the tracking loop (15), (16) is unstable",
+            "A < 0, D < 0, 0 < D A - B C < A D",
+        )
+
+
+def circle_is_within_sight(s: Scenario) -> Iterator[Fault]:
+    """The virtual point of (25) is always nearer than r_v."""
+    if s.law.name != "circle":
+        return
+    r_v, radius = s.visibility.radius, s.law.circle_radius
+    for path, uav, ugv in escorts(s):
+        if radius is not None and radius >= r_v:
+            yield Fault(
+                "law.circle_radius",
+                radius,
+                "the circle lies out of sight",
+                f"less than r_v = {r_v:g} m",
+            )
+        elif radius is None and switching_radius(s, uav, ugv) >= r_v:
+            wrong = f"missing, and r_s = r_v since {path}.max_acceleration = inf"
+            yield Fault("law.circle_radius", None, wrong, f"less than r_v = {r_v:g} m")
+
+
+CHECKS: tuple[Check, ...] = (
+    *WORLD_CHECKS,
+    names_are_known,
+    own_functions_are_named,
+    scripts_are_in_order,
+    switching_radius_is_positive,
+    reference_speed_is_possible,
+    controller_is_stable,
+    circle_is_within_sight,
+)
+"""In the order in which they are made: a later one may rely on those before it."""
+
+
+def check_scenario(scenario: Scenario, *, source: str = "") -> Scenario:
+    """The scenario, if it can be flown.
+
+    Args:
+        scenario: Read from a file or made in Python; NumPy's numbers and whole numbers in it become floats.
+        source: The file, for the error; the scenario's name by default.
+
+    Returns:
+        An equal scenario in which every value has its type.
+
+    Raises:
+        ScenarioError: One line with file, field, value, what is wrong and what is allowed.
+    """
+    file = one_line(str(source or scenario.name or "scenario"))
+    checked = typed(as_raw(scenario, file=file), type(scenario), file=file)
+    for check in CHECKS:
+        for fault in check(checked):
+            raise fault.error(file)
+    return checked
+
+
+def scenario_warnings(scenario: Scenario) -> tuple[str, ...]:
+    """What can be flown but will not do what one may expect.
+
+    A line each, for a scenario that `check_scenario` has passed.
+    """
+    return tuple(
+        line
+        for warnings in (_law_warnings, _circle_warnings, _goal_warnings)
+        for line in warnings(scenario)
+    )
+
+
+def _law_warnings(s: Scenario) -> Iterator[str]:
+    if s.law.name == "coverage":
+        yield 'law.name = "coverage": visibility is not kept, this law never turns back to the UGV'
+
+
+def _circle_warnings(s: Scenario) -> Iterator[str]:
+    r"""A circle that cannot be flown (Remark 3 of the paper).
+
+    It needs $|\omega| r_{pv} + v_g \le v_a$ and $r_{pv} \omega^2 \le u_a$.
+    """
+    if s.law.name != "circle":
+        return
+    rate = abs(s.law.circle_rate)
+    for _, uav, ugv in escorts(s):
+        radius = s.law.circle_radius or switching_radius(s, uav, ugv)
+        spare = uav.max_speed - ugv.max_speed
+        bound = min(spare / radius, math.sqrt(uav.max_acceleration / radius))
+        if rate > bound * (1.0 + _ROUNDING):
+            needs = (
+                f"needs {radius * rate:.3g} m/s and {radius * rate * rate:.3g} m/s² of {uav.name}"
+            )
+            has = f"which beside {ugv.name} has v_a - v_g = {spare:.3g} m/s and u_a = {uav.max_acceleration:.3g} m/s²"
+            reason = f"the smaller of (v_a - v_g)/r_pv and sqrt(u_a/r_pv), r_pv = {radius:.4g} m"
+            field = f"law.circle_rate = {s.law.circle_rate}"
+            yield f"{field}: cannot be flown: {needs}, {has}; allowed up to {bound:.4f} rad/s, {reason}"
+
+
+def _goal_warnings(s: Scenario) -> Iterator[str]:
+    for k, ugv in enumerate(s.ugv):
+        if ugv.driver == "waypoints" and not ugv.goals:
+            yield f"ugv.{k}.goals = []: {ugv.name} will stand still; its driver needs one [x, y] or more to move"

@@ -1,0 +1,151 @@
+"""What the simulator tells observers.
+
+The truth, the map and the status, to whoever listens, and never in the tick's way.
+"""
+
+import math
+import time
+from collections.abc import Callable
+
+from bus.keys import COVERAGE, GLANCE, STATUS, TRUTH
+from bus.messages import CoverageMap, Geometry, Status
+from bus.session import Session
+from sim.engine.briefing import limits
+from sim.scenario.checks import switching_radius
+from sim.scenario.types import LinkTable, Scenario
+from sim.server.flight import Flight
+from sim.server.operator_controls import Desk
+from sim.server.sessions import Seats
+
+_PERIOD = 0.2
+"""Wall time between two status messages, and between two maps [s]."""
+_GLANCE_PERIOD = 0.025
+"""Wall time between two glances [s]: twice as often as pages draw."""
+
+
+_SHOWN = 20
+"""Changes that a status shows."""
+
+
+Warn = Callable[[Scenario, LinkTable], tuple[str, ...]]
+"""Tells what cannot be promised of a scenario whose links are now these, a line each."""
+
+
+def no_warnings(_scenario: Scenario, _links: LinkTable) -> tuple[str, ...]:
+    """Of a simulator that nobody has told what is promised."""
+    return ()
+
+
+def _geometry(scenario: Scenario) -> Geometry:
+    ugvs = {ugv.name: ugv for ugv in scenario.ugv}
+    uav = scenario.uav[0]
+    radius = switching_radius(scenario, uav, ugvs[uav.escorts])
+    return Geometry(
+        area=scenario.area,
+        visibility_radius=scenario.visibility.radius,
+        sensor_range=scenario.sensor.range,
+        switching_radius=radius if math.isfinite(radius) else None,
+        dt=scenario.dt,
+        uavs={uav.name: uav.escorts for uav in scenario.uav},
+        limits={vehicle.name: limits(vehicle) for vehicle in scenario.vehicles},
+    )
+
+
+class Telemetry:
+    """Sends what is wanted.
+
+    Args:
+        session: The simulator's session.
+        flight: What is flown.
+        seats: The vehicles' places.
+        desk: The operators' desk: how time goes on, and what they have changed.
+        warn: What cannot be promised of a scenario whose links are now these, a line each.
+    """
+
+    def __init__(
+        self, session: Session, flight: Flight, seats: Seats, desk: Desk, warn: Warn
+    ) -> None:
+        self._warn = warn
+        self._flight, self._seats, self._desk = flight, seats, desk
+        self._geometry = _geometry(flight.scenario)
+        self._truth, self._glance = session.outbox(TRUTH), session.outbox(GLANCE)
+        self._map, self._status = session.outbox(COVERAGE), session.outbox(STATUS)
+        self._due = self._glance_due = 0.0
+        self._last = (0.0, 0)
+
+    def fly(self, flight: Flight) -> None:
+        """Another flight begins."""
+        self._flight, self._last = flight, (0.0, 0)
+
+    def tell(self) -> None:
+        """Send the truth of this tick, and the rest if it is time."""
+        if self._truth.wanted:
+            self._truth.send(self._flight.truth())
+        self.refresh()
+
+    def refresh(self, *, at_once: bool = False) -> None:
+        """Send a glance, status and map some times a second each.
+
+        Args:
+            at_once: Send them whenever the last ones were.
+        """
+        now = time.monotonic()
+        if now >= self._glance_due or at_once:
+            self._glance_due = now + _GLANCE_PERIOD
+            if self._glance.wanted:
+                self._glance.send(self._flight.truth())
+        if now < self._due and not at_once:
+            return
+        self._due = now + _PERIOD
+        self._seats.follow()
+        if self._status.wanted:
+            self._status.send(self.status(now))
+        if self._map.wanted:
+            self._map.send(self._coverage_map())
+
+    def status(self, now: float) -> Status:
+        """How the run stands, `now` on the monotonic clock [s]."""
+        flight, world = self._flight, self._flight.world
+        before, tick = self._last
+        self._last = (now, world.tick)
+        elapsed = now - before
+        watched = flight.watched()
+        return Status(
+            scenario=flight.scenario.name,
+            seed=flight.seed,
+            tick=world.tick,
+            ticks=flight.scenario.ticks,
+            time=world.time,
+            realtime_factor=(world.tick - tick) * flight.scenario.dt / elapsed
+            if before and elapsed > 0.0
+            else 0.0,
+            wanted_factor=self._desk.pace.factor,
+            late_ticks=self._desk.late_ticks,
+            paused=self._desk.paused,
+            law=flight.law.name,
+            drivers=dict(flight.drivers),
+            changes=tuple(self._desk.changes)[-_SHOWN:],
+            refusals=tuple(self._desk.refusals),
+            geometry=self._geometry,
+            certified={name: bool(report.certified) for name, report in watched.items()},
+            uncertified={
+                name: report.uncertified for name, report in watched.items() if not report.certified
+            },
+            certificates=flight.assurance.status(),
+            warnings=self._warn(flight.flown, world.links.table),
+            links=world.links.status(),
+            vehicles=self._seats.statuses(),
+            over=flight.over,
+        )
+
+    def _coverage_map(self) -> CoverageMap:
+        world = self._flight.world
+        rows, columns = world.coverage.shape
+        share = (world.coverage * (255.0 / world.parameters.desired)).clip(0.0, 255.0).astype("u1")
+        return CoverageMap(
+            tick=world.tick,
+            rows=rows,
+            columns=columns,
+            cell=world.parameters.cell,
+            cells=share.tobytes(),
+        )
