@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 .DEFAULT_GOAL := help
 LEARNERS := sb3 torchrl rllib supersuit
 
-.PHONY: help run test check format figures bench soak kill-test crowd-test compose-test page-test learn-test clean
+.PHONY: help run test long-test check format figures bench soak kill-test crowd-test compose-test page-test learn-test clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
@@ -42,6 +42,9 @@ figures: $(VENV)/.run ## the paper's figures and the table of their claims
 
 bench: $(VENV)/.run ## the speed of each layer beside its limit
 	$(BIN)/outrider bench $(ARGS)
+
+long-test: $(VENV)/.dev ## the tests that repeat for long what a short one of the suite shows
+	$(BIN)/python -m pytest -n 2 --dist loadgroup -m long $(ARGS)
 
 soak: $(VENV)/.dev ## an hour of simulated time with random kills: memory, trajectory, nothing left behind
 	$(BIN)/python tools/soak.py $(ARGS)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from processes import outrider
 from scipy import stats
-from test_sweep import outrider
 
 from bus.errors import ScenarioError
 from outrider.experiments.intervals import mean_interval, student_t, wilson_interval

@@ -87,7 +87,7 @@ VirtualPath = Annotated[
 Json = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else there.")
 ]
-Leash = Annotated[
+Watchdog = Annotated[
     bool, typer.Option(hidden=True, help="End when standard input closes: the parent has gone.")
 ]
 
