@@ -11,8 +11,9 @@ import pytest
 from refusals import SHIPPED, SMALL, refusal, written
 
 from bus.messages import Law
+from sim.scenario import checks, world_checks
 from sim.scenario.checks import CHECKS
-from sim.scenario.types import Uav, checks, load_scenario, world_checks
+from sim.scenario.types import Uav, load_scenario
 
 ESCORT = load_scenario("escort")
 

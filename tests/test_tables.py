@@ -10,7 +10,8 @@ from outrider.cli import options
 from outrider.running.user_code import SAVED
 from sim.channel.profiles import PROFILES
 from sim.models.field import SENSORS
-from sim.scenario.types import checks, load_scenario
+from sim.scenario import checks
+from sim.scenario.types import load_scenario
 
 
 def test_a_scenario_may_name_every_law_driver_and_sensor_that_there_is_and_no_other() -> None:
