@@ -30,11 +30,12 @@ NEWCOMERS = 512
 """Sessions that stay until they are `GRACE` old, though they are too many otherwise."""
 GRACE = 2.0
 """Age from which a session must be within its party's places, or among the nameless [s]."""
-_REST, _SOON = 5.0, 0.2
-"""Time to the next look after one that has ended sessions, and after one that has not [s]: whose connection is ended
-connects again at once, which costs the router more than to let it be for so long."""
+_PAUSE = 0.2
+"""Time between two looks [s]."""
+_AT_ONCE = 25
+"""Connections that a look ends: whose is ended connects again, and many at once cost much memory and time."""
 _CROWDED = 2000
-"""Of so many sessions it does not let be."""
+"""Of so many sessions it ends all that are too many."""
 _MOST_CLAIMS = 1000
 """Sessions of one party that are known as its own; others are nobody's."""
 _QUIET = 10.0
@@ -78,9 +79,9 @@ def surplus(
     young = [link for link in others if now - since[link] < GRACE]
     old = [link for link in others if now - since[link] >= GRACE]
     return (
-        young[: max(0, len(young) - NEWCOMERS)]
-        + [link for link in old if link in known]
+        [link for link in old if link in known]
         + [link for link in old if link not in known][NAMELESS:]
+        + young[: max(0, len(young) - NEWCOMERS)]
     )
 
 
@@ -95,7 +96,7 @@ class SessionLimit:
             run: Name of the run.
             known: Names of all parties; another certificate of the same authority is named in the log.
         """
-        self._known = known
+        self._router, self._known = router, known
         self._since: dict[Link, float] = {}
         self._claims: dict[str, set[str]] = {}
         self._claimed: Counter[str] = Counter()
@@ -134,49 +135,43 @@ class SessionLimit:
                     del self._claims[zid]
 
     def _note_link(self, event: zenoh.LinkEvent) -> None:
-        """A session comes or goes; called by a thread of Zenoh's."""
-        link = event.link
-        noted = Link(str(link.zid), link.src, link.dst, link.auth_identifier)
-        if event.kind == zenoh.SampleKind.DELETE:
-            with self._lock:
-                self._since.pop(noted, None)
+        """A session comes or goes; called by a thread of Zenoh's, not always in this order."""
+        name = event.link.auth_identifier
+        if event.kind != zenoh.SampleKind.PUT:
             return
-        if noted.name is not None and noted.name not in self._known:
+        if name is not None and name not in self._known:
             _LOG.warning(
                 "%r has a certificate of this run's authority, but is no party of it: it gets nothing",
-                noted.name[:64],
+                name[:64],
             )
-        if noted.dst.startswith(_OVER_TCP):
-            with self._lock:
-                self._since[noted] = time.monotonic()
-            self._news.set()
+        self._news.set()
 
     def _watch(self) -> None:
-        ageing = False
-        while True:
-            self._news.wait(_SOON if ageing else None)
+        more = False
+        while not self._closing.is_set():
+            self._news.wait(_PAUSE if more else None)
             self._news.clear()
-            ended, ageing = self._look()
-            until = time.monotonic() + (_REST if ended else _SOON)
-            while not self._closing.wait(_SOON) and time.monotonic() < until:
-                if len(self._since) > _CROWDED:
-                    break
-            if self._closing.is_set():
-                return
+            more = self._look()
+            self._closing.wait(_PAUSE)
 
-    def _look(self) -> tuple[int, bool]:
-        """End what is too many: how many that were, and whether age alone will make others too many."""
-        with self._lock:
-            since, claims = dict(self._since), {zid: set(own) for zid, own in self._claims.items()}
+    def _look(self) -> bool:
+        """End some of what is too many; whether more is, or will be by its age."""
         now = time.monotonic()
-        ended = end_connections(surplus(since, claims, now))
+        there = [
+            Link(str(link.zid), link.src, link.dst, link.auth_identifier)
+            for link in self._router.info.links()
+            if link.dst.startswith(_OVER_TCP)
+        ]
+        left = self._since.keys() & there
+        self._since = {link: came for link, came in self._since.items() if link in left}
+        for link in there:
+            self._since.setdefault(link, now)
         with self._lock:
-            for link in ended:
-                self._since.pop(link, None)
+            claims = {zid: frozenset(own) for zid, own in self._claims.items()}
+        wanted = surplus(self._since, claims, now)
+        ended = end_connections(wanted if len(there) > _CROWDED else wanted[:_AT_ONCE])
         self._tell(Counter(link.name or min(claims.get(link.zid, ("",))) for link in ended))
-        for link in ended:
-            del since[link]
-        return len(ended), bool(surplus(since, claims, now + GRACE))
+        return bool(surplus(self._since, claims, now + GRACE))
 
     def _tell(self, ended: Counter[str]) -> None:
         """A line in the log for each party, though not at every look."""

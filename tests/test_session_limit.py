@@ -44,8 +44,8 @@ def test_of_nobodys_sessions_the_oldest_stay_and_newcomers_have_time() -> None:
     """Who was there before a flood is not disturbed, and who comes in it can say who it is."""
     old, new = links("old", NAMELESS + 10), links("new", NEWCOMERS + 10)
     since = dict.fromkeys(old, 0.0) | dict.fromkeys(new, 10.0)
-    assert surplus(since, {}, 10.0 + 0.5 * GRACE) == new[:10] + old[NAMELESS:]
-    assert surplus(since, {new[0].zid: {"uav_0"}}, 10.0) == new[1:10] + old[NAMELESS:]
+    assert surplus(since, {}, 10.0 + 0.5 * GRACE) == old[NAMELESS:] + new[:10]
+    assert surplus(since, {new[0].zid: {"uav_0"}}, 10.0) == old[NAMELESS:] + new[1:10]
 
 
 def test_nobody_can_have_anothers_session_ended_by_a_claim() -> None:
@@ -128,7 +128,7 @@ def test_one_vehicle_with_hundreds_of_sessions_keeps_no_other_out(
 ) -> None:
     """Its own first one stays connected, and a few beside it; the rest are ended whenever they come again."""
     monkeypatch.setattr(session_limit, "GRACE", 0.3)
-    monkeypatch.setattr(session_limit, "_REST", 0.3)
+    monkeypatch.setattr(session_limit, "_PAUSE", 0.02)
     with flooded(protocol, 300, claimed=claimed) as (router, first):
         there = addresses(router)
         uav, endpoint = GIVEN[protocol].of("uav_0"), router._zenoh.info.links()[0].src
