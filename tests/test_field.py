@@ -25,7 +25,7 @@ from sim.models.field import (
     sensor_quality,
     sensor_slope,
 )
-from tests import reference
+from outrider.bench import reference
 
 R, R_V, DESIRED = 5.0, 4.75, 2.0
 R_O = R_V + R

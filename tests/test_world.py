@@ -12,7 +12,7 @@ from sim.models.field import SENSORS
 from sim.scenario.types import Coverage, Detections, Scenario, Uav, Ugv
 from sim.server.flight import Flight
 from sim.world import World
-from tests import reference
+from outrider.bench import reference
 
 ON_THE_WAY = Ugv(position=HERE, goals=((25.0, 20.0), (25.0, 26.0)))
 
