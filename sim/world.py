@@ -66,7 +66,7 @@ class World:
         """C of (3) on the grid, all UAVs together. Shape (rows, columns)."""
         self.detections = self.state.detections
         """The relative position each UAV has detected at this tick [m]; NaN where none. Shape (UAVs, 2)."""
-        self.commands = self.state.commands
+        self.commands: FloatArray = self.state.commands
         """What each vehicle acted on in the last tick, before the bounds [m/s²], shape (vehicles, 2)."""
         self.links = Links(scenario, self._batch)
         """What messages cross."""

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from properties import PROPERTY
 
 from agents.control.coverage import is_zero_gradient
+from outrider.bench import reference
 from outrider.bench.reference import FloatGrid
 from sim.models.field import (
     SENSORS,
@@ -25,7 +26,6 @@ from sim.models.field import (
     sensor_quality,
     sensor_slope,
 )
-from outrider.bench import reference
 
 R, R_V, DESIRED = 5.0, 4.75, 2.0
 R_O = R_V + R

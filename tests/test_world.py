@@ -7,12 +7,12 @@ import pytest
 from flights import DESIRED, DT, HERE, R_O, R_V, U_A, U_G, V_A, V_G, R, escort, tracks
 
 from bus.messages import Area, Region, Sensor
+from outrider.bench import reference
 from outrider.running.flying import fly
 from sim.models.field import SENSORS
 from sim.scenario.types import Coverage, Detections, Scenario, Uav, Ugv
 from sim.server.flight import Flight
 from sim.world import World
-from outrider.bench import reference
 
 ON_THE_WAY = Ugv(position=HERE, goals=((25.0, 20.0), (25.0, 26.0)))
 

@@ -135,7 +135,8 @@ def entry_point(function: _F, *arguments: object) -> _F:
     not checked: arrays must have the same types, dimensions and layout.
     """
     dispatcher: Any = function
-    types = tuple(numba.typeof(argument) for argument in arguments)
+    typeof: Any = numba.typeof
+    types = tuple(typeof(argument) for argument in arguments)
     dispatcher.compile(types)
     return cast("_F", dispatcher.get_overload(types))
 
