@@ -20,7 +20,7 @@ from outrider.experiments.suite.scoring import evaluate
 from outrider.experiments.suite.tasks import SEEDS, TASKS, Suite, Task, suite
 from outrider.running.flying import InProcess, make_pilots, run
 from sim.engine.briefing import briefing
-from sim.engine.world_tick import first_state
+from sim.engine.world_state import first_state
 from sim.models.field import coverage_error
 from sim.scenario.checks import scenario_warnings
 from sim.server.flight import Flight

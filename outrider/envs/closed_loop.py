@@ -61,8 +61,8 @@ from outrider.envs.closed_loop_tick import run_worlds
 from sim.channel.link import DUST
 from sim.engine.batch import Batch, Fresh, arrays_of
 from sim.engine.briefing import briefing
-from sim.engine.link_table import BatchLinks
-from sim.engine.world_tick import first_state
+from sim.engine.link_arrays import LinkArrays
+from sim.engine.world_state import first_state
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights, full_error
 from sim.kernels.compile import FloatArray, IntArray, compiling
@@ -163,12 +163,11 @@ class ClosedLoop:
         self.batch = Batch(
             scenario, worlds, gains=weights.seen > 0.0, threads=threads, secret=secret
         )
-        ways = self._ways = BatchLinks(scenario, LinkKind.RADIO, 3, worlds)
+        radio = self._radio = LinkArrays(scenario, (LinkKind.RADIO,), 3, worlds)
         listening = crew.radio
         thinking = crew.thinking | (estimate or gradient or listening)
         dt = scenario.dt
         self.parameters = LoopParameters(
-            w=self.batch.parameters,
             ticks=scenario.ticks,
             error=error or weights.uncovered > 0.0,
             estimate=estimate,
@@ -177,7 +176,6 @@ class ClosedLoop:
             end_on_goals=end_on_goals_reached,
             own_maps=len(self.uavs) > 1,
             radio=listening,
-            perfect_radio=ways.perfect,
             radio_ticks=max(1, round(RADIO_PERIOD / dt)),
             full=full_error(
                 scenario.visibility.radius + scenario.sensor.range, scenario.coverage.desired
@@ -221,31 +219,30 @@ class ClosedLoop:
             scripts=scripts,
             script_rows=script_rows,
             weights=np.array(numbers, dtype=np.float64),
-            ways=ways.table,
+            radio=radio.table,
             seen=disc_widths(scenario.sensor.range, scenario.area.cell),
             around=disc_widths(
                 scenario.visibility.radius + scenario.sensor.range, scenario.area.cell
             ),
         )
-        late = self.batch.ways_in.longest
+        late = self.batch.longest_delay(LinkKind.DETECTIONS)
         kalman = kalman_state(min(late, round(SPAN / dt)) + 1)
         guards = guard_state(crew.slowest, min(late + 1, max(1, math.ceil(_TRACK / dt))))
         uavs, ugvs, vehicles = len(self.uavs), len(self.ugvs), len(self.names)
-        room = ways.room * uavs if listening else 1
+        room = radio.room * uavs if listening else 1
         coverage = self.batch.state.truth.coverage
         pixels = patch.pixels if patch else 1
         self.state = LoopState(
             batch=self.batch.state,
             maps=np.zeros((worlds, uavs if self.parameters.own_maps else 0, *coverage.shape[1:])),
-            commands=np.zeros((worlds, vehicles, 2)),
             sent=np.zeros((worlds, uavs, int(crew.delays.max()) + 1, 2)),
             laws=np.zeros((worlds, uavs, STATE_SIZE)),
             kalman=KalmanState._make(_repeated(kalman, worlds, uavs)),
             guards=GuardState._make(_repeated(guards, worlds, uavs)),
             drivers=_repeated((fresh_driver_state(),), worlds, ugvs)[0],
-            outbox=np.zeros((worlds, uavs, 3)),
-            ways=ways.states,
-            inbox=np.zeros((worlds, ways.room if listening else 1, 3)),
+            outbox=np.full((worlds, uavs, 3), -1.0),
+            radio=radio.states,
+            inbox=np.zeros((worlds, radio.room if listening else 1, 3)),
             heard=np.zeros((worlds, ugvs, room, 3)),
             hearing=np.zeros((worlds, ugvs), dtype=np.int64),
             uav_seats=np.zeros((worlds, uavs, SEAT_SIZE)),
@@ -268,9 +265,7 @@ class ClosedLoop:
     @property
     def degraded(self) -> bool:
         """Whether any link does anything to a message."""
-        return not (
-            self.batch.ways_in.perfect and self.batch.ways_out.perfect and self._ways.perfect
-        )
+        return self.batch.degraded or not self._radio.perfect
 
     def begin(
         self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None = None
@@ -339,8 +334,7 @@ class ClosedLoop:
 
     def links(self, world: int) -> dict[str, LinkStatus]:
         """How each link of one world has done so far, by `vehicle/kind`."""
-        radio = {f"{name}/{LinkKind.RADIO}": one for name, one in self._ways.status(world).items()}
-        return self.batch.links(world) | radio
+        return self.batch.link_status(world) | self._radio.status(world)
 
     def bytes_per_world(self) -> int:
         """Memory that one more world needs [bytes]."""

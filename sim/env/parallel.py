@@ -223,7 +223,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         take_actions(actions, self.possible_agents, self._commands)
         for k, command in enumerate(self._commands.tolist()):
             world.send(k, world.tick, command)
-        world.step(world.heed())
+        world.advance()
         moment = self._moment = Moment.of(world)
         for seat in self._seats:
             seat.advance(moment)

@@ -127,6 +127,20 @@ def released(function: _F) -> _F:
     return _compile(function, _nrt=False, nogil=True)
 
 
+def entry_point(function: _F, *arguments: object) -> _F:
+    """The machine code of a compiled function for arguments of these types, to be called with such alone.
+
+    numba looks at the type of each argument in each call, number by number and array by array: 5 µs for the state of
+    a world whose tick takes one. Whoever calls often with arguments of fixed types looks once. Later arguments are
+    not checked: arrays must have the same types, dimensions and layout.
+    """
+    dispatcher: Any = function
+    typeof: Any = numba.typeof
+    types = tuple(typeof(argument) for argument in arguments)
+    dispatcher.compile(types)
+    return cast("_F", dispatcher.get_overload(types))
+
+
 @contextlib.contextmanager
 def compiling() -> Iterator[None]:
     """While one process compiles, the others wait and then load what it has compiled."""
