@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bus.registry import SENSORS
 from sim.kernels.compile import FloatArray, IntArray, borrowing
 from sim.models.detection import detect
 from sim.models.field import (
-    SENSORS,
     accumulate,
     accumulate_with_gain,
     cover,
@@ -73,7 +73,7 @@ def world_parameters(scenario: Scenario, *, gains: bool = False) -> WorldParamet
         cell=float(scenario.area.cell),
         r_v=float(scenario.visibility.radius),
         r_o=float(scenario.visibility.radius + scenario.sensor.range),
-        sensor=SENSORS[scenario.sensor.model],
+        sensor=SENSORS[scenario.sensor.model].code,
         peak=float(scenario.sensor.peak),
         reach=float(scenario.sensor.range),
         desired=float(scenario.coverage.desired),
