@@ -18,6 +18,8 @@ from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 
+from bus.registry import LAWS
+
 UAV = ("#1f5fbf", "#5aa9e6", "#173b7a", "#7d8fe0")
 """Blues of the UAVs, in name order; from the first again after the last."""
 UGV = ("#e8740c", "#f2a65a", "#a8500a", "#f6c453")
@@ -28,8 +30,6 @@ GOOD = "#2e8b57"
 INK = "#22262d"
 MUTED = "#727985"
 RULE = "#e6e8ec"
-LAW = {"linear": "#2a9d8f", "switching": "#8e5bb5", "logarithmic": UAV[0], "circle": "#5b616b"}
-"""One colour a law, wherever laws are compared."""
 GAIN = {"low": "#8fbdee", "high": "#2f74d0", "bounded": "#12305f"}
 """Shades of the gain k_v: low, high, and high with bounded input."""
 COVERED = LinearSegmentedColormap.from_list("covered", ["#fafafa", "#d9e8de", "#86bb9f"])
@@ -106,6 +106,16 @@ def save(figure: Figure, path: Path) -> None:
 def color(colors: tuple[str, ...], index: int) -> str:
     """The colour of the vehicle with this index."""
     return colors[index % len(colors)]
+
+
+def law_color(law: str) -> str:
+    """The colour of a law, wherever laws are compared; a recording's own law may be none of ours."""
+    return LAWS[law].color if law in LAWS else INK
+
+
+def law_mark(law: str) -> str:
+    """The mark of a law's points."""
+    return LAWS[law].mark if law in LAWS else "o"
 
 
 def over_time(axes: Axes, end: float, label: str) -> None:

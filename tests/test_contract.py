@@ -181,7 +181,7 @@ def test_an_observation_smuggled_with_another_vehicles_velocity_is_refused() -> 
 
 def test_the_pilots_key_does_not_tell_the_runs_seed() -> None:
     from sim.engine.briefing import briefing
-    from sim.scenario.types import load_scenario
+    from sim.scenario.loading import load_scenario
 
     scenario = load_scenario("escort")
     for seed in (0, 1, 2**53 - 1):

@@ -3,8 +3,9 @@
 from typing import Any
 
 from bus.messages import Action, Change, Control, Law, Status
+from bus.registry import TELEOP
 from outrider.view.page.hub import running_law
-from outrider.view.page.wheel import TELEOP, Wheel
+from outrider.view.page.wheel import Wheel
 
 FIRST = Law(name="logarithmic", speed_gain=2.0)
 OTHER = Law(name="linear", weight_gain=7.0)

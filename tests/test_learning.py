@@ -19,8 +19,8 @@ from outrider.envs.vector import Worlds
 from outrider.envs.wrappers import transformed
 from outrider.learning.curve import draw_curve
 from outrider.learning.evaluate import (
+    BASELINES,
     CASES,
-    LAWS,
     LEARNED,
     VALIDATION_SEEDS,
     as_dicts,
@@ -33,7 +33,7 @@ from outrider.learning.learned import LearnedPolicy, make_view
 from outrider.learning.mlp import Mlp, load_policy, save_policy
 from outrider.learning.one_world import alone
 from outrider.learning.repeat import ActionRepeat
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 
 pytestmark = pytest.mark.xdist_group(
     "many worlds"
@@ -158,7 +158,7 @@ def test_it_sees_more_than_the_circle_and_keeps_sight() -> None:
 def test_the_table_is_the_same_twice_and_says_what_is_not_filtered() -> None:
     results = evaluate(POLICY, flights=2, cases=["covered"], duration=10.0)
     assert results == evaluate(POLICY, flights=2, cases=["covered"], duration=10.0)
-    assert [result.pilot for result in results][: len(LAWS)] == list(LAWS)
+    assert [result.pilot for result in results][: len(BASELINES)] == list(BASELINES)
     assert all(
         result.lost == result.violations == 0 and 0.0 < result.max_distance < 4.75
         for result in results

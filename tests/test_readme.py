@@ -10,7 +10,7 @@ import pytest
 
 from bus.messages import LinkKind
 from outrider.cli.main import COMMANDS
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -30,7 +30,8 @@ from sim.env.view import View
 from sim.kernels.compile import FloatArray
 from sim.models.field import empty_coverage
 from sim.scenario.checks import check_scenario
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 from sim.world import World
 
 Array = npt.NDArray[np.floating[Any]]

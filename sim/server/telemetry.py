@@ -11,8 +11,7 @@ from bus.keys import COVERAGE, GLANCE, STATUS, TRUTH
 from bus.messages import CoverageMap, Geometry, Status
 from bus.session import Session
 from sim.engine.briefing import limits
-from sim.scenario.checks import switching_radius
-from sim.scenario.types import LinkTable, Scenario
+from sim.scenario.types import LinkTable, Scenario, switching_radius
 from sim.server.flight import Flight
 from sim.server.operator_controls import Desk
 from sim.server.sessions import Seats

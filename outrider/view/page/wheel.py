@@ -5,9 +5,8 @@ import time
 from collections.abc import Callable, Mapping
 
 from bus.messages import Action, Control, Drive, Limits, Vector
+from bus.registry import TELEOP
 
-TELEOP = "teleop"
-"""The driver that does what an operator says, a row of `agents.drivers.table.DRIVERS`."""
 _PATIENCE = 3.0
 """So long a browser at the wheel may be silent [s]."""
 _SETTLING = 2.0

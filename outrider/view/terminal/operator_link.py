@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from bus.errors import BusError
 from bus.keys import CONTROL, COVERAGE, GLANCE, OPERATOR, SIMULATOR_NAME, STATUS
 from bus.messages import Action, Control, CoverageMap, Drive, Message, Status, Truth
+from bus.registry import TELEOP
 from bus.session import Inbox, Session
 from outrider.view.terminal.pressed_keys import Heading, Wheel
 
-TELEOP = "teleop"
-"""The driver that obeys an operator, a row of `agents.drivers.table.DRIVERS`."""
 _LOOK = 0.05
 """Time between two looks at the bus [s]."""
 _SEND, _SEND_FASTEST = 0.1, 0.02
