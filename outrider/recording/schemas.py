@@ -12,7 +12,6 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
-from agents.control.visibility import raw_switching_radius
 from bus.errors import ScenarioError
 from bus.messages import (
     Change,
@@ -201,17 +200,6 @@ def scenario_in(head: Head, *, file: str) -> Scenario:
     for field in head.infinite:
         apply_override(raw, field, math.inf, file=file)
     return check_scenario(typed(raw, Scenario, file=file), source=file)
-
-
-def inner_radius(scenario: Scenario, ugv: str) -> float | None:
-    """r_s of (18) around a UGV [m], the smallest of its UAVs; None where it is no circle of its own."""
-    vehicles = {vehicle.name: vehicle for vehicle in scenario.vehicles}
-    r_v, v_g = scenario.visibility.radius, vehicles[ugv].max_speed
-    uavs = [uav for uav in scenario.uav if uav.escorts == ugv]
-    radii = [
-        float(raw_switching_radius(r_v, uav.max_speed, v_g, uav.max_acceleration)) for uav in uavs
-    ]
-    return min((r_s for r_s in radii if 0.0 < r_s < r_v), default=None)
 
 
 class _AnyFormat(msgspec.Struct, frozen=True):

@@ -3,11 +3,11 @@
 from collections.abc import Callable
 from typing import Any
 
-from matplotlib.colors import to_hex
 from nicegui import ui
 
-from outrider import style
 from outrider.view.page.links_card import OBSERVER, LinkForm
+from sim.scene import colors as scene_colors
+from sim.scene.colors import covered
 
 BuildControls = Callable[[], Callable[[], None]]
 """Puts the controls of one browser where it is called, and gives what lets them show how things stand."""
@@ -53,27 +53,32 @@ _CHARTS = """<div class="charts-head"><span class="title">Over time</span>
 def colors() -> dict[str, Any]:
     """The colours of every picture of ours, for those drawn in the browser."""
     return {
-        "uav": style.UAV,
-        "ugv": style.UGV,
-        "limit": style.LIMIT,
-        "good": style.GOOD,
-        "ink": style.INK,
-        "muted": style.MUTED,
-        "rule": style.RULE,
-        "covered": [to_hex(style.COVERED(k)) for k in range(256)],
+        "uav": scene_colors.UAV,
+        "ugv": scene_colors.UGV,
+        "limit": scene_colors.LIMIT,
+        "good": scene_colors.GOOD,
+        "ink": scene_colors.INK,
+        "muted": scene_colors.MUTED,
+        "rule": scene_colors.RULE,
+        "covered": [covered(k / 255.0) for k in range(256)],
     }
 
 
 def _head() -> str:
     named = {
-        "uav": style.UAV[0],
-        "ugv": style.UGV[0],
-        "limit": style.LIMIT,
-        "good": style.GOOD,
-        "ink": style.INK,
+        "uav": scene_colors.UAV[0],
+        "ugv": scene_colors.UGV[0],
+        "limit": scene_colors.LIMIT,
+        "good": scene_colors.GOOD,
+        "ink": scene_colors.INK,
     }
-    named |= {"muted": style.MUTED, "rule": style.RULE, "guess": style.UAV[2], "seen": style.UAV[1]}
-    stops = ", ".join(to_hex(style.COVERED(k)) for k in (0, 128, 255))
+    named |= {
+        "muted": scene_colors.MUTED,
+        "rule": scene_colors.RULE,
+        "guess": scene_colors.UAV[2],
+        "seen": scene_colors.UAV[1],
+    }
+    stops = ", ".join(scene_colors.COVERED)
     variables = (
         "".join(f"--{name}:{value};" for name, value in named.items())
         + f"--covered:linear-gradient(90deg,{stops});"
@@ -97,7 +102,10 @@ def build_page(controls: BuildControls | None, welcome: Callable[[], None]) -> N
         welcome()
         ui.add_head_html(_head())
         ui.colors(
-            primary=style.UAV[0], accent=style.UGV[0], negative=style.LIMIT, positive=style.GOOD
+            primary=scene_colors.UAV[0],
+            accent=scene_colors.UGV[0],
+            negative=scene_colors.LIMIT,
+            positive=scene_colors.GOOD,
         )
         with ui.element("div").classes("dashboard"):
             ui.html(_HEADER, sanitize=False).classes("top")

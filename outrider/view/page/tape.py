@@ -7,11 +7,10 @@ from typing import TypeVar
 
 import msgspec
 
-from bus.messages import Control, Drive, Geometry, Message, Status, Truth
+from bus.messages import Control, Drive, Message, Status, Truth
 from outrider.recording.reader import Recording, coverages, statuses
-from outrider.recording.schemas import inner_radius
 from outrider.view.page.source import Playing, Standing
-from sim.scenario.types import Scenario
+from sim.scene.known import geometry_of
 
 _Kept = TypeVar("_Kept", bound=Message)
 _ROOM = 2000
@@ -51,7 +50,9 @@ class Tape:
             for told in self._statuses
             if not told.over and told.realtime_factor
         ]
-        self._geometry = None if recording.head.scenario is None else _geometry(recording.scenario)
+        self._geometry = (
+            None if recording.head.scenario is None else geometry_of(recording.scenario)
+        )
         self._file = recording.path.name
         self._note = recording.damage.reason
         self.playing, self.speed = True, speed
@@ -207,15 +208,4 @@ def _unknown_status(recording: Recording) -> Status:
         realtime_factor=0.0,
         law="logarithmic" if head.scenario is None else recording.scenario.law.name,
         vehicles={},
-    )
-
-
-def _geometry(scenario: Scenario) -> Geometry:
-    return Geometry(
-        area=scenario.area,
-        visibility_radius=scenario.visibility.radius,
-        sensor_range=scenario.sensor.range,
-        switching_radius=inner_radius(scenario, scenario.uav[0].escorts),
-        dt=scenario.dt,
-        uavs={uav.name: uav.escorts for uav in scenario.uav},
     )
