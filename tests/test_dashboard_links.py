@@ -35,7 +35,7 @@ from outrider.view.page.network import (
     words,
 )
 from outrider.view.page.tape import Tape
-from outrider.view.page.wheel import Wheel
+from outrider.view.page.wheel import SharedWheel
 from sim.channel.description import check_link
 from sim.channel.profiles import PROFILES
 from sim.scenario.types import load_scenario
@@ -228,7 +228,7 @@ def test_a_recording_that_is_wound_shows_its_blackout_where_it_was(tmp_path: Pat
 
 
 def test_full_deflection_asks_for_the_largest_speed_of_the_vehicle_that_is_driven() -> None:
-    wheel = Wheel(lambda _control: True, lambda _name, _drive: True)
+    wheel = SharedWheel(lambda _control: True, lambda _name, _drive: True)
     wheel.limits = {
         "ugv_0": Limits(max_speed=0.2, max_acceleration=0.1),
         "ugv_1": Limits(max_speed=None, max_acceleration=None),

@@ -168,7 +168,7 @@ def _obey(hub: Hub, browser: Browser, text: str) -> None:
         word = _WORDS.decode(text)
     except msgspec.DecodeError:
         return
-    hub.wheel.hear(browser.number)
+    hub.wheel.keep(browser.number)
     match word.kind:
         case "drawn":
             browser.in_hand = max(0, browser.in_hand - 1)

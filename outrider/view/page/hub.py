@@ -17,7 +17,7 @@ from outrider.view.page import LOOPBACK
 from outrider.view.page.chart_data import History
 from outrider.view.page.network import said_of_links
 from outrider.view.page.source import Source
-from outrider.view.page.wheel import Wheel
+from outrider.view.page.wheel import SharedWheel
 
 FRAME = 0.05
 """Wall time between two frames of one browser at least [s]."""
@@ -63,7 +63,7 @@ class Hub:
         self.status: Status | None = None
         self.first_law = law
         self.browsers: dict[int, Browser] = {}
-        self.wheel = Wheel(source.control, source.drive)
+        self.wheel = SharedWheel(source.control, source.drive)
         self._numbers = 0
         self._versions = {Truth: 0, Status: 0, CoverageMap: 0}
         self._raw: dict[type[Message], msgspec.Raw] = {}

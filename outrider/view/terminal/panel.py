@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from rich.text import Text
 
 from bus.messages import EscortTruth, Status, VehicleStatus
-from outrider.view.terminal.operator_link import STALE, View
+from outrider.view.operator import SILENCE
 from outrider.view.terminal.palette import ALARM, EDGE, FAINT, GOOD, INK, LIMIT, UAV, UGV
+from outrider.view.terminal.teleoperation import View
 
 WIDTH = 36
 """Of the panel [cells]."""
@@ -16,7 +17,6 @@ _INNER = WIDTH - 4
 _BARS = "▁▂▃▄▅▆▇█"
 _EIGHTHS = " ▏▎▍▌▋▊▉█"
 _LOCKSTEP_FACTOR = 20.0
-_SMOOTH = 0.2
 
 
 @dataclass(slots=True)
@@ -27,9 +27,6 @@ class History:
     time: float = -math.inf
     step: float = 1.0
     """Simulated time between two of them [s]."""
-    pace: float | None = None
-    """The real-time factor, smoothed: a status looks at a fifth of a second only."""
-    pace_tick: int = -1
 
     def add(self, time: float, error: float) -> None:
         """Add one, if it is time."""
@@ -40,19 +37,10 @@ class History:
             self.errors.append(error)
             self.time = time
 
-    def follow(self, status: Status) -> None:
-        """Smooth the real-time factor."""
-        if status.tick != self.pace_tick:
-            before = status.realtime_factor if self.pace is None else self.pace
-            self.pace, self.pace_tick = (
-                before + _SMOOTH * (status.realtime_factor - before),
-                status.tick,
-            )
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Banner:
-    """The line that says how it stands."""
+    """The line that tells how it stands."""
 
     text: str
     color: str
@@ -71,7 +59,7 @@ def farthest(view: View, vehicle: str) -> EscortTruth | None:
 
 
 def banner(view: View, vehicle: str, *, leaving: bool) -> Banner:
-    """What matters most now."""
+    """The one thing that matters most now."""
     if view.status is not None and view.status.over:
         return Banner(text="the flight is over · q leaves", color="#12151a", ground=GOOD)
     trouble = _trouble(view)
@@ -104,13 +92,13 @@ def _trouble(view: View) -> str:
         return "THE ROUTER HAS GONE · the UGV brakes · waiting for it"
     if not view.present:
         return "THE SIMULATOR HAS GONE · waiting for it · q leaves"
-    if view.age > STALE:
+    if view.age > SILENCE:
         return f"NO NEWS FROM THE SIMULATOR for {view.age:.0f} s"
     return view.fault and f"TROUBLE: {view.fault}"
 
 
 def title(view: View, run: str) -> Text:
-    """Which run this is, and what time it is there."""
+    """The run's name and its time."""
     text = Text(" OUTRIDER ", style=f"bold {UAV[0]}", no_wrap=True)
     status = view.status
     if status is None:
@@ -139,7 +127,7 @@ def numbers(view: View, vehicle: str, history: History) -> Text:
     _distance(text, view, escort)
     _coverage(text, escort, history)
     _velocities(text, view, vehicle, escort)
-    _clock(text, view, history)
+    _clock(text, view)
     _processes(text, view)
     return text
 
@@ -234,14 +222,14 @@ def _velocity(text: Text, name: str, velocity: tuple[float, float] | None, color
     text.append(f"{math.hypot(x, y):7.2f}\n", style="bold")
 
 
-def _clock(text: Text, view: View, history: History) -> None:
+def _clock(text: Text, view: View) -> None:
     status = view.status
     if status is None:
         return
     lockstep = status.wanted_factor is None
-    pace = "paused" if status.paused else f"x {history.pace or 0.0:.2f}"
+    pace = "paused" if status.paused else f"x {view.factor:.2f}"
     _row(text, "real time" + ("" if lockstep else f" (wanted x {status.wanted_factor:g})"), pace)
-    if lockstep and (history.pace or 0.0) > _LOCKSTEP_FACTOR:
+    if lockstep and view.factor > _LOCKSTEP_FACTOR:
         text.append("too fast to drive: --realtime 1\n", style=LIMIT)
     elif lockstep:
         text.append("lockstep: as fast as it goes\n", style=FAINT)
