@@ -15,15 +15,15 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocketDisconnect
 
 from bus.errors import ScenarioError
-from outrider.view.page import attempts
-from outrider.view.page.admission import Guard
+from outrider.view.page.access import attempts
+from outrider.view.page.access.admission import Guard
+from outrider.view.page.access.attempts import Attempts, Verdict
+from outrider.view.page.access.door import Admission, choose_admission
+from outrider.view.page.access.headers import SecureHeaders
+from outrider.view.page.access.visitors import Visitors
 from outrider.view.page.app import application
-from outrider.view.page.attempts import Attempts, Verdict
-from outrider.view.page.door import Admission, choose_admission
-from outrider.view.page.headers import SecureHeaders
 from outrider.view.page.hub import Hub
-from outrider.view.page.source import Standing
-from outrider.view.page.visitors import Visitors
+from outrider.view.page.sources.protocol import Standing
 
 TOKEN = "the-token-of-this-test"  # noqa: S105 - of this test alone
 TICKET = "the-ticket-of-this-test"
@@ -356,7 +356,8 @@ def test_a_page_that_is_opened_is_not_taken_for_one_that_nobody_opens(
     opened, left = Page(), Page()
     for built in (opened, left):
         monkeypatch.setattr(
-            "outrider.view.page.visitors.ui", SimpleNamespace(context=SimpleNamespace(client=built))
+            "outrider.view.page.access.visitors.ui",
+            SimpleNamespace(context=SimpleNamespace(client=built)),
         )
         visitors.welcome()
         if built is opened:

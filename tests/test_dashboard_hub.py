@@ -4,8 +4,8 @@ from typing import Any
 
 from bus.messages import Action, Change, Control, Law, Status
 from outrider.view.operator import TELEOP
+from outrider.view.page.controls.wheel import SharedWheel
 from outrider.view.page.hub import running_law
-from outrider.view.page.wheel import SharedWheel
 
 FIRST = Law(name="logarithmic", speed_gain=2.0)
 OTHER = Law(name="linear", weight_gain=7.0)

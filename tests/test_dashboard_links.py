@@ -24,8 +24,7 @@ from outrider.recording.reader import flight_of
 from outrider.recording.writer import FlightRecorder
 from outrider.running.flying import fly
 from outrider.view.page.chart_data import History
-from outrider.view.page.hub import Hub
-from outrider.view.page.network import (
+from outrider.view.page.controls.network import (
     ALL,
     chosen,
     controls_for,
@@ -34,8 +33,9 @@ from outrider.view.page.network import (
     with_field,
     words,
 )
-from outrider.view.page.tape import Tape
-from outrider.view.page.wheel import SharedWheel
+from outrider.view.page.controls.wheel import SharedWheel
+from outrider.view.page.hub import Hub
+from outrider.view.page.sources.tape import Tape
 from sim.channel.description import check_link
 from sim.channel.profiles import PROFILES
 from sim.scenario.types import load_scenario

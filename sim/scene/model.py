@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 from bus.messages import Geometry
 from sim.scene.colors import LIMIT, UAV, UGV, color
 
+LABELS = {"r_v": "limit of sight", "r_s": "only tracking", "r": "range of the sensor"}
+"""What the circles mean, by the symbol of their radius."""
 Point = tuple[float, float]
 """x and y [m]."""
 
@@ -36,7 +38,6 @@ class Ring:
     symbol: str
     """Of the radius: r_v, r_s or r."""
     label: str
-    """What it means."""
     radius: float
     """[m]"""
     color: str
@@ -145,7 +146,7 @@ def assembled(
             Ring(
                 around=one.name,
                 symbol="r",
-                label="range of the sensor",
+                label=LABELS["r"],
                 radius=radii[1],
                 color=one.color,
                 width=0.8,
@@ -169,7 +170,7 @@ def _limit(ugv: str, symbol: str, radius: float) -> Ring:
     return Ring(
         around=ugv,
         symbol=symbol,
-        label="only tracking" if inner else "limit of sight",
+        label=LABELS[symbol],
         radius=radius,
         color=LIMIT,
         width=1.2 if inner else 1.6,

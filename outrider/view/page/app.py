@@ -19,12 +19,12 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from bus.messages import Vector
-from outrider.view.page.admission import Guard
-from outrider.view.page.door import Admission
-from outrider.view.page.headers import Nonces, SecureHeaders
+from outrider.view.page.access.admission import Guard
+from outrider.view.page.access.door import Admission
+from outrider.view.page.access.headers import Nonces, SecureHeaders
+from outrider.view.page.access.visitors import Visitors
 from outrider.view.page.hub import Browser, Hub
-from outrider.view.page.layout_page import BuildControls, build_page, colors
-from outrider.view.page.visitors import Visitors
+from outrider.view.page.shell import BuildControls, build_page, colors
 
 STATIC = Path(__file__).with_name("static")
 

@@ -15,9 +15,10 @@ import msgspec
 from bus.messages import Action, CoverageMap, Law, Message, Status, Truth
 from outrider.view.page import LOOPBACK
 from outrider.view.page.chart_data import History
-from outrider.view.page.network import said_of_links
-from outrider.view.page.source import Source
-from outrider.view.page.wheel import SharedWheel
+from outrider.view.page.controls.network import said_of_links
+from outrider.view.page.controls.wheel import SharedWheel
+from outrider.view.page.sources.protocol import Source
+from sim.scene.model import Scene, observed_scene
 
 FRAME = 0.05
 """Wall time between two frames of one browser at least [s]."""
@@ -104,6 +105,16 @@ class Hub:
         self._versions[kind] += 1
 
     @property
+    def _scene(self) -> Scene | None:
+        """What the map shows, as far as it is known."""
+        status, escorts = self.status, dict(self.history.escorts)
+        if status is None or not escorts:
+            return None
+        return observed_scene(
+            status.scenario, status.geometry, escorts=escorts, vehicles=self.history.vehicles
+        )
+
+    @property
     def _dt(self) -> float:
         geometry = None if self.status is None else self.status.geometry
         return 0.0 if geometry is None else geometry.dt
@@ -167,6 +178,8 @@ class Hub:
         if browser.generation != history.generation:
             frame["history"] = {"vehicles": history.vehicles, "escorts": history.escorts}
             browser.generation, browser.rows = history.generation, 0
+        if "status" in frame or "history" in frame:
+            frame["scene"] = self._scene
         if browser.rows < len(history.rows):
             frame["rows"] = history.rows[browser.rows :]
             browser.rows = len(history.rows)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from bus.messages import Control, Drive, Message
 from bus.session import Session
 from outrider.view.operator import SILENCE, RunClient
-from outrider.view.page.source import Standing
+from outrider.view.page.sources.protocol import Standing
 
 
 class Live:

@@ -1,13 +1,14 @@
-"""The page: where everything stands, and the controls. What moves on it is drawn by the files in `static`."""
+"""The page's shell: places for header, tiles, map, charts and controls. What moves is drawn by the files in `static`."""
 
 from collections.abc import Callable
 from typing import Any
 
 from nicegui import ui
 
-from outrider.view.page.links_card import OBSERVER, LinkForm
+from outrider.view.page.controls.links_card import OBSERVER, LinkForm
 from sim.scene import colors as scene_colors
 from sim.scene.colors import covered
+from sim.scene.model import LABELS
 
 BuildControls = Callable[[], Callable[[], None]]
 """Puts the controls of one browser where it is called, and gives what lets them show how things stand."""
@@ -28,11 +29,11 @@ _TILES = "".join(
         ("factor", "real-time factor", "×"),
     )
 )
-_MAP = """<canvas id="map" role="img" aria-label="map of the run"></canvas>
+_MAP = f"""<canvas id="map" role="img" aria-label="map of the run"></canvas>
 <div class="legend"><span><i class="dot uav"></i>UAV</span><span><i class="square ugv"></i>UGV</span>
-<span><i class="line limit"></i><em>limit of sight r<sub>v</sub></em></span>
-<span id="legend-rs"><i class="line limit dashed"></i><em>only tracking, r<sub>s</sub></em></span>
-<span><i class="line uav thin"></i>range of the sensor</span>
+<span><i class="line limit"></i><em>{LABELS["r_v"]} r<sub>v</sub></em></span>
+<span id="legend-rs"><i class="line limit dashed"></i><em>{LABELS["r_s"]} r<sub>s</sub></em></span>
+<span><i class="line uav thin"></i>{LABELS["r"]} r</span>
 <span><i class="line guess"></i>estimate, 2σ</span><span><i class="dot detection"></i>detections</span>
 <span class="bar">0<i id="coverage-bar"></i>1 coverage C/C*</span></div>"""
 _CHARTS = """<div class="charts-head"><span class="title">Over time</span>
@@ -65,20 +66,10 @@ def colors() -> dict[str, Any]:
 
 
 def _head() -> str:
-    named = {
-        "uav": scene_colors.UAV[0],
-        "ugv": scene_colors.UGV[0],
-        "limit": scene_colors.LIMIT,
-        "good": scene_colors.GOOD,
-        "ink": scene_colors.INK,
-    }
-    named |= {
-        "muted": scene_colors.MUTED,
-        "rule": scene_colors.RULE,
-        "guess": scene_colors.UAV[2],
-        "seen": scene_colors.UAV[1],
-    }
-    stops = ", ".join(scene_colors.COVERED)
+    c = scene_colors
+    named = {"uav": c.UAV[0], "ugv": c.UGV[0], "limit": c.LIMIT, "good": c.GOOD, "ink": c.INK}
+    named |= {"muted": c.MUTED, "rule": c.RULE, "guess": c.ESTIMATE, "seen": c.UAV[1]}
+    stops = ", ".join(c.COVERED)
     variables = (
         "".join(f"--{name}:{value};" for name, value in named.items())
         + f"--covered:linear-gradient(90deg,{stops});"

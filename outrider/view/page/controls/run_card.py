@@ -8,8 +8,8 @@ from nicegui import ui
 
 from bus.messages import Action, Control, Law, Status
 from outrider.view.operator import TELEOP
+from outrider.view.page.controls.links_card import LinkForm
 from outrider.view.page.hub import Hub
-from outrider.view.page.links_card import LinkForm
 from sim.scenario.checks import DRIVER_NAMES, LAW_NAMES
 
 _OWN = ("weighted", "path", "policy", "external")

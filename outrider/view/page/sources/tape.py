@@ -9,7 +9,7 @@ import msgspec
 
 from bus.messages import Control, Drive, Message, Status, Truth
 from outrider.recording.reader import Recording, coverages, statuses
-from outrider.view.page.source import Playing, Standing
+from outrider.view.page.sources.protocol import Playing, Standing
 from sim.scene.known import geometry_of
 
 _Kept = TypeVar("_Kept", bound=Message)

@@ -18,8 +18,8 @@ from starlette.responses import HTMLResponse, PlainTextResponse, RedirectRespons
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from outrider.view.page import LOOPBACK
-from outrider.view.page.attempts import Attempts, Verdict
-from outrider.view.page.door import Admission
+from outrider.view.page.access.attempts import Attempts, Verdict
+from outrider.view.page.access.door import Admission
 
 _LARGEST = 4096
 """Of a form [bytes]."""
