@@ -69,7 +69,7 @@ class Commands(Message, frozen=True, kw_only=True):
     """[m/s²]"""
 
 
-class Word(Drive, frozen=True, kw_only=True):
+class OperatorWord(Drive, frozen=True, kw_only=True):
     """What an operator said, and the tick at which it was heard: that of the UGV's observation that held it."""
 
     tick: Tick
@@ -100,7 +100,7 @@ _OPERATOR = "operator"
 
 def operator_topic(ugv: str) -> Topic:
     """What operators have said at this UGV's wheel, where they have."""
-    return Topic(name=f"/{ugv}/{_OPERATOR}", message=Word)
+    return Topic(name=f"/{ugv}/{_OPERATOR}", message=OperatorWord)
 
 
 def ugv_of(topic: str) -> str | None:

@@ -17,7 +17,7 @@ _WIDTH = 936
 """Of a picture [px]."""
 
 
-class View:
+class Rendering:
     """One environment's pictures.
 
     Args:

@@ -29,7 +29,7 @@ from outrider.view.page.shell import BuildControls, build_page, colors
 STATIC = Path(__file__).with_name("static")
 
 
-class Word(msgspec.Struct, forbid_unknown_fields=True):
+class PageMessage(msgspec.Struct, forbid_unknown_fields=True):
     """What a page says."""
 
     kind: str
@@ -38,7 +38,7 @@ class Word(msgspec.Struct, forbid_unknown_fields=True):
     vehicle: str = ""
 
 
-_WORDS = msgspec.json.Decoder(Word)
+_WORDS = msgspec.json.Decoder(PageMessage)
 
 
 class _Fresh(StaticFiles):

@@ -14,7 +14,7 @@ import msgspec
 
 from bus.messages import Action, CoverageMap, Law, Message, Status, Truth
 from outrider.view.page import LOOPBACK
-from outrider.view.page.chart_data import History
+from outrider.view.page.chart_data import ChartData
 from outrider.view.page.controls.network import said_of_links
 from outrider.view.page.controls.wheel import SharedWheel
 from outrider.view.page.sources.protocol import Source
@@ -60,7 +60,7 @@ class Hub:
 
     def __init__(self, source: Source, law: Law | None = None) -> None:
         self.source = source
-        self.history = History()
+        self.history = ChartData()
         self.status: Status | None = None
         self.first_law = law
         self.browsers: dict[int, Browser] = {}

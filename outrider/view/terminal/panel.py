@@ -9,7 +9,7 @@ from rich.text import Text
 from bus.messages import EscortTruth, Status, VehicleStatus
 from outrider.view.operator import SILENCE
 from outrider.view.terminal.palette import ALARM, EDGE, FAINT, GOOD, INK, LIMIT, UAV, UGV
-from outrider.view.terminal.teleoperation import View
+from outrider.view.terminal.teleoperation import DriveView
 
 WIDTH = 36
 """Of the panel [cells]."""
@@ -20,7 +20,7 @@ _LOCKSTEP_FACTOR = 20.0
 
 
 @dataclass(slots=True)
-class History:
+class ErrorCurve:
     """e(t) of the last while, for its curve."""
 
     errors: deque[float] = field(default_factory=lambda: deque(maxlen=_INNER))
@@ -47,7 +47,7 @@ class Banner:
     ground: str
 
 
-def farthest(view: View, vehicle: str) -> EscortTruth | None:
+def farthest(view: DriveView, vehicle: str) -> EscortTruth | None:
     """Of the UAVs that escort this UGV, the one that is farthest away."""
     if view.truth is None:
         return None
@@ -58,7 +58,7 @@ def farthest(view: View, vehicle: str) -> EscortTruth | None:
     )
 
 
-def banner(view: View, vehicle: str, *, leaving: bool) -> Banner:
+def banner(view: DriveView, vehicle: str, *, leaving: bool) -> Banner:
     """The one thing that matters most now."""
     if view.status is not None and view.status.over:
         return Banner(text="the flight is over · q leaves", color="#12151a", ground=GOOD)
@@ -87,7 +87,7 @@ def banner(view: View, vehicle: str, *, leaving: bool) -> Banner:
     )
 
 
-def _trouble(view: View) -> str:
+def _trouble(view: DriveView) -> str:
     if not view.connected:
         return "THE ROUTER HAS GONE · the UGV brakes · waiting for it"
     if not view.present:
@@ -97,7 +97,7 @@ def _trouble(view: View) -> str:
     return view.fault and f"TROUBLE: {view.fault}"
 
 
-def title(view: View, run: str) -> Text:
+def title(view: DriveView, run: str) -> Text:
     """The run's name and its time."""
     text = Text(" OUTRIDER ", style=f"bold {UAV[0]}", no_wrap=True)
     status = view.status
@@ -109,7 +109,7 @@ def title(view: View, run: str) -> Text:
     return text
 
 
-def _time(view: View) -> float:
+def _time(view: DriveView) -> float:
     return max(
         view.truth.time if view.truth is not None else 0.0,
         view.status.time if view.status is not None else 0.0,
@@ -120,7 +120,7 @@ def _total(status: Status) -> str:
     return "-" if status.geometry is None else f"{status.ticks * status.geometry.dt:g} s"
 
 
-def numbers(view: View, vehicle: str, history: History) -> Text:
+def numbers(view: DriveView, vehicle: str, history: ErrorCurve) -> Text:
     """The panel."""
     text = Text(no_wrap=True, style=INK)
     escort = farthest(view, vehicle)
@@ -137,7 +137,7 @@ def _row(text: Text, name: str, value: str, color: str = INK, *, bold: bool = Fa
     text.append(value.rjust(_INNER - len(name)) + "\n", style=f"bold {color}" if bold else color)
 
 
-def _distance(text: Text, view: View, escort: EscortTruth | None) -> None:
+def _distance(text: Text, view: DriveView, escort: EscortTruth | None) -> None:
     geometry = view.status.geometry if view.status is not None else None
     distance = escort.distance if escort is not None else None
     r_v = geometry.visibility_radius if geometry is not None else None
@@ -180,7 +180,7 @@ def _gauge(distance: float | None, r_v: float | None, r_s: float | None, color: 
     return gauge + Text("\n")
 
 
-def _coverage(text: Text, escort: EscortTruth | None, history: History) -> None:
+def _coverage(text: Text, escort: EscortTruth | None, history: ErrorCurve) -> None:
     _row(
         text,
         "coverage error e(t)",
@@ -196,7 +196,7 @@ def _coverage(text: Text, escort: EscortTruth | None, history: History) -> None:
     text.append("\n\n")
 
 
-def _velocities(text: Text, view: View, vehicle: str, escort: EscortTruth | None) -> None:
+def _velocities(text: Text, view: DriveView, vehicle: str, escort: EscortTruth | None) -> None:
     text.append(
         "velocity".ljust(12) + "x".rjust(6) + "y".rjust(7) + "m/s".rjust(_INNER - 25) + "\n",
         style=FAINT,
@@ -222,7 +222,7 @@ def _velocity(text: Text, name: str, velocity: tuple[float, float] | None, color
     text.append(f"{math.hypot(x, y):7.2f}\n", style="bold")
 
 
-def _clock(text: Text, view: View) -> None:
+def _clock(text: Text, view: DriveView) -> None:
     status = view.status
     if status is None:
         return
@@ -237,7 +237,7 @@ def _clock(text: Text, view: View) -> None:
         _row(text, "late ticks", f"{status.late_ticks}", LIMIT if status.late_ticks else INK)
 
 
-def _processes(text: Text, view: View) -> None:
+def _processes(text: Text, view: DriveView) -> None:
     if view.status is None:
         return
     here = view.connected and view.present

@@ -25,7 +25,7 @@ _SETTLE = 1.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class View:
+class DriveView:
     """What is known at one moment."""
 
     status: Status | None = None
@@ -177,11 +177,11 @@ class Teleoperation:
         self._keys.release()
         self._braked = True
 
-    def view(self) -> View:
+    def view(self) -> DriveView:
         """What is known now."""
         with self._lock:
             client = self._client
-            return View(
+            return DriveView(
                 status=client.status,
                 truth=client.truth,
                 coverage=client.coverage,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from bus.messages import CoverageMap, Truth
 from outrider.view.terminal.canvas import Canvas
 from outrider.view.terminal.palette import BACKGROUND, COVERED, EDGE, FAINT, LIMIT, UAV, UGV
-from outrider.view.terminal.teleoperation import View
+from outrider.view.terminal.teleoperation import DriveView
 from sim.scene.model import Scene
 
 _SHOWN = 1.35
@@ -60,7 +60,7 @@ class _Window:
 
 
 def draw(
-    view: View, vehicle: str, trails: Trails, *, width: int, height: int, wide: bool
+    view: DriveView, vehicle: str, trails: Trails, *, width: int, height: int, wide: bool
 ) -> Canvas:
     """The map.
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from bus.messages import Control, Drive, Message
 from bus.session import Session
 from outrider.view.operator import SILENCE, RunClient
-from outrider.view.page.sources.protocol import Standing
+from outrider.view.page.sources.protocol import SourceState
 
 
 class Live:
@@ -29,11 +29,13 @@ class Live:
         return self._client.factor
 
     @property
-    def standing(self) -> Standing:
+    def standing(self) -> SourceState:
         """How it stands, and what is wrong in one line."""
         level, line = self._banner()
         client = self._client
-        return Standing(level=level, line=line, router=client.connected, simulator=client.present)
+        return SourceState(
+            level=level, line=line, router=client.connected, simulator=client.present
+        )
 
     def _banner(self) -> tuple[str, str]:
         client = self._client

@@ -9,7 +9,7 @@ import msgspec
 
 from bus.messages import Control, Drive, Message, Status, Truth
 from outrider.recording.reader import Recording, coverages, statuses
-from outrider.view.page.sources.protocol import Playing, Standing
+from outrider.view.page.sources.protocol import Playing, SourceState
 from sim.scene.known import geometry_of
 
 _Kept = TypeVar("_Kept", bound=Message)
@@ -153,7 +153,7 @@ class Tape:
         return self._factors[max(0, at)][1] if self._factors else 0.0
 
     @property
-    def standing(self) -> Standing:
+    def standing(self) -> SourceState:
         """How it is played."""
         playing = Playing(
             file=self._file,
@@ -165,9 +165,9 @@ class Tape:
             note=self._note,
         )
         if self._at < self.end:
-            return Standing(replay=playing)
+            return SourceState(replay=playing)
         why = f": the file is not whole, {self._note}" if self._note else ""
-        return Standing(level="info", line=f"The recording ends here{why}.", replay=playing)
+        return SourceState(level="info", line=f"The recording ends here{why}.", replay=playing)
 
     def control(self, _control: Control) -> bool:
         """Nobody hears."""
