@@ -7,7 +7,6 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 import zenoh
-from outrider.launch import free_port
 
 from bus import session, session_limit
 from bus.access import Credential, client_settings, new_certificates, new_credentials
@@ -15,6 +14,7 @@ from bus.certificates import new_authority
 from bus.keys import PLACES, session_token
 from bus.session import Session, open_session
 from bus.session_limit import GRACE, NAMELESS, NEWCOMERS, Link, end_connections, surplus
+from outrider.running.launch import free_port
 
 RUN = "run"
 GIVEN = {

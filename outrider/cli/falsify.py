@@ -174,7 +174,7 @@ def command(
     """
     from outrider.cli.console import print_warnings
     from outrider.experiments.falsify.engines import Wanted
-    from outrider.experiments.falsify.limits import Limits, base_of, beyond_declared
+    from outrider.experiments.falsify.limits import SearchLimits, base_of, beyond_declared
     from outrider.experiments.falsify.search import check_extra
 
     limits_given = (max_delay, max_loss, max_blackout, max_command_delay, noise)
@@ -199,9 +199,9 @@ def command(
     flies = control is None and only is not Only.ATTACK
     attacks = certified and (control is not None or only is not Only.FLIGHTS)
     limits = (
-        Limits()
+        SearchLimits()
         if undegraded
-        else Limits(
+        else SearchLimits(
             delay=_DELAY if max_delay is None else max_delay,
             loss=_LOSS if max_loss is None else max_loss,
             blackout=_BLACKOUT if max_blackout is None else max_blackout,

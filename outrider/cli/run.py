@@ -182,7 +182,7 @@ def _page(wanted: bool, port: int) -> "AbstractContextManager[socket.socket | No
 
     if not wanted:
         return nullcontext()
-    from outrider.view.page.door import check_extra, open_socket
+    from outrider.view.page.access.door import check_extra, open_socket
 
     check_extra()
     return open_socket("127.0.0.1", port, "--dashboard-port")

@@ -14,7 +14,7 @@ from bus.registry import LAWS
 from outrider.experiments.intervals import wilson_interval
 from outrider.experiments.report.labels import label_of, value_of
 from outrider.experiments.sweep.columns import RESULTS
-from outrider.experiments.sweep.folder import Head, read_head, read_results
+from outrider.experiments.sweep.folder import SweepHead, read_head, read_results
 
 _OWN = ("run", "law", "seed", *RESULTS)
 
@@ -85,7 +85,7 @@ class Material:
     """All that a report is made of."""
 
     folders: tuple[Path, ...]
-    heads: tuple[Head, ...]
+    heads: tuple[SweepHead, ...]
     panels: tuple[Panel, ...]
     rows: int
     failed: int
@@ -122,7 +122,7 @@ def _rising(values: Sequence[Any]) -> list[Any]:
     return sorted(numbers) + [value for value in once if value not in numbers]
 
 
-def _read(folder: Path) -> tuple[Head, list[dict[str, Any]]]:
+def _read(folder: Path) -> tuple[SweepHead, list[dict[str, Any]]]:
     head = read_head(folder)
     if head is None:
         raise ScenarioError(
@@ -156,7 +156,7 @@ def _join(into: _Block, rows: list[dict[str, Any]]) -> bool:
     return True
 
 
-def _blocks(found: Sequence[tuple[Path, Head, list[dict[str, Any]]]]) -> list[_Block]:
+def _blocks(found: Sequence[tuple[Path, SweepHead, list[dict[str, Any]]]]) -> list[_Block]:
     """The blocks of all folders; those that ask the same are one, as where each folder has a law of its own."""
     blocks: dict[bytes, list[_Block]] = defaultdict(list)
     for folder, head, rows in found:

@@ -21,7 +21,7 @@ from sim.scenario.types import Scenario
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Point:
+class SweepPoint:
     """One law at one combination of values; flown with every seed."""
 
     block: str
@@ -36,7 +36,7 @@ class Plan:
     """All of a sweep. Run number r is point r // seeds with seed number r % seeds."""
 
     sweep: Sweep
-    points: tuple[Point, ...]
+    points: tuple[SweepPoint, ...]
     columns: dict[str, str]
     """Of the table: their names and Parquet types, in order."""
     version: str
@@ -142,13 +142,13 @@ def lay_out(
         for field, values in block.vary.items():
             varied.setdefault(field, []).extend(values)
     kinds = {field: _kind(values) for field, values in varied.items()}
-    points: list[Point] = []
+    points: list[SweepPoint] = []
     warnings: dict[str, None] = {}
     for block, scenario in _loaded(sweep, told):
         raw = msgspec.to_builtins(scenario)
         fields = {field: _as_column(_value_of(raw, field), kind) for field, kind in kinds.items()}
         points.append(
-            Point(block=block.name, law=scenario.law.name, fields=fields, scenario=scenario)
+            SweepPoint(block=block.name, law=scenario.law.name, fields=fields, scenario=scenario)
         )
         warnings |= dict.fromkeys(scenario_warnings(scenario))
         if scenario.custom != type(scenario.custom)():

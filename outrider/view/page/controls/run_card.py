@@ -8,8 +8,8 @@ from nicegui import ui
 
 from bus.messages import Action, Control, Law, Status
 from bus.registry import DRIVERS, LAWS
+from outrider.view.page.controls.links_card import LinkForm
 from outrider.view.page.hub import Hub
-from outrider.view.page.links_card import LinkForm
 
 _PATIENCE = 2.0
 """So long a control shows what was chosen before it shows what is [s]."""

@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from outrider.learning.evaluate import CASES, VALIDATION_SEEDS, fly_law
+from evaluation import CASES, VALIDATION_SEEDS, fly_law
+
 from outrider.learning.mlp import load_policy
 from outrider.style import INK, law_color, look, new_figure, save
 
