@@ -20,7 +20,7 @@ from sim.env.parallel import parallel_env
 from sim.scenario.types import Custom, Detections, Scenario, Uav, Ugv, load_scenario
 
 ROOT = Path(__file__).parent.parent
-EXAMPLE, PAGE = ROOT / "examples" / "environment.py", ROOT / "docs" / "environment.md"
+EXAMPLE, PAGE = ROOT / "examples" / "environment.py", ROOT / "docs" / "reference" / "environment.md"
 NOISY = Scenario(
     name="noisy",
     duration=100.0,
