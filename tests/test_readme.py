@@ -175,6 +175,25 @@ def test_links_within_the_repository_lead_somewhere(page: str) -> None:
             assert heading in anchors, f"{target}#{heading}"
 
 
+@pytest.mark.parametrize("page", PAGES)
+def test_names_and_paths_of_the_code_that_are_told_exist(page: str) -> None:
+    ours = r"`((?:agents|sim|bus|outrider)(?:\.[A-Za-z_]\w*)+)"
+    for name in set(re.findall(ours, PAGES[page])):
+        parts = name.split(".")
+        places = [ROOT.joinpath(*parts[:k]) for k in range(len(parts), 0, -1)]
+        place = next(one for one in places if one.is_dir() or one.with_suffix(".py").is_file())
+        rest = parts[len(place.relative_to(ROOT).parts) :]
+        file = place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
+        defined = rf"^ *(?:def|class) {rest[0]}\b|^ *\"?{rest[0]}\"?\s*[:=]" if rest else ""
+        assert re.search(defined, file.read_text(encoding="utf-8"), re.MULTILINE), name
+    folders = "agents|sim|bus|outrider|tests|tests_learning|tools|benchmarks|examples|docs"
+    paths = set(re.findall(rf"`((?:{folders})/[\w./-]*)", PAGES[page]))
+    for path in paths - {one for one in paths if re.match(r"outrider/[A-Z]", one)}:
+        assert (ROOT / path).exists(), path
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    assert set(re.findall(r"(?:`|^)make ([a-z-]+)", PAGES[page], re.MULTILINE)) <= targets
+
+
 def test_every_page_is_in_the_sites_navigation() -> None:
     nav = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").split("\nnav:\n")[1]
     shown = set(re.findall(r"[\w/-]+\.md", nav))

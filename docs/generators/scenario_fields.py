@@ -41,11 +41,14 @@ def _named(name: str, field: str, type_: types.Type) -> str:
 
 def _section(name: str, struct: type[msgspec.Struct]) -> str:
     rows = ["| field | type | default | what |", "|---|---|---|---|"]
+    told_at: dict[type, str] = {}
     for field in fields(struct):
         inner = next(structs(field.type), None)
         told = words(field.type, null="left out")
         if inner is not None:
-            told = f"`{_named(name, field.name, field.type)}`, below"
+            table = _named(name, field.name, field.type)
+            first = told_at.setdefault(inner, table)
+            told = f"`{table}`, " + ("below" if first == table else f"as `{first}`")
         default = f"`{field.default}`" if field.default not in ("", "none") else field.default
         rows.append(f"| `{field.name}` | {cell(told)} | {cell(default)} | {cell(field.text)} |")
     heading = f"`{name}`" if name else "The top of the file"
