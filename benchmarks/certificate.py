@@ -1,4 +1,4 @@
-"""The tables of docs/certificate.md: `python benchmarks/certificate.py NAME`, with a NAME of `TABLES`.
+"""The tables of docs/explanation/certificate.md: `python benchmarks/certificate.py NAME`, with a NAME of `TABLES`.
 
 About a minute each.
 

@@ -186,7 +186,7 @@ class Detector(Message, frozen=True, kw_only=True):
 
 
 class Certificate(Message, frozen=True, kw_only=True):
-    """What a UAV may rely on of its detections and commands to certify that it keeps sight (docs/certificate.md)."""
+    """What a UAV may rely on of its detections and commands to certify that it keeps sight (docs/explanation/certificate.md)."""
 
     error: NonNegative | None
     """Largest error of a detection, as a vector's norm [m]; None: it has no bound, and nothing can be certified."""

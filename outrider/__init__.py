@@ -54,6 +54,6 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - a module's names have any t
     raise AttributeError(f"module 'outrider' has no attribute {name!r}")
 
 
-# Gymnasium finds our names where it is used; nobody else pays for its import.
+# Gymnasium, and PettingZoo on top of it, find our names where they are used; nobody else pays for their import.
 if "gymnasium" in sys.modules:
     import_module("outrider.registration")

@@ -21,7 +21,7 @@ from sim.scenario.loading import load_scenario
 from sim.scenario.types import Custom, Detections, Scenario, Uav, Ugv
 
 ROOT = Path(__file__).parent.parent
-EXAMPLE, PAGE = ROOT / "examples" / "environment.py", ROOT / "docs" / "environment.md"
+EXAMPLE, PAGE = ROOT / "examples" / "environment.py", ROOT / "docs" / "reference" / "environment.md"
 NOISY = Scenario(
     name="noisy",
     duration=100.0,

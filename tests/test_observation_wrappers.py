@@ -810,11 +810,13 @@ def test_a_transformation_of_ones_own_takes_its_place():
 
 
 def test_the_documentation_has_the_tables_and_its_example_runs():
-    text = (Path(__file__).parent.parent / "docs" / "learning-observations.md").read_text("utf-8")
+    text = (
+        Path(__file__).parent.parent / "docs" / "how-to" / "learning-observations.md"
+    ).read_text("utf-8")
     assert table(UavBodyRow) in text
     assert table(UgvBodyRow) in text
     assert BODY_SYMBOLS["R"] in text
     examples = [block.split("```")[0] for block in text.split("```python\n")[1:]]
     assert len(examples) == 3
     for example in examples[:2]:  # the third needs SuperSuit and Stable-Baselines3
-        exec(compile(example, "docs/learning-observations.md", "exec"), {})  # noqa: S102
+        exec(compile(example, "docs/how-to/learning-observations.md", "exec"), {})  # noqa: S102

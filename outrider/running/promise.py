@@ -1,6 +1,6 @@
 """Whether a scenario's UAVs can certify that they keep sight, told before it is flown and when its links change in flight.
 
-The declared assumptions are those of docs/certificate.md: A1 the error of a detection, A2 the age of the newest
+The declared assumptions are those of docs/explanation/certificate.md: A1 the error of a detection, A2 the age of the newest
 one, A5 a
 command that acts exactly tau_c after its tick. Links and detector say which of them they cannot keep, and how often.
 """
@@ -42,7 +42,7 @@ class Shortfall(NamedTuple):
 
     uav: str
     assumption: str
-    """A1 to A9 of docs/certificate.md; empty: the declared numbers themselves allow no certificate."""
+    """A1 to A9 of docs/explanation/certificate.md; empty: the declared numbers themselves allow no certificate."""
     how: How
     what: str
     """The fields as the scenario writes them, and what follows."""

@@ -254,5 +254,5 @@ class Suite(Sequence[Task]):
 
 
 def suite() -> Suite:
-    """The benchmark suite: `docs/suite.md` says what its tasks are and how they are scored."""
+    """The benchmark suite: `docs/reference/suite.md` says what its tasks are and how they are scored."""
     return Suite()
