@@ -15,6 +15,7 @@ from outrider.cli import (
     check,
     credentials,
     dashboard,
+    doctor,
     drive,
     falsify,
     figures,
@@ -50,6 +51,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "sweep": sweep.command,
     "report": report.command,
     "bench": bench.command,
+    "doctor": doctor.command,
 }
 
 
