@@ -9,10 +9,11 @@ from bus.messages import (
     Law,
     UavBriefing,
 )
-from sim.channel.profiles import PROFILES
+from bus.profiles import PROFILES
 from sim.engine.briefing import briefing
 from sim.kernels.compile import FloatArray
-from sim.scenario.types import LinkTable, Scenario, Uav, Ugv, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import LinkTable, Scenario, Uav, Ugv
 from sim.server.flight import Flight
 
 V_A, U_A, V_G, U_G = 0.6, 0.3, 0.2, 0.1  # the paper's vehicles: speeds [m/s], accelerations [m/s²]

@@ -18,7 +18,8 @@ from bus.keys import CONTROL, STATUS
 from bus.messages import Status
 from bus.session import Session, open_session
 from outrider.running.flying import fly
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 from sim.server.serving import Server
 

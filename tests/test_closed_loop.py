@@ -14,13 +14,14 @@ from worlds import POOR, SCENARIOS, small
 
 from bus.errors import ScenarioError
 from bus.messages import Command, Law, LinkKind, Observation, UavCommand
+from bus.profiles import PROFILES
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.closed_loop_state import DISTANCE, SURE
 from outrider.running.flying import InProcess, fly, make_pilots
-from sim.channel.profiles import PROFILES
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights
-from sim.scenario.types import Certificate, Detections, LinkTable, Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Certificate, Detections, LinkTable, Scenario
 from sim.server.flight import Flight
 
 pytestmark = pytest.mark.xdist_group(

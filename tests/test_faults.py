@@ -26,7 +26,7 @@ from scattered import SECONDS, SECRET, scattered
 from bus.messages import Status
 from outrider.running import launch
 from outrider.running.flying import fly
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 
 pytestmark = pytest.mark.usefixtures("nothing_left_behind")
 

@@ -25,7 +25,7 @@ from outrider.running.child import Child, environment_of
 from outrider.running.cores import cores_for
 from outrider.running.flying import fly
 from outrider.running.forking import Forkserver, forkserver
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 
 SECRET = bytes(range(100, 116)).hex()
 

@@ -22,7 +22,7 @@ from processes import (
 
 from outrider.running.child import Child
 from outrider.running.flying import fly
-from sim.scenario.types import load_scenario, scenario_names
+from sim.scenario.loading import load_scenario, scenario_names
 
 pytestmark = pytest.mark.usefixtures("nothing_left_behind")
 

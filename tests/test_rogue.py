@@ -32,7 +32,7 @@ from sim.models.randomness import (
     uniform,
     words_of,
 )
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
 
 pytestmark = pytest.mark.xdist_group("rogue")  # on one worker: the searches take long to compile

@@ -34,7 +34,7 @@ from outrider.recording.refly import refly
 from outrider.running.flying import fly, run
 from sim.engine.briefing import briefing
 from sim.env.parallel import parallel_env
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 
 SECRET = bytes(range(100, 116)).hex()
 SHORT = load_scenario("escort", overrides=["duration=5.0"])

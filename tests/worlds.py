@@ -7,17 +7,9 @@ import numpy as np
 from flights import escort
 
 from bus.messages import Estimator, Law, ScriptStep
-from sim.channel.profiles import PROFILES
+from bus.profiles import PROFILES
 from sim.env.rewards import RewardWeights
-from sim.scenario.types import (
-    Area,
-    Certificate,
-    Detections,
-    LinkTable,
-    Scenario,
-    Uav,
-    Ugv,
-)
+from sim.scenario.types import Area, Certificate, Detections, LinkTable, Scenario, Uav, Ugv
 
 WIFI_POOR = PROFILES["wifi-poor"]
 
