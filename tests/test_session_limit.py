@@ -128,7 +128,7 @@ def test_one_vehicle_with_hundreds_of_sessions_keeps_no_other_out(
 ) -> None:
     """Its own first one stays connected, and a few beside it; the rest are ended whenever they come again."""
     monkeypatch.setattr(session_limit, "GRACE", 0.3)
-    monkeypatch.setattr(session_limit, "_PAUSE", 0.02)
+    monkeypatch.setattr(session_limit, "_AT_ONCE", 100)
     with flooded(protocol, 300, claimed=claimed) as (router, first):
         there = addresses(router)
         uav, endpoint = GIVEN[protocol].of("uav_0"), router._zenoh.info.links()[0].src
