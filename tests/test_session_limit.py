@@ -69,7 +69,9 @@ def test_connections_are_found_however_their_addresses_are_written() -> None:
         ]
         there = [Link(str(x.zid), x.src, x.dst, None) for x in router._zenoh.info.links()]
         assert {link.zid for link in there} == {client.id for client in clients}
-        ended = end_connections([*there, there[0]._replace(dst="tcp/[::1]:1")])
+        ended = end_connections(
+            [*there, there[0]._replace(dst="tcp/[::1]:1"), there[0]._replace(src="ws/a")]
+        )
         assert sorted(ended) == sorted(there)
         gone = {link.dst for link in there}
         await_that(lambda: not gone & addresses(router))
