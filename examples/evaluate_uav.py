@@ -7,8 +7,8 @@ import argparse
 import json
 from pathlib import Path
 
-from outrider.learning.curve import draw_curve
-from outrider.learning.evaluate import CASES, as_dicts, evaluate, markdown
+from curve import draw_curve
+from evaluation import CASES, as_dicts, evaluate, markdown
 
 parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
 parser.add_argument(

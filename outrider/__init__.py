@@ -18,17 +18,17 @@ if TYPE_CHECKING:
     from outrider.running.flying import run as run
     from sim.env.parallel import parallel_env as parallel_env
     from sim.env.rewards import RewardWeights as RewardWeights
-    from sim.scenario.types import load_scenario as load_scenario
-    from sim.scenario.types import scenario_names as scenario_names
+    from sim.scenario.loading import load_scenario as load_scenario
+    from sim.scenario.loading import scenario_names as scenario_names
 
 _WHERE = {
     "RewardWeights": "sim.env.rewards",
     "leaderboard": "outrider.experiments.suite.board",
-    "load_scenario": "sim.scenario.types",
+    "load_scenario": "sim.scenario.loading",
     "parallel_env": "sim.env.parallel",
     "parallel_vector_env": "outrider.envs.vector",
     "run": "outrider.running.flying",
-    "scenario_names": "sim.scenario.types",
+    "scenario_names": "sim.scenario.loading",
     "single_env": "outrider.envs.single",
     "suite": "outrider.experiments.suite.tasks",
     "vector_env": "outrider.envs.vector",

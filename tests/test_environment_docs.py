@@ -9,7 +9,7 @@ import pytest
 import outrider
 from outrider.envs.single import single_env
 from outrider.envs.vector import Worlds, vector_env
-from outrider.experiments.suite.board import LAWS, leaderboard
+from outrider.experiments.suite.board import BASELINES, leaderboard
 from outrider.experiments.suite.tasks import TASKS, Task, suite
 from outrider.registration import env_ids
 
@@ -102,7 +102,7 @@ def test_the_leaderboard_told_is_what_the_command_makes() -> None:
     rows = between(text, "board")
     head = text.split("<!-- board -->\n")[1].splitlines()[0].strip("| ").split(" | ")
     assert [row[0] for row in rows] == [*suite().names, "**mean**"]
-    assert set(head[1:]) == set(LAWS)
+    assert set(head[1:]) == set(BASELINES)
     means = [float(cell.split(" ± ")[0]) for cell in rows[-1][1:]]
     assert means == sorted(means, reverse=True)
     (secret,) = re.findall(r"outrider suite --secret ([0-9a-f]{32}) --markdown", text)

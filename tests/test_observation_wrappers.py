@@ -20,12 +20,12 @@ from pettingzoo.utils.conversions import parallel_to_aec
 from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from bus.layout import UavRow, UgvRow, table
 from bus.messages import Law
+from bus.profiles import PROFILES
 from outrider.envs.observations.body import BODY_SYMBOLS, Egocentric, UavBodyRow, UgvBodyRow
 from outrider.envs.observations.image import CoverageImage
 from outrider.envs.observations.normalized import Normalized
 from outrider.envs.observations.stacking import History
 from outrider.envs.wrappers import coverage_image, egocentric, history, normalized, transformed
-from sim.channel.profiles import PROFILES
 from sim.env.parallel import parallel_env
 from sim.scenario.types import Detections, LinkTable, Scenario, Uav, Ugv
 

@@ -14,7 +14,7 @@ import outrider
 from bus.messages import LinkKind
 from outrider.cli.main import COMMANDS
 from outrider.running.user_code import check_own_functions
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = {

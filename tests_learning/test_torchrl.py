@@ -16,7 +16,8 @@ from torchrl.envs.utils import check_env_specs
 
 import outrider
 from outrider.envs.wrappers import history, normalized
-from sim.scenario.types import LinkSettings, LinkTable, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import LinkSettings, LinkTable
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:PettingZoo in TorchRL is tested using:UserWarning",

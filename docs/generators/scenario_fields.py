@@ -6,7 +6,8 @@ import msgspec
 from fields import cell, fields, structs, text_of, words
 from msgspec import inspect as types
 
-from sim.scenario.types import Scenario, load_scenario, scenario_names
+from sim.scenario.loading import load_scenario, scenario_names
+from sim.scenario.types import Scenario
 
 
 def tables() -> str:

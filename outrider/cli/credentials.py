@@ -102,7 +102,7 @@ def command(
     if renew:
         run, files = _renew(folder, party or (), host or (), days)
     else:
-        from sim.scenario.types import load_scenario
+        from sim.scenario.loading import load_scenario
 
         flown = load_scenario(scenario)
         names = ([uav.name for uav in flown.uav], [ugv.name for ugv in flown.ugv])

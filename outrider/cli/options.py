@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bus.errors import ScenarioError
+from bus.profiles import PROFILES
+from bus.registry import DRIVERS, LAWS, POLICY_FORMS, described
 
 if TYPE_CHECKING:
     from bus.access import Credential
@@ -37,14 +39,16 @@ LawName = Annotated[
     str | None,
     typer.Option(
         "--law",
-        help="certified, tracking, coverage, linear, switching, logarithmic, circle, weighted or path.",
+        help=f"The UAVs' law. {described(LAWS)}.",
+        autocompletion=lambda: [(row.name, row.about) for row in LAWS.values()],
     ),
 ]
 DriverName = Annotated[
     str | None,
     typer.Option(
         "--driver",
-        help="Who drives the UGVs: waypoints, wander, script, evade, teleop, policy, or external (a process of your own).",
+        help=f"The UGVs' driver. {described(DRIVERS)}.",
+        autocompletion=lambda: [(row.name, row.about) for row in DRIVERS.values()],
     ),
 ]
 Set = Annotated[
@@ -62,16 +66,15 @@ PolicyName = Annotated[
     str,
     typer.Option(
         "--policy",
-        help="For the driver `policy`: module:function or module:object of your own, or a saved one: sb3:ppo:FILE.zip, "
-        "torch:FILE.pt, onnx:FILE.onnx.",
+        help=f"For the driver `policy`: {POLICY_FORMS}; or module:object with a method predict.",
     ),
 ]
 NetworkName = Annotated[
     str,
     typer.Option(
         "--network",
-        help="What the ether does to every message: perfect, wifi, wifi-poor, lte, satellite, narrowband, jammed. One link: "
-        "--set links.detections.delay=0.5.",
+        help=f"The profile of every radio link: {', '.join(PROFILES)}. One link: --set links.detections.delay=0.5.",
+        autocompletion=lambda: list(PROFILES),
     ),
 ]
 AllowCode = Annotated[
@@ -197,9 +200,8 @@ def scenario_of(
     Raises:
         ScenarioError: If it cannot be flown.
     """
-    from sim.scenario.types import (
-        load_scenario,
-    )  # a vehicle's process, which shares these options, must not load it
+    # a vehicle's process, which shares these options, must not load it
+    from sim.scenario.loading import load_scenario
 
     overrides = list(changes or ())
     quoted = {

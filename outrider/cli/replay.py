@@ -110,15 +110,20 @@ def _refly(recording: "Recording", *, json: bool) -> None:
 def _show(recording: "Recording", speed: float, port: int, token: str, *, wanted: bool) -> None:
     """Serve the page until somebody ends it."""
     from outrider.cli.console import ERR
-    from outrider.view.page.door import address_of, check_extra, choose_admission, open_socket
+    from outrider.view.page.access.door import (
+        address_of,
+        check_extra,
+        choose_admission,
+        open_socket,
+    )
 
     admission = choose_admission("127.0.0.1", token, wanted=wanted)
     check_extra()
     with open_socket("127.0.0.1", port, "--dashboard-port") as opened:
         from outrider.view.page.app import serve
+        from outrider.view.page.controls.player import Player
         from outrider.view.page.hub import Hub
-        from outrider.view.page.player import Player
-        from outrider.view.page.tape import Tape
+        from outrider.view.page.sources.tape import Tape
 
         tape = Tape(recording, speed)
         hub = Hub(tape)

@@ -15,7 +15,7 @@ def command(
     from rich.table import Table
 
     from outrider.cli.console import OUT, print_json
-    from sim.scenario.types import load_scenario, scenario_names
+    from sim.scenario.loading import load_scenario, scenario_names
 
     shipped = [load_scenario(name) for name in scenario_names()]
     if json:

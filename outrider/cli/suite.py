@@ -105,7 +105,7 @@ def _tasks(whole: "Suite", only: list[str]) -> "Suite":
 def _entries(laws: list[str], policies: list[str], tasks: "Suite") -> "dict[str, Entry]":
     from bus.errors import ScenarioError
     from outrider.envs.closed_loop import pilot_names
-    from outrider.experiments.suite.board import LAWS
+    from outrider.experiments.suite.board import BASELINES
     from outrider.running.user_code import load_function
 
     allowed = pilot_names(tasks[0].scenario, "uav_0")
@@ -114,7 +114,7 @@ def _entries(laws: list[str], policies: list[str], tasks: "Suite") -> "dict[str,
             raise ScenarioError(
                 f"law {law!r}: unknown; allowed: {', '.join(allowed)}, or --policy module:function"
             )
-    entries: dict[str, Entry] = {law: law for law in laws or ([] if policies else LAWS)}
+    entries: dict[str, Entry] = {law: law for law in laws or ([] if policies else BASELINES)}
     for name in policies:
         found = load_function(name, what="--policy")
         if found is None:

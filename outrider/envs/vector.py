@@ -31,7 +31,8 @@ from sim.env.seeds import Seeds
 from sim.env.spaces import action_space, box, observation_space
 from sim.kernels.compile import FloatArray
 from sim.scenario.checks import check_scenario
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 
 Array = npt.NDArray[np.floating[Any]]
 Observation = Array | dict[str, Array]

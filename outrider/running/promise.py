@@ -16,6 +16,7 @@ import numpy as np
 from agents.control.handover import check_assumptions
 from agents.control.visibility import promise_of
 from bus.messages import LinkKind, LinkSettings, UavBriefing
+from bus.registry import LAWS
 from sim.channel.description import arrival_share, extra_delays, link_parameters
 from sim.channel.link import DUST, LinkParameters, in_ticks
 from sim.engine.briefing import briefing
@@ -68,7 +69,7 @@ def how_certifiable(scenario: Scenario) -> str | None:
 
     None for other laws.
     """
-    if scenario.law.name != "certified":
+    if not LAWS[scenario.law.name].watched:
         return None
     broken = {found.how for found in shortfalls(scenario)}
     return "hardly ever" if How.THROUGHOUT in broken else "not always" if broken else "always"
@@ -85,7 +86,7 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
         Empty for other laws, and where nothing stands in the way. What is expected less than once in a million
         flights is left out.
     """
-    if scenario.law.name != "certified":
+    if not LAWS[scenario.law.name].watched:
         return ()
     table, found = links or scenario.links, list[Shortfall]()
     for uav in scenario.uav:

@@ -7,13 +7,10 @@ import msgspec
 from nicegui import ui
 
 from bus.messages import Action, Control, Law, Status
+from bus.registry import DRIVERS, LAWS
+from outrider.view.page.controls.links_card import LinkForm
 from outrider.view.page.hub import Hub
-from outrider.view.page.links_card import LinkForm
-from outrider.view.page.wheel import TELEOP
-from sim.scenario.checks import DRIVER_NAMES, LAW_NAMES
 
-_OWN = ("weighted", "path", "policy", "external")
-"""Laws and drivers that a page does not offer: they need a function or a process of the user's own."""
 _PATIENCE = 2.0
 """So long a control shows what was chosen before it shows what is [s]."""
 
@@ -106,8 +103,10 @@ class Controls:
             self._show_full()
 
     def _build_laws(self) -> None:
-        laws = [name for name in LAW_NAMES if name not in _OWN]
-        drivers = [name for name in DRIVER_NAMES if name not in (TELEOP, *_OWN)]
+        laws = [law.name for law in LAWS.values() if not law.own]  # a page brings no function
+        drivers = [
+            row.name for row in DRIVERS.values() if not (row.own or row.outside or row.operated)
+        ]
         with ui.element("div").classes("row-of"):
             self._law = (
                 ui.select(laws, label="law", on_change=self._set_law)

@@ -1,13 +1,14 @@
-"""The page: where everything stands, and the controls. What moves on it is drawn by the files in `static`."""
+"""The page's shell: places for header, tiles, map, charts and controls. What moves is drawn by the files in `static`."""
 
 from collections.abc import Callable
 from typing import Any
 
-from matplotlib.colors import to_hex
 from nicegui import ui
 
-from outrider import style
-from outrider.view.page.links_card import OBSERVER, LinkForm
+from outrider.view.page.controls.links_card import OBSERVER, LinkForm
+from sim.scene import colors as scene_colors
+from sim.scene.colors import covered
+from sim.scene.model import LABELS
 
 BuildControls = Callable[[], Callable[[], None]]
 """Puts the controls of one browser where it is called, and gives what lets them show how things stand."""
@@ -28,11 +29,11 @@ _TILES = "".join(
         ("factor", "real-time factor", "×"),
     )
 )
-_MAP = """<canvas id="map" role="img" aria-label="map of the run"></canvas>
+_MAP = f"""<canvas id="map" role="img" aria-label="map of the run"></canvas>
 <div class="legend"><span><i class="dot uav"></i>UAV</span><span><i class="square ugv"></i>UGV</span>
-<span><i class="line limit"></i><em>limit of sight r<sub>v</sub></em></span>
-<span id="legend-rs"><i class="line limit dashed"></i><em>only tracking, r<sub>s</sub></em></span>
-<span><i class="line uav thin"></i>range of the sensor</span>
+<span><i class="line limit"></i><em>{LABELS["r_v"]} r<sub>v</sub></em></span>
+<span id="legend-rs"><i class="line limit dashed"></i><em>{LABELS["r_s"]} r<sub>s</sub></em></span>
+<span><i class="line uav thin"></i>{LABELS["r"]} r</span>
 <span><i class="line guess"></i>estimate, 2σ</span><span><i class="dot detection"></i>detections</span>
 <span class="bar">0<i id="coverage-bar"></i>1 coverage C/C*</span></div>"""
 _CHARTS = """<div class="charts-head"><span class="title">Over time</span>
@@ -53,27 +54,22 @@ _CHARTS = """<div class="charts-head"><span class="title">Over time</span>
 def colors() -> dict[str, Any]:
     """The colours of every picture of ours, for those drawn in the browser."""
     return {
-        "uav": style.UAV,
-        "ugv": style.UGV,
-        "limit": style.LIMIT,
-        "good": style.GOOD,
-        "ink": style.INK,
-        "muted": style.MUTED,
-        "rule": style.RULE,
-        "covered": [to_hex(style.COVERED(k)) for k in range(256)],
+        "uav": scene_colors.UAV,
+        "ugv": scene_colors.UGV,
+        "limit": scene_colors.LIMIT,
+        "good": scene_colors.GOOD,
+        "ink": scene_colors.INK,
+        "muted": scene_colors.MUTED,
+        "rule": scene_colors.RULE,
+        "covered": [covered(k / 255.0) for k in range(256)],
     }
 
 
 def _head() -> str:
-    named = {
-        "uav": style.UAV[0],
-        "ugv": style.UGV[0],
-        "limit": style.LIMIT,
-        "good": style.GOOD,
-        "ink": style.INK,
-    }
-    named |= {"muted": style.MUTED, "rule": style.RULE, "guess": style.UAV[2], "seen": style.UAV[1]}
-    stops = ", ".join(to_hex(style.COVERED(k)) for k in (0, 128, 255))
+    c = scene_colors
+    named = {"uav": c.UAV[0], "ugv": c.UGV[0], "limit": c.LIMIT, "good": c.GOOD, "ink": c.INK}
+    named |= {"muted": c.MUTED, "rule": c.RULE, "guess": c.ESTIMATE, "seen": c.UAV[1]}
+    stops = ", ".join(c.COVERED)
     variables = (
         "".join(f"--{name}:{value};" for name, value in named.items())
         + f"--covered:linear-gradient(90deg,{stops});"
@@ -97,7 +93,10 @@ def build_page(controls: BuildControls | None, welcome: Callable[[], None]) -> N
         welcome()
         ui.add_head_html(_head())
         ui.colors(
-            primary=style.UAV[0], accent=style.UGV[0], negative=style.LIMIT, positive=style.GOOD
+            primary=scene_colors.UAV[0],
+            accent=scene_colors.UGV[0],
+            negative=scene_colors.LIMIT,
+            positive=scene_colors.GOOD,
         )
         with ui.element("div").classes("dashboard"):
             ui.html(_HEADER, sanitize=False).classes("top")

@@ -18,8 +18,8 @@ from starlette.responses import HTMLResponse, PlainTextResponse, RedirectRespons
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from outrider.view.page import LOOPBACK
-from outrider.view.page.attempts import Attempts, Verdict
-from outrider.view.page.door import Admission
+from outrider.view.page.access.attempts import Attempts, Judgement
+from outrider.view.page.access.door import Admission
 
 _LARGEST = 4096
 """Of a form [bytes]."""
@@ -127,9 +127,9 @@ class Guard:
         if not given:
             return _form(401)
         verdict, wait = await self._attempts.judge((scope.get("client") or ("", 0))[0], given)
-        if verdict is Verdict.RIGHT:
+        if verdict is Judgement.RIGHT:
             return self._welcome(scope)
-        if verdict is Verdict.WRONG:
+        if verdict is Judgement.WRONG:
             return _form(401, "That is not the token.")
         busy = _form(429, "Too many tokens from this address. Try again in a moment.")
         busy.headers["Retry-After"] = str(max(1, round(wait)))

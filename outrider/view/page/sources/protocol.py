@@ -24,7 +24,7 @@ class Playing(msgspec.Struct, frozen=True, kw_only=True):
     """What is wrong with the file; empty: nothing."""
 
 
-class Standing(msgspec.Struct, frozen=True, kw_only=True):
+class SourceState(msgspec.Struct, frozen=True, kw_only=True):
     """How a source stands."""
 
     level: str = ""
@@ -49,7 +49,7 @@ class Source(Protocol):
         """Simulated seconds per second of wall time, lately."""
 
     @property
-    def standing(self) -> Standing:
+    def standing(self) -> SourceState:
         """How it stands now."""
 
     def control(self, control: Control) -> bool:

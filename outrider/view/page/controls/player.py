@@ -7,10 +7,10 @@ from typing import Any
 from nicegui import ui
 from nicegui.events import GenericEventArguments
 
-from outrider.view.page.controls import choose, factor_of, position_of
+from outrider.view.page.controls.links_card import RECORDING, LinkForm
+from outrider.view.page.controls.run_card import choose, factor_of, position_of
 from outrider.view.page.hub import Hub
-from outrider.view.page.links_card import RECORDING, LinkForm
-from outrider.view.page.tape import Tape
+from outrider.view.page.sources.tape import Tape
 
 _PATIENCE = 1.0
 """So long a control shows what was chosen before it shows what is [s]."""

@@ -9,9 +9,16 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments
 
 from bus.messages import LinkKind, LinkSettings, Status
+from bus.profiles import PROFILES
+from outrider.view.page.controls.network import (
+    ALL,
+    chosen,
+    controls_for,
+    darkened,
+    with_field,
+    words,
+)
 from outrider.view.page.hub import Hub
-from outrider.view.page.network import ALL, chosen, controls_for, darkened, with_field, words
-from sim.channel.profiles import PROFILES
 
 OBSERVER = "This page only looks on: changing a link takes the operator's credentials."
 RECORDING = "No link can be changed: it has all been flown."

@@ -1,6 +1,6 @@
 """Where the time of a world-step goes, by leaving one thing after the other out, and what the least is that it can cost.
 
-python -m outrider.bench.profile
+python benchmarks/world_step.py --seconds 15
 """
 
 import argparse
@@ -27,7 +27,8 @@ from sim.models.field import (
     coverage_gradient,
     disc_chords,
 )
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 
 _PASSES = 200
 _ANEW = 60
@@ -189,9 +190,7 @@ def profile(*, seconds: float = 15.0, worlds: int = WORLDS) -> dict[str, float]:
 
 def main(words: list[str] | None = None) -> None:
     """Print both as Markdown, or as JSON."""
-    parser = argparse.ArgumentParser(
-        prog="python -m outrider.bench.profile", description=main.__doc__
-    )
+    parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument(
         "--seconds", type=float, default=15.0, help="how long to measure [s] (%(default)s)"
     )

@@ -7,11 +7,11 @@ from typing import TypeVar
 
 import msgspec
 
-from bus.messages import Control, Drive, Geometry, Message, Status, Truth
+from bus.messages import Control, Drive, Message, Status, Truth
+from bus.registry import DEFAULT_LAW
 from outrider.recording.reader import Recording, coverages, statuses
-from outrider.recording.schemas import inner_radius
-from outrider.view.page.source import Playing, Standing
-from sim.scenario.types import Scenario
+from outrider.view.page.sources.protocol import Playing, SourceState
+from sim.scene.known import geometry_of
 
 _Kept = TypeVar("_Kept", bound=Message)
 _ROOM = 2000
@@ -51,7 +51,9 @@ class Tape:
             for told in self._statuses
             if not told.over and told.realtime_factor
         ]
-        self._geometry = None if recording.head.scenario is None else _geometry(recording.scenario)
+        self._geometry = (
+            None if recording.head.scenario is None else geometry_of(recording.scenario)
+        )
         self._file = recording.path.name
         self._note = recording.damage.reason
         self.playing, self.speed = True, speed
@@ -152,7 +154,7 @@ class Tape:
         return self._factors[max(0, at)][1] if self._factors else 0.0
 
     @property
-    def standing(self) -> Standing:
+    def standing(self) -> SourceState:
         """How it is played."""
         playing = Playing(
             file=self._file,
@@ -164,9 +166,9 @@ class Tape:
             note=self._note,
         )
         if self._at < self.end:
-            return Standing(replay=playing)
+            return SourceState(replay=playing)
         why = f": the file is not whole, {self._note}" if self._note else ""
-        return Standing(level="info", line=f"The recording ends here{why}.", replay=playing)
+        return SourceState(level="info", line=f"The recording ends here{why}.", replay=playing)
 
     def control(self, _control: Control) -> bool:
         """Nobody hears."""
@@ -205,17 +207,6 @@ def _unknown_status(recording: Recording) -> Status:
         ticks=recording.truths[-1].tick,
         time=first.time,
         realtime_factor=0.0,
-        law="logarithmic" if head.scenario is None else recording.scenario.law.name,
+        law=DEFAULT_LAW if head.scenario is None else recording.scenario.law.name,
         vehicles={},
-    )
-
-
-def _geometry(scenario: Scenario) -> Geometry:
-    return Geometry(
-        area=scenario.area,
-        visibility_radius=scenario.visibility.radius,
-        sensor_range=scenario.sensor.range,
-        switching_radius=inner_radius(scenario, scenario.uav[0].escorts),
-        dt=scenario.dt,
-        uavs={uav.name: uav.escorts for uav in scenario.uav},
     )

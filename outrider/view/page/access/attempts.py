@@ -21,7 +21,7 @@ _NETWORK = 64
 """Bits of an IPv6 address that tell its owner, who has all that begin with them."""
 
 
-class Verdict(Enum):
+class Judgement(Enum):
     """What became of a try."""
 
     RIGHT = "right"
@@ -59,7 +59,7 @@ class Attempts:
         self._clock, self._sleep = clock, sleep
         self._addresses: OrderedDict[str, _Address] = OrderedDict()
 
-    async def judge(self, address: str, given: str) -> tuple[Verdict, float]:
+    async def judge(self, address: str, given: str) -> tuple[Judgement, float]:
         """Compare in constant time, once it is this address's turn.
 
         Returns:
@@ -67,7 +67,7 @@ class Attempts:
         """
         row = self._row(_owner(address))
         if row is None or row.waiting >= _WAITING:
-            return Verdict.BUSY, _LONGEST_WAIT if row is None else self._wait(row)
+            return Judgement.BUSY, _LONGEST_WAIT if row is None else self._wait(row)
         row.waiting += 1
         try:
             async with row.lock:
@@ -75,11 +75,11 @@ class Attempts:
                     await self._sleep(wait)
                 if hmac.compare_digest(_digest(given), self._digest):
                     row.wrong, row.next = 0, 0.0
-                    return Verdict.RIGHT, 0.0
+                    return Judgement.RIGHT, 0.0
                 row.wrong += 1
                 wait = min(_FIRST_WAIT * 2.0 ** min(row.wrong - 1, 16), _LONGEST_WAIT)
                 row.next = self._clock() + wait
-                return Verdict.WRONG, wait
+                return Judgement.WRONG, wait
         finally:
             row.waiting -= 1
 

@@ -1,13 +1,13 @@
-"""The wheel of a UGV: one browser at a time holds it, and whoever falls silent loses it."""
+"""The wheel of a UGV, shared by browsers: one at a time holds it, and one that falls silent loses it."""
 
 import math
 import time
 from collections.abc import Callable, Mapping
 
-from bus.messages import Action, Control, Drive, Limits, Vector
+from bus.messages import Control, Drive, Limits, Vector
+from bus.registry import TELEOP
+from outrider.view.operator import Helm
 
-TELEOP = "teleop"
-"""The driver that does what an operator says, a row of `agents.drivers.table.DRIVERS`."""
 _PATIENCE = 3.0
 """So long a browser at the wheel may be silent [s]."""
 _SETTLING = 2.0
@@ -18,8 +18,8 @@ _GAP = 0.04
 """Wall time between two words to the vehicle at least [s]."""
 
 
-class Wheel:
-    """Who drives, and what becomes of it.
+class SharedWheel:
+    """Gives the wheel to one browser, and sends what it wants.
 
     Args:
         control: Says something to the simulator.
@@ -29,9 +29,8 @@ class Wheel:
     def __init__(
         self, control: Callable[[Control], bool], drive: Callable[[str, Drive], bool]
     ) -> None:
-        self._control, self._drive = control, drive
-        self._before: dict[str, str] = {}
-        self._taken = self._heard = self._said = 0.0
+        self._helm = Helm(control, drive)
+        self._taken = self._alive = self._sent = 0.0
         self.holder = 0
         """The browser that holds it; 0: none."""
         self.name = ""
@@ -55,56 +54,50 @@ class Wheel:
         """Sit down at a vehicle's wheel; False if somebody sits there."""
         if self.holder not in (0, browser) or not vehicle:
             return False
-        if drivers.get(vehicle, "") not in ("", TELEOP):
-            self._before[vehicle] = drivers[vehicle]
-        if not self._control(Control(action=Action.DRIVER, vehicle=vehicle, driver=TELEOP)):
+        if not self._helm.take(vehicle, drivers.get(vehicle, "")):
             return False
         self.holder, self.name, self.vehicle = browser, name, vehicle
-        self._taken = self._heard = time.monotonic()
+        self._taken = self._alive = time.monotonic()
         return True
 
     def steer(self, browser: int, deflection: Vector | None) -> None:
-        """What the hand at the wheel does: where to, as a share of the full speed; None is to brake."""
+        """Send what the hand at the wheel does: where to, as a share of the full speed; None is to brake."""
         if browser != self.holder:
             return
         now = time.monotonic()
-        if deflection is not None and now - self._said < _GAP:
+        if deflection is not None and now - self._sent < _GAP:
             return
-        self._said = now
+        self._sent = now
         velocity: Vector | None = None
         if deflection is not None and all(map(math.isfinite, deflection)):
             x, y = deflection
             scale = self.full / max(math.hypot(x, y), 1.0)
             velocity = (x * scale, y * scale)
-        self._drive(self.vehicle, Drive(driver=self.name, velocity=velocity))
+        self._helm.steer(self.vehicle, self.name, velocity)
 
     def hand_back(self, browser: int, drivers: Mapping[str, str]) -> None:
         """Let the driver from before drive on; anybody may, once nobody holds the wheel."""
         if self.holder not in (0, browser):
             return
         self.release()
-        for vehicle in [
-            name for name, driver in drivers.items() if driver == TELEOP and name in self._before
-        ]:
-            self._control(
-                Control(action=Action.DRIVER, vehicle=vehicle, driver=self._before.pop(vehicle))
-            )
+        for vehicle in self._helm.waiting(drivers):
+            self._helm.hand_back(vehicle)
 
     def release(self) -> None:
         """Take the hand off: the vehicle brakes, and the wheel is free."""
         if self.holder:
-            self._drive(self.vehicle, Drive(driver=self.name))
+            self._helm.steer(self.vehicle, self.name, None)
             self.holder, self.name = 0, ""
 
     def leave(self, browser: int) -> None:
-        """A browser has gone."""
+        """Free the wheel of a browser that has gone."""
         if browser == self.holder:
             self.release()
 
-    def hear(self, browser: int) -> None:
-        """A browser has given a sign of life."""
+    def keep(self, browser: int) -> None:
+        """Note that a browser has given a sign of life."""
         if browser == self.holder:
-            self._heard = time.monotonic()
+            self._alive = time.monotonic()
 
     def check(self, drivers: Mapping[str, str]) -> None:
         """Free the wheel of whoever has fallen silent, or of whose vehicle somebody else has been seated in."""
@@ -112,18 +105,14 @@ class Wheel:
         unseated = (
             drivers.get(self.vehicle, "") not in ("", TELEOP) and now - self._taken > _SETTLING
         )
-        if self.holder and (unseated or now - self._heard > _PATIENCE):
+        if self.holder and (unseated or now - self._alive > _PATIENCE):
             self.release()
 
     def can_be_handed_back(self, drivers: Mapping[str, str]) -> bool:
         """Whether a driver from before waits for the wheel."""
-        return any(driver == TELEOP and name in self._before for name, driver in drivers.items())
+        return bool(self._helm.waiting(drivers))
 
     def strangers(self, drivers: Mapping[str, str]) -> list[str]:
         """The UGVs that obey an operator whom nobody here has seated: another operator may drive them."""
-        mine = self.vehicle if self.holder else ""
-        return [
-            name
-            for name, driver in drivers.items()
-            if driver == TELEOP and name not in self._before and name != mine
-        ]
+        ours = {*self._helm.waiting(drivers), self.vehicle if self.holder else ""}
+        return [name for name, driver in drivers.items() if driver == TELEOP and name not in ours]
