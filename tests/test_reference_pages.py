@@ -10,7 +10,8 @@ import pytest
 from bus.keys import KEYS
 from bus.messages import LinkSettings
 from outrider.cli.main import COMMANDS
-from sim.scenario.types import Scenario, scenario_names
+from sim.scenario.loading import scenario_names
+from sim.scenario.types import Scenario
 
 GENERATORS = Path(__file__).resolve().parent.parent / "docs" / "generators"
 
