@@ -5,8 +5,10 @@ The front door for people: `outrider.load_scenario`, `outrider.run`, `outrider.p
 loaded when it is used.
 """
 
+import os
 import sys
 from importlib import import_module
+from importlib.machinery import PathFinder
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -46,6 +48,39 @@ __all__ = [
     "suite",
     "vector_env",
 ]
+
+
+_OURS = ("agents", "bus", "sim")
+"""Packages that stand beside this one, under names that somebody's own project may have, too."""
+
+
+def _check_names() -> None:
+    """Refuse to begin where another module stands in the place of one of ours.
+
+    Raises:
+        ImportError: One line that says which.
+    """
+    root = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))
+    started = sys.argv[0] if sys.argv else ""
+    as_module = started == "-m" and "outrider" in sys.orig_argv
+    # `python -m outrider` takes the folder where the user stands off the path, but only after this.
+    path = sys.path[1:] if as_module and not sys.flags.safe_path else sys.path
+    for name in _OURS:
+        loaded = sys.modules.get(name)
+        spec = PathFinder.find_spec(name, path) if loaded is None else loaded.__spec__
+        places = [spec.origin or "", *(spec.submodule_search_locations or ())] if spec else []
+        if not places or os.path.realpath(places[-1]) == os.path.join(root, name):
+            continue
+        line = (
+            f"{places[0] or places[-1]} stands in the way of Outrider's own package {name!r}: "
+            "rename it, or start Python where it is not found (python -P, or another folder)"
+        )
+        if as_module or os.path.basename(started) == "outrider":
+            sys.exit(f"outrider: {line}")
+        raise ImportError(line)
+
+
+_check_names()
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - a module's names have any type

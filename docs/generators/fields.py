@@ -1,14 +1,14 @@
 """The fields of our msgspec structs in words: their types with bounds, defaults, and the text that stands under each."""
 
-import ast
 import inspect
-import itertools
 import textwrap
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import msgspec
 from msgspec import inspect as types
+
+from sim.scenario.schema import field_docs
 
 
 class Field(NamedTuple):
@@ -31,7 +31,7 @@ def fields(struct: type[msgspec.Struct]) -> Iterator[Field]:
     info = types.type_info(struct)
     if not isinstance(info, types.StructType):
         raise TypeError(f"{struct} is no struct")
-    told = _texts(struct)
+    told = field_docs(struct)
     for field in info.fields:
         default = "" if field.required else _default(field)
         yield Field(field.encode_name, field.type, default, told.get(field.name, ""))
@@ -115,24 +115,6 @@ def _shown(value: Any) -> str:
         return ""
     plain = msgspec.to_builtins(value)
     return "none" if plain is None else msgspec.json.encode(plain).decode()
-
-
-def _texts(struct: type) -> dict[str, str]:
-    """The texts under the fields, those of the bases first."""
-    found: dict[str, str] = {}
-    for cls in reversed(struct.__mro__):
-        if cls in (object, msgspec.Struct) or not issubclass(cls, msgspec.Struct):
-            continue
-        body = ast.parse(textwrap.dedent(inspect.getsource(cls))).body[0].body  # type: ignore[attr-defined]
-        for before, after in itertools.pairwise(body):
-            if (
-                isinstance(before, ast.AnnAssign)
-                and isinstance(before.target, ast.Name)
-                and isinstance(after, ast.Expr)
-                and isinstance(after.value, ast.Constant)
-            ):
-                found[before.target.id] = " ".join(str(after.value.value).split())
-    return found
 
 
 def cell(text: str) -> str:

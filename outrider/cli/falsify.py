@@ -322,9 +322,9 @@ def _progress(found: "Found") -> "Iterator[Callable[[str, float], None]]":
     from outrider.cli.console import ERR
 
     columns = (
-        TextColumn("[bold]{task.description}"),
+        TextColumn("{task.description}", style="bold", markup=False),
         BarColumn(bar_width=30, complete_style="blue", finished_style="blue"),
-        TextColumn("{task.fields[note]}"),
+        TextColumn("{task.fields[note]}", markup=False),
         TimeRemainingColumn(compact=True, elapsed_when_finished=True),
     )
     began = said = time.monotonic()
@@ -353,7 +353,7 @@ def _tell(found: "Found", *, json: bool) -> None:
         print_json(found.as_plain())
         return
     for line in _lines(found):
-        OUT.print(line, soft_wrap=True, markup=False)
+        OUT.print(line, soft_wrap=True)
 
 
 def _lines(found: "Found") -> "Iterator[str]":

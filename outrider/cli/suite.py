@@ -9,6 +9,7 @@ from outrider.cli.options import Json, Secret
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
+    from rich.text import Text
 
     from outrider.envs.vector import Observation, Policy
     from outrider.experiments.suite.board import Leaderboard, Standing
@@ -179,8 +180,11 @@ def _table(board: "Leaderboard") -> Any:  # noqa: ANN401 - rich's
     return table
 
 
-def _cell(told: "Result | Standing") -> str:
-    return f"{told.score:.1f}" + (f"\n[red]{told.lost} lost[/]" if told.lost else "")
+def _cell(told: "Result | Standing") -> "Text":
+    from rich.text import Text
+
+    score = f"{told.score:.1f}"
+    return Text.assemble(score, (f"\n{told.lost} lost", "red")) if told.lost else Text(score)
 
 
 def _tell_tasks(tasks: "Suite", *, json: bool) -> None:

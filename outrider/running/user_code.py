@@ -66,9 +66,20 @@ def _named(name: str, what: str) -> Any:  # noqa: ANN401 - whatever it is
     try:
         return getattr(import_module(module_name), function_name)
     except (ImportError, AttributeError) as error:
-        raise ScenarioError(f"{what} = {name!r}: {error}") from error
+        raise ScenarioError(f"{what} = {name!r}: {error}{_hidden(here)}") from error
     except Exception as error:
         raise ScenarioError(f"{what} = {name!r}: cannot be imported: {_reason(error)}") from error
+
+
+def _hidden(folder: str) -> str:
+    """Names the user's files that Python does not find, as a package of ours has their name."""
+    own = [
+        path.name
+        for name in ("agents", "bus", "outrider", "sim")
+        for path in (Path(folder, f"{name}.py"), Path(folder, name, "__init__.py"))
+        if path.exists() and not Path(__file__).is_relative_to(folder)
+    ]
+    return f" ({', '.join(own)} beside it is not found: Outrider has that name)" if own else ""
 
 
 def load_policy(name: str, *, what: str = "policy") -> Any:  # noqa: ANN401 - a function, or an object that predicts

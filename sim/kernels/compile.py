@@ -85,6 +85,11 @@ if _FOLDER is not None:
     numba.config.CACHE_DIR = str(_FOLDER)  # type: ignore[attr-defined]
 
 
+def cache_folder() -> Path | None:
+    """The folder of the compile cache; None where none can be written."""
+    return _FOLDER
+
+
 def _compile(function: _F, **options: Any) -> _F:  # noqa: ANN401 - numba's
     """No `fastmath`: the bits must not depend on who calls.
 

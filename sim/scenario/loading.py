@@ -35,6 +35,20 @@ def scenario_names() -> tuple[str, ...]:
     return tuple(sorted(_shipped(), key=lambda name: (name != DEFAULT_SCENARIO, name)))
 
 
+def shipped_text(name: str) -> str:
+    """The TOML text of a shipped scenario.
+
+    Raises:
+        ScenarioError: If none has this name.
+    """
+    if name not in _shipped():
+        known = scenario_names()
+        raise ScenarioError(
+            f"{one_line(name)}: no such scenario{near(name, known)}; allowed: {', '.join(known)}"
+        )
+    return _read(name, name)
+
+
 def _read(source: str | Path, file: str) -> str:
     """The TOML text of a shipped scenario or of a file."""
     try:
