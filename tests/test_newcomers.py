@@ -9,7 +9,9 @@ from pathlib import Path
 import jsonschema
 import pytest
 
+from bus.errors import ScenarioError
 from outrider.cli.main import main
+from outrider.cli.options import scenario_of
 from sim.scenario.loading import load_scenario, scenario_names, shipped_text
 from sim.scenario.schema import field_docs, scenario_schema
 from sim.scenario.types import Scenario, Visibility
@@ -156,3 +158,32 @@ def test_the_shell_completes_commands():
         check=True,
     )
     assert run.stdout.split() == ["falsify"]
+
+
+@pytest.mark.parametrize(
+    ("own", "kind", "name"),
+    [("policy", "driver", "policy"), ("weighting", "law", "weighted"), ("path", "law", "path")],
+)
+def test_a_function_of_ones_own_is_flown_or_refused_but_never_ignored(own, kind, name, capsys):
+    scenario, changes = scenario_of("escort", **{own: "mine:f"})
+    flown = scenario.ugv[0].driver if kind == "driver" else scenario.law.name
+    assert flown == name
+    assert capsys.readouterr().err == f"--{own} mine:f: so the {kind} is {name}\n"
+    assert load_scenario("escort", overrides=changes) == scenario
+    other = {"driver": "evade", "law": "linear"}[kind]
+    with pytest.raises(ScenarioError, match=f"is for --{kind} {name}, not for --{kind} {other}"):
+        scenario_of("escort", **{own: "mine:f", kind: other})
+    assert scenario_of("escort", **{own: "mine:f", kind: name})[0] == scenario
+    assert capsys.readouterr().err == ""
+
+
+def test_a_vehicle_without_a_name_gets_the_next_one(tmp_path):
+    file = tmp_path / "four.toml"
+    file.write_text(
+        "[[uav]]\nposition = [6.0, 21.0]\n[[uav]]\nposition = [8.0, 21.0]\n"
+        "[[uav]]\nname = 'uav_0'\nposition = [7.0, 21.0]\n"
+        "[[ugv]]\nposition = [6.0, 20.0]\n[[ugv]]\nposition = [30.0, 20.0]\n"
+    )
+    scenario = load_scenario(file)
+    assert [uav.name for uav in scenario.uav] == ["uav_1", "uav_2", "uav_0"]
+    assert [ugv.name for ugv in scenario.ugv] == ["ugv_0", "ugv_1"]

@@ -1,5 +1,6 @@
 """From a shipped name or a TOML file to a scenario that can be flown."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -81,6 +82,20 @@ def _changes(
     return [parse_override(change, file=file) for change in changes]
 
 
+def _with_names(raw: dict[str, object]) -> None:
+    """Give each vehicle without a name the next one: uav_0, uav_1, ..."""
+    for kind in ("uav", "ugv"):
+        given = raw.get(kind)
+        tables = (
+            [table for table in given if isinstance(table, dict)] if isinstance(given, list) else []
+        )
+        taken = {str(table["name"]) for table in tables if "name" in table}
+        free = (name for k in itertools.count() if (name := f"{kind}_{k}") not in taken)
+        for table in tables:
+            if "name" not in table:
+                table["name"] = next(free)
+
+
 def load_scenario(
     source: str | Path = DEFAULT_SCENARIO, *, overrides: Mapping[str, object] | Sequence[str] = ()
 ) -> Scenario:
@@ -104,6 +119,7 @@ def load_scenario(
         apply_override(raw, key, value, file=file)
     if isinstance(raw.get("area"), dict):
         raw["area"] = {**msgspec.to_builtins(DEFAULT_AREA), **raw["area"]}
+    _with_names(raw)
     with_profiles(raw, file=file)
     scenario = typed(raw, Scenario, file=file)
     if not scenario.name:
