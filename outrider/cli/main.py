@@ -70,7 +70,8 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-def _app() -> typer.Typer:
+def make_app() -> typer.Typer:
+    """The whole command line: for `main`, and for the pages that tell of it."""
     app = typer.Typer(
         no_args_is_help=True,
         pretty_exceptions_enable=False,
@@ -102,7 +103,7 @@ def _fail(line: str, code: int) -> int:
 
 def _run() -> int:
     try:
-        return int(_app()(standalone_mode=False) or 0)
+        return int(make_app()(standalone_mode=False) or 0)
     except (ScenarioError, AccessDenied) as error:
         return _fail(str(error), 2)
     except OutriderError as error:
