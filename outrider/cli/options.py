@@ -40,7 +40,6 @@ LawName = Annotated[
     typer.Option(
         "--law",
         help=f"The UAVs' law. {described(LAWS)}.",
-        autocompletion=lambda: [(row.name, row.about) for row in LAWS.values()],
     ),
 ]
 DriverName = Annotated[
@@ -48,7 +47,6 @@ DriverName = Annotated[
     typer.Option(
         "--driver",
         help=f"The UGVs' driver. {described(DRIVERS)}.",
-        autocompletion=lambda: [(row.name, row.about) for row in DRIVERS.values()],
     ),
 ]
 Set = Annotated[
@@ -74,7 +72,6 @@ NetworkName = Annotated[
     typer.Option(
         "--network",
         help=f"The profile of every radio link: {', '.join(PROFILES)}. One link: --set links.detections.delay=0.5.",
-        autocompletion=lambda: list(PROFILES),
     ),
 ]
 AllowCode = Annotated[
