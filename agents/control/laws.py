@@ -149,7 +149,8 @@ def law_parameters(briefing: UavBriefing, law: Law) -> LawParameters:
     )
     if math.isnan(weights(parameters, OwnTerms(), 1.0)[0]):
         raise ScenarioError(
-            f"law.name = {law.name!r}: has a row in bus.registry, but no branch in {__name__}.weights"
+            f"law.name = {law.name!r}: has a row in bus.registry, but no branch in "
+            f"{__name__}.weights"
         )
     return parameters
 
@@ -209,7 +210,7 @@ def way_to_uncovered(
     """The symmetry breaker (7) with its point held until it is covered or leaves the support of the density.
 
     Returns:
-        Whether anything is uncovered at all, and the direction.
+        True if anything is uncovered at all, and the direction.
     """
     c = parameters
     held = state[_HELD] != 0.0 and is_uncovered(

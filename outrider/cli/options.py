@@ -27,8 +27,9 @@ Secret = Annotated[
     typer.Option(
         "--secret",
         metavar="@FILE|new|HEX",
-        help="The run's secret, which no vehicle is told: @FILE that holds it, `new` to make one, or 32 to 128 hexadecimal "
-        "digits, which other users of this machine would see in the list of processes.",
+        help="The run's secret, which no vehicle is told: @FILE that holds it, `new` to make one, "
+        "or 32 to 128 hexadecimal digits, which other users of this machine would see in the list "
+        "of processes.",
         envvar="OUTRIDER_SECRET",
     ),
 ]
@@ -78,7 +79,8 @@ AllowCode = Annotated[
     bool,
     typer.Option(
         "--allow-code",
-        help="Load the code that the file itself names ([custom]); code that you name in the command is loaded without it.",
+        help="Load the code that the file itself names ([custom]); code that you name in the "
+        "command is loaded without it.",
     ),
 ]
 VirtualPath = Annotated[
@@ -159,8 +161,9 @@ PageToken = Annotated[
     str,
     typer.Option(
         "--token",
-        help="What a browser must know: 8 to 128 letters, digits, '_' and '-'. By default a new one is made up, and printed with "
-        "the address. Other users of this machine see what a command line says; what is in OUTRIDER_TOKEN they do not.",
+        help="What a browser must know: 8 to 128 letters, digits, '_' and '-'. By default a new "
+        "one is made up, and printed with the address. Other users of this machine see what a "
+        "command line says; what is in OUTRIDER_TOKEN they do not.",
         envvar="OUTRIDER_TOKEN",
         show_default=False,
         show_envvar=True,
@@ -285,7 +288,8 @@ def check_endpoints(endpoints: tuple[str, ...], *, secured: bool, insecure: bool
         protocol, separator, address = endpoint.partition("/")
         if protocol not in _PROTOCOLS or not separator or not address:
             raise ScenarioError(
-                f"endpoint {endpoint!r}: allowed are protocol/address, such as {DEFAULT_ENDPOINT}, with {', '.join(_PROTOCOLS)}"
+                f"endpoint {endpoint!r}: allowed are protocol/address, such as {DEFAULT_ENDPOINT}, "
+                f"with {', '.join(_PROTOCOLS)}"
             )
         if not (secured or insecure or is_local(endpoint)):
             raise ScenarioError(
