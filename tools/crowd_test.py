@@ -1,6 +1,4 @@
-"""What a crowd at the router's port can do, and what a vehicle with credentials can.
-
-Each attack against a real run, as a table.
+"""Attacks of a crowd at the router's port, and of a vehicle with credentials, against a real run, as a table.
 
 Each row is a run on the wall clock with a simulator, a UAV and a UGV as processes over loopback. While it flies,
 the attack is
@@ -44,7 +42,6 @@ class Run:
     @contextlib.contextmanager
     def session(self, credential: Credential, patience: float = 30.0) -> Iterator[zenoh.Session]:
         """A session that asks nobody's leave; `patience` is how long it tries to connect [s]."""
-        """A session that asks nobody's leave; `patience` is how long it tries to connect [s]."""
         settings: dict[str, Any] = {
             "mode": "client",
             "connect/endpoints": [f"tcp/127.0.0.1:{PORT}"],
@@ -78,12 +75,10 @@ class Run:
 @contextlib.contextmanager
 def nothing(_run: Run) -> Iterator[None]:
     """What all others stand beside."""
-    """What all others stand beside."""
     yield
 
 
 def connections(count: int, said: bytes) -> Attack:
-    """Connections without a password that say no more than this."""
     """Connections without a password that say no more than this."""
 
     @contextlib.contextmanager
@@ -99,7 +94,6 @@ def connections(count: int, said: bytes) -> Attack:
 
 
 def puts(count: int, size: int, sessions: int = 1) -> Attack:
-    """Payloads of so many bytes on the UGV's own key, by its own credentials."""
     """Payloads of so many bytes on the UGV's own key, by its own credentials."""
 
     @contextlib.contextmanager
@@ -127,7 +121,6 @@ def puts(count: int, size: int, sessions: int = 1) -> Attack:
 
 def tokens(key: str, count: int, *, kept: bool) -> Attack:
     """Liveliness tokens of the UGV, kept, or each taken back at once."""
-    """Liveliness tokens of the UGV, kept, or each taken back at once."""
 
     @contextlib.contextmanager
     def attack(run: Run) -> Iterator[None]:
@@ -144,7 +137,6 @@ def tokens(key: str, count: int, *, kept: bool) -> Attack:
 
 
 def crowd_of_sessions(count: int) -> Attack:
-    """Sessions with the UGV's credentials that do nothing."""
     """Sessions with the UGV's credentials that do nothing."""
 
     @contextlib.contextmanager
@@ -270,7 +262,6 @@ def kept(row: dict[str, Any]) -> bool:
 
 
 def main(names: list[str]) -> int:
-    """Print the table."""
     """Print the table."""
     unknown = [name for name in names if name not in ATTACKS]
     if unknown:

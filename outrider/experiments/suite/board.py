@@ -21,7 +21,7 @@ The entries that are always there to beat.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Standing:
-    """How one entry has done in all the tasks."""
+    """The scores of one entry in all the tasks."""
 
     entry: str
     score: float
@@ -42,7 +42,7 @@ class Standing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leaderboard:
-    """Who has done how well."""
+    """The entries and their scores."""
 
     tasks: tuple[str, ...]
     standings: tuple[Standing, ...]

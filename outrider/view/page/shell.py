@@ -1,4 +1,4 @@
-"""The page's shell: places for header, tiles, map, charts and controls. What moves is drawn by the files in `static`."""
+"""The page's shell: places for header, tiles, map, charts and controls, which the files in `static` fill."""
 
 from collections.abc import Callable
 from typing import Any

@@ -217,7 +217,7 @@ class LinkForm:
         return chosen(self._names, self._kind.value, self._vehicle.value)
 
     def _settings(self, name: str) -> LinkSettings:
-        """What a link is set to, or was asked to be."""
+        """The settings of a link, or those that were asked for."""
         status = None if self._hub is None else self._hub.status
         if name in self._said or status is None:
             return self._said.get(name, LinkSettings())

@@ -17,7 +17,8 @@ _OWN = ("weighted", "path", "policy", "external")
 _PATIENCE = 2.0
 """So long a control shows what was chosen before it shows what is [s]."""
 
-_STICK = """<div id="stick" aria-label="joystick" role="slider" aria-valuetext="centred"><i></i></div><div class="hints">
+_STICK = """<div id="stick" aria-label="joystick" role="slider" aria-valuetext="centred"><i></i></div>
+<div class="hints">
 <div id="who"></div><div><kbd>&larr;</kbd><kbd>&uarr;</kbd><kbd>&darr;</kbd><kbd>&rarr;</kbd> or
 <kbd>W</kbd><kbd>A</kbd><kbd>S</kbd><kbd>D</kbd></div><div><kbd>space</kbd> brakes</div><div id="pad">no
 gamepad</div></div>"""
