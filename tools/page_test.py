@@ -144,7 +144,7 @@ class Processes:
         for name in ("uav_0", "ugv_0"):
             self.start(name[:3], "--join-timeout", "120", name=name)
         self.start("dashboard", "--port", str(port))
-        wait_until(lambda: answers(port), "the dashboard listens")
+        wait_until(lambda: answers(port), "the dashboard listens", 60.0)
 
     def log(self, name: str) -> str:
         """All that a process has said."""
