@@ -1,4 +1,4 @@
-"""What a run leaves behind in its folder: the trajectory, the picture and the summary."""
+"""The files of a run: the trajectory, the picture and the summary."""
 
 import os
 from collections.abc import Callable

@@ -38,12 +38,12 @@ class SweepTask:
 
 
 def cost_of(scenario: Scenario) -> int:
-    """What a run of a scenario costs, in ticks of one UAV."""
+    """Cost of a run of a scenario, in ticks of one UAV."""
     return scenario.ticks * len(scenario.uav)
 
 
 def make_tasks(plan: Plan, done: set[int], workers: int) -> list[SweepTask]:
-    """What is still to be flown, in order, cut into tasks.
+    """Cut what is still to be flown into tasks, in order.
 
     Args:
         plan: The whole sweep.

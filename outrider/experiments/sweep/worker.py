@@ -1,4 +1,4 @@
-"""What a worker process of a sweep does: a few runs of one point, each in this process."""
+"""The work of a sweep's worker process: a few runs of one point, each in this process."""
 
 import os
 import time
