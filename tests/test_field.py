@@ -218,7 +218,7 @@ def test_density_is_nothing_from_its_radius_on(rho: float) -> None:
 @settings(PROPERTY)
 def test_penalty_punishes_lack_alone_and_its_slope_is_its_derivative(lack: float) -> None:
     d = 1e-6
-    assert penalty(lack) == max(0.0, lack) ** 2
+    assert penalty(lack) == max(0.0, lack) * max(0.0, lack)
     assert penalty_slope(lack) == pytest.approx(
         (penalty(lack + d) - penalty(lack - d)) / (2 * d), abs=1e-5
     )

@@ -3,11 +3,8 @@
 from collections.abc import Callable
 from typing import Protocol
 
-from agents.drivers.evade import EvadeDriver
-from agents.drivers.script import ScriptDriver
+from agents.drivers.compiled import EvadeDriver, ScriptDriver, WanderDriver, WaypointDriver
 from agents.drivers.teleop import TeleopDriver
-from agents.drivers.wander import WanderDriver
-from agents.drivers.waypoints import WaypointDriver
 from bus.messages import UgvBriefing, UgvObservation
 
 
