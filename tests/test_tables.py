@@ -47,8 +47,6 @@ CHOSEN = {
     "outrider/experiments/paper_figures.py": "the flights of the paper's figure 3",
     "outrider/experiments/claims.py": "likewise",
     "outrider/experiments/falsify/attacks.py": "guards that are known to be wrong, no laws",
-    "outrider/learning/curve.py": "the laws of one picture",
-    "outrider/learning/evaluate.py": "cases that are called after their driver",
 }
 """Files that name a few of them on purpose, and why: an experiment's choice, which no new row changes."""
 
