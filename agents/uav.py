@@ -9,8 +9,8 @@ import numpy as np
 from agents.control.guard import guard_state
 from agents.control.handover import Promise
 from agents.control.laws import (
-    CERTIFIED,
     PATH,
+    WATCHED,
     WEIGHTED,
     LawParameters,
     OwnTerms,
@@ -165,7 +165,7 @@ class UavPilot:
     def _make_filter(self) -> SafetyFilter | None:
         return (
             SafetyFilter(self._briefing, sent=self._sent)
-            if self._parameters.law == CERTIFIED
+            if self._parameters.law in WATCHED
             else None
         )
 
@@ -240,7 +240,7 @@ class UavPilot:
         self._check_own_functions()
         self.filter = (
             self._make_filter()
-            if self.filter is None or self._parameters.law != CERTIFIED
+            if self.filter is None or self._parameters.law not in WATCHED
             else self.filter
         )
         self._take_on()

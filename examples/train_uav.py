@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from evaluation import CASES, VALIDATION_SEEDS, fly_policy
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
 import outrider
 from outrider.envs.wrappers import transformed
-from outrider.learning.evaluate import CASES, VALIDATION_SEEDS, fly_policy
 from outrider.learning.learned import LearnedPolicy, make_view
 from outrider.learning.mlp import Mlp, save_policy
 from outrider.learning.repeat import ActionRepeat

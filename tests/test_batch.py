@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from flights import escort
 
-from sim.channel.profiles import PROFILES
+from bus.profiles import PROFILES
 from sim.engine.batch import Batch
 from sim.kernels.threads import Crew
 from sim.scenario.types import (

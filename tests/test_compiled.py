@@ -18,15 +18,15 @@ from agents.control.certificate import no_plan
 from agents.control.discs import no_detections
 from agents.control.guard import guard_state, note_position
 from agents.control.handover import certificate
-from agents.control.laws import LAWS, OwnTerms, initial_state
+from agents.control.laws import OwnTerms, initial_state
 from agents.control.uav_tick import Motion, UavMemory
 from agents.drivers.compiled import driver_parameters, driver_state
 from agents.drivers.parameters import COMPILED_DRIVERS, Route
 from agents.estimation.twin import COLUMNS, NUMBERS, KalmanState, kalman_parameters
 from bus.messages import Detector, Estimator, Limits
+from bus.registry import LAWS, SENSORS
 from sim.engine.briefing import briefing
 from sim.engine.run_keys import derive_keys
-from sim.models.field import SENSORS
 
 MODULES = (
     *(f"agents.control.{module.name}" for module in pkgutil.iter_modules(agents.control.__path__)),
@@ -135,7 +135,7 @@ BY_NAME: dict[str, object] = {
     "columns": 160,
     "parameters": parameters(escort("logarithmic")),
     "own": OwnTerms(alpha=0.3, beta=0.8),
-    "sensor": SENSORS["hill"],
+    "sensor": SENSORS["hill"].code,
     "cell": 0.25,
     "uncovered": True,
     "p_ax": 20.7,
@@ -236,17 +236,17 @@ EXTRA: dict[str, dict[str, list[object]]] = {
     },
     "agents.drivers.waypoints.waypoint_control": {"goals": [np.zeros((0, 2))]},
     "sim.models.field.sensor_quality": {
-        "sensor": list(SENSORS.values()),
+        "sensor": [row.code for row in SENSORS.values()],
         "rho2": [0.0, 3.3, 24.9, 25.0, 30.0],
     },
     "sim.models.field.sensor_slope": {
-        "sensor": list(SENSORS.values()),
+        "sensor": [row.code for row in SENSORS.values()],
         "rho2": [0.0, 3.3, 24.9, 25.0, 30.0],
     },
     "sim.models.field.density": {"rho2": [0.0, 3.3, 90.0, 95.0625, 99.0]},
     "sim.models.field.disc_chords": {"radius": [0.01, 5.0, 9.75, 70.0], "p_y": [0.1, -3.0, -80.0]},
-    "sim.models.field.accumulate": {"sensor": list(SENSORS.values())},
-    "sim.models.field.coverage_gradient": {"sensor": list(SENSORS.values())},
+    "sim.models.field.accumulate": {"sensor": [row.code for row in SENSORS.values()]},
+    "sim.models.field.coverage_gradient": {"sensor": [row.code for row in SENSORS.values()]},
     "sim.kernels.lanes.lane_sum": {"count": list(range(20))},
     "sim.models.vehicles.stopping_distance": {"u_max": [0.3, float("inf")]},
     "sim.models.vehicles.speed_to_stop_within": {"u_max": [0.3, float("inf")]},

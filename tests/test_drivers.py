@@ -24,9 +24,8 @@ from agents.drivers.compiled import (
 )
 from agents.drivers.evade import away, flee, receive_radio
 from agents.drivers.policy import PolicyDriver
-from agents.drivers.table import Driver
 from agents.drivers.teleop import TeleopDriver
-from agents.ugv import UgvPilot
+from agents.ugv import Driver, UgvPilot
 from bus.errors import ScenarioError
 from bus.messages import (
     Area,
@@ -41,7 +40,7 @@ from bus.messages import (
 from outrider.running.flying import InProcess, make_pilots
 from sim.engine.briefing import briefing
 from sim.models.vehicles import norm, step_vehicle
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
 
 Point = tuple[float, float]

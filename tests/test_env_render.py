@@ -9,11 +9,10 @@ from matplotlib.colors import to_rgb
 
 from bus.errors import OutriderError
 from bus.messages import Area, Law
-from outrider import style
 from sim.env.parallel import parallel_env
-from sim.env.picture import INK, LIMIT, MUTED, UAV, UGV
 from sim.env.window import Window
 from sim.scenario.types import Scenario, Uav, Ugv
+from sim.scene.colors import LIMIT, UAV, UGV
 
 SCENARIO = Scenario(
     name="wide",
@@ -115,16 +114,6 @@ def test_several_and_unbounded_vehicles_are_drawn():
     env.reset(seed=0)
     frame = env.render()
     assert all(len(pixels_of(frame, color)) > 20 for color in (*UAV[:2], *UGV[:2]))
-
-
-def test_colors_are_those_of_every_other_picture():
-    assert (UAV, UGV, LIMIT, INK, MUTED) == (
-        style.UAV,
-        style.UGV,
-        style.LIMIT,
-        style.INK,
-        style.MUTED,
-    )
 
 
 def test_without_a_mode_render_warns_and_draws_nothing():

@@ -19,6 +19,7 @@ from scipy import stats
 
 from bus.errors import ScenarioError
 from bus.messages import LinkSettings, LinkStatus
+from bus.profiles import PROFILES
 from sim.channel.description import (
     KEEPS,
     Link,
@@ -47,7 +48,6 @@ from sim.channel.link import (
     receive,
     send,
 )
-from sim.channel.profiles import PROFILES
 from sim.kernels.compile import compiled
 from sim.models.randomness import Key
 

@@ -21,12 +21,13 @@ from bus.messages import (
     UavCommand,
     UgvCommand,
 )
+from bus.profiles import PROFILES
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import fly
-from sim.channel.profiles import PROFILES
 from sim.engine.briefing import briefing
 from sim.env.parallel import parallel_env
-from sim.scenario.types import Detections, LinkTable, Scenario, Ugv, VehicleLinks, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Detections, LinkTable, Scenario, Ugv, VehicleLinks
 from sim.server.flight import Flight
 from sim.world import World
 

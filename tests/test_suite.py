@@ -15,7 +15,7 @@ from outrider.cli import main
 from outrider.envs.closed_loop import ClosedLoop, pilot_names
 from outrider.envs.vector import OutriderVectorEnv
 from outrider.experiments.suite import scoring
-from outrider.experiments.suite.board import LAWS, leaderboard
+from outrider.experiments.suite.board import BASELINES, leaderboard
 from outrider.experiments.suite.scoring import evaluate
 from outrider.experiments.suite.tasks import SEEDS, TASKS, Suite, Task, suite
 from outrider.running.flying import InProcess, make_pilots, run
@@ -57,7 +57,7 @@ def test_each_task_can_be_flown_by_every_law_that_is_on_the_board(task: Task) ->
     assert scenario.name == task.name
     assert scenario.title == task.hard
     for uav in scenario.uav:
-        assert set(LAWS) <= set(pilot_names(scenario, uav.name))
+        assert set(BASELINES) <= set(pilot_names(scenario, uav.name))
         assert briefing(scenario, uav.name, 0).certificate.error is not None
     env = task.make(2)
     assert isinstance(env, OutriderVectorEnv)

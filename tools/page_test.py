@@ -319,8 +319,9 @@ def check_policy(context: Any, address: str) -> str:  # noqa: ANN401 - Playwrigh
       const image = document.createElement("div");
       image.innerHTML = "<img src='data:,' onerror='window.ran = true'>";
       const script = Object.assign(document.createElement("script"), { textContent: "window.ran = true" });
-      const elsewhere = Object.assign(document.createElement("script"), { src: "data:text/javascript,window.ran =
-      true" }); document.body.append(image, script, elsewhere);
+      const elsewhere = document.createElement("script");
+      elsewhere.src = "data:text/javascript,window.ran = true";
+      document.body.append(image, script, elsewhere);
     }""")
     time.sleep(0.5)
     if page.evaluate("() => window.ran"):

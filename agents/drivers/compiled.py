@@ -15,6 +15,7 @@ from agents.drivers.wander import GOAL, GOAL_CHOSEN, wander_pace
 from agents.drivers.waypoints import WAYPOINT_STATE
 from bus.errors import ScenarioError
 from bus.messages import UgvBriefing, UgvObservation
+from bus.registry import DRIVERS
 from sim.kernels.compile import FloatArray, compiled, entry_point
 from sim.kernels.records import RecordArray, records
 from sim.models.randomness import words_of
@@ -38,7 +39,7 @@ def driver_parameters(briefing: UgvBriefing, driver: str) -> DriverParameters:
     wheel, limits = Steering(briefing), briefing.limits
     width, height = float(briefing.area.width), float(briefing.area.height)
     speed, margin = wander_pace(width, height, wheel.v_max, wheel.u_max, wheel.dt)
-    unbounded = driver == "waypoints"  # it alone drives without a bound where the UGV has none
+    unbounded = DRIVERS[driver].unbounded
     key_0, key_1 = words_of(briefing.key)
     return DriverParameters(
         driver=COMPILED_DRIVERS[driver],

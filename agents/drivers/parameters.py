@@ -4,11 +4,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bus.registry import DRIVERS
 from sim.kernels.compile import FloatArray
 
-WAYPOINTS, WANDER, SCRIPT, EVADE = range(4)
-COMPILED_DRIVERS = {"waypoints": WAYPOINTS, "wander": WANDER, "script": SCRIPT, "evade": EVADE}
-"""The drivers by name, as rows of `agents.drivers.table.DRIVERS`, that have a compiled form."""
+COMPILED_DRIVERS = {row.name: row.code for row in DRIVERS.values() if row.code is not None}
+"""Codes of the drivers that have a compiled form, by name."""
+WAYPOINTS = COMPILED_DRIVERS["waypoints"]
+WANDER = COMPILED_DRIVERS["wander"]
+SCRIPT = COMPILED_DRIVERS["script"]
+EVADE = COMPILED_DRIVERS["evade"]
 
 
 class DriverParameters(NamedTuple):

@@ -22,7 +22,8 @@ from sim.kernels.compile import FloatArray, IntArray, released
 from sim.kernels.prefetch import fetch_disc
 from sim.kernels.threads import Crew
 from sim.models.field import accumulate, accumulate_with_gain, coverage_error, coverage_gradient
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 
 WORLDS = 1024
 RATE = RewardWeights(uncovered=0.0, seen=1.0)

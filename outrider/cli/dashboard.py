@@ -66,7 +66,7 @@ def command(
     from outrider.cli.console import ERR
     from outrider.cli.options import check_endpoints
     from outrider.running.watchdog import hold
-    from outrider.view.page.door import address_of, check_extra, choose_admission
+    from outrider.view.page.access.door import address_of, check_extra, choose_admission
 
     if leash:
         hold()
@@ -74,9 +74,9 @@ def command(
     admission = choose_admission(host, token, wanted=not no_token)
     check_extra()
     from outrider.view.page.app import serve
-    from outrider.view.page.controls import Controls
+    from outrider.view.page.controls.run_card import Controls
     from outrider.view.page.hub import Hub
-    from outrider.view.page.live import Live
+    from outrider.view.page.sources.live import Live
 
     credential = _credential(credentials)
     os.nice(_NICE)
@@ -105,7 +105,7 @@ def _socket(number: int, host: str, port: int) -> "socket.socket":
     """The parent's, or one of our own."""
     import socket
 
-    from outrider.view.page.door import open_socket
+    from outrider.view.page.access.door import open_socket
 
     return socket.socket(fileno=number) if number >= 0 else open_socket(host, port)
 

@@ -87,7 +87,7 @@ def _await_run(session: "Session", vehicle: str, stop: "Stop") -> "Status | None
     from bus.keys import STATUS
     from bus.messages import Status
     from outrider.cli.console import ERR
-    from outrider.view.terminal.operator_link import ugvs_of
+    from outrider.view.terminal.teleoperation import ugvs_of
 
     statuses = session.inbox(STATUS)
     letter = statuses.receive(1.0)
@@ -121,9 +121,9 @@ def _drive(session: "Session", vehicle: str, first: "Status", *, speed: float, b
     except ImportError as error:
         raise ScenarioError("drive: needs textual: pip install 'outrider[drive]'") from error
     from outrider.cli.console import ERR
-    from outrider.view.terminal.operator_link import Link
+    from outrider.view.terminal.teleoperation import Teleoperation
 
-    link = Link(session, vehicle, speed=speed, back=back, status=first)
+    link = Teleoperation(session, vehicle, speed=speed, back=back, status=first)
     app = DriveApp(link, session.run)
     with ending(link) as end, quiet_logs() as warnings:
         link.start()

@@ -104,6 +104,7 @@ def command(
 
     Example: outrider run escort --seed 3 --law switching
     """
+    from bus.registry import DRIVERS
     from outrider.cli.console import flight_progress, print_json, print_summary, print_warnings
     from outrider.cli.options import scenario_of, secret_of
     from outrider.cli.stopping import stop_on_signals
@@ -124,7 +125,7 @@ def command(
     flown, overrides = scenario_of(
         scenario, seed=seed, duration=duration, law=law, driver=driver, changes=changes, **own
     )
-    strangers = any(ugv.driver == "external" for ugv in flown.ugv)
+    strangers = any(DRIVERS[ugv.driver].outside for ugv in flown.ugv)
     if in_process and strangers:
         raise typer.BadParameter("--driver external is another process; leave --in-process out")
     kept = secret_of(secret, wanted=strangers)
@@ -181,7 +182,7 @@ def _page(wanted: bool, port: int) -> "AbstractContextManager[socket.socket | No
 
     if not wanted:
         return nullcontext()
-    from outrider.view.page.door import check_extra, open_socket
+    from outrider.view.page.access.door import check_extra, open_socket
 
     check_extra()
     return open_socket("127.0.0.1", port, "--dashboard-port")

@@ -14,11 +14,8 @@ import numpy.typing as npt
 from agents.control.guard import GuardState, guard_state
 from agents.control.handover import Promise, check_assumptions
 from agents.control.laws import (
-    CERTIFIED,
-    LAWS,
-    PATH,
     STATE_SIZE,
-    WEIGHTED,
+    WATCHED,
     LawParameters,
     law_parameters,
 )
@@ -31,6 +28,7 @@ from agents.uav import RADIO_PERIOD
 from bus.errors import ScenarioError
 from bus.layout import UgvRow
 from bus.messages import LinkKind, LinkStatus, UavBriefing, UgvBriefing
+from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
 from outrider.envs.closed_loop_state import (
     BROKEN,
     CERTIFIED_TICKS,
@@ -89,7 +87,7 @@ def _joined(arrays: Sequence[FloatArray], columns: int) -> tuple[FloatArray, Int
 def pilot_names(scenario: Scenario, vehicle: str) -> tuple[str, ...]:
     """Who can fly or drive a vehicle in here, by name."""
     if any(uav.name == vehicle for uav in scenario.uav):
-        return tuple(name for name, code in LAWS.items() if code not in (WEIGHTED, PATH))
+        return tuple(law.name for law in LAWS.values() if not law.own)
     return tuple(COMPILED_DRIVERS)
 
 
@@ -404,9 +402,7 @@ class _Crew:
             ],
         )
         outside = np.array([name in external for name in uavs])
-        self.guarded = (
-            np.array([law.law == CERTIFIED for law in laws]) & ~outside | outside & shield
-        )
+        self.guarded = np.array([law.law in WATCHED for law in laws]) & ~outside | outside & shield
         self.thinking = ~outside
         drivers = [
             self._driver(one, chosen.get(one.vehicle), outside=one.vehicle in external)
@@ -423,7 +419,7 @@ class _Crew:
         self.goals = [route.goals for route in routes]
         self.scripts = [route.script for route in routes]
         self.radio = any(
-            name == "evade" and one.vehicle not in external
+            DRIVERS[name].listens and one.vehicle not in external
             for name, one in zip(drivers, self.told_ugvs, strict=True)
         )
 
@@ -432,7 +428,7 @@ class _Crew:
         law = told.law if name is None else msgspec.structs.replace(told.law, name=name)
         if outside:
             law = msgspec.structs.replace(law, name="tracking")  # never asked
-        elif law.name in ("weighted", "path"):
+        elif law.name in LAWS and LAWS[law.name].own:
             raise ScenarioError(
                 f"{told.vehicle}: law.name = {law.name!r} is a function of your own and cannot be compiled"
             )
@@ -440,4 +436,4 @@ class _Crew:
 
     @staticmethod
     def _driver(told: UgvBriefing, name: str | None, *, outside: bool) -> str:
-        return "waypoints" if outside else name or told.driver
+        return DEFAULT_DRIVER if outside else name or told.driver

@@ -31,8 +31,11 @@ from outrider.experiments.traces import (
     weighting_of,
 )
 from outrider.running.flying import fly
-from outrider.view.flight_picture import draw_ground, draw_track, draw_vehicles, times
-from sim.scenario.types import Scenario, load_scenario
+from outrider.view.flight_picture import draw_map, times
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
+from sim.scene.drawing import Track, draw_ring, ground, legend_of
+from sim.scene.known import scene_of
 from sim.server.flight import Flight
 from sim.world import World
 
@@ -208,24 +211,17 @@ def _mark_stop(axes: Axes, flight: Flight) -> None:
 def _draw_departure(axes: Axes, flights: Flights, labels: dict[str, str]) -> None:
     """Tracks of figure 1, and the moment at which the UAV is farthest outside the circle r_v."""
     one = flights["bounded"]
-    style.ground(axes, one.scenario.area.width, one.scenario.area.height)
+    ground(axes, one.scenario.area.width, one.scenario.area.height)
     a, g = one.world.escorts[0].tolist()
-    draw_track(
-        axes, one.recorder.states[:, g, :2], style.UGV[0], marker="s", width=2.2, label="UGV"
-    )
+    Track(axes, style.UGV[0], flies=False, label="UGV").move(one.recorder.states[:, g, :2])
     for name in GAINS:
-        track = flights[name].recorder.states[:, a, :2]
-        draw_track(
-            axes,
-            track,
-            style.GAIN[name],
-            marker="o",
-            label=labels[name],
-            line="--" if name == "bounded" else "-",
-        )
+        line = "--" if name == "bounded" else "-"
+        track = Track(axes, style.GAIN[name], flies=True, line=line, label=labels[name])
+        track.move(flights[name].recorder.states[:, a, :2])
     k = int(distance(one).argmax())
     p_a, p_g = one.recorder.states[k, a, :2], one.recorder.states[k, g, :2]
-    style.ring(axes, (p_g[0], p_g[1]), one.scenario.visibility.radius)
+    (limit,) = scene_of(one.scenario).with_rings("r_v").rings
+    draw_ring(axes, limit, (p_g[0], p_g[1]))
     axes.plot(
         *zip(p_a, p_g, strict=True),
         color=style.LIMIT,
@@ -250,7 +246,7 @@ def figure_2(flights: Flights) -> Figure:
         d = np.linspace(0.0, r_v + 0.25, 2001)
         alpha, beta = np.array([weighting(x, r_s) for x in d.tolist()]).T
         for panel, values in zip(axes, (alpha, beta, beta / (alpha + beta)), strict=True):
-            panel.plot(d, values, color=style.LAW[law], label=law)
+            panel.plot(d, values, color=style.law_color(law), label=law)
     titles = (
         (r"Weight of tracking", r"$\alpha$"),
         ("Weight of coverage", r"$\beta$"),
@@ -284,7 +280,9 @@ def figure_3(flights: Flights) -> Figure:
     one = flights["linear"]
     for law in WEIGHTINGS:
         for axes in (whole, close):
-            axes.plot(times(flights[law]), distance(flights[law]), color=style.LAW[law], label=law)
+            axes.plot(
+                times(flights[law]), distance(flights[law]), color=style.law_color(law), label=law
+            )
     for axes, letter, title in (
         (whole, "a", "Distance under the three weightings"),
         (close, "b", "The same, close to $r_s$"),
@@ -310,7 +308,7 @@ def figure_5(flights: Flights) -> Figure:
     """Coverage against the circle beside covered ground."""
     figure = _comparison(flights["beside"], flights["beside, circle"], "covered before")
     figure.axes[2].axvspan(
-        0.0, BESIDE, color=style.COVERED(0.6), alpha=0.35, linewidth=0.0, zorder=0.5
+        0.0, BESIDE, color=style.COVERAGE(0.6), alpha=0.35, linewidth=0.0, zorder=0.5
     )
     figure.axes[2].text(
         0.5 * BESIDE,
@@ -330,12 +328,10 @@ def _comparison(coverage: Flight, circle: Flight, known: str) -> Figure:
         (("a", "Coverage and tracking", coverage), ("b", "Circle", circle))
     ):
         axes = figure.add_subplot(grid[0, k])
-        image = draw_ground(axes, flight)
-        draw_vehicles(axes, flight)
+        scene = scene_of(flight.scenario).with_rings("r_v")
+        image = draw_map(axes, flight, scene)
         for region in flight.scenario.coverage.covered:
             _outline(axes, region.lower, region.upper, known)
-        here = flight.recorder.states[-1, flight.world.escorts[0, 1], :2]
-        style.ring(axes, (here[0], here[1]), flight.scenario.visibility.radius)
         style.panel(axes, letter, title)
     below = figure.add_subplot(grid[1, :])
     for law, label, flight in (
@@ -345,16 +341,14 @@ def _comparison(coverage: Flight, circle: Flight, known: str) -> Figure:
         below.plot(
             times(flight),
             error(flight),
-            color=style.LAW[law],
+            color=style.law_color(law),
             label=f"{label}, mean {error(flight).mean():.0f} m²",
         )
     style.over_time(below, coverage.scenario.duration, "e(t) [m²]")
     style.panel(below, "c", "Coverage error")
     below.legend(loc="upper right")
     style.coverage_bar(figure, image, figure.axes[:2])
-    figure.axes[0].legend(
-        handles=[*style.vehicle_keys(), style.key(style.LIMIT, "$r_v$")], loc="upper left", ncols=4
-    )
+    figure.axes[0].legend(handles=legend_of(scene), loc="upper left", ncols=4)
     return figure
 
 

@@ -26,8 +26,8 @@ from outrider.recording.schemas import (
     TRUTH,
     Commands,
     Head,
+    OperatorWord,
     Topic,
-    Word,
     inlined_schema,
     operator_topic,
 )
@@ -201,7 +201,7 @@ class RecordingFile:
         """Take down what an operator's word was that a UGV heard at a tick, which began at `seconds`."""
         self._put(
             operator_topic(ugv),
-            Word(tick=tick, driver=said.driver, velocity=said.velocity, goal=said.goal),
+            OperatorWord(tick=tick, driver=said.driver, velocity=said.velocity, goal=said.goal),
             seconds,
         )
 

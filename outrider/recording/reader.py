@@ -24,8 +24,8 @@ from outrider.recording.schemas import (
     TRUTH,
     Commands,
     Head,
+    OperatorWord,
     Topic,
-    Word,
     read_head,
     scenario_in,
     ugv_of,
@@ -300,7 +300,7 @@ class Recording:
     truths: list[Truth] = field(default_factory=list)
     commands: dict[int, Commands] = field(default_factory=dict)
     """By tick."""
-    words: list[tuple[str, Word]] = field(default_factory=list)
+    words: list[tuple[str, OperatorWord]] = field(default_factory=list)
     """What operators said, and at which UGV's wheel, in the order in which it was heard."""
     changes: list[Change] = field(default_factory=list)
     """What operators changed; of a run that an observer recorded, pauses and speeds too."""
@@ -341,7 +341,7 @@ def load(path: Path) -> list[Recording]:
     decoders: dict[str, msgspec.json.Decoder[Any]] = {
         topic.name: msgspec.json.Decoder(topic.message) for topic in topics
     }
-    words = msgspec.json.Decoder(Word)
+    words = msgspec.json.Decoder(OperatorWord)
     seen = 0
     for entry in entries(path, damage=damage):
         seen += 1
@@ -358,7 +358,7 @@ def load(path: Path) -> list[Recording]:
             flights[-1].truths.append(message)
         elif isinstance(message, Commands):
             flights[-1].commands[message.tick] = message
-        elif isinstance(message, Word):
+        elif isinstance(message, OperatorWord):
             flights[-1].words.append((ugv or "", message))
         elif isinstance(message, Change):
             flights[-1].changes.append(message)

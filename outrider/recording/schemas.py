@@ -12,7 +12,6 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
-from agents.control.visibility import raw_switching_radius
 from bus.errors import ScenarioError
 from bus.messages import (
     Change,
@@ -70,7 +69,7 @@ class Commands(Message, frozen=True, kw_only=True):
     """[m/s²]"""
 
 
-class Word(Drive, frozen=True, kw_only=True):
+class OperatorWord(Drive, frozen=True, kw_only=True):
     """What an operator said, and the tick at which it was heard: that of the UGV's observation that held it."""
 
     tick: Tick
@@ -101,7 +100,7 @@ _OPERATOR = "operator"
 
 def operator_topic(ugv: str) -> Topic:
     """What operators have said at this UGV's wheel, where they have."""
-    return Topic(name=f"/{ugv}/{_OPERATOR}", message=Word)
+    return Topic(name=f"/{ugv}/{_OPERATOR}", message=OperatorWord)
 
 
 def ugv_of(topic: str) -> str | None:
@@ -201,17 +200,6 @@ def scenario_in(head: Head, *, file: str) -> Scenario:
     for field in head.infinite:
         apply_override(raw, field, math.inf, file=file)
     return check_scenario(typed(raw, Scenario, file=file), source=file)
-
-
-def inner_radius(scenario: Scenario, ugv: str) -> float | None:
-    """r_s of (18) around a UGV [m], the smallest of its UAVs; None where it is no circle of its own."""
-    vehicles = {vehicle.name: vehicle for vehicle in scenario.vehicles}
-    r_v, v_g = scenario.visibility.radius, vehicles[ugv].max_speed
-    uavs = [uav for uav in scenario.uav if uav.escorts == ugv]
-    radii = [
-        float(raw_switching_radius(r_v, uav.max_speed, v_g, uav.max_acceleration)) for uav in uavs
-    ]
-    return min((r_s for r_s in radii if 0.0 < r_s < r_v), default=None)
 
 
 class _AnyFormat(msgspec.Struct, frozen=True):

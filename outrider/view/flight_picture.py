@@ -7,12 +7,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
-from matplotlib.lines import Line2D
 
 from outrider import style
-from outrider.running.summary import switching_radius_of
 from sim.kernels.compile import FloatArray
-from sim.scenario.types import Ugv
+from sim.scene.drawing import Map, legend_of
+from sim.scene.known import inner_radius, scene_of
+from sim.scene.model import Scene
 from sim.server.flight import Flight
 
 SIZE = (1400, 800)
@@ -74,114 +74,28 @@ def _end(flight: Flight) -> float:
     return max(flight.recorder.rows - 1, 1) * flight.scenario.dt
 
 
-def ugv_color(flight: Flight, name: str) -> str:
-    """The orange of a UGV."""
-    names = [vehicle.name for vehicle in flight.scenario.vehicles if isinstance(vehicle, Ugv)]
-    return style.color(style.UGV, names.index(name))
+def draw_map(axes: Axes, flight: Flight, scene: Scene) -> AxesImage:
+    """Draw a flight's end from above, with all that led there; the image is the ground's.
 
-
-def draw_ground(axes: Axes, flight: Flight) -> AxesImage:
-    """Q with what was seen of it, as a share of the coverage wanted."""
-    area = flight.scenario.area
-    style.ground(axes, area.width, area.height)
-    share = np.minimum(flight.world.coverage / flight.scenario.coverage.desired, 1.0)
-    return axes.imshow(
-        share,
-        cmap=style.COVERED,
-        vmin=0.0,
-        vmax=1.0,
-        origin="lower",
-        extent=(0.0, area.width, 0.0, area.height),
-    )
-
-
-def draw_track(
-    axes: Axes,
-    track: FloatArray,
-    color: str,
-    *,
-    marker: str,
-    width: float = 1.6,
-    line: str = "-",
-    label: str = "",
-) -> None:
-    """The way of one vehicle, with a hollow mark where it started and a full one where it is."""
-    axes.plot(track[:, 0], track[:, 1], line, color=color, linewidth=width, label=label, zorder=4)
-    axes.plot(
-        *track[0],
-        marker,
-        markersize=6,
-        color="white",
-        markeredgecolor=color,
-        markeredgewidth=1.5,
-        zorder=6,
-    )
-    axes.plot(
-        *track[-1],
-        marker,
-        markersize=8,
-        color=color,
-        markeredgecolor="white",
-        markeredgewidth=1.2,
-        zorder=7,
-    )
-
-
-def draw_vehicles(axes: Axes, flight: Flight) -> None:
-    """Tracks of all vehicles and the goals of the UGVs."""
+    Args:
+        axes: To draw on.
+        flight: What was flown.
+        scene: Of its scenario, with the circles that are wanted.
+    """
     states = flight.recorder.states
-    row = {name: k for k, name in enumerate(flight.world.names)}
-    for vehicle in flight.scenario.vehicles:
-        if isinstance(vehicle, Ugv):
-            color = ugv_color(flight, vehicle.name)
-            for goal in vehicle.goals:
-                axes.plot(
-                    *goal, marker="x", markersize=6, markeredgewidth=1.8, color=color, zorder=3.5
-                )
-            draw_track(axes, states[:, row[vehicle.name], :2], color, marker="s", width=2.2)
-    for k, uav in enumerate(flight.world.uavs):
-        draw_track(axes, states[:, row[uav.name], :2], style.color(style.UAV, k), marker="o")
-
-
-def _inner_radius(flight: Flight, escort: int) -> float | None:
-    """r_s [m] where it is a circle of its own."""
-    r_s = switching_radius_of(flight, escort)
-    return r_s if r_s is not None and 0.0 < r_s < flight.scenario.visibility.radius else None
-
-
-def _draw_rings(axes: Axes, flight: Flight) -> None:
-    """Sight around each UGV, and how far each UAV's sensor reaches, at the end."""
-    for k, (a, g) in enumerate(flight.world.escorts.tolist()):
-        p_a, p_g = flight.recorder.states[-1, a, :2], flight.recorder.states[-1, g, :2]
-        style.ring(axes, (p_g[0], p_g[1]), flight.scenario.visibility.radius)
-        r_s = _inner_radius(flight, k)
-        if r_s is not None:
-            style.ring(axes, (p_g[0], p_g[1]), r_s, dashed=True, width=1.2)
-        style.ring(
-            axes,
-            (p_a[0], p_a[1]),
-            flight.scenario.sensor.range,
-            color=style.color(style.UAV, k),
-            width=0.8,
-        )
-
-
-def _map_legend(flight: Flight) -> list[Line2D]:
-    entries = style.vehicle_keys(len(flight.world.uavs), len(flight.scenario.ugv))
-    entries.append(style.key(style.LIMIT, "limit of sight $r_v$"))
-    if _inner_radius(flight, 0) is not None:
-        entries.append(
-            style.key(style.LIMIT, "only tracking, $r_s$", linestyle=(0, (3, 1.6)), linewidth=1.2)
-        )
-    return [*entries, style.key(style.UAV[0], "range of the sensor", linewidth=0.8)]
+    drawn = Map(axes, scene)
+    drawn.show(
+        {name: states[:, k, :2] for k, name in enumerate(flight.world.names)},
+        np.minimum(flight.world.coverage / flight.scenario.coverage.desired, 1.0),
+    )
+    return drawn.image
 
 
 def _draw_map(figure: Figure, axes: Axes, flight: Flight) -> None:
-    image = draw_ground(axes, flight)
-    draw_vehicles(axes, flight)
-    _draw_rings(axes, flight)
+    scene = scene_of(flight.scenario)
+    image = draw_map(axes, flight, scene)
     axes.legend(
-        handles=_map_legend(flight),
+        handles=legend_of(scene),
         loc="upper center",
         bbox_to_anchor=(0.5, -0.08),
         ncols=3,
@@ -213,7 +127,7 @@ def _draw_distance(axes: Axes, flight: Flight) -> None:
         axes.plot(time, distance[:, k], color=style.color(style.UAV, k), label=uav.name)
     style.over_time(axes, _end(flight), r"$\|p_\Delta\|$ [m]")
     axes.set_ylim(0.0, 1.12 * max(r_v, float(distance.max())))
-    style.limits_of_sight(axes, r_v, _inner_radius(flight, 0))
+    style.limits_of_sight(axes, r_v, inner_radius(flight.scenario, flight.world.uavs[0].escorts))
     shade_violations(axes, time, distance.max(axis=1), r_v)
     axes.set_title("Distance between UAV and UGV")
     if distance.shape[1] > 1:
@@ -229,7 +143,7 @@ def _draw_error(axes: Axes, flight: Flight) -> None:
 
 
 def _draw_estimate(axes: Axes, flight: Flight) -> None:
-    """How far off the detections are, and what the filter makes of them."""
+    """Draw how far off the detections are, and the filter's estimates from them."""
     states, escorts, time = flight.recorder.states, flight.recorder.escorts, times(flight)
     for k, (a, g) in enumerate(flight.world.escorts.tolist()):
         p_a, p_g = states[:, a, :2], states[:, g, :2]

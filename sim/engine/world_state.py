@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bus.registry import SENSORS
 from sim.channel.link import LinkState, LinkTable
 from sim.kernels.compile import FloatArray, IntArray
 from sim.kernels.records import RecordArray
-from sim.models.field import SENSORS, cover, empty_coverage
+from sim.models.field import cover, empty_coverage
 from sim.models.randomness import WordArray
 from sim.scenario.types import Scenario
 
@@ -74,7 +75,7 @@ def world_parameters(scenario: Scenario, *, gains: bool = False) -> WorldParamet
         cell=float(scenario.area.cell),
         r_v=float(scenario.visibility.radius),
         r_o=float(scenario.visibility.radius + scenario.sensor.range),
-        sensor=SENSORS[scenario.sensor.model],
+        sensor=SENSORS[scenario.sensor.model].code,
         peak=float(scenario.sensor.peak),
         reach=float(scenario.sensor.range),
         desired=float(scenario.coverage.desired),

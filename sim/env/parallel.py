@@ -26,11 +26,12 @@ from sim.env.rows import Moment, UavSeat, UgvSeat, all_arrived, seats
 from sim.env.seeds import Seeds
 from sim.env.spaces import action_space, observation_space
 from sim.env.state import state_array, state_space
-from sim.env.view import View
+from sim.env.view import Rendering
 from sim.kernels.compile import FloatArray
 from sim.models.field import empty_coverage
 from sim.scenario.checks import check_scenario
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 from sim.world import World
 
 Array = npt.NDArray[np.floating[Any]]
@@ -72,7 +73,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     | 6 | `goal_x` | goal, x; the last one stays when reached; 0 without goals | m | 0 … W |
     | 7 | `goal_y` | goal, y; the last one stays when reached; 0 without goals | m | 0 … H |
 
-    The letters of the ranges are explained in `bus.layout.SYMBOLS`; all agents end together. `docs/environment.md`
+    The letters of the ranges are explained in `bus.layout.SYMBOLS`; all agents end together. `docs/reference/environment.md`
     is the environment's page.
 
     Args:
@@ -156,7 +157,9 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self._seeds = Seeds(self.scenario.seed)
         self._commands: FloatArray = np.zeros((len(vehicles), 2))
         self._world: World | None = None
-        self._view = None if render_mode is None else View(render_mode, self.metadata["render_fps"])
+        self._view = (
+            None if render_mode is None else Rendering(render_mode, self.metadata["render_fps"])
+        )
 
     @property
     def episode_seed(self) -> int:

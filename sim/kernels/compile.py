@@ -45,6 +45,7 @@ def _source_digest() -> str:
                 for mark in (b"@compiled", b"@borrowing", b"@inlined", b"@released", b"@intrinsic")
             ):
                 digest.update(text)
+    digest.update((root / "bus" / "registry.py").read_bytes())  # its codes are constants in there
     return digest.hexdigest()[:16]
 
 
@@ -82,6 +83,11 @@ def _open_cache() -> Path | None:
 _FOLDER = _open_cache()
 if _FOLDER is not None:
     numba.config.CACHE_DIR = str(_FOLDER)  # type: ignore[attr-defined]
+
+
+def cache_folder() -> Path | None:
+    """The folder of the compile cache; None where none can be written."""
+    return _FOLDER
 
 
 def _compile(function: _F, **options: Any) -> _F:  # noqa: ANN401 - numba's

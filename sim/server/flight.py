@@ -34,8 +34,8 @@ from bus.messages import (
     UgvObservation,
     VehicleTruth,
 )
+from bus.registry import LAWS
 from sim.kernels.compile import FloatArray
-from sim.scenario.checks import WATCHED_LAWS
 from sim.scenario.types import Scenario
 from sim.server.assurance import Arrival, Assurance
 from sim.server.recorder import Recorder
@@ -354,7 +354,7 @@ class Flight:
         What the UAVs radio arrives at the next one.
         """
         self._listen()
-        world, watched = self.world, self.law.name in WATCHED_LAWS
+        world, watched = self.world, LAWS[self.law.name].watched
         if watched:
             self.recorder.record(self.reports)  # what is said of this tick is held against it
         for k, name in enumerate(world.names):

@@ -3,16 +3,14 @@
 The truth, the map and the status, to whoever listens, and never in the tick's way.
 """
 
-import math
 import time
 from collections.abc import Callable
 
 from bus.keys import COVERAGE, GLANCE, STATUS, TRUTH
-from bus.messages import CoverageMap, Geometry, Status
+from bus.messages import CoverageMap, Status
 from bus.session import Session
-from sim.engine.briefing import limits
-from sim.scenario.checks import switching_radius
 from sim.scenario.types import LinkTable, Scenario
+from sim.scene.known import geometry_of
 from sim.server.flight import Flight
 from sim.server.operator_controls import Desk
 from sim.server.sessions import Seats
@@ -36,21 +34,6 @@ def no_warnings(_scenario: Scenario, _links: LinkTable) -> tuple[str, ...]:
     return ()
 
 
-def _geometry(scenario: Scenario) -> Geometry:
-    ugvs = {ugv.name: ugv for ugv in scenario.ugv}
-    uav = scenario.uav[0]
-    radius = switching_radius(scenario, uav, ugvs[uav.escorts])
-    return Geometry(
-        area=scenario.area,
-        visibility_radius=scenario.visibility.radius,
-        sensor_range=scenario.sensor.range,
-        switching_radius=radius if math.isfinite(radius) else None,
-        dt=scenario.dt,
-        uavs={uav.name: uav.escorts for uav in scenario.uav},
-        limits={vehicle.name: limits(vehicle) for vehicle in scenario.vehicles},
-    )
-
-
 class Telemetry:
     """Sends what is wanted.
 
@@ -67,7 +50,7 @@ class Telemetry:
     ) -> None:
         self._warn = warn
         self._flight, self._seats, self._desk = flight, seats, desk
-        self._geometry = _geometry(flight.scenario)
+        self._geometry = geometry_of(flight.scenario)
         self._truth, self._glance = session.outbox(TRUTH), session.outbox(GLANCE)
         self._map, self._status = session.outbox(COVERAGE), session.outbox(STATUS)
         self._due = self._glance_due = 0.0

@@ -6,16 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from bus.registry import LAWS
 from outrider.experiments.falsify.adversary import fly_adversary
 from outrider.experiments.falsify.genome import Candidate, decode, tactics_of, with_script
-from outrider.experiments.falsify.limits import Limits
+from outrider.experiments.falsify.limits import SearchLimits
 from outrider.running.flying import fly
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Result:
+class CandidateResult:
     """What came out of a run."""
 
     number: int
@@ -71,7 +72,9 @@ def promised(certified: npt.NDArray[np.bool_], patience: int) -> npt.NDArray[np.
     return stands
 
 
-def flown(candidate: Candidate, base: Scenario, limits: Limits) -> tuple[Scenario, Flight, Result]:
+def flown(
+    candidate: Candidate, base: Scenario, limits: SearchLimits
+) -> tuple[Scenario, Flight, CandidateResult]:
     """Fly a candidate.
 
     Args:
@@ -90,7 +93,7 @@ def flown(candidate: Candidate, base: Scenario, limits: Limits) -> tuple[Scenari
     else:
         flight, _ = fly(scenario, scenario.seed, on_tick=watch.see)
     distance = flight.recorder.escorts[:, 0, 0]
-    certifies = scenario.law.name == "certified"
+    certifies = LAWS[scenario.law.name].watched
     patience = math.ceil((_WHILE + scenario.links.commands.delay) / scenario.dt)
     stands = (
         promised(watch.certified, patience) if certifies else np.ones(len(distance), dtype=np.bool_)
@@ -99,7 +102,7 @@ def flown(candidate: Candidate, base: Scenario, limits: Limits) -> tuple[Scenari
         watch.certified
     )  # whatever has been before, a certified tick says that the UGV is in sight
     lost = distance >= scenario.visibility.radius
-    result = Result(
+    result = CandidateResult(
         number=candidate.number,
         score=float(distance[stands].max(initial=0.0)),
         max_distance=float(distance.max()),
@@ -113,6 +116,6 @@ def flown(candidate: Candidate, base: Scenario, limits: Limits) -> tuple[Scenari
     return scenario, flight, result
 
 
-def fly_candidate(candidate: Candidate, base: Scenario, limits: Limits) -> Result:
+def fly_candidate(candidate: Candidate, base: Scenario, limits: SearchLimits) -> CandidateResult:
     """What came out of a candidate; for a worker."""
     return flown(candidate, base, limits)[2]

@@ -11,7 +11,7 @@ import msgspec
 from outrider.experiments.falsify.attacks import AttackTally, again, run_attack
 from outrider.experiments.falsify.attacks import warm as warm_attack
 from outrider.experiments.falsify.candidate import flown
-from outrider.experiments.falsify.limits import Limits
+from outrider.experiments.falsify.limits import SearchLimits
 from outrider.experiments.falsify.pool import Workers
 from outrider.experiments.falsify.saving import as_toml, free_path
 from outrider.experiments.falsify.search import Budget, Search, Tally, warm
@@ -29,7 +29,7 @@ class Wanted:
     """What is to be searched."""
 
     base: Scenario
-    limits: Limits
+    limits: SearchLimits
     flies: bool
     """Whether scenarios are searched."""
     attacks: bool

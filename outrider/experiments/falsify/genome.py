@@ -9,10 +9,9 @@ import msgspec
 
 from bus.messages import LinkSettings, Region, ScriptStep, Vector
 from outrider.experiments.falsify.adversary import Tactics, cut
-from outrider.experiments.falsify.limits import Limits, looks_until_seen, pair
+from outrider.experiments.falsify.limits import SearchLimits, looks_until_seen, pair
 from sim.models.vehicles import stopping_distance
-from sim.scenario.checks import switching_radius
-from sim.scenario.types import Detections, LinkTable, Scenario, VehicleLinks
+from sim.scenario.types import Detections, LinkTable, Scenario, VehicleLinks, switching_radius
 
 (_X, _Y, _ANGLE, _DISTANCE, _UAV_SPEED, _UAV_HEADING, _UGV_SPEED, _UGV_HEADING) = range(8)
 (_DELAY, _JITTER, _LOSS, _NOISE, _COMMAND_DELAY, _DARK, _DARK_START, _DARK_GAP) = range(8, 16)
@@ -120,7 +119,7 @@ def _blackouts(
     return tuple((round(start + k * every, 6), length) for k in range(count))
 
 
-def _degraded(scenario: Scenario, limits: Limits, x: Sequence[float]) -> Scenario:
+def _degraded(scenario: Scenario, limits: SearchLimits, x: Sequence[float]) -> Scenario:
     """Noise and network; the UGV's own commands are never late."""
     if not limits.degraded:
         return scenario
@@ -169,7 +168,7 @@ def tactics_of(vector: Sequence[float], scenario: Scenario) -> Tactics:
     )
 
 
-def decode(candidate: Candidate, base: Scenario, limits: Limits) -> Scenario:
+def decode(candidate: Candidate, base: Scenario, limits: SearchLimits) -> Scenario:
     """The candidate's scenario; an `adversary`'s without its script, which only its flight can write."""
     x = candidate.vector
     scenario = _degraded(_covered(_started(base, x), x), limits, x)

@@ -9,6 +9,7 @@ from agents.control.handover import check_assumptions
 from agents.control.visibility import promise_of
 from bus.errors import ScenarioError
 from bus.messages import LinkSettings, UavBriefing
+from bus.registry import LAWS
 from sim.engine.briefing import briefing
 from sim.scenario.types import Certificate, LinkTable, Scenario, Uav, Ugv
 
@@ -19,7 +20,7 @@ _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
+class SearchLimits:
     """The most that a candidate may ask of noise and network; all zero: undegraded."""
 
     delay: float = 0.0
@@ -39,14 +40,14 @@ class Limits:
         return any((self.delay, self.loss, self.blackout, self.noise, self.command_delay))
 
 
-def needed_age(limits: Limits, scenario: Scenario) -> float:
+def needed_age(limits: SearchLimits, scenario: Scenario) -> float:
     """The age A [s] that the newest detection does not exceed within these limits, but for one loss in a thousand million."""
     return (
         limits.delay + limits.blackout + looks_until_seen(limits.loss, scenario) + 2.0 * scenario.dt
     )
 
 
-def needed_hold(limits: Limits, scenario: Scenario) -> float:
+def needed_hold(limits: SearchLimits, scenario: Scenario) -> float:
     """The scenario's `hold` [s], or the latest command's delay in whole ticks where that is more."""
     latest = math.ceil(limits.command_delay / scenario.dt - _ROUNDING) * scenario.dt
     return max(scenario.hold, latest)
@@ -77,7 +78,7 @@ def pair(scenario: Scenario) -> tuple[Uav, Ugv]:
     return uav, ugv
 
 
-def base_of(scenario: Scenario, limits: Limits) -> Scenario:
+def base_of(scenario: Scenario, limits: SearchLimits) -> Scenario:
     """What all candidates have in common.
 
     What the scenario declares of its detections for the law `certified` is kept; what it leaves open is declared
@@ -106,12 +107,12 @@ def base_of(scenario: Scenario, limits: Limits) -> Scenario:
         certificate=certificate,
         hold=needed_hold(limits, scenario),
     )
-    if base.law.name == "certified":
+    if LAWS[base.law.name].watched:
         _check_promise(base, limits)
     return base
 
 
-def _check_promise(base: Scenario, limits: Limits) -> None:
+def _check_promise(base: Scenario, limits: SearchLimits) -> None:
     delay = LinkSettings(delay=limits.command_delay)
     latest = msgspec.structs.replace(
         base, links=msgspec.structs.replace(base.links, commands=delay)
@@ -125,9 +126,9 @@ def _check_promise(base: Scenario, limits: Limits) -> None:
         )
 
 
-def beyond_declared(base: Scenario, limits: Limits) -> tuple[str, ...]:
+def beyond_declared(base: Scenario, limits: SearchLimits) -> tuple[str, ...]:
     """In what these limits go beyond what is declared to the law `certified`, a line each."""
-    if base.law.name != "certified":
+    if not LAWS[base.law.name].watched:
         return ()
     given = base.certificate
     error = limits.noise * base.noise_cut if limits.noise else 0.0

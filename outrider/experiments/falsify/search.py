@@ -19,12 +19,13 @@ from agents.process import warm_up as warm_up_pilot
 from bus.errors import ScenarioError
 from bus.keys import Role
 from outrider.experiments.falsify import EXTRA
-from outrider.experiments.falsify.candidate import Result, fly_candidate
+from outrider.experiments.falsify.candidate import CandidateResult, fly_candidate
 from outrider.experiments.falsify.genome import SIZES, Candidate, proof_cases
-from outrider.experiments.falsify.limits import Limits
+from outrider.experiments.falsify.limits import SearchLimits
 from outrider.experiments.falsify.pool import Workers
 from sim.kernels.compile import compiling
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 from sim.server.flight import warm_up
 
 _EXPLORED = 0.35
@@ -102,7 +103,7 @@ class Tally:
     """Ticks of all runs that were certified although the UGV was out of sight."""
     certificate_broken: int = 0
     """Ticks of all runs that were not certified although the one before was and all assumptions held."""
-    elite: list[tuple[Candidate, Result]] = field(default_factory=list)
+    elite: list[tuple[Candidate, CandidateResult]] = field(default_factory=list)
     """The best, by the largest distance while the promise stood."""
 
     @property
@@ -110,7 +111,7 @@ class Tally:
         """The largest distance while the promise stood [m]; 0 before the first run."""
         return self.elite[0][1].score if self.elite else 0.0
 
-    def take(self, candidate: Candidate, result: Result) -> None:
+    def take(self, candidate: Candidate, result: CandidateResult) -> None:
         """Count a run."""
         self.runs += 1
         self.violations += result.violated
@@ -182,7 +183,7 @@ class Search:
     """
 
     def __init__(
-        self, base: Scenario, limits: Limits, seed: int, *, tally: Tally, first: bool = False
+        self, base: Scenario, limits: SearchLimits, seed: int, *, tally: Tally, first: bool = False
     ) -> None:
         self._base, self._limits, self._seed, self._first = base, limits, seed, first
         self.tally = tally
@@ -217,7 +218,7 @@ class Search:
             )
             batch = [self._candidate(*one) for one in wanted][: budget.left(tally.runs)]
             flown = {candidate.number: candidate for candidate in batch}
-            results: list[Result] = []
+            results: list[CandidateResult] = []
             for result in workers.stream(
                 fly_candidate, ((one, self._base, self._limits) for one in batch), ends
             ):

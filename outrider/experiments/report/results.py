@@ -10,11 +10,11 @@ from typing import Any
 import msgspec
 
 from bus.errors import ScenarioError
+from bus.registry import LAWS
 from outrider.experiments.intervals import wilson_interval
 from outrider.experiments.report.labels import label_of, value_of
 from outrider.experiments.sweep.columns import RESULTS
-from outrider.experiments.sweep.folder import Head, read_head, read_results
-from sim.scenario.checks import LAW_NAMES
+from outrider.experiments.sweep.folder import SweepHead, read_head, read_results
 
 _OWN = ("run", "law", "seed", *RESULTS)
 
@@ -85,7 +85,7 @@ class Material:
     """All that a report is made of."""
 
     folders: tuple[Path, ...]
-    heads: tuple[Head, ...]
+    heads: tuple[SweepHead, ...]
     panels: tuple[Panel, ...]
     rows: int
     failed: int
@@ -109,7 +109,7 @@ class _Block:
 
 
 def _ordered_laws(laws: set[str]) -> list[str]:
-    table = {name: k for k, name in enumerate(LAW_NAMES)}
+    table = {name: k for k, name in enumerate(LAWS)}
     return sorted(laws, key=lambda law: (table.get(law, len(table)), law))
 
 
@@ -122,7 +122,7 @@ def _rising(values: Sequence[Any]) -> list[Any]:
     return sorted(numbers) + [value for value in once if value not in numbers]
 
 
-def _read(folder: Path) -> tuple[Head, list[dict[str, Any]]]:
+def _read(folder: Path) -> tuple[SweepHead, list[dict[str, Any]]]:
     head = read_head(folder)
     if head is None:
         raise ScenarioError(
@@ -156,7 +156,7 @@ def _join(into: _Block, rows: list[dict[str, Any]]) -> bool:
     return True
 
 
-def _blocks(found: Sequence[tuple[Path, Head, list[dict[str, Any]]]]) -> list[_Block]:
+def _blocks(found: Sequence[tuple[Path, SweepHead, list[dict[str, Any]]]]) -> list[_Block]:
     """The blocks of all folders; those that ask the same are one, as where each folder has a law of its own."""
     blocks: dict[bytes, list[_Block]] = defaultdict(list)
     for folder, head, rows in found:

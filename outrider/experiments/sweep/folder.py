@@ -33,7 +33,7 @@ _MOST_HEAD, _MOST_TABLE = 4 << 20, 1 << 30
 """Of a head and of a table with results [bytes]."""
 
 
-class Head(msgspec.Struct, frozen=True, kw_only=True):
+class SweepHead(msgspec.Struct, frozen=True, kw_only=True):
     """What a folder holds: enough to tell it from another sweep's, and to report on it."""
 
     outrider: str
@@ -45,14 +45,14 @@ class Head(msgspec.Struct, frozen=True, kw_only=True):
     sweep: Sweep
 
 
-def read_head(folder: Path) -> Head | None:
+def read_head(folder: Path) -> SweepHead | None:
     """What a folder holds; None where it is no sweep's.
 
     Raises:
         ScenarioError: If its head is damaged.
     """
     try:
-        return msgspec.json.decode(read_regular(folder / HEAD, _MOST_HEAD), type=Head)
+        return msgspec.json.decode(read_regular(folder / HEAD, _MOST_HEAD), type=SweepHead)
     except FileNotFoundError:
         return None
     except msgspec.MsgspecError as error:
@@ -209,7 +209,7 @@ class SweepFolder:
         if head is None:
             if text:
                 _replace(self.path / FILE, text.encode())
-            head = Head(
+            head = SweepHead(
                 outrider=plan.version,
                 command=command,
                 digest=plan.digest,

@@ -10,16 +10,18 @@ from typing import Any
 import msgspec
 
 from bus.errors import ScenarioError
+from bus.registry import DRIVERS
 from outrider.experiments.sweep.columns import FIRST, RESULTS
 from outrider.experiments.sweep.definition import Block, Sweep
 from outrider.running.user_code import check_code, check_own_functions
 from sim.input.faults import one_line
 from sim.scenario.checks import scenario_warnings
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Point:
+class SweepPoint:
     """One law at one combination of values; flown with every seed."""
 
     block: str
@@ -34,7 +36,7 @@ class Plan:
     """All of a sweep. Run number r is point r // seeds with seed number r % seeds."""
 
     sweep: Sweep
-    points: tuple[Point, ...]
+    points: tuple[SweepPoint, ...]
     columns: dict[str, str]
     """Of the table: their names and Parquet types, in order."""
     version: str
@@ -110,10 +112,10 @@ def _loaded(sweep: Sweep, told: Callable[[int, int], None]) -> Iterator[tuple[Bl
         scenario = load_scenario(
             sweep.scenario, overrides={**sweep.set, **block.set, **named, **values}
         )
-        if any(ugv.driver == "external" for ugv in scenario.ugv):
-            raise ScenarioError(
-                f"{one_line(sweep.scenario)}: the driver 'external' is another process; a sweep has none"
-            )
+        outside = next((ugv.driver for ugv in scenario.ugv if DRIVERS[ugv.driver].outside), None)
+        if outside is not None:
+            wrong = f"the driver {outside!r} is another process; a sweep has none"
+            raise ScenarioError(f"{one_line(sweep.scenario)}: {wrong}")
         yield block, scenario
 
 
@@ -140,13 +142,13 @@ def lay_out(
         for field, values in block.vary.items():
             varied.setdefault(field, []).extend(values)
     kinds = {field: _kind(values) for field, values in varied.items()}
-    points: list[Point] = []
+    points: list[SweepPoint] = []
     warnings: dict[str, None] = {}
     for block, scenario in _loaded(sweep, told):
         raw = msgspec.to_builtins(scenario)
         fields = {field: _as_column(_value_of(raw, field), kind) for field, kind in kinds.items()}
         points.append(
-            Point(block=block.name, law=scenario.law.name, fields=fields, scenario=scenario)
+            SweepPoint(block=block.name, law=scenario.law.name, fields=fields, scenario=scenario)
         )
         warnings |= dict.fromkeys(scenario_warnings(scenario))
         if scenario.custom != type(scenario.custom)():

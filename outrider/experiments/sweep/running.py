@@ -29,7 +29,7 @@ _TASKS_A_WORKER = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Task:
+class SweepTask:
     """Some runs of one point."""
 
     scenario: Scenario
@@ -42,7 +42,7 @@ def cost_of(scenario: Scenario) -> int:
     return scenario.ticks * len(scenario.uav)
 
 
-def make_tasks(plan: Plan, done: set[int], workers: int) -> list[Task]:
+def make_tasks(plan: Plan, done: set[int], workers: int) -> list[SweepTask]:
     """What is still to be flown, in order, cut into tasks.
 
     Args:
@@ -52,7 +52,7 @@ def make_tasks(plan: Plan, done: set[int], workers: int) -> list[Task]:
     """
     missing = plan.runs - len(done)
     most = max(1, missing // (_TASKS_A_WORKER * workers))
-    tasks: list[Task] = []
+    tasks: list[SweepTask] = []
     for k, point in enumerate(plan.points):
         runs = [
             run
@@ -62,7 +62,7 @@ def make_tasks(plan: Plan, done: set[int], workers: int) -> list[Task]:
         size = min(most, max(1, _TASK // cost_of(point.scenario)))
         for first in range(0, len(runs), size):
             seeds = {run: plan.seed_of(run) for run in runs[first : first + size]}
-            tasks.append(Task(scenario=point.scenario, seeds=seeds))
+            tasks.append(SweepTask(scenario=point.scenario, seeds=seeds))
     return tasks
 
 
@@ -99,7 +99,7 @@ def open_cluster(address: str, version: str) -> Iterator["Client"]:
 
 
 def _results(
-    tasks: list[Task], jobs: int, client: "Client | None"
+    tasks: list[SweepTask], jobs: int, client: "Client | None"
 ) -> Generator[list[dict[str, Any]]]:
     """The results of the tasks, as they come."""
     from joblib import Parallel, delayed, parallel_config  # noqa: PLC0415 - an extra

@@ -19,17 +19,17 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from bus.messages import Vector
-from outrider.view.page.admission import Guard
-from outrider.view.page.door import Admission
-from outrider.view.page.headers import Nonces, SecureHeaders
+from outrider.view.page.access.admission import Guard
+from outrider.view.page.access.door import Admission
+from outrider.view.page.access.headers import Nonces, SecureHeaders
+from outrider.view.page.access.visitors import Visitors
 from outrider.view.page.hub import Browser, Hub
-from outrider.view.page.layout_page import BuildControls, build_page, colors
-from outrider.view.page.visitors import Visitors
+from outrider.view.page.shell import BuildControls, build_page, colors
 
 STATIC = Path(__file__).with_name("static")
 
 
-class Word(msgspec.Struct, forbid_unknown_fields=True):
+class PageMessage(msgspec.Struct, forbid_unknown_fields=True):
     """What a page says."""
 
     kind: str
@@ -38,7 +38,7 @@ class Word(msgspec.Struct, forbid_unknown_fields=True):
     vehicle: str = ""
 
 
-_WORDS = msgspec.json.Decoder(Word)
+_WORDS = msgspec.json.Decoder(PageMessage)
 
 
 class _Fresh(StaticFiles):
@@ -168,7 +168,7 @@ def _obey(hub: Hub, browser: Browser, text: str) -> None:
         word = _WORDS.decode(text)
     except msgspec.DecodeError:
         return
-    hub.wheel.hear(browser.number)
+    hub.wheel.keep(browser.number)
     match word.kind:
         case "drawn":
             browser.in_hand = max(0, browser.in_hand - 1)

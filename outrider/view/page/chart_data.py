@@ -68,7 +68,7 @@ class Losses:
         return count(self._told[-1][1][link]) - count(self._told[since][1][link])
 
 
-class History:
+class ChartData:
     """Rows of numbers over simulated time, thinned out as the run goes on.
 
     A row is: time [s], real-time factor; x and y of each vehicle [m]; then for each escort the distance [m], e(t)

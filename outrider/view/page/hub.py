@@ -14,10 +14,11 @@ import msgspec
 
 from bus.messages import Action, CoverageMap, Law, Message, Status, Truth
 from outrider.view.page import LOOPBACK
-from outrider.view.page.chart_data import History
-from outrider.view.page.network import said_of_links
-from outrider.view.page.source import Source
-from outrider.view.page.wheel import Wheel
+from outrider.view.page.chart_data import ChartData
+from outrider.view.page.controls.network import said_of_links
+from outrider.view.page.controls.wheel import SharedWheel
+from outrider.view.page.sources.protocol import Source
+from sim.scene.model import Scene, observed_scene
 
 FRAME = 0.05
 """Wall time between two frames of one browser at least [s]."""
@@ -59,11 +60,11 @@ class Hub:
 
     def __init__(self, source: Source, law: Law | None = None) -> None:
         self.source = source
-        self.history = History()
+        self.history = ChartData()
         self.status: Status | None = None
         self.first_law = law
         self.browsers: dict[int, Browser] = {}
-        self.wheel = Wheel(source.control, source.drive)
+        self.wheel = SharedWheel(source.control, source.drive)
         self._numbers = 0
         self._versions = {Truth: 0, Status: 0, CoverageMap: 0}
         self._raw: dict[type[Message], msgspec.Raw] = {}
@@ -102,6 +103,16 @@ class Hub:
             return
         self._raw[kind] = msgspec.Raw(encoded)
         self._versions[kind] += 1
+
+    @property
+    def _scene(self) -> Scene | None:
+        """What the map shows, as far as it is known."""
+        status, escorts = self.status, dict(self.history.escorts)
+        if status is None or not escorts:
+            return None
+        return observed_scene(
+            status.scenario, status.geometry, escorts=escorts, vehicles=self.history.vehicles
+        )
 
     @property
     def _dt(self) -> float:
@@ -167,6 +178,8 @@ class Hub:
         if browser.generation != history.generation:
             frame["history"] = {"vehicles": history.vehicles, "escorts": history.escorts}
             browser.generation, browser.rows = history.generation, 0
+        if "status" in frame or "history" in frame:
+            frame["scene"] = self._scene
         if browser.rows < len(history.rows):
             frame["rows"] = history.rows[browser.rows :]
             browser.rows = len(history.rows)

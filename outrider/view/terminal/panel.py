@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from rich.text import Text
 
 from bus.messages import EscortTruth, Status, VehicleStatus
-from outrider.view.terminal.operator_link import STALE, View
+from outrider.view.operator import SILENCE
 from outrider.view.terminal.palette import ALARM, EDGE, FAINT, GOOD, INK, LIMIT, UAV, UGV
+from outrider.view.terminal.teleoperation import DriveView
 
 WIDTH = 36
 """Of the panel [cells]."""
@@ -16,20 +17,16 @@ _INNER = WIDTH - 4
 _BARS = "▁▂▃▄▅▆▇█"
 _EIGHTHS = " ▏▎▍▌▋▊▉█"
 _LOCKSTEP_FACTOR = 20.0
-_SMOOTH = 0.2
 
 
 @dataclass(slots=True)
-class History:
+class ErrorCurve:
     """e(t) of the last while, for its curve."""
 
     errors: deque[float] = field(default_factory=lambda: deque(maxlen=_INNER))
     time: float = -math.inf
     step: float = 1.0
     """Simulated time between two of them [s]."""
-    pace: float | None = None
-    """The real-time factor, smoothed: a status looks at a fifth of a second only."""
-    pace_tick: int = -1
 
     def add(self, time: float, error: float) -> None:
         """Add one, if it is time."""
@@ -40,26 +37,17 @@ class History:
             self.errors.append(error)
             self.time = time
 
-    def follow(self, status: Status) -> None:
-        """Smooth the real-time factor."""
-        if status.tick != self.pace_tick:
-            before = status.realtime_factor if self.pace is None else self.pace
-            self.pace, self.pace_tick = (
-                before + _SMOOTH * (status.realtime_factor - before),
-                status.tick,
-            )
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Banner:
-    """The line that says how it stands."""
+    """The line that tells how it stands."""
 
     text: str
     color: str
     ground: str
 
 
-def farthest(view: View, vehicle: str) -> EscortTruth | None:
+def farthest(view: DriveView, vehicle: str) -> EscortTruth | None:
     """Of the UAVs that escort this UGV, the one that is farthest away."""
     if view.truth is None:
         return None
@@ -70,8 +58,8 @@ def farthest(view: View, vehicle: str) -> EscortTruth | None:
     )
 
 
-def banner(view: View, vehicle: str, *, leaving: bool) -> Banner:
-    """What matters most now."""
+def banner(view: DriveView, vehicle: str, *, leaving: bool) -> Banner:
+    """The one thing that matters most now."""
     if view.status is not None and view.status.over:
         return Banner(text="the flight is over · q leaves", color="#12151a", ground=GOOD)
     trouble = _trouble(view)
@@ -99,18 +87,18 @@ def banner(view: View, vehicle: str, *, leaving: bool) -> Banner:
     )
 
 
-def _trouble(view: View) -> str:
+def _trouble(view: DriveView) -> str:
     if not view.connected:
         return "THE ROUTER HAS GONE · the UGV brakes · waiting for it"
     if not view.present:
         return "THE SIMULATOR HAS GONE · waiting for it · q leaves"
-    if view.age > STALE:
+    if view.age > SILENCE:
         return f"NO NEWS FROM THE SIMULATOR for {view.age:.0f} s"
     return view.fault and f"TROUBLE: {view.fault}"
 
 
-def title(view: View, run: str) -> Text:
-    """Which run this is, and what time it is there."""
+def title(view: DriveView, run: str) -> Text:
+    """The run's name and its time."""
     text = Text(" OUTRIDER ", style=f"bold {UAV[0]}", no_wrap=True)
     status = view.status
     if status is None:
@@ -121,7 +109,7 @@ def title(view: View, run: str) -> Text:
     return text
 
 
-def _time(view: View) -> float:
+def _time(view: DriveView) -> float:
     return max(
         view.truth.time if view.truth is not None else 0.0,
         view.status.time if view.status is not None else 0.0,
@@ -132,14 +120,14 @@ def _total(status: Status) -> str:
     return "-" if status.geometry is None else f"{status.ticks * status.geometry.dt:g} s"
 
 
-def numbers(view: View, vehicle: str, history: History) -> Text:
+def numbers(view: DriveView, vehicle: str, history: ErrorCurve) -> Text:
     """The panel."""
     text = Text(no_wrap=True, style=INK)
     escort = farthest(view, vehicle)
     _distance(text, view, escort)
     _coverage(text, escort, history)
     _velocities(text, view, vehicle, escort)
-    _clock(text, view, history)
+    _clock(text, view)
     _processes(text, view)
     return text
 
@@ -149,7 +137,7 @@ def _row(text: Text, name: str, value: str, color: str = INK, *, bold: bool = Fa
     text.append(value.rjust(_INNER - len(name)) + "\n", style=f"bold {color}" if bold else color)
 
 
-def _distance(text: Text, view: View, escort: EscortTruth | None) -> None:
+def _distance(text: Text, view: DriveView, escort: EscortTruth | None) -> None:
     geometry = view.status.geometry if view.status is not None else None
     distance = escort.distance if escort is not None else None
     r_v = geometry.visibility_radius if geometry is not None else None
@@ -192,7 +180,7 @@ def _gauge(distance: float | None, r_v: float | None, r_s: float | None, color: 
     return gauge + Text("\n")
 
 
-def _coverage(text: Text, escort: EscortTruth | None, history: History) -> None:
+def _coverage(text: Text, escort: EscortTruth | None, history: ErrorCurve) -> None:
     _row(
         text,
         "coverage error e(t)",
@@ -208,7 +196,7 @@ def _coverage(text: Text, escort: EscortTruth | None, history: History) -> None:
     text.append("\n\n")
 
 
-def _velocities(text: Text, view: View, vehicle: str, escort: EscortTruth | None) -> None:
+def _velocities(text: Text, view: DriveView, vehicle: str, escort: EscortTruth | None) -> None:
     text.append(
         "velocity".ljust(12) + "x".rjust(6) + "y".rjust(7) + "m/s".rjust(_INNER - 25) + "\n",
         style=FAINT,
@@ -234,14 +222,14 @@ def _velocity(text: Text, name: str, velocity: tuple[float, float] | None, color
     text.append(f"{math.hypot(x, y):7.2f}\n", style="bold")
 
 
-def _clock(text: Text, view: View, history: History) -> None:
+def _clock(text: Text, view: DriveView) -> None:
     status = view.status
     if status is None:
         return
     lockstep = status.wanted_factor is None
-    pace = "paused" if status.paused else f"x {history.pace or 0.0:.2f}"
+    pace = "paused" if status.paused else f"x {view.factor:.2f}"
     _row(text, "real time" + ("" if lockstep else f" (wanted x {status.wanted_factor:g})"), pace)
-    if lockstep and (history.pace or 0.0) > _LOCKSTEP_FACTOR:
+    if lockstep and view.factor > _LOCKSTEP_FACTOR:
         text.append("too fast to drive: --realtime 1\n", style=LIMIT)
     elif lockstep:
         text.append("lockstep: as fast as it goes\n", style=FAINT)
@@ -249,7 +237,7 @@ def _clock(text: Text, view: View, history: History) -> None:
         _row(text, "late ticks", f"{status.late_ticks}", LIMIT if status.late_ticks else INK)
 
 
-def _processes(text: Text, view: View) -> None:
+def _processes(text: Text, view: DriveView) -> None:
     if view.status is None:
         return
     here = view.connected and view.present

@@ -1,4 +1,4 @@
-"""The wheel: what pressed keys want of the UGV. Pure: the clock is an argument.
+"""The velocity that pressed keys ask of the UGV. Pure: the clock is an argument.
 
 A terminal tells when a key goes down and repeats it while it is held, but never tells when it is let go. So a key
 is a dead man's switch: it counts for a moment, and its repeats prolong it. Whoever lets go, falls asleep or loses the
@@ -34,8 +34,8 @@ class Heading(Enum):
         return 0 if self.value[0] else 1
 
 
-class Wheel:
-    """What the operator wants now.
+class PressedKeys:
+    """The velocity that the operator wants now.
 
     Args:
         speed: How fast a pressed key drives [m/s].

@@ -13,10 +13,10 @@ from textual.widget import Widget
 from textual.widgets import Static
 
 from outrider.view.terminal.canvas import Canvas
-from outrider.view.terminal.operator_link import Link, View
 from outrider.view.terminal.palette import BACKGROUND, FAINT, INK, PANEL
-from outrider.view.terminal.panel import WIDTH, History, banner, farthest, numbers, title
+from outrider.view.terminal.panel import WIDTH, ErrorCurve, banner, farthest, numbers, title
 from outrider.view.terminal.pressed_keys import Heading
+from outrider.view.terminal.teleoperation import DriveView, Teleoperation
 from outrider.view.terminal.topview import Trails, draw
 
 _PERIOD = 0.1
@@ -50,7 +50,7 @@ class TopView(Widget):
 
 
 class DriveApp(App[int]):
-    """Shows one UGV's drive until the link is over.
+    """Shows one UGV's drive until it is over.
 
     Args:
         link: Does the driving.
@@ -85,10 +85,10 @@ class DriveApp(App[int]):
         Binding("ctrl+c", "leave(130)", show=False, priority=True),
     ]
 
-    def __init__(self, link: Link, run: str) -> None:
+    def __init__(self, link: Teleoperation, run: str) -> None:
         super().__init__()
         self._link, self._run_name = link, run
-        self._trails, self._history = Trails(), History()
+        self._trails, self._history = Trails(), ErrorCurve()
         self._wide = False
         self._code = 0
         self._pictures = 0
@@ -130,16 +130,14 @@ class DriveApp(App[int]):
             self._draw_map(view)
         self._pictures += 1
 
-    def _remember(self, view: View) -> None:
-        if view.status is not None:
-            self._history.follow(view.status)
+    def _remember(self, view: DriveView) -> None:
         if view.truth is not None:
             self._trails.follow(view.truth)
             escort = farthest(view, self._link.vehicle)
             if escort is not None and math.isfinite(escort.coverage_error):
                 self._history.add(view.truth.time, escort.coverage_error)
 
-    def _draw_map(self, view: View) -> None:
+    def _draw_map(self, view: DriveView) -> None:
         widget = self.query_one(TopView)
         width, height = widget.size
         if widget.display and width and height:
@@ -175,7 +173,7 @@ class DriveApp(App[int]):
         self._link.leave()
 
 
-def _keys(view: View) -> Text:
+def _keys(view: DriveView) -> Text:
     text = Text(no_wrap=True, overflow="ellipsis")
     words = (
         ("WASD ←↑↓→", "drive"),

@@ -6,13 +6,12 @@ from dataclasses import dataclass, field
 
 from bus.messages import CoverageMap, Truth
 from outrider.view.terminal.canvas import Canvas
-from outrider.view.terminal.operator_link import View
 from outrider.view.terminal.palette import BACKGROUND, COVERED, EDGE, FAINT, LIMIT, UAV, UGV
+from outrider.view.terminal.teleoperation import DriveView
+from sim.scene.model import Scene
 
 _SHOWN = 1.35
 """How many r_v the map reaches around the UGV."""
-_UNKNOWN = 5.0
-"""What it takes for r_v before it is known [m]."""
 _KEPT = 400
 _TRAIL_STEP = 0.15
 """Distance between two points of a trail [m]."""
@@ -20,7 +19,7 @@ _TRAIL_STEP = 0.15
 
 @dataclass(slots=True)
 class Trails:
-    """Where the vehicles have been."""
+    """The ways of the vehicles so far."""
 
     points: dict[str, deque[tuple[float, float]]] = field(default_factory=dict)
     tick: int = 0
@@ -38,7 +37,7 @@ class Trails:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Window:
-    """Which ground is shown."""
+    """The part of the ground that is shown."""
 
     x: float
     """Of the middle [m]."""
@@ -61,7 +60,7 @@ class _Window:
 
 
 def draw(
-    view: View, vehicle: str, trails: Trails, *, width: int, height: int, wide: bool
+    view: DriveView, vehicle: str, trails: Trails, *, width: int, height: int, wide: bool
 ) -> Canvas:
     """The map.
 
@@ -74,30 +73,43 @@ def draw(
         wide: The whole area instead of the UGV's surroundings.
     """
     canvas = Canvas(width, height, BACKGROUND)
-    truth = view.truth
-    if truth is None or vehicle not in truth.vehicles:
+    truth, scene = view.truth, view.scene
+    if truth is None or scene is None or vehicle not in truth.vehicles:
         canvas.letter(4, 4, "no position yet", FAINT)
         return canvas
-    window = _window(view, truth.vehicles[vehicle].position, canvas, wide=wide)
+    limits = [ring for ring in scene.rings if ring.around == vehicle]
+    reach = None if wide or not limits else _SHOWN * max(ring.radius for ring in limits)
+    window = _window(scene, truth.vehicles[vehicle].position, canvas, reach)
     if view.coverage is not None:
         _paint_coverage(canvas, window, view.coverage)
-    _paint_area(canvas, window, view)
-    _paint_vehicles(canvas, window, view, truth, vehicle, trails)
+    _paint_area(canvas, window, scene)
+    flies = {one.name: one.flies for one in scene.vehicles}
+    for name, trail in trails.points.items():
+        for point in trail:
+            canvas.dot(*window.dot(point), UAV[1] if flies.get(name) else UGV[1])
+    here = window.dot(truth.vehicles[vehicle].position)
+    for ring in limits:
+        canvas.circle(*here, ring.radius / window.scale, LIMIT, dashed=ring.dashed)
+    for one in sorted(scene.vehicles, key=lambda one: (one.flies, one.name == vehicle)):
+        mark, color = ("▲", UAV[0]) if one.flies else ("■", UGV[0])
+        if one.name in truth.vehicles:
+            canvas.letter(*window.dot(truth.vehicles[one.name].position), mark, color)
+    if view.wanted is not None:
+        _paint_arrow(canvas, here, view.wanted)
     _paint_scale(canvas, window)
     return canvas
 
 
-def _window(view: View, middle: tuple[float, float], canvas: Canvas, *, wide: bool) -> _Window:
+def _window(
+    scene: Scene, middle: tuple[float, float], canvas: Canvas, reach: float | None
+) -> _Window:
+    """The ground within so many metres around a place, or all of it."""
     width, height = 2 * canvas.width, 4 * canvas.height
-    geometry = view.status.geometry if view.status is not None else None
-    if wide and geometry is not None:
-        area = geometry.area
-        scale = max(area.width / max(width - 4, 1), area.height / max(height - 4, 1))
-        return _Window(x=area.width / 2, y=area.height / 2, scale=scale, width=width, height=height)
-    reach = _SHOWN * (geometry.visibility_radius if geometry is not None else _UNKNOWN)
-    return _Window(
-        x=middle[0], y=middle[1], scale=2.0 * reach / min(width, height), width=width, height=height
-    )
+    if reach is not None:
+        scale = 2.0 * reach / min(width, height)
+        return _Window(x=middle[0], y=middle[1], scale=scale, width=width, height=height)
+    scale = max(scene.width / max(width - 4, 1), scene.height / max(height - 4, 1))
+    return _Window(x=scene.width / 2, y=scene.height / 2, scale=scale, width=width, height=height)
 
 
 def _paint_coverage(canvas: Canvas, window: _Window, coverage: CoverageMap) -> None:
@@ -112,66 +124,26 @@ def _paint_coverage(canvas: Canvas, window: _Window, coverage: CoverageMap) -> N
                 canvas.ground(column, row, COVERED[round(share * (len(COVERED) - 1))])
 
 
-def _paint_area(canvas: Canvas, window: _Window, view: View) -> None:
-    geometry = view.status.geometry if view.status is not None else None
+def _paint_area(canvas: Canvas, window: _Window, scene: Scene) -> None:
     step = _round_length(14.0 * window.scale)
     left, low = window.point(0, window.height)
     right, high = window.point(window.width, 0)
-    if geometry is not None:
-        left, low = max(left, 0.0), max(low, 0.0)
-        right, high = min(right, geometry.area.width), min(high, geometry.area.height)
-    for i in range(math.ceil(left / step), math.floor(right / step) + 1):
-        for j in range(math.ceil(low / step), math.floor(high / step) + 1):
+    width, height = scene.width, scene.height
+    for i in range(math.ceil(max(left, 0.0) / step), math.floor(min(right, width) / step) + 1):
+        for j in range(math.ceil(max(low, 0.0) / step), math.floor(min(high, height) / step) + 1):
             canvas.dot(*window.dot((i * step, j * step)), EDGE)
-    if geometry is not None:
-        width, height = geometry.area.width, geometry.area.height
-        corners = [
-            window.dot(corner)
-            for corner in ((0.0, 0.0), (width, 0.0), (width, height), (0.0, height))
-        ]
-        for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
-            canvas.line(*start, *end, FAINT)
-
-
-def _paint_vehicles(
-    canvas: Canvas, window: _Window, view: View, truth: Truth, vehicle: str, trails: Trails
-) -> None:
-    escorts = {escort.uav for escort in truth.escorts}
-    for name, trail in trails.points.items():
-        for point in trail:
-            canvas.dot(*window.dot(point), UAV[1] if name in escorts else UGV[1])
-    here = truth.vehicles[vehicle].position
-    geometry = view.status.geometry if view.status is not None else None
-    if geometry is not None:
-        canvas.circle(*window.dot(here), geometry.visibility_radius / window.scale, LIMIT)
-        if geometry.switching_radius is not None and geometry.switching_radius > 0.0:
-            canvas.circle(
-                *window.dot(here), geometry.switching_radius / window.scale, LIMIT, dashed=True
-            )
-    for name, state in sorted(
-        truth.vehicles.items(), key=lambda item: (item[0] in escorts, item[0] == vehicle)
-    ):
-        x, y = window.dot(state.position)
-        mark, color = ("▲", UAV[0]) if name in escorts else ("■", UGV[0])
-        canvas.letter(x, y, mark, color)
-    if view.wanted is not None:
-        _paint_arrow(canvas, window, here, view.wanted)
+    corners = ((0.0, 0.0), (width, 0.0), (width, height), (0.0, height))
+    for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
+        canvas.line(*window.dot(start), *window.dot(end), FAINT)
 
 
 _ARROWS = "→↗↑↖←↙↓↘"
 
 
-def _paint_arrow(
-    canvas: Canvas, window: _Window, here: tuple[float, float], wanted: tuple[float, float]
-) -> None:
+def _paint_arrow(canvas: Canvas, here: tuple[float, float], wanted: tuple[float, float]) -> None:
     angle = math.atan2(wanted[1], wanted[0])
-    x, y = window.dot(here)
-    canvas.letter(
-        x + 6.0 * math.cos(angle),
-        y - 7.0 * math.sin(angle),
-        _ARROWS[round(4.0 * angle / math.pi) % 8],
-        UGV[0],
-    )
+    x, y = here[0] + 6.0 * math.cos(angle), here[1] - 7.0 * math.sin(angle)
+    canvas.letter(x, y, _ARROWS[round(4.0 * angle / math.pi) % 8], UGV[0])
 
 
 def _paint_scale(canvas: Canvas, window: _Window) -> None:

@@ -33,9 +33,8 @@ export class Ground {
   }
 
   area() {
-    const geometry = this.store.geometry;
-    if (geometry) return geometry.area;
-    return this.size || { width: 40, height: 40 };
+    const { scene, geometry } = this.store;
+    return geometry && scene ? scene : this.size || scene || { width: 40, height: 40 };
   }
 
   draw() {
@@ -111,9 +110,9 @@ export class Ground {
   }
 
   vehicleColor(name) {
-    const { colors, uavs, ugvs } = this.store;
-    const flies = uavs.indexOf(name);
-    return flies >= 0 ? colorOf(colors.uav, flies) : colorOf(colors.ugv, Math.max(ugvs.indexOf(name), 0));
+    const { scene, colors } = this.store;
+    const vehicle = scene && scene.vehicles.find((one) => one.name === name);
+    return vehicle ? vehicle.color : colors.muted;
   }
 
   drawTracks(c, { X, Y }) {
@@ -134,30 +133,27 @@ export class Ground {
   }
 
   drawRings(c, { X, Y, scale }) {
-    const { truth, geometry, colors } = this.store;
-    if (!truth || !geometry) return;
-    for (const escort of truth.escorts) {
-      const [uav, ugv] = [truth.vehicles[escort.uav], truth.vehicles[escort.ugv]];
-      if (!uav || !ugv) continue;
-      const blue = this.vehicleColor(escort.uav);
-      c.lineWidth = 1;
-      c.strokeStyle = blue;
-      c.fillStyle = `${blue}12`;
-      ring(c, X(uav.position[0]), Y(uav.position[1]), geometry.sensor_range * scale, true);
-      c.strokeStyle = colors.limit;
-      c.lineWidth = 1.8;
-      ring(c, X(ugv.position[0]), Y(ugv.position[1]), geometry.visibility_radius * scale);
-      if (this.store.innerRadius) {
-        c.lineWidth = 1.3;
-        c.setLineDash([5, 4]);
-        ring(c, X(ugv.position[0]), Y(ugv.position[1]), this.store.innerRadius * scale);
-        c.setLineDash([]);
-      }
-      c.strokeStyle = `${colors.ink}66`;
-      c.lineWidth = 1;
+    const { truth, scene, colors } = this.store;
+    if (!truth || !scene || !scene.rings.length) return;
+    const at = (name) => truth.vehicles[name] && truth.vehicles[name].position;
+    for (const { around, symbol, radius, color, width, dashed } of scene.rings) {
+      const place = at(around);
+      if (!place) continue;
+      c.strokeStyle = color;
+      c.fillStyle = `${color}12`;
+      c.lineWidth = 1.1 * width;
+      c.setLineDash(dashed ? [5, 4] : []);
+      ring(c, X(place[0]), Y(place[1]), radius * scale, symbol === "r");
+    }
+    c.setLineDash([]);
+    c.strokeStyle = `${colors.ink}66`;
+    c.lineWidth = 1;
+    for (const pair of scene.escorts) {
+      const [from, to] = pair.map(at);
+      if (!from || !to) continue;
       c.beginPath();
-      c.moveTo(X(uav.position[0]), Y(uav.position[1]));
-      c.lineTo(X(ugv.position[0]), Y(ugv.position[1]));
+      c.moveTo(X(from[0]), Y(from[1]));
+      c.lineTo(X(to[0]), Y(to[1]));
       c.stroke();
     }
   }

@@ -11,6 +11,7 @@ const store = {
   shades: null,
   status: null,
   geometry: null,
+  scene: null,
   innerRadius: null,
   truth: null,
   now: null,
@@ -49,20 +50,24 @@ function takeHello({ colors, steer }) {
 function takeStatus(status) {
   store.status = status;
   store.geometry = status.geometry || null;
-  const inner = store.geometry && store.geometry.switching_radius;
-  store.innerRadius = inner > 0 && inner < store.geometry.visibility_radius ? inner : null;
+}
+
+// What stays while a run is flown: the same as in every other picture of it.
+function takeScene(scene) {
+  const inner = scene.rings.find(({ symbol }) => symbol === "r_s");
+  const names = (flies) => scene.vehicles.filter((one) => one.flies === flies).map(({ name }) => name);
+  Object.assign(store, { scene, innerRadius: inner ? inner.radius : null, uavs: names(true), ugvs: names(false) });
 }
 
 function take(frame, ground) {
   store.state = frame.state;
   if (frame.status) takeStatus(frame.status);
+  if (frame.scene) takeScene(frame.scene);
   if (frame.links) store.said = frame.links;
   if (frame.history) {
     store.rows = [];
     store.vehicles = frame.history.vehicles;
     store.escorts = frame.history.escorts;
-    store.uavs = [...new Set(store.escorts.map(([uav]) => uav))];
-    store.ugvs = store.vehicles.filter((name) => !store.uavs.includes(name));
   }
   if (frame.rows) store.rows.push(...frame.rows);
   if (frame.truth) {

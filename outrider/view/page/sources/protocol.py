@@ -1,0 +1,62 @@
+"""Where the page has its news from: a run that is flown now (`live`), or a recording that is played (`tape`)."""
+
+from collections.abc import Iterator
+from typing import Protocol
+
+import msgspec
+
+from bus.messages import Control, Drive, Message
+
+
+class Playing(msgspec.Struct, frozen=True, kw_only=True):
+    """How a recording is played."""
+
+    file: str
+    begin: float
+    """Of the recording [s]."""
+    end: float
+    at: float
+    """What is shown [s]."""
+    playing: bool
+    speed: float
+    """Simulated seconds per second of wall time."""
+    note: str = ""
+    """What is wrong with the file; empty: nothing."""
+
+
+class SourceState(msgspec.Struct, frozen=True, kw_only=True):
+    """How a source stands."""
+
+    level: str = ""
+    """How bad it is what `line` says: `bad`, `info`, or nothing."""
+    line: str = ""
+    router: bool = True
+    simulator: bool = True
+    replay: Playing | None = None
+
+
+class Source(Protocol):
+    """What the hub asks of either."""
+
+    may_steer: bool
+    """Whether anybody hears what is said."""
+
+    def news(self) -> Iterator[Message]:
+        """Status, Truth and CoverageMap that have come since the last call, in this order of kinds."""
+
+    @property
+    def factor(self) -> float:
+        """Simulated seconds per second of wall time, lately."""
+
+    @property
+    def standing(self) -> SourceState:
+        """How it stands now."""
+
+    def control(self, control: Control) -> bool:
+        """Say something to the simulator; False if it cannot be said."""
+
+    def drive(self, vehicle: str, drive: Drive) -> bool:
+        """Say something to a UGV; False if it cannot be said."""
+
+    def close(self) -> None:
+        """Say no more."""
