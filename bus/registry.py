@@ -160,7 +160,7 @@ class DriverRow:
     make: str = ""
     """The class, made from a `UgvBriefing`; empty where the driver is not ours to make."""
     code: int | None = None
-    """Of its branch in `agents.drivers.compiled.ugv_control`; None: it flies in no batch of worlds."""
+    """Of its branch in `agents.drivers.ugv_tick.ugv_tick`; None: it flies in no batch of worlds."""
     needs: str = ""
     """The field of `[[ugv]]` without which it cannot drive."""
     wants: str = ""
@@ -183,7 +183,7 @@ DRIVERS = _table(
     DriverRow(
         name="waypoints",
         about="from goal to goal",
-        make="agents.drivers.waypoints:WaypointDriver",
+        make="agents.drivers.compiled:WaypointDriver",
         code=0,
         wants="goals",
         unbounded=True,
@@ -191,20 +191,20 @@ DRIVERS = _table(
     DriverRow(
         name="wander",
         about="to random points",
-        make="agents.drivers.wander:WanderDriver",
+        make="agents.drivers.compiled:WanderDriver",
         code=1,
     ),
     DriverRow(
         name="script",
         about="timed velocities",
-        make="agents.drivers.script:ScriptDriver",
+        make="agents.drivers.compiled:ScriptDriver",
         code=2,
         needs="script",
     ),
     DriverRow(
         name="evade",
         about="away from the UAV, by what it radios",
-        make="agents.drivers.evade:EvadeDriver",
+        make="agents.drivers.compiled:EvadeDriver",
         code=3,
         listens=True,
     ),

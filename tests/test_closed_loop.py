@@ -93,8 +93,7 @@ def test_what_is_certified_out_of_sight_is_counted_in_every_world() -> None:
     """Sight ends at half a metre there, and the filter was told another r_v."""
     scenario, seeds = SCENARIOS["evade"], [5, 11]
     loop = ClosedLoop(scenario, len(seeds), error=True, end_on_sight_lost=False)
-    world = loop.parameters.w._replace(r_v=0.5)
-    loop.parameters = loop.parameters._replace(w=world)
+    loop.tables.batch.world["r_v"] = 0.5
     loop.begin(seeds)
     seats, counted = loop.state.uav_seats[:, 0], np.zeros(len(seeds))
     for _ in range(scenario.ticks):
