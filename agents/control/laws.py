@@ -113,7 +113,7 @@ def law_parameters(briefing: UavBriefing, law: Law) -> LawParameters:
     """The numbers of one law for one UAV.
 
     Raises:
-        ScenarioError: If the law or the sensor is unknown, or the UAV too weak for the law's r_s.
+        ScenarioError: If the law or the sensor is unknown, the law has no branch, or the UAV is too weak for r_s.
     """
     v_a, u_a = number(briefing.limits.max_speed), number(briefing.limits.max_acceleration)
     v_g = number(briefing.target_limits.max_speed)
@@ -121,7 +121,7 @@ def law_parameters(briefing: UavBriefing, law: Law) -> LawParameters:
     v_ref = law.reference_speed if law.reference_speed is not None else v_a
     radius = switching_radius if row.needs_radius else raw_switching_radius
     r_s = float(radius(briefing.visibility_radius, v_a, v_g, u_a))
-    return LawParameters(
+    parameters = LawParameters(
         law=row.code,
         dt=float(briefing.dt),
         width=float(briefing.area.width),
@@ -147,6 +147,12 @@ def law_parameters(briefing: UavBriefing, law: Law) -> LawParameters:
         margin=float(border_distance(v_a if math.isfinite(v_a) else v_ref, u_a, briefing.dt)),
         key=words_of(briefing.key),
     )
+    if math.isnan(weights(parameters, OwnTerms(), 1.0)[0]):
+        raise ScenarioError(
+            f"law.name = {law.name!r}: has a row in bus.registry, but no branch in "
+            f"{__name__}.weights"
+        )
+    return parameters
 
 
 def pack_law(parameters: LawParameters) -> FloatArray:
@@ -204,7 +210,7 @@ def way_to_uncovered(
     """The symmetry breaker (7) with its point held until it is covered or leaves the support of the density.
 
     Returns:
-        Whether anything is uncovered at all, and the direction.
+        True if anything is uncovered at all, and the direction.
     """
     c = parameters
     held = state[_HELD] != 0.0 and is_uncovered(

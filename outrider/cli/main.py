@@ -123,8 +123,19 @@ def _run() -> int:
         return _fail(f"{told()} (outrider --help tells more)", int(getattr(error, "exit_code", 2)))
 
 
+def _computes(arguments: list[str]) -> bool:
+    """False for a command that only reads scenarios, and for one whose processes compute in its place."""
+    if arguments[:1] == ["run"]:
+        return "--in-process" in arguments
+    return arguments[:1] != ["scenarios"]
+
+
 def main() -> None:
     """Run the command line."""
+    if not _computes(sys.argv[1:]):
+        from sim.kernels.compile import interpret
+
+        interpret()
     # Pools start their workers by themselves: none of them is to import what lies in the folder where the user stands.
     os.environ["PYTHONSAFEPATH"] = "1"
     logging.basicConfig(format="%(name)s: %(message)s", level=logging.WARNING)
