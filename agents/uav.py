@@ -6,8 +6,8 @@ from collections import deque
 import msgspec
 
 from agents.control.laws import (
-    CERTIFIED,
     PATH,
+    WATCHED,
     WEIGHTED,
     LawParameters,
     OwnTerms,
@@ -113,7 +113,7 @@ class UavPilot:
     def _make_filter(self) -> SafetyFilter | None:
         return (
             SafetyFilter(self._briefing, sent=self._sent)
-            if self._parameters.law == CERTIFIED
+            if self._parameters.law in WATCHED
             else None
         )
 
@@ -184,7 +184,7 @@ class UavPilot:
         self._check_own_functions()
         self.filter = (
             self._make_filter()
-            if self.filter is None or self._parameters.law != CERTIFIED
+            if self.filter is None or self._parameters.law not in WATCHED
             else self.filter
         )
 

@@ -1,9 +1,24 @@
 """The UGV's pilot: observation in, command out."""
 
+from collections.abc import Callable
+from typing import Protocol
+
 from agents.drivers.policy import Policy, PolicyDriver
-from agents.drivers.table import DRIVERS, Driver
 from bus.errors import ScenarioError
 from bus.messages import UgvBriefing, UgvCommand, UgvObservation
+from bus.registry import DRIVERS, resolve
+
+
+class Driver(Protocol):
+    """Drives the UGV: an observation in, an acceleration [m/s²] out."""
+
+    def drive(self, observation: UgvObservation) -> tuple[float, float]:
+        """The acceleration [m/s²] for this observation."""
+
+
+_MAKERS: dict[str, Callable[[UgvBriefing], Driver]] = {
+    row.name: resolve(row.make) for row in DRIVERS.values() if row.make
+}
 
 
 class UgvPilot:
@@ -34,15 +49,15 @@ class UgvPilot:
         self._driver = driver or self._seat(briefing.driver)
 
     def _seat(self, name: str) -> Driver:
-        if name == "policy":
+        if name in DRIVERS and DRIVERS[name].own:
             if self._policy is None:
                 raise ScenarioError(
-                    "driver = 'policy': needs a policy, given to the UGV as module:function"
+                    f"driver = {name!r}: needs a policy, given to the UGV as module:function"
                 )
             return PolicyDriver(self._briefing, policy=self._policy, name=self._policy_name)
-        if name not in DRIVERS:
-            raise ScenarioError(f"driver = {name!r}: unknown; allowed: {', '.join(DRIVERS)}")
-        return DRIVERS[name](self._briefing)
+        if name not in _MAKERS:
+            raise ScenarioError(f"driver = {name!r}: unknown; allowed: {', '.join(_MAKERS)}")
+        return _MAKERS[name](self._briefing)
 
     def act(self, observation: UgvObservation) -> UgvCommand:
         """The command for this observation."""

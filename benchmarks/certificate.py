@@ -1,4 +1,4 @@
-"""The tables of docs/certificate.md: `python benchmarks/certificate.py NAME`, with a NAME of `TABLES`.
+"""The tables of docs/explanation/certificate.md: `python benchmarks/certificate.py NAME`, with a NAME of `TABLES`.
 
 About a minute each.
 
@@ -15,11 +15,11 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 
 from agents.control.handover import certificate, certified_radius, largest_age
+from bus.profiles import PROFILES
 from outrider.experiments.falsify import attack as a
 from outrider.running.flying import InProcess, make_pilots
-from sim.channel.profiles import PROFILES
 from sim.kernels.compile import FloatArray
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
 
 RUNS, DURATION = 1000, 200.0

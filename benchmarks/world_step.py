@@ -27,7 +27,8 @@ from sim.models.field import (
     coverage_gradient,
     disc_chords,
 )
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 
 _PASSES = 200
 _ANEW = 60

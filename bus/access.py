@@ -33,6 +33,7 @@ from bus.keys import (
     Role,
     any_vehicle,
     read_by,
+    session_token,
     token,
     written_by,
 )
@@ -321,7 +322,8 @@ def grants(party: Party, run: str) -> tuple[Grant, ...]:
         token(run, party.name, "*"),
         tuple(token(run, party.name, place) for place in range(PLACES)),
     )
-    found.add(Grant(message="liveliness_token", flow="ingress", keys=places))
+    declared = (*places, session_token(run, party.name, "*"))
+    found.add(Grant(message="liveliness_token", flow="ingress", keys=declared))
     found.add(Grant(message="liveliness_query", flow="ingress", keys=(own,)))
     found.add(Grant(message="declare_liveliness_subscriber", flow="ingress", keys=(watched,)))
     found.add(Grant(message="liveliness_token", flow="egress", keys=(watched, own)))

@@ -211,6 +211,7 @@ OBSERVATION = {Role.UAV: UAV_OBSERVATION, Role.UGV: UGV_OBSERVATION}
 COMMAND = {Role.UAV: UAV_COMMAND, Role.UGV: UGV_COMMAND}
 
 _TOKEN = "alive"  # noqa: S105 - a part of a liveliness token's key
+_SESSION = "session"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 
 
@@ -246,6 +247,23 @@ def token_owner(expression: str) -> tuple[str, int]:
     number = parts[-1]
     known = len(number) == 1 and number in "0123456789" and int(number) < PLACES
     return parts[-3], int(number) if known else -1
+
+
+def session_token(run: str, name: str, session: str) -> str:
+    """The liveliness token with which a party tells the router that a session is its own.
+
+    Args:
+        run: Name of the run.
+        name: Of the party; `*` stands for any.
+        session: The session's Zenoh id; `*` stands for any.
+    """
+    return f"{ROOT}/{run}/{name}/{_SESSION}/{session}"
+
+
+def session_owner(expression: str) -> tuple[str, str]:
+    """Whose such a token is, and of which session."""
+    parts = expression.split("/")
+    return parts[-3], parts[-1]
 
 
 def any_vehicle(run: str, topic: str) -> str:

@@ -28,11 +28,13 @@ from bus.keys import (
     check_writes,
     largest_payloads,
     read_by,
+    session_token,
     token,
     token_owner,
     vehicle_of,
     written_by,
 )
+from bus.session_limit import SessionLimit
 
 __all__ = ["Inbox", "Letter", "Outbox", "Session", "open_session"]
 
@@ -65,6 +67,8 @@ _ROUTER: dict[str, Any] = {
     # Who connects and says nothing must not keep others out: by default 100 of these do so for 10 s.
     "transport/unicast/accept_pending": 2000,
     "transport/unicast/accept_timeout": 2000,
+    # Each party's are limited by `bus.session_limit`; this leaves room for those that come between two of its looks.
+    "transport/unicast/max_sessions": 4000,
 }
 
 
@@ -203,6 +207,11 @@ class Session:
         self._inboxes.append(inbox)
         return inbox
 
+    def claim(self) -> None:
+        """Tell the router whose session this is: it cannot tell by a password, as by a certificate."""
+        claimed = session_token(self.run, self.party.name, self.id)
+        self._kept.append(self._zenoh.liveliness().declare_token(claimed))
+
     def announce(self) -> None:
         """Declare this session present, until it leaves or dies, at the first free place of its party.
 
@@ -242,22 +251,6 @@ class Session:
         self._kept.append(
             self._zenoh.liveliness().declare_subscriber(expression, see, history=True)
         )
-
-    def watch_names(self, known: frozenset[str]) -> None:
-        """Name in the log who connects with a certificate of the right authority and none of these names.
-
-        The router lets it connect, and have nothing.
-        """
-
-        def see(event: zenoh.LinkEvent) -> None:
-            name = event.link.auth_identifier
-            if event.kind == zenoh.SampleKind.PUT and name is not None and name not in known:
-                _LOG.warning(
-                    "%r has a certificate of this run's authority, but is no party of it: it gets nothing",
-                    name[:64],
-                )
-
-        self._kept.append(self._zenoh.info.declare_link_events_listener(see))
 
 
 def _open_zenoh(settings: Mapping[str, Any], what: str) -> zenoh.Session:
@@ -441,11 +434,18 @@ def open_session(
         else _open_client(connect, party, credential)
     )
     session = Session(opened, party, run, hosts=bool(listen))
-    if listen and given is not None and given.tls is not None:
-        session.watch_names(frozenset(credential.name for credential in given.parties))
+    if credential is not None and credential.tls is None:
+        session.claim()
+    limit = (
+        SessionLimit(opened, run, frozenset(credential.name for credential in given.parties))
+        if listen and given is not None
+        else None
+    )
     try:
         yield session
     finally:
+        if limit is not None:
+            limit.close()
         session.close()
         try:
             opened.close()  # type: ignore[no-untyped-call]

@@ -7,7 +7,7 @@ from typing import Any
 from evaluation import CASES, VALIDATION_SEEDS, fly_law
 
 from outrider.learning.mlp import load_policy
-from outrider.style import INK, LAW, look, new_figure, save
+from outrider.style import INK, law_color, look, new_figure, save
 
 
 def draw_curve(
@@ -41,7 +41,7 @@ def draw_curve(
         figure = new_figure(980, 560)
         axes = figure.add_subplot()
         for law, level in levels.items():
-            axes.axhline(level, color=LAW[law], linewidth=1.3, linestyle="--")
+            axes.axhline(level, color=law_color(law), linewidth=1.3, linestyle="--")
         axes.plot(million, errors, color=INK, marker="o", markersize=3.5, clip_on=False, zorder=3)
         ends = levels | {"learned": errors[-1]}
         for (name, _), height in zip(_by_level(ends), _spread(ends, 0.045 * top), strict=True):
@@ -50,7 +50,7 @@ def draw_curve(
                 "va": "center",
                 "annotation_clip": False,
             }
-            axes.annotate(name, (1.015, height), color=LAW.get(name, INK), **place)
+            axes.annotate(name, (1.015, height), color=law_color(name), **place)
         axes.set_xlim(0.0, million[-1] or 1.0)
         axes.set_ylim(0.0, top)
         axes.set_xlabel(

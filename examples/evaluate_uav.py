@@ -1,4 +1,4 @@
-"""The table of docs/learning.md: a learned UAV beside the paper's laws, on flights that its training never saw.
+"""The table of docs/how-to/learning.md: a learned UAV beside the paper's laws, on flights that its training never saw.
 
 python examples/evaluate_uav.py --json table.json --curve learning-curve.png
 """

@@ -6,15 +6,18 @@ from pathlib import Path
 
 import numpy as np
 
+from bus.registry import DEFAULT_LAW, LAWS
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.vector import Worlds
 from outrider.experiments.intervals import mean_interval
 from outrider.learning.learned import LearnedPolicy
 from sim.env.rewards import RewardWeights
 from sim.kernels.compile import FloatArray
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 
-LAWS = ("circle", "linear", "switching", "logarithmic", "certified")
+BASELINES = tuple(law.name for law in LAWS.values() if law.compared and law.name != "tracking")
+"""The laws beside which a learned UAV is put: all that look at the ground."""
 LEARNED, UNSHIELDED = "learned, in the filter", "learned, without it"
 FIRST_SEED = 900_001
 """Of the flights. Training begins with seeds far below, and goes on with seeds that are drawn from 2**53."""
@@ -158,15 +161,15 @@ def evaluate(
         if name not in CASES:
             raise ValueError(f"case = {name!r}; allowed: {', '.join(CASES)}")
         flown: dict[str, Metrics] = {
-            law: fly_law(CASES[name], law, seeds, duration=duration) for law in LAWS
+            law: fly_law(CASES[name], law, seeds, duration=duration) for law in BASELINES
         }
         for pilot, shielded in ((LEARNED, True), (UNSHIELDED, False)):
             flown[pilot] = fly_policy(
                 CASES[name], LearnedPolicy.load(path), seeds, shielded=shielded, duration=duration
             )
-        guarded = {"certified", LEARNED}
+        guarded = {LEARNED, *(law.name for law in LAWS.values() if law.watched)}
         results += [
-            _result(name, pilot, m, flown["logarithmic"], filtered=pilot in guarded)
+            _result(name, pilot, m, flown[DEFAULT_LAW], filtered=pilot in guarded)
             for pilot, m in flown.items()
         ]
     return results
@@ -217,9 +220,7 @@ def markdown(results: Sequence[Result]) -> str:
 
 def _line(r: Result) -> str:
     acts = "no filter" if r.intervened is None else f"{100.0 * r.intervened:.1f} %"
-    more = (
-        "-" if r.pilot == "logarithmic" else f"{r.difference:+.1f} ± {r.difference_half_width:.1f}"
-    )
+    more = "-" if r.pilot == DEFAULT_LAW else f"{r.difference:+.1f} ± {r.difference_half_width:.1f}"
     return (
         f"| {r.pilot} | {r.mean_error:.1f} ± {r.half_width:.1f} | {more} | {r.max_distance:.2f} | {acts} "
         f"| {r.lost} of {r.flights} | {r.violations} |"

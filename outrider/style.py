@@ -12,6 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
+from bus.registry import LAWS
 from sim.scene.colors import GOOD, INK, LIMIT, MUTED, UAV, UGV, color
 from sim.scene.drawing import COVERAGE, DASHED, DPI, key, look
 
@@ -21,7 +22,6 @@ __all__ = [
     "GAIN",
     "GOOD",
     "INK",
-    "LAW",
     "LIMIT",
     "MUTED",
     "UAV",
@@ -29,6 +29,8 @@ __all__ = [
     "color",
     "coverage_bar",
     "key",
+    "law_color",
+    "law_mark",
     "legend_above",
     "limits_of_sight",
     "look",
@@ -38,8 +40,6 @@ __all__ = [
     "save",
 ]
 
-LAW = {"linear": "#2a9d8f", "switching": "#8e5bb5", "logarithmic": UAV[0], "circle": "#5b616b"}
-"""One colour a law, wherever laws are compared."""
 GAIN = {"low": "#8fbdee", "high": "#2f74d0", "bounded": "#12305f"}
 """Shades of the gain k_v: low, high, and high with bounded input."""
 
@@ -65,6 +65,16 @@ def save(figure: Figure, path: Path) -> None:
     """Write the figure as PNG; the same figure gives the same bytes."""
     FigureCanvasAgg(figure)
     figure.savefig(path, format="png", metadata={"Software": None})
+
+
+def law_color(law: str) -> str:
+    """The colour of a law, wherever laws are compared; a recording's own law may be none of ours."""
+    return LAWS[law].color if law in LAWS else INK
+
+
+def law_mark(law: str) -> str:
+    """The mark of a law's points."""
+    return LAWS[law].mark if law in LAWS else "o"
 
 
 def over_time(axes: Axes, end: float, label: str) -> None:

@@ -17,7 +17,8 @@ from bus.access import new_credentials
 from bus.messages import Status
 from bus.session import Session, open_session
 from outrider.running.flying import fly
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 from sim.server.serving import Server
 

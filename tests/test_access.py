@@ -28,7 +28,17 @@ from bus.access import (
 )
 from bus.certificates import new_authority
 from bus.errors import AccessDenied
-from bus.keys import KEYS, PLACES, STAFF, Party, Role, check_reads, check_writes, token
+from bus.keys import (
+    KEYS,
+    PLACES,
+    STAFF,
+    Party,
+    Role,
+    check_reads,
+    check_writes,
+    session_token,
+    token,
+)
 from bus.session import Session, open_session
 from outrider.running.launch import free_port
 
@@ -177,14 +187,19 @@ def test_every_row_reaches_its_readers_from_its_writer_and_nobody_else(known_by:
         assert gather(inboxes, wanted, say) == wanted
 
 
-def places(name: str) -> tuple[int | str, ...]:
-    return NAMES.index(name), PLACES, "0/more", f"by_{name}"
+def declared(owner: str, name: str) -> list[str]:
+    """Tokens in one party's name by another: only the first, and the last where the two are one, may pass."""
+    places = (NAMES.index(name), PLACES, "0/more", f"by_{name}")
+    return [
+        *(token(RUN, owner, place) for place in places),
+        session_token(RUN, owner, f"by_{name}"),
+    ]
 
 
 def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulators_alone(
     known_by: str,
 ) -> None:
-    """Each declares the place of its number in everybody's name, and places that nobody has."""
+    """Each declares the place of its number in everybody's name, places that nobody has, and sessions."""
     seen: dict[str, set[str]] = {name: set() for name in NAMES}
     assert len(NAMES) <= PLACES
     with everybody(known_by) as sessions:
@@ -200,15 +215,15 @@ def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulator
                 )
         for name, opened in sessions.items():
             for owner in NAMES:
-                for place in places(name):
-                    kept.append(opened.liveliness().declare_token(token(RUN, owner, place)))
+                for expression in declared(owner, name):
+                    kept.append(opened.liveliness().declare_token(expression))
         limit = time.monotonic() + 10.0
         wanted = {token(RUN, name, NAMES.index(name)) for name in NAMES}
         while time.monotonic() < limit and not seen["simulator"] >= wanted:
             time.sleep(0.05)
         time.sleep(0.3)
     own = {
-        name: {token(RUN, owner, place) for owner in NAMES for place in places(name)}
+        name: {expression for owner in NAMES for expression in declared(owner, name)}
         for name in NAMES
     }  # it hears itself
     assert seen["simulator"] - own["simulator"] == wanted - own["simulator"]

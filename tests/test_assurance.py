@@ -17,7 +17,8 @@ from outrider.cli.console import OUT, print_summary
 from outrider.experiments.sweep.columns import row_of
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.summary import Summary, summarize
-from sim.scenario.types import Certificate, LinkTable, Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Certificate, LinkTable, Scenario
 from sim.server.assurance import Arrival, Assurance
 from sim.server.flight import Flight
 

@@ -15,7 +15,7 @@ from outrider.bench import ROWS, kernels, many, measure, runs, scaling
 from outrider.bench import measured as rows
 from outrider.bench.c_kernels import COMPILERS, CKernels
 from outrider.cli import bench as command
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 
 pytestmark = pytest.mark.xdist_group(
     "many worlds"

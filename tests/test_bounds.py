@@ -19,7 +19,7 @@ from outrider.experiments.sweep.plan import lay_out
 from outrider.learning.mlp import load_policy
 from outrider.running.flying import run
 from outrider.running.user_code import foreign_code
-from sim.scenario.types import load_scenario, scenario_names
+from sim.scenario.loading import load_scenario, scenario_names
 
 pytest.importorskip("mcap", reason="the extra [record] is not installed")
 zstandard = pytest.importorskip("zstandard", reason="the extra [record] is not installed")

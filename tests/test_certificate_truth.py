@@ -6,7 +6,7 @@ import pytest
 
 from bus.messages import Law, LinkKind, LinkSettings
 from outrider.running.flying import InProcess, make_pilots
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
 
 R_V = 4.75

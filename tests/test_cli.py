@@ -264,7 +264,7 @@ def test_only_this_machines_endpoints_need_no_credentials(endpoint: str, local: 
 
 def test_many_pairs_can_be_flown(tmp_path: Path) -> None:
     from outrider.bench.pairs import pairs_toml
-    from sim.scenario.types import load_scenario
+    from sim.scenario.loading import load_scenario
 
     for count in (1, 5, 50):
         (tmp_path / "pairs.toml").write_text(pairs_toml(count, seconds=10), encoding="utf-8")

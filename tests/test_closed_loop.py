@@ -15,13 +15,14 @@ from test_batch import LATE, SMALL
 
 from bus.errors import ScenarioError
 from bus.messages import Command, Estimator, Law, LinkKind, Observation, ScriptStep, UavCommand
+from bus.profiles import PROFILES
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.closed_loop_state import DISTANCE, SURE
 from outrider.running.flying import InProcess, fly, make_pilots
-from sim.channel.profiles import PROFILES
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights
-from sim.scenario.types import Certificate, Detections, LinkTable, Scenario, Uav, Ugv, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Certificate, Detections, LinkTable, Scenario, Uav, Ugv
 from sim.server.flight import Flight
 
 pytestmark = pytest.mark.xdist_group(

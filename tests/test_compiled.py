@@ -18,7 +18,7 @@ from agents.control.certificate import no_plan
 from agents.control.discs import no_detections
 from agents.control.guard import guard_state, note_position, pack_promise
 from agents.control.handover import certificate
-from agents.control.laws import LAWS, OwnTerms
+from agents.control.laws import OwnTerms
 from agents.drivers.compiled import (
     COMPILED_DRIVERS,
     driver_parameters,
@@ -27,9 +27,9 @@ from agents.drivers.compiled import (
 )
 from agents.estimation.twin import COLUMNS, NUMBERS, KalmanState, kalman_parameters, pack_kalman
 from bus.messages import Detector, Estimator, Limits
+from bus.registry import LAWS, SENSORS
 from sim.engine.briefing import briefing
 from sim.engine.run_keys import derive_keys
-from sim.models.field import SENSORS
 
 MODULES = (
     *(f"agents.control.{module.name}" for module in pkgutil.iter_modules(agents.control.__path__)),
@@ -125,7 +125,7 @@ BY_NAME: dict[str, object] = {
     "columns": 160,
     "parameters": parameters(escort("logarithmic")),
     "own": OwnTerms(alpha=0.3, beta=0.8),
-    "sensor": SENSORS["hill"],
+    "sensor": SENSORS["hill"].code,
     "cell": 0.25,
     "uncovered": True,
     "p_ax": 20.7,
@@ -226,17 +226,17 @@ EXTRA: dict[str, dict[str, list[object]]] = {
     },
     "agents.drivers.waypoints.waypoint_control": {"goals": [np.zeros((0, 2))]},
     "sim.models.field.sensor_quality": {
-        "sensor": list(SENSORS.values()),
+        "sensor": [row.code for row in SENSORS.values()],
         "rho2": [0.0, 3.3, 24.9, 25.0, 30.0],
     },
     "sim.models.field.sensor_slope": {
-        "sensor": list(SENSORS.values()),
+        "sensor": [row.code for row in SENSORS.values()],
         "rho2": [0.0, 3.3, 24.9, 25.0, 30.0],
     },
     "sim.models.field.density": {"rho2": [0.0, 3.3, 90.0, 95.0625, 99.0]},
     "sim.models.field.disc_chords": {"radius": [0.01, 5.0, 9.75, 70.0], "p_y": [0.1, -3.0, -80.0]},
-    "sim.models.field.accumulate": {"sensor": list(SENSORS.values())},
-    "sim.models.field.coverage_gradient": {"sensor": list(SENSORS.values())},
+    "sim.models.field.accumulate": {"sensor": [row.code for row in SENSORS.values()]},
+    "sim.models.field.coverage_gradient": {"sensor": [row.code for row in SENSORS.values()]},
     "sim.kernels.lanes.lane_sum": {"count": list(range(20))},
     "sim.models.vehicles.stopping_distance": {"u_max": [0.3, float("inf")]},
     "sim.models.vehicles.speed_to_stop_within": {"u_max": [0.3, float("inf")]},

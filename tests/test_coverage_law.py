@@ -20,8 +20,8 @@ from agents.control.coverage import (
 from agents.control.laws import coverage_term, initial_state
 from agents.uav import UavPilot
 from bus.messages import Area, Detection, Law, Sensor, UavObservation
+from bus.registry import SENSORS
 from outrider.running.flying import fly
-from sim.models.field import SENSORS
 from sim.models.vehicles import clip_norm, norm, step_vehicle
 from sim.scenario.types import Scenario, Uav, Ugv, Visibility
 

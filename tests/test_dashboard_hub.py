@@ -3,7 +3,7 @@
 from typing import Any
 
 from bus.messages import Action, Change, Control, Law, Status
-from outrider.view.operator import TELEOP
+from bus.registry import TELEOP
 from outrider.view.page.controls.wheel import SharedWheel
 from outrider.view.page.hub import running_law
 

@@ -20,6 +20,7 @@ from bus.messages import (
     UavReport,
     VehicleTruth,
 )
+from bus.profiles import PROFILES
 from outrider.recording.reader import flight_of
 from outrider.recording.writer import FlightRecorder
 from outrider.running.flying import fly
@@ -37,8 +38,7 @@ from outrider.view.page.controls.wheel import SharedWheel
 from outrider.view.page.hub import Hub
 from outrider.view.page.sources.tape import Tape
 from sim.channel.description import check_link
-from sim.channel.profiles import PROFILES
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 
 NAMES = ("uav_0/detections", "uav_0/commands", "ugv_0/commands", "ugv_0/operator", "uav_0/radio")
 PERFECT = LinkSettings()

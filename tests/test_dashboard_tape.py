@@ -10,7 +10,7 @@ from outrider.recording.writer import FlightRecorder
 from outrider.running.flying import fly
 from outrider.view.page.hub import Hub
 from outrider.view.page.sources.tape import Tape
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 
 
 @pytest.fixture(scope="module")

@@ -225,7 +225,7 @@ def test_a_vehicle_that_comes_back_knows_what_was_changed_and_said(
     victim: str, tmp_path: Path
 ) -> None:
     from outrider.running.flying import fly
-    from sim.scenario.types import load_scenario
+    from sim.scenario.loading import load_scenario
 
     expected = fly(load_scenario("escort", overrides=["duration=20.0"]), 7, on_tick=change)[0]
     with stage(tmp_path, 400, respawn=True) as run:

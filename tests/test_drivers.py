@@ -17,11 +17,10 @@ from properties import PROPERTY
 from agents.drivers.evade import EvadeDriver
 from agents.drivers.policy import PolicyDriver
 from agents.drivers.script import ScriptDriver
-from agents.drivers.table import Driver
 from agents.drivers.teleop import TeleopDriver
 from agents.drivers.wander import WanderDriver
 from agents.drivers.waypoints import WaypointDriver
-from agents.ugv import UgvPilot
+from agents.ugv import Driver, UgvPilot
 from bus.errors import ScenarioError
 from bus.messages import (
     Area,
@@ -36,7 +35,7 @@ from bus.messages import (
 from outrider.running.flying import InProcess, make_pilots
 from sim.engine.briefing import briefing
 from sim.models.vehicles import norm, step_vehicle
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
 
 Point = tuple[float, float]

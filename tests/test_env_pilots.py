@@ -17,10 +17,11 @@ from bus.messages import Law
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import fly
 from sim.env.parallel import parallel_env
-from sim.scenario.types import Custom, Detections, Scenario, Uav, Ugv, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Custom, Detections, Scenario, Uav, Ugv
 
 ROOT = Path(__file__).parent.parent
-EXAMPLE, PAGE = ROOT / "examples" / "environment.py", ROOT / "docs" / "environment.md"
+EXAMPLE, PAGE = ROOT / "examples" / "environment.py", ROOT / "docs" / "reference" / "environment.md"
 NOISY = Scenario(
     name="noisy",
     duration=100.0,

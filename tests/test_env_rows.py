@@ -24,7 +24,7 @@ from sim.scenario.types import Coverage, Detections, Scenario, Uav, Ugv
 from sim.server.flight import Flight
 from sim.world import World
 
-PAGE = Path(__file__).parent.parent / "docs" / "environment.md"
+PAGE = Path(__file__).parent.parent / "docs" / "reference" / "environment.md"
 
 
 def scenario(

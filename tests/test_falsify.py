@@ -33,7 +33,8 @@ from outrider.experiments.falsify.pool import Workers
 from outrider.experiments.falsify.saving import as_toml
 from outrider.running.flying import InProcess, fly, make_pilots
 from sim.scenario.checks import check_scenario
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 
 OUTRIDER = [sys.executable, "-m", "outrider"]

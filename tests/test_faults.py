@@ -31,7 +31,7 @@ from bus.messages import Status
 from bus.session import open_session
 from outrider.running import launch
 from outrider.running.flying import fly
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 
 __all__ = ["nothing_left_behind"]
 pytestmark = pytest.mark.usefixtures("nothing_left_behind")

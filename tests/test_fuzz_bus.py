@@ -32,7 +32,7 @@ from bus.keys import (
 )
 from bus.messages import UavCommand, UgvCommand
 from bus.session import Inbox, Session, open_session
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
 from sim.server.serving import Server
 

@@ -23,7 +23,7 @@ from outrider.learning.learned import LearnedPolicy, make_view
 from outrider.learning.mlp import Mlp, load_policy, save_policy
 from outrider.learning.one_world import alone
 from outrider.learning.repeat import ActionRepeat
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 
 pytestmark = pytest.mark.xdist_group(
     "many worlds"
@@ -156,7 +156,9 @@ def test_it_sees_more_than_the_circle_and_keeps_sight(evaluation: ModuleType) ->
 def test_the_table_is_the_same_twice_and_says_what_is_not_filtered(evaluation: ModuleType) -> None:
     results = evaluation.evaluate(POLICY, flights=2, cases=["covered"], duration=10.0)
     assert results == evaluation.evaluate(POLICY, flights=2, cases=["covered"], duration=10.0)
-    assert [result.pilot for result in results][: len(evaluation.LAWS)] == list(evaluation.LAWS)
+    assert [result.pilot for result in results][: len(evaluation.BASELINES)] == list(
+        evaluation.BASELINES
+    )
     assert all(
         result.lost == result.violations == 0 and 0.0 < result.max_distance < 4.75
         for result in results

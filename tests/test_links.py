@@ -21,13 +21,13 @@ from bus.messages import (
     UavCommand,
     UgvCommand,
 )
+from bus.profiles import PROFILES
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import fly
-from sim.channel.profiles import PROFILES
 from sim.engine.briefing import briefing
-from sim.engine.links import Links
 from sim.env.parallel import parallel_env
-from sim.scenario.types import Detections, LinkTable, Scenario, Ugv, VehicleLinks, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Detections, LinkTable, Scenario, Ugv, VehicleLinks
 from sim.server.flight import Flight
 from sim.world import World
 
@@ -156,7 +156,7 @@ def test_a_command_that_was_overtaken_is_not_flown_any_more() -> None:
     for tick in range(100):
         flight.apply({"uav_0": UavCommand(tick=tick, acceleration=(0.001 * (tick + 1), 0.0))})
         flown.append(float(flight.world.commands[0, 0]))
-    assert flight.world.links.of(LinkKind.COMMANDS)["uav_0"].counters().delivered > 90
+    assert flight.world.links.status()["uav_0/commands"].delivered > 90
     assert flown == sorted(flown)
     assert len(set(flown)) < 80  # many came too late to be flown
 
@@ -231,7 +231,7 @@ def test_a_process_that_joins_again_is_told_what_had_arrived() -> None:
 
 def test_perfect_links_are_the_identity() -> None:
     scenario = load_scenario("escort", overrides=["duration=20.0"])
-    assert not Links(scenario, World(scenario, 7).keys).degraded
+    assert not World(scenario, 7).links.degraded
     one, two = (
         fly(scenario, 7)[1],
         fly(
@@ -288,4 +288,4 @@ def test_an_operator_degrades_a_link_while_it_flies(tmp_path: Path) -> None:
         flight = run.fly()
         end()
     assert [change.control.link for change in run.server.changes] == [LinkKind.DETECTIONS]
-    assert flight.world.links.of(LinkKind.DETECTIONS)["uav_0"].settings == LinkSettings(loss=1.0)
+    assert flight.world.links.status()["uav_0/detections"].settings == LinkSettings(loss=1.0)

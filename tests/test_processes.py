@@ -23,7 +23,7 @@ from processes import (
 
 from outrider.running.flying import fly
 from outrider.running.launch import Child
-from sim.scenario.types import load_scenario, scenario_names
+from sim.scenario.loading import load_scenario, scenario_names
 
 __all__ = ["nothing_left_behind"]
 pytestmark = pytest.mark.usefixtures("nothing_left_behind")

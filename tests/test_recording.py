@@ -310,7 +310,7 @@ import sys, time
 from pathlib import Path
 from outrider.recording.writer import FlightRecorder
 from outrider.running.flying import fly
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 scenario = load_scenario("escort", overrides={"duration": 100000.0})
 recorder = FlightRecorder(Path(sys.argv[1]), scenario, 3)
 def follow(flight):

@@ -10,16 +10,17 @@ from scipy import stats
 from test_sweep import outrider
 
 from bus.errors import ScenarioError
+from bus.registry import LAWS
 from outrider.experiments.intervals import mean_interval, wilson_interval
 from outrider.experiments.report.document import certified_runs, holds, markdown, page
 from outrider.experiments.report.labels import label_of, number, tick_of, value_of
-from outrider.experiments.report.plots import MOST_PANELS, color_of, draw_all, positions
+from outrider.experiments.report.plots import MOST_PANELS, draw_all, positions
 from outrider.experiments.report.results import Material, read_material
 from outrider.experiments.sweep.columns import RESULTS
 from outrider.experiments.sweep.definition import describe_sweep
 from outrider.experiments.sweep.folder import SweepFolder
 from outrider.experiments.sweep.plan import Plan, lay_out
-from outrider.style import LAW
+from outrider.style import law_color, law_mark
 
 
 def test_the_wilson_interval_of_none_of_twenty():
@@ -268,20 +269,10 @@ def test_a_sweep_of_nothing_but_failures_can_be_reported(tmp_path):
     assert "No run was flown to its end" in page(material, pictures, "")
 
 
-def test_every_law_has_a_colour_of_its_own_the_same_as_in_all_figures():
-    laws = (
-        "tracking",
-        "coverage",
-        "linear",
-        "switching",
-        "logarithmic",
-        "circle",
-        "weighted",
-        "path",
-        "certified",
-    )
-    assert len({color_of(law) for law in laws}) == len(laws)
-    assert all(color_of(law) == color for law, color in LAW.items())
+def test_every_law_has_a_colour_of_its_own_and_one_of_another_version_is_drawn_too():
+    assert len({law_color(law) for law in LAWS}) == len(LAWS)
+    assert law_color("of-old") not in {law.color for law in LAWS.values()}
+    assert law_mark("of-old")
 
 
 def test_values_too_uneven_for_one_axis_stand_side_by_side(material):

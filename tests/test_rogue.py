@@ -32,7 +32,7 @@ from sim.models.randomness import (
     uniform,
     words_of,
 )
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
 
 SCENARIO = load_scenario(

@@ -17,7 +17,8 @@ from outrider.running.flying import fly
 from outrider.running.promise import promise_warnings
 from sim.engine.briefing import briefing
 from sim.env.parallel import parallel_env
-from sim.scenario.types import Certificate, LinkTable, Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Certificate, LinkTable, Scenario
 
 R_V = 4.75
 

@@ -16,8 +16,10 @@ from bus.errors import ScenarioError
 from bus.messages import Law, UgvObservation
 from sim.engine.briefing import briefing
 from sim.models.vehicles import step_vehicle
+from sim.scenario import checks
 from sim.scenario.checks import check_scenario, scenario_warnings
-from sim.scenario.types import Uav, checks, load_scenario, scenario_names
+from sim.scenario.loading import load_scenario, scenario_names
+from sim.scenario.types import Uav
 
 STRAIGHT_LINE = tuple(name for name in SHIPPED if name.startswith(("circle", "figure")))
 ESCORT = load_scenario("escort")

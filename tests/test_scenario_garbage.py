@@ -10,8 +10,10 @@ from refusals import SMALL, written
 
 from bus.errors import ScenarioError
 from sim.engine.briefing import briefing
+from sim.scenario import checks
 from sim.scenario.checks import check_scenario, scenario_warnings
-from sim.scenario.types import Scenario, checks, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 
 ESCORT = load_scenario("escort")
 

@@ -18,7 +18,8 @@ from agents import process
 from bus.keys import BRIEFING, COMMAND, CONTROL, OBSERVATION, STATUS, Party, Role
 from bus.messages import Action, Control, Status, UavCommand, UgvCommand
 from bus.session import open_session
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 
 

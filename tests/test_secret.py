@@ -36,7 +36,7 @@ from outrider.recording.refly import refly
 from outrider.running.flying import fly, run
 from sim.engine.briefing import briefing
 from sim.env.parallel import parallel_env
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 
 __all__ = ["nothing_left_behind"]
 SECRET = bytes(range(100, 116)).hex()

@@ -20,7 +20,7 @@ from bus.messages import (
     UgvCommand,
 )
 from bus.session import Outbox, Session, open_session
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
 from sim.server.serving import Server
 

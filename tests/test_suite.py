@@ -15,12 +15,12 @@ from outrider.cli import main
 from outrider.envs.closed_loop import ClosedLoop, pilot_names
 from outrider.envs.vector import OutriderVectorEnv
 from outrider.experiments.suite import scoring
-from outrider.experiments.suite.board import LAWS, leaderboard
+from outrider.experiments.suite.board import BASELINES, leaderboard
 from outrider.experiments.suite.scoring import evaluate
 from outrider.experiments.suite.tasks import SEEDS, TASKS, Suite, Task, suite
 from outrider.running.flying import InProcess, make_pilots, run
 from sim.engine.briefing import briefing
-from sim.engine.world_tick import first_state
+from sim.engine.world_state import first_state
 from sim.models.field import coverage_error
 from sim.scenario.checks import scenario_warnings
 from sim.server.flight import Flight
@@ -57,7 +57,7 @@ def test_each_task_can_be_flown_by_every_law_that_is_on_the_board(task: Task) ->
     assert scenario.name == task.name
     assert scenario.title == task.hard
     for uav in scenario.uav:
-        assert set(LAWS) <= set(pilot_names(scenario, uav.name))
+        assert set(BASELINES) <= set(pilot_names(scenario, uav.name))
         assert briefing(scenario, uav.name, 0).certificate.error is not None
     env = task.make(2)
     assert isinstance(env, OutriderVectorEnv)

@@ -19,7 +19,7 @@ from outrider.experiments.sweep.plan import Plan, lay_out
 from outrider.experiments.sweep.running import fly_sweep, make_tasks, open_cluster
 from outrider.experiments.sweep.worker import fly_runs
 from outrider.running.flying import run
-from sim.scenario.types import load_scenario, scenario_names
+from sim.scenario.loading import load_scenario, scenario_names
 
 OUTRIDER = [sys.executable, "-m", "outrider"]
 QUICK = ("duration=5.0", "area.cell=0.5")

@@ -7,7 +7,7 @@ import pytest
 
 from bus.errors import ScenarioError
 from outrider.running.flying import fly
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 
 
 def test_a_recorded_track_is_driven_again(tmp_path: Path) -> None:

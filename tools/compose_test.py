@@ -91,6 +91,89 @@ with session:
     time.sleep(float(seconds))
 print(json.dumps(heard))
 """
+TAP = """
+import json, os, socket, sys, threading, time
+from pathlib import Path
+import zenoh
+from bus.access import client_settings, read_credential
+zenoh.init_log_from_env_or("off")
+protocol, _, address = os.environ["OUTRIDER_CONNECT"].partition("/")
+host, port = address.rsplit(":", 1)
+key, seconds = sys.argv[1], float(sys.argv[2])
+seen = bytearray()
+def copy(source, sink):
+    while part := source.recv(65536):
+        seen.extend(part)
+        sink.sendall(part)
+def between(server):
+    near, far = server.accept()[0], socket.create_connection((host, int(port)))
+    threading.Thread(target=copy, args=(near, far), daemon=True).start()
+    copy(far, near)
+server = socket.create_server(("127.0.0.1", 0))
+threading.Thread(target=between, args=(server,), daemon=True).start()
+settings = client_settings(read_credential(Path(os.environ["OUTRIDER_CREDENTIALS"]))) | {
+    "mode": "client", "scouting/multicast/enabled": False, "connect/timeout_ms": 5000, "connect/exit_on_failure": True,
+    "connect/endpoints": [f"{protocol}/127.0.0.1:{server.getsockname()[1]}"],
+}
+config = zenoh.Config()
+for setting, value in settings.items():
+    config.insert_json5(setting, json.dumps(value))
+heard = 0
+def count(sample):
+    global heard
+    heard += 1
+with zenoh.open(config) as session:
+    kept = session.declare_subscriber(key, count)
+    limit = time.monotonic() + seconds
+    while time.monotonic() < limit and heard < 100:
+        time.sleep(0.05)
+readable = [text for text in ("outrider/", "relative_position", "velocity") if text.encode() in seen]
+print(json.dumps({"heard": heard, "bytes": len(seen), "readable": readable}))
+os._exit(0)
+"""
+CERTIFIED = """
+import json, os, socket, ssl
+from pathlib import Path
+import msgspec, zenoh
+from bus.access import client_settings, read_credential
+from bus.certificates import issue, new_authority
+zenoh.init_log_from_env_or("off")
+own = read_credential(Path(os.environ["OUTRIDER_CREDENTIALS"]))
+address = os.environ["OUTRIDER_CONNECT"].partition("/")[2]
+foreign = issue(new_authority(os.environ["OUTRIDER_RUN"]), own.name)
+trusting = msgspec.structs.replace(foreign, authority=own.tls.authority)
+nobody = client_settings(own)
+for part in ("certificate", "private_key"):
+    del nobody[f"transport/link/tls/connect_{part}_base64"]
+nobody["transport/link/tls/enable_mtls"] = False
+def tried(protocol, wanted):
+    wanted = wanted | {
+        "mode": "client", "scouting/multicast/enabled": False, "connect/timeout_ms": 2000,
+        "connect/exit_on_failure": True, "connect/endpoints": [f"{protocol}/{address}"],
+    }
+    config = zenoh.Config()
+    for setting, value in wanted.items():
+        config.insert_json5(setting, json.dumps(value))
+    try:
+        zenoh.open(config).close()
+    except zenoh.ZError:
+        return "refused"
+    return "open"
+found = {
+    "own": tried("tls", client_settings(own)),
+    "no certificate": tried("tls", nobody),
+    "another authority's": tried("tls", client_settings(msgspec.structs.replace(own, tls=trusting))),
+    "no TLS": tried("tcp", {}),
+}
+host, port = address.rsplit(":", 1)
+context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+context.load_verify_locations(cadata=own.tls.authority)
+Path("/tmp/own.pem").write_text(own.tls.certificate + own.tls.key)
+context.load_cert_chain("/tmp/own.pem")
+with socket.create_connection((host, int(port)), 5) as plain, context.wrap_socket(plain, server_hostname=host) as opened:
+    found["version"] = opened.version()
+print(json.dumps(found))
+"""
 KILL = """
 import os
 from pathlib import Path
@@ -607,6 +690,11 @@ class Checks:
                 "another's name": listen("uav", "ugv_0", "own-is-not-known-here", others[0]),
             }
             expect(set(strangers.values()) == {"refused"}, f"strangers: {strangers}")
+            crossing = json.loads(docker.python("uav", TAP, own, "20"))
+            expect(
+                "relative_position" in crossing["readable"],
+                f"with passwords all can be read, and here is {crossing}",
+            )
             docker.compose("stop", "simulator", limit=60.0)
             faults = docker.summary()["faults"]
             expect(
@@ -614,6 +702,37 @@ class Checks:
                 f"nonsense in the commands of: {list(faults)}",
             )
         return f"{heard['uav'][own]} of its own observations, nothing else; strangers are refused; it cannot write for the UGV"
+
+    def tls(self) -> str:
+        """With certificates: the same flight, nothing readable on the network, and others do not get in."""
+        docker = self.docker
+        certified = {
+            "OUTRIDER_PROTOCOL": "tls",
+            "OUTRIDER_SECRETS": str(docker.folder / "certificates"),
+        }
+        docker.compose("run", "--rm", "credentials", **certified)
+        words = ("up", "--exit-code-from", "simulator")
+        docker.compose(*words, limit=120.0, **certified)
+        told = same_flight(docker.summary(), self._reference())
+        docker.compose("down", "--volumes", "--timeout", "5", limit=90.0, **certified)
+        try:
+            docker.compose("up", "--detach", limit=90.0, OUTRIDER_DURATION=ENDLESS, **certified)
+            crossing = json.loads(
+                docker.python("uav", TAP, f"outrider/{RUN}/uav_0/observation", "30")
+            )
+            expect(crossing["heard"] >= 100, f"its observations do not come: {crossing}")
+            expect(not crossing["readable"], f"of what crosses one can read: {crossing}")
+            found = json.loads(docker.python("uav", CERTIFIED))
+        finally:
+            docker.down()
+        expect(
+            (found.pop("own"), found.pop("version")) == ("open", "TLSv1.3"),
+            "its own certificate does not let it in over TLS 1.3",
+        )
+        expect(set(found.values()) == {"refused"}, f"others: {found}")
+        return (
+            f"{told}; of {crossing['bytes']} bytes nothing is readable; refused: {', '.join(found)}"
+        )
 
     def realtime(self) -> str:
         """The real-time profile keeps the clock."""
@@ -742,6 +861,7 @@ ORDER = (
     "failure",
     "networks",
     "keys",
+    "tls",
     "kill",
     "pause",
     "disconnect",

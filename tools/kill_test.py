@@ -20,7 +20,7 @@ from collections.abc import Callable
 from soak import OUTRIDER, family
 
 from outrider.running.flying import fly
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 
 _PATIENCE = 300.0
 """A run that has not ended after so long [s] is stuck."""

@@ -26,7 +26,7 @@ from bus.keys import STATUS, Party, Role
 from bus.messages import Status
 from bus.session import open_session
 from outrider.running.flying import fly
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 
 PAGE = os.sysconf("SC_PAGE_SIZE") / 2**20
 """MB."""

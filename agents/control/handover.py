@@ -2,7 +2,7 @@
 
 What is declared, and the hand-over from one plan to the next.
 
-The proof is in docs/certificate.md. SI units.
+The proof is in docs/explanation/certificate.md. SI units.
 """
 
 import functools

@@ -45,9 +45,9 @@ def virtual_error_acceleration(
 def orbit_error_acceleration(
     u_tr_x: float, u_tr_y: float, a_vx: float, a_vy: float
 ) -> tuple[float, float]:
-    r"""The path error under the law (24) is a double integrator driven by the tracking law [m/s²], Klodt 2015, eq.
+    r"""Acceleration of the path error under the law (24) [m/s²], Klodt 2015, eq. (23).
 
-    (23).
+    It is a double integrator that the tracking law alone drives.
 
     $$ \ddot p_{\Delta,d} = u_{a,tr} $$
     """

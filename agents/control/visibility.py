@@ -106,7 +106,7 @@ class Verdict(NamedTuple):
 
 
 class SafetyFilter:
-    """Keeps sight of the UGV around any way to fly: a law, a person, a learned policy. See docs/certificate.md.
+    """Keeps sight of the UGV around any way to fly: a law, a person, a learned policy. See docs/explanation/certificate.md.
 
     Call `see` with every observation, and `filter` with the command for it.
 

@@ -1,6 +1,6 @@
 """The drivers that compiled loops can call: one function for all of them, and what each needs as plain numbers.
 
-The classes of `agents.drivers.table` are shells around the same functions. A driver that listens to a person or to
+The drivers' classes are shells around the same functions. A driver that listens to a person or to
 a policy has no compiled form.
 """
 
@@ -16,6 +16,7 @@ from agents.drivers.wander import wander_control, wander_pace
 from agents.drivers.waypoints import WAYPOINT_STATE, driver_goals, waypoint_control
 from bus.errors import ScenarioError
 from bus.messages import UgvBriefing
+from bus.registry import DRIVERS
 from sim.kernels.compile import FloatArray, compiled
 from sim.models.randomness import Key, words_of
 
@@ -37,9 +38,12 @@ __all__ = [
     "unpack_driver",
 ]
 
-WAYPOINTS, WANDER, SCRIPT, EVADE = range(4)
-COMPILED_DRIVERS = {"waypoints": WAYPOINTS, "wander": WANDER, "script": SCRIPT, "evade": EVADE}
-"""The drivers by name, as rows of `agents.drivers.table.DRIVERS`, that have a compiled form."""
+COMPILED_DRIVERS = {row.name: row.code for row in DRIVERS.values() if row.code is not None}
+"""Codes of the drivers that have a compiled form, by name."""
+WAYPOINTS = COMPILED_DRIVERS["waypoints"]
+WANDER = COMPILED_DRIVERS["wander"]
+SCRIPT = COMPILED_DRIVERS["script"]
+EVADE = COMPILED_DRIVERS["evade"]
 
 DRIVER_STATE = max(WAYPOINT_STATE, EVADE_STATE)
 """Size of the state of any of them; the wanderer's is part of the evader's."""
@@ -74,14 +78,14 @@ def driver_parameters(briefing: UgvBriefing, driver: str) -> DriverParameters:
     wheel, limits = Steering(briefing), briefing.limits
     width, height = float(briefing.area.width), float(briefing.area.height)
     speed, margin = wander_pace(width, height, wheel.v_max, wheel.u_max, wheel.dt)
-    papers = driver == "waypoints"  # it alone drives without a bound where the UGV has none
+    unbounded = DRIVERS[driver].unbounded
     return DriverParameters(
         driver=COMPILED_DRIVERS[driver],
         dt=wheel.dt,
         width=width,
         height=height,
-        v_max=float(limits.max_speed or math.inf) if papers else wheel.v_max,
-        u_max=float(limits.max_acceleration or math.inf) if papers else wheel.u_max,
+        v_max=float(limits.max_speed or math.inf) if unbounded else wheel.v_max,
+        u_max=float(limits.max_acceleration or math.inf) if unbounded else wheel.u_max,
         tolerance=float(briefing.goal_tolerance),
         speed=float(speed),
         margin=float(margin),

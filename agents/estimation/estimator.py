@@ -17,8 +17,8 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from filterpy.kalman import KalmanFilter
 
+from agents.estimation.kalman import KalmanFilter
 from agents.estimation.motion_model import acceleration_deviation, cut_variance, motion, straying
 from agents.estimation.past import SAME_TIME, SPAN, History, Moment
 from bus.messages import Detection, Detector, Estimator, Limits

@@ -31,7 +31,8 @@ from bus.messages import UavBriefing, UavCommand, UavObservation, Vector
 from outrider.running.flying import InProcess, Pilot
 from outrider.running.summary import summarize
 from sim.engine.briefing import briefing
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 
 HERE = Path(__file__).resolve().parent

@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from bus.registry import SENSORS
 from sim.kernels.compile import FloatArray
-from sim.models.field import SENSORS, accumulate, coverage_error, coverage_gradient
+from sim.models.field import accumulate, coverage_error, coverage_gradient
 
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-O3", "-march=native", "-std=c11", "-ffp-contract=off", "-shared", "-fPIC")
@@ -165,7 +166,7 @@ class CKernels:
             ours = rng.uniform(0.0, 4.0, (rows, columns))
             theirs = ours.copy()
             sensor, cell, reach = (
-                int(rng.choice(list(SENSORS.values()))),
+                int(rng.choice([row.code for row in SENSORS.values()])),
                 float(rng.choice((0.1, 0.25, 1.0))),
                 rng.uniform(0.1, 8.0),
             )

@@ -7,7 +7,7 @@ from outrider.bench.c_kernels import CKernels
 from outrider.bench.timing import Pair, rate
 from sim.kernels.compile import FloatArray, compiled
 from sim.models.field import accumulate, coverage_error, coverage_gradient
-from sim.scenario.types import load_scenario
+from sim.scenario.loading import load_scenario
 from sim.world import World
 
 _PASSES = 20_000

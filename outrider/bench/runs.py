@@ -20,7 +20,8 @@ from outrider.bench.timing import Pair
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.launch import NOBODY, Outcome, launch
 from sim.kernels.threads import cores
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 
 

@@ -13,7 +13,8 @@ from outrider.bench.many import RATE, WORLDS, stepped
 from outrider.bench.pairs import pairs_toml
 from outrider.style import DASHED, INK, MUTED, UAV, UGV, look, new_figure, panel, save
 from sim.kernels.threads import cores
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 
 COUNTS = (1, 4, 16, 64, 256, 1024, 4096)
 """Worlds."""

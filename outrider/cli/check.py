@@ -29,7 +29,7 @@ def command(
     from outrider.running.promise import how_certifiable, promise_warnings
     from outrider.running.user_code import foreign_code
     from sim.scenario.checks import scenario_warnings
-    from sim.scenario.types import load_scenario
+    from sim.scenario.loading import load_scenario
 
     scenario = load_scenario(file, overrides=changes or ())
     warnings = [

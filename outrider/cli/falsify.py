@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bus.registry import LAWS
 from outrider.cli.options import AllowCode, Json, ScenarioName, Set
 
 if TYPE_CHECKING:
@@ -192,7 +193,7 @@ def command(
         changes,
         allow_code=allow_code,
     )
-    certified = flown.law.name == "certified"
+    certified = LAWS[flown.law.name].watched
     if (only is not None or eps is not None) and not certified:
         raise typer.BadParameter("--only and --eps are for the law certified")
     flies = control is None and only is not Only.ATTACK
@@ -321,9 +322,9 @@ def _progress(found: "Found") -> "Iterator[Callable[[str, float], None]]":
     from outrider.cli.console import ERR
 
     columns = (
-        TextColumn("[bold]{task.description}"),
+        TextColumn("{task.description}", style="bold", markup=False),
         BarColumn(bar_width=30, complete_style="blue", finished_style="blue"),
-        TextColumn("{task.fields[note]}"),
+        TextColumn("{task.fields[note]}", markup=False),
         TimeRemainingColumn(compact=True, elapsed_when_finished=True),
     )
     began = said = time.monotonic()
@@ -352,7 +353,7 @@ def _tell(found: "Found", *, json: bool) -> None:
         print_json(found.as_plain())
         return
     for line in _lines(found):
-        OUT.print(line, soft_wrap=True, markup=False)
+        OUT.print(line, soft_wrap=True)
 
 
 def _lines(found: "Found") -> "Iterator[str]":
@@ -369,7 +370,7 @@ def _lines(found: "Found") -> "Iterator[str]":
     yield f"{law}: {found.violations:,} violations of r_v = {wanted.base.visibility.radius:g} m in {much}"
     if flights.runs:
         yield f"  flights: {flights.violations:,} of {flights.runs:,} lose sight; the farthest {flights.worst:.4f} m"
-        if wanted.base.law.name == "certified":
+        if LAWS[wanted.base.law.name].watched:
             share = f"not every tick was certified in {flights.uncertified:,}"
             yield f"    {share}; in {flights.lost - flights.violations:,} sight was lost after nothing was promised any more"
             yield f"    certified while lost: {flights.certified_while_lost:,} ticks"

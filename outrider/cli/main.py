@@ -15,6 +15,7 @@ from outrider.cli import (
     check,
     credentials,
     dashboard,
+    doctor,
     drive,
     falsify,
     figures,
@@ -43,7 +44,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "record": record.command,
     "replay": replay.command,
     "render": render.command,
-    "scenarios": scenarios.command,
     "check": check.command,
     "falsify": falsify.command,
     "figures": figures.command,
@@ -51,6 +51,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "sweep": sweep.command,
     "report": report.command,
     "bench": bench.command,
+    "doctor": doctor.command,
 }
 
 
@@ -72,7 +73,6 @@ def _version(wanted: bool) -> None:
 def _app() -> typer.Typer:
     app = typer.Typer(
         no_args_is_help=True,
-        add_completion=False,
         pretty_exceptions_enable=False,
         rich_markup_mode="markdown",
     )
@@ -87,6 +87,7 @@ def _app() -> typer.Typer:
 
     for name, command in COMMANDS.items():
         app.command(name)(command)
+    app.add_typer(scenarios.app, name="scenarios")
     return app
 
 

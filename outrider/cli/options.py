@@ -7,10 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bus.errors import ScenarioError
+from bus.profiles import PROFILES
+from bus.registry import DRIVERS, LAWS, POLICY_FORMS, described
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from bus.access import Credential
     from bus.keys import Role
+    from bus.registry import DriverRow, LawRow
     from sim.scenario.types import Scenario
 
 ScenarioName = Annotated[str, typer.Argument(help="A shipped scenario's name, or a TOML file.")]
@@ -37,14 +42,16 @@ LawName = Annotated[
     str | None,
     typer.Option(
         "--law",
-        help="certified, tracking, coverage, linear, switching, logarithmic, circle, weighted or path.",
+        help=f"The UAVs' law. {described(LAWS)}.",
+        autocompletion=lambda: [(row.name, row.about) for row in LAWS.values()],
     ),
 ]
 DriverName = Annotated[
     str | None,
     typer.Option(
         "--driver",
-        help="Who drives the UGVs: waypoints, wander, script, evade, teleop, policy, or external (a process of your own).",
+        help=f"The UGVs' driver. {described(DRIVERS)}.",
+        autocompletion=lambda: [(row.name, row.about) for row in DRIVERS.values()],
     ),
 ]
 Set = Annotated[
@@ -62,16 +69,15 @@ PolicyName = Annotated[
     str,
     typer.Option(
         "--policy",
-        help="For the driver `policy`: module:function or module:object of your own, or a saved one: sb3:ppo:FILE.zip, "
-        "torch:FILE.pt, onnx:FILE.onnx.",
+        help=f"For the driver `policy`: {POLICY_FORMS}; or module:object with a method predict.",
     ),
 ]
 NetworkName = Annotated[
     str,
     typer.Option(
         "--network",
-        help="What the ether does to every message: perfect, wifi, wifi-poor, lte, satellite, narrowband, jammed. One link: "
-        "--set links.detections.delay=0.5.",
+        help=f"The profile of every radio link: {', '.join(PROFILES)}. One link: --set links.detections.delay=0.5.",
+        autocompletion=lambda: list(PROFILES),
     ),
 ]
 AllowCode = Annotated[
@@ -197,11 +203,16 @@ def scenario_of(
     Raises:
         ScenarioError: If it cannot be flown.
     """
-    from sim.scenario.types import (
-        load_scenario,
-    )  # a vehicle's process, which shares these options, must not load it
+    # a vehicle's process, which shares these options, must not load it
+    from bus.registry import DRIVERS, LAWS
+    from sim.scenario.loading import load_scenario
 
     overrides = list(changes or ())
+    own = {"weighting": weighting, "path": path, "policy": policy}
+    if any(own.values()):
+        plain = load_scenario(name, overrides=overrides)
+        law = _user_of(own, "law", LAWS, law, {plain.law.name})
+        driver = _user_of(own, "driver", DRIVERS, driver, {ugv.driver for ugv in plain.ugv})
     quoted = {
         "law.name": law,
         "custom.weighting": weighting,
@@ -218,6 +229,41 @@ def scenario_of(
         count = len(load_scenario(name, overrides=overrides).ugv)
         overrides += [f'ugv.{k}.driver="{_plain("driver", driver)}"' for k in range(count)]
     return load_scenario(name, overrides=overrides), overrides
+
+
+def _user_of(
+    own: "Mapping[str, str]",
+    kind: str,
+    rows: "Mapping[str, LawRow] | Mapping[str, DriverRow]",
+    chosen: str | None,
+    flown: "set[str]",
+) -> str | None:
+    """The law or driver that uses the function which the user has named, so that none is ignored.
+
+    Args:
+        own: What the user has named, by option.
+        kind: `law` or `driver`.
+        rows: All there are.
+        chosen: What the user has chosen with --law or --driver.
+        flown: What the scenario says.
+
+    Raises:
+        ScenarioError: If another is chosen.
+    """
+    users = {row.own: row.name for row in rows.values() if row.own and own.get(row.own)}
+    if len(users) > 1:
+        raise ScenarioError(f"{' and '.join(f'--{option}' for option in users)}: only one can fly")
+    for option, user in users.items():
+        if chosen not in (None, user):
+            raise ScenarioError(
+                f"--{option} {own[option]}: is for --{kind} {user}, not for --{kind} {chosen}"
+            )
+        if chosen is None and user not in flown:
+            from outrider.cli.console import ERR
+
+            ERR.print(f"--{option} {own[option]}: so the {kind} is {user}", soft_wrap=True)
+            return user
+    return chosen
 
 
 def _plain(field: str, value: str) -> str:

@@ -70,6 +70,8 @@ def command(
 
 
 def _refly(recording: "Recording", *, json: bool) -> None:
+    from rich.text import Text
+
     from outrider.cli.console import ERR, OUT, print_json
     from outrider.recording.refly import refly
     from outrider.running.summary import certificate_fields
@@ -98,8 +100,13 @@ def _refly(recording: "Recording", *, json: bool) -> None:
         }
         print_json(told)
     else:
-        verdict = "[green]the same to the last bit[/]" if same else f"[red]differs from {where}[/]"
-        OUT.print(f"{recording.path}: {found.ticks} ticks flown again, {verdict}", soft_wrap=True)
+        verdict = (
+            ("the same to the last bit", "green") if same else (f"differs from {where}", "red")
+        )
+        OUT.print(
+            Text.assemble(f"{recording.path}: {found.ticks} ticks flown again, ", verdict),
+            soft_wrap=True,
+        )
         OUT.print(f"  trajectory_sha256 {found.trajectory_sha256}", soft_wrap=True)
         if found.note:
             OUT.print(f"  {found.note}", soft_wrap=True)
@@ -147,7 +154,7 @@ def _play(recording: "Recording", speed: float) -> None:
     truths = recording.truths
     begin, end = truths[0].time, truths[-1].time
     columns = (
-        TextColumn("{task.fields[seconds]:>7.1f} s"),
+        TextColumn("{task.fields[seconds]:>7.1f} s", markup=False),
         BarColumn(bar_width=40, complete_style="blue", finished_style="blue"),
         TextColumn("distance {task.fields[distance]:.2f} m, e = {task.fields[error]:.1f} m²"),
     )

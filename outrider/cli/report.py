@@ -39,6 +39,8 @@ def command(
     check_extras("pyarrow")
     if markdown and json:
         raise typer.BadParameter("--markdown and --json both want stdout; choose one")
+    from rich.text import Text
+
     from outrider.cli.console import ERR, OUT, print_json
 
     with ERR.status("reading and drawing"):
@@ -64,7 +66,11 @@ def command(
         print_json({**counts, "page": str(file), "pictures": files})
         return
     if material.missing:
-        ERR.print(f"[yellow]not finished:[/] {material.missing:,} runs are still to be flown")
+        ERR.print(
+            Text.assemble(
+                ("not finished:", "yellow"), f" {material.missing:,} runs are still to be flown"
+            )
+        )
     OUT.print(f"{material.rows:,} runs, {material.failed:,} failed\n  {file}", soft_wrap=True)
     for path in pictures.values():
         OUT.print(f"  {path}", soft_wrap=True)

@@ -104,6 +104,7 @@ def command(
 
     Example: outrider run escort --seed 3 --law switching
     """
+    from bus.registry import DRIVERS
     from outrider.cli.console import flight_progress, print_json, print_summary, print_warnings
     from outrider.cli.options import scenario_of, secret_of
     from outrider.cli.stopping import stop_on_signals
@@ -124,7 +125,7 @@ def command(
     flown, overrides = scenario_of(
         scenario, seed=seed, duration=duration, law=law, driver=driver, changes=changes, **own
     )
-    strangers = any(ugv.driver == "external" for ugv in flown.ugv)
+    strangers = any(DRIVERS[ugv.driver].outside for ugv in flown.ugv)
     if in_process and strangers:
         raise typer.BadParameter("--driver external is another process; leave --in-process out")
     kept = secret_of(secret, wanted=strangers)

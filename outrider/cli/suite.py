@@ -9,6 +9,7 @@ from outrider.cli.options import Json, Secret
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
+    from rich.text import Text
 
     from outrider.envs.vector import Observation, Policy
     from outrider.experiments.suite.board import Leaderboard, Standing
@@ -105,7 +106,7 @@ def _tasks(whole: "Suite", only: list[str]) -> "Suite":
 def _entries(laws: list[str], policies: list[str], tasks: "Suite") -> "dict[str, Entry]":
     from bus.errors import ScenarioError
     from outrider.envs.closed_loop import pilot_names
-    from outrider.experiments.suite.board import LAWS
+    from outrider.experiments.suite.board import BASELINES
     from outrider.running.user_code import load_function
 
     allowed = pilot_names(tasks[0].scenario, "uav_0")
@@ -114,7 +115,7 @@ def _entries(laws: list[str], policies: list[str], tasks: "Suite") -> "dict[str,
             raise ScenarioError(
                 f"law {law!r}: unknown; allowed: {', '.join(allowed)}, or --policy module:function"
             )
-    entries: dict[str, Entry] = {law: law for law in laws or ([] if policies else LAWS)}
+    entries: dict[str, Entry] = {law: law for law in laws or ([] if policies else BASELINES)}
     for name in policies:
         found = load_function(name, what="--policy")
         if found is None:
@@ -179,8 +180,11 @@ def _table(board: "Leaderboard") -> Any:  # noqa: ANN401 - rich's
     return table
 
 
-def _cell(told: "Result | Standing") -> str:
-    return f"{told.score:.1f}" + (f"\n[red]{told.lost} lost[/]" if told.lost else "")
+def _cell(told: "Result | Standing") -> "Text":
+    from rich.text import Text
+
+    score = f"{told.score:.1f}"
+    return Text.assemble(score, (f"\n{told.lost} lost", "red")) if told.lost else Text(score)
 
 
 def _tell_tasks(tasks: "Suite", *, json: bool) -> None:

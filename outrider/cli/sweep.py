@@ -143,9 +143,9 @@ def _bar(what: str) -> "AbstractContextManager[Progress]":
     from outrider.cli.console import ERR
 
     return Progress(
-        TextColumn(f"[bold]{what}"),
+        TextColumn(what, style="bold", markup=False),
         BarColumn(bar_width=40, complete_style="blue", finished_style="blue"),
-        TextColumn("{task.fields[note]}"),
+        TextColumn("{task.fields[note]}", markup=False),
         TimeRemainingColumn(compact=True, elapsed_when_finished=True),
         console=ERR,
         transient=what != "flying",
@@ -222,7 +222,6 @@ def _tell(told: dict[str, Any], folder: "SweepFolder", where: Path, *, json: boo
         ERR.print(
             f"outrider: {folder.failed} of {told['rows']:,} runs failed: {reason}; {again}",
             soft_wrap=True,
-            markup=False,
         )
         raise typer.Exit(1)
 

@@ -14,11 +14,8 @@ import numpy.typing as npt
 from agents.control.guard import GuardState, guard_state, pack_promise
 from agents.control.handover import check_assumptions
 from agents.control.laws import (
-    CERTIFIED,
-    LAWS,
-    PATH,
     STATE_SIZE,
-    WEIGHTED,
+    WATCHED,
     LawParameters,
     law_parameters,
     pack_law,
@@ -38,6 +35,7 @@ from agents.uav import RADIO_PERIOD
 from bus.errors import ScenarioError
 from bus.layout import UgvRow
 from bus.messages import LinkKind, LinkStatus, UavBriefing, UgvBriefing
+from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
 from outrider.envs.closed_loop_state import (
     BROKEN,
     CERTIFIED_TICKS,
@@ -61,8 +59,8 @@ from outrider.envs.closed_loop_tick import run_worlds
 from sim.channel.link import DUST
 from sim.engine.batch import Batch, Fresh, arrays_of
 from sim.engine.briefing import briefing
-from sim.engine.link_table import BatchLinks
-from sim.engine.world_tick import first_state
+from sim.engine.link_arrays import LinkArrays
+from sim.engine.world_state import first_state
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights, full_error
 from sim.kernels.compile import FloatArray, IntArray, compiling
@@ -94,7 +92,7 @@ def _joined(arrays: Sequence[FloatArray], columns: int) -> tuple[FloatArray, Int
 def pilot_names(scenario: Scenario, vehicle: str) -> tuple[str, ...]:
     """Who can fly or drive a vehicle in here, by name."""
     if any(uav.name == vehicle for uav in scenario.uav):
-        return tuple(name for name, code in LAWS.items() if code not in (WEIGHTED, PATH))
+        return tuple(law.name for law in LAWS.values() if not law.own)
     return tuple(COMPILED_DRIVERS)
 
 
@@ -163,12 +161,11 @@ class ClosedLoop:
         self.batch = Batch(
             scenario, worlds, gains=weights.seen > 0.0, threads=threads, secret=secret
         )
-        ways = self._ways = BatchLinks(scenario, LinkKind.RADIO, 3, worlds)
+        radio = self._radio = LinkArrays(scenario, (LinkKind.RADIO,), 3, worlds)
         listening = crew.radio
         thinking = crew.thinking | (estimate or gradient or listening)
         dt = scenario.dt
         self.parameters = LoopParameters(
-            w=self.batch.parameters,
             ticks=scenario.ticks,
             error=error or weights.uncovered > 0.0,
             estimate=estimate,
@@ -177,7 +174,6 @@ class ClosedLoop:
             end_on_goals=end_on_goals_reached,
             own_maps=len(self.uavs) > 1,
             radio=listening,
-            perfect_radio=ways.perfect,
             radio_ticks=max(1, round(RADIO_PERIOD / dt)),
             full=full_error(
                 scenario.visibility.radius + scenario.sensor.range, scenario.coverage.desired
@@ -221,31 +217,30 @@ class ClosedLoop:
             scripts=scripts,
             script_rows=script_rows,
             weights=np.array(numbers, dtype=np.float64),
-            ways=ways.table,
+            radio=radio.table,
             seen=disc_widths(scenario.sensor.range, scenario.area.cell),
             around=disc_widths(
                 scenario.visibility.radius + scenario.sensor.range, scenario.area.cell
             ),
         )
-        late = self.batch.ways_in.longest
+        late = self.batch.longest_delay(LinkKind.DETECTIONS)
         kalman = kalman_state(min(late, round(SPAN / dt)) + 1)
         guards = guard_state(crew.slowest, min(late + 1, max(1, math.ceil(_TRACK / dt))))
         uavs, ugvs, vehicles = len(self.uavs), len(self.ugvs), len(self.names)
-        room = ways.room * uavs if listening else 1
+        room = radio.room * uavs if listening else 1
         coverage = self.batch.state.truth.coverage
         pixels = patch.pixels if patch else 1
         self.state = LoopState(
             batch=self.batch.state,
             maps=np.zeros((worlds, uavs if self.parameters.own_maps else 0, *coverage.shape[1:])),
-            commands=np.zeros((worlds, vehicles, 2)),
             sent=np.zeros((worlds, uavs, int(crew.delays.max()) + 1, 2)),
             laws=np.zeros((worlds, uavs, STATE_SIZE)),
             kalman=KalmanState._make(_repeated(kalman, worlds, uavs)),
             guards=GuardState._make(_repeated(guards, worlds, uavs)),
             drivers=_repeated((fresh_driver_state(),), worlds, ugvs)[0],
-            outbox=np.zeros((worlds, uavs, 3)),
-            ways=ways.states,
-            inbox=np.zeros((worlds, ways.room if listening else 1, 3)),
+            outbox=np.full((worlds, uavs, 3), -1.0),
+            radio=radio.states,
+            inbox=np.zeros((worlds, radio.room if listening else 1, 3)),
             heard=np.zeros((worlds, ugvs, room, 3)),
             hearing=np.zeros((worlds, ugvs), dtype=np.int64),
             uav_seats=np.zeros((worlds, uavs, SEAT_SIZE)),
@@ -268,9 +263,7 @@ class ClosedLoop:
     @property
     def degraded(self) -> bool:
         """Whether any link does anything to a message."""
-        return not (
-            self.batch.ways_in.perfect and self.batch.ways_out.perfect and self._ways.perfect
-        )
+        return self.batch.degraded or not self._radio.perfect
 
     def begin(
         self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None = None
@@ -339,8 +332,7 @@ class ClosedLoop:
 
     def links(self, world: int) -> dict[str, LinkStatus]:
         """How each link of one world has done so far, by `vehicle/kind`."""
-        radio = {f"{name}/{LinkKind.RADIO}": one for name, one in self._ways.status(world).items()}
-        return self.batch.links(world) | radio
+        return self.batch.link_status(world) | self._radio.status(world)
 
     def bytes_per_world(self) -> int:
         """Memory that one more world needs [bytes]."""
@@ -409,9 +401,7 @@ class _Crew:
             ]
         )
         outside = np.array([name in external for name in uavs])
-        self.guarded = (
-            np.array([law.law == CERTIFIED for law in laws]) & ~outside | outside & shield
-        )
+        self.guarded = np.array([law.law in WATCHED for law in laws]) & ~outside | outside & shield
         self.thinking = ~outside
         drivers = [
             self._driver(one, chosen.get(one.vehicle), outside=one.vehicle in external)
@@ -426,7 +416,7 @@ class _Crew:
         self.goals = [driver_goals(one) for one in self.told_ugvs]
         self.scripts = [driver_script(one) for one in self.told_ugvs]
         self.radio = any(
-            name == "evade" and one.vehicle not in external
+            DRIVERS[name].listens and one.vehicle not in external
             for name, one in zip(drivers, self.told_ugvs, strict=True)
         )
 
@@ -435,7 +425,7 @@ class _Crew:
         law = told.law if name is None else msgspec.structs.replace(told.law, name=name)
         if outside:
             law = msgspec.structs.replace(law, name="tracking")  # never asked
-        elif law.name in ("weighted", "path"):
+        elif law.name in LAWS and LAWS[law.name].own:
             raise ScenarioError(
                 f"{told.vehicle}: law.name = {law.name!r} is a function of your own and cannot be compiled"
             )
@@ -443,4 +433,4 @@ class _Crew:
 
     @staticmethod
     def _driver(told: UgvBriefing, name: str | None, *, outside: bool) -> str:
-        return "waypoints" if outside else name or told.driver
+        return DEFAULT_DRIVER if outside else name or told.driver

@@ -5,10 +5,8 @@ from typing import NamedTuple
 from agents.control.guard import GuardState
 from agents.estimation.twin import KalmanState
 from bus.layout import GradientCue, UavRow
-from sim.channel.link import LinkState
-from sim.engine.batch import BatchState, BatchTables
-from sim.engine.link_table import LinkTable
-from sim.engine.world_tick import WorldParameters
+from sim.channel.link import LinkState, LinkTable
+from sim.engine.world_state import BatchState, BatchTables
 from sim.kernels.compile import FloatArray, IntArray
 
 UAV_ROW = len(UavRow._fields) + len(GradientCue._fields)
@@ -50,7 +48,6 @@ Goals reached, those of this tick, how much nearer it came [m], way to the next 
 class LoopParameters(NamedTuple):
     """What the loop does, as plain numbers."""
 
-    w: WorldParameters
     ticks: int
     """Of an episode."""
     error: bool
@@ -65,7 +62,6 @@ class LoopParameters(NamedTuple):
     """Whether each UAV has a map of its own; else all that is seen is its own."""
     radio: bool
     """Whether any UGV listens to the radio."""
-    perfect_radio: bool
     radio_ticks: int
     full: float
     """`full_error` [m²]."""
@@ -110,8 +106,8 @@ class LoopTables(NamedTuple):
     script_rows: IntArray
     weights: FloatArray
     """The numbers of `RewardWeights`, in its order."""
-    ways: LinkTable
-    """Of the radio, a row for each UAV."""
+    radio: LinkTable
+    """A row for each UAV."""
     seen: IntArray
     """The sensor's disc, and of the density (9), from `sim.kernels.prefetch.disc_widths`."""
     around: IntArray
@@ -123,8 +119,6 @@ class LoopState(NamedTuple):
     batch: BatchState
     maps: FloatArray
     """The UAVs' own maps, where they differ from the world's. Shape (worlds, UAVs or 0, rows, columns)."""
-    commands: FloatArray
-    """What each vehicle answered last [m/s²]. Shape (worlds, vehicles, 2)."""
     sent: FloatArray
     """The UAVs' last commands [m/s²], that of tick k in row k % (delay + 1).
 
@@ -135,10 +129,10 @@ class LoopState(NamedTuple):
     guards: GuardState
     drivers: FloatArray
     outbox: FloatArray
-    """The radio message that each UAV has just said: whether there is one, p_delta [m]. Shape (worlds, UAVs, 3)."""
-    ways: LinkState
+    """The radio message that each UAV has just sent: the tick of it (-1: none), p_delta [m]. Shape (worlds, UAVs, 3)."""
+    radio: LinkState
     inbox: FloatArray
-    """What has arrived by one radio link: time [s], p_delta [m]. Shape (worlds, room, 3)."""
+    """What has arrived by one radio link: tick, p_delta [m]. Shape (worlds, room, 3)."""
     heard: FloatArray
     """What each UGV hears at this tick. Shape (worlds, UGVs, room, 3)."""
     hearing: IntArray

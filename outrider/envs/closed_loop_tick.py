@@ -36,20 +36,21 @@ from outrider.envs.closed_loop_state import (
     LoopState,
     LoopTables,
 )
-from sim.channel.link import advance as advance_link
+from sim.channel.link import advance as begin_tick
 from sim.channel.link import receive, send
-from sim.engine.batch import LOOK_X, LOOK_Y, TAKEN, begin_world, step_world
-from sim.engine.link_table import link_of, parameters_of
+from sim.engine.link_arrays import link_of
+from sim.engine.world_state import ANSWERED, LOOK_X, LOOK_Y, TAKEN, U_X, U_Y
+from sim.engine.world_tick import begin_world, world_tick
 from sim.env.patch import sample
 from sim.env.rewards import uav_terms, ugv_terms
 from sim.env.rows import turn
 from sim.kernels.compile import FloatArray, IntArray, inlined, released
 from sim.kernels.prefetch import fetch_disc, fetch_rows
 from sim.models.field import accumulate, coverage_error, coverage_gradient
-from sim.models.randomness import PILOT, RADIO_LINK, key_of
+from sim.models.randomness import PILOT, key_of
 from sim.models.vehicles import brake, norm
 
-_PENDING, _SENT_X, _SENT_Y = range(3)
+_SAID, _SENT_X, _SENT_Y = range(3)
 
 
 @inlined
@@ -126,11 +127,12 @@ def _fly(
         seat[SHIELDED] += 1.0
         seat[INTERVENED] += seat[ACTED]
         seat[CERTIFIED_TICKS] += seat[SURE]
-    s.commands[k, v, 0], s.commands[k, v, 1] = u_x, u_y
+    sent = s.batch.sent[k, v]
+    sent[ANSWERED], sent[U_X], sent[U_Y] = tick, u_x, u_y
     if p.radio:
         known, g_x, g_y = kalman_estimate(_kalman_of(s.kalman, k, u))
         says = known and tick % p.radio_ticks == 0
-        s.outbox[k, u, _PENDING] = 1.0 if says else 0.0
+        s.outbox[k, u, _SAID] = tick if says else -1.0
         s.outbox[k, u, _SENT_X], s.outbox[k, u, _SENT_Y] = (
             position[v, 0] - g_x,
             position[v, 1] - g_y,
@@ -142,15 +144,13 @@ def _drive(
     p: LoopParameters, t: LoopTables, s: LoopState, k: int, v: int, g: int, actions: FloatArray
 ) -> None:
     """The command of UGV g, vehicle v."""
+    tick, sent = s.batch.ticks[k], s.batch.sent[k, v]
+    sent[ANSWERED] = tick
     if t.hand[v] >= 0:
-        s.commands[k, v, 0], s.commands[k, v, 1] = actions[t.hand[v], 0], actions[t.hand[v], 1]
+        sent[U_X], sent[U_Y] = actions[t.hand[v], 0], actions[t.hand[v], 1]
         return
-    tick, position, velocity = (
-        s.batch.ticks[k],
-        s.batch.truth.position[k],
-        s.batch.truth.velocity[k],
-    )
-    s.commands[k, v, 0], s.commands[k, v, 1] = ugv_control(
+    position, velocity = s.batch.truth.position[k], s.batch.truth.velocity[k]
+    sent[U_X], sent[U_Y] = ugv_control(
         unpack_driver(t.drivers[g], key_of(s.batch.keys[k], PILOT, v)),
         t.goals[t.goal_rows[g] : t.goal_rows[g + 1]],
         t.scripts[t.script_rows[g] : t.script_rows[g + 1]],
@@ -158,7 +158,7 @@ def _drive(
         s.heard[k, g],
         s.hearing[k, g],
         tick,
-        tick * p.w.dt,
+        tick * t.batch.world[0].dt,
         position[v, 0],
         position[v, 1],
         velocity[v, 0],
@@ -168,41 +168,28 @@ def _drive(
 
 @inlined
 def _listen(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
-    """What the UAVs have said at the tick before sets out, and what has arrived is heard."""
-    tick, hearing = s.batch.ticks[k], s.hearing[k]
+    """What the UAVs have said at the tick before sets out, and what has arrived is with the UGVs."""
+    dt, tick, hearing = t.batch.world[0].dt, s.batch.ticks[k], s.hearing[k]
     hearing[:] = 0
     for u in range(t.listeners.shape[0]):
-        g, outbox, message = t.listeners[u], s.outbox[k, u], s.batch.message[k]
-        heard = s.heard[k, g]
-        if p.perfect_radio:
-            if outbox[_PENDING] != 0.0:
-                n = hearing[g]
-                heard[n, 0], heard[n, 1], heard[n, 2] = (
-                    (tick - 1) * p.w.dt,
-                    outbox[_SENT_X],
-                    outbox[_SENT_Y],
-                )
-                hearing[g] = n + 1
-            continue
-        ways, link = parameters_of(t.ways, u), link_of(s.ways, k, u)
-        key = key_of(s.batch.keys[k], RADIO_LINK, t.ways.vehicles[u])
-        advance_link(ways, link, key, tick)
-        if outbox[_PENDING] != 0.0:
-            message[0], message[1], message[2] = tick - 1, outbox[_SENT_X], outbox[_SENT_Y]
-            send(ways, link, key, message)
-        inbox = s.inbox[k]
+        g, outbox, inbox = t.listeners[u], s.outbox[k, u], s.inbox[k]
+        heard, link = s.heard[k, g], link_of(s.radio, k, u)
+        key = key_of(s.batch.keys[k], t.radio.owners[u, 0], t.radio.owners[u, 1])
+        begin_tick(t.radio, u, link, key, tick)
+        if outbox[_SAID] >= 0.0:
+            send(t.radio, u, link, key, outbox)
+            outbox[_SAID] = -1.0
         for i in range(receive(link, inbox)):
             n = hearing[g]
-            heard[n, 0], heard[n, 1], heard[n, 2] = inbox[i, 0] * p.w.dt, inbox[i, 1], inbox[i, 2]
+            heard[n, 0], heard[n, 1], heard[n, 2] = inbox[i, 0] * dt, inbox[i, 1], inbox[i, 2]
             hearing[g] = n + 1
-        outbox[_PENDING] = 0.0
 
 
 @inlined
 def _perceive(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
     """Every UAV takes what has reached it at this tick into its map and its filters; the UGVs listen."""
-    w, escorts, tick = p.w, t.batch.escorts, s.batch.ticks[k]
-    position, looks, arrived = s.batch.truth.position[k], s.batch.looks[k], s.batch.arrived[k]
+    w, escorts, tick = t.batch.world[0], t.batch.escorts, s.batch.ticks[k]
+    position, looks, arrived = s.batch.truth.position[k], s.batch.received[k], s.batch.arrived[k]
     for u in range(escorts.shape[0]):
         x, y = position[escorts[u, 0], 0], position[escorts[u, 0], 1]
         if p.own_maps and tick > 0:
@@ -232,7 +219,7 @@ def _perceive(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
 @inlined
 def _seat_uav(p: LoopParameters, t: LoopTables, s: LoopState, k: int, u: int) -> None:
     """How UAV u truly stands at this tick, and the newest detection that has reached it."""
-    w, truth, seat = p.w, s.batch.truth, s.uav_seats[k, u]
+    w, truth, seat = t.batch.world[0], s.batch.truth, s.uav_seats[k, u]
     a, g = t.batch.escorts[u, 0], t.batch.escorts[u, 1]
     position = truth.position[k]
     distance = norm(position[a, 0] - position[g, 0], position[a, 1] - position[g, 1])
@@ -245,7 +232,7 @@ def _seat_uav(p: LoopParameters, t: LoopTables, s: LoopState, k: int, u: int) ->
             truth.coverage[k], position[g, 0], position[g, 1], w.r_o, w.desired, w.cell
         )
         seat[ERROR_SUM] += seat[ERROR]
-    looks = s.batch.looks[k, u]
+    looks = s.batch.received[k, u]
     for n in range(s.batch.arrived[k, u]):
         seat[NEWEST] = max(seat[NEWEST], looks[n, TAKEN])
 
@@ -253,8 +240,8 @@ def _seat_uav(p: LoopParameters, t: LoopTables, s: LoopState, k: int, u: int) ->
 @inlined
 def _observe_uav(p: LoopParameters, t: LoopTables, s: LoopState, k: int, u: int) -> None:
     """Write the row of UAV u."""
-    w, truth, tick, row = p.w, s.batch.truth, s.batch.ticks[k], s.uav_rows[k, u]
-    a, time, looks = t.batch.escorts[u, 0], tick * w.dt, s.batch.looks[k, u]
+    w, truth, tick, row = t.batch.world[0], s.batch.truth, s.batch.ticks[k], s.uav_rows[k, u]
+    a, time, looks = t.batch.escorts[u, 0], tick * w.dt, s.batch.received[k, u]
     x, y = truth.position[k, a, 0], truth.position[k, a, 1]
     row[0], row[1], row[2], row[3], row[4] = (
         time,
@@ -319,7 +306,7 @@ def _observe_ugv(p: LoopParameters, t: LoopTables, s: LoopState, k: int, g: int)
     first, last = t.goal_rows[g], t.goal_rows[g + 1]
     reached = first + int(s.ugv_seats[k, g, REACHED])
     row[0], row[1], row[2] = (
-        s.batch.ticks[k] * p.w.dt,
+        s.batch.ticks[k] * t.batch.world[0].dt,
         truth.position[k, v, 0],
         truth.position[k, v, 1],
     )
@@ -333,7 +320,14 @@ def _observe_ugv(p: LoopParameters, t: LoopTables, s: LoopState, k: int, g: int)
 @inlined
 def _pay(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
     """Whether the episode is over, and everybody's reward of this tick."""
-    w, r, truth, any_lost, goals_left, goals_given = p.w, t.weights, s.batch.truth, False, 0, 0
+    w, r, truth, any_lost, goals_left, goals_given = (
+        t.batch.world[0],
+        t.weights,
+        s.batch.truth,
+        False,
+        0,
+        0,
+    )
     for u in range(t.batch.escorts.shape[0]):
         any_lost = any_lost or s.uav_seats[k, u, LOST] != 0.0
     for g in range(t.ugv_rows.shape[0]):
@@ -377,7 +371,7 @@ def _pay(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
 @inlined
 def _observe(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
     """Everybody's row, and the UAVs' pictures."""
-    w, position, escorts = p.w, s.batch.truth.position[k], t.batch.escorts
+    w, position, escorts = t.batch.world[0], s.batch.truth.position[k], t.batch.escorts
     for u in range(escorts.shape[0]):
         _observe_uav(p, t, s, k, u)
     for g in range(t.ugv_rows.shape[0]):
@@ -398,7 +392,7 @@ def _observe(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
 @inlined
 def _begin(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
     """World k, whose arrays are as they are at the start but for its keys: everybody has a first look."""
-    begin_world(p.w, t.batch, s.batch, k)
+    begin_world(t.batch, s.batch, k)
     for g in range(t.ugv_rows.shape[0]):
         v, seat, goals = (
             t.ugv_rows[g],
@@ -418,7 +412,7 @@ def _note_obedience(t: LoopTables, s: LoopState, k: int, u: int, tick: int) -> N
     """
     v, size, sent = t.batch.escorts[u, 0], t.delays[u] + 1, s.sent[k, u]
     now, due, acting = tick % size, (tick + 1) % size, s.batch.truth.commands[k, v]
-    sent[now, 0], sent[now, 1] = s.commands[k, v, 0], s.commands[k, v, 1]
+    sent[now, 0], sent[now, 1] = s.batch.sent[k, v, U_X], s.batch.sent[k, v, U_Y]
     same = sent[due, 0] == acting[0] and sent[due, 1] == acting[1]
     s.uav_seats[k, u, OBEYED] = 1.0 if same else 0.0
 
@@ -432,7 +426,7 @@ def _step(p: LoopParameters, t: LoopTables, s: LoopState, k: int, actions: Float
         else:
             _drive(p, t, s, k, v, -1 - t.place[v], actions)
     tick = s.batch.ticks[k]
-    step_world(p.w, t.batch, s.batch, k, s.commands[k])
+    world_tick(t.batch, s.batch, k, True)
     for u in range(t.batch.escorts.shape[0]):
         if t.guarded[u]:
             _note_obedience(t, s, k, u, tick)
@@ -443,7 +437,7 @@ def _fetch(p: LoopParameters, t: LoopTables, s: LoopState, k: int, part: int) ->
     """Bring a quarter of what the next tick of world k will touch of its grid near the core; of no world if k < 0."""
     if k < 0:
         return
-    w, position, coverage = p.w, s.batch.truth.position[k], s.batch.truth.coverage[k]
+    w, position, coverage = t.batch.world[0], s.batch.truth.position[k], s.batch.truth.coverage[k]
     for u in range(t.batch.escorts.shape[0]):
         a, g = t.batch.escorts[u, 0], t.batch.escorts[u, 1]
         if p.error:
@@ -460,10 +454,19 @@ def _fetch_rows(s: LoopState, k: int) -> None:
         return
     b, truth = s.batch, s.batch.truth
     fetch_rows(
-        (b.keys, b.ticks, b.looks, b.arrived, truth.velocity, truth.acceleration, truth.commands), k
+        (
+            b.keys,
+            b.ticks,
+            b.received,
+            b.arrived,
+            truth.velocity,
+            truth.acceleration,
+            truth.commands,
+        ),
+        k,
     )  # type: ignore[call-arg]
     fetch_rows((truth.detections, truth.gains, s.kalman.numbers, s.uav_seats, s.ugv_seats), k)
-    fetch_rows((s.commands, s.uav_rows, s.ugv_rows, s.rewards, s.terminated, s.truncated), k)
+    fetch_rows((b.sent, s.uav_rows, s.ugv_rows, s.rewards, s.terminated, s.truncated), k)
 
 
 @released

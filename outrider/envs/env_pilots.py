@@ -14,6 +14,7 @@ from agents.estimation.estimator import RelativeEstimator
 from agents.uav import RADIO_PERIOD, UavPilot
 from bus.layout import uav_observation, ugv_observation
 from bus.messages import LinkKind, RelativeInformation, UavBriefing
+from bus.registry import DRIVERS
 from outrider.running.flying import Pilot, make_pilots
 from sim.kernels.compile import FloatArray
 
@@ -88,7 +89,7 @@ class _Crew:
     def _board(self) -> None:
         env = self._env
         self._episode: int = env.episode
-        listens = any(ugv.driver == "evade" for ugv in env.scenario.ugv)
+        listens = any(DRIVERS[ugv.driver].listens for ugv in env.scenario.ugv)
         self._radio = _Radio(env) if listens and env.episode else None
         self._pilots: dict[str, Pilot] = make_pilots(
             env.scenario,

@@ -1,6 +1,6 @@
 """Many worlds at once for whoever trains: a Gymnasium vector environment for one vehicle, and one for all of them.
 
-`docs/environment.md` says what a vehicle observes and is paid: it is the same here, bit for bit, as in
+`docs/reference/environment.md` says what a vehicle observes and is paid: it is the same here, bit for bit, as in
 `outrider.parallel_env`.
 An episode that ends begins anew in the same step (Gymnasium's SAME_STEP): the observation is the new episode's
 first one, and the last one of the old episode is in `infos["final_obs"]`.
@@ -31,7 +31,8 @@ from sim.env.seeds import Seeds
 from sim.env.spaces import action_space, box, observation_space
 from sim.kernels.compile import FloatArray
 from sim.scenario.checks import check_scenario
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 
 Array = npt.NDArray[np.floating[Any]]
 Observation = Array | dict[str, Array]

@@ -32,7 +32,8 @@ from outrider.experiments.traces import (
 )
 from outrider.running.flying import fly
 from outrider.view.flight_picture import draw_map, times
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 from sim.scene.drawing import Track, draw_ring, ground, legend_of
 from sim.scene.known import scene_of
 from sim.server.flight import Flight
@@ -246,7 +247,7 @@ def figure_2(flights: Flights) -> Figure:
         d = np.linspace(0.0, r_v + 0.25, 2001)
         alpha, beta = np.array([weighting(x, r_s) for x in d.tolist()]).T
         for panel, values in zip(axes, (alpha, beta, beta / (alpha + beta)), strict=True):
-            panel.plot(d, values, color=style.LAW[law], label=law)
+            panel.plot(d, values, color=style.law_color(law), label=law)
     titles = (
         (r"Weight of tracking", r"$\alpha$"),
         ("Weight of coverage", r"$\beta$"),
@@ -280,7 +281,9 @@ def figure_3(flights: Flights) -> Figure:
     one = flights["linear"]
     for law in WEIGHTINGS:
         for axes in (whole, close):
-            axes.plot(times(flights[law]), distance(flights[law]), color=style.LAW[law], label=law)
+            axes.plot(
+                times(flights[law]), distance(flights[law]), color=style.law_color(law), label=law
+            )
     for axes, letter, title in (
         (whole, "a", "Distance under the three weightings"),
         (close, "b", "The same, close to $r_s$"),
@@ -339,7 +342,7 @@ def _comparison(coverage: Flight, circle: Flight, known: str) -> Figure:
         below.plot(
             times(flight),
             error(flight),
-            color=style.LAW[law],
+            color=style.law_color(law),
             label=f"{label}, mean {error(flight).mean():.0f} m²",
         )
     style.over_time(below, coverage.scenario.duration, "e(t) [m²]")

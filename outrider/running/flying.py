@@ -13,7 +13,8 @@ from outrider.running.summary import Summary, summarize
 from outrider.running.user_code import check_code, load_function
 from sim.engine.briefing import briefing
 from sim.engine.run_keys import check_secret
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 
 Pilot = UavPilot | UgvPilot

@@ -22,10 +22,11 @@ from bus.access import ROUTER_FILE, new_certificates, new_credentials, write_cre
 from bus.certificates import new_authority
 from bus.errors import BusError, PeerLost
 from bus.keys import OPERATOR_NAME, SIMULATOR_NAME
+from bus.registry import DRIVERS
 from outrider.running.cores import can_be_kept_apart, keep_apart
 from outrider.running.exit_reports import Report
 from outrider.running.summary import Process, Summary
-from sim.scenario.types import Scenario
+from sim.scenario.types import Scenario, Ugv
 
 _PATIENCE = 10.0
 """How long a process may take to end when it was asked to [s]."""
@@ -430,7 +431,7 @@ class _Crew:
     def start_vehicles(self, watcher: Watcher) -> None:
         """Start a process for each, and say what one of the user's own needs to know."""
         for vehicle in self._scenario.vehicles:
-            if getattr(vehicle, "driver", "") == "external":
+            if isinstance(vehicle, Ugv) and DRIVERS[vehicle.driver].outside:
                 known = " ".join(self._known_as(vehicle.name))
                 watcher.on_event(
                     f"{vehicle.name} is yours: --connect {self._endpoint} --run {self._run} --name {vehicle.name} {known}"

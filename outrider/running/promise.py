@@ -1,6 +1,6 @@
 """Whether a scenario's UAVs can certify that they keep sight, told before it is flown and when its links change in flight.
 
-The declared assumptions are those of docs/certificate.md: A1 the error of a detection, A2 the age of the newest
+The declared assumptions are those of docs/explanation/certificate.md: A1 the error of a detection, A2 the age of the newest
 one, A5 a
 command that acts exactly tau_c after its tick. Links and detector say which of them they cannot keep, and how often.
 """
@@ -16,6 +16,7 @@ import numpy as np
 from agents.control.handover import check_assumptions
 from agents.control.visibility import promise_of
 from bus.messages import LinkKind, LinkSettings, UavBriefing
+from bus.registry import LAWS
 from sim.channel.description import arrival_share, extra_delays, link_parameters
 from sim.channel.link import DUST, LinkParameters, in_ticks
 from sim.engine.briefing import briefing
@@ -41,7 +42,7 @@ class Shortfall(NamedTuple):
 
     uav: str
     assumption: str
-    """A1 to A9 of docs/certificate.md; empty: the declared numbers themselves allow no certificate."""
+    """A1 to A9 of docs/explanation/certificate.md; empty: the declared numbers themselves allow no certificate."""
     how: How
     what: str
     """The fields as the scenario writes them, and what follows."""
@@ -68,7 +69,7 @@ def how_certifiable(scenario: Scenario) -> str | None:
 
     None for other laws.
     """
-    if scenario.law.name != "certified":
+    if not LAWS[scenario.law.name].watched:
         return None
     broken = {found.how for found in shortfalls(scenario)}
     return "hardly ever" if How.THROUGHOUT in broken else "not always" if broken else "always"
@@ -85,7 +86,7 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
         Empty for other laws, and where nothing stands in the way. What is expected less than once in a million
         flights is left out.
     """
-    if scenario.law.name != "certified":
+    if not LAWS[scenario.law.name].watched:
         return ()
     table, found = links or scenario.links, list[Shortfall]()
     for uav in scenario.uav:

@@ -16,6 +16,7 @@ from agents.control.weighting import check_weighting
 from agents.drivers.policy import RowPolicy
 from bus.errors import ScenarioError
 from bus.layout import Row, UgvRow
+from bus.registry import LAWS, POLICY_FORMS, SAVED_POLICIES, resolve
 from sim.input.faults import one_line
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 _ROW, _ACTION = (len(UgvRow._fields),), (2,)
 """Shapes of what a saved policy sees and answers."""
-_FORMS = "allowed: module:function, sb3:ALGORITHM:FILE.zip, torch:FILE.pt or onnx:FILE.onnx"
+_FORMS = f"allowed: {POLICY_FORMS}"
 
 
 def _reason(error: BaseException) -> str:
@@ -65,9 +66,20 @@ def _named(name: str, what: str) -> Any:  # noqa: ANN401 - whatever it is
     try:
         return getattr(import_module(module_name), function_name)
     except (ImportError, AttributeError) as error:
-        raise ScenarioError(f"{what} = {name!r}: {error}") from error
+        raise ScenarioError(f"{what} = {name!r}: {error}{_hidden(here)}") from error
     except Exception as error:
         raise ScenarioError(f"{what} = {name!r}: cannot be imported: {_reason(error)}") from error
+
+
+def _hidden(folder: str) -> str:
+    """Names the user's files that Python does not find, as a package of ours has their name."""
+    own = [
+        path.name
+        for name in ("agents", "bus", "outrider", "sim")
+        for path in (Path(folder, f"{name}.py"), Path(folder, name, "__init__.py"))
+        if path.exists() and not Path(__file__).is_relative_to(folder)
+    ]
+    return f" ({', '.join(own)} beside it is not found: Outrider has that name)" if own else ""
 
 
 def load_policy(name: str, *, what: str = "policy") -> Any:  # noqa: ANN401 - a function, or an object that predicts
@@ -86,8 +98,8 @@ def load_policy(name: str, *, what: str = "policy") -> Any:  # noqa: ANN401 - a 
         ScenarioError: If it is not there, cannot be loaded, or is none.
     """
     kind, separator, rest = name.partition(":")
-    if separator and kind in SAVED:
-        return SAVED[kind](rest, f"{what} = {name!r}")
+    if separator and kind in SAVED_POLICIES:
+        return resolve(SAVED_POLICIES[kind].load)(rest, f"{what} = {name!r}")
     if Path(name).suffix in (".zip", ".pt", ".onnx"):
         raise ScenarioError(f"{what} = {name!r}: of which library? {_FORMS}")
     found = _named(name, what)
@@ -124,8 +136,8 @@ def _check_shapes(row: object, action: object, where: str) -> None:
         )
 
 
-def _load_sb3(rest: str, where: str) -> RowPolicy:
-    """`ALGORITHM:FILE.zip`, of stable_baselines3 or of sb3_contrib."""
+def load_sb3(rest: str, where: str) -> RowPolicy:
+    """`ALGORITHM:FILE.zip`, of stable_baselines3 or of sb3_contrib, imported here, and never else."""
     algorithm, separator, path = rest.partition(":")
     if not separator:
         raise ScenarioError(f"{where}: names no algorithm; {_FORMS}")
@@ -173,7 +185,8 @@ class _Torch:
         return answer.tolist() if hasattr(answer, "tolist") else answer
 
 
-def _load_torch(path: str, where: str) -> RowPolicy:
+def load_torch(path: str, where: str) -> RowPolicy:
+    """`FILE.pt`, a TorchScript file; torch is imported here, and never else."""
     file, torch = _file(path, where), _library("torch", "torch", where)
     try:
         module = torch.jit.load(file, map_location="cpu")
@@ -209,7 +222,8 @@ class _Onnx:
         return answer[0] if self._batched and len(answer) == 1 else answer
 
 
-def _load_onnx(path: str, where: str) -> RowPolicy:
+def load_onnx(path: str, where: str) -> RowPolicy:
+    """`FILE.onnx`, by onnxruntime, which is imported here, and never else."""
     file, runtime = _file(path, where), _library("onnxruntime", "onnxruntime", where)
     options = runtime.SessionOptions()
     options.intra_op_num_threads = 1  # a policy is small, and the cores are the flight's
@@ -218,14 +232,6 @@ def _load_onnx(path: str, where: str) -> RowPolicy:
     except Exception as error:
         raise ScenarioError(f"{where}: cannot be loaded as ONNX: {_reason(error)}") from error
     return _Onnx(session, where)
-
-
-SAVED: dict[str, Callable[[str, str], RowPolicy]] = {
-    "sb3": _load_sb3,
-    "torch": _load_torch,
-    "onnx": _load_onnx,
-}
-"""Libraries whose files can be flown: each is imported where it is needed, and never else."""
 
 
 def foreign_code(scenario: "Scenario", named: Iterable[str] = ()) -> tuple[str, ...]:
@@ -284,11 +290,11 @@ def check_own_functions(scenario: "Scenario") -> tuple[str, ...]:
     warnings: list[str] = []
     for uav in scenario.uav:
         r_v, v_g = scenario.visibility.radius, ugvs[uav.escorts].max_speed
-        if weighting is not None and scenario.law.name == "weighted":
+        if weighting is not None and LAWS[scenario.law.name].own == "weighting":
             check_weighting(
                 weighting, switching_radius(r_v, uav.max_speed, v_g, uav.max_acceleration)
             )
-        if path is not None and scenario.law.name == "path":
+        if path is not None and LAWS[scenario.law.name].own == "path":
             warnings += check_path(
                 path, scenario.duration, r_v, uav.max_speed, v_g, uav.max_acceleration
             )

@@ -11,10 +11,9 @@ from bus.boxes import Outbox
 from bus.errors import BusError
 from bus.keys import CONTROL, COVERAGE, GLANCE, OPERATOR, SIMULATOR_NAME, STATUS, Role
 from bus.messages import Action, Control, CoverageMap, Drive, Message, Status, Truth, Vector
+from bus.registry import TELEOP
 from bus.session import Session
 
-TELEOP = "teleop"
-"""The driver that does what an operator says, a row of `agents.drivers.table.DRIVERS`."""
 SILENCE = 2.0
 """Without a status for so long [s] something is wrong."""
 _PACE = 6

@@ -4,7 +4,7 @@ What happens to a message, and in which order, is told in `sim.channel.link`.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -39,18 +39,22 @@ from sim.channel.link import (
     WAITING,
     LinkParameters,
     LinkState,
+    LinkTable,
     exchange,
     fly,
     in_ticks,
     jitter_share,
     leave_queue,
     link_state,
+    make_up,
     take,
     underway,
     wait,
 )
 from sim.input.faults import Fault, near
 from sim.input.reading import as_raw, typed
+from sim.kernels.compile import IntArray
+from sim.kernels.records import records
 from sim.models.randomness import Key
 
 KEEPS = ("newest", "oldest")
@@ -240,6 +244,28 @@ def link_parameters(settings: LinkSettings, dt: float, *, per_tick: int = 1) -> 
     )
 
 
+def link_table(
+    links: Sequence[LinkParameters], owners: Sequence[tuple[int, int]] | None = None
+) -> LinkTable:
+    """The table of these links.
+
+    Args:
+        links: What each does.
+        owners: Purpose and vehicle of each one's key, where the table is asked for them.
+    """
+    edges = np.cumsum([0, *(len(p.blackouts) for p in links)]).tolist()
+    rows = [
+        p._replace(first_blackout=first, end_blackout=end)
+        for p, first, end in zip(links, edges, edges[1:], strict=False)
+    ]
+    none: IntArray = np.zeros((0, 2), dtype=np.int64)
+    return LinkTable(
+        rows=records(LinkParameters, rows),
+        blackouts=np.concatenate([none, *(p.blackouts for p in links)]),
+        owners=np.array(owners or [(0, 0)] * len(links), dtype=np.int64).reshape(-1, 2),
+    )
+
+
 def least_ticks(p: LinkParameters) -> int:
     """The age in ticks below which no message arrives, if one is sent in every tick; with a sender that is kept busy.
 
@@ -265,7 +291,14 @@ def arrival_share(p: LinkParameters, ticks: int) -> float:
     return (1.0 - p.reorder) * within(room) + p.reorder * within(room - p.reorder_delay)
 
 
-def relink(old: LinkParameters, state: LinkState, new: LinkParameters) -> LinkState:
+def relink(
+    old: LinkParameters,
+    state: LinkState,
+    new: LinkParameters,
+    *,
+    room: int = 0,
+    wheel: int = 0,
+) -> LinkState:
     """The state with which a link goes on under new parameters, between two ticks.
 
     What flies arrives when it would have; what waits goes on waiting, but for what a shorter queue drops; the
@@ -277,6 +310,7 @@ def relink(old: LinkParameters, state: LinkState, new: LinkParameters) -> LinkSt
         old: Parameters so far.
         state: State so far, at the end of a tick; stays as it is.
         new: Parameters from the next tick on.
+        room, wheel: Least sizes of the new state, as of `link_state`.
     """
     tick, before = int(state.counts[TICK]), LinkState._make(array.copy() for array in state)
     waiting, flying = int(state.counts[WAITING]), int(state.counts[FLYING])
@@ -284,8 +318,8 @@ def relink(old: LinkParameters, state: LinkState, new: LinkParameters) -> LinkSt
     fresh = link_state(
         new,
         state.payload.shape[1],
-        room=new.room + 2 * waiting + flying,
-        wheel=max(new.longest, ahead) + 1,
+        room=max(room, new.room + 2 * waiting + flying),
+        wheel=max(wheel, new.longest + 1, ahead + 1),
     )
     kept = [k for k in range(len(state.counts)) if k not in (FREE, WAITING, FLYING)]
     fresh.counts[kept], fresh.numbers[:] = state.counts[kept], state.numbers
@@ -366,7 +400,7 @@ def link_status(
 class Link:
     """One link that carries Python objects: `send` as often as wanted, then `arrivals`, in every tick from 0 on.
 
-    A perfect link only counts; a test holds its counts equal to those of the compiled path.
+    The compiled link carries their numbers. In ticks in which it has nothing to carry it is not called.
 
     Args:
         settings: What it does; refused with a ScenarioError where there can be no such link.
@@ -383,19 +417,13 @@ class Link:
         """What it does now."""
         self._dt, self._key, self._label, self._per_tick = dt, key, label, per_tick
         self._parameters = link_parameters(self.settings, dt, per_tick=per_tick)
+        self._table = link_table([self._parameters])
         self._state = link_state(self._parameters, 2)
         self._out = np.empty_like(self._state.payload)
         self._tick = 0
         self._number = 0
         self._pending: list[tuple[float, float]] = []
-        self._objects: dict[int, Any] = {}
-        self._passing: list[Any] = []
-        self._stamps: list[float] = []
-        self._passed = self._ages = self._since = (
-            0  # and the first tick whose age is not yet in the sum
-        )
-        self._newest, self._age_sum, self._age_max = -math.inf, 0.0, 0.0
-        self._open = self._parameters.perfect  # whether whatever is sent arrives at once
+        self._objects: dict[int, Any] = {}  # those that are sent, wait or fly
 
     @property
     def perfect(self) -> bool:
@@ -412,10 +440,6 @@ class Link:
         """
         if tick != self._tick:
             raise self._out_of_order(tick)
-        if self._open:
-            self._passing.append(message)
-            self._stamps.append(stamp)
-            return
         self._objects[self._number] = message
         self._pending.append((stamp, self._number))
         self._number += 1
@@ -425,74 +449,32 @@ class Link:
         if tick != self._tick:
             raise self._out_of_order(tick)
         self._tick = tick + 1
-        if self._open:
-            return self._pass(tick) if self._passing else []
+        if not self._objects:
+            return []
         payloads = np.array(self._pending, dtype=np.float64) if self._pending else self._out[:0]
         self._pending.clear()
-        arrived = exchange(self._parameters, self._state, self._key, tick, payloads, self._out)
-        messages = [self._objects[int(number)] for number in self._out[:arrived, 1]]
+        arrived = exchange(self._table, self._state, self._key, tick, payloads, self._out)
+        messages = [self._objects[number] for number in self._out[:arrived, 1].tolist()]
         self._forget()
         return messages
-
-    def _pass(self, tick: int) -> list[Any]:
-        messages, self._passing = self._passing, []
-        self._passed += len(messages)
-        newest = max(self._stamps)
-        self._stamps.clear()
-        if newest > self._newest:
-            self._count_ages(tick)
-            self._newest = newest
-        return messages
-
-    def _count_ages(self, tick: int) -> None:
-        """Add the ages of the ticks up to this one, which is not counted.
-
-        Whole numbers, so in any order the same sum.
-        """
-        n = tick - self._since
-        if self._newest > -math.inf and n > 0:
-            first, last = self._since - self._newest, tick - 1 - self._newest
-            self._age_sum += 0.5 * n * (first + last)
-            self._age_max = max(self._age_max, last) if self._ages else last
-            self._ages += n
-        self._since = tick
-
-    def _settle(self) -> None:
-        """Put what has passed unseen by the compiled path into its counts."""
-        if not self._open or not self._tick:
-            return
-        counts, numbers = self._state.counts, self._state.numbers
-        counts[TICK] = self._tick - 1
-        counts[[SENT, DELIVERED, ORIGINALS]] += self._passed
-        self._passed = 0
-        self._count_ages(self._tick)
-        if self._ages:
-            counts[AGES] = self._ages
-            numbers[NEWEST], numbers[AGE_SUM], numbers[AGE_MAX] = (
-                self._newest,
-                self._age_sum,
-                self._age_max,
-            )
 
     def change(self, settings: LinkSettings) -> None:
         """Go on with other settings from the next tick on; see `relink`."""
         checked = check_link(settings, self._label)
         new = link_parameters(checked, self._dt, per_tick=self._per_tick)
-        self._settle()
+        self._make_up()
         self._state = relink(self._parameters, self._state, new)
-        self.settings, self._parameters, self._open = checked, new, False
+        self.settings, self._parameters, self._table = checked, new, link_table([new])
         self._out = np.empty_like(self._state.payload)
-        passing, self._passing = self._passing, []
-        stamps, self._stamps = self._stamps, []
-        for message, stamp in zip(
-            passing, stamps, strict=True
-        ):  # sent at this tick, before the change
-            self.send(self._tick, message, stamp)
 
     def counters(self) -> LinkStatus:
         """What it has done up to the last `arrivals`."""
-        self._settle()
+        self._make_up()
         return link_status(self._parameters, self._state, self.settings)
+
+    def _make_up(self) -> None:
+        """Let the compiled link go through the ticks in which it was not called."""
+        make_up(self._table, 0, self._state, self._key, self._tick - 1)
 
     def _out_of_order(self, tick: int) -> ValueError:
         return ValueError(
@@ -501,8 +483,6 @@ class Link:
 
     def _forget(self) -> None:
         """Drop the objects that nobody will get any more."""
-        if not self._objects:
-            return
         count = self._state.counts
         copies = count[DUPLICATED] - (count[DELIVERED] - count[ORIGINALS])
         if copies == 0 and len(self._objects) == count[WAITING] + count[FLYING]:

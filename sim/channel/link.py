@@ -3,7 +3,7 @@ r"""What one radio link does to messages, in simulated time: compiled, seeded, t
 A tick of a link has one order: `advance` once, `send` for each message of this tick, `receive` once; `exchange`
 does the three.
 `advance` comes first: it settles what the channel is like at this tick, and what waits at the sender leaves before
-what is new.
+what is new. Ticks in which nothing is sent, waits or flies may be left out: the next `advance` makes them up.
 
 A message meets, in this order:
 
@@ -28,6 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.kernels.compile import FloatArray, IntArray, borrowing, compiled
+from sim.kernels.records import RecordArray
 from sim.models.randomness import LINK_DELAY, LINK_LOSS, LINK_STATE, Key, draw, to_uniform, uniform
 
 UNIFORM = 0
@@ -125,7 +126,7 @@ def jitter_quantile(shape: int, scale: float, share: float) -> float:
 
 
 class LinkParameters(NamedTuple):
-    """What the compiled link needs of its settings, as plain numbers. Made by `sim.channel.description.link_parameters`."""
+    """What one link does, as plain numbers. Made by `sim.channel.description.link_parameters`."""
 
     perfect: bool
     """Whether it does nothing at all."""
@@ -168,6 +169,20 @@ class LinkParameters(NamedTuple):
     """The longest delay [ticks]."""
     room: int
     """Messages that may wait or fly at once."""
+    first_blackout: int = 0
+    end_blackout: int = 0
+    """Where its rows of `blackouts` stand in those of a `LinkTable`."""
+
+
+class LinkTable(NamedTuple):
+    """What many links do, one row a link. Made by `sim.channel.description.link_table`."""
+
+    rows: RecordArray
+    """The numbers of `LinkParameters`. Shape (links,)."""
+    blackouts: IntArray
+    """The planned blackouts of all links, one after the other. Shape (any, 2)."""
+    owners: IntArray
+    """Purpose and vehicle of each link's key. Shape (links, 2)."""
 
 
 class LinkState(NamedTuple):
@@ -332,15 +347,15 @@ def _transmit(p: LinkParameters, s: LinkState, key: Key, slot: int) -> None:
 
 
 @borrowing
-def _dark_by_plan(blackouts: IntArray, tick: int) -> bool:
-    below, above = 0, blackouts.shape[0]
+def _dark_by_plan(blackouts: IntArray, first: int, end: int, tick: int) -> bool:
+    below, above = first, end
     while below < above:
         middle = (below + above) // 2
         if blackouts[middle, 1] <= tick:
             below = middle + 1
         else:
             above = middle
-    return below < blackouts.shape[0] and bool(blackouts[below, 0] <= tick)
+    return below < end and bool(blackouts[below, 0] <= tick)
 
 
 @borrowing
@@ -362,14 +377,18 @@ def _dark_by_chance(
 
 
 @borrowing
-def _settle(p: LinkParameters, counts: IntArray, numbers: FloatArray, key: Key, tick: int) -> None:
-    """What the channel is like at this tick: good or bad, dark or not."""
+def _settle(t: LinkTable, row: int, s: LinkState, key: Key, tick: int) -> None:
+    """Begin a tick: what the channel is like at it, good or bad, dark or not."""
+    p, counts, numbers = t.rows[row], s.counts, s.numbers
+    counts[TICK], counts[INDEX] = tick, 0
+    if p.perfect and counts[WAITING] == 0:
+        return
     if p.bursts:
         chance = p.bad_stay if counts[CHAIN] == 1 else p.bad_enter
         if counts[CHAIN] < 0:
             chance = p.bad_share
         counts[CHAIN] = 1 if uniform(key, LINK_STATE, tick, 0) < chance else 0
-    dark = _dark_by_plan(p.blackouts, tick)
+    dark = _dark_by_plan(t.blackouts, p.first_blackout, p.end_blackout, tick)
     if p.up > 0.0:
         dark = _dark_by_chance(p.up, p.down, counts, numbers, key, tick) or dark
     counts[DARK] = 1 if dark else 0
@@ -385,35 +404,66 @@ def _is_free(spacing: float, counts: IntArray, numbers: FloatArray) -> bool:
 
 
 @borrowing
-def advance(p: LinkParameters, s: LinkState, key: Key, tick: int) -> None:
-    """Begin a tick: the channel's state, then whatever may leave the queue. Once for every tick, in order.
+def _note_age(counts: IntArray, numbers: FloatArray) -> None:
+    """End a tick: count the age of what is known."""
+    if not math.isnan(numbers[NEWEST]):
+        age = counts[TICK] - numbers[NEWEST]
+        numbers[AGE_MAX] = age if counts[AGES] == 0 else max(numbers[AGE_MAX], age)
+        numbers[AGE_SUM] += age
+        counts[AGES] += 1
+
+
+@borrowing
+def make_up(t: LinkTable, row: int, s: LinkState, key: Key, tick: int) -> None:
+    """Go through the ticks up to this one, it included, that were left out; in none of them was anything under way.
 
     Args:
-        p: Of the link.
+        t, row: The link.
+        s: Is changed.
+        key: Of the draws.
+        tick: The last one that is over; the first is 0.
+    """
+    counts = s.counts
+    while counts[TICK] < tick:
+        _settle(t, row, s, key, counts[TICK] + 1)
+        _note_age(counts, s.numbers)
+
+
+@borrowing
+def advance(t: LinkTable, row: int, s: LinkState, key: Key, tick: int) -> None:
+    """Begin a tick: the channel's state, then whatever may leave the queue. Once a tick, in order.
+
+    Args:
+        t, row: The link.
         s: Is changed.
         key, tick: Of the draws; tick 0 is the first.
     """
-    counts = s.counts
-    counts[TICK], counts[INDEX] = tick, 0
-    if p.perfect and counts[WAITING] == 0:
-        return
-    _settle(p, counts, s.numbers, key, tick)
+    p, counts = t.rows[row], s.counts
+    make_up(t, row, s, key, tick - 1)
+    _settle(t, row, s, key, tick)
     while counts[WAITING] > 0 and _is_free(p.spacing, counts, s.numbers):
         counts[SERVED] += 1
         _transmit(p, s, key, leave_queue(s.slots, s.buckets, counts))
 
 
 @borrowing
-def send(p: LinkParameters, s: LinkState, key: Key, payload: FloatArray) -> None:
+def send(t: LinkTable, row: int, s: LinkState, key: Key, payload: FloatArray) -> None:
     """Send one message at the tick that `advance` has begun.
 
     Args:
-        p: Of the link.
+        t, row: The link.
         s: Is changed.
         key: As in `advance`.
         payload: Is copied; element 0 is the tick that its content is from. Shape (width,).
     """
-    slots, held, buckets, counts, numbers = s.slots, s.payload, s.buckets, s.counts, s.numbers
+    p, slots, held, buckets, counts, numbers = (
+        t.rows[row],
+        s.slots,
+        s.payload,
+        s.buckets,
+        s.counts,
+        s.numbers,
+    )
     index = counts[INDEX]
     counts[INDEX] += 1
     counts[SENT] += 1
@@ -472,25 +522,21 @@ def receive(s: LinkState, out: FloatArray) -> int:
         release(slots, counts, slot)
         slot = buckets[bucket, 0]
         n += 1
-    if not math.isnan(numbers[NEWEST]):
-        age = counts[TICK] - numbers[NEWEST]
-        numbers[AGE_MAX] = age if counts[AGES] == 0 else max(numbers[AGE_MAX], age)
-        numbers[AGE_SUM] += age
-        counts[AGES] += 1
+    _note_age(counts, numbers)
     return n
 
 
 @borrowing
 def exchange(
-    p: LinkParameters, s: LinkState, key: Key, tick: int, payloads: FloatArray, out: FloatArray
+    t: LinkTable, s: LinkState, key: Key, tick: int, payloads: FloatArray, out: FloatArray
 ) -> int:
-    """One whole tick of a link: `advance`, `send` for each row of `payloads`, `receive` into `out`.
+    """One whole tick of a table's only link: `advance`, `send` for each row of `payloads`, `receive` into `out`.
 
     How many have arrived.
     """
-    advance(p, s, key, tick)
+    advance(t, 0, s, key, tick)
     for k in range(payloads.shape[0]):
-        send(p, s, key, payloads[k])
+        send(t, 0, s, key, payloads[k])
     return receive(s, out)
 
 

@@ -1,201 +1,54 @@
-"""Many worlds of one scenario at once: arrays with an axis for worlds, and the step of each, compiled.
+"""Many worlds of one scenario at once: arrays with an axis for worlds, and the tick of each, compiled.
 
-No laws in here. World k with a seed is, bit for bit, the `World` of that seed and secret under the same commands.
+No laws in here. World k with a seed is, bit for bit, the `World` of that seed and secret under the same commands:
+a single world is a batch of one.
 """
 
-import math
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from bus.messages import LinkKind, LinkStatus
-from sim.channel.link import LinkState, receive, send
-from sim.channel.link import advance as advance_link
-from sim.engine.link_table import BatchLinks, LinkTable, link_of, parameters_of
-from sim.engine.links import hold_ticks
+from bus.messages import LinkKind, LinkSettings, LinkStatus
+from sim.engine.link_arrays import LinkArrays
 from sim.engine.run_keys import derive_keys
-from sim.engine.world_tick import (
+from sim.engine.world_state import (
+    ANSWERED,
+    BatchState,
+    BatchTables,
     WorldParameters,
     WorldState,
-    advance,
     bounds_of,
-    detect_all,
     escorts_of,
     first_state,
-    measure,
     world_parameters,
 )
-from sim.kernels.compile import FloatArray, IntArray, inlined, released
+from sim.engine.world_tick import begin_world, measure, world_tick
+from sim.kernels.compile import FloatArray, IntArray, entry_point, released
+from sim.kernels.records import records
 from sim.kernels.threads import Crew
-from sim.models.randomness import COMMAND_LINK, DETECTION_LINK, RUN_PURPOSES, WordArray, key_of
-from sim.models.vehicles import brake
+from sim.models.randomness import RUN_PURPOSES
 from sim.scenario.types import Scenario
 
-TAKEN, LOOK_X, LOOK_Y = range(3)
-"""Columns of `BatchState.looks`: the tick at which it was taken, and the noisy p_a - p_g [m]."""
-
-
-class BatchTables(NamedTuple):
-    """What all worlds share and nobody changes."""
-
-    bounds: FloatArray
-    """v_max [m/s] and u_max [m/s²]. Shape (vehicles, 2)."""
-    escorts: IntArray
-    """Rows (UAV, UGV). Shape (UAVs, 2)."""
-    perfect_detections: bool
-    """Whether no detection is ever late or lost."""
-    perfect_commands: bool
-    """Likewise of the commands."""
-    hold_ticks: int
-    """For how long a vehicle goes on with its last command when none comes."""
-    ways_in: LinkTable
-    """The links of the detections, a row for each UAV."""
-    ways_out: LinkTable
-    """The links of the commands, a row for each vehicle."""
-
-
-class BatchState(NamedTuple):
-    """What is true in each world. All arrays have an axis for worlds in front."""
-
-    keys: WordArray
-    """Of each world's random numbers. Shape (worlds, RUN_PURPOSES, vehicles, 2)."""
-    ticks: IntArray
-    """Shape (worlds,)."""
-    truth: WorldState
-    looks: FloatArray
-    """What has reached each UAV's computer at this tick, in the order of arrival. Shape (worlds, UAVs, room, 3)."""
-    arrived: IntArray
-    """How many. Shape (worlds, UAVs)."""
-    answered: IntArray
-    """The tick that the newest command of each vehicle, as it has arrived, answers; -1: none.
-
-    Shape (worlds, vehicles).
-    """
-    message: FloatArray
-    """Where a message is put together. Shape (worlds, 3)."""
-    orders: FloatArray
-    """What has arrived at a vehicle: tick answered, acceleration [m/s²]. Shape (worlds, room, 3)."""
-    ways_in: LinkState
-    ways_out: LinkState
-
-
-@inlined
-def truth_of(truth: WorldState, k: int) -> WorldState:
-    """The truth of one world: views, no copies."""
-    return WorldState(
-        truth.position[k],
-        truth.velocity[k],
-        truth.acceleration[k],
-        truth.commands[k],
-        truth.coverage[k],
-        truth.detections[k],
-        truth.gains[k],
-        truth.measures[k],
-    )
-
-
-@inlined
-def deliver_detections(t: BatchTables, s: BatchState, k: int) -> None:
-    """What the detectors found at this tick sets out, and what has arrived is there."""
-    keys, tick, found, looks = s.keys[k], s.ticks[k], s.truth.detections[k], s.looks[k]
-    for u in range(found.shape[0]):
-        seen = not math.isnan(found[u, 0])
-        if t.perfect_detections:
-            s.arrived[k, u] = 1 if seen else 0
-            looks[u, 0, TAKEN], looks[u, 0, LOOK_X], looks[u, 0, LOOK_Y] = (
-                tick,
-                found[u, 0],
-                found[u, 1],
-            )
-            continue
-        p, link = parameters_of(t.ways_in, u), link_of(s.ways_in, k, u)
-        key = key_of(keys, DETECTION_LINK, t.ways_in.vehicles[u])
-        advance_link(p, link, key, tick)
-        if seen:
-            message = s.message[k]
-            message[TAKEN], message[LOOK_X], message[LOOK_Y] = tick, found[u, 0], found[u, 1]
-            send(p, link, key, message)
-        s.arrived[k, u] = receive(link, looks[u])
-
-
-@inlined
-def act_on_commands(
-    w: WorldParameters, t: BatchTables, s: BatchState, k: int, commands: FloatArray
-) -> None:
-    """The commands set out.
-
-    Each vehicle acts on its newest one that has arrived, and brakes where none has come for a while.
-
-    A command that is not a number has not been given: nothing sets out.
-    """
-    keys, tick, acting = s.keys[k], s.ticks[k], s.truth.commands[k]
-    if t.perfect_commands:
-        for v in range(commands.shape[0]):
-            acting[v, 0], acting[v, 1] = commands[v, 0], commands[v, 1]
-        return
-    message, orders, answered = s.message[k], s.orders[k], s.answered[k]
-    for v in range(commands.shape[0]):
-        p, link = parameters_of(t.ways_out, v), link_of(s.ways_out, k, v)
-        key = key_of(keys, COMMAND_LINK, t.ways_out.vehicles[v])
-        advance_link(p, link, key, tick)
-        if not math.isnan(commands[v, 0]):
-            message[0], message[1], message[2] = tick, commands[v, 0], commands[v, 1]
-            send(p, link, key, message)
-        for n in range(receive(link, orders)):
-            if orders[n, 0] > answered[v]:
-                answered[v], acting[v, 0], acting[v, 1] = (
-                    int(orders[n, 0]),
-                    orders[n, 1],
-                    orders[n, 2],
-                )
-        if tick - answered[v] > t.hold_ticks:
-            v_x, v_y = s.truth.velocity[k, v, 0], s.truth.velocity[k, v, 1]
-            acting[v, 0], acting[v, 1] = brake(v_x, v_y, t.bounds[v, 1], w.dt)
-
-
-@inlined
-def begin_world(w: WorldParameters, t: BatchTables, s: BatchState, k: int) -> None:
-    """World k, whose arrays are as they are at the start but for its keys, has the first look."""
-    detect_all(w, s.keys[k], 0, s.truth.position[k], t.escorts, s.truth.detections[k])
-    deliver_detections(t, s, k)
-
-
-@inlined
-def step_world(
-    w: WorldParameters, t: BatchTables, s: BatchState, k: int, commands: FloatArray
-) -> None:
-    """World k advances by one tick under these commands [m/s²], shape (vehicles, 2), once they have crossed their links."""
-    act_on_commands(w, t, s, k, commands)
-    s.ticks[k] += 1
-    truth = truth_of(s.truth, k)
-    advance(w, truth, s.keys[k], s.ticks[k], t.bounds, t.escorts, truth.commands)
-    deliver_detections(t, s, k)
-
 
 @released
-def _begin_worlds(
-    w: WorldParameters, t: BatchTables, s: BatchState, worlds: IntArray, begin: int, end: int
-) -> None:
+def _begin_worlds(t: BatchTables, s: BatchState, worlds: IntArray, begin: int, end: int) -> None:
     for n in range(begin, end):
-        begin_world(w, t, s, worlds[n])
+        begin_world(t, s, worlds[n])
 
 
 @released
-def _step_worlds(
-    w: WorldParameters, t: BatchTables, s: BatchState, commands: FloatArray, begin: int, end: int
-) -> None:
+def _step_worlds(t: BatchTables, s: BatchState, linked: bool, begin: int, end: int) -> None:
     for k in range(begin, end):
-        step_world(w, t, s, k, commands[k])
+        world_tick(t, s, k, linked)
 
 
 @released
-def _measure_worlds(
-    w: WorldParameters, t: BatchTables, s: BatchState, begin: int, end: int
-) -> None:
+def _measure_worlds(t: BatchTables, s: BatchState, begin: int, end: int) -> None:
     for k in range(begin, end):
-        measure(w, s.truth.position[k], t.escorts, s.truth.coverage[k], s.truth.measures[k])
+        measure(t.world, s.truth.position[k], t.escorts, s.truth.coverage[k], s.truth.measures[k])
 
 
 def arrays_of(state: object) -> list[npt.NDArray[Any]]:
@@ -248,36 +101,31 @@ class Batch:
         self.parameters = world_parameters(scenario, gains=gains)
         self.crew = Crew(threads)
         """The threads that share the worlds."""
-        self.ways_in = BatchLinks(scenario, LinkKind.DETECTIONS, 3, worlds)
-        self.ways_out = BatchLinks(scenario, LinkKind.COMMANDS, 3, worlds)
+        self._links = LinkArrays(scenario, (LinkKind.DETECTIONS, LinkKind.COMMANDS), 3, worlds)
         first, escorts, vehicles = (
             first_state(scenario),
             escorts_of(scenario),
             len(scenario.vehicles),
         )
         self.tables = BatchTables(
+            world=records(WorldParameters, [self.parameters]),
             bounds=bounds_of(scenario),
             escorts=escorts,
-            perfect_detections=self.ways_in.perfect,
-            perfect_commands=self.ways_out.perfect,
-            hold_ticks=hold_ticks(scenario),
-            ways_in=self.ways_in.table,
-            ways_out=self.ways_out.table,
+            links=self._links.table,
         )
+        room = self._links.room
         self.state = BatchState(
             keys=np.zeros((worlds, RUN_PURPOSES, vehicles, 2), dtype=np.uint64),
             ticks=np.zeros(worlds, dtype=np.int64),
             truth=WorldState._make(np.repeat(array[None], worlds, axis=0) for array in first),
-            looks=np.zeros(
-                (worlds, len(escorts), 1 if self.ways_in.perfect else self.ways_in.room, 3)
-            ),
+            received=np.zeros((worlds, len(escorts), room, 3)),
             arrived=np.zeros((worlds, len(escorts)), dtype=np.int64),
+            sent=np.full((worlds, vehicles, 3), -1.0),
             answered=np.full((worlds, vehicles), -1, dtype=np.int64),
-            message=np.zeros((worlds, 3)),
-            orders=np.zeros((worlds, 1 if self.ways_out.perfect else self.ways_out.room, 3)),
-            ways_in=self.ways_in.states,
-            ways_out=self.ways_out.states,
+            inbox=np.zeros((worlds, room, 3)),
+            links=self._links.states,
         )
+        self._first_links = self.state.links
         self.fresh = Fresh(self.state)
         """How every world begins."""
 
@@ -291,7 +139,7 @@ class Batch:
             worlds: Which; all by default.
         """
         which = self.restore(seeds, worlds)
-        self.crew.share(_begin_worlds, len(which), self.parameters, self.tables, self.state, which)
+        self.crew.share(_begin_worlds, len(which), self.tables, self.state, which)
 
     def restore(
         self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None
@@ -306,6 +154,8 @@ class Batch:
         """
         which = np.arange(self.worlds) if worlds is None else np.asarray(worlds, dtype=np.int64)
         given = np.asarray(seeds, dtype=np.int64)
+        if self.state.links is not self._first_links:
+            raise ValueError("a world cannot begin anew: its links have been changed")
         if given.shape != which.shape:
             raise ValueError(f"{given.size} seeds for {which.size} worlds")
         self.fresh.restore(which)
@@ -321,20 +171,51 @@ class Batch:
             commands: Accelerations [m/s²], shape (worlds, vehicles, 2), finite; they cross the links, then (1)
                 bounds them.
         """
-        self.crew.share(
-            _step_worlds, self.worlds, self.parameters, self.tables, self.state, commands
-        )
+        self.state.sent[:, :, ANSWERED] = self.state.ticks[:, None]
+        self.state.sent[:, :, ANSWERED + 1 :] = commands
+        self.advance()
+
+    def advance(self, *, linked: bool = True) -> None:
+        """All worlds advance by one tick under the commands in `state.sent`, or in `state.truth.commands`.
+
+        Args:
+            linked: Whether commands cross their links.
+        """
+        self.crew.share(self._step, self.worlds, self.tables, self.state, linked)
+
+    @functools.cached_property
+    def _step(self) -> Callable[..., object]:
+        return entry_point(_step_worlds, self.tables, self.state, True, 0, 1)
 
     def measure(self) -> FloatArray:
         """Distance [m] and e(t) [m²] of each UAV in each world, with the true p_g. Shape (worlds, UAVs, 2); a view."""
-        self.crew.share(_measure_worlds, self.worlds, self.parameters, self.tables, self.state)
+        self.crew.share(_measure_worlds, self.worlds, self.tables, self.state)
         return self.state.truth.measures
 
-    def links(self, world: int) -> dict[str, LinkStatus]:
+    @property
+    def degraded(self) -> bool:
+        """Whether any link does anything to a message."""
+        return not self._links.perfect
+
+    def longest_delay(self, kind: LinkKind) -> int:
+        """The longest delay of a link of this kind [ticks]."""
+        return self._links.longest(kind)
+
+    def link_status(self, world: int) -> dict[str, LinkStatus]:
         """How each link of one world has done so far, by `vehicle/kind`."""
-        kinds = {LinkKind.DETECTIONS: self.ways_in, LinkKind.COMMANDS: self.ways_out}
-        return {
-            f"{name}/{kind}": one
-            for kind, links in kinds.items()
-            for name, one in links.status(world).items()
-        }
+        return self._links.status(world)
+
+    def change_link(self, kind: LinkKind, vehicle: str, settings: LinkSettings) -> None:
+        """Give a link other settings in all worlds, between two ticks: what is under way arrives as it would have.
+
+        No world can begin anew afterwards.
+        """
+        self._links.change(kind, vehicle, settings)
+        s, room = self.state, self._links.room
+        received = np.zeros((*s.received.shape[:2], room, 3))
+        kept = min(room, s.received.shape[2])
+        received[:, :, :kept] = s.received[:, :, :kept]
+        self.tables = self.tables._replace(links=self._links.table)
+        self.state = s._replace(
+            received=received, inbox=np.zeros((self.worlds, room, 3)), links=self._links.states
+        )

@@ -1,6 +1,4 @@
-"""All links of a run.
-
-What crosses the ether between a vehicle and its sensor, its actuators, its operator and the other.
+"""All links of a run: those that the engine carries, and those that carry messages of operators and radios.
 
 Every message crosses in simulated time, inside the simulator: the environment, three processes and containers meet
 one network.
@@ -9,34 +7,10 @@ one network.
 from bus.errors import ScenarioError
 from bus.messages import LinkKind, LinkSettings, LinkStatus
 from sim.channel.description import Link, check_link
-from sim.models.randomness import (
-    COMMAND_LINK,
-    DETECTION_LINK,
-    OPERATOR_LINK,
-    RADIO_LINK,
-    Key,
-    WordArray,
-)
+from sim.engine.batch import Batch
+from sim.engine.link_arrays import PER_TICK, PURPOSES, owners
+from sim.models.randomness import Key, WordArray
 from sim.scenario.types import Scenario
-
-_PURPOSES = {
-    LinkKind.DETECTIONS: DETECTION_LINK,
-    LinkKind.COMMANDS: COMMAND_LINK,
-    LinkKind.OPERATOR: OPERATOR_LINK,
-    LinkKind.RADIO: RADIO_LINK,
-}
-"""Of the links' keys."""
-PER_TICK = {LinkKind.DETECTIONS: 1, LinkKind.COMMANDS: 1, LinkKind.OPERATOR: 64, LinkKind.RADIO: 16}
-"""Messages that a link has room for in every tick; what is more is lost."""
-
-
-def owners(scenario: Scenario, kind: LinkKind) -> tuple[str, ...]:
-    """The vehicles that have a link of this kind, in name order."""
-    uavs = {uav.name for uav in scenario.uav}
-    if kind is LinkKind.COMMANDS:
-        return tuple(vehicle.name for vehicle in scenario.vehicles)
-    of_uavs = kind is not LinkKind.OPERATOR
-    return tuple(vehicle.name for vehicle in scenario.vehicles if (vehicle.name in uavs) is of_uavs)
 
 
 def _key(words: WordArray) -> Key:
@@ -44,45 +18,42 @@ def _key(words: WordArray) -> Key:
     return words[0], words[1]
 
 
-def hold_ticks(scenario: Scenario) -> int:
-    """For how many ticks a vehicle goes on with its last command when none comes."""
-    return round(scenario.hold / scenario.dt)
-
-
 class Links:
     """The links of one run.
 
     Args:
         scenario: What is flown.
-        keys: Of the run's random numbers. Shape (RUN_PURPOSES, vehicles, 2).
+        batch: The world: its links are those of detections and commands.
     """
 
-    def __init__(self, scenario: Scenario, keys: WordArray) -> None:
+    def __init__(self, scenario: Scenario, batch: Batch) -> None:
         rows = {vehicle.name: k for k, vehicle in enumerate(scenario.vehicles)}
         self.table = scenario.links
         """What the links do now, as a scenario would write it."""
+        self._scenario, self._batch, keys = scenario, batch, batch.state.keys[0]
         self._of: dict[LinkKind, dict[str, Link]] = {
             kind: {
                 name: Link(
                     scenario.links.of(name, kind),
                     dt=scenario.dt,
-                    key=_key(keys[_PURPOSES[kind], rows[name]]),
+                    key=_key(keys[PURPOSES[kind], rows[name]]),
                     label=f"{name}/{kind}",
                     per_tick=PER_TICK[kind],
                 )
                 for name in owners(scenario, kind)
             }
-            for kind in LinkKind
+            for kind in (LinkKind.OPERATOR, LinkKind.RADIO)
         }
 
     def of(self, kind: LinkKind) -> dict[str, Link]:
-        """The links of one kind by vehicle: a UAV's detections and radio, a UGV's operator, everybody's commands."""
+        """The links of UGVs' operators, or of UAVs' radios, by vehicle."""
         return self._of[kind]
 
     @property
     def degraded(self) -> bool:
         """Whether any of them does anything to a message."""
-        return any(not link.perfect for links in self._of.values() for link in links.values())
+        carried = all(link.perfect for links in self._of.values() for link in links.values())
+        return self._batch.degraded or not carried
 
     def change(self, kind: LinkKind, vehicle: str | None, settings: LinkSettings) -> None:
         """Give links other settings; what is under way arrives as it would have.
@@ -95,14 +66,17 @@ class Links:
         Raises:
             ScenarioError: If the settings are impossible, or this vehicle has no such link.
         """
-        links = self._of[kind]
-        if vehicle is not None and vehicle not in links:
+        names = owners(self._scenario, kind)
+        if vehicle is not None and vehicle not in names:
             raise ScenarioError(
-                f"vehicle = {vehicle!r}: has no link for its {kind}; allowed: {', '.join(links)}"
+                f"vehicle = {vehicle!r}: has no link for its {kind}; allowed: {', '.join(names)}"
             )
         check_link(settings, str(kind))
-        for name in links if vehicle is None else (vehicle,):
-            links[name].change(settings)
+        for name in names if vehicle is None else (vehicle,):
+            if kind in self._of:
+                self._of[kind][name].change(settings)
+            else:
+                self._batch.change_link(kind, name, settings)
         self.table = self.table.changed(kind, vehicle, settings)
 
     def status(self, vehicle: str | None = None) -> dict[str, LinkStatus]:
@@ -111,9 +85,9 @@ class Links:
         Args:
             vehicle: Of this one alone; None: of all.
         """
-        return {
+        found = self._batch.link_status(0) | {
             f"{name}/{kind}": link.counters()
             for kind, links in self._of.items()
             for name, link in links.items()
-            if vehicle in (None, name)
         }
+        return {key: one for key, one in found.items() if vehicle in (None, key.rpartition("/")[0])}

@@ -1,122 +1,30 @@
-"""One tick of a world, compiled: the same functions serve a single world and each of many.
+"""One tick of a world, compiled: the same functions serve a single world and each of many."""
 
-Arrays have an axis for vehicles, or for UAVs with the UGVs they escort, in name order.
-"""
-
-from typing import NamedTuple
+import math
 
 import numpy as np
 
-from sim.kernels.compile import FloatArray, IntArray, borrowing
-from sim.models.detection import detect
-from sim.models.field import (
-    SENSORS,
-    accumulate,
-    accumulate_with_gain,
-    cover,
-    coverage_error,
-    empty_coverage,
+from sim.channel.link import advance as begin_tick
+from sim.channel.link import receive, send
+from sim.engine.link_arrays import link_of
+from sim.engine.world_state import (
+    ANSWERED,
+    LOOK_X,
+    LOOK_Y,
+    TAKEN,
+    U_X,
+    U_Y,
+    BatchState,
+    BatchTables,
+    WorldParameters,
+    WorldState,
 )
+from sim.kernels.compile import FloatArray, IntArray, borrowing, inlined
+from sim.kernels.records import RecordArray
+from sim.models.detection import detect
+from sim.models.field import accumulate, accumulate_with_gain, coverage_error
 from sim.models.randomness import DETECTION_CHANCE, DETECTION_NOISE, WordArray, key_of
-from sim.models.vehicles import norm, step_vehicle, within_walls
-from sim.scenario.types import Scenario
-
-
-class WorldParameters(NamedTuple):
-    """What the step needs of a scenario, as plain numbers in SI units."""
-
-    dt: float
-    width: float
-    height: float
-    cell: float
-    r_v: float
-    r_o: float
-    sensor: int
-    peak: float
-    reach: float
-    desired: float
-    sigma: float
-    cut: float
-    dropout: float
-    period: int
-    gains: bool
-    """Whether the fall of e(t) by each look is counted."""
-
-
-class WorldState(NamedTuple):
-    """What is true. With an axis for worlds in front it is the truth of each of many."""
-
-    position: FloatArray
-    """Positions [m]. Shape (vehicles, 2)."""
-    velocity: FloatArray
-    """Velocities [m/s]. Shape (vehicles, 2)."""
-    acceleration: FloatArray
-    """What was applied in the last tick, after its bound [m/s²]. Shape (vehicles, 2)."""
-    commands: FloatArray
-    """What each vehicle acted on in the last tick, before the bound [m/s²]. Shape (vehicles, 2)."""
-    coverage: FloatArray
-    """C of (3) on the grid, all UAVs together. Shape (rows, columns)."""
-    detections: FloatArray
-    """The relative position that each UAV has detected at this tick [m]; NaN where none. Shape (UAVs, 2)."""
-    gains: FloatArray
-    """How far the last look of each UAV made e(t) fall [m²]. Shape (UAVs,)."""
-    measures: FloatArray
-    """Distance [m] and e(t) (4) with the true p_g [m²] of each UAV, when they were last measured. Shape (UAVs, 2)."""
-
-
-def world_parameters(scenario: Scenario, *, gains: bool = False) -> WorldParameters:
-    """The numbers of a scenario."""
-    return WorldParameters(
-        dt=float(scenario.dt),
-        width=float(scenario.area.width),
-        height=float(scenario.area.height),
-        cell=float(scenario.area.cell),
-        r_v=float(scenario.visibility.radius),
-        r_o=float(scenario.visibility.radius + scenario.sensor.range),
-        sensor=SENSORS[scenario.sensor.model],
-        peak=float(scenario.sensor.peak),
-        reach=float(scenario.sensor.range),
-        desired=float(scenario.coverage.desired),
-        sigma=float(scenario.detections.noise),
-        cut=float(scenario.noise_cut),
-        dropout=float(scenario.detections.dropout),
-        period=scenario.detection_period,
-        gains=gains,
-    )
-
-
-def first_state(scenario: Scenario) -> WorldState:
-    """The state that every run of a scenario begins with, before the first look."""
-    vehicles, uavs = scenario.vehicles, len(scenario.uav)
-    coverage = empty_coverage(scenario.area.width, scenario.area.height, scenario.area.cell)
-    for region in scenario.coverage.covered:
-        cover(coverage, region.lower, region.upper, scenario.area.cell, scenario.coverage.desired)
-    return WorldState(
-        position=np.array([v.position for v in vehicles], dtype=np.float64),
-        velocity=np.array([v.velocity for v in vehicles], dtype=np.float64),
-        acceleration=np.zeros((len(vehicles), 2)),
-        commands=np.zeros((len(vehicles), 2)),
-        coverage=coverage,
-        detections=np.full((uavs, 2), np.nan),
-        gains=np.zeros(uavs),
-        measures=np.zeros((uavs, 2)),
-    )
-
-
-def bounds_of(scenario: Scenario) -> FloatArray:
-    """v_max [m/s] and u_max [m/s²] of each vehicle. Shape (vehicles, 2)."""
-    return np.array(
-        [(v.max_speed, v.max_acceleration) for v in scenario.vehicles], dtype=np.float64
-    )
-
-
-def escorts_of(scenario: Scenario) -> IntArray:
-    """Rows (UAV, UGV), one for each UAV, in name order. Shape (UAVs, 2)."""
-    index = {vehicle.name: k for k, vehicle in enumerate(scenario.vehicles)}
-    escorts = {uav.name: uav.escorts for uav in scenario.uav}
-    return np.array(
-        [(index[name], index[escorts[name]]) for name in index if name in escorts], dtype=np.int64
-    )
+from sim.models.vehicles import brake, norm, step_vehicle, within_walls
 
 
 @borrowing
@@ -206,13 +114,14 @@ def detect_all(
 
 @borrowing
 def measure(
-    w: WorldParameters,
+    world: RecordArray,
     position: FloatArray,
     escorts: IntArray,
     coverage: FloatArray,
     measures: FloatArray,
 ) -> None:
-    """Distance [m] and e(t) (4) with the true p_g [m²] of each UAV, into `measures`."""
+    """Distance [m] and e(t) (4) with the true p_g [m²] of each UAV, into `measures`; `world` as in `BatchTables`."""
+    w = world[0]
     for k in range(escorts.shape[0]):
         a, g = escorts[k, 0], escorts[k, 1]
         measures[k, 0] = norm(position[a, 0] - position[g, 0], position[a, 1] - position[g, 1])
@@ -221,27 +130,90 @@ def measure(
         )
 
 
-@borrowing
-def advance(
-    w: WorldParameters,
-    s: WorldState,
-    keys: WordArray,
-    tick: int,
-    bounds: FloatArray,
-    escorts: IntArray,
-    commands: FloatArray,
-) -> None:
-    """From the tick before to this one: everybody moves (1), the UAVs look at the ground (3) and at their UGVs.
+@inlined
+def truth_of(truth: WorldState, k: int) -> WorldState:
+    """The truth of one world: views, no copies."""
+    return WorldState(
+        truth.position[k],
+        truth.velocity[k],
+        truth.acceleration[k],
+        truth.commands[k],
+        truth.coverage[k],
+        truth.detections[k],
+        truth.gains[k],
+        truth.measures[k],
+    )
+
+
+@inlined
+def receive_commands(t: BatchTables, s: BatchState, k: int) -> None:
+    """What has been sent sets out, and each vehicle acts on its newest command that has arrived.
+
+    Where none has come for a while, it brakes.
+    """
+    w, keys, tick = t.world[0], s.keys[k], s.ticks[k]
+    acting, sent, answered, inbox = s.truth.commands[k], s.sent[k], s.answered[k], s.inbox[k]
+    for v in range(sent.shape[0]):
+        row = t.escorts.shape[0] + v
+        link = link_of(s.links, k, row)
+        key = key_of(keys, t.links.owners[row, 0], t.links.owners[row, 1])
+        begin_tick(t.links, row, link, key, tick)
+        if sent[v, ANSWERED] >= 0.0:
+            send(t.links, row, link, key, sent[v])
+            sent[v, ANSWERED] = -1.0
+        for n in range(receive(link, inbox)):
+            if inbox[n, ANSWERED] > answered[v]:
+                answered[v] = int(inbox[n, ANSWERED])
+                acting[v, 0], acting[v, 1] = inbox[n, U_X], inbox[n, U_Y]
+        if tick - answered[v] > w.hold_ticks:
+            v_x, v_y = s.truth.velocity[k, v, 0], s.truth.velocity[k, v, 1]
+            acting[v, 0], acting[v, 1] = brake(v_x, v_y, t.bounds[v, 1], w.dt)
+
+
+@inlined
+def move(t: BatchTables, s: BatchState, k: int) -> None:
+    """To the next tick: everybody moves (1), the UAVs look at the ground (3) and at their UGVs."""
+    w = t.world[0]
+    s.ticks[k] += 1
+    truth = truth_of(s.truth, k)
+    _move(w, truth.position, truth.velocity, truth.acceleration, t.bounds, truth.commands)
+    _see(w, truth.position, t.escorts, truth.coverage, truth.gains)
+    detect_all(w, s.keys[k], s.ticks[k], truth.position, t.escorts, truth.detections)
+
+
+@inlined
+def deliver_detections(t: BatchTables, s: BatchState, k: int) -> None:
+    """What the detectors have found at this tick sets out, and what has arrived is there."""
+    keys, tick, found, received = s.keys[k], s.ticks[k], s.truth.detections[k], s.received[k]
+    message = s.inbox[k, 0]
+    for u in range(found.shape[0]):
+        link = link_of(s.links, k, u)
+        key = key_of(keys, t.links.owners[u, 0], t.links.owners[u, 1])
+        begin_tick(t.links, u, link, key, tick)
+        if not math.isnan(found[u, 0]):
+            message[TAKEN], message[LOOK_X], message[LOOK_Y] = tick, found[u, 0], found[u, 1]
+            send(t.links, u, link, key, message)
+        s.arrived[k, u] = receive(link, received[u])
+
+
+@inlined
+def begin_world(t: BatchTables, s: BatchState, k: int) -> None:
+    """World k, whose arrays are as they are at the start but for its keys, has the first look."""
+    detect_all(t.world[0], s.keys[k], 0, s.truth.position[k], t.escorts, s.truth.detections[k])
+    deliver_detections(t, s, k)
+
+
+@inlined
+def world_tick(t: BatchTables, s: BatchState, k: int, linked: bool) -> None:
+    """World k advances by one tick.
 
     Args:
-        w: The scenario's numbers.
+        t: What all worlds share.
         s: Is changed.
-        keys: Of the run's random numbers. Shape (RUN_PURPOSES, vehicles, 2).
-        tick: The new one.
-        bounds: v_max [m/s] and u_max [m/s²]. Shape (vehicles, 2).
-        escorts: Rows (UAV, UGV). Shape (UAVs, 2).
-        commands: What acts [m/s²]. Shape (vehicles, 2).
+        k: The world.
+        linked: Whether commands cross their links; else everybody acts on what stands in `truth.commands`.
     """
-    _move(w, s.position, s.velocity, s.acceleration, bounds, commands)
-    _see(w, s.position, escorts, s.coverage, s.gains)
-    detect_all(w, keys, tick, s.position, escorts, s.detections)
+    if linked:
+        receive_commands(t, s, k)
+    move(t, s, k)
+    deliver_detections(t, s, k)

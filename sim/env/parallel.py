@@ -30,7 +30,8 @@ from sim.env.view import Rendering
 from sim.kernels.compile import FloatArray
 from sim.models.field import empty_coverage
 from sim.scenario.checks import check_scenario
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 from sim.world import World
 
 Array = npt.NDArray[np.floating[Any]]
@@ -72,7 +73,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     | 6 | `goal_x` | goal, x; the last one stays when reached; 0 without goals | m | 0 … W |
     | 7 | `goal_y` | goal, y; the last one stays when reached; 0 without goals | m | 0 … H |
 
-    The letters of the ranges are explained in `bus.layout.SYMBOLS`; all agents end together. `docs/environment.md`
+    The letters of the ranges are explained in `bus.layout.SYMBOLS`; all agents end together. `docs/reference/environment.md`
     is the environment's page.
 
     Args:
@@ -225,7 +226,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         take_actions(actions, self.possible_agents, self._commands)
         for k, command in enumerate(self._commands.tolist()):
             world.send(k, world.tick, command)
-        world.step(world.heed())
+        world.advance()
         moment = self._moment = Moment.of(world)
         for seat in self._seats:
             seat.advance(moment)

@@ -6,21 +6,19 @@ the rows that a disc meets and, in each, the chord. Sums go through a row buffer
 the bits do not depend on who calls, nor on how the compiler arranges the loop.
 
 A sensor is a pair, the quality $S(\rho^2)$ and its slope $dS/d\rho^2$, with a range: a new one is one branch in
-each of the two functions and one row in `SENSORS`.
+each of the two functions and one row in `bus.registry.SENSORS`.
 """
 
 import math
 
 import numpy as np
 
+from bus.registry import SENSORS
 from sim.kernels.compile import FloatArray, IntArray, compiled
 from sim.kernels.lanes import LANES, lane_sum, widened
 from sim.models.randomness import NEAREST_POINT, Key, uniform
 
-HILL = 0
-PLATEAU = 1
-SENSORS = {"hill": HILL, "plateau": PLATEAU}
-"""The shipped sensors: the paper's (2), and one that sees well over most of its disc."""
+HILL, PLATEAU = SENSORS["hill"].code, SENSORS["plateau"].code
 
 NEAREST_TIE = 1e-9
 """Uncovered points whose squared distances differ by less than this share are equally near."""
@@ -33,7 +31,7 @@ def sensor_quality(sensor: int, rho2: float, peak: float, reach: float) -> float
     `HILL`: $S = \frac{M_a}{r^4}(\rho^2 - r^2)^2$ inside r, 0 outside. `PLATEAU` (ours): $S = M_a (1 - \rho^4/r^4)^2$.
 
     Args:
-        sensor: A value of `SENSORS`.
+        sensor: The code of a row of `SENSORS`.
         rho2: Squared distance from the UAV [m²].
         peak: M_a, the quality right below the UAV [1/s].
         reach: r, the sensor's range [m].

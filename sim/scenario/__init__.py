@@ -1,1 +1,1 @@
-"""What a scenario file may say, how it is read, and what is checked."""
+"""Scenarios: their types, how they are read, and what is checked."""

@@ -1,73 +1,34 @@
-"""What makes a scenario impossible to fly, and what makes it fly unlike what one may expect."""
-
-from __future__ import annotations
+"""Refusals of scenarios that cannot be flown, and warnings of those that fly unlike what one may expect."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
+from bus.registry import DRIVERS, LAWS, POLICY_FORMS, SAVED_POLICIES, SENSORS
 from sim.input.faults import Fault, near, one_line
 from sim.input.reading import as_raw, typed
-from sim.models.field import SENSORS
-from sim.models.vehicles import stopping_distance
+from sim.scenario.types import Scenario, switching_radius
 from sim.scenario.world_checks import WORLD_CHECKS, Check, escorts
 
-if TYPE_CHECKING:
-    from sim.scenario.types import Scenario, Uav, Ugv
-
-LAW_NAMES = (
-    "tracking",
-    "coverage",
-    "linear",
-    "switching",
-    "logarithmic",
-    "circle",
-    "weighted",
-    "path",
-    "certified",
-)
-"""The laws; the agents' own table may not be imported here, a test holds the two equal."""
-DRIVER_NAMES = ("waypoints", "wander", "script", "evade", "teleop", "policy", "external")
-"""The drivers; likewise. `policy` is a function of the user's own, `external` a process of the user's own."""
-SAVED_POLICIES = ("sb3", "torch", "onnx")
-"""The libraries whose saved policies can drive.
-
-The loaders' own table may not be imported here, a test holds the two equal.
-"""
-_POLICY = "module:function, sb3:ALGORITHM:FILE.zip, torch:FILE.pt or onnx:FILE.onnx"
-SENSOR_NAMES = tuple(SENSORS)
-"""The sensor models."""
-
-WATCHED_LAWS = ("certified",)
-"""Laws that the safety filter watches over."""
-_WITHOUT_SWITCHING_RADIUS = ("tracking", "coverage")
-"""Laws that never ask for r_s."""
-_WITH_COVERAGE = ("coverage", "linear", "switching", "logarithmic", "weighted", "certified")
-"""Laws that steer by v_ref."""
-_OWN_FUNCTION = {"weighted": "weighting", "path": "path"}
-"""Laws that need a function of the user's own: the field that names it."""
+_ENTRIES = {
+    "script": "steps such as { time = 0.0, velocity = [0.2, 0.0] }",
+    "goals": "one [x, y] or more",
+}
+"""Entries of the fields that drivers need."""
 _ROUNDING = 1e-9
 
 
-def switching_radius(s: Scenario, uav: Uav, ugv: Ugv) -> float:
-    """r_s of (18) [m], whatever its sign."""
-    return s.visibility.radius - float(
-        stopping_distance(uav.max_speed + ugv.max_speed, uav.max_acceleration)
-    )
-
-
-def _in_table(field: str, name: str, table: Sequence[str]) -> Iterator[Fault]:
+def _in_table(field: str, name: str, table: Mapping[str, object]) -> Iterator[Fault]:
     if name not in table:
-        yield Fault(field, name, f"unknown{near(name, table)}", ", ".join(table))
+        yield Fault(field, name, f"unknown{near(name, tuple(table))}", ", ".join(table))
 
 
 def names_are_known(s: Scenario) -> Iterator[Fault]:
     """Law, sensor and drivers are rows of their tables."""
-    yield from _in_table("law.name", s.law.name, LAW_NAMES)
-    yield from _in_table("sensor.model", s.sensor.model, SENSOR_NAMES)
+    yield from _in_table("law.name", s.law.name, LAWS)
+    yield from _in_table("sensor.model", s.sensor.model, SENSORS)
     for k, ugv in enumerate(s.ugv):
-        yield from _in_table(f"ugv.{k}.driver", ugv.driver, DRIVER_NAMES)
+        yield from _in_table(f"ugv.{k}.driver", ugv.driver, DRIVERS)
 
 
 def _names_a_function(text: str) -> bool:
@@ -82,29 +43,28 @@ def _names_a_policy(text: str) -> bool:
 
 def own_functions_are_named(s: Scenario) -> Iterator[Fault]:
     """A law with a function of the user's own has one, as `module:function`; it is not loaded here."""
-    for law, field in _OWN_FUNCTION.items():
+    for field in dict.fromkeys(law.own for law in LAWS.values() if law.own):
         named = getattr(s.custom, field)
         if named and not _names_a_function(named):
             yield Fault(f"custom.{field}", named, "names no function", "module:function")
-        elif s.law.name == law and not named:
-            yield Fault(f"custom.{field}", named, f"the law {law!r} needs it", "module:function")
     if s.custom.policy and not _names_a_policy(s.custom.policy):
-        yield Fault("custom.policy", s.custom.policy, "names no policy", _POLICY)
-    elif not s.custom.policy and any(ugv.driver == "policy" for ugv in s.ugv):
-        yield Fault("custom.policy", s.custom.policy, "the driver 'policy' needs it", _POLICY)
+        yield Fault("custom.policy", s.custom.policy, "names no policy", POLICY_FORMS)
+    needed = {f"the law {s.law.name!r}": (LAWS[s.law.name].own, "module:function")}
+    for ugv in s.ugv:
+        needed[f"the driver {ugv.driver!r}"] = (DRIVERS[ugv.driver].own, POLICY_FORMS)
+    for who, (field, allowed) in needed.items():
+        if field and not getattr(s.custom, field):
+            yield Fault(f"custom.{field}", "", f"{who} needs it", allowed)
 
 
-def scripts_are_in_order(s: Scenario) -> Iterator[Fault]:
-    """A UGV that is driven by its script has one, each step later than the one before."""
+def drivers_have_their_task(s: Scenario) -> Iterator[Fault]:
+    """A UGV has what its driver needs, and each step of a script is later than the one before."""
     for k, ugv in enumerate(s.ugv):
         times = [step.time for step in ugv.script]
-        if ugv.driver == "script" and not times:
-            yield Fault(
-                f"ugv.{k}.script",
-                [],
-                "the driver 'script' needs it",
-                "steps such as { time = 0.0, velocity = [0.2, 0.0] }",
-            )
+        needed = DRIVERS[ugv.driver].needs
+        if needed and not getattr(ugv, needed):
+            wrong = f"the driver {ugv.driver!r} needs it"
+            yield Fault(f"ugv.{k}.{needed}", [], wrong, _ENTRIES.get(needed, "a value"))
         for n, (earlier, later) in enumerate(pairwise(times), 1):
             if not later > earlier:
                 yield Fault(
@@ -114,7 +74,7 @@ def scripts_are_in_order(s: Scenario) -> Iterator[Fault]:
 
 def switching_radius_is_positive(s: Scenario) -> Iterator[Fault]:
     """There is room to cover ground in, Klodt 2015, eq. (18): r_s > 0."""
-    if s.law.name in _WITHOUT_SWITCHING_RADIUS:
+    if not LAWS[s.law.name].needs_radius:
         return
     for path, uav, ugv in escorts(s):
         r_s = switching_radius(s, uav, ugv)
@@ -138,7 +98,7 @@ def reference_speed_is_possible(s: Scenario) -> Iterator[Fault]:
     """There is a v_ref of (10), and every UAV can fly it."""
     v_ref = s.law.reference_speed
     for k, uav in enumerate(s.uav):
-        if v_ref is None and math.isinf(uav.max_speed) and s.law.name in _WITH_COVERAGE:
+        if v_ref is None and math.isinf(uav.max_speed) and LAWS[s.law.name].covers:
             yield Fault(
                 "law.reference_speed",
                 None,
@@ -191,7 +151,7 @@ CHECKS: tuple[Check, ...] = (
     *WORLD_CHECKS,
     names_are_known,
     own_functions_are_named,
-    scripts_are_in_order,
+    drivers_have_their_task,
     switching_radius_is_positive,
     reference_speed_is_possible,
     controller_is_stable,
@@ -228,14 +188,15 @@ def scenario_warnings(scenario: Scenario) -> tuple[str, ...]:
     """
     return tuple(
         line
-        for warnings in (_law_warnings, _circle_warnings, _goal_warnings)
+        for warnings in (_law_warnings, _circle_warnings, _task_warnings)
         for line in warnings(scenario)
     )
 
 
 def _law_warnings(s: Scenario) -> Iterator[str]:
-    if s.law.name == "coverage":
-        yield 'law.name = "coverage": visibility is not kept, this law never turns back to the UGV'
+    if not LAWS[s.law.name].keeps_sight:
+        name = f'law.name = "{s.law.name}"'
+        yield f"{name}: visibility is not kept, this law never turns back to the UGV"
 
 
 def _circle_warnings(s: Scenario) -> Iterator[str]:
@@ -260,7 +221,9 @@ def _circle_warnings(s: Scenario) -> Iterator[str]:
             yield f"{field}: cannot be flown: {needs}, {has}; allowed up to {bound:.4f} rad/s, {reason}"
 
 
-def _goal_warnings(s: Scenario) -> Iterator[str]:
+def _task_warnings(s: Scenario) -> Iterator[str]:
     for k, ugv in enumerate(s.ugv):
-        if ugv.driver == "waypoints" and not ugv.goals:
-            yield f"ugv.{k}.goals = []: {ugv.name} will stand still; its driver needs one [x, y] or more to move"
+        wanted = DRIVERS[ugv.driver].wants
+        if wanted and not getattr(ugv, wanted):
+            needs = f"its driver needs {_ENTRIES.get(wanted, 'one or more')} to move"
+            yield f"ugv.{k}.{wanted} = []: {ugv.name} will stand still; {needs}"

@@ -5,7 +5,7 @@ from typing import Any
 import msgspec
 
 from bus.messages import LinkKind
-from sim.channel.profiles import PROFILES
+from bus.profiles import PROFILES
 from sim.input.faults import Fault, near
 
 _KINDS = tuple(str(kind) for kind in LinkKind)

@@ -1,22 +1,16 @@
 """A recorded trajectory as a script: what a UGV did in an earlier run, to be driven again."""
 
-from __future__ import annotations
-
 import csv
 from io import TextIOWrapper
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import msgspec
 
 from bus.errors import ScenarioError
 from bus.files import open_regular
 from bus.messages import ScriptStep
-
-if TYPE_CHECKING:
-    from sim.scenario.types import Scenario, Ugv
-
+from sim.scenario.types import Scenario, Ugv
 
 _MOST_BYTES = 32 << 20
 """Of a track's file: more than an hour of two vehicles."""

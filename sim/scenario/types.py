@@ -1,17 +1,15 @@
-"""A run described: typed, read from TOML, refused where it is impossible."""
+"""A run described: the tables of a scenario and their fields, typed.
+
+They stand in `sim`, since world, engine, environment and server are made from them; `loading` reads them from TOML
+and `checks` refuses what is impossible. What these need to know of laws, drivers and sensors is in `bus.registry`.
+"""
 
 import math
-from collections.abc import Mapping, Sequence
-from importlib.resources import files
-from importlib.resources.abc import Traversable
-from pathlib import Path
 from typing import Annotated
 
 import msgspec
 from msgspec import Meta
 
-from bus.errors import ScenarioError
-from bus.files import read_regular
 from bus.messages import (
     Area,
     Estimator,
@@ -27,11 +25,8 @@ from bus.messages import (
     Text,
     Vector,
 )
-from sim.input.faults import near, one_line
-from sim.input.reading import apply_override, as_raw, parse_override, parse_toml, typed
-from sim.scenario.checks import check_scenario
-from sim.scenario.link_tables import with_profiles
-from sim.scenario.tracks import with_tracks
+from bus.registry import DEFAULT_DRIVER
+from sim.models.vehicles import stopping_distance
 
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 Bound = Annotated[float, Meta(gt=0.0)]
@@ -50,7 +45,7 @@ class Visibility(_Table, frozen=True, kw_only=True):
 
 
 class Coverage(_Table, frozen=True, kw_only=True):
-    """What is to be seen, and what has been already."""
+    """The coverage that is wanted, and the ground that has it already."""
 
     desired: Positive = 2.0
     """C* of (4)."""
@@ -90,17 +85,18 @@ class Ugv(_Table, frozen=True, kw_only=True):
     velocity: Vector = (0.0, 0.0)
     max_speed: Bound = 0.2
     max_acceleration: Bound = 0.1
-    driver: Name = "waypoints"
+    driver: Name = DEFAULT_DRIVER
+    """A row of `bus.registry.DRIVERS`."""
     goals: tuple[Vector, ...] = ()
     goal_tolerance: Positive = 0.05
     script: tuple[ScriptStep, ...] = ()
-    """For the driver `script`: what it wants from a time on, in the order of time."""
+    """For the driver `script`: its velocity from each time on, in the order of time."""
     track: Text = ""
     """Instead of a script: the trajectory.csv of an earlier run, whose track of this UGV is driven again."""
 
 
 class Certificate(_Table, frozen=True, kw_only=True):
-    """What is declared to the UAVs for the law `certified`.
+    """The bounds that are declared to the UAVs for the law `certified`.
 
     A network that is worse is told as uncertified, tick by tick.
     """
@@ -129,21 +125,8 @@ class Custom(_Table, frozen=True, kw_only=True):
     """(observation, briefing) -> (acceleration x, y), for the driver `policy`."""
 
 
-class VehicleLinks(_Table, frozen=True, kw_only=True):
-    """The links of one vehicle, where they are not as everybody's."""
-
-    vehicle: Name
-    detections: LinkSettings = LinkSettings()
-    commands: LinkSettings = LinkSettings()
-    operator: LinkSettings = LinkSettings()
-    radio: LinkSettings = LinkSettings()
-
-
-class LinkTable(_Table, frozen=True, kw_only=True):
-    """What the ether does to messages, kind by kind.
-
-    In TOML each may name a `profile` that it starts from, and so may all.
-    """
+class _Links(_Table, frozen=True, kw_only=True):
+    """A field for each `LinkKind`, under its name."""
 
     detections: LinkSettings = LinkSettings()
     """From a UAV's detector to its computer."""
@@ -153,11 +136,25 @@ class LinkTable(_Table, frozen=True, kw_only=True):
     """From an operator to a UGV."""
     radio: LinkSettings = LinkSettings()
     """From a UAV to its UGV."""
+
+
+class VehicleLinks(_Links, frozen=True, kw_only=True):
+    """The links of one vehicle, where they are not as everybody's."""
+
+    vehicle: Name
+
+
+class LinkTable(_Links, frozen=True, kw_only=True):
+    """What the radio links do to messages, kind by kind.
+
+    In TOML each may name a `profile` that it starts from, and so may all.
+    """
+
     only: tuple[VehicleLinks, ...] = ()
     """Vehicles whose links are other ones; what is not given is as everybody's."""
 
     def of(self, vehicle: str, kind: LinkKind) -> LinkSettings:
-        """What the link of this kind does to this vehicle's messages."""
+        """The settings of this vehicle's link of this kind."""
         own = next((row for row in self.only if row.vehicle == vehicle), self)
         settings: LinkSettings = getattr(own, kind)
         return settings
@@ -168,7 +165,7 @@ class LinkTable(_Table, frozen=True, kw_only=True):
         return f"links.{own}{kind}"
 
     def changed(self, kind: LinkKind, vehicle: str | None, settings: LinkSettings) -> "LinkTable":
-        """The table with other settings for one vehicle's link of this kind, or, where none is named, for everybody's."""
+        """The table with other settings for one vehicle's link of this kind, or for everybody's (None)."""
         if vehicle is None:
             rows = tuple(msgspec.structs.replace(row, **{kind: settings}) for row in self.only)
             return msgspec.structs.replace(self, only=rows, **{kind: settings})
@@ -178,7 +175,7 @@ class LinkTable(_Table, frozen=True, kw_only=True):
         return msgspec.structs.replace(self, only=rows if new in rows else (*rows, new))
 
 
-_DEFAULT_AREA = Area(width=40.0, height=40.0, cell=0.25)
+DEFAULT_AREA = Area(width=40.0, height=40.0, cell=0.25)
 
 
 class Scenario(_Table, frozen=True, kw_only=True):
@@ -194,7 +191,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     """Length of a tick [s]."""
     hold: NonNegative = 0.5
     """How long the last command is held when none comes [s]; then the vehicle brakes."""
-    area: Area = _DEFAULT_AREA
+    area: Area = DEFAULT_AREA
     sensor: Sensor = Sensor()
     visibility: Visibility = Visibility()
     coverage: Coverage = Coverage()
@@ -228,82 +225,8 @@ class Scenario(_Table, frozen=True, kw_only=True):
         return self.detections.cut or math.inf
 
 
-DEFAULT_SCENARIO = "escort"
-MOST_BYTES = 1 << 20
-"""Of a scenario's or a sweep's file: room for some thousand vehicles."""
-FILE_RULE = f"a TOML file of {MOST_BYTES >> 20} MiB at most"
-
-
-def _shipped() -> dict[str, Traversable]:
-    """The shipped scenarios by name."""
-    entries = (files("sim.scenario") / "shipped").iterdir()
-    return {
-        entry.name.removesuffix(".toml"): entry for entry in entries if entry.name.endswith(".toml")
-    }
-
-
-def scenario_names() -> tuple[str, ...]:
-    """Names of the shipped scenarios, the default first."""
-    return tuple(sorted(_shipped(), key=lambda name: (name != DEFAULT_SCENARIO, name)))
-
-
-def _read(source: str | Path, file: str) -> str:
-    """The TOML text of a shipped scenario or of a file."""
-    try:
-        shipped = _shipped().get(str(source))
-        content = (
-            shipped.read_bytes() if shipped is not None else read_regular(Path(source), MOST_BYTES)
-        )
-        return content.decode("utf-8-sig")
-    except FileNotFoundError as error:
-        known = scenario_names()
-        meant = near(Path(source).stem, known)
-        raise ScenarioError(
-            f"{file}: no such file or scenario{meant}; allowed: a TOML file, or {', '.join(known)}"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise ScenarioError(
-            f"{file}: byte {error.start}: not UTF-8, {error.reason}; allowed: text in UTF-8"
-        ) from error
-    except (OSError, ValueError) as error:  # a ValueError: a NUL in the path
-        reason = one_line(str(getattr(error, "strerror", None) or error))
-        raise ScenarioError(f"{file}: cannot be read: {reason}; allowed: {FILE_RULE}") from error
-
-
-def _changes(
-    overrides: Mapping[str, object] | Sequence[str], file: str
-) -> list[tuple[str, object]]:
-    if isinstance(overrides, Mapping):
-        return [(str(key), as_raw(value, file=file)) for key, value in overrides.items()]
-    changes = [overrides] if isinstance(overrides, str) else overrides
-    return [parse_override(change, file=file) for change in changes]
-
-
-def load_scenario(
-    source: str | Path = DEFAULT_SCENARIO, *, overrides: Mapping[str, object] | Sequence[str] = ()
-) -> Scenario:
-    """Read and validate a scenario.
-
-    Args:
-        source: A shipped name, or a TOML file.
-        overrides: Changes made before anything is validated: fields and their values, or texts such as
-            `uav.0.max_speed=0.5`, the value as TOML writes it or else plain text.
-
-    Returns:
-        The scenario; its name is the file's, without its ending, where none is given.
-
-    Raises:
-        ScenarioError: If it cannot be read or cannot be flown; one line with file, field, value, what is wrong and
-            allowed.
-    """
-    file = one_line(str(source)) or "."
-    raw = parse_toml(_read(source, file), file=file)
-    for key, value in _changes(overrides, file):
-        apply_override(raw, key, value, file=file)
-    if isinstance(raw.get("area"), dict):
-        raw["area"] = {**msgspec.to_builtins(_DEFAULT_AREA), **raw["area"]}
-    with_profiles(raw, file=file)
-    scenario = typed(raw, Scenario, file=file)
-    if not scenario.name:
-        scenario = msgspec.structs.replace(scenario, name=one_line(Path(source).stem))
-    return check_scenario(with_tracks(scenario, file=file), source=file)
+def switching_radius(s: Scenario, uav: Uav, ugv: Ugv) -> float:
+    """r_s of (18) [m], whatever its sign."""
+    return s.visibility.radius - float(
+        stopping_distance(uav.max_speed + ugv.max_speed, uav.max_acceleration)
+    )

@@ -1,11 +1,8 @@
-"""What makes a scenario's ground, time, vehicles and detections impossible: one small check for each."""
-
-from __future__ import annotations
+"""Refusals of impossible ground, time, vehicles and detections: one small check for each."""
 
 import math
 import re
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -13,11 +10,9 @@ from bus.keys import STAFF
 from bus.messages import LinkKind
 from sim.channel.description import least_ticks, link_faults, link_parameters
 from sim.input.faults import Fault, is_whole
+from sim.scenario.types import Scenario, Uav, Ugv
 
-if TYPE_CHECKING:
-    from sim.scenario.types import Scenario, Uav, Ugv
-
-Check = Callable[["Scenario"], Iterator[Fault]]
+Check = Callable[[Scenario], Iterator[Fault]]
 
 _MOST_CELLS = 4_000_000
 _MOST_TICKS = 10_000_000

@@ -34,12 +34,12 @@ from bus.messages import (
     UgvObservation,
     VehicleTruth,
 )
+from bus.registry import LAWS
 from sim.kernels.compile import FloatArray
-from sim.scenario.checks import WATCHED_LAWS
 from sim.scenario.types import Scenario
 from sim.server.assurance import Arrival, Assurance
 from sim.server.recorder import Recorder
-from sim.world import World
+from sim.world import Look, World
 
 
 @dataclass(slots=True)
@@ -354,7 +354,7 @@ class Flight:
         What the UAVs radio arrives at the next one.
         """
         self._listen()
-        world, watched = self.world, self.law.name in WATCHED_LAWS
+        world, watched = self.world, LAWS[self.law.name].watched
         if watched:
             self.recorder.record(self.reports)  # what is said of this tick is held against it
         for k, name in enumerate(world.names):
@@ -372,26 +372,36 @@ class Flight:
                         self._radios[name].send(
                             world.tick + 1, message, world.tick
                         )  # heard at the next tick at the earliest
-        acting = world.heed()
+        tick, received = world.tick, world.received
+        world.advance()
         if watched:
             for uav, (a, g) in enumerate(self._pairs):
-                self._assure(uav, a, g, commands.get(world.names[a]), acting[a])
-        world.step(acting)
+                command, acted = commands.get(world.names[a]), world.commands[a]
+                self._assure(tick, uav, a, g, command, received[uav], acted)
 
     def _assure(
-        self, uav: int, a: int, g: int, command: Command | None, acting: FloatArray
+        self,
+        tick: int,
+        uav: int,
+        a: int,
+        g: int,
+        command: Command | None,
+        received: list[Look],
+        acting: FloatArray,
     ) -> None:
-        """Hold what a UAV says of this tick against the truth.
+        """Hold what a UAV says of a tick against the truth.
 
         Args:
+            tick: Which.
             uav: Its row among the UAVs.
             a, g: Its row and its UGV's among the vehicles.
             command: What it has answered; without one it has seen nothing of this tick.
-            acting: What it acts on in this tick [m/s²], shape (2,).
+            received: The detections that had reached it.
+            acting: What it has acted on in this tick [m/s²], shape (2,).
         """
-        tick, states, arrivals = self.world.tick, self.recorder.states, []
+        states, arrivals = self.recorder.states, []
         said = tick if command is None else command.tick
-        for taken, x, y in self.world.received[uav] if command is not None else ():
+        for taken, x, y in received if command is not None else ():
             there = states[taken].tolist()
             p_a, p_g = there[a], there[g]
             arrivals.append(

@@ -7,13 +7,11 @@ import msgspec
 from bus.errors import ScenarioError
 from bus.keys import CONTROL, OPERATOR
 from bus.messages import Action, Change, Control, Drive
+from bus.registry import DRIVERS
 from bus.session import Session
-from sim.scenario.checks import DRIVER_NAMES, check_scenario
+from sim.scenario.checks import check_scenario
 from sim.server.flight import Flight
 from sim.server.pace import Pace
-
-_OUTSIDE = "external"
-"""A driver that is a process of the user's own: it has a UGV's seat from the start, or never."""
 
 _REFUSALS = 5
 """So many of them are kept."""
@@ -142,8 +140,8 @@ class Desk:
             raise ScenarioError(
                 f"vehicle = {control.vehicle!r}: unknown; allowed: {', '.join(self._ugvs)}"
             )
-        if control.driver not in DRIVER_NAMES or control.driver == _OUTSIDE:
-            allowed = (name for name in DRIVER_NAMES if name != _OUTSIDE)
+        allowed = [row.name for row in DRIVERS.values() if not row.outside]
+        if control.driver not in allowed:
             raise ScenarioError(
                 f"driver = {control.driver!r}: cannot take a wheel; allowed: {', '.join(allowed)}"
             )

@@ -30,20 +30,25 @@ from agents.control.guard import (
 from agents.control.handover import Promise, certificate
 from agents.control.tracking import tracking_output, tracking_step
 from agents.control.visibility import raw_switching_radius
-from bus.messages import Area, LinkSettings, Sensor
-from sim.engine.batch import (
+from bus.messages import Area, LinkKind, LinkSettings, Sensor
+from sim.engine.batch import Batch
+from sim.engine.world_state import (
+    ANSWERED,
     LOOK_X,
     LOOK_Y,
     TAKEN,
-    Batch,
+    U_X,
+    U_Y,
     BatchState,
     BatchTables,
-    act_on_commands,
+)
+from sim.engine.world_tick import (
     begin_world,
     deliver_detections,
+    move,
+    receive_commands,
     truth_of,
 )
-from sim.engine.world_tick import WorldParameters, advance
 from sim.kernels.compile import FloatArray, borrowing, compiled, released
 from sim.models.randomness import draw
 from sim.models.vehicles import brake, clip_norm, norm
@@ -374,13 +379,11 @@ def _keep_states(s: BatchState, states: FloatArray) -> None:
 
 @released
 def fly_one(
-    w: WorldParameters,
     tables: BatchTables,
     s: BatchState,
     memory: GuardState,
     promise: Promise,
     conditions: Conditions,
-    commands: FloatArray,
     work: FloatArray,
     random: npt.NDArray[np.uint64],
     ticks: int,
@@ -389,11 +392,10 @@ def fly_one(
     """One run of an attack, in world 0 of a batch that is as it was at the start, with its keys.
 
     Args:
-        w, tables, s: The world. UAV 0 is vehicle 0, the UGV vehicle 1.
+        tables, s: The world. UAV 0 is vehicle 0, the UGV vehicle 1.
         memory: Of the filter.
         promise: The declared numbers; the laws that switch use its bounds only.
         conditions: Who guards and who attacks.
-        commands: Room for those of a tick. (2, 2)
         work: Room for what the adversaries remember, for two states and the commands of the last ticks. (6 + _RING, 8)
         random: State of the adversary's draws. (1,)
         ticks: Length of the run.
@@ -405,7 +407,7 @@ def fly_one(
             at which the
             certificate is lost although its assumptions hold; largest distance while certified [m]. Shape (RESULTS,).
     """
-    c, p = conditions, promise
+    c, p, w, sent = conditions, promise, tables.world[0], s.sent[0]
     dt, u_a, v_a, v_g = p.dt, p.u_a, p.v_a, p.v_g
     d_ticks = round(p.delay / dt)
     b_ticks, silence_ticks = round(c.blackout_time / dt), max(1, round(c.silence / dt))
@@ -436,7 +438,7 @@ def fly_one(
     for i, away in ((0, far * math.cos(angle)), (1, far * math.sin(angle))):
         position[0, i] = min(max(position[1, i] + away, 0.0), w.width if i == 0 else w.height)
     begin_guard(memory)
-    begin_world(w, tables, s, 0)
+    begin_world(tables, s, 0)
     dark, since_seen, last_break, certified_before, first_seen, seen_ticks = (
         0,
         1,
@@ -461,7 +463,7 @@ def fly_one(
         if away_ticks == 0:
             note_position(memory, tick, p_x, p_y)
             for n in range(s.arrived[0, 0]):
-                look = s.looks[0, 0, n]
+                look = s.received[0, 0, n]
                 note_detection(
                     p, memory, int(look[TAKEN]), tick, look[LOOK_X], look[LOOK_Y], p_x, p_y
                 )
@@ -549,22 +551,23 @@ def fly_one(
                 u_x, u_y = ring[(tick - late) % _RING, 0], ring[(tick - late) % _RING, 1]
         if math.isnan(u_x) or late > 0:
             last_break = tick + d_ticks
-        commands[0, 0], commands[0, 1] = u_x, u_y
+        sent[0, ANSWERED] = -1.0 if math.isnan(u_x) else tick
+        sent[0, U_X], sent[0, U_Y] = u_x, u_y
         # the UGV
         if _next(random) < 0.01:
             _redraw(random, g, u_g)
             if c.ugv < 0 and _next(random) < 0.2:
                 ugv = _choose(random, c.ugv, len(UGVS))
-        commands[1, 0], commands[1, 1] = _ugv(ugv, x, y, v_x, v_y, w_x, w_y, g, u_g)
+        sent[1, ANSWERED] = tick
+        sent[1, U_X], sent[1, U_Y] = _ugv(ugv, x, y, v_x, v_y, w_x, w_y, g, u_g)
         # the motion, as the world steps it, but that the adversary chooses which detections are made, and with
         # which error
         for k in range(2):
             for i in range(4):
                 before[k, i] = now[k, i]
-        act_on_commands(w, tables, s, 0, commands)
-        s.ticks[0] += 1
+        receive_commands(tables, s, 0)
+        move(tables, s, 0)
         truth = truth_of(s.truth, 0)
-        advance(w, truth, s.keys[0], s.ticks[0], tables.bounds, tables.escorts, truth.commands)
         _keep_states(s, now)
         x, y = now[0, 0] - now[1, 0], now[0, 1] - now[1, 1]
         if dark == 0 and since_seen > 0 and tick > 20 and b_ticks > 0:
@@ -659,26 +662,22 @@ def attack(
         What `fly_one` finds of each. Shape (runs, RESULTS).
     """
     batch = Batch(scenario_of(promise, conditions), 1, threads=1)
-    tables, parameters = batch.tables._replace(perfect_commands=False), batch.parameters
-    late = batch.ways_in.longest + 1
+    late = batch.longest_delay(LinkKind.DETECTIONS) + 1
     memory = guard_state(promise, max(1, late))
     results, work, random = (
         np.empty((runs, RESULTS)),
         np.zeros((6 + _RING, 8)),
         np.empty(1, np.uint64),
     )
-    commands = np.zeros((2, 2))
     for k in range(runs):
         random[0] = draw((np.uint64(seed), np.uint64(_ATTACK) << np.uint64(32)), 0, first + k, 0)[0]
         batch.restore([int(random[0] >> np.uint64(11))], [0])
         fly_one(
-            parameters,
-            tables,
+            batch.tables,
             batch.state,
             memory,
             promise,
             conditions,
-            commands,
             work,
             random,
             round(duration / promise.dt),

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from bus.registry import LAWS
 from outrider.experiments.falsify.adversary import fly_adversary
 from outrider.experiments.falsify.genome import Candidate, decode, tactics_of, with_script
 from outrider.experiments.falsify.limits import SearchLimits
@@ -92,7 +93,7 @@ def flown(
     else:
         flight, _ = fly(scenario, scenario.seed, on_tick=watch.see)
     distance = flight.recorder.escorts[:, 0, 0]
-    certifies = scenario.law.name == "certified"
+    certifies = LAWS[scenario.law.name].watched
     patience = math.ceil((_WHILE + scenario.links.commands.delay) / scenario.dt)
     stands = (
         promised(watch.certified, patience) if certifies else np.ones(len(distance), dtype=np.bool_)

@@ -11,8 +11,7 @@ from bus.messages import LinkSettings, Region, ScriptStep, Vector
 from outrider.experiments.falsify.adversary import Tactics, cut
 from outrider.experiments.falsify.limits import SearchLimits, looks_until_seen, pair
 from sim.models.vehicles import stopping_distance
-from sim.scenario.checks import switching_radius
-from sim.scenario.types import Detections, LinkTable, Scenario, VehicleLinks
+from sim.scenario.types import Detections, LinkTable, Scenario, VehicleLinks, switching_radius
 
 (_X, _Y, _ANGLE, _DISTANCE, _UAV_SPEED, _UAV_HEADING, _UGV_SPEED, _UGV_HEADING) = range(8)
 (_DELAY, _JITTER, _LOSS, _NOISE, _COMMAND_DELAY, _DARK, _DARK_START, _DARK_GAP) = range(8, 16)

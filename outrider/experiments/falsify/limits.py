@@ -9,6 +9,7 @@ from agents.control.handover import check_assumptions
 from agents.control.visibility import promise_of
 from bus.errors import ScenarioError
 from bus.messages import LinkSettings, UavBriefing
+from bus.registry import LAWS
 from sim.engine.briefing import briefing
 from sim.scenario.types import Certificate, LinkTable, Scenario, Uav, Ugv
 
@@ -106,7 +107,7 @@ def base_of(scenario: Scenario, limits: SearchLimits) -> Scenario:
         certificate=certificate,
         hold=needed_hold(limits, scenario),
     )
-    if base.law.name == "certified":
+    if LAWS[base.law.name].watched:
         _check_promise(base, limits)
     return base
 
@@ -127,7 +128,7 @@ def _check_promise(base: Scenario, limits: SearchLimits) -> None:
 
 def beyond_declared(base: Scenario, limits: SearchLimits) -> tuple[str, ...]:
     """In what these limits go beyond what is declared to the law `certified`, a line each."""
-    if base.law.name != "certified":
+    if not LAWS[base.law.name].watched:
         return ()
     given = base.certificate
     error = limits.noise * base.noise_cut if limits.noise else 0.0

@@ -24,7 +24,8 @@ from outrider.experiments.falsify.genome import SIZES, Candidate, proof_cases
 from outrider.experiments.falsify.limits import SearchLimits
 from outrider.experiments.falsify.pool import Workers
 from sim.kernels.compile import compiling
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 from sim.server.flight import warm_up
 
 _EXPLORED = 0.35

@@ -9,8 +9,9 @@ from statistics import fmean, median
 
 from outrider.experiments.intervals import wilson_interval
 from outrider.experiments.report.labels import number, tick_of, value_of
-from outrider.experiments.report.plots import CAPTIONS, color_of
+from outrider.experiments.report.plots import CAPTIONS
 from outrider.experiments.report.results import Cell, Material, Panel
+from outrider.style import law_color
 
 COLUMNS = (
     "law",
@@ -151,7 +152,7 @@ def _plain(text: str) -> str:
 
 
 def _law(law: str) -> str:
-    return f'<i class="law" style="background:{color_of(law)}"></i>{escape(law)}'
+    return f'<i class="law" style="background:{law_color(law)}"></i>{escape(law)}'
 
 
 def _overview(material: Material) -> Iterator[str]:

@@ -20,23 +20,6 @@ from outrider.experiments.intervals import mean_interval
 from outrider.experiments.report.labels import tick_of
 from outrider.experiments.report.results import Material, Panel
 
-_COLORS = {
-    **style.LAW,
-    "tracking": "#a0522d",
-    "coverage": "#9aa531",
-    "certified": "#d39b00",
-    "weighted": "#d16ba5",
-    "path": "#4bb3c9",
-}
-_MARKS = {
-    "linear": "o",
-    "switching": "s",
-    "logarithmic": "D",
-    "circle": "^",
-    "certified": "P",
-    "tracking": "v",
-    "coverage": "<",
-}
 _KINDS = {"detections": (style.UAV[0], "o"), "commands": (style.UGV[0], "s")}
 """Colour and mark of the links."""
 _UNEVEN = 6.0
@@ -48,11 +31,6 @@ _HEADER = 84
 """Of a panel, and above them all [px]."""
 
 Draw = Callable[[Axes, Panel, "list[float]", float], None]
-
-
-def color_of(law: str) -> str:
-    """The colour of a law, the same everywhere."""
-    return _COLORS.get(law, style.INK)
 
 
 def positions(panel: Panel) -> tuple[list[float], float]:
@@ -129,7 +107,7 @@ def _sheet(
 
 def _law_keys(material: Material) -> list[Line2D | Patch]:
     return [
-        style.key(color_of(law), law, marker=_MARKS.get(law, "o"), markersize=5)
+        style.key(style.law_color(law), law, marker=style.law_mark(law), markersize=5)
         for law in material.law
     ]
 
@@ -145,7 +123,7 @@ def violations(material: Material) -> Figure:
                 for x, value in zip(where, panel.values, strict=True)
             ]
             found = [(x, *rate) for x, rate in rates if rate is not None]
-            color = color_of(law)
+            color = style.law_color(law)
             axes.plot(
                 [row[0] for row in found],
                 [row[1] for row in found],
@@ -160,7 +138,7 @@ def violations(material: Material) -> Figure:
                 [row[1] for row in found],
                 color=color,
                 linestyle="",
-                marker=_MARKS.get(law, "o"),
+                marker=style.law_mark(law),
                 markersize=4.5,
                 clip_on=False,
                 zorder=4,
@@ -198,7 +176,7 @@ def margins(material: Material) -> Figure:
         axes.set_ylim(lowest, 1.08 * highest)
         width = 2.0 + 16.0 / (len(panel.laws) * len(panel.values))
         for number, law in enumerate(panel.laws):
-            aside, color = _aside(panel, number, gap), color_of(law)
+            aside, color = _aside(panel, number, gap), style.law_color(law)
             for x, value in zip(where, panel.values, strict=True):
                 found = panel.cell(law, value).numbers("margin")
                 if not found:
@@ -231,7 +209,7 @@ def margins(material: Material) -> Figure:
                         x + aside, lowest, "v", color=color, markersize=5.0, zorder=4, clip_on=False
                     )
 
-    bar = [style.key(color_of(law), law, linewidth=5, alpha=0.75) for law in material.law]
+    bar = [style.key(style.law_color(law), law, linewidth=5, alpha=0.75) for law in material.law]
     keys = [
         *bar,
         style.key(
@@ -273,7 +251,7 @@ def errors(material: Material) -> Figure:
         del gap
         for law in panel.laws:
             found = [panel.cell(law, value).numbers("mean_error") for value in panel.values]
-            _band(axes, where, found, color_of(law), _MARKS.get(law, "o"))
+            _band(axes, where, found, style.law_color(law), style.law_mark(law))
         axes.set_ylim(0.0, top)
 
     keys = [

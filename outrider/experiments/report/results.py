@@ -10,11 +10,11 @@ from typing import Any
 import msgspec
 
 from bus.errors import ScenarioError
+from bus.registry import LAWS
 from outrider.experiments.intervals import wilson_interval
 from outrider.experiments.report.labels import label_of, value_of
 from outrider.experiments.sweep.columns import RESULTS
 from outrider.experiments.sweep.folder import SweepHead, read_head, read_results
-from sim.scenario.checks import LAW_NAMES
 
 _OWN = ("run", "law", "seed", *RESULTS)
 
@@ -109,7 +109,7 @@ class _Block:
 
 
 def _ordered_laws(laws: set[str]) -> list[str]:
-    table = {name: k for k, name in enumerate(LAW_NAMES)}
+    table = {name: k for k, name in enumerate(LAWS)}
     return sorted(laws, key=lambda law: (table.get(law, len(table)), law))
 
 

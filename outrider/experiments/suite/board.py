@@ -6,17 +6,15 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import Any
 
+from bus.registry import LAWS
 from outrider.experiments.intervals import mean_interval
 from outrider.experiments.suite.scoring import Entry, Result, evaluate
 from outrider.experiments.suite.tasks import SEEDS, Suite, Task, suite
 from sim.engine.run_keys import check_secret, new_secret
 from sim.kernels.threads import cores
 
-LAWS = ("tracking", "circle", "linear", "switching", "logarithmic", "certified")
-"""The paper's laws, and `certified`, which is `logarithmic` in the safety filter.
-
-The entries that are always there to beat.
-"""
+BASELINES = tuple(law.name for law in LAWS.values() if law.compared)
+"""The entries that are always there to beat."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,7 +86,7 @@ def _standing(entry: str, results: Sequence[Result]) -> Standing:
 
 
 def leaderboard(
-    entries: Mapping[str, Entry] | Sequence[str] = LAWS,
+    entries: Mapping[str, Entry] | Sequence[str] = BASELINES,
     *,
     tasks: Sequence[Task] | None = None,
     seeds: Sequence[int] = SEEDS,

@@ -15,7 +15,7 @@ from outrider.envs.vector import Policy, Worlds
 from outrider.experiments.intervals import mean_interval
 from outrider.experiments.suite.tasks import SEEDS, Task
 from sim.engine.run_keys import check_secret, new_secret
-from sim.engine.world_tick import first_state
+from sim.engine.world_state import first_state
 from sim.env.seeds import Seeds
 from sim.kernels.compile import FloatArray
 from sim.models.field import coverage_error

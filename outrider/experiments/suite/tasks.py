@@ -38,7 +38,7 @@ class Task:
         Raises:
             ScenarioError: If the changes make it impossible.
         """
-        from sim.scenario.types import load_scenario  # noqa: PLC0415 - compiled code stands behind it
+        from sim.scenario.loading import load_scenario  # noqa: PLC0415 - compiled code stands behind it
 
         return load_scenario(
             BASE, overrides={"name": self.name, "title": self.hard, **self.changes}
@@ -254,5 +254,5 @@ class Suite(Sequence[Task]):
 
 
 def suite() -> Suite:
-    """The benchmark suite: `docs/suite.md` says what its tasks are and how they are scored."""
+    """The benchmark suite: `docs/reference/suite.md` says what its tasks are and how they are scored."""
     return Suite()

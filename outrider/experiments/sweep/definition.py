@@ -14,7 +14,7 @@ from bus.files import read_regular
 from bus.messages import Text
 from sim.input.faults import Fault, near, one_line
 from sim.input.reading import parse_override, parse_toml, typed
-from sim.scenario.types import FILE_RULE, MOST_BYTES, scenario_names
+from sim.scenario.loading import FILE_RULE, MOST_BYTES, scenario_names
 
 Seed = Annotated[int, Meta(ge=0, le=2**53 - 1)]
 

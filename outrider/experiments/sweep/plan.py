@@ -10,12 +10,14 @@ from typing import Any
 import msgspec
 
 from bus.errors import ScenarioError
+from bus.registry import DRIVERS
 from outrider.experiments.sweep.columns import FIRST, RESULTS
 from outrider.experiments.sweep.definition import Block, Sweep
 from outrider.running.user_code import check_code, check_own_functions
 from sim.input.faults import one_line
 from sim.scenario.checks import scenario_warnings
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,10 +112,10 @@ def _loaded(sweep: Sweep, told: Callable[[int, int], None]) -> Iterator[tuple[Bl
         scenario = load_scenario(
             sweep.scenario, overrides={**sweep.set, **block.set, **named, **values}
         )
-        if any(ugv.driver == "external" for ugv in scenario.ugv):
-            raise ScenarioError(
-                f"{one_line(sweep.scenario)}: the driver 'external' is another process; a sweep has none"
-            )
+        outside = next((ugv.driver for ugv in scenario.ugv if DRIVERS[ugv.driver].outside), None)
+        if outside is not None:
+            wrong = f"the driver {outside!r} is another process; a sweep has none"
+            raise ScenarioError(f"{one_line(sweep.scenario)}: {wrong}")
         yield block, scenario
 
 

@@ -12,7 +12,8 @@ from outrider.experiments.sweep.columns import failed_row, row_of
 from outrider.running.flying import fly
 from outrider.running.watchdog import leave_with
 from sim.kernels.compile import compiling
-from sim.scenario.types import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 from sim.server.flight import warm_up
 
 

@@ -7,8 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from bus.messages import CoverageMap, Status, Truth
+from bus.registry import TELEOP
 from bus.session import Session
-from outrider.view.operator import TELEOP, Helm, RunClient
+from outrider.view.operator import Helm, RunClient
 from outrider.view.terminal.pressed_keys import Heading, PressedKeys
 from sim.scene.model import Scene, observed_scene
 

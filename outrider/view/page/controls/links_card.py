@@ -8,6 +8,7 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments
 
 from bus.messages import LinkKind, LinkSettings, Status
+from bus.profiles import PROFILES
 from outrider.view.page.controls.network import (
     ALL,
     chosen,
@@ -18,7 +19,6 @@ from outrider.view.page.controls.network import (
 )
 from outrider.view.page.controls.widgets import button, card, html, number, row, select, slider
 from outrider.view.page.hub import Hub
-from sim.channel.profiles import PROFILES
 
 OBSERVER = "This page only looks on: changing a link takes the operator's credentials."
 RECORDING = "No link can be changed: it has all been flown."

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from bus.messages import Action, Control, LinkKind, LinkSettings, Status
-from sim.channel.profiles import PROFILES
+from bus.profiles import PROFILES
 
 ALL = "all"
 """Stands for every kind, and for every vehicle."""

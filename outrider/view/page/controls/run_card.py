@@ -7,7 +7,7 @@ import msgspec
 from nicegui import ui
 
 from bus.messages import Action, Control, Law, Status
-from outrider.view.operator import TELEOP
+from bus.registry import DRIVERS, LAWS
 from outrider.view.page.controls.links_card import LinkForm
 from outrider.view.page.controls.widgets import (
     button,
@@ -20,10 +20,7 @@ from outrider.view.page.controls.widgets import (
     ticks,
 )
 from outrider.view.page.hub import Hub
-from sim.scenario.checks import DRIVER_NAMES, LAW_NAMES
 
-_OWN = ("weighted", "path", "policy", "external")
-"""Laws and drivers that a page does not offer: they need a function or a process of the user's own."""
 _PATIENCE = 2.0
 """So long a control shows what was chosen before it shows what is [s]."""
 
@@ -92,8 +89,12 @@ class Controls:
             self._show_full()
 
     def _build_laws(self) -> None:
-        laws = [name for name in LAW_NAMES if name not in _OWN]
-        drivers = [name for name in DRIVER_NAMES if name not in (TELEOP, *_OWN)]
+        laws = [law.name for law in LAWS.values() if not law.own]  # a page brings no function
+        drivers = [
+            driver.name
+            for driver in DRIVERS.values()
+            if not (driver.own or driver.outside or driver.operated)
+        ]
         with row():
             self._law = select(laws, "law", on_change=self._set_law)
             self._driver = select(drivers, "driver", on_change=self._set_driver)

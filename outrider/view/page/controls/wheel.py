@@ -5,7 +5,8 @@ import time
 from collections.abc import Callable, Mapping
 
 from bus.messages import Control, Drive, Limits, Vector
-from outrider.view.operator import TELEOP, Helm
+from bus.registry import TELEOP
+from outrider.view.operator import Helm
 
 _PATIENCE = 3.0
 """So long a browser at the wheel may be silent [s]."""

@@ -8,6 +8,7 @@ from typing import TypeVar
 import msgspec
 
 from bus.messages import Control, Drive, Message, Status, Truth
+from bus.registry import DEFAULT_LAW
 from outrider.recording.reader import Recording, coverages, statuses
 from outrider.view.page.sources.protocol import Playing, SourceState
 from sim.scene.known import geometry_of
@@ -206,6 +207,6 @@ def _unknown_status(recording: Recording) -> Status:
         ticks=recording.truths[-1].tick,
         time=first.time,
         realtime_factor=0.0,
-        law="logarithmic" if head.scenario is None else recording.scenario.law.name,
+        law=DEFAULT_LAW if head.scenario is None else recording.scenario.law.name,
         vehicles={},
     )

@@ -1,8 +1,9 @@
-"""Named radio links, to start from.
+"""Named radio links, to start from: settings that a scenario, a command or an operator's page may name.
 
-The numbers are rounded from what is commonly published for each kind of link, one way, for small messages; none is
-a fit to one
-measurement. Delays shorter than a tick arrive at the next tick, so at dt = 0.05 s a good Wi-Fi is a link of one tick.
+They are values of a message, so a vehicle's process, which may load no link, can list them in its help texts. The
+numbers are rounded from what is commonly published for each kind of link, one way, for small messages; none is a fit
+to one measurement. Delays shorter than a tick arrive at the next tick, so at dt = 0.05 s a good Wi-Fi is a link of
+one tick.
 """
 
 from bus.messages import LinkSettings

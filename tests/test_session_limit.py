@@ -1,0 +1,159 @@
+"""Sessions of one party that are too many are ended, and nobody else's."""
+
+import logging
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+
+import pytest
+import zenoh
+
+from bus import session, session_limit
+from bus.access import Credential, client_settings, new_certificates, new_credentials
+from bus.certificates import new_authority
+from bus.keys import PLACES, session_token
+from bus.session import Session, open_session
+from bus.session_limit import GRACE, NAMELESS, NEWCOMERS, Link, end_connections, surplus
+from outrider.running.launch import free_port
+
+RUN = "run"
+GIVEN = {
+    "tcp": new_credentials(RUN, ["uav_0"], ["ugv_0"]),
+    "tls": new_certificates(new_authority(RUN), ["uav_0"], ["ugv_0"]),
+}
+SIMULATOR = GIVEN["tcp"].of("simulator").party
+
+
+def links(name: str, count: int, certified: bool = False) -> list[Link]:
+    return [
+        Link(f"{name}{k}", "tcp/a:1", f"tcp/{name}:{k}", name if certified else None)
+        for k in range(count)
+    ]
+
+
+@pytest.mark.parametrize("certified", [False, True])
+def test_the_oldest_sessions_of_each_party_stay(certified: bool) -> None:
+    many, few = links("ugv_0", 100, certified), links("uav_0", PLACES, certified)
+    since = dict.fromkeys((*many, *few), 0.0)
+    claims = {} if certified else {link.zid: {link.zid[:5]} for link in since}
+    assert surplus(since, claims, GRACE) == many[PLACES:]
+    assert surplus(since, claims, 0.9 * GRACE) == []
+
+
+def test_of_nobodys_sessions_the_oldest_stay_and_newcomers_have_time() -> None:
+    """Who was there before a flood is not disturbed, and who comes in it can say who it is."""
+    old, new = links("old", NAMELESS + 10), links("new", NEWCOMERS + 10)
+    since = dict.fromkeys(old, 0.0) | dict.fromkeys(new, 10.0)
+    assert surplus(since, {}, 10.0 + 0.5 * GRACE) == old[NAMELESS:] + new[:10]
+    assert surplus(since, {new[0].zid: {"uav_0"}}, 10.0) == old[NAMELESS:] + new[1:10]
+
+
+def test_nobody_can_have_anothers_session_ended_by_a_claim() -> None:
+    mine, theirs = links("ugv_0", 20), links("uav_0", 2)
+    since = dict.fromkeys((*mine, *theirs), 0.0)
+    claims = {link.zid: {"ugv_0"} for link in since}
+    claims |= {link.zid: {"ugv_0", "uav_0"} for link in theirs}
+    assert surplus(since, claims, 10.0) == mine[PLACES:]
+
+
+def test_connections_are_found_however_their_addresses_are_written() -> None:
+    """IPv6, IPv4 within IPv6, and IPv4; what is not there is not found."""
+    one, two = free_port(), free_port()
+    listen = (f"tcp/[::]:{one}", f"tcp/127.0.0.1:{two}")
+    connect = (f"tcp/[::1]:{one}", f"tcp/127.0.0.1:{one}", f"tcp/127.0.0.1:{two}")
+    with ExitStack() as stack:
+        router = stack.enter_context(open_session(SIMULATOR, RUN, listen=listen))
+        clients = [
+            stack.enter_context(open_session(SIMULATOR, RUN, connect=endpoint))
+            for endpoint in connect
+        ]
+        there = [Link(str(x.zid), x.src, x.dst, None) for x in router._zenoh.info.links()]
+        assert {link.zid for link in there} == {client.id for client in clients}
+        ended = end_connections([*there, there[0]._replace(dst="tcp/[::1]:1")])
+        assert sorted(ended) == sorted(there)
+        gone = {link.dst for link in there}
+        await_that(lambda: not gone & addresses(router))
+
+
+def addresses(router: Session) -> set[str]:
+    return {link.dst for link in router._zenoh.info.links()}
+
+
+def await_that(holds: Callable[[], bool], seconds: float = 20.0) -> None:
+    limit = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < limit
+        time.sleep(0.01)
+
+
+def raw(endpoint: str, credential: Credential) -> zenoh.Session:
+    """A session that does not say whose it is; as all of Zenoh's it connects again when its connection is ended."""
+    wanted = session._COMMON | session._CLIENT | client_settings(credential)
+    return zenoh.open(session._config(wanted | {"connect/endpoints": [endpoint]}))
+
+
+@contextmanager
+def flooded(protocol: str, count: int, *, claimed: bool = False) -> Iterator[tuple[Session, str]]:
+    """A router to which one vehicle opens so many sessions, after one that it uses; and that one's address."""
+    given, endpoint = GIVEN[protocol], f"{protocol}/127.0.0.1:{free_port()}"
+    rogue = given.of("ugv_0")
+    with (
+        open_session(SIMULATOR, RUN, listen=(endpoint,), given=given) as router,
+        ExitStack() as stack,
+    ):
+        honest = stack.enter_context(
+            open_session(rogue.party, RUN, connect=endpoint, credential=rogue)
+        )
+        honest.announce()
+        (first,) = router._zenoh.info.links()
+        for _ in range(count):
+            opened = stack.enter_context(raw(endpoint, rogue))
+            if claimed:
+                own = session_token(RUN, "ugv_0", str(opened.zid()))
+                stack.enter_context(opened.liveliness().declare_token(own))
+        yield router, first.dst
+
+
+@pytest.mark.parametrize(
+    ("protocol", "claimed", "left"),
+    [("tcp", False, NAMELESS), ("tcp", True, PLACES - 1), ("tls", False, PLACES - 1)],
+    ids=["nameless", "claimed", "certified"],
+)
+def test_one_vehicle_with_hundreds_of_sessions_keeps_no_other_out(
+    protocol: str,
+    claimed: bool,
+    left: int,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Its own first one stays connected, and a few beside it; the rest are ended whenever they come again."""
+    monkeypatch.setattr(session_limit, "GRACE", 0.3)
+    monkeypatch.setattr(session_limit, "_PAUSE", 0.02)
+    with flooded(protocol, 300, claimed=claimed) as (router, first):
+        there = addresses(router)
+        uav, endpoint = GIVEN[protocol].of("uav_0"), router._zenoh.info.links()[0].src
+        with open_session(uav.party, RUN, connect=endpoint, credential=uav) as late:
+            late.announce()
+            (mine,) = [x.dst for x in router._zenoh.info.links() if str(x.zid) == late.id]
+            await_that(lambda: len(there & addresses(router)) <= 1 + left)
+            assert {first, mine} <= addresses(router)
+    told = [r.getMessage() for r in caplog.records if r.levelno == logging.WARNING]
+    assert len(told) == 1
+    assert "were ended" in told[0]
+
+
+def test_a_party_claims_sessions_in_its_own_name_alone() -> None:
+    given, endpoint = GIVEN["tcp"], f"tcp/127.0.0.1:{free_port()}"
+    heard: list[str] = []
+    with (
+        open_session(SIMULATOR, RUN, listen=(endpoint,), given=given) as router,
+        raw(endpoint, given.of("ugv_0")) as rogue,
+    ):
+        router._zenoh.liveliness().declare_subscriber(
+            session_token(RUN, "*", "*"), lambda sample: heard.append(str(sample.key_expr))
+        )
+        claims = [session_token(RUN, name, "a") for name in ("uav_0", "simulator", "ugv_0")]
+        kept = [rogue.liveliness().declare_token(claim) for claim in claims]
+        await_that(lambda: bool(heard))
+        assert heard == [claims[-1]]
+        assert kept
