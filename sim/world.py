@@ -3,7 +3,7 @@
 Arrays have an axis for vehicles, in name order. One seed, one secret and the same commands give the same bits.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from sim.engine.batch import Batch
 from sim.engine.links import Links
@@ -23,6 +23,10 @@ class Look(NamedTuple):
     """p_a - p_g with noise [m]."""
 
 
+_KEPT = ("scenario", "seed", "_batch", "names", "uavs", "parameters", "links", "_tick", "received")
+"""What a copy of a world is made of: the views are its own."""
+
+
 class World:
     """The true state of one run.
 
@@ -40,22 +44,31 @@ class World:
         self.seed = seed
         self._batch = Batch(scenario, 1, gains=gains, threads=1, secret=secret)
         self._batch.begin((seed,))
-        state, tables = self._batch.state, self._batch.tables
-        self._sent = state.sent[0]
-        self.keys = state.keys[0]
-        """Of all random numbers. Shape (RUN_PURPOSES, vehicles, 2)."""
         self.names: tuple[str, ...] = tuple(vehicle.name for vehicle in scenario.vehicles)
         """Vehicles in the order of every array."""
         self.uavs: tuple[Uav, ...] = tuple(
             vehicle for vehicle in scenario.vehicles if isinstance(vehicle, Uav)
         )
+        self.parameters = self._batch.parameters
+        self.links = Links(scenario, self._batch)
+        """What messages cross."""
+        self._tick = 0
+        self._bind()
+        self.received = self._received()
+        """The detections that have reached each UAV's computer at this tick, in the order of arrival."""
+
+    def _bind(self) -> None:
+        """Name the batch's arrays: views, which stay the same ones."""
+        state, tables = self._batch.state, self._batch.tables
+        self._sent = state.sent[0]
+        self.keys = state.keys[0]
+        """Of all random numbers. Shape (RUN_PURPOSES, vehicles, 2)."""
         self.escorts = tables.escorts
         """Rows (UAV, UGV), one for each UAV, in name order."""
         self.bounds = tables.bounds
         """v_max [m/s] and u_max [m/s²] of each vehicle."""
-        self.parameters = self._batch.parameters
         self.state: WorldState = truth_of.py_func(state.truth, 0)  # type: ignore[attr-defined]
-        """Everything that is true but for the links; its arrays stay the same ones."""
+        """Everything that is true but for the links."""
         self.position = self.state.position
         """Positions [m], shape (vehicles, 2)."""
         self.velocity = self.state.velocity
@@ -68,19 +81,16 @@ class World:
         """The relative position each UAV has detected at this tick [m]; NaN where none. Shape (UAVs, 2)."""
         self.commands: FloatArray = self.state.commands
         """What each vehicle acted on in the last tick, before the bounds [m/s²], shape (vehicles, 2)."""
-        self.links = Links(scenario, self._batch)
-        """What messages cross."""
-        self.received = self._received()
-        """The detections that have reached each UAV's computer at this tick, in the order of arrival."""
-        self._tick = 0
-        self._measured = (
-            tables.world,
-            self.position,
-            self.escorts,
-            self.coverage,
-            self.state.measures,
-        )
+        measured = self.position, self.escorts, self.coverage, self.state.measures
+        self._measured = tables.world, *measured
         self._measure = entry_point(measure, *self._measured)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: self.__dict__[name] for name in _KEPT}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        self.__dict__.update(kept)
+        self._bind()
 
     @property
     def tick(self) -> int:

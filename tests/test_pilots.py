@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
 
-from agents.drivers.waypoints import WaypointDriver, goal_control
+from agents.drivers.compiled import WaypointDriver
+from agents.drivers.waypoints import goal_control
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.errors import ScenarioError

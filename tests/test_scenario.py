@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from refusals import SHIPPED, SMALL, refusal, written
 
-from agents.drivers.waypoints import WaypointDriver
+from agents.drivers.compiled import WaypointDriver
 from bus.errors import ScenarioError
 from bus.messages import Law, UgvObservation
 from sim.engine.briefing import briefing

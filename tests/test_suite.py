@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_closed_loop import SCENARIOS
+from worlds import SCENARIOS
 
 from bus.messages import Command
 from outrider.cli import main
@@ -172,7 +172,7 @@ def test_what_is_certified_out_of_sight_is_told_with_the_score(
         """Sight ends at two metres, and the filter was told another r_v."""
 
         def begin(self, seeds: Any, worlds: Any = None) -> None:
-            self.parameters = self.parameters._replace(w=self.parameters.w._replace(r_v=2.0))
+            self.tables.batch.world["r_v"] = 2.0
             super().begin(seeds, worlds)
 
     assert SLOW.evaluate("certified", seeds=[9000], secret=SECRET).certified_while_lost == 0

@@ -365,31 +365,3 @@ def guard(
         code,
         certified_distance(p_x, p_y, tick * c.dt, state.detections, c.eps, c.v_g),
     )
-
-
-def pack_promise(promise: Promise) -> FloatArray:
-    """The promise as a row of numbers, in the order of its fields; the rows of many worlds make one array.
-
-    Shape (13,).
-    """
-    return np.array(promise, dtype=np.float64)
-
-
-@compiled
-def unpack_promise(row: FloatArray) -> Promise:
-    """The promise that `pack_promise` has made this row of."""
-    return Promise(
-        dt=row[0],
-        eps=row[1],
-        age=row[2],
-        delay=row[3],
-        r_v=row[4],
-        v_a=row[5],
-        u_a=row[6],
-        v_g=row[7],
-        width=row[8],
-        height=row[9],
-        handover=row[10],
-        reach=row[11],
-        hold=row[12],
-    )

@@ -28,7 +28,7 @@ from bus.messages import Law, UavBriefing
 from bus.registry import LAWS, SENSORS, LawRow, SensorRow
 from sim.kernels.compile import FloatArray, compiled
 from sim.models.field import coverage_gradient, is_uncovered, nearest_uncovered
-from sim.models.randomness import START_DIRECTION, Key, uniform, words_of
+from sim.models.randomness import START_DIRECTION, uniform, words_of
 from sim.models.vehicles import clip_norm, norm
 
 TRACKING = LAWS["tracking"].code
@@ -77,7 +77,9 @@ class LawParameters(NamedTuple):
     r_pv: float
     omega: float
     margin: float
-    key: Key
+    key_0: np.uint64
+    key_1: np.uint64
+    """The UAV's own random numbers."""
 
 
 class OwnTerms(NamedTuple):
@@ -113,15 +115,16 @@ def law_parameters(briefing: UavBriefing, law: Law) -> LawParameters:
     """The numbers of one law for one UAV.
 
     Raises:
-        ScenarioError: If the law or the sensor is unknown, or the UAV too weak for the law's r_s.
+        ScenarioError: If the law or the sensor is unknown, the law has no branch, or the UAV is too weak for r_s.
     """
+    key_0, key_1 = words_of(briefing.key)
     v_a, u_a = number(briefing.limits.max_speed), number(briefing.limits.max_acceleration)
     v_g = number(briefing.target_limits.max_speed)
     row = _row(LAWS, law.name, "law.name")
     v_ref = law.reference_speed if law.reference_speed is not None else v_a
     radius = switching_radius if row.needs_radius else raw_switching_radius
     r_s = float(radius(briefing.visibility_radius, v_a, v_g, u_a))
-    return LawParameters(
+    parameters = LawParameters(
         law=row.code,
         dt=float(briefing.dt),
         width=float(briefing.area.width),
@@ -145,44 +148,15 @@ def law_parameters(briefing: UavBriefing, law: Law) -> LawParameters:
         r_pv=float(law.circle_radius if law.circle_radius is not None else r_s),
         omega=float(law.circle_rate),
         margin=float(border_distance(v_a if math.isfinite(v_a) else v_ref, u_a, briefing.dt)),
-        key=words_of(briefing.key),
+        key_0=key_0,
+        key_1=key_1,
     )
-
-
-def pack_law(parameters: LawParameters) -> FloatArray:
-    """The numbers of a law as an array, for a table of many vehicles; all but the key. Shape (23,)."""
-    return np.array(parameters[:-1], dtype=np.float64)
-
-
-@compiled
-def unpack_law(row: FloatArray, key: Key) -> LawParameters:
-    """The parameters that `pack_law` has packed, with the key of this world's pilot."""
-    return LawParameters(
-        int(row[0]),
-        row[1],
-        row[2],
-        row[3],
-        row[4],
-        row[5],
-        row[6],
-        row[7],
-        int(row[8]),
-        row[9],
-        row[10],
-        row[11],
-        row[12],
-        row[13],
-        row[14],
-        row[15],
-        row[16],
-        row[17],
-        row[18],
-        row[19],
-        row[20],
-        row[21],
-        row[22],
-        key,
-    )
+    if math.isnan(weights(parameters, OwnTerms(), 1.0)[0]):
+        raise ScenarioError(
+            f"law.name = {law.name!r}: has a row in bus.registry, but no branch in "
+            f"{__name__}.weights"
+        )
+    return parameters
 
 
 def initial_state() -> FloatArray:
@@ -204,15 +178,15 @@ def way_to_uncovered(
     """The symmetry breaker (7) with its point held until it is covered or leaves the support of the density.
 
     Returns:
-        Whether anything is uncovered at all, and the direction.
+        True if anything is uncovered at all, and the direction.
     """
-    c = parameters
+    c, key = parameters, (parameters.key_0, parameters.key_1)
     held = state[_HELD] != 0.0 and is_uncovered(
         coverage, state[_Q], state[_Q + 1], p_gx, p_gy, c.r_o, c.desired, c.cell
     )
     if not held:
         held, state[_Q], state[_Q + 1] = nearest_uncovered(
-            coverage, p_ax, p_ay, p_gx, p_gy, c.r_o, c.desired, c.cell, c.key, tick
+            coverage, p_ax, p_ay, p_gx, p_gy, c.r_o, c.desired, c.cell, key, tick
         )
         state[_HELD] = 1.0 if held else 0.0
     if not held:
@@ -220,7 +194,7 @@ def way_to_uncovered(
     u_x, u_y = symmetry_breaker(state[_Q], state[_Q + 1], p_ax, p_ay, 1.0)
     if norm(u_x, u_y) < _ON_THE_SPOT:
         # Deviation: (10) would divide by zero right over the point. Any direction is as good: draw one.
-        angle = 2.0 * math.pi * uniform(c.key, START_DIRECTION, tick, 0)
+        angle = 2.0 * math.pi * uniform(key, START_DIRECTION, tick, 0)
         u_x, u_y = math.cos(angle), math.sin(angle)
     return True, u_x, u_y
 

@@ -133,29 +133,6 @@ def kalman_parameters(
     )
 
 
-def pack_kalman(parameters: KalmanParameters) -> FloatArray:
-    """The parameters as a row, so that those of many worlds make one array."""
-    return np.array(parameters, dtype=np.float64)
-
-
-@borrowing
-def unpack_kalman(row: FloatArray) -> KalmanParameters:
-    """The parameters of one row from `pack_kalman`."""
-    return KalmanParameters(
-        dt=row[0],
-        variance=row[1],
-        first_variance=row[2],
-        q_pp=row[3],
-        q_pv=row[4],
-        q_vv=row[5],
-        speed=row[6],
-        acceleration=row[7],
-        gate=row[8],
-        patience=int(row[9]),
-        enabled=row[10] != 0.0,
-    )
-
-
 def kalman_state(depth: int) -> KalmanState:
     """A filter that believes nothing yet.
 

@@ -11,26 +11,19 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from agents.control.guard import GuardState, guard_state, pack_promise
-from agents.control.handover import check_assumptions
+from agents.control.guard import GuardState, guard_state
+from agents.control.handover import Promise, check_assumptions
 from agents.control.laws import (
     STATE_SIZE,
     WATCHED,
     LawParameters,
     law_parameters,
-    pack_law,
 )
 from agents.control.visibility import promise_of
-from agents.drivers.compiled import (
-    COMPILED_DRIVERS,
-    driver_goals,
-    driver_parameters,
-    driver_script,
-    fresh_driver_state,
-    pack_driver,
-)
+from agents.drivers.compiled import driver_parameters, driver_state, told_route
+from agents.drivers.parameters import COMPILED_DRIVERS, DriverParameters
 from agents.estimation.past import SPAN
-from agents.estimation.twin import KalmanState, kalman_parameters, kalman_state, pack_kalman
+from agents.estimation.twin import KalmanParameters, KalmanState, kalman_parameters, kalman_state
 from agents.uav import RADIO_PERIOD
 from bus.errors import ScenarioError
 from bus.layout import UgvRow
@@ -65,6 +58,8 @@ from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights, full_error
 from sim.kernels.compile import FloatArray, IntArray, compiling
 from sim.kernels.prefetch import disc_widths
+from sim.kernels.records import records
+from sim.models.randomness import PILOT
 from sim.scenario.types import Scenario
 
 _TRACK = 120.0
@@ -207,10 +202,8 @@ class ClosedLoop:
                 [self.ugvs.index(self.names[g]) for g in self.batch.tables.escorts[:, 1]],
                 dtype=np.int64,
             ),
-            laws=crew.laws,
             kalman=crew.kalman,
             promises=crew.promises,
-            drivers=crew.drivers,
             tolerances=np.array([ugv.goal_tolerance for ugv in crew.told_ugvs], dtype=np.float64),
             goals=goals,
             goal_rows=goal_rows,
@@ -234,10 +227,12 @@ class ClosedLoop:
             batch=self.batch.state,
             maps=np.zeros((worlds, uavs if self.parameters.own_maps else 0, *coverage.shape[1:])),
             sent=np.zeros((worlds, uavs, int(crew.delays.max()) + 1, 2)),
-            laws=np.zeros((worlds, uavs, STATE_SIZE)),
+            laws=np.repeat(crew.laws[None], worlds, axis=0),
+            drivers=np.repeat(crew.drivers[None], worlds, axis=0),
+            law_states=np.zeros((worlds, uavs, STATE_SIZE)),
             kalman=KalmanState._make(_repeated(kalman, worlds, uavs)),
             guards=GuardState._make(_repeated(guards, worlds, uavs)),
-            drivers=_repeated((fresh_driver_state(),), worlds, ugvs)[0],
+            driver_states=_repeated((driver_state(),), worlds, ugvs)[0],
             outbox=np.full((worlds, uavs, 3), -1.0),
             radio=radio.states,
             inbox=np.zeros((worlds, radio.room if listening else 1, 3)),
@@ -276,6 +271,13 @@ class ClosedLoop:
         """
         which = self.batch.restore(seeds, worlds)
         self._fresh.restore(which)
+        keys = self.state.batch.keys[which, PILOT]
+        for rows, vehicles in (
+            (self.state.laws, self.tables.batch.escorts[:, 0]),
+            (self.state.drivers, self.tables.ugv_rows),
+        ):
+            for word, name in enumerate(("key_0", "key_1")):
+                rows[name][which] = keys[:, vehicles, word]
         self._run(which, _NO_ACTIONS, 0, beginning=True)
 
     def step(self, actions: FloatArray) -> None:
@@ -376,7 +378,7 @@ class _Crew:
             for one in told_uavs
         ]
         promises = [promise_of(one) for one in told_uavs]
-        self.laws = np.stack([pack_law(law) for law in laws])
+        self.laws = records(LawParameters, laws)
         self.slowest = max(promises, key=lambda promise: promise.delay)
         self.delays = np.array(
             [round(promise.delay / promise.dt) for promise in promises], dtype=np.int64
@@ -385,20 +387,19 @@ class _Crew:
             [math.floor(one.certificate.age / one.dt + DUST) for one in told_uavs], dtype=np.int64
         )
         self.bounded = np.array([_is_bounded(one) for one in told_uavs])
-        self.promises = np.stack([pack_promise(promise) for promise in promises])
+        self.promises = records(Promise, promises)
         self.faults = np.array([bool(check_assumptions(promise)) for promise in promises])
-        self.kalman = np.stack(
+        self.kalman = records(
+            KalmanParameters,
             [
-                pack_kalman(
-                    kalman_parameters(
-                        detector=one.detector,
-                        target=one.target_limits,
-                        dt=one.dt,
-                        settings=one.estimator,
-                    )
+                kalman_parameters(
+                    detector=one.detector,
+                    target=one.target_limits,
+                    dt=one.dt,
+                    settings=one.estimator,
                 )
                 for one in told_uavs
-            ]
+            ],
         )
         outside = np.array([name in external for name in uavs])
         self.guarded = np.array([law.law in WATCHED for law in laws]) & ~outside | outside & shield
@@ -407,14 +408,16 @@ class _Crew:
             self._driver(one, chosen.get(one.vehicle), outside=one.vehicle in external)
             for one in self.told_ugvs
         ]
-        self.drivers = np.stack(
+        self.drivers = records(
+            DriverParameters,
             [
-                pack_driver(driver_parameters(one, name))
+                driver_parameters(one, name)
                 for one, name in zip(self.told_ugvs, drivers, strict=True)
-            ]
+            ],
         )
-        self.goals = [driver_goals(one) for one in self.told_ugvs]
-        self.scripts = [driver_script(one) for one in self.told_ugvs]
+        routes = [told_route(one) for one in self.told_ugvs]
+        self.goals = [route.goals for route in routes]
+        self.scripts = [route.script for route in routes]
         self.radio = any(
             DRIVERS[name].listens and one.vehicle not in external
             for name, one in zip(drivers, self.told_ugvs, strict=True)

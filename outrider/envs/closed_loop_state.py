@@ -8,6 +8,7 @@ from bus.layout import GradientCue, UavRow
 from sim.channel.link import LinkState, LinkTable
 from sim.engine.world_state import BatchState, BatchTables
 from sim.kernels.compile import FloatArray, IntArray
+from sim.kernels.records import RecordArray
 
 UAV_ROW = len(UavRow._fields) + len(GradientCue._fields)
 """Numbers of a UAV's row: `UavRow`, then `GradientCue`."""
@@ -92,10 +93,10 @@ class LoopTables(NamedTuple):
     """For each UAV whether no detection can have a larger error than is declared. Shape (UAVs,)."""
     listeners: IntArray
     """For each UAV the row among the UGVs of the one that hears it. Shape (UAVs,)."""
-    laws: FloatArray
-    kalman: FloatArray
-    promises: FloatArray
-    drivers: FloatArray
+    kalman: RecordArray
+    """`KalmanParameters` of each UAV. Shape (UAVs,)."""
+    promises: RecordArray
+    """`Promise` of each UAV. Shape (UAVs,)."""
     tolerances: FloatArray
     """Goal tolerance of each UGV [m]. Shape (UGVs,)."""
     goals: FloatArray
@@ -124,10 +125,16 @@ class LoopState(NamedTuple):
 
     Shape (worlds, UAVs, largest delay + 1, 2).
     """
-    laws: FloatArray
+    laws: RecordArray
+    """`LawParameters` of each UAV, with the key of its pilot in this world. Shape (worlds, UAVs)."""
+    drivers: RecordArray
+    """`DriverParameters` of each UGV, likewise. Shape (worlds, UGVs)."""
+    law_states: FloatArray
+    """Shape (worlds, UAVs, STATE_SIZE)."""
     kalman: KalmanState
     guards: GuardState
-    drivers: FloatArray
+    driver_states: FloatArray
+    """Shape (worlds, UGVs, DRIVER_STATE)."""
     outbox: FloatArray
     """The radio message that each UAV has just sent: the tick of it (-1: none), p_delta [m]. Shape (worlds, UAVs, 3)."""
     radio: LinkState

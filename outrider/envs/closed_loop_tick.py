@@ -6,10 +6,12 @@ give over the bus. One pass a world, so that its grid stays near the core until 
 
 from agents.control.certificate import CERTIFIED as NOTHING_AGAINST
 from agents.control.certificate import INNER
-from agents.control.guard import GuardState, guard, note_detection, note_position, unpack_promise
-from agents.control.laws import OwnTerms, bounded_uav_control, unpack_law
-from agents.drivers.compiled import ugv_control, unpack_driver
-from agents.estimation.twin import AGE, KalmanState, kalman_estimate, kalman_step, unpack_kalman
+from agents.control.guard import GuardState, guard
+from agents.control.laws import OwnTerms
+from agents.control.uav_tick import Motion, UavMemory, uav_perceive, uav_tick
+from agents.drivers.parameters import Route
+from agents.drivers.ugv_tick import ugv_tick
+from agents.estimation.twin import AGE, KalmanState, kalman_estimate, kalman_step
 from outrider.envs.closed_loop_state import (
     ACTED,
     ARRIVALS,
@@ -39,16 +41,16 @@ from outrider.envs.closed_loop_state import (
 from sim.channel.link import advance as begin_tick
 from sim.channel.link import receive, send
 from sim.engine.link_arrays import link_of
-from sim.engine.world_state import ANSWERED, LOOK_X, LOOK_Y, TAKEN, U_X, U_Y
+from sim.engine.world_state import ANSWERED, LOOK_X, LOOK_Y, TAKEN, U_X, U_Y, WorldState
 from sim.engine.world_tick import begin_world, world_tick
 from sim.env.patch import sample
 from sim.env.rewards import uav_terms, ugv_terms
 from sim.env.rows import turn
 from sim.kernels.compile import FloatArray, IntArray, inlined, released
 from sim.kernels.prefetch import fetch_disc, fetch_rows
-from sim.models.field import accumulate, coverage_error, coverage_gradient
-from sim.models.randomness import PILOT, key_of
-from sim.models.vehicles import brake, norm
+from sim.models.field import coverage_error, coverage_gradient
+from sim.models.randomness import key_of
+from sim.models.vehicles import norm
 
 _SAID, _SENT_X, _SENT_Y = range(3)
 
@@ -67,27 +69,18 @@ def _kalman_of(s: KalmanState, k: int, u: int) -> KalmanState:
 
 
 @inlined
-def _wanted(
-    p: LoopParameters, t: LoopTables, s: LoopState, k: int, v: int, u: int
-) -> tuple[float, float]:
-    """What the law of UAV u, vehicle v, wants [m/s²]; before the first detection it stays where it is."""
-    law, tick = unpack_law(t.laws[u], key_of(s.batch.keys[k], PILOT, v)), s.batch.ticks[k]
-    position, velocity = s.batch.truth.position[k], s.batch.truth.velocity[k]
-    known, g_x, g_y = kalman_estimate(_kalman_of(s.kalman, k, u))
-    if not known:
-        return brake(velocity[v, 0], velocity[v, 1], law.u_max, law.dt)
-    return bounded_uav_control(
-        law,
-        OwnTerms(1.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        s.maps[k, u] if p.own_maps else s.batch.truth.coverage[k],
-        s.laws[k, u],
-        tick,
-        position[v, 0],
-        position[v, 1],
-        velocity[v, 0],
-        velocity[v, 1],
-        g_x,
-        g_y,
+def _memory_of(p: LoopParameters, t: LoopTables, s: LoopState, k: int, u: int) -> UavMemory:
+    coverage = s.maps[k, u] if p.own_maps else s.batch.truth.coverage[k]
+    return UavMemory(coverage, s.law_states[k, u], _guard_of(t, s.guards, k, u))
+
+
+@inlined
+def _motion_of(truth: WorldState, k: int, v: int) -> Motion:
+    return Motion(
+        truth.position[k, v, 0],
+        truth.position[k, v, 1],
+        truth.velocity[k, v, 0],
+        truth.velocity[k, v, 1],
     )
 
 
@@ -97,24 +90,22 @@ def _fly(
 ) -> None:
     """The command of UAV u, vehicle v, and what it radios."""
     tick, seat = s.batch.ticks[k], s.uav_seats[k, u]
-    position, velocity = s.batch.truth.position[k], s.batch.truth.velocity[k]
-    if t.hand[v] >= 0:
-        u_x, u_y = actions[t.hand[v], 0], actions[t.hand[v], 1]
-    else:
-        u_x, u_y = _wanted(p, t, s, k, v, u)
-    if t.guarded[u]:
-        promise = unpack_promise(t.promises[u])
-        u_x, u_y, acts, code, seat[BOUND] = guard(
-            promise,
-            _guard_of(t, s.guards, k, u),
-            tick,
-            position[v, 0],
-            position[v, 1],
-            velocity[v, 0],
-            velocity[v, 1],
-            u_x,
-            u_y,
+    here, law, guarded = _motion_of(s.batch.truth, k, v), s.laws[k, u], t.guarded[u] != 0
+    memory, target = _memory_of(p, t, s, k, u), kalman_estimate(_kalman_of(s.kalman, k, u))
+    if t.hand[v] < 0:
+        own = OwnTerms(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        u_x, u_y, acts, code, bound = uav_tick(
+            law, t.promises[u], guarded, memory, own, tick, here, target
         )
+    else:
+        u_x, u_y = actions[t.hand[v], 0], actions[t.hand[v], 1]
+        acts, code, bound = INNER, NOTHING_AGAINST, 0.0
+        if guarded:
+            u_x, u_y, acts, code, bound = guard(
+                t.promises[u], memory.guard, tick, here.p_x, here.p_y, here.v_x, here.v_y, u_x, u_y
+            )
+    if guarded:
+        seat[BOUND] = bound
         seat[ACTED] = 1.0 if acts != INNER else 0.0
         before, seat[SURE] = (
             seat[SURE],
@@ -130,12 +121,12 @@ def _fly(
     sent = s.batch.sent[k, v]
     sent[ANSWERED], sent[U_X], sent[U_Y] = tick, u_x, u_y
     if p.radio:
-        known, g_x, g_y = kalman_estimate(_kalman_of(s.kalman, k, u))
+        known, g_x, g_y = target
         says = known and tick % p.radio_ticks == 0
         s.outbox[k, u, _SAID] = tick if says else -1.0
         s.outbox[k, u, _SENT_X], s.outbox[k, u, _SENT_Y] = (
-            position[v, 0] - g_x,
-            position[v, 1] - g_y,
+            here.p_x - g_x,
+            here.p_y - g_y,
         )
 
 
@@ -149,20 +140,22 @@ def _drive(
     if t.hand[v] >= 0:
         sent[U_X], sent[U_Y] = actions[t.hand[v], 0], actions[t.hand[v], 1]
         return
-    position, velocity = s.batch.truth.position[k], s.batch.truth.velocity[k]
-    sent[U_X], sent[U_Y] = ugv_control(
-        unpack_driver(t.drivers[g], key_of(s.batch.keys[k], PILOT, v)),
+    here = _motion_of(s.batch.truth, k, v)
+    route = Route(
         t.goals[t.goal_rows[g] : t.goal_rows[g + 1]],
         t.scripts[t.script_rows[g] : t.script_rows[g + 1]],
+    )
+    sent[U_X], sent[U_Y] = ugv_tick(
         s.drivers[k, g],
+        route,
+        s.driver_states[k, g],
         s.heard[k, g],
         s.hearing[k, g],
         tick,
-        tick * t.batch.world[0].dt,
-        position[v, 0],
-        position[v, 1],
-        velocity[v, 0],
-        velocity[v, 1],
+        here.p_x,
+        here.p_y,
+        here.v_x,
+        here.v_y,
     )
 
 
@@ -188,30 +181,25 @@ def _listen(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
 @inlined
 def _perceive(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
     """Every UAV takes what has reached it at this tick into its map and its filters; the UGVs listen."""
-    w, escorts, tick = t.batch.world[0], t.batch.escorts, s.batch.ticks[k]
-    position, looks, arrived = s.batch.truth.position[k], s.batch.received[k], s.batch.arrived[k]
+    escorts, tick = t.batch.escorts, s.batch.ticks[k]
+    looks, arrived = s.batch.received[k], s.batch.arrived[k]
+    looked = 1 if p.own_maps and tick > 0 else 0  # else the world has done it
     for u in range(escorts.shape[0]):
-        x, y = position[escorts[u, 0], 0], position[escorts[u, 0], 1]
-        if p.own_maps and tick > 0:
-            accumulate(s.maps[k, u], x, y, w.sensor, w.peak, w.reach, w.cell, w.dt)
-        if t.guarded[u]:
-            promise, memory = unpack_promise(t.promises[u]), _guard_of(t, s.guards, k, u)
-            note_position(memory, tick, x, y)
-            for n in range(arrived[u]):
-                taken = int(looks[u, n, TAKEN])
-                note_detection(
-                    promise, memory, taken, tick, looks[u, n, LOOK_X], looks[u, n, LOOK_Y], x, y
-                )
+        here = _motion_of(s.batch.truth, k, escorts[u, 0])
+        uav_perceive(
+            s.laws[k, u],
+            t.promises[u],
+            t.guarded[u] != 0,
+            _memory_of(p, t, s, k, u),
+            looked,
+            tick,
+            here,
+            looks[u],
+            arrived[u],
+        )
         if t.thinking[u]:
-            kalman_step(
-                unpack_kalman(t.kalman[u]),
-                _kalman_of(s.kalman, k, u),
-                tick,
-                x,
-                y,
-                looks[u],
-                arrived[u],
-            )
+            kalman = _kalman_of(s.kalman, k, u)
+            kalman_step(t.kalman[u], kalman, tick, here.p_x, here.p_y, looks[u], arrived[u])
     if p.radio:
         _listen(p, t, s, k)
 
@@ -466,6 +454,7 @@ def _fetch_rows(s: LoopState, k: int) -> None:
         k,
     )  # type: ignore[call-arg]
     fetch_rows((truth.detections, truth.gains, s.kalman.numbers, s.uav_seats, s.ugv_seats), k)
+    fetch_rows((s.laws, s.drivers, s.law_states, s.driver_states), k)
     fetch_rows((b.sent, s.uav_rows, s.ugv_rows, s.rewards, s.terminated, s.truncated), k)
 
 

@@ -183,6 +183,9 @@ class Batch:
         """
         self.crew.share(self._step, self.worlds, self.tables, self.state, linked)
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_step"}
+
     @functools.cached_property
     def _step(self) -> Callable[..., object]:
         return entry_point(_step_worlds, self.tables, self.state, True, 0, 1)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 RecordArray = npt.NDArray[np.void]
 """A structured array, one row each."""
 
-_KINDS = {float: np.float64, int: np.int64, bool: np.bool_}
+_KINDS = {float: np.float64, int: np.int64, bool: np.bool_, np.uint64: np.uint64}
 
 
 def record_type(fields: type[NamedTuple]) -> np.dtype[np.void]:

@@ -37,6 +37,9 @@ class Crew:
         self._owner = -1  # a process that was forked has the pool's object, but not its threads
         self._lock = threading.Lock()
 
+    def __reduce__(self) -> tuple[type["Crew"], tuple[int]]:
+        return Crew, (self.threads,)  # a copy has threads of its own
+
     def share(self, work: Callable[..., object], count: int, *arguments: object) -> None:
         """Call `work(*arguments, begin, end)` so that the ranges cover 0 to `count`, and wait for all of them.
 

@@ -14,7 +14,7 @@ from bus.errors import PeerLost
 from outrider.experiments.sweep.folder import SweepFolder
 from outrider.experiments.sweep.plan import Plan
 from outrider.experiments.sweep.worker import fly_runs, installed_version
-from outrider.running.watchdog import deaf_to_interrupts
+from outrider.running.watchdog import interrupts_masked
 from sim.scenario.types import Scenario
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def _results(
     with parallel_config(**backend, n_jobs=jobs):
         parent = os.getpid() if client is None else None
         calls = (delayed(fly_runs)(task.scenario, task.seeds, parent) for task in tasks)
-        with deaf_to_interrupts():
+        with interrupts_masked():
             results = Parallel(
                 return_as="generator_unordered", batch_size=1, pre_dispatch="3*n_jobs"
             )(calls)
