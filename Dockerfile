@@ -3,7 +3,7 @@
 # Behind a package mirror, give pip's configuration as a secret, which leaves no trace: docker build --secret id=pip_conf,src=pip.conf .
 
 # The base may be any image with Python 3.11 or newer on Debian. By its digest it is the same one for ever:
-# docker build --build-arg BASE=python:3.11-slim@sha256:... ; docs/deployment.md says where the digest is found.
+# docker build --build-arg BASE=python:3.11-slim@sha256:... ; docs/how-to/deployment.md says where the digest is found.
 ARG BASE=python:3.11-slim
 
 # What builds stays in the first stages.

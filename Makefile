@@ -2,27 +2,31 @@
 PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
+# Errors alone are shown: what an index lacks, or that one is root, concerns nobody who wants to fly.
+PIP    := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --root-user-action ignore
 
 .DEFAULT_GOAL := help
 LEARNERS := sb3 torchrl rllib supersuit
 
-.PHONY: help run test check format figures bench soak kill-test crowd-test compose-test page-test learn-test clean
+.PHONY: help run test long-test check format figures bench docs soak kill-test crowd-test compose-test page-test learn-test clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
 
 $(VENV)/.run: pyproject.toml
-	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Outrider needs Python 3.11 or newer: make PYTHON=python3.11 ...")'
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Outrider needs Python 3.11 or newer: make PYTHON=python3.11 ...")'
+	@echo 'installing Outrider into $(VENV), once'
+	@$(PYTHON) -m venv $(VENV)
+	@$(PIP) --editable .
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.run
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,window,record,drive,dashboard,sweep,dask,falsify,tls]'
+	@echo 'installing what the tests need into $(VENV), once'
+	@$(PIP) --editable '.[dev,window,record,drive,dashboard,sweep,dask,falsify,tls]'
 	@touch $@
 
 run: $(VENV)/.run ## fly the escort scenario as three processes over Zenoh (ARGS="..." for more)
-	$(BIN)/outrider run $(ARGS)
+	@$(BIN)/outrider run $(ARGS)
 
 test: $(VENV)/.dev ## install and run the test suite
 	$(BIN)/python -m pytest -n 2 --dist loadgroup $(ARGS)
@@ -43,6 +47,16 @@ figures: $(VENV)/.run ## the paper's figures and the table of their claims
 bench: $(VENV)/.run ## the speed of each layer beside its limit
 	$(BIN)/outrider bench $(ARGS)
 
+long-test: $(VENV)/.dev ## the tests that repeat for long what a short one of the suite shows
+	$(BIN)/python -m pytest -n 2 --dist loadgroup -m long $(ARGS)
+
+docs: $(VENV)/.docs ## the documentation as a site that works offline, in site/index.html
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict $(ARGS) && echo "open site/index.html"
+
+$(VENV)/.docs: $(VENV)/.run
+	@$(PIP) --editable '.[docs]'
+	@touch $@
+
 soak: $(VENV)/.dev ## an hour of simulated time with random kills: memory, trajectory, nothing left behind
 	$(BIN)/python tools/soak.py $(ARGS)
 
@@ -56,14 +70,14 @@ compose-test: $(VENV)/.run ## the containers, built, flown, killed, paused and c
 	$(BIN)/python tools/compose_test.py $(ARGS)
 
 page-test: $(VENV)/.dev ## the dashboard in a real headless Chromium; gets what it needs, or says in a line what is missing
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check 'playwright>=1.49' || echo 'page-test: playwright cannot be installed'
+	@$(PIP) 'playwright>=1.49' || echo 'page-test: playwright cannot be installed'
 	$(BIN)/python tools/page_test.py --install $(ARGS) || test $$? -eq 77
 
 learn-test: $(LEARNERS:%=learn-test-%) ## the learning libraries, each installed into an environment of its own (learn-test-sb3, ...)
 
 $(VENV)-%/.learn: pyproject.toml
 	$(PYTHON) -m venv $(VENV)-$*
-	$(VENV)-$*/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[$*]' 'pytest>=8.3' 'pytest-timeout>=2.3'
+	$(VENV)-$*/bin/python -m pip install --quiet --quiet --disable-pip-version-check --root-user-action ignore --editable '.[$*]' 'pytest>=8.3' 'pytest-timeout>=2.3'
 	@touch $@
 
 learn-test-%: $(VENV)-%/.learn
@@ -72,4 +86,4 @@ learn-test-%: $(VENV)-%/.learn
 .PRECIOUS: $(VENV)-%/.learn
 
 clean: ## remove the environments and what runs have written
-	rm -rf $(VENV) $(LEARNERS:%=$(VENV)-%) runs figures
+	rm -rf $(VENV) $(LEARNERS:%=$(VENV)-%) runs figures site

@@ -4,22 +4,25 @@ import math
 from collections import deque
 
 import msgspec
+import numpy as np
 
+from agents.control.guard import guard_state
+from agents.control.handover import Promise
 from agents.control.laws import (
-    CERTIFIED,
     PATH,
+    WATCHED,
     WEIGHTED,
     LawParameters,
     OwnTerms,
-    bounded_uav_control,
     initial_state,
     law_parameters,
     number,
 )
 from agents.control.orbit import Path, check_path
-from agents.control.visibility import SafetyFilter, Verdict
+from agents.control.uav_tick import Motion, UavMemory, uav_perceive, uav_tick
+from agents.control.visibility import SafetyFilter, Verdict, promise_of
 from agents.control.weighting import Weighting, check_weighting
-from agents.estimator import Estimate, RelativeEstimator
+from agents.estimation.estimator import Estimate, RelativeEstimator
 from bus.errors import ScenarioError
 from bus.messages import (
     Law,
@@ -30,9 +33,10 @@ from bus.messages import (
     UavReport,
     Vector,
 )
-from sim.compile import FloatArray
-from sim.field import accumulate, cover, coverage_error, empty_coverage
-from sim.vehicles import brake, norm
+from sim.kernels.compile import FloatArray, borrowing, entry_point
+from sim.kernels.records import RecordArray, records
+from sim.models.field import cover, coverage_error, empty_coverage
+from sim.models.vehicles import norm
 
 RADIO_PERIOD = 0.2
 """Time between two radio messages to the UGV [s]."""
@@ -42,8 +46,40 @@ _PATH_HORIZON = 600.0
 
 _NOTHING_OWN = OwnTerms()
 
+_NO_LOOKS = np.zeros((0, 3))
+_NOWHERE = Motion(0.0, 0.0, 0.0, 0.0)
+
 _LONGEST = 500
 """Letters of a text on the bus."""
+
+
+@borrowing
+def _perceive(
+    laws: RecordArray,
+    promises: RecordArray,
+    guarded: bool,
+    memory: UavMemory,
+    looked: int,
+    tick: int,
+    here: Motion,
+    looks: FloatArray,
+) -> None:
+    arrived = looks.shape[0]
+    uav_perceive(laws[0], promises[0], guarded, memory, looked, tick, here, looks, arrived)
+
+
+@borrowing
+def _act(
+    laws: RecordArray,
+    promises: RecordArray,
+    guarded: bool,
+    memory: UavMemory,
+    own: OwnTerms,
+    tick: int,
+    here: Motion,
+    target: tuple[bool, float, float],
+) -> tuple[float, float, int, int, float]:
+    return uav_tick(laws[0], promises[0], guarded, memory, own, tick, here, target)
 
 
 def _report(estimate: Estimate, verdict: Verdict | None) -> UavReport:
@@ -101,7 +137,9 @@ class UavPilot:
             dt=briefing.dt,
             settings=briefing.estimator,
         )
-        self._state = initial_state()
+        promise = promise_of(briefing)
+        self._promises = records(Promise, [promise])
+        self._law_state, self._no_guard = initial_state(), guard_state(promise, depth=1)
         self._sent: deque[Vector] = deque(
             maxlen=math.ceil(briefing.certificate.delay / briefing.dt)
         )  # that may be under way
@@ -109,11 +147,25 @@ class UavPilot:
         """What watches over the law `certified`."""
         self._tick: int | None = None
         self._radio_ticks = max(1, round(RADIO_PERIOD / briefing.dt))
+        self._take_on()
+        target = (False, 0.0, 0.0)
+        self._perceive = entry_point(_perceive, *self._fixed, 0, 0, _NOWHERE, _NO_LOOKS)
+        self._act = entry_point(_act, *self._fixed, _NOTHING_OWN, 0, _NOWHERE, target)
+
+    def _take_on(self) -> None:
+        """The law and the filter that there are now, as compiled code takes them."""
+        guard = self._no_guard if self.filter is None else self.filter.state
+        self._fixed = (
+            records(LawParameters, [self._parameters]),
+            self._promises,
+            self.filter is not None,
+            UavMemory(self.coverage, self._law_state, guard),
+        )
 
     def _make_filter(self) -> SafetyFilter | None:
         return (
             SafetyFilter(self._briefing, sent=self._sent)
-            if self._parameters.law == CERTIFIED
+            if self._parameters.law in WATCHED
             else None
         )
 
@@ -151,27 +203,31 @@ class UavPilot:
         if observation.law is not None:
             self._fly(observation.law)
         estimate = self.perceive(observation)
-        if estimate is None:
-            wanted = self._wait(observation)
-            if self.filter is not None:  # which must know every command that is on its way
-                wanted = self.filter.filter(observation, wanted).acceleration
-            return UavCommand(tick=observation.tick, acceleration=wanted)
-        wanted, verdict = self._steer(observation, estimate.position), None
+        target = (False, 0.0, 0.0) if estimate is None else (True, *estimate.position)
+        own = self._own_terms(observation, estimate)
+        here = Motion(*observation.position, *observation.velocity)
+        acted = self._act(*self._fixed, own, observation.tick, here, target)
+        (u_x, u_y), verdict = acted[:2], None
         if self.filter is not None:
-            verdict = self.filter.filter(observation, wanted)
-            wanted = verdict.acceleration
+            verdict = self.filter.verdict(*acted)
+        if estimate is None:
+            return UavCommand(tick=observation.tick, acceleration=(u_x, u_y))
         return UavCommand(
             tick=observation.tick,
-            acceleration=wanted,
+            acceleration=(u_x, u_y),
             radio=self._radio(observation, estimate),
             report=_report(estimate, verdict),
         )
 
     def perceive(self, observation: UavObservation) -> Estimate | None:
         """Take an observation into the map and the filter, also one that comes too late to be answered."""
-        self._look(observation)
-        if self.filter is not None:
-            self.filter.see(observation)
+        elapsed = 0 if self._tick is None else observation.tick - self._tick
+        tick = self._tick = observation.tick
+        looks = _NO_LOOKS
+        if self.filter is not None and observation.detections:
+            looks = self.filter.looks(observation)
+        here = Motion(*observation.position, *observation.velocity)
+        self._perceive(*self._fixed, elapsed, tick, here, looks)
         return self.estimator.update(
             time=observation.time,
             own_position=observation.position,
@@ -184,54 +240,21 @@ class UavPilot:
         self._check_own_functions()
         self.filter = (
             self._make_filter()
-            if self.filter is None or self._parameters.law != CERTIFIED
+            if self.filter is None or self._parameters.law not in WATCHED
             else self.filter
         )
+        self._take_on()
 
     def prepare(self) -> None:
         """Work ahead for the next observation, while the simulator is busy; changes nothing but when it is done."""
         self.estimator.prepare()
 
-    def _look(self, observation: UavObservation) -> None:
-        """Add to the map what was seen since the last observation (3)."""
-        elapsed = 0 if self._tick is None else observation.tick - self._tick
-        self._tick = observation.tick
-        if elapsed > 0:
-            c = self._parameters
-            p_x, p_y = observation.position
-            accumulate(self.coverage, p_x, p_y, c.sensor, c.peak, c.reach, c.cell, elapsed * c.dt)
-
-    def _wait(self, observation: UavObservation) -> Vector:
-        """Before the first detection: stay where it is."""
-        v_x, v_y = observation.velocity
-        u_x, u_y = brake(v_x, v_y, self._parameters.u_max, self._parameters.dt)
-        return u_x, u_y
-
-    def _steer(self, observation: UavObservation, target: Vector) -> Vector:
-        (p_x, p_y), (v_x, v_y) = observation.position, observation.velocity
-        own = (
-            self._own_terms(observation, target)
-            if self._parameters.law in (WEIGHTED, PATH)
-            else _NOTHING_OWN
-        )
-        u_x, u_y = bounded_uav_control(
-            self._parameters,
-            own,
-            self.coverage,
-            self._state,
-            observation.tick,
-            p_x,
-            p_y,
-            v_x,
-            v_y,
-            target[0],
-            target[1],
-        )
-        return u_x, u_y
-
-    def _own_terms(self, observation: UavObservation, target: Vector) -> OwnTerms:
+    def _own_terms(self, observation: UavObservation, estimate: Estimate | None) -> OwnTerms:
+        """What the user's own function says at this tick, if the law asks it."""
+        if estimate is None or self._parameters.law not in (WEIGHTED, PATH):
+            return _NOTHING_OWN
         if self._weighting is not None and self._parameters.law == WEIGHTED:
-            (p_x, p_y), (g_x, g_y) = observation.position, target
+            (p_x, p_y), (g_x, g_y) = observation.position, estimate.position
             alpha, beta = self._weighting(norm(p_x - g_x, p_y - g_y), self._parameters.r_s)
             return OwnTerms(alpha=float(alpha), beta=float(beta))
         if self._path is not None:

@@ -1,9 +1,24 @@
 """The UGV's pilot: observation in, command out."""
 
+from collections.abc import Callable
+from typing import Protocol
+
 from agents.drivers.policy import Policy, PolicyDriver
-from agents.drivers.table import DRIVERS, Driver
 from bus.errors import ScenarioError
 from bus.messages import UgvBriefing, UgvCommand, UgvObservation
+from bus.registry import DRIVERS, resolve
+
+
+class Driver(Protocol):
+    """Drives the UGV: an observation in, an acceleration [m/s²] out."""
+
+    def drive(self, observation: UgvObservation) -> tuple[float, float]:
+        """The acceleration [m/s²] for this observation."""
+
+
+_MAKERS: dict[str, Callable[[UgvBriefing], Driver]] = {
+    row.name: resolve(row.make) for row in DRIVERS.values() if row.make
+}
 
 
 class UgvPilot:
@@ -31,21 +46,21 @@ class UgvPilot:
     ) -> None:
         self._briefing = briefing
         self._policy, self._policy_name = policy, policy_name
-        self._driver = driver or self._seat(briefing.driver)
+        self._driver = driver or self._make(briefing.driver)
 
-    def _seat(self, name: str) -> Driver:
-        if name == "policy":
+    def _make(self, name: str) -> Driver:
+        if name in DRIVERS and DRIVERS[name].own:
             if self._policy is None:
                 raise ScenarioError(
-                    "driver = 'policy': needs a policy, given to the UGV as module:function"
+                    f"driver = {name!r}: needs a policy, given to the UGV as module:function"
                 )
             return PolicyDriver(self._briefing, policy=self._policy, name=self._policy_name)
-        if name not in DRIVERS:
-            raise ScenarioError(f"driver = {name!r}: unknown; allowed: {', '.join(DRIVERS)}")
-        return DRIVERS[name](self._briefing)
+        if name not in _MAKERS:
+            raise ScenarioError(f"driver = {name!r}: unknown; allowed: {', '.join(_MAKERS)}")
+        return _MAKERS[name](self._briefing)
 
     def act(self, observation: UgvObservation) -> UgvCommand:
         """The command for this observation."""
         if observation.driver is not None:
-            self._driver = self._seat(observation.driver)
+            self._driver = self._make(observation.driver)
         return UgvCommand(tick=observation.tick, acceleration=self._driver.drive(observation))

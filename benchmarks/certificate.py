@@ -1,4 +1,4 @@
-"""The tables of docs/certificate.md: `python benchmarks/certificate.py NAME`, with a NAME of `TABLES`.
+"""The tables of docs/explanation/certificate.md: `python benchmarks/certificate.py NAME`, with a NAME of `TABLES`.
 
 About a minute each.
 
@@ -15,12 +15,12 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 
 from agents.control.handover import certificate, certified_radius, largest_age
-from outrider import attack as a
-from outrider.flying import InProcess, make_pilots
-from sim.compile import FloatArray
-from sim.flight import Flight
-from sim.profiles import PROFILES
-from sim.scenario import load_scenario
+from bus.profiles import PROFILES
+from outrider.experiments.falsify import attack as a
+from outrider.running.flying import InProcess, make_pilots
+from sim.kernels.compile import FloatArray
+from sim.scenario.loading import load_scenario
+from sim.server.flight import Flight
 
 RUNS, DURATION = 1000, 200.0
 SEEDS = 10

@@ -11,6 +11,8 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
+from bus.registry import DEFAULT_LAW, DEFAULT_SENSOR
+
 Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6)]
 """A component of a position [m], a velocity [m/s] or an acceleration [m/s²]."""
 NonNegative = Annotated[float, Meta(ge=0.0, le=1e12)]
@@ -56,8 +58,8 @@ class Region(Message, frozen=True, kw_only=True):
 class Sensor(Message, frozen=True, kw_only=True):
     """The UAV's downward sensor (2)."""
 
-    model: Name = "hill"
-    """A row of `sim.field.SENSORS`."""
+    model: Name = DEFAULT_SENSOR
+    """A row of `bus.registry.SENSORS`."""
     peak: Positive = 1.0
     """M_a [1/s]."""
     range: Positive = 5.0
@@ -67,8 +69,8 @@ class Sensor(Message, frozen=True, kw_only=True):
 class Law(Message, frozen=True, kw_only=True):
     """Which control law the UAV flies, and its parameters (section VI of the paper)."""
 
-    name: Name = "logarithmic"
-    """A row of `agents.control.laws.LAWS`."""
+    name: Name = DEFAULT_LAW
+    """A row of `bus.registry.LAWS`."""
     speed_gain: Positive = 10.0
     """k_v of (11) [1/s]."""
     reference_speed: Positive | None = None
@@ -116,7 +118,7 @@ class LinkSettings(Message, frozen=True, kw_only=True):
     jitter: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.0
     """Scale of the extra delay [s]."""
     jitter_shape: Name = "uniform"
-    """A row of `sim.link.SHAPES`, which says what the scale means."""
+    """A row of `sim.channel.link.SHAPES`, which says what the scale means."""
     jitter_cut: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.0
     """The extra delay lies between -delay and this [s], as if drawn again until it does; 0: five times the jitter."""
     loss: Share = 0.0
@@ -159,7 +161,7 @@ class LinkStatus(Message, frozen=True, kw_only=True):
     """At the sender."""
     flying: Tick
     lost: dict[Text, Tick]
-    """By cause, of `sim.link.CAUSES`."""
+    """By cause, of `sim.channel.link.CAUSES`."""
     delivery_ratio: Share | None = None
     """Of the messages whose fate is known, the share that was not lost."""
     age: NonNegative | None = None
@@ -184,7 +186,7 @@ class Detector(Message, frozen=True, kw_only=True):
 
 
 class Certificate(Message, frozen=True, kw_only=True):
-    """What a UAV may rely on of its detections and commands to certify that it keeps sight (docs/certificate.md)."""
+    """What a UAV may rely on of its detections and commands to certify that it keeps sight (docs/explanation/certificate.md)."""
 
     error: NonNegative | None
     """Largest error of a detection, as a vector's norm [m]; None: it has no bound, and nothing can be certified."""
@@ -265,7 +267,7 @@ class UgvBriefing(Message, frozen=True, kw_only=True):
     area: Area
     limits: Limits
     driver: Name
-    """A row of `agents.drivers.DRIVERS`."""
+    """A row of `bus.registry.DRIVERS`."""
     goals: tuple[Vector, ...]
     """Waypoints [m], in order."""
     goal_tolerance: Positive
@@ -337,7 +339,7 @@ class UgvObservation(Message, frozen=True, kw_only=True):
     operator: tuple[Drive, ...] = ()
     """What operators have said that has come to the vehicle at this tick, the oldest first."""
     driver: Name | None = None
-    """Who sits at the wheel from this tick on, a row of `agents.drivers.table.DRIVERS`; None: who sat there before."""
+    """Who sits at the wheel from this tick on, a row of `bus.registry.DRIVERS`; None: who sat there before."""
     over: bool = False
     episode: Tick = 0
 
@@ -538,7 +540,7 @@ class Status(Message, frozen=True, kw_only=True):
     late_ticks: Tick = 0
     """Ticks that the clock could not keep."""
     paused: bool = False
-    law: Name = "logarithmic"
+    law: Name = DEFAULT_LAW
     """What the UAVs fly now."""
     drivers: dict[Name, Name] = {}
     """Who drives each UGV now."""

@@ -1,7 +1,7 @@
 """The paper's pilots fly the PettingZoo environment."""
 
 import outrider
-from outrider.env_pilots import pilots
+from outrider.envs.env_pilots import pilots
 
 env = outrider.parallel_env("escort")
 policies = pilots(env)

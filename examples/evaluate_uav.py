@@ -1,4 +1,4 @@
-"""The table of docs/learning.md: a learned UAV beside the paper's laws, on flights that its training never saw.
+"""The table of docs/how-to/learning.md: a learned UAV beside the paper's laws, on flights that its training never saw.
 
 python examples/evaluate_uav.py --json table.json --curve learning-curve.png
 """
@@ -7,8 +7,8 @@ import argparse
 import json
 from pathlib import Path
 
-from outrider.learning.curve import draw_curve
-from outrider.learning.evaluate import CASES, as_dicts, evaluate, markdown
+from curve import draw_curve
+from evaluation import CASES, as_dicts, evaluate, markdown
 
 parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
 parser.add_argument(

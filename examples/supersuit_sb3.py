@@ -1,6 +1,6 @@
 """One policy for both vehicles with SuperSuit's conversions and Stable-Baselines3's PPO.
 
-pip install 'outrider[supersuit]'
+pip install -e '.[supersuit]'
 python examples/supersuit_sb3.py --steps 2000 --out runs/supersuit
 """
 
@@ -13,7 +13,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.utils import set_random_seed
 
 import outrider
-from outrider.wrappers import normalized
+from outrider.envs.wrappers import normalized
 
 
 class SayTruncated(BaseParallelWrapper):

@@ -1,6 +1,6 @@
 """Both vehicles learn with RLlib's PPO, a policy for the UAVs and one for the UGVs.
 
-pip install 'outrider[rllib]'
+pip install -e '.[rllib]'
 python examples/train_rllib.py --iterations 2 --out runs/rllib
 """
 
@@ -13,7 +13,7 @@ from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 from ray.tune.registry import register_env
 
 import outrider
-from outrider.wrappers import normalized
+from outrider.envs.wrappers import normalized
 
 
 def make_env(config):

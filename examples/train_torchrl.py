@@ -2,7 +2,7 @@
 
 The policies see their own observations alone; the critics, which nobody flies with, see the true state.
 
-    pip install 'outrider[torchrl]'
+    pip install -e '.[torchrl]'
     python examples/train_torchrl.py --minutes 10 --out runs/torchrl
 """
 
@@ -27,8 +27,8 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 import outrider
-from outrider.env_pilots import pilots
-from outrider.wrappers import normalized
+from outrider.envs.env_pilots import pilots
+from outrider.envs.wrappers import normalized
 
 HOLD = 10  # ticks, half a second: in one tick of 0.05 s an acceleration moves nothing that a critic could tell
 BATCH, MINIBATCH, EPOCHS = 2000, 250, 8

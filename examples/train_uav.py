@@ -2,7 +2,7 @@
 
 PPO of Stable-Baselines3, many worlds at once, on a processor.
 
-python -m pip install 'outrider[sb3]'; python examples/train_uav.py --minutes 12
+python -m pip install -e '.[sb3]'; python examples/train_uav.py --minutes 12
 """
 
 import argparse
@@ -13,16 +13,16 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from evaluation import CASES, VALIDATION_SEEDS, fly_policy
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
 import outrider
-from outrider.learning.evaluate import CASES, VALIDATION_SEEDS, fly_policy
+from outrider.envs.wrappers import transformed
+from outrider.learning.learned import LearnedPolicy, make_view
 from outrider.learning.mlp import Mlp, save_policy
-from outrider.learning.policy import LearnedPolicy, make_view
 from outrider.learning.repeat import ActionRepeat
 from outrider.learning.sb3 import VecEnvAdapter
-from outrider.wrappers import transformed
 
 CASE = CASES["wander"]
 REWARDS = {"uncovered": 1.0, "sight_lost": 10.0, "out_of_sight": 2.0}

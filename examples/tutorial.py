@@ -14,7 +14,7 @@ import matplotlib as mpl
 import numpy as np
 
 import outrider
-from outrider.env_pilots import pilots
+from outrider.envs.env_pilots import pilots
 
 env = outrider.parallel_env("escort", duration=60.0)
 crew = pilots(env)

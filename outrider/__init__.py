@@ -5,33 +5,35 @@ The front door for people: `outrider.load_scenario`, `outrider.run`, `outrider.p
 loaded when it is used.
 """
 
+import os
 import sys
 from importlib import import_module
+from importlib.machinery import PathFinder
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from outrider.flying import run as run
-    from outrider.single import single_env as single_env
-    from outrider.suites.board import leaderboard as leaderboard
-    from outrider.suites.tasks import suite as suite
-    from outrider.vector import parallel_vector_env as parallel_vector_env
-    from outrider.vector import vector_env as vector_env
+    from outrider.envs.single import single_env as single_env
+    from outrider.envs.vector import parallel_vector_env as parallel_vector_env
+    from outrider.envs.vector import vector_env as vector_env
+    from outrider.experiments.suite.board import leaderboard as leaderboard
+    from outrider.experiments.suite.tasks import suite as suite
+    from outrider.running.flying import run as run
     from sim.env.parallel import parallel_env as parallel_env
     from sim.env.rewards import RewardWeights as RewardWeights
-    from sim.scenario import load_scenario as load_scenario
-    from sim.scenario import scenario_names as scenario_names
+    from sim.scenario.loading import load_scenario as load_scenario
+    from sim.scenario.loading import scenario_names as scenario_names
 
 _WHERE = {
     "RewardWeights": "sim.env.rewards",
-    "leaderboard": "outrider.suites.board",
-    "load_scenario": "sim.scenario",
+    "leaderboard": "outrider.experiments.suite.board",
+    "load_scenario": "sim.scenario.loading",
     "parallel_env": "sim.env.parallel",
-    "parallel_vector_env": "outrider.vector",
-    "run": "outrider.flying",
-    "scenario_names": "sim.scenario",
-    "single_env": "outrider.single",
-    "suite": "outrider.suites.tasks",
-    "vector_env": "outrider.vector",
+    "parallel_vector_env": "outrider.envs.vector",
+    "run": "outrider.running.flying",
+    "scenario_names": "sim.scenario.loading",
+    "single_env": "outrider.envs.single",
+    "suite": "outrider.experiments.suite.tasks",
+    "vector_env": "outrider.envs.vector",
 }
 
 __all__ = [
@@ -48,13 +50,45 @@ __all__ = [
 ]
 
 
+_OURS = ("agents", "bus", "sim")
+"""Packages that stand beside this one, under names that somebody's own project may have, too."""
+
+
+def _check_names() -> None:
+    """Refuse to begin where another module stands in the place of one of ours.
+
+    Raises:
+        ImportError: One line that says which.
+    """
+    root = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))
+    started = sys.argv[0] if sys.argv else ""
+    as_module = started == "-m" and "outrider" in sys.orig_argv
+    # `python -m outrider` takes the folder where the user stands off the path, but only after this.
+    path = sys.path[1:] if as_module and not sys.flags.safe_path else sys.path
+    for name in _OURS:
+        loaded = sys.modules.get(name)
+        spec = PathFinder.find_spec(name, path) if loaded is None else loaded.__spec__
+        places = [spec.origin or "", *(spec.submodule_search_locations or ())] if spec else []
+        if not places or os.path.realpath(places[-1]) == os.path.join(root, name):
+            continue
+        line = (
+            f"{places[0] or places[-1]} stands in the way of Outrider's own package {name!r}: "
+            "rename it, or start Python where it is not found (python -P, or another folder)"
+        )
+        if as_module or os.path.basename(started) == "outrider":
+            sys.exit(f"outrider: {line}")
+        raise ImportError(line)
+
+
+_check_names()
+
+
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - a module's names have any type
     if name in _WHERE:
         return getattr(import_module(_WHERE[name]), name)
     raise AttributeError(f"module 'outrider' has no attribute {name!r}")
 
 
-if (
-    "gymnasium" in sys.modules
-):  # whoever uses Gymnasium finds our names there; nobody else pays for its import
+# Gymnasium, and PettingZoo on top of it, find our names where they are used; nobody else pays for their import.
+if "gymnasium" in sys.modules:
     import_module("outrider.registration")

@@ -1,26 +1,30 @@
-"""The environments' names at Gymnasium: `outrider/Escort-v0`, and one for each task of the suite.
+"""The environments' names at Gymnasium and PettingZoo: `outrider/Escort-v0`, and one for each task of the suite.
 
 Gymnasium asks no package for its names; it imports the module in front of a colon,
 `outrider.registration:outrider/Escort-v0`,
-and expects it to have registered them. Therefore, and only here, importing does something.
+and expects it to have registered them. Therefore, and only here, importing does something. PettingZoo, which has a
+registry from 1.27 on, is told where it has been imported; nobody else pays for its import.
 """
 
+import sys
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
-from outrider.suites.tasks import BASE, TASKS, suite
+from outrider.experiments.suite.tasks import BASE, TASKS, suite
 
 if TYPE_CHECKING:
-    from outrider.single import SingleEnv
-    from outrider.vector import OutriderVectorEnv
+    from pettingzoo import AECEnv, ParallelEnv  # type: ignore[import-untyped]
+
+    from outrider.envs.single import SingleEnv
+    from outrider.envs.vector import OutriderVectorEnv
 
 ESCORT = "outrider/Escort-v0"
 
 
 def single(*, task: str = "", **settings: Any) -> "SingleEnv":  # noqa: ANN401 - those of the environment
     """What `gymnasium.make` calls: `outrider.single_env`, of a task of the suite if one is named."""
-    from outrider.single import SingleEnv  # noqa: PLC0415 - compiled code stands behind it
+    from outrider.envs.single import SingleEnv  # noqa: PLC0415 - compiled code stands behind it
 
     return suite()[task].make_single(**settings) if task else SingleEnv(**settings)
 
@@ -31,7 +35,7 @@ def vector(*, num_envs: int, task: str = "", **settings: Any) -> "OutriderVector
     Raises:
         ValueError: If it is given a limit of steps, which Gymnasium can put around single environments only.
     """
-    from outrider.vector import OutriderVectorEnv  # noqa: PLC0415
+    from outrider.envs.vector import OutriderVectorEnv  # noqa: PLC0415
 
     if "max_episode_steps" in settings:
         limit = settings["max_episode_steps"]
@@ -45,13 +49,36 @@ def vector(*, num_envs: int, task: str = "", **settings: Any) -> "OutriderVector
     )
 
 
+def parallel(*, task: str = "", **settings: Any) -> "ParallelEnv[str, Any, Any]":  # noqa: ANN401
+    """Makes `outrider.parallel_env`, of a task of the suite if one is named, for `pettingzoo.make("parallel", ...)`.
+
+    Raises:
+        ValueError: If it is given a limit of cycles: episodes end by themselves.
+    """
+    from sim.env.parallel import parallel_env  # noqa: PLC0415
+
+    if "max_cycles" in settings:
+        limit = settings["max_cycles"]
+        raise ValueError(
+            f"max_cycles = {limit!r}: episodes have a length; allowed: duration=..., in s"
+        )
+    return parallel_env(suite()[task].scenario, **settings) if task else parallel_env(**settings)
+
+
+def turn_based(**settings: Any) -> "AECEnv[str, Any, Any]":  # noqa: ANN401
+    """Makes the same with agents that act one after the other, for `pettingzoo.make("aec", ...)`."""
+    from pettingzoo.utils import parallel_to_aec  # type: ignore[import-untyped]  # noqa: PLC0415
+
+    return parallel_to_aec(parallel(**settings))
+
+
 def env_ids() -> tuple[str, ...]:
     """All the names, the shipped escort's first."""
     return (ESCORT, *(task.env_id for task in TASKS))
 
 
 def register() -> None:
-    """Tell Gymnasium the environments' names; again does nothing.
+    """Tell Gymnasium, and PettingZoo where it has been imported, the environments' names; again does nothing.
 
     No limit of steps is registered: the episodes end by themselves, and a second limit would only hide it.
     """
@@ -66,6 +93,13 @@ def register() -> None:
                 vector_entry_point="outrider.registration:vector",
                 kwargs=kwargs,
             )
+    pettingzoo = sys.modules.get("pettingzoo")
+    if pettingzoo is not None and hasattr(pettingzoo, "parallel_registry"):
+        for env_id, kwargs in settings.items():
+            if env_id not in pettingzoo.parallel_registry:
+                for kind, maker in (("parallel", "parallel"), ("aec", "turn_based")):
+                    entry_point = f"outrider.registration:{maker}"
+                    pettingzoo.register(kind, env_id, entry_point=entry_point, kwargs=kwargs)
 
 
 register()

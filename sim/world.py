@@ -1,26 +1,16 @@
-"""The world: the true state of all vehicles and of the ground, and the one place where time advances.
+"""The world: the true state of all vehicles and of the ground. A batch of one, with names.
 
 Arrays have an axis for vehicles, in name order. One seed, one secret and the same commands give the same bits.
 """
 
-import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from bus.messages import LinkKind
-from sim.compile import FloatArray
-from sim.links import Links, hold_ticks
-from sim.run_keys import derive_keys
-from sim.scenario import Scenario, Uav
-from sim.tick import (
-    advance,
-    bounds_of,
-    detect_all,
-    escorts_of,
-    first_state,
-    measure,
-    world_parameters,
-)
-from sim.vehicles import brake
+from sim.engine.batch import Batch
+from sim.engine.links import Links
+from sim.engine.world_state import ANSWERED, U_X, U_Y, BatchState, BatchTables, WorldState
+from sim.engine.world_tick import measure, truth_of
+from sim.kernels.compile import FloatArray, entry_point
+from sim.scenario.types import Scenario, Uav
 
 
 class Look(NamedTuple):
@@ -33,37 +23,52 @@ class Look(NamedTuple):
     """p_a - p_g with noise [m]."""
 
 
+_KEPT = ("scenario", "seed", "_batch", "names", "uavs", "parameters", "links", "_tick", "received")
+"""What a copy of a world is made of: the views are its own."""
+
+
 class World:
     """The true state of one run.
 
     Args:
         scenario: What is flown.
         seed: Of all random numbers, with the secret.
-        secret: Of the run, as `sim.run_keys.check_secret` returns it; empty: none.
+        secret: Of the run, as `sim.engine.run_keys.check_secret` returns it; empty: none.
         gains: Whether the fall of e(t) by each look is counted, in `state.gains`.
     """
 
     def __init__(
         self, scenario: Scenario, seed: int, *, secret: str = "", gains: bool = False
     ) -> None:
-        vehicles = scenario.vehicles
         self.scenario = scenario
         self.seed = seed
-        self.keys = derive_keys((seed,), len(vehicles), secret)[0]
-        """Of all random numbers. Shape (RUN_PURPOSES, vehicles, 2)."""
-        self.names: tuple[str, ...] = tuple(vehicle.name for vehicle in vehicles)
+        self._batch = Batch(scenario, 1, gains=gains, threads=1, secret=secret)
+        self._batch.begin((seed,))
+        self.names: tuple[str, ...] = tuple(vehicle.name for vehicle in scenario.vehicles)
         """Vehicles in the order of every array."""
         self.uavs: tuple[Uav, ...] = tuple(
-            vehicle for vehicle in vehicles if isinstance(vehicle, Uav)
+            vehicle for vehicle in scenario.vehicles if isinstance(vehicle, Uav)
         )
-        self.escorts = escorts_of(scenario)
+        self.parameters = self._batch.parameters
+        self.links = Links(scenario, self._batch)
+        """What messages cross."""
+        self._tick = 0
+        self._bind()
+        self.received = self._received()
+        """The detections that have reached each UAV's computer at this tick, in the order of arrival."""
+
+    def _bind(self) -> None:
+        """Name the batch's arrays: views, which stay the same ones."""
+        state, tables = self._batch.state, self._batch.tables
+        self._sent = state.sent[0]
+        self.keys = state.keys[0]
+        """Of all random numbers. Shape (RUN_PURPOSES, vehicles, 2)."""
+        self.escorts = tables.escorts
         """Rows (UAV, UGV), one for each UAV, in name order."""
-        self.bounds = bounds_of(scenario)
+        self.bounds = tables.bounds
         """v_max [m/s] and u_max [m/s²] of each vehicle."""
-        self.parameters = world_parameters(scenario, gains=gains)
-        self.tick = 0
-        self.state = first_state(scenario)
-        """Everything that is true but for the links; its arrays stay the same ones."""
+        self.state: WorldState = truth_of.py_func(state.truth, 0)  # type: ignore[attr-defined]
+        """Everything that is true but for the links."""
         self.position = self.state.position
         """Positions [m], shape (vehicles, 2)."""
         self.velocity = self.state.velocity
@@ -74,79 +79,83 @@ class World:
         """C of (3) on the grid, all UAVs together. Shape (rows, columns)."""
         self.detections = self.state.detections
         """The relative position each UAV has detected at this tick [m]; NaN where none. Shape (UAVs, 2)."""
-        self.links = Links(scenario, self.keys)
-        """What messages cross."""
-        self.received: list[list[Look]] = [[] for _ in self.uavs]
-        """The detections that have reached each UAV's computer at this tick, in the order of arrival."""
-        self.commands = self.state.commands
+        self.commands: FloatArray = self.state.commands
         """What each vehicle acted on in the last tick, before the bounds [m/s²], shape (vehicles, 2)."""
-        self._ways_in = [self.links.of(LinkKind.DETECTIONS)[uav.name] for uav in self.uavs]
-        self._ways_out = [self.links.of(LinkKind.COMMANDS)[name] for name in self.names]
-        self._answered = [-1] * len(
-            vehicles
-        )  # the tick that the newest command of each, as it has arrived, answers
-        self._hold_ticks = hold_ticks(scenario)
-        detect_all(self.parameters, self.keys, 0, self.position, self.escorts, self.detections)
-        self._hear()
+        measured = self.position, self.escorts, self.coverage, self.state.measures
+        self._measured = tables.world, *measured, True
+        self._measure = entry_point(measure, *self._measured)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: self.__dict__[name] for name in _KEPT}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        self.__dict__.update(kept)
+        self._bind()
+
+    @property
+    def tick(self) -> int:
+        """The tick that it is at."""
+        return self._tick
+
+    @tick.setter
+    def tick(self, tick: int) -> None:
+        self._tick = self._batch.state.ticks[0] = tick
 
     @property
     def time(self) -> float:
         """Simulated time [s]: tick times dt, never a sum."""
-        return self.tick * self.parameters.dt
+        return self._tick * self.parameters.dt
 
-    def _hear(self) -> None:
-        """What the detectors found at this tick sets out, and what has arrived is there."""
-        tick = self.tick
-        for k, (x, y) in enumerate(self.detections.tolist()):
-            link = self._ways_in[k]
-            if not math.isnan(x):
-                link.send(tick, Look(tick, x, y), tick)
-            self.received[k] = link.arrivals(tick)
+    @property
+    def arrays(self) -> tuple[BatchTables, BatchState]:
+        """The batch of one, for compiled functions."""
+        return self._batch.tables, self._batch.state
+
+    def _received(self) -> list[list[Look]]:
+        state = self._batch.state
+        return [
+            [Look(int(taken), x, y) for taken, x, y in state.received[0, k, :count].tolist()]
+            for k, count in enumerate(state.arrived[0].tolist())
+        ]
 
     def send(self, k: int, answered: int, acceleration: tuple[float, float]) -> None:
-        """A vehicle's command sets out to its actuators.
+        """A vehicle's command sets out to its actuators in the coming tick; one a tick.
 
         Args:
             k: The vehicle's row.
             answered: The tick whose observation it answers.
             acceleration: [m/s²]
         """
-        self._ways_out[k].send(self.tick, (answered, acceleration), answered)
+        sent = self._sent
+        sent[k, ANSWERED], (sent[k, U_X], sent[k, U_Y]) = answered, acceleration
 
-    def heed(self) -> FloatArray:
-        """What each vehicle acts on in this tick, once all have sent: its newest command that has arrived.
+    def advance(self) -> None:
+        """Advance by one tick: what has been sent sets out, and each vehicle acts on its newest command that has arrived.
 
-        Where none comes, the last one is held for a while; then the vehicle brakes. Shape (vehicles, 2); changed
-        next time.
+        Where none comes, the last one is held for a while; then the vehicle brakes.
         """
-        tick = self.tick
-        for k, link in enumerate(self._ways_out):
-            for answered, acceleration in link.arrivals(tick):
-                if answered > self._answered[k]:
-                    self._answered[k], self.commands[k] = answered, acceleration
-            if tick - self._answered[k] > self._hold_ticks:
-                v_x, v_y = self.velocity[k].tolist()
-                self.commands[k] = brake(v_x, v_y, float(self.bounds[k, 1]), self.parameters.dt)
-        return self.commands
+        self._advance(linked=True)
 
     def step(self, commands: FloatArray) -> None:
-        """Advance by one tick under these commands.
+        """Advance by one tick in which everybody acts on these commands, whatever the links do.
 
         Args:
             commands: Accelerations [m/s²], shape (vehicles, 2), float64, finite; the bounds of (1) are applied here.
         """
-        self.tick += 1
-        advance(
-            self.parameters, self.state, self.keys, self.tick, self.bounds, self.escorts, commands
-        )
-        self._hear()
+        self.commands[:] = commands
+        self._advance(linked=False)
+
+    def _advance(self, *, linked: bool) -> None:
+        self._batch.advance(linked=linked)
+        self._tick += 1
+        self.received = self._received()
 
     def measure(self) -> FloatArray:
         """Distance [m] and e(t) (4) with the true p_g [m²] of each escort at this tick.
 
         Shape (UAVs, 2); a view, overwritten next time.
 
-        Apart from `step`, because nobody needs it before the vehicles have answered.
+        Apart from the tick, because nobody needs it before the vehicles have answered.
         """
-        measure(self.parameters, self.position, self.escorts, self.coverage, self.state.measures)
+        self._measure(*self._measured)
         return self.state.measures

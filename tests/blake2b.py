@@ -1,9 +1,9 @@
-"""BLAKE2b for whoever tries seeds by the million: as `sim.run_keys` uses it, compiled (RFC 7693)."""
+"""BLAKE2b for whoever tries seeds by the million: as `sim.engine.run_keys` uses it, compiled (RFC 7693)."""
 
 import numpy as np
 
-from sim.compile import compiled, inlined, released
-from sim.randomness import Key, WordArray
+from sim.kernels.compile import compiled, inlined, released
+from sim.models.randomness import Key, WordArray
 
 _IV = np.array(
     [

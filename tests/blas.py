@@ -7,8 +7,8 @@ from functools import cache
 
 import numpy as np
 
-from agents.estimation_twin import fma
-from sim.compile import FloatArray, compiled
+from agents.estimation.twin import fma
+from sim.kernels.compile import FloatArray, compiled
 
 
 @compiled

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sim.randomness import Key
+from sim.models.randomness import Key
 
 
 def a_key(number: int, other: int = 0) -> Key:

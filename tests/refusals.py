@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from bus.errors import ScenarioError
-from sim.scenario import load_scenario
+from sim.scenario.loading import load_scenario
 
 SHIPPED = (
     "escort",

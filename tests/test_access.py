@@ -40,7 +40,7 @@ from bus.keys import (
     token,
 )
 from bus.session import Session, open_session
-from outrider.launch import free_port
+from outrider.running.launch import free_port
 
 RUN = "run"
 GIVEN = new_credentials(RUN, ["uav_0", "uav_1"], ["ugv_0", "ugv_1"])

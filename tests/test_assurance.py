@@ -14,12 +14,13 @@ from typer.testing import CliRunner
 from bus.messages import Command, Law, UavCommand, UavReport
 from outrider.cli import replay
 from outrider.cli.console import OUT, print_summary
-from outrider.flying import InProcess, fly, make_pilots
-from outrider.summary import Summary, summarize
-from outrider.sweep.rows import row_of
-from sim.assurance import Arrival, Assurance
-from sim.flight import Flight
-from sim.scenario import Certificate, LinkTable, Scenario, load_scenario
+from outrider.experiments.sweep.columns import row_of
+from outrider.running.flying import InProcess, fly, make_pilots
+from outrider.running.summary import Summary, summarize
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Certificate, LinkTable, Scenario
+from sim.server.assurance import Arrival, Assurance
+from sim.server.flight import Flight
 
 DELAYED = load_scenario(
     "escort",

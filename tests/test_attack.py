@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from flights import R_S, R_V
 
-from outrider import attack as a
-from sim.compile import FloatArray
+from outrider.experiments.falsify import attack as a
+from sim.kernels.compile import FloatArray
 
 CONDITIONS = {
     "undegraded": (a.Conditions(), 0.3),

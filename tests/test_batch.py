@@ -3,15 +3,15 @@
 import threading
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 from flights import escort
+from worlds import LATE, SMALL
 
-from sim.batch import Batch
-from sim.profiles import PROFILES
-from sim.scenario import (
-    Area,
+from bus.profiles import PROFILES
+from sim.engine.batch import Batch
+from sim.kernels.threads import Crew
+from sim.scenario.types import (
     Coverage,
     Detections,
     LinkTable,
@@ -22,18 +22,12 @@ from sim.scenario import (
     Ugv,
     VehicleLinks,
 )
-from sim.threads import Crew
 from sim.world import World
 
 pytestmark = pytest.mark.xdist_group(
     "batch"
 )  # on one worker: what they compile takes half a minute, once
 
-POOR = PROFILES["wifi-poor"]
-LATE = msgspec.structs.replace(
-    POOR, delay=0.4, jitter=0.3, duplicates=0.2, reorder=0.2, reorder_delay=0.3
-)
-SMALL = Area(width=16.0, height=12.0, cell=0.5)
 
 SCENARIOS: dict[str, Scenario] = {
     "plain": escort(),
@@ -84,7 +78,7 @@ def _fly_both(
         for world, rows in zip(worlds, commands.tolist(), strict=True):
             for v, (x, y) in enumerate(rows):
                 world.send(v, world.tick, (x, y))
-            world.step(world.heed())
+            world.advance()
             world.measure()
         batch.step(commands)
         batch.measure()
@@ -97,7 +91,7 @@ def _same(batch: Batch, worlds: list[World]) -> None:
     for k, world in enumerate(worlds):
         assert s.ticks[k] == world.tick
         for u, looks in enumerate(world.received):
-            assert s.looks[k, u, : s.arrived[k, u]].tolist() == [list(look) for look in looks]
+            assert s.received[k, u, : s.arrived[k, u]].tolist() == [list(look) for look in looks]
         for single, many in zip(world.state, s.truth, strict=True):
             assert single.tobytes() == many[k].tobytes()
 
@@ -111,11 +105,7 @@ def test_world_k_of_a_batch_is_the_single_world_of_its_seed(name: str) -> None:
             for key, one in world.links.status().items()
             if not key.endswith(("radio", "operator"))
         }
-        if world.links.degraded:
-            assert batch.links(k).keys() == expected.keys()
-        for key, one in expected.items():
-            if one.degraded:
-                assert batch.links(k)[key] == one
+        assert batch.link_status(k) == expected
 
 
 def test_the_bits_do_not_depend_on_the_number_of_worlds_or_threads() -> None:

@@ -1,5 +1,6 @@
 """The bench: C that computes what ours compute, rows without what they need, and the picture of the scaling."""
 
+import importlib
 import json
 from pathlib import Path
 from typing import Any
@@ -7,14 +8,14 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from test_closed_loop import SCENARIOS
+from worlds import SCENARIOS
 
 from bus.errors import ScenarioError
-from outrider.bench import ROWS, kernels, many, measure, rows, runs, scaling
+from outrider.bench import ROWS, kernels, many, measure, runs, scaling
+from outrider.bench import measured as rows
 from outrider.bench.c_kernels import COMPILERS, CKernels
-from outrider.bench.profile import disc, floor
 from outrider.cli import bench as command
-from sim.scenario import load_scenario
+from sim.scenario.loading import load_scenario
 
 pytestmark = pytest.mark.xdist_group(
     "many worlds"
@@ -120,12 +121,14 @@ def test_a_row_whose_extra_is_missing_is_left_out_unless_it_is_asked_for(
         measure(["cannot"], 1)
 
 
-def test_the_floor_counts_the_cells_of_a_disc() -> None:
-    cells, lines = disc(5.0, 0.25, 40.0)
+def test_the_floor_counts_the_cells_of_a_disc(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "benchmarks"))
+    world_step = importlib.import_module("world_step")
+    cells, lines = world_step.disc(5.0, 0.25, 40.0)
     y, x = np.mgrid[:160, :160] * 0.25 + 0.125 - 20.0
     assert cells == np.count_nonzero(x * x + y * y <= 25.0)
     assert cells / 8 < lines < cells / 8 + 41
-    least = floor(load_scenario("escort"))
+    least = world_step.floor(load_scenario("escort"))
     assert least["cells_density"] > 3 * least["cells_sensor"]
     assert least["bytes_full"] > 8 * least["cells_density"]
 

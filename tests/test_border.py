@@ -11,9 +11,9 @@ from properties import PROPERTY
 
 from agents.control.coverage import border_distance, coverage_control, keep_off_border
 from bus.messages import Area, Law, Sensor
-from outrider.flying import fly
-from sim.scenario import Detections, Uav, Ugv, Visibility
-from sim.vehicles import norm, step_vehicle
+from outrider.running.flying import fly
+from sim.models.vehicles import norm, step_vehicle
+from sim.scenario.types import Detections, Uav, Ugv, Visibility
 
 WIDTH, HEIGHT = 16.0, 12.0
 MARGIN = border_distance(V_A, U_A, DT)

@@ -14,12 +14,12 @@ from bus.access import read_credential
 from bus.errors import AccessDenied, ScenarioError
 from bus.files import read_regular
 from outrider.cli.console import print_warnings
-from outrider.flying import run
+from outrider.experiments.sweep.definition import describe_sweep
+from outrider.experiments.sweep.plan import lay_out
 from outrider.learning.mlp import load_policy
-from outrider.own import foreign_code
-from outrider.sweep.description import describe_sweep
-from outrider.sweep.plan import lay_out
-from sim.scenario import load_scenario, scenario_names
+from outrider.running.flying import run
+from outrider.running.user_code import foreign_code
+from sim.scenario.loading import load_scenario, scenario_names
 
 pytest.importorskip("mcap", reason="the extra [record] is not installed")
 zstandard = pytest.importorskip("zstandard", reason="the extra [record] is not installed")
@@ -188,7 +188,7 @@ def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     body = "from pathlib import Path\nPath('loaded').touch()\ndef policy(seen, told):\n    return (0.0, 0.0)\n"
     (tmp_path / "theirs.py").write_text(body, encoding="utf-8")
     text = (
-        (Path(__file__).parents[1] / "sim/scenarios/escort.toml")
+        (Path(__file__).parents[1] / "sim/scenario/shipped/escort.toml")
         .read_text("utf-8")
         .replace('driver = "waypoints"', "")
     )

@@ -15,8 +15,8 @@ from properties import PROPERTY
 
 from agents.control import certificate as c
 from agents.control import discs, handover
-from sim.compile import FloatArray
-from sim.vehicles import norm, step_vehicle
+from sim.kernels.compile import FloatArray
+from sim.models.vehicles import norm, step_vehicle
 
 NUMBERS: dict[str, Any] = {
     "r_v": R_V,

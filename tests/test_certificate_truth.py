@@ -5,9 +5,9 @@ from typing import Any
 import pytest
 
 from bus.messages import Law, LinkKind, LinkSettings
-from outrider.flying import InProcess, make_pilots
-from sim.flight import Flight
-from sim.scenario import load_scenario
+from outrider.running.flying import InProcess, make_pilots
+from sim.scenario.loading import load_scenario
+from sim.server.flight import Flight
 
 R_V = 4.75
 DARK = "links.detections.blackouts=[[30.0, 20.0], [80.0, 30.0]]"

@@ -1,23 +1,15 @@
 """The command line: help with examples, one clear line for bad input, one JSON object where it is asked for."""
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from processes import outrider
 
 from bus import session
 from outrider.cli import main
 from outrider.cli.main import COMMANDS
-
-OUTRIDER = [sys.executable, "-m", "outrider"]
-
-
-def outrider(*arguments: str, cwd: Path | None = None) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run(
-        [*OUTRIDER, *arguments], capture_output=True, text=True, check=False, timeout=120, cwd=cwd
-    )
 
 
 def here(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
@@ -263,8 +255,8 @@ def test_only_this_machines_endpoints_need_no_credentials(endpoint: str, local: 
 
 
 def test_many_pairs_can_be_flown(tmp_path: Path) -> None:
-    from outrider.pairs import pairs_toml
-    from sim.scenario import load_scenario
+    from outrider.bench.pairs import pairs_toml
+    from sim.scenario.loading import load_scenario
 
     for count in (1, 5, 50):
         (tmp_path / "pairs.toml").write_text(pairs_toml(count, seconds=10), encoding="utf-8")

@@ -16,33 +16,30 @@ from flights import HERE, escort, parameters
 import agents.control
 from agents.control.certificate import no_plan
 from agents.control.discs import no_detections
-from agents.control.guard import guard_state, note_position, pack_promise
+from agents.control.guard import guard_state, note_position
 from agents.control.handover import certificate
-from agents.control.laws import LAWS, OwnTerms
-from agents.drivers.compiled import (
-    COMPILED_DRIVERS,
-    driver_parameters,
-    fresh_driver_state,
-    pack_driver,
-)
-from agents.estimation_twin import COLUMNS, NUMBERS, KalmanState, kalman_parameters, pack_kalman
+from agents.control.laws import OwnTerms, initial_state
+from agents.control.uav_tick import Motion, UavMemory
+from agents.drivers.compiled import driver_parameters, driver_state
+from agents.drivers.parameters import COMPILED_DRIVERS, Route
+from agents.estimation.twin import COLUMNS, NUMBERS, KalmanState, kalman_parameters
 from bus.messages import Detector, Estimator, Limits
-from sim.briefing import briefing
-from sim.field import SENSORS
-from sim.run_keys import derive_keys
+from bus.registry import LAWS, SENSORS
+from sim.engine.briefing import briefing
+from sim.engine.run_keys import derive_keys
 
 MODULES = (
     *(f"agents.control.{module.name}" for module in pkgutil.iter_modules(agents.control.__path__)),
-    "agents.estimation_model",
-    "agents.estimation_twin",
-    "sim.vehicles",
-    "sim.detection",
-    "sim.field",
-    "sim.lanes",
-    "sim.randomness",
+    "agents.estimation.motion_model",
+    "agents.estimation.twin",
+    "sim.models.vehicles",
+    "sim.models.detection",
+    "sim.models.field",
+    "sim.kernels.lanes",
+    "sim.models.randomness",
     *(
         f"agents.drivers.{name}"
-        for name in ("waypoints", "steering", "wander", "script", "evade", "compiled")
+        for name in ("waypoints", "steering", "wander", "script", "evade", "ugv_tick")
     ),
 )
 
@@ -92,13 +89,16 @@ _MEMORIES = _RNG.integers(0, 3, (7, COLUMNS)).astype(float)
 _DRIVERS = [
     driver_parameters(briefing(escort(), "ugv_0", seed=3), name) for name in COMPILED_DRIVERS
 ]
+_ROUTE = Route(
+    goals=np.array([[20.7, 21.3], [3.0, 4.0], [18.0, 1.0]]),
+    script=np.array([[0.5, 0.1, 0.2], [1.5, -0.1, 0.3], [60.0, 3.0, 4.0]]),
+)
 _STATE = np.array([0.4, -1.0, 20.3, 21.1, 1.0, 0.05, 0.3, -0.2, 0.1, 0.0, -1.0, -0.5])
 """Of a law, and of a driver: which has heard the UAV and is out of its corner."""
 _CORNERED = np.array([*_STATE[:-1], 1e3])
 
 BY_NAME: dict[str, object] = {
     "promise": _PROMISE,
-    "row": pack_promise(_PROMISE),
     "detections": _DETECTIONS,
     "plan": no_plan(),
     "pending": _RNG.normal(size=(3, 2)),
@@ -114,10 +114,19 @@ BY_NAME: dict[str, object] = {
     "p_y": 21.3,
     "coverage": _GROUND,
     "state": _STATE,
-    "goals": np.array([[20.7, 21.3], [3.0, 4.0], [18.0, 1.0]]),
-    "script": np.array([[0.5, 0.1, 0.2], [1.5, -0.1, 0.3], [60.0, 3.0, 4.0]]),
+    "goals": _ROUTE.goals,
+    "script": _ROUTE.script,
+    "route": _ROUTE,
+    "law": parameters(escort("logarithmic")),
+    "guarded": True,
+    "memory": UavMemory(_GROUND, initial_state(), _GUARD),
+    "looked": 2,
+    "here": Motion(20.7, 21.3, 0.2, -0.1),
+    "looks": np.array([[40.0, 0.5, 2.5], [39.0, 1.0, 1.0]]),
+    "arrived": 2,
+    "target": (True, 20.1, 20.4),
     "radio": np.array([[0.2, 0.7, -0.4], [0.3, 0.9, -0.3], [0.3, 8.0, 9.0]]),
-    "heard": 2,
+    "received": 2,
     "lead": 4.0,
     "terms": _RNG.normal(size=90),
     "begin": 3,
@@ -125,7 +134,7 @@ BY_NAME: dict[str, object] = {
     "columns": 160,
     "parameters": parameters(escort("logarithmic")),
     "own": OwnTerms(alpha=0.3, beta=0.8),
-    "sensor": SENSORS["hill"],
+    "sensor": SENSORS["hill"].code,
     "cell": 0.25,
     "uncovered": True,
     "p_ax": 20.7,
@@ -163,12 +172,14 @@ BY_NAME: dict[str, object] = {
 """An argument of this name has this value, in every function."""
 
 IN_MODULE: dict[str, dict[str, object]] = {
-    "agents.drivers.compiled": {"parameters": _DRIVERS[-1], "row": pack_driver(_DRIVERS[-1])},
+    **{
+        f"agents.drivers.{name}": {"p": _DRIVERS[-1]}
+        for name in ("waypoints", "wander", "script", "evade", "ugv_tick")
+    },
     "agents.control.guard": {"commands": np.array([[0.1, -0.2], [0.0, 0.3]]), "state": _GUARD},
-    "sim.lanes": {"first": 13, "end": 76},
-    "agents.estimation_twin": {
+    "sim.kernels.lanes": {"first": 13, "end": 76},
+    "agents.estimation.twin": {
         "parameters": _KALMAN,
-        "row": pack_kalman(_KALMAN),
         "numbers": _BELIEF,
         "history": _MEMORIES,
         "state": KalmanState(numbers=_BELIEF, history=_MEMORIES),
@@ -207,39 +218,41 @@ EXTRA: dict[str, dict[str, list[object]]] = {
     "agents.control.tracking.tracking_step": {"a_c": [0.0, -3.0]},
     "agents.control.coverage.velocity_error": {"uncovered": [True, False]},
     "agents.control.guard.note_detection": {"taken": [-1, 38], "p_delta_x": [-30.0, 30.0]},
-    "agents.drivers.compiled.ugv_control": {
-        "parameters": _DRIVERS,
-        "state": [fresh_driver_state(), _CORNERED],
-        "heard": [0, 3],
+    "agents.control.uav_tick.uav_tick": {"guarded": [False], "target": [(False, 0.0, 0.0)]},
+    "agents.control.uav_tick.uav_perceive": {"guarded": [False], "looked": [0]},
+    "agents.drivers.ugv_tick.ugv_tick": {
+        "p": _DRIVERS,
+        "state": [driver_state(), _CORNERED],
+        "received": [0, 3],
         "p_x": [0.1, 39.9],
     },
     "agents.drivers.evade.evade_control": {
-        "state": [fresh_driver_state(), _CORNERED],
+        "state": [driver_state(), _CORNERED],
         "p_x": [0.1, 39.9],
         "v_x": [30.0, -30.0],
     },
     "agents.drivers.evade.turned": {"time": [0.1 * k for k in range(300)]},
-    "agents.drivers.evade.border_side": {"p": [0.1, 0.5, 39.9]},
+    "agents.drivers.evade.border_side": {"at": [0.1, 0.5, 39.9]},
     "agents.drivers.script.script_control": {
         "time": [0.0, 0.5, 2.0, 1e12],
         "script": [np.zeros((0, 3))],
     },
     "agents.drivers.waypoints.waypoint_control": {"goals": [np.zeros((0, 2))]},
-    "sim.field.sensor_quality": {
-        "sensor": list(SENSORS.values()),
+    "sim.models.field.sensor_quality": {
+        "sensor": [row.code for row in SENSORS.values()],
         "rho2": [0.0, 3.3, 24.9, 25.0, 30.0],
     },
-    "sim.field.sensor_slope": {
-        "sensor": list(SENSORS.values()),
+    "sim.models.field.sensor_slope": {
+        "sensor": [row.code for row in SENSORS.values()],
         "rho2": [0.0, 3.3, 24.9, 25.0, 30.0],
     },
-    "sim.field.density": {"rho2": [0.0, 3.3, 90.0, 95.0625, 99.0]},
-    "sim.field.disc_chords": {"radius": [0.01, 5.0, 9.75, 70.0], "p_y": [0.1, -3.0, -80.0]},
-    "sim.field.accumulate": {"sensor": list(SENSORS.values())},
-    "sim.field.coverage_gradient": {"sensor": list(SENSORS.values())},
-    "sim.lanes.lane_sum": {"count": list(range(20))},
-    "sim.vehicles.stopping_distance": {"u_max": [0.3, float("inf")]},
-    "sim.vehicles.speed_to_stop_within": {"u_max": [0.3, float("inf")]},
+    "sim.models.field.density": {"rho2": [0.0, 3.3, 90.0, 95.0625, 99.0]},
+    "sim.models.field.disc_chords": {"radius": [0.01, 5.0, 9.75, 70.0], "p_y": [0.1, -3.0, -80.0]},
+    "sim.models.field.accumulate": {"sensor": [row.code for row in SENSORS.values()]},
+    "sim.models.field.coverage_gradient": {"sensor": [row.code for row in SENSORS.values()]},
+    "sim.kernels.lanes.lane_sum": {"count": list(range(20))},
+    "sim.models.vehicles.stopping_distance": {"u_max": [0.3, float("inf")]},
+    "sim.models.vehicles.speed_to_stop_within": {"u_max": [0.3, float("inf")]},
 }
 """More values of single arguments, one after the other."""
 
@@ -310,9 +323,12 @@ def test_called_from_compiled_code_it_gives_the_bits_that_python_gets(qualified:
 
 
 KERNELS = (
-    "sim.lanes.lane_sum",
-    *(f"sim.field.{name}" for name in ("disc_chords", "accumulate", "accumulate_with_gain")),
-    *(f"sim.field.{name}" for name in ("coverage_error", "coverage_gradient", "nearest_uncovered")),
+    "sim.kernels.lanes.lane_sum",
+    *(f"sim.models.field.{name}" for name in ("disc_chords", "accumulate", "accumulate_with_gain")),
+    *(
+        f"sim.models.field.{name}"
+        for name in ("coverage_error", "coverage_gradient", "nearest_uncovered")
+    ),
 )
 
 

@@ -20,10 +20,10 @@ from agents.control.coverage import (
 from agents.control.laws import coverage_term, initial_state
 from agents.uav import UavPilot
 from bus.messages import Area, Detection, Law, Sensor, UavObservation
-from outrider.flying import fly
-from sim.field import SENSORS
-from sim.scenario import Scenario, Uav, Ugv, Visibility
-from sim.vehicles import clip_norm, norm, step_vehicle
+from bus.registry import SENSORS
+from outrider.running.flying import fly
+from sim.models.vehicles import clip_norm, norm, step_vehicle
+from sim.scenario.types import Scenario, Uav, Ugv, Visibility
 
 numbers = st.floats(-100.0, 100.0)
 UNBOUNDED = {"max_speed": math.inf, "max_acceleration": math.inf}

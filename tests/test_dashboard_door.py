@@ -15,15 +15,15 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocketDisconnect
 
 from bus.errors import ScenarioError
-from outrider.dashboard import attempts
-from outrider.dashboard.app import application
-from outrider.dashboard.attempts import Attempts, Verdict
-from outrider.dashboard.door import Admission, choose_admission
-from outrider.dashboard.guard import Guard
-from outrider.dashboard.headers import SecureHeaders
-from outrider.dashboard.hub import Hub
-from outrider.dashboard.source import Standing
-from outrider.dashboard.visitors import Visitors
+from outrider.view.page.access import attempts
+from outrider.view.page.access.admission import Guard
+from outrider.view.page.access.attempts import Attempts, Judgement
+from outrider.view.page.access.door import Admission, choose_admission
+from outrider.view.page.access.headers import SecureHeaders
+from outrider.view.page.access.visitors import Visitors
+from outrider.view.page.app import application
+from outrider.view.page.hub import Hub
+from outrider.view.page.sources.protocol import SourceState
 
 TOKEN = "the-token-of-this-test"  # noqa: S105 - of this test alone
 TICKET = "the-ticket-of-this-test"
@@ -194,29 +194,29 @@ class Clock:
 def test_each_wrong_token_makes_the_next_wait_longer_and_the_right_one_waits_too() -> None:
     clock = Clock()
 
-    async def try_tokens() -> list[Verdict]:
+    async def try_tokens() -> list[Judgement]:
         judge = Attempts(TOKEN, clock=clock, sleep=clock.sleep)
         return [
             (await judge.judge("10.0.0.1", given))[0] for given in [*["wrong"] * 7, TOKEN, "wrong"]
         ]
 
     verdicts = asyncio.run(try_tokens())
-    assert verdicts == [*[Verdict.WRONG] * 7, Verdict.RIGHT, Verdict.WRONG]
+    assert verdicts == [*[Judgement.WRONG] * 7, Judgement.RIGHT, Judgement.WRONG]
     assert clock.waits == [0.5, 1.0, 2.0, 4.0, 8.0, 10.0, 10.0]
 
 
 def test_tries_of_one_address_are_made_one_after_the_other_and_few_may_wait() -> None:
     clock = Clock()
 
-    async def crowd() -> list[Verdict]:
+    async def crowd() -> list[Judgement]:
         judge = Attempts(TOKEN, clock=clock, sleep=clock.sleep)
         await judge.judge("10.0.0.1", "wrong")
         tries = [judge.judge("10.0.0.1", TOKEN if k == 90 else "wrong") for k in range(100)]
         return [verdict for verdict, _ in await asyncio.gather(*tries)]
 
     verdicts = asyncio.run(crowd())
-    assert verdicts.count(Verdict.WRONG) == 4
-    assert verdicts.count(Verdict.BUSY) == 96  # the right one among them
+    assert verdicts.count(Judgement.WRONG) == 4
+    assert verdicts.count(Judgement.BUSY) == 96  # the right one among them
     assert clock.most == 1
 
 
@@ -226,7 +226,7 @@ def test_another_address_waits_for_nobody_but_one_ipv6_network_is_one_address() 
     async def try_tokens() -> None:
         judge = Attempts(TOKEN, clock=clock, sleep=clock.sleep)
         for address in ("10.0.0.1", "10.0.0.2", "2001:db8::1"):
-            assert (await judge.judge(address, "wrong"))[0] is Verdict.WRONG
+            assert (await judge.judge(address, "wrong"))[0] is Judgement.WRONG
         assert clock.waits == []
         await judge.judge("2001:db8::2:3", "wrong")
         await judge.judge("10.0.0.1", "wrong")
@@ -281,7 +281,7 @@ class Silence:
 
     may_steer = False
     factor = 0.0
-    standing = Standing()
+    standing = SourceState()
 
     def news(self) -> Iterator[Any]:
         return iter(())
@@ -356,7 +356,8 @@ def test_a_page_that_is_opened_is_not_taken_for_one_that_nobody_opens(
     opened, left = Page(), Page()
     for built in (opened, left):
         monkeypatch.setattr(
-            "outrider.dashboard.visitors.ui", SimpleNamespace(context=SimpleNamespace(client=built))
+            "outrider.view.page.access.visitors.ui",
+            SimpleNamespace(context=SimpleNamespace(client=built)),
         )
         visitors.welcome()
         if built is opened:

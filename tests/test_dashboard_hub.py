@@ -3,8 +3,9 @@
 from typing import Any
 
 from bus.messages import Action, Change, Control, Law, Status
-from outrider.dashboard.hub import running_law
-from outrider.dashboard.wheel import TELEOP, Wheel
+from bus.registry import TELEOP
+from outrider.view.page.controls.wheel import SharedWheel
+from outrider.view.page.hub import running_law
 
 FIRST = Law(name="logarithmic", speed_gain=2.0)
 OTHER = Law(name="linear", weight_gain=7.0)
@@ -47,7 +48,7 @@ def test_a_reset_brings_the_first_law_back() -> None:
 
 def test_an_operator_whom_nobody_here_has_seated_is_a_stranger() -> None:
     said: list[Control] = []
-    wheel = Wheel(lambda control: said.append(control) is None, lambda _name, _drive: True)
+    wheel = SharedWheel(lambda control: said.append(control) is None, lambda _name, _drive: True)
     drivers = {"ugv_0": "waypoints", "ugv_1": TELEOP}
     assert wheel.strangers(drivers) == ["ugv_1"]
     assert wheel.take(1, "browser 1", "ugv_0", drivers)

@@ -20,9 +20,12 @@ from bus.messages import (
     UavReport,
     VehicleTruth,
 )
-from outrider.dashboard.history import History
-from outrider.dashboard.hub import Hub
-from outrider.dashboard.network import (
+from bus.profiles import PROFILES
+from outrider.recording.reader import flight_of
+from outrider.recording.writer import FlightRecorder
+from outrider.running.flying import fly
+from outrider.view.page.chart_data import ChartData
+from outrider.view.page.controls.network import (
     ALL,
     chosen,
     controls_for,
@@ -31,14 +34,11 @@ from outrider.dashboard.network import (
     with_field,
     words,
 )
-from outrider.dashboard.tape import Tape
-from outrider.dashboard.wheel import Wheel
-from outrider.flying import fly
-from outrider.recording.reader import flight_of
-from outrider.recording.writer import FlightRecorder
-from sim.ether import check_link
-from sim.profiles import PROFILES
-from sim.scenario import load_scenario
+from outrider.view.page.controls.wheel import SharedWheel
+from outrider.view.page.hub import Hub
+from outrider.view.page.sources.tape import Tape
+from sim.channel.description import check_link
+from sim.scenario.loading import load_scenario
 
 NAMES = ("uav_0/detections", "uav_0/commands", "ugv_0/commands", "ugv_0/operator", "uav_0/radio")
 PERFECT = LinkSettings()
@@ -171,13 +171,13 @@ def truth(time: float, age: float | None = 0.05) -> Truth:
     )
 
 
-def told(history: History, at: float, age: float | None = 0.05) -> tuple[float | None, ...]:
+def told(history: ChartData, at: float, age: float | None = 0.05) -> tuple[float | None, ...]:
     history.add(truth(at, age), 1.0, 0.05)
     return history.newest[-3:]
 
 
 def test_a_row_tells_the_age_the_share_lost_lately_and_a_blackout() -> None:
-    history = History()
+    history = ChartData()
     assert told(history, 0.0) == (0.05, None, 0.0)
     history.losses.take(status(0.0, uav_0__detections=link(0), ugv_0__commands=link(0)))
     history.losses.take(status(1.0, uav_0__detections=link(20, loss=5), ugv_0__commands=link(20)))
@@ -195,7 +195,7 @@ def test_a_row_tells_the_age_the_share_lost_lately_and_a_blackout() -> None:
 def test_a_new_flight_begins_to_count_anew_and_a_status_that_says_nothing_new_changes_nothing() -> (
     None
 ):
-    history = History()
+    history = ChartData()
     for time, sent in ((0.0, 0), (1.0, 100)):
         history.losses.take(status(time, uav_0__detections=link(sent, blackout=sent)))
     assert told(history, 1.0)[1:] == (1.0, 1.0)
@@ -228,7 +228,7 @@ def test_a_recording_that_is_wound_shows_its_blackout_where_it_was(tmp_path: Pat
 
 
 def test_full_deflection_asks_for_the_largest_speed_of_the_vehicle_that_is_driven() -> None:
-    wheel = Wheel(lambda _control: True, lambda _name, _drive: True)
+    wheel = SharedWheel(lambda _control: True, lambda _name, _drive: True)
     wheel.limits = {
         "ugv_0": Limits(max_speed=0.2, max_acceleration=0.1),
         "ugv_1": Limits(max_speed=None, max_acceleration=None),

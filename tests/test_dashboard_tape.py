@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 
 from bus.messages import Action, Control, CoverageMap, Drive, Status, Truth
-from outrider.dashboard.hub import Hub
-from outrider.dashboard.tape import Tape
-from outrider.flying import fly
 from outrider.recording.reader import flight_of
 from outrider.recording.writer import FlightRecorder
-from sim.scenario import load_scenario
+from outrider.running.flying import fly
+from outrider.view.page.hub import Hub
+from outrider.view.page.sources.tape import Tape
+from sim.scenario.loading import load_scenario
 
 
 @pytest.fixture(scope="module")
@@ -142,7 +142,9 @@ def test_a_recording_that_was_cut_off_says_so_at_its_end(path: Path, tmp_path: P
 def test_a_recording_without_a_status_is_shown_all_the_same(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("outrider.dashboard.tape.statuses", lambda *_args, **_more: iter(()))
+    monkeypatch.setattr(
+        "outrider.view.page.sources.tape.statuses", lambda *_args, **_more: iter(())
+    )
     _, _, hub = staged(path)
     shown(hub)
     assert hub.status is not None

@@ -2,42 +2,16 @@
 
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from staging import await_status, stage, wait_until, whole
+from staging import operating, stage, wait_until, whole
 
-from bus.keys import CONTROL, OPERATOR, STATUS
+from bus.keys import OPERATOR
 from bus.messages import Action, Control, Drive, Law, LinkKind, LinkSettings
-from outrider.promise import promise_warnings
-
-
-def operating(run: Any, work: Callable[[Any, Any], None]) -> Callable[[], None]:
-    """Let an operator work while the run flies; to be called when it is over."""
-    operator = run.client("operator")
-    controls, statuses = operator.outbox(CONTROL), operator.inbox(STATUS)
-    faults: list[BaseException] = []
-
-    def body() -> None:
-        try:
-            wait_until(lambda: controls.wanted)
-            work(controls.send, lambda wanted: await_status(statuses, wanted))
-        except BaseException as error:  # noqa: BLE001 - told in the test's own thread
-            faults.append(error)
-            run.server.flight.stop()
-
-    hand = threading.Thread(target=body)
-    hand.start()
-
-    def end() -> None:
-        hand.join(60.0)
-        if faults:
-            raise faults[0]
-
-    return end
+from outrider.running.promise import promise_warnings
 
 
 def test_another_law_is_flown_from_its_tick_on(tmp_path: Path) -> None:
@@ -140,7 +114,7 @@ def test_a_reset_begins_a_new_flight_with_its_own_seed_and_new_pilots(tmp_path: 
         range(400)
     )  # of the last flight: the pilot before is gone
     assert {seen.episode for seen in vehicles[0].seen} == {2}
-    from outrider.flying import fly
+    from outrider.running.flying import fly
 
     assert flight.recorder.sha256() == fly(flight.scenario, 8)[0].recorder.sha256()
 
@@ -211,11 +185,11 @@ def change(flight: Any) -> None:
     """What operators do to a flight at fixed ticks."""
     tick = flight.world.tick
     if tick == 60:
-        flight.seat("ugv_0", "wander")
+        flight.assign_driver("ugv_0", "wander")
     if tick == 100:
         flight.order(Law(name="linear"))
     if tick == 150:
-        flight.seat("ugv_0", "teleop")
+        flight.assign_driver("ugv_0", "teleop")
     if 150 <= tick < 220 and tick % 4 == 0:
         flight.say("ugv_0", Drive(driver="a person", velocity=(0.15, -0.1)))
 
@@ -224,8 +198,8 @@ def change(flight: Any) -> None:
 def test_a_vehicle_that_comes_back_knows_what_was_changed_and_said(
     victim: str, tmp_path: Path
 ) -> None:
-    from outrider.flying import fly
-    from sim.scenario import load_scenario
+    from outrider.running.flying import fly
+    from sim.scenario.loading import load_scenario
 
     expected = fly(load_scenario("escort", overrides=["duration=20.0"]), 7, on_tick=change)[0]
     with stage(tmp_path, 400, respawn=True) as run:

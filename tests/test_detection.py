@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
 
-from sim.detection import detect, detection_chance
+from sim.models.detection import detect, detection_chance
 
 R_V, R = 4.75, 5.0
 LOOKS = 4000

@@ -22,8 +22,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
-from processes import await_status, nothing_left_behind, wait_until
-from test_faults import scattered
+from processes import await_status, wait_until
+from scattered import scattered
 
 from bus.access import read_credential
 from bus.keys import CONTROL, GLANCE, OPERATOR, STATUS, Party, Role
@@ -40,14 +40,12 @@ from bus.messages import (
     VehicleTruth,
 )
 from bus.session import Session, open_session
-from outrider.drive.canvas import Canvas
-from outrider.drive.link import Link, View
-from outrider.drive.palette import BACKGROUND
-from outrider.drive.panel import History, banner, numbers
-from outrider.drive.topview import Trails, draw
-from outrider.drive.wheel import FIRST, HIGHEST, LOWEST, REPEAT, Heading, Wheel
-
-__all__ = ["nothing_left_behind"]
+from outrider.view.terminal.canvas import Canvas
+from outrider.view.terminal.palette import BACKGROUND
+from outrider.view.terminal.panel import ErrorCurve, banner, numbers
+from outrider.view.terminal.pressed_keys import FIRST, HIGHEST, LOWEST, REPEAT, Heading, PressedKeys
+from outrider.view.terminal.teleoperation import DriveView, Teleoperation
+from outrider.view.terminal.topview import Trails, draw
 
 CHILD = (
     "import fcntl, sys, termios\n"
@@ -322,7 +320,7 @@ def test_keys_take_the_wheel_drive_brake_and_give_it_back_and_the_terminal_is_as
             "321.5 m²",
             "▲",
             "■",
-            "x 1.00",
+            "real time (wanted x 1)",
         )
         assert not simulator.controls  # to look on changes nothing
         assert termios.tcgetattr(one.slave) != one.before
@@ -419,7 +417,7 @@ def test_a_wheel_taken_before_any_news_came_is_given_back_too(endpoint: str) -> 
     ):
         controls = mute.inbox(CONTROL)
         mute.announce()
-        link = Link(session, "ugv_0", speed=0.2, status=a_status())
+        link = Teleoperation(session, "ugv_0", speed=0.2, status=a_status())
         link.start()
         asked = []
         for driver in ("teleop", "script"):
@@ -501,7 +499,7 @@ def test_an_operator_drives_a_flight_in_real_time_and_nothing_jumps(tmp_path: Pa
 
 
 def test_a_key_counts_for_a_moment_and_its_repeats_prolong_it() -> None:
-    wheel = Wheel(0.2)
+    wheel = PressedKeys(0.2)
     assert wheel.velocity(0.0) is None
     wheel.press(Heading.EAST, 10.0)
     assert wheel.velocity(10.0 + 0.99 * FIRST) == (0.2, 0.0)
@@ -516,7 +514,7 @@ def test_a_key_counts_for_a_moment_and_its_repeats_prolong_it() -> None:
 
 
 def test_two_keys_at_once_are_a_diagonal_and_one_after_the_other_a_turn() -> None:
-    wheel = Wheel(0.2)
+    wheel = PressedKeys(0.2)
     wheel.press(Heading.NORTH, 0.0)
     wheel.press(Heading.EAST, 0.1)
     assert wheel.velocity(0.1) == pytest.approx((0.2 / math.sqrt(2.0), 0.2 / math.sqrt(2.0)))
@@ -529,7 +527,7 @@ def test_two_keys_at_once_are_a_diagonal_and_one_after_the_other_a_turn() -> Non
 
 
 def test_the_speed_keeps_its_bounds() -> None:
-    wheel = Wheel(0.2)
+    wheel = PressedKeys(0.2)
     wheel.faster(1)
     assert wheel.speed == pytest.approx(0.25)
     wheel.faster(-100)
@@ -541,35 +539,37 @@ def test_the_speed_keeps_its_bounds() -> None:
 @pytest.mark.parametrize(
     ("view", "words"),
     [
-        (View(connected=False, present=False, status=a_status()), "THE ROUTER HAS GONE"),
-        (View(present=False, status=a_status()), "THE SIMULATOR HAS GONE"),
-        (View(age=7.0, status=a_status()), "NO NEWS FROM THE SIMULATOR for 7 s"),
-        (View(fault="cannot send", status=a_status()), "TROUBLE: cannot send"),
-        (View(status=a_status(over=True), present=False), "the flight is over"),
-        (View(status=a_status(paused=True), driver="script"), "script drives ugv_0 (paused)"),
-        (View(status=a_status(), driver="script", asked=True), "taking the wheel"),
-        (View(status=a_status(), driver="teleop"), "YOU DRIVE ugv_0 · braking"),
-        (View(status=a_status(), driver="teleop", wanted=(0.1, 0.0)), "YOU DRIVE ugv_0 · driving"),
+        (DriveView(connected=False, present=False, status=a_status()), "THE ROUTER HAS GONE"),
+        (DriveView(present=False, status=a_status()), "THE SIMULATOR HAS GONE"),
+        (DriveView(age=7.0, status=a_status()), "NO NEWS FROM THE SIMULATOR for 7 s"),
+        (DriveView(fault="cannot send", status=a_status()), "TROUBLE: cannot send"),
+        (DriveView(status=a_status(over=True), present=False), "the flight is over"),
+        (DriveView(status=a_status(paused=True), driver="script"), "script drives ugv_0 (paused)"),
+        (DriveView(status=a_status(), driver="script", asked=True), "taking the wheel"),
+        (DriveView(status=a_status(), driver="teleop"), "YOU DRIVE ugv_0 · braking"),
+        (
+            DriveView(status=a_status(), driver="teleop", wanted=(0.1, 0.0)),
+            "YOU DRIVE ugv_0 · driving",
+        ),
     ],
 )
-def test_the_banner_says_what_matters_most(view: View, words: str) -> None:
+def test_the_banner_says_what_matters_most(view: DriveView, words: str) -> None:
     assert words in banner(view, "ugv_0", leaving=False).text
 
 
 def test_the_panel_says_what_is_lost_and_what_is_too_fast_and_lives_with_knowing_nothing() -> None:
-    history = History()
     status = a_status(
-        realtime_factor=120.0,
         wanted_factor=None,
         vehicles={"uav_0": VehicleStatus(present=False, lost=2, missing_commands=5)},
     )
-    history.follow(status)
-    text = numbers(View(status=status, truth=a_truth(distance=5.0)), "ugv_0", history).plain
+    text = numbers(
+        DriveView(status=status, truth=a_truth(distance=5.0), factor=120.0), "ugv_0", ErrorCurve()
+    ).plain
     assert "too fast to drive: --realtime 1" in text
     assert "-0.25 m" in text
     assert "lost 2x, missed 5, AWAY" in text
     assert all(len(line) <= 32 for line in text.splitlines())
-    assert "distance" in numbers(View(), "ugv_0", History()).plain
+    assert "distance" in numbers(DriveView(), "ugv_0", ErrorCurve()).plain
 
 
 def characters(canvas: Canvas) -> list[str]:
@@ -579,7 +579,7 @@ def characters(canvas: Canvas) -> list[str]:
 def test_the_map_shows_the_vehicles_where_they_are_and_the_limit_of_sight_around_the_ugv() -> None:
     trails = Trails()
     trails.follow(a_truth())
-    view = View(status=a_status(), truth=a_truth(distance=3.0))
+    view = DriveView(status=a_status(), truth=a_truth(distance=3.0))
     rows = characters(draw(view, "ugv_0", trails, width=44, height=21, wide=False))
     ugv = next((row.index("■"), k) for k, row in enumerate(rows) if "■" in row)
     uav = next((row.index("▲"), k) for k, row in enumerate(rows) if "▲" in row)
@@ -594,7 +594,7 @@ def test_the_map_shows_the_vehicles_where_they_are_and_the_limit_of_sight_around
             assert [len(row) for row in drawn] == [width] * height
     assert (
         "no position yet"
-        in characters(draw(View(), "ugv_0", trails, width=30, height=4, wide=False))[1]
+        in characters(draw(DriveView(), "ugv_0", trails, width=30, height=4, wide=False))[1]
     )
 
 

@@ -14,14 +14,18 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
 
-from agents.drivers.evade import EvadeDriver
+from agents.drivers.compiled import (
+    EvadeDriver,
+    ScriptDriver,
+    WanderDriver,
+    WaypointDriver,
+    driver_parameters,
+    driver_state,
+)
+from agents.drivers.evade import away, flee, receive_radio
 from agents.drivers.policy import PolicyDriver
-from agents.drivers.script import ScriptDriver
-from agents.drivers.table import Driver
 from agents.drivers.teleop import TeleopDriver
-from agents.drivers.wander import WanderDriver
-from agents.drivers.waypoints import WaypointDriver
-from agents.ugv import UgvPilot
+from agents.ugv import Driver, UgvPilot
 from bus.errors import ScenarioError
 from bus.messages import (
     Area,
@@ -33,11 +37,11 @@ from bus.messages import (
     UgvCommand,
     UgvObservation,
 )
-from outrider.flying import InProcess, make_pilots
-from sim.briefing import briefing
-from sim.flight import Flight
-from sim.scenario import load_scenario
-from sim.vehicles import norm, step_vehicle
+from outrider.running.flying import InProcess, make_pilots
+from sim.engine.briefing import briefing
+from sim.models.vehicles import norm, step_vehicle
+from sim.scenario.loading import load_scenario
+from sim.server.flight import Flight
 
 Point = tuple[float, float]
 Hears = Callable[[int, Point], dict[str, Any]]
@@ -442,7 +446,7 @@ def test_a_wanderer_reaches_one_goal_after_the_other(key: int) -> None:
         goal = goals[tick]
         assert goal is not None
         assert math.dist(rows[tick, :2], goal) < 0.05
-        assert min(*goal, 20.0 - goal[0], 20.0 - goal[1]) >= driver.margin
+        assert min(*goal, 20.0 - goal[0], 20.0 - goal[1]) >= driver.parameters.margin
 
 
 def test_wanderers_of_other_keys_go_other_ways_and_all_over_the_area() -> None:
@@ -480,11 +484,19 @@ def _shadowed(place: Callable[[float], Point]) -> Hears:
     return hears
 
 
-class _Straight(EvadeDriver):
-    """Without the seeded turns, which would hide what is looked at."""
+class _Straight:
+    """The evader without the seeded turns, which would hide what is looked at, and without the wanderer."""
 
-    def _turned(self, direction: Point, time: float) -> Point:
-        return direction
+    def __init__(self, told: UgvBriefing) -> None:
+        self._p, self._state = driver_parameters(told, "evade"), driver_state()
+
+    def drive(self, observation: UgvObservation) -> Point:
+        p, state, time = self._p, self._state, observation.time
+        here = (*observation.position, *observation.velocity)
+        radio = np.array([(one.time, *one.relative_position) for one in observation.radio])
+        receive_radio(state, radio.reshape(-1, 3), len(radio), time, *here, p.dt)
+        x, y = away(state, time, *here[:2], p.lead, (p.key_0, p.key_1))
+        return flee(p, state, x, y, time, *here)
 
 
 def test_it_leaves_behind_a_uav_that_flies_off() -> None:
@@ -535,7 +547,10 @@ def test_it_neither_runs_into_the_border_nor_gets_stuck_there(
     uav: Point, circling: tuple[float, float], v_max: float, u_max: float, key: int, side: float
 ) -> None:
     driver = EvadeDriver(_told(v_max=v_max, u_max=u_max, key=key, side=side))
-    (share, phase), speed = circling, WanderDriver(_told(v_max=v_max, u_max=u_max, side=side)).speed
+    (share, phase), speed = (
+        circling,
+        WanderDriver(_told(v_max=v_max, u_max=u_max, side=side)).parameters.speed,
+    )
     x, y = uav[0] * side / 20.0, uav[1] * side / 20.0
     hears = _shadowed(
         lambda t: (x + share * math.cos(phase + 0.5 * t), y + share * math.sin(phase + 0.5 * t))

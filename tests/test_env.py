@@ -14,11 +14,11 @@ from pettingzoo.utils.conversions import aec_to_parallel, parallel_to_aec
 
 from bus.errors import ScenarioError
 from bus.messages import Area, Law, UavBriefing, UgvBriefing
-from sim.briefing import briefing
+from sim.engine.briefing import briefing
 from sim.env.parallel import OutriderEnv, parallel_env
 from sim.env.spaces import FREE_ACCELERATION, extent_of
-from sim.scenario import Detections, Scenario, Uav, Ugv
-from sim.vehicles import clip_norm
+from sim.models.vehicles import clip_norm
+from sim.scenario.types import Detections, Scenario, Uav, Ugv
 
 with warnings.catch_warnings():
     warnings.simplefilter(

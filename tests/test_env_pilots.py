@@ -10,17 +10,18 @@ import msgspec
 import numpy as np
 import pytest
 
-from agents.estimator import RelativeEstimator
-from agents.wrappers import EstimateWrapper
+from agents.env_wrappers import EstimateWrapper
+from agents.estimation.estimator import RelativeEstimator
 from bus.layout import UavRow, uav_observation
 from bus.messages import Law
-from outrider.env_pilots import pilots
-from outrider.flying import fly
+from outrider.envs.env_pilots import pilots
+from outrider.running.flying import fly
 from sim.env.parallel import parallel_env
-from sim.scenario import Custom, Detections, Scenario, Uav, Ugv, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Custom, Detections, Scenario, Uav, Ugv
 
 ROOT = Path(__file__).parent.parent
-EXAMPLE, PAGE = ROOT / "examples" / "environment.py", ROOT / "docs" / "environment.md"
+EXAMPLE, PAGE = ROOT / "examples" / "environment.py", ROOT / "docs" / "reference" / "environment.md"
 NOISY = Scenario(
     name="noisy",
     duration=100.0,

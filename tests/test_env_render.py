@@ -9,11 +9,10 @@ from matplotlib.colors import to_rgb
 
 from bus.errors import OutriderError
 from bus.messages import Area, Law
-from outrider import style
 from sim.env.parallel import parallel_env
-from sim.env.render import INK, LIMIT, MUTED, UAV, UGV
 from sim.env.window import Window
-from sim.scenario import Scenario, Uav, Ugv
+from sim.scenario.types import Scenario, Uav, Ugv
+from sim.scene.colors import LIMIT, UAV, UGV
 
 SCENARIO = Scenario(
     name="wide",
@@ -33,7 +32,10 @@ def pixels_of(frame, color):
 
 
 def test_the_environment_loads_nothing_that_draws():
-    code = "import sys, sim.env.parallel, outrider.env_pilots; print([m for m in ('matplotlib', 'pygame') if m in sys.modules])"
+    code = (
+        "import sys, sim.env.parallel, outrider.envs.env_pilots;"
+        "print([m for m in ('matplotlib', 'pygame') if m in sys.modules])"
+    )
     assert (
         subprocess.run(
             [sys.executable, "-c", code], capture_output=True, text=True, check=True
@@ -112,16 +114,6 @@ def test_several_and_unbounded_vehicles_are_drawn():
     env.reset(seed=0)
     frame = env.render()
     assert all(len(pixels_of(frame, color)) > 20 for color in (*UAV[:2], *UGV[:2]))
-
-
-def test_colors_are_those_of_every_other_picture():
-    assert (UAV, UGV, LIMIT, INK, MUTED) == (
-        style.UAV,
-        style.UGV,
-        style.LIMIT,
-        style.INK,
-        style.MUTED,
-    )
 
 
 def test_without_a_mode_render_warns_and_draws_nothing():

@@ -8,7 +8,7 @@ import pytest
 
 from sim.env.parallel import parallel_env
 from sim.env.rewards import RewardWeights, full_error
-from sim.scenario import Scenario, Uav, Ugv
+from sim.scenario.types import Scenario, Uav, Ugv
 
 STILL = np.zeros(2)
 

@@ -20,11 +20,11 @@ from bus.layout import (
 )
 from bus.messages import Region
 from sim.env.parallel import OutriderEnv, parallel_env
-from sim.flight import Flight
-from sim.scenario import Coverage, Detections, Scenario, Uav, Ugv
+from sim.scenario.types import Coverage, Detections, Scenario, Uav, Ugv
+from sim.server.flight import Flight
 from sim.world import World
 
-PAGE = Path(__file__).parent.parent / "docs" / "environment.md"
+PAGE = Path(__file__).parent.parent / "docs" / "reference" / "environment.md"
 
 
 def scenario(

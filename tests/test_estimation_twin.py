@@ -9,8 +9,9 @@ import pytest
 from blas import blas_fuses, fused
 from filterpy.kalman import KalmanFilter
 
-from agents.estimation_model import acceleration_deviation, cut_variance, motion, straying
-from agents.estimation_twin import (
+from agents.estimation.estimator import RelativeEstimator
+from agents.estimation.motion_model import acceleration_deviation, cut_variance, motion, straying
+from agents.estimation.twin import (
     AGE,
     COLUMNS,
     DUPLICATES,
@@ -33,12 +34,10 @@ from agents.estimation_twin import (
     kalman_parameters,
     kalman_state,
     kalman_step,
-    pack_kalman,
-    unpack_kalman,
 )
-from agents.estimator import RelativeEstimator
 from bus.messages import Detection, Detector, Estimator, Limits
-from sim.compile import compiled
+from sim.kernels.compile import compiled
+from sim.kernels.records import records
 
 UGV = Limits(max_speed=0.2, max_acceleration=0.1)
 FREE = Limits(max_speed=None, max_acceleration=0.1)
@@ -294,16 +293,6 @@ def test_the_gate_closes_at_the_same_bit(fuses):
 # The frame
 
 
-def test_parameters_come_back_from_their_row():
-    for case in CASES.values():
-        parameters, _, _ = _pair(case)
-        row = pack_kalman(parameters)
-        assert (row.dtype, row.shape) == (np.float64, (len(KalmanParameters._fields),))
-        back = unpack_kalman(row)
-        assert back == parameters
-        assert [type(value) for value in back] == [type(value) for value in parameters]
-
-
 def test_parameters_are_those_of_the_pilots_filter():
     parameters, _, pilots = _pair(CASES["in time"])
     assert parameters.variance == cut_variance(sigma=0.1, cut=3.0) == pilots.covariance[0, 0]
@@ -325,7 +314,7 @@ def test_a_filter_without_a_tick_to_remember_is_refused():
 @compiled
 def _fly_worlds(rows, numbers, history, own, looks, counts):
     for world in range(len(rows)):
-        parameters = unpack_kalman(rows[world])
+        parameters = rows[world]
         state = KalmanState(numbers=numbers[world], history=history[world])
         for tick in range(len(own)):
             kalman_step(
@@ -351,9 +340,7 @@ def test_many_worlds_in_compiled_code_are_as_each_alone():
     parameters = [_pair(CASES[name])[0] for name in names]
     depth = CASES["late"].depth
     numbers, history = np.zeros((3, NUMBERS)), np.zeros((3, depth, COLUMNS))
-    _fly_worlds(
-        np.array([pack_kalman(p) for p in parameters]), numbers, history, own, looks, counts
-    )
+    _fly_worlds(records(KalmanParameters, parameters), numbers, history, own, looks, counts)
     for world, chosen in enumerate(parameters):
         alone = kalman_state(depth)
         for k in range(len(own)):

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import PROPERTY
 
-from agents.estimator import Estimate, RelativeEstimator
+from agents.estimation.estimator import Estimate, RelativeEstimator
 from bus.messages import Detection, Detector, Estimator, Limits
 
 DT = 0.05

@@ -19,9 +19,18 @@ from scipy import stats
 
 from bus.errors import ScenarioError
 from bus.messages import LinkSettings, LinkStatus
-from sim.compile import compiled
-from sim.ether import KEEPS, Link, check_link, extra_delays, link_parameters, link_status, relink
-from sim.link import (
+from bus.profiles import PROFILES
+from sim.channel.description import (
+    KEEPS,
+    Link,
+    check_link,
+    extra_delays,
+    link_parameters,
+    link_status,
+    link_table,
+    relink,
+)
+from sim.channel.link import (
     AGE_SUM,
     CAUSES,
     DARK,
@@ -29,6 +38,7 @@ from sim.link import (
     SHAPES,
     LinkParameters,
     LinkState,
+    LinkTable,
     advance,
     exchange,
     jitter_quantile,
@@ -38,8 +48,8 @@ from sim.link import (
     receive,
     send,
 )
-from sim.profiles import PROFILES
-from sim.randomness import Key
+from sim.kernels.compile import compiled
+from sim.models.randomness import Key
 
 MILLION = 1_000_000
 DT = 0.05
@@ -49,7 +59,7 @@ KS = 1.95
 
 @compiled
 def _drive(
-    p: LinkParameters,
+    t: LinkTable,
     s: LinkState,
     key: Key,
     first: int,
@@ -63,11 +73,11 @@ def _drive(
     payload = np.zeros(2)
     n = 0
     for tick in range(first, first + ticks):
-        advance(p, s, key, tick)
+        advance(t, 0, s, key, tick)
         dark[tick - first] = s.counts[DARK]
         for k in range(each):
             payload[0], payload[1] = tick, k
-            send(p, s, key, payload)
+            send(t, 0, s, key, payload)
         for k in range(receive(s, out)):
             log[n, 0], log[n, 1], log[n, 2] = tick, out[k, 0], out[k, 1]
             n += 1
@@ -98,7 +108,15 @@ class Flown:
         log, self.dark = np.zeros((rows, 3), dtype=np.int64), np.zeros(ticks, dtype=np.int64)
         out = np.zeros_like(self.state.payload)
         n = _drive(
-            self.parameters, self.state, self.key, self.tick, ticks, self.each, out, log, self.dark
+            link_table([self.parameters]),
+            self.state,
+            self.key,
+            self.tick,
+            ticks,
+            self.each,
+            out,
+            log,
+            self.dark,
         )
         self.tick += ticks
         self.arrived = np.concatenate([self.arrived, log[:n]])
@@ -497,7 +515,9 @@ def test_more_messages_than_the_room_holds_are_counted_and_break_nothing() -> No
     parameters = link_parameters(LinkSettings(delay=0.2), DT)
     state, out = link_state(parameters, 2), np.zeros((parameters.room, 2))
     for tick in range(100):
-        exchange(parameters, state, a_key(1, 1), tick, np.full((5, 2), float(tick)), out)
+        exchange(
+            link_table([parameters]), state, a_key(1, 1), tick, np.full((5, 2), float(tick)), out
+        )
     status = link_status(parameters, state)
     assert status.lost["full"] == status.sent - status.delivered - status.flying == 400
     assert _conserved(status)
@@ -507,7 +527,7 @@ def test_too_few_rows_for_what_arrives_is_an_error() -> None:
     parameters = link_parameters(LinkSettings(), DT, per_tick=2)
     with pytest.raises(ValueError, match="fewer rows"):
         exchange(
-            parameters,
+            link_table([parameters]),
             link_state(parameters, 2),
             a_key(1, 1),
             0,
@@ -560,10 +580,20 @@ def test_a_link_does_the_same_twice_and_whatever_other_links_do() -> None:
     arrived = []
     for tick in range(2000):
         for k in range(4):
-            _drive(parameters, _of_world(others, k), a_key(5, 10 + k), tick, 1, 1, out, log, rows)
+            _drive(
+                link_table([parameters]),
+                _of_world(others, k),
+                a_key(5, 10 + k),
+                tick,
+                1,
+                1,
+                out,
+                log,
+                rows,
+            )
         for world in (2, 0, 1):
             n = _drive(
-                parameters,
+                link_table([parameters]),
                 _of_world(worlds, world),
                 a_key(5 + world, 3),
                 tick,
@@ -746,7 +776,7 @@ def test_a_perfect_link_counts_what_the_compiled_path_counts(every: int) -> None
             link.send(tick, stamp, stamp)
         assert link.arrivals(tick) == stamps
         exchange(
-            parameters,
+            link_table([parameters]),
             state,
             a_key(1, 1),
             tick,

@@ -19,34 +19,35 @@ import msgspec
 import numpy as np
 import pytest
 from flights import R_S, R_V, distances
+from processes import OUTRIDER, outrider
 
 from bus.errors import PeerLost, ScenarioError
 from bus.messages import Command, LinkKind, UavCommand
-from outrider import attack
-from outrider.falsify import attacks, flying, search
-from outrider.falsify.engines import Found, Wanted, save
-from outrider.falsify.engines import search as search_both
-from outrider.falsify.flying import flown, promised
-from outrider.falsify.genome import SIZES, Candidate, decode, proof_cases
-from outrider.falsify.limits import Limits, base_of, beyond_declared, needed_age
-from outrider.falsify.pool import Workers
-from outrider.falsify.saving import as_toml
-from outrider.flying import InProcess, fly, make_pilots
-from sim.flight import Flight
-from sim.scenario import Scenario, load_scenario
-from sim.scenario_checks import check_scenario
+from outrider.experiments.falsify import attack, attacks, search
+from outrider.experiments.falsify import candidate as flying
+from outrider.experiments.falsify.candidate import flown, promised
+from outrider.experiments.falsify.engines import Found, Wanted, save
+from outrider.experiments.falsify.engines import search as search_both
+from outrider.experiments.falsify.genome import SIZES, Candidate, decode, proof_cases
+from outrider.experiments.falsify.limits import SearchLimits, base_of, beyond_declared, needed_age
+from outrider.experiments.falsify.pool import Workers
+from outrider.experiments.falsify.saving import as_toml
+from outrider.running.flying import InProcess, fly, make_pilots
+from sim.scenario.checks import check_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
+from sim.server.flight import Flight
 
-OUTRIDER = [sys.executable, "-m", "outrider"]
-DEGRADED = Limits(delay=1.0, loss=0.3, blackout=5.0, noise=0.1, command_delay=0.5)
+DEGRADED = SearchLimits(delay=1.0, loss=0.3, blackout=5.0, noise=0.1, command_delay=0.5)
 QUICK = {"duration": 25.0}
-UNDEGRADED = Limits()
+UNDEGRADED = SearchLimits()
 
 
-def base(law: str, limits: Limits = UNDEGRADED, **changes: Any) -> Scenario:
+def base(law: str, limits: SearchLimits = UNDEGRADED, **changes: Any) -> Scenario:
     return base_of(load_scenario("escort", overrides={"law.name": law, **QUICK, **changes}), limits)
 
 
-def found(law: str, runs: int, limits: Limits = UNDEGRADED, **wanted: Any) -> Found:
+def found(law: str, runs: int, limits: SearchLimits = UNDEGRADED, **wanted: Any) -> Found:
     changes = wanted.pop("changes", {})
     result = Found(
         Wanted(
@@ -60,12 +61,6 @@ def found(law: str, runs: int, limits: Limits = UNDEGRADED, **wanted: Any) -> Fo
     )
     search_both(result, asked=lambda: False, on_run=lambda *_: None)
     return result
-
-
-def outrider(*arguments: str, cwd: Path) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run(
-        [*OUTRIDER, *arguments], capture_output=True, text=True, check=False, timeout=150, cwd=cwd
-    )
 
 
 def candidates(count: int) -> list[Candidate]:
@@ -101,7 +96,7 @@ def test_the_laws_that_keep_it_undegraded_are_not_broken(law: str) -> None:
 
 
 def test_the_logarithmic_law_is_broken_by_blackouts_and_by_late_commands() -> None:
-    for limits in (Limits(blackout=5.0), Limits(command_delay=1.0)):
+    for limits in (SearchLimits(blackout=5.0), SearchLimits(command_delay=1.0)):
         assert found("logarithmic", 16, limits).worst > R_V + 0.05
 
 
@@ -113,9 +108,9 @@ def test_the_certified_law_stands_within_its_limits() -> None:
 
 
 BROKEN = {
-    "age": (Limits(delay=1.0, blackout=5.0), {"certificate.age": 1.1}),
-    "error": (Limits(noise=0.3), {"certificate.error": 0.05}),
-    "delay": (Limits(command_delay=1.0), {"certificate.delay": 0.0}),
+    "age": (SearchLimits(delay=1.0, blackout=5.0), {"certificate.age": 1.1}),
+    "error": (SearchLimits(noise=0.3), {"certificate.error": 0.05}),
+    "delay": (SearchLimits(command_delay=1.0), {"certificate.delay": 0.0}),
 }
 """Limits that go beyond what is declared."""
 
@@ -227,11 +222,11 @@ def test_what_the_limits_need_is_declared_and_what_is_declared_is_kept() -> None
 
 
 def test_hold_is_raised_where_commands_may_come_later() -> None:
-    late = Limits(command_delay=1.01)
+    late = SearchLimits(command_delay=1.01)
     start = base("linear", late)
     assert start.hold == pytest.approx(1.05)
     assert base("linear", late, hold=2.0).hold == 2.0
-    assert base("linear", Limits(command_delay=0.5)).hold == 0.5
+    assert base("linear", SearchLimits(command_delay=0.5)).hold == 0.5
     for candidate in candidates(20):
         check_scenario(decode(candidate, start, late))
 
@@ -240,7 +235,7 @@ def test_hold_is_raised_where_commands_may_come_later() -> None:
 
 
 def test_the_search_is_the_same_for_any_number_of_workers() -> None:
-    limits, short = Limits(noise=0.05, blackout=1.0), {"duration": 2.0}
+    limits, short = SearchLimits(noise=0.05, blackout=1.0), {"duration": 2.0}
     one, two = (found("switching", 70, limits, jobs=jobs, changes=short) for jobs in (1, 2))
     assert one.flights.elite == two.flights.elite
     assert (one.runs, one.violations) == (two.runs, two.violations) == (70, one.violations)
@@ -254,7 +249,7 @@ def test_cma_goes_on_from_the_best_and_leaves_numpys_own_random_numbers_alone() 
     result = found("linear", 100, changes={"duration": 6.0})
     assert np.array_equal(np.random.random(3), expected)  # noqa: NPY002
     first = max(
-        flown(one, base("linear", duration=6.0), Limits())[2].score for one in candidates(0)
+        flown(one, base("linear", duration=6.0), SearchLimits())[2].score for one in candidates(0)
     )
     assert result.worst > first
     assert all(
@@ -266,7 +261,7 @@ def test_the_budget_is_kept() -> None:
     assert found("linear", 37, changes={"duration": 2.0}).runs == 37
     began = time.monotonic()
     result = Found(
-        Wanted(base=base("linear"), limits=Limits(), flies=True, attacks=False, minutes=0.03)
+        Wanted(base=base("linear"), limits=SearchLimits(), flies=True, attacks=False, minutes=0.03)
     )
     search_both(result, asked=lambda: False, on_run=lambda *_: None)
     assert 1.0 < time.monotonic() - began < 20.0
@@ -361,8 +356,8 @@ BAD = {
 def test_bad_input_gets_one_line(
     case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    from outrider.bench.pairs import pairs_toml
     from outrider.cli import main
-    from outrider.pairs import pairs_toml
 
     monkeypatch.chdir(tmp_path)
     Path("pairs.toml").write_text(pairs_toml(2, seconds=10), encoding="utf-8")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bus.messages import Law
-from outrider.claims import (
+from outrider.experiments.claims import (
     Claim,
     claim_anchor,
     claim_collapse,
@@ -19,10 +19,18 @@ from outrider.claims import (
     claims_4,
     claims_5,
 )
-from outrider.figures import GAINS, WEIGHTINGS, all_claims, fly_all, make_figures
-from outrider.flying import fly
-from outrider.traces import crossings, distance, error, rise, searching, stop_row, velocity_errors
-from sim.scenario import load_scenario
+from outrider.experiments.paper_figures import GAINS, WEIGHTINGS, all_claims, fly_all, make_figures
+from outrider.experiments.traces import (
+    crossings,
+    distance,
+    error,
+    rise,
+    searching,
+    stop_row,
+    velocity_errors,
+)
+from outrider.running.flying import fly
+from sim.scenario.loading import load_scenario
 
 R, R_V, R_S, DESIRED, CELL, DT = 5.0, 4.75, 4.75 - 0.8**2 / 0.6, 2.0, 0.25, 0.05
 WIDTHS = {1: (1400, 760), 2: (1400, 480), 3: (1400, 700), 4: (1400, 1100), 5: (1400, 1100)}

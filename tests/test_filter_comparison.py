@@ -12,7 +12,7 @@ import msgspec
 import pytest
 
 from bus.messages import Detection, UavObservation
-from sim.briefing import briefing
+from sim.engine.briefing import briefing
 
 FOLDER = Path(__file__).resolve().parent.parent / "benchmarks" / "filters"
 

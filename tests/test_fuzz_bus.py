@@ -32,9 +32,9 @@ from bus.keys import (
 )
 from bus.messages import UavCommand, UgvCommand
 from bus.session import Inbox, Session, open_session
-from sim.flight import Flight
-from sim.scenario import load_scenario
-from sim.server import Server
+from sim.scenario.loading import load_scenario
+from sim.server.flight import Flight
+from sim.server.serving import Server
 
 STREAM = 20_000
 TICKS, GARBAGE_PER_TICK = 200, 5

@@ -37,14 +37,13 @@ from agents.control.guard import (
     note_commands,
     note_detection,
     note_position,
-    pack_promise,
-    unpack_promise,
 )
 from agents.control.handover import Promise, certificate
 from agents.control.visibility import SafetyFilter, promise_of
 from bus.messages import Certificate, Detection, UavBriefing, UavObservation
-from sim.compile import FloatArray
-from sim.vehicles import step_vehicle
+from sim.kernels.compile import FloatArray
+from sim.kernels.records import RecordArray, records
+from sim.models.vehicles import step_vehicle
 
 TICKS, WORLDS, DEPTH = 600, 2, 2400
 LATEST = 40  # ticks that a detection is on its way at most
@@ -132,7 +131,7 @@ def flown(seed: int, delay: float) -> tuple[SafetyFilter, FloatArray, FloatArray
 
 @numba.njit(error_model="numpy")  # type: ignore[untyped-decorator]
 def fly_all(
-    rows: FloatArray,
+    rows: RecordArray,
     states: GuardState,
     inputs: FloatArray,
     arrived: FloatArray,
@@ -141,7 +140,7 @@ def fly_all(
 ) -> None:
     """All worlds' filters in one compiled loop: each with its row of numbers and its slice of the arrays."""
     for i in range(rows.shape[0]):
-        c = unpack_promise(rows[i])
+        c = rows[i]
         state = GuardState(
             states.detections[i],
             states.plan[i],
@@ -181,7 +180,7 @@ def fly_all(
 @pytest.mark.parametrize("delay", [0.0, 3 * DT])
 def test_many_worlds_in_a_compiled_loop_give_what_the_filter_gives(delay: float) -> None:
     flights = [flown(seed, delay) for seed in range(WORLDS)]
-    rows = np.array([pack_promise(watch.promise) for watch, *_ in flights])
+    rows = records(Promise, [watch.promise for watch, *_ in flights])
     one = guard_state(flights[0][0].promise, DEPTH)
     states = GuardState(
         *(np.full((WORLDS, *part.shape), 7, part.dtype) for part in one)
@@ -197,7 +196,7 @@ def test_many_worlds_in_a_compiled_loop_give_what_the_filter_gives(delay: float)
     assert len(np.unique(wanted[:, :, 3])) >= 3  # certified, without a detection, contradicted
     assert 0 < wanted[:, :, 2].sum() < wanted[:, :, 2].size
     for i, (watch, *_) in enumerate(flights):
-        for part, own in zip(states, watch._state, strict=True):
+        for part, own in zip(states, watch.state, strict=True):
             assert part[i].tobytes() == own.tobytes()
 
 
@@ -303,9 +302,9 @@ def test_a_process_that_was_away_ignores_what_was_taken_meanwhile() -> None:
     for tick in (0, 1, 2, 7, 8):
         watch.see(observed(tick))
     watch.see(observed(9, *((tick * DT, 0.0, 1.0) for tick in (3, 4, 5, 6))))
-    assert np.isinf(watch._state.detections[:, 2]).all()
+    assert np.isinf(watch.state.detections[:, 2]).all()
     watch.see(observed(10, (2 * DT, 0.0, 1.0)))
-    assert watch._state.detections[:, 2].max() == 2 * DT
+    assert watch.state.detections[:, 2].max() == 2 * DT
 
 
 def test_a_detection_that_claims_another_moment_counts_for_the_nearest_tick() -> None:
@@ -313,7 +312,7 @@ def test_a_detection_that_claims_another_moment_counts_for_the_nearest_tick() ->
     for tick in range(6):
         watch.see(observed(tick))
     watch.see(observed(6, (3.4 * DT, 0.0, 1.0), (1e12, 0.0, 1.0), (7 * DT, 0.0, 1.0)))
-    assert watch._state.detections[np.isfinite(watch._state.detections[:, 2])].tolist() == [
+    assert watch.state.detections[np.isfinite(watch.state.detections[:, 2])].tolist() == [
         [20.03, 19.0, 3 * DT]
     ]
 
@@ -339,20 +338,6 @@ def test_a_contradiction_is_remembered_until_the_filter_begins_again() -> None:
     assert state.flags[0] == 1
     begin_guard(state)
     assert state.flags[0] == 0
-
-
-@pytest.mark.parametrize("error", [0.3, None])
-def test_a_promise_comes_back_from_its_row(error: float | None) -> None:
-    for promise in (
-        promise_of(declared(0.15, error)),
-        certificate(r_v=5, v_a=1, u_a=1, v_g=0, dt=0.1, eps=0, age=2),
-    ):
-        row = pack_promise(promise)
-        assert (row.dtype, row.shape) == (np.float64, (len(Promise._fields),))
-        back = unpack_promise(row)
-        assert type(back) is Promise
-        assert np.array(back).tobytes() == np.array(promise, dtype=np.float64).tobytes()
-    assert unpack_promise(np.arange(13.0)) == Promise(*range(13))
 
 
 def test_where_there_are_no_walls_a_detection_stays_where_it_is() -> None:

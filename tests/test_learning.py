@@ -1,9 +1,11 @@
 """The learned UAV: its file, its flight alone and in a batch, its table; all without a learning library."""
 
+import importlib
 import json
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import gymnasium
@@ -14,46 +16,41 @@ from gymnasium.vector import SyncVectorEnv
 from gymnasium.vector.utils import batch_space
 
 import outrider
-from outrider.env_pilots import pilots
-from outrider.learning.alone import alone
-from outrider.learning.curve import draw_curve
-from outrider.learning.evaluate import (
-    CASES,
-    LAWS,
-    LEARNED,
-    VALIDATION_SEEDS,
-    as_dicts,
-    evaluate,
-    fly_law,
-    fly_policy,
-    markdown,
-)
+from outrider.envs.env_pilots import pilots
+from outrider.envs.vector import Worlds
+from outrider.envs.wrappers import transformed
+from outrider.learning.learned import LearnedPolicy, make_view
 from outrider.learning.mlp import Mlp, load_policy, save_policy
-from outrider.learning.policy import LearnedPolicy, make_view
+from outrider.learning.one_world import alone
 from outrider.learning.repeat import ActionRepeat
-from outrider.vector import Worlds
-from outrider.wrappers import transformed
-from sim.scenario import load_scenario
+from sim.scenario.loading import load_scenario
 
 pytestmark = pytest.mark.xdist_group(
     "many worlds"
 )  # on one worker: what they compile takes a minute, once
 
-POLICY = Path(__file__).parents[1] / "examples" / "policies" / "uav_ppo.npz"
+EXAMPLES = Path(__file__).parents[1] / "examples"
+POLICY = EXAMPLES / "policies" / "uav_ppo.npz"
 SEEDS = [41, 42, 43]
 NOISY = msgspec.structs.replace(load_scenario("escort"), duration=30.0)
 
 
+@pytest.fixture
+def evaluation(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    return importlib.import_module("evaluation")
+
+
 def test_importing_it_imports_no_learning_library() -> None:
     code = (
-        "import sys, outrider.learning.curve, outrider.learning.alone;"
+        "import sys, outrider.learning.one_world;"
         "print({'torch', 'stable_baselines3'} & set(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
 
 
-def test_the_shipped_file_is_small_and_says_how_it_was_made() -> None:
+def test_the_shipped_file_is_small_and_says_how_it_was_made(evaluation: ModuleType) -> None:
     network, recipe = load_policy(POLICY)
     assert POLICY.stat().st_size < 300_000
     assert recipe["algorithm"] == "PPO"
@@ -67,7 +64,7 @@ def test_the_shipped_file_is_small_and_says_how_it_was_made() -> None:
         "driver",
         "curve",
     } <= recipe.keys()
-    assert recipe["seed"] * 100 + recipe["num_envs"] < VALIDATION_SEEDS[0]
+    assert recipe["seed"] * 100 + recipe["num_envs"] < evaluation.VALIDATION_SEEDS[0]
     assert network.weights[-1].shape[0] == 2
 
 
@@ -146,34 +143,39 @@ def test_asked_for_the_first_time_amid_an_episode_it_answers_at_once() -> None:
     assert policy(seen).any(axis=1).all()
 
 
-def test_it_sees_more_than_the_circle_and_keeps_sight() -> None:
-    for case, seeds in ((CASES["escort"], [7]), (CASES["wander"], [900_031, 900_032])):
-        circle = fly_law(case, "circle", seeds)
-        learned = fly_policy(case, LearnedPolicy.load(POLICY), seeds, shielded=True)
+def test_it_sees_more_than_the_circle_and_keeps_sight(evaluation: ModuleType) -> None:
+    cases = evaluation.CASES
+    for case, seeds in ((cases["escort"], [7]), (cases["wander"], [900_031, 900_032])):
+        circle = evaluation.fly_law(case, "circle", seeds)
+        learned = evaluation.fly_policy(case, LearnedPolicy.load(POLICY), seeds, shielded=True)
         assert (learned["mean_error"] < 0.6 * circle["mean_error"]).all()
         assert not learned["visibility_violations"].any()
         assert (learned["ticks"] == circle["ticks"]).all()
 
 
-def test_the_table_is_the_same_twice_and_says_what_is_not_filtered() -> None:
-    results = evaluate(POLICY, flights=2, cases=["covered"], duration=10.0)
-    assert results == evaluate(POLICY, flights=2, cases=["covered"], duration=10.0)
-    assert [result.pilot for result in results][: len(LAWS)] == list(LAWS)
+def test_the_table_is_the_same_twice_and_says_what_is_not_filtered(evaluation: ModuleType) -> None:
+    results = evaluation.evaluate(POLICY, flights=2, cases=["covered"], duration=10.0)
+    assert results == evaluation.evaluate(POLICY, flights=2, cases=["covered"], duration=10.0)
+    assert [result.pilot for result in results][: len(evaluation.BASELINES)] == list(
+        evaluation.BASELINES
+    )
     assert all(
         result.lost == result.violations == 0 and 0.0 < result.max_distance < 4.75
         for result in results
     )
     assert {result.pilot for result in results if result.intervened is not None} == {
         "certified",
-        LEARNED,
+        evaluation.LEARNED,
     }
-    lines = markdown(results).splitlines()
+    lines = evaluation.markdown(results).splitlines()
     assert len(lines) == 4 + len(results)
     assert len({line.count("|") for line in lines[2:]}) == 1
-    assert json.loads(json.dumps(as_dicts(results)))[0]["pilot"] == "circle"
+    assert json.loads(json.dumps(evaluation.as_dicts(results)))[0]["pilot"] == "circle"
 
 
+@pytest.mark.usefixtures("evaluation")
 def test_a_curve_is_drawn(tmp_path: Path) -> None:
+    draw_curve = importlib.import_module("curve").draw_curve
     network, recipe = load_policy(POLICY)
     draw_curve(POLICY, tmp_path / "curve.png", laws=())
     assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
@@ -221,7 +223,7 @@ def test_a_bad_file_is_refused_in_one_line(tmp_path: Path) -> None:
         assert f"{name}.npz" in str(refused.value)
 
 
-def test_a_policy_asks_for_the_observations_that_it_needs() -> None:
+def test_a_policy_asks_for_the_observations_that_it_needs(evaluation: ModuleType) -> None:
     policy = LearnedPolicy.load(POLICY)
     env = outrider.vector_env(NOISY, num_envs=2)
     with pytest.raises(ValueError, match="make the environment with its setup"):
@@ -236,9 +238,9 @@ def test_a_policy_asks_for_the_observations_that_it_needs() -> None:
             outrider.vector_env(fast, num_envs=2, **policy.setup), lambda: make_view(policy.recipe)
         )
     with pytest.raises(ValueError, match="flights = 0"):
-        evaluate(POLICY, flights=0)
+        evaluation.evaluate(POLICY, flights=0)
     with pytest.raises(ValueError, match="allowed: escort, wander, evade, covered"):
-        evaluate(POLICY, flights=1, cases=["moon"])
+        evaluation.evaluate(POLICY, flights=1, cases=["moon"])
 
 
 def test_a_world_is_answered_with_the_same_bits_alone_and_in_a_batch() -> None:

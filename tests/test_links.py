@@ -6,9 +6,8 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from flights import escort
-from staging import PILOT, stage
-from test_desk import operating
+from flights import degraded, escort
+from staging import PILOT, operating, stage
 
 from bus.errors import ScenarioError
 from bus.messages import (
@@ -21,23 +20,15 @@ from bus.messages import (
     UavCommand,
     UgvCommand,
 )
-from outrider.env_pilots import pilots
-from outrider.flying import fly
-from sim.briefing import briefing
+from bus.profiles import PROFILES
+from outrider.envs.env_pilots import pilots
+from outrider.running.flying import fly
+from sim.engine.briefing import briefing
 from sim.env.parallel import parallel_env
-from sim.flight import Flight
-from sim.links import Links
-from sim.profiles import PROFILES
-from sim.scenario import Detections, LinkTable, Scenario, Ugv, VehicleLinks, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Detections, LinkTable, Ugv, VehicleLinks
+from sim.server.flight import Flight
 from sim.world import World
-
-POOR = PROFILES["wifi-poor"]
-BAD = LinkTable(detections=POOR, commands=PROFILES["jammed"], operator=POOR, radio=POOR)
-
-
-def degraded(ticks: int, links: LinkTable = BAD) -> Scenario:
-    scenario = load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}"])
-    return msgspec.structs.replace(scenario, links=links)
 
 
 def moving(links: LinkTable, **fields: Any) -> Flight:
@@ -156,7 +147,7 @@ def test_a_command_that_was_overtaken_is_not_flown_any_more() -> None:
     for tick in range(100):
         flight.apply({"uav_0": UavCommand(tick=tick, acceleration=(0.001 * (tick + 1), 0.0))})
         flown.append(float(flight.world.commands[0, 0]))
-    assert flight.world.links.of(LinkKind.COMMANDS)["uav_0"].counters().delivered > 90
+    assert flight.world.links.status()["uav_0/commands"].delivered > 90
     assert flown == sorted(flown)
     assert len(set(flown)) < 80  # many came too late to be flown
 
@@ -231,7 +222,7 @@ def test_a_process_that_joins_again_is_told_what_had_arrived() -> None:
 
 def test_perfect_links_are_the_identity() -> None:
     scenario = load_scenario("escort", overrides=["duration=20.0"])
-    assert not Links(scenario, World(scenario, 7).keys).degraded
+    assert not World(scenario, 7).links.degraded
     one, two = (
         fly(scenario, 7)[1],
         fly(
@@ -288,4 +279,4 @@ def test_an_operator_degrades_a_link_while_it_flies(tmp_path: Path) -> None:
         flight = run.fly()
         end()
     assert [change.control.link for change in run.server.changes] == [LinkKind.DETECTIONS]
-    assert flight.world.links.of(LinkKind.DETECTIONS)["uav_0"].settings == LinkSettings(loss=1.0)
+    assert flight.world.links.status()["uav_0/detections"].settings == LinkSettings(loss=1.0)

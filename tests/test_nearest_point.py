@@ -11,8 +11,8 @@ from scipy import stats
 
 from agents.control.coverage import symmetry_breaker
 from agents.control.laws import initial_state, way_to_uncovered
-from outrider import reference
-from sim.field import cover, empty_coverage, is_uncovered, nearest_uncovered
+from outrider.bench import reference
+from sim.models.field import cover, empty_coverage, is_uncovered, nearest_uncovered
 
 CELL = 0.25
 Answer = tuple[bool, float, float]

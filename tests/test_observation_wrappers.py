@@ -17,17 +17,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pettingzoo.utils.conversions import parallel_to_aec
 
-from agents.wrappers import EstimateWrapper, SafetyFilterWrapper
+from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from bus.layout import UavRow, UgvRow, table
 from bus.messages import Law
-from outrider.observations.body import BODY_SYMBOLS, Egocentric, UavBodyRow, UgvBodyRow
-from outrider.observations.history import History
-from outrider.observations.image import CoverageImage
-from outrider.observations.normalized import Normalized
-from outrider.wrappers import coverage_image, egocentric, history, normalized, transformed
+from bus.profiles import PROFILES
+from outrider.envs.observations.body import BODY_SYMBOLS, Egocentric, UavBodyRow, UgvBodyRow
+from outrider.envs.observations.image import CoverageImage
+from outrider.envs.observations.normalized import Normalized
+from outrider.envs.observations.stacking import History
+from outrider.envs.wrappers import coverage_image, egocentric, history, normalized, transformed
 from sim.env.parallel import parallel_env
-from sim.profiles import PROFILES
-from sim.scenario import Detections, LinkTable, Scenario, Uav, Ugv
+from sim.scenario.types import Detections, LinkTable, Scenario, Uav, Ugv
 
 with warnings.catch_warnings():
     warnings.simplefilter(
@@ -810,11 +810,13 @@ def test_a_transformation_of_ones_own_takes_its_place():
 
 
 def test_the_documentation_has_the_tables_and_its_example_runs():
-    text = (Path(__file__).parent.parent / "docs" / "learning-observations.md").read_text("utf-8")
+    text = (
+        Path(__file__).parent.parent / "docs" / "how-to" / "learning-observations.md"
+    ).read_text("utf-8")
     assert table(UavBodyRow) in text
     assert table(UgvBodyRow) in text
     assert BODY_SYMBOLS["R"] in text
     examples = [block.split("```")[0] for block in text.split("```python\n")[1:]]
     assert len(examples) == 3
     for example in examples[:2]:  # the third needs SuperSuit and Stable-Baselines3
-        exec(compile(example, "docs/learning-observations.md", "exec"), {})  # noqa: S102
+        exec(compile(example, "docs/how-to/learning-observations.md", "exec"), {})  # noqa: S102

@@ -22,11 +22,11 @@ from agents.control.orbit import (
 )
 from bus.errors import ScenarioError
 from bus.messages import Area, Law
-from outrider.flying import fly
-from outrider.reference import FloatGrid
-from sim.flight import Flight
-from sim.scenario import Scenario, Uav, Ugv
-from sim.vehicles import step_vehicle
+from outrider.bench.reference import FloatGrid
+from outrider.running.flying import fly
+from sim.models.vehicles import step_vehicle
+from sim.scenario.types import Scenario, Uav, Ugv
+from sim.server.flight import Flight
 
 numbers = st.floats(-100.0, 100.0)
 Point = tuple[tuple[float, float], tuple[float, float]]

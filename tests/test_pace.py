@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from bus.messages import UgvObservation
-from sim.pace import Lockstep
+from sim.server.pace import Lockstep
 
 NAMES = ("uav_0", "ugv_0")
 SEEN = {

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
 
-from agents.drivers.waypoints import WaypointDriver, goal_control
+from agents.drivers.compiled import WaypointDriver
+from agents.drivers.waypoints import goal_control
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.errors import ScenarioError
@@ -25,11 +26,11 @@ from bus.messages import (
     UgvBriefing,
     UgvObservation,
 )
-from outrider.flying import InProcess, fly, make_pilots
-from sim.briefing import briefing
-from sim.flight import Flight
-from sim.scenario import Detections, Uav, Ugv
-from sim.vehicles import goal_reached, norm, step_vehicle
+from outrider.running.flying import InProcess, fly, make_pilots
+from sim.engine.briefing import briefing
+from sim.models.vehicles import goal_reached, norm, step_vehicle
+from sim.scenario.types import Detections, Uav, Ugv
+from sim.server.flight import Flight
 
 Point = tuple[float, float]
 points = st.tuples(st.floats(0.0, 20.0), st.floats(0.0, 20.0))

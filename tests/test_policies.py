@@ -27,11 +27,13 @@ from agents.drivers.policy import PolicyDriver, UgvRows
 from bus.errors import ScenarioError
 from bus.layout import UgvRow
 from bus.messages import Area, Limits, UgvBriefing, UgvObservation
-from outrider.env_pilots import pilots
-from outrider.flying import InProcess, fly, make_pilots
-from outrider.own import SAVED, load_function, load_policy
-from sim.flight import Flight
-from sim.scenario import Custom, Scenario, load_scenario
+from bus.registry import SAVED_POLICIES
+from outrider.envs.env_pilots import pilots
+from outrider.running.flying import InProcess, fly, make_pilots
+from outrider.running.user_code import load_function, load_policy
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Custom, Scenario
+from sim.server.flight import Flight
 
 LIBRARIES = ("stable_baselines3", "sb3_contrib", "torch", "onnxruntime")
 
@@ -455,7 +457,7 @@ def test_a_module_that_breaks_while_it_is_imported_is_named_in_one_line(here: Pa
 
 
 def test_only_what_is_flown_is_imported() -> None:
-    body = f"import sys, outrider.own, outrider.flying; print([m for m in {LIBRARIES} if m in sys.modules])"
+    body = f"import sys, outrider.running.user_code, outrider.running.flying; print([m for m in {LIBRARIES} if m in sys.modules])"
     found = subprocess.run([sys.executable, "-c", body], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
-    assert set(SAVED) == {"sb3", "torch", "onnx"}
+    assert set(SAVED_POLICIES) == {"sb3", "torch", "onnx"}

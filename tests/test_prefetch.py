@@ -5,9 +5,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
 
-from sim.compile import FloatArray, released
-from sim.field import disc_chords
-from sim.prefetch import disc_widths, fetch_disc, fetch_rows
+from sim.kernels.compile import FloatArray, released
+from sim.kernels.prefetch import disc_widths, fetch_disc, fetch_rows
+from sim.models.field import disc_chords
 
 ROWS, COLUMNS = 90, 110
 

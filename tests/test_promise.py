@@ -7,9 +7,10 @@ from processes import outrider
 
 from bus.errors import ScenarioError
 from bus.messages import LinkKind, LinkSettings
-from outrider.promise import How, how_certifiable, promise_warnings, shortfalls
-from sim.ether import Link, arrival_share, least_ticks, link_parameters
-from sim.scenario import Scenario, load_scenario
+from outrider.running.promise import How, how_certifiable, promise_warnings, shortfalls
+from sim.channel.description import Link, arrival_share, least_ticks, link_parameters
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 from sim.world import World
 
 DT = 0.05

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from properties import PROPERTY
 from scipy import stats
 
-from sim import randomness
-from sim.randomness import (
+from sim.engine.run_keys import check_secret, derive_key, derive_keys, new_secret
+from sim.models import randomness
+from sim.models.randomness import (
     RUN_PURPOSES,
     cut_normal_vector,
     draw,
@@ -26,7 +27,6 @@ from sim.randomness import (
     uniform,
     words_of,
 )
-from sim.run_keys import check_secret, derive_key, derive_keys, new_secret
 
 words = st.integers(0, 2**64 - 1)
 seeds = st.integers(0, 2**53 - 1)

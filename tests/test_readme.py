@@ -1,40 +1,64 @@
-"""What the README shows is what is there."""
+"""What the README and the pages of docs show is what is there."""
 
 import json
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import typer
 
+import outrider
 from bus.messages import LinkKind
-from outrider.cli.main import COMMANDS
-from sim.scenario import load_scenario
+from outrider.cli.main import make_app
+from outrider.running.user_code import check_own_functions
+from sim.scenario.loading import load_scenario
 
 ROOT = Path(__file__).resolve().parent.parent
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = {
+    str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
+    for path in (ROOT / "README.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md")))
+}
+README = PAGES["README.md"]
 
 
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", README, flags=re.DOTALL)
+def blocks(language: str, page: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", PAGES[page], flags=re.DOTALL)
 
 
-@pytest.mark.parametrize("example", ["environment", "own_pilot", "external_ugv"])
-def test_the_examples_are_shown_as_they_are(example: str) -> None:
+def prose(page: str) -> str:
+    return re.sub(r"```.*?```|`[^`\n]*`", "", PAGES[page], flags=re.DOTALL)
+
+
+@pytest.mark.parametrize(
+    ("example", "page"),
+    [
+        ("environment", "README.md"),
+        ("environment", "docs/reference/environment.md"),
+        ("own_pilot", "docs/how-to/own-pilot.md"),
+        ("external_ugv", "docs/how-to/own-pilot.md"),
+    ],
+)
+def test_the_examples_are_shown_as_they_are(example: str, page: str) -> None:
     text = (ROOT / "examples" / f"{example}.py").read_text(encoding="utf-8")
-    assert text.split('"""')[2].strip() in README
+    assert text.split('"""')[2].strip() in PAGES[page]
+
+
+def test_the_readme_can_be_read_at_one_sitting() -> None:
+    assert len(README.splitlines()) <= 150
 
 
 def test_the_scenario_shown_can_be_flown(tmp_path: Path) -> None:
-    shown = next(block for block in blocks("toml") if "title" in block)
+    (shown,) = blocks("toml", "docs/how-to/scenario.md")
     (tmp_path / "mine.toml").write_text(shown, encoding="utf-8")
     assert load_scenario(tmp_path / "mine.toml").title == "Across the yard"
 
 
 def test_the_links_shown_can_be_flown(tmp_path: Path) -> None:
-    shown, links = (
-        next(block for block in blocks("toml") if word in block) for word in ("title", "[links]")
+    (shown,), (links,) = (
+        blocks("toml", f"docs/how-to/{name}.md") for name in ("scenario", "network")
     )
     (tmp_path / "mine.toml").write_text(shown + links, encoding="utf-8")
     settings = load_scenario(tmp_path / "mine.toml").links
@@ -43,7 +67,7 @@ def test_the_links_shown_can_be_flown(tmp_path: Path) -> None:
 
 
 def test_the_filter_shown_keeps_sight(tmp_path: Path) -> None:
-    shown = next(block for block in blocks("python") if "SafetyFilterWrapper" in block)
+    (shown,) = blocks("python", "docs/how-to/keep-sight.md")
     run = subprocess.run(
         [sys.executable, "-c", shown], cwd=tmp_path, capture_output=True, text=True, check=True
     )
@@ -54,21 +78,32 @@ def test_the_filter_shown_keeps_sight(tmp_path: Path) -> None:
 
 @pytest.mark.xdist_group("many worlds")
 def test_the_many_worlds_shown_fly(tmp_path: Path) -> None:
-    shown = next(block for block in blocks("python") if "vector_env" in block)
+    (shown,) = blocks("python", "docs/how-to/environments.md")
     run = subprocess.run(
         [sys.executable, "-c", shown], cwd=tmp_path, capture_output=True, text=True, check=True
     )
     assert float(run.stdout) > 100.0
 
 
-def test_the_commands_shown_exist() -> None:
-    shown = set(re.findall(r"^outrider (\S+)", "\n".join(blocks("sh")), flags=re.MULTILINE))
-    assert shown <= set(COMMANDS)
-    assert {"run", "simulator", "uav", "ugv", "scenarios", "figures", "bench"} <= shown
+def test_the_commands_and_options_shown_exist() -> None:
+    known = {
+        name: {"--help"} | {opt for p in one.params for opt in (*p.opts, *p.secondary_opts)}
+        for name, one in typer.main.get_command(make_app()).commands.items()
+    }
+    shown = set()
+    for page in PAGES:
+        for line in re.findall(r"^outrider .*$", "\n".join(blocks("sh", page)), re.MULTILINE):
+            for part in shlex.join(shlex.split(line, comments=True)).split("outrider ")[1:]:
+                command, *words = shlex.split(part.replace("'&&'", ""))
+                options = {word.partition("=")[0] for word in words if word.startswith("--")}
+                assert options <= known[command], f"{page}: {line}"
+                shown.add(command)
+    assert {"run", "simulator", "uav", "ugv", "scenarios", "figures", "bench", "suite"} <= shown
 
 
 def test_the_weighting_shown_flies(tmp_path: Path) -> None:
-    shown = next(block for block in blocks("python") if "def careful" in block)
+    shown = next(block for block in blocks("python", "README.md") if "def careful" in block)
+    assert shown.partition("\n")[2] in PAGES["docs/how-to/own-code.md"]
     (tmp_path / "mine.py").write_text(shown, encoding="utf-8")
     arguments = [
         "run",
@@ -92,10 +127,29 @@ def test_the_weighting_shown_flies(tmp_path: Path) -> None:
     assert json.loads(run.stdout)["visibility_violations"] == 0
 
 
-def test_the_claims_shown_are_those_that_the_figures_make(tmp_path: Path) -> None:
-    from outrider.figures import make_figures
+def test_the_path_and_the_policy_shown_fly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = "\n".join(blocks("python", "docs/how-to/own-code.md"))
+    (tmp_path / "shown_in_docs.py").write_text(shown, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    changes = {
+        "duration": 60.0,
+        "law.name": "path",
+        "custom.path": "shown_in_docs:ellipse",
+        "ugv.0.driver": "policy",
+        "custom.policy": "shown_in_docs:drive",
+    }
+    scenario = load_scenario("escort", overrides=changes)
+    assert check_own_functions(scenario) == ()
+    summary = outrider.run(scenario, allow_code=True)
+    assert summary.visibility_violations == 0
+    assert summary.max_distance > 2.5
 
-    shown = README.split("<!-- claims -->")[1].split("<!-- /claims -->")[0]
+
+def test_the_claims_shown_are_those_that_the_figures_make(tmp_path: Path) -> None:
+    from outrider.experiments.paper_figures import make_figures
+
+    page = PAGES["docs/explanation/paper.md"]
+    shown = page.split("<!-- claims -->")[1].split("<!-- /claims -->")[0]
     rows = [line.split(" | ") for line in shown.strip().splitlines()[2:]]
     made = [
         (claim.figure, claim.claim, "yes" if claim.holds else "**no**")
@@ -104,7 +158,37 @@ def test_the_claims_shown_are_those_that_the_figures_make(tmp_path: Path) -> Non
     assert [(row[0].removeprefix("| "), row[1], row[-1].removesuffix(" |")) for row in rows] == made
 
 
-def test_links_within_the_repository_lead_somewhere() -> None:
-    prose = re.sub(r"```.*?```", "", README, flags=re.DOTALL)
-    for target in re.findall(r"\]\(([^)#:]+)\)", prose):
-        assert (ROOT / target).exists(), target
+@pytest.mark.parametrize("page", PAGES)
+def test_links_within_the_repository_lead_somewhere(page: str) -> None:
+    for target, heading in re.findall(r"\]\(([^)#:\s]*)(?:#([^)\s]*))?\)", prose(page)):
+        path = (ROOT / page).parent / target if target else ROOT / page
+        assert path.exists(), target
+        if heading:
+            headings = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+            anchors = {re.sub(r"[^\w -]", "", one.lower()).replace(" ", "-") for one in headings}
+            assert heading in anchors, f"{target}#{heading}"
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_names_and_paths_of_the_code_that_are_told_exist(page: str) -> None:
+    ours = r"`((?:agents|sim|bus|outrider)(?:\.[A-Za-z_]\w*)+)"
+    for name in set(re.findall(ours, PAGES[page])):
+        parts = name.split(".")
+        places = [ROOT.joinpath(*parts[:k]) for k in range(len(parts), 0, -1)]
+        place = next(one for one in places if one.is_dir() or one.with_suffix(".py").is_file())
+        rest = parts[len(place.relative_to(ROOT).parts) :]
+        file = place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
+        defined = rf"^ *(?:def|class) {rest[0]}\b|^ *\"?{rest[0]}\"?\s*[:=]" if rest else ""
+        assert re.search(defined, file.read_text(encoding="utf-8"), re.MULTILINE), name
+    folders = "agents|sim|bus|outrider|tests|tests_learning|tools|benchmarks|examples|docs"
+    paths = set(re.findall(rf"`((?:{folders})/[\w./-]*)", PAGES[page]))
+    for path in paths - {one for one in paths if re.match(r"outrider/[A-Z]", one)}:
+        assert (ROOT / path).exists(), path
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    assert set(re.findall(r"(?:`|^)make ([a-z-]+)", PAGES[page], re.MULTILINE)) <= targets
+
+
+def test_every_page_is_in_the_sites_navigation() -> None:
+    nav = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").split("\nnav:\n")[1]
+    shown = set(re.findall(r"[\w/-]+\.md", nav))
+    assert {page.removeprefix("docs/") for page in PAGES if page.startswith("docs/")} <= shown

@@ -1,4 +1,4 @@
-"""The README's table of equations: complete, and every function and test in it is there and says so."""
+"""The paper's page has the table of equations: complete, and every function and test in it is there and says so."""
 
 import ast
 import importlib
@@ -14,14 +14,14 @@ import pytest
 import agents.control
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "README.md"
+PAGE = ROOT / "docs" / "explanation" / "paper.md"
 NUMBERED = re.compile(r"\((\d+)\)")
 EQUATIONS = [f"({number})" for number in range(1, 26)]
 WEIGHTS = {"α₁, β₁": r"\alpha_1, \beta_1", "α₂, β₂": r"\alpha_2, \beta_2"}
 """The weightings that the paper prints without a number, and how their docstrings write them."""
 WRITTEN_IN = (
-    "sim.vehicles",
-    "sim.field",
+    "sim.models.vehicles",
+    "sim.models.field",
     *(f"agents.control.{module.name}" for module in pkgutil.iter_modules(agents.control.__path__)),
 )
 
@@ -40,7 +40,7 @@ def _quoted(cell: str) -> tuple[str, ...]:
 
 
 def rows() -> Iterator[Row]:
-    """The table between the README's markers."""
+    """The table between the page's markers."""
     found = re.search(
         r"<!-- equations -->(.*)<!-- /equations -->", PAGE.read_text(encoding="utf-8"), re.DOTALL
     )
@@ -69,8 +69,8 @@ def _cited(function: object) -> list[str]:
     return [f"({number})" for number in re.findall(r"Klodt 2015, eq\. \((\d+)[ab]?\)", first)]
 
 
-def test_the_readme_has_the_table() -> None:
-    assert ROWS, "README.md lacks the table between <!-- equations --> and <!-- /equations -->"
+def test_the_page_has_the_table() -> None:
+    assert ROWS, f"{PAGE} lacks the table between <!-- equations --> and <!-- /equations -->"
 
 
 def test_every_equation_of_the_paper_has_its_row() -> None:

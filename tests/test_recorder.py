@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from flights import DT, HERE, escort
 
-from outrider.flying import fly
-from sim.flight import Flight
-from sim.scenario import Detections, Uav, Ugv
+from outrider.running.flying import fly
+from sim.scenario.types import Detections, Uav, Ugv
+from sim.server.flight import Flight
 
 
 @pytest.fixture(scope="module")

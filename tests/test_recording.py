@@ -32,8 +32,7 @@ from bus.keys import KEYS, SIMULATOR_NAME, Party, Role
 from bus.messages import Law, UavCommand
 from bus.session import open_session
 from outrider.cli import record, render, replay
-from outrider.flying import InProcess, fly, make_pilots
-from outrider.recording.file import RecordingFile
+from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.reader import (
     Damage,
     Recording,
@@ -49,10 +48,11 @@ from outrider.recording.reader import (
 from outrider.recording.refly import refly, restore
 from outrider.recording.schemas import TOPICS, head_of, inlined_schema, read_head, scenario_in
 from outrider.recording.writer import FlightRecorder
-from outrider.summary import summarize
-from sim.flight import Flight
-from sim.scenario import Detections, Scenario, Uav, Ugv
-from sim.server import Server
+from outrider.running.flying import InProcess, fly, make_pilots
+from outrider.running.summary import summarize
+from sim.scenario.types import Detections, Scenario, Uav, Ugv
+from sim.server.flight import Flight
+from sim.server.serving import Server
 
 SCENARIO = escort(
     "logarithmic",
@@ -309,8 +309,8 @@ _ENDLESS = """
 import sys, time
 from pathlib import Path
 from outrider.recording.writer import FlightRecorder
-from outrider.flying import fly
-from sim.scenario import load_scenario
+from outrider.running.flying import fly
+from sim.scenario.loading import load_scenario
 scenario = load_scenario("escort", overrides={"duration": 100000.0})
 recorder = FlightRecorder(Path(sys.argv[1]), scenario, 3)
 def follow(flight):

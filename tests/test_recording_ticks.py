@@ -31,15 +31,21 @@ from bus.messages import (
     UgvObservation,
     VehicleTruth,
 )
-from outrider.flying import InProcess, make_pilots
 from outrider.recording.observer import RunRecorder
 from outrider.recording.reader import entries, flight_of, load
 from outrider.recording.refly import refly, restore
-from outrider.recording.schemas import CHANGES, Commands, Word, inlined_schema, operator_topic
-from outrider.recording.ticks import TickTexts
+from outrider.recording.schemas import (
+    CHANGES,
+    Commands,
+    OperatorWord,
+    inlined_schema,
+    operator_topic,
+)
+from outrider.recording.tick_rows import TickTexts
 from outrider.recording.writer import FlightRecorder
-from sim.flight import Flight
-from sim.scenario import Detections, Scenario, Uav, Ugv
+from outrider.running.flying import InProcess, make_pilots
+from sim.scenario.types import Detections, Scenario, Uav, Ugv
+from sim.server.flight import Flight
 
 PAIRS = Scenario(
     uav=(
@@ -180,14 +186,14 @@ def test_a_scene_holds_every_body_and_every_track(tmp_path: Path) -> None:
 
 SPOKEN = {
     0: [("say", "ugv_0", Drive(driver="anna", velocity=(0.1, 0.0)))],
-    7: [("seat", "ugv_0", "teleop")],
+    7: [("assign_driver", "ugv_0", "teleop")],
     9: [
         ("say", "ugv_0", Drive(driver="anna", velocity=(0.1, 1.0 / 3.0))),
         ("say", "ugv_0", Drive(driver="ben", goal=(21.0, 22.0))),
     ],
     20: [("degrade", LinkKind.RADIO, "uav_0", LinkSettings(loss=0.5))],
     40: [("order", Law(name="switching"))],
-    41: [("seat", "ugv_0", "teleop"), ("say", "ugv_0", Drive(driver="anna"))],
+    41: [("assign_driver", "ugv_0", "teleop"), ("say", "ugv_0", Drive(driver="anna"))],
 }
 
 
@@ -269,7 +275,7 @@ def test_a_flight_that_nobody_operated_has_no_such_channels(tmp_path: Path) -> N
     assert (recording.words, recording.changes) == ([], [])
 
 
-@pytest.mark.parametrize("message", [Word, Change])
+@pytest.mark.parametrize("message", [OperatorWord, Change])
 def test_their_schemas_stand_alone(message: type[Any]) -> None:
     schema = inlined_schema(message)
     assert b"$ref" not in ENCODE(schema)

@@ -1,4 +1,4 @@
-"""The names at Gymnasium: they make what they say, and nothing is limited twice."""
+"""The names at Gymnasium and PettingZoo: they make what they say, and nothing is limited twice."""
 
 import copy
 import pickle
@@ -8,16 +8,17 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+import pettingzoo
 import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
 
+from outrider.envs.single import SingleEnv
+from outrider.envs.vector import OutriderVectorEnv
+from outrider.experiments.suite.tasks import TASKS
 from outrider.registration import ESCORT, env_ids, register
-from outrider.single import SingleEnv
-from outrider.suites.tasks import TASKS
-from outrider.vector import OutriderVectorEnv
 
 pytestmark = pytest.mark.xdist_group(
     "many worlds"
@@ -34,9 +35,28 @@ def test_there_is_a_name_for_the_escort_and_for_each_task() -> None:
 
 
 def test_registering_again_does_nothing() -> None:
-    before = dict(gymnasium.registry)
     register()
-    assert dict(gymnasium.registry) == before
+    registries = (gymnasium.registry, pettingzoo.parallel_registry, pettingzoo.aec_registry)
+    before = [dict(one) for one in registries]
+    register()
+    assert [dict(one) for one in registries] == before
+
+
+def test_pettingzoo_has_the_same_names_with_all_vehicles_as_agents() -> None:
+    code = "import pettingzoo, outrider; print(*(n for n in pettingzoo.parallel_registry if n.startswith('outrider')))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == list(env_ids())
+    register()
+    env = pettingzoo.make("parallel", ESCORT, duration=1.0)
+    assert env.possible_agents == ["uav_0", "ugv_0"]
+    assert env.unwrapped.scenario.duration == 1.0
+    task = pettingzoo.make("parallel", "outrider/Suite-TwoPairs-v0")
+    assert task.unwrapped.scenario == next(t.scenario for t in TASKS if t.name == "two-pairs")
+    turns = pettingzoo.make("aec", ESCORT, duration=1.0)
+    turns.reset(seed=1)
+    assert turns.agent_selection == "uav_0"
+    with pytest.raises(ValueError, match=r"max_cycles = 10: .*duration"):
+        pettingzoo.make("parallel", ESCORT, max_cycles=10)
 
 
 @pytest.mark.parametrize("env_id", [ESCORT, "outrider/Suite-TwoPairs-v0"])

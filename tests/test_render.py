@@ -9,12 +9,15 @@ import matplotlib as mpl
 import msgspec
 import numpy as np
 import pytest
+from matplotlib.text import Text
 
 from bus.messages import Area, Law
-from outrider.flying import fly
-from outrider.render import SIZE, draw_flight, flight_figure
-from sim.flight import Flight
-from sim.scenario import Detections, Scenario, Uav, Ugv
+from outrider.running.flying import fly
+from outrider.view.flight_picture import SIZE, draw_flight, flight_figure
+from sim.scenario.types import Detections, Scenario, Uav, Ugv
+from sim.scene.known import geometry_of, scene_of
+from sim.scene.model import observed_scene
+from sim.server.flight import Flight
 
 NOISY = Detections(noise=0.1, dropout=0.1)
 GOALS = ((26.0, 20.0), (26.0, 26.0))
@@ -71,8 +74,8 @@ def test_same_flight_gives_the_same_bytes_whatever_the_users_settings_are(flight
 
 def test_a_run_loads_no_matplotlib_and_drawing_no_pyplot():
     code = (
-        "import sys, outrider.flying, outrider.output; print('matplotlib' in sys.modules); "
-        "import outrider.figures; print('matplotlib' in sys.modules, 'matplotlib.pyplot' in sys.modules)"
+        "import sys, outrider.running.flying, outrider.view.output; print('matplotlib' in sys.modules); "
+        "import outrider.experiments.paper_figures; print('matplotlib' in sys.modules, 'matplotlib.pyplot' in sys.modules)"
     )
     told = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
@@ -167,7 +170,23 @@ def test_two_pairs_have_colors_and_names_of_their_own(tmp_path):
     assert sorted(tuple(circle.center) for circle in circles) == sorted(
         map(tuple, flown.recorder.states[-1, 2:, :2])
     )
-    draw_flight(flown, tmp_path / "flight.png")
+    figure.draw_without_rendering()
+    (title,) = (
+        text for text in panel(figure, "Distance").findobj(Text) if "Dist" in text.get_text()
+    )
+    legend = panel(figure, "Distance").get_legend()
+    assert not title.get_window_extent().overlaps(legend.get_window_extent())
+    assert "pairs" in words(figure)
+
+
+def test_observers_have_the_same_scene_as_who_knows_the_scenario():
+    one = scenario()
+    plain = tuple(msgspec.structs.replace(ugv, goals=()) for ugv in one.ugv)
+    names = [vehicle.name for vehicle in one.vehicles]
+    told = geometry_of(one)
+    assert observed_scene(one.name, told, escorts=told.uavs, vehicles=names) == scene_of(
+        msgspec.structs.replace(one, ugv=plain)
+    )
 
 
 def test_a_uav_that_never_sees_its_ugv_is_drawn(tmp_path):

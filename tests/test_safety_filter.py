@@ -11,13 +11,14 @@ import pytest
 from flights import distances
 
 from agents.control.visibility import SafetyFilter, promise_of
-from agents.wrappers import SafetyFilterWrapper
+from agents.env_wrappers import SafetyFilterWrapper
 from bus.messages import Detection, LinkSettings, UavBriefing, UavObservation
-from outrider.flying import fly
-from outrider.promise import promise_warnings
-from sim.briefing import briefing
+from outrider.running.flying import fly
+from outrider.running.promise import promise_warnings
+from sim.engine.briefing import briefing
 from sim.env.parallel import parallel_env
-from sim.scenario import Certificate, LinkTable, Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Certificate, LinkTable, Scenario
 
 R_V = 4.75
 
@@ -160,7 +161,7 @@ def test_a_detection_counts_for_where_the_uav_was_when_it_was_taken() -> None:
                 detections=found,
             )
         )
-    newest = watch._detections[watch._detections[:, 2] > -np.inf]
+    newest = watch.state.detections[watch.state.detections[:, 2] > -np.inf]
     assert newest.tolist() == [[5.0, 5.0, 0.1]]  # it was at 6 m at tick 2
 
 

@@ -11,14 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from refusals import SHIPPED, SMALL, refusal, written
 
-from agents.drivers.waypoints import WaypointDriver
+from agents.drivers.compiled import WaypointDriver
 from bus.errors import ScenarioError
 from bus.messages import Law, UgvObservation
-from sim import scenario_checks as checks
-from sim.briefing import briefing
-from sim.scenario import Uav, load_scenario, scenario_names
-from sim.scenario_checks import check_scenario, scenario_warnings
-from sim.vehicles import step_vehicle
+from sim.engine.briefing import briefing
+from sim.models.vehicles import step_vehicle
+from sim.scenario import checks
+from sim.scenario.checks import check_scenario, scenario_warnings
+from sim.scenario.loading import load_scenario, scenario_names
+from sim.scenario.types import Uav
 
 STRAIGHT_LINE = tuple(name for name in SHIPPED if name.startswith(("circle", "figure")))
 ESCORT = load_scenario("escort")

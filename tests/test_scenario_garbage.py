@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 from refusals import SMALL, written
 
 from bus.errors import ScenarioError
-from sim import scenario_checks as checks
-from sim.briefing import briefing
-from sim.scenario import Scenario, load_scenario
-from sim.scenario_checks import check_scenario, scenario_warnings
+from sim.engine.briefing import briefing
+from sim.scenario import checks
+from sim.scenario.checks import check_scenario, scenario_warnings
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 
 ESCORT = load_scenario("escort")
 
@@ -22,8 +23,7 @@ FUZZ = settings(
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 TEXTS = [
-    path.read_bytes()
-    for path in sorted((Path(checks.__file__).parent / "scenarios").glob("*.toml"))
+    path.read_bytes() for path in sorted((Path(checks.__file__).parent / "shipped").glob("*.toml"))
 ]
 ODD = st.one_of(
     st.sampled_from(

@@ -11,10 +11,11 @@ import pytest
 from refusals import SHIPPED, SMALL, refusal, written
 
 from bus.messages import Law
-from sim import scenario_checks as checks
-from sim import scenario_world_checks as world_checks
-from sim.scenario import Uav, load_scenario
-from sim.scenario_checks import CHECKS
+from bus.registry import LAWS
+from sim.scenario import checks, world_checks
+from sim.scenario.checks import CHECKS
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Uav
 
 ESCORT = load_scenario("escort")
 
@@ -187,7 +188,7 @@ BROKEN = [
         checks.names_are_known,
         ["law.name=circel"],
         'law.name = "circel"',
-        ", ".join(checks.LAW_NAMES),
+        ", ".join(LAWS),
     ),
     (checks.names_are_known, ["sensor.model=cone"], 'sensor.model = "cone"', "hill, plateau"),
     (checks.names_are_known, ["ugv.0.driver=ghost"], 'ugv.0.driver = "ghost"', "waypoints"),
@@ -216,9 +217,9 @@ BROKEN = [
         'custom.policy = "mine"',
         "module:function",
     ),
-    (checks.scripts_are_in_order, ["ugv.0.driver=script"], "ugv.0.script = []", "velocity"),
+    (checks.drivers_have_their_task, ["ugv.0.driver=script"], "ugv.0.script = []", "velocity"),
     (
-        checks.scripts_are_in_order,
+        checks.drivers_have_their_task,
         ["ugv.0.script=[{time=1.0,velocity=[0.0,0.1]},{time=1.0,velocity=[0.0,0.0]}]"],
         "ugv.0.script.1.time = 1.0",
         "times that rise",
@@ -443,7 +444,7 @@ def test_an_unreadable_file_is_refused(tmp_path: Path, monkeypatch: pytest.Monke
         raise PermissionError(13, "Permission denied")
 
     path = written(tmp_path, SMALL.encode())
-    monkeypatch.setattr("sim.scenario.read_regular", denied)
+    monkeypatch.setattr("sim.scenario.loading.read_regular", denied)
     assert (
         refusal(path)
         == f"{path}: cannot be read: Permission denied; allowed: a TOML file of 1 MiB at most"

@@ -18,8 +18,9 @@ from agents import process
 from bus.keys import BRIEFING, COMMAND, CONTROL, OBSERVATION, STATUS, Party, Role
 from bus.messages import Action, Control, Status, UavCommand, UgvCommand
 from bus.session import open_session
-from sim.flight import Flight
-from sim.scenario import Scenario, load_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
+from sim.server.flight import Flight
 
 
 @pytest.mark.parametrize("victim", ["uav_0", "ugv_0"])
@@ -84,7 +85,7 @@ def test_a_past_is_what_the_vehicle_has_perceived(tmp_path: Path) -> None:
 
 
 def _briefings(scenario: Scenario) -> dict[str, Any]:
-    from sim.briefing import briefing
+    from sim.engine.briefing import briefing
 
     return {
         vehicle.name: briefing(scenario, vehicle.name, scenario.seed)

@@ -20,9 +20,9 @@ from bus.messages import (
     UgvCommand,
 )
 from bus.session import Outbox, Session, open_session
-from sim.flight import Flight
-from sim.scenario import load_scenario
-from sim.server import Server
+from sim.scenario.loading import load_scenario
+from sim.server.flight import Flight
+from sim.server.serving import Server
 
 KIND: dict[Role, Callable[..., Command]] = {Role.UAV: UavCommand, Role.UGV: UgvCommand}
 Answer = Callable[[Outbox, Role, int], None]

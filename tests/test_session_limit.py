@@ -14,7 +14,7 @@ from bus.certificates import new_authority
 from bus.keys import PLACES, session_token
 from bus.session import Session, open_session
 from bus.session_limit import GRACE, NAMELESS, NEWCOMERS, Link, end_connections, surplus
-from outrider.launch import free_port
+from outrider.running.launch import free_port
 
 RUN = "run"
 GIVEN = {

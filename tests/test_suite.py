@@ -8,22 +8,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_closed_loop import SCENARIOS
+from worlds import SCENARIOS
 
 from bus.messages import Command
 from outrider.cli import main
-from outrider.closed_loop import ClosedLoop, pilot_names
-from outrider.flying import InProcess, make_pilots, run
-from outrider.suites import scoring
-from outrider.suites.board import LAWS, leaderboard
-from outrider.suites.scoring import evaluate
-from outrider.suites.tasks import SEEDS, TASKS, Suite, Task, suite
-from outrider.vector import OutriderVectorEnv
-from sim.briefing import briefing
-from sim.field import coverage_error
-from sim.flight import Flight
-from sim.scenario_checks import scenario_warnings
-from sim.tick import first_state
+from outrider.envs.closed_loop import ClosedLoop, pilot_names
+from outrider.envs.vector import OutriderVectorEnv
+from outrider.experiments.suite import scoring
+from outrider.experiments.suite.board import BASELINES, leaderboard
+from outrider.experiments.suite.scoring import evaluate
+from outrider.experiments.suite.tasks import SEEDS, TASKS, Suite, Task, suite
+from outrider.running.flying import InProcess, make_pilots, run
+from sim.engine.briefing import briefing
+from sim.engine.world_state import first_state
+from sim.models.field import coverage_error
+from sim.scenario.checks import scenario_warnings
+from sim.server.flight import Flight
 
 SECRET = bytes(range(16)).hex()
 pytestmark = pytest.mark.xdist_group(
@@ -57,7 +57,7 @@ def test_each_task_can_be_flown_by_every_law_that_is_on_the_board(task: Task) ->
     assert scenario.name == task.name
     assert scenario.title == task.hard
     for uav in scenario.uav:
-        assert set(LAWS) <= set(pilot_names(scenario, uav.name))
+        assert set(BASELINES) <= set(pilot_names(scenario, uav.name))
         assert briefing(scenario, uav.name, 0).certificate.error is not None
     env = task.make(2)
     assert isinstance(env, OutriderVectorEnv)
@@ -172,7 +172,7 @@ def test_what_is_certified_out_of_sight_is_told_with_the_score(
         """Sight ends at two metres, and the filter was told another r_v."""
 
         def begin(self, seeds: Any, worlds: Any = None) -> None:
-            self.parameters = self.parameters._replace(w=self.parameters.w._replace(r_v=2.0))
+            self.tables.batch.world["r_v"] = 2.0
             super().begin(seeds, worlds)
 
     assert SLOW.evaluate("certified", seeds=[9000], secret=SECRET).certified_while_lost == 0

@@ -10,18 +10,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from processes import blocks, command_line
+from processes import OUTRIDER, blocks, command_line, outrider
 
 from bus.errors import PeerLost, ScenarioError
-from outrider.flying import run
-from outrider.sweep.description import describe_sweep, shipped_sweeps
-from outrider.sweep.folder import SweepFolder, read_head, read_results
-from outrider.sweep.plan import Plan, lay_out
-from outrider.sweep.running import fly_sweep, make_tasks, open_cluster
-from outrider.sweep.worker import fly_runs
-from sim.scenario import load_scenario, scenario_names
+from outrider.experiments.sweep.definition import describe_sweep, shipped_sweeps
+from outrider.experiments.sweep.folder import SweepFolder, read_head, read_results
+from outrider.experiments.sweep.plan import Plan, lay_out
+from outrider.experiments.sweep.running import fly_sweep, make_tasks, open_cluster
+from outrider.experiments.sweep.worker import fly_runs
+from outrider.running.flying import run
+from sim.scenario.loading import load_scenario, scenario_names
 
-OUTRIDER = [sys.executable, "-m", "outrider"]
 QUICK = ("duration=5.0", "area.cell=0.5")
 SMALL = {
     "laws": "linear,switching",
@@ -39,12 +38,6 @@ GRID = [
     "--set",
     "area.cell=0.5",
 ]
-
-
-def outrider(*arguments: str, cwd: Path | None = None) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run(
-        [*OUTRIDER, *arguments], capture_output=True, text=True, check=False, timeout=120, cwd=cwd
-    )
 
 
 def plan_of(source: str = "escort", **given) -> Plan:
@@ -250,7 +243,7 @@ def test_a_sweep_goes_on_where_its_files_stop_and_flies_nothing_twice(tmp_path):
 def test_many_small_files_are_merged_and_rows_that_are_there_twice_count_once(
     tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("outrider.sweep.folder._MOST_PARTS", 5)
+    monkeypatch.setattr("outrider.experiments.sweep.folder._MOST_PARTS", 5)
     plan = plan_of()
     results = fly_runs(plan.points[0].scenario, {0: 0})
     folder = SweepFolder(tmp_path / "sweep", plan, command="")
@@ -475,7 +468,7 @@ def _await_workers(address: str, count: int) -> None:
 
 
 def test_no_cluster_is_one_line(monkeypatch):
-    monkeypatch.setattr("outrider.sweep.running._CONNECT", 0.5)
+    monkeypatch.setattr("outrider.experiments.sweep.running._CONNECT", 0.5)
     with (
         pytest.raises(PeerLost, match="no scheduler there") as caught,
         open_cluster("tcp://127.0.0.1:1", "1.0"),
@@ -552,7 +545,7 @@ def test_a_folder_of_another_sweep_or_another_version_is_refused_until_fresh(tmp
     other = plan_of(laws="linear", vary=["detections.noise=0,0.5"], changes=QUICK, seeds=3)
     with pytest.raises(ScenarioError, match=r"holds another sweep.*--fresh"):
         SweepFolder(tmp_path / "sweep", other, command="")
-    monkeypatch.setattr("outrider.sweep.plan.version", lambda _name: "9.9")
+    monkeypatch.setattr("outrider.experiments.sweep.plan.version", lambda _name: "9.9")
     with pytest.raises(ScenarioError, match=r"made by outrider .*, this is 9\.9.*--fresh"):
         SweepFolder(tmp_path / "sweep", plan_of(), command="")
     fresh = SweepFolder(tmp_path / "sweep", other, command="", fresh=True)
@@ -608,7 +601,7 @@ def test_bad_input_on_the_command_line_is_one_line_and_writes_nothing(tmp_path):
 
 
 def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(monkeypatch):
-    from outrider.sweep import extras
+    from outrider.experiments.sweep import extras
 
     monkeypatch.setattr(
         extras, "find_spec", lambda module: None if module == "distributed" else object()

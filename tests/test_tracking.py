@@ -23,11 +23,11 @@ from agents.control.tracking import (
     tracking_step,
 )
 from bus.messages import Law
-from outrider.flying import fly
-from outrider.reference import FloatGrid
-from sim.field import cover, empty_coverage
-from sim.scenario import Uav, Ugv
-from sim.vehicles import norm, step_vehicle
+from outrider.bench.reference import FloatGrid
+from outrider.running.flying import fly
+from sim.models.field import cover, empty_coverage
+from sim.models.vehicles import norm, step_vehicle
+from sim.scenario.types import Uav, Ugv
 
 A_C, B_C, C_C, D_C = -3.0, -3.0, -8.0 / 3.0, -3.0
 numbers = st.floats(-10.0, 10.0)

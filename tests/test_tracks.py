@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bus.errors import ScenarioError
-from outrider.flying import fly
-from sim.scenario import load_scenario
+from outrider.running.flying import fly
+from sim.scenario.loading import load_scenario
 
 
 def test_a_recorded_track_is_driven_again(tmp_path: Path) -> None:

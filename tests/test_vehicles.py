@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from properties import PROPERTY
 from scipy.integrate import solve_ivp
 
-from sim.vehicles import (
+from sim.models.vehicles import (
     brake,
     clip_norm,
     goal_reached,

@@ -12,8 +12,8 @@ from agents.control.tracking import relative_motion
 from agents.control.visibility import is_visible, raw_switching_radius, switching_radius
 from bus.errors import ScenarioError
 from bus.messages import Region
-from outrider.flying import fly
-from sim.scenario import Coverage, Scenario, Uav, Ugv
+from outrider.running.flying import fly
+from sim.scenario.types import Coverage, Scenario, Uav, Ugv
 
 speeds = st.floats(0.01, 5.0)
 

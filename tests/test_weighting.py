@@ -24,9 +24,9 @@ from agents.control.weighting import (
 )
 from bus.errors import ScenarioError
 from bus.messages import Law
-from outrider.flying import fly
-from sim.scenario import Ugv
-from sim.vehicles import norm
+from outrider.running.flying import fly
+from sim.models.vehicles import norm
+from sim.scenario.types import Ugv
 
 K_BETA, LIMIT = 20.0, 100.0
 SHIPPED = ("linear", "switching", "logarithmic")

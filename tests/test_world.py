@@ -7,11 +7,11 @@ import pytest
 from flights import DESIRED, DT, HERE, R_O, R_V, U_A, U_G, V_A, V_G, R, escort, tracks
 
 from bus.messages import Area, Region, Sensor
-from outrider import reference
-from outrider.flying import fly
-from sim.field import SENSORS
-from sim.flight import Flight
-from sim.scenario import Coverage, Detections, Scenario, Uav, Ugv
+from bus.registry import SENSORS
+from outrider.bench import reference
+from outrider.running.flying import fly
+from sim.scenario.types import Coverage, Detections, Scenario, Uav, Ugv
+from sim.server.flight import Flight
 from sim.world import World
 
 ON_THE_WAY = Ugv(position=HERE, goals=((25.0, 20.0), (25.0, 26.0)))
@@ -148,7 +148,7 @@ def test_the_map_is_what_was_seen_along_the_track(sensor: str) -> None:
     flight, _ = fly(scenario, 0)
     wanted = np.zeros((160, 160))
     for x, y in tracks(flight)[0][1:, :2].tolist():
-        wanted = reference.accumulate(wanted, x, y, SENSORS[sensor], 1.0, R, 0.25, DT)
+        wanted = reference.accumulate(wanted, x, y, SENSORS[sensor].code, 1.0, R, 0.25, DT)
     np.testing.assert_allclose(flight.world.coverage, wanted, rtol=1e-11, atol=1e-13)
 
 

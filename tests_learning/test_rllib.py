@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import outrider
-from outrider.wrappers import normalized
+from outrider.envs.wrappers import normalized
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::UserWarning"

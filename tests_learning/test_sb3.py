@@ -25,11 +25,11 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecCheckNan, VecMonitor, VecNormalize
 
 import outrider
+from outrider.envs.wrappers import VectorObservations, history, normalized
+from outrider.learning.learned import LearnedPolicy
 from outrider.learning.mlp import load_policy
-from outrider.learning.policy import LearnedPolicy
 from outrider.learning.repeat import ActionRepeat
 from outrider.learning.sb3 import VecEnvAdapter
-from outrider.wrappers import VectorObservations, history, normalized
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "train_uav.py"
 OUTWARDS = np.array([0.3, 0.1])

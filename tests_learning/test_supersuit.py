@@ -10,7 +10,7 @@ import pytest
 from stable_baselines3 import PPO
 
 import outrider
-from outrider.wrappers import normalized
+from outrider.envs.wrappers import normalized
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "supersuit_sb3.py"
 

@@ -15,8 +15,9 @@ from torchrl.envs import PettingZooWrapper
 from torchrl.envs.utils import check_env_specs
 
 import outrider
-from outrider.wrappers import history, normalized
-from sim.scenario import LinkSettings, LinkTable, load_scenario
+from outrider.envs.wrappers import history, normalized
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import LinkSettings, LinkTable
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:PettingZoo in TorchRL is tested using:UserWarning",
@@ -152,7 +153,7 @@ def test_policies_see_no_state():
 
 
 def test_a_bad_network_needs_its_infos_left_out():
-    """TorchRL takes numbers alone in infos; docs/learning-libraries.md has this wrapper."""
+    """TorchRL takes numbers alone in infos; docs/how-to/learning-libraries.md has this wrapper."""
 
     class WithoutInfos(BaseParallelWrapper):
         def reset(self, seed=None, options=None):

@@ -1,6 +1,4 @@
-"""What a crowd at the router's port can do, and what a vehicle with credentials can.
-
-Each attack against a real run, as a table.
+"""Attacks of a crowd at the router's port, and of a vehicle with credentials, against a real run, as a table.
 
 Each row is a run on the wall clock with a simulator, a UAV and a UGV as processes over loopback. While it flies,
 the attack is made, and then an observer joins. The table tells how long that took, what the simulator's memory was

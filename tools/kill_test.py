@@ -19,8 +19,8 @@ from collections.abc import Callable
 
 from soak import OUTRIDER, family
 
-from outrider.flying import fly
-from sim.scenario import load_scenario
+from outrider.running.flying import fly
+from sim.scenario.loading import load_scenario
 
 _PATIENCE = 300.0
 """A run that has not ended after so long [s] is stuck."""

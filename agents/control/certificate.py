@@ -1,6 +1,6 @@
 r"""The certificate: a filter around any inner control that keeps $\|p_a - p_g\| < r_v$. Beyond Klodt 2015.
 
-The proof is in docs/certificate.md. What is known of the UGV is a set: each detection z, taken at t_z with an
+The proof is in docs/explanation/certificate.md. What is known of the UGV is a set: each detection z, taken at t_z with an
 error of at most $\epsilon$, puts it into a disc of radius $\rho(t) = \epsilon + v_g (t - t_z)$ around z.
 The filter always holds a **plan**: a motion of the UAV that ends at rest and is checked against those discs to its
 end. A command of the inner control acts only if a plan still exists after it; else the plan acts. At a plan's end the
@@ -15,8 +15,15 @@ import numpy as np
 
 from agents.control.discs import MARGIN, lens_distance, nearest, newest_detection
 from agents.control.handover import ROUNDING, Promise, rest_to_rest
-from sim.compile import FloatArray, compiled
-from sim.vehicles import brake, clip_norm, norm, speed_to_stop_within, step_vehicle, within_walls
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.vehicles import (
+    brake,
+    clip_norm,
+    norm,
+    speed_to_stop_within,
+    step_vehicle,
+    within_walls,
+)
 
 (_VALID, _TURN, _CRUISE, _BRAKE, _TURN_X, _TURN_Y, _BRAKE_X, _BRAKE_Y) = range(8)
 (_END_X, _END_Y, _END_RADIUS, _END_TIME) = range(8, 12)

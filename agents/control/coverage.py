@@ -1,7 +1,7 @@
 """Dynamic coverage for a double integrator, section III of the paper: (7), (8), (10) to (12), and the border of Q."""
 
-from sim.compile import compiled
-from sim.vehicles import norm, stopping_distance
+from sim.kernels.compile import compiled
+from sim.models.vehicles import norm, stopping_distance
 
 ZERO_GRADIENT = 1e-9
 """u_cov counts as zero below this share of its integrand's size: on a grid a symmetric sum is never exactly zero."""
@@ -11,9 +11,9 @@ ZERO_GRADIENT = 1e-9
 def symmetry_breaker(
     q_x: float, q_y: float, p_ax: float, p_ay: float, k: float
 ) -> tuple[float, float]:
-    r"""The way out of symmetry, to the nearest uncovered point, Klodt 2015, eq.
+    r"""The way out of symmetry, to the nearest uncovered point, Klodt 2015, eq. (7).
 
-    (7): $\tilde u_{cov} = k(\tilde q - p_a)$.
+    $$ \tilde u_{cov} = k(\tilde q - p_a) $$
     """
     return k * (q_x - p_ax), k * (q_y - p_ay)
 
@@ -28,9 +28,9 @@ def is_zero_gradient(u_cov_x: float, u_cov_y: float, size: float) -> bool:
 def single_integrator_command(
     u_cov_x: float, u_cov_y: float, size: float, other_x: float, other_y: float
 ) -> tuple[float, float]:
-    r"""What a single integrator would do, Klodt 2015, eq.
+    r"""The command of a single integrator, Klodt 2015, eq. (8).
 
-    (8): $u_{si} = u_{cov}$, or $\tilde u_{cov}$ where $u_{cov} = 0$.
+    $$ u_{si} = u_{cov}, \quad \tilde u_{cov} \text{ where } u_{cov} = 0 $$
 
     Args:
         u_cov_x, u_cov_y: u_cov of (6).

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from sim.compile import FloatArray, compiled
-from sim.vehicles import norm
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.vehicles import norm
 
 KEPT = 16
 """Detections that are kept: the newest, and those that bound the distance best."""

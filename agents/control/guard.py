@@ -1,4 +1,4 @@
-"""One UAV's safety filter over plain arrays: what it remembers, and what it does in a tick. See docs/certificate.md.
+"""One UAV's safety filter over plain arrays: what it remembers, and what it does in a tick. See docs/explanation/certificate.md.
 
 `SafetyFilter` calls these functions for one UAV, compiled loops call them for many worlds. In a tick:
 `note_position`, then
@@ -40,8 +40,8 @@ from agents.control.discs import (
     no_detections,
 )
 from agents.control.handover import Promise
-from sim.compile import FloatArray, IntArray, borrowing, compiled
-from sim.vehicles import within_walls
+from sim.kernels.compile import FloatArray, IntArray, borrowing, compiled
+from sim.models.vehicles import within_walls
 
 _NEVER = -1
 """The tick of a place in the track where no position has been noted, and of a filter that has not been asked yet."""
@@ -364,32 +364,4 @@ def guard(
         acts,
         code,
         certified_distance(p_x, p_y, tick * c.dt, state.detections, c.eps, c.v_g),
-    )
-
-
-def pack_promise(promise: Promise) -> FloatArray:
-    """The promise as a row of numbers, in the order of its fields; the rows of many worlds make one array.
-
-    Shape (13,).
-    """
-    return np.array(promise, dtype=np.float64)
-
-
-@compiled
-def unpack_promise(row: FloatArray) -> Promise:
-    """The promise that `pack_promise` has made this row of."""
-    return Promise(
-        dt=row[0],
-        eps=row[1],
-        age=row[2],
-        delay=row[3],
-        r_v=row[4],
-        v_a=row[5],
-        u_a=row[6],
-        v_g=row[7],
-        width=row[8],
-        height=row[9],
-        handover=row[10],
-        reach=row[11],
-        hold=row[12],
     )

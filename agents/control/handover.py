@@ -2,7 +2,7 @@
 
 What is declared, and the hand-over from one plan to the next.
 
-The proof is in docs/certificate.md. SI units.
+The proof is in docs/explanation/certificate.md. SI units.
 """
 
 import functools
@@ -10,7 +10,7 @@ import math
 from typing import NamedTuple
 
 from agents.control.discs import MARGIN, lens_distance
-from sim.compile import compiled
+from sim.kernels.compile import compiled
 
 ROUNDING = 1e-12
 """Ticks by which a quotient may exceed a whole number and still be that number."""

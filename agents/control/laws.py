@@ -1,10 +1,12 @@
-"""The laws a UAV can fly, put together from the equations.
+"""The laws a UAV can fly, put together from the equations: one compiled function for all of them.
 
-A table of names, and one compiled function for all of them.
+It chooses by the code of a law's row in `bus.registry`, as compiled functions that are handed over would not be kept
+in the cache: a new law is a branch in `weights`, or in `uav_control` where it is more than a weighting.
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -23,33 +25,26 @@ from agents.control.visibility import raw_switching_radius, switching_radius
 from agents.control.weighting import combine, linear_weights, logarithmic_weights, switching_weights
 from bus.errors import ScenarioError
 from bus.messages import Law, UavBriefing
-from sim.compile import FloatArray, compiled
-from sim.field import SENSORS, coverage_gradient, is_uncovered, nearest_uncovered
-from sim.randomness import START_DIRECTION, Key, uniform, words_of
-from sim.vehicles import clip_norm, norm
+from bus.registry import LAWS, SENSORS, LawRow, SensorRow
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.field import coverage_gradient, is_uncovered, nearest_uncovered
+from sim.models.randomness import START_DIRECTION, uniform, words_of
+from sim.models.vehicles import clip_norm, norm
 
-TRACKING, COVERAGE, LINEAR, SWITCHING, LOGARITHMIC, CIRCLE, WEIGHTED, PATH, CERTIFIED = range(9)
-LAWS = {
-    "tracking": TRACKING,
-    "coverage": COVERAGE,
-    "linear": LINEAR,
-    "switching": SWITCHING,
-    "logarithmic": LOGARITHMIC,
-    "circle": CIRCLE,
-    "weighted": WEIGHTED,
-    "path": PATH,
-    "certified": CERTIFIED,
-}
-"""Laws by name. `weighted` and `path` take a function of the user's own.
+TRACKING = LAWS["tracking"].code
+COVERAGE = LAWS["coverage"].code
+LINEAR = LAWS["linear"].code
+SWITCHING = LAWS["switching"].code
+LOGARITHMIC = LAWS["logarithmic"].code
+CIRCLE = LAWS["circle"].code
+WEIGHTED = LAWS["weighted"].code
+PATH = LAWS["path"].code
+CERTIFIED = LAWS["certified"].code
+WATCHED = frozenset(row.code for row in LAWS.values() if row.watched)
+"""Codes of the laws that the safety filter stands behind."""
 
-`certified` is `logarithmic` in the safety filter.
-"""
-
-_X_C, _Q, _HELD = (
-    0,
-    2,
-    4,
-)  # rows of the state: x_c (2), the held point of (7) (2), whether there is one
+# Rows of the state: x_c (2), the held point of (7) (2), whether there is one.
+_X_C, _Q, _HELD = 0, 2, 4
 STATE_SIZE = 5
 
 _ON_THE_SPOT = 1e-9
@@ -57,7 +52,7 @@ _ON_THE_SPOT = 1e-9
 
 
 class LawParameters(NamedTuple):
-    """What a law needs to know, as plain numbers: SI units, infinite where there is no bound."""
+    """The numbers of a law: SI units, infinite where there is no bound."""
 
     law: int
     dt: float
@@ -82,11 +77,13 @@ class LawParameters(NamedTuple):
     r_pv: float
     omega: float
     margin: float
-    key: Key
+    key_0: np.uint64
+    key_1: np.uint64
+    """The UAV's own random numbers."""
 
 
 class OwnTerms(NamedTuple):
-    """What a function of the user's own says at this tick.
+    """The answer of a function of the user's own at this tick.
 
     The weights, or the virtual point and its second derivative.
     """
@@ -99,7 +96,10 @@ class OwnTerms(NamedTuple):
     a_vy: float = 0.0
 
 
-def _row(table: dict[str, int], name: str, field: str) -> int:
+_Row = TypeVar("_Row", LawRow, SensorRow)
+
+
+def _row(table: Mapping[str, _Row], name: str, field: str) -> _Row:
     try:
         return table[name]
     except KeyError:
@@ -115,17 +115,17 @@ def law_parameters(briefing: UavBriefing, law: Law) -> LawParameters:
     """The numbers of one law for one UAV.
 
     Raises:
-        ScenarioError: If the law or the sensor is unknown, or the UAV is too weak for the law's switching radius.
+        ScenarioError: If the law or the sensor is unknown, the law has no branch, or the UAV is too weak for r_s.
     """
+    key_0, key_1 = words_of(briefing.key)
     v_a, u_a = number(briefing.limits.max_speed), number(briefing.limits.max_acceleration)
     v_g = number(briefing.target_limits.max_speed)
-    code = _row(LAWS, law.name, "law.name")
+    row = _row(LAWS, law.name, "law.name")
     v_ref = law.reference_speed if law.reference_speed is not None else v_a
-    free = code in (TRACKING, COVERAGE)  # these two never ask for r_s
-    radius = raw_switching_radius if free else switching_radius
+    radius = switching_radius if row.needs_radius else raw_switching_radius
     r_s = float(radius(briefing.visibility_radius, v_a, v_g, u_a))
-    return LawParameters(
-        law=code,
+    parameters = LawParameters(
+        law=row.code,
         dt=float(briefing.dt),
         width=float(briefing.area.width),
         height=float(briefing.area.height),
@@ -133,7 +133,7 @@ def law_parameters(briefing: UavBriefing, law: Law) -> LawParameters:
         u_max=u_a,
         r_s=r_s,
         r_o=float(briefing.visibility_radius + briefing.sensor.range),
-        sensor=_row(SENSORS, briefing.sensor.model, "sensor.model"),
+        sensor=_row(SENSORS, briefing.sensor.model, "sensor.model").code,
         peak=float(briefing.sensor.peak),
         reach=float(briefing.sensor.range),
         desired=float(briefing.desired_coverage),
@@ -148,44 +148,15 @@ def law_parameters(briefing: UavBriefing, law: Law) -> LawParameters:
         r_pv=float(law.circle_radius if law.circle_radius is not None else r_s),
         omega=float(law.circle_rate),
         margin=float(border_distance(v_a if math.isfinite(v_a) else v_ref, u_a, briefing.dt)),
-        key=words_of(briefing.key),
+        key_0=key_0,
+        key_1=key_1,
     )
-
-
-def pack_law(parameters: LawParameters) -> FloatArray:
-    """The numbers of a law as an array, for a table of many vehicles; all but the key. Shape (23,)."""
-    return np.array(parameters[:-1], dtype=np.float64)
-
-
-@compiled
-def unpack_law(row: FloatArray, key: Key) -> LawParameters:
-    """The parameters that `pack_law` has packed, with the key of this world's pilot."""
-    return LawParameters(
-        int(row[0]),
-        row[1],
-        row[2],
-        row[3],
-        row[4],
-        row[5],
-        row[6],
-        row[7],
-        int(row[8]),
-        row[9],
-        row[10],
-        row[11],
-        row[12],
-        row[13],
-        row[14],
-        row[15],
-        row[16],
-        row[17],
-        row[18],
-        row[19],
-        row[20],
-        row[21],
-        row[22],
-        key,
-    )
+    if math.isnan(weights(parameters, OwnTerms(), 1.0)[0]):
+        raise ScenarioError(
+            f"law.name = {law.name!r}: has a row in bus.registry, but no branch in "
+            f"{__name__}.weights"
+        )
+    return parameters
 
 
 def initial_state() -> FloatArray:
@@ -207,15 +178,15 @@ def way_to_uncovered(
     """The symmetry breaker (7) with its point held until it is covered or leaves the support of the density.
 
     Returns:
-        Whether anything is uncovered at all, and the direction.
+        True if anything is uncovered at all, and the direction.
     """
-    c = parameters
+    c, key = parameters, (parameters.key_0, parameters.key_1)
     held = state[_HELD] != 0.0 and is_uncovered(
         coverage, state[_Q], state[_Q + 1], p_gx, p_gy, c.r_o, c.desired, c.cell
     )
     if not held:
         held, state[_Q], state[_Q + 1] = nearest_uncovered(
-            coverage, p_ax, p_ay, p_gx, p_gy, c.r_o, c.desired, c.cell, c.key, tick
+            coverage, p_ax, p_ay, p_gx, p_gy, c.r_o, c.desired, c.cell, key, tick
         )
         state[_HELD] = 1.0 if held else 0.0
     if not held:
@@ -223,7 +194,7 @@ def way_to_uncovered(
     u_x, u_y = symmetry_breaker(state[_Q], state[_Q + 1], p_ax, p_ay, 1.0)
     if norm(u_x, u_y) < _ON_THE_SPOT:
         # Deviation: (10) would divide by zero right over the point. Any direction is as good: draw one.
-        angle = 2.0 * math.pi * uniform(c.key, START_DIRECTION, tick, 0)
+        angle = 2.0 * math.pi * uniform(key, START_DIRECTION, tick, 0)
         u_x, u_y = math.cos(angle), math.sin(angle)
     return True, u_x, u_y
 
@@ -241,7 +212,7 @@ def coverage_term(
     p_gx: float,
     p_gy: float,
 ) -> tuple[float, float]:
-    """Section III as a whole, u_a,cov [m/s²]: (6), (7) where that is zero, (8), (10), (11), and the border of Q."""
+    """Section III as a whole, u_a,cov [m/s²]: (6), (7) where that is zero, (8), (10), (11), the border of Q."""
     c = parameters
     u_cov_x, u_cov_y, size = coverage_gradient(
         coverage, p_ax, p_ay, p_gx, p_gy, c.r_o, c.desired, c.sensor, c.peak, c.reach, c.cell
@@ -273,7 +244,9 @@ def weights(parameters: LawParameters, own: OwnTerms, distance: float) -> tuple[
         return own.alpha, own.beta
     if c.law == COVERAGE:
         return 0.0, 1.0
-    return 1.0, 0.0
+    if c.law == TRACKING or c.law == CIRCLE or c.law == PATH:
+        return 1.0, 0.0
+    return math.nan, math.nan  # a row without its branch
 
 
 @compiled
@@ -294,7 +267,7 @@ def uav_control(
 
     Args:
         parameters: Of the law.
-        own: What the user's function says at this tick, for the laws `weighted` and `path`.
+        own: The answer of the user's function at this tick, for the laws `weighted` and `path`.
         coverage: The UAV's own map, up to now.
         state: The law's state, changed in place.
         tick: Now.

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 
 from bus.errors import ScenarioError
-from sim.compile import compiled
+from sim.kernels.compile import compiled
 
 Path = Callable[[float], tuple[tuple[float, float], tuple[float, float]]]
 """A path of one's own: time [s] to p_v [m], relative to the UGV, and its second derivative [m/s²]."""
@@ -45,9 +45,9 @@ def virtual_error_acceleration(
 def orbit_error_acceleration(
     u_tr_x: float, u_tr_y: float, a_vx: float, a_vy: float
 ) -> tuple[float, float]:
-    r"""The path error under the law (24) is a double integrator driven by the tracking law [m/s²], Klodt 2015, eq.
+    r"""Acceleration of the path error under the law (24) [m/s²], Klodt 2015, eq. (23).
 
-    (23).
+    It is a double integrator that the tracking law alone drives.
 
     $$ \ddot p_{\Delta,d} = u_{a,tr} $$
     """

@@ -2,7 +2,7 @@
 
 import math
 
-from sim.compile import compiled
+from sim.kernels.compile import compiled
 
 
 @compiled

@@ -19,8 +19,8 @@ from agents.control.guard import (
 from agents.control.handover import Promise, certificate, check_assumptions
 from bus.errors import ScenarioError
 from bus.messages import UavBriefing, UavObservation, Vector
-from sim.compile import compiled
-from sim.vehicles import norm, stopping_distance
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.vehicles import norm, stopping_distance
 
 _TRACK = 120.0
 """The UAV's own positions are kept for so long [s]; detections that are older are of no use."""
@@ -106,7 +106,7 @@ class Verdict(NamedTuple):
 
 
 class SafetyFilter:
-    """Keeps sight of the UGV around any way to fly: a law, a person, a learned policy. See docs/certificate.md.
+    """Keeps sight of the UGV around any way to fly: a law, a person, a learned policy. See docs/explanation/certificate.md.
 
     Call `see` with every observation, and `filter` with the command for it.
 
@@ -127,35 +127,39 @@ class SafetyFilter:
         """Those that were not let through."""
         self.uncertified: Counter[str] = Counter()
         """Ticks that were not certified, by reason."""
-        self._state = guard_state(
+        self.state = guard_state(
             self.promise, depth=max(1, min(_MOST_TICKS, math.ceil(_TRACK / briefing.dt)))
         )
-        self._detections = self._state.detections
+        """The memory that the compiled functions of `agents.control.guard` work on."""
         if sent:
-            note_commands(self._state, np.array(list(sent), dtype=np.float64))
+            note_commands(self.state, np.array(list(sent), dtype=np.float64))
 
     def forget_commands(self) -> None:
         """It is not known whether the last commands were sent.
 
         Until those under way are known again, nothing is certified.
         """
-        forget_commands(self._state)
+        forget_commands(self.state)
 
     def see(self, observation: UavObservation) -> None:
         """Take in where the UAV is, and the detections that have arrived, in any order."""
-        c, state, tick, (p_x, p_y) = (
-            self.promise,
-            self._state,
-            observation.tick,
-            observation.position,
-        )
-        note_position.py_func(state, tick, p_x, p_y)  # type: ignore[attr-defined] # in Python: done before a compiled call begins
-        for found in observation.detections:
-            taken, (x, y) = round(found.time / c.dt), found.relative_position
-            if (
-                taken <= tick
-            ):  # any other is of no tick that was seen, and may be too large for a compiled function
-                note_detection(c, state, taken, tick, x, y, p_x, p_y)
+        state, tick, (p_x, p_y) = self.state, observation.tick, observation.position
+        note_position(state, tick, p_x, p_y)
+        for taken, x, y in self.looks(observation).tolist():
+            note_detection(self.promise, state, int(taken), tick, x, y, p_x, p_y)
+
+    def looks(self, observation: UavObservation) -> FloatArray:
+        """The tick and p_a - p_g [m] of each detection that has arrived, but for those of no tick that was seen.
+
+        Shape (rows, 3).
+        """
+        dt, tick = self.promise.dt, observation.tick
+        looks = [
+            (taken, *found.relative_position)
+            for found in observation.detections
+            if (taken := round(found.time / dt)) <= tick
+        ]
+        return np.array(looks, dtype=np.float64).reshape(-1, 3)
 
     def filter(self, observation: UavObservation, acceleration: Vector) -> Verdict:
         """Let a command through if sight is kept after it; else give the one that keeps it.
@@ -170,8 +174,12 @@ class SafetyFilter:
             acceleration,
         )
         u_x, u_y, acts, code, distance = guard(
-            self.promise, self._state, observation.tick, p_x, p_y, v_x, v_y, float(u_x), float(u_y)
+            self.promise, self.state, observation.tick, p_x, p_y, v_x, v_y, float(u_x), float(u_y)
         )
+        return self.verdict(u_x, u_y, acts, code, distance)
+
+    def verdict(self, u_x: float, u_y: float, acts: int, code: int, distance: float) -> Verdict:
+        """Count what `guard` has made of a command, and say it in words."""
         reason = "" if code == CERTIFIED else UNCERTIFIED[code]
         if self.faults:
             reason = self.faults[0]

@@ -1,64 +1,29 @@
-"""The drivers that compiled loops can call: one function for all of them, and what each needs as plain numbers.
+"""The drivers that are compiled, each a shell around `agents.drivers.ugv_tick.ugv_tick`.
 
-The classes of `agents.drivers.table` are shells around the same functions. A driver that listens to a person or to
-a policy has no compiled form.
+A driver that listens to a person or to a policy has no compiled form.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from agents.drivers.evade import EVADE_STATE, begin_evade, evade_control, evade_lead
-from agents.drivers.script import driver_script, script_control
+from agents.drivers.evade import EVADE_STATE, begin_evade, evade_lead
+from agents.drivers.parameters import COMPILED_DRIVERS, DriverParameters, Route
 from agents.drivers.steering import Steering
-from agents.drivers.wander import wander_control, wander_pace
-from agents.drivers.waypoints import WAYPOINT_STATE, driver_goals, waypoint_control
+from agents.drivers.ugv_tick import ugv_tick
+from agents.drivers.wander import GOAL, GOAL_CHOSEN, wander_pace
+from agents.drivers.waypoints import WAYPOINT_STATE
 from bus.errors import ScenarioError
-from bus.messages import UgvBriefing
-from sim.compile import FloatArray, compiled
-from sim.randomness import Key, words_of
-
-__all__ = [
-    "COMPILED_DRIVERS",
-    "DRIVER_STATE",
-    "EVADE",
-    "SCRIPT",
-    "WANDER",
-    "WAYPOINTS",
-    "DriverParameters",
-    "begin_driver",
-    "driver_goals",
-    "driver_parameters",
-    "driver_script",
-    "fresh_driver_state",
-    "pack_driver",
-    "ugv_control",
-    "unpack_driver",
-]
-
-WAYPOINTS, WANDER, SCRIPT, EVADE = range(4)
-COMPILED_DRIVERS = {"waypoints": WAYPOINTS, "wander": WANDER, "script": SCRIPT, "evade": EVADE}
-"""The drivers by name, as rows of `agents.drivers.table.DRIVERS`, that have a compiled form."""
+from bus.messages import UgvBriefing, UgvObservation
+from bus.registry import DRIVERS
+from sim.kernels.compile import FloatArray, compiled, entry_point
+from sim.kernels.records import RecordArray, records
+from sim.models.randomness import words_of
 
 DRIVER_STATE = max(WAYPOINT_STATE, EVADE_STATE)
 """Size of the state of any of them; the wanderer's is part of the evader's."""
 
-
-class DriverParameters(NamedTuple):
-    """What a driver needs to know, as plain numbers: SI units, infinite where there is no bound."""
-
-    driver: int
-    dt: float
-    width: float
-    height: float
-    v_max: float
-    u_max: float
-    tolerance: float
-    speed: float
-    margin: float
-    lead: float
-    key: Key
+_NO_RADIO = np.zeros((0, 3))
 
 
 def driver_parameters(briefing: UgvBriefing, driver: str) -> DriverParameters:
@@ -74,129 +39,109 @@ def driver_parameters(briefing: UgvBriefing, driver: str) -> DriverParameters:
     wheel, limits = Steering(briefing), briefing.limits
     width, height = float(briefing.area.width), float(briefing.area.height)
     speed, margin = wander_pace(width, height, wheel.v_max, wheel.u_max, wheel.dt)
-    papers = driver == "waypoints"  # it alone drives without a bound where the UGV has none
+    unbounded = DRIVERS[driver].unbounded
+    key_0, key_1 = words_of(briefing.key)
     return DriverParameters(
         driver=COMPILED_DRIVERS[driver],
         dt=wheel.dt,
         width=width,
         height=height,
-        v_max=float(limits.max_speed or math.inf) if papers else wheel.v_max,
-        u_max=float(limits.max_acceleration or math.inf) if papers else wheel.u_max,
+        v_max=float(limits.max_speed or math.inf) if unbounded else wheel.v_max,
+        u_max=float(limits.max_acceleration or math.inf) if unbounded else wheel.u_max,
         tolerance=float(briefing.goal_tolerance),
         speed=float(speed),
         margin=float(margin),
         lead=float(evade_lead(speed, wheel.u_max)),
-        key=words_of(briefing.key),
+        key_0=key_0,
+        key_1=key_1,
     )
 
 
-@compiled
-def begin_driver(state: FloatArray) -> None:
-    """Set the state to that of a driver that has not driven yet, whichever it is; in place."""
-    begin_evade(state)  # zeros, but for the evader's own rows: what the others begin with
+def told_route(briefing: UgvBriefing) -> Route:
+    """The goals and the script of a briefing; of two steps at one time the later in the list counts."""
+    steps = sorted(briefing.script, key=lambda step: step.time)
+    script = [(step.time, *step.velocity) for step in steps]
+    return Route(
+        goals=np.array(briefing.goals, dtype=np.float64).reshape(-1, 2),
+        script=np.array(script, dtype=np.float64).reshape(-1, 3),
+    )
 
 
-def fresh_driver_state() -> FloatArray:
-    """The state of a driver that has not driven yet. Shape (DRIVER_STATE,)."""
+def driver_state() -> FloatArray:
+    """The state of a driver that has not driven yet, whichever it is. Shape (DRIVER_STATE,)."""
     state = np.empty(DRIVER_STATE)
-    begin_driver(state)
+    begin_evade(state)  # zeros, but for the evader's own rows: what the others begin with
     return state
 
 
 @compiled
-def ugv_control(
-    parameters: DriverParameters,
-    goals: FloatArray,
-    script: FloatArray,
+def _drive(
+    rows: RecordArray,
+    route: Route,
     state: FloatArray,
     radio: FloatArray,
-    heard: int,
     tick: int,
-    time: float,
     p_x: float,
     p_y: float,
     v_x: float,
     v_y: float,
 ) -> tuple[float, float]:
-    """The UGV's command [m/s²] under any driver that has a compiled form.
+    return ugv_tick(rows[0], route, state, radio, len(radio), tick, p_x, p_y, v_x, v_y)
+
+
+class CompiledDriver:
+    """Drives as `ugv_tick` says.
 
     Args:
-        parameters: Of the driver.
-        goals: The waypoints [m], in order, shape (goals, 2).
-        script: Time [s], v_x and v_y [m/s] of each step, in the order of time, shape (steps, 3).
-        state: The driver's state, changed in place.
-        radio: Time [s] and p_a - p_g [m] of the messages that have come at this tick, shape (rows, 3).
-        heard: How many of its rows count.
-        tick: Now.
-        time: Now [s]: tick times dt.
-        p_x, p_y: Position of the UGV [m].
-        v_x, v_y: Its velocity [m/s].
+        briefing: What the UGV is told when it joins.
     """
-    c = parameters
-    if c.driver == WAYPOINTS:
-        return waypoint_control(
-            goals, state, p_x, p_y, v_x, v_y, c.tolerance, c.v_max, c.u_max, c.dt
+
+    name = ""
+
+    def __init__(self, briefing: UgvBriefing) -> None:
+        self.parameters = driver_parameters(briefing, self.name)
+        """Its numbers."""
+        self._fixed = (
+            records(DriverParameters, [self.parameters]),
+            told_route(briefing),
+            driver_state(),
         )
-    if c.driver == WANDER:
-        return wander_control(
-            state,
-            tick,
-            p_x,
-            p_y,
-            v_x,
-            v_y,
-            c.speed,
-            c.margin,
-            c.width,
-            c.height,
-            c.tolerance,
-            c.u_max,
-            c.dt,
-            c.key,
-        )
-    if c.driver == SCRIPT:
-        return script_control(script, time, v_x, v_y, c.v_max, c.u_max, c.dt)
-    return evade_control(
-        state,
-        radio,
-        heard,
-        tick,
-        time,
-        p_x,
-        p_y,
-        v_x,
-        v_y,
-        c.speed,
-        c.margin,
-        c.lead,
-        c.width,
-        c.height,
-        c.tolerance,
-        c.v_max,
-        c.u_max,
-        c.dt,
-        c.key,
-    )
+        self._drive = entry_point(_drive, *self._fixed, _NO_RADIO, 0, 0.0, 0.0, 0.0, 0.0)
+
+    def drive(self, observation: UgvObservation) -> tuple[float, float]:
+        """The acceleration [m/s²] for this observation."""
+        (p_x, p_y), (v_x, v_y), radio = observation.position, observation.velocity, _NO_RADIO
+        if observation.radio:
+            told = [(message.time, *message.relative_position) for message in observation.radio]
+            radio = np.array(told, dtype=np.float64)
+        return self._drive(*self._fixed, radio, observation.tick, p_x, p_y, v_x, v_y)
+
+    @property
+    def goal(self) -> tuple[float, float] | None:
+        """Where it wanders to [m]; None while it has no random goal."""
+        state = self._fixed[2]
+        return (float(state[GOAL]), float(state[GOAL + 1])) if state[GOAL_CHOSEN] else None
 
 
-def pack_driver(parameters: DriverParameters) -> FloatArray:
-    """The parameters as a row of numbers, for tables of many worlds; all but the key. Shape (10,)."""
-    return np.array(parameters[:-1], dtype=np.float64)
+class WaypointDriver(CompiledDriver):
+    """The paper's driver, see `agents.drivers.waypoints`."""
+
+    name = "waypoints"
 
 
-@compiled
-def unpack_driver(row: FloatArray, key: Key) -> DriverParameters:
-    """The parameters of a row of `pack_driver`, with the key of this world's driver."""
-    return DriverParameters(
-        driver=int(row[0]),
-        dt=row[1],
-        width=row[2],
-        height=row[3],
-        v_max=row[4],
-        u_max=row[5],
-        tolerance=row[6],
-        speed=row[7],
-        margin=row[8],
-        lead=row[9],
-        key=key,
-    )
+class WanderDriver(CompiledDriver):
+    """From one random goal to the next, see `agents.drivers.wander`."""
+
+    name = "wander"
+
+
+class ScriptDriver(CompiledDriver):
+    """A timed list of velocities, see `agents.drivers.script`."""
+
+    name = "script"
+
+
+class EvadeDriver(CompiledDriver):
+    """The adversary, see `agents.drivers.evade`."""
+
+    name = "evade"

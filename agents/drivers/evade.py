@@ -1,15 +1,27 @@
-"""The adversary at the wheel: tries to shake the UAV off, within the UGV's limits and by what a UGV may know."""
+"""The adversary at the wheel: tries to shake the UAV off, within the UGV's limits and by what a UGV may know.
+
+It drives at full speed away from where the UAV will be by the time the UGV has turned round. A UAV that flies off is
+left behind; one that comes up fast will have flown past by then, so the UGV reverses and drives at it: either way the
+two velocities point apart when the UAV has most to brake. The lead is 2 v/u, the UGV's own time to reverse: it knows
+no bound of the UAV. In each slot of five leads it turns off sharply once, for one lead, by 60° to 120° to one side;
+when and where to is drawn from its key. It knows its own state and what the UAV radios, p_a - p_g up to 0.2 s and a
+tick ago, and neither the visibility radius nor the law.
+
+Within the wanderer's margin of the border it drops what points outward and slides along at full speed, braking first
+where a wall is too near; in a corner it picks one of the two walls at random and drives out along it for four leads.
+Before the first message, and five seconds after the last one, it wanders.
+
+It is a heuristic, not the worst case: it looks one manoeuvre ahead and solves no game.
+"""
 
 import math
 
-import numpy as np
-
-from agents.drivers.steering import Steering, velocity_control
-from agents.drivers.wander import WANDER_STATE, wander_control, wander_pace
-from bus.messages import UgvBriefing, UgvObservation
-from sim.compile import FloatArray, compiled
-from sim.randomness import WANDER, Key, uniform, words_of
-from sim.vehicles import norm
+from agents.drivers.parameters import DriverParameters
+from agents.drivers.steering import velocity_control
+from agents.drivers.wander import WANDER_STATE, wander_control
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.randomness import WANDER, Key, uniform
+from sim.models.vehicles import norm
 
 _SMOOTHING = 1.0  # time constant of the UAV's estimated velocity [s]: a difference of two estimates is mostly noise
 _FORGOTTEN = 5.0  # after so long without a message [s] the last one says nothing any more
@@ -22,29 +34,31 @@ _BEGIN, _SIDE, _ANGLE, _WALL, _SPOT = range(
 
 # Rows of the state, after the wanderer's: the UAV's place [m] (2) at a time [s], its smoothed velocity [m/s] (2),
 # when the newest message came [s], the direction out of a corner (2) and until when it counts [s].
-_PLACE, _AT, _VELOCITY, _HEARD, _OUT, _OUT_END = (WANDER_STATE + row for row in (0, 2, 3, 5, 6, 8))
+_PLACE, _AT, _VELOCITY, _RECEIVED, _OUT, _OUT_END = (
+    WANDER_STATE + row for row in (0, 2, 3, 5, 6, 8)
+)
 EVADE_STATE = WANDER_STATE + 9
 
 
 @compiled
 def begin_evade(state: FloatArray) -> None:
-    """Set the state to that of a driver that has heard nothing and wants to nowhere; in place."""
+    """Set the state to that of a driver that has received nothing and wants to nowhere; in place."""
     state[:] = 0.0
-    state[_HEARD] = -math.inf
+    state[_RECEIVED] = -math.inf
     state[_OUT_END] = -math.inf
 
 
 @compiled
 def is_known(state: FloatArray, time: float) -> bool:
     """Whether there has been a message of the UAV, and not too long ago."""
-    return bool(time - state[_HEARD] <= _FORGOTTEN)
+    return bool(time - state[_RECEIVED] <= _FORGOTTEN)
 
 
 @compiled
-def listen(
+def receive_radio(
     state: FloatArray,
     radio: FloatArray,
-    heard: int,
+    received: int,
     time: float,
     p_x: float,
     p_y: float,
@@ -54,18 +68,18 @@ def listen(
 ) -> None:
     """Take in what has come at this tick: place and smoothed velocity of the UAV.
 
-    Of several, that which was heard last.
+    Of several, that which came last.
 
     Args:
         state: Of the driver, changed in place.
         radio: Time [s] and p_a - p_g [m] of each message, shape (rows, 3).
-        heard: How many rows count.
+        received: How many rows count.
         time: Now [s].
         p_x, p_y: Position of the UGV [m].
         v_x, v_y: Its velocity [m/s].
         dt: Length of a tick [s].
     """
-    for row in range(heard):
+    for row in range(received):
         age = min(max(time - radio[row, 0], 0.0), _FORGOTTEN)
         x, y = (
             p_x - age * v_x + radio[row, 1],
@@ -80,7 +94,7 @@ def listen(
             w_x, w_y = state[_VELOCITY], state[_VELOCITY + 1]
             state[_VELOCITY] = w_x + share * ((x - state[_PLACE]) / gap - w_x)
             state[_VELOCITY + 1] = w_y + share * ((y - state[_PLACE + 1]) / gap - w_y)
-        state[_PLACE], state[_PLACE + 1], state[_AT], state[_HEARD] = x, y, at, time
+        state[_PLACE], state[_PLACE + 1], state[_AT], state[_RECEIVED] = x, y, at, time
 
 
 @compiled
@@ -121,11 +135,11 @@ def turned(x: float, y: float, time: float, lead: float, key: Key) -> tuple[floa
 
 
 @compiled
-def border_side(p: float, size: float, margin: float) -> float:
+def border_side(at: float, size: float, margin: float) -> float:
     """The sign of the side of one axis that is nearer than the margin, or 0; all in [m]."""
-    if p > size - margin:
+    if at > size - margin:
         return 1.0
-    return -1.0 if p < margin else 0.0
+    return -1.0 if at < margin else 0.0
 
 
 @compiled
@@ -185,6 +199,7 @@ def off_walls(
 
 @compiled
 def flee(
+    p: DriverParameters,
     state: FloatArray,
     x: float,
     y: float,
@@ -193,15 +208,6 @@ def flee(
     p_y: float,
     v_x: float,
     v_y: float,
-    speed: float,
-    margin: float,
-    lead: float,
-    width: float,
-    height: float,
-    v_max: float,
-    u_max: float,
-    dt: float,
-    key: Key,
 ) -> tuple[float, float]:
     """The acceleration [m/s²] to full speed in the direction (x, y), but along walls and out of corners.
 
@@ -209,176 +215,51 @@ def flee(
     """
     if time < state[_OUT_END]:
         x, y = state[_OUT], state[_OUT + 1]
-    out_x, out_y = border_side(p_x, width, margin), border_side(p_y, height, margin)
+    out_x, out_y = border_side(p_x, p.width, p.margin), border_side(p_y, p.height, p.margin)
     x, y = (0.0 if out_x * x > 0.0 else x), (0.0 if out_y * y > 0.0 else y)
     length = norm(x, y)
     if length > 0.0:
         x, y = x / length, y / length
     else:
-        x, y = leave_wall(state, out_x, out_y, time, lead, key)
-    w_x, w_y = off_walls(x * speed, y * speed, p_x, p_y, v_x, v_y, width, height, u_max, dt)
-    return velocity_control(v_x, v_y, w_x, w_y, v_max, u_max, dt)
+        x, y = leave_wall(state, out_x, out_y, time, p.lead, (p.key_0, p.key_1))
+    w_x, w_y = off_walls(
+        x * p.speed, y * p.speed, p_x, p_y, v_x, v_y, p.width, p.height, p.u_max, p.dt
+    )
+    return velocity_control(v_x, v_y, w_x, w_y, p.v_max, p.u_max, p.dt)
 
 
 @compiled
 def evade_control(
+    p: DriverParameters,
     state: FloatArray,
     radio: FloatArray,
-    heard: int,
+    received: int,
     tick: int,
-    time: float,
     p_x: float,
     p_y: float,
     v_x: float,
     v_y: float,
-    speed: float,
-    margin: float,
-    lead: float,
-    width: float,
-    height: float,
-    tolerance: float,
-    v_max: float,
-    u_max: float,
-    dt: float,
-    key: Key,
 ) -> tuple[float, float]:
-    """The acceleration [m/s²] of `EvadeDriver`, which says what it does.
+    """The acceleration [m/s²] of the evader, as the head of this file tells.
 
     Args:
+        p: Of the driver.
         state: Of the driver, changed in place; begins as `begin_evade` makes it.
         radio: Time [s] and p_a - p_g [m] of each message of this tick, shape (rows, 3).
-        heard: How many rows count.
+        received: How many rows count.
         tick: Now.
-        time: Now [s].
         p_x, p_y: Position [m].
         v_x, v_y: Velocity [m/s].
-        speed, margin: Of `wander_pace` [m/s], [m].
-        lead: Of `evade_lead` [s].
-        width, height: Of Q [m].
-        tolerance: Nearer than this the wanderer's goal is reached [m].
-        v_max, u_max: Bounds [m/s], [m/s²].
-        dt: Length of a tick [s].
-        key: Of the UGV's own random numbers.
     """
-    listen(state, radio, heard, time, p_x, p_y, v_x, v_y, dt)
+    time, key = tick * p.dt, (p.key_0, p.key_1)
+    receive_radio(state, radio, received, time, p_x, p_y, v_x, v_y, p.dt)
     if not is_known(state, time):
-        return wander_control(
-            state, tick, p_x, p_y, v_x, v_y, speed, margin, width, height, tolerance, u_max, dt, key
-        )
-    x, y = away(state, time, p_x, p_y, lead, key)
-    x, y = turned(x, y, time, lead, key)
-    return flee(
-        state,
-        x,
-        y,
-        time,
-        p_x,
-        p_y,
-        v_x,
-        v_y,
-        speed,
-        margin,
-        lead,
-        width,
-        height,
-        v_max,
-        u_max,
-        dt,
-        key,
-    )
+        return wander_control(p, state, tick, p_x, p_y, v_x, v_y)
+    x, y = away(state, time, p_x, p_y, p.lead, key)
+    x, y = turned(x, y, time, p.lead, key)
+    return flee(p, state, x, y, time, p_x, p_y, v_x, v_y)
 
 
 def evade_lead(speed: float, u_max: float) -> float:
     """How far it looks ahead [s]: its own time to reverse from its speed [m/s] at its bound [m/s²], within limits."""
     return min(max(2.0 * speed / u_max, _LEAD[0]), _LEAD[1])
-
-
-class EvadeDriver:
-    """Drives at full speed away from where the UAV will be by the time the UGV has turned round.
-
-    A UAV that flies off is left behind; one that comes up fast will have flown past by then, so the UGV reverses
-    and drives at
-    it: either way the two velocities point apart when the UAV has most to brake. The lead is 2 v/u, the UGV's own
-    time to
-    reverse: it knows no bound of the UAV. In each slot of five leads it turns off sharply once, for one lead, by
-    60° to 120° to
-    one side; when and where to is drawn from its key. It knows its own state and what the UAV radios, p_a - p_g up
-    to 0.2 s and a tick ago, and neither the visibility radius nor the law.
-
-    Within the wanderer's margin of the border it drops what points outward and slides along at full speed, braking
-    first where
-    a wall is too near; in a corner it picks one of the two walls at random and drives out along it for four leads.
-    Before the first message, and five seconds after the last one, it wanders.
-
-    It is a heuristic, not the worst case: it looks one manoeuvre ahead and solves no game.
-    """
-
-    def __init__(self, briefing: UgvBriefing) -> None:
-        self._steering = wheel = Steering(briefing)
-        self._width, self._height = float(briefing.area.width), float(briefing.area.height)
-        self._tolerance, self._key = float(briefing.goal_tolerance), words_of(briefing.key)
-        self._speed, self._margin = wander_pace(
-            self._width, self._height, wheel.v_max, wheel.u_max, wheel.dt
-        )
-        self._lead = evade_lead(self._speed, wheel.u_max)
-        self._state = np.empty(EVADE_STATE)
-        begin_evade(self._state)
-
-    def drive(self, observation: UgvObservation) -> tuple[float, float]:
-        """The acceleration [m/s²] for this observation: `evade_control`, with the turn as a method of its own."""
-        state, lead, tolerance, key = self._state, self._lead, self._tolerance, self._key
-        speed, margin, width, height = self._speed, self._margin, self._width, self._height
-        v_max, u_max, dt = self._steering.v_max, self._steering.u_max, self._steering.dt
-        tick, time, (p_x, p_y), (v_x, v_y) = (
-            observation.tick,
-            observation.time,
-            observation.position,
-            observation.velocity,
-        )
-        if observation.radio:
-            radio = np.array(
-                [(message.time, *message.relative_position) for message in observation.radio],
-                dtype=np.float64,
-            )
-            listen(state, radio, len(radio), time, p_x, p_y, v_x, v_y, dt)
-        if not is_known(state, time):
-            return wander_control(
-                state,
-                tick,
-                p_x,
-                p_y,
-                v_x,
-                v_y,
-                speed,
-                margin,
-                width,
-                height,
-                tolerance,
-                u_max,
-                dt,
-                key,
-            )
-        x, y = self._turned(away(state, time, p_x, p_y, lead, key), time)
-        return flee(
-            state,
-            x,
-            y,
-            time,
-            p_x,
-            p_y,
-            v_x,
-            v_y,
-            speed,
-            margin,
-            lead,
-            width,
-            height,
-            v_max,
-            u_max,
-            dt,
-            key,
-        )
-
-    def _turned(self, direction: tuple[float, float], time: float) -> tuple[float, float]:
-        """The direction, turned off sharply for one lead of each slot."""
-        return turned(direction[0], direction[1], time, self._lead, self._key)

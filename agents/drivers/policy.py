@@ -13,7 +13,7 @@ from agents.drivers.steering import LARGEST, Steering
 from bus.errors import ScenarioError
 from bus.layout import Row, UgvRow
 from bus.messages import UgvBriefing, UgvObservation
-from sim.vehicles import goal_reached
+from sim.models.vehicles import goal_reached
 
 _LOG = logging.getLogger("outrider.policy")
 

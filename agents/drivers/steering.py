@@ -4,8 +4,8 @@ import math
 
 from agents.drivers.waypoints import goal_control
 from bus.messages import UgvBriefing, UgvObservation
-from sim.compile import compiled
-from sim.vehicles import brake, clip_norm, norm
+from sim.kernels.compile import compiled
+from sim.models.vehicles import brake, clip_norm, norm
 
 LARGEST = 1e6
 """No message carries a larger component [m/s], [m/s²]: the bound of a UGV that has none."""

@@ -1,12 +1,8 @@
 """The paper's driver: straight to one goal after the other (section II)."""
 
-import math
-
-import numpy as np
-
-from bus.messages import UgvBriefing, UgvObservation
-from sim.compile import FloatArray, compiled
-from sim.vehicles import clip_norm, goal_reached, norm, speed_to_stop_within
+from agents.drivers.parameters import DriverParameters
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.vehicles import clip_norm, goal_reached, norm, speed_to_stop_within
 
 _INDEX = 0  # row of the state: which goal it drives to
 WAYPOINT_STATE = 1
@@ -48,65 +44,34 @@ def goal_control(
 
 @compiled
 def waypoint_control(
+    p: DriverParameters,
     goals: FloatArray,
     state: FloatArray,
     p_x: float,
     p_y: float,
     v_x: float,
     v_y: float,
-    tolerance: float,
-    v_max: float,
-    u_max: float,
-    dt: float,
 ) -> tuple[float, float]:
     """The acceleration [m/s²] to one goal after the other; to the last one, and without any to where the UGV is.
 
+    A goal is kept until it is nearer than the tolerance; then comes the next one, and the last one stays.
+
     Args:
+        p: Of the driver; its bounds may be infinite.
         goals: [m], shape (goals, 2).
         state: Of the driver, changed in place; begins as zeros.
         p_x, p_y: Position [m].
         v_x, v_y: Velocity [m/s].
-        tolerance: Nearer than this a goal is reached [m].
-        v_max, u_max: Bounds [m/s], [m/s²]; may be infinite.
-        dt: Length of a tick [s].
     """
     count = len(goals)
     if count == 0:
-        return goal_control(p_x, p_y, v_x, v_y, p_x, p_y, v_max, u_max, dt)
+        return goal_control(p_x, p_y, v_x, v_y, p_x, p_y, p.v_max, p.u_max, p.dt)
     index = int(state[_INDEX])
-    while index < count - 1 and goal_reached(p_x, p_y, goals[index, 0], goals[index, 1], tolerance):
+    while index < count - 1 and goal_reached(
+        p_x, p_y, goals[index, 0], goals[index, 1], p.tolerance
+    ):
         index += 1
     state[_INDEX] = index
-    return goal_control(p_x, p_y, v_x, v_y, goals[index, 0], goals[index, 1], v_max, u_max, dt)
-
-
-def driver_goals(briefing: UgvBriefing) -> FloatArray:
-    """The waypoints of a briefing [m], in order; shape (goals, 2)."""
-    return np.array(briefing.goals, dtype=np.float64).reshape(-1, 2)
-
-
-class WaypointDriver:
-    """Keeps a goal until it is nearer than the tolerance, then takes the next; stays at the last."""
-
-    def __init__(self, briefing: UgvBriefing) -> None:
-        self._goals = driver_goals(briefing)
-        self._state = np.zeros(WAYPOINT_STATE)
-        self._tolerance, self._dt = float(briefing.goal_tolerance), float(briefing.dt)
-        self._v_max = briefing.limits.max_speed or math.inf
-        self._u_max = briefing.limits.max_acceleration or math.inf
-
-    def drive(self, observation: UgvObservation) -> tuple[float, float]:
-        """The acceleration [m/s²] for this observation."""
-        (p_x, p_y), (v_x, v_y) = observation.position, observation.velocity
-        return waypoint_control(
-            self._goals,
-            self._state,
-            p_x,
-            p_y,
-            v_x,
-            v_y,
-            self._tolerance,
-            self._v_max,
-            self._u_max,
-            self._dt,
-        )
+    return goal_control(
+        p_x, p_y, v_x, v_y, goals[index, 0], goals[index, 1], p.v_max, p.u_max, p.dt
+    )

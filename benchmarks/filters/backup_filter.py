@@ -17,7 +17,7 @@ Molnar, Majji and
 Hobbs 2024 keep a tube around the flow likewise). The backup policy flies to the newest detection and stops there,
 as fast as the
 bounds allow. The backup set is our own: at rest, with the UGV within R_h and the newest detection's bound within
-E, from which docs/certificate.md proves that the next one can be flown to. Commands under way are flown first.
+E, from which docs/explanation/certificate.md proves that the next one can be flown to. Commands under way are flown first.
 
 The policy knows nothing of its past: with each detection the flow is another one. Where h_I < 0 no input is known
 to be safe, and the backup policy acts; such ticks are counted as not feasible.
@@ -35,8 +35,8 @@ from agents.control.discs import (
 from agents.control.handover import Promise
 from agents.control.visibility import Verdict, promise_of
 from bus.messages import UavBriefing, UavObservation, Vector
-from sim.compile import FloatArray, compiled
-from sim.vehicles import clip_norm, norm, speed_to_stop_within, step_vehicle, within_walls
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.vehicles import clip_norm, norm, speed_to_stop_within, step_vehicle, within_walls
 
 _REST = 0.02
 """The backup policy has arrived where it is slower than this [m/s], and nearer to its goal than `_NEAR` [m]."""
@@ -73,7 +73,7 @@ def backup_policy(
 def worst_distance(
     promise: Promise, discs: FloatArray, new: int, near: int, t: float, x: float, y: float
 ) -> float:
-    """How far from (x, y) [m] the UGV can be at time t [s], by the newest disc and the one with the least bound."""
+    """The largest distance of the UGV from (x, y) [m] at time t [s], by the newest disc and the one of least bound."""
     c = promise
     new_radius, near_radius = (
         c.eps + c.v_g * (t - discs[new, 2]),

@@ -28,11 +28,12 @@ from agents.control.visibility import SafetyFilter
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.messages import UavBriefing, UavCommand, UavObservation, Vector
-from outrider.flying import InProcess, Pilot
-from outrider.summary import summarize
-from sim.briefing import briefing
-from sim.flight import Flight
-from sim.scenario import Scenario, load_scenario
+from outrider.running.flying import InProcess, Pilot
+from outrider.running.summary import summarize
+from sim.engine.briefing import briefing
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
+from sim.server.flight import Flight
 
 HERE = Path(__file__).resolve().parent
 
@@ -85,7 +86,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """What came of it."""
+    """The outcome of one flight."""
 
     case: Case
     ticks: int

@@ -1,5 +1,5 @@
 """The speed of each layer, and in the same run the limit that it stands beside."""
 
-from outrider.bench.rows import ROWS, Row, measure
+from outrider.bench.measured import ROWS, Row, measure
 
 __all__ = ["ROWS", "Row", "measure"]

@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from sim.compile import FloatArray
-from sim.field import SENSORS, accumulate, coverage_error, coverage_gradient
+from bus.registry import SENSORS
+from sim.kernels.compile import FloatArray
+from sim.models.field import accumulate, coverage_error, coverage_gradient
 
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-O3", "-march=native", "-std=c11", "-ffp-contract=off", "-shared", "-fPIC")
@@ -101,7 +102,7 @@ class CKernels:
         cell: float,
         duration: float,
     ) -> None:
-        """`sim.field.accumulate`."""
+        """`sim.models.field.accumulate`."""
         self._accumulate(
             _pointer(coverage), *coverage.shape, p_x, p_y, sensor, peak, reach, cell, duration
         )
@@ -117,7 +118,7 @@ class CKernels:
         *,
         lanes: bool,
     ) -> float:
-        """`sim.field.coverage_error`, with one running sum or with eight lanes."""
+        """`sim.models.field.coverage_error`, with one running sum or with eight lanes."""
         found: float = self._error(
             lanes, _pointer(coverage), *coverage.shape, p_gx, p_gy, r_o, desired, cell
         )
@@ -139,7 +140,7 @@ class CKernels:
         *,
         lanes: bool,
     ) -> tuple[float, float, float]:
-        """`sim.field.coverage_gradient`, likewise."""
+        """`sim.models.field.coverage_gradient`, likewise."""
         found = np.zeros(3)
         place = (p_ax, p_ay, p_gx, p_gy, r_o, desired, sensor, peak, reach, cell)
         self._gradient(lanes, _pointer(coverage), *coverage.shape, *place, _pointer(found))
@@ -165,7 +166,7 @@ class CKernels:
             ours = rng.uniform(0.0, 4.0, (rows, columns))
             theirs = ours.copy()
             sensor, cell, reach = (
-                int(rng.choice(list(SENSORS.values()))),
+                int(rng.choice([row.code for row in SENSORS.values()])),
                 float(rng.choice((0.1, 0.25, 1.0))),
                 rng.uniform(0.1, 8.0),
             )

@@ -1,4 +1,4 @@
-/* The kernels of sim/field.py as a C programmer would write them: what `outrider bench` measures ours against.
+/* The kernels of sim/models/field.py as a C programmer would write them: what `outrider bench` measures ours against.
  *
  * Strict floating point: -O3 -march=native -ffp-contract=off, no -ffast-math. With lanes != 0 sums go through a row buffer and
  * eight running sums, as ours do, and the results are ours to the bit; with lanes == 0 there is one running sum. */

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from outrider import reference
+from outrider.bench import reference
 from outrider.bench.c_kernels import CKernels
 from outrider.bench.timing import Pair, rate
-from sim.compile import FloatArray, compiled
-from sim.field import accumulate, coverage_error, coverage_gradient
-from sim.scenario import load_scenario
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.field import accumulate, coverage_error, coverage_gradient
+from sim.scenario.loading import load_scenario
 from sim.world import World
 
 _PASSES = 20_000

@@ -14,15 +14,16 @@ from typing import Any
 import numpy as np
 
 from outrider.bench.timing import Pair, rate
-from outrider.closed_loop import ClosedLoop
-from outrider.vector import vector_env
-from sim.compile import FloatArray, IntArray, released
+from outrider.envs.closed_loop import ClosedLoop
+from outrider.envs.vector import vector_env
+from sim.engine.world_state import WorldParameters
 from sim.env.rewards import RewardWeights
-from sim.field import accumulate, accumulate_with_gain, coverage_error, coverage_gradient
-from sim.prefetch import fetch_disc
-from sim.scenario import Scenario, load_scenario
-from sim.threads import Crew
-from sim.tick import WorldParameters
+from sim.kernels.compile import FloatArray, IntArray, released
+from sim.kernels.prefetch import fetch_disc
+from sim.kernels.threads import Crew
+from sim.models.field import accumulate, accumulate_with_gain, coverage_error, coverage_gradient
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 
 WORLDS = 1024
 RATE = RewardWeights(uncovered=0.0, seen=1.0)
@@ -76,8 +77,8 @@ def _kernels_alone(
 
 
 def _limit(loop: ClosedLoop, *, full: bool, ticks: int, calls: int) -> float:
-    """World-steps a second of the kernels alone, at the places and on the ground of these worlds, on as many threads."""
-    truth, w = loop.batch.state.truth, loop.parameters.w
+    """World-steps a second of the kernels alone, at the same places and on the same ground and threads."""
+    truth, w = loop.batch.state.truth, loop.batch.parameters
     a, g = loop.batch.tables.escorts[0]
     widths = loop.tables.around if full else loop.tables.seen
     places = np.concatenate([truth.position[:, a], truth.position[:, g]], axis=1)

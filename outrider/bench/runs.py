@@ -14,14 +14,15 @@ import msgspec
 
 from bus.errors import BusError
 from outrider.bench.kernels import world_step
+from outrider.bench.pairs import pairs_toml
+from outrider.bench.raw_lockstep import ticks_per_second
 from outrider.bench.timing import Pair
-from outrider.flying import InProcess, fly, make_pilots
-from outrider.launch import NOBODY, Outcome, launch
-from outrider.pairs import pairs_toml
-from outrider.raw_lockstep import ticks_per_second
-from sim.flight import Flight
-from sim.scenario import Scenario, load_scenario
-from sim.threads import cores
+from outrider.running.flying import InProcess, fly, make_pilots
+from outrider.running.launch import NOBODY, Outcome, launch
+from sim.kernels.threads import cores
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
+from sim.server.flight import Flight
 
 
 def _payloads(scenario: Scenario) -> tuple[bytes, bytes]:
@@ -74,7 +75,7 @@ def tls() -> Pair:
 
 
 def pairs(count: int) -> Pair:
-    """So many UAVs with their UGVs in lockstep, each in a process of its own, beside a bare exchange among as many peers."""
+    """So many pairs in lockstep, each vehicle in a process of its own, beside a bare exchange among as many peers."""
     with tempfile.TemporaryDirectory(prefix="outrider-pairs-") as folder:
         path = Path(folder) / f"pairs-{count}.toml"
         path.write_text(
@@ -96,16 +97,16 @@ def run_in_process() -> Pair:
 
 
 def sweep(*, seconds: float = 60.0, seeds: int = 16) -> Pair:
-    """Runs a second of a small sweep on all cores, its worker processes already there, beside one process times the cores.
+    """Runs a second of a small sweep on all cores, its workers already there, beside one process times the cores.
 
     Args:
         seconds: Duration of each run [s].
         seeds: How often each of the four points is flown.
     """
-    from outrider.sweep.description import describe_sweep  # noqa: PLC0415 - an extra, as the next three
-    from outrider.sweep.folder import SweepFolder  # noqa: PLC0415
-    from outrider.sweep.plan import lay_out  # noqa: PLC0415
-    from outrider.sweep.running import fly_sweep  # noqa: PLC0415
+    from outrider.experiments.sweep.definition import describe_sweep  # noqa: PLC0415 - an extra, as the next three
+    from outrider.experiments.sweep.folder import SweepFolder  # noqa: PLC0415
+    from outrider.experiments.sweep.plan import lay_out  # noqa: PLC0415
+    from outrider.experiments.sweep.running import fly_sweep  # noqa: PLC0415
 
     def flown(count: int) -> float:
         settings: dict[str, Any] = {

@@ -1,7 +1,4 @@
-"""How the speed of many worlds depends on their number, on the grid and on the vehicles.
-
-Numbers, and a picture of them.
-"""
+"""The speed of many worlds over their number, the grid and the vehicles: numbers, and a picture of them."""
 
 import tempfile
 from collections.abc import Callable
@@ -13,10 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from outrider.bench.many import RATE, WORLDS, stepped
-from outrider.pairs import pairs_toml
+from outrider.bench.pairs import pairs_toml
 from outrider.style import DASHED, INK, MUTED, UAV, UGV, look, new_figure, panel, save
-from sim.scenario import Scenario, load_scenario
-from sim.threads import cores
+from sim.kernels.threads import cores
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
 
 COUNTS = (1, 4, 16, 64, 256, 1024, 4096)
 """Worlds."""
@@ -28,7 +26,7 @@ _BYTES = 2e9
 _MODES = {"full": None, "rate": RATE}
 
 
-class Point(msgspec.Struct, frozen=True, kw_only=True):
+class ScalingPoint(msgspec.Struct, frozen=True, kw_only=True):
     """One measurement."""
 
     panel: str
@@ -93,7 +91,7 @@ def measure_scaling(
     seconds: float = 1.0,
     most: int = COUNTS[-1],
     on_progress: Callable[[str, float], None] = lambda _what, _share: None,
-) -> list[Point]:
+) -> list[ScalingPoint]:
     """World-steps a second over the number of worlds, the grid and the vehicles, on all cores; the best of three.
 
     Args:
@@ -101,7 +99,7 @@ def measure_scaling(
         most: No more worlds than this.
         on_progress: Called with what is measured and the share that is done.
     """
-    points: list[Point] = []
+    points: list[ScalingPoint] = []
     jobs = [(case, mode) for case in _cases(most) for mode in _MODES]
     for done, (case, mode) in enumerate(jobs):
         settings: dict[str, Any] = {"rewards": _MODES[mode], "worlds": case.worlds, "limit": False}
@@ -109,7 +107,7 @@ def measure_scaling(
         steps = max(3, round(seconds * guess / case.worlds))
         found = max(stepped(case.scenario, steps=steps, **settings)[0] for _ in range(3))
         points.append(
-            Point(
+            ScalingPoint(
                 panel=case.panel,
                 value=case.value,
                 mode=mode,
@@ -123,7 +121,7 @@ def measure_scaling(
 
 def _curves(
     axes: Axes,
-    points: list[Point],
+    points: list[ScalingPoint],
     name: str,
     *,
     x: Callable[[float], float] = float,
@@ -159,7 +157,13 @@ def _curves(
 
 
 def _guide(
-    axes: Axes, points: list[Point], name: str, label: str, *, ticks: dict[float, str], power: float
+    axes: Axes,
+    points: list[ScalingPoint],
+    name: str,
+    label: str,
+    *,
+    ticks: dict[float, str],
+    power: float,
 ) -> None:
     """A line through the first point with the whole error.
 
@@ -172,7 +176,7 @@ def _guide(
     )
 
 
-def draw_scaling(points: list[Point], path: Path, *, on: str) -> None:
+def draw_scaling(points: list[ScalingPoint], path: Path, *, on: str) -> None:
     """Three panels: over worlds, cells and vehicles.
 
     Args:
@@ -224,7 +228,7 @@ def draw_scaling(points: list[Point], path: Path, *, on: str) -> None:
         save(figure, path)
 
 
-def make_scaling(path: Path, **settings: Any) -> list[Point]:  # noqa: ANN401 - those of measure_scaling
+def make_scaling(path: Path, **settings: Any) -> list[ScalingPoint]:  # noqa: ANN401 - those of measure_scaling
     """Measure, and write the picture and, beside it, the numbers as JSON.
 
     Args:

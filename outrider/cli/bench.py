@@ -51,7 +51,7 @@ def command(
         if json:
             print_json({"file": str(scaling), "points": points})
         else:
-            OUT.print(f"{scaling}\n{scaling.with_suffix('.json')}", soft_wrap=True, markup=False)
+            OUT.print(f"{scaling}\n{scaling.with_suffix('.json')}", soft_wrap=True)
         return
     if json:
         print_json({"rows": rows})

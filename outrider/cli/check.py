@@ -26,10 +26,10 @@ def command(
     Example: outrider check my-scenario.toml
     """
     from outrider.cli.console import OUT, print_json, print_warnings
-    from outrider.own import foreign_code
-    from outrider.promise import how_certifiable, promise_warnings
-    from sim.scenario import load_scenario
-    from sim.scenario_checks import scenario_warnings
+    from outrider.running.promise import how_certifiable, promise_warnings
+    from outrider.running.user_code import foreign_code
+    from sim.scenario.checks import scenario_warnings
+    from sim.scenario.loading import load_scenario
 
     scenario = load_scenario(file, overrides=changes or ())
     warnings = [

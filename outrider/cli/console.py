@@ -8,16 +8,17 @@ from pathlib import Path
 
 import msgspec
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
 from bus.messages import LinkStatus
-from outrider.summary import Summary
-from sim.scenario import Scenario
+from outrider.running.summary import Summary
+from sim.scenario.types import Scenario
 
-ERR = Console(stderr=True, highlight=False)
-OUT = Console(highlight=False)
+# Nothing that comes from outside (paths, names, errors of the user's own code) is markup or an emoji.
+ERR = Console(stderr=True, highlight=False, markup=False, emoji=False)
+OUT = Console(highlight=False, markup=False, emoji=False)
 
 
 def print_json(value: object) -> None:
@@ -36,7 +37,7 @@ def print_warnings(lines: Iterable[str]) -> None:
         alike.setdefault(re.sub(r"\d+", "0", line), []).append(line)
     for first, *others in alike.values():
         more = f" (and {len(others):,} more like it)" if others else ""
-        ERR.print("[yellow]warning:[/]", escape(f"{first}{more}"), soft_wrap=True)
+        ERR.print(Text.assemble(("warning:", "yellow"), f" {first}{more}"), soft_wrap=True)
 
 
 class FlightProgress:
@@ -54,17 +55,17 @@ class FlightProgress:
 
     def say(self, line: str) -> None:
         """Print a line above the bar."""
-        self._progress.console.print(f"[yellow]{line}[/]", soft_wrap=True)
+        self._progress.console.print(Text(line, style="yellow"), soft_wrap=True)
 
 
 @contextmanager
 def flight_progress(scenario: Scenario, waiting: str) -> Iterator[FlightProgress]:
     """A progress bar for one flight, on stderr."""
     columns = (
-        TextColumn("[bold]{task.description}"),
+        TextColumn("{task.description}", style="bold", markup=False),
         BarColumn(bar_width=40, complete_style="blue", finished_style="blue"),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TextColumn("{task.fields[seconds]:>7.1f} s simulated"),
+        TextColumn("{task.percentage:>3.0f} %", markup=False),
+        TextColumn("{task.fields[seconds]:>7.1f} s simulated", markup=False),
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=ERR, transient=not ERR.is_terminal) as progress:
@@ -97,7 +98,7 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
     table.add_column(style="bold")
     table.add_column(justify="right")
     seen = summary.visibility_violations == 0
-    rows = [
+    rows: list[tuple[str | Text, str | Text]] = [
         (
             "flown",
             f"{summary.ticks * summary.dt:.2f} s in {summary.ticks} ticks"
@@ -106,9 +107,9 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
         ("speed", f"{summary.ticks_per_second:,.0f} ticks/s"),
         (
             "UGV in sight (5)",
-            "[green]always[/]"
+            Text("always", style="green")
             if seen
-            else f"[red]lost in {summary.visibility_violations} ticks[/]",
+            else Text(f"lost in {summary.visibility_violations} ticks", style="red"),
         ),
         (
             "largest distance",
@@ -143,19 +144,24 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
         rows.append(
             (
                 "sight certified",
-                f"[{colour}]{share}[/], filter acted in {100.0 * (summary.intervened_share or 0.0):.1f} %",
+                Text.assemble(
+                    (share, colour),
+                    f", filter acted in {100.0 * (summary.intervened_share or 0.0):.1f} %",
+                ),
             )
         )
     if summary.certified_while_lost:
         rows.append(
             (
-                "[red]certified while lost[/]",
-                f"[red]{summary.certified_while_lost} ticks: the certificate is wrong[/]",
+                Text("certified while lost", style="red"),
+                Text(
+                    f"{summary.certified_while_lost} ticks: the certificate is wrong", style="red"
+                ),
             )
         )
     if summary.certificate_broken:
-        broken = f"[red]{summary.certificate_broken} times, although all assumptions held: the certificate is wrong[/]"
-        rows.append(("[red]certificate broken[/]", broken))
+        broken = f"{summary.certificate_broken} times, although all assumptions held: the certificate is wrong"
+        rows.append((Text("certificate broken", style="red"), Text(broken, style="red")))
     rows += [
         ("not certified", f"{count} ticks: {reason}")
         for reason, count in summary.uncertified.items()

@@ -102,7 +102,7 @@ def command(
     if renew:
         run, files = _renew(folder, party or (), host or (), days)
     else:
-        from sim.scenario import load_scenario
+        from sim.scenario.loading import load_scenario
 
         flown = load_scenario(scenario)
         names = ([uav.name for uav in flown.uav], [ugv.name for ugv in flown.ugv])
@@ -245,5 +245,5 @@ def _check(folder: Path, *, json: bool) -> int:
         for row in told:
             until = f"until {str(row['ends'])[:10]} ({row['days']} days)  " if row["ends"] else ""
             good = "good" if row["good"] else "NOT GOOD"
-            OUT.print(f"{row['file']}  {good}  {until}{row['note']}", soft_wrap=True, markup=False)
+            OUT.print(f"{row['file']}  {good}  {until}{row['note']}", soft_wrap=True)
     return int(not all(row["good"] for row in told))

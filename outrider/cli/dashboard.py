@@ -10,10 +10,10 @@ from outrider.cli.options import (
     DEFAULT_RUN,
     Connect,
     CredentialFile,
-    Leash,
     NoPageToken,
     PageToken,
     RunName,
+    Watchdog,
 )
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def command(
             hidden=True, help="Serve on this socket of the parent's, and say so on stdout."
         ),
     ] = -1,
-    leash: Leash = False,
+    watchdog: Watchdog = False,
 ) -> None:
     """Show a run in the browser while it is flown, and steer it: pause, speed, law, driver, and a UGV's wheel.
 
@@ -65,18 +65,18 @@ def command(
     from bus.session import open_session
     from outrider.cli.console import ERR
     from outrider.cli.options import check_endpoints
-    from outrider.dashboard.door import address_of, check_extra, choose_admission
-    from outrider.leash import hold
+    from outrider.running.watchdog import start_watchdog
+    from outrider.view.page.access.door import address_of, check_extra, choose_admission
 
-    if leash:
-        hold()
+    if watchdog:
+        start_watchdog()
     check_endpoints((connect,), secured=True, insecure=False)
     admission = choose_admission(host, token, wanted=not no_token)
     check_extra()
-    from outrider.dashboard.app import serve
-    from outrider.dashboard.controls import Controls
-    from outrider.dashboard.hub import Hub
-    from outrider.dashboard.live import Live
+    from outrider.view.page.app import serve
+    from outrider.view.page.controls.run_card import Controls
+    from outrider.view.page.hub import Hub
+    from outrider.view.page.sources.live import Live
 
     credential = _credential(credentials)
     os.nice(_NICE)
@@ -105,7 +105,7 @@ def _socket(number: int, host: str, port: int) -> "socket.socket":
     """The parent's, or one of our own."""
     import socket
 
-    from outrider.dashboard.door import open_socket
+    from outrider.view.page.access.door import open_socket
 
     return socket.socket(fileno=number) if number >= 0 else open_socket(host, port)
 

@@ -58,7 +58,7 @@ def command(
     from outrider.cli.stopping import stop_on_signals
 
     try:
-        from outrider.drive.terminal import check_terminal
+        from outrider.view.terminal.terminal import check_terminal
     except ImportError as error:
         raise ScenarioError(
             f"drive: {error.name} is missing; it drives on Unix terminals only"
@@ -87,7 +87,7 @@ def _await_run(session: "Session", vehicle: str, stop: "Stop") -> "Status | None
     from bus.keys import STATUS
     from bus.messages import Status
     from outrider.cli.console import ERR
-    from outrider.drive.link import ugvs_of
+    from outrider.view.terminal.teleoperation import ugvs_of
 
     statuses = session.inbox(STATUS)
     letter = statuses.receive(1.0)
@@ -113,17 +113,17 @@ def _are(names: tuple[str, ...]) -> str:
 def _drive(session: "Session", vehicle: str, first: "Status", *, speed: float, back: str) -> int:
     """Drive until the operator leaves; the exit code."""
     from bus.errors import ScenarioError
-    from outrider.drive.terminal import ending, know_colours, quiet_logs
+    from outrider.view.terminal.terminal import ending, know_colours, quiet_logs
 
     know_colours()
     try:
-        from outrider.drive.screen import DriveApp
+        from outrider.view.terminal.screen import DriveApp
     except ImportError as error:
         raise ScenarioError("drive: needs textual: pip install 'outrider[drive]'") from error
     from outrider.cli.console import ERR
-    from outrider.drive.link import Link
+    from outrider.view.terminal.teleoperation import Teleoperation
 
-    link = Link(session, vehicle, speed=speed, back=back, status=first)
+    link = Teleoperation(session, vehicle, speed=speed, back=back, status=first)
     app = DriveApp(link, session.run)
     with ending(link) as end, quiet_logs() as warnings:
         link.start()

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bus.registry import LAWS
 from outrider.cli.options import AllowCode, Json, ScenarioName, Set
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from outrider.falsify.engines import Found, Wanted
-    from sim.scenario import Scenario
+    from outrider.experiments.falsify.engines import Found, Wanted
+    from sim.scenario.types import Scenario
 
 _MINUTES = 1.0
 _FLIGHT, _ATTACK = 60.0, 200.0
@@ -172,9 +173,9 @@ def command(
     Example: outrider falsify --law switching --undegraded
     """
     from outrider.cli.console import print_warnings
-    from outrider.falsify.engines import Wanted
-    from outrider.falsify.limits import Limits, base_of, beyond_declared
-    from outrider.falsify.search import check_extra
+    from outrider.experiments.falsify.engines import Wanted
+    from outrider.experiments.falsify.limits import SearchLimits, base_of, beyond_declared
+    from outrider.experiments.falsify.search import check_extra
 
     limits_given = (max_delay, max_loss, max_blackout, max_command_delay, noise)
     if undegraded and any(given is not None for given in limits_given):
@@ -192,15 +193,15 @@ def command(
         changes,
         allow_code=allow_code,
     )
-    certified = flown.law.name == "certified"
+    certified = LAWS[flown.law.name].watched
     if (only is not None or eps is not None) and not certified:
         raise typer.BadParameter("--only and --eps are for the law certified")
     flies = control is None and only is not Only.ATTACK
     attacks = certified and (control is not None or only is not Only.FLIGHTS)
     limits = (
-        Limits()
+        SearchLimits()
         if undegraded
-        else Limits(
+        else SearchLimits(
             delay=_DELAY if max_delay is None else max_delay,
             loss=_LOSS if max_loss is None else max_loss,
             blackout=_BLACKOUT if max_blackout is None else max_blackout,
@@ -248,7 +249,7 @@ def _scenario(
     allow_code: bool,
 ) -> "Scenario":
     from outrider.cli.options import scenario_of
-    from outrider.own import check_code, check_own_functions
+    from outrider.running.user_code import check_code, check_own_functions
 
     flown, overrides = scenario_of(
         name, law=law, duration=_FLIGHT if duration is None else duration, changes=changes
@@ -265,7 +266,7 @@ def _cores() -> int:
 
 
 def _check_eps(eps: float | None) -> None:
-    from outrider.attack import EPS
+    from outrider.experiments.falsify.attack import EPS
 
     if eps is not None and eps not in EPS:
         raise typer.BadParameter(
@@ -286,7 +287,7 @@ def _search(wanted: "Wanted", expect: Expect | None, *, json: bool) -> None:
     from bus.errors import PeerLost
     from outrider.cli.console import ERR
     from outrider.cli.stopping import stop_on_signals
-    from outrider.falsify.engines import Found, save, search
+    from outrider.experiments.falsify.engines import Found, save, search
 
     found, fault = Found(wanted), None
     with stop_on_signals() as stop:
@@ -321,9 +322,9 @@ def _progress(found: "Found") -> "Iterator[Callable[[str, float], None]]":
     from outrider.cli.console import ERR
 
     columns = (
-        TextColumn("[bold]{task.description}"),
+        TextColumn("{task.description}", style="bold", markup=False),
         BarColumn(bar_width=30, complete_style="blue", finished_style="blue"),
-        TextColumn("{task.fields[note]}"),
+        TextColumn("{task.fields[note]}", markup=False),
         TimeRemainingColumn(compact=True, elapsed_when_finished=True),
     )
     began = said = time.monotonic()
@@ -352,11 +353,11 @@ def _tell(found: "Found", *, json: bool) -> None:
         print_json(found.as_plain())
         return
     for line in _lines(found):
-        OUT.print(line, soft_wrap=True, markup=False)
+        OUT.print(line, soft_wrap=True)
 
 
 def _lines(found: "Found") -> "Iterator[str]":
-    from outrider.own import foreign_code
+    from outrider.running.user_code import foreign_code
 
     wanted, flights, attacks = found.wanted, found.flights, found.attacks
     law = (
@@ -369,7 +370,7 @@ def _lines(found: "Found") -> "Iterator[str]":
     yield f"{law}: {found.violations:,} violations of r_v = {wanted.base.visibility.radius:g} m in {much}"
     if flights.runs:
         yield f"  flights: {flights.violations:,} of {flights.runs:,} lose sight; the farthest {flights.worst:.4f} m"
-        if wanted.base.law.name == "certified":
+        if LAWS[wanted.base.law.name].watched:
             share = f"not every tick was certified in {flights.uncertified:,}"
             yield f"    {share}; in {flights.lost - flights.violations:,} sight was lost after nothing was promised any more"
             yield f"    certified while lost: {flights.certified_while_lost:,} ticks"

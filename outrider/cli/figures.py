@@ -18,9 +18,10 @@ def command(
     """
     from rich.progress import Progress
     from rich.table import Table
+    from rich.text import Text
 
     from outrider.cli.console import ERR, OUT, print_json
-    from outrider.figures import make_figures
+    from outrider.experiments.paper_figures import make_figures
 
     with Progress(console=ERR, transient=True) as progress:
         task = progress.add_task("drawing", total=1.0)
@@ -41,7 +42,7 @@ def command(
                 claim.figure,
                 claim.claim,
                 claim.value,
-                "[green]yes[/]" if claim.holds else "[red]no[/]",
+                Text("yes", style="green") if claim.holds else Text("no", style="red"),
             )
         OUT.print(table)
         OUT.print(f"  {out}/figure-1.png ... figure-5.png", soft_wrap=True)

@@ -15,9 +15,11 @@ from outrider.cli import (
     check,
     credentials,
     dashboard,
+    doctor,
     drive,
     falsify,
     figures,
+    pilots,
     record,
     render,
     replay,
@@ -28,14 +30,13 @@ from outrider.cli import (
     simulator,
     suite,
     sweep,
-    vehicles,
 )
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "run": run.command,
     "simulator": simulator.command,
-    "uav": vehicles.uav,
-    "ugv": vehicles.ugv,
+    "uav": pilots.uav,
+    "ugv": pilots.ugv,
     "router": router.command,
     "credentials": credentials.command,
     "dashboard": dashboard.command,
@@ -43,7 +44,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "record": record.command,
     "replay": replay.command,
     "render": render.command,
-    "scenarios": scenarios.command,
     "check": check.command,
     "falsify": falsify.command,
     "figures": figures.command,
@@ -51,6 +51,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "sweep": sweep.command,
     "report": report.command,
     "bench": bench.command,
+    "doctor": doctor.command,
 }
 
 
@@ -69,10 +70,10 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-def _app() -> typer.Typer:
+def make_app() -> typer.Typer:
+    """The whole command line: for `main`, and for the pages that tell of it."""
     app = typer.Typer(
         no_args_is_help=True,
-        add_completion=False,
         pretty_exceptions_enable=False,
         rich_markup_mode="markdown",
     )
@@ -87,6 +88,7 @@ def _app() -> typer.Typer:
 
     for name, command in COMMANDS.items():
         app.command(name)(command)
+    app.add_typer(scenarios.app, name="scenarios")
     return app
 
 
@@ -101,7 +103,7 @@ def _fail(line: str, code: int) -> int:
 
 def _run() -> int:
     try:
-        return int(_app()(standalone_mode=False) or 0)
+        return int(make_app()(standalone_mode=False) or 0)
     except (ScenarioError, AccessDenied) as error:
         return _fail(str(error), 2)
     except OutriderError as error:
@@ -121,8 +123,19 @@ def _run() -> int:
         return _fail(f"{told()} (outrider --help tells more)", int(getattr(error, "exit_code", 2)))
 
 
+def _computes(arguments: list[str]) -> bool:
+    """False for a command that only reads scenarios, and for one whose processes compute in its place."""
+    if arguments[:1] == ["run"]:
+        return "--in-process" in arguments
+    return arguments[:1] != ["scenarios"]
+
+
 def main() -> None:
     """Run the command line."""
+    if not _computes(sys.argv[1:]):
+        from sim.kernels.compile import interpret
+
+        interpret()
     # Pools start their workers by themselves: none of them is to import what lies in the folder where the user stands.
     os.environ["PYTHONSAFEPATH"] = "1"
     logging.basicConfig(format="%(name)s: %(message)s", level=logging.WARNING)

@@ -7,11 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bus.errors import ScenarioError
+from bus.profiles import PROFILES
+from bus.registry import DRIVERS, LAWS, POLICY_FORMS, described
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from bus.access import Credential
     from bus.keys import Role
-    from sim.scenario import Scenario
+    from bus.registry import DriverRow, LawRow
+    from sim.scenario.types import Scenario
 
 ScenarioName = Annotated[str, typer.Argument(help="A shipped scenario's name, or a TOML file.")]
 Seed = Annotated[
@@ -25,8 +30,9 @@ Secret = Annotated[
     typer.Option(
         "--secret",
         metavar="@FILE|new|HEX",
-        help="The run's secret, which no vehicle is told: @FILE that holds it, `new` to make one, or 32 to 128 hexadecimal "
-        "digits, which other users of this machine would see in the list of processes.",
+        help="The run's secret, which no vehicle is told: @FILE that holds it, `new` to make one, "
+        "or 32 to 128 hexadecimal digits, which other users of this machine would see in the list "
+        "of processes.",
         envvar="OUTRIDER_SECRET",
     ),
 ]
@@ -37,14 +43,14 @@ LawName = Annotated[
     str | None,
     typer.Option(
         "--law",
-        help="certified, tracking, coverage, linear, switching, logarithmic, circle, weighted or path.",
+        help=f"The UAVs' law. {described(LAWS)}.",
     ),
 ]
 DriverName = Annotated[
     str | None,
     typer.Option(
         "--driver",
-        help="Who drives the UGVs: waypoints, wander, script, evade, teleop, policy, or external (a process of your own).",
+        help=f"The UGVs' driver. {described(DRIVERS)}.",
     ),
 ]
 Set = Annotated[
@@ -62,23 +68,22 @@ PolicyName = Annotated[
     str,
     typer.Option(
         "--policy",
-        help="For the driver `policy`: module:function or module:object of your own, or a saved one: sb3:ppo:FILE.zip, "
-        "torch:FILE.pt, onnx:FILE.onnx.",
+        help=f"For the driver `policy`: {POLICY_FORMS}; or module:object with a method predict.",
     ),
 ]
 NetworkName = Annotated[
     str,
     typer.Option(
         "--network",
-        help="What the ether does to every message: perfect, wifi, wifi-poor, lte, satellite, narrowband, jammed. One link: "
-        "--set links.detections.delay=0.5.",
+        help=f"The profile of every radio link: {', '.join(PROFILES)}. One link: --set links.detections.delay=0.5.",
     ),
 ]
 AllowCode = Annotated[
     bool,
     typer.Option(
         "--allow-code",
-        help="Load the code that the file itself names ([custom]); code that you name in the command is loaded without it.",
+        help="Load the code that the file itself names ([custom]); code that you name in the "
+        "command is loaded without it.",
     ),
 ]
 VirtualPath = Annotated[
@@ -87,7 +92,7 @@ VirtualPath = Annotated[
 Json = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else there.")
 ]
-Leash = Annotated[
+Watchdog = Annotated[
     bool, typer.Option(hidden=True, help="End when standard input closes: the parent has gone.")
 ]
 
@@ -159,8 +164,9 @@ PageToken = Annotated[
     str,
     typer.Option(
         "--token",
-        help="What a browser must know: 8 to 128 letters, digits, '_' and '-'. By default a new one is made up, and printed with "
-        "the address. Other users of this machine see what a command line says; what is in OUTRIDER_TOKEN they do not.",
+        help="What a browser must know: 8 to 128 letters, digits, '_' and '-'. By default a new "
+        "one is made up, and printed with the address. Other users of this machine see what a "
+        "command line says; what is in OUTRIDER_TOKEN they do not.",
         envvar="OUTRIDER_TOKEN",
         show_default=False,
         show_envvar=True,
@@ -197,11 +203,16 @@ def scenario_of(
     Raises:
         ScenarioError: If it cannot be flown.
     """
-    from sim.scenario import (
-        load_scenario,
-    )  # a vehicle's process, which shares these options, must not load it
+    # a vehicle's process, which shares these options, must not load it
+    from bus.registry import DRIVERS, LAWS
+    from sim.scenario.loading import load_scenario
 
     overrides = list(changes or ())
+    own = {"weighting": weighting, "path": path, "policy": policy}
+    if any(own.values()):
+        plain = load_scenario(name, overrides=overrides)
+        law = _user_of(own, "law", LAWS, law, {plain.law.name})
+        driver = _user_of(own, "driver", DRIVERS, driver, {ugv.driver for ugv in plain.ugv})
     quoted = {
         "law.name": law,
         "custom.weighting": weighting,
@@ -218,6 +229,41 @@ def scenario_of(
         count = len(load_scenario(name, overrides=overrides).ugv)
         overrides += [f'ugv.{k}.driver="{_plain("driver", driver)}"' for k in range(count)]
     return load_scenario(name, overrides=overrides), overrides
+
+
+def _user_of(
+    own: "Mapping[str, str]",
+    kind: str,
+    rows: "Mapping[str, LawRow] | Mapping[str, DriverRow]",
+    chosen: str | None,
+    flown: "set[str]",
+) -> str | None:
+    """The law or driver that uses the function which the user has named, so that none is ignored.
+
+    Args:
+        own: What the user has named, by option.
+        kind: `law` or `driver`.
+        rows: All there are.
+        chosen: What the user has chosen with --law or --driver.
+        flown: What the scenario says.
+
+    Raises:
+        ScenarioError: If another is chosen.
+    """
+    users = {row.own: row.name for row in rows.values() if row.own and own.get(row.own)}
+    if len(users) > 1:
+        raise ScenarioError(f"{' and '.join(f'--{option}' for option in users)}: only one can fly")
+    for option, user in users.items():
+        if chosen not in (None, user):
+            raise ScenarioError(
+                f"--{option} {own[option]}: is for --{kind} {user}, not for --{kind} {chosen}"
+            )
+        if chosen is None and user not in flown:
+            from outrider.cli.console import ERR
+
+            ERR.print(f"--{option} {own[option]}: so the {kind} is {user}", soft_wrap=True)
+            return user
+    return chosen
 
 
 def _plain(field: str, value: str) -> str:
@@ -242,7 +288,7 @@ def secret_of(given: str, *, wanted: bool = False) -> str:
     Raises:
         ScenarioError: If what is given is none, or its file cannot be read.
     """
-    from sim.run_keys import check_secret, new_secret
+    from sim.engine.run_keys import check_secret, new_secret
 
     if given == "new" or (wanted and not given):
         return new_secret()
@@ -270,7 +316,7 @@ _PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream")
 
 
 def is_local(endpoint: str) -> bool:
-    """Whether only processes of this machine can reach an endpoint."""
+    """True if only processes of this machine can reach an endpoint."""
     protocol, _, address = endpoint.partition("/")
     host = address.rpartition(":")[0].strip("[]")
     return protocol.startswith("unix") or host in ("127.0.0.1", "localhost", "::1")
@@ -286,7 +332,8 @@ def check_endpoints(endpoints: tuple[str, ...], *, secured: bool, insecure: bool
         protocol, separator, address = endpoint.partition("/")
         if protocol not in _PROTOCOLS or not separator or not address:
             raise ScenarioError(
-                f"endpoint {endpoint!r}: allowed are protocol/address, such as {DEFAULT_ENDPOINT}, with {', '.join(_PROTOCOLS)}"
+                f"endpoint {endpoint!r}: allowed are protocol/address, such as {DEFAULT_ENDPOINT}, "
+                f"with {', '.join(_PROTOCOLS)}"
             )
         if not (secured or insecure or is_local(endpoint)):
             raise ScenarioError(

@@ -106,7 +106,7 @@ def _follow(session: "Session", recorder: "RunRecorder", stop: "Stop") -> bool:
     from outrider.cli.console import ERR
 
     columns = (
-        TextColumn("[bold]{task.description}"),
+        TextColumn("{task.description}", style="bold", markup=False),
         BarColumn(bar_width=40, complete_style="blue", finished_style="blue"),
         TextColumn(
             "{task.fields[seconds]:>7.1f} s simulated, {task.fields[missing]} ticks missing"

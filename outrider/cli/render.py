@@ -30,8 +30,8 @@ def command(
     from rich.progress import Progress
 
     from outrider.cli.console import ERR
-    from outrider.recording.film import check_output, render
     from outrider.recording.reader import flight_of
+    from outrider.view.film import check_output, render
 
     check_output(out)
     recording = flight_of(file, flight)

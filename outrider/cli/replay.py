@@ -70,9 +70,11 @@ def command(
 
 
 def _refly(recording: "Recording", *, json: bool) -> None:
+    from rich.text import Text
+
     from outrider.cli.console import ERR, OUT, print_json
     from outrider.recording.refly import refly
-    from outrider.summary import certificate_fields
+    from outrider.running.summary import certificate_fields
 
     with ERR.status("flying it again"):
         found = refly(recording)
@@ -98,8 +100,13 @@ def _refly(recording: "Recording", *, json: bool) -> None:
         }
         print_json(told)
     else:
-        verdict = "[green]the same to the last bit[/]" if same else f"[red]differs from {where}[/]"
-        OUT.print(f"{recording.path}: {found.ticks} ticks flown again, {verdict}", soft_wrap=True)
+        verdict = (
+            ("the same to the last bit", "green") if same else (f"differs from {where}", "red")
+        )
+        OUT.print(
+            Text.assemble(f"{recording.path}: {found.ticks} ticks flown again, ", verdict),
+            soft_wrap=True,
+        )
         OUT.print(f"  trajectory_sha256 {found.trajectory_sha256}", soft_wrap=True)
         if found.note:
             OUT.print(f"  {found.note}", soft_wrap=True)
@@ -110,15 +117,20 @@ def _refly(recording: "Recording", *, json: bool) -> None:
 def _show(recording: "Recording", speed: float, port: int, token: str, *, wanted: bool) -> None:
     """Serve the page until somebody ends it."""
     from outrider.cli.console import ERR
-    from outrider.dashboard.door import address_of, check_extra, choose_admission, open_socket
+    from outrider.view.page.access.door import (
+        address_of,
+        check_extra,
+        choose_admission,
+        open_socket,
+    )
 
     admission = choose_admission("127.0.0.1", token, wanted=wanted)
     check_extra()
     with open_socket("127.0.0.1", port, "--dashboard-port") as opened:
-        from outrider.dashboard.app import serve
-        from outrider.dashboard.hub import Hub
-        from outrider.dashboard.player import Player
-        from outrider.dashboard.tape import Tape
+        from outrider.view.page.app import serve
+        from outrider.view.page.controls.player import Player
+        from outrider.view.page.hub import Hub
+        from outrider.view.page.sources.tape import Tape
 
         tape = Tape(recording, speed)
         hub = Hub(tape)
@@ -142,7 +154,7 @@ def _play(recording: "Recording", speed: float) -> None:
     truths = recording.truths
     begin, end = truths[0].time, truths[-1].time
     columns = (
-        TextColumn("{task.fields[seconds]:>7.1f} s"),
+        TextColumn("{task.fields[seconds]:>7.1f} s", markup=False),
         BarColumn(bar_width=40, complete_style="blue", finished_style="blue"),
         TextColumn("distance {task.fields[distance]:.2f} m, e = {task.fields[error]:.1f} m²"),
     )
@@ -176,7 +188,7 @@ def _tell(recording: "Recording", *, json: bool) -> None:
 
     from outrider.cli.console import OUT, print_json, print_summary
     from outrider.recording.refly import from_the_start, restore
-    from outrider.summary import certificate_fields, summarize
+    from outrider.running.summary import certificate_fields, summarize
 
     told = _facts(recording)
     if recording.head.scenario is not None and from_the_start(recording):

@@ -34,18 +34,20 @@ def command(
 
     Example: outrider report sweeps/network --markdown
     """
-    from outrider.sweep.extras import check_extras
+    from outrider.experiments.sweep.extras import check_extras
 
     check_extras("pyarrow")
     if markdown and json:
         raise typer.BadParameter("--markdown and --json both want stdout; choose one")
+    from rich.text import Text
+
     from outrider.cli.console import ERR, OUT, print_json
 
     with ERR.status("reading and drawing"):
-        from outrider.report.figures import draw_all
-        from outrider.report.page import markdown as markdown_of
-        from outrider.report.page import page
-        from outrider.report.reading import read_material
+        from outrider.experiments.report.document import markdown as markdown_of
+        from outrider.experiments.report.document import page
+        from outrider.experiments.report.plots import draw_all
+        from outrider.experiments.report.results import read_material
 
         material = read_material(folders)
         where = out or (folders[0] / "report" if len(material.folders) == 1 else Path("report"))
@@ -64,7 +66,11 @@ def command(
         print_json({**counts, "page": str(file), "pictures": files})
         return
     if material.missing:
-        ERR.print(f"[yellow]not finished:[/] {material.missing:,} runs are still to be flown")
+        ERR.print(
+            Text.assemble(
+                ("not finished:", "yellow"), f" {material.missing:,} runs are still to be flown"
+            )
+        )
     OUT.print(f"{material.rows:,} runs, {material.failed:,} failed\n  {file}", soft_wrap=True)
     for path in pictures.values():
         OUT.print(f"  {path}", soft_wrap=True)

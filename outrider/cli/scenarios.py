@@ -1,21 +1,32 @@
-"""`outrider scenarios`: what is shipped."""
+"""`outrider scenarios`: what is shipped, what it says, and a file of one's own to begin with."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
+Name = Annotated[str, typer.Argument(help="A shipped scenario's name.")]
+SCHEMA_FILE = "scenario.schema.json"
+"""Written beside a new scenario, for editors that know JSON Schema."""
 
+app = typer.Typer(invoke_without_command=True)
+
+
+@app.callback()
 def command(
+    context: typer.Context,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
-    """List the shipped scenarios.
+    """List the shipped scenarios; show one, begin a file of one's own, or print the schema for an editor.
 
-    Example: outrider scenarios
+    Example: outrider scenarios, or outrider scenarios show escort
     """
+    if context.invoked_subcommand is not None:
+        return
     from rich.table import Table
 
     from outrider.cli.console import OUT, print_json
-    from sim.scenario import load_scenario, scenario_names
+    from sim.scenario.loading import load_scenario, scenario_names
 
     shipped = [load_scenario(name) for name in scenario_names()]
     if json:
@@ -41,3 +52,64 @@ def command(
     for scenario in shipped:
         table.add_row(scenario.name, scenario.law.name, f"{scenario.duration:g} s", scenario.title)
     OUT.print(table)
+
+
+@app.command()
+def show(name: Name = "escort") -> None:
+    """Print a shipped scenario's file.
+
+    Example: outrider scenarios show figure-3-switching
+    """
+    import sys
+
+    from sim.scenario.loading import shipped_text
+
+    sys.stdout.write(shipped_text(name))
+
+
+@app.command()
+def new(
+    file: Annotated[Path, typer.Argument(help="The file to be written.")],
+    base: Annotated[
+        str, typer.Option("--from", help="The shipped scenario that it begins as.")
+    ] = "escort",
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace a file that is there already.")
+    ] = False,
+    schema: Annotated[
+        bool, typer.Option(help=f"Write {SCHEMA_FILE} beside it, for the editor.")
+    ] = True,
+) -> None:
+    """Begin a scenario of one's own as a copy of a shipped one.
+
+    Editors that know TOML with JSON Schema (taplo, Even Better TOML) complete its fields and mark what is wrong.
+
+    Example: outrider scenarios new mine.toml, then outrider check mine.toml and outrider run mine.toml
+    """
+    from outrider.cli.console import OUT
+    from sim.scenario.loading import shipped_text
+    from sim.scenario.schema import schema_text
+
+    text = shipped_text(base)
+    if file.exists() and not force:
+        raise typer.BadParameter(f"{file}: is there already; --force replaces it")
+    if schema:
+        text = f"#:schema {SCHEMA_FILE}\n{text}"
+        file.with_name(SCHEMA_FILE).write_text(schema_text(), encoding="utf-8")
+    file.write_text(text, encoding="utf-8")
+    OUT.print(
+        f"{file}: written; outrider check {file} says whether it can be flown", soft_wrap=True
+    )
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON Schema of a scenario's file.
+
+    Example: outrider scenarios schema > scenario.schema.json
+    """
+    import sys
+
+    from sim.scenario.schema import schema_text
+
+    sys.stdout.write(schema_text())

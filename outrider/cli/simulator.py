@@ -15,13 +15,13 @@ from outrider.cli.options import (
     Insecure,
     Json,
     LawName,
-    Leash,
     NetworkName,
     RealTime,
     Record,
     RunName,
     Secret,
     Set,
+    Watchdog,
     check_endpoints,
     credential_of,
 )
@@ -29,8 +29,8 @@ from outrider.cli.options import (
 if TYPE_CHECKING:
     from bus.access import Credential, CredentialSet
     from outrider.recording.writer import FlightRecorder
-    from sim.scenario import Scenario
-    from sim.server import Server
+    from sim.scenario.types import Scenario
+    from sim.server.serving import Server
 
 
 def command(
@@ -101,8 +101,8 @@ def command(
         bool,
         typer.Option(hidden=True, help="Report on stdout as JSON lines, for a parent process."),
     ] = False,
-    leash: Leash = False,
-    leash_folder: Annotated[
+    watchdog: Watchdog = False,
+    watchdog_folder: Annotated[
         Path | None, typer.Option(hidden=True, help="Removed when the parent has gone.")
     ] = None,
 ) -> None:
@@ -118,18 +118,18 @@ def command(
     from outrider.cli.console import ERR, flight_progress, print_json, print_summary, print_warnings
     from outrider.cli.options import scenario_of, secret_of
     from outrider.cli.stopping import stop_on_signals
-    from outrider.leash import hold
-    from outrider.output import write_flight
-    from outrider.promise import promise_warnings
-    from outrider.reports import Reports
-    from outrider.summary import summarize
-    from sim.compile import compiling
-    from sim.flight import warm_up
-    from sim.scenario_checks import scenario_warnings
-    from sim.server import Server
+    from outrider.running.exit_reports import Reports
+    from outrider.running.promise import promise_warnings
+    from outrider.running.summary import summarize
+    from outrider.running.watchdog import start_watchdog
+    from outrider.view.output import write_flight
+    from sim.kernels.compile import compiling
+    from sim.scenario.checks import scenario_warnings
+    from sim.server.flight import warm_up
+    from sim.server.serving import Server
 
-    if leash:
-        hold(leash_folder)
+    if watchdog:
+        start_watchdog(watchdog_folder)
     flown, _ = scenario_of(
         scenario,
         seed=seed,
@@ -148,9 +148,11 @@ def command(
     kept = secret_of(secret, wanted=secured and not events)  # a parent has decided
     with compiling():
         warm_up(flown)
-    reports = Reports(enabled=events)
+    reports, promised = Reports(enabled=events), promise_warnings(flown)
+    if events and promised:
+        reports.warn(promised)  # of the scenario itself the parent has told
     if not events:
-        print_warnings((*scenario_warnings(flown), *promise_warnings(flown)))
+        print_warnings((*scenario_warnings(flown), *promised))
         where = (
             f"using the router at {connect}" if connect else f"listening on {', '.join(endpoints)}"
         )
@@ -159,9 +161,9 @@ def command(
             ERR.print(
                 "no credentials: every process that reaches this endpoint may read and write everything"
             )
-    seats: list[Server] = []
+    servers: list[Server] = []
     recorder = _recorder(
-        record, flown, kept, seats
+        record, flown, kept, servers
     )  # a file that cannot be written shows before anybody joins
     with stop_on_signals() as stop:
         party = Party(role=Role.SIMULATOR, name=SIMULATOR_NAME)
@@ -191,7 +193,7 @@ def command(
                 stop=lambda: bool(stop),
                 warn=promise_warnings,
             )
-            seats.append(server)
+            servers.append(server)
             shown = 0.0
 
             def on_tick() -> None:
@@ -233,7 +235,7 @@ def command(
 def _recorder(
     path: Path | None, flown: "Scenario", secret: str, servers: "list[Server]"
 ) -> "FlightRecorder | None":
-    """What records the flight; the server whose vehicles it asks for comes later."""
+    """Records the flight; the server whose vehicles it asks for comes later."""
     if path is None:
         return None
     from outrider.recording.writer import FlightRecorder
@@ -250,7 +252,7 @@ def _recorder(
 def _credentials(
     file: Path | None, *, hosts: bool
 ) -> "tuple[CredentialSet | None, Credential | None]":
-    """What the router inside needs to know its clients, or what the client of another router is known by."""
+    """Credentials by which the router inside knows its clients, or that of a client of another router."""
     from bus.access import read_credentials
     from bus.keys import SIMULATOR_NAME, Role
 

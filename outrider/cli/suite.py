@@ -9,11 +9,12 @@ from outrider.cli.options import Json, Secret
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
+    from rich.text import Text
 
-    from outrider.suites.board import Leaderboard, Standing
-    from outrider.suites.scoring import Entry, Result
-    from outrider.suites.tasks import Suite
-    from outrider.vector import Observation, Policy
+    from outrider.envs.vector import Observation, Policy
+    from outrider.experiments.suite.board import Leaderboard, Standing
+    from outrider.experiments.suite.scoring import Entry, Result
+    from outrider.experiments.suite.tasks import Suite
 
 
 def command(
@@ -63,7 +64,7 @@ def command(
     Example: outrider suite logarithmic certified --only noise --only bursts
     """
     from outrider.cli.console import OUT, print_json
-    from outrider.suites.tasks import suite
+    from outrider.experiments.suite.tasks import suite
 
     tasks = _tasks(suite(), only or [])
     if list_tasks:
@@ -94,7 +95,7 @@ def command(
 
 def _tasks(whole: "Suite", only: list[str]) -> "Suite":
     from bus.errors import ScenarioError
-    from outrider.suites.tasks import Suite
+    from outrider.experiments.suite.tasks import Suite
 
     unknown = [name for name in only if name not in whole.names]
     if unknown:
@@ -104,9 +105,9 @@ def _tasks(whole: "Suite", only: list[str]) -> "Suite":
 
 def _entries(laws: list[str], policies: list[str], tasks: "Suite") -> "dict[str, Entry]":
     from bus.errors import ScenarioError
-    from outrider.closed_loop import pilot_names
-    from outrider.own import load_function
-    from outrider.suites.board import LAWS
+    from outrider.envs.closed_loop import pilot_names
+    from outrider.experiments.suite.board import BASELINES
+    from outrider.running.user_code import load_function
 
     allowed = pilot_names(tasks[0].scenario, "uav_0")
     for law in laws:
@@ -114,7 +115,7 @@ def _entries(laws: list[str], policies: list[str], tasks: "Suite") -> "dict[str,
             raise ScenarioError(
                 f"law {law!r}: unknown; allowed: {', '.join(allowed)}, or --policy module:function"
             )
-    entries: dict[str, Entry] = {law: law for law in laws or ([] if policies else LAWS)}
+    entries: dict[str, Entry] = {law: law for law in laws or ([] if policies else BASELINES)}
     for name in policies:
         found = load_function(name, what="--policy")
         if found is None:
@@ -147,7 +148,7 @@ def _fly(
 
     from bus.errors import OutriderError
     from outrider.cli.console import ERR
-    from outrider.suites.board import leaderboard
+    from outrider.experiments.suite.board import leaderboard
 
     with Progress(console=ERR, transient=True, disable=not ERR.is_terminal) as progress:
         bar = progress.add_task("compiling, then flying", total=1.0)
@@ -179,8 +180,11 @@ def _table(board: "Leaderboard") -> Any:  # noqa: ANN401 - rich's
     return table
 
 
-def _cell(told: "Result | Standing") -> str:
-    return f"{told.score:.1f}" + (f"\n[red]{told.lost} lost[/]" if told.lost else "")
+def _cell(told: "Result | Standing") -> "Text":
+    from rich.text import Text
+
+    score = f"{told.score:.1f}"
+    return Text.assemble(score, (f"\n{told.lost} lost", "red")) if told.lost else Text(score)
 
 
 def _tell_tasks(tasks: "Suite", *, json: bool) -> None:

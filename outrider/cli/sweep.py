@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
     from rich.progress import Progress
 
-    from outrider.sweep.folder import SweepFolder
-    from outrider.sweep.plan import Plan
+    from outrider.experiments.sweep.folder import SweepFolder
+    from outrider.experiments.sweep.plan import Plan
 
 
 def command(
@@ -77,19 +77,19 @@ def command(
     Example: outrider sweep escort --law linear,switching --vary links.detections.delay=0,0.5,1 --seeds 20 --out
     sweeps/delay
     """
-    from outrider.sweep.extras import check_extras
+    from outrider.experiments.sweep.extras import check_extras
 
     check_extras("joblib", "pyarrow", *(["distributed"] if dask else []))
     from outrider.cli.console import print_warnings
-    from outrider.sweep.description import describe_sweep
-    from outrider.sweep.folder import SweepFolder
+    from outrider.experiments.sweep.definition import describe_sweep
+    from outrider.experiments.sweep.folder import SweepFolder
 
     described, text = describe_sweep(
         sweep, laws=law, vary=vary or (), changes=changes or (), seeds=seeds, first_seed=first_seed
     )
     where = out or Path("sweeps") / Path(sweep).stem
     with _bar("loading the points") as progress:
-        from outrider.sweep.plan import lay_out
+        from outrider.experiments.sweep.plan import lay_out
 
         task = progress.add_task("", total=None, note="")
         plan = lay_out(
@@ -132,7 +132,7 @@ def _cluster(address: str, version: str) -> "AbstractContextManager[Any]":
 
     if not address:
         return nullcontext()
-    from outrider.sweep.running import open_cluster
+    from outrider.experiments.sweep.running import open_cluster
 
     return open_cluster(address, version)
 
@@ -143,9 +143,9 @@ def _bar(what: str) -> "AbstractContextManager[Progress]":
     from outrider.cli.console import ERR
 
     return Progress(
-        TextColumn(f"[bold]{what}"),
+        TextColumn(what, style="bold", markup=False),
         BarColumn(bar_width=40, complete_style="blue", finished_style="blue"),
-        TextColumn("{task.fields[note]}"),
+        TextColumn("{task.fields[note]}", markup=False),
         TimeRemainingColumn(compact=True, elapsed_when_finished=True),
         console=ERR,
         transient=what != "flying",
@@ -160,7 +160,7 @@ def _fly(plan: "Plan", folder: "SweepFolder", jobs: int | None, client: Any) -> 
     """
     from joblib import cpu_count
 
-    from outrider.sweep.running import cost_of, fly_sweep
+    from outrider.experiments.sweep.running import cost_of, fly_sweep
 
     workers = jobs or (sum(client.ncores().values()) if client is not None else cpu_count())
     costs = [cost_of(point.scenario) for point in plan.points]
@@ -222,13 +222,12 @@ def _tell(told: dict[str, Any], folder: "SweepFolder", where: Path, *, json: boo
         ERR.print(
             f"outrider: {folder.failed} of {told['rows']:,} runs failed: {reason}; {again}",
             soft_wrap=True,
-            markup=False,
         )
         raise typer.Exit(1)
 
 
 def _errors(folder: "SweepFolder") -> "Iterator[str]":
-    from outrider.sweep.folder import read_head, read_results
+    from outrider.experiments.sweep.folder import read_head, read_results
 
     head = read_head(folder.path)
     if head is not None:

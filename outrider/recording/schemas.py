@@ -1,4 +1,4 @@
-"""What stands in a recording: its channels, their JSON schemas, and the head that says what was flown.
+"""The content of a recording: its channels, their JSON schemas, and the head that says what was flown.
 
 Times are simulated: nanoseconds since the first tick. One file holds one run; a run that was reset has several
 flights, one after the other, each with a head of its own.
@@ -12,7 +12,6 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
-from agents.control.visibility import raw_switching_radius
 from bus.errors import ScenarioError
 from bus.messages import (
     Change,
@@ -27,10 +26,10 @@ from bus.messages import (
     Truth,
     Vector,
 )
-from sim.recorder import platform_row
-from sim.scenario import Scenario
-from sim.scenario_checks import check_scenario
-from sim.scenario_reading import apply_override, typed
+from sim.input.reading import apply_override, typed
+from sim.scenario.checks import check_scenario
+from sim.scenario.types import Scenario
+from sim.server.recorder import platform_row
 
 FORMAT = 1
 """Of the file. Another number cannot be read."""
@@ -40,7 +39,7 @@ EXTRA = "recording needs the extra: pip install 'outrider[record]'"
 
 
 class Head(Message, frozen=True, kw_only=True):
-    """What was flown; the first message of each flight."""
+    """The scenario, seed and platform of a flight; its first message."""
 
     format: int = FORMAT
     outrider: Text
@@ -63,15 +62,15 @@ class Head(Message, frozen=True, kw_only=True):
 
 
 class Commands(Message, frozen=True, kw_only=True):
-    """What each vehicle was asked for during a tick, before the bounds: what is needed to fly it again."""
+    """Each vehicle's commanded acceleration during a tick, before the bounds: needed to fly it again."""
 
     tick: Tick
     accelerations: dict[Name, Vector]
     """[m/s²]"""
 
 
-class Word(Drive, frozen=True, kw_only=True):
-    """What an operator said, and the tick at which it was heard: that of the UGV's observation that held it."""
+class OperatorWord(Drive, frozen=True, kw_only=True):
+    """An operator's command, and the tick of the UGV's observation that held it."""
 
     tick: Tick
 
@@ -100,8 +99,8 @@ _OPERATOR = "operator"
 
 
 def operator_topic(ugv: str) -> Topic:
-    """What operators have said at this UGV's wheel, where they have."""
-    return Topic(name=f"/{ugv}/{_OPERATOR}", message=Word)
+    """The channel of the operators' commands to this UGV, where there are any."""
+    return Topic(name=f"/{ugv}/{_OPERATOR}", message=OperatorWord)
 
 
 def ugv_of(topic: str) -> str | None:
@@ -201,17 +200,6 @@ def scenario_in(head: Head, *, file: str) -> Scenario:
     for field in head.infinite:
         apply_override(raw, field, math.inf, file=file)
     return check_scenario(typed(raw, Scenario, file=file), source=file)
-
-
-def inner_radius(scenario: Scenario, ugv: str) -> float | None:
-    """r_s of (18) around a UGV [m], the smallest of its UAVs; None where it is no circle of its own."""
-    vehicles = {vehicle.name: vehicle for vehicle in scenario.vehicles}
-    r_v, v_g = scenario.visibility.radius, vehicles[ugv].max_speed
-    uavs = [uav for uav in scenario.uav if uav.escorts == ugv]
-    radii = [
-        float(raw_switching_radius(r_v, uav.max_speed, v_g, uav.max_acceleration)) for uav in uavs
-    ]
-    return min((r_s for r_s in radii if 0.0 < r_s < r_v), default=None)
 
 
 class _AnyFormat(msgspec.Struct, frozen=True):

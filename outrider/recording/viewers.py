@@ -1,4 +1,4 @@
-"""What viewers of MCAP understand at once (Foxglove, Lichtblick): frames, poses, a scene, the grid, a log.
+"""Channels that viewers of MCAP understand at once (Foxglove, Lichtblick): frames, poses, a scene, the grid, a log.
 
 They are shown a few poses per simulated second: a viewer draws what lies between two of them by itself. Every tick
 stands in our own channels.
@@ -6,12 +6,15 @@ stands in our own channels.
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 from bus.errors import ScenarioError
 from bus.messages import CoverageMap
-from outrider import style
-from outrider.recording.schemas import EXTRA, inner_radius
-from sim.scenario import Scenario
+from outrider.recording.schemas import EXTRA
+from sim.scenario.types import Scenario
+from sim.scene.colors import rgb
+from sim.scene.known import scene_of
+from sim.scene.model import Ring, Scene, SceneVehicle, observed_scene
 
 try:  # an extra
     import foxglove
@@ -33,7 +36,7 @@ Places = Mapping[str, tuple[float, float, float, float]]
 
 
 def _color(code: str, opacity: float = 1.0) -> messages.Color:
-    r, g, b = (int(code[k : k + 2], 16) / 255.0 for k in (1, 3, 5))
+    r, g, b = rgb(code)
     return messages.Color(r=r, g=g, b=b, a=opacity)
 
 
@@ -41,26 +44,23 @@ def _stamp(time_ns: int) -> messages.Timestamp:
     return messages.Timestamp(sec=time_ns // 1_000_000_000, nsec=time_ns % 1_000_000_000)
 
 
-def _ring(
-    radius: float, color: messages.Color, *, dashed: bool = False, thickness: float = 0.06
-) -> messages.LinePrimitive:
+def _ring(ring: Ring) -> messages.LinePrimitive:
     """A circle around a vehicle, in its own frame."""
     angles = [2.0 * math.pi * k / 96 for k in range(96)]
+    kinds = messages.LinePrimitiveLineType
     return messages.LinePrimitive(
-        type=messages.LinePrimitiveLineType.LineList
-        if dashed
-        else messages.LinePrimitiveLineType.LineLoop,
-        thickness=thickness,
+        type=kinds.LineList if ring.dashed else kinds.LineLoop,
+        thickness=0.0375 * ring.width,
         points=[
-            messages.Point3(x=radius * math.cos(angle), y=radius * math.sin(angle))
+            messages.Point3(x=ring.radius * math.cos(angle), y=ring.radius * math.sin(angle))
             for angle in angles
         ],
-        color=color,
+        color=_color(ring.color),
     )
 
 
 class _Track:
-    """Where a vehicle went: a line that gets coarser as it gets longer."""
+    """The way of a vehicle: a line that gets coarser as it gets longer."""
 
     def __init__(self) -> None:
         self.points: list[messages.Point3] = []
@@ -76,6 +76,21 @@ class _Track:
             self._step *= 2
 
 
+def _ugv(color: messages.Color) -> dict[str, Any]:
+    return {
+        "cubes": [messages.CubePrimitive(size=messages.Vector3(x=0.7, y=0.45, z=0.3), color=color)]
+    }
+
+
+def _uav(color: messages.Color) -> dict[str, Any]:
+    size = messages.Vector3(x=0.6, y=0.6, z=0.12)
+    body = messages.CylinderPrimitive(size=size, bottom_scale=1.0, top_scale=1.0, color=color)
+    nose = messages.ArrowPrimitive(
+        shaft_length=0.4, shaft_diameter=0.06, head_length=0.15, head_diameter=0.15, color=color
+    )
+    return {"cylinders": [body], "arrows": [nose]}
+
+
 class Viewers:
     """The channels for viewers of one file.
 
@@ -87,7 +102,7 @@ class Viewers:
         self._context = context
         self._tf = channels.FrameTransformsChannel("/tf", context=context)
         scene = messages.SceneUpdate.get_schema()
-        self._scene = foxglove.Channel(
+        self._scenes = foxglove.Channel(
             "/scene", schema=scene, message_encoding="protobuf", context=context
         )
         self._grid = channels.GridChannel("/grid", context=context)
@@ -97,9 +112,8 @@ class Viewers:
 
     def begin(self, scenario: Scenario | None) -> None:
         """Another flight begins."""
-        self._scenario = scenario
+        self._scene: Scene | None = None if scenario is None else scene_of(scenario)
         self._tracks: dict[str, _Track] = {}
-        self._colors: dict[str, str] = {}
         self._yaw: dict[str, float] = {}
         self._bodies = b""
         self._next_view = self._next_scene = -math.inf
@@ -161,15 +175,18 @@ class Viewers:
         )
 
     def _draw(self, escorts: Mapping[str, str], stamp: messages.Timestamp, time_ns: int) -> None:
-        if not self._bodies:
-            self._bodies = messages.SceneUpdate(entities=self._entities(escorts)).encode()
+        if self._scene is None:
+            self._scene = observed_scene("", None, escorts=escorts, vehicles=self._tracks)
+        if not self._bodies:  # each hangs on its vehicle's frame, so they are made once
+            entities = [self._entity(self._scene, vehicle) for vehicle in self._scene.vehicles]
+            self._bodies = messages.SceneUpdate(entities=entities).encode()
         tracks = []
         for name, track in self._tracks.items():
             line = messages.LinePrimitive(
                 type=messages.LinePrimitiveLineType.LineStrip,
                 thickness=0.05,
                 points=track.points,
-                color=_color(self._colors[name], 0.8),
+                color=_color(self._scene.color_of(name), 0.8),
             )
             tracks.append(
                 messages.SceneEntity(
@@ -177,55 +194,23 @@ class Viewers:
                 )
             )
         moving = messages.SceneUpdate(entities=tracks).encode()
-        self._scene.log(
-            self._bodies + moving, log_time=time_ns
-        )  # protobuf joins the two lists of entities
+        # protobuf joins the two lists of entities
+        self._scenes.log(self._bodies + moving, log_time=time_ns)
 
-    def _entities(self, escorts: Mapping[str, str]) -> list[messages.SceneEntity]:
-        """Vehicles and circles: each hangs on its vehicle's frame, so they are made once."""
-        uavs, ugvs = sorted(escorts), sorted(self._tracks.keys() - escorts.keys())
-        self._colors = {name: style.color(style.UGV, k) for k, name in enumerate(ugvs)}
-        self._colors |= {name: style.color(style.UAV, k) for k, name in enumerate(uavs)}
-        followed = set(escorts.values())
-        return [
-            *(self._ugv(name, seen=name in followed) for name in ugvs),
-            *(self._uav(name) for name in uavs),
-        ]
-
-    def _ugv(self, name: str, *, seen: bool) -> messages.SceneEntity:
-        body = messages.CubePrimitive(
-            size=messages.Vector3(x=0.7, y=0.45, z=0.3), color=_color(self._colors[name])
-        )
-        lines = self._sight(name) if seen else []
+    @staticmethod
+    def _entity(scene: Scene, vehicle: SceneVehicle) -> messages.SceneEntity:
+        """A vehicle with the circles around it."""
+        color = _color(vehicle.color)
         return messages.SceneEntity(
-            frame_id=name, id=name, frame_locked=True, cubes=[body], lines=lines
+            frame_id=vehicle.name,
+            id=vehicle.name,
+            frame_locked=True,
+            lines=[_ring(ring) for ring in scene.rings if ring.around == vehicle.name],
+            **(_uav(color) if vehicle.flies else _ugv(color)),
         )
-
-    def _uav(self, name: str) -> messages.SceneEntity:
-        color = _color(self._colors[name])
-        size = messages.Vector3(x=0.6, y=0.6, z=0.12)
-        body = messages.CylinderPrimitive(size=size, bottom_scale=1.0, top_scale=1.0, color=color)
-        nose = messages.ArrowPrimitive(
-            shaft_length=0.4, shaft_diameter=0.06, head_length=0.15, head_diameter=0.15, color=color
-        )
-        reach = (
-            [_ring(self._scenario.sensor.range, color, thickness=0.03)] if self._scenario else []
-        )
-        return messages.SceneEntity(
-            frame_id=name, id=name, frame_locked=True, cylinders=[body], arrows=[nose], lines=reach
-        )
-
-    def _sight(self, ugv: str) -> list[messages.LinePrimitive]:
-        """r_v, and r_s where it is a circle of its own."""
-        if self._scenario is None:
-            return []
-        r_v, red = self._scenario.visibility.radius, _color(style.LIMIT)
-        lines = [_ring(r_v, red)]
-        r_s = inner_radius(self._scenario, ugv)
-        return [*lines, _ring(r_s, red, dashed=True, thickness=0.04)] if r_s is not None else lines
 
     def coverage(self, ground: CoverageMap, time_ns: int) -> None:
-        """What was seen of the ground."""
+        """Show the coverage of the ground."""
         pose = messages.Pose(
             position=messages.Vector3(z=-0.01), orientation=messages.Quaternion(w=1.0)
         )

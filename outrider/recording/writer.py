@@ -20,13 +20,13 @@ from bus.messages import (
     UavReport,
     VehicleStatus,
 )
-from outrider.promise import promise_warnings
-from outrider.recording.file import RecordingFile
+from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.schemas import head_of
-from outrider.recording.ticks import TickTexts
-from sim.compile import FloatArray
-from sim.flight import Flight, News
-from sim.scenario import Scenario
+from outrider.recording.tick_rows import TickTexts
+from outrider.running.promise import promise_warnings
+from sim.kernels.compile import FloatArray
+from sim.scenario.types import Scenario
+from sim.server.flight import Flight, News
 from sim.world import World
 
 _WAKE = 0.02
@@ -53,7 +53,7 @@ _STATUS_PERIOD = 0.5
 
 
 class _Said(NamedTuple):
-    """An operator's word that a UGV heard."""
+    """An operator's command that a UGV received."""
 
     ugv: str
     word: Drive
@@ -71,7 +71,7 @@ Tuples, since the tick pays for making them.
 
 
 def _news_in(told: Mapping[str, News], tick: int) -> Iterator[_Said | Change]:
-    """What operators have said and changed at a tick."""
+    """The operators' commands and changes at a tick."""
     laws = []
     for name, news in told.items():
         for word in news.operator:

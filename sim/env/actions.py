@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from sim.compile import FloatArray
+from sim.kernels.compile import FloatArray
 
 LARGEST = 1e6
 """Larger components are nonsense [m/s²]; the same limit as on the bus."""

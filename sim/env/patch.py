@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.compile import FloatArray, compiled
-from sim.field import accumulate
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.field import accumulate
 from sim.world import World
 
 
@@ -66,9 +66,7 @@ class OwnMaps:
 
     def __init__(self, world: World, *, needed: bool) -> None:
         self._shared = not needed or len(world.uavs) == 1
-        self._maps = (
-            [world.coverage] if self._shared else [world.coverage.copy() for _ in world.uavs]
-        )
+        self._maps = [] if self._shared else [world.coverage.copy() for _ in world.uavs]
 
     def look(self, world: World) -> None:
         """Add what each UAV sees at this tick, as the world does (3)."""
@@ -84,5 +82,6 @@ class OwnMaps:
         x, y = world.position[world.escorts[escort, 0]].tolist()
         picture = np.empty((patch.pixels, patch.pixels))
         w = world.parameters
-        sample(self._maps[escort], x, y, w.desired, w.cell, float(patch.meters_per_pixel), picture)
+        own = world.coverage if self._shared else self._maps[escort]
+        sample(own, x, y, w.desired, w.cell, float(patch.meters_per_pixel), picture)
         return picture

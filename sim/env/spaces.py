@@ -8,7 +8,7 @@ from gymnasium import spaces
 
 from bus.layout import UavRow, UgvRow, bounds
 from sim.env.patch import CoveragePatch
-from sim.scenario import Scenario, Uav, Ugv
+from sim.scenario.types import Scenario, Uav, Ugv
 
 FREE_ACCELERATION = 10.0
 """Bound of the action space of a vehicle whose acceleration has none [m/s²]: about what gravity gives."""

@@ -1,22 +1,23 @@
-"""Who looks at the environment: nobody, a caller who wants pictures, or a person.
-
-What draws is loaded with the first picture.
-"""
+"""The environment's pictures, for a caller or for a person at a window; what draws is loaded with the first one."""
 
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from sim.env.seats import Moment
+from sim.env.rows import Moment
+from sim.scene.known import scene_of
 from sim.world import World
 
 if TYPE_CHECKING:
-    from sim.env.render import Picture
     from sim.env.window import Window
+    from sim.scene.frames import Frames
+
+_WIDTH = 936
+"""Of a picture [px]."""
 
 
-class View:
+class Rendering:
     """One environment's pictures.
 
     Args:
@@ -27,12 +28,12 @@ class View:
     def __init__(self, mode: str, rate: float) -> None:
         self._mode, self._rate = mode, rate
         self._tracks: list[list[list[float]]] = []
-        self._picture: Picture | None = None
+        self._frames: Frames | None = None
         self._window: Window | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """A copy of an environment draws on a canvas and in a window of its own."""
-        return self.__dict__ | {"_picture": None, "_window": None}
+        return self.__dict__ | {"_frames": None, "_window": None}
 
     def follow(self, world: World, moment: Moment) -> None:
         """Take in the next tick, and show it where a person looks; tick 0 begins anew."""
@@ -54,11 +55,21 @@ class View:
         return self._draw(world, moment)
 
     def _draw(self, world: World, moment: Moment) -> npt.NDArray[np.uint8]:
-        from sim.env.render import Picture  # noqa: PLC0415 - matplotlib is loaded when someone looks
+        from sim.scene.frames import Frames  # noqa: PLC0415 - matplotlib is loaded when someone looks
 
-        if self._picture is None:
-            self._picture = Picture(world)
-        return self._picture.draw(world, moment, self._tracks)
+        if self._frames is None:
+            self._frames = Frames(scene_of(world.scenario), width=_WIDTH)
+        ways = np.array(self._tracks)
+        errors = [measure[1] for measure in moment.measures]
+        frame = self._frames.draw(
+            {name: ways[:, k] for k, name in enumerate(world.names)},
+            np.minimum(world.coverage / world.parameters.desired, 1.0),
+            time=moment.time,
+            distance=max(measure[0] for measure in moment.measures),
+            r_v=world.parameters.r_v,
+            facts=f"{'sum of ' if len(errors) > 1 else ''}e(t) = {sum(errors):.0f} m²",
+        )
+        return frame[:, :, :3].copy()
 
     def _show(self, world: World, moment: Moment) -> None:
         from sim.env.window import Window  # noqa: PLC0415 - so is pygame

@@ -1,0 +1,121 @@
+"""A UAV's tick on board, compiled: the pilot calls it for one vehicle, batches for many.
+
+In a tick: `uav_perceive` with what has arrived, then the filter's estimate, which pilots have from filterpy and
+batches from its compiled twin, then `uav_tick` for the command.
+"""
+
+from typing import NamedTuple
+
+from agents.control.certificate import INNER, NO_DETECTION
+from agents.control.guard import GuardState, guard, note_detection, note_position
+from agents.control.handover import Promise
+from agents.control.laws import LawParameters, OwnTerms, bounded_uav_control
+from sim.kernels.compile import FloatArray, borrowing
+from sim.models.field import accumulate
+from sim.models.vehicles import brake
+
+TAKEN, LOOK_X, LOOK_Y = range(3)
+"""Columns of detections: the tick at which one was taken, and the noisy p_a - p_g [m]."""
+
+
+class Motion(NamedTuple):
+    """Where a vehicle is and how it moves."""
+
+    p_x: float
+    p_y: float
+    """Position [m]."""
+    v_x: float
+    v_y: float
+    """Velocity [m/s]."""
+
+
+class UavMemory(NamedTuple):
+    """What a UAV remembers; its arrays change in place."""
+
+    coverage: FloatArray
+    """Its own map C of (3). Shape (rows, columns)."""
+    law: FloatArray
+    """Of the law, from `agents.control.laws.initial_state`."""
+    guard: GuardState
+    """Of the safety filter."""
+
+
+@borrowing
+def uav_perceive(
+    law: LawParameters,
+    promise: Promise,
+    guarded: bool,
+    memory: UavMemory,
+    looked: int,
+    tick: int,
+    here: Motion,
+    looks: FloatArray,
+    arrived: int,
+) -> None:
+    """Take in what is seen of the ground, and for the safety filter where the UAV is and what has arrived.
+
+    Args:
+        law, promise: Parameters of the law and of the safety filter.
+        guarded: Whether the safety filter watches over the UAV.
+        memory: Is changed.
+        looked: Ticks for which it has looked at the ground below since it perceived last; 0: not at all.
+        tick: Now.
+        here: Where it is.
+        looks: Detections. Shape (rows, 3).
+        arrived: How many rows count.
+    """
+    c = law
+    if looked > 0:
+        accumulate(
+            memory.coverage, here.p_x, here.p_y, c.sensor, c.peak, c.reach, c.cell, looked * c.dt
+        )
+    if guarded:
+        note_position(memory.guard, tick, here.p_x, here.p_y)
+        for n in range(arrived):
+            taken, x, y = int(looks[n, TAKEN]), looks[n, LOOK_X], looks[n, LOOK_Y]
+            note_detection(promise, memory.guard, taken, tick, x, y, here.p_x, here.p_y)
+
+
+@borrowing
+def uav_tick(
+    law: LawParameters,
+    promise: Promise,
+    guarded: bool,
+    memory: UavMemory,
+    own: OwnTerms,
+    tick: int,
+    here: Motion,
+    target: tuple[bool, float, float],
+) -> tuple[float, float, int, int, float]:
+    """The UAV's command under any law, within the bound of (1), and within the safety filter where there is one.
+
+    Before the first detection it stays where it is.
+
+    Args:
+        law, promise, guarded, memory, tick, here: As in `uav_perceive`.
+        own: What the user's function says at this tick, for the laws `weighted` and `path`.
+        target: Whether the UGV was ever detected, and where it is believed to be [m].
+
+    Returns:
+        As `agents.control.guard.guard`; without the filter nothing acts but the law, and nothing is certified.
+    """
+    known, g_x, g_y = target
+    if known:
+        u_x, u_y = bounded_uav_control(
+            law,
+            own,
+            memory.coverage,
+            memory.law,
+            tick,
+            here.p_x,
+            here.p_y,
+            here.v_x,
+            here.v_y,
+            g_x,
+            g_y,
+        )
+    else:
+        u_x, u_y = brake(here.v_x, here.v_y, law.u_max, law.dt)
+    if not guarded:
+        return u_x, u_y, INNER, NO_DETECTION, 0.0
+    return guard(promise, memory.guard, tick, here.p_x, here.p_y, here.v_x, here.v_y, u_x, u_y)

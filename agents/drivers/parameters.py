@@ -1,0 +1,46 @@
+"""What the compiled drivers need to know, as plain numbers."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bus.registry import DRIVERS
+from sim.kernels.compile import FloatArray
+
+COMPILED_DRIVERS = {row.name: row.code for row in DRIVERS.values() if row.code is not None}
+"""Codes of the drivers that have a compiled form, by name."""
+WAYPOINTS = COMPILED_DRIVERS["waypoints"]
+WANDER = COMPILED_DRIVERS["wander"]
+SCRIPT = COMPILED_DRIVERS["script"]
+EVADE = COMPILED_DRIVERS["evade"]
+
+
+class DriverParameters(NamedTuple):
+    """The numbers of a driver: SI units, infinite where there is no bound."""
+
+    driver: int
+    """A value of `COMPILED_DRIVERS`."""
+    dt: float
+    width: float
+    height: float
+    v_max: float
+    u_max: float
+    tolerance: float
+    """Nearer than this a goal is reached [m]."""
+    speed: float
+    margin: float
+    """Of the wanderer: its largest speed [m/s], and how near to the border its goals may be [m]."""
+    lead: float
+    """Of the evader [s]."""
+    key_0: np.uint64
+    key_1: np.uint64
+    """The UGV's own random numbers."""
+
+
+class Route(NamedTuple):
+    """Where a UGV has been told to drive."""
+
+    goals: FloatArray
+    """Waypoints [m], in order. Shape (goals, 2)."""
+    script: FloatArray
+    """Time [s], v_x and v_y [m/s] of each step, in the order of time. Shape (steps, 3)."""

@@ -1,0 +1,42 @@
+"""A UGV's tick on board, compiled: the drivers' shells call it for one vehicle, batches for many."""
+
+from agents.drivers.evade import evade_control
+from agents.drivers.parameters import SCRIPT, WANDER, WAYPOINTS, DriverParameters, Route
+from agents.drivers.script import script_control
+from agents.drivers.wander import wander_control
+from agents.drivers.waypoints import waypoint_control
+from sim.kernels.compile import FloatArray, compiled
+
+
+@compiled
+def ugv_tick(
+    p: DriverParameters,
+    route: Route,
+    state: FloatArray,
+    radio: FloatArray,
+    received: int,
+    tick: int,
+    p_x: float,
+    p_y: float,
+    v_x: float,
+    v_y: float,
+) -> tuple[float, float]:
+    """The UGV's command [m/s²] under any driver that has a compiled form.
+
+    Args:
+        p: Of the driver.
+        route: Its goals and its script.
+        state: The driver's, from `agents.drivers.compiled.driver_state`; changed in place.
+        radio: Time [s] and p_a - p_g [m] of the messages that have come at this tick, shape (rows, 3).
+        received: How many of its rows count.
+        tick: Now.
+        p_x, p_y: Position of the UGV [m].
+        v_x, v_y: Its velocity [m/s].
+    """
+    if p.driver == WAYPOINTS:
+        return waypoint_control(p, route.goals, state, p_x, p_y, v_x, v_y)
+    if p.driver == WANDER:
+        return wander_control(p, state, tick, p_x, p_y, v_x, v_y)
+    if p.driver == SCRIPT:
+        return script_control(p, route.script, tick * p.dt, v_x, v_y)
+    return evade_control(p, state, radio, received, tick, p_x, p_y, v_x, v_y)

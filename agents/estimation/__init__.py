@@ -1,0 +1,1 @@
+"""The relative position of the UGV from noisy and late detections."""

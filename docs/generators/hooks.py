@@ -1,0 +1,282 @@
+"""The site's build: pages made from the code, links that work in the repository and in the site, equations as MathML."""
+
+import ast
+import html
+import os
+import re
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import bus_messages
+import command_line
+import scenario_fields
+from latex2mathml.converter import convert
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import PluginError
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+PROJECT = {
+    "README.md": "index.md",
+    "SECURITY.md": "project/security.md",
+    "CHANGELOG.md": "project/changelog.md",
+    "CONTRIBUTING.md": "project/contributing.md",
+}
+"""Pages that stand at the repository's root, and where they are in the site."""
+
+SHIM = "assets/iframe-worker.js"
+
+MODULES = {
+    "The front door": ("outrider",),
+    "Environments": (
+        "sim/env/parallel.py",
+        "sim/env/rewards.py",
+        "outrider/envs/vector.py",
+        "outrider/envs/single.py",
+        "outrider/envs/wrappers.py",
+        "outrider/envs/env_pilots.py",
+        "agents/env_wrappers.py",
+        "outrider/experiments/suite/tasks.py",
+        "outrider/experiments/suite/board.py",
+        "outrider/registration.py",
+    ),
+    "Runs": (
+        "outrider/running/flying.py",
+        "sim/scenario/loading.py",
+        "sim/scenario/types.py",
+        "sim/world.py",
+    ),
+    "Vehicles": (
+        "agents/process.py",
+        "agents/uav.py",
+        "agents/ugv.py",
+        "agents/estimation/estimator.py",
+        "agents/drivers",
+    ),
+    "The paper's laws": ("sim/models", "agents/control"),
+    "The bus": ("bus",),
+    "Links": ("sim/channel", "sim/engine"),
+}
+"""The modules with a page of their own: files, or folders with all that is in them."""
+
+_LINK = re.compile(
+    r"^ *(`{3,}).*?^ *\1 *$|`[^`\n]+`|\]\((?P<to>[^)\s]+)\)", re.DOTALL | re.MULTILINE
+)
+"""A link; or code, in which there is none."""
+_MATH = re.compile(r'<(span|div) class="arithmatex">\s*\\([(\[])(.*?)\\[)\]]\s*</\1>', re.DOTALL)
+_FUNCTION = re.compile(r"(\[`([\w.]+)`\]\([^)#\s]+\.py)\)")
+"""A link from a function's full name to its file."""
+_MARK = re.compile(r"<!-- generated: (\w+) -->")
+
+
+def modules() -> dict[str, list[str]]:
+    """The files of the modules that have a page, by group."""
+    found: dict[str, list[str]] = {}
+    for group, places in MODULES.items():
+        files: list[str] = []
+        for place in places:
+            path = ROOT / place
+            inside = sorted(path.glob("*.py")) if path.is_dir() else [path]
+            if place == "outrider":
+                inside = [path / "__init__.py"]
+            files += [
+                str(one.relative_to(ROOT))
+                for one in inside
+                if one.name != "__init__.py" or place == "outrider"
+            ]
+        found[group] = files
+    return found
+
+
+def _dotted(file: str) -> str:
+    return file.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+
+
+def _api(file: str) -> str:
+    return f"reference/api/{_dotted(file)}.md"
+
+
+def _first_line(file: str) -> str:
+    text = ast.get_docstring(ast.parse((ROOT / file).read_text(encoding="utf-8"))) or ""
+    return " ".join(text.partition("\n\n")[0].split())
+
+
+def _modules_table() -> str:
+    parts = []
+    for group, files in modules().items():
+        rows = [f"| [`{_dotted(f)}`](api/{_dotted(f)}.md) | {_first_line(f)} |" for f in files]
+        parts.append("\n".join([f"## {group}", "", "| module | what |", "|---|---|", *rows]))
+    return "\n\n".join(parts)
+
+
+GENERATED = {
+    "command_line": command_line.page,
+    "scenario_tables": scenario_fields.tables,
+    "scenarios_shipped": scenario_fields.shipped,
+    "bus_keys": bus_messages.keys,
+    "bus_messages": bus_messages.messages,
+    "python_modules": _modules_table,
+}
+"""What a page's comment `<!-- generated: NAME -->` is followed by in the site."""
+
+
+def _api_page(file: str) -> str:
+    name = _dotted(file)
+    if name != "outrider":
+        return f"# {name}\n\n::: {name}\n"
+    text = (ROOT / file).read_text(encoding="utf-8")
+    (where,) = (
+        ast.literal_eval(node.value)
+        for node in ast.parse(text).body
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "_WHERE"
+    )
+    parts = [
+        f"## outrider.{one}\n\n::: {module}.{one}\n    options:\n      heading_level: 3\n"
+        for one, module in where.items()
+    ]
+    return "# outrider\n\n" + _first_line(file) + "\n\n" + "\n".join(parts)
+
+
+def _source_page(path: str) -> str:
+    """A file of the repository, or the files of a folder, as a page."""
+    place = ROOT / path
+    shown = [place] if place.is_file() else sorted(one for one in place.iterdir() if one.is_file())
+    parts = [f"# {path}"]
+    for one in shown:
+        text = one.read_text(encoding="utf-8")
+        if one.suffix == ".md":
+            parts.append(text.partition("\n")[2])
+            continue
+        language = {".py": "python", ".toml": "toml", ".yml": "yaml", ".c": "c"}.get(
+            one.suffix, "text"
+        )
+        heading = f"## {one.name}\n\n" if len(shown) > 1 else ""
+        parts.append(f"{heading}````{language}\n{text}\n````")
+    return "\n\n".join(parts)
+
+
+_ORIGIN: dict[str, str] = {}
+"""Of pages made of files outside docs: their address in the site, and the file."""
+
+
+def _site_address(repository_path: str) -> str:
+    """Where a file of the repository is in the site."""
+    if repository_path.startswith("docs/"):
+        return repository_path.removeprefix("docs/")
+    if repository_path in PROJECT:
+        return PROJECT[repository_path]
+    if any(repository_path in files for files in modules().values()):
+        return _api(repository_path)
+    return (
+        f"source/{repository_path}.md"
+        if not repository_path.endswith(".md")
+        else f"source/{repository_path}"
+    )
+
+
+def _targets(text: str, origin: str) -> list[str]:
+    """The repository's files that a page links to."""
+    folder = os.path.dirname(origin)
+    links = (found["to"] or "" for found in _LINK.finditer(text))
+    files = (link.partition("#")[0] for link in links if not re.match(r"[a-z]+:", link))
+    return [os.path.normpath(os.path.join(folder, file)) for file in files if file]
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Put the modules' pages into the navigation."""
+    for section in config.nav or []:
+        if "Reference" in section:
+            groups = [
+                {group: [{_dotted(file): _api(file)} for file in files]}
+                for group, files in modules().items()
+            ]
+            place = section["Reference"].index("reference/python.md")
+            section["Reference"][place] = {
+                "Python": [{"All modules": "reference/python.md"}, *groups]
+            }
+    return config
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages that no file of docs is."""
+    waiting: dict[str, str] = {}
+    for path, address in PROJECT.items():
+        _ORIGIN[address] = path
+        files.append(File.generated(config, address, content=(ROOT / path).read_text("utf-8")))
+    for group in modules().values():
+        for file in group:
+            files.append(File.generated(config, _api(file), content=_api_page(file)))
+    for file in files.documentation_pages():
+        origin = _ORIGIN.get(file.src_uri, f"docs/{file.src_uri}")
+        if not file.src_uri.startswith("reference/api/"):
+            waiting |= dict.fromkeys(_targets(file.content_string, origin), origin)
+    done: set[str] = set()
+    while waiting:
+        path, _ = waiting.popitem()
+        address = _site_address(path)
+        if path in done or not address.startswith("source/") or not (ROOT / path).exists():
+            continue
+        done.add(path)
+        _ORIGIN[address] = path
+        content = _source_page(path)
+        files.append(File.generated(config, address, content=content))
+        if path.endswith(".md"):
+            waiting |= dict.fromkeys(_targets(content, path), path)
+    return files
+
+
+def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Fill in what is generated, and lead links to files of the repository to their pages."""
+    here = page.file.src_uri
+    if here == "index.md":
+        page.meta["hide"] = ["navigation"]
+    origin = _ORIGIN.get(here, f"docs/{here}")
+
+    def lead(found: re.Match[str]) -> str:
+        file, mark, heading = (found["to"] or "").partition("#")
+        if not file or re.match(r"[a-z]+:", file):
+            return found[0]
+        path = os.path.normpath(os.path.join(os.path.dirname(origin), file))
+        address = _site_address(path)
+        if files.get_file_from_path(address) is None and not path.startswith("docs/"):
+            raise PluginError(f"{origin}: links to {found['to']}, which is not there")
+        relative = os.path.relpath(address, PurePosixPath(here).parent)
+        return f"]({relative}{mark}{heading})"
+
+    if here.startswith(("reference/api/", "source/")) and not origin.endswith(".md"):
+        return markdown
+    text = _LINK.sub(lead, _FUNCTION.sub(r"\1#\2)", markdown))
+    return _MARK.sub(lambda found: GENERATED[found[1]](), text)
+
+
+def on_page_content(content: str, **_: Any) -> str:
+    """Draw equations as MathML, which browsers show by themselves."""
+
+    def draw(found: re.Match[str]) -> str:
+        tag, bracket, tex = found.groups()
+        words = re.sub(r"_\{([a-z,]{2,})\}", r"_{\\mathrm{\1}}", html.unescape(tex))
+        drawn = convert(words, display="block" if bracket == "[" else "inline")
+        return f'<{tag} class="arithmatex">{drawn}</{tag}>'
+
+    return _MATH.sub(draw, content)
+
+
+def on_post_page(output: str, *, page: Page, **_: Any) -> str:
+    """Take the shim that search needs from here, and see that nothing else comes from the network."""
+    return _offline(output, os.path.relpath(SHIM, PurePosixPath(page.file.dest_uri).parent))
+
+
+def on_post_template(output_content: str, *, template_name: str, **_: Any) -> str:
+    """The same for the page that is shown where none is found."""
+    return (
+        _offline(output_content, f"/{SHIM}") if template_name.endswith(".html") else output_content
+    )
+
+
+def _offline(output: str, shim: str) -> str:
+    text = output.replace("https://unpkg.com/iframe-worker/shim", shim)
+    foreign = re.search(r'<(script|img|link|iframe)[^>]+(src|href)="?(https?:)?//[^>]*>', text)
+    if foreign:
+        raise PluginError(f"the site is to work offline, and loads {foreign[0]}")
+    return text

@@ -1,0 +1,152 @@
+"""The table of what is measured, and the measuring."""
+
+import statistics
+from collections.abc import Callable, Iterator
+from functools import partial
+from importlib.util import find_spec
+from typing import NamedTuple
+
+import msgspec
+
+from bus.errors import ScenarioError
+from outrider.bench import kernels, many, runs
+from outrider.bench.timing import Pair
+
+Progress = Callable[[str, float], None]
+
+
+class Row(msgspec.Struct, frozen=True, kw_only=True):
+    """One measurement and what it stands beside; medians over the repeats."""
+
+    name: str
+    value: float
+    unit: str
+    reference: str
+    reference_value: float | None
+    ratio: float | None
+    """Median of the ratios value / reference, pair by pair; for times reference / value."""
+
+
+class Layer(NamedTuple):
+    """The measurement of one layer."""
+
+    work: Callable[[], Pair]
+    unit: str
+    """Of both numbers."""
+    reference: str
+    """What the second number is."""
+    most: int = 1_000
+    """It is measured no more often than this: what takes minutes is measured once."""
+    missing: str = ""
+    """What is said in the place of `reference` where there is no second number."""
+    needs: tuple[str, ...] = ()
+    """Packages of an extra without which the row is left out, unless it is asked for."""
+    extra: str = ""
+    """That extra."""
+
+
+BARE = "bare exchange among as many processes"
+NO_COMPILER = "no C compiler found that builds it (cc, gcc, clang)"
+ALONE = "its kernels alone, compiled, as many grids and threads"
+ROWS: dict[str, Layer] = {
+    "lockstep": Layer(runs.lockstep, "ticks/s", "bare three-process exchange"),
+    "access_control": Layer(runs.access_control, "ticks/s", "lockstep without credentials"),
+    "tls": Layer(
+        runs.tls,
+        "ticks/s",
+        "lockstep over TCP with passwords",
+        needs=("cryptography",),
+        extra="tls",
+    ),
+    "run_in_process": Layer(runs.run_in_process, "ticks/s", "world_step"),
+    "sweep": Layer(
+        runs.sweep,
+        "runs/s",
+        "runs in one process, times cores",
+        needs=("joblib", "pyarrow"),
+        extra="sweep",
+    ),
+    "env_step": Layer(kernels.env_step, "steps/s", "world_step"),
+    "world_step": Layer(kernels.world_step, "steps/s", "its kernels alone, compiled"),
+    "kernel_vs_numpy": Layer(kernels.kernel_vs_numpy, "passes/s", "plain NumPy"),
+    "kernel_vs_c": Layer(
+        partial(kernels.kernel_vs_c, lanes=False),
+        "passes/s",
+        "plain C, -O3, one running sum",
+        missing=NO_COMPILER,
+    ),
+    "kernel_vs_c_lanes": Layer(
+        partial(kernels.kernel_vs_c, lanes=True),
+        "passes/s",
+        "C, -O3, our eight lanes, same bits",
+        missing=NO_COMPILER,
+    ),
+    "batch_1024": Layer(many.stepped, "steps/s", ALONE),
+    "batch_1024_rate": Layer(partial(many.stepped, rewards=many.RATE), "steps/s", ALONE),
+    "batch_1024_pilots": Layer(many.pilots, "steps/s", ALONE),
+    "batch_memory": Layer(many.memory, "B", "growth of a process by 1,024 worlds, each", 2),
+    "memory_bandwidth": Layer(many.bandwidth, "GB/s", "one core"),
+    "first_tick": Layer(runs.first_tick, "s", "with an empty compile cache"),
+    "pairs_1": Layer(partial(runs.pairs, 1), "ticks/s", BARE),
+    "pairs_5": Layer(partial(runs.pairs, 5), "ticks/s", BARE),
+    "pairs_10": Layer(partial(runs.pairs, 10), "ticks/s", BARE, 2),
+    "pairs_50": Layer(partial(runs.pairs, 50), "ticks/s", BARE, 1),
+}
+
+
+def _can(layer: Layer) -> bool:
+    return all(find_spec(package) for package in layer.needs)
+
+
+def _measure(name: str, repeats: int) -> Iterator[Pair]:
+    layer = ROWS[name]
+    for _ in range(min(repeats, layer.most)):
+        yield layer.work()
+
+
+def measure(only: list[str], repeats: int, *, on_progress: Progress | None = None) -> list[Row]:
+    """Measure the rows.
+
+    Args:
+        only: Names of rows; none means all.
+        repeats: Measurements of each; value and reference alternate.
+        on_progress: Called with a row's name and the share that is done.
+
+    Raises:
+        ScenarioError: If a row does not exist, or an extra is missing that it needs.
+    """
+    unknown = [name for name in only if name not in ROWS]
+    if unknown:
+        raise ScenarioError(f"--only {unknown[0]}: no such row; allowed: {', '.join(ROWS)}")
+    for name in only:
+        if not _can(ROWS[name]):
+            layer = ROWS[name]
+            raise ScenarioError(
+                f"--only {name}: needs {' and '.join(layer.needs)}: pip install 'outrider[{layer.extra}]'"
+            )
+    rows: list[Row] = []
+    names = only or [name for name, layer in ROWS.items() if _can(layer)]
+    for done, name in enumerate(names):
+        found: list[Pair] = []
+        for pair in _measure(name, repeats):
+            found.append(pair)
+            if on_progress is not None:
+                on_progress(name, (done + len(found) / min(repeats, ROWS[name].most)) / len(names))
+        rows.append(_row(name, found))
+    return rows
+
+
+def _row(name: str, pairs: list[Pair]) -> Row:
+    layer = ROWS[name]
+    references = [other for _, other in pairs if other is not None]
+    ratios = [
+        (other / value if layer.unit == "s" else value / other) for value, other in pairs if other
+    ]
+    return Row(
+        name=name,
+        value=statistics.median(value for value, _ in pairs),
+        unit=layer.unit,
+        reference=layer.reference if references else layer.missing or layer.reference,
+        reference_value=statistics.median(references) if references else None,
+        ratio=statistics.median(ratios) if ratios else None,
+    )

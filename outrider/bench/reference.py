@@ -1,0 +1,127 @@
+"""The field of `sim.models.field` once more, as the paper prints it: NumPy on the whole grid, with masks.
+
+Slow, and plain to check.
+
+The tests hold the compiled kernels against it, and `outrider bench` measures against it.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from sim.models.field import HILL, PLATEAU
+
+FloatGrid = npt.NDArray[np.float64]
+BoolGrid = npt.NDArray[np.bool_]
+
+_QUALITY = {
+    HILL: lambda rho, peak, reach: peak / reach**4 * (rho**2 - reach**2) ** 2,
+    PLATEAU: lambda rho, peak, reach: peak * (1.0 - rho**4 / reach**4) ** 2,
+}
+_SLOPE = {  # dS/d(rho²)
+    HILL: lambda rho, peak, reach: 2.0 * peak / reach**4 * (rho**2 - reach**2),
+    PLATEAU: lambda rho, peak, reach: -4.0 * peak * rho**2 / reach**4 * (1.0 - rho**4 / reach**4),
+}
+
+
+def centres(coverage: FloatGrid, cell: float) -> tuple[FloatGrid, FloatGrid]:
+    """X and y of the cells' centres [m], each in the shape of the grid."""
+    rows, columns = coverage.shape
+    x, y = np.meshgrid((np.arange(columns) + 0.5) * cell, (np.arange(rows) + 0.5) * cell)
+    return x, y
+
+
+def distances(coverage: FloatGrid, p_x: float, p_y: float, cell: float) -> FloatGrid:
+    """Distance of each cell's centre from a point [m]."""
+    x, y = centres(coverage, cell)
+    return np.sqrt((x - p_x) ** 2 + (y - p_y) ** 2)
+
+
+def sensor_quality(sensor: int, rho: FloatGrid, peak: float, reach: float) -> FloatGrid:
+    """S of (2) at the distances rho [m]."""
+    return np.where(rho <= reach, _QUALITY[sensor](rho, peak, reach), 0.0)
+
+
+def density(rho: FloatGrid, r_o: float) -> FloatGrid:
+    """Phi of (9) at the distances rho [m]."""
+    return np.where(rho <= r_o, np.cos(rho / r_o * np.pi) + 1.0, 0.0)
+
+
+def accumulate(
+    coverage: FloatGrid,
+    p_x: float,
+    p_y: float,
+    sensor: int,
+    peak: float,
+    reach: float,
+    cell: float,
+    duration: float,
+) -> FloatGrid:
+    """(3): C after one look; arguments as in `sim.models.field.accumulate`, but C is not changed."""
+    return (
+        coverage
+        + sensor_quality(sensor, distances(coverage, p_x, p_y, cell), peak, reach) * duration
+    )
+
+
+def coverage_error(
+    coverage: FloatGrid, p_gx: float, p_gy: float, r_o: float, desired: float, cell: float
+) -> float:
+    """(4): e(t) [m²]; arguments as in `sim.models.field.coverage_error`."""
+    phi = density(distances(coverage, p_gx, p_gy, cell), r_o)
+    return float((np.maximum(0.0, desired - coverage) ** 2 * phi).sum() * cell**2)
+
+
+def coverage_gradient(
+    coverage: FloatGrid,
+    p_ax: float,
+    p_ay: float,
+    p_gx: float,
+    p_gy: float,
+    r_o: float,
+    desired: float,
+    sensor: int,
+    peak: float,
+    reach: float,
+    cell: float,
+) -> tuple[float, float]:
+    """(6): u_cov with k = 1; arguments as in `sim.models.field.coverage_gradient`."""
+    x, y = centres(coverage, cell)
+    rho = distances(coverage, p_ax, p_ay, cell)
+    slope = np.where(rho <= reach, 2.0 * _SLOPE[sensor](rho, peak, reach), 0.0)
+    lack = 2.0 * np.maximum(0.0, desired - coverage)
+    weight = lack * slope * density(distances(coverage, p_gx, p_gy, cell), r_o)
+    return float((weight * (p_ax - x)).sum() * cell**2), float(
+        (weight * (p_ay - y)).sum() * cell**2
+    )
+
+
+def error_decrease(
+    coverage: FloatGrid,
+    p_ax: float,
+    p_ay: float,
+    p_gx: float,
+    p_gy: float,
+    r_o: float,
+    desired: float,
+    sensor: int,
+    peak: float,
+    reach: float,
+    cell: float,
+) -> float:
+    r"""$-\dot e$ while the UGV stands: $\int h'(C^* - C)\, S_a(p_a, q)\, \phi\, dq$.
+
+    Arguments as in `coverage_gradient`.
+    """
+    quality = sensor_quality(sensor, distances(coverage, p_ax, p_ay, cell), peak, reach)
+    lack = 2.0 * np.maximum(0.0, desired - coverage)
+    return float(
+        (lack * quality * density(distances(coverage, p_gx, p_gy, cell), r_o)).sum() * cell**2
+    )
+
+
+def uncovered(
+    coverage: FloatGrid, p_gx: float, p_gy: float, r_o: float, desired: float, cell: float
+) -> BoolGrid:
+    """The cells that fulfil conditions 1 and 2 of (7)."""
+    x, y = centres(coverage, cell)
+    return (coverage < desired) & ((x - p_gx) ** 2 + (y - p_gy) ** 2 < r_o**2)

@@ -1,0 +1,190 @@
+"""`outrider doctor`: what this machine has of what Outrider can use."""
+
+from collections.abc import Callable, Iterator
+from typing import Annotated, Literal, NamedTuple
+
+import typer
+
+State = Literal["ok", "missing", "wrong"]
+
+
+class Finding(NamedTuple):
+    """One row of the table."""
+
+    what: str
+    state: State
+    """`missing` is what some commands need and others do not; `wrong` keeps every run from flying."""
+    told: str
+
+
+EXTRAS = {
+    "record": ("foxglove", "mcap"),
+    "drive": ("textual",),
+    "dashboard": ("nicegui",),
+    "window": ("pygame",),
+    "sweep": ("joblib", "pyarrow"),
+    "dask": ("distributed",),
+    "falsify": ("cma",),
+    "tls": ("cryptography",),
+    "sb3": ("stable_baselines3", "torch"),
+    "torchrl": ("torchrl",),
+    "rllib": ("ray",),
+    "supersuit": ("supersuit",),
+}
+"""What each extra brings, by the names under which it is imported."""
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "firefox", "microsoft-edge", "open")
+
+
+def _python() -> Iterator[Finding]:
+    import platform
+    import sys
+
+    version = platform.python_version()
+    good = sys.version_info >= (3, 11)
+    yield Finding("Python", "ok" if good else "wrong", f"{version}; 3.11 or newer is needed")
+
+
+def _packages() -> Iterator[Finding]:
+    from importlib.metadata import PackageNotFoundError, version
+
+    names = ("outrider", "eclipse-zenoh", "numpy", "numba", "filterpy", "pettingzoo")
+    found, lacking = [], []
+    for name in names:
+        try:
+            found.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            lacking.append(name)
+    if lacking:
+        yield Finding("packages", "wrong", f"not installed: {', '.join(lacking)}")
+    else:
+        yield Finding("packages", "ok", ", ".join(found))
+
+
+def _cache() -> Iterator[Finding]:
+    from sim.kernels.compile import cache_folder
+
+    folder = cache_folder()
+    if folder is None:
+        told = "no folder can be written: every process compiles anew; set OUTRIDER_CACHE to one that can"
+        yield Finding("compile cache", "missing", told)
+        return
+    size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+    told = f"{folder}, {size / 1e6:.0f} MB" + ("" if size else "; the first run compiles")
+    yield Finding("compile cache", "ok", told)
+
+
+def _extras() -> Iterator[Finding]:
+    from importlib.util import find_spec
+
+    for extra, modules in EXTRAS.items():
+        lacking = [module for module in modules if find_spec(module) is None]
+        if lacking:
+            yield Finding(f"[{extra}]", "missing", f"pip install -e '.[{extra}]' in the clone")
+        else:
+            yield Finding(f"[{extra}]", "ok", ", ".join(modules))
+
+
+def _ports() -> Iterator[Finding]:
+    import socket
+
+    for port, what in ((17447, "router"), (8080, "page")):
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError as error:
+                told = f"{error.strerror}; the {what} takes another with --listen or --port"
+                yield Finding(f"port {port}", "missing", told)
+            else:
+                yield Finding(f"port {port}", "ok", f"free, for the {what}")
+
+
+def _docker() -> Iterator[Finding]:
+    import subprocess
+
+    def ask(*words: str) -> str | None:
+        try:
+            done = subprocess.run(
+                ("docker", *words),  # noqa: S607 - the one that the user has
+                capture_output=True,
+                text=True,
+                timeout=10,
+                check=False,
+            )
+        except (OSError, subprocess.TimeoutExpired):
+            return None
+        return done.stdout.strip() if done.returncode == 0 else None
+
+    engine = ask("info", "--format", "{{.ServerVersion}}")
+    compose = ask("compose", "version", "--short")
+    if engine and compose:
+        yield Finding("Docker", "ok", f"engine {engine}, compose {compose}")
+    else:
+        lacking = "compose" if engine else "a running engine"
+        yield Finding("Docker", "missing", f"no {lacking}; for the containers alone")
+
+
+def _browser() -> Iterator[Finding]:
+    from shutil import which
+
+    found = next((name for name in BROWSERS if which(name)), None)
+    if found:
+        yield Finding("browser", "ok", found)
+    else:
+        yield Finding("browser", "missing", "none found here; any that reaches the page will do")
+
+
+def _machine() -> Iterator[Finding]:
+    import resource
+
+    from sim.kernels.threads import cores
+
+    count = cores()
+    told = f"{count} for this process" + ("; three processes share it" if count == 1 else "")
+    yield Finding("cores", "ok", told)
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    most = "without limit" if hard == resource.RLIM_INFINITY else str(hard)
+    state: State = "ok" if soft >= 256 else "wrong"
+    yield Finding("open files", state, f"{soft}, at most {most}")
+
+
+CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
+    _python,
+    _packages,
+    _cache,
+    _machine,
+    _ports,
+    _extras,
+    _docker,
+    _browser,
+)
+
+
+def command(
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+) -> None:
+    """Tell what this machine has of what Outrider can use, and how to get the rest.
+
+    Exit code 1 if something keeps every run from flying; what only some commands need is called missing.
+
+    Example: outrider doctor
+    """
+    from rich.table import Table
+    from rich.text import Text
+
+    from outrider.cli.console import OUT, print_json
+
+    findings = [finding for check in CHECKS for finding in check()]
+    if json:
+        print_json({"findings": [finding._asdict() for finding in findings]})
+    else:
+        colours = {"ok": "green", "missing": "yellow", "wrong": "red"}
+        table = Table(box=None, pad_edge=False, header_style="bold")
+        table.add_column("what", no_wrap=True)
+        table.add_column("", no_wrap=True)
+        table.add_column("found", overflow="fold")
+        for what, state, told in findings:
+            table.add_row(what, Text(state, style=colours[state]), told)
+        OUT.print(table)
+    if any(finding.state == "wrong" for finding in findings):
+        raise typer.Exit(1)

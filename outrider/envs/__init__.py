@@ -1,0 +1,1 @@
+"""Environments for training, many worlds at once."""

@@ -1,0 +1,400 @@
+"""The closed loop in many worlds at once.
+
+World, links, filters, laws, drivers and rewards of a tick in one compiled pass.
+"""
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from agents.control.guard import GuardState, guard_state
+from agents.control.handover import Promise, check_assumptions
+from agents.control.laws import (
+    STATE_SIZE,
+    WATCHED,
+    LawParameters,
+    law_parameters,
+)
+from agents.control.visibility import promise_of
+from agents.drivers.compiled import driver_parameters, driver_state, told_route
+from agents.drivers.parameters import COMPILED_DRIVERS, DriverParameters
+from agents.estimation.past import SPAN
+from agents.estimation.twin import KalmanParameters, KalmanState, kalman_parameters, kalman_state
+from agents.uav import RADIO_PERIOD
+from bus.errors import ScenarioError
+from bus.layout import GradientCue
+from bus.messages import LinkKind, LinkStatus, UavBriefing, UgvBriefing
+from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
+from outrider.envs.closed_loop_state import (
+    GUARD_METRICS,
+    LoopParameters,
+    LoopState,
+    LoopTables,
+)
+from outrider.envs.closed_loop_tick import run_worlds
+from sim.channel.link import DUST
+from sim.engine.batch import Batch, Fresh, arrays_of
+from sim.engine.briefing import briefing
+from sim.engine.link_arrays import LinkArrays
+from sim.engine.world_state import first_state
+from sim.env.patch import CoveragePatch
+from sim.env.rewards import RewardWeights
+from sim.env.rows import UAV_METRICS, joined, row_state, row_tables
+from sim.kernels.compile import FloatArray, IntArray, compiling
+from sim.kernels.prefetch import disc_widths
+from sim.kernels.records import records
+from sim.models.randomness import PILOT
+from sim.scenario.types import Scenario
+
+_TRACK = 120.0
+"""A detection older than this is of no use to the safety filter [s].
+
+`agents.control.guard` keeps the track no longer.
+"""
+
+_NO_ACTIONS = np.zeros((0, 0, 2))
+
+
+def _repeated(
+    state: tuple[npt.NDArray[Any], ...], worlds: int, of_each: int
+) -> list[npt.NDArray[Any]]:
+    """The arrays of one memory for each of `of_each` vehicles in each world."""
+    return [np.broadcast_to(array, (worlds, of_each, *array.shape)).copy() for array in state]
+
+
+def pilot_names(scenario: Scenario, vehicle: str) -> tuple[str, ...]:
+    """Who can fly or drive a vehicle in here, by name."""
+    if any(uav.name == vehicle for uav in scenario.uav):
+        return tuple(law.name for law in LAWS.values() if not law.own)
+    return tuple(COMPILED_DRIVERS)
+
+
+class ClosedLoop:
+    """Many worlds of one scenario with everybody in them.
+
+    Args:
+        scenario: What is flown in each.
+        worlds: How many.
+        external: Vehicles whose actions come from outside, in the order of the actions.
+        pilots: Who flies or drives the others, by name, instead of the scenario's law and drivers.
+        rewards: What the vehicles are paid for; e(t) is computed at every tick only if `uncovered` is paid, or
+            `error` is set.
+        error: Whether e(t) is computed at every tick in any case.
+        estimate: Whether the UAVs' rows have the filter's estimate in the place of the raw detection.
+        gradient: Whether the UAVs' rows end with `GradientCue`.
+        patch: Pictures of the UAVs' own maps.
+        safety_filter: Whether actions from outside go through the safety filter, as those of the law `certified` do.
+        end_on_sight_lost: Whether an episode terminates when sight is lost.
+        end_on_goals_reached: Whether it terminates when every UGV with goals has reached them all.
+        threads: Processor cores that share the worlds; by default all that this process may use.
+        secret: Of all random numbers, with each world's seed, as `sim.engine.run_keys.check_secret` returns it; empty: none.
+
+    Raises:
+        ScenarioError: If a vehicle has a law or a driver that cannot be flown in here.
+        ValueError: If another argument is not allowed.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        worlds: int,
+        *,
+        external: Collection[str] = (),
+        pilots: Mapping[str, str] | None = None,
+        rewards: RewardWeights | None = None,
+        error: bool = False,
+        estimate: bool = False,
+        gradient: bool = False,
+        patch: CoveragePatch | None = None,
+        safety_filter: bool = False,
+        end_on_sight_lost: bool = True,
+        end_on_goals_reached: bool = False,
+        threads: int | None = None,
+        secret: str = "",
+    ) -> None:
+        self.scenario = scenario
+        self.worlds = worlds
+        self.names = tuple(vehicle.name for vehicle in scenario.vehicles)
+        """Vehicles in the order of every array."""
+        self.uavs = tuple(name for name in self.names if name in {uav.name for uav in scenario.uav})
+        """UAVs in the order of theirs."""
+        self.ugvs = tuple(name for name in self.names if name not in self.uavs)
+        """UGVs in the order of theirs."""
+        self.external = tuple(external)
+        """Whose actions come from outside."""
+        weights = rewards or RewardWeights()
+        chosen = dict(pilots or {})
+        for name in (*self.external, *chosen):
+            if name not in self.names:
+                raise ValueError(f"vehicle = {name!r}; allowed: {', '.join(self.names)}")
+        crew = _Crew(
+            scenario, self.uavs, self.ugvs, set(self.external), chosen, shield=safety_filter
+        )
+        self.batch = Batch(
+            scenario, worlds, gains=weights.seen > 0.0, threads=threads, secret=secret
+        )
+        radio = self._radio = LinkArrays(scenario, (LinkKind.RADIO,), 3, worlds)
+        listening = crew.radio
+        thinking = crew.thinking | (estimate or gradient or listening)
+        dt = scenario.dt
+        self.parameters = LoopParameters(
+            error=error or weights.uncovered > 0.0,
+            estimate=estimate,
+            gradient=gradient,
+            own_maps=len(self.uavs) > 1,
+            radio=listening,
+            radio_ticks=max(1, round(RADIO_PERIOD / dt)),
+            meters_per_pixel=float(patch.meters_per_pixel) if patch else 1.0,
+        )
+        scripts, script_rows = joined(crew.scripts, 3)
+        rows = row_tables(
+            scenario,
+            weights,
+            end_on_sight_lost=end_on_sight_lost,
+            end_on_goals=end_on_goals_reached,
+        )
+        self.tables = LoopTables(
+            batch=self.batch.tables,
+            rows=rows,
+            hand=np.array(
+                [self.external.index(n) if n in self.external else -1 for n in self.names],
+                dtype=np.int64,
+            ),
+            thinking=thinking.astype(np.int64),
+            guarded=crew.guarded.astype(np.int64),
+            faults=crew.faults.astype(np.int64),
+            delays=crew.delays,
+            ages=crew.ages,
+            bounded=crew.bounded.astype(np.int64),
+            listeners=np.array(
+                [self.ugvs.index(self.names[g]) for g in self.batch.tables.escorts[:, 1]],
+                dtype=np.int64,
+            ),
+            kalman=crew.kalman,
+            promises=crew.promises,
+            scripts=scripts,
+            script_rows=script_rows,
+            radio=radio.table,
+            seen=disc_widths(scenario.sensor.range, scenario.area.cell),
+            around=disc_widths(
+                scenario.visibility.radius + scenario.sensor.range, scenario.area.cell
+            ),
+        )
+        late = self.batch.longest_delay(LinkKind.DETECTIONS)
+        kalman = kalman_state(min(late, round(SPAN / dt)) + 1)
+        guards = guard_state(crew.slowest, min(late + 1, max(1, math.ceil(_TRACK / dt))))
+        uavs, ugvs = len(self.uavs), len(self.ugvs)
+        room = radio.room * uavs if listening else 1
+        coverage = self.batch.state.truth.coverage
+        pixels = patch.pixels if patch else 1
+        self.state = LoopState(
+            batch=self.batch.state,
+            rows=row_state(
+                rows,
+                worlds,
+                uav_metrics=len(GUARD_METRICS),
+                uav_columns=len(GradientCue._fields),
+            ),
+            maps=np.zeros((worlds, uavs if self.parameters.own_maps else 0, *coverage.shape[1:])),
+            sent=np.zeros((worlds, uavs, int(crew.delays.max()) + 1, 2)),
+            laws=np.repeat(crew.laws[None], worlds, axis=0),
+            drivers=np.repeat(crew.drivers[None], worlds, axis=0),
+            law_states=np.zeros((worlds, uavs, STATE_SIZE)),
+            kalman=KalmanState._make(_repeated(kalman, worlds, uavs)),
+            guards=GuardState._make(_repeated(guards, worlds, uavs)),
+            driver_states=_repeated((driver_state(),), worlds, ugvs)[0],
+            outbox=np.full((worlds, uavs, 3), -1.0),
+            radio=radio.states,
+            inbox=np.zeros((worlds, radio.room if listening else 1, 3)),
+            inboxes=np.zeros((worlds, ugvs, room, 3)),
+            arrived=np.zeros((worlds, ugvs), dtype=np.int64),
+            patches=np.zeros((worlds, uavs if patch else 0, pixels, pixels)),
+        )
+        if self.parameters.own_maps:
+            self.state.maps[:] = first_state(scenario).coverage
+        self._fresh = Fresh(self.state[1:])  # all but the batch, which knows its own
+        self._all = np.arange(worlds)
+        with compiling():  # one process does, the others wait
+            self.begin([scenario.seed], [0])
+
+    @property
+    def degraded(self) -> bool:
+        """Whether any link does anything to a message."""
+        return self.batch.degraded or not self._radio.perfect
+
+    def begin(
+        self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None = None
+    ) -> None:
+        """Begin worlds anew.
+
+        Args:
+            seeds: One for each of them, from 0 to 2**53 - 1.
+            worlds: Which; all by default.
+        """
+        which = self.batch.restore(seeds, worlds)
+        self._fresh.restore(which)
+        keys = self.state.batch.keys[which, PILOT]
+        for rows, vehicles in (
+            (self.state.laws, self.tables.batch.escorts[:, 0]),
+            (self.state.drivers, self.tables.rows.ugvs),
+        ):
+            for word, name in enumerate(("key_0", "key_1")):
+                rows[name][which] = keys[:, vehicles, word]
+        self._run(which, _NO_ACTIONS, 0, beginning=True)
+
+    def step(self, actions: FloatArray) -> None:
+        """All worlds advance by one tick.
+
+        Args:
+            actions: Accelerations [m/s²] of the vehicles in `external`, finite. Shape (worlds, len(external), 2).
+        """
+        self._run(self._all, actions, 1)
+
+    def fly(self, ticks: int | None = None) -> None:
+        """Fly every world on, each until its episode is over, or so many ticks.
+
+        Raises:
+            ValueError: If actions are to come from outside.
+        """
+        if self.external:
+            raise ValueError(
+                f"the actions of {', '.join(self.external)} come from outside: use step"
+            )
+        none, most = np.zeros((self.worlds, 0, 2)), self.scenario.ticks if ticks is None else ticks
+        self._run(self._all, none, most)
+
+    def _run(
+        self, worlds: IntArray, actions: FloatArray, ticks: int, *, beginning: bool = False
+    ) -> None:
+        told = (self.parameters, self.tables, self.state, worlds, beginning, actions, ticks)
+        self.batch.crew.share(run_worlds, len(worlds), *told)
+
+    def metrics(self, uav: str) -> dict[str, FloatArray]:
+        """How a UAV has truly done in this episode, in each world; arrays of shape (worlds,).
+
+        `mean_error` is the mean of e(t) [m²] over the ticks so far, the first included; NaN where e(t) is not computed.
+        `certified_while_lost` counts the ticks that the safety filter certified with the UGV out of sight,
+        `certificate_broken`
+        those that it did not certify although the one before was and all assumptions held: any is a fault of the
+        certificate.
+        """
+        rows, ticks = self.state.rows.uavs[:, self.uavs.index(uav)], self.state.batch.ticks
+        asked = np.maximum(rows[:, GUARD_METRICS.asked], 1.0)
+        counted = np.where(self.parameters.error, 1.0, np.nan)
+        return {
+            "ticks": ticks.astype(np.float64),
+            "distance": rows[:, UAV_METRICS.distance].copy(),
+            "max_distance": rows[:, UAV_METRICS.max_distance].copy(),
+            "visibility_violations": rows[:, UAV_METRICS.violations].copy(),
+            "coverage_error": rows[:, UAV_METRICS.error] * counted,
+            "mean_error": rows[:, UAV_METRICS.error_sum] / (ticks + 1) * counted,
+            "intervened": rows[:, GUARD_METRICS.intervened] / asked,
+            "certified": rows[:, GUARD_METRICS.certified] / asked,
+            "certified_while_lost": rows[:, GUARD_METRICS.false].copy(),
+            "certificate_broken": rows[:, GUARD_METRICS.broken].copy(),
+        }
+
+    def links(self, world: int) -> dict[str, LinkStatus]:
+        """How each link of one world has done so far, by `vehicle/kind`."""
+        return self.batch.link_status(world) | self._radio.status(world)
+
+    def bytes_per_world(self) -> int:
+        """Memory that one more world needs [bytes]."""
+        return sum(array.nbytes for array in arrays_of(self.state)) // self.worlds
+
+    def close(self) -> None:
+        """End the threads."""
+        self.batch.crew.close()
+
+
+def _is_bounded(told: UavBriefing) -> bool:
+    """Whether no detection can have a larger error than is declared."""
+    detector, declared = told.detector, told.certificate.error
+    if declared is None or detector.noise == 0.0:
+        return declared is not None
+    return detector.cut is not None and detector.noise * detector.cut <= declared
+
+
+class _Crew:
+    """The pilots' numbers in tables."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        uavs: Sequence[str],
+        ugvs: Sequence[str],
+        external: set[str],
+        chosen: Mapping[str, str],
+        *,
+        shield: bool,
+    ) -> None:
+        told = {name: briefing(scenario, name, 0) for name in (*uavs, *ugvs)}
+        told_uavs = [one for name in uavs if isinstance(one := told[name], UavBriefing)]
+        self.told_ugvs = [one for name in ugvs if isinstance(one := told[name], UgvBriefing)]
+        laws = [
+            self._law(one, chosen.get(one.vehicle), outside=one.vehicle in external)
+            for one in told_uavs
+        ]
+        promises = [promise_of(one) for one in told_uavs]
+        self.laws = records(LawParameters, laws)
+        self.slowest = max(promises, key=lambda promise: promise.delay)
+        self.delays = np.array(
+            [round(promise.delay / promise.dt) for promise in promises], dtype=np.int64
+        )
+        self.ages = np.array(
+            [math.floor(one.certificate.age / one.dt + DUST) for one in told_uavs], dtype=np.int64
+        )
+        self.bounded = np.array([_is_bounded(one) for one in told_uavs])
+        self.promises = records(Promise, promises)
+        self.faults = np.array([bool(check_assumptions(promise)) for promise in promises])
+        self.kalman = records(
+            KalmanParameters,
+            [
+                kalman_parameters(
+                    detector=one.detector,
+                    target=one.target_limits,
+                    dt=one.dt,
+                    settings=one.estimator,
+                )
+                for one in told_uavs
+            ],
+        )
+        outside = np.array([name in external for name in uavs])
+        self.guarded = np.array([law.law in WATCHED for law in laws]) & ~outside | outside & shield
+        self.thinking = ~outside
+        drivers = [
+            self._driver(one, chosen.get(one.vehicle), outside=one.vehicle in external)
+            for one in self.told_ugvs
+        ]
+        self.drivers = records(
+            DriverParameters,
+            [
+                driver_parameters(one, name)
+                for one, name in zip(self.told_ugvs, drivers, strict=True)
+            ],
+        )
+        routes = [told_route(one) for one in self.told_ugvs]
+        self.scripts = [route.script for route in routes]
+        self.radio = any(
+            DRIVERS[name].listens and one.vehicle not in external
+            for name, one in zip(drivers, self.told_ugvs, strict=True)
+        )
+
+    @staticmethod
+    def _law(told: UavBriefing, name: str | None, *, outside: bool) -> LawParameters:
+        law = told.law if name is None else msgspec.structs.replace(told.law, name=name)
+        if outside:
+            law = msgspec.structs.replace(law, name="tracking")  # never asked
+        elif law.name in LAWS and LAWS[law.name].own:
+            raise ScenarioError(
+                f"{told.vehicle}: law.name = {law.name!r} is a function of your own and cannot be compiled"
+            )
+        return law_parameters(told, law)
+
+    @staticmethod
+    def _driver(told: UgvBriefing, name: str | None, *, outside: bool) -> str:
+        return DEFAULT_DRIVER if outside else name or told.driver

@@ -1,0 +1,126 @@
+"""What `outrider.envs.closed_loop` is told, keeps and shares: the arrays that its compiled tick works on."""
+
+from typing import Any, NamedTuple
+
+from agents.control.guard import GuardState
+from agents.estimation.twin import KalmanState
+from bus.layout import UavRow
+from sim.channel.link import LinkState, LinkTable
+from sim.engine.world_state import BatchState, BatchTables
+from sim.env.rows import UAV_METRICS, RowState, RowTables
+from sim.kernels.compile import FloatArray, IntArray
+from sim.kernels.records import RecordArray
+
+GRADIENT_X, GRADIENT_Y = len(UavRow._fields), len(UavRow._fields) + 1
+"""Columns of `RowState.uav_rows` after `UavRow`: those of `GradientCue`."""
+
+
+class GuardMetrics(NamedTuple):
+    """How the safety filter of a UAV has done: the columns of `RowState.uavs` after `UavMetrics`."""
+
+    acted: float
+    sure: float
+    """Of the last tick: whether it acted, and whether it was certified."""
+    bound: float
+    """The distance that it bounds [m]."""
+    obeyed: float
+    """Whether the command that acted in the last tick was the one that was due."""
+    asked: float
+    intervened: float
+    certified: float
+    """Ticks in which it was asked, acted, and certified."""
+    false: float
+    """Ticks that were certified out of sight."""
+    broken: float
+    """Ticks that were not certified although the one before was and all assumptions held."""
+
+
+_FIRST = len(UAV_METRICS)
+GUARD_METRICS: Any = GuardMetrics._make(range(_FIRST, _FIRST + len(GuardMetrics._fields)))
+
+
+class LoopParameters(NamedTuple):
+    """What the loop does, as plain numbers."""
+
+    error: bool
+    """Whether e(t) is needed at every tick."""
+    estimate: bool
+    """Whether the rows have the filter's estimate in the place of the raw detection."""
+    gradient: bool
+    """Whether the rows have the gradient."""
+    own_maps: bool
+    """Whether each UAV has a map of its own; else all that is seen is its own."""
+    radio: bool
+    """Whether any UGV listens to the radio."""
+    radio_ticks: int
+    meters_per_pixel: float
+
+
+class LoopTables(NamedTuple):
+    """What all worlds share and nobody changes."""
+
+    batch: BatchTables
+    rows: RowTables
+    hand: IntArray
+    """For each vehicle its row in the actions from outside; -1: it is flown in here. Shape (vehicles,)."""
+    thinking: IntArray
+    """For each UAV whether its estimate is needed. Shape (UAVs,)."""
+    guarded: IntArray
+    """For each UAV whether the safety filter watches over it. Shape (UAVs,)."""
+    faults: IntArray
+    """For each UAV whether its certificate's assumptions fail. Shape (UAVs,)."""
+    delays: IntArray
+    """For each UAV the declared delay of its commands [ticks]. Shape (UAVs,)."""
+    ages: IntArray
+    """For each UAV the declared age of the newest detection [ticks]. Shape (UAVs,)."""
+    bounded: IntArray
+    """For each UAV whether no detection can have a larger error than is declared. Shape (UAVs,)."""
+    listeners: IntArray
+    """For each UAV the row among the UGVs of the one that receives its radio. Shape (UAVs,)."""
+    kalman: RecordArray
+    """`KalmanParameters` of each UAV. Shape (UAVs,)."""
+    promises: RecordArray
+    """`Promise` of each UAV. Shape (UAVs,)."""
+    scripts: FloatArray
+    script_rows: IntArray
+    radio: LinkTable
+    """A row for each UAV."""
+    seen: IntArray
+    """The sensor's disc, and of the density (9), from `sim.kernels.prefetch.disc_widths`."""
+    around: IntArray
+
+
+class LoopState(NamedTuple):
+    """Everything that changes. All arrays have an axis for worlds in front."""
+
+    batch: BatchState
+    rows: RowState
+    """What everybody observes, is paid and has done."""
+    maps: FloatArray
+    """The UAVs' own maps, where they differ from the world's. Shape (worlds, UAVs or 0, rows, columns)."""
+    sent: FloatArray
+    """The UAVs' last commands [m/s²], that of tick k in row k % (delay + 1).
+
+    Shape (worlds, UAVs, largest delay + 1, 2).
+    """
+    laws: RecordArray
+    """`LawParameters` of each UAV, with the key of its pilot in this world. Shape (worlds, UAVs)."""
+    drivers: RecordArray
+    """`DriverParameters` of each UGV, likewise. Shape (worlds, UGVs)."""
+    law_states: FloatArray
+    """Shape (worlds, UAVs, STATE_SIZE)."""
+    kalman: KalmanState
+    guards: GuardState
+    driver_states: FloatArray
+    """Shape (worlds, UGVs, DRIVER_STATE)."""
+    outbox: FloatArray
+    """The radio message that each UAV has just sent: the tick of it (-1: none), p_delta [m]. Shape (worlds, UAVs, 3)."""
+    radio: LinkState
+    inbox: FloatArray
+    """What has arrived by one radio link: tick, p_delta [m]. Shape (worlds, room, 3)."""
+    inboxes: FloatArray
+    """What has reached each UGV by radio at this tick. Shape (worlds, UGVs, room, 3)."""
+    arrived: IntArray
+    """How many. Shape (worlds, UGVs)."""
+    patches: FloatArray
+    """Pictures of the UAVs' own maps. Shape (worlds, UAVs or 0, pixels, pixels)."""

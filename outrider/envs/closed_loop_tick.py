@@ -1,0 +1,359 @@
+"""One tick of the closed loop, compiled: world, links, filters, laws, drivers and rewards in one pass.
+
+The pilots' own functions are called, so a vehicle that is flown in here gets the commands that its pilot would
+give over the bus. One pass a world, so that its grid stays near the core until the tick is done.
+"""
+
+from agents.control.certificate import CERTIFIED as NOTHING_AGAINST
+from agents.control.certificate import INNER
+from agents.control.guard import GuardState, guard
+from agents.control.laws import OwnTerms
+from agents.control.uav_tick import Motion, UavMemory, uav_perceive, uav_tick
+from agents.drivers.parameters import Route
+from agents.drivers.ugv_tick import ugv_tick
+from agents.estimation.twin import AGE, KalmanState, kalman_estimate, kalman_step
+from outrider.envs.closed_loop_state import (
+    GRADIENT_X,
+    GRADIENT_Y,
+    GUARD_METRICS,
+    LoopParameters,
+    LoopState,
+    LoopTables,
+)
+from sim.channel.link import advance as begin_tick
+from sim.channel.link import receive, send
+from sim.engine.link_arrays import link_of
+from sim.engine.world_state import ANSWERED, U_X, U_Y, WorldState
+from sim.engine.world_tick import begin_world, measure, truth_of, world_tick
+from sim.env.patch import sample
+from sim.env.rows import UAV, UAV_METRICS, advance_rows, observe_rows
+from sim.kernels.compile import FloatArray, IntArray, inlined, released
+from sim.kernels.prefetch import fetch_disc, fetch_rows
+from sim.models.field import coverage_gradient
+from sim.models.randomness import key_of
+
+_SAID, _SENT_X, _SENT_Y = range(3)
+
+
+@inlined
+def _guard_of(t: LoopTables, s: GuardState, k: int, u: int) -> GuardState:
+    course = s.course[k, u, : t.delays[u] + 1]
+    return GuardState(
+        s.detections[k, u], s.plan[k, u], course, s.track[k, u], s.track_ticks[k, u], s.flags[k, u]
+    )
+
+
+@inlined
+def _kalman_of(s: KalmanState, k: int, u: int) -> KalmanState:
+    return KalmanState(s.numbers[k, u], s.history[k, u])
+
+
+@inlined
+def _memory_of(p: LoopParameters, t: LoopTables, s: LoopState, k: int, u: int) -> UavMemory:
+    coverage = s.maps[k, u] if p.own_maps else s.batch.truth.coverage[k]
+    return UavMemory(coverage, s.law_states[k, u], _guard_of(t, s.guards, k, u))
+
+
+@inlined
+def _motion_of(truth: WorldState, k: int, v: int) -> Motion:
+    return Motion(
+        truth.position[k, v, 0],
+        truth.position[k, v, 1],
+        truth.velocity[k, v, 0],
+        truth.velocity[k, v, 1],
+    )
+
+
+@inlined
+def _fly(
+    p: LoopParameters, t: LoopTables, s: LoopState, k: int, v: int, u: int, actions: FloatArray
+) -> None:
+    """The command of UAV u, vehicle v, and what it radios."""
+    tick, row = s.batch.ticks[k], s.rows.uavs[k, u]
+    here, law, guarded = _motion_of(s.batch.truth, k, v), s.laws[k, u], t.guarded[u] != 0
+    memory, target = _memory_of(p, t, s, k, u), kalman_estimate(_kalman_of(s.kalman, k, u))
+    if t.hand[v] < 0:
+        own = OwnTerms(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        u_x, u_y, acts, code, bound = uav_tick(
+            law, t.promises[u], guarded, memory, own, tick, here, target
+        )
+    else:
+        u_x, u_y = actions[t.hand[v], 0], actions[t.hand[v], 1]
+        acts, code, bound = INNER, NOTHING_AGAINST, 0.0
+        if guarded:
+            u_x, u_y, acts, code, bound = guard(
+                t.promises[u], memory.guard, tick, here.p_x, here.p_y, here.v_x, here.v_y, u_x, u_y
+            )
+    if guarded:
+        row[GUARD_METRICS.bound] = bound
+        row[GUARD_METRICS.acted] = 1.0 if acts != INNER else 0.0
+        before, row[GUARD_METRICS.sure] = (
+            row[GUARD_METRICS.sure],
+            1.0 if code == NOTHING_AGAINST and t.faults[u] == 0 else 0.0,
+        )
+        if row[GUARD_METRICS.sure] != 0.0:
+            row[GUARD_METRICS.false] += row[UAV_METRICS.lost]
+        elif (
+            before != 0.0
+            and row[GUARD_METRICS.obeyed] != 0.0
+            and tick - row[UAV_METRICS.newest] <= t.ages[u]
+        ):
+            row[GUARD_METRICS.broken] += t.bounded[u]
+        row[GUARD_METRICS.asked] += 1.0
+        row[GUARD_METRICS.intervened] += row[GUARD_METRICS.acted]
+        row[GUARD_METRICS.certified] += row[GUARD_METRICS.sure]
+    sent = s.batch.sent[k, v]
+    sent[ANSWERED], sent[U_X], sent[U_Y] = tick, u_x, u_y
+    if p.radio:
+        known, g_x, g_y = target
+        says = known and tick % p.radio_ticks == 0
+        s.outbox[k, u, _SAID] = tick if says else -1.0
+        s.outbox[k, u, _SENT_X], s.outbox[k, u, _SENT_Y] = (
+            here.p_x - g_x,
+            here.p_y - g_y,
+        )
+
+
+@inlined
+def _drive(
+    p: LoopParameters, t: LoopTables, s: LoopState, k: int, v: int, g: int, actions: FloatArray
+) -> None:
+    """The command of UGV g, vehicle v."""
+    tick, sent = s.batch.ticks[k], s.batch.sent[k, v]
+    sent[ANSWERED] = tick
+    if t.hand[v] >= 0:
+        sent[U_X], sent[U_Y] = actions[t.hand[v], 0], actions[t.hand[v], 1]
+        return
+    here = _motion_of(s.batch.truth, k, v)
+    route = Route(
+        t.rows.goals[t.rows.goal_rows[g] : t.rows.goal_rows[g + 1]],
+        t.scripts[t.script_rows[g] : t.script_rows[g + 1]],
+    )
+    sent[U_X], sent[U_Y] = ugv_tick(
+        s.drivers[k, g],
+        route,
+        s.driver_states[k, g],
+        s.inboxes[k, g],
+        s.arrived[k, g],
+        tick,
+        here.p_x,
+        here.p_y,
+        here.v_x,
+        here.v_y,
+    )
+
+
+@inlined
+def _radio(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
+    """What the UAVs have said at the tick before sets out, and what has arrived is with the UGVs."""
+    dt, tick, arrived = t.batch.world[0].dt, s.batch.ticks[k], s.arrived[k]
+    arrived[:] = 0
+    for u in range(t.listeners.shape[0]):
+        g, outbox, inbox = t.listeners[u], s.outbox[k, u], s.inbox[k]
+        come, link = s.inboxes[k, g], link_of(s.radio, k, u)
+        key = key_of(s.batch.keys[k], t.radio.owners[u, 0], t.radio.owners[u, 1])
+        begin_tick(t.radio, u, link, key, tick)
+        if outbox[_SAID] >= 0.0:
+            send(t.radio, u, link, key, outbox)
+            outbox[_SAID] = -1.0
+        for i in range(receive(link, inbox)):
+            n = arrived[g]
+            come[n, 0], come[n, 1], come[n, 2] = inbox[i, 0] * dt, inbox[i, 1], inbox[i, 2]
+            arrived[g] = n + 1
+
+
+@inlined
+def _perceive(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
+    """Every UAV takes what has reached it at this tick into its map and its filters, every UGV its radio."""
+    escorts, tick = t.batch.escorts, s.batch.ticks[k]
+    looks, arrived = s.batch.received[k], s.batch.arrived[k]
+    looked = 1 if p.own_maps and tick > 0 else 0  # else the world has done it
+    for u in range(escorts.shape[0]):
+        here = _motion_of(s.batch.truth, k, escorts[u, 0])
+        uav_perceive(
+            s.laws[k, u],
+            t.promises[u],
+            t.guarded[u] != 0,
+            _memory_of(p, t, s, k, u),
+            looked,
+            tick,
+            here,
+            looks[u],
+            arrived[u],
+        )
+        if t.thinking[u]:
+            kalman = _kalman_of(s.kalman, k, u)
+            kalman_step(t.kalman[u], kalman, tick, here.p_x, here.p_y, looks[u], arrived[u])
+    if p.radio:
+        _radio(p, t, s, k)
+
+
+@inlined
+def _add_cues(p: LoopParameters, t: LoopTables, s: LoopState, k: int, u: int) -> None:
+    """Put the estimate and the gradient into the row of UAV u, where they are asked for and known."""
+    w, row = t.batch.world[0], s.rows.uav_rows[k, u]
+    row[GRADIENT_X], row[GRADIENT_Y] = 0.0, 0.0
+    known, g_x, g_y = kalman_estimate(_kalman_of(s.kalman, k, u))
+    if not known:
+        return
+    x, y = row[UAV.x], row[UAV.y]
+    if p.estimate:
+        row[UAV.detected], row[UAV.relative_x], row[UAV.relative_y] = 1.0, x - g_x, y - g_y
+        row[UAV.age] = s.kalman.numbers[k, u, AGE] * w.dt
+    if p.gradient:
+        u_x, u_y, size = coverage_gradient(
+            s.maps[k, u] if p.own_maps else s.batch.truth.coverage[k],
+            x,
+            y,
+            g_x,
+            g_y,
+            w.r_o,
+            w.desired,
+            w.sensor,
+            w.peak,
+            w.reach,
+            w.cell,
+        )
+        if size > 0.0:
+            row[GRADIENT_X], row[GRADIENT_Y] = u_x / size, u_y / size
+
+
+@inlined
+def _observe(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
+    """Everybody's row, and the UAVs' pictures."""
+    w, position, escorts = t.batch.world[0], s.batch.truth.position[k], t.batch.escorts
+    observe_rows(t.batch, s.batch, t.rows, s.rows, k)
+    if p.estimate or p.gradient:
+        for u in range(escorts.shape[0]):
+            _add_cues(p, t, s, k, u)
+    for u in range(s.patches.shape[1]):
+        x, y = position[escorts[u, 0], 0], position[escorts[u, 0], 1]
+        sample(
+            s.maps[k, u] if p.own_maps else s.batch.truth.coverage[k],
+            x,
+            y,
+            w.desired,
+            w.cell,
+            p.meters_per_pixel,
+            s.patches[k, u],
+        )
+
+
+@inlined
+def _note_obedience(t: LoopTables, s: LoopState, k: int, u: int, tick: int) -> None:
+    """Whether UAV u acted in this tick, which has just been flown, on the command that was due.
+
+    That is the one of as many ticks ago as is declared; before the first there is none, and nothing acts.
+    """
+    v, size, sent = t.batch.escorts[u, 0], t.delays[u] + 1, s.sent[k, u]
+    now, due, acting = tick % size, (tick + 1) % size, s.batch.truth.commands[k, v]
+    sent[now, 0], sent[now, 1] = s.batch.sent[k, v, U_X], s.batch.sent[k, v, U_Y]
+    same = sent[due, 0] == acting[0] and sent[due, 1] == acting[1]
+    s.rows.uavs[k, u, GUARD_METRICS.obeyed] = 1.0 if same else 0.0
+
+
+@inlined
+def _step(p: LoopParameters, t: LoopTables, s: LoopState, k: int, actions: FloatArray) -> None:
+    """Everybody answers, and world k advances by one tick."""
+    for v in range(t.rows.place.shape[0]):
+        if t.rows.place[v] >= 0:
+            _fly(p, t, s, k, v, t.rows.place[v], actions)
+        else:
+            _drive(p, t, s, k, v, -1 - t.rows.place[v], actions)
+    tick = s.batch.ticks[k]
+    world_tick(t.batch, s.batch, k, True)
+    for u in range(t.batch.escorts.shape[0]):
+        if t.guarded[u]:
+            _note_obedience(t, s, k, u, tick)
+
+
+@inlined
+def _fetch(p: LoopParameters, t: LoopTables, s: LoopState, k: int, part: int) -> None:
+    """Bring a quarter of what the next tick of world k will touch of its grid near the core; of no world if k < 0."""
+    if k < 0:
+        return
+    w, position, coverage = t.batch.world[0], s.batch.truth.position[k], s.batch.truth.coverage[k]
+    for u in range(t.batch.escorts.shape[0]):
+        a, g = t.batch.escorts[u, 0], t.batch.escorts[u, 1]
+        if p.error:
+            fetch_disc(coverage, position[g, 0], position[g, 1], w.cell, t.around, part, 4)
+        fetch_disc(coverage, position[a, 0], position[a, 1], w.cell, t.seen, part, 4)
+        if p.own_maps:
+            fetch_disc(s.maps[k, u], position[a, 0], position[a, 1], w.cell, t.seen, part, 4)
+
+
+@inlined
+def _fetch_rows(s: LoopState, k: int) -> None:
+    """Bring what every tick of world k needs beside the grid near the core; of no world if k < 0."""
+    if k < 0:
+        return
+    b, truth = s.batch, s.batch.truth
+    fetch_rows(
+        (
+            b.keys,
+            b.ticks,
+            b.received,
+            b.arrived,
+            truth.velocity,
+            truth.acceleration,
+            truth.commands,
+        ),
+        k,
+    )  # type: ignore[call-arg]
+    fetch_rows(
+        (truth.detections, truth.gains, truth.measures, s.kalman.numbers, s.rows.uavs, s.rows.ugvs),
+        k,
+    )
+    fetch_rows((s.laws, s.drivers, s.law_states, s.driver_states), k)
+    fetch_rows((b.sent, s.rows.terms, s.rows.rewards, s.rows.terminated, s.rows.truncated), k)
+
+
+@released
+def run_worlds(
+    p: LoopParameters,
+    t: LoopTables,
+    s: LoopState,
+    worlds: IntArray,
+    beginning: bool,
+    actions: FloatArray,
+    ticks: int,
+    begin: int,
+    end: int,
+) -> None:
+    """Begin these worlds, or fly each on for so many ticks or to the end of its episode.
+
+    World by world, so that a grid stays near its core for a whole flight. One function for all, as each compiles
+    for long.
+    """
+    for n in range(begin, end):
+        k = worlds[n]
+        after = (
+            worlds[n + 1] if n + 1 < end else -1
+        )  # while this world is computed, the next one's cells come
+        if beginning:
+            begin_world(t.batch, s.batch, k)
+        for tick in range(1 if beginning else ticks):
+            if not beginning:
+                if tick > 0 and (s.rows.terminated[k] or s.rows.truncated[k]):
+                    break
+                _fetch(p, t, s, after, 0)
+                _step(p, t, s, k, actions[k])
+            _fetch(p, t, s, after, 1)
+            _perceive(p, t, s, k)
+            _fetch(p, t, s, after, 2)
+            _fetch_rows(s, after)
+            truth = truth_of(s.batch.truth, k)
+            measure(
+                t.batch.world,
+                truth.position,
+                t.batch.escorts,
+                truth.coverage,
+                truth.measures,
+                p.error,
+            )
+            advance_rows(t.batch, s.batch, t.rows, s.rows, k, beginning)
+            _fetch(p, t, s, after, 3)
+            after = -1
+            over = s.rows.terminated[k] or s.rows.truncated[k]
+            if tick == ticks - 1 or over or beginning:
+                _observe(p, t, s, k)

@@ -1,0 +1,142 @@
+"""One vehicle, one world: a Gymnasium environment whose other vehicles fly and drive in the compiled loop.
+
+It is world 0 of `outrider.vector_env` bit for bit, but an episode that ends stays ended until `reset`.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium.error import ResetNeeded
+
+from outrider.envs.vector import Observation, Worlds
+from sim.env.actions import take_actions
+from sim.env.seeds import Seeds
+from sim.scenario.types import Scenario
+
+
+class SingleEnv(gymnasium.Env[Any, Any]):
+    """One vehicle learns; the others are flown and driven by the scenario's law and drivers, or by whom `others` names.
+
+    It draws no pictures: `outrider.parallel_env` with the same seed and actions is the same flight, and does.
+
+    Args:
+        scenario: A shipped name, a file, or a scenario.
+        agent: Who learns.
+        render_mode: None; there is no other.
+        settings: See `outrider.envs.vector.Worlds`.
+
+    Raises:
+        ScenarioError: If the scenario cannot be flown.
+        ValueError: If another argument is not allowed.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium has it
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario = "escort",
+        *,
+        agent: str = "uav_0",
+        render_mode: str | None = None,
+        **settings: Any,  # noqa: ANN401 - those of Worlds
+    ) -> None:
+        if render_mode is not None:
+            raise ValueError(
+                f"render_mode = {render_mode!r}; allowed: None; outrider.parallel_env draws the same flight"
+            )
+        self.worlds = Worlds(scenario, 1, [agent], **settings)
+        """The one world, and what is true of it."""
+        self.agent = agent
+        self.render_mode = None
+        self.observation_space = self.worlds.observation_spaces[agent]
+        self.action_space = self.worlds.action_spaces[agent]
+        self._action = np.zeros((1, 2))
+        self._over = True
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin an episode.
+
+        Args:
+            seed: Of all its random numbers. Without one, the first episode has the scenario's seed, and each later
+                one a seed derived from the last that was given and the number of episodes since.
+            options: Not used.
+
+        Returns:
+            Observation and info.
+
+        Raises:
+            ValueError: If the seed is not a whole number from 0 to 2**53 - 1; the episode before then goes on.
+        """
+        Seeds.check(seed)
+        super().reset(seed=seed)
+        self.worlds.reset([seed], None)
+        self._over = False
+        return self._observation(), self._info()
+
+    def step(self, action: npt.ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Let the vehicle act for one tick.
+
+        Args:
+            action: Acceleration [m/s²], two finite numbers.
+
+        Returns:
+            Observation, reward, whether the episode has terminated, whether it was truncated, and info.
+
+        Raises:
+            ResetNeeded: If no episode is going on.
+            ValueError: If the action is not two finite numbers; nothing has happened then.
+        """
+        if self._over:
+            when = (
+                "after the end of the episode: call reset() first"
+                if self.worlds.begun
+                else "before reset()"
+            )
+            raise ResetNeeded(f"step() {when}")
+        take_actions({self.agent: action}, [self.agent], self._action)
+        self._over = bool(self.worlds.step({self.agent: self._action})[0])
+        (terminated,), (truncated,) = (flags.tolist() for flags in self.worlds.ends())
+        return (
+            self._observation(),
+            float(self.worlds.rewards(self.agent)[0]),
+            terminated,
+            truncated,
+            self._info(),
+        )
+
+    def _observation(self) -> Observation:
+        seen = self.worlds.observe(self.agent)
+        return {key: array[0] for key, array in seen.items()} if isinstance(seen, dict) else seen[0]
+
+    def _info(self) -> dict[str, Any]:
+        """Facts of its own that are in no row, as plain numbers."""
+        return {
+            key: array[0].item()
+            for key, array in self.worlds.infos(self.agent).items()
+            if not key.startswith("_")
+        }
+
+    @property
+    def episode_seed(self) -> int:
+        """Of this episode's random numbers: `outrider run --seed` with it flies the same one."""
+        return self.worlds.episode_seeds[0]
+
+    def metrics(self) -> dict[str, dict[str, float]]:
+        """How each UAV truly stands in its episode: for people and logs, not for policies."""
+        return {
+            uav: {key: float(array[0]) for key, array in told.items()}
+            for uav, told in self.worlds.metrics().items()
+        }
+
+    def close(self) -> None:
+        """End the threads."""
+        self.worlds.loop.close()
+
+
+single_env = SingleEnv
+"""The environment under its usual name."""

@@ -1,0 +1,539 @@
+"""Many worlds at once for whoever trains: a Gymnasium vector environment for one vehicle, and one for all of them.
+
+`docs/reference/environment.md` says what a vehicle observes and is paid: it is the same here, bit for bit, as in
+`outrider.parallel_env`.
+An episode that ends begins anew in the same step (Gymnasium's SAME_STEP): the observation is the new episode's
+first one, and the last one of the old episode is in `infos["final_obs"]`.
+"""
+
+import operator
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, ClassVar
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from bus.layout import GradientCue, UavRow, bounds
+from bus.messages import LinkStatus
+from outrider.envs.closed_loop import ClosedLoop, pilot_names
+from outrider.envs.closed_loop_state import GUARD_METRICS
+from sim.engine.run_keys import check_secret
+from sim.env.actions import take_batch
+from sim.env.patch import CoveragePatch
+from sim.env.rewards import RewardWeights
+from sim.env.rows import UGV_METRICS
+from sim.env.seeds import Seeds
+from sim.env.spaces import action_space, box, observation_space
+from sim.kernels.compile import FloatArray
+from sim.scenario.checks import check_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
+
+Array = npt.NDArray[np.floating[Any]]
+Observation = Array | dict[str, Array]
+Policy = Callable[[Observation], npt.ArrayLike]
+"""The observations of one vehicle in all worlds in, its accelerations [m/s²] out, shape (num_envs, 2)."""
+
+
+def _checked_count(num_envs: int) -> int:
+    try:
+        count = operator.index(num_envs)
+    except TypeError:
+        count = 0
+    if count < 1:
+        raise ValueError(f"num_envs = {num_envs!r}: must be a whole number, 1 or more")
+    return count
+
+
+class Worlds:
+    """What both vector environments stand on.
+
+    The closed loop, its seeds, spaces, and the change from one episode to the next.
+
+    Args:
+        scenario: A shipped name, a file, or a scenario.
+        num_envs: How many worlds.
+        learners: Vehicles whose actions come from outside.
+        others: Who flies or drives the other vehicles: a law or driver by name, or a policy for all worlds at
+            once. By default the scenario's law and drivers.
+        duration: Length of an episode [s], instead of the scenario's.
+        rewards: What the vehicles are paid for.
+        end_on_sight_lost: Whether an episode terminates when a UAV loses sight.
+        end_on_goals_reached: Whether it terminates when every UGV that has goals has reached them all.
+        coverage_patch: As in `outrider.parallel_env`.
+        estimate: Whether a UAV observes the Kalman filter's estimate in the place of the raw detection.
+        gradient: Whether a UAV's row ends with `bus.layout.GradientCue`.
+        safety_filter: Whether the UAVs' actions go through the safety filter.
+        dtype: Of the observations.
+        threads: Processor cores that share the worlds.
+        secret: As in `outrider.parallel_env`.
+    """
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario,
+        num_envs: int,
+        learners: Sequence[str] | None,
+        *,
+        others: Mapping[str, str | Policy] | None = None,
+        duration: float | None = None,
+        rewards: RewardWeights | None = None,
+        end_on_sight_lost: bool = True,
+        end_on_goals_reached: bool = False,
+        coverage_patch: CoveragePatch | tuple[int, float] | None = None,
+        estimate: bool = False,
+        gradient: bool = False,
+        safety_filter: bool = False,
+        dtype: type[np.floating] = np.float64,
+        threads: int | None = None,
+        secret: str = "",
+    ) -> None:
+        self.num_envs = _checked_count(num_envs)
+        if dtype not in {np.float32, np.float64}:
+            raise ValueError(f"dtype = {dtype!r}; allowed: np.float32, np.float64")
+        loaded = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+        self.scenario = check_scenario(
+            loaded if duration is None else msgspec.structs.replace(loaded, duration=duration)
+        )
+        names = [vehicle.name for vehicle in self.scenario.vehicles]
+        self.learners = list(names if learners is None else learners)
+        for name in self.learners:
+            if name not in names:
+                raise ValueError(f"agent = {name!r}; allowed: {', '.join(names)}")
+        self._dtype = dtype
+        self._patch = None if coverage_patch is None else CoveragePatch(*coverage_patch)
+        if self._patch is not None:
+            self._patch.check()
+        given = dict(others or {})
+        self._policies = {
+            name: pilot for name, pilot in given.items() if not isinstance(pilot, str)
+        }
+        named = {name: pilot for name, pilot in given.items() if isinstance(pilot, str)}
+        self._check_others(given, named, names)
+        self._gradient = gradient
+        self._hands = [*self.learners, *self._policies]
+        self.loop = ClosedLoop(
+            self.scenario,
+            self.num_envs,
+            external=self._hands,
+            pilots=named,
+            rewards=rewards,
+            estimate=estimate,
+            gradient=gradient,
+            patch=self._patch,
+            safety_filter=safety_filter,
+            end_on_sight_lost=end_on_sight_lost,
+            end_on_goals_reached=end_on_goals_reached,
+            threads=threads,
+            secret=check_secret(secret),
+        )
+        """The worlds themselves."""
+        self._shielded = safety_filter
+        self._rows = {vehicle.name: k for k, vehicle in enumerate(self.scenario.vehicles)}
+        self.action_spaces = {v.name: action_space(v) for v in self.scenario.vehicles}
+        self.observation_spaces = {name: self._space(name, estimate=estimate) for name in names}
+        self._seeds = [Seeds(self.scenario.seed + k) for k in range(self.num_envs)]
+        self._actions: FloatArray = np.zeros((self.num_envs, len(self._hands), 2))
+        self._returns: FloatArray = np.zeros((self.num_envs, len(names)))
+        self.begun = False
+        """Whether there is an episode to step."""
+
+    def _check_others(
+        self, given: Mapping[str, object], named: Mapping[str, str], names: list[str]
+    ) -> None:
+        for name, pilot in given.items():
+            if name not in names:
+                raise ValueError(f"others: {name!r}: no such vehicle; allowed: {', '.join(names)}")
+            if name in self.learners:
+                raise ValueError(f"others: {name!r}: its actions come from outside already")
+            if name in named and named[name] not in pilot_names(self.scenario, name):
+                allowed = ", ".join(pilot_names(self.scenario, name))
+                raise ValueError(
+                    f"others: {name!r}: {pilot!r} is unknown; allowed: {allowed}, or a policy for all worlds at once"
+                )
+            if name not in named and not callable(pilot):
+                raise ValueError(f"others: {name!r}: {pilot!r} is neither a name nor a policy")
+
+    def _space(self, name: str, *, estimate: bool) -> spaces.Space[Any]:
+        vehicle = self.scenario.vehicles[self._rows[name]]
+        is_uav = name in self.loop.uavs
+        space = observation_space(self.scenario, vehicle, self._patch, self._dtype)
+        row = space.spaces["row"] if isinstance(space, spaces.Dict) else space
+        if is_uav and isinstance(row, spaces.Box):
+            low, high = row.low.tolist(), row.high.tolist()
+            if estimate:
+                for entry in ("relative_x", "relative_y"):
+                    place = UavRow._fields.index(entry)
+                    low[place], high[place] = -np.inf, np.inf
+            if self._gradient:
+                least, largest = bounds(GradientCue, {})
+                low, high = low + least, high + largest
+            row = box(low, high, self._dtype)
+        return spaces.Dict({**space.spaces, "row": row}) if isinstance(space, spaces.Dict) else row
+
+    def observe(self, name: str) -> Observation:
+        """What a vehicle observes in all worlds: new arrays, which nobody changes later."""
+        state = self.loop.state
+        if name in self.loop.ugvs:
+            return state.rows.ugv_rows[:, self.loop.ugvs.index(name)].astype(self._dtype)
+        u = self.loop.uavs.index(name)
+        width = len(UavRow._fields) + (len(GradientCue._fields) if self._gradient else 0)
+        row = state.rows.uav_rows[:, u, :width].astype(self._dtype)
+        return (
+            row
+            if self._patch is None
+            else {"row": row, "coverage": state.patches[:, u].astype(self._dtype)}
+        )
+
+    def infos(self, name: str) -> dict[str, Any]:
+        """Facts of a vehicle's own that are in no row, in all worlds, with Gymnasium's masks."""
+        found: dict[str, Any] = {}
+        if name in self.loop.ugvs:
+            found["goals_reached"] = self.loop.state.rows.ugvs[
+                :, self.loop.ugvs.index(name), UGV_METRICS.reached
+            ].astype(np.int64)
+        elif self._shielded and name in self._hands:
+            rows = self.loop.state.rows.uavs[:, self.loop.uavs.index(name)]
+            found["intervened"] = rows[:, GUARD_METRICS.acted] != 0.0
+            found["certified"] = rows[:, GUARD_METRICS.sure] != 0.0
+            found["certified_distance"] = rows[:, GUARD_METRICS.bound].copy()
+        return found | {f"_{key}": np.ones(self.num_envs, dtype=np.bool_) for key in found}
+
+    def reset(
+        self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None
+    ) -> None:
+        """Begin episodes: in all worlds, or in those of the boolean array `options["reset_mask"]`.
+
+        Raises:
+            ValueError: If there are not as many seeds as worlds, or a seed or the mask is not allowed.
+        """
+        mask = np.ones(self.num_envs, dtype=np.bool_)
+        if options is not None and options.get("reset_mask") is not None:
+            mask = np.asarray(options["reset_mask"])
+            if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+                raise ValueError(
+                    f"options['reset_mask']: must be {self.num_envs} booleans, at least one of them true"
+                )
+            if not self.begun and not mask.all():
+                raise ResetNeeded("reset() all worlds before a part of them")
+        seeds = self._given(seed)
+        which = np.flatnonzero(mask)
+        self._begin(which, [seeds[k] for k in which.tolist()])
+        self.begun = True
+
+    def _given(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, Sequence | np.ndarray):
+            if len(seed) != self.num_envs:
+                raise ValueError(f"{len(seed)} seeds for num_envs = {self.num_envs}")
+            return list(seed)
+        try:
+            first = operator.index(seed)
+        except TypeError:
+            raise ValueError(
+                f"seed = {seed!r}: must be a whole number, or one for each world"
+            ) from None
+        return [first + k for k in range(self.num_envs)]
+
+    def _begin(self, which: npt.NDArray[np.int64], seeds: Sequence[int | None]) -> None:
+        for seed in seeds:
+            Seeds.check(seed)
+        for k, seed in zip(which.tolist(), seeds, strict=True):
+            self._seeds[k].begin(seed)
+        self.loop.begin([self._seeds[k].current for k in which.tolist()], which)
+        self._returns[which] = 0.0
+
+    @property
+    def episode_seeds(self) -> list[int]:
+        """The seed of each world's episode: `outrider run --seed` with it flies the same one."""
+        return [seeds.current for seeds in self._seeds]
+
+    def step(self, actions: Mapping[str, npt.ArrayLike]) -> npt.NDArray[np.bool_]:
+        """All worlds advance by one tick; nothing has begun anew yet.
+
+        Args:
+            actions: Those of each learner, shape (num_envs, 2) [m/s²].
+
+        Returns:
+            Which episodes have ended.
+
+        Raises:
+            ResetNeeded: Before the first reset.
+            ValueError: If an action is missing, of nobody, or not two finite numbers for each world; nothing has
+                happened then.
+        """
+        if not self.begun:
+            raise ResetNeeded("step() before reset()")
+        if set(actions) != set(self.learners):
+            given = ", ".join(map(str, actions)) or "nobody"
+            raise ValueError(
+                f"actions for: {given}; needed is one for each of: {', '.join(self.learners)}"
+            )
+        taken = [take_batch(name, actions[name], self.num_envs) for name in self.learners]
+        taken += [
+            take_batch(name, policy(self.observe(name)), self.num_envs)
+            for name, policy in self._policies.items()
+        ]
+        for place, action in enumerate(taken):
+            self._actions[:, place] = action
+        self.loop.step(self._actions)
+        state = self.loop.state
+        self._returns += state.rows.rewards
+        ended: npt.NDArray[np.bool_] = (state.rows.terminated | state.rows.truncated) != 0
+        return ended
+
+    def rewards(self, name: str) -> FloatArray:
+        """Of the last tick. Shape (num_envs,)."""
+        return self.loop.state.rows.rewards[:, self._rows[name]].copy()
+
+    def ends(self) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+        """Which episodes have terminated, and which were truncated."""
+        state = self.loop.state
+        return state.rows.terminated != 0, state.rows.truncated != 0
+
+    def final(self, name: str, ended: npt.NDArray[np.bool_]) -> dict[str, Any]:
+        """The last observations and infos of the episodes that have ended, as Gymnasium's own vector environments give them."""
+        last, told = self.observe(name), self.infos(name)
+        observations = np.full(self.num_envs, None, dtype=object)
+        for k in np.flatnonzero(ended).tolist():
+            observations[k] = (
+                {key: array[k] for key, array in last.items()}
+                if isinstance(last, dict)
+                else last[k]
+            )
+        info = {key: value for key, value in told.items() if not key.startswith("_")}
+        info["episode"] = {
+            "r": np.where(ended, self._returns[:, self._rows[name]], 0.0),
+            "l": np.where(ended, self.loop.state.batch.ticks, 0),
+            "_r": ended.copy(),
+            "_l": ended.copy(),
+        }
+        final_info = info | {f"_{key}": ended.copy() for key in info}
+        return {
+            "final_obs": observations,
+            "_final_obs": ended.copy(),
+            "final_info": final_info,
+            "_final_info": ended.copy(),
+        }
+
+    def begin_ended(self, ended: npt.NDArray[np.bool_]) -> None:
+        """New episodes in these worlds, each with the seed that follows from its last one."""
+        which = np.flatnonzero(ended)
+        self._begin(which, [None] * len(which))
+
+    def metrics(self) -> dict[str, dict[str, FloatArray]]:
+        """How each UAV truly stands in its episode, in all worlds: for people and logs, not for policies."""
+        return {uav: self.loop.metrics(uav) for uav in self.loop.uavs}
+
+    def links(self, world: int) -> dict[str, LinkStatus]:
+        """How each link of one world has done so far, by `vehicle/kind`."""
+        return self.loop.links(world)
+
+
+class OutriderVectorEnv(VectorEnv):
+    """One vehicle learns in many worlds at once; the others fly and drive in the compiled loop.
+
+    World k, once reset with a seed, is bit for bit `outrider.parallel_env` with that seed, the same actions, and
+    the others' pilots. Arguments beside these are those of `Worlds`.
+
+    Args:
+        scenario: A shipped name, a file, or a scenario.
+        num_envs: How many worlds.
+        agent: Who learns.
+        settings: See `Worlds`.
+
+    Raises:
+        ScenarioError: If the scenario cannot be flown.
+        ValueError: If another argument is not allowed.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012 - as Gymnasium has it
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario = "escort",
+        *,
+        num_envs: int,
+        agent: str = "uav_0",
+        **settings: Any,  # noqa: ANN401 - those of Worlds
+    ) -> None:
+        self.worlds = Worlds(scenario, num_envs, [agent], **settings)
+        """The worlds, and what is true of them."""
+        self.agent = agent
+        self.num_envs = self.worlds.num_envs
+        self.single_observation_space = self.worlds.observation_spaces[agent]
+        self.single_action_space = self.worlds.action_spaces[agent]
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin an episode in every world.
+
+        Args:
+            seed: World k gets seed + k; or one seed for each. Without any, the first episodes have the scenario's
+                seed and those after it, and each later one a seed derived from the last that was given to its world.
+            options: `reset_mask`, booleans: which worlds.
+
+        Returns:
+            Observations and infos.
+        """
+        self.worlds.reset(seed, options)
+        return self.worlds.observe(self.agent), self.worlds.infos(self.agent)
+
+    def step(
+        self, actions: npt.ArrayLike
+    ) -> tuple[
+        Observation, FloatArray, npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]
+    ]:
+        """Let the vehicle act for one tick in every world.
+
+        Args:
+            actions: Accelerations [m/s²], finite. Shape (num_envs, 2).
+
+        Raises:
+            ResetNeeded: Before the first reset.
+            ValueError: If the actions are not two finite numbers for each world; nothing has happened then.
+        """
+        ended = self.worlds.step({self.agent: actions})
+        rewards, (terminated, truncated) = self.worlds.rewards(self.agent), self.worlds.ends()
+        final: dict[str, Any] = {}
+        if ended.any():
+            final = self.worlds.final(self.agent, ended)
+            self.worlds.begin_ended(ended)
+        return (
+            self.worlds.observe(self.agent),
+            rewards,
+            terminated,
+            truncated,
+            self.worlds.infos(self.agent) | final,
+        )
+
+    def metrics(self) -> dict[str, dict[str, FloatArray]]:
+        """How each UAV truly stands in its episode, in all worlds: for people and logs, not for policies."""
+        return self.worlds.metrics()
+
+    def close_extras(self, **_: Any) -> None:  # noqa: ANN401 - Gymnasium's
+        """End the threads."""
+        self.worlds.loop.close()
+
+
+class OutriderParallelVectorEnv:
+    """All vehicles learn, in many worlds at once.
+
+    PettingZoo's parallel interface with arrays that have an axis for worlds.
+
+    Args:
+        scenario: A shipped name, a file, or a scenario.
+        num_envs: How many worlds.
+        agents: Who learns; by default everybody.
+        settings: See `Worlds`.
+
+    Raises:
+        ScenarioError: If the scenario cannot be flown.
+        ValueError: If another argument is not allowed.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "name": "outrider_v0",
+        "render_modes": [],
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+    }
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario = "escort",
+        *,
+        num_envs: int,
+        agents: Sequence[str] | None = None,
+        **settings: Any,  # noqa: ANN401 - those of Worlds
+    ) -> None:
+        self.worlds = Worlds(scenario, num_envs, agents, **settings)
+        """The worlds, and what is true of them."""
+        self.num_envs = self.worlds.num_envs
+        self.possible_agents = self.worlds.learners
+        self.agents = list(self.possible_agents)
+
+    def observation_space(self, agent: str) -> spaces.Space[Any]:
+        """The space of an agent's observation in one world."""
+        return self.worlds.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Space[Any]:
+        """The space of an agent's action in one world."""
+        return self.worlds.action_spaces[agent]
+
+    def reset(
+        self,
+        seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
+        """Begin an episode in every world; arguments as in `OutriderVectorEnv.reset`."""
+        self.worlds.reset(seed, options)
+        return self._observations(), {name: self.worlds.infos(name) for name in self.agents}
+
+    def _observations(self) -> dict[str, Observation]:
+        return {name: self.worlds.observe(name) for name in self.agents}
+
+    def step(
+        self, actions: Mapping[str, npt.ArrayLike]
+    ) -> tuple[
+        dict[str, Observation],
+        dict[str, FloatArray],
+        dict[str, npt.NDArray[np.bool_]],
+        dict[str, npt.NDArray[np.bool_]],
+        dict[str, dict[str, Any]],
+    ]:
+        """Let all vehicles act for one tick in every world.
+
+        Args:
+            actions: An array of accelerations [m/s²] for each agent, shape (num_envs, 2).
+
+        Returns:
+            Observations, rewards, terminations, truncations and infos by agent; all agents of a world end together.
+
+        Raises:
+            ResetNeeded: Before the first reset.
+            ValueError: If an agent's actions are missing or not two finite numbers for each world; nothing has
+                happened then.
+        """
+        ended = self.worlds.step(actions)
+        rewards, (terminated, truncated) = (
+            {name: self.worlds.rewards(name) for name in self.agents},
+            self.worlds.ends(),
+        )
+        final: dict[str, dict[str, Any]] = {name: {} for name in self.agents}
+        if ended.any():
+            final = {name: self.worlds.final(name, ended) for name in self.agents}
+            self.worlds.begin_ended(ended)
+        return (
+            self._observations(),
+            rewards,
+            {name: terminated.copy() for name in self.agents},
+            {name: truncated.copy() for name in self.agents},
+            {name: self.worlds.infos(name) | final[name] for name in self.agents},
+        )
+
+    def metrics(self) -> dict[str, dict[str, FloatArray]]:
+        """How each UAV truly stands in its episode, in all worlds: for people and logs, not for policies."""
+        return self.worlds.metrics()
+
+    def close(self) -> None:
+        """End the threads."""
+        self.worlds.loop.close()
+
+
+vector_env = OutriderVectorEnv
+"""The environment of one learner under its usual name."""
+parallel_vector_env = OutriderParallelVectorEnv
+"""The environment of many learners under its usual name."""

@@ -1,0 +1,1 @@
+"""Figures, claims, sweeps, reports, searches for a violation, and the suite."""

@@ -1,0 +1,257 @@
+"""The compiled attack on the certificate, over its whole grid and on all cores; and laws that it must catch."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from agents.control.handover import Promise
+from agents.control.visibility import raw_switching_radius
+from outrider.experiments.falsify import attack
+from outrider.experiments.falsify.attack import Conditions
+from outrider.experiments.falsify.pool import Workers
+from outrider.experiments.falsify.search import Budget
+from sim.kernels.compile import compiling
+
+CONTROLS = {
+    "tracking": attack.SWITCH_TRACKING,
+    "argmin": attack.SWITCH_BEST,
+    "paper-radius": attack.SWITCH_SERVO,
+    "switching": attack.PAPER,
+}
+"""Guards that are known to be wrong.
+
+Beyond the specification's radius of d_cert tracking (15), or full speed to the detection
+with the least bound; full speed to the newest one beyond a radius that does not know the delay; the paper's law
+(18)."""
+
+_CHUNK = 8
+"""Runs of a task, after the first round with one for each combination."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Attacked:
+    """The outcome of a few runs of one combination."""
+
+    eps: float
+    """Largest error of a detection [m]."""
+    bounds: dict[str, float]
+    """Of the vehicles and the tick, where they are not the paper's."""
+    conditions: Conditions
+    duration: float
+    """Of each run [s]."""
+    runs: int
+    violations: int
+    """Runs with a certified tick in which the distance reaches r_v, or, where nothing certifies, with any such tick."""
+    broken: int
+    """Runs in which the certificate was lost although its assumptions held."""
+    lost: int
+    """Runs with a distance of r_v or more."""
+    uncertified: int
+    """Runs with a tick that was not certified."""
+    uncertified_share: float
+    """Sum of the runs' shares of such ticks."""
+    worst_run: int
+    worst_distance: float
+    """[m]"""
+    excess: float
+    """Largest distance less the certified one [m]; above 0 the bound is none."""
+
+    @property
+    def worst_share(self) -> float:
+        """The largest distance as a share of r_v."""
+        return self.worst_distance / self.conditions.r_v
+
+
+def kind(conditions: Conditions) -> str:
+    """Names the place and the disturbance that breaks A5."""
+    breaks = attack.DISTURBANCES[conditions.disturbance].replace("_", " ")
+    if conditions.jitter:
+        breaks = "jitter and duplicates" if conditions.duplicates else "jitter"
+    elif conditions.duplicates:
+        breaks = "duplicates"
+    return f"{attack.AREAS[conditions.area]}, {'A5 kept' if breaks == 'none' else breaks}"
+
+
+@dataclass(slots=True)
+class KindTally:
+    """Counts of one place with one disturbance."""
+
+    runs: int = 0
+    violations: int = 0
+    broken: int = 0
+    lost: int = 0
+    uncertified: float = 0.0
+    """Sum of the runs' shares of ticks that were not certified."""
+
+
+@dataclass(slots=True)
+class AttackTally:
+    """Counts of a search so far."""
+
+    runs: int = 0
+    combinations: int = 0
+    """Of network and error; each is flown with other adversaries in every run."""
+    violations: int = 0
+    broken: int = 0
+    lost: int = 0
+    uncertified: int = 0
+    worst: Attacked | None = None
+    excess: float = -math.inf
+    kinds: dict[str, KindTally] = field(default_factory=dict)
+    """By `kind`."""
+
+    def take(self, found: Attacked, *, new: bool) -> None:
+        """Count a task."""
+        one = self.kinds.setdefault(kind(found.conditions), KindTally())
+        one.uncertified += found.uncertified_share
+        for tally in (self, one):
+            tally.runs += found.runs
+            tally.violations += found.violations
+            tally.broken += found.broken
+            tally.lost += found.lost
+        self.combinations += new
+        self.uncertified += found.uncertified
+        self.excess = max(self.excess, found.excess)
+        if self.worst is None or found.worst_share > self.worst.worst_share:
+            self.worst = found
+
+
+def warm() -> None:
+    """Compile, or load what another process has compiled."""
+    conditions = Conditions()
+    with compiling():
+        attack.attack(attack.declared(conditions, 0.0), conditions, 0, 0, 1, 1.0)
+
+
+def _guarded(control: str | None, promise: Promise, conditions: Conditions) -> Conditions:
+    """The same conditions with the guard that is to be caught."""
+    if control is None:
+        return conditions
+    bounds = attack.PAPER_BOUNDS
+    radius = attack.spec_radius(promise, with_latency=control != "paper-radius")
+    if control == "switching":
+        radius = float(
+            raw_switching_radius(bounds["r_v"], bounds["v_a"], bounds["v_g"], bounds["u_a"])
+        )
+    return conditions._replace(law=CONTROLS[control], radius=radius)
+
+
+def fly_attack(
+    promise: Promise, conditions: Conditions, seed: int, first: int, runs: int, duration: float
+) -> Attacked:
+    """A few runs of one combination; for a worker. Arguments as in `outrider.experiments.falsify.attack.attack`."""
+    rows = attack.attack(promise, conditions, seed, first, runs, duration)
+    lost, uncertified = (
+        rows[:, attack.MAX_DISTANCE] >= conditions.r_v,
+        rows[:, attack.UNCERTIFIED] > 0.0,
+    )
+    certifies = conditions.law == attack.FILTER
+    distance = rows[:, attack.MAX_CERTIFIED if certifies else attack.MAX_DISTANCE]
+    violated = rows[:, attack.CERTIFIED_LOST] > 0.0 if certifies else lost
+    worst = int(np.argmax(distance / conditions.r_v))
+    return Attacked(
+        eps=promise.eps,
+        bounds={
+            name: getattr(promise, name)
+            for name in ("v_a", "u_a", "v_g", "dt")
+            if getattr(promise, name) != attack.PAPER_BOUNDS[name]
+        },
+        conditions=conditions,
+        duration=duration,
+        runs=runs,
+        violations=int(np.sum(violated)),
+        broken=int(np.sum(rows[:, attack.BROKEN] > 0.0)),
+        lost=int(np.sum(lost)),
+        uncertified=int(np.sum(uncertified)),
+        uncertified_share=float(np.sum(rows[:, attack.UNCERTIFIED])),
+        worst_run=first + worst,
+        worst_distance=float(distance[worst]),
+        excess=float(rows[:, attack.MAX_EXCESS].max()),
+    )
+
+
+def _calls(
+    control: str | None, eps: float | None, seed: int, runs: int | None, duration: float
+) -> Iterator[tuple[Promise, Conditions, int, int, int, float]]:
+    """Every combination once, then again and again with more runs, as many as are asked for."""
+    left = math.inf if runs is None else runs
+    grid: list[tuple[Promise, Conditions]] = []
+
+    def length(promise: Promise) -> float:
+        return duration * max(1.0, promise.dt / attack.PAPER_BOUNDS["dt"])
+
+    for promise, conditions in attack.grid():
+        if left <= 0:
+            return
+        if eps is None or promise.eps == eps:
+            grid.append((promise, _guarded(control, promise, conditions)))
+            left -= 1
+            yield *grid[-1], seed, 0, 1, length(promise)
+    first = 1
+    while grid:
+        for promise, conditions in grid:
+            if left <= 0:
+                return
+            count = int(min(_CHUNK, left))
+            left -= count
+            yield promise, conditions, seed, first, count, length(promise)
+        first += _CHUNK
+
+
+def run_attack(
+    workers: Workers,
+    budget: Budget,
+    tally: AttackTally,
+    *,
+    control: str | None = None,
+    eps: float | None = None,
+    seed: int = 1,
+    duration: float = 200.0,
+    first: bool = False,
+    on_task: Callable[[], None] = lambda: None,
+) -> None:
+    """Attack until the budget is used up.
+
+    Args:
+        workers: Who fly.
+        budget: How much.
+        tally: What is found, counted as it comes.
+        control: Instead of the filter a guard that is known to be wrong, a row of `CONTROLS`.
+        eps: Only this error [m].
+        seed: Of all draws.
+        duration: Of each run [s]; longer where a tick is longer than the paper's, so that no run has fewer ticks.
+        first: Whether the first violation is enough.
+        on_task: Is told after every few runs.
+    """
+
+    def ends() -> bool:
+        return budget.ends() or (first and tally.violations > 0)
+
+    for found in workers.stream(
+        fly_attack, _calls(control, eps, seed, budget.runs, duration), ends
+    ):
+        tally.take(found, new=found.runs == 1 and tally.runs == tally.combinations)
+        on_task()
+
+
+def again(found: Attacked, seed: int) -> str:
+    """The worst run as a line of Python that flies it again."""
+    changed = {
+        name: value
+        for name, value in found.conditions._asdict().items()
+        if value != Conditions._field_defaults[name]
+    }
+    changed = {
+        name: value
+        for name, value in changed.items()
+        if name not in ("law", "radius") or found.conditions.law
+    }
+    told = ", ".join(
+        f"{name}=math.inf" if value == math.inf else f"{name}={value!r}"
+        for name, value in changed.items()
+    )
+    conditions = f"c = a.Conditions({told})"
+    bounds = "".join(f", {name}={value!r}" for name, value in found.bounds.items())
+    return f"{conditions}; a.attack(a.declared(c, {found.eps!r}{bounds}), c, {seed}, {found.worst_run}, 1, {found.duration!r})[0]"

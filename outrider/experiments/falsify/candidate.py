@@ -1,0 +1,121 @@
+"""One candidate flown, and whether it broke the promise."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from bus.registry import LAWS
+from outrider.experiments.falsify.adversary import fly_adversary
+from outrider.experiments.falsify.genome import Candidate, decode, tactics_of, with_script
+from outrider.experiments.falsify.limits import SearchLimits
+from outrider.running.flying import fly
+from sim.scenario.types import Scenario
+from sim.server.flight import Flight
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CandidateResult:
+    """The outcome of a run."""
+
+    number: int
+    score: float
+    """Largest distance while the promise stood [m]."""
+    max_distance: float
+    """Largest distance of the whole run [m]."""
+    violated: bool
+    """Whether the UGV was lost while the promise stood."""
+    lost: bool
+    """Whether it was lost at all."""
+    uncertified: bool
+    """Whether the law certifies, and did not certify every tick from the first certified one on."""
+    certified_while_lost: int = 0
+    """Ticks that were certified although the UGV was out of sight then; any is a violation."""
+    certificate_broken: int = 0
+    """Ticks that were not certified although the one before was and all assumptions held."""
+
+
+_WHILE = 1.0
+"""After an uncertified tick a promise counts again once it has stood for so long and for the commands' delay [s]."""
+
+
+class _Watch:
+    """At which ticks sight was certified to be kept from there on."""
+
+    def __init__(self, ticks: int) -> None:
+        self.certified = np.zeros(ticks, dtype=np.bool_)
+
+    def see(self, flight: Flight) -> None:
+        report = flight.reports[0]
+        self.certified[flight.world.tick - 1] = report is not None and bool(report.certified)
+
+
+def promised(certified: npt.NDArray[np.bool_], patience: int) -> npt.NDArray[np.bool_]:
+    """At which states the promise stands.
+
+    Without a gap since the run's first certified tick, or for long enough since a gap.
+
+    Args:
+        certified: Of each tick whether sight was certified from there on.
+        patience: How many ticks are long enough.
+
+    Returns:
+        Of each state, one more than ticks.
+    """
+    stands = np.zeros(len(certified) + 1, dtype=np.bool_)
+    length, gaps = 0, 0
+    for tick, holds in enumerate(certified.tolist()):
+        gaps += length > 0 and not holds
+        length = length + 1 if holds else 0
+        stands[tick + 1] = length > (patience if gaps else 0)
+    return stands
+
+
+def flown(
+    candidate: Candidate, base: Scenario, limits: SearchLimits
+) -> tuple[Scenario, Flight, CandidateResult]:
+    """Fly a candidate.
+
+    Args:
+        candidate: What is flown.
+        base: What all candidates have in common.
+        limits: Within what is searched.
+
+    Returns:
+        The scenario that flies the same by itself, the flight, and what came out.
+    """
+    scenario = decode(candidate, base, limits)
+    watch = _Watch(scenario.ticks)
+    if candidate.kind == "adversary":
+        flight, script = fly_adversary(scenario, tactics_of(candidate.vector, scenario), watch.see)
+        scenario = with_script(scenario, script)
+    else:
+        flight, _ = fly(scenario, scenario.seed, on_tick=watch.see)
+    distance = flight.recorder.escorts[:, 0, 0]
+    certifies = LAWS[scenario.law.name].watched
+    patience = math.ceil((_WHILE + scenario.links.commands.delay) / scenario.dt)
+    stands = (
+        promised(watch.certified, patience) if certifies else np.ones(len(distance), dtype=np.bool_)
+    )
+    stands[:-1] |= (
+        watch.certified
+    )  # whatever has been before, a certified tick says that the UGV is in sight
+    lost = distance >= scenario.visibility.radius
+    result = CandidateResult(
+        number=candidate.number,
+        score=float(distance[stands].max(initial=0.0)),
+        max_distance=float(distance.max()),
+        violated=bool(np.any(lost & stands)),
+        lost=bool(np.any(lost)),
+        uncertified=certifies
+        and not bool(np.all(watch.certified[int(watch.certified.argmax()) :])),
+        certified_while_lost=flight.assurance.certified_while_lost,
+        certificate_broken=flight.assurance.certificate_broken,
+    )
+    return scenario, flight, result
+
+
+def fly_candidate(candidate: Candidate, base: Scenario, limits: SearchLimits) -> CandidateResult:
+    """Fly a candidate; for a worker."""
+    return flown(candidate, base, limits)[2]

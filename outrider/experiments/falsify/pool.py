@@ -1,0 +1,113 @@
+"""All cores: worker processes that answer in the order in which they were asked, and end with their parent."""
+
+import multiprocessing
+import os
+import signal
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+from bus.errors import PeerLost
+from outrider.running.watchdog import end_with_parent, interrupts_masked
+
+_Result = TypeVar("_Result")
+
+_AHEAD = 3
+"""Tasks a worker that are under way."""
+_LOOK = 0.1
+"""So often somebody looks whether the search is to end [s]."""
+
+
+def _begin(parent: int, warm: Callable[[], None]) -> None:
+    """In a worker: leave Ctrl-C, which a terminal sends to all, to the parent.
+
+    End when it has gone, however it went.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent(parent)
+    warm()
+
+
+class Workers:
+    """Processes that fly; with one job everything is flown in this process.
+
+    Args:
+        jobs: How many.
+        warm: What each does first.
+    """
+
+    def __init__(self, jobs: int, warm: Callable[[], None]) -> None:
+        self._jobs = jobs
+        self._pool: ProcessPoolExecutor | None = None
+        if jobs == 1:
+            warm()
+        else:
+            spawned = multiprocessing.get_context("spawn")
+            self._pool = ProcessPoolExecutor(
+                jobs, mp_context=spawned, initializer=_begin, initargs=(os.getpid(), warm)
+            )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def stream(
+        self,
+        function: Callable[..., _Result],
+        calls: Iterable[tuple[Any, ...]],
+        ends: Callable[[], bool],
+    ) -> Iterator[_Result]:
+        """The results of these calls, in order.
+
+        Args:
+            function: Of a module, so that workers find it.
+            calls: Its arguments.
+            ends: Whether to stop; what is finished by then still comes.
+
+        Raises:
+            PeerLost: If a worker dies.
+        """
+        if self._pool is None:
+            yield from (function(*call) for call in calls if not ends())
+            return
+        try:
+            yield from self._answers(self._pool, function, iter(calls), ends)
+        except BrokenProcessPool as error:
+            raise PeerLost("a worker process died; out of memory? (fewer --jobs)") from error
+
+    def _answers(
+        self,
+        pool: ProcessPoolExecutor,
+        function: Callable[..., _Result],
+        calls: Iterator[tuple[Any, ...]],
+        ends: Callable[[], bool],
+    ) -> Iterator[_Result]:
+        asked: deque[Future[_Result]] = deque()
+        while True:
+            while len(asked) < _AHEAD * self._jobs and not ends():
+                call = next(calls, None)
+                if call is None:
+                    break
+                with interrupts_masked():
+                    asked.append(pool.submit(function, *call))
+            if not asked:
+                return
+            while not asked[0].done() and not ends():
+                wait((asked[0],), timeout=_LOOK)
+            if ends():
+                yield from (
+                    future.result() for future in asked if not future.cancel() and future.done()
+                )
+                return
+            yield asked.popleft().result()

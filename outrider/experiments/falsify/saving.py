@@ -1,0 +1,99 @@
+"""A scenario as TOML that loads as the same scenario, to the last bit."""
+
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from bus.messages import LinkSettings
+from sim.scenario.types import LinkTable, Scenario
+
+_WIDTH = 120
+
+
+def _value(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return "inf" if value == math.inf else repr(value)
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{key} = {_value(part)}' for key, part in value.items())} }}"
+    if isinstance(value, list | tuple):
+        flat = f"[{', '.join(_value(part) for part in value)}]"
+        return (
+            flat
+            if len(flat) <= _WIDTH
+            else "[\n{}]".format("".join(f"    {_value(part)},\n" for part in value))
+        )
+    return str(value)
+
+
+def _changed(settings: LinkSettings) -> dict[str, Any]:
+    """The settings in which a link differs from a perfect one."""
+    plain = msgspec.to_builtins(settings)
+    return {
+        key: value
+        for key, value in plain.items()
+        if value != msgspec.to_builtins(LinkSettings())[key]
+    }
+
+
+def _links(links: LinkTable) -> Iterator[str]:
+    kinds = [name for name in links.__struct_fields__ if name != "only"]
+    for kind in kinds:
+        settings = _changed(getattr(links, kind))
+        if settings:
+            yield from _table(f"[links.{kind}]", settings)
+    for own in links.only:
+        yield f'[[links.only]]\nvehicle = "{own.vehicle}"'
+        for kind in kinds:  # fields that are not written are as everybody's
+            mine, theirs = (msgspec.to_builtins(getattr(table, kind)) for table in (own, links))
+            differs = {key: value for key, value in mine.items() if value != theirs[key]}
+            if differs:
+                yield f"{kind} = {_value(differs)}"
+        yield ""
+
+
+def _table(head: str, fields: dict[str, Any]) -> Iterator[str]:
+    yield head
+    yield from (f"{key} = {_value(value)}" for key, value in fields.items() if value is not None)
+    yield ""
+
+
+def as_toml(scenario: Scenario, comments: list[str]) -> str:
+    """The scenario's text; all is written out but links that do nothing.
+
+    Args:
+        scenario: Checked.
+        comments: Lines at its head.
+    """
+    plain: dict[str, Any] = msgspec.to_builtins(scenario)
+    links, tables = (
+        plain.pop("links"),
+        {key: plain.pop(key) for key, value in [*plain.items()] if isinstance(value, dict)},
+    )
+    vehicles = {key: plain.pop(key) for key in ("uav", "ugv")}
+    lines = [f"# {' '.join(line.split())}" for line in comments]
+    lines += _table("", plain)
+    for name, table in tables.items():
+        lines += _table(f"[{name}]", table)
+    if links:
+        lines += _links(scenario.links)
+    for name, rows in vehicles.items():
+        for row in rows:
+            lines += _table(f"[[{name}]]", row)
+    return "\n".join(lines)
+
+
+def free_path(law: str) -> Path:
+    """A file that is not there yet."""
+    path, taken = Path(f"counterexample-{law}.toml"), 1
+    while path.exists():
+        taken += 1
+        path = Path(f"counterexample-{law}-{taken}.toml")
+    return path

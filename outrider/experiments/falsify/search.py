@@ -1,0 +1,249 @@
+"""The search over scenarios.
+
+What the proofs fear, what chance finds, and from the best of it CMA-ES on the largest distance.
+
+Which candidates are flown depends on the seed and on the results in their order, not on how many processes fly them.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from itertools import islice
+from typing import Any
+
+import numpy as np
+
+from agents.process import warm_up as warm_up_pilot
+from bus.errors import ScenarioError
+from bus.keys import Role
+from outrider.experiments.falsify import EXTRA
+from outrider.experiments.falsify.candidate import CandidateResult, fly_candidate
+from outrider.experiments.falsify.genome import SIZES, Candidate, proof_cases
+from outrider.experiments.falsify.limits import SearchLimits
+from outrider.experiments.falsify.pool import Workers
+from sim.kernels.compile import compiling
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
+from sim.server.flight import warm_up
+
+_EXPLORED = 0.35
+"""Share of the budget after which the best is improved."""
+_ISLANDS, _POPULATION = 2, 16
+_SPREAD, _NEW_SPREAD = 0.15, 0.3
+"""Standard deviation of the first generation, and of the first after a search that has come to its end."""
+_ELITE = 8
+
+
+def check_extra() -> None:
+    """Refuse to begin without CMA-ES.
+
+    Raises:
+        ScenarioError: With the command that installs it.
+    """
+    if find_spec("cma") is None:
+        raise ScenarioError(f"cma is missing: pip install '{EXTRA}'")
+
+
+def warm() -> None:
+    """Compile, or load what another process has compiled."""
+    with compiling():
+        warm_up(load_scenario())
+        for role in (Role.UAV, Role.UGV):
+            warm_up_pilot(role)
+
+
+class Budget:
+    """The amount that may be flown: runs, time, or both, whichever ends first.
+
+    Args:
+        runs: None: no limit.
+        seconds: Of wall time; None: no limit.
+        asked: Whether somebody wants the end.
+    """
+
+    def __init__(
+        self, runs: int | None, seconds: float | None, asked: Callable[[], bool] = lambda: False
+    ) -> None:
+        self.runs, self._seconds, self._asked = runs, seconds, asked
+        self._began = time.monotonic()
+
+    @property
+    def elapsed(self) -> float:
+        """Since it began [s]."""
+        return time.monotonic() - self._began
+
+    def share(self, runs: int) -> float:
+        """The share of it that is used up after so many runs."""
+        of_runs = runs / self.runs if self.runs else 0.0
+        return max(of_runs, self.elapsed / self._seconds if self._seconds else 0.0)
+
+    def ends(self) -> bool:
+        """Whether to stop at once: the time is over, or somebody wants the end."""
+        return self._asked() or (self._seconds is not None and self.elapsed >= self._seconds)
+
+    def left(self, runs: int) -> int | None:
+        """Runs that are left; None: as many as one likes."""
+        return None if self.runs is None else max(0, self.runs - runs)
+
+
+@dataclass(slots=True)
+class Tally:
+    """Counts of a search so far."""
+
+    runs: int = 0
+    violations: int = 0
+    """Runs in which the UGV was lost while the promise stood."""
+    lost: int = 0
+    """Runs in which it was lost at all."""
+    uncertified: int = 0
+    """Runs in which a filter did not certify every tick."""
+    certified_while_lost: int = 0
+    """Ticks of all runs that were certified although the UGV was out of sight."""
+    certificate_broken: int = 0
+    """Ticks of all runs that were not certified although the one before was and all assumptions held."""
+    elite: list[tuple[Candidate, CandidateResult]] = field(default_factory=list)
+    """The best, by the largest distance while the promise stood."""
+
+    @property
+    def worst(self) -> float:
+        """The largest distance while the promise stood [m]; 0 before the first run."""
+        return self.elite[0][1].score if self.elite else 0.0
+
+    def take(self, candidate: Candidate, result: CandidateResult) -> None:
+        """Count a run."""
+        self.runs += 1
+        self.violations += result.violated
+        self.lost += result.lost
+        self.uncertified += result.uncertified
+        self.certified_while_lost += result.certified_while_lost
+        self.certificate_broken += result.certificate_broken
+        self.elite.append((candidate, result))
+        self.elite.sort(key=lambda pair: (-pair[1].score, pair[0].number))
+        del self.elite[_ELITE:]
+
+
+def _chances(seed: int) -> Iterator[tuple[str, tuple[float, ...], int]]:
+    """Kind, vector and seed of what is tried first: the proofs' cases, then at random, one kind after the other."""
+    random = np.random.default_rng((seed, 0))
+    for case in proof_cases():
+        yield "adversary", tuple(case), int(random.integers(2**31))
+    while True:
+        for kind, size in SIZES.items():
+            yield kind, tuple(random.random(size).tolist()), int(random.integers(2**31))
+
+
+class _Island:
+    """CMA-ES from one candidate on; its runs draw the same noise, so that what is compared is comparable."""
+
+    def __init__(self, parent: Candidate, seed: int, number: int, spread: float) -> None:
+        import cma  # noqa: PLC0415 - an extra
+
+        self._random = np.random.default_rng((seed, 1, number))
+        self.kind = parent.kind
+        self.seed = parent.seed if spread == _SPREAD else int(self._random.integers(2**31))
+        options = {
+            "bounds": [0.0, 1.0],
+            "popsize": _POPULATION,
+            "randn": lambda *shape: self._random.standard_normal(shape),
+            "seed": math.nan,  # leaves NumPy's own random numbers alone
+            "verbose": -9,
+            "verb_log": 0,
+        }
+        self._strategy: Any = cma.CMAEvolutionStrategy(list(parent.vector), spread, options)
+
+    @property
+    def over(self) -> bool:
+        """Whether it finds nothing better any more."""
+        return bool(self._strategy.stop())
+
+    def ask(self) -> list[tuple[str, tuple[float, ...], int]]:
+        """The next generation."""
+        self._asked = self._strategy.ask()
+        return [
+            (self.kind, tuple(float(min(max(x, 0.0), 1.0)) for x in vector), self.seed)
+            for vector in self._asked
+        ]
+
+    def tell(self, scores: list[float]) -> None:
+        """Tell how far the UGV came in each [m]."""
+        self._strategy.tell(self._asked, [-score for score in scores])
+
+
+class Search:
+    """One search.
+
+    Args:
+        base: What all candidates have in common.
+        limits: Within what is searched.
+        seed: Of the search.
+        tally: What is found, counted as it comes.
+        first: Whether the first violation is enough.
+    """
+
+    def __init__(
+        self, base: Scenario, limits: SearchLimits, seed: int, *, tally: Tally, first: bool = False
+    ) -> None:
+        self._base, self._limits, self._seed, self._first = base, limits, seed, first
+        self.tally = tally
+        self._number = 0
+        self._begun = 0
+
+    def run(
+        self, workers: Workers, budget: Budget, on_run: Callable[[], None] = lambda: None
+    ) -> None:
+        """Search until the budget is used up.
+
+        Args:
+            workers: Who fly.
+            budget: How much.
+            on_run: Is told after every run.
+        """
+        tally, chances, size = self.tally, _chances(self._seed), _ISLANDS * _POPULATION
+        cases = len(proof_cases())
+        islands: list[_Island] = []
+
+        def ends() -> bool:
+            return budget.ends() or (self._first and tally.violations > 0)
+
+        while not ends() and budget.left(tally.runs) != 0:
+            explores = tally.runs < cases or budget.share(tally.runs) < _EXPLORED
+            if not explores:
+                islands = self._islands(islands)
+            wanted = (
+                list(islice(chances, size))
+                if explores
+                else [one for island in islands for one in island.ask()]
+            )
+            batch = [self._candidate(*one) for one in wanted][: budget.left(tally.runs)]
+            flown = {candidate.number: candidate for candidate in batch}
+            results: list[CandidateResult] = []
+            for result in workers.stream(
+                fly_candidate, ((one, self._base, self._limits) for one in batch), ends
+            ):
+                tally.take(flown[result.number], result)
+                results.append(result)
+                on_run()
+            if not explores and len(results) == size:
+                for k, island in enumerate(islands):
+                    island.tell(
+                        [
+                            result.score
+                            for result in results[k * _POPULATION : (k + 1) * _POPULATION]
+                        ]
+                    )
+
+    def _candidate(self, kind: str, vector: tuple[float, ...], seed: int) -> Candidate:
+        self._number += 1
+        return Candidate(number=self._number - 1, kind=kind, vector=vector, seed=seed)
+
+    def _islands(self, islands: list[_Island]) -> list[_Island]:
+        """Those that still find something, and new ones in the place of the others."""
+        if islands:
+            return [self._island(0, _NEW_SPREAD) if island.over else island for island in islands]
+        return [self._island(min(k, len(self.tally.elite) - 1), _SPREAD) for k in range(_ISLANDS)]
+
+    def _island(self, rank: int, spread: float) -> _Island:
+        self._begun += 1
+        return _Island(self.tally.elite[rank][0], self._seed, self._begun, spread)

@@ -1,0 +1,75 @@
+"""A counterexample in words."""
+
+import math
+
+from sim.scenario.types import Scenario
+from sim.server.flight import Flight
+
+
+def _start(scenario: Scenario) -> str:
+    uav, ugv = scenario.uav[0], scenario.ugv[0]
+    v_a, v_g = math.hypot(*uav.velocity), math.hypot(*ugv.velocity)
+    speeds = f"the UAV flies at {v_a:.2f} m/s, the UGV drives at {v_g:.2f} m/s"
+    if uav.velocity == ugv.velocity == (0.0, 0.0):
+        speeds = "both at rest"
+    return f"It starts {math.dist(uav.position, ugv.position):.2f} m apart, {speeds}."
+
+
+def _network(scenario: Scenario) -> str:
+    links, noise = scenario.links, scenario.detections.noise
+    looks, parts = links.detections, []
+    if noise:
+        parts.append(f"errors of up to {noise * scenario.noise_cut:.2f} m in the detections")
+    if looks.delay or looks.jitter:
+        parts.append(f"detections up to {looks.delay + looks.jitter:.2f} s late")
+    if looks.loss:
+        parts.append(f"{100.0 * looks.loss:.0f} % of them lost")
+    if looks.blackouts:
+        start, length = looks.blackouts[0]
+        parts.append(f"blackouts of {length:.2f} s, the first at {start:.2f} s")
+    if links.commands.delay:
+        parts.append(f"the UAV's commands {links.commands.delay:.2f} s late")
+    return f"Network: {', '.join(parts)}." if parts else "Network: undegraded."
+
+
+def _at(flight: Flight, tick: int) -> str:
+    """Describes how both move at a tick, along the line between them."""
+    rows = {name: k for k, name in enumerate(flight.world.names)}
+    a, g = flight.recorder.states[tick, rows[flight.world.uavs[0].name]], None
+    g = flight.recorder.states[tick, rows[flight.world.uavs[0].escorts]]
+    x, y = float(a[0] - g[0]), float(a[1] - g[1])
+    away = math.hypot(x, y) or 1.0
+    flies, drives = (float(v[2] * x + v[3] * y) / away for v in (a, g))
+    uav = (
+        f"the UAV flies off at {flies:.2f} m/s"
+        if flies >= 0.0
+        else f"the UAV comes at {-flies:.2f} m/s"
+    )
+    ugv = (
+        f"the UGV drives away at {-drives:.2f} m/s"
+        if drives <= 0.0
+        else f"the UGV drives towards it at {drives:.2f} m/s"
+    )
+    return f"{uav}, {ugv}"
+
+
+def in_words(scenario: Scenario, flight: Flight) -> list[str]:
+    """Describes what happens, a sentence each."""
+    distance, r_v, dt = flight.recorder.escorts[:, 0, 0], scenario.visibility.radius, scenario.dt
+    farthest = int(distance.argmax())
+    beyond = [int(tick) for tick in (distance >= r_v).nonzero()[0]]
+    lines = [
+        _start(scenario),
+        f"The UGV is driven by {len(scenario.ugv[0].script)} steps of a script.",
+        _network(scenario),
+    ]
+    if beyond:
+        last = max(0, beyond[0] - 1)
+        lines.append(
+            f"At {beyond[0] * dt:.2f} s the UGV is lost: just before, {_at(flight, last)}."
+        )
+        lines.append(f"It is out of sight for {len(beyond) * dt:.2f} s of {scenario.duration:g} s.")
+    lines.append(
+        f"The largest distance is {distance[farthest]:.4f} m of r_v = {r_v:g} m, at {farthest * dt:.2f} s."
+    )
+    return lines

@@ -1,0 +1,282 @@
+"""The report as one page that needs nothing beside itself, and its table as Markdown."""
+
+import base64
+from collections.abc import Iterator
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from statistics import fmean, median
+
+from outrider.experiments.intervals import wilson_interval
+from outrider.experiments.report.labels import number, tick_of, value_of
+from outrider.experiments.report.plots import CAPTIONS
+from outrider.experiments.report.results import Cell, Material, Panel
+from outrider.style import law_color
+
+COLUMNS = (
+    "law",
+    "runs",
+    "lost the UGV",
+    "95 % interval",
+    "worst margin [m]",
+    "median margin [m]",
+    "mean e(t) [m²]",
+    "age of detections [s]",
+    "arrived",
+    "certified",
+    "certified while lost",
+    "certificate broken",
+)
+
+
+_FAULTS = tuple(
+    COLUMNS.index(name) - 1
+    for name in ("lost the UGV", "certified while lost", "certificate broken")
+)
+"""Columns after the law's that are bad where they are not 0."""
+_UNPROMISED = ", where it is not certified"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %"
+
+
+def _mean(values: list[float], digits: int = 3) -> str:
+    return number(fmean(values), digits) if values else "-"
+
+
+def _count(values: list[float]) -> str:
+    """Ticks of all runs; a sweep of an older version did not count them."""
+    return f"{int(sum(values)):,}" if values else "-"
+
+
+def cells_of(law: str, cell: Cell) -> list[str]:
+    """A row of the table: the texts under `COLUMNS`."""
+    runs = f"{len(cell.flown)}" + (f" (+{cell.failed} failed)" if cell.failed else "")
+    rate, found = cell.rate(), cell.numbers("margin")
+    arrived, certified = cell.numbers("detections_delivery_ratio"), cell.numbers("certified_share")
+    return [
+        law,
+        runs,
+        "-" if rate is None else f"{cell.violated} ({_percent(rate[0])})",
+        "-" if rate is None else f"{_percent(rate[1])} to {_percent(rate[2])}",
+        f"{min(found):.2f}" if found else "-",
+        f"{median(found):.2f}" if found else "-",
+        _mean(cell.numbers("mean_error")),
+        _mean(cell.numbers("detections_mean_age"), 2),
+        _percent(fmean(arrived)) if arrived else "-",
+        f"{100.0 * fmean(certified):.4g} %" if certified else "-",
+        *(
+            _count(cell.numbers(name)) if certified else "-"
+            for name in ("certified_while_lost", "certificate_broken")
+        ),
+    ]
+
+
+def certified_runs(material: Material) -> str:
+    """Counts the runs that were certified at every tick, and how many of them lost the UGV; empty where none was."""
+    cells = [
+        panel.cell(law, value)
+        for panel in material.panels
+        for law in panel.laws
+        for value in panel.values
+    ]
+    runs = [row for cell in cells for row in cell.certified]
+    if not runs:
+        return ""
+    lost = sum(row["violated"] for row in runs)
+    return f"{len(runs):,} runs were certified at every tick; {lost:,} of them lost the UGV."
+
+
+def rows_of(panel: Panel) -> Iterator[tuple[str, list[str]]]:
+    """The table of a panel: for each value and law, the value and the row."""
+    for value in panel.values:
+        for law in panel.laws:
+            cell = panel.cell(law, value)
+            if cell.rows:
+                yield (value_of(panel.field, value) if panel.field else ""), cells_of(law, cell)
+
+
+def holds(panel: Panel, law: str) -> tuple[str, bool]:
+    """Up to which value no run of a law lost the UGV, in words, and whether that is all of them."""
+    kept = None
+    flown = [value for value in panel.values if panel.cell(law, value).flown]
+    if not flown:
+        return "-", False
+    for value in flown:
+        cell = panel.cell(law, value)
+        if cell.violated:
+            promised = (
+                ""
+                if any(row["violated"] for row in cell.certified)
+                or not cell.numbers("certified_share")
+                else _UNPROMISED
+            )
+            if kept is None:
+                return (
+                    f"broken at {value_of(panel.field, value)}" if panel.field else "broken"
+                ) + promised, False
+            return (
+                f"to {value_of(panel.field, kept)}, broken at {value_of(panel.field, value)}{promised}",
+                False,
+            )
+        kept = value
+    return (
+        f"to {value_of(panel.field, kept)}, all that was tried" if panel.field else "holds"
+    ), True
+
+
+def markdown(material: Material) -> str:
+    """The tables as Markdown: how far each law holds, then every value."""
+    lines = [
+        "| experiment | " + " | ".join(material.law) + " |",
+        "|---|" + "---|" * len(material.law),
+    ]
+    for panel in material.panels:
+        words = [holds(panel, law)[0] if law in panel.laws else "-" for law in material.law]
+        lines.append(f"| {_plain(panel.title)} | " + " | ".join(words) + " |")
+    for panel in material.panels:
+        lines += ["", f"**{_plain(panel.title)}**", ""]
+        lines += [
+            f"| {_plain(panel.label) or '-'} | " + " | ".join(COLUMNS) + " |",
+            "|---" * (len(COLUMNS) + 1) + "|",
+        ]
+        lines += [f"| {_plain(value)} | " + " | ".join(row) + " |" for value, row in rows_of(panel)]
+    if certified_runs(material):
+        lines += ["", certified_runs(material)]
+    return "\n".join(lines) + "\n"
+
+
+def _plain(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ")
+
+
+def _law(law: str) -> str:
+    return f'<i class="law" style="background:{law_color(law)}"></i>{escape(law)}'
+
+
+def _overview(material: Material) -> Iterator[str]:
+    yield '<div class="scroll"><table><tr><th>experiment</th>'
+    yield from (f"<th>{_law(law)}</th>" for law in material.law)
+    yield "</tr>"
+    for panel in material.panels:
+        yield f"<tr><td>{escape(panel.title)}</td>"
+        for law in material.law:
+            words, good = holds(panel, law) if law in panel.laws else ("-", False)
+            shade = "good" if good else "bad" if "broken" in words else ""
+            yield f'<td class="{shade}">{escape(words)}</td>'
+        yield "</tr>"
+    yield "</table></div>"
+
+
+def _table(panel: Panel) -> Iterator[str]:
+    yield f"<details><summary>{escape(panel.title)}</summary>"
+    yield (
+        f'<div class="scroll"><table><tr><th>{escape(panel.label)}</th>'
+        + "".join(f"<th>{name}</th>" for name in COLUMNS)
+        + "</tr>"
+    )
+    before = None
+    for value, (law, *row) in rows_of(panel):
+        first = ' class="first"' if before not in (None, value) else ""
+        yield f"<tr{first}><td>{escape(value) if value != before else ''}</td><td>{_law(law)}</td>"
+        for k, text in enumerate(row):
+            bad = " bad" if k in _FAULTS and not text.startswith(("0", "-")) else ""
+            yield f'<td class="n{bad}">{escape(text)}</td>'
+        yield "</tr>"
+        before = value
+    yield "</table></div></details>"
+
+
+def _facts(material: Material) -> Iterator[str]:
+    violated = sum(cell.violated for panel in material.panels for cell in panel.cells.values())
+    seeds = sorted({head.sweep.seeds for head in material.heads})
+    yield '<div class="facts">'
+    for fact, what in (
+        (f"{material.rows:,}", "runs"),
+        (f"{violated:,}", "lost the UGV from sight"),
+        (f"{material.failed:,}", "failed"),
+        (" and ".join(str(count) for count in seeds), "seeds a point"),
+        (", ".join(sorted({head.sweep.scenario for head in material.heads})), "scenario"),
+        (", ".join(sorted({head.outrider for head in material.heads})), "version of Outrider"),
+    ):
+        yield f"<div><b>{escape(fact)}</b><span>{escape(what)}</span></div>"
+    yield "</div>"
+
+
+def _settings(material: Material) -> Iterator[str]:
+    for head in material.heads:
+        fixed = {**head.sweep.set}
+        if fixed:
+            told = ", ".join(f"{name} = {tick_of('', value)}" for name, value in fixed.items())
+            yield f"<p>Changed in all runs of {escape(head.sweep.scenario)}: {escape(told)}.</p>"
+        for block in head.sweep.block:
+            if block.set:
+                told = ", ".join(
+                    f"{name} = {tick_of('', value)}" for name, value in block.set.items()
+                )
+                yield f"<p>In “{escape(block.name)}”: {escape(told)}.</p>"
+
+
+def _caution(material: Material) -> str:
+    """Bounds the rate of something that has not happened in so many runs."""
+    fewest = min(
+        (
+            len(cell.flown)
+            for panel in material.panels
+            for cell in panel.cells.values()
+            if cell.flown
+        ),
+        default=0,
+    )
+    if not fewest:
+        return "No run was flown to its end."
+    rate = _percent(wilson_interval(0, fewest)[1])
+    return f"None of {fewest} runs, the fewest at a value, still allows a rate of up to {rate} (95 %): the intervals are below."
+
+
+def page(material: Material, pictures: dict[str, Path], command: str) -> str:
+    """The whole page as HTML; pictures are inside.
+
+    Args:
+        material: Of the report.
+        pictures: By name.
+        command: That makes this report.
+    """
+    look = (files("outrider.experiments.report") / "page.css").read_text("utf-8")
+    title = " · ".join(
+        dict.fromkeys(head.sweep.title or head.sweep.scenario for head in material.heads)
+    )
+    parts = [
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+        f"<title>{escape(title)}</title><style>{look}</style>",
+        f"<h1>{escape(title)}</h1>",
+        '<p class="muted">The promise: the UAV never loses sight of the UGV, ‖p_a − p_g‖ &lt; r_v. Here is what it stands.</p>',
+        *_facts(material),
+    ]
+    if material.missing:
+        parts.append(
+            f"<p><b>Not finished:</b> {material.missing:,} runs are still to be flown; the same command goes on.</p>"
+        )
+    parts += [
+        "<h2>How far each law keeps the promise</h2>",
+        f"<p>The largest value up to which no run lost sight of the UGV. {_caution(material)} {certified_runs(material)}</p>",
+        *_overview(material),
+    ]
+    for name, path in pictures.items():
+        image = base64.b64encode(path.read_bytes()).decode()
+        caption = CAPTIONS[name]
+        parts.append(
+            f'<figure><img alt="{name}" src="data:image/png;base64,{image}"><figcaption>{escape(caption)}</figcaption></figure>'
+        )
+    parts += [
+        "<h2>All numbers</h2>",
+        *(line for panel in material.panels for line in _table(panel)),
+    ]
+    commands = "\n".join([*(head.command for head in material.heads), command])
+    parts += [
+        "<h2>How this was made</h2>",
+        *_settings(material),
+        f"<pre>{escape(commands)}</pre></html>",
+    ]
+    return "\n".join(parts) + "\n"

@@ -1,0 +1,373 @@
+"""The report's pictures.
+
+How often the promise breaks, by how much, what is covered meanwhile, how old the information is.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from pathlib import Path
+from statistics import fmean, median, quantiles
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import PercentFormatter
+
+from outrider import style
+from outrider.experiments.intervals import mean_interval
+from outrider.experiments.report.labels import tick_of
+from outrider.experiments.report.results import Material, Panel
+
+_KINDS = {"detections": (style.UAV[0], "o"), "commands": (style.UGV[0], "s")}
+"""Colour and mark of the links."""
+_UNEVEN = 6.0
+"""Beyond this ratio of the range to the smallest gap the values stand side by side, at even distances."""
+MOST_PANELS = 24
+"""So many are drawn; the rest is in the table."""
+_PANEL = (520, 400)
+_HEADER = 84
+"""Of a panel, and above them all [px]."""
+
+Draw = Callable[[Axes, Panel, "list[float]", float], None]
+
+
+def positions(panel: Panel) -> tuple[list[float], float]:
+    """Places of the values on the axis, and the smallest gap between two."""
+    values = panel.values
+    numbers = [
+        float(value)
+        for value in values
+        if isinstance(value, int | float) and not isinstance(value, bool)
+    ]
+    if len(numbers) == len(values) > 1:
+        gap = min(b - a for a, b in pairwise(numbers))
+        if gap > 0.0 and (numbers[-1] - numbers[0]) / gap <= _UNEVEN:
+            return numbers, gap
+    return [float(k) for k in range(len(values))], 1.0
+
+
+def _dress(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
+    axes.set_title(panel.title)
+    axes.set_xlabel(panel.label)
+    axes.set_xlim(where[0] - 0.6 * gap, where[-1] + 0.6 * gap)
+    labels = [tick_of(panel.field, value) for value in panel.values] if panel.field else [""]
+    drawn: list[float] = []
+    for k, x in enumerate(where):  # labels that would touch are left out
+        if drawn and x - drawn[-1] < (where[-1] - where[0]) / 11.0:
+            labels[k] = ""
+        else:
+            drawn.append(x)
+    axes.set_xticks(where, labels)
+    axes.grid(visible=False, axis="x")
+
+
+def _aside(panel: Panel, number: int, gap: float, share: float = 0.62) -> float:
+    """Offset of a law's marks from the value, so that none hides another."""
+    count = len(panel.laws)
+    return gap * share * ((number + 0.5) / count - 0.5)
+
+
+def _sheet(
+    material: Material,
+    title: str,
+    label: str,
+    draw: Draw,
+    keys: Sequence[Line2D | Patch],
+    *,
+    alike: bool = True,
+) -> Figure:
+    """One picture: a panel for each experiment, all with the same axis upwards."""
+    panels = material.panels[:MOST_PANELS]
+    columns = min(len(panels), 2 if len(panels) in (2, 4) else 3)
+    rows = math.ceil(len(panels) / columns)
+    height = _PANEL[1] * rows + _HEADER
+    figure = style.new_figure(max(1040, _PANEL[0] * columns), height, header=_HEADER / height)
+    grid = figure.subplots(rows, columns, squeeze=False, sharey=alike)
+    for k, axes in enumerate(grid.flat):
+        if k >= len(panels):
+            axes.set_visible(False)
+            continue
+        where, gap = positions(panels[k])
+        draw(axes, panels[k], where, gap)
+        _dress(axes, panels[k], where, gap)
+        axes.yaxis.set_tick_params(labelleft=True)
+        if k % columns == 0:
+            axes.set_ylabel(label)
+    figure.text(0.012, 1.0 - 14.0 / height, title, fontsize=12, fontweight="bold", va="top")
+    figure.legend(
+        handles=list(keys),
+        loc="upper left",
+        ncols=len(keys),
+        bbox_to_anchor=(0.004, 1.0 - 36.0 / height),
+    )
+    return figure
+
+
+def _law_keys(material: Material) -> list[Line2D | Patch]:
+    return [
+        style.key(style.law_color(law), law, marker=style.law_mark(law), markersize=5)
+        for law in material.law
+    ]
+
+
+def violations(material: Material) -> Figure:
+    """The share of runs that lost the UGV, with Wilson's 95 % interval."""
+
+    def draw(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
+        for number, law in enumerate(panel.laws):
+            aside = _aside(panel, number, gap)
+            rates = [
+                (x + aside, panel.cell(law, value).rate())
+                for x, value in zip(where, panel.values, strict=True)
+            ]
+            found = [(x, *rate) for x, rate in rates if rate is not None]
+            color = style.law_color(law)
+            axes.plot(
+                [row[0] for row in found],
+                [row[1] for row in found],
+                color=color,
+                linewidth=1.0,
+                alpha=0.45,
+            )
+            for x, _, low, high in found:
+                axes.plot([x, x], [low, high], color=color, linewidth=2.2, alpha=0.5)
+            axes.plot(
+                [row[0] for row in found],
+                [row[1] for row in found],
+                color=color,
+                linestyle="",
+                marker=style.law_mark(law),
+                markersize=4.5,
+                clip_on=False,
+                zorder=4,
+            )
+        axes.set_ylim(0.0, 1.0)
+        axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+
+    keys = [
+        *_law_keys(material),
+        style.key(style.MUTED, "95 % interval (Wilson)", linewidth=2.2, alpha=0.6),
+    ]
+    return _sheet(
+        material, "How often the UGV was lost from sight", "runs with a violation", draw, keys
+    )
+
+
+def margins(material: Material) -> Figure:
+    """The distribution of r_v minus the largest distance.
+
+    All runs as a line, the middle half as a bar, the median as a mark.
+    """
+    everything = [
+        margin
+        for panel in material.panels
+        for cell in panel.cells.values()
+        for margin in cell.numbers("margin")
+    ]
+    highest = max([*everything, 0.5])
+    lowest = (
+        max(min([*everything, 0.0]), -highest) - 0.1 * highest
+    )  # once out of sight, how far hardly matters
+
+    def draw(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
+        axes.axhline(0.0, color=style.LIMIT, linewidth=1.3, zorder=1.5)
+        axes.set_ylim(lowest, 1.08 * highest)
+        width = 2.0 + 16.0 / (len(panel.laws) * len(panel.values))
+        for number, law in enumerate(panel.laws):
+            aside, color = _aside(panel, number, gap), style.law_color(law)
+            for x, value in zip(where, panel.values, strict=True):
+                found = panel.cell(law, value).numbers("margin")
+                if not found:
+                    continue
+                low, high = (
+                    (found[0], found[0])
+                    if len(found) == 1
+                    else quantiles(found, n=4, method="inclusive")[::2]
+                )
+                axes.plot([x + aside] * 2, [min(found), max(found)], color=color, linewidth=1.0)
+                axes.plot(
+                    [x + aside] * 2,
+                    [low, high],
+                    color=color,
+                    linewidth=width,
+                    alpha=0.75,
+                    solid_capstyle="butt",
+                )
+                axes.plot(
+                    x + aside,
+                    median(found),
+                    "o",
+                    color="white",
+                    markeredgecolor=color,
+                    markersize=3.6,
+                    zorder=4,
+                )
+                if min(found) < lowest:
+                    axes.plot(
+                        x + aside, lowest, "v", color=color, markersize=5.0, zorder=4, clip_on=False
+                    )
+
+    bar = [style.key(style.law_color(law), law, linewidth=5, alpha=0.75) for law in material.law]
+    keys = [
+        *bar,
+        style.key(
+            style.MUTED, "median", marker="o", markerfacecolor="white", markersize=4, linestyle=""
+        ),
+        style.key(style.MUTED, "middle half", linewidth=5, alpha=0.6),
+        style.key(style.MUTED, "all runs", linewidth=1.0),
+        style.key(style.LIMIT, "below: out of sight"),
+        style.key(style.MUTED, "deeper", marker="v", markersize=5, linestyle=""),
+    ]
+    return _sheet(
+        material, "Margin: $r_v$ minus the largest distance of a run", "margin [m]", draw, keys
+    )
+
+
+def _band(axes: Axes, xs: list[float], found: list[list[float]], color: str, mark: str) -> None:
+    """Means with their 95 % interval as a band; values without numbers are left out."""
+    points = [(x, *mean_interval(numbers)) for x, numbers in zip(xs, found, strict=True) if numbers]
+    if not points:
+        return
+    x, mean, low, high = zip(*points, strict=True)
+    axes.fill_between(x, low, high, color=color, alpha=0.18, linewidth=0.0)
+    axes.plot(x, mean, color=color, marker=mark, markersize=4.0)
+    if len(points) == 1:
+        axes.plot([x[0], x[0]], [low[0], high[0]], color=color, linewidth=2.2, alpha=0.5)
+
+
+def errors(material: Material) -> Figure:
+    """The coverage error e(t) (4), averaged over the flight and the runs."""
+    means = [
+        fmean(found)
+        for panel in material.panels
+        for cell in panel.cells.values()
+        if (found := cell.numbers("mean_error"))
+    ]
+    top = 1.25 * max([*means, 1.0])
+
+    def draw(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
+        del gap
+        for law in panel.laws:
+            found = [panel.cell(law, value).numbers("mean_error") for value in panel.values]
+            _band(axes, where, found, style.law_color(law), style.law_mark(law))
+        axes.set_ylim(0.0, top)
+
+    keys = [
+        *_law_keys(material),
+        Patch(color=style.MUTED, alpha=0.25, linewidth=0, label="95 % interval of the mean"),
+    ]
+    return _sheet(
+        material,
+        "Coverage error, mean over the flight: what is not yet seen around the UGV",
+        "mean e(t) [m²]",
+        draw,
+        keys,
+    )
+
+
+def ages(material: Material) -> Figure | None:
+    """The age of information of the links, all laws together; None where no run has told any."""
+    kinds = {
+        kind: look
+        for kind, look in _KINDS.items()
+        if any(
+            cell.numbers(f"{kind}_mean_age")
+            for panel in material.panels
+            for cell in panel.cells.values()
+        )
+    }
+    if not kinds:
+        return None
+    cells = [cell for panel in material.panels for cell in panel.cells.values()]
+    top = 1.2 * max(
+        1.0, *(age for cell in cells for kind in kinds for age in cell.numbers(f"{kind}_max_age"))
+    )
+
+    def draw(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
+        del gap
+        for kind, (color, mark) in kinds.items():
+            for column, line in (("mean_age", "-"), ("max_age", ":")):
+                found = [
+                    [
+                        number
+                        for law in panel.laws
+                        for number in panel.cell(law, value).numbers(f"{kind}_{column}")
+                    ]
+                    for value in panel.values
+                ]
+                if line == "-":
+                    _band(axes, where, found, color, mark)
+                else:
+                    points = [
+                        (x, max(numbers))
+                        for x, numbers in zip(where, found, strict=True)
+                        if numbers
+                    ]
+                    axes.plot(
+                        *zip(*points, strict=True), color=color, linestyle=line, linewidth=1.2
+                    )
+        axes.set_yscale("symlog", linthresh=0.1, linscale=0.4)
+        axes.set_yticks([0.0, 0.1, 1.0, 10.0, 100.0], ["0", "0.1", "1", "10", "100"])
+        axes.set_ylim(0.0, top)
+        axes.minorticks_off()
+
+    keys: list[Line2D | Patch] = [
+        *(
+            style.key(color, kind, marker=mark, markersize=4)
+            for kind, (color, mark) in kinds.items()
+        ),
+        style.key(style.MUTED, "mean"),
+        style.key(style.MUTED, "oldest of all runs", linestyle=":"),
+    ]
+    return _sheet(
+        material,
+        "Age of information: how old the newest that has arrived is",
+        "age [s]",
+        draw,
+        keys,
+    )
+
+
+CAPTIONS = {
+    "violations": "Share of the runs in which the distance reached r_v at least once. Marks: what was counted; bars: Wilson's "
+    "95 % interval. Marks stand beside their value so that none hides another.",
+    "margins": "How near each run came to r_v. Thin line: all runs; thick bar: the middle half; white dot: the median. Below the "
+    "red line the UGV was out of sight; what lies deeper than the picture goes is marked at its lower edge.",
+    "errors": "e(t) of equation (4), averaged over the flight; low is good. Band: 95 % interval of the mean over the seeds.",
+    "ages": "Age of the newest detection that has reached the UAV's computer, and of the newest command that has reached the "
+    "actuators. Solid: mean over flight and runs; dotted: the oldest seen in any run. "
+    "Out of sight nothing is detected: where the UGV is lost for good, the age grows to the end of the flight.",
+}
+
+
+def draw_all(material: Material, out: Path) -> dict[str, Path]:
+    """Draw everything there is to draw.
+
+    Args:
+        material: Of the report.
+        out: Folder for the pictures.
+
+    Returns:
+        The pictures by name.
+
+    Raises:
+        OSError: If one cannot be written.
+    """
+    drawn: dict[str, Path] = {}
+    for name, draw in (
+        ("violations", violations),
+        ("margins", margins),
+        ("errors", errors),
+        ("ages", ages),
+    ):
+        with style.look():
+            figure = draw(material)
+            path = out / f"{name}.png"
+            if figure is None:
+                path.unlink(missing_ok=True)  # of an earlier report
+                continue
+            style.save(figure, path)
+        drawn[name] = path
+    return drawn

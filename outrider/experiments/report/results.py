@@ -1,0 +1,233 @@
+"""From the folders of sweeps to what is drawn: panels, in each the laws, and for each law and value the runs."""
+
+import math
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from bus.errors import ScenarioError
+from bus.registry import LAWS
+from outrider.experiments.intervals import wilson_interval
+from outrider.experiments.report.labels import label_of, value_of
+from outrider.experiments.sweep.columns import RESULTS
+from outrider.experiments.sweep.folder import SweepHead, read_head, read_results
+
+_OWN = ("run", "law", "seed", *RESULTS)
+
+
+@dataclass(slots=True)
+class Cell:
+    """All runs of one law at one value."""
+
+    rows: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def flown(self) -> list[dict[str, Any]]:
+        """Those that did not fail."""
+        return [row for row in self.rows if row["error"] is None]
+
+    @property
+    def failed(self) -> int:
+        """Number of runs that failed."""
+        return len(self.rows) - len(self.flown)
+
+    @property
+    def violated(self) -> int:
+        """In how many the UGV was lost from sight."""
+        return sum(row["violated"] for row in self.flown)
+
+    @property
+    def certified(self) -> list[dict[str, Any]]:
+        """Those in which sight was certified at every tick."""
+        return [row for row in self.flown if row["certified_share"] == 1.0]
+
+    def rate(self) -> tuple[float, float, float] | None:
+        """The share of runs that lost the UGV, with its 95 % interval; None without runs."""
+        runs = len(self.flown)
+        return (self.violated / runs, *wilson_interval(self.violated, runs)) if runs else None
+
+    def numbers(self, column: str) -> list[float]:
+        """The finite numbers of a column."""
+        found = [
+            row.get(column) for row in self.flown
+        ]  # none in a sweep of a version that did not have it
+        return [value for value in found if value is not None and math.isfinite(value)]
+
+
+@dataclass(slots=True, kw_only=True)
+class Panel:
+    """One experiment: what one field does to each law, everything else alike."""
+
+    title: str
+    field: str
+    """What is varied; empty where nothing is."""
+    values: list[Any]
+    """Of the field, rising."""
+    laws: list[str]
+    cells: dict[tuple[str, Any], Cell]
+
+    @property
+    def label(self) -> str:
+        """Of the axis."""
+        return label_of(self.field) if self.field else ""
+
+    def cell(self, law: str, value: object) -> Cell:
+        """The runs of a law at a value; empty where none are flown."""
+        return self.cells.get((law, value), Cell())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Material:
+    """All that a report is made of."""
+
+    folders: tuple[Path, ...]
+    heads: tuple[SweepHead, ...]
+    panels: tuple[Panel, ...]
+    rows: int
+    failed: int
+    missing: int
+    """Runs that are not flown yet."""
+    law: tuple[str, ...]
+    """Of all panels, in the order of the laws' table."""
+
+
+@dataclass(slots=True, kw_only=True)
+class _Block:
+    """A block of one or several folders, with their rows."""
+
+    name: str
+    vary: dict[str, None]
+    rows: list[dict[str, Any]]
+    folder: Path
+    """The first of them."""
+    apart: str = ""
+    """What tells it from others of the same name."""
+
+
+def _ordered_laws(laws: set[str]) -> list[str]:
+    table = {name: k for k, name in enumerate(LAWS)}
+    return sorted(laws, key=lambda law: (table.get(law, len(table)), law))
+
+
+def _rising(values: Sequence[Any]) -> list[Any]:
+    """Each value once: numbers rising, then everything else as it came."""
+    once = list(dict.fromkeys(values))
+    numbers = [
+        value for value in once if isinstance(value, int | float) and not isinstance(value, bool)
+    ]
+    return sorted(numbers) + [value for value in once if value not in numbers]
+
+
+def _read(folder: Path) -> tuple[SweepHead, list[dict[str, Any]]]:
+    head = read_head(folder)
+    if head is None:
+        raise ScenarioError(
+            f"{folder}: no sweep's folder; allowed: one that `outrider sweep` has made"
+        )
+    results = read_results(folder, head.columns)
+    return head, [
+        dict(zip(results, row, strict=True)) for row in zip(*results.values(), strict=True)
+    ]
+
+
+def _identity(row: dict[str, Any], vary: Sequence[str]) -> tuple[Any, ...]:
+    return (row["law"], row["seed"], *(row[name] for name in vary))
+
+
+def _join(into: _Block, rows: list[dict[str, Any]]) -> bool:
+    """Take rows of another folder in.
+
+    False where the same run is there with another outcome, so that they must stay apart.
+    """
+    vary = list(into.vary)
+    there = {_identity(row, vary): row for row in into.rows}
+    new = []
+    for row in rows:
+        same = there.get(_identity(row, vary))
+        if same is None:
+            new.append(row)
+        elif same["trajectory_sha256"] != row["trajectory_sha256"]:
+            return False
+    into.rows += new
+    return True
+
+
+def _blocks(found: Sequence[tuple[Path, SweepHead, list[dict[str, Any]]]]) -> list[_Block]:
+    """The blocks of all folders; those that ask the same are one, as where each folder has a law of its own."""
+    blocks: dict[bytes, list[_Block]] = defaultdict(list)
+    for folder, head, rows in found:
+        for block in head.sweep.block:
+            mine = [row for row in rows if row["block"] == block.name]
+            key = msgspec.json.encode(
+                (block.name, sorted(block.vary), head.sweep.scenario, head.sweep.set, block.set),
+                order="sorted",
+            )
+            if not any(_join(other, mine) for other in blocks[key]):
+                vary = dict.fromkeys(block.vary)
+                blocks[key].append(_Block(name=block.name, vary=vary, rows=mine, folder=folder))
+    names = [block.name for alike in blocks.values() for block in alike]
+    merged = [block for alike in blocks.values() for block in alike]
+    for one in merged:
+        if names.count(one.name) > 1:
+            one.apart = f" ({one.folder})"
+    return merged
+
+
+def _panels_of(block: _Block) -> Iterator[Panel]:
+    """The field with the most values is the axis; each combination of the others is a panel."""
+    values = {name: _rising([row[name] for row in block.rows]) for name in block.vary}
+    axis = max(values, key=lambda name: len(values[name]), default="")
+    others = [name for name in values if name != axis]
+    title = (
+        label_of(axis).partition(" [")[0]
+        if block.name == ", ".join(block.vary) and not others
+        else block.name
+    )
+    parts: dict[tuple[Any, ...], list[dict[str, Any]]] = defaultdict(list)
+    for row in block.rows:
+        parts[tuple(row[name] for name in others)].append(row)
+    for fixed, rows in parts.items():
+        at = ", ".join(
+            f"{label_of(name).partition(' [')[0]} {value_of(name, value)}"
+            for name, value in zip(others, fixed, strict=True)
+        )
+        cells: dict[tuple[str, Any], Cell] = defaultdict(Cell)
+        for row in rows:
+            cells[row["law"], row[axis] if axis else None].rows.append(row)
+        yield Panel(
+            title=f"{at or title}{block.apart}",
+            field=axis,
+            values=_rising([row[axis] for row in rows]) if axis else [None],
+            laws=_ordered_laws({row["law"] for row in rows}),
+            cells=dict(cells),
+        )
+
+
+def read_material(folders: Sequence[Path]) -> Material:
+    """Read the results of sweeps, finished or not.
+
+    Args:
+        folders: One or more; experiments that several share become one.
+
+    Raises:
+        ScenarioError: If a folder is no sweep's, has no rows yet, or is damaged.
+    """
+    found = [(folder, *_read(folder)) for folder in dict.fromkeys(folders)]
+    for folder, _, rows in found:
+        if not rows:
+            raise ScenarioError(f"{folder}: no run is flown yet")
+    panels = [panel for block in _blocks(found) for panel in _panels_of(block)]
+    everything = [row for _, _, rows in found for row in rows]
+    return Material(
+        folders=tuple(folder for folder, _, _ in found),
+        heads=tuple(head for _, head, _ in found),
+        panels=tuple(panels),
+        rows=len(everything),
+        failed=sum(row["error"] is not None for row in everything),
+        missing=sum(head.runs - len(rows) for _, head, rows in found),
+        law=tuple(_ordered_laws({law for panel in panels for law in panel.laws})),
+    )

@@ -1,0 +1,231 @@
+"""The score of a flight: how much of what there was to see has been seen, averaged over the time that was asked for."""
+
+import copy
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from outrider.envs.closed_loop import ClosedLoop, pilot_names
+from outrider.envs.vector import Policy, Worlds
+from outrider.experiments.intervals import mean_interval
+from outrider.experiments.suite.tasks import SEEDS, Task
+from sim.engine.run_keys import check_secret, new_secret
+from sim.engine.world_state import first_state
+from sim.env.rows import UAV_METRICS
+from sim.env.seeds import Seeds
+from sim.kernels.compile import FloatArray
+from sim.models.field import coverage_error
+
+Entry = str | Policy
+"""Who flies the UAVs: a law by name, or a policy for all worlds at once."""
+
+SETTINGS = ("estimate", "gradient", "safety_filter", "coverage_patch", "dtype", "threads")
+"""What may be set for a policy: how it sees and acts. All else belongs to the task."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Result:
+    """The score of one entry in one task."""
+
+    task: str
+    entry: str
+    score: float
+    """Mean over the episodes, 0 to 100."""
+    low: float
+    high: float
+    """The 95 % interval of that mean."""
+    scores: tuple[float, ...]
+    """Of each episode, in the order of the seeds."""
+    mean_error: float
+    """Mean of e(t) [m²] over UAVs, ticks before sight was lost, and episodes."""
+    lost: int
+    """Episodes in which sight was lost."""
+    episodes: int
+    secret: str
+    """Of the episodes' random numbers, beside the seeds: with it the same score again."""
+    certified_while_lost: int = 0
+    """Ticks of all UAVs that the safety filter certified with the UGV out of sight: 0, or the certificate is wrong."""
+    certificate_broken: int = 0
+    """Ticks that it did not certify although the one before was and all assumptions held: likewise."""
+
+
+class _Meter:
+    """Reads a closed loop tick by tick."""
+
+    def __init__(self, loop: ClosedLoop) -> None:
+        scenario = loop.scenario
+        self._loop = loop
+        self._untouched = first_state(scenario).coverage
+        self._r_o = float(scenario.visibility.radius + scenario.sensor.range)
+        self._desired, self._cell = float(scenario.coverage.desired), float(scenario.area.cell)
+        self._known: dict[tuple[float, float], float] = {}
+        self.in_sight: npt.NDArray[np.bool_] = np.ones(loop.worlds, dtype=np.bool_)
+        """Where sight has never been lost."""
+        self.seen: FloatArray = np.zeros(loop.worlds)
+        """Sum over the ticks of the share that has been seen."""
+        self.errors: FloatArray = np.zeros(loop.worlds)
+        """Sum of e(t) over the ticks in sight [m²], the mean of the UAVs."""
+        self.ticks: npt.NDArray[np.int64] = np.zeros(loop.worlds, dtype=np.int64)
+        """In sight."""
+        self.certified_while_lost = self.certificate_broken = 0
+        """What the safety filters said that was not so [ticks]."""
+
+    def note(self) -> None:
+        """Take in the tick that all worlds are at."""
+        state = self._loop.state
+        self.in_sight &= ~(state.rows.uavs[:, :, UAV_METRICS.lost] != 0.0).any(axis=1)
+        ugvs = state.batch.truth.position[:, self._loop.tables.batch.escorts[:, 1]]
+        which = np.flatnonzero(self.in_sight)
+        if which.size == 0:
+            return
+        error = state.rows.uavs[which, :, UAV_METRICS.error]
+        most = np.array(
+            [[self._unseen(x, y) for x, y in of_world] for of_world in ugvs[which].tolist()]
+        )
+        share = np.ones_like(error)  # where there is nothing to see, all of it has been seen
+        np.divide(most - error, most, out=share, where=most > 0.0)
+        self.seen[which] += share.mean(axis=1)
+        self.errors[which] += error.mean(axis=1)
+        self.ticks[which] += 1
+
+    def note_certificates(self) -> None:
+        """Take in what was certified, once all is flown."""
+        for uav in self._loop.uavs:
+            told = self._loop.metrics(uav)
+            self.certified_while_lost += int(told["certified_while_lost"].sum())
+            self.certificate_broken += int(told["certificate_broken"].sum())
+
+    def _unseen(self, x: float, y: float) -> float:
+        """E(t) [m²] with the UGV at (x, y) [m], had no UAV seen anything.
+
+        UGVs of many worlds often stand there.
+        """
+        found = self._known.get((x, y))
+        if found is None:
+            found = self._known[x, y] = coverage_error(
+                self._untouched, x, y, self._r_o, self._desired, self._cell
+            )
+        return found
+
+
+def _fly(loop: ClosedLoop, advance: Callable[[], object]) -> _Meter:
+    meter = _Meter(loop)
+    meter.note()
+    for _ in range(loop.scenario.ticks):
+        advance()
+        if not meter.in_sight.any():
+            break  # what was said at the tick at which the last of them lost sight has been said
+        meter.note()
+    meter.note_certificates()
+    return meter
+
+
+def _fly_law(task: Task, law: str, seeds: Sequence[int], secret: str) -> _Meter:
+    scenario = task.scenario
+    uavs = [uav.name for uav in scenario.uav]
+    allowed = pilot_names(scenario, uavs[0])
+    if law not in allowed:
+        raise ValueError(
+            f"law = {law!r}: unknown; allowed: {', '.join(allowed)}, or a policy for all worlds at once"
+        )
+    loop = ClosedLoop(
+        scenario, len(seeds), pilots=dict.fromkeys(uavs, law), error=True, secret=secret
+    )
+    nothing = np.zeros((len(seeds), 0, 2))
+    try:
+        loop.begin(seeds)
+        return _fly(loop, lambda: loop.step(nothing))
+    finally:
+        loop.close()
+
+
+def _fly_policy(
+    task: Task, policy: Policy, seeds: Sequence[int], secret: str, settings: dict[str, Any]
+) -> _Meter:
+    for name in settings:
+        if name not in SETTINGS:
+            raise ValueError(
+                f"{name}: cannot be set, it belongs to the task; allowed: {', '.join(SETTINGS)}"
+            )
+    scenario = task.scenario
+    uavs = [uav.name for uav in scenario.uav]
+    worlds = Worlds(scenario, len(seeds), uavs, secret=secret, **settings)
+    pilots = {
+        uav: copy.deepcopy(policy) for uav in uavs
+    }  # a policy may have a memory: one for each UAV and each task
+    try:
+        worlds.reset(list(seeds), None)
+        return _fly(
+            worlds.loop,
+            lambda: worlds.step({uav: pilot(worlds.observe(uav)) for uav, pilot in pilots.items()}),
+        )
+    finally:
+        worlds.loop.close()
+
+
+def evaluate(
+    task: Task,
+    entry: Entry,
+    *,
+    name: str = "",
+    seeds: Sequence[int] = SEEDS,
+    secret: str | None = None,
+    **settings: Any,  # noqa: ANN401 - those of Worlds
+) -> Result:
+    r"""Fly a task with all seeds at once, and score it.
+
+    $$ S = \frac{100}{N + 1} \sum_{k < k_{lost}} \left( 1 - \frac{e(t_k)}{e_0(t_k)} \right) $$
+
+    e is the paper's (4); e_0 is what it would be at this tick had no UAV seen anything, with the UGV where it is.
+    N is the number
+    of ticks that the task asks for, and k_lost the tick at which any UAV loses sight: from then on nothing counts
+    as seen.
+
+    Args:
+        task: What is flown.
+        entry: A law by name; or a policy: the observations of one UAV in all worlds in, its accelerations [m/s²]
+            out, shape (worlds, 2). In a task with several UAVs each has a copy of it, and sees its own row.
+        name: Of the entry, for tables.
+        seeds: Of the episodes.
+        secret: Of the random numbers, with each seed: 32 to 128 hexadecimal digits. None: a new one, which nobody
+            can have prepared for; empty: none, and the noise of the seeds is known to whoever looks.
+        settings: How a policy sees and acts: `SETTINGS`, as in `outrider.vector_env`.
+
+    Raises:
+        ValueError: If the law is unknown, a seed, the secret or a setting is not allowed, or the policy answers
+            what is no action.
+    """
+    if not seeds:
+        raise ValueError("seeds: none are given; allowed is one or more")
+    for seed in seeds:
+        Seeds.check(seed)
+    kept = new_secret() if secret is None else check_secret(secret)
+    if isinstance(entry, str):
+        if settings:
+            raise ValueError(
+                f"{', '.join(settings)}: for policies alone, not for the law {entry!r}"
+            )
+        meter = _fly_law(task, entry, seeds, kept)
+    else:
+        meter = _fly_policy(task, entry, seeds, kept, settings)
+    scores = (100.0 * meter.seen / (task.scenario.ticks + 1)).tolist()
+    score, low, high = mean_interval(scores)
+    return Result(
+        task=task.name,
+        entry=name
+        or (entry if isinstance(entry, str) else getattr(entry, "__name__", type(entry).__name__)),
+        score=score,
+        low=max(0.0, low),
+        high=min(100.0, high),
+        scores=tuple(scores),
+        mean_error=math.fsum((meter.errors / meter.ticks).tolist()) / len(seeds),
+        lost=int((~meter.in_sight).sum()),
+        episodes=len(seeds),
+        secret=kept,
+        certified_while_lost=meter.certified_while_lost,
+        certificate_broken=meter.certificate_broken,
+    )

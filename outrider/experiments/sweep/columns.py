@@ -1,0 +1,89 @@
+"""The table's columns, and how a run's summary becomes a row of it."""
+
+from typing import Any
+
+from bus.messages import LinkKind
+from outrider.running.summary import Summary
+
+FIRST = {
+    "run": "int64",
+    "block": "string",
+    "law": "string",
+    "seed": "int64",
+    "scenario": "string",
+    "version": "string",
+}
+"""Columns that come before the varied fields, with their Parquet types."""
+
+_LINKS = (LinkKind.DETECTIONS, LinkKind.COMMANDS)
+"""Links whose state has columns."""
+
+RESULTS = {
+    "ticks": "int64",
+    "visibility_radius": "double",  # r_v [m]
+    "max_distance": "double",  # [m]
+    "margin": "double",  # r_v - max_distance [m]; the promise is broken where it is not positive
+    "visibility_violations": "int64",  # ticks
+    "violated": "bool",
+    "mean_distance": "double",  # [m]
+    "initial_error": "double",  # e(0) [m²]
+    "mean_error": "double",  # [m²]
+    "final_error": "double",  # [m²]
+    "estimate_rmse": "double",  # [m]
+    **{
+        f"{kind}_{what}": "double"
+        for kind in _LINKS
+        for what in ("mean_age", "max_age", "delivery_ratio")
+    },  # [s], [s], share
+    "certified_share": "double",  # of the ticks; none for a law without a safety filter
+    "intervened_share": "double",
+    "certified_while_lost": "int64",  # ticks, certified with the UGV out of sight; 0, or the certificate is wrong
+    "certificate_broken": "int64",  # ticks, not certified although the one before was and all assumptions held; likewise
+    "trajectory_sha256": "string",
+    "seconds": "double",  # wall time of the run
+    "error": "string",  # why the run failed; none for one that did not
+}
+"""Columns that a run fills, with their Parquet types; SI units."""
+
+
+def _known(values: list[float | None]) -> list[float]:
+    return [value for value in values if value is not None]
+
+
+def link_columns(summary: Summary, kind: LinkKind) -> dict[str, float | None]:
+    """Age of information [s] and delivery ratio of all links of one kind.
+
+    The mean, the largest, and what arrived of all sent.
+    """
+    links = [status for name, status in summary.links.items() if name.endswith(f"/{kind}")]
+    means = _known([getattr(status, "mean_age", None) for status in links])
+    largest = _known([getattr(status, "max_age", None) for status in links])
+    ratios = _known([getattr(status, "delivery_ratio", None) for status in links])
+    return {
+        f"{kind}_mean_age": sum(means) / len(means) if means else None,
+        f"{kind}_max_age": max(largest, default=None),
+        f"{kind}_delivery_ratio": sum(ratios) / len(ratios) if ratios else None,
+    }
+
+
+def row_of(summary: Summary, seconds: float) -> dict[str, Any]:
+    """The results of a run that was flown.
+
+    Args:
+        summary: Of the run.
+        seconds: Its wall time [s].
+    """
+    row: dict[str, Any] = {name: getattr(summary, name, None) for name in RESULTS}
+    for kind in _LINKS:
+        row |= link_columns(summary, kind)
+    return row | {
+        "margin": summary.visibility_radius - summary.max_distance,
+        "violated": summary.visibility_violations > 0,
+        "seconds": seconds,
+    }
+
+
+def failed_row(error: Exception, seconds: float) -> dict[str, Any]:
+    """The row of a run that raised."""
+    reason = " ".join(f"{type(error).__name__}: {error}".split())
+    return {**dict.fromkeys(RESULTS), "seconds": seconds, "error": reason}

@@ -1,0 +1,245 @@
+"""A sweep described: typed, read from TOML or from the command line, refused in one line where it makes no sense."""
+
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta
+
+from bus.errors import ScenarioError
+from bus.files import read_regular
+from bus.messages import Text
+from sim.input.faults import Fault, near, one_line
+from sim.input.reading import parse_override, parse_toml, typed
+from sim.scenario.loading import FILE_RULE, MOST_BYTES, scenario_names
+
+Seed = Annotated[int, Meta(ge=0, le=2**53 - 1)]
+
+_VARY_EXAMPLE = "field=value,value, such as links.detections.delay=0,0.5,1"
+_OWN_OPTION = {"seed": "--seeds", "law.name": "--law"}
+_OWN_FIELD = {"seed": "seeds", "law.name": "laws"}
+"""Fields that a sweep varies in a way of its own."""
+
+
+class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of the sweep's tables."""
+
+
+class Block(_Table, frozen=True, kw_only=True):
+    """One experiment of a sweep: the product of what it varies."""
+
+    name: Text = ""
+    """What it is called in tables and pictures; the varied fields by default."""
+    vary: dict[str, Any] = {}
+    """Fields of the scenario, each with a list of values."""
+    set: dict[str, Any] = {}
+    """Fields that are changed in all of its runs."""
+
+
+class Sweep(_Table, frozen=True, kw_only=True):
+    """A plan of runs: each law, in each block, at each combination of its values, with each seed."""
+
+    title: Text = ""
+    scenario: Text = "escort"
+    """A shipped name, or a file; found beside the sweep's own file too."""
+    laws: Annotated[tuple[Text, ...], Meta(min_length=1)] | None = None
+    """The scenario's own where none is given."""
+    seeds: Annotated[int, Meta(ge=1, le=1_000_000)] = 20
+    """How many: first_seed and those after it."""
+    first_seed: Seed = 0
+    set: dict[str, Any] = {}
+    """Fields that are changed in all runs."""
+    vary: dict[str, Any] = {}
+    """A sweep of one block gives here what it varies."""
+    block: tuple[Block, ...] = ()
+
+
+def shipped_sweeps() -> dict[str, Traversable]:
+    """The shipped sweeps by name."""
+    entries = (files("outrider.experiments.sweep") / "shipped").iterdir()
+    return {
+        entry.name.removesuffix(".toml"): entry
+        for entry in sorted(entries, key=lambda e: e.name)
+        if ".toml" in entry.name
+    }
+
+
+def _flat(table: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """Nested tables as dotted fields: in TOML `links.detections.delay = ...` is a table in a table."""
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        if isinstance(value, dict) and value:
+            found |= _flat(value, f"{path}{key}.")
+        else:
+            found[f"{path}{key}"] = value
+    return found
+
+
+def _varied(table: Mapping[str, Any], path: str, file: str) -> dict[str, Any]:
+    """The varied fields with their values, checked.
+
+    Raises:
+        ScenarioError: If a field has no list of values, an empty one, a value twice, or is varied in another way.
+    """
+    varied = _flat(table)
+    for field, values in varied.items():
+        if field in _OWN_FIELD:
+            wrong = "is not varied like other fields"
+            raise Fault(
+                f"{path}{field}",
+                values,
+                wrong,
+                f"{_OWN_OPTION[field]}, in a file {_OWN_FIELD[field]}",
+            ).error(file)
+        if not isinstance(values, list) or not values:
+            wrong = "empty" if isinstance(values, list) else "not a list"
+            raise Fault(f"{path}{field}", values, wrong, "a list of one value or more").error(file)
+        if any(value in values[:k] for k, value in enumerate(values)):
+            raise Fault(f"{path}{field}", values, "a value twice", "each value once").error(file)
+    return varied
+
+
+def checked(sweep: Sweep, *, file: str) -> Sweep:
+    """The sweep with its fields flat, everything in blocks, and each block with a name.
+
+    Args:
+        sweep: As it was given.
+        file: For the error.
+
+    Raises:
+        ScenarioError: If it makes no sense; one line.
+    """
+    if sweep.vary and sweep.block:
+        raise Fault("vary", sweep.vary, "beside [[block]]", "either [vary] or [[block]]").error(
+            file
+        )
+    laws = sweep.laws or ()
+    if len(set(laws)) < len(laws):
+        raise Fault("laws", list(laws), "a law twice", "each law once").error(file)
+    blocks: list[Block] = []
+    for k, block in enumerate(sweep.block or (Block(vary=sweep.vary),)):
+        varied = _varied(block.vary, f"block.{k}.vary." if sweep.block else "vary.", file)
+        name = block.name or ", ".join(varied) or "unvaried"
+        if name in [other.name for other in blocks]:
+            raise Fault(
+                f"block.{k}.name", name, "taken by another block", "a name of its own"
+            ).error(file)
+        blocks.append(Block(name=name, vary=varied, set=_flat(block.set)))
+    return msgspec.structs.replace(sweep, set=_flat(sweep.set), vary={}, block=tuple(blocks))
+
+
+def parse_vary(text: str, *, file: str) -> tuple[str, list[Any]]:
+    """Field and values of a `--vary field=value,value`; the values as TOML writes them, or else plain text.
+
+    Raises:
+        ScenarioError: If it is not of that form.
+    """
+    field, separator, values = text.partition("=")
+    field = field.strip()
+    parts = [part.strip() for part in values.split(",")]
+    if not separator or not all(field.split(".")):
+        raise Fault("--vary", text, "not of the form field=value,value", _VARY_EXAMPLE).error(file)
+    if not values.strip():
+        raise Fault("--vary", text, "no values", _VARY_EXAMPLE).error(file)
+    try:
+        listed = parse_toml(f"values = [{values}]", file=file)["values"]
+    except ScenarioError:
+        listed = [parse_override(f"{field}={part}", file=file)[1] for part in parts]
+    if not listed or "" in listed:
+        raise Fault("--vary", text, "a value is empty", _VARY_EXAMPLE).error(file)
+    return field, listed
+
+
+def _read_file(source: str) -> tuple[str, Path | None]:
+    """Text and folder of a sweep's or scenario's file."""
+    shipped = shipped_sweeps()
+    if source in shipped:
+        return shipped[source].read_text("utf-8"), None
+    file = one_line(source) or "."
+    try:
+        return read_regular(Path(source), MOST_BYTES).decode("utf-8-sig"), Path(source).parent
+    except FileNotFoundError as error:
+        known = (*shipped, *scenario_names())
+        wrong = f"no such sweep, scenario or file{near(Path(source).stem, known)}"
+        raise ScenarioError(f"{file}: {wrong}; allowed: a TOML file, {', '.join(known)}") from error
+    except UnicodeDecodeError as error:
+        raise ScenarioError(
+            f"{file}: byte {error.start}: not UTF-8, {error.reason}; allowed: text in UTF-8"
+        ) from error
+    except (OSError, ValueError) as error:  # a ValueError: a NUL in the path
+        reason = one_line(str(getattr(error, "strerror", None) or error))
+        raise ScenarioError(f"{file}: cannot be read: {reason}; allowed: {FILE_RULE}") from error
+
+
+def _read(source: str) -> tuple[Sweep, str]:
+    """A sweep and its text; a scenario is a sweep that varies nothing yet, without a text."""
+    if source in scenario_names():
+        return Sweep(scenario=source), ""
+    text, folder = _read_file(source)
+    file = one_line(source)
+    raw = parse_toml(text, file=file)
+    if "uav" in raw:  # a scenario's file
+        return Sweep(scenario=source), ""
+    sweep = typed(raw, Sweep, file=file)
+    beside = folder / sweep.scenario if folder is not None else None
+    if sweep.scenario not in scenario_names() and beside is not None and beside.is_file():
+        sweep = msgspec.structs.replace(sweep, scenario=str(beside))
+    return sweep, text
+
+
+def describe_sweep(
+    source: str,
+    *,
+    laws: str = "",
+    vary: Sequence[str] = (),
+    changes: Sequence[str] = (),
+    seeds: int | None = None,
+    first_seed: int | None = None,
+) -> tuple[Sweep, str]:
+    """The sweep that a file and a command line ask for.
+
+    Args:
+        source: A shipped sweep, a shipped scenario, or a TOML file of either kind: one with a `[[uav]]` is a scenario.
+        laws: Instead of the file's, between commas.
+        vary: Fields with their values, `field=value,value`; only where the file is a scenario.
+        changes: Fields that are changed in all runs, `field=value`.
+        seeds: How many, instead of the file's.
+        first_seed: Instead of the file's.
+
+    Returns:
+        The sweep, checked, and the text of its file, empty where there is none.
+
+    Raises:
+        ScenarioError: If it cannot be read or makes no sense; one line.
+    """
+    file = one_line(source) or "."
+    sweep, text = _read(source)
+    if vary and (sweep.vary or sweep.block):
+        raise Fault(
+            "--vary",
+            vary[0],
+            "this sweep says itself what is varied",
+            "a scenario, or another sweep file",
+        ).error(file)
+    varied: dict[str, Any] = dict(sweep.vary)
+    for one in vary:
+        field, values = parse_vary(one, file=file)
+        if field in varied:
+            raise Fault("--vary", one, "this field is varied already", "each field once").error(
+                file
+            )
+        varied[field] = values
+    fixed = {**_flat(sweep.set), **dict(parse_override(change, file=file) for change in changes)}
+    names = tuple(name.strip() for name in laws.split(",")) if laws else sweep.laws
+    sweep = msgspec.structs.replace(
+        sweep,
+        laws=names,
+        vary=varied,
+        set=fixed,
+        seeds=sweep.seeds if seeds is None else seeds,
+        first_seed=sweep.first_seed if first_seed is None else first_seed,
+    )
+    return checked(sweep, file=file), text

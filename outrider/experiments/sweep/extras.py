@@ -1,0 +1,22 @@
+"""Whether what a sweep needs is installed, said in one line before anything begins."""
+
+from importlib.util import find_spec
+
+from bus.errors import ScenarioError
+from outrider.experiments.sweep import DASK_EXTRA, EXTRA
+
+
+def check_extras(*modules: str) -> None:
+    """Refuse to begin without these modules.
+
+    Args:
+        modules: Of `joblib`, `pyarrow` and `distributed`.
+
+    Raises:
+        ScenarioError: If one is not installed; with the command that installs it.
+    """
+    for module in modules:
+        if find_spec(module) is None:
+            raise ScenarioError(
+                f"{module} is missing: pip install '{DASK_EXTRA if module == 'distributed' else EXTRA}'"
+            )

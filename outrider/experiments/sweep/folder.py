@@ -1,0 +1,307 @@
+"""A sweep's folder: what was asked for, and the results so far, which a kill at any time leaves whole.
+
+Every finished task of about a second is a Parquet file of its own in `parts/`, written beside it and renamed. The
+end merges all of them into `results.parquet`. So a kill loses the runs in flight and no others.
+"""
+
+import fcntl
+import os
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import msgspec
+
+from bus.errors import ScenarioError
+from bus.files import read_regular
+from outrider.experiments.sweep.definition import Sweep
+from outrider.experiments.sweep.plan import Plan
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+HEAD = "sweep.json"
+FILE = "sweep.toml"
+RESULTS = "results.parquet"
+PARTS = "parts"
+_LOCK = ".lock"
+_MOST_PARTS = 200
+"""Beyond so many small files they are merged into one: reading them takes a millisecond each."""
+_UNFINISHED = ".unfinished"
+_MOST_HEAD, _MOST_TABLE = 4 << 20, 1 << 30
+"""Of a head and of a table with results [bytes]."""
+
+
+class SweepHead(msgspec.Struct, frozen=True, kw_only=True):
+    """The head of a folder: enough to tell it from another sweep's, and to report on it."""
+
+    outrider: str
+    """The version that made it."""
+    command: str
+    digest: str
+    runs: int
+    columns: dict[str, str]
+    sweep: Sweep
+
+
+def read_head(folder: Path) -> SweepHead | None:
+    """Read a folder's head; None where it is no sweep's.
+
+    Raises:
+        ScenarioError: If its head is damaged.
+    """
+    try:
+        return msgspec.json.decode(read_regular(folder / HEAD, _MOST_HEAD), type=SweepHead)
+    except FileNotFoundError:
+        return None
+    except msgspec.MsgspecError as error:
+        raise ScenarioError(
+            f"{folder / HEAD}: damaged: {error}; --fresh starts the sweep over"
+        ) from error
+
+
+def _replace(path: Path, content: bytes) -> None:
+    """Write a file so that it is there whole or not at all."""
+    beside = path.with_name(f"{path.name}{_UNFINISHED}")
+    with beside.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    beside.replace(path)
+
+
+def _write_table(path: Path, table: "pa.Table") -> None:
+    import pyarrow as pa  # noqa: PLC0415 - an extra
+    import pyarrow.parquet as pq  # noqa: PLC0415
+
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink, compression="zstd")
+    _replace(path, sink.getvalue().to_pybytes())
+
+
+def _read_table(path: Path, columns: dict[str, str]) -> "pa.Table":
+    import pyarrow as pa  # noqa: PLC0415
+    import pyarrow.parquet as pq  # noqa: PLC0415
+
+    remedy = "delete it and its runs are flown again"
+    try:
+        table = pq.read_table(pa.BufferReader(read_regular(path, _MOST_TABLE)))
+    except pa.ArrowException as error:
+        reason = " ".join(str(error).split()).rstrip(".")
+        raise ScenarioError(f"{path}: damaged: {reason}; {remedy}") from error
+    if not table.schema.equals(schema_of(columns)):
+        raise ScenarioError(f"{path}: has not the columns of this sweep; {remedy}")
+    return table
+
+
+def schema_of(columns: dict[str, str]) -> "pa.Schema":
+    """The Parquet schema of a sweep's table."""
+    import pyarrow as pa  # noqa: PLC0415
+
+    return pa.schema([(name, pa.type_for_alias(kind)) for name, kind in columns.items()])
+
+
+def read_results(folder: Path, columns: dict[str, str]) -> dict[str, list[Any]]:
+    """All rows of a folder, finished or not, column by column, in the order of their numbers.
+
+    Args:
+        folder: A sweep's.
+        columns: From its head.
+
+    Raises:
+        ScenarioError: If a file is damaged.
+    """
+    import pyarrow as pa  # noqa: PLC0415
+
+    paths = [
+        path
+        for path in (folder / RESULTS, *sorted((folder / PARTS).glob("*.parquet")))
+        if path.exists()
+    ]
+    tables = [_read_table(path, columns) for path in paths]
+    if not tables:
+        return {name: [] for name in columns}
+    table = pa.concat_tables(tables)
+    runs, errors = table["run"].to_pylist(), table["error"].to_pylist()
+    best: dict[int, int] = {}
+    for k, run in enumerate(
+        runs
+    ):  # a run may be there twice: a part that is merged already, or one that first failed
+        if run not in best or errors[best[run]] is not None:
+            best[run] = k
+    found: dict[str, list[Any]] = table.take([best[run] for run in sorted(best)]).to_pydict()
+    return found
+
+
+class SweepFolder:
+    """The folder of a sweep that is being flown; nobody else writes into it meanwhile.
+
+    Args:
+        path: Is made if it is not there.
+        plan: What is flown.
+        command: That began it.
+        text: Of the sweep's file, kept beside the results.
+        fresh: Whether to start over if there is something.
+
+    Raises:
+        ScenarioError: If it holds another sweep or other files, or is in use.
+        OSError: If it cannot be written.
+    """
+
+    def __init__(
+        self, path: Path, plan: Plan, *, command: str, text: str = "", fresh: bool = False
+    ) -> None:
+        self.path, self._plan = path, plan
+        self._columns = plan.columns
+        begun = (
+            _LOCK,
+            FILE,
+            f"{FILE}{_UNFINISHED}",
+            f"{HEAD}{_UNFINISHED}",
+        )  # all there can be before there is a head
+        there = path.is_dir() and any(entry.name not in begun for entry in path.iterdir())
+        if there and not (path / HEAD).exists():
+            raise ScenarioError(f"{path}: not empty, and no sweep's folder; choose another --out")
+        path.mkdir(parents=True, exist_ok=True)
+        self._lock = (path / _LOCK).open("w")
+        self._rows: dict[
+            int, tuple[bool, bool]
+        ] = {}  # of each run: whether it failed, whether the UGV was lost
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if fresh:
+                self._clear()
+            self._claim(command, text)
+            self.take_stock()
+        except BlockingIOError as error:
+            self.close()
+            raise ScenarioError(f"{path}: another sweep is writing there now") from error
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def take_stock(self) -> None:
+        """See what is there, and remove what a kill has left half written."""
+        for left in self.path.rglob(f"*{_UNFINISHED}"):
+            left.unlink()
+        begun = read_results(self.path, self._columns)
+        kept = zip(begun["run"], begun["error"], begun["violated"], strict=True)
+        self._rows = {run: (error is not None, bool(violated)) for run, error, violated in kept}
+        self._number = max((int(part.stem) for part in self._parts()), default=0)
+
+    def _clear(self) -> None:
+        """Throw a sweep away; its head goes last, so that after a kill nobody takes the rest for another's."""
+        if (self.path / HEAD).exists():
+            shutil.rmtree(self.path / PARTS, ignore_errors=True)
+            for name in (RESULTS, FILE, HEAD):
+                (self.path / name).unlink(missing_ok=True)
+
+    def _claim(self, command: str, text: str) -> None:
+        """Make sure that the folder is this sweep's."""
+        plan, head = self._plan, read_head(self.path)
+        if head is None:
+            if text:
+                _replace(self.path / FILE, text.encode())
+            head = SweepHead(
+                outrider=plan.version,
+                command=command,
+                digest=plan.digest,
+                runs=plan.runs,
+                columns=plan.columns,
+                sweep=plan.sweep,
+            )
+            _replace(
+                self.path / HEAD, msgspec.json.format(msgspec.json.encode(head), indent=2) + b"\n"
+            )
+        elif head.outrider != plan.version:
+            made = f"made by outrider {head.outrider}, this is {plan.version}"
+            raise ScenarioError(
+                f"{self.path}: {made}; choose another --out, or start over with --fresh"
+            )
+        elif head.digest != plan.digest:
+            raise ScenarioError(
+                f"{self.path}: holds another sweep; choose another --out, or start over with --fresh"
+            )
+        self.path.joinpath(PARTS).mkdir(exist_ok=True)
+
+    def _parts(self) -> list[Path]:
+        return sorted((self.path / PARTS).glob("*.parquet"))
+
+    @property
+    def done(self) -> set[int]:
+        """Numbers of the runs that are flown and did not fail."""
+        return {run for run, (failed, _) in self._rows.items() if not failed}
+
+    @property
+    def failed(self) -> int:
+        """Number of runs that failed."""
+        return sum(failed for failed, _ in self._rows.values())
+
+    @property
+    def violated(self) -> int:
+        """In how many runs the UGV was lost from sight."""
+        return sum(violated for _, violated in self._rows.values())
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(self._rows)
+
+    def add(self, results: Iterable[dict[str, Any]]) -> None:
+        """Keep the results of some runs; when this returns, a kill does not lose them.
+
+        Args:
+            results: Each with its run's number.
+        """
+        import pyarrow as pa  # noqa: PLC0415
+
+        rows = [{**self._plan.head(result["run"]), **result} for result in results]
+        self._number += 1
+        _write_table(
+            self._part(self._number), pa.Table.from_pylist(rows, schema=schema_of(self._columns))
+        )
+        self._rows |= {
+            row["run"]: (row["error"] is not None, bool(row["violated"])) for row in rows
+        }
+        if self._number % _MOST_PARTS == 0:
+            self._merge(self._parts()[-_MOST_PARTS:])
+
+    def _part(self, number: int) -> Path:
+        return self.path / PARTS / f"{number:08d}.parquet"
+
+    def _merge(self, parts: list[Path]) -> None:
+        """Make one file of several small ones; a kill in between leaves rows twice, which reading mends."""
+        import pyarrow as pa  # noqa: PLC0415
+
+        self._number += 1
+        _write_table(
+            self._part(self._number),
+            pa.concat_tables([_read_table(part, self._columns) for part in parts]),
+        )
+        for part in parts:
+            part.unlink()
+
+    def finish(self) -> Path:
+        """Merge everything into one file."""
+        import pyarrow as pa  # noqa: PLC0415
+
+        parts = self._parts()
+        if parts:
+            table = pa.table(
+                read_results(self.path, self._columns), schema=schema_of(self._columns)
+            )
+            _write_table(self.path / RESULTS, table)
+            for part in parts:
+                part.unlink()
+        return self.path / RESULTS
+
+    def close(self) -> None:
+        """Let others write there."""
+        self._lock.close()

@@ -1,0 +1,182 @@
+"""The sweep's loop.
+
+Tasks of about a second, handed to worker processes here or on a cluster, results taken as they come.
+"""
+
+import os
+import warnings
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from bus.errors import PeerLost
+from outrider.experiments.sweep.folder import SweepFolder
+from outrider.experiments.sweep.plan import Plan
+from outrider.experiments.sweep.worker import fly_runs, installed_version
+from outrider.running.watchdog import interrupts_masked
+from sim.scenario.types import Scenario
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+_TASK = 20_000
+"""Ticks of one UAV in a task: about a second, beside which a task's own cost of some milliseconds is nothing."""
+_CONNECT = 10.0
+"""To find a cluster's scheduler [s]."""
+_TASKS_A_WORKER = 4
+"""At least, if there are runs enough: so that all workers end at about the same time."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SweepTask:
+    """Some runs of one point."""
+
+    scenario: Scenario
+    seeds: dict[int, int]
+    """By the runs' numbers."""
+
+
+def cost_of(scenario: Scenario) -> int:
+    """Cost of a run of a scenario, in ticks of one UAV."""
+    return scenario.ticks * len(scenario.uav)
+
+
+def make_tasks(plan: Plan, done: set[int], workers: int) -> list[SweepTask]:
+    """Cut what is still to be flown into tasks, in order.
+
+    Args:
+        plan: The whole sweep.
+        done: Numbers of the runs that need not be flown.
+        workers: How many processes fly.
+    """
+    missing = plan.runs - len(done)
+    most = max(1, missing // (_TASKS_A_WORKER * workers))
+    tasks: list[SweepTask] = []
+    for k, point in enumerate(plan.points):
+        runs = [
+            run
+            for run in range(k * plan.sweep.seeds, (k + 1) * plan.sweep.seeds)
+            if run not in done
+        ]
+        size = min(most, max(1, _TASK // cost_of(point.scenario)))
+        for first in range(0, len(runs), size):
+            seeds = {run: plan.seed_of(run) for run in runs[first : first + size]}
+            tasks.append(SweepTask(scenario=point.scenario, seeds=seeds))
+    return tasks
+
+
+@contextmanager
+def open_cluster(address: str, version: str) -> Iterator["Client"]:
+    """A client of a Dask cluster whose workers have the same Outrider.
+
+    Args:
+        address: Of the scheduler.
+        version: Of Outrider here.
+
+    Raises:
+        PeerLost: If there is no scheduler or no worker, or one has another Outrider or none.
+    """
+    from distributed import Client  # noqa: PLC0415 - an extra
+
+    try:
+        client = Client(address, timeout=_CONNECT)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError) as error:
+        raise PeerLost(f"--dask {address}: no scheduler there ({error})") from error
+    with client:
+        try:
+            found = client.run(installed_version)
+        except Exception as error:
+            raise PeerLost(f"--dask {address}: a worker cannot load outrider: {error}") from error
+        for worker, other in found.items():
+            if other != version:
+                raise PeerLost(
+                    f"--dask {address}: worker {worker} has outrider {other}, this is {version}"
+                )
+        if not found:
+            raise PeerLost(f"--dask {address}: the cluster has no workers")
+        yield client
+
+
+def _results(
+    tasks: list[SweepTask], jobs: int, client: "Client | None"
+) -> Generator[list[dict[str, Any]]]:
+    """The results of the tasks, as they come."""
+    from joblib import Parallel, delayed, parallel_config  # noqa: PLC0415 - an extra
+
+    backend: dict[str, Any] = (
+        {"backend": "loky", "max_nbytes": None}
+        if client is None
+        else {"backend": "dask", "client": client}
+    )
+    with parallel_config(**backend, n_jobs=jobs):
+        parent = os.getpid() if client is None else None
+        calls = (delayed(fly_runs)(task.scenario, task.seeds, parent) for task in tasks)
+        with interrupts_masked():
+            results = Parallel(
+                return_as="generator_unordered", batch_size=1, pre_dispatch="3*n_jobs"
+            )(calls)
+        yield from results
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Without joblib's advice to whoever does not wait for the end: that somebody has pressed Ctrl-C is no mistake."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings(
+            "ignore", message=".*still being processed by the workers", category=UserWarning
+        )
+        yield
+
+
+def _is_a_death(error: Exception) -> bool:
+    """Whether a worker process has died: of loky's pool, or one too many of a cluster's."""
+    return type(error).__name__ in ("TerminatedWorkerError", "BrokenProcessPool", "KilledWorker")
+
+
+def fly_sweep(
+    plan: Plan,
+    folder: SweepFolder,
+    *,
+    jobs: int,
+    client: "Client | None" = None,
+    on_results: Callable[[list[dict[str, Any]]], None] = lambda _results: None,
+) -> None:
+    """Fly what is missing of a sweep.
+
+    A run that raises has its row, with the error; a worker that dies is replaced.
+
+    Args:
+        plan: The whole sweep.
+        folder: Where the results are kept.
+        jobs: Number of worker processes.
+        client: Of a cluster, to fly there and not here.
+        on_results: Is told of results that are kept.
+
+    Raises:
+        PeerLost: If workers die again and again and nothing comes of it, or the cluster is gone.
+    """
+    done = set(folder.done)
+    while True:
+        before = len(done)
+        tasks = make_tasks(plan, done, jobs)
+        if not tasks:
+            return
+        try:
+            with _silence(), closing(_results(tasks, jobs, client)) as all_results:
+                for results in all_results:
+                    folder.add(results)
+                    done |= {result["run"] for result in results}
+                    on_results(results)
+            return
+        except Exception as error:
+            if client is not None and not _is_a_death(error):
+                raise PeerLost(
+                    f"--dask: the cluster is gone ({type(error).__name__}: {error}); what is done is kept"
+                ) from error
+            if not _is_a_death(error):
+                raise
+            if len(done) == before:
+                raise PeerLost(
+                    "worker processes die at once; out of memory? (fewer --jobs); what is done is kept"
+                ) from error

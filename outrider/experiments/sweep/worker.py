@@ -1,0 +1,60 @@
+"""The work of a sweep's worker process: a few runs of one point, each in this process."""
+
+import os
+import time
+from functools import cache
+from importlib.metadata import version
+from typing import Any
+
+from agents.process import warm_up as warm_up_pilot
+from bus.keys import Role
+from outrider.experiments.sweep.columns import failed_row, row_of
+from outrider.running.flying import fly
+from outrider.running.watchdog import end_with_parent
+from sim.kernels.compile import compiling
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Scenario
+from sim.server.flight import warm_up
+
+
+@cache
+def _warm() -> None:
+    """Compile, or load what another worker has compiled; once a process."""
+    with compiling():
+        warm_up(load_scenario())
+        for role in (Role.UAV, Role.UGV):
+            warm_up_pilot(role)
+
+
+def fly_run(scenario: Scenario, seed: int) -> dict[str, Any]:
+    """The results of one run; of one that raises, why."""
+    started = time.perf_counter()
+    try:
+        summary = fly(scenario, seed)[1]
+    except Exception as error:  # noqa: BLE001 - whatever it is, it belongs into this run's row, and the others go on
+        return failed_row(error, time.perf_counter() - started)
+    return row_of(summary, time.perf_counter() - started)
+
+
+def fly_runs(
+    scenario: Scenario, seeds: dict[int, int], parent: int | None = None
+) -> list[dict[str, Any]]:
+    """Fly a scenario with some seeds.
+
+    Args:
+        scenario: Of one point.
+        seeds: By the runs' numbers.
+        parent: The process without which this one is not to stay; none on a cluster.
+
+    Returns:
+        The results, each with its run's number.
+    """
+    if parent not in (None, os.getpid()):  # a single job is flown in the sweep's own process
+        end_with_parent(parent)
+    _warm()
+    return [{"run": run, **fly_run(scenario, seed)} for run, seed in seeds.items()]
+
+
+def installed_version() -> str:
+    """Of Outrider, where this is called."""
+    return version("outrider")

@@ -1,0 +1,179 @@
+"""Observation and action of the learned UAV.
+
+The ground around its UGV and a velocity, both in the frame of the line between them.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from bus.layout import UavRow
+from outrider.envs.observations.transformation import Observation, Transformation, Worlds
+
+Array = npt.NDArray[Any]
+
+_ENTRIES = UavRow._fields
+_LARGEST = 5.0
+"""Entries are cut to ± this."""
+_NEAR = 1e-6
+"""A shorter relative position has no direction [m]: the last one stays."""
+
+
+class EscortView(Transformation):
+    """The frame has its x axis from the UGV to the UAV, by the filter's estimate; before there is one it looks east.
+
+    An observation is one array: whether the UGV was ever detected; the distance over `scale`; own velocity over
+    v_max; the
+    UGV's velocity, from two estimates `lag` steps apart, over v_max; and 1 - min(C / C*, 1) on rings around the
+    UGV, ring by ring and counter-clockwise from the UAV, interpolated in the coverage patch.
+
+    An action is the velocity to have a step later, over v_max. It becomes the acceleration that reaches it, which
+    the world shortens to u_max.
+
+    Args:
+        step: Between two observations [s].
+        v_max: The UAV's [m/s].
+        pixel: Meters per pixel of the coverage patch [m].
+        rings: Radii of the rings [m].
+        sectors: Points on each.
+        lag: Steps.
+        scale: [m].
+    """
+
+    def __init__(
+        self,
+        *,
+        step: float,
+        v_max: float,
+        pixel: float,
+        rings: Sequence[float],
+        sectors: int,
+        lag: int,
+        scale: float = 5.0,
+    ) -> None:
+        self._step, self._pixel, self._lag, self._scale = step, pixel, lag, scale
+        angles = 2.0 * np.pi * np.arange(sectors) / sectors
+        radii = np.repeat(np.asarray(rings, dtype=np.float64), sectors)
+        self._points = (
+            radii * np.tile(np.cos(angles), len(rings)),
+            radii * np.tile(np.sin(angles), len(rings)),
+        )
+        self._v_max = v_max
+        self._track: Array = np.empty((0, 2))
+        self._axis: Array = np.empty((0, 2))
+        self._velocity: Array = np.empty((0, 2))
+        self._known: Array = np.empty(0)
+
+    @property
+    def size(self) -> int:
+        """Entries of the array."""
+        return 6 + len(self._points[0])
+
+    def space(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
+        """The space of the one array."""
+        row = space.spaces.get("row") if isinstance(space, spaces.Dict) else None
+        picture = space.spaces.get("coverage") if isinstance(space, spaces.Dict) else None
+        if not isinstance(row, spaces.Box) or row.shape != (len(_ENTRIES),) or picture is None:
+            raise ValueError(f"EscortView needs a UAV's row and a coverage patch, not {space}")
+        if not np.isclose(row.high[_ENTRIES.index("vx")], self._v_max):
+            raise ValueError(
+                f"EscortView is made for v_max = {self._v_max:g} m/s, not {row.high[_ENTRIES.index('vx')]:g} m/s"
+            )
+        return spaces.Box(-_LARGEST, _LARGEST, (self.size,), np.float32)
+
+    def action_space(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
+        """A square of shares of v_max."""
+        return spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+    def begin(self, observation: Observation, worlds: Worlds) -> Observation:
+        """Begin in these worlds."""
+        return self.start(observation, worlds)
+
+    def start(self, observation: Observation, worlds: Worlds) -> Array:
+        """`begin`, of which it is known that an array comes."""
+        if self._known.shape != worlds.shape:
+            self._known = np.zeros(worlds.shape, dtype=np.bool_)
+            self._track = np.zeros((self._lag + 1, *worlds.shape, 2))
+            self._axis, self._velocity = np.zeros((*worlds.shape, 2)), np.zeros((*worlds.shape, 2))
+            worlds = np.ones(worlds.shape, dtype=np.bool_)
+        self._known[worlds] = False
+        self._axis[worlds] = (1.0, 0.0)
+        return self.see(observation, worlds)
+
+    def apply(self, observation: Observation) -> Observation:
+        """The observation of the next step."""
+        return self.see(observation, np.ones(self._known.shape, dtype=np.bool_))
+
+    def see(self, observation: Observation, moving: Worlds) -> Array:
+        """The array of all worlds, of which only these go on by a step."""
+        if not isinstance(observation, dict):
+            raise ValueError("EscortView needs the row and the coverage patch")
+        row = dict(
+            zip(_ENTRIES, np.moveaxis(observation["row"].astype(np.float64), -1, 0), strict=True)
+        )
+        detected = row["detected"] > 0.0
+        relative = np.stack((row["relative_x"], row["relative_y"]), axis=-1)
+        place = np.stack((row["x"], row["y"]), axis=-1) - relative
+        distance = np.sqrt(relative[..., 0] ** 2 + relative[..., 1] ** 2)
+        turning = moving & (distance > _NEAR)
+        self._axis[turning] = relative[turning] / distance[turning, None]
+        self._track[:-1, moving] = self._track[1:, moving]
+        self._track[-1, moving] = place[moving]
+        first = moving & ~(self._known & detected)
+        self._track[:, first] = place[first]
+        self._known[moving] = detected[moving]
+        self._velocity[moving] = np.stack((row["vx"], row["vy"]), axis=-1)[moving]
+
+        ugv = (self._track[-1] - self._track[0]) / (self._lag * self._step)
+        entries = [
+            row["detected"][..., None],
+            distance[..., None] / self._scale,
+            self._turned(self._velocity) / self._v_max,
+            self._turned(ugv) / self._v_max,
+            self._lack(observation["coverage"], relative),
+        ]
+        shown: Array = np.clip(np.concatenate(entries, axis=-1), -_LARGEST, _LARGEST).astype(
+            np.float32
+        )
+        return shown
+
+    def _turned(self, vector: Array) -> Array:
+        """From the world's frame to ours."""
+        c, s = self._axis[..., 0], self._axis[..., 1]
+        x, y = vector[..., 0], vector[..., 1]
+        return np.stack((c * x + s * y, c * y - s * x), axis=-1)
+
+    def _lack(self, picture: Array, relative: Array) -> Array:
+        """1 - min(C / C*, 1) on the rings. Shape (..., points)."""
+        c, s = self._axis[..., 0, None], self._axis[..., 1, None]
+        ahead, left = self._points
+        pixels = picture.shape[-1]
+        middle = 0.5 * (pixels - 1)
+        column = middle + (c * ahead - s * left - relative[..., 0, None]) / self._pixel
+        row = middle + (s * ahead + c * left - relative[..., 1, None]) / self._pixel
+        column, row = np.clip(column, 0.0, pixels - 1.001), np.clip(row, 0.0, pixels - 1.001)
+        i, j = column.astype(np.intp), row.astype(np.intp)
+        a, b = column - i, row - j
+        flat = picture.reshape(*picture.shape[:-2], pixels * pixels).astype(np.float64)
+
+        def at(rows: Array, columns: Array) -> Array:
+            return np.take_along_axis(flat, rows * pixels + columns, axis=-1)
+
+        low = (1.0 - a) * at(j, i) + a * at(j, i + 1)
+        high = (1.0 - a) * at(j + 1, i) + a * at(j + 1, i + 1)
+        lack: Array = 1.0 - ((1.0 - b) * low + b * high)
+        return lack
+
+    def action(self, action: Any) -> Any:  # noqa: ANN401 - what is no action passes, and the environment refuses it
+        """The acceleration [m/s²] for a velocity, by the last observation."""
+        wanted = np.asarray(action, dtype=np.float64)
+        if wanted.shape != self._velocity.shape:
+            return action
+        size = np.sqrt(wanted[..., 0] ** 2 + wanted[..., 1] ** 2)[..., None]
+        wanted = self._v_max * wanted / np.maximum(size, 1.0)
+        c, s = self._axis[..., 0], self._axis[..., 1]
+        x, y = wanted[..., 0], wanted[..., 1]
+        return (np.stack((c * x - s * y, s * x + c * y), axis=-1) - self._velocity) / self._step

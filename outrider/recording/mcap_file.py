@@ -1,0 +1,249 @@
+"""The file of a recording.
+
+Our own messages as JSON, exact to the last bit, beside what viewers of MCAP understand at once.
+"""
+
+import logging
+import math
+import os
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import msgspec
+
+from bus.errors import ScenarioError
+from bus.messages import Change, CoverageMap, Drive, Status, Truth
+from outrider.recording.schemas import (
+    CHANGES,
+    COMMANDS,
+    COVERAGE,
+    EXTRA,
+    PROFILE,
+    SCENARIO,
+    STATUS,
+    TOPICS,
+    TRUTH,
+    Commands,
+    Head,
+    OperatorWord,
+    Topic,
+    inlined_schema,
+    operator_topic,
+)
+from outrider.recording.tick_rows import Tick
+from outrider.recording.viewers import Viewers
+from sim.scenario.types import Scenario
+
+try:  # an extra
+    import foxglove
+    from foxglove.mcap import MCAPWriteOptions
+except ImportError as absent:
+    raise ScenarioError(EXTRA) from absent
+
+FLUSH_PERIOD = 0.25
+"""Wall time between two flushes [s]: with the thread's own period, what a kill can cost stays under half a second."""
+_LEVEL = 1
+"""Of the compression: the fastest that the library offers; on these messages no worse than its default."""
+
+
+class _Sink:
+    """The file as foxglove-sdk writes to it.
+
+    A write that fails is kept for us to raise: the library would print it, for ever.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("wb", buffering=0)
+        self.fault: OSError | None = None
+        self._path = path
+
+    def write(self, data: bytes | bytearray) -> int:
+        view = memoryview(data)
+        try:
+            while view and self.fault is None:
+                view = view[self._file.write(view) :]
+        except OSError as error:
+            self.fault = OSError(error.errno, error.strerror or str(error), str(self._path))
+        return len(data)
+
+    def flush(self) -> None:
+        """Nothing waits here."""
+
+    def keep_private(self) -> None:
+        """Let nobody but the file's owner read it."""
+        os.fchmod(self._file.fileno(), 0o600)
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        return self._file.seek(offset, whence)
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class RecordingFile:
+    """An MCAP file that takes messages in the order of simulated time, from one thread.
+
+    Args:
+        path: The file; one that is there is replaced.
+
+    Raises:
+        OSError: If it cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        logging.getLogger("foxglove").setLevel(logging.ERROR)
+        self._sink = _Sink(path)
+        self._context = foxglove.Context()
+        options = MCAPWriteOptions(
+            profile=PROFILE, disable_seeking=True, compression_level=_LEVEL, compression_threads=0
+        )
+        self._writer = foxglove.open_mcap(self._sink, context=self._context, writer_options=options)
+        self._own: dict[str, foxglove.Channel] = {}
+        for topic in TOPICS:
+            self._add(topic)
+        self._viewers = Viewers(self._context)
+        self._encoder = msgspec.json.Encoder()
+        self._due = time.monotonic() + FLUSH_PERIOD
+        self._base = self._last = 0
+        self._r_v = math.inf
+        self._lost: set[str] = set()
+
+    def _add(self, topic: Topic) -> None:
+        self._own[topic.name] = foxglove.Channel(
+            topic.name, schema=inlined_schema(topic.message), context=self._context
+        )
+
+    def begin(self, head: Head, scenario: Scenario | None) -> None:
+        """A flight begins; it is in the file at once. A file that tells a secret is its owner's alone."""
+        if head.secret:
+            self._sink.keep_private()
+        self._base = round(head.start * 1e9)
+        self._r_v = scenario.visibility.radius if scenario is not None else math.inf
+        self._lost = set()
+        self._viewers.begin(scenario)
+        self._put(SCENARIO, head, 0.0)
+        self.flush()
+
+    @property
+    def next_start(self) -> float:
+        """The place of another flight on the file's clock [s]."""
+        return math.ceil(self._last / 1e8 + 1.0) / 10.0
+
+    def _clock(self, seconds: float) -> int:
+        time_ns = self._base + round(seconds * 1e9)
+        self._last = max(self._last, time_ns)
+        return time_ns
+
+    def _put(self, topic: Topic, message: msgspec.Struct, seconds: float) -> int:
+        if self._sink.fault is not None:
+            raise self._sink.fault
+        time_ns = self._clock(seconds)
+        if topic.name not in self._own:
+            self._add(topic)
+        self._own[topic.name].log(self._encoder.encode(message), log_time=time_ns)
+        return time_ns
+
+    def truth(self, truth: Truth) -> None:
+        """Take down a tick, for everybody."""
+        time_ns = self._put(TRUTH, truth, truth.time)
+        escorts = {escort.uav: escort.ugv for escort in truth.escorts}
+        if self._viewers.due(truth.time):
+            places = {
+                name: (*vehicle.position, *vehicle.velocity)
+                for name, vehicle in truth.vehicles.items()
+            }
+            self._viewers.show(truth.time, places, escorts, time_ns)
+        self._watch(escorts, (escort.distance for escort in truth.escorts), truth.time)
+
+    def tick(self, tick: Tick, names: Sequence[str], escorts: Mapping[str, str]) -> None:
+        """Take down a tick whose messages are text already, and the commands of the one before, for everybody.
+
+        Args:
+            tick: What happened.
+            names: Of the vehicles, in the order of its states.
+            escorts: Each UAV, and the UGV it escorts.
+        """
+        if self._sink.fault is not None:
+            raise self._sink.fault
+        if tick.commands:
+            self._own[COMMANDS.name].log(tick.commands, log_time=self._clock(tick.begun))
+        time_ns = self._clock(tick.time)
+        self._own[TRUTH.name].log(tick.truth, log_time=time_ns)
+        if self._viewers.due(tick.time):
+            places = {
+                name: (x, y, v_x, v_y)
+                for name, (x, y, v_x, v_y) in zip(names, tick.states.tolist(), strict=True)
+            }
+            self._viewers.show(tick.time, places, escorts, time_ns)
+        self._watch(escorts, tick.distances, tick.time)
+
+    def _watch(
+        self, escorts: Mapping[str, str], distances: Iterable[float], seconds: float
+    ) -> None:
+        """Say when a UAV loses sight of its UGV, and when it sees it again."""
+        for uav, distance in zip(escorts, distances, strict=True):
+            if (distance >= self._r_v) != (uav in self._lost):
+                self._lost ^= {uav}
+                seen = uav not in self._lost
+                what = "sees {} again" if seen else "has lost sight of {}"
+                self.log(
+                    f"{uav} {what.format(escorts[uav])}: {distance:.3f} m",
+                    seconds,
+                    warning=not seen,
+                )
+
+    def commands(self, commands: Commands, seconds: float) -> None:
+        """Take down what was asked for during a tick that began at `seconds`."""
+        self._put(COMMANDS, commands, seconds)
+
+    def word(self, ugv: str, tick: int, said: Drive, seconds: float) -> None:
+        """Take down an operator's message that a UGV received at a tick, which began at `seconds`."""
+        self._put(
+            operator_topic(ugv),
+            OperatorWord(tick=tick, driver=said.driver, velocity=said.velocity, goal=said.goal),
+            seconds,
+        )
+
+    def change(self, change: Change, seconds: float) -> None:
+        """Take down what operators have changed, told at `seconds`."""
+        self._put(CHANGES, change, seconds)
+
+    def status(self, status: Status) -> None:
+        """Take down how the run stands."""
+        self._put(STATUS, status, status.time)
+
+    def coverage(self, ground: CoverageMap, seconds: float) -> None:
+        """Take down the ground at `seconds`."""
+        self._viewers.coverage(ground, self._put(COVERAGE, ground, seconds))
+
+    def log(self, line: str, seconds: float, *, warning: bool = False) -> None:
+        """Take down a line for a person."""
+        self._viewers.log(line, self._clock(seconds), warning=warning)
+
+    def flush(self) -> None:
+        """Let the file hold all there is.
+
+        Raises:
+            OSError: If it does not take it.
+        """
+        self._writer.flush()
+        if self._sink.fault is not None:
+            raise self._sink.fault
+        self._due = time.monotonic() + FLUSH_PERIOD
+
+    def flush_if_due(self) -> None:
+        """Flush, if the last time was long ago."""
+        if time.monotonic() >= self._due:
+            self.flush()
+
+    def close(self) -> None:
+        """End the file as MCAP wants it.
+
+        Raises:
+            OSError: If it does not take all there is.
+        """
+        self._writer.close()
+        self._sink.close()
+        if self._sink.fault is not None:
+            raise self._sink.fault

@@ -1,0 +1,441 @@
+"""A run as three operating-system processes or more: started together, watched, and ended together."""
+
+import contextlib
+import os
+import queue
+import secrets
+import shutil
+import socket
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from bus.access import ROUTER_FILE, new_certificates, new_credentials, write_credentials
+from bus.certificates import new_authority
+from bus.errors import BusError, PeerLost
+from bus.keys import OPERATOR_NAME, SIMULATOR_NAME
+from bus.registry import DRIVERS
+from outrider.running.child import Child, environment_of
+from outrider.running.cores import can_be_kept_apart, cores_for, keep_apart
+from outrider.running.exit_reports import Report
+from outrider.running.forking import Forkserver, forkserver
+from outrider.running.summary import Process, Summary
+from sim.scenario.types import Scenario, Ugv
+
+_PATIENCE = 10.0
+"""Time that a process may take to end when it was asked to [s]."""
+_LAST_FRAME = 0.2
+"""The page is still served so long after the end of the simulator [s], so that browsers show that the run is over."""
+_PORTS = range(20_000, 32_000)
+"""Of this machine, below those that systems give to clients."""
+Transport = Literal["unix", "tcp", "tls"]
+_LIVES = 3
+"""A process that dies more often than this while the clock stands still is not started again."""
+
+
+@contextlib.contextmanager
+def _private_folder() -> Iterator[Path]:
+    """A folder for the run's socket that only this user can enter; gone afterwards."""
+    folder = Path(tempfile.mkdtemp(prefix="outrider-"))
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def free_port() -> int:
+    """A port that nobody listens on now.
+
+    Raises:
+        BusError: If there is none.
+    """
+    for _ in range(100):
+        port = secrets.choice(_PORTS)
+        with contextlib.suppress(OSError), socket.socket() as probe:
+            probe.bind(("127.0.0.1", port))
+            return port
+    raise BusError("no free port found for the run's router")
+
+
+@contextlib.contextmanager
+def _ended_afterwards() -> Iterator[list[Child]]:
+    """Children that are all ended afterwards."""
+    children: list[Child] = []
+    try:
+        yield children
+    finally:
+        for child in children:
+            child.ask_to_end()
+        limit = time.monotonic() + _PATIENCE
+        for child in children:
+            if not child.wait(max(0.1, limit - time.monotonic())):
+                child.kill()
+            child.close()
+
+
+class Outcome(msgspec.Struct, kw_only=True):
+    """The end of a run."""
+
+    summary: Summary | None = None
+    files: list[Path] = []
+    fault: str = ""
+    """The failure on the way, for a person; empty where nothing did."""
+
+
+class Watcher(msgspec.Struct, frozen=True, kw_only=True):
+    """Callbacks of whoever follows a run, and can end it."""
+
+    on_tick: Callable[[int], None]
+    """Called with the tick, some times a second."""
+    on_event: Callable[[str], None]
+    """Called with a line for a person."""
+    on_warnings: Callable[[Sequence[str]], None]
+    """Called with what stands in the way of the scenario's promise, a line each."""
+    stop: Callable[[], int]
+    """Counts who has asked for the end: once ends the run in order, twice at once."""
+
+
+NOBODY = Watcher(
+    on_tick=lambda _tick: None,
+    on_event=lambda _line: None,
+    on_warnings=lambda _lines: None,
+    stop=lambda: 0,
+)
+
+
+def launch(
+    scenario: Scenario,
+    source: str,
+    overrides: Sequence[str],
+    watcher: Watcher,
+    *,
+    out: Path | None,
+    picture: bool = True,
+    record: Path | None = None,
+    realtime: float | None = None,
+    deadline: float = 10.0,
+    join_timeout: float = 120.0,
+    respawn: bool = False,
+    pin: bool = True,
+    secured: bool = True,
+    transport: Transport = "unix",
+    page: socket.socket | None = None,
+    secret: str = "",
+    forks: Forkserver | None = None,
+) -> Outcome:
+    """Fly a scenario as one process for the simulator and one for each vehicle, over Zenoh on a private socket.
+
+    Each process has credentials of its own, made for this run alone and gone with it.
+
+    Args:
+        scenario: What is flown.
+        source: The same as a name or file, for the simulator's process.
+        overrides: The same as `--set` arguments.
+        watcher: Who follows the run.
+        out: Where the simulator writes.
+        picture: Whether it draws.
+        record: Where it records every tick.
+        realtime: Simulated seconds per second of wall time; None: lockstep.
+        deadline: How long it waits for the commands of one tick [s].
+        join_timeout: How long it waits for the vehicles [s].
+        respawn: Whether a vehicle's process that dies is started again.
+        pin: Whether the UAVs keep to one half of the processor cores and the others to the other half, if there
+            are few of them.
+        secured: Whether there are credentials and access control; False only to measure what they cost.
+        transport: `tcp` and `tls`, with certificates for passwords, use a port of this machine; only to measure
+            what they cost.
+        page: A socket that listens, on which the run is shown in the browser; None: it is not. The page's process
+            is no part of the flight: where it fails, that is told, and the flight goes on.
+        secret: Of the run, for the simulator's process alone; empty: none.
+        forks: A forkserver that the caller has started; None: one is started here.
+
+    Returns:
+        The summary of what was flown, if anything was; and the fault that ended it early.
+    """
+    with (
+        _private_folder() as folder,
+        nullcontext(forks) if forks else forkserver(environment_of("")) as server,
+        _ended_afterwards() as pages,
+        _ended_afterwards() as children,
+    ):
+        while server is not None and not server.ready(0.1):
+            if watcher.stop():
+                return Outcome()
+        run = f"run-{os.getpid()}-{secrets.token_hex(4)}"
+        processes = _Processes(
+            scenario,
+            folder,
+            run,
+            children,
+            server,
+            pin=pin,
+            secured=secured,
+            transport=transport,
+        )
+        timing = ["--deadline", str(deadline), "--join-timeout", str(join_timeout)]
+        pace = (["--realtime", str(realtime)] if realtime is not None else []) + (
+            ["--respawn"] if respawn else []
+        )
+        settings = [argument for override in overrides for argument in ("--set", override)]
+        output = (["--out", str(out)] if out else []) + ([] if picture else ["--no-picture"])
+        output += ["--record", str(record)] if record else []
+        processes.start_simulator(source, [*settings, *output, *timing, *pace], watcher, secret)
+        if page is not None and not watcher.stop() and processes.simulator.ended is None:
+            processes.show_on(page, pages, watcher)
+        if not watcher.stop():
+            processes.start_vehicles(watcher)
+        if server is not None and not respawn:
+            server.close()  # nothing more is forked
+        outcome = _follow(processes, watcher, respawn=respawn)
+        if any(shown.ended is None for shown in pages):
+            time.sleep(_LAST_FRAME)
+        if outcome.summary is not None:
+            for child in children:
+                child.wait(2.0 if outcome.summary.complete else 0.5)
+            who = [Process(name=child.name, pid=child.pid) for child in children]
+            outcome.summary = msgspec.structs.replace(outcome.summary, processes=who)
+        return outcome
+
+
+class _Processes:
+    """The run's processes, the simulator's first.
+
+    Args:
+        scenario: What is flown.
+        folder: The run's private folder.
+        run: Its name.
+        children: Where they are kept, so that they are ended whatever happens.
+        forks: What forks them; None: each is started by itself.
+        pin: Whether they are given cores.
+        secured: Whether they are given credentials.
+        transport: How they reach each other.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        folder: Path,
+        run: str,
+        children: list[Child],
+        forks: Forkserver | None,
+        *,
+        pin: bool,
+        secured: bool,
+        transport: Transport,
+    ) -> None:
+        self.children = children
+        self._forks = forks
+        self.lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        """Reports of the simulator, a line each."""
+        self._scenario, self._folder, self._run = scenario, folder, run
+        self._pin = pin and can_be_kept_apart(len(scenario.vehicles))
+        self._address: Path | tuple[str, int] = folder / "bus.sock"
+        self._endpoint = f"unixsock-stream/{self._address}"
+        if transport != "unix":
+            self._address = ("127.0.0.1", free_port())
+            self._endpoint = f"{transport}/127.0.0.1:{self._address[1]}"
+        self._uavs = {uav.name for uav in scenario.uav}
+        self._files: dict[str, Path] = {}
+        self._page: Child | None = None
+        if secured:
+            names = [uav.name for uav in scenario.uav], [ugv.name for ugv in scenario.ugv]
+            given = (
+                new_certificates(new_authority(run), *names)
+                if transport == "tls"
+                else new_credentials(run, *names)
+            )
+            self._files = write_credentials(given, folder / "credentials")
+
+    @property
+    def simulator(self) -> Child:
+        """The simulator's process."""
+        return self.children[0]
+
+    def _known_as(self, name: str) -> list[str]:
+        return ["--credentials", str(self._files[name])] if self._files else []
+
+    def start_simulator(
+        self, source: str, settings: list[str], watcher: Watcher, secret: str
+    ) -> None:
+        """Start it and wait until its router listens: before that a client would only try in vain."""
+        arguments = [
+            "simulator",
+            source,
+            "--listen",
+            self._endpoint,
+            "--run",
+            self._run,
+            "--events",
+        ]
+        arguments += [
+            *self._known_as(ROUTER_FILE),
+            *settings,
+            "--watchdog-folder",
+            str(self._folder),
+        ]
+        self.children.append(
+            Child(SIMULATOR_NAME, arguments, self.lines, secret=secret, forkserver=self._forks)
+        )
+        while not self._listens() and self.simulator.ended is None and not watcher.stop():
+            time.sleep(0.02)
+
+    def _listens(self) -> bool:
+        if isinstance(self._address, Path):
+            return self._address.exists()
+        with contextlib.suppress(OSError), socket.create_connection(self._address, timeout=1.0):
+            return True
+        return False
+
+    def show_on(self, page: socket.socket, pages: list[Child], watcher: Watcher) -> None:
+        """Start the dashboard, and wait until it shows what comes: the first tick is part of it."""
+        arguments = [
+            "dashboard",
+            "--connect",
+            self._endpoint,
+            "--run",
+            self._run,
+            *self._known_as(OPERATOR_NAME),
+        ]
+        arguments += ["--host", "127.0.0.1", "--listening", str(page.fileno())]
+        arguments += ["--law", msgspec.json.encode(self._scenario.law).decode()]
+        lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._page = Child("dashboard", arguments, lines, (page.fileno(),))
+        pages.append(self._page)
+        page.close()  # it is the child's now: where that ends, nobody else keeps a browser waiting
+        limit = time.monotonic() + _PATIENCE
+        while not watcher.stop() and self.simulator.ended is None and time.monotonic() < limit:
+            with contextlib.suppress(queue.Empty):
+                line = lines.get(timeout=0.1)
+                if line is not None:
+                    watcher.on_event(f"the run is shown at {line.decode().strip()}")
+                return
+
+    def lost_page(self) -> str:
+        """Why the dashboard has ended before the run, told once; empty: it has not."""
+        if self._page is None or self._page.ended is None:
+            return ""
+        page, self._page = self._page, None
+        return f"{page.exit_report()}; the run goes on without its page"
+
+    def _start(self, name: str) -> Child:
+        common = [
+            "--name",
+            name,
+            "--connect",
+            self._endpoint,
+            "--run",
+            self._run,
+            *self._known_as(name),
+        ]
+        custom, is_uav = self._scenario.custom, name in self._uavs
+        own = (
+            [("--weighting", custom.weighting), ("--path", custom.path)]
+            if is_uav
+            else [("--policy", custom.policy)]
+        )
+        given = [argument for option, value in own if value for argument in (option, value)]
+        return Child(
+            name,
+            ["uav" if is_uav else "ugv", *common, *given],
+            forkserver=self._forks,
+            cores=cores_for(is_uav=is_uav) if self._pin else frozenset(),
+        )
+
+    def start_vehicles(self, watcher: Watcher) -> None:
+        """Start a process for each, and say what one of the user's own needs to know."""
+        for vehicle in self._scenario.vehicles:
+            if isinstance(vehicle, Ugv) and DRIVERS[vehicle.driver].outside:
+                known = " ".join(self._known_as(vehicle.name))
+                watcher.on_event(
+                    f"{vehicle.name} is yours: --connect {self._endpoint} --run {self._run} --name {vehicle.name} {known}"
+                )
+            else:
+                self.children.append(self._start(vehicle.name))
+        self._give_cores()
+
+    def start_again(self, dead: Child) -> None:
+        """Put a new process in the place of one that has ended."""
+        place = self.children.index(dead)
+        dead.close()
+        self.children[place] = self._start(dead.name)
+        self._give_cores()
+
+    def _give_cores(self) -> None:
+        if self._pin:
+            keep_apart({child.pid: child.name in self._uavs for child in self.children})
+
+
+def _follow(processes: _Processes, watcher: Watcher, *, respawn: bool) -> Outcome:
+    """Until the simulator's process has ended, whoever made it end."""
+    simulator, outcome, asked = processes.simulator, Outcome(), False
+    tick, deaths, counted = 0, Counter[str](), set[int]()
+
+    def read(line: bytes) -> None:
+        nonlocal tick
+        told = msgspec.json.decode(line, type=Report)
+        if told.tick is not None:
+            if told.tick > tick:
+                deaths.clear()
+            tick = told.tick
+            watcher.on_tick(told.tick)
+        if told.event is not None:
+            watcher.on_event(told.event)
+        if told.warnings is not None:
+            watcher.on_warnings(told.warnings)
+        if told.summary is not None:
+            outcome.summary = told.summary
+        if told.files is not None:
+            outcome.files = [Path(file) for file in told.files]
+
+    def count(dead: Child) -> bool:
+        """Tell of a vehicle's process that has failed, and start it again; true if the run must end for it."""
+        counted.add(dead.pid)
+        deaths[dead.name] += 1
+        again = respawn and deaths[dead.name] <= _LIVES
+        report = dead.exit_report()
+        if respawn and not again:
+            report += (
+                f"; for the {deaths[dead.name]}th time at tick {tick}, and it is not started again"
+            )
+        watcher.on_event(report + (": started again" if again else ""))
+        if again:
+            processes.start_again(dead)
+        else:
+            outcome.fault = outcome.fault or report
+        return not again and (respawn or tick == 0)
+
+    while True:
+        if watcher.stop() and not asked:
+            asked = True
+            simulator.ask_to_end()
+        if watcher.stop() > 1:
+            raise BusError("killed before the end")
+        if not asked and outcome.summary is None:
+            if lost := processes.lost_page():
+                watcher.on_event(lost)
+            dead = [
+                child
+                for child in processes.children[1:]
+                if child.ended not in (None, 0) and child.pid not in counted
+            ]
+            for child in dead:
+                if count(child):
+                    asked = True
+                    simulator.ask_to_end()
+        with contextlib.suppress(queue.Empty):
+            line = processes.lines.get(timeout=0.1)
+            if line is None:
+                break
+            read(line)
+    simulator.wait(_PATIENCE)
+    if outcome.summary is None and not outcome.fault and not watcher.stop():
+        raise PeerLost(simulator.exit_report())
+    if simulator.ended not in (0, None) and not watcher.stop() and not outcome.fault:
+        outcome.fault = simulator.stderr_tail() or simulator.exit_report()
+    return outcome

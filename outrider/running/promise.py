@@ -1,0 +1,353 @@
+"""Tests before a flight, and when links change in it, whether a scenario's UAVs can certify that they keep sight.
+
+The declared assumptions are those of docs/explanation/certificate.md: A1 the error of a detection, A2 the age of the newest
+one, A5 a
+command that acts exactly tau_c after its tick. Links and detector say which of them they cannot keep, and how often.
+"""
+
+import functools
+import math
+from collections.abc import Iterator
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from agents.control.handover import check_assumptions
+from agents.control.visibility import promise_of
+from bus.messages import LinkKind, LinkSettings, UavBriefing
+from bus.registry import LAWS
+from sim.channel.description import arrival_share, extra_delays, link_parameters
+from sim.channel.link import DUST, LinkParameters, in_ticks
+from sim.engine.briefing import briefing
+from sim.scenario.types import LinkTable, Scenario
+
+_RARE = 1e-6
+"""What is expected less often than this in a whole flight is not told."""
+
+
+class How(StrEnum):
+    """Frequency at which an assumption is broken."""
+
+    THROUGHOUT = "for certain and throughout"
+    """In every tick, or in most of them: hardly anything can be certified."""
+    CERTAIN = "for certain"
+    """At times that are known before the flight."""
+    SOMETIMES = "now and then"
+    """At random."""
+
+
+class Shortfall(NamedTuple):
+    """An assumption that links or detector cannot keep."""
+
+    uav: str
+    assumption: str
+    """A1 to A9 of docs/explanation/certificate.md; empty: the declared numbers themselves allow no certificate."""
+    how: How
+    what: str
+    """The fields as the scenario writes them, and what follows."""
+
+    @property
+    def line(self) -> str:
+        """For a person."""
+        if not self.assumption:
+            return f"{self.uav}: not certified: {self.what}"
+        return f"{self.uav}: not certified, {self.assumption} is broken {self.how}: {self.what}"
+
+
+@functools.lru_cache(maxsize=256)
+def promise_warnings(scenario: Scenario, links: LinkTable | None = None) -> tuple[str, ...]:
+    """Warnings of what stands in the way of the law `certified`, one line each; empty for other laws, and where nothing does.
+
+    Arguments as in `shortfalls`.
+    """
+    return tuple(found.line for found in shortfalls(scenario, links))
+
+
+def how_certifiable(scenario: Scenario) -> str | None:
+    """Tells if sight can be certified `always`, `not always` or `hardly ever`, as far as that is known.
+
+    None for other laws.
+    """
+    if not LAWS[scenario.law.name].watched:
+        return None
+    broken = {found.how for found in shortfalls(scenario)}
+    return "hardly ever" if How.THROUGHOUT in broken else "not always" if broken else "always"
+
+
+def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shortfall, ...]:
+    """Which declared assumptions of the law `certified` cannot be kept, and how often they are broken.
+
+    Args:
+        scenario: What is flown; what the UAVs rely on follows from it when they join.
+        links: What the links do now, where an operator has changed them; by default the scenario's.
+
+    Returns:
+        Empty for other laws, and where nothing stands in the way. What is expected less than once in a million
+        flights is left out.
+    """
+    if not LAWS[scenario.law.name].watched:
+        return ()
+    table, found = links or scenario.links, list[Shortfall]()
+    for uav in scenario.uav:
+        told = briefing(scenario, uav.name, scenario.seed)
+        if not isinstance(told, UavBriefing):
+            continue
+        promise = promise_of(told)
+        found += [
+            Shortfall(uav.name, "", How.THROUGHOUT, fault) for fault in check_assumptions(promise)
+        ]
+        if math.isfinite(promise.eps):
+            found += [
+                Shortfall(uav.name, "A1", how, what) for how, what in _errors(scenario, promise.eps)
+            ]
+        for kind, check, declared in (
+            (LinkKind.DETECTIONS, _ages, promise.age),
+            (LinkKind.COMMANDS, _delays, promise.delay),
+        ):
+            link = _Link(scenario, table.of(uav.name, kind), table.path_of(uav.name, kind))
+            name = "A2" if kind is LinkKind.DETECTIONS else "A5"
+            found += [Shortfall(uav.name, name, how, what) for how, what in check(link, declared)]
+    return tuple(found)
+
+
+class _Link:
+    """One link with what follows from its settings."""
+
+    def __init__(self, scenario: Scenario, settings: LinkSettings, path: str) -> None:
+        self.scenario, self.settings, self.path = scenario, settings, path
+        self.parameters: LinkParameters = link_parameters(settings, scenario.dt)
+        p, held = self.parameters, settings.reorder_delay if settings.reorder else 0.0
+        self.least = in_ticks(p.delay + (p.least if p.jitter > 0.0 else 0.0), p.dt)
+        self.most = in_ticks(p.delay + extra_delays(settings)[1] + held, p.dt)
+
+    def named(self, *fields: str) -> str:
+        """These fields with their values, but for those that are zero."""
+        values = {field: getattr(self.settings, field) for field in fields}
+        return ", ".join(
+            f"{self.path}.{field} = {value:g}" for field, value in values.items() if value
+        )
+
+    def dark(self) -> Iterator[tuple[int, int]]:
+        """First tick of each planned blackout of this flight, and the first after it."""
+        for first, after in self.parameters.blackouts.tolist():
+            if first < min(after, self.scenario.ticks):
+                yield first, min(after, self.scenario.ticks)
+
+    def seconds(self, ticks: float) -> str:
+        """As a time."""
+        return f"{ticks * self.scenario.dt:g} s"
+
+
+def _often(share: float) -> How:
+    return How.THROUGHOUT if share >= 0.5 else How.SOMETIMES
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.3g} %"
+
+
+# A1: the error of a detection
+
+
+def _errors(s: Scenario, eps: float) -> Iterator[tuple[How, str]]:
+    """Noise is normal in each axis, so that its norm exceeds x with the chance exp(-x²/(2 sigma²)), cut or not."""
+    sigma, cut = s.detections.noise, s.noise_cut
+    if sigma == 0.0 or eps >= sigma * cut * (1.0 - DUST):
+        return
+    beyond = math.exp(-0.5 * cut * cut)
+    share = (math.exp(-0.5 * (eps / sigma) ** 2) - beyond) / (1.0 - beyond)
+    if share * s.ticks / s.detection_period > _RARE:
+        errors = (
+            "have no bound (detections.cut = 0)"
+            if math.isinf(cut)
+            else f"of the detections reach {sigma * cut:g} m"
+        )
+        yield (
+            _often(share),
+            f"certificate.error = {eps:g} m, but the errors {errors} at detections.noise = {sigma:g} m: "
+            f"{_percent(share)} are larger",
+        )
+
+
+# A2: the age of the newest detection
+
+
+def _ages(link: _Link, declared: float) -> Iterator[tuple[How, str]]:
+    """Looks are at multiples of the detector's period; each that gets through arrives after `least` to `most` ticks."""
+    s, p = link.scenario, link.parameters
+    period, age = s.detection_period, math.floor(declared / s.dt + DUST)
+    limit = f"certificate.age = {declared:g} s"
+    waits = _queue_ticks(p, period)
+    if waits is not None:
+        certain = s.detections.dropout == 0.0 and link.least + waits > age
+        what = f"{link.named('bandwidth', 'queue')}: fewer than the detector's looks, {1.0 / (period * s.dt):g} /s"
+        if link.most + waits > age:
+            how = How.CERTAIN if certain else How.SOMETIMES
+            yield how, f"{what}: they are up to {link.seconds(link.most + waits)} old, {limit}"
+        else:
+            in_a_row = math.floor((age - link.most - waits) / p.spacing) + 1
+            chance = -math.expm1(
+                s.ticks / p.spacing * math.log1p(-min(p.loss**in_a_row, 1.0 - DUST))
+            )
+            if chance > _RARE:
+                lost = f"{link.named('loss')}, {in_a_row} lost in a row"
+                yield (
+                    How.SOMETIMES,
+                    f"{what}: {lost} outlast {limit}, in {_percent(chance)} of such flights",
+                )
+    elif link.least + period - 1 > age:
+        how = How.THROUGHOUT if link.least > age else How.CERTAIN
+        why = link.named("delay", "jitter") or f"detections.rate = {s.detections.rate:g} /s"
+        oldest = link.seconds(link.least + period - 1)
+        yield (
+            how,
+            f"{why}: the newest detection is {oldest} old before the next one arrives, {limit}",
+        )
+    else:
+        yield from _unlucky_ages(link, age, limit)
+    yield from _dark_ages(link, age, limit)
+
+
+def _queue_ticks(p: LinkParameters, period: int) -> int | None:
+    """Greatest age of the newest look, but for the way, once the queue is full; None: it never fills."""
+    if p.spacing <= period + DUST:
+        return None
+    waits = (p.queue - 1) * period + 1 if p.newest else math.floor(p.queue * p.spacing)
+    return waits + math.floor(p.spacing) - 1
+
+
+def _unlucky_ages(link: _Link, age: int, limit: str) -> Iterator[tuple[How, str]]:
+    """Ages that jitter, held back or lost looks, bursts and random blackouts cause now and then."""
+    s, p = link.scenario, link.parameters
+    period, missed = s.detection_period, 1.0 - (1.0 - p.loss) * (1.0 - s.detections.dropout)
+    shares = np.array([1.0 - (1.0 - missed) * arrival_share(p, ticks) for ticks in range(age + 1)])
+    old = sum(float(np.prod(shares[phase::period])) for phase in range(period)) / period
+    fields = ", ".join(
+        text
+        for text in (
+            link.named("jitter", "reorder", "loss"),
+            f"detections.dropout = {s.detections.dropout:g}" if s.detections.dropout else "",
+        )
+        if text
+    )
+    if old * s.ticks > _RARE:
+        yield (
+            _often(old),
+            f"{fields}: the newest detection is older than {limit} in {_percent(old)} of the ticks",
+        )
+    looks = max(0, (age - link.most + 1) // period)
+    if p.bursts:
+        lost = 1.0 - (1.0 - p.burst_loss) * (1.0 - missed)
+        longer = math.exp(-looks * period * s.dt / link.settings.burst_length) * lost**looks
+        count = s.duration / (link.settings.burst_length + link.settings.burst_interval) * longer
+        if count > _RARE:
+            fields = link.named("burst_length", "burst_interval")
+            yield (
+                How.SOMETIMES,
+                f"{fields}: {_percent(longer)} of the bursts outlast {limit}, {_times(count)}",
+            )
+    if p.up > 0.0:
+        dark = math.ceil(p.down / period)
+        count = s.duration / (link.settings.blackout_interval + link.settings.blackout_length)
+        # two that follow each other without a look between count as one
+        merged = 1.0 if missed >= 1.0 else -math.expm1(-period / (p.up * (1.0 - missed)))
+        chance = 1.0 if dark >= looks else merged if 2 * dark >= looks else 0.0
+        if chance * count > _RARE:
+            fields = link.named("blackout_length", "blackout_interval")
+            which = (
+                "each outlasts"
+                if chance == 1.0
+                else f"{_percent(chance)} outlast with the next one"
+            )
+            yield How.SOMETIMES, f"{fields}: {which} {limit}, {_times(chance * count)}"
+
+
+def _times(count: float) -> str:
+    """An expected number in a flight."""
+    return (
+        f"about {count:.2g} times in this flight"
+        if count >= 1.0
+        else f"in {_percent(count)} of such flights"
+    )
+
+
+def _dark_ages(link: _Link, age: int, limit: str) -> Iterator[tuple[How, str]]:
+    """Planned blackouts after which the newest detection is too old before the next one can arrive."""
+    s, period = link.scenario, link.scenario.detection_period
+    rows = list(link.dark())
+    looks = np.arange(0, s.ticks, period)
+    through = np.ones(len(looks), dtype=bool)
+    for first, after in rows:
+        through[(looks >= first) & (looks < after)] = False
+    for first, after in rows:
+        before, later = looks[through & (looks < first)], looks[through & (looks >= after)]
+        until = min(int(later[0]) + link.least if later.size else s.ticks, s.ticks)
+        if not before.size:
+            yield (
+                How.CERTAIN,
+                f"{link.path}.blackouts: nothing is detected before {link.seconds(until)}",
+            )
+        elif until - 1 - int(before[-1]) > age:
+            since, oldest = int(before[-1]) + age + 1, until - 1 - int(before[-1])
+            span = f"from {link.seconds(since)} to {link.seconds(until)}"
+            yield (
+                How.CERTAIN,
+                f"{link.path}.blackouts, {link.seconds(first)} to {link.seconds(after)}: the newest detection becomes "
+                f"{link.seconds(oldest)} old, {limit}, {span}",
+            )
+
+
+# A5: a command acts exactly tau_c after its tick
+
+
+def _delays(link: _Link, declared: float) -> Iterator[tuple[How, str]]:
+    """The newest command that has arrived acts: that of tick k has to act at k + tau_c, and no later one before.
+
+    A copy of a command changes nothing: of two, the first acts, which is no earlier than `least`, and no more is lost.
+    """
+    s, p = link.scenario, link.parameters
+    exact = round(declared / s.dt)
+    # of its link, unless the scenario declares it
+    tau = f"tau_c = {declared:g} s ({'certificate.delay' if s.certificate.delay is not None else 'the longest of its link'})"
+    if p.spacing > 1.0 + DUST:
+        fewer = f"fewer than one message a tick, {1.0 / s.dt:g} /s, so that commands wait and are dropped"
+        yield How.THROUGHOUT, f"{link.named('bandwidth', 'queue')}: {fewer}"
+    elif not link.least <= exact <= link.most:
+        delays = link.named("delay", "jitter", "reorder_delay") or f"{link.path}.delay = 0"
+        acts = link.seconds(link.least) + (
+            "" if link.least == link.most else f" to {link.seconds(link.most)}"
+        )
+        yield How.THROUGHOUT, f"{delays}: a command acts {acts} after its tick, {tau}"
+    else:
+        kept = arrival_share(p, exact) * math.prod(
+            1.0 - arrival_share(p, ticks) for ticks in range(exact)
+        )
+        if (1.0 - kept) * s.ticks > _RARE:
+            what = f"{link.named('jitter', 'reorder')}: commands overtake each other or take other times than {tau}"
+            yield _often(1.0 - kept), f"{what}, in {_percent(1.0 - kept)} of the ticks"
+    yield from _lost_commands(link)
+
+
+def _lost_commands(link: _Link) -> Iterator[tuple[How, str]]:
+    p, instead = link.parameters, "the command before goes on instead"
+    if p.loss > 0.0:
+        yield (
+            _often(p.loss),
+            f"{link.named('loss')}: for {_percent(p.loss)} of the commands {instead}",
+        )
+    if p.bursts and p.burst_loss > 0.0:
+        share = p.bad_share * p.burst_loss
+        fields = link.named("burst_length", "burst_interval", "burst_loss")
+        yield _often(share), f"{fields}: for {_percent(share)} of the commands {instead}"
+    if p.up > 0.0:
+        share = p.down / (p.up + p.down)
+        yield (
+            _often(share),
+            f"{link.named('blackout_length', 'blackout_interval')}: for {_percent(share)} of the commands {instead}",
+        )
+    for first, after in link.dark():
+        yield (
+            How.CERTAIN,
+            f"{link.path}.blackouts, {link.seconds(first)} to {link.seconds(after)}: no command gets through",
+        )

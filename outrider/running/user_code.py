@@ -1,0 +1,302 @@
+"""Functions of the user's own, named as module:function, and policies that a learning library has saved."""
+
+import sys
+from collections.abc import Callable, Iterable
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from agents.drivers.policy import RowPolicy
+from bus.errors import ScenarioError
+from bus.layout import Row, UgvRow
+from bus.registry import LAWS, POLICY_FORMS, SAVED_POLICIES, resolve
+from sim.input.faults import one_line
+
+if TYPE_CHECKING:
+    from sim.scenario.types import Scenario
+
+_ROW, _ACTION = (len(UgvRow._fields),), (2,)
+"""Shapes of what a saved policy sees and answers."""
+_FORMS = f"allowed: {POLICY_FORMS}"
+
+
+def _reason(error: BaseException) -> str:
+    flat = " ".join(f"{type(error).__name__}: {error}".split())
+    return flat if len(flat) <= 160 else f"{flat[:160]} ..."
+
+
+def load_function(name: str, *, what: str) -> Callable[..., Any] | None:
+    """The function that `module:function` names; None for an empty name. The working folder is searched last.
+
+    Args:
+        name: Where it is.
+        what: What it is for, for the error; a `policy` may also be saved, or an object that predicts: see
+            `load_policy`.
+
+    Raises:
+        ScenarioError: If it is not there, or no function.
+    """
+    if not name:
+        return None
+    if what.rpartition(".")[2] == "policy":
+        policy: Callable[..., Any] = load_policy(name, what=what)
+        return policy
+    found = _named(name, what)
+    if not callable(found):
+        raise ScenarioError(f"{what} = {name!r}: not a function")
+    loaded: Callable[..., Any] = found
+    return loaded
+
+
+def _named(name: str, what: str) -> Any:  # noqa: ANN401 - whatever it is
+    """The object that `module:name` names."""
+    module_name, separator, function_name = name.partition(":")
+    if not (separator and module_name and function_name):
+        raise ScenarioError(f"{what} = {name!r}: not of the form module:function")
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)  # behind all others: a file there takes no library's place
+    try:
+        return getattr(import_module(module_name), function_name)
+    except (ImportError, AttributeError) as error:
+        raise ScenarioError(f"{what} = {name!r}: {error}{_hidden(here)}") from error
+    except Exception as error:
+        raise ScenarioError(f"{what} = {name!r}: cannot be imported: {_reason(error)}") from error
+
+
+def _hidden(folder: str) -> str:
+    """Names the user's files that Python does not find, as a package of ours has their name."""
+    own = [
+        path.name
+        for name in ("agents", "bus", "outrider", "sim")
+        for path in (Path(folder, f"{name}.py"), Path(folder, name, "__init__.py"))
+        if path.exists() and not Path(__file__).is_relative_to(folder)
+    ]
+    return f" ({', '.join(own)} beside it is not found: Outrider has that name)" if own else ""
+
+
+def load_policy(name: str, *, what: str = "policy") -> Any:  # noqa: ANN401 - a function, or an object that predicts
+    """A policy for the driver `policy`.
+
+    What a library has saved is loaded by that library, which must be installed, and runs code that is in the file:
+    load only what you trust. It sees the UGV's row as the environment gives it (`bus.layout.UgvRow`) and answers the
+    acceleration.
+
+    Args:
+        name: `module:function`, or `module:object` with a method `predict`; `sb3:ALGORITHM:FILE.zip` of
+            Stable-Baselines3; `torch:FILE.pt`, a TorchScript file; `onnx:FILE.onnx`.
+        what: What it is for, for the error.
+
+    Raises:
+        ScenarioError: If it is not there, cannot be loaded, or is none.
+    """
+    kind, separator, rest = name.partition(":")
+    if separator and kind in SAVED_POLICIES:
+        return resolve(SAVED_POLICIES[kind].load)(rest, f"{what} = {name!r}")
+    if Path(name).suffix in (".zip", ".pt", ".onnx"):
+        raise ScenarioError(f"{what} = {name!r}: of which library? {_FORMS}")
+    found = _named(name, what)
+    if isinstance(found, type) or not (callable(found) or isinstance(found, RowPolicy)):
+        raise ScenarioError(
+            f"{what} = {name!r}: neither a function nor an object with a method predict"
+        )
+    return found
+
+
+def _library(module: str, package: str, where: str) -> ModuleType:
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise ScenarioError(
+            f"{where}: needs {package}: pip install {package} ({_reason(error)})"
+        ) from error
+    except Exception as error:
+        raise ScenarioError(f"{where}: {package} cannot be imported: {_reason(error)}") from error
+
+
+def _file(path: str, where: str) -> str:
+    if not Path(path).is_file():
+        raise ScenarioError(f"{where}: no such file: {path or 'none is named'}; {_FORMS}")
+    return path
+
+
+def _check_shapes(row: object, action: object, where: str) -> None:
+    """Refuse a policy of another agent; None is a shape that is not known."""
+    if row not in (None, _ROW) or action not in (None, _ACTION):
+        raise ScenarioError(
+            f"{where}: made for observations of shape {row} and actions of shape {action}; "
+            f"allowed: {_ROW}, the UGV's row, and {_ACTION}, its acceleration"
+        )
+
+
+def load_sb3(rest: str, where: str) -> RowPolicy:
+    """`ALGORITHM:FILE.zip`, of stable_baselines3 or of sb3_contrib, imported here, and never else."""
+    algorithm, separator, path = rest.partition(":")
+    if not separator:
+        raise ScenarioError(f"{where}: names no algorithm; {_FORMS}")
+    file, library = _file(path, where), _library("stable_baselines3", "stable-baselines3", where)
+    known = _algorithms(library)
+    if algorithm.lower() not in known and find_spec("sb3_contrib") is not None:
+        known |= _algorithms(_library("sb3_contrib", "sb3-contrib", where))
+    found = known.get(algorithm.lower())
+    if found is None:
+        raise ScenarioError(
+            f"{where}: unknown algorithm {algorithm!r}; installed: {', '.join(sorted(known))}"
+        )
+    try:
+        model: RowPolicy = found.load(file, device="cpu")
+    except Exception as error:
+        raise ScenarioError(f"{where}: cannot be loaded: {_reason(error)}") from error
+    seen, done = (
+        getattr(getattr(model, space, None), "shape", None)
+        for space in ("observation_space", "action_space")
+    )
+    _check_shapes(seen, done, where)
+    return model
+
+
+def _algorithms(library: ModuleType) -> dict[str, Any]:
+    """The library's algorithms by name in lower case."""
+    known = {name.lower(): found for name, found in vars(library).items()}
+    return {
+        name: found
+        for name, found in known.items()
+        if hasattr(found, "load") and hasattr(found, "predict")
+    }
+
+
+class _Torch:
+    """A TorchScript module that is given the row as a float32 tensor."""
+
+    def __init__(self, torch: Any, module: Any) -> None:  # noqa: ANN401 - torch need not be there
+        self._torch, self._module = torch, module
+
+    def predict(self, row: Row) -> object:
+        """The action."""
+        with self._torch.no_grad():
+            answer = self._module(self._torch.as_tensor(row, dtype=self._torch.float32))
+        return answer.tolist() if hasattr(answer, "tolist") else answer
+
+
+def load_torch(path: str, where: str) -> RowPolicy:
+    """`FILE.pt`, a TorchScript file; torch is imported here, and never else."""
+    file, torch = _file(path, where), _library("torch", "torch", where)
+    try:
+        module = torch.jit.load(file, map_location="cpu")
+        module.eval()
+    except Exception as error:
+        raise ScenarioError(
+            f"{where}: cannot be loaded as TorchScript: {_reason(error)}"
+        ) from error
+    return _Torch(torch, module)
+
+
+class _Onnx:
+    """An ONNX graph with one input: the row, or a batch of one."""
+
+    def __init__(self, session: Any, where: str) -> None:  # noqa: ANN401 - onnxruntime need not be there
+        inputs = session.get_inputs()
+        if len(inputs) != 1:
+            raise ScenarioError(f"{where}: has {len(inputs)} inputs; allowed: one, the UGV's row")
+        (told,) = inputs
+        self._session, self._name = session, told.name
+        self._dtype = np.float64 if told.type == "tensor(double)" else np.float32
+        self._batched = len(told.shape) == 2
+        width = told.shape[-1] if told.shape else None
+        if isinstance(width, int):
+            _check_shapes((width,), None, where)
+
+    def predict(self, row: Row) -> object:
+        """The action: the first output."""
+        seen = row.astype(self._dtype)
+        answer = self._session.run(None, {self._name: seen[np.newaxis] if self._batched else seen})[
+            0
+        ]
+        return answer[0] if self._batched and len(answer) == 1 else answer
+
+
+def load_onnx(path: str, where: str) -> RowPolicy:
+    """`FILE.onnx`, by onnxruntime, which is imported here, and never else."""
+    file, runtime = _file(path, where), _library("onnxruntime", "onnxruntime", where)
+    options = runtime.SessionOptions()
+    options.intra_op_num_threads = 1  # a policy is small, and the cores are the flight's
+    try:
+        session = runtime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
+    except Exception as error:
+        raise ScenarioError(f"{where}: cannot be loaded as ONNX: {_reason(error)}") from error
+    return _Onnx(session, where)
+
+
+def foreign_code(scenario: "Scenario", named: Iterable[str] = ()) -> tuple[str, ...]:
+    """The code that a scenario's file names, and not the user.
+
+    It is somebody else's until the user says that it may be loaded.
+
+    Args:
+        scenario: What is flown.
+        named: What the user has set: fields, or `field=value` as with `--set`.
+
+    Returns:
+        A line for each field.
+    """
+    own = {change.partition("=")[0].strip() for change in named}
+    fields = (
+        []
+        if "custom" in own
+        else [
+            name for name in type(scenario.custom).__struct_fields__ if f"custom.{name}" not in own
+        ]
+    )
+    given = {f"custom.{name}": getattr(scenario.custom, name) for name in fields}
+    return tuple(
+        f"{field} = {value!r}: the file names code, which is loaded with --allow-code alone (in Python: allow_code=True)"
+        for field, value in given.items()
+        if value
+    )
+
+
+def check_code(
+    scenario: "Scenario", named: Iterable[str] = (), *, source: object, allowed: bool
+) -> None:
+    """Refuse a scenario whose file names code, unless that is allowed; arguments otherwise as of `foreign_code`.
+
+    Raises:
+        ScenarioError: The first such field.
+    """
+    for line in () if allowed else foreign_code(scenario, named):
+        raise ScenarioError(f"{one_line(str(source))}: {line}; allowed where you trust both")
+
+
+def check_own_functions(scenario: "Scenario") -> tuple[str, ...]:
+    """Load the scenario's own functions and hold them against what the paper asks of them, before anything is started.
+
+    Returns:
+        Warnings, one a line, where a path cannot be followed.
+
+    Raises:
+        ScenarioError: If a function is not there or does not fit.
+    """
+    from agents.control.orbit import check_path  # noqa: PLC0415 - nobody else needs the laws
+    from agents.control.visibility import switching_radius  # noqa: PLC0415
+    from agents.control.weighting import check_weighting  # noqa: PLC0415
+
+    weighting = load_function(scenario.custom.weighting, what="custom.weighting")
+    path = load_function(scenario.custom.path, what="custom.path")
+    load_function(scenario.custom.policy, what="custom.policy")
+    ugvs = {ugv.name: ugv for ugv in scenario.ugv}
+    warnings: list[str] = []
+    for uav in scenario.uav:
+        r_v, v_g = scenario.visibility.radius, ugvs[uav.escorts].max_speed
+        if weighting is not None and LAWS[scenario.law.name].own == "weighting":
+            check_weighting(
+                weighting, switching_radius(r_v, uav.max_speed, v_g, uav.max_acceleration)
+            )
+        if path is not None and LAWS[scenario.law.name].own == "path":
+            warnings += check_path(
+                path, scenario.duration, r_v, uav.max_speed, v_g, uav.max_acceleration
+            )
+    return tuple(dict.fromkeys(warnings))

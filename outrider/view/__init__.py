@@ -1,0 +1,1 @@
+"""Views of a flight: pictures, films, terminal and page."""

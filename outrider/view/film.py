@@ -1,0 +1,231 @@
+"""Pictures and films of a recording: the flight's picture as PNG, and the flight seen from above as GIF or MP4."""
+
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from bus.errors import ScenarioError
+from outrider.recording.reader import Recording, coverages
+from outrider.recording.refly import from_the_start, restore
+from sim.kernels.compile import FloatArray
+from sim.scene.colors import COVERED, INK, LIMIT, MUTED, UAV, UGV, covered, mixed, rgb
+from sim.scene.frames import Frames
+from sim.scene.known import scene_of
+from sim.scene.model import observed_scene
+
+WIDTH = 800
+"""Of a film [px]."""
+ENDINGS = (".png", ".gif", ".mp4")
+
+Progress = Callable[[int, int], None]
+"""Told how many frames of how many are drawn."""
+
+
+def check_output(out: Path) -> None:
+    """Refuse what cannot be drawn before any work is done.
+
+    Raises:
+        ScenarioError: If the ending is not a known one, or ffmpeg is needed and not there.
+    """
+    if out.suffix.lower() not in ENDINGS:
+        raise ScenarioError(f"{out}: ending {out.suffix!r}; allowed: {', '.join(ENDINGS)}")
+    if out.suffix.lower() == ".mp4" and shutil.which("ffmpeg") is None:
+        raise ScenarioError(
+            f"{out}: MP4 needs the program ffmpeg, which is not on the PATH; allowed without it: .gif, .png"
+        )
+
+
+def render(
+    recording: Recording,
+    out: Path,
+    *,
+    fps: int = 20,
+    speed: float = 10.0,
+    on_frame: Progress = lambda _done, _all: None,
+) -> None:
+    """Draw a recorded flight.
+
+    Args:
+        recording: Must have a truth.
+        out: What is drawn depends on its ending: the flight's picture, or a film.
+        fps: Frames per second of a film.
+        speed: Simulated seconds per second of a film.
+        on_frame: Told how far it is.
+
+    Raises:
+        ScenarioError: If it cannot be drawn.
+        OSError: If the file cannot be written.
+    """
+    check_output(out)
+    ending = out.suffix.lower()
+    if ending == ".png" and recording.head.scenario is not None and from_the_start(recording):
+        from outrider.view.flight_picture import draw_flight  # noqa: PLC0415 - needed for a picture alone
+
+        draw_flight(restore(recording), out)
+        on_frame(1, 1)
+        return
+    film = Film(recording)
+    shown = film.times[-1:] if ending == ".png" else film.frame_times(speed / fps)
+    frames = _counted(film.frames(shown), len(shown), on_frame)
+    if ending == ".png":
+        Image.fromarray(next(frames)).convert("RGB").save(out, format="PNG")
+    elif ending == ".gif":
+        _write_gif(frames, out, fps)
+    else:
+        _write_mp4(frames, out, fps)
+
+
+def _counted(
+    frames: "Iterator[np.ndarray[Any, Any]]", total: int, on_frame: Progress
+) -> "Iterator[np.ndarray[Any, Any]]":
+    for done, frame in enumerate(frames, 1):
+        yield frame
+        on_frame(done, total)
+
+
+def _palette() -> Image.Image:
+    """The colours of a GIF: shades of what is drawn on ground seen and unseen.
+
+    The same for all frames, so nothing flickers.
+    """
+    colors = ["#ffffff", *(covered(k / 31.0) for k in range(32))]
+    for ink in (LIMIT, INK, MUTED, *UAV[:3], *UGV[:3]):
+        for paper in ("#ffffff", *COVERED[1:]):
+            colors += [mixed(paper, ink, share) for share in np.linspace(0.15, 1.0, 7).tolist()]
+    image = Image.new("P", (1, 1))
+    image.putpalette([round(255.0 * part) for color in colors[:256] for part in rgb(color)])
+    return image
+
+
+def _write_gif(frames: "Iterator[np.ndarray[Any, Any]]", out: Path, fps: int) -> None:
+    palette = _palette()
+
+    def reduced() -> Iterator[Image.Image]:
+        for frame in frames:
+            yield (
+                Image.fromarray(frame)
+                .convert("RGB")
+                .quantize(palette=palette, dither=Image.Dither.NONE)
+            )
+
+    pictures = reduced()
+    first = next(pictures)
+    held = round(1000.0 / fps)
+    with out.open("wb") as file:
+        first.save(
+            file,
+            format="GIF",
+            save_all=True,
+            append_images=pictures,
+            duration=held,
+            loop=0,
+            optimize=False,
+        )
+
+
+def _write_mp4(frames: "Iterator[np.ndarray[Any, Any]]", out: Path, fps: int) -> None:
+    first = next(frames)
+    height, width = first.shape[:2]
+    raw = ["-f", "rawvideo", "-pix_fmt", "rgba", "-s", f"{width}x{height}", "-r", str(fps)]
+    coded = ["-pix_fmt", "yuv420p", "-movflags", "+faststart", str(out)]
+    program = shutil.which("ffmpeg") or "ffmpeg"
+    with subprocess.Popen(
+        [program, "-y", "-loglevel", "error", *raw, "-i", "-", *coded],
+        stdin=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as ffmpeg:
+        stdin, stderr = ffmpeg.stdin, ffmpeg.stderr
+        if stdin is None or stderr is None:
+            raise OSError(0, "no pipe to ffmpeg", str(out))
+        try:
+            for frame in chain((first,), frames):
+                stdin.write(frame.tobytes())
+            stdin.close()
+        except BrokenPipeError:
+            pass  # it says why
+        words = stderr.read().decode(errors="replace")
+    if ffmpeg.returncode:
+        raise OSError(0, f"ffmpeg: {' '.join(words.split()) or ffmpeg.returncode}", str(out))
+
+
+class Film:
+    """One flight from above, frame by frame.
+
+    Args:
+        recording: Must have a truth.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self._truths = recording.truths
+        first = self._truths[0]
+        self.times: FloatArray = np.array([truth.time for truth in self._truths])
+        """Of the recorded ticks [s]."""
+        self._tracks: dict[str, FloatArray] = {
+            name: np.array([truth.vehicles[name].position for truth in self._truths])
+            for name in first.vehicles
+        }
+        self._maps = coverages(recording.path, flight=recording.number)
+        self._waiting = next(self._maps, None)
+        head = recording.head
+        facts = f"seed {head.seed}"
+        self._r_v: float | None = None
+        if head.scenario is not None:
+            scenario = recording.scenario
+            scene = scene_of(scenario)
+            facts = f"law {scenario.law.name}   ·   {facts}"
+            self._r_v = scenario.visibility.radius
+        else:
+            escorts = {escort.uav: escort.ugv for escort in first.escorts}
+            scene = observed_scene(
+                head.name, None, escorts=escorts, vehicles=first.vehicles, ground=self._ground()
+            )
+        self._reported = any(escort.report for escort in self._truths[-1].escorts)
+        self._frames = Frames(scene, width=WIDTH, facts=facts, estimates=self._reported)
+
+    def frame_times(self, step: float) -> FloatArray:
+        """Simulated times [s], `step` apart, the flight's end included."""
+        found: FloatArray = np.append(
+            np.arange(self.times[0], self.times[-1], step), self.times[-1]
+        )
+        return found
+
+    def _ground(self) -> tuple[float, float]:
+        """Width and height of the ground [m], as far as a recording without its scenario tells."""
+        ground = self._waiting
+        if ground is not None:
+            return ground.columns * ground.cell, ground.rows * ground.cell
+        x, y = np.concatenate(list(self._tracks.values())).max(axis=0).tolist()
+        return x + 5.0, y + 5.0
+
+    def frames(self, times: "FloatArray | list[float]") -> "Iterator[np.ndarray[Any, Any]]":
+        """The frames at these simulated times [s], which rise; shape (height, width, 4), uint8."""
+        for time in times:
+            row = int(np.searchsorted(self.times, float(time) + 1e-9, side="right")) - 1
+            yield self._frame(max(0, row))
+
+    def _frame(self, row: int) -> "np.ndarray[Any, Any]":
+        truth = self._truths[row]
+        coverage = None
+        while self._waiting is not None and self._waiting.tick <= truth.tick:
+            cells = np.frombuffer(self._waiting.cells, dtype=np.uint8)
+            coverage = cells.reshape(self._waiting.rows, self._waiting.columns) / 255.0
+            self._waiting = next(self._maps, None)
+        estimates = {
+            escort.uav: (escort.report.estimate, escort.report.covariance)
+            for escort in truth.escorts
+            if escort.report is not None
+        }
+        return self._frames.draw(
+            {name: track[: row + 1] for name, track in self._tracks.items()},
+            coverage,
+            estimates,
+            time=truth.time,
+            distance=max(escort.distance for escort in truth.escorts),
+            r_v=self._r_v,
+        )

@@ -1,0 +1,188 @@
+"""The picture of one flight: where everybody went, what was seen of the ground, and whether the UGV stayed in sight."""
+
+import textwrap
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+
+from outrider import style
+from sim.kernels.compile import FloatArray
+from sim.scene.drawing import Map, legend_of
+from sim.scene.known import inner_radius, scene_of
+from sim.scene.model import Scene
+from sim.server.flight import Flight
+
+SIZE = (1400, 800)
+"""Of the picture [px]."""
+
+
+def draw_flight(flight: Flight, path: Path) -> None:
+    """Draw a flight into a PNG file.
+
+    Args:
+        flight: Flown to its end or cut short; at least one state must have been taken down.
+        path: The file; its folder must be there.
+
+    Raises:
+        OSError: If the file cannot be written.
+        ValueError: If no state has been taken down.
+    """
+    with style.look():
+        style.save(flight_figure(flight), path)
+
+
+def flight_figure(flight: Flight) -> Figure:
+    """The same picture as a figure, for those who draw it themselves.
+
+    Raises:
+        ValueError: If no state has been taken down.
+    """
+    if flight.recorder.rows == 0:
+        raise ValueError("no state has been taken down: there is nothing to draw")
+    with style.look():
+        figure = style.new_figure(*SIZE, header=0.1)
+        noisy = flight.scenario.detections.noise > 0.0
+        panels = (
+            (_draw_distance, _draw_error, _draw_estimate)
+            if noisy
+            else (_draw_distance, _draw_error)
+        )
+        grid = figure.add_gridspec(
+            len(panels), 2, width_ratios=(1.2, 1.0), height_ratios=(1.35, 1.0, 0.8)[: len(panels)]
+        )
+        _draw_map(figure, figure.add_subplot(grid[:, 0]), flight)
+        for k, draw in enumerate(panels):
+            axes = figure.add_subplot(grid[k, 1])
+            draw(axes, flight)
+            if k < len(panels) - 1:  # they share their time axis
+                axes.set_xlabel("")
+                axes.tick_params(labelbottom=False)
+        _draw_header(figure, flight)
+    return figure
+
+
+def times(flight: Flight) -> FloatArray:
+    """The time of each row of the record [s]."""
+    found: FloatArray = np.arange(flight.recorder.rows, dtype=np.float64) * flight.scenario.dt
+    return found
+
+
+def _end(flight: Flight) -> float:
+    return max(flight.recorder.rows - 1, 1) * flight.scenario.dt
+
+
+def draw_map(axes: Axes, flight: Flight, scene: Scene) -> AxesImage:
+    """Draw a flight's end from above, with all that led there; the image is the ground's.
+
+    Args:
+        axes: To draw on.
+        flight: What was flown.
+        scene: Of its scenario, with the circles that are wanted.
+    """
+    states = flight.recorder.states
+    drawn = Map(axes, scene)
+    drawn.show(
+        {name: states[:, k, :2] for k, name in enumerate(flight.world.names)},
+        np.minimum(flight.world.coverage / flight.scenario.coverage.desired, 1.0),
+    )
+    return drawn.image
+
+
+def _draw_map(figure: Figure, axes: Axes, flight: Flight) -> None:
+    scene = scene_of(flight.scenario)
+    image = draw_map(axes, flight, scene)
+    axes.legend(
+        handles=legend_of(scene),
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.08),
+        ncols=3,
+        columnspacing=1.6,
+    )
+    style.coverage_bar(figure, image, axes)
+
+
+def shade_violations(axes: Axes, time: FloatArray, distance: FloatArray, r_v: float) -> None:
+    """A red veil over the times at which the UGV is out of sight (5)."""
+    top = axes.get_ylim()[1]
+    axes.fill_between(
+        time,
+        0.0,
+        top,
+        where=(distance >= r_v).tolist(),
+        color=style.LIMIT,
+        alpha=0.12,
+        linewidth=0.0,
+        step="post",
+    )
+    axes.set_ylim(0.0, top)
+
+
+def _draw_distance(axes: Axes, flight: Flight) -> None:
+    time, distance = times(flight), flight.recorder.escorts[:, :, 0]
+    r_v = flight.scenario.visibility.radius
+    for k, uav in enumerate(flight.world.uavs):
+        axes.plot(time, distance[:, k], color=style.color(style.UAV, k), label=uav.name)
+    style.over_time(axes, _end(flight), r"$\|p_\Delta\|$ [m]")
+    axes.set_ylim(0.0, 1.12 * max(r_v, float(distance.max())))
+    style.limits_of_sight(axes, r_v, inner_radius(flight.scenario, flight.world.uavs[0].escorts))
+    shade_violations(axes, time, distance.max(axis=1), r_v)
+    axes.set_title("Distance between UAV and UGV")
+    if distance.shape[1] > 1:
+        style.legend_above(axes)
+
+
+def _draw_error(axes: Axes, flight: Flight) -> None:
+    error = flight.recorder.escorts[:, :, 1]
+    for k in range(error.shape[1]):
+        axes.plot(times(flight), error[:, k], color=style.color(style.UAV, k))
+    style.over_time(axes, _end(flight), "e(t) [m²]")
+    axes.set_title("Ground around the UGV not yet seen")
+
+
+def _draw_estimate(axes: Axes, flight: Flight) -> None:
+    """Draw how far off the detections are, and the filter's estimates from them."""
+    states, escorts, time = flight.recorder.states, flight.recorder.escorts, times(flight)
+    for k, (a, g) in enumerate(flight.world.escorts.tolist()):
+        p_a, p_g = states[:, a, :2], states[:, g, :2]
+        detected = np.linalg.norm(escorts[:, k, 2:4] - (p_a - p_g), axis=1)
+        estimated = np.linalg.norm(escorts[:, k, 4:6] - p_g, axis=1)
+        axes.plot(
+            time,
+            detected,
+            ".",
+            color="#b4bac4",
+            markersize=1.6,
+            label="detection" if k == 0 else "",
+        )
+        axes.plot(
+            time,
+            estimated,
+            color=style.color(style.UAV, k),
+            linewidth=1.2,
+            label="filter" if k == 0 else "",
+        )
+    style.over_time(axes, _end(flight), "error [m]")
+    axes.set_title("Estimate of the UGV's place")
+    style.legend_above(axes)
+
+
+def _draw_header(figure: Figure, flight: Flight) -> None:
+    scenario, distance = flight.scenario, flight.recorder.escorts[:, :, 0]
+    r_v, farthest = scenario.visibility.radius, float(distance.max())
+    lost = int((distance >= r_v).any(axis=1).sum())
+    verdict, color = f"UGV in sight all the time, margin {r_v - farthest:.2f} m", style.GOOD
+    if lost:
+        verdict, color = f"UGV out of sight for {lost * scenario.dt:.2f} s", style.LIMIT
+    facts = (
+        f"law {scenario.law.name}   ·   seed {flight.seed}   ·   {flight.recorder.ticks * scenario.dt:g} s   ·   "
+        f"largest distance {farthest:.2f} m of $r_v$ = {r_v:g} m"
+    )
+    name = textwrap.shorten(scenario.name, 48) or "scenario"
+    figure.text(0.014, 0.968, name, fontsize=15, fontweight="bold", va="top", parse_math=False)
+    figure.text(0.014, 0.908, facts, color=style.MUTED, va="top")
+    figure.text(
+        0.986, 0.962, verdict, fontsize=11, fontweight="bold", color=color, va="top", ha="right"
+    )

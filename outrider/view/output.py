@@ -1,0 +1,86 @@
+"""The files of a run: the trajectory, the picture and the summary."""
+
+import os
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
+
+from outrider.running.summary import Summary
+
+if TYPE_CHECKING:
+    from sim.server.flight import Flight
+
+TRAJECTORY = "trajectory.csv"
+PICTURE = "flight.png"
+COVERAGE = "coverage.npy"
+SUMMARY = "summary.json"
+
+
+def default_folder(scenario: str) -> Path:
+    """A folder that no run before has used, named by time and scenario."""
+    stamp = datetime.now().astimezone().strftime("%Y%m%d-%H%M%S")
+    folder = Path("runs") / f"{stamp}-{scenario or 'scenario'}"
+    taken = 1
+    while folder.exists():
+        taken += 1
+        folder = Path("runs") / f"{stamp}-{scenario or 'scenario'}-{taken}"
+    return folder
+
+
+def write_summary(summary: Summary, folder: Path) -> Path:
+    """Write the summary as JSON; where it tells a secret, for the file's owner alone."""
+    path = folder / SUMMARY
+    with path.open("wb") as file:
+        if summary.secret:
+            os.fchmod(file.fileno(), 0o600)
+        file.write(msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n")
+    return path
+
+
+def write_flight(
+    flight: "Flight", summary: Summary, folder: Path, *, picture: bool = True
+) -> list[Path]:
+    """Write all there is of a flight.
+
+    Args:
+        flight: What was flown.
+        summary: Its summary.
+        folder: Is made if it is not there; files of an earlier run in it are replaced.
+        picture: Whether to draw it.
+
+    Returns:
+        The files.
+
+    Raises:
+        OSError: If a file cannot be written; all that can be are there.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    work: dict[
+        str, Callable[[Path], object]
+    ] = {  # the smallest first: what is there when the disk is full is there
+        SUMMARY: lambda path: write_summary(summary, path.parent),
+        COVERAGE: lambda path: np.save(path, flight.world.coverage),
+        TRAJECTORY: flight.recorder.write,
+    }
+    if picture:
+        from outrider.view.flight_picture import draw_flight  # noqa: PLC0415 - matplotlib is slow to load
+
+        work[PICTURE] = lambda path: draw_flight(flight, path)
+    files: list[Path] = []
+    faults: list[OSError] = []
+    for name, write in work.items():
+        path = folder / name
+        try:
+            write(path)
+            files.append(path)
+        except OSError as error:
+            faults.append(
+                OSError(error.errno, error.strerror or str(error), str(path))
+            )  # a failed write does not know its file
+    if faults:
+        raise faults[0]
+    return files

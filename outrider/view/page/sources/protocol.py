@@ -1,0 +1,62 @@
+"""The protocol of the page's sources: a run that is flown now (`live`), or a recording that is played (`tape`)."""
+
+from collections.abc import Iterator
+from typing import Protocol
+
+import msgspec
+
+from bus.messages import Control, Drive, Message
+
+
+class Playing(msgspec.Struct, frozen=True, kw_only=True):
+    """The state of a recording that is played."""
+
+    file: str
+    begin: float
+    """Of the recording [s]."""
+    end: float
+    at: float
+    """What is shown [s]."""
+    playing: bool
+    speed: float
+    """Simulated seconds per second of wall time."""
+    note: str = ""
+    """What is wrong with the file; empty: nothing."""
+
+
+class SourceState(msgspec.Struct, frozen=True, kw_only=True):
+    """The state of a source."""
+
+    level: str = ""
+    """How bad it is what `line` says: `bad`, `info`, or nothing."""
+    line: str = ""
+    router: bool = True
+    simulator: bool = True
+    replay: Playing | None = None
+
+
+class Source(Protocol):
+    """The hub's side of either."""
+
+    may_steer: bool
+    """Whether anybody receives what is sent."""
+
+    def news(self) -> Iterator[Message]:
+        """Status, Truth and CoverageMap that have come since the last call, in this order of kinds."""
+
+    @property
+    def factor(self) -> float:
+        """Simulated seconds per second of wall time, lately."""
+
+    @property
+    def standing(self) -> SourceState:
+        """Its state now."""
+
+    def control(self, control: Control) -> bool:
+        """Say something to the simulator; False if it cannot be said."""
+
+    def drive(self, vehicle: str, drive: Drive) -> bool:
+        """Say something to a UGV; False if it cannot be said."""
+
+    def close(self) -> None:
+        """Say no more."""

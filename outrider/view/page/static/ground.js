@@ -1,0 +1,307 @@
+// The map: ground, tracks, vehicles, the limits of sight, and a close-up of the UGV with its estimate.
+
+import { FONT, colorOf, fit, ticks } from "./canvas.js";
+
+const KEPT_DETECTIONS = 40;
+
+export class Ground {
+  constructor(canvas, store) {
+    this.canvas = canvas;
+    this.store = store;
+    this.image = document.createElement("canvas");
+    this.corner = 1;
+  }
+
+  // Turn the bytes of a coverage map into a picture; row 0 is y = 0.
+  takeMap(map) {
+    const { columns, rows } = map;
+    const bytes = atob(map.cells);
+    if (this.image.width !== columns || this.image.height !== rows) {
+      this.image.width = columns;
+      this.image.height = rows;
+    }
+    const context = this.image.getContext("2d");
+    const pixels = context.createImageData(columns, rows);
+    const table = this.store.shades;
+    const words = new Uint32Array(pixels.data.buffer);
+    for (let row = 0; row < rows; row += 1) {
+      const to = (rows - 1 - row) * columns;
+      for (let column = 0; column < columns; column += 1) words[to + column] = table[bytes.charCodeAt(row * columns + column)];
+    }
+    context.putImageData(pixels, 0, 0);
+    this.size = { width: columns * map.cell, height: rows * map.cell };
+  }
+
+  area() {
+    const { scene, geometry } = this.store;
+    return geometry && scene ? scene : this.size || scene || { width: 40, height: 40 };
+  }
+
+  draw() {
+    const { context: c, width, height } = fit(this.canvas);
+    const { colors } = this.store;
+    const area = this.area();
+    const [left, right, top, bottom] = [46, 10, 8, 40];
+    this.shape((width / (((width - left - right) * area.height) / area.width + top + bottom)).toFixed(3));
+    if (width < 80 || height < 80) return;
+    const scale = Math.min((width - left - right) / area.width, (height - top - bottom) / area.height);
+    const [w, h] = [area.width * scale, area.height * scale];
+    const x0 = left + (width - left - right - w) / 2;
+    const y0 = top + h;
+    const view = { X: (x) => x0 + x * scale, Y: (y) => y0 - y * scale, scale, x0, y0, w, h };
+
+    c.fillStyle = colors.covered[0];
+    c.fillRect(x0, y0 - h, w, h);
+    if (this.size) {
+      c.imageSmoothingEnabled = true;
+      c.imageSmoothingQuality = "high";
+      c.drawImage(this.image, x0, y0 - this.size.height * scale, this.size.width * scale, this.size.height * scale);
+    }
+    this.drawAxes(c, view, area);
+    c.save();
+    c.beginPath();
+    c.rect(x0, y0 - h, w, h);
+    c.clip();
+    this.drawTracks(c, view);
+    this.drawRings(c, view);
+    this.drawDetections(c, view, 1.6);
+    this.drawEstimates(c, view, 5);
+    this.drawVehicles(c, view);
+    c.restore();
+    this.drawCloseUp(c, view);
+  }
+
+  // Where the layout leaves the height open, it follows from the area's.
+  shape(aspect) {
+    if (this.aspect === aspect || !(aspect > 0)) return;
+    this.aspect = aspect;
+    this.canvas.style.setProperty("--aspect", aspect);
+  }
+
+  drawAxes(c, { X, Y, x0, y0, w, h }, area) {
+    const { colors } = this.store;
+    c.strokeStyle = "#b9bec6";
+    c.lineWidth = 1;
+    c.strokeRect(x0 + 0.5, y0 - h + 0.5, w - 1, h - 1);
+    c.fillStyle = colors.muted;
+    c.font = `11px ${FONT}`;
+    c.textAlign = "center";
+    c.textBaseline = "top";
+    for (const x of ticks(0, area.width, w / 70)) {
+      c.fillRect(X(x) - 0.5, y0, 1, 4);
+      c.fillText(String(x), X(x), y0 + 6);
+    }
+    c.textAlign = "right";
+    c.textBaseline = "middle";
+    for (const y of ticks(0, area.height, h / 55)) {
+      c.fillRect(x0 - 4, Y(y) - 0.5, 4, 1);
+      c.fillText(String(y), x0 - 7, Math.min(Math.max(Y(y), y0 - h + 5), y0 - 3));
+    }
+    c.fillStyle = colors.ink;
+    c.font = `12px ${FONT}`;
+    c.textAlign = "center";
+    c.textBaseline = "alphabetic";
+    c.fillText("x [m]", x0 + w / 2, y0 + 33);
+    c.save();
+    c.translate(x0 - 33, y0 - h / 2);
+    c.rotate(-Math.PI / 2);
+    c.fillText("y [m]", 0, 0);
+    c.restore();
+  }
+
+  vehicleColor(name) {
+    const { scene, colors } = this.store;
+    const vehicle = scene && scene.vehicles.find((one) => one.name === name);
+    return vehicle ? vehicle.color : colors.muted;
+  }
+
+  drawTracks(c, { X, Y }) {
+    const { rows, vehicles, now, uavs } = this.store;
+    vehicles.forEach((name, k) => {
+      const at = 2 + 2 * k;
+      c.strokeStyle = this.vehicleColor(name);
+      c.lineWidth = uavs.includes(name) ? 1.4 : 2.2;
+      c.globalAlpha = 0.85;
+      c.lineJoin = "round";
+      c.beginPath();
+      for (const row of rows) c.lineTo(X(row[at]), Y(row[at + 1]));
+      if (now) c.lineTo(X(now[at]), Y(now[at + 1]));
+      c.stroke();
+      c.globalAlpha = 1;
+      if (rows.length) this.mark(c, X(rows[0][at]), Y(rows[0][at + 1]), 3, name, true);
+    });
+  }
+
+  drawRings(c, { X, Y, scale }) {
+    const { truth, scene, colors } = this.store;
+    if (!truth || !scene || !scene.rings.length) return;
+    const at = (name) => truth.vehicles[name] && truth.vehicles[name].position;
+    for (const { around, symbol, radius, color, width, dashed } of scene.rings) {
+      const place = at(around);
+      if (!place) continue;
+      c.strokeStyle = color;
+      c.fillStyle = `${color}12`;
+      c.lineWidth = 1.1 * width;
+      c.setLineDash(dashed ? [5, 4] : []);
+      ring(c, X(place[0]), Y(place[1]), radius * scale, symbol === "r");
+    }
+    c.setLineDash([]);
+    c.strokeStyle = `${colors.ink}66`;
+    c.lineWidth = 1;
+    for (const pair of scene.escorts) {
+      const [from, to] = pair.map(at);
+      if (!from || !to) continue;
+      c.beginPath();
+      c.moveTo(X(from[0]), Y(from[1]));
+      c.lineTo(X(to[0]), Y(to[1]));
+      c.stroke();
+    }
+  }
+
+  drawVehicles(c, { X, Y }) {
+    const { truth } = this.store;
+    if (!truth) return;
+    const several = Object.keys(truth.vehicles).length > 2;
+    for (const [name, { position }] of Object.entries(truth.vehicles)) {
+      this.mark(c, X(position[0]), Y(position[1]), 6, name, false);
+      if (several) {
+        c.font = `10px ${FONT}`;
+        c.textAlign = "left";
+        c.fillStyle = this.store.colors.ink;
+        c.fillText(name, X(position[0]) + 8, Y(position[1]) - 6);
+      }
+    }
+  }
+
+  mark(c, x, y, size, name, hollow) {
+    const color = this.vehicleColor(name);
+    c.fillStyle = hollow ? "#fff" : color;
+    c.strokeStyle = hollow ? color : "#fff";
+    c.lineWidth = 1.5;
+    c.beginPath();
+    if (this.store.uavs.includes(name)) c.arc(x, y, size, 0, 2 * Math.PI);
+    else c.rect(x - size * 0.9, y - size * 0.9, size * 1.8, size * 1.8);
+    c.fill();
+    c.stroke();
+  }
+
+  drawDetections(c, { X, Y }, size) {
+    const { detections, colors } = this.store;
+    c.fillStyle = colorOf(colors.uav, 1);
+    detections.forEach(([x, y], k) => {
+      c.globalAlpha = 0.15 + (0.75 * (k + 1)) / detections.length;
+      c.beginPath();
+      c.arc(X(x), Y(y), size, 0, 2 * Math.PI);
+      c.fill();
+    });
+    c.globalAlpha = 1;
+  }
+
+  drawEstimates(c, { X, Y, scale }, size) {
+    const { truth, colors } = this.store;
+    if (!truth) return;
+    for (const { report } of truth.escorts) {
+      if (!report) continue;
+      const [x, y] = [X(report.estimate[0]), Y(report.estimate[1])];
+      c.strokeStyle = colorOf(colors.uav, 2);
+      c.lineWidth = 1.4;
+      ellipse(c, x, y, report.covariance, 2 * scale);
+      c.beginPath();
+      c.moveTo(x - size, y);
+      c.lineTo(x + size, y);
+      c.moveTo(x, y - size);
+      c.lineTo(x, y + size);
+      c.stroke();
+    }
+  }
+
+  // The first UGV with its estimate, in whichever corner is free.
+  drawCloseUp(c, view) {
+    const { truth, colors, now, vehicles } = this.store;
+    const escort = truth && truth.escorts[0];
+    const ugv = escort && truth.vehicles[escort.ugv];
+    if (!ugv || !escort.report) return;
+    const side = Math.max(84, Math.min(150, Math.min(view.w, view.h) * 0.3));
+    const corners = [
+      [view.x0 + 8, view.y0 - view.h + 8],
+      [view.x0 + view.w - side - 8, view.y0 - view.h + 8],
+      [view.x0 + view.w - side - 8, view.y0 - side - 8],
+      [view.x0 + 8, view.y0 - side - 8],
+    ];
+    const room = ([x, y]) =>
+      Math.min(
+        ...Object.values(truth.vehicles).map(({ position }) =>
+          Math.hypot(view.X(position[0]) - x - side / 2, view.Y(position[1]) - y - side / 2),
+        ),
+      );
+    if (room(corners[this.corner]) < side) this.corner = corners.map(room).reduce((best, r, k, all) => (r > all[best] ? k : best), 0);
+    const [x, y] = corners[this.corner];
+    const off = Math.hypot(escort.report.estimate[0] - ugv.position[0], escort.report.estimate[1] - ugv.position[1]);
+    const wanted = Math.max(0.25, 1.5 * off, 3 * Math.sqrt(Math.max(escort.report.covariance[0], escort.report.covariance[2])));
+    this.reach = [0.25, 0.5, 1, 2, 5, 10, 20, 50, 100, 1000].find((r) => r >= wanted) || wanted;
+    const scale = side / 2 / this.reach;
+    const inner = {
+      X: (px) => x + side / 2 + (px - ugv.position[0]) * scale,
+      Y: (py) => y + side / 2 - (py - ugv.position[1]) * scale,
+      scale,
+    };
+    c.save();
+    c.beginPath();
+    c.roundRect(x, y, side, side, 8);
+    c.fillStyle = "rgba(255,255,255,0.94)";
+    c.fill();
+    c.strokeStyle = "#b9bec6";
+    c.lineWidth = 1;
+    c.stroke();
+    c.clip();
+    const at = 2 + 2 * vehicles.indexOf(escort.ugv);
+    c.strokeStyle = `${this.vehicleColor(escort.ugv)}88`;
+    c.lineWidth = 2;
+    c.beginPath();
+    for (const row of this.store.rows.slice(-200)) c.lineTo(inner.X(row[at]), inner.Y(row[at + 1]));
+    if (now) c.lineTo(inner.X(now[at]), inner.Y(now[at + 1]));
+    c.stroke();
+    this.drawDetections(c, inner, 2.2);
+    this.mark(c, inner.X(ugv.position[0]), inner.Y(ugv.position[1]), 5, escort.ugv, false);
+    this.drawEstimates(c, inner, 7);
+    const bar = [200, 100, 50, 20, 10, 5, 2, 1, 0.5, 0.2, 0.1].find((length) => length <= this.reach * 0.55) || this.reach / 2;
+    c.fillStyle = colors.ink;
+    c.fillRect(x + 9, y + side - 12, bar * scale, 2);
+    c.font = `10px ${FONT}`;
+    c.textAlign = "left";
+    c.textBaseline = "alphabetic";
+    c.fillText(`${bar >= 1 ? bar : bar * 100} ${bar >= 1 ? "m" : "cm"}`, x + 9 + bar * scale + 5, y + side - 7);
+    c.fillStyle = colors.muted;
+    c.fillText(side < 120 ? escort.ugv : `close-up of ${escort.ugv}`, x + 9, y + 15);
+    c.restore();
+  }
+}
+
+// Keep what was detected as points on the ground, the newest last.
+export function keepDetections(kept, truth) {
+  for (const escort of truth.escorts) {
+    const uav = truth.vehicles[escort.uav];
+    if (!escort.detection || !uav) continue;
+    kept.push([uav.position[0] - escort.detection[0], uav.position[1] - escort.detection[1]]);
+  }
+  kept.splice(0, Math.max(0, kept.length - KEPT_DETECTIONS));
+}
+
+function ring(c, x, y, radius, filled = false) {
+  c.beginPath();
+  c.arc(x, y, Math.max(radius, 0), 0, 2 * Math.PI);
+  if (filled) c.fill();
+  c.stroke();
+}
+
+// The ellipse of a covariance (xx, xy, yy), `scale` pixels per standard deviation of 1 m.
+function ellipse(c, x, y, [xx, xy, yy], scale) {
+  const mean = (xx + yy) / 2;
+  const spread = Math.hypot((xx - yy) / 2, xy);
+  const angle = Math.atan2(2 * xy, xx - yy) / 2;
+  const major = Math.sqrt(Math.max(mean + spread, 0)) * scale;
+  const minor = Math.sqrt(Math.max(mean - spread, 0)) * scale;
+  c.beginPath();
+  c.ellipse(x, y, major, minor, -angle, 0, 2 * Math.PI); // the canvas' y points down
+  c.stroke();
+}

@@ -1,0 +1,257 @@
+"""The numbers beside the map, and the lines above it, as text."""
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+from rich.text import Text
+
+from bus.messages import EscortTruth, Status, VehicleStatus
+from outrider.view.operator import SILENCE
+from outrider.view.terminal.palette import ALARM, EDGE, FAINT, GOOD, INK, LIMIT, UAV, UGV
+from outrider.view.terminal.teleoperation import DriveView
+
+WIDTH = 36
+"""Of the panel [cells]."""
+_INNER = WIDTH - 4
+_BARS = "▁▂▃▄▅▆▇█"
+_EIGHTHS = " ▏▎▍▌▋▊▉█"
+_LOCKSTEP_FACTOR = 20.0
+
+
+@dataclass(slots=True)
+class ErrorCurve:
+    """e(t) of the last while, for its curve."""
+
+    errors: deque[float] = field(default_factory=lambda: deque(maxlen=_INNER))
+    time: float = -math.inf
+    step: float = 1.0
+    """Simulated time between two of them [s]."""
+
+    def add(self, time: float, error: float) -> None:
+        """Add one, if it is time."""
+        if time < self.time:
+            self.errors.clear()
+            self.time = -math.inf
+        if time - self.time >= self.step:
+            self.errors.append(error)
+            self.time = time
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Banner:
+    """The line that tells how it stands."""
+
+    text: str
+    color: str
+    ground: str
+
+
+def farthest(view: DriveView, vehicle: str) -> EscortTruth | None:
+    """Of the UAVs that escort this UGV, the one that is farthest away."""
+    if view.truth is None:
+        return None
+    return max(
+        (escort for escort in view.truth.escorts if escort.ugv == vehicle),
+        key=lambda one: one.distance,
+        default=None,
+    )
+
+
+def banner(view: DriveView, vehicle: str, *, leaving: bool) -> Banner:
+    """The one thing that matters most now."""
+    if view.status is not None and view.status.over:
+        return Banner(text="the flight is over · q leaves", color="#12151a", ground=GOOD)
+    trouble = _trouble(view)
+    if trouble:
+        return Banner(text=trouble, color="#ffffff", ground=ALARM)
+    if leaving:
+        return Banner(text="handing the wheel back", color="#12151a", ground=GOOD)
+    paused = view.status is not None and view.status.paused
+    if view.mine:
+        does = "paused" if paused else "driving" if view.wanted is not None else "braking"
+        return Banner(text=f"YOU DRIVE {vehicle} · {does}", color="#12151a", ground=UGV[0])
+    if view.asked:
+        return Banner(
+            text=f"taking the wheel of {vehicle}{' (paused)' if paused else ''}",
+            color="#12151a",
+            ground=UGV[1],
+        )
+    who = (
+        f"{view.driver} drives {vehicle}" if view.driver else f"nobody is known to drive {vehicle}"
+    )
+    return Banner(
+        text=f"{who}{' (paused)' if paused else ''} · an arrow key takes the wheel",
+        color=INK,
+        ground=EDGE,
+    )
+
+
+def _trouble(view: DriveView) -> str:
+    if not view.connected:
+        return "THE ROUTER HAS GONE · the UGV brakes · waiting for it"
+    if not view.present:
+        return "THE SIMULATOR HAS GONE · waiting for it · q leaves"
+    if view.age > SILENCE:
+        return f"NO NEWS FROM THE SIMULATOR for {view.age:.0f} s"
+    return view.fault and f"TROUBLE: {view.fault}"
+
+
+def title(view: DriveView, run: str) -> Text:
+    """The run's name and its time."""
+    text = Text(" OUTRIDER ", style=f"bold {UAV[0]}", no_wrap=True)
+    status = view.status
+    if status is None:
+        return text
+    text.append(f"{status.scenario}, seed {status.seed}, run {run}", style=FAINT)
+    text.append(f"   t = {_time(view):.1f} s", style=f"bold {INK}")
+    text.append(f" of {_total(status)}", style=FAINT)
+    return text
+
+
+def _time(view: DriveView) -> float:
+    return max(
+        view.truth.time if view.truth is not None else 0.0,
+        view.status.time if view.status is not None else 0.0,
+    )
+
+
+def _total(status: Status) -> str:
+    return "-" if status.geometry is None else f"{status.ticks * status.geometry.dt:g} s"
+
+
+def numbers(view: DriveView, vehicle: str, history: ErrorCurve) -> Text:
+    """The panel."""
+    text = Text(no_wrap=True, style=INK)
+    escort = farthest(view, vehicle)
+    _distance(text, view, escort)
+    _coverage(text, escort, history)
+    _velocities(text, view, vehicle, escort)
+    _clock(text, view)
+    _processes(text, view)
+    return text
+
+
+def _row(text: Text, name: str, value: str, color: str = INK, *, bold: bool = False) -> None:
+    text.append(name, style=FAINT)
+    text.append(value.rjust(_INNER - len(name)) + "\n", style=f"bold {color}" if bold else color)
+
+
+def _distance(text: Text, view: DriveView, escort: EscortTruth | None) -> None:
+    geometry = view.status.geometry if view.status is not None else None
+    distance = escort.distance if escort is not None else None
+    r_v = geometry.visibility_radius if geometry is not None else None
+    r_s = geometry.switching_radius if geometry is not None else None
+    name = f"distance {escort.uav}" if escort is not None else "distance"
+    color = INK if distance is None or r_v is None else _severity(distance, r_v, r_s)
+    _row(text, name, "-" if distance is None else f"{distance:.2f} m", color, bold=True)
+    margin = "-" if distance is None or r_v is None else f"{r_v - distance:+.2f} m"
+    text.append_text(_gauge(distance, r_v, r_s, color))
+    _row(
+        text,
+        "margin to r_v" + (f" = {r_v:g} m" if r_v is not None else ""),
+        margin,
+        color,
+        bold=True,
+    )
+    text.append("\n")
+
+
+def _severity(distance: float, r_v: float, r_s: float | None) -> str:
+    if distance > r_v:
+        return LIMIT
+    return UGV[0] if r_s is not None and distance > r_s else GOOD
+
+
+def _gauge(distance: float | None, r_v: float | None, r_s: float | None, color: str) -> Text:
+    """The distance as a bar that is full at r_v, with a mark at r_s."""
+    share = 0.0 if distance is None or r_v is None else min(distance / r_v, 1.0)
+    eighths = round(share * _INNER * 8)
+    full, rest = divmod(eighths, 8)
+    bar = ("█" * full + (_EIGHTHS[rest] if rest else "")).ljust(_INNER)
+    gauge = Text(bar, style=f"{color} on {EDGE}")
+    if r_v is not None and r_s is not None and 0.0 < r_s < r_v:
+        mark = int(r_s / r_v * _INNER)
+        gauge = (
+            gauge[:mark]
+            + Text("┆", style=f"{LIMIT} on {color if mark < full else EDGE}")
+            + gauge[mark + 1 :]
+        )
+    return gauge + Text("\n")
+
+
+def _coverage(text: Text, escort: EscortTruth | None, history: ErrorCurve) -> None:
+    _row(
+        text,
+        "coverage error e(t)",
+        "-" if escort is None else f"{escort.coverage_error:.1f} m²",
+        bold=True,
+    )
+    low, high = min(history.errors, default=0.0), max(history.errors, default=0.0)
+    width = max(high - low, 1e-9)
+    text.append(
+        "".join(_BARS[int((error - low) / width * 7.99)] for error in history.errors).rjust(_INNER),
+        style=UAV[0],
+    )
+    text.append("\n\n")
+
+
+def _velocities(text: Text, view: DriveView, vehicle: str, escort: EscortTruth | None) -> None:
+    text.append(
+        "velocity".ljust(12) + "x".rjust(6) + "y".rjust(7) + "m/s".rjust(_INNER - 25) + "\n",
+        style=FAINT,
+    )
+    wanted = view.wanted if view.wanted is not None else (0.0, 0.0) if view.mine else None
+    _velocity(text, "you want", wanted, UGV[0])
+    vehicles = view.truth.vehicles if view.truth is not None else {}
+    for name, color in (
+        (vehicle, UGV[0]),
+        *(((escort.uav, UAV[0]),) if escort is not None else ()),
+    ):
+        _velocity(text, name, vehicles[name].velocity if name in vehicles else None, color)
+    text.append("\n")
+
+
+def _velocity(text: Text, name: str, velocity: tuple[float, float] | None, color: str) -> None:
+    text.append(name[:11].ljust(11), style=color)
+    if velocity is None:
+        text.append("      -      -      -\n", style=FAINT)
+        return
+    x, y = velocity
+    text.append(f"{x:+7.2f}{y:+7.2f}")
+    text.append(f"{math.hypot(x, y):7.2f}\n", style="bold")
+
+
+def _clock(text: Text, view: DriveView) -> None:
+    status = view.status
+    if status is None:
+        return
+    lockstep = status.wanted_factor is None
+    pace = "paused" if status.paused else f"x {view.factor:.2f}"
+    _row(text, "real time" + ("" if lockstep else f" (wanted x {status.wanted_factor:g})"), pace)
+    if lockstep and view.factor > _LOCKSTEP_FACTOR:
+        text.append("too fast to drive: --realtime 1\n", style=LIMIT)
+    elif lockstep:
+        text.append("lockstep: as fast as it goes\n", style=FAINT)
+    else:
+        _row(text, "late ticks", f"{status.late_ticks}", LIMIT if status.late_ticks else INK)
+
+
+def _processes(text: Text, view: DriveView) -> None:
+    if view.status is None:
+        return
+    here = view.connected and view.present
+    _process(text, "simulator", VehicleStatus(present=here))
+    for name, vehicle in view.status.vehicles.items():
+        _process(text, name, vehicle, known=here)
+
+
+def _process(text: Text, name: str, vehicle: VehicleStatus, *, known: bool = True) -> None:
+    state, color = ("here", GOOD) if vehicle.present else ("AWAY", LIMIT)
+    if not known:
+        state, color = "unknown", FAINT
+    text.append("● ", style=color)
+    text.append(name)
+    told = [f"lost {vehicle.lost}x"] if vehicle.lost else []
+    told += [f"missed {vehicle.missing_commands}"] if vehicle.missing_commands else []
+    text.append(", ".join([*told, state]).rjust(_INNER - 2 - len(name)) + "\n", style=color)

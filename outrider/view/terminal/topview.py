@@ -1,0 +1,161 @@
+"""The map: the UGV and what is around it from above, in characters."""
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+from bus.messages import CoverageMap, Truth
+from outrider.view.terminal.canvas import Canvas
+from outrider.view.terminal.palette import BACKGROUND, COVERED, EDGE, FAINT, LIMIT, UAV, UGV
+from outrider.view.terminal.teleoperation import DriveView
+from sim.scene.model import Scene
+
+_SHOWN = 1.35
+"""How many r_v the map reaches around the UGV."""
+_KEPT = 400
+_TRAIL_STEP = 0.15
+"""Distance between two points of a trail [m]."""
+
+
+@dataclass(slots=True)
+class Trails:
+    """The ways of the vehicles so far."""
+
+    points: dict[str, deque[tuple[float, float]]] = field(default_factory=dict)
+    tick: int = 0
+
+    def follow(self, truth: Truth) -> None:
+        """Add where they are now; a flight that begins anew has none."""
+        if truth.tick < self.tick:
+            self.points.clear()
+        self.tick = truth.tick
+        for name, vehicle in truth.vehicles.items():
+            trail = self.points.setdefault(name, deque(maxlen=_KEPT))
+            if not trail or math.dist(trail[-1], vehicle.position) >= _TRAIL_STEP:
+                trail.append(vehicle.position)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Window:
+    """The part of the ground that is shown."""
+
+    x: float
+    """Of the middle [m]."""
+    y: float
+    scale: float
+    """Metres per dot."""
+    width: int
+    """In dots."""
+    height: int
+
+    def dot(self, point: tuple[float, float]) -> tuple[float, float]:
+        return self.width / 2 + (point[0] - self.x) / self.scale, self.height / 2 - (
+            point[1] - self.y
+        ) / self.scale
+
+    def point(self, x: float, y: float) -> tuple[float, float]:
+        return self.x + (x - self.width / 2) * self.scale, self.y - (
+            y - self.height / 2
+        ) * self.scale
+
+
+def draw(
+    view: DriveView, vehicle: str, trails: Trails, *, width: int, height: int, wide: bool
+) -> Canvas:
+    """The map.
+
+    Args:
+        view: What is known.
+        vehicle: The UGV in the middle.
+        trails: Where the vehicles have been.
+        width: In cells.
+        height: In cells.
+        wide: The whole area instead of the UGV's surroundings.
+    """
+    canvas = Canvas(width, height, BACKGROUND)
+    truth, scene = view.truth, view.scene
+    if truth is None or scene is None or vehicle not in truth.vehicles:
+        canvas.letter(4, 4, "no position yet", FAINT)
+        return canvas
+    limits = [ring for ring in scene.rings if ring.around == vehicle]
+    reach = None if wide or not limits else _SHOWN * max(ring.radius for ring in limits)
+    window = _window(scene, truth.vehicles[vehicle].position, canvas, reach)
+    if view.coverage is not None:
+        _paint_coverage(canvas, window, view.coverage)
+    _paint_area(canvas, window, scene)
+    flies = {one.name: one.flies for one in scene.vehicles}
+    for name, trail in trails.points.items():
+        for point in trail:
+            canvas.dot(*window.dot(point), UAV[1] if flies.get(name) else UGV[1])
+    here = window.dot(truth.vehicles[vehicle].position)
+    for ring in limits:
+        canvas.circle(*here, ring.radius / window.scale, LIMIT, dashed=ring.dashed)
+    for one in sorted(scene.vehicles, key=lambda one: (one.flies, one.name == vehicle)):
+        mark, color = ("▲", UAV[0]) if one.flies else ("■", UGV[0])
+        if one.name in truth.vehicles:
+            canvas.letter(*window.dot(truth.vehicles[one.name].position), mark, color)
+    if view.wanted is not None:
+        _paint_arrow(canvas, here, view.wanted)
+    _paint_scale(canvas, window)
+    return canvas
+
+
+def _window(
+    scene: Scene, middle: tuple[float, float], canvas: Canvas, reach: float | None
+) -> _Window:
+    """The ground within so many metres around a place, or all of it."""
+    width, height = 2 * canvas.width, 4 * canvas.height
+    if reach is not None:
+        scale = 2.0 * reach / min(width, height)
+        return _Window(x=middle[0], y=middle[1], scale=scale, width=width, height=height)
+    scale = max(scene.width / max(width - 4, 1), scene.height / max(height - 4, 1))
+    return _Window(x=scene.width / 2, y=scene.height / 2, scale=scale, width=width, height=height)
+
+
+def _paint_coverage(canvas: Canvas, window: _Window, coverage: CoverageMap) -> None:
+    if len(coverage.cells) != coverage.rows * coverage.columns:
+        return
+    for row in range(canvas.height):
+        for column in range(canvas.width):
+            x, y = window.point(2 * column + 1, 4 * row + 2)
+            i, j = int(x // coverage.cell), int(y // coverage.cell)
+            if 0 <= i < coverage.columns and 0 <= j < coverage.rows:
+                share = coverage.cells[j * coverage.columns + i] / 255.0
+                canvas.ground(column, row, COVERED[round(share * (len(COVERED) - 1))])
+
+
+def _paint_area(canvas: Canvas, window: _Window, scene: Scene) -> None:
+    step = _round_length(14.0 * window.scale)
+    left, low = window.point(0, window.height)
+    right, high = window.point(window.width, 0)
+    width, height = scene.width, scene.height
+    for i in range(math.ceil(max(left, 0.0) / step), math.floor(min(right, width) / step) + 1):
+        for j in range(math.ceil(max(low, 0.0) / step), math.floor(min(high, height) / step) + 1):
+            canvas.dot(*window.dot((i * step, j * step)), EDGE)
+    corners = ((0.0, 0.0), (width, 0.0), (width, height), (0.0, height))
+    for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
+        canvas.line(*window.dot(start), *window.dot(end), FAINT)
+
+
+_ARROWS = "→↗↑↖←↙↓↘"
+
+
+def _paint_arrow(canvas: Canvas, here: tuple[float, float], wanted: tuple[float, float]) -> None:
+    angle = math.atan2(wanted[1], wanted[0])
+    x, y = here[0] + 6.0 * math.cos(angle), here[1] - 7.0 * math.sin(angle)
+    canvas.letter(x, y, _ARROWS[round(4.0 * angle / math.pi) % 8], UGV[0])
+
+
+def _paint_scale(canvas: Canvas, window: _Window) -> None:
+    length = _round_length(14.0 * window.scale)
+    cells = max(round(length / window.scale / 2.0), 1)
+    label = f" {length:g} m "
+    canvas.letter(2, 4 * canvas.height - 1, "╶" + "─" * max(cells - 2, 0) + "╴" + label, FAINT)
+
+
+def _round_length(least: float) -> float:
+    """1, 2 or 5 times a power of ten, not below this."""
+    power = 10.0 ** math.floor(math.log10(least))
+    return next(
+        factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= least * 0.999
+    )

@@ -1,0 +1,491 @@
+"""The radio channel: how a link is described and checked, and one link for callers that carry Python objects.
+
+What happens to a message, and in which order, is told in `sim.channel.link`.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from bus.messages import LinkSettings, LinkStatus
+from sim.channel.link import (
+    AGE_MAX,
+    AGE_SUM,
+    AGES,
+    BEGAN,
+    CAUSES,
+    CHAIN,
+    DARK,
+    DARK_FROM,
+    DARK_TO,
+    DELIVERED,
+    DUE,
+    DUPLICATED,
+    DUST,
+    FLYING,
+    FREE,
+    LOST,
+    NEWEST,
+    NORMAL,
+    ORIGINALS,
+    QUEUE,
+    SENT,
+    SERVED,
+    SHAPES,
+    TICK,
+    UNIFORM,
+    WAITING,
+    LinkParameters,
+    LinkState,
+    LinkTable,
+    exchange,
+    fly,
+    in_ticks,
+    jitter_share,
+    leave_queue,
+    link_state,
+    make_up,
+    take,
+    underway,
+    wait,
+)
+from sim.input.faults import Fault, near
+from sim.input.reading import as_raw, typed
+from sim.kernels.compile import IntArray
+from sim.kernels.records import records
+from sim.models.randomness import Key
+
+KEEPS = ("newest", "oldest")
+"""Which messages a full queue keeps."""
+
+_LONGEST = 60.0
+"""Longest delay of all [s]: what is on its way needs room."""
+_SLOWEST = 1e-3
+"""Smallest bandwidth [1/s]."""
+_SHORTEST = 1e-3
+"""Shortest mean time between two random blackouts [s]: each is drawn."""
+_JITTER_CUT = 5.0
+
+
+def extra_delays(settings: LinkSettings) -> tuple[float, float]:
+    """Least and most extra delay [s]."""
+    j = settings.jitter
+    most = settings.jitter_cut or _JITTER_CUT * j
+    shape = SHAPES[settings.jitter_shape]
+    if shape == UNIFORM:
+        return -min(settings.delay, j), min(most, j)
+    return -settings.delay if shape == NORMAL and j > 0.0 else 0.0, most if j > 0.0 else 0.0
+
+
+def link_faults(settings: LinkSettings, path: str = "") -> Iterator[Fault]:
+    """What makes a link impossible whose fields are within their bounds; the path goes before the fields' names."""
+    yield from _number_faults(settings, path)
+    if settings.jitter_shape not in SHAPES:
+        wrong = f"no such shape{near(settings.jitter_shape, tuple(SHAPES))}"
+        yield Fault(f"{path}jitter_shape", settings.jitter_shape, wrong, ", ".join(SHAPES))
+        return
+    if settings.keep not in KEEPS:
+        yield Fault(
+            f"{path}keep",
+            settings.keep,
+            f"no such order{near(settings.keep, KEEPS)}",
+            ", ".join(KEEPS),
+        )
+    if settings.burst_length > 0.0 and settings.burst_interval == 0.0:
+        yield Fault(
+            f"{path}burst_interval",
+            0.0,
+            "bursts without an end",
+            f"above 0 s, since {path}burst_length is above 0",
+        )
+    if 0.0 < settings.blackout_interval < _SHORTEST:
+        yield Fault(
+            f"{path}blackout_interval",
+            settings.blackout_interval,
+            "too short",
+            f"0, or {_SHORTEST:g} s or more",
+        )
+    if settings.blackout_interval > 0.0 and settings.blackout_length == 0.0:
+        allowed = f"above 0 s, since {path}blackout_interval is above 0"
+        yield Fault(f"{path}blackout_length", 0.0, "blackouts that do not last", allowed)
+    if settings.reorder > 0.0 and settings.reorder_delay == 0.0:
+        yield Fault(
+            f"{path}reorder_delay",
+            0.0,
+            "nothing is held back",
+            f"above 0 s, since {path}reorder is above 0",
+        )
+    if 0.0 < settings.bandwidth < _SLOWEST:
+        yield Fault(
+            f"{path}bandwidth",
+            settings.bandwidth,
+            "too small",
+            f"0 for no limit, or {_SLOWEST:g} /s or more",
+        )
+    longest = settings.delay + extra_delays(settings)[1] + settings.reorder_delay
+    if longest > _LONGEST:
+        wrong = f"the delay can be {longest:.4g} s with jitter and reordering"
+        yield Fault(f"{path}delay", settings.delay, wrong, f"{_LONGEST:g} s in all at most")
+
+
+def _number_faults(settings: LinkSettings, path: str) -> Iterator[Fault]:
+    for field in settings.__struct_fields__:
+        value = getattr(settings, field)
+        if isinstance(value, float) and not math.isfinite(value):
+            yield Fault(f"{path}{field}", value, "not a number", "finite numbers")
+    for k, (start, length) in enumerate(settings.blackouts):
+        if not 0.0 <= start < math.inf:
+            yield Fault(
+                f"{path}blackouts.{k}.0",
+                start,
+                "a blackout begins before the run",
+                "0 s or more, finite",
+            )
+        if not 0.0 < length < math.inf:
+            yield Fault(
+                f"{path}blackouts.{k}.1", length, "a blackout does not last", "above 0 s, finite"
+            )
+
+
+def check_link(settings: LinkSettings, where: str) -> LinkSettings:
+    """The settings, if there can be such a link.
+
+    Args:
+        settings: Read from a file or made in Python; NumPy's numbers and whole numbers in it become floats.
+        where: Begins the error: the file, or what the link is called.
+
+    Returns:
+        Equal settings in which every value has its type.
+
+    Raises:
+        ScenarioError: One line with field, value, what is wrong and what is allowed.
+    """
+    checked = typed(as_raw(settings, file=where), LinkSettings, file=where)
+    for fault in link_faults(checked):
+        raise fault.error(where)
+    return checked
+
+
+def _dark_ticks(
+    settings: LinkSettings, dt: float
+) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:
+    """Rows (first dark tick, first tick after) in order; what overlaps is one."""
+    rows: list[list[int]] = []
+    for start, length in sorted(settings.blackouts):
+        first, after = in_ticks(start, dt), in_ticks(start + length, dt)
+        if rows and first <= rows[-1][1]:
+            rows[-1][1] = max(rows[-1][1], after)
+        else:
+            rows.append([first, after])
+    return np.array(rows, dtype=np.int64).reshape(-1, 2)
+
+
+def link_parameters(settings: LinkSettings, dt: float, *, per_tick: int = 1) -> LinkParameters:
+    r"""What the compiled link needs of checked settings.
+
+    The two states of Gilbert and Elliott are exact at the ticks: with the mean lengths L and I, $\pi = L/(L + I)$ and
+    $\lambda = 1/L + 1/I$ the exponential of the generator gives bad after bad $\pi + (1 - \pi) e^{-\lambda dt}$
+    and bad after good $\pi (1 - e^{-\lambda dt})$.
+
+    Args:
+        settings: As `check_link` has returned them.
+        dt: Length of a tick [s].
+        per_tick: Messages that may be sent in every tick without any being lost for want of room.
+    """
+    least, most = extra_delays(settings)
+    shape, j = SHAPES[settings.jitter_shape], settings.jitter
+    bursts = settings.burst_length > 0.0
+    share = decay = 0.0
+    if bursts:
+        share = settings.burst_length / (settings.burst_length + settings.burst_interval)
+        decay = -math.expm1(-dt / settings.burst_length - dt / settings.burst_interval)
+    longest = in_ticks(
+        settings.delay + most + (settings.reorder_delay if settings.reorder > 0.0 else 0.0), dt
+    )
+    room = per_tick * (longest + 1) + (settings.queue if settings.bandwidth > 0.0 else 0)
+    blackouts = _dark_ticks(settings, dt)
+    harmless = (
+        settings.loss,
+        settings.bandwidth,
+        settings.blackout_interval,
+        settings.duplicates,
+        longest,
+        len(blackouts),
+    )
+    return LinkParameters(
+        perfect=not bursts and not any(harmless),
+        dt=dt,
+        delay=settings.delay,
+        jitter=j,
+        shape=shape,
+        least=least,
+        most=most,
+        low=jitter_share(shape, j, least) if j > 0.0 else 0.0,
+        high=jitter_share(shape, j, most) if j > 0.0 else 1.0,
+        reorder=settings.reorder,
+        reorder_delay=settings.reorder_delay,
+        loss=settings.loss,
+        bursts=bursts,
+        burst_loss=settings.burst_loss,
+        bad_share=share,
+        bad_stay=1.0 - (1.0 - share) * decay,
+        bad_enter=share * decay,
+        blackouts=blackouts,
+        up=settings.blackout_interval / dt,
+        down=settings.blackout_length / dt,
+        duplicates=settings.duplicates,
+        spacing=1.0 / (settings.bandwidth * dt) if settings.bandwidth > 0.0 else 0.0,
+        queue=settings.queue,
+        newest=settings.keep == "newest",
+        longest=longest,
+        room=2 * room if settings.duplicates > 0.0 else room,
+    )
+
+
+def link_table(
+    links: Sequence[LinkParameters], owners: Sequence[tuple[int, int]] | None = None
+) -> LinkTable:
+    """The table of these links.
+
+    Args:
+        links: What each does.
+        owners: Purpose and vehicle of each one's key, where the table is asked for them.
+    """
+    edges = np.cumsum([0, *(len(p.blackouts) for p in links)]).tolist()
+    rows = [
+        p._replace(first_blackout=first, end_blackout=end)
+        for p, first, end in zip(links, edges, edges[1:], strict=False)
+    ]
+    none: IntArray = np.zeros((0, 2), dtype=np.int64)
+    return LinkTable(
+        rows=records(LinkParameters, rows),
+        blackouts=np.concatenate([none, *(p.blackouts for p in links)]),
+        owners=np.array(owners or [(0, 0)] * len(links), dtype=np.int64).reshape(-1, 2),
+    )
+
+
+def least_ticks(p: LinkParameters) -> int:
+    """The age in ticks below which no message arrives, if one is sent in every tick; with a sender that is kept busy.
+
+    Where the bandwidth is less than one message a tick the queue fills and stays full. From then on each message
+    that leaves has waited `queue` ticks if the newest are kept, and `queue` spacings if the oldest are.
+    """
+    waits = 0
+    if p.spacing > 1.0 + DUST:
+        waits = p.queue if p.newest else math.floor(p.queue * p.spacing)
+    return waits + in_ticks(p.delay + (p.least if p.jitter > 0.0 else 0.0), p.dt)
+
+
+def arrival_share(p: LinkParameters, ticks: int) -> float:
+    """The share of the messages that are neither lost nor queued which arrive within so many ticks after they were sent."""
+
+    def within(extra: float) -> float:
+        if p.jitter == 0.0 or extra >= p.most:
+            return 1.0 if extra >= p.most else 0.0
+        share = (jitter_share(p.shape, p.jitter, max(extra, p.least)) - p.low) / (p.high - p.low)
+        return 0.0 if extra < p.least else min(max(share, 0.0), 1.0)
+
+    room = (ticks + DUST) * p.dt - p.delay
+    return (1.0 - p.reorder) * within(room) + p.reorder * within(room - p.reorder_delay)
+
+
+def relink(
+    old: LinkParameters,
+    state: LinkState,
+    new: LinkParameters,
+    *,
+    room: int = 0,
+    wheel: int = 0,
+) -> LinkState:
+    """The state with which a link goes on under new parameters, between two ticks.
+
+    What flies arrives when it would have; what waits goes on waiting, but for what a shorter queue drops; the
+    message that left
+    last keeps the new spacing to the next. Counters stay. A burst or random blackout goes on where there still are
+    any; the time to the next random blackout is drawn anew, from now on, if its law has changed.
+
+    Args:
+        old: Parameters so far.
+        state: State so far, at the end of a tick; stays as it is.
+        new: Parameters from the next tick on.
+        room, wheel: Least sizes of the new state, as of `link_state`.
+    """
+    tick, before = int(state.counts[TICK]), LinkState._make(array.copy() for array in state)
+    waiting, flying = int(state.counts[WAITING]), int(state.counts[FLYING])
+    ahead = max((int(due) - tick for due in _dues(state)), default=0)
+    fresh = link_state(
+        new,
+        state.payload.shape[1],
+        room=max(room, new.room + 2 * waiting + flying),
+        wheel=max(wheel, new.longest + 1, ahead + 1),
+    )
+    kept = [k for k in range(len(state.counts)) if k not in (FREE, WAITING, FLYING)]
+    fresh.counts[kept], fresh.numbers[:] = state.counts[kept], state.numbers
+    for k in range(waiting):
+        slot = leave_queue(before.slots, before.buckets, before.counts)
+        surplus = new.spacing > 0.0 and (k < waiting - new.queue if new.newest else k >= new.queue)
+        if surplus:
+            fresh.counts[LOST + QUEUE] += 1
+        else:
+            wait(fresh.slots, fresh.buckets, fresh.counts, _moved(before, slot, fresh))
+    wheel = len(before.buckets) - 1
+    for due in range(tick + 1, tick + 1 + ahead):
+        slot = int(before.buckets[due % wheel, 0])
+        while slot >= 0:
+            fly(fresh.slots, fresh.buckets, fresh.counts, _moved(before, slot, fresh), due)
+            slot = int(before.slots[slot, 0])
+    _change_pace(old, new, fresh)
+    _change_weather(old, new, fresh)
+    return fresh
+
+
+def _dues(state: LinkState) -> Iterator[int]:
+    """The due ticks of all that fly."""
+    for first, _ in state.buckets[:-1].tolist():
+        if first >= 0:
+            yield int(state.slots[first, DUE])
+
+
+def _moved(before: LinkState, slot: int, after: LinkState) -> int:
+    """The slot of this message in the new state."""
+    other = take(after.slots, after.counts)
+    after.slots[other], after.payload[other] = before.slots[slot], before.payload[slot]
+    return other
+
+
+def _change_pace(old: LinkParameters, new: LinkParameters, state: LinkState) -> None:
+    if new.spacing != old.spacing and state.counts[SERVED] > 0:
+        state.numbers[BEGAN] += (state.counts[SERVED] - 1) * old.spacing
+        state.counts[SERVED] = 1
+
+
+def _change_weather(old: LinkParameters, new: LinkParameters, state: LinkState) -> None:
+    state.counts[DARK] = 0
+    if not new.bursts:
+        state.counts[CHAIN] = -1
+    if (old.up, old.down) == (new.up, new.down):
+        return
+    tick = float(state.counts[TICK])
+    if new.up == 0.0 or old.up == 0.0:
+        state.numbers[DARK_FROM] = state.numbers[DARK_TO] = -1.0
+    elif state.numbers[DARK_FROM] > tick:
+        state.numbers[DARK_FROM] = state.numbers[DARK_TO] = tick
+
+
+def link_status(
+    parameters: LinkParameters, state: LinkState, settings: LinkSettings | None = None
+) -> LinkStatus:
+    """What a link has done so far, from its state; and its settings, where they are given."""
+    count, numbers, dt = state.counts.tolist(), state.numbers.tolist(), parameters.dt
+    lost, ages = dict(zip(CAUSES, count[LOST:], strict=True)), count[AGES]
+    known = count[ORIGINALS] + sum(lost.values())
+    return LinkStatus(
+        sent=count[SENT],
+        delivered=count[DELIVERED],
+        duplicated=count[DUPLICATED],
+        waiting=count[WAITING],
+        flying=count[FLYING],
+        lost=lost,
+        delivery_ratio=count[ORIGINALS] / known if known else None,
+        age=(count[TICK] - numbers[NEWEST]) * dt if ages else None,
+        mean_age=numbers[AGE_SUM] / ages * dt if ages else None,
+        max_age=numbers[AGE_MAX] * dt if ages else None,
+        degraded=not parameters.perfect,
+        settings=settings,
+    )
+
+
+class Link:
+    """One link that carries Python objects: `send` as often as wanted, then `arrivals`, in every tick from 0 on.
+
+    The compiled link carries their numbers. In ticks in which it has nothing to carry it is not called.
+
+    Args:
+        settings: What it does; refused with a ScenarioError where there can be no such link.
+        dt: Length of a tick [s].
+        key: Of its random numbers.
+        label: Names it in errors.
+        per_tick: Messages that may be sent in every tick without any being lost for want of room.
+    """
+
+    def __init__(
+        self, settings: LinkSettings, *, dt: float, key: Key, label: str = "link", per_tick: int = 1
+    ) -> None:
+        self.settings = check_link(settings, label)
+        """What it does now."""
+        self._dt, self._key, self._label, self._per_tick = dt, key, label, per_tick
+        self._parameters = link_parameters(self.settings, dt, per_tick=per_tick)
+        self._table = link_table([self._parameters])
+        self._state = link_state(self._parameters, 2)
+        self._out = np.empty_like(self._state.payload)
+        self._tick = 0
+        self._number = 0
+        self._pending: list[tuple[float, float]] = []
+        self._objects: dict[int, Any] = {}  # those that are sent, wait or fly
+
+    @property
+    def perfect(self) -> bool:
+        """Whether its settings do nothing to a message."""
+        return self._parameters.perfect
+
+    def send(self, tick: int, message: Any, stamp: float) -> None:  # noqa: ANN401 - handed out as it came
+        """Send a message at this tick; it is counted when `arrivals` is called.
+
+        Args:
+            tick: The one whose arrivals come next.
+            message: Is handed out as it is, more than once if it is duplicated.
+            stamp: The tick that its content is from.
+        """
+        if tick != self._tick:
+            raise self._out_of_order(tick)
+        self._objects[self._number] = message
+        self._pending.append((stamp, self._number))
+        self._number += 1
+
+    def arrivals(self, tick: int) -> list[Any]:
+        """The messages that arrive at this tick, in order; once for every tick."""
+        if tick != self._tick:
+            raise self._out_of_order(tick)
+        self._tick = tick + 1
+        if not self._objects:
+            return []
+        payloads = np.array(self._pending, dtype=np.float64) if self._pending else self._out[:0]
+        self._pending.clear()
+        arrived = exchange(self._table, self._state, self._key, tick, payloads, self._out)
+        messages = [self._objects[number] for number in self._out[:arrived, 1].tolist()]
+        self._forget()
+        return messages
+
+    def change(self, settings: LinkSettings) -> None:
+        """Go on with other settings from the next tick on; see `relink`."""
+        checked = check_link(settings, self._label)
+        new = link_parameters(checked, self._dt, per_tick=self._per_tick)
+        self._make_up()
+        self._state = relink(self._parameters, self._state, new)
+        self.settings, self._parameters, self._table = checked, new, link_table([new])
+        self._out = np.empty_like(self._state.payload)
+
+    def counters(self) -> LinkStatus:
+        """What it has done up to the last `arrivals`."""
+        self._make_up()
+        return link_status(self._parameters, self._state, self.settings)
+
+    def _make_up(self) -> None:
+        """Let the compiled link go through the ticks in which it was not called."""
+        make_up(self._table, 0, self._state, self._key, self._tick - 1)
+
+    def _out_of_order(self, tick: int) -> ValueError:
+        return ValueError(
+            f"the link is at tick {self._tick}, not {tick}: every tick once, in order"
+        )
+
+    def _forget(self) -> None:
+        """Drop the objects that nobody will get any more."""
+        count = self._state.counts
+        copies = count[DUPLICATED] - (count[DELIVERED] - count[ORIGINALS])
+        if copies == 0 and len(self._objects) == count[WAITING] + count[FLYING]:
+            return
+        left = underway(self._state, self._out)
+        self._objects = {int(number): self._objects[int(number)] for number in self._out[:left, 1]}

@@ -1,0 +1,554 @@
+r"""What one radio link does to messages, in simulated time: compiled, seeded, the same bits for one world and for many.
+
+A tick of a link has one order: `advance` once, `send` for each message of this tick, `receive` once; `exchange`
+does the three.
+`advance` comes first: it settles what the channel is like at this tick, and what waits at the sender leaves before
+what is new. Ticks in which nothing is sent, waits or flies may be left out: the next `advance` makes them up.
+
+A message meets, in this order:
+
+1. The sender's queue, where the bandwidth is limited: one message leaves every 1/bandwidth; one that finds the
+queue full costs
+   the oldest that waits, or itself. The time on the air is no part of this, it belongs to the delay.
+2. The channel at the tick at which it leaves. A blackout takes it, or a burst, or independent loss: the first of
+them is the
+   cause that is counted. The sender does not notice.
+3. What gets through may be doubled, and each of the two has a delay of its own: delay + jitter, and for those held
+back more.
+   One that leaves at tick k with the delay d arrives at the first tick n with n dt >= k dt + d; among those of one
+   tick the first sent comes first.
+
+Draws are pure functions of (the link's key, purpose, tick, index): those of a message by the tick at which it was
+sent and its number within that tick; those of the channel by the tick, or by the number of the random blackout.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from sim.kernels.compile import FloatArray, IntArray, borrowing, compiled
+from sim.kernels.records import RecordArray
+from sim.models.randomness import LINK_DELAY, LINK_LOSS, LINK_STATE, Key, draw, to_uniform, uniform
+
+UNIFORM = 0
+NORMAL = 1
+EXPONENTIAL = 2
+PARETO = 3
+SHAPES = {"uniform": UNIFORM, "normal": NORMAL, "exponential": EXPONENTIAL, "pareto": PARETO}
+"""How the extra delay is spread, by the scale j: within -j and j; normal with deviation j.
+
+Exponential with mean j; Pareto's law
+of the second kind (from 0 on) with mean j and the tail index 2.5, whose variance is finite and whose skew is not."""
+
+CAUSES = ("loss", "burst", "blackout", "queue", "full")
+"""Why messages are lost, as counted from `LOST` on; `full`.
+
+The link had no room, which one message a tick never meets.
+"""
+
+LOSS, BURST, BLACKOUT, QUEUE, FULL = range(5)
+
+TICK, INDEX, FREE, WAITING, FLYING, CHAIN, DARK, SERVED, RENEWALS = range(9)
+SENT, DELIVERED, DUPLICATED, ORIGINALS, AGES, LOST = range(9, 15)
+"""Places in `LinkState.counts`: the tick and the messages sent in it; the first free slot; how many wait and fly.
+
+The channel's
+state (-1: not drawn yet, 1: bad) and whether it is dark; messages served since the sender was last idle; random
+blackouts drawn;
+the counters, ORIGINALS for what was delivered without copies, AGES for the ticks in AGE_SUM; the losses by cause."""
+
+BEGAN, DARK_FROM, DARK_TO, NEWEST, AGE_SUM, AGE_MAX = range(6)
+"""Places in `LinkState.numbers`, all in ticks.
+
+Since when the sender is busy, the random blackout, newest stamp, its age.
+"""
+
+NEXT, DUE, SENT_AT, NUMBER, COPY = range(5)
+"""Columns of `LinkState.slots`."""
+
+DUST = 1e-6
+"""A time that is this much of a tick past a tick counts as on it: 0.35 s is seven ticks of 0.05 s."""
+
+_TAIL = 2.5
+
+
+@compiled
+def normal_quantile(share: float) -> float:
+    """The x below which this share of a standard normal lies; 0 < share < 1.
+
+    Abramowitz and Stegun, *Handbook of Mathematical Functions*, 26.2.23, off by less than 4.5e-4, then two steps
+    of Halley towards the share, which leave rounding.
+    """
+    tail = min(share, 1.0 - share)
+    t = math.sqrt(-2.0 * math.log(tail))
+    top, bottom = (
+        (0.010328 * t + 0.802853) * t + 2.515517,
+        ((0.001308 * t + 0.189269) * t + 1.432788) * t + 1.0,
+    )
+    x = top / bottom - t
+    for _ in range(2):
+        step = (
+            (0.5 * math.erfc(-x / math.sqrt(2.0)) - tail)
+            * math.sqrt(2.0 * math.pi)
+            * math.exp(0.5 * x * x)
+        )
+        x -= step / (1.0 + 0.5 * x * step)
+    return x if share < 0.5 else -x
+
+
+@compiled
+def jitter_share(shape: int, scale: float, extra: float) -> float:
+    """The share of extra delays up to `extra` [s]; shape and scale [s] as in `SHAPES`."""
+    x = extra / scale
+    if shape == UNIFORM:
+        return min(max(0.5 * (x + 1.0), 0.0), 1.0)
+    if shape == NORMAL:
+        return 0.5 * math.erfc(-x / math.sqrt(2.0))
+    if x <= 0.0:
+        return 0.0
+    if shape == EXPONENTIAL:
+        return -math.expm1(-x)
+    return 1.0 - float((1.0 + x / (_TAIL - 1.0)) ** -_TAIL)
+
+
+@compiled
+def jitter_quantile(shape: int, scale: float, share: float) -> float:
+    """The extra delay [s] up to which this share of them lies; the inverse of `jitter_share`."""
+    inner = min(max(share, 1e-300), 1.0 - 2.0**-53)
+    if shape == UNIFORM:
+        return scale * (2.0 * share - 1.0)
+    if shape == NORMAL:
+        return scale * normal_quantile(inner)
+    if shape == EXPONENTIAL:
+        return -scale * math.log1p(-inner)
+    return scale * (_TAIL - 1.0) * (float((1.0 - inner) ** (-1.0 / _TAIL)) - 1.0)
+
+
+class LinkParameters(NamedTuple):
+    """What one link does, as plain numbers. Made by `sim.channel.description.link_parameters`."""
+
+    perfect: bool
+    """Whether it does nothing at all."""
+    dt: float
+    """[s]"""
+    delay: float
+    """[s]"""
+    jitter: float
+    """Scale of the extra delay [s]."""
+    shape: int
+    """A value of `SHAPES`."""
+    least: float
+    most: float
+    """Ends of the extra delay [s]."""
+    low: float
+    high: float
+    """Shares of the uncut extra delays below these ends: drawn between them, it is as if drawn again until it fits."""
+    reorder: float
+    reorder_delay: float
+    """[s]"""
+    loss: float
+    bursts: bool
+    burst_loss: float
+    bad_share: float
+    bad_stay: float
+    bad_enter: float
+    """Chance of the bad state at the start, a tick after bad, a tick after good."""
+    blackouts: IntArray
+    """Rows (first dark tick, first tick after), in order and apart."""
+    up: float
+    down: float
+    """Mean time between two random blackouts and their length [ticks]; up is 0: none."""
+    duplicates: float
+    spacing: float
+    """Between two messages that leave [ticks]; 0: no limit."""
+    queue: int
+    newest: bool
+    """Whether a full queue keeps the newest."""
+    longest: int
+    """The longest delay [ticks]."""
+    room: int
+    """Messages that may wait or fly at once."""
+    first_blackout: int = 0
+    end_blackout: int = 0
+    """Where its rows of `blackouts` stand in those of a `LinkTable`."""
+
+
+class LinkTable(NamedTuple):
+    """What many links do, one row a link. Made by `sim.channel.description.link_table`."""
+
+    rows: RecordArray
+    """The numbers of `LinkParameters`. Shape (links,)."""
+    blackouts: IntArray
+    """The planned blackouts of all links, one after the other. Shape (any, 2)."""
+    owners: IntArray
+    """Purpose and vehicle of each link's key. Shape (links, 2)."""
+
+
+class LinkState(NamedTuple):
+    """Everything that a link remembers.
+
+    With an axis for worlds in front it is the state of one link in each of them.
+    """
+
+    slots: IntArray
+    """One row a message that waits or flies: next slot, due tick, tick and number when sent, whether a copy.
+
+    Shape (room, 5).
+    """
+    payload: FloatArray
+    """What it carries; column 0 is the tick that its content is from. Shape (room, width)."""
+    buckets: IntArray
+    """First and last slot for each tick to come, modulo their number, and for the queue in the last row; -1: none."""
+    counts: IntArray
+    """Whole numbers, at `TICK` and so on."""
+    numbers: FloatArray
+    """Times in ticks, at `BEGAN` and so on."""
+
+
+def link_state(
+    parameters: LinkParameters, width: int, *, room: int = 0, wheel: int = 0
+) -> LinkState:
+    """A link on which nothing was ever sent.
+
+    Args:
+        parameters: Of the link.
+        width: Numbers in a message's payload, 1 or more.
+        room: Slots, where more than the parameters ask for are needed.
+        wheel: Ticks to come that can be told apart, where more than the parameters ask for are needed.
+    """
+    room, wheel = max(room, parameters.room), max(wheel, parameters.longest + 1)
+    state = LinkState(
+        slots=np.zeros((room, 5), dtype=np.int64),
+        payload=np.zeros((room, width)),
+        buckets=np.full((wheel + 1, 2), -1, dtype=np.int64),
+        counts=np.zeros(LOST + len(CAUSES), dtype=np.int64),
+        numbers=np.array([0.0, -1.0, -1.0, math.nan, 0.0, 0.0]),
+    )
+    state.slots[:, NEXT] = [*range(1, room), -1]
+    state.counts[TICK] = state.counts[CHAIN] = -1
+    return state
+
+
+@borrowing
+def take(slots: IntArray, counts: IntArray) -> int:
+    """A free slot, or -1."""
+    slot = int(counts[FREE])
+    if slot >= 0:
+        counts[FREE] = slots[slot, NEXT]
+    return slot
+
+
+@borrowing
+def release(slots: IntArray, counts: IntArray, slot: int) -> None:
+    """The slot is free again."""
+    slots[slot, NEXT] = counts[FREE]
+    counts[FREE] = slot
+
+
+@borrowing
+def append(slots: IntArray, buckets: IntArray, bucket: int, slot: int) -> None:
+    """Put a slot last into a bucket."""
+    slots[slot, NEXT] = -1
+    if buckets[bucket, 0] < 0:
+        buckets[bucket, 0] = slot
+    else:
+        slots[buckets[bucket, 1], NEXT] = slot
+    buckets[bucket, 1] = slot
+
+
+@borrowing
+def wait(slots: IntArray, buckets: IntArray, counts: IntArray, slot: int) -> None:
+    """The message joins the sender's queue."""
+    append(slots, buckets, buckets.shape[0] - 1, slot)
+    counts[WAITING] += 1
+
+
+@borrowing
+def fly(slots: IntArray, buckets: IntArray, counts: IntArray, slot: int, due: int) -> None:
+    """The message is on its way."""
+    slots[slot, DUE] = due
+    append(slots, buckets, due % (buckets.shape[0] - 1), slot)
+    counts[FLYING] += 1
+
+
+@borrowing
+def leave_queue(slots: IntArray, buckets: IntArray, counts: IntArray) -> int:
+    """The slot of the message that has waited longest."""
+    queue = buckets.shape[0] - 1
+    slot = int(buckets[queue, 0])
+    buckets[queue, 0] = slots[slot, NEXT]
+    counts[WAITING] -= 1
+    return slot
+
+
+@compiled
+def in_ticks(duration: float, dt: float) -> int:
+    """The first tick that is not before this time [s]."""
+    return math.ceil(duration / dt - DUST)
+
+
+@compiled
+def _flight_time(p: LinkParameters, share: float, held: bool) -> int:
+    """How many ticks a message flies; share: of the extra delays that are shorter than its own."""
+    extra = 0.0
+    if p.jitter > 0.0:
+        extra = jitter_quantile(p.shape, p.jitter, p.low + share * (p.high - p.low))
+        extra = min(max(extra, p.least), p.most)
+    return in_ticks(p.delay + extra + (p.reorder_delay if held else 0.0), p.dt)
+
+
+@compiled
+def _fate(
+    p: LinkParameters, dark: bool, bad: bool, key: Key, tick: int, index: int
+) -> tuple[int, bool, bool]:
+    """What the channel does to one message.
+
+    The cause of its loss or -1, whether it is doubled, whether it is held back.
+    """
+    if dark:
+        return BLACKOUT, False, False
+    if not (p.loss > 0.0 or bad or p.duplicates > 0.0 or p.reorder > 0.0):
+        return -1, False, False
+    word_0, word_1, word_2, word_3 = draw(key, LINK_LOSS, tick, index)
+    if bad and to_uniform(word_1) < p.burst_loss:
+        return BURST, False, False
+    if to_uniform(word_0) < p.loss:
+        return LOSS, False, False
+    return -1, to_uniform(word_2) < p.duplicates, to_uniform(word_3) < p.reorder
+
+
+@borrowing
+def _transmit(p: LinkParameters, s: LinkState, key: Key, slot: int) -> None:
+    """The message leaves the sender: the channel takes it, or it flies, perhaps twice."""
+    slots, payload, buckets, counts = s.slots, s.payload, s.buckets, s.counts
+    tick, index = slots[slot, SENT_AT], slots[slot, NUMBER]
+    lost, twice, held = _fate(p, counts[DARK] == 1, counts[CHAIN] == 1, key, tick, index)
+    if lost >= 0:
+        counts[LOST + lost] += 1
+        release(slots, counts, slot)
+        return
+    share, share_too, held_too = 0.0, 0.0, False
+    if p.jitter > 0.0 or twice:
+        word_0, word_1, word_2, _ = draw(key, LINK_DELAY, tick, index)
+        share, share_too, held_too = (
+            to_uniform(word_0),
+            to_uniform(word_1),
+            to_uniform(word_2) < p.reorder,
+        )
+    fly(slots, buckets, counts, slot, counts[TICK] + _flight_time(p, share, held))
+    other = take(slots, counts) if twice else -1
+    if other >= 0:
+        counts[DUPLICATED] += 1
+        slots[other, COPY] = 1
+        for k in range(payload.shape[1]):
+            payload[other, k] = payload[slot, k]
+        fly(slots, buckets, counts, other, counts[TICK] + _flight_time(p, share_too, held_too))
+
+
+@borrowing
+def _dark_by_plan(blackouts: IntArray, first: int, end: int, tick: int) -> bool:
+    below, above = first, end
+    while below < above:
+        middle = (below + above) // 2
+        if blackouts[middle, 1] <= tick:
+            below = middle + 1
+        else:
+            above = middle
+    return below < end and bool(blackouts[below, 0] <= tick)
+
+
+@borrowing
+def _dark_by_chance(
+    up: float, down: float, counts: IntArray, numbers: FloatArray, key: Key, tick: int
+) -> bool:
+    """Exponential times of light and fixed ones of darkness, in continuous time; stationary from the first tick on."""
+    while numbers[DARK_TO] <= tick + DUST:
+        word_0, word_1, _, _ = draw(key, LINK_STATE, counts[RENEWALS], 1)
+        counts[RENEWALS] += 1
+        light = -up * math.log1p(-to_uniform(word_0))
+        place = to_uniform(word_1) * (up + down)
+        if numbers[DARK_TO] >= 0.0:
+            numbers[DARK_FROM] = numbers[DARK_TO] + light
+        else:
+            numbers[DARK_FROM] = tick + (place - down if place < down else light)
+        numbers[DARK_TO] = numbers[DARK_FROM] + down
+    return bool(numbers[DARK_FROM] <= tick + DUST)
+
+
+@borrowing
+def _settle(t: LinkTable, row: int, s: LinkState, key: Key, tick: int) -> None:
+    """Begin a tick: what the channel is like at it, good or bad, dark or not."""
+    p, counts, numbers = t.rows[row], s.counts, s.numbers
+    counts[TICK], counts[INDEX] = tick, 0
+    if p.perfect and counts[WAITING] == 0:
+        return
+    if p.bursts:
+        chance = p.bad_stay if counts[CHAIN] == 1 else p.bad_enter
+        if counts[CHAIN] < 0:
+            chance = p.bad_share
+        counts[CHAIN] = 1 if uniform(key, LINK_STATE, tick, 0) < chance else 0
+    dark = _dark_by_plan(t.blackouts, p.first_blackout, p.end_blackout, tick)
+    if p.up > 0.0:
+        dark = _dark_by_chance(p.up, p.down, counts, numbers, key, tick) or dark
+    counts[DARK] = 1 if dark else 0
+
+
+@borrowing
+def _is_free(spacing: float, counts: IntArray, numbers: FloatArray) -> bool:
+    """Whether the sender may let a message go at this tick.
+
+    Number m of a busy time leaves m spacings after the first.
+    """
+    return bool(numbers[BEGAN] + counts[SERVED] * spacing <= counts[TICK] + DUST)
+
+
+@borrowing
+def _note_age(counts: IntArray, numbers: FloatArray) -> None:
+    """End a tick: count the age of what is known."""
+    if not math.isnan(numbers[NEWEST]):
+        age = counts[TICK] - numbers[NEWEST]
+        numbers[AGE_MAX] = age if counts[AGES] == 0 else max(numbers[AGE_MAX], age)
+        numbers[AGE_SUM] += age
+        counts[AGES] += 1
+
+
+@borrowing
+def make_up(t: LinkTable, row: int, s: LinkState, key: Key, tick: int) -> None:
+    """Go through the ticks up to this one, it included, that were left out; in none of them was anything under way.
+
+    Args:
+        t, row: The link.
+        s: Is changed.
+        key: Of the draws.
+        tick: The last one that is over; the first is 0.
+    """
+    counts = s.counts
+    while counts[TICK] < tick:
+        _settle(t, row, s, key, counts[TICK] + 1)
+        _note_age(counts, s.numbers)
+
+
+@borrowing
+def advance(t: LinkTable, row: int, s: LinkState, key: Key, tick: int) -> None:
+    """Begin a tick: the channel's state, then whatever may leave the queue. Once a tick, in order.
+
+    Args:
+        t, row: The link.
+        s: Is changed.
+        key, tick: Of the draws; tick 0 is the first.
+    """
+    p, counts = t.rows[row], s.counts
+    make_up(t, row, s, key, tick - 1)
+    _settle(t, row, s, key, tick)
+    while counts[WAITING] > 0 and _is_free(p.spacing, counts, s.numbers):
+        counts[SERVED] += 1
+        _transmit(p, s, key, leave_queue(s.slots, s.buckets, counts))
+
+
+@borrowing
+def send(t: LinkTable, row: int, s: LinkState, key: Key, payload: FloatArray) -> None:
+    """Send one message at the tick that `advance` has begun.
+
+    Args:
+        t, row: The link.
+        s: Is changed.
+        key: As in `advance`.
+        payload: Is copied; element 0 is the tick that its content is from. Shape (width,).
+    """
+    p, slots, held, buckets, counts, numbers = (
+        t.rows[row],
+        s.slots,
+        s.payload,
+        s.buckets,
+        s.counts,
+        s.numbers,
+    )
+    index = counts[INDEX]
+    counts[INDEX] += 1
+    counts[SENT] += 1
+    busy = counts[WAITING] > 0 or not _is_free(p.spacing, counts, numbers)
+    if busy and counts[WAITING] >= p.queue:
+        counts[LOST + QUEUE] += 1
+        if not p.newest:
+            return
+        release(slots, counts, leave_queue(slots, buckets, counts))
+    slot = take(slots, counts)
+    if slot < 0:
+        counts[LOST + FULL] += 1
+        return
+    for k in range(held.shape[1]):
+        held[slot, k] = payload[k]
+    slots[slot, SENT_AT], slots[slot, NUMBER], slots[slot, COPY] = counts[TICK], index, 0
+    if busy:
+        wait(slots, buckets, counts, slot)
+        return
+    numbers[BEGAN], counts[SERVED] = counts[TICK], 1
+    if p.perfect:
+        fly(slots, buckets, counts, slot, counts[TICK])
+    else:
+        _transmit(p, s, key, slot)
+
+
+@borrowing
+def receive(s: LinkState, out: FloatArray) -> int:
+    """End a tick: hand out what arrives at it, and note the age of what is known.
+
+    Args:
+        s: Is changed.
+        out: Gets a row for each message that arrives; as many rows as the state has slots are always enough. Shape
+            (rows, width).
+
+    Returns:
+        How many have arrived.
+
+    Raises:
+        ValueError: If `out` has too few rows.
+    """
+    slots, payload, buckets, counts, numbers = s.slots, s.payload, s.buckets, s.counts, s.numbers
+    bucket = counts[TICK] % (buckets.shape[0] - 1)
+    n, slot = 0, buckets[bucket, 0]
+    while slot >= 0:
+        if n == out.shape[0]:
+            raise ValueError("out has fewer rows than messages arrive")
+        for k in range(payload.shape[1]):
+            out[n, k] = payload[slot, k]
+        if not payload[slot, 0] <= numbers[NEWEST]:
+            numbers[NEWEST] = payload[slot, 0]
+        counts[DELIVERED] += 1
+        counts[ORIGINALS] += 1 - slots[slot, COPY]
+        counts[FLYING] -= 1
+        buckets[bucket, 0] = slots[slot, NEXT]
+        release(slots, counts, slot)
+        slot = buckets[bucket, 0]
+        n += 1
+    _note_age(counts, numbers)
+    return n
+
+
+@borrowing
+def exchange(
+    t: LinkTable, s: LinkState, key: Key, tick: int, payloads: FloatArray, out: FloatArray
+) -> int:
+    """One whole tick of a table's only link: `advance`, `send` for each row of `payloads`, `receive` into `out`.
+
+    How many have arrived.
+    """
+    advance(t, 0, s, key, tick)
+    for k in range(payloads.shape[0]):
+        send(t, 0, s, key, payloads[k])
+    return receive(s, out)
+
+
+@borrowing
+def underway(s: LinkState, out: FloatArray) -> int:
+    """Write the payloads of all that wait or fly into `out`, which has a row for each slot; how many there are."""
+    n = 0
+    for bucket in range(s.buckets.shape[0]):
+        slot = s.buckets[bucket, 0]
+        while slot >= 0:
+            for k in range(s.payload.shape[1]):
+                out[n, k] = s.payload[slot, k]
+            slot = s.slots[slot, NEXT]
+            n += 1
+    return n

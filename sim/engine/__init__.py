@@ -1,0 +1,1 @@
+"""A world's tick over arrays of worlds."""

@@ -1,0 +1,225 @@
+"""Many worlds of one scenario at once: arrays with an axis for worlds, and the tick of each, compiled.
+
+No laws in here. World k with a seed is, bit for bit, the `World` of that seed and secret under the same commands:
+a single world is a batch of one.
+"""
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from bus.messages import LinkKind, LinkSettings, LinkStatus
+from sim.engine.link_arrays import LinkArrays
+from sim.engine.run_keys import derive_keys
+from sim.engine.world_state import (
+    ANSWERED,
+    BatchState,
+    BatchTables,
+    WorldParameters,
+    WorldState,
+    bounds_of,
+    escorts_of,
+    first_state,
+    world_parameters,
+)
+from sim.engine.world_tick import begin_world, measure, truth_of, world_tick
+from sim.kernels.compile import FloatArray, IntArray, entry_point, released
+from sim.kernels.records import records
+from sim.kernels.threads import Crew
+from sim.models.randomness import RUN_PURPOSES
+from sim.scenario.types import Scenario
+
+
+@released
+def _begin_worlds(t: BatchTables, s: BatchState, worlds: IntArray, begin: int, end: int) -> None:
+    for n in range(begin, end):
+        begin_world(t, s, worlds[n])
+
+
+@released
+def _step_worlds(t: BatchTables, s: BatchState, linked: bool, begin: int, end: int) -> None:
+    for k in range(begin, end):
+        world_tick(t, s, k, linked)
+
+
+@released
+def _measure_worlds(t: BatchTables, s: BatchState, begin: int, end: int) -> None:
+    for k in range(begin, end):
+        truth = truth_of(s.truth, k)
+        measure(t.world, truth.position, t.escorts, truth.coverage, truth.measures, True)
+
+
+def arrays_of(state: object) -> list[npt.NDArray[Any]]:
+    """All arrays of a state, however deep."""
+    if isinstance(state, tuple):
+        return [array for part in state for array in arrays_of(part)]
+    return [state] if isinstance(state, np.ndarray) else []
+
+
+class Fresh:
+    """How every world begins: a copy of the first one's arrays, before anything has happened."""
+
+    def __init__(self, state: object) -> None:
+        self._pairs = [(array, array[:1].copy()) for array in arrays_of(state) if array.size]
+
+    def restore(self, worlds: IntArray) -> None:
+        """Let these worlds be as they were at the start."""
+        for array, first in self._pairs:
+            array[worlds] = first
+
+
+class Batch:
+    """Many worlds of one scenario; `begin` them first.
+
+    Args:
+        scenario: What is flown in each.
+        worlds: How many.
+        gains: Whether the fall of e(t) by each look is counted.
+        threads: Processor cores that share the worlds; by default all that this process may use.
+        secret: Of all their random numbers, with each one's seed; empty: none.
+
+    Raises:
+        ValueError: If there are no worlds.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        worlds: int,
+        *,
+        gains: bool = False,
+        threads: int | None = None,
+        secret: str = "",
+    ) -> None:
+        if worlds < 1:
+            raise ValueError(f"worlds = {worlds}: must be 1 or more")
+        self.scenario = scenario
+        self.worlds = worlds
+        self._secret = secret
+        self.parameters = world_parameters(scenario, gains=gains)
+        self.crew = Crew(threads)
+        """The threads that share the worlds."""
+        self._links = LinkArrays(scenario, (LinkKind.DETECTIONS, LinkKind.COMMANDS), 3, worlds)
+        first, escorts, vehicles = (
+            first_state(scenario),
+            escorts_of(scenario),
+            len(scenario.vehicles),
+        )
+        self.tables = BatchTables(
+            world=records(WorldParameters, [self.parameters]),
+            bounds=bounds_of(scenario),
+            escorts=escorts,
+            links=self._links.table,
+        )
+        room = self._links.room
+        self.state = BatchState(
+            keys=np.zeros((worlds, RUN_PURPOSES, vehicles, 2), dtype=np.uint64),
+            ticks=np.zeros(worlds, dtype=np.int64),
+            truth=WorldState._make(np.repeat(array[None], worlds, axis=0) for array in first),
+            received=np.zeros((worlds, len(escorts), room, 3)),
+            arrived=np.zeros((worlds, len(escorts)), dtype=np.int64),
+            sent=np.full((worlds, vehicles, 3), -1.0),
+            answered=np.full((worlds, vehicles), -1, dtype=np.int64),
+            inbox=np.zeros((worlds, room, 3)),
+            links=self._links.states,
+        )
+        self._first_links = self.state.links
+        self.fresh = Fresh(self.state)
+        """How every world begins."""
+
+    def begin(
+        self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None = None
+    ) -> None:
+        """Begin worlds anew.
+
+        Args:
+            seeds: One for each of them.
+            worlds: Which; all by default.
+        """
+        which = self.restore(seeds, worlds)
+        self.crew.share(_begin_worlds, len(which), self.tables, self.state, which)
+
+    def restore(
+        self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None
+    ) -> IntArray:
+        """Let worlds be as they were at the start, with the keys of these seeds; before the first look.
+
+        Args:
+            seeds, worlds: As in `begin`.
+
+        Returns:
+            Which they are.
+        """
+        which = np.arange(self.worlds) if worlds is None else np.asarray(worlds, dtype=np.int64)
+        given = np.asarray(seeds, dtype=np.int64)
+        if self.state.links is not self._first_links:
+            raise ValueError("a world cannot begin anew: its links have been changed")
+        if given.shape != which.shape:
+            raise ValueError(f"{given.size} seeds for {which.size} worlds")
+        self.fresh.restore(which)
+        self.state.keys[which] = derive_keys(
+            given.tolist(), len(self.scenario.vehicles), self._secret
+        )
+        return which
+
+    def step(self, commands: npt.NDArray[np.float64]) -> None:
+        """All worlds advance by one tick.
+
+        Args:
+            commands: Accelerations [m/s²], shape (worlds, vehicles, 2), finite; they cross the links, then (1)
+                bounds them.
+        """
+        self.state.sent[:, :, ANSWERED] = self.state.ticks[:, None]
+        self.state.sent[:, :, ANSWERED + 1 :] = commands
+        self.advance()
+
+    def advance(self, *, linked: bool = True) -> None:
+        """All worlds advance by one tick under the commands in `state.sent`, or in `state.truth.commands`.
+
+        Args:
+            linked: Whether commands cross their links.
+        """
+        self.crew.share(self._step, self.worlds, self.tables, self.state, linked)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_step"}
+
+    @functools.cached_property
+    def _step(self) -> Callable[..., object]:
+        return entry_point(_step_worlds, self.tables, self.state, True, 0, 1)
+
+    def measure(self) -> FloatArray:
+        """Distance [m] and e(t) [m²] of each UAV in each world, with the true p_g. Shape (worlds, UAVs, 2); a view."""
+        self.crew.share(_measure_worlds, self.worlds, self.tables, self.state)
+        return self.state.truth.measures
+
+    @property
+    def degraded(self) -> bool:
+        """Whether any link does anything to a message."""
+        return not self._links.perfect
+
+    def longest_delay(self, kind: LinkKind) -> int:
+        """The longest delay of a link of this kind [ticks]."""
+        return self._links.longest(kind)
+
+    def link_status(self, world: int) -> dict[str, LinkStatus]:
+        """How each link of one world has done so far, by `vehicle/kind`."""
+        return self._links.status(world)
+
+    def change_link(self, kind: LinkKind, vehicle: str, settings: LinkSettings) -> None:
+        """Give a link other settings in all worlds, between two ticks: what is under way arrives as it would have.
+
+        No world can begin anew afterwards.
+        """
+        self._links.change(kind, vehicle, settings)
+        s, room = self.state, self._links.room
+        received = np.zeros((*s.received.shape[:2], room, 3))
+        kept = min(room, s.received.shape[2])
+        received[:, :, :kept] = s.received[:, :, :kept]
+        self.tables = self.tables._replace(links=self._links.table)
+        self.state = s._replace(
+            received=received, inbox=np.zeros((self.worlds, room, 3)), links=self._links.states
+        )

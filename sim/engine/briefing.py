@@ -1,0 +1,85 @@
+"""What each vehicle is told when it joins: its own row of the scenario, and nothing of the others' but their bounds."""
+
+import math
+
+from bus.messages import Briefing, Certificate, Detector, Limits, LinkKind, UavBriefing, UgvBriefing
+from sim.channel.description import extra_delays
+from sim.engine.run_keys import derive_key
+from sim.models.randomness import PILOT
+from sim.scenario.types import Scenario, Uav, Ugv
+
+
+def _bound(value: float) -> float | None:
+    return None if math.isinf(value) else value
+
+
+def limits(vehicle: Uav | Ugv) -> Limits:
+    """A vehicle's bounds as messages carry them."""
+    return Limits(
+        max_speed=_bound(vehicle.max_speed), max_acceleration=_bound(vehicle.max_acceleration)
+    )
+
+
+def _error(scenario: Scenario) -> float | None:
+    """The largest error of a detection [m]; None where it has no bound."""
+    noise = scenario.detections.noise
+    return _bound(noise * scenario.noise_cut) if noise > 0.0 else 0.0
+
+
+def declared(scenario: Scenario, uav: str) -> Certificate:
+    """What a UAV may rely on."""
+    given, commands = scenario.certificate, scenario.links.of(uav, LinkKind.COMMANDS)
+    error = given.error if given.error is not None else _error(scenario)
+    longest = (
+        commands.delay
+        + extra_delays(commands)[1]
+        + (commands.reorder_delay if commands.reorder else 0.0)
+    )
+    delay = given.delay if given.delay is not None else longest
+    return Certificate(
+        error=error, age=given.age, delay=delay, margin=given.margin, hold=scenario.hold
+    )
+
+
+def briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> Briefing:
+    """The briefing of the vehicle `name` in a run with this seed and secret; neither is in it.
+
+    Raises:
+        KeyError: If the scenario has no such vehicle.
+    """
+    vehicles = {vehicle.name: (index, vehicle) for index, vehicle in enumerate(scenario.vehicles)}
+    index, vehicle = vehicles[name]
+    key = derive_key(seed, PILOT, index, secret)
+    if isinstance(vehicle, Ugv):
+        return UgvBriefing(
+            vehicle=name,
+            dt=scenario.dt,
+            area=scenario.area,
+            limits=limits(vehicle),
+            driver=vehicle.driver,
+            goals=vehicle.goals,
+            goal_tolerance=vehicle.goal_tolerance,
+            script=vehicle.script,
+            hold=scenario.hold,
+            key=key,
+        )
+    return UavBriefing(
+        vehicle=name,
+        dt=scenario.dt,
+        area=scenario.area,
+        limits=limits(vehicle),
+        target_limits=limits(vehicles[vehicle.escorts][1]),
+        visibility_radius=scenario.visibility.radius,
+        sensor=scenario.sensor,
+        desired_coverage=scenario.coverage.desired,
+        covered=scenario.coverage.covered,
+        law=scenario.law,
+        detector=Detector(
+            noise=scenario.detections.noise,
+            cut=_bound(scenario.noise_cut),
+            period=scenario.detection_period * scenario.dt,
+        ),
+        estimator=scenario.estimator,
+        certificate=declared(scenario, name),
+        key=key,
+    )

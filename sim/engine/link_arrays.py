@@ -1,0 +1,125 @@
+"""The links of many worlds in arrays.
+
+What each link does in one table, what it remembers with axes for worlds and links.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bus.messages import LinkKind, LinkSettings, LinkStatus
+from sim.channel.description import check_link, link_parameters, link_status, link_table, relink
+from sim.channel.link import LinkState, link_state
+from sim.kernels.compile import inlined
+from sim.models.randomness import COMMAND_LINK, DETECTION_LINK, OPERATOR_LINK, RADIO_LINK
+from sim.scenario.types import Scenario
+
+PURPOSES = {
+    LinkKind.DETECTIONS: DETECTION_LINK,
+    LinkKind.COMMANDS: COMMAND_LINK,
+    LinkKind.OPERATOR: OPERATOR_LINK,
+    LinkKind.RADIO: RADIO_LINK,
+}
+"""Of the links' keys."""
+PER_TICK = {LinkKind.DETECTIONS: 1, LinkKind.COMMANDS: 1, LinkKind.OPERATOR: 64, LinkKind.RADIO: 16}
+"""Messages that a link has room for in every tick; what is more is lost."""
+
+
+def owners(scenario: Scenario, kind: LinkKind) -> tuple[str, ...]:
+    """The vehicles that have a link of this kind, in name order."""
+    uavs = {uav.name for uav in scenario.uav}
+    if kind is LinkKind.COMMANDS:
+        return tuple(vehicle.name for vehicle in scenario.vehicles)
+    of_uavs = kind is not LinkKind.OPERATOR
+    return tuple(vehicle.name for vehicle in scenario.vehicles if (vehicle.name in uavs) is of_uavs)
+
+
+class LinkArrays:
+    """The links of some kinds in many worlds.
+
+    Args:
+        scenario: What is flown.
+        kinds: Which links: all of the first kind, in name order, then those of the next.
+        width: Numbers in a message.
+        worlds: How many.
+    """
+
+    def __init__(
+        self, scenario: Scenario, kinds: Sequence[LinkKind], width: int, worlds: int
+    ) -> None:
+        vehicles = {vehicle.name: k for k, vehicle in enumerate(scenario.vehicles)}
+        self.names = [(kind, name) for kind in kinds for name in owners(scenario, kind)]
+        """Kind and vehicle of each row."""
+        self._dt = scenario.dt
+        self._owners = [(PURPOSES[kind], vehicles[name]) for kind, name in self.names]
+        self._settings = [
+            check_link(scenario.links.of(name, kind), f"{name}/{kind}") for kind, name in self.names
+        ]
+        self._parameters = [
+            link_parameters(one, scenario.dt, per_tick=PER_TICK[kind])
+            for (kind, _), one in zip(self.names, self._settings, strict=True)
+        ]
+        self.table = link_table(self._parameters, self._owners)
+        self.room = max((p.room for p in self._parameters), default=1)
+        """Messages that may arrive at once by one link, at most."""
+        wheel = max((p.longest for p in self._parameters), default=0) + 1
+        one = [link_state(p, width, room=self.room, wheel=wheel) for p in self._parameters]
+        fresh = [np.stack(arrays) for arrays in zip(*one, strict=True)]
+        self.states = LinkState._make(np.repeat(array[None], worlds, axis=0) for array in fresh)
+        """What they remember. Arrays with axes for worlds and links."""
+
+    @property
+    def perfect(self) -> bool:
+        """Whether none of them does anything to a message."""
+        return all(p.perfect for p in self._parameters)
+
+    def longest(self, kind: LinkKind) -> int:
+        """The longest delay of a link of this kind [ticks]."""
+        links = zip(self.names, self._parameters, strict=True)
+        return max((p.longest for (one, _), p in links if one is kind), default=0)
+
+    def change(self, kind: LinkKind, vehicle: str, settings: LinkSettings) -> None:
+        """Go on with other settings of one link from the next tick on, in new arrays; see `relink`."""
+        row, old = self.names.index((kind, vehicle)), list(self._parameters)
+        self._settings[row] = checked = check_link(settings, f"{vehicle}/{kind}")
+        self._parameters[row] = link_parameters(checked, self._dt, per_tick=PER_TICK[kind])
+        room = wheel = 1
+        for _ in range(2):  # once to see how much room they need, once with the same for all
+            states = [
+                [
+                    relink(was, self._state_of(world, k), now, room=room, wheel=wheel)
+                    for k, (was, now) in enumerate(zip(old, self._parameters, strict=True))
+                ]
+                for world in range(len(self.states.counts))
+            ]
+            every = [state for links in states for state in links]
+            room = max(len(state.slots) for state in every)
+            wheel = max(len(state.buckets) for state in every) - 1
+        self.room = room
+        self.table = link_table(self._parameters, self._owners)
+        by_world = [[np.stack(arrays) for arrays in zip(*links, strict=True)] for links in states]
+        self.states = LinkState._make(np.stack(arrays) for arrays in zip(*by_world, strict=True))
+
+    def _state_of(self, world: int, link: int) -> LinkState:
+        return LinkState._make(array[world, link] for array in self.states)
+
+    def status(self, world: int) -> dict[str, LinkStatus]:
+        """How each link of one world has done so far, by `vehicle/kind`."""
+        return {
+            f"{name}/{kind}": link_status(
+                self._parameters[k], self._state_of(world, k), self._settings[k]
+            )
+            for k, (kind, name) in enumerate(self.names)
+        }
+
+
+@inlined
+def link_of(states: LinkState, world: int, link: int) -> LinkState:
+    """The state of one link in one world: views, no copies."""
+    return LinkState(
+        states.slots[world, link],
+        states.payload[world, link],
+        states.buckets[world, link],
+        states.counts[world, link],
+        states.numbers[world, link],
+    )

@@ -1,0 +1,159 @@
+"""What is true in worlds, and what they share: the arrays that the compiled tick works on.
+
+Arrays have an axis for vehicles, or for UAVs with the UGVs they escort, in name order.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bus.registry import SENSORS
+from sim.channel.link import LinkState, LinkTable
+from sim.kernels.compile import FloatArray, IntArray
+from sim.kernels.records import RecordArray
+from sim.models.field import cover, empty_coverage
+from sim.models.randomness import WordArray
+from sim.scenario.types import Scenario
+
+TAKEN, LOOK_X, LOOK_Y = range(3)
+"""Columns of `BatchState.received`: the tick at which it was taken, and the noisy p_a - p_g [m]."""
+
+ANSWERED, U_X, U_Y = range(3)
+"""Columns of `BatchState.sent`: the tick that a command answers, -1 where there is none, and the acceleration [m/s²]."""
+
+
+class WorldParameters(NamedTuple):
+    """What the step needs of a scenario, as plain numbers in SI units."""
+
+    dt: float
+    width: float
+    height: float
+    cell: float
+    r_v: float
+    r_o: float
+    sensor: int
+    peak: float
+    reach: float
+    desired: float
+    sigma: float
+    cut: float
+    dropout: float
+    period: int
+    hold_ticks: int
+    """For how long a vehicle goes on with its last command when none comes."""
+    gains: bool
+    """Whether the fall of e(t) by each look is counted."""
+
+
+class WorldState(NamedTuple):
+    """What is true. With an axis for worlds in front it is the truth of each of many."""
+
+    position: FloatArray
+    """Positions [m]. Shape (vehicles, 2)."""
+    velocity: FloatArray
+    """Velocities [m/s]. Shape (vehicles, 2)."""
+    acceleration: FloatArray
+    """What was applied in the last tick, after its bound [m/s²]. Shape (vehicles, 2)."""
+    commands: FloatArray
+    """What each vehicle acted on in the last tick, before the bound [m/s²]. Shape (vehicles, 2)."""
+    coverage: FloatArray
+    """C of (3) on the grid, all UAVs together. Shape (rows, columns)."""
+    detections: FloatArray
+    """The relative position that each UAV has detected at this tick [m]; NaN where none. Shape (UAVs, 2)."""
+    gains: FloatArray
+    """How far the last look of each UAV made e(t) fall [m²]. Shape (UAVs,)."""
+    measures: FloatArray
+    """Distance [m] and e(t) (4) with the true p_g [m²] of each UAV, when they were last measured. Shape (UAVs, 2)."""
+
+
+def world_parameters(scenario: Scenario, *, gains: bool = False) -> WorldParameters:
+    """The numbers of a scenario."""
+    return WorldParameters(
+        dt=float(scenario.dt),
+        width=float(scenario.area.width),
+        height=float(scenario.area.height),
+        cell=float(scenario.area.cell),
+        r_v=float(scenario.visibility.radius),
+        r_o=float(scenario.visibility.radius + scenario.sensor.range),
+        sensor=SENSORS[scenario.sensor.model].code,
+        peak=float(scenario.sensor.peak),
+        reach=float(scenario.sensor.range),
+        desired=float(scenario.coverage.desired),
+        sigma=float(scenario.detections.noise),
+        cut=float(scenario.noise_cut),
+        dropout=float(scenario.detections.dropout),
+        period=scenario.detection_period,
+        hold_ticks=round(scenario.hold / scenario.dt),
+        gains=gains,
+    )
+
+
+def first_state(scenario: Scenario) -> WorldState:
+    """The state that every run of a scenario begins with, before the first look."""
+    vehicles, uavs = scenario.vehicles, len(scenario.uav)
+    coverage = empty_coverage(scenario.area.width, scenario.area.height, scenario.area.cell)
+    for region in scenario.coverage.covered:
+        cover(coverage, region.lower, region.upper, scenario.area.cell, scenario.coverage.desired)
+    return WorldState(
+        position=np.array([v.position for v in vehicles], dtype=np.float64),
+        velocity=np.array([v.velocity for v in vehicles], dtype=np.float64),
+        acceleration=np.zeros((len(vehicles), 2)),
+        commands=np.zeros((len(vehicles), 2)),
+        coverage=coverage,
+        detections=np.full((uavs, 2), np.nan),
+        gains=np.zeros(uavs),
+        measures=np.zeros((uavs, 2)),
+    )
+
+
+def bounds_of(scenario: Scenario) -> FloatArray:
+    """v_max [m/s] and u_max [m/s²] of each vehicle. Shape (vehicles, 2)."""
+    return np.array(
+        [(v.max_speed, v.max_acceleration) for v in scenario.vehicles], dtype=np.float64
+    )
+
+
+def escorts_of(scenario: Scenario) -> IntArray:
+    """Rows (UAV, UGV), one for each UAV, in name order. Shape (UAVs, 2)."""
+    index = {vehicle.name: k for k, vehicle in enumerate(scenario.vehicles)}
+    escorts = {uav.name: uav.escorts for uav in scenario.uav}
+    return np.array(
+        [(index[name], index[escorts[name]]) for name in index if name in escorts], dtype=np.int64
+    )
+
+
+class BatchTables(NamedTuple):
+    """What all worlds share and nobody changes."""
+
+    world: RecordArray
+    """`WorldParameters`. Shape (1,)."""
+    bounds: FloatArray
+    """v_max [m/s] and u_max [m/s²]. Shape (vehicles, 2)."""
+    escorts: IntArray
+    """Rows (UAV, UGV). Shape (UAVs, 2)."""
+    links: LinkTable
+    """Of the detections, a row for each UAV, then of the commands, a row for each vehicle."""
+
+
+class BatchState(NamedTuple):
+    """What is true in each world. All arrays have an axis for worlds in front."""
+
+    keys: WordArray
+    """Of each world's random numbers. Shape (worlds, RUN_PURPOSES, vehicles, 2)."""
+    ticks: IntArray
+    """Shape (worlds,)."""
+    truth: WorldState
+    received: FloatArray
+    """What has reached each UAV's computer at this tick, in the order of arrival. Shape (worlds, UAVs, room, 3)."""
+    arrived: IntArray
+    """How many. Shape (worlds, UAVs)."""
+    sent: FloatArray
+    """The commands that set out in the coming tick. Shape (worlds, vehicles, 3)."""
+    answered: IntArray
+    """The tick that the newest command of each vehicle, as it has arrived, answers; -1: none.
+
+    Shape (worlds, vehicles).
+    """
+    inbox: FloatArray
+    """Room for what arrives by one link. Shape (worlds, room, 3)."""
+    links: LinkState

@@ -1,0 +1,225 @@
+"""One tick of a world, compiled: the same functions serve a single world and each of many."""
+
+import math
+
+import numpy as np
+
+from sim.channel.link import advance as begin_tick
+from sim.channel.link import receive, send
+from sim.engine.link_arrays import link_of
+from sim.engine.world_state import (
+    ANSWERED,
+    LOOK_X,
+    LOOK_Y,
+    TAKEN,
+    U_X,
+    U_Y,
+    BatchState,
+    BatchTables,
+    WorldParameters,
+    WorldState,
+)
+from sim.kernels.compile import FloatArray, IntArray, borrowing, inlined
+from sim.kernels.records import RecordArray
+from sim.models.detection import detect
+from sim.models.field import accumulate, accumulate_with_gain, coverage_error
+from sim.models.randomness import DETECTION_CHANCE, DETECTION_NOISE, WordArray, key_of
+from sim.models.vehicles import brake, norm, step_vehicle, within_walls
+
+
+@borrowing
+def _move(
+    w: WorldParameters,
+    position: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    bounds: FloatArray,
+    commands: FloatArray,
+) -> None:
+    for k in range(position.shape[0]):
+        p_x, p_y, v_x, v_y, u_x, u_y = step_vehicle(
+            position[k, 0],
+            position[k, 1],
+            velocity[k, 0],
+            velocity[k, 1],
+            commands[k, 0],
+            commands[k, 1],
+            bounds[k, 0],
+            bounds[k, 1],
+            w.dt,
+        )
+        position[k, 0], velocity[k, 0] = within_walls(p_x, v_x, w.width)
+        position[k, 1], velocity[k, 1] = within_walls(p_y, v_y, w.height)
+        acceleration[k, 0], acceleration[k, 1] = u_x, u_y
+
+
+@borrowing
+def _see(
+    w: WorldParameters,
+    position: FloatArray,
+    escorts: IntArray,
+    coverage: FloatArray,
+    gains: FloatArray,
+) -> None:
+    for k in range(escorts.shape[0]):
+        a, g = escorts[k, 0], escorts[k, 1]
+        if w.gains:
+            gains[k] = accumulate_with_gain(
+                coverage,
+                position[a, 0],
+                position[a, 1],
+                position[g, 0],
+                position[g, 1],
+                w.r_o,
+                w.desired,
+                w.sensor,
+                w.peak,
+                w.reach,
+                w.cell,
+                w.dt,
+            )
+        else:
+            accumulate(
+                coverage, position[a, 0], position[a, 1], w.sensor, w.peak, w.reach, w.cell, w.dt
+            )
+
+
+@borrowing
+def detect_all(
+    w: WorldParameters,
+    keys: WordArray,
+    tick: int,
+    position: FloatArray,
+    escorts: IntArray,
+    detections: FloatArray,
+) -> None:
+    """Every UAV's detector looks for its UGV, where it is due at this tick."""
+    for k in range(escorts.shape[0]):
+        a, g = escorts[k, 0], escorts[k, 1]
+        detections[k, 0], detections[k, 1] = np.nan, np.nan
+        if tick % w.period == 0:
+            _, detections[k, 0], detections[k, 1] = detect(
+                position[a, 0] - position[g, 0],
+                position[a, 1] - position[g, 1],
+                w.r_v,
+                w.reach,
+                w.dropout,
+                w.sigma,
+                w.cut,
+                key_of(keys, DETECTION_NOISE, a),
+                key_of(keys, DETECTION_CHANCE, a),
+                tick,
+            )
+
+
+@borrowing
+def measure(
+    world: RecordArray,
+    position: FloatArray,
+    escorts: IntArray,
+    coverage: FloatArray,
+    measures: FloatArray,
+    error: bool,
+) -> None:
+    """Distance [m] and e(t) (4) with the true p_g [m²] of each UAV, into `measures`; `world` as in `BatchTables`.
+
+    e(t) is left out, and 0, where `error` is not asked for.
+    """
+    w = world[0]
+    for k in range(escorts.shape[0]):
+        a, g = escorts[k, 0], escorts[k, 1]
+        measures[k, 0] = norm(position[a, 0] - position[g, 0], position[a, 1] - position[g, 1])
+        measures[k, 1] = 0.0
+        if error:
+            measures[k, 1] = coverage_error(
+                coverage, position[g, 0], position[g, 1], w.r_o, w.desired, w.cell
+            )
+
+
+@inlined
+def truth_of(truth: WorldState, k: int) -> WorldState:
+    """The truth of one world: views, no copies."""
+    return WorldState(
+        truth.position[k],
+        truth.velocity[k],
+        truth.acceleration[k],
+        truth.commands[k],
+        truth.coverage[k],
+        truth.detections[k],
+        truth.gains[k],
+        truth.measures[k],
+    )
+
+
+@inlined
+def receive_commands(t: BatchTables, s: BatchState, k: int) -> None:
+    """What has been sent sets out, and each vehicle acts on its newest command that has arrived.
+
+    Where none has come for a while, it brakes.
+    """
+    w, keys, tick = t.world[0], s.keys[k], s.ticks[k]
+    acting, sent, answered, inbox = s.truth.commands[k], s.sent[k], s.answered[k], s.inbox[k]
+    for v in range(sent.shape[0]):
+        row = t.escorts.shape[0] + v
+        link = link_of(s.links, k, row)
+        key = key_of(keys, t.links.owners[row, 0], t.links.owners[row, 1])
+        begin_tick(t.links, row, link, key, tick)
+        if sent[v, ANSWERED] >= 0.0:
+            send(t.links, row, link, key, sent[v])
+            sent[v, ANSWERED] = -1.0
+        for n in range(receive(link, inbox)):
+            if inbox[n, ANSWERED] > answered[v]:
+                answered[v] = int(inbox[n, ANSWERED])
+                acting[v, 0], acting[v, 1] = inbox[n, U_X], inbox[n, U_Y]
+        if tick - answered[v] > w.hold_ticks:
+            v_x, v_y = s.truth.velocity[k, v, 0], s.truth.velocity[k, v, 1]
+            acting[v, 0], acting[v, 1] = brake(v_x, v_y, t.bounds[v, 1], w.dt)
+
+
+@inlined
+def move(t: BatchTables, s: BatchState, k: int) -> None:
+    """To the next tick: everybody moves (1), the UAVs look at the ground (3) and at their UGVs."""
+    w = t.world[0]
+    s.ticks[k] += 1
+    truth = truth_of(s.truth, k)
+    _move(w, truth.position, truth.velocity, truth.acceleration, t.bounds, truth.commands)
+    _see(w, truth.position, t.escorts, truth.coverage, truth.gains)
+    detect_all(w, s.keys[k], s.ticks[k], truth.position, t.escorts, truth.detections)
+
+
+@inlined
+def deliver_detections(t: BatchTables, s: BatchState, k: int) -> None:
+    """What the detectors have found at this tick sets out, and what has arrived is there."""
+    keys, tick, found, received = s.keys[k], s.ticks[k], s.truth.detections[k], s.received[k]
+    message = s.inbox[k, 0]
+    for u in range(found.shape[0]):
+        link = link_of(s.links, k, u)
+        key = key_of(keys, t.links.owners[u, 0], t.links.owners[u, 1])
+        begin_tick(t.links, u, link, key, tick)
+        if not math.isnan(found[u, 0]):
+            message[TAKEN], message[LOOK_X], message[LOOK_Y] = tick, found[u, 0], found[u, 1]
+            send(t.links, u, link, key, message)
+        s.arrived[k, u] = receive(link, received[u])
+
+
+@inlined
+def begin_world(t: BatchTables, s: BatchState, k: int) -> None:
+    """World k, whose arrays are as they are at the start but for its keys, has the first look."""
+    detect_all(t.world[0], s.keys[k], 0, s.truth.position[k], t.escorts, s.truth.detections[k])
+    deliver_detections(t, s, k)
+
+
+@inlined
+def world_tick(t: BatchTables, s: BatchState, k: int, linked: bool) -> None:
+    """World k advances by one tick.
+
+    Args:
+        t: What all worlds share.
+        s: Is changed.
+        k: The world.
+        linked: Whether commands cross their links; else everybody acts on what stands in `truth.commands`.
+    """
+    if linked:
+        receive_commands(t, s, k)
+    move(t, s, k)
+    deliver_detections(t, s, k)

@@ -1,0 +1,366 @@
+"""What each vehicle observes and is paid, in arrays: the same compiled functions for one world and for many.
+
+A tick of the rows, once the world's is done and measured: `advance_rows`, then `observe_rows` where somebody looks.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bus.layout import UavRow, UgvRow
+from sim.engine.world_state import LOOK_X, LOOK_Y, TAKEN, BatchState, BatchTables
+from sim.env.rewards import RewardWeights, UavTerms, full_error, uav_terms, ugv_terms
+from sim.kernels.compile import FloatArray, IntArray, compiled, inlined
+from sim.kernels.records import RecordArray, records
+from sim.models.vehicles import goal_reached, norm
+from sim.scenario.types import Scenario, Ugv
+from sim.world import Look, World
+
+
+class UavMetrics(NamedTuple):
+    """How a UAV truly stands: the columns of `RowState.uavs`."""
+
+    newest: float
+    """Tick of the newest detection that has reached it; -1: none."""
+    was_lost: float
+    lost: float
+    """Whether the distance was and is r_v or more."""
+    distance: float
+    max_distance: float
+    """Now and at most [m]."""
+    violations: float
+    """Ticks out of sight."""
+    error: float
+    """e(t) [m²]; 0 where it is not computed."""
+    error_sum: float
+    """Over the ticks so far, the first included [m²]."""
+
+
+class UgvMetrics(NamedTuple):
+    """How a UGV truly stands: the columns of `RowState.ugvs`."""
+
+    reached: float
+    """Goals."""
+    arrivals: float
+    """Goals reached at this tick."""
+    nearer: float
+    """How much nearer it came to its goal [m]."""
+    to_go: float
+    """Way to the next goal [m]; 0 where none is left."""
+
+
+class Moment(NamedTuple):
+    """The truth at one tick, as plain floats: rows as in the world's arrays."""
+
+    tick: int
+    time: float
+    position: list[list[float]]
+    velocity: list[list[float]]
+    received: list[list[Look]]
+    measures: list[list[float]]
+    """Distance [m] and e(t) [m²] of each UAV."""
+
+    @classmethod
+    def of(cls, world: World) -> "Moment":
+        """The moment that the world is at, as it was measured last."""
+        return cls(
+            world.tick,
+            world.time,
+            world.position.tolist(),
+            world.velocity.tolist(),
+            list(world.received),
+            world.state.measures.tolist(),
+        )
+
+
+def columns(row: Any) -> Any:  # noqa: ANN401 - a type of named tuples, and one whose fields are whole numbers
+    """Where each field of a row stands: a row whose values are their own places."""
+    return row._make(range(len(row._fields)))
+
+
+UAV, UGV = columns(UavRow), columns(UgvRow)
+"""Columns of `RowState.uav_rows` and `RowState.ugv_rows`."""
+UAV_METRICS, UGV_METRICS = columns(UavMetrics), columns(UgvMetrics)
+"""Columns of `RowState.uavs` and `RowState.ugvs`."""
+
+
+class EpisodeParameters(NamedTuple):
+    """When an episode ends, and what its rewards are measured against."""
+
+    ticks: int
+    """Of an episode."""
+    full: float
+    """`full_error` [m²]."""
+    end_on_sight_lost: bool
+    end_on_goals: bool
+
+
+class RowTables(NamedTuple):
+    """What all worlds share and nobody changes."""
+
+    episode: RecordArray
+    """`EpisodeParameters`. Shape (1,)."""
+    weights: RecordArray
+    """`RewardWeights`. Shape (1,)."""
+    place: IntArray
+    """For each vehicle its row among the UAVs, or -1 - its row among the UGVs. Shape (vehicles,)."""
+    ugvs: IntArray
+    """For each UGV its row among the vehicles. Shape (UGVs,)."""
+    tolerances: FloatArray
+    """Goal tolerance of each UGV [m]. Shape (UGVs,)."""
+    goals: FloatArray
+    """The goals of all UGVs [m]. Shape (any, 2)."""
+    goal_rows: IntArray
+    """Where each UGV's begin. Shape (UGVs + 1,)."""
+
+
+class RowState(NamedTuple):
+    """What changes. All arrays have an axis for worlds in front."""
+
+    uavs: FloatArray
+    """`UavMetrics`; further columns are the caller's. Shape (worlds, UAVs, 8 or more)."""
+    ugvs: FloatArray
+    """`UgvMetrics`. Shape (worlds, UGVs, 4)."""
+    uav_rows: FloatArray
+    """`UavRow`; further columns are the caller's. Shape (worlds, UAVs, 9 or more)."""
+    ugv_rows: FloatArray
+    """`UgvRow`. Shape (worlds, UGVs, 8)."""
+    terms: FloatArray
+    """Of the last reward: `UavTerms` or `UgvTerms`. Shape (worlds, vehicles, 5)."""
+    rewards: FloatArray
+    """Of the last tick. Shape (worlds, vehicles)."""
+    terminated: IntArray
+    truncated: IntArray
+    """Shape (worlds,)."""
+
+
+def joined(arrays: Sequence[FloatArray], width: int) -> tuple[FloatArray, IntArray]:
+    """Arrays one after the other, and where each begins."""
+    edges = np.cumsum([0, *(len(array) for array in arrays)]).astype(np.int64)
+    return np.concatenate([np.zeros((0, width)), *arrays]), edges
+
+
+def row_tables(
+    scenario: Scenario, weights: RewardWeights, *, end_on_sight_lost: bool, end_on_goals: bool
+) -> RowTables:
+    """The tables of a scenario."""
+    vehicles = scenario.vehicles
+    ugvs = [k for k, vehicle in enumerate(vehicles) if isinstance(vehicle, Ugv)]
+    uavs = [k for k in range(len(vehicles)) if k not in ugvs]
+    driven = [vehicle for vehicle in vehicles if isinstance(vehicle, Ugv)]
+    goals, goal_rows = joined(
+        [np.array(ugv.goals, dtype=np.float64).reshape(-1, 2) for ugv in driven], 2
+    )
+    episode = EpisodeParameters(
+        ticks=scenario.ticks,
+        full=full_error(
+            scenario.visibility.radius + scenario.sensor.range, scenario.coverage.desired
+        ),
+        end_on_sight_lost=end_on_sight_lost,
+        end_on_goals=end_on_goals,
+    )
+    return RowTables(
+        episode=records(EpisodeParameters, [episode]),
+        weights=records(RewardWeights, [weights]),
+        place=np.array(
+            [uavs.index(k) if k in uavs else -1 - ugvs.index(k) for k in range(len(vehicles))],
+            dtype=np.int64,
+        ),
+        ugvs=np.array(ugvs, dtype=np.int64),
+        tolerances=np.array([ugv.goal_tolerance for ugv in driven], dtype=np.float64),
+        goals=goals,
+        goal_rows=goal_rows,
+    )
+
+
+def row_state(t: RowTables, worlds: int, *, uav_metrics: int = 0, uav_columns: int = 0) -> RowState:
+    """The state before the first look.
+
+    Args:
+        t: The tables.
+        worlds: How many.
+        uav_metrics, uav_columns: Further columns of `uavs` and of `uav_rows`.
+    """
+    vehicles, ugvs = len(t.place), len(t.ugvs)
+    state = RowState(
+        uavs=np.zeros((worlds, vehicles - ugvs, len(UAV_METRICS) + uav_metrics)),
+        ugvs=np.zeros((worlds, ugvs, len(UGV_METRICS))),
+        uav_rows=np.zeros((worlds, vehicles - ugvs, len(UAV) + uav_columns)),
+        ugv_rows=np.zeros((worlds, ugvs, len(UGV))),
+        terms=np.zeros((worlds, vehicles, len(UavTerms._fields))),
+        rewards=np.zeros((worlds, vehicles)),
+        terminated=np.zeros(worlds, dtype=np.int64),
+        truncated=np.zeros(worlds, dtype=np.int64),
+    )
+    state.uavs[:, :, UAV_METRICS.newest] = -1.0
+    return state
+
+
+@compiled
+def turn(
+    goals: FloatArray, reached: int, tolerance: float, x: float, y: float
+) -> tuple[int, float]:
+    """How many goals are reached from (x, y) [m] on, and the way to the next one [m]; 0 where none is left."""
+    while reached < goals.shape[0] and goal_reached(
+        x, y, goals[reached, 0], goals[reached, 1], tolerance
+    ):
+        reached += 1
+    if reached == goals.shape[0]:
+        return reached, 0.0
+    return reached, norm(x - goals[reached, 0], y - goals[reached, 1])
+
+
+@inlined
+def _measure_uav(bt: BatchTables, bs: BatchState, s: RowState, k: int, u: int) -> None:
+    """How UAV u truly stands at this tick, and the newest detection that has reached it."""
+    row, received = s.uavs[k, u], bs.received[k, u]
+    distance, error = bs.truth.measures[k, u, 0], bs.truth.measures[k, u, 1]
+    row[UAV_METRICS.was_lost] = row[UAV_METRICS.lost]
+    row[UAV_METRICS.lost] = 1.0 if distance >= bt.world[0].r_v else 0.0
+    row[UAV_METRICS.distance] = distance
+    row[UAV_METRICS.max_distance] = max(row[UAV_METRICS.max_distance], distance)
+    row[UAV_METRICS.violations] += row[UAV_METRICS.lost]
+    row[UAV_METRICS.error] = error
+    row[UAV_METRICS.error_sum] += error
+    for n in range(bs.arrived[k, u]):
+        row[UAV_METRICS.newest] = max(row[UAV_METRICS.newest], received[n, TAKEN])
+
+
+@inlined
+def _measure_ugv(
+    bs: BatchState, t: RowTables, s: RowState, k: int, g: int, beginning: bool
+) -> None:
+    """UGV g turns to the next goal where it has reached one."""
+    row, position, goals = (
+        s.ugvs[k, g],
+        bs.truth.position[k, t.ugvs[g]],
+        t.goals[t.goal_rows[g] : t.goal_rows[g + 1]],
+    )
+    x, y, reached = position[0], position[1], int(row[UGV_METRICS.reached])
+    row[UGV_METRICS.nearer], row[UGV_METRICS.arrivals] = 0.0, 0.0
+    if reached < goals.shape[0]:
+        if not beginning:
+            way = norm(x - goals[reached, 0], y - goals[reached, 1])
+            row[UGV_METRICS.nearer] = row[UGV_METRICS.to_go] - way
+        now, row[UGV_METRICS.to_go] = turn(goals, reached, t.tolerances[g], x, y)
+        row[UGV_METRICS.arrivals], row[UGV_METRICS.reached] = now - reached, now
+
+
+@inlined
+def _end(t: RowTables, s: RowState, k: int, left: int) -> int:
+    """Whether the episode is over; for how many ticks a UAV out of sight pays."""
+    lost, goals = False, 0
+    for u in range(s.uavs.shape[1]):
+        lost = lost or s.uavs[k, u, UAV_METRICS.lost] != 0.0
+    for g in range(t.ugvs.shape[0]):
+        goals += t.goal_rows[g + 1] - t.goal_rows[g] - int(s.ugvs[k, g, UGV_METRICS.reached])
+    lost = t.episode[0].end_on_sight_lost and lost
+    arrived = t.episode[0].end_on_goals and t.goals.shape[0] > 0 and goals == 0
+    s.terminated[k], s.truncated[k] = 1 if lost or arrived else 0, 1 if left <= 0 else 0
+    return 1 + left if lost else 1
+
+
+@inlined
+def _pay(
+    bt: BatchTables, bs: BatchState, t: RowTables, s: RowState, k: int, ticks_lost: int
+) -> None:
+    """Everybody's reward of this tick: the sum of its terms, in their order."""
+    w, weights, dt = t.episode[0], t.weights[0], bt.world[0].dt
+    for v in range(t.place.shape[0]):
+        u_x, u_y = bs.truth.acceleration[k, v, 0], bs.truth.acceleration[k, v, 1]
+        terms = s.terms[k, v]
+        if t.place[v] >= 0:
+            row = s.uavs[k, t.place[v]]
+            terms[0], terms[1], terms[2], terms[3], terms[4] = uav_terms(
+                weights,
+                row[UAV_METRICS.error],
+                bs.truth.gains[k, t.place[v]],
+                w.full,
+                row[UAV_METRICS.lost] != 0.0,
+                row[UAV_METRICS.was_lost] != 0.0,
+                ticks_lost,
+                u_x,
+                u_y,
+                dt,
+            )
+        else:
+            row = s.ugvs[k, -1 - t.place[v]]
+            nearer, arrivals = row[UGV_METRICS.nearer], int(row[UGV_METRICS.arrivals])
+            terms[0], terms[1], terms[2] = ugv_terms(weights, nearer, arrivals, u_x, u_y, dt)
+        reward = 0.0
+        for n in range(terms.shape[0]):
+            reward += terms[n]
+        s.rewards[k, v] = reward
+
+
+@inlined
+def advance_rows(
+    bt: BatchTables, bs: BatchState, t: RowTables, s: RowState, k: int, beginning: bool
+) -> None:
+    """Take in the tick that world k is at, whose measures are there: how everybody stands and is paid.
+
+    Args:
+        bt, bs: The worlds.
+        t: What all worlds share.
+        s: Is changed.
+        k: The world.
+        beginning: Whether an episode begins: nobody is paid then.
+    """
+    for u in range(s.uavs.shape[1]):
+        _measure_uav(bt, bs, s, k, u)
+    for g in range(t.ugvs.shape[0]):
+        _measure_ugv(bs, t, s, k, g, beginning)
+    if not beginning:
+        ticks_lost = _end(t, s, k, t.episode[0].ticks - bs.ticks[k])
+        _pay(bt, bs, t, s, k, ticks_lost)
+
+
+@inlined
+def _observe_uav(
+    bt: BatchTables, bs: BatchState, t: RowTables, s: RowState, k: int, u: int
+) -> None:
+    """Write the row of UAV u: of several detections the newest, the pilots over the bus use them all."""
+    row, received, dt = s.uav_rows[k, u], bs.received[k, u], bt.world[0].dt
+    position, velocity = (
+        bs.truth.position[k, bt.escorts[u, 0]],
+        bs.truth.velocity[k, bt.escorts[u, 0]],
+    )
+    time, newest = bs.ticks[k] * dt, s.uavs[k, u, UAV_METRICS.newest]
+    row[UAV.time], row[UAV.x], row[UAV.y] = time, position[0], position[1]
+    row[UAV.vx], row[UAV.vy] = velocity[0], velocity[1]
+    row[UAV.detected], row[UAV.relative_x], row[UAV.relative_y] = 0.0, 0.0, 0.0
+    row[UAV.age] = t.episode[0].ticks * dt if newest < 0.0 else time - newest * dt
+    best = -1
+    for n in range(bs.arrived[k, u]):
+        if best < 0 or received[n, TAKEN] > received[best, TAKEN]:
+            best = n
+    if best >= 0:
+        row[UAV.detected] = 1.0
+        row[UAV.relative_x], row[UAV.relative_y] = received[best, LOOK_X], received[best, LOOK_Y]
+        row[UAV.age] = time - received[best, TAKEN] * dt
+
+
+@inlined
+def _observe_ugv(
+    bt: BatchTables, bs: BatchState, t: RowTables, s: RowState, k: int, g: int
+) -> None:
+    """Write the row of UGV g."""
+    row, v, first, last = s.ugv_rows[k, g], t.ugvs[g], t.goal_rows[g], t.goal_rows[g + 1]
+    goal = first + int(s.ugvs[k, g, UGV_METRICS.reached])
+    row[UGV.time] = bs.ticks[k] * bt.world[0].dt
+    row[UGV.x], row[UGV.y] = bs.truth.position[k, v, 0], bs.truth.position[k, v, 1]
+    row[UGV.vx], row[UGV.vy] = bs.truth.velocity[k, v, 0], bs.truth.velocity[k, v, 1]
+    row[UGV.underway], row[UGV.goal_x], row[UGV.goal_y] = 1.0 if goal < last else 0.0, 0.0, 0.0
+    if last > first:
+        goal = min(goal, last - 1)
+        row[UGV.goal_x], row[UGV.goal_y] = t.goals[goal, 0], t.goals[goal, 1]
+
+
+@inlined
+def observe_rows(bt: BatchTables, bs: BatchState, t: RowTables, s: RowState, k: int) -> None:
+    """Write what everybody in world k observes; arguments as in `advance_rows`."""
+    for u in range(s.uavs.shape[1]):
+        _observe_uav(bt, bs, t, s, k, u)
+    for g in range(t.ugvs.shape[0]):
+        _observe_ugv(bt, bs, t, s, k, g)

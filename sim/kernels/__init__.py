@@ -1,0 +1,1 @@
+"""How equations are made fast: compiling, lanes, prefetching, threads."""

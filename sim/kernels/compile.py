@@ -1,0 +1,175 @@
+"""Where numba keeps its cache, and how our functions are compiled.
+
+Strict floating point, one cache for one source text.
+"""
+
+import contextlib
+import fcntl
+import functools
+import hashlib
+import os
+import shutil
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+"""The arrays that compiled functions take: C-contiguous float64."""
+
+IntArray = npt.NDArray[np.int64]
+"""Likewise int64."""
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+_interpreted = False
+_KEEP = 6  # caches of other source texts (checkouts, versions) that stay beside ours
+
+
+def _source_digest() -> str:
+    """A digest of all the text that compiled code is made of.
+
+    numba looks only at the file that holds a function, not at those that it calls: after a change in a called
+    file it would run the old code. So each state of the sources has a cache of its own.
+    """
+    import numba  # noqa: PLC0415 - see `interpret`
+
+    root = Path(__file__).resolve().parents[2]
+    digest = hashlib.sha256(f"{sys.version}{numba.__version__}{np.__version__}".encode())
+    for folder in ("sim", "agents", "outrider"):
+        for path in sorted((root / folder).rglob("*.py")):
+            text = path.read_bytes()
+            if any(
+                mark in text
+                for mark in (b"@compiled", b"@borrowing", b"@inlined", b"@released", b"@intrinsic")
+            ):
+                digest.update(text)
+    digest.update((root / "bus" / "registry.py").read_bytes())  # its codes are constants in there
+    return digest.hexdigest()[:16]
+
+
+def _cache_home() -> Path:
+    chosen = os.environ.get("OUTRIDER_CACHE")
+    if chosen:
+        return Path(chosen)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "outrider"
+
+
+def _drop_old(home: Path) -> None:
+    others = sorted(home.glob("numba-*"), key=lambda path: path.stat().st_mtime, reverse=True)
+    for path in others[_KEEP:]:
+        shutil.rmtree(path, ignore_errors=True)
+
+
+@functools.cache
+def cache_folder() -> Path | None:
+    """The folder of the compile cache, which numba is told; None where none can be written."""
+    import numba  # noqa: PLC0415 - see `interpret`
+
+    home = _cache_home()
+    folder = home / f"numba-{_source_digest()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            os.utime(folder)
+        _drop_old(home)
+    except OSError as error:
+        warnings.warn(
+            f"no compile cache at {folder} ({error.strerror}): every start compiles anew; set OUTRIDER_CACHE",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+        return None
+    numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
+    return folder
+
+
+def interpret() -> None:
+    """Leave all functions to the interpreter: for a process that computes next to nothing, and must start at once.
+
+    It loads no numba then. To be called before anything that is compiled is imported: compiled functions cannot call
+    others.
+    """
+    global _interpreted  # noqa: PLW0603 - a process is the one or the other, from its start
+    _interpreted = True
+
+
+def _compile(function: _F, **options: Any) -> _F:  # noqa: ANN401 - numba's
+    """No `fastmath`: the bits must not depend on who calls.
+
+    No entry for C, which nobody uses and which takes time to compile.
+    """
+    if _interpreted:
+        return function
+    import numba  # noqa: PLC0415 - see `interpret`
+
+    njit: Any = numba.njit
+    chosen = {"cache": cache_folder() is not None, "error_model": "numpy", "no_cfunc_wrapper": True}
+    return cast("_F", njit(**chosen, **options)(function))
+
+
+def compiled(function: _F) -> _F:
+    """Compile a function of plain floats and arrays; the Python original is its attribute `py_func`."""
+    return _compile(function, _nrt=True)
+
+
+def borrowing(function: _F) -> _F:
+    """Compile as `compiled` does, but without reference counting: the function borrows its arrays.
+
+    Handing a view or a tuple of arrays about then costs nothing; counted, it costs more than a small kernel, the
+    more so where
+    threads count the same array. Such a function cannot make arrays. One that returns views may only be called
+    from another that borrows, never from Python or `compiled`, which would count the view down.
+    """
+    return _compile(function, _nrt=False)
+
+
+def inlined(function: _F) -> _F:
+    """Compile as `borrowing` does, but as a part of each caller: for what is handed the state of many worlds.
+
+    Such a state has a hundred arrays: a call would copy what describes them, some kilobytes, for one world's tick,
+    and each function would take seconds to compile for itself.
+    """
+    return _compile(function, _nrt=False, inline="always")
+
+
+def released(function: _F) -> _F:
+    """Compile as `borrowing` does, and give the interpreter away while it runs.
+
+    For loops over worlds that threads share.
+    """
+    return _compile(function, _nrt=False, nogil=True)
+
+
+def entry_point(function: _F, *arguments: object) -> _F:
+    """The machine code of a compiled function for arguments of these types, to be called with such alone.
+
+    numba looks at the type of each argument in each call, number by number and array by array: 5 µs for the state of
+    a world whose tick takes one. Whoever calls often with arguments of fixed types looks once. Later arguments are
+    not checked: arrays must have the same types, dimensions and layout.
+    """
+    if _interpreted:
+        return function
+    import numba  # noqa: PLC0415 - see `interpret`
+
+    dispatcher: Any = function
+    typeof: Any = numba.typeof
+    types = tuple(typeof(argument) for argument in arguments)
+    dispatcher.compile(types)
+    return cast("_F", dispatcher.get_overload(types))
+
+
+@contextlib.contextmanager
+def compiling() -> Iterator[None]:
+    """While one process compiles, the others wait and then load what it has compiled."""
+    folder = None if _interpreted else cache_folder()
+    if folder is None:
+        yield
+        return
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield

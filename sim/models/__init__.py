@@ -1,0 +1,1 @@
+"""The equations that the world and a vehicle on board share."""

@@ -1,0 +1,409 @@
+r"""The coverage field: sensor (2), accumulation (3), error (4), density (9) and the integral of (6), on a grid.
+
+The grid's cells are squares with their centres at (i + ½)·cell; arrays are [row, column], row 0 at y = 0. The
+kernels walk
+the rows that a disc meets and, in each, the chord. Sums go through a row buffer and a fixed number of lanes, so
+the bits do not depend on who calls, nor on how the compiler arranges the loop.
+
+A sensor is a pair, the quality $S(\rho^2)$ and its slope $dS/d\rho^2$, with a range: a new one is one branch in
+each of the two functions and one row in `bus.registry.SENSORS`.
+"""
+
+import math
+
+import numpy as np
+
+from bus.registry import SENSORS
+from sim.kernels.compile import FloatArray, IntArray, compiled
+from sim.kernels.lanes import LANES, lane_sum, widened
+from sim.models.randomness import NEAREST_POINT, Key, uniform
+
+HILL, PLATEAU = SENSORS["hill"].code, SENSORS["plateau"].code
+
+NEAREST_TIE = 1e-9
+"""Uncovered points whose squared distances differ by less than this share are equally near."""
+
+
+@compiled
+def sensor_quality(sensor: int, rho2: float, peak: float, reach: float) -> float:
+    r"""Sensor quality $S_a$ at squared distance $\rho^2$, Klodt 2015, eq. (2).
+
+    `HILL`: $S = \frac{M_a}{r^4}(\rho^2 - r^2)^2$ inside r, 0 outside. `PLATEAU` (ours): $S = M_a (1 - \rho^4/r^4)^2$.
+
+    Args:
+        sensor: The code of a row of `SENSORS`.
+        rho2: Squared distance from the UAV [m²].
+        peak: M_a, the quality right below the UAV [1/s].
+        reach: r, the sensor's range [m].
+    """
+    s = rho2 / (reach * reach)
+    if sensor == PLATEAU:
+        s = s * s
+    rest = 1.0 - s if s < 1.0 else 0.0
+    return peak * rest * rest
+
+
+@compiled
+def sensor_slope(sensor: int, rho2: float, peak: float, reach: float) -> float:
+    r"""Slope $dS_a/d\rho^2$ [1/(s m²)] of the sensor quality, which makes (6) of any sensor.
+
+    Arguments as `sensor_quality`.
+    """
+    scale = 1.0 / (reach * reach)
+    s = rho2 * scale
+    if sensor == PLATEAU:
+        rest = 1.0 - s * s if s < 1.0 else 0.0
+        return -4.0 * peak * scale * s * rest
+    rest = 1.0 - s if s < 1.0 else 0.0
+    return -2.0 * peak * scale * rest
+
+
+@compiled
+def penalty(lack: float) -> float:
+    r"""The penalty $h(x) = \max(0, x)^2$ of (4)."""
+    return lack * lack if lack > 0.0 else 0.0
+
+
+@compiled
+def penalty_slope(lack: float) -> float:
+    r"""$h'(x) = 2 \max(0, x)$ of (6)."""
+    return 2.0 * lack if lack > 0.0 else 0.0
+
+
+@compiled
+def density(rho2: float, r_o: float) -> float:
+    r"""Density at squared distance $\rho^2$ from the UGV, Klodt 2015, eq. (9).
+
+    $$ \phi = \cos(\pi \rho / r_o) + 1 \text{ inside } r_o, \quad 0 \text{ outside} $$
+
+    Written as $(1 - s)^2 g(s)$ with $s = (\rho/r_o)^2$ and g a polynomial (Chebyshev interpolation on [0, 1]): no
+    cosine, no root, never negative, and within 2e-13 of the formula.
+
+    Args:
+        rho2: Squared distance from the UGV [m²].
+        r_o: r_v + r, the farthest that the UAV can see without losing the UGV [m].
+    """
+    s = rho2 / (r_o * r_o)
+    rest = 1.0 - s if s < 1.0 else 0.0
+    g = -1.1866978791794382e-07
+    g = g * s + 4.015015824839582e-06
+    g = g * s - 9.641667903338588e-05
+    g = g * s + 1.7326615035514177e-03
+    g = g * s - 2.2245115569201e-02
+    g = g * s + 1.8910772506711293e-01
+    g = g * s - 9.34802200532295e-01
+    g = g * s + 1.9999999999999032
+    return rest * rest * g
+
+
+@compiled
+def chord(center: float, half: float, cell: float, count: int) -> tuple[int, int]:
+    """First cell and the one after the last whose centres lie within `half` of `center`, on a line of `count` cells."""
+    first = math.ceil((center - half) / cell - 0.5)
+    last = math.floor((center + half) / cell - 0.5)
+    return max(0, int(first)), min(count, int(last) + 1)
+
+
+@compiled
+def half_chord(radius: float, offset: float) -> float:
+    """Half of the chord [m] that a line at this distance [m] from a circle's centre cuts out of it."""
+    return math.sqrt(max(0.0, radius * radius - offset * offset))
+
+
+@compiled
+def disc_chords(
+    p_x: float, p_y: float, radius: float, cell: float, rows: int, columns: int
+) -> tuple[int, IntArray]:
+    """The cells whose centres lie in a disc.
+
+    All chords at once, several to a vector: worked out row by row, each would make the processor wait for a root
+    and a quotient before it knows how far its loop goes.
+
+    Args:
+        p_x, p_y: Centre of the disc [m].
+        radius: Of the disc [m].
+        cell: Width of a cell [m].
+        rows, columns: Of the grid.
+
+    Returns:
+        The first row that the disc meets; and from there on of each its first column and the one after the last,
+        shape (2, any).
+    """
+    first_row, end_row = chord(p_y, radius, cell, rows)
+    met = max(0, end_row - first_row)
+    chords = np.empty((2, met), dtype=np.int64)
+    for n in range(met):
+        offset = (first_row + n + 0.5) * cell - p_y
+        chords[0, n], chords[1, n] = chord(p_x, half_chord(radius, offset), cell, columns)
+    return first_row, chords
+
+
+@compiled
+def accumulate(
+    coverage: FloatArray,
+    p_x: float,
+    p_y: float,
+    sensor: int,
+    peak: float,
+    reach: float,
+    cell: float,
+    duration: float,
+) -> None:
+    r"""Add what the sensor sees from one place, Klodt 2015, eq. (3).
+
+    $$ C(q, t) = \int_0^t S_a(p_a(\tau), q)\, d\tau \quad\Rightarrow\quad C \leftarrow C + S_a(p_a, q)\, \Delta t $$
+
+    Args:
+        coverage: C on the grid, changed in place.
+        p_x, p_y: Position of the UAV [m].
+        sensor, peak, reach: The sensor, as in `sensor_quality`.
+        cell: Width of a cell [m].
+        duration: How long it looks from there [s].
+    """
+    rows, columns = coverage.shape
+    first_row, chords = disc_chords(p_x, p_y, reach, cell, rows, columns)
+    for n in range(chords.shape[1]):
+        j, first, end = first_row + n, chords[0, n], chords[1, n]
+        d_y = (j + 0.5) * cell - p_y
+        cells = coverage[j, first:end]
+        for i in range(cells.size):
+            d_x = (first + i + 0.5) * cell - p_x
+            cells[i] += sensor_quality(sensor, d_x * d_x + d_y * d_y, peak, reach) * duration
+
+
+@compiled
+def accumulate_with_gain(
+    coverage: FloatArray,
+    p_ax: float,
+    p_ay: float,
+    p_gx: float,
+    p_gy: float,
+    r_o: float,
+    desired: float,
+    sensor: int,
+    peak: float,
+    reach: float,
+    cell: float,
+    duration: float,
+) -> float:
+    r"""`accumulate`, and how far e(t) of (4) falls by it while the UGV stays where it is.
+
+    $$ \int_{Q_r} \left[ h(C^* - C) - h(C^* - C - S_a \Delta t) \right] \phi(q, p_g)\, dq
+       \;\approx\; \Delta t \int_{Q_r} h'(C^* - C)\, S_a\, \phi\, dq $$
+
+    Only the sensor's disc is touched, where `coverage_error` needs the whole support of the density.
+
+    Args:
+        coverage: C on the grid, changed in place, to the bit as by `accumulate`.
+        p_ax, p_ay: Position of the UAV [m].
+        p_gx, p_gy: Position of the UGV [m].
+        r_o, desired, sensor, peak, reach, cell: As in `coverage_gradient`.
+        duration: How long it looks from there [s].
+
+    Returns:
+        The fall of e [m²]; never negative.
+    """
+    rows, columns = coverage.shape
+    terms = np.empty(columns + LANES)
+    total = 0.0
+    first_row, chords = disc_chords(p_ax, p_ay, reach, cell, rows, columns)
+    for n in range(chords.shape[1]):
+        j, first, end = first_row + n, chords[0, n], chords[1, n]
+        y = (j + 0.5) * cell
+        d_y, g_y = y - p_ay, y - p_gy
+        if end <= first:
+            continue
+        start, stop = widened(first, end, columns)
+        cells = coverage[j, start:stop]
+        for i in range(cells.size):
+            x = (start + i + 0.5) * cell
+            d_x, g_x = x - p_ax, x - p_gx
+            before = cells[i]
+            after = before + sensor_quality(sensor, d_x * d_x + d_y * d_y, peak, reach) * duration
+            cells[i] = after if first <= start + i < end else before
+            fall = penalty(desired - before) - penalty(desired - after)
+            terms[i] = fall * density(g_x * g_x + g_y * g_y, r_o)
+        total += lane_sum(terms, first - start, end - first)
+    return total * (cell * cell)
+
+
+@compiled
+def coverage_error(
+    coverage: FloatArray, p_gx: float, p_gy: float, r_o: float, desired: float, cell: float
+) -> float:
+    r"""How much of the ground around the UGV is not yet seen, Klodt 2015, eq. (4).
+
+    $$ e(t) = \int_Q h(C^* - C(q, t))\, \phi(q, p_g)\, dq $$
+
+    Args:
+        coverage: C on the grid.
+        p_gx, p_gy: Position of the UGV [m].
+        r_o: Radius of the density (9) [m].
+        desired: C*.
+        cell: Width of a cell [m].
+
+    Returns:
+        e [m²].
+    """
+    rows, columns = coverage.shape
+    terms = np.empty(columns + LANES)
+    total = 0.0
+    first_row, chords = disc_chords(p_gx, p_gy, r_o, cell, rows, columns)
+    for n in range(chords.shape[1]):
+        j, first, end = first_row + n, chords[0, n], chords[1, n]
+        d_y = (j + 0.5) * cell - p_gy
+        if end <= first:
+            continue
+        start, stop = widened(first, end, columns)
+        cells = coverage[j, start:stop]
+        for i in range(cells.size):
+            d_x = (start + i + 0.5) * cell - p_gx
+            terms[i] = penalty(desired - cells[i]) * density(d_x * d_x + d_y * d_y, r_o)
+        total += lane_sum(terms, first - start, end - first)
+    return total * (cell * cell)
+
+
+@compiled
+def coverage_gradient(
+    coverage: FloatArray,
+    p_ax: float,
+    p_ay: float,
+    p_gx: float,
+    p_gy: float,
+    r_o: float,
+    desired: float,
+    sensor: int,
+    peak: float,
+    reach: float,
+    cell: float,
+) -> tuple[float, float, float]:
+    r"""The direction in which the UAV sees most that is new, with k = 1, Klodt 2015, eq. (6).
+
+    $$ u_{cov} = k \int_{Q_r} h'(C^* - C)\; 2 \frac{dS_a}{d\rho^2}\, (p_a - q)\, \phi(q, p_g)\, dq $$
+
+    which is the paper's $k\frac{4M}{r^4}\int h'(\cdot)(\|p_a-q\|^2 - r^2)(p_a-q)\phi\,dq$ for its sensor (2).
+
+    Args:
+        coverage: C on the grid.
+        p_ax, p_ay: Position of the UAV [m].
+        p_gx, p_gy: Position of the UGV, as far as the caller knows it [m].
+        r_o: Radius of the density (9) [m].
+        desired: C*.
+        sensor, peak, reach: The sensor, as in `sensor_quality`.
+        cell: Width of a cell [m].
+
+    Returns:
+        u_cov, x and y, and the size of its integrand, r times the sum of the magnitudes, against which "u_cov = 0"
+        is judged.
+    """
+    rows, columns = coverage.shape
+    pulls = np.empty(columns + LANES)
+    weights = np.empty(columns + LANES)
+    sum_x, sum_y, size = 0.0, 0.0, 0.0
+    first_row, chords = disc_chords(p_ax, p_ay, reach, cell, rows, columns)
+    for n in range(chords.shape[1]):
+        j, first, end = first_row + n, chords[0, n], chords[1, n]
+        y = (j + 0.5) * cell
+        d_y, g_y = p_ay - y, p_gy - y
+        if end <= first:
+            continue
+        start, stop = widened(first, end, columns)
+        cells = coverage[j, start:stop]
+        for i in range(cells.size):
+            x = (start + i + 0.5) * cell
+            d_x, g_x = p_ax - x, p_gx - x
+            slope = 2.0 * sensor_slope(sensor, d_x * d_x + d_y * d_y, peak, reach)
+            weight = penalty_slope(desired - cells[i]) * slope * density(g_x * g_x + g_y * g_y, r_o)
+            weights[i] = weight
+            pulls[i] = weight * d_x
+        row_weight = lane_sum(weights, first - start, end - first)
+        sum_x += lane_sum(pulls, first - start, end - first)
+        sum_y += row_weight * d_y
+        size += abs(row_weight) * reach
+    area = cell * cell
+    return sum_x * area, sum_y * area, size * area
+
+
+@compiled
+def is_uncovered(
+    coverage: FloatArray,
+    q_x: float,
+    q_y: float,
+    p_gx: float,
+    p_gy: float,
+    r_o: float,
+    desired: float,
+    cell: float,
+) -> bool:
+    """Whether the cell around q lacks coverage and lies in the support of the density: conditions 1 and 2 of (7)."""
+    rows, columns = coverage.shape
+    i = min(max(int(q_x / cell), 0), columns - 1)
+    j = min(max(int(q_y / cell), 0), rows - 1)
+    d_x, d_y = q_x - p_gx, q_y - p_gy
+    return coverage[j, i] < desired and d_x * d_x + d_y * d_y < r_o * r_o
+
+
+@compiled
+def nearest_uncovered(
+    coverage: FloatArray,
+    p_ax: float,
+    p_ay: float,
+    p_gx: float,
+    p_gy: float,
+    r_o: float,
+    desired: float,
+    cell: float,
+    key: Key,
+    tick: int,
+) -> tuple[bool, float, float]:
+    r"""The nearest point that lacks coverage within the support of the density, $\tilde q$ of (7).
+
+    Among equally near ones one is drawn at random.
+
+    Args:
+        coverage, p_ax, p_ay, p_gx, p_gy, r_o, desired, cell: As in `coverage_gradient`.
+        key, tick: Of the draw.
+
+    Returns:
+        Whether there is one, and its x and y [m].
+    """
+    rows, columns = coverage.shape
+    nearest, ties, q_x, q_y = math.inf, 0, 0.0, 0.0
+    first_row, chords = disc_chords(p_gx, p_gy, r_o, cell, rows, columns)
+    for n in range(chords.shape[1]):
+        j, first, end = first_row + n, chords[0, n], chords[1, n]
+        y = (j + 0.5) * cell
+        for i in range(first, end):
+            if coverage[j, i] >= desired:
+                continue
+            x = (i + 0.5) * cell
+            if (x - p_gx) * (x - p_gx) + (y - p_gy) * (y - p_gy) >= r_o * r_o:
+                continue
+            d2 = (x - p_ax) * (x - p_ax) + (y - p_ay) * (y - p_ay)
+            if d2 < nearest - NEAREST_TIE * nearest or ties == 0:
+                nearest, ties, q_x, q_y = d2, 1, x, y
+            elif d2 <= nearest + NEAREST_TIE * nearest:
+                ties += 1  # each of n equals is kept with chance 1/n
+                if uniform(key, NEAREST_POINT, tick, ties) * ties < 1.0:
+                    q_x, q_y = x, y
+    return ties > 0, q_x, q_y
+
+
+def empty_coverage(width: float, height: float, cell: float) -> FloatArray:
+    """A grid over [0, width] x [0, height] without coverage, shape (rows, columns)."""
+    return np.zeros((round(height / cell), round(width / cell)))
+
+
+def cover(
+    coverage: FloatArray,
+    lower: tuple[float, float],
+    upper: tuple[float, float],
+    cell: float,
+    value: float,
+) -> None:
+    """Give every cell whose centre lies in the rectangle at least the coverage `value`."""
+    rows, columns = coverage.shape
+    x = (np.arange(columns) + 0.5) * cell
+    y = (np.arange(rows) + 0.5) * cell
+    inside = np.outer((y >= lower[1]) & (y <= upper[1]), (x >= lower[0]) & (x <= upper[0]))
+    np.maximum(coverage, value, out=coverage, where=inside)

@@ -1,0 +1,134 @@
+"""Counter-based random numbers: each draw is a pure function of a key, a purpose, tick and index.
+
+So a process that comes back, a batch of worlds and a single world draw the same numbers, and a new purpose leaves
+the others
+alone. Philox4x64-10 of Salmon, Moraes, Dror, Shaw, *Parallel Random Numbers: As Easy as 1, 2, 3* (SC 2011).
+
+Philox is fast and no cipher: what it draws is only as secret as its key. So whatever must not lead to something
+else has a key of its own, of 128 bits; `sim.engine.run_keys` derives them one-way.
+"""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from sim.kernels.compile import borrowing, compiled
+
+Key = tuple[np.uint64, np.uint64]
+"""Of draws. A vehicle's process is told one, its pilot's; the simulator knows the others."""
+
+WordArray = npt.NDArray[np.uint64]
+"""Keys in arrays: the last axis has two words."""
+
+# Purposes of the run: each has a key of its own for each vehicle. A number, once given, stays.
+DETECTION_NOISE = 0
+DETECTION_CHANCE = 1
+PILOT = 2
+DETECTION_LINK = 3
+COMMAND_LINK = 4
+OPERATOR_LINK = 5
+RADIO_LINK = 6
+RUN_PURPOSES = 7
+"""How many there are."""
+
+# Purposes of draws that share a key, a pilot's or a link's. A number, once given, stays.
+NEAREST_POINT = 16
+START_DIRECTION = 17
+WANDER = 18
+LINK_LOSS = 19
+LINK_STATE = 20
+LINK_DELAY = 21
+
+_MASK = np.uint64(0xFFFFFFFF)
+_HALF = np.uint64(32)
+_M0 = np.uint64(0xD2E7470EE14C6C93)
+_M1 = np.uint64(0xCA5A826395121157)
+_W0 = np.uint64(0x9E3779B97F4A7C15)
+_W1 = np.uint64(0xBB67AE8584CAA73B)
+
+
+@compiled
+def _high_product(a: np.uint64, b: np.uint64) -> np.uint64:
+    """The upper 64 bits of a 64 x 64 bit product."""
+    a_low, a_high = a & _MASK, a >> _HALF
+    b_low, b_high = b & _MASK, b >> _HALF
+    low = a_low * b_low
+    middle = a_high * b_low + (low >> _HALF)
+    other = a_low * b_high + (middle & _MASK)
+    return a_high * b_high + (middle >> _HALF) + (other >> _HALF)
+
+
+@compiled
+def philox(
+    key_0: np.uint64,
+    key_1: np.uint64,
+    c_0: np.uint64,
+    c_1: np.uint64,
+    c_2: np.uint64,
+    c_3: np.uint64,
+) -> tuple[np.uint64, np.uint64, np.uint64, np.uint64]:
+    """One block of Philox4x64-10: four 64-bit words from a key of two and a counter of four."""
+    for _ in range(10):
+        high_0, low_0 = _high_product(_M0, c_0), _M0 * c_0
+        high_1, low_1 = _high_product(_M1, c_2), _M1 * c_2
+        c_0, c_1, c_2, c_3 = high_1 ^ c_1 ^ key_0, low_1, high_0 ^ c_3 ^ key_1, low_0
+        key_0 += _W0
+        key_1 += _W1
+    return c_0, c_1, c_2, c_3
+
+
+@borrowing
+def key_of(keys: WordArray, purpose: int, vehicle: int) -> Key:
+    """One key of those of a run, of shape (RUN_PURPOSES, vehicles, 2)."""
+    return keys[purpose, vehicle, 0], keys[purpose, vehicle, 1]
+
+
+def words_of(key: str) -> Key:
+    """The key that a message carries as 32 hexadecimal digits.
+
+    Raises:
+        ValueError: If it is none.
+    """
+    if len(key) != 32:
+        raise ValueError(f"key = {key!r}: must be 32 hexadecimal digits")
+    first, second = np.frombuffer(bytes.fromhex(key), dtype="<u8")
+    return np.uint64(first), np.uint64(second)
+
+
+@compiled
+def draw(
+    key: Key, purpose: int, tick: int, index: int
+) -> tuple[np.uint64, np.uint64, np.uint64, np.uint64]:
+    """Four random words for one key, purpose, tick and index."""
+    return philox(
+        key[0], key[1], np.uint64(index), np.uint64(tick), np.uint64(purpose), np.uint64(0)
+    )
+
+
+@compiled
+def to_uniform(word: np.uint64) -> float:
+    """A word as a number in [0, 1), with 53 bits."""
+    return float(word >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+
+
+@compiled
+def uniform(key: Key, purpose: int, tick: int, index: int) -> float:
+    """A number in [0, 1)."""
+    return to_uniform(draw(key, purpose, tick, index)[0])
+
+
+@compiled
+def cut_normal_vector(
+    sigma: float, cut: float, key: Key, purpose: int, tick: int, index: int
+) -> tuple[float, float]:
+    r"""A Gaussian vector of standard deviation sigma per axis, given that its norm is at most cut * sigma.
+
+    Drawn by inversion of the Rayleigh distribution, $\|n\| = \sigma\sqrt{-2\ln(1 - u(1 - e^{-k^2/2}))}$, which is what
+    drawing again until the norm fits gives, in one draw. `cut = inf` is the plain Gaussian.
+    """
+    word_0, word_1, _, _ = draw(key, purpose, tick, index)
+    share = to_uniform(word_0) * -math.expm1(-0.5 * cut * cut)
+    radius = sigma * min(math.sqrt(-2.0 * math.log1p(-share)), cut)
+    angle = 2.0 * math.pi * to_uniform(word_1)
+    return radius * math.cos(angle), radius * math.sin(angle)

@@ -1,0 +1,1 @@
+"""Scenarios: their types, how they are read, and what is checked."""

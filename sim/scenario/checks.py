@@ -1,0 +1,237 @@
+"""Refusals of scenarios that cannot be flown, and warnings of those that fly unlike what one may expect."""
+
+import math
+from collections.abc import Iterator, Mapping
+from itertools import pairwise
+
+from bus.registry import DRIVERS, LAWS, POLICY_FORMS, SAVED_POLICIES, SENSORS
+from sim.input.faults import Fault, near, one_line
+from sim.input.reading import as_raw, typed
+from sim.scenario.types import Scenario, switching_radius
+from sim.scenario.world_checks import WORLD_CHECKS, Check, escorts
+
+_ENTRIES = {
+    "script": "steps such as { time = 0.0, velocity = [0.2, 0.0] }",
+    "goals": "one [x, y] or more",
+}
+"""Entries of the fields that drivers need."""
+_ROUNDING = 1e-9
+
+
+def _in_table(field: str, name: str, table: Mapping[str, object]) -> Iterator[Fault]:
+    if name not in table:
+        yield Fault(field, name, f"unknown{near(name, tuple(table))}", ", ".join(table))
+
+
+def names_are_known(s: Scenario) -> Iterator[Fault]:
+    """Law, sensor and drivers are rows of their tables."""
+    yield from _in_table("law.name", s.law.name, LAWS)
+    yield from _in_table("sensor.model", s.sensor.model, SENSORS)
+    for k, ugv in enumerate(s.ugv):
+        yield from _in_table(f"ugv.{k}.driver", ugv.driver, DRIVERS)
+
+
+def _names_a_function(text: str) -> bool:
+    module, separator, function = text.partition(":")
+    return bool(separator) and all(part.isidentifier() for part in (*module.split("."), function))
+
+
+def _names_a_policy(text: str) -> bool:
+    library, separator, file = text.partition(":")
+    return bool(separator and file) if library in SAVED_POLICIES else _names_a_function(text)
+
+
+def own_functions_are_named(s: Scenario) -> Iterator[Fault]:
+    """A law with a function of the user's own has one, as `module:function`; it is not loaded here."""
+    for field in dict.fromkeys(law.own for law in LAWS.values() if law.own):
+        named = getattr(s.custom, field)
+        if named and not _names_a_function(named):
+            yield Fault(f"custom.{field}", named, "names no function", "module:function")
+    if s.custom.policy and not _names_a_policy(s.custom.policy):
+        yield Fault("custom.policy", s.custom.policy, "names no policy", POLICY_FORMS)
+    needed = {f"the law {s.law.name!r}": (LAWS[s.law.name].own, "module:function")}
+    for ugv in s.ugv:
+        needed[f"the driver {ugv.driver!r}"] = (DRIVERS[ugv.driver].own, POLICY_FORMS)
+    for who, (field, allowed) in needed.items():
+        if field and not getattr(s.custom, field):
+            yield Fault(f"custom.{field}", "", f"{who} needs it", allowed)
+
+
+def drivers_have_their_task(s: Scenario) -> Iterator[Fault]:
+    """A UGV has what its driver needs, and each step of a script is later than the one before."""
+    for k, ugv in enumerate(s.ugv):
+        times = [step.time for step in ugv.script]
+        needed = DRIVERS[ugv.driver].needs
+        if needed and not getattr(ugv, needed):
+            wrong = f"the driver {ugv.driver!r} needs it"
+            yield Fault(f"ugv.{k}.{needed}", [], wrong, _ENTRIES.get(needed, "a value"))
+        for n, (earlier, later) in enumerate(pairwise(times), 1):
+            if not later > earlier:
+                yield Fault(
+                    f"ugv.{k}.script.{n}.time", later, f"not after {earlier:g} s", "times that rise"
+                )
+
+
+def switching_radius_is_positive(s: Scenario) -> Iterator[Fault]:
+    """There is room to cover ground in, Klodt 2015, eq. (18): r_s > 0."""
+    if not LAWS[s.law.name].needs_radius:
+        return
+    for path, uav, ugv in escorts(s):
+        r_s = switching_radius(s, uav, ugv)
+        if r_s == -math.inf:
+            wrong = "r_s of (18) does not exist without a bound of the speed"
+            yield Fault(
+                f"{path}.max_speed",
+                uav.max_speed,
+                wrong,
+                "finite speeds, or max_acceleration = inf too",
+            )
+        elif not r_s > 0.0:
+            least = (uav.max_speed + ugv.max_speed) ** 2 / (2.0 * s.visibility.radius)
+            wrong = f"too weak for these speeds and this r_v: r_s = {r_s:.4g} m (18)"
+            yield Fault(
+                f"{path}.max_acceleration", uav.max_acceleration, wrong, f"above {least:.4g} m/s²"
+            )
+
+
+def reference_speed_is_possible(s: Scenario) -> Iterator[Fault]:
+    """There is a v_ref of (10), and every UAV can fly it."""
+    v_ref = s.law.reference_speed
+    for k, uav in enumerate(s.uav):
+        if v_ref is None and math.isinf(uav.max_speed) and LAWS[s.law.name].covers:
+            yield Fault(
+                "law.reference_speed",
+                None,
+                f"missing, and uav.{k}.max_speed = inf is none",
+                "a number > 0, in m/s",
+            )
+        elif v_ref is not None and v_ref > uav.max_speed:
+            allowed = f"up to uav.{k}.max_speed = {uav.max_speed:g} m/s"
+            yield Fault("law.reference_speed", v_ref, "faster than the UAV can fly", allowed)
+
+
+def controller_is_stable(s: Scenario) -> Iterator[Fault]:
+    r"""The tracking loop of (15) and (16) is Hurwitz in continuous time.
+
+    $$ s^3 - A_c s^2 - D_c s + (D_c A_c - B_c C_c) $$
+
+    By Routh: all coefficients positive, and A_c D_c > D_c A_c - B_c C_c. The default is (s + 1)³.
+    """
+    a, b, c, d = s.law.a_c, s.law.b_c, s.law.c_c, s.law.d_c
+    last = d * a - b * c
+    if not (a < 0.0 and d < 0.0 and last > 0.0 and a * d > last):
+        value = {"a_c": a, "b_c": b, "c_c": c, "d_c": d}
+        yield Fault(
+            "law",
+            value,
+            "the tracking loop (15), (16) is unstable",
+            "A < 0, D < 0, 0 < D A - B C < A D",
+        )
+
+
+def circle_is_within_sight(s: Scenario) -> Iterator[Fault]:
+    """The virtual point of (25) is always nearer than r_v."""
+    if s.law.name != "circle":
+        return
+    r_v, radius = s.visibility.radius, s.law.circle_radius
+    for path, uav, ugv in escorts(s):
+        if radius is not None and radius >= r_v:
+            yield Fault(
+                "law.circle_radius",
+                radius,
+                "the circle lies out of sight",
+                f"less than r_v = {r_v:g} m",
+            )
+        elif radius is None and switching_radius(s, uav, ugv) >= r_v:
+            wrong = f"missing, and r_s = r_v since {path}.max_acceleration = inf"
+            yield Fault("law.circle_radius", None, wrong, f"less than r_v = {r_v:g} m")
+
+
+CHECKS: tuple[Check, ...] = (
+    *WORLD_CHECKS,
+    names_are_known,
+    own_functions_are_named,
+    drivers_have_their_task,
+    switching_radius_is_positive,
+    reference_speed_is_possible,
+    controller_is_stable,
+    circle_is_within_sight,
+)
+"""In the order in which they are made: a later one may rely on those before it."""
+
+
+def check_scenario(scenario: Scenario, *, source: str = "") -> Scenario:
+    """The scenario, if it can be flown.
+
+    Args:
+        scenario: Read from a file or made in Python; NumPy's numbers and whole numbers in it become floats.
+        source: The file, for the error; the scenario's name by default.
+
+    Returns:
+        An equal scenario in which every value has its type.
+
+    Raises:
+        ScenarioError: One line with file, field, value, what is wrong and what is allowed.
+    """
+    file = one_line(str(source or scenario.name or "scenario"))
+    checked = typed(as_raw(scenario, file=file), type(scenario), file=file)
+    for check in CHECKS:
+        for fault in check(checked):
+            raise fault.error(file)
+    return checked
+
+
+def scenario_warnings(scenario: Scenario) -> tuple[str, ...]:
+    """Warns of what can be flown but will not do what one may expect.
+
+    Args:
+        scenario: One that `check_scenario` has passed.
+
+    Returns:
+        A line for each.
+    """
+    return tuple(
+        line
+        for warnings in (_law_warnings, _circle_warnings, _task_warnings)
+        for line in warnings(scenario)
+    )
+
+
+def _law_warnings(s: Scenario) -> Iterator[str]:
+    if not LAWS[s.law.name].keeps_sight:
+        name = f'law.name = "{s.law.name}"'
+        yield f"{name}: visibility is not kept, this law never turns back to the UGV"
+
+
+def _circle_warnings(s: Scenario) -> Iterator[str]:
+    r"""A circle that cannot be flown (Remark 3 of the paper).
+
+    It needs $|\omega| r_{pv} + v_g \le v_a$ and $r_{pv} \omega^2 \le u_a$.
+    """
+    if s.law.name != "circle":
+        return
+    rate = abs(s.law.circle_rate)
+    for _, uav, ugv in escorts(s):
+        radius = s.law.circle_radius or switching_radius(s, uav, ugv)
+        spare = uav.max_speed - ugv.max_speed
+        bound = min(spare / radius, math.sqrt(uav.max_acceleration / radius))
+        if rate > bound * (1.0 + _ROUNDING):
+            needs = (
+                f"needs {radius * rate:.3g} m/s and {radius * rate * rate:.3g} m/s² of {uav.name}"
+            )
+            has = (
+                f"which beside {ugv.name} has v_a - v_g = {spare:.3g} m/s "
+                f"and u_a = {uav.max_acceleration:.3g} m/s²"
+            )
+            reason = f"the smaller of (v_a - v_g)/r_pv and sqrt(u_a/r_pv), r_pv = {radius:.4g} m"
+            field = f"law.circle_rate = {s.law.circle_rate}"
+            allowed = f"allowed up to {bound:.4f} rad/s, {reason}"
+            yield f"{field}: cannot be flown: {needs}, {has}; {allowed}"
+
+
+def _task_warnings(s: Scenario) -> Iterator[str]:
+    for k, ugv in enumerate(s.ugv):
+        wanted = DRIVERS[ugv.driver].wants
+        if wanted and not getattr(ugv, wanted):
+            needs = f"its driver needs {_ENTRIES.get(wanted, 'one or more')} to move"
+            yield f"ugv.{k}.{wanted} = []: {ugv.name} will stand still; {needs}"

@@ -1,0 +1,127 @@
+"""From a shipped name or a TOML file to a scenario that can be flown."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+
+import msgspec
+
+from bus.errors import ScenarioError
+from bus.files import read_regular
+from sim.input.faults import near, one_line
+from sim.input.reading import apply_override, as_raw, parse_override, parse_toml, typed
+from sim.scenario.checks import check_scenario
+from sim.scenario.link_tables import with_profiles
+from sim.scenario.tracks import with_tracks
+from sim.scenario.types import DEFAULT_AREA, Scenario
+
+DEFAULT_SCENARIO = "escort"
+MOST_BYTES = 1 << 20
+"""Of a scenario's or a sweep's file: room for some thousand vehicles."""
+FILE_RULE = f"a TOML file of {MOST_BYTES >> 20} MiB at most"
+
+
+def _shipped() -> dict[str, Traversable]:
+    """The shipped scenarios by name."""
+    entries = (files("sim.scenario") / "shipped").iterdir()
+    return {
+        entry.name.removesuffix(".toml"): entry for entry in entries if entry.name.endswith(".toml")
+    }
+
+
+def scenario_names() -> tuple[str, ...]:
+    """Names of the shipped scenarios, the default first."""
+    return tuple(sorted(_shipped(), key=lambda name: (name != DEFAULT_SCENARIO, name)))
+
+
+def shipped_text(name: str) -> str:
+    """The TOML text of a shipped scenario.
+
+    Raises:
+        ScenarioError: If none has this name.
+    """
+    if name not in _shipped():
+        known = scenario_names()
+        raise ScenarioError(
+            f"{one_line(name)}: no such scenario{near(name, known)}; allowed: {', '.join(known)}"
+        )
+    return _read(name, name)
+
+
+def _read(source: str | Path, file: str) -> str:
+    """The TOML text of a shipped scenario or of a file."""
+    try:
+        shipped = _shipped().get(str(source))
+        content = (
+            shipped.read_bytes() if shipped is not None else read_regular(Path(source), MOST_BYTES)
+        )
+        return content.decode("utf-8-sig")
+    except FileNotFoundError as error:
+        known = scenario_names()
+        meant = near(Path(source).stem, known)
+        raise ScenarioError(
+            f"{file}: no such file or scenario{meant}; allowed: a TOML file, or {', '.join(known)}"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise ScenarioError(
+            f"{file}: byte {error.start}: not UTF-8, {error.reason}; allowed: text in UTF-8"
+        ) from error
+    except (OSError, ValueError) as error:  # a ValueError: a NUL in the path
+        reason = one_line(str(getattr(error, "strerror", None) or error))
+        raise ScenarioError(f"{file}: cannot be read: {reason}; allowed: {FILE_RULE}") from error
+
+
+def _changes(
+    overrides: Mapping[str, object] | Sequence[str], file: str
+) -> list[tuple[str, object]]:
+    if isinstance(overrides, Mapping):
+        return [(str(key), as_raw(value, file=file)) for key, value in overrides.items()]
+    changes = [overrides] if isinstance(overrides, str) else overrides
+    return [parse_override(change, file=file) for change in changes]
+
+
+def _with_names(raw: dict[str, object]) -> None:
+    """Give each vehicle without a name the next one: uav_0, uav_1, ..."""
+    for kind in ("uav", "ugv"):
+        given = raw.get(kind)
+        tables = (
+            [table for table in given if isinstance(table, dict)] if isinstance(given, list) else []
+        )
+        taken = {str(table["name"]) for table in tables if "name" in table}
+        free = (name for k in itertools.count() if (name := f"{kind}_{k}") not in taken)
+        for table in tables:
+            if "name" not in table:
+                table["name"] = next(free)
+
+
+def load_scenario(
+    source: str | Path = DEFAULT_SCENARIO, *, overrides: Mapping[str, object] | Sequence[str] = ()
+) -> Scenario:
+    """Read and validate a scenario.
+
+    Args:
+        source: A shipped name, or a TOML file.
+        overrides: Changes made before anything is validated: fields and their values, or texts such as
+            `uav.0.max_speed=0.5`, the value as TOML writes it or else plain text.
+
+    Returns:
+        The scenario; its name is the file's, without its ending, where none is given.
+
+    Raises:
+        ScenarioError: If it cannot be read or cannot be flown; one line with file, field, value, what is wrong and
+            allowed.
+    """
+    file = one_line(str(source)) or "."
+    raw = parse_toml(_read(source, file), file=file)
+    for key, value in _changes(overrides, file):
+        apply_override(raw, key, value, file=file)
+    if isinstance(raw.get("area"), dict):
+        raw["area"] = {**msgspec.to_builtins(DEFAULT_AREA), **raw["area"]}
+    _with_names(raw)
+    with_profiles(raw, file=file)
+    scenario = typed(raw, Scenario, file=file)
+    if not scenario.name:
+        scenario = msgspec.structs.replace(scenario, name=one_line(Path(source).stem))
+    return check_scenario(with_tracks(scenario, file=file), source=file)

@@ -1,0 +1,63 @@
+"""The JSON Schema of a scenario's file, made from its types and from the documentation of their fields."""
+
+import ast
+import inspect
+import itertools
+import textwrap
+from typing import Any
+
+import msgspec
+
+from bus import messages
+from bus.messages import LinkKind
+from bus.profiles import PROFILES
+from sim.scenario import types
+from sim.scenario.types import Scenario
+
+
+def field_docs(struct: type[msgspec.Struct]) -> dict[str, str]:
+    """The documentation under each field of a struct, those of its bases first."""
+    found: dict[str, str] = {}
+    for cls in reversed(struct.__mro__):
+        if cls in (object, msgspec.Struct) or not issubclass(cls, msgspec.Struct):
+            continue
+        (table,) = ast.parse(textwrap.dedent(inspect.getsource(cls))).body
+        for before, after in itertools.pairwise(getattr(table, "body", ())):
+            if (
+                isinstance(before, ast.AnnAssign)
+                and isinstance(before.target, ast.Name)
+                and isinstance(after, ast.Expr)
+                and isinstance(after.value, ast.Constant)
+            ):
+                found[before.target.id] = " ".join(str(after.value.value).split())
+    return found
+
+
+def scenario_schema() -> dict[str, Any]:
+    """The schema, JSON Schema 2020-12: types, bounds, defaults, and each field's documentation."""
+    schema = msgspec.json.schema(Scenario)
+    for name, table in schema["$defs"].items():
+        struct = getattr(types, name, None) or getattr(messages, name)
+        docs = field_docs(struct) if "properties" in table else {}
+        for field, told in docs.items():
+            table["properties"][field]["description"] = told
+    profile = {
+        "enum": sorted(PROFILES),
+        "description": "The profile that these settings start from.",
+    }
+    tables = schema["$defs"]
+    for name in ("LinkTable", "VehicleLinks", "LinkSettings"):
+        tables[name]["properties"]["profile"] = profile
+    for name in ("LinkTable", "VehicleLinks"):
+        for kind in LinkKind:
+            tables[name]["properties"][str(kind)].pop("default", None)
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "Scenario of Outrider",
+        **schema,
+    }
+
+
+def schema_text() -> str:
+    """The schema as a text that ends with a line break."""
+    return msgspec.json.format(msgspec.json.encode(scenario_schema()), indent=2).decode() + "\n"

@@ -1,0 +1,232 @@
+"""A run described: the tables of a scenario and their fields, typed.
+
+They stand in `sim`, since world, engine, environment and server are made from them; `loading` reads them from TOML
+and `checks` refuses what is impossible. What these need to know of laws, drivers and sensors is in `bus.registry`.
+"""
+
+import math
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from bus.messages import (
+    Area,
+    Estimator,
+    Law,
+    LinkKind,
+    LinkSettings,
+    Name,
+    NonNegative,
+    Positive,
+    Region,
+    ScriptStep,
+    Sensor,
+    Text,
+    Vector,
+)
+from bus.registry import DEFAULT_DRIVER
+from sim.models.vehicles import stopping_distance
+
+Share = Annotated[float, Meta(ge=0.0, le=1.0)]
+Bound = Annotated[float, Meta(gt=0.0)]
+"""A bound that may be infinite (TOML: inf)."""
+
+
+class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of the scenario's tables."""
+
+
+class Visibility(_Table, frozen=True, kw_only=True):
+    """The constraint (5)."""
+
+    radius: Positive = 4.75
+    """r_v [m]."""
+
+
+class Coverage(_Table, frozen=True, kw_only=True):
+    """The coverage that is wanted, and the ground that has it already."""
+
+    desired: Positive = 2.0
+    """C* of (4)."""
+    covered: tuple[Region, ...] = ()
+    """Rectangles that are covered from the start."""
+
+
+class Detections(_Table, frozen=True, kw_only=True):
+    """The UAV's detector of the UGV: certain inside r_v, falling to nothing at the sensor's range."""
+
+    noise: NonNegative = 0.0
+    """Standard deviation per axis [m]."""
+    cut: NonNegative = 3.0
+    """The noise vector's norm is cut at this many standard deviations; 0 switches the cut off."""
+    rate: Positive = 20.0
+    """Looks per second [1/s]; a whole number of ticks must fit between two."""
+    dropout: Share = 0.0
+    """Share of looks that fail for no reason."""
+
+
+class Uav(_Table, frozen=True, kw_only=True):
+    """A UAV at the start."""
+
+    name: Name = "uav_0"
+    escorts: Name = "ugv_0"
+    position: Vector
+    velocity: Vector = (0.0, 0.0)
+    max_speed: Bound = 0.6
+    max_acceleration: Bound = 0.3
+
+
+class Ugv(_Table, frozen=True, kw_only=True):
+    """A UGV at the start, and its task."""
+
+    name: Name = "ugv_0"
+    position: Vector
+    velocity: Vector = (0.0, 0.0)
+    max_speed: Bound = 0.2
+    max_acceleration: Bound = 0.1
+    driver: Name = DEFAULT_DRIVER
+    """A row of `bus.registry.DRIVERS`."""
+    goals: tuple[Vector, ...] = ()
+    goal_tolerance: Positive = 0.05
+    script: tuple[ScriptStep, ...] = ()
+    """For the driver `script`: its velocity from each time on, in the order of time."""
+    track: Text = ""
+    """Instead of a script: the trajectory.csv of an earlier run, whose track of this UGV is driven again."""
+
+
+class Certificate(_Table, frozen=True, kw_only=True):
+    """The bounds that are declared to the UAVs for the law `certified`.
+
+    A network that is worse is told as uncertified, tick by tick.
+    """
+
+    error: NonNegative | None = None
+    """Largest error of a detection [m]; by default the noise at its cut, and without a cut none."""
+    age: Positive = 1.0
+    """Largest age of the newest detection that has arrived [s]."""
+    delay: NonNegative | None = None
+    """From the tick that a command answers to the one in which it acts [s]; by default the longest of its link."""
+    margin: NonNegative = 0.0
+    """Taken off r_v [m], for what the theorem does not cover: jitter and loss of commands."""
+
+
+class Custom(_Table, frozen=True, kw_only=True):
+    """Functions of the user's own, as `module:function`.
+
+    Each is loaded by its vehicle's process alone and never travels.
+    """
+
+    weighting: Text = ""
+    """(distance, r_s) -> (alpha, beta), for the law `weighted`."""
+    path: Text = ""
+    """t -> ((x, y), (x'', y'')), relative to the UGV, for the law `path`."""
+    policy: Text = ""
+    """(observation, briefing) -> (acceleration x, y), for the driver `policy`."""
+
+
+class _Links(_Table, frozen=True, kw_only=True):
+    """A field for each `LinkKind`, under its name."""
+
+    detections: LinkSettings = LinkSettings()
+    """From a UAV's detector to its computer."""
+    commands: LinkSettings = LinkSettings()
+    """From a vehicle's computer to its actuators."""
+    operator: LinkSettings = LinkSettings()
+    """From an operator to a UGV."""
+    radio: LinkSettings = LinkSettings()
+    """From a UAV to its UGV."""
+
+
+class VehicleLinks(_Links, frozen=True, kw_only=True):
+    """The links of one vehicle, where they are not as everybody's."""
+
+    vehicle: Name
+
+
+class LinkTable(_Links, frozen=True, kw_only=True):
+    """The settings of the radio links, kind by kind.
+
+    In TOML each may name a `profile` that it starts from, and so may all.
+    """
+
+    only: tuple[VehicleLinks, ...] = ()
+    """Vehicles whose links are other ones; what is not given is as everybody's."""
+
+    def of(self, vehicle: str, kind: LinkKind) -> LinkSettings:
+        """The settings of this vehicle's link of this kind."""
+        own = next((row for row in self.only if row.vehicle == vehicle), self)
+        settings: LinkSettings = getattr(own, kind)
+        return settings
+
+    def path_of(self, vehicle: str, kind: LinkKind) -> str:
+        """The field of the scenario that holds these settings, such as `links.commands` or `links.only.0.commands`."""
+        own = next((f"only.{k}." for k, row in enumerate(self.only) if row.vehicle == vehicle), "")
+        return f"links.{own}{kind}"
+
+    def changed(self, kind: LinkKind, vehicle: str | None, settings: LinkSettings) -> "LinkTable":
+        """The table with other settings for one vehicle's link of this kind, or for everybody's (None)."""
+        if vehicle is None:
+            rows = tuple(msgspec.structs.replace(row, **{kind: settings}) for row in self.only)
+            return msgspec.structs.replace(self, only=rows, **{kind: settings})
+        kinds = {other: self.of(vehicle, other) for other in LinkKind}
+        new = VehicleLinks(vehicle=vehicle, **{**kinds, kind: settings})
+        rows = tuple(new if row.vehicle == vehicle else row for row in self.only)
+        return msgspec.structs.replace(self, only=rows if new in rows else (*rows, new))
+
+
+DEFAULT_AREA = Area(width=40.0, height=40.0, cell=0.25)
+
+
+class Scenario(_Table, frozen=True, kw_only=True):
+    """One run. SI units; the area's lower left corner is the origin."""
+
+    name: Text = ""
+    """The file's name without its ending, where none is given."""
+    title: Text = ""
+    seed: Annotated[int, Meta(ge=0, le=2**53 - 1)] = 0
+    duration: Positive = 160.0
+    """[s], a whole number of ticks."""
+    dt: Positive = 0.05
+    """Length of a tick [s]."""
+    hold: NonNegative = 0.5
+    """For so long the last command is held when none comes [s]; then the vehicle brakes."""
+    area: Area = DEFAULT_AREA
+    sensor: Sensor = Sensor()
+    visibility: Visibility = Visibility()
+    coverage: Coverage = Coverage()
+    detections: Detections = Detections()
+    estimator: Estimator = Estimator()
+    links: LinkTable = LinkTable()
+    certificate: Certificate = Certificate()
+    law: Law = Law()
+    custom: Custom = Custom()
+    uav: Annotated[tuple[Uav, ...], Meta(min_length=1)]
+    ugv: Annotated[tuple[Ugv, ...], Meta(min_length=1)]
+
+    @property
+    def ticks(self) -> int:
+        """Number of ticks of the whole run."""
+        return round(self.duration / self.dt)
+
+    @property
+    def vehicles(self) -> tuple[Uav | Ugv, ...]:
+        """All vehicles in name order, which is the order of every array."""
+        return tuple(sorted((*self.uav, *self.ugv), key=lambda vehicle: vehicle.name))
+
+    @property
+    def detection_period(self) -> int:
+        """Ticks between two looks of the detector."""
+        return max(1, round(1.0 / (self.detections.rate * self.dt)))
+
+    @property
+    def noise_cut(self) -> float:
+        """The cut of the detection noise in standard deviations; infinite where it is switched off."""
+        return self.detections.cut or math.inf
+
+
+def switching_radius(s: Scenario, uav: Uav, ugv: Ugv) -> float:
+    """r_s of (18) [m], whatever its sign."""
+    return s.visibility.radius - float(
+        stopping_distance(uav.max_speed + ugv.max_speed, uav.max_acceleration)
+    )

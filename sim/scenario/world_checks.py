@@ -1,0 +1,282 @@
+"""Refusals of impossible ground, time, vehicles and detections: one small check for each."""
+
+import math
+import re
+from collections.abc import Callable, Iterator
+
+import msgspec
+
+from bus.keys import STAFF
+from bus.messages import LinkKind
+from sim.channel.description import least_ticks, link_faults, link_parameters
+from sim.input.faults import Fault, is_whole
+from sim.scenario.types import Scenario, Uav, Ugv
+
+Check = Callable[[Scenario], Iterator[Fault]]
+
+_MOST_CELLS = 4_000_000
+_MOST_TICKS = 10_000_000
+_TICK = (1e-6, 1.0)
+"""Shortest and longest dt [s]."""
+_WIDEST = 1e6
+"""Largest side of Q [m]: the messages carry no larger coordinates."""
+_LARGEST_BOUND = 1e12
+"""Largest finite bound of a vehicle that the messages carry."""
+_BOUND = re.compile(r"(uav|ugv)\.\d+\.(max_speed|max_acceleration)")
+_ROUNDING = 1e-12
+
+
+def vehicles(s: Scenario) -> Iterator[tuple[str, Uav | Ugv]]:
+    """Every vehicle with its path."""
+    yield from ((f"uav.{k}", uav) for k, uav in enumerate(s.uav))
+    yield from ((f"ugv.{k}", ugv) for k, ugv in enumerate(s.ugv))
+
+
+def escorts(s: Scenario) -> Iterator[tuple[str, Uav, Ugv]]:
+    """Every UAV with its path and the UGV it escorts."""
+    ugvs = {ugv.name: ugv for ugv in s.ugv}
+    for k, uav in enumerate(s.uav):
+        if uav.escorts in ugvs:
+            yield f"uav.{k}", uav, ugvs[uav.escorts]
+
+
+def _floats(value: object, path: str) -> Iterator[tuple[str, float]]:
+    if isinstance(value, float):
+        yield path, value
+    elif isinstance(value, tuple):
+        for index, part in enumerate(value):
+            yield from _floats(part, f"{path}.{index}")
+    elif isinstance(value, msgspec.Struct):
+        for field in value.__struct_fields__:
+            yield from _floats(getattr(value, field), f"{path}.{field}" if path else field)
+
+
+def numbers_are_finite(s: Scenario) -> Iterator[Fault]:
+    """NaN nowhere, infinity only as a vehicle's bound: the types' own bounds let both pass."""
+    for path, value in _floats(s, ""):
+        bound = _BOUND.fullmatch(path) is not None
+        allowed = f"numbers up to {_LARGEST_BOUND:g}, or inf" if bound else "finite numbers"
+        if math.isnan(value):
+            yield Fault(path, value, "not a number", allowed)
+        elif math.isinf(value) and not bound:
+            yield Fault(path, value, "infinite", allowed)
+        elif bound and _LARGEST_BOUND < value < math.inf:
+            yield Fault(path, value, "too large", allowed)
+
+
+def names_are_different(s: Scenario) -> Iterator[Fault]:
+    """Each vehicle has a name of its own, which is not the simulator's."""
+    taken = [*STAFF]
+    for path, vehicle in vehicles(s):
+        if vehicle.name in taken:
+            yield Fault(
+                f"{path}.name",
+                vehicle.name,
+                "the name is taken",
+                f"any other than {', '.join(taken)}",
+            )
+        if vehicle.name != vehicle.name.strip():  # a pattern's $ lets a line break at the end pass
+            yield Fault(
+                f"{path}.name", vehicle.name, "a line break", "lower-case letters, digits and '_'"
+            )
+        taken.append(vehicle.name)
+
+
+def escorts_are_there(s: Scenario) -> Iterator[Fault]:
+    """Each UAV escorts a UGV of the scenario."""
+    names = [ugv.name for ugv in s.ugv]
+    for k, uav in enumerate(s.uav):
+        if uav.escorts not in names:
+            yield Fault(f"uav.{k}.escorts", uav.escorts, "no UGV has this name", ", ".join(names))
+
+
+def grid_divides_area(s: Scenario) -> Iterator[Fault]:
+    """A whole number of cells, and not too many."""
+    cell = s.area.cell
+    for side, size in (("width", s.area.width), ("height", s.area.height)):
+        if size > _WIDEST:
+            yield Fault(f"area.{side}", size, "too large", f"up to {_WIDEST:g} m")
+        if not is_whole(size / cell, 1e-9 * max(1.0, size / cell)):
+            yield Fault(
+                "area.cell",
+                cell,
+                f"does not divide area.{side} = {size:g} m",
+                "a whole part of both sides, in m",
+            )
+    cells = (s.area.width / cell) * (s.area.height / cell)
+    if cells > _MOST_CELLS:
+        least = math.sqrt(s.area.width) * math.sqrt(s.area.height / _MOST_CELLS)
+        yield Fault(
+            "area.cell",
+            cell,
+            f"makes {cells:.3g} cells, {_MOST_CELLS:,} are the most",
+            f"{least:.3g} m or more",
+        )
+
+
+def time_is_whole(s: Scenario) -> Iterator[Fault]:
+    """A whole number of ticks, none of them too long, and not too many."""
+    if not _TICK[0] <= s.dt <= _TICK[1]:
+        yield Fault("dt", s.dt, "no sensible length of a tick", f"{_TICK[0]:g} to {_TICK[1]:g} s")
+        return
+    ticks = s.duration / s.dt
+    if ticks > _MOST_TICKS:
+        yield Fault(
+            "duration",
+            s.duration,
+            f"makes {ticks:.3g} ticks",
+            f"{_MOST_TICKS:,} ticks at most, {_MOST_TICKS * s.dt:g} s",
+        )
+    elif not is_whole(ticks, 1e-6):
+        near = max(1, round(ticks)) * s.dt
+        yield Fault(
+            "duration",
+            s.duration,
+            "no whole number of ticks",
+            f"multiples of dt = {s.dt:g} s, such as {near:.6g}",
+        )
+
+
+def looks_fit_ticks(s: Scenario) -> Iterator[Fault]:
+    """A whole number of ticks between two looks."""
+    looks = s.detections.rate * s.dt
+    period = 1.0 / looks if looks > 0.0 else math.inf
+    if period > _MOST_TICKS or not is_whole(period, 1e-6):
+        some = ", ".join(f"{1.0 / (n * s.dt):.4g}" for n in (1, 2, 3))
+        yield Fault(
+            "detections.rate",
+            s.detections.rate,
+            "no whole number of ticks fits between two looks",
+            f"{some}, ... 1/s",
+        )
+
+
+def sight_is_within_range(s: Scenario) -> Iterator[Fault]:
+    """The UAV sees farther than r_v, Klodt 2015, eq. (5): r_v < r."""
+    if s.visibility.radius >= s.sensor.range:
+        allowed = f"less than sensor.range = {s.sensor.range:g} m"
+        yield Fault("visibility.radius", s.visibility.radius, "r_v < r does not hold (5)", allowed)
+
+
+def points_are_inside(s: Scenario) -> Iterator[Fault]:
+    """Vehicles and goals lie in Q."""
+    points = [(f"{path}.position", vehicle.position) for path, vehicle in vehicles(s)]
+    points += [
+        (f"ugv.{k}.goals.{i}", goal)
+        for k, ugv in enumerate(s.ugv)
+        for i, goal in enumerate(ugv.goals)
+    ]
+    for path, (x, y) in points:
+        if not (0.0 <= x <= s.area.width and 0.0 <= y <= s.area.height):
+            yield Fault(
+                path, [x, y], "outside Q", f"[0, {s.area.width:g}] x [0, {s.area.height:g}] m"
+            )
+
+
+def covered_is_inside(s: Scenario) -> Iterator[Fault]:
+    """Covered rectangles have an inside, and it lies in Q."""
+    for k, region in enumerate(s.coverage.covered):
+        for axis, letter, size in ((0, "x", s.area.width), (1, "y", s.area.height)):
+            low, high = region.lower[axis], region.upper[axis]
+            path = f"coverage.covered.{k}"
+            if low >= high:
+                yield Fault(
+                    f"{path}.upper.{axis}",
+                    high,
+                    "not above the lower corner",
+                    f"more than {low:g} m",
+                )
+            if low < 0.0:
+                yield Fault(
+                    f"{path}.lower.{axis}", low, "outside Q", f"{letter} from 0 to {size:g} m"
+                )
+            if high > size:
+                yield Fault(
+                    f"{path}.upper.{axis}", high, "outside Q", f"{letter} from 0 to {size:g} m"
+                )
+
+
+def starts_are_within_bounds(s: Scenario) -> Iterator[Fault]:
+    """Nobody starts faster than it may move."""
+    for path, vehicle in vehicles(s):
+        speed = math.hypot(*vehicle.velocity)
+        if speed > vehicle.max_speed * (1.0 + _ROUNDING):
+            allowed = f"up to {path}.max_speed = {vehicle.max_speed:g} m/s"
+            yield Fault(
+                f"{path}.velocity", vehicle.velocity, f"a speed of {speed:.4g} m/s", allowed
+            )
+
+
+def uav_is_stronger(s: Scenario) -> Iterator[Fault]:
+    """The UAV outruns and outaccelerates the UGV (section II of the paper)."""
+    for path, uav, ugv in escorts(s):
+        for field, unit in (("max_speed", "m/s"), ("max_acceleration", "m/s²")):
+            mine, its = getattr(uav, field), getattr(ugv, field)
+            if mine <= its:
+                yield Fault(
+                    f"{path}.{field}",
+                    mine,
+                    f"the UAV must have more than the UGV {ugv.name}",
+                    f"above {its:g} {unit}",
+                )
+
+
+def ugv_is_seen_at_start(s: Scenario) -> Iterator[Fault]:
+    """The constraint holds at the start (Proposition 2 of the paper)."""
+    for path, uav, ugv in escorts(s):
+        distance = math.dist(uav.position, ugv.position)
+        if distance >= s.visibility.radius:
+            allowed = f"nearer than visibility.radius = {s.visibility.radius:g} m"
+            yield Fault(
+                f"{path}.position",
+                uav.position,
+                f"{distance:.4g} m away from {ugv.name} at the start",
+                allowed,
+            )
+
+
+def links_are_possible(s: Scenario) -> Iterator[Fault]:
+    """Each link can be what it says, and belongs to a vehicle."""
+    names = [vehicle.name for _, vehicle in vehicles(s)]
+    for kind in LinkKind:
+        yield from link_faults(getattr(s.links, kind), f"links.{kind}.")
+    for k, own in enumerate(s.links.only):
+        if own.vehicle not in names:
+            yield Fault(
+                f"links.only.{k}.vehicle", own.vehicle, "no vehicle has this name", ", ".join(names)
+            )
+        for kind in LinkKind:
+            yield from link_faults(getattr(own, kind), f"links.only.{k}.{kind}.")
+
+
+def commands_act(s: Scenario) -> Iterator[Fault]:
+    """A command that arrives is not yet too old to act: else the vehicle brakes for ever, whoever flies it."""
+    for _, vehicle in vehicles(s):
+        least = least_ticks(link_parameters(s.links.of(vehicle.name, LinkKind.COMMANDS), s.dt))
+        if least > round(s.hold / s.dt):
+            path = f"{s.links.path_of(vehicle.name, LinkKind.COMMANDS)} of {vehicle.name}"
+            age = f"{least * s.dt:g} s"
+            wrong = (
+                f"commands are {age} old or more when they arrive ({path}), "
+                "so that it would only brake"
+            )
+            yield Fault("hold", s.hold, wrong, f"{age} or more")
+
+
+WORLD_CHECKS: tuple[Check, ...] = (
+    numbers_are_finite,
+    names_are_different,
+    escorts_are_there,
+    grid_divides_area,
+    time_is_whole,
+    looks_fit_ticks,
+    sight_is_within_range,
+    points_are_inside,
+    covered_is_inside,
+    starts_are_within_bounds,
+    uav_is_stronger,
+    ugv_is_seen_at_start,
+    links_are_possible,
+    commands_act,
+)
+"""In the order in which they are made: a later one may rely on those before it."""

@@ -1,0 +1,248 @@
+"""The scene as matplotlib's artists: the map that stands in figures and moves in films.
+
+Loaded only when something is drawn. Drawn with matplotlib's objects on Agg; nothing here touches pyplot or leaves a
+setting behind.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Ellipse
+
+from sim.kernels.compile import FloatArray
+from sim.scene.colors import COVERED, ESTIMATE, INK, MUTED, RULE, UAV, UGV
+from sim.scene.model import Point, Ring, Scene
+
+COVERAGE = LinearSegmentedColormap.from_list("covered", list(COVERED))
+"""From unseen ground to covered ground."""
+DASHED = (0, (4, 2.5))
+DPI = 140
+_LOOK: dict[str, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "mathtext.fontset": "dejavusans",
+    "text.color": INK,
+    "axes.edgecolor": "#b9bec6",
+    "axes.labelcolor": INK,
+    "axes.labelsize": 9.0,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.titlesize": 10.0,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 7.0,
+    "grid.color": RULE,
+    "grid.linewidth": 0.7,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "lines.linewidth": 1.5,
+    "lines.solid_capstyle": "round",
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "legend.handlelength": 1.6,
+    "agg.path.chunksize": 20000,
+}
+
+Estimate = tuple[Point, tuple[float, float, float]]
+"""Where a UAV believes its UGV to be [m], and the covariance xx, xy, yy of that [m²]."""
+
+
+@contextmanager
+def look() -> Iterator[None]:
+    """While it is open, new artists look like ours, whatever the user's own settings are.
+
+    Afterwards all is as before.
+    """
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_LOOK)  # type: ignore[arg-type]
+        yield
+
+
+def ground(axes: Axes, width: float, height: float) -> None:
+    """Dress axes that show the ground [m]."""
+    axes.set_aspect("equal")
+    axes.set_xlim(0.0, width)
+    axes.set_ylim(0.0, height)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.grid(visible=False)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(True)
+
+
+def draw_ring(axes: Axes, ring: Ring, center: Point = (0.0, 0.0)) -> Circle:
+    """A circle on the ground."""
+    circle = Circle(
+        center,
+        ring.radius,
+        fill=False,
+        edgecolor=ring.color,
+        linewidth=ring.width,
+        linestyle=DASHED if ring.dashed else "-",
+        zorder=5,
+    )
+    axes.add_patch(circle)
+    return circle
+
+
+class Track:
+    """One vehicle: its way, with a hollow mark where it started and a full one where it is.
+
+    Args:
+        axes: To draw on.
+        color: Of the vehicle.
+        flies: A UAV is a disc, a UGV a square with a broader track.
+        line: Style of the track.
+        label: In the legend; empty: none.
+    """
+
+    def __init__(
+        self, axes: Axes, color: str, *, flies: bool, line: str = "-", label: str = ""
+    ) -> None:
+        width, mark = (1.6, "o") if flies else (2.2, "s")
+        hollow: dict[str, Any] = {"markersize": 6, "color": "white", "markeredgecolor": color}
+        full: dict[str, Any] = {"markersize": 8, "color": color, "markeredgecolor": "white"}
+        self.artists: tuple[Line2D, ...] = (
+            *axes.plot([], [], line, color=color, linewidth=width, label=label, zorder=4),
+            *axes.plot([], [], mark, **hollow, markeredgewidth=1.5, zorder=6),
+            *axes.plot([], [], mark, **full, markeredgewidth=1.2, zorder=7),
+        )
+
+    def move(self, way: FloatArray) -> "Track":
+        """Show this way [m], shape (points, 2), to its last point."""
+        for artist, part in zip(self.artists, (way, way[:1], way[-1:]), strict=True):
+            artist.set_data(part[:, 0], part[:, 1])
+        return self
+
+
+class Map:
+    """A scene on axes: what stands still is drawn at once, what moves with `show`.
+
+    Args:
+        axes: To draw on.
+        scene: What there is to see.
+        estimates: Whether the UAVs' estimates are shown, with an ellipse of two standard deviations.
+    """
+
+    def __init__(self, axes: Axes, scene: Scene, *, estimates: bool = False) -> None:
+        ground(axes, scene.width, scene.height)
+        self.image = axes.imshow(
+            np.zeros((1, 1)),
+            cmap=COVERAGE,
+            vmin=0.0,
+            vmax=1.0,
+            origin="lower",
+            extent=(0.0, scene.width, 0.0, scene.height),
+            interpolation="bilinear",
+        )
+        self._still: list[Artist] = []
+        self._tracks: dict[str, Track] = {}
+        for one in scene.vehicles:
+            goals = np.array(one.goals, dtype=np.float64).reshape(-1, 2)
+            if len(goals):
+                self._still += axes.plot(
+                    goals[:, 0], goals[:, 1], "x", ms=6, mew=1.8, color=one.color, zorder=3.5
+                )
+            self._tracks[one.name] = Track(axes, one.color, flies=one.flies)
+        self._rings = [(ring.around, draw_ring(axes, ring)) for ring in scene.rings]
+        self._sights: dict[tuple[str, str], Line2D] = {}
+        if scene.rings:
+            for pair in scene.escorts:
+                (self._sights[pair],) = axes.plot([], [], color=MUTED, linewidth=0.9, zorder=3.7)
+        self._estimates = {uav: _Estimate(axes) for uav, _ in scene.escorts if estimates}
+
+    @property
+    def artists(self) -> list[Artist]:
+        """All that lies on the axes, from the ground up."""
+        found: list[Artist] = [self.image, *self._still, *self._sights.values()]
+        found += [artist for track in self._tracks.values() for artist in track.artists]
+        found += [circle for _, circle in self._rings]
+        found += [artist for one in self._estimates.values() for artist in one.artists]
+        return sorted(found, key=lambda artist: artist.get_zorder())
+
+    def show(
+        self,
+        tracks: Mapping[str, FloatArray],
+        coverage: npt.NDArray[Any] | None = None,
+        estimates: Mapping[str, Estimate] | None = None,
+    ) -> None:
+        """Show a moment.
+
+        Args:
+            tracks: The way of each vehicle so far [m], shape (points, 2).
+            coverage: Share of the coverage wanted, from 0 to 1, shape (rows, columns); None: as before.
+            estimates: Of each UAV, where it has one.
+        """
+        if coverage is not None:
+            self.image.set_data(coverage)
+        for name, track in self._tracks.items():
+            track.move(tracks[name])
+        for name, circle in self._rings:
+            x, y = tracks[name][-1].tolist()
+            circle.center = (x, y)
+        for (uav, ugv), line in self._sights.items():
+            line.set_data(*zip(tracks[uav][-1], tracks[ugv][-1], strict=True))
+        for uav, artist in self._estimates.items():
+            artist.show((estimates or {}).get(uav))
+
+
+class _Estimate:
+    """A cross where a UAV believes its UGV to be, in an ellipse of two standard deviations."""
+
+    def __init__(self, axes: Axes) -> None:
+        self._ellipse = Ellipse((0, 0), 0, 0, fill=False, ec=ESTIMATE, lw=1.0, zorder=8)
+        axes.add_patch(self._ellipse)
+        (self._cross,) = axes.plot([], [], "+", color=ESTIMATE, ms=7, mew=1.2, zorder=8)
+        self.artists: tuple[Artist, ...] = (self._ellipse, self._cross)
+
+    def show(self, estimate: Estimate | None) -> None:
+        for artist in self.artists:
+            artist.set_visible(estimate is not None)
+        if estimate is None:
+            return
+        (x, y), (xx, xy, yy) = estimate
+        self._cross.set_data([x], [y])
+        mean, spread = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
+        self._ellipse.set_center((x, y))
+        self._ellipse.set_width(4.0 * math.sqrt(max(mean + spread, 0.0)))
+        self._ellipse.set_height(4.0 * math.sqrt(max(mean - spread, 0.0)))
+        self._ellipse.set_angle(math.degrees(0.5 * math.atan2(2.0 * xy, xx - yy)))
+
+
+def key(color: str, label: str, **line: Any) -> Line2D:  # noqa: ANN401 - matplotlib's own keywords
+    """An entry of a legend."""
+    return Line2D([], [], color=color, label=label, **line)
+
+
+def legend_of(scene: Scene, *, estimates: bool = False) -> list[Line2D]:
+    """The entries of a scene's legend: each kind of thing on it once."""
+    mark = {"markeredgecolor": "white", "markersize": 7}
+    uavs = sum(one.flies for one in scene.vehicles)
+    ugvs = len(scene.vehicles) - uavs
+    keys = [
+        key(UAV[0], "UAV" if uavs == 1 else f"{uavs} UAVs", marker="o", **mark),
+        key(UGV[0], "UGV" if ugvs == 1 else f"{ugvs} UGVs", marker="s", linewidth=2.2, **mark),
+    ]
+    if any(one.goals for one in scene.vehicles):
+        keys.append(key(UGV[0], "goal", marker="x", linestyle="", markeredgewidth=1.8))
+    for ring in reversed({ring.symbol: ring for ring in reversed(scene.rings)}.values()):
+        line: Any = (0, (3, 1.6)) if ring.dashed else "-"
+        label = f"{ring.label} ${ring.symbol}$"
+        keys.append(key(ring.color, label, linestyle=line, linewidth=ring.width))
+    if estimates:
+        keys.append(key(ESTIMATE, "estimate, 2σ", linestyle="", marker="+", markeredgewidth=1.2))
+    return keys

@@ -1,0 +1,121 @@
+"""A scene that moves: what stands still is drawn once, the artists that move stay and are moved."""
+
+import textwrap
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.artist import Artist
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from sim.kernels.compile import FloatArray
+from sim.scene.colors import COVERED, LIMIT, MUTED
+from sim.scene.drawing import DPI, Estimate, Map, key, legend_of, look
+from sim.scene.model import Scene
+
+_HEADER, _FOOTER, _SIDE = 92, 116, 68
+"""Room above, below and beside the ground [px]."""
+_TALLEST = 1000
+"""Of the ground [px]."""
+
+
+class Frames:
+    """Pictures of a scene from above, one after the other.
+
+    Args:
+        scene: What there is to see.
+        width: Of a picture [px]; its height follows from the ground's, and is even.
+        facts: A line below the title.
+        estimates: Whether the UAVs' estimates are shown.
+    """
+
+    def __init__(
+        self, scene: Scene, *, width: int, facts: str = "", estimates: bool = False
+    ) -> None:
+        scale = min((width - 2 * _SIDE) / scene.width, _TALLEST / scene.height)
+        across, tall = scene.width * scale, scene.height * scale
+        total = round(tall + _HEADER + _FOOTER) // 2 * 2  # video wants even numbers
+        self._left, self._rows = _SIDE / 2 / width, (1.0 - 20 / total, 1.0 - 58 / total)
+        with look():
+            self._figure = Figure(figsize=(width / DPI, total / DPI), dpi=DPI, facecolor="white")
+            self._canvas = FigureCanvasAgg(self._figure)
+            axes = self._figure.add_axes(
+                (0.5 - across / 2 / width, _FOOTER / total, across / width, tall / total), zorder=1
+            )
+            self._map = Map(axes, scene, estimates=estimates)
+            self._write(scene.title, facts, width)
+            self._figure.legend(
+                handles=[
+                    *legend_of(scene, estimates=estimates),
+                    key(COVERED[-1], "covered", marker="s", linestyle="", markersize=7),
+                ],
+                loc="lower center",
+                ncols=4,
+                fontsize=7.5,
+                columnspacing=1.3,
+                handletextpad=0.5,
+            )
+            self._moving: list[Artist] = [
+                *self._map.artists,
+                self._facts,
+                self._clock,
+                self._distance,
+            ]
+            for artist in self._moving:
+                artist.set_animated(True)
+            self._canvas.draw()  # type: ignore[no-untyped-call]
+            self._background = self._canvas.copy_from_bbox(self._figure.bbox)  # type: ignore[no-untyped-call]
+
+    def _write(self, title: str, facts: str, width: int) -> None:
+        upper, lower = self._rows
+        bold: dict[str, Any] = {"fontweight": "bold", "va": "top"}
+        name = textwrap.shorten(title, width // 18, placeholder="…")[: width // 18]
+        self._figure.text(self._left, upper, name, fontsize=13, parse_math=False, **bold)
+        self._facts = self._figure.text(
+            self._left, lower, facts, color=MUTED, va="top", parse_math=False
+        )
+        right: dict[str, Any] = {"ha": "right", "fontfamily": "DejaVu Sans Mono"}
+        self._clock = self._figure.text(1.0 - self._left, upper, "", fontsize=11, **bold, **right)
+        self._distance = self._figure.text(1.0 - self._left, lower, "", va="top", **right)
+
+    def draw(
+        self,
+        tracks: Mapping[str, FloatArray],
+        coverage: npt.NDArray[Any] | None,
+        estimates: Mapping[str, Estimate] | None = None,
+        *,
+        time: float,
+        distance: float,
+        r_v: float | None,
+        facts: str | None = None,
+    ) -> npt.NDArray[np.uint8]:
+        """The picture of a moment; the first three arguments as those of `Map.show`.
+
+        Args:
+            tracks: The way of each vehicle so far.
+            coverage: Of the ground.
+            estimates: Of each UAV, where it has one.
+            time: Simulated [s].
+            distance: The largest between a UAV and its UGV [m].
+            r_v: Visibility radius [m]; None where it is not known.
+            facts: The line below the title; None: as before.
+
+        Returns:
+            Red, green, blue and opacity; shape (rows, columns, 4). The next picture is another array.
+        """
+        self._map.show(tracks, coverage, estimates)
+        lost = r_v is not None and distance >= r_v
+        limit = "" if r_v is None else f" of {r_v:g} m"
+        self._clock.set_text(f"{time:7.1f} s")
+        self._distance.set_text(
+            f"distance {distance:5.2f} m{limit}{'  OUT OF SIGHT' if lost else ''}"
+        )
+        self._distance.set_color(LIMIT if lost else MUTED)
+        if facts is not None:
+            self._facts.set_text(facts)
+        self._canvas.restore_region(self._background)  # type: ignore[no-untyped-call]
+        for artist in self._moving:
+            self._figure.draw_artist(artist)
+        return np.array(self._canvas.buffer_rgba(), dtype=np.uint8)  # type: ignore[no-untyped-call]

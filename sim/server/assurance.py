@@ -1,0 +1,181 @@
+"""Tests that the safety filters tell the truth: what each UAV reports, held against what the simulator knows.
+
+Two counts must be 0 in every flight of every law and network: ticks that are certified while the UGV is out of
+sight, and certificates that are lost although every declared assumption holds.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from bus.messages import Certificate, CertificateStatus, UavReport, Vector
+from sim.channel.link import DUST, in_ticks
+from sim.engine.briefing import declared
+from sim.scenario.types import Scenario, Uav
+
+_SILENT = "the UAV has no estimate yet, or its command did not come"
+"""Why a tick is not certified of which no filter has said anything."""
+_ROUNDING = 1e-9
+"""A measured error that is larger than declared by no more than this [m] is as declared."""
+_NOBODY = -2
+"""The last tick that was watched, before the first: the one before tick 0 is -1."""
+
+
+class Arrival(NamedTuple):
+    """A detection that has reached a UAV's computer."""
+
+    taken: int
+    """Tick at which it was taken."""
+    error: float
+    """Norm of its error, by the true relative position at that tick [m]."""
+
+
+class Assumptions:
+    """Follows whether the declared assumptions of one UAV's certificate hold, as the simulator sees them.
+
+    Args:
+        certificate: What is declared to the UAV.
+        dt: Length of a tick [s].
+    """
+
+    def __init__(self, certificate: Certificate, dt: float) -> None:
+        self._error = math.inf if certificate.error is None else certificate.error + _ROUNDING
+        self._age = math.floor(certificate.age / dt + DUST)
+        self._delay = in_ticks(certificate.delay, dt)
+        size = self._delay + 1
+        nothing: list[tuple[int, Vector]] = [(tick - size, (0.0, 0.0)) for tick in range(size)]
+        self._sent = nothing  # a ring: the tick that each answers, and the command
+        self._obeyed = True
+        self.begin()
+
+    def begin(self) -> None:
+        """A filter begins that remembers no detection."""
+        self._newest = -math.inf
+        self._exact = True
+
+    def send(self, answered: int, acceleration: Vector) -> None:
+        """The UAV's command [m/s²] for this tick has set out."""
+        self._sent[answered % len(self._sent)] = (answered, acceleration)
+
+    def perceive(self, arrivals: Sequence[Arrival]) -> None:
+        """Detections have arrived that the UAV has seen."""
+        for taken, error in arrivals:
+            self._newest = max(self._newest, taken)
+            self._exact = self._exact and error <= self._error
+
+    def act(self, tick: int, acceleration: Vector) -> None:
+        """A command [m/s²] acts in this tick."""
+        due = tick - self._delay
+        self._obeyed = self._sent[due % len(self._sent)] == (due, acceleration)
+
+    def hold(self, tick: int) -> bool:
+        """True if they hold at this tick.
+
+        The newest detection's age, all detections' errors, the command that acted just before.
+        """
+        return self._exact and self._obeyed and tick - self._newest <= self._age
+
+
+class Assurance:
+    """Collects the reports of all UAVs' safety filters.
+
+    Args:
+        scenario: What is flown.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.ticks = 0
+        """Ticks of a UAV that flies a law that a filter watches over."""
+        self.certified = 0
+        """Those that were certified."""
+        self.interventions = 0
+        """Those in which a filter acted instead of the law."""
+        self.reasons: Counter[str] = Counter()
+        """Why ticks were not certified."""
+        self.certified_while_lost = 0
+        """Ticks that were certified although the UGV was out of sight then.
+
+        The certificate is wrong if there is one.
+        """
+        self.certificate_broken = 0
+        """Ticks that were not certified although the one before was and all assumptions hold; likewise."""
+        uavs = [
+            one.name for one in scenario.vehicles if isinstance(one, Uav)
+        ]  # rows as the world's
+        self._radius = scenario.visibility.radius
+        self._assumptions = [Assumptions(declared(scenario, uav), scenario.dt) for uav in uavs]
+        self._promised = [False] * len(uavs)
+        """True where the tick before was certified, and nothing excuses that this one is not."""
+        self._last = [_NOBODY] * len(uavs)
+
+    def send(self, uav: int, answered: int, acceleration: Vector) -> None:
+        """A command has set out: whatever the law, the next one may be watched.
+
+        Args:
+            uav: Row of the UAV.
+            answered: The tick whose observation it answers.
+            acceleration: [m/s²]
+        """
+        self._assumptions[uav].send(answered, acceleration)
+
+    def excuse(self, uav: int) -> None:
+        """This UAV's certificate may end at the coming tick: its law has changed, or its process has joined again."""
+        self._promised[uav] = False
+
+    def take(
+        self,
+        uav: int,
+        tick: int,
+        report: UavReport | None,
+        *,
+        distance: float,
+        arrivals: Sequence[Arrival] = (),
+        acts: Vector = (0.0, 0.0),
+        current: bool = True,
+    ) -> None:
+        """Count a tick in which a UAV flies a law that a filter watches over.
+
+        Args:
+            uav: Row of the UAV.
+            tick: Which.
+            report: What it says; None if no command came, or one without a report.
+            distance: The true one at the tick that is reported of [m].
+            arrivals: What has reached it at this tick.
+            acts: The command that acts in this tick [m/s²].
+            current: Whether the report is of this tick; with a clock that waits for nobody it may be of an earlier one.
+        """
+        assumptions = self._assumptions[uav]
+        if self._last[uav] != tick - 1:  # not watched just before: the filter is new
+            assumptions.begin()
+            self._promised[uav] = False
+        self._last[uav] = tick
+        assumptions.perceive(arrivals)
+        self.ticks += 1
+        certified = report is not None and bool(report.certified)
+        if report is None or report.certified is None:
+            self.reasons[_SILENT] += 1
+        else:
+            self.certified += certified
+            self.interventions += report.intervened
+            self.certified_while_lost += certified and distance >= self._radius
+            if not certified:
+                self.reasons[report.uncertified] += 1
+                self.certificate_broken += (
+                    current and self._promised[uav] and assumptions.hold(tick)
+                )
+        self._promised[uav] = certified and current
+        assumptions.act(tick, acts)
+
+    def status(self) -> CertificateStatus | None:
+        """All of it as a message; None where no filter has watched over anything."""
+        if not self.ticks:
+            return None
+        return CertificateStatus(
+            ticks=self.ticks,
+            certified=self.certified,
+            intervened=self.interventions,
+            uncertified=dict(self.reasons),
+            certified_while_lost=self.certified_while_lost,
+            certificate_broken=self.certificate_broken,
+        )

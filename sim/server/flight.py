@@ -1,0 +1,487 @@
+"""A flight: the world and the vehicles' answers, tick by tick, however the answers travel.
+
+The same loop serves the pilots in this process and the three processes over the bus, so both fly the same bits.
+"""
+
+import math
+from array import array
+from collections import defaultdict
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from bus.messages import (
+    Action,
+    Change,
+    Command,
+    Control,
+    Detection,
+    Drive,
+    EscortTruth,
+    Law,
+    LinkKind,
+    LinkSettings,
+    Observation,
+    RelativeInformation,
+    Truth,
+    UavCommand,
+    UavObservation,
+    UavReport,
+    UgvObservation,
+    VehicleTruth,
+)
+from bus.registry import LAWS
+from sim.kernels.compile import FloatArray
+from sim.scenario.types import Scenario
+from sim.server.assurance import Arrival, Assurance
+from sim.server.recorder import Recorder
+from sim.world import Look, World
+
+
+@dataclass(slots=True)
+class News:
+    """News for a vehicle at one tick, besides its perception."""
+
+    operator: tuple[Drive, ...] = ()
+    driver: str | None = None
+    law: Law | None = None
+
+
+_NO_NEWS = News()
+
+
+class Exchange(Protocol):
+    """Takes observations to the vehicles and brings commands back."""
+
+    def begin(self, tick: int) -> None:
+        """A tick begins; what operators want is done before its observations are made."""
+
+    def publish(self, observations: Mapping[str, Observation]) -> None:
+        """Give each vehicle its observation of this tick."""
+
+    def collect(self, tick: int) -> Mapping[str, Command]:
+        """The newest command of each vehicle that has a new one; none answers a later tick than this."""
+
+
+_RADIO = 5
+_LOOK = 4
+"""Numbers that are kept of a radio message and of a detection that have arrived."""
+
+
+class Flight:
+    """One run from its first tick to its last.
+
+    Args:
+        scenario: What is flown.
+        seed: Of all random numbers, with the secret.
+        secret: Of the run; empty: none. No vehicle, operator or observer is told.
+        episode: Which flight of the run it is.
+    """
+
+    def __init__(
+        self, scenario: Scenario, seed: int, *, secret: str = "", episode: int = 0
+    ) -> None:
+        self.scenario = scenario
+        self.seed = seed
+        self.secret = secret
+        self.episode = episode
+        self.law = scenario.law
+        """The law that the UAVs fly now."""
+        self.drivers = {ugv.name: ugv.driver for ugv in scenario.ugv}
+        """The driver of each UGV now."""
+        self._news: dict[str, dict[int, News]] = defaultdict(dict)
+        self.world = World(scenario, seed, secret=secret)
+        self.recorder = Recorder(self.world)
+        self.missing: dict[str, int] = dict.fromkeys(self.world.names, 0)
+        """Ticks for which a vehicle had no new command."""
+        self.stale: dict[str, int] = dict.fromkeys(self.world.names, 0)
+        """Commands of a vehicle that were used after the tick they answer."""
+        self.first_missing: int | None = None
+        """The first tick at which a vehicle's command was missing or stale."""
+        self.reports: list[UavReport | None] = [None] * len(self.world.uavs)
+        """The last report of each UAV."""
+        self.assurance = Assurance(scenario)
+        """Checks the reports of the safety filters."""
+        self.degradations: list[Change] = []
+        """Changes of links in flight, with their ticks."""
+        self._stopped = self._abandoned = False
+        self._ticks = scenario.ticks
+        self._answered = dict.fromkeys(
+            self.world.names, -1
+        )  # the tick that each vehicle's newest command answers
+        self._rows = {name: k for k, name in enumerate(self.world.names)}
+        self._uav_row = {uav.name: k for k, uav in enumerate(self.world.uavs)}
+        self._pairs: list[tuple[int, int]] = [(a, g) for a, g in self.world.escorts.tolist()]
+        self._radio: dict[
+            str, tuple[RelativeInformation, ...]
+        ] = {}  # what each UGV hears at this tick
+        self._operators = self.world.links.of(LinkKind.OPERATOR)
+        self._radios = self.world.links.of(LinkKind.RADIO)
+        self._listened = -1
+        self._arrived: dict[str, array[float]] = {name: array("d") for name in self.world.names}
+        """Messages that have reached each vehicle. UAV: tick, tick of the look, p_delta; UGV: tick, time, p_delta, error."""
+
+    @property
+    def commands(self) -> FloatArray:
+        """The command of each vehicle in the last tick, before the bounds [m/s²]; shape (vehicles, 2)."""
+        return self.world.commands
+
+    @property
+    def flown(self) -> Scenario:
+        """The scenario with the law that the UAVs fly now."""
+        return msgspec.structs.replace(self.scenario, law=self.law)
+
+    @property
+    def complete(self) -> bool:
+        """True once the scenario's last tick has been flown."""
+        return self.world.tick >= self._ticks
+
+    @property
+    def over(self) -> bool:
+        """True once nothing more is flown: complete, or stopped."""
+        return self._stopped or self.complete
+
+    def stop(self) -> None:
+        """End the flight before the next command acts."""
+        self._stopped = True
+
+    def abandon(self) -> None:
+        """End the flight at once, and tell the vehicles nothing: another begins."""
+        self._stopped = self._abandoned = True
+
+    def _news_of(self, name: str) -> News:
+        return self._news[name].setdefault(self.world.tick, News())
+
+    def say(self, ugv: str, words: Drive) -> None:
+        """An operator says something to a UGV; its link brings it there, at once or later."""
+        self._operators[ugv].send(self.world.tick, words, self.world.tick)
+
+    def assign_driver(self, ugv: str, driver: str) -> None:
+        """Another driver takes a UGV's wheel with the coming observation."""
+        self._news_of(ugv).driver = self.drivers[ugv] = driver
+
+    def order(self, law: Law) -> None:
+        """The UAVs fly another law from the coming observation on."""
+        self.law = law
+        for uav in self.world.uavs:
+            self._news_of(uav.name).law = law
+            self.assurance.excuse(self._uav_row[uav.name])
+
+    def rejoin(self, name: str) -> None:
+        """A vehicle's process has joined again: a new pilot, which knows what it is told of its past."""
+        if name in self._uav_row:
+            self.assurance.excuse(self._uav_row[name])
+
+    def watched(self) -> dict[str, UavReport]:
+        """The last reports of the UAVs that a safety filter watches over."""
+        told = zip(self.world.uavs, self.reports, strict=True)
+        return {
+            uav.name: report
+            for uav, report in told
+            if report is not None and report.certified is not None
+        }
+
+    def news(self, tick: int) -> dict[str, News]:
+        """The news of a tick, by vehicle; only those that were told something."""
+        return {name: told[tick] for name, told in self._news.items() if tick in told}
+
+    def degrade(self, kind: LinkKind, vehicle: str | None, settings: LinkSettings) -> None:
+        """Links have other settings from now on.
+
+        Raises:
+            ScenarioError: If the settings are impossible, or this vehicle has no such link.
+        """
+        self.world.links.change(kind, vehicle, settings)
+        control = Control(action=Action.LINK, link=kind, vehicle=vehicle, settings=settings)
+        self.degradations.append(Change(tick=self.world.tick, control=control))
+
+    def _listen(self) -> None:
+        """Take in what has crossed the ether for this tick, once."""
+        tick = self.world.tick
+        if self._listened == tick:
+            return
+        self._listened = tick
+        for name, link in self._operators.items():
+            words = link.arrivals(tick)
+            if words:
+                self._news_of(name).operator = tuple(words)
+        for name, k in self._uav_row.items():
+            for look in self.world.received[k]:
+                self._arrived[name].extend((tick, *look))
+        self._radio = {}
+        for uav in self.world.uavs:
+            messages = tuple(self._radios[uav.name].arrivals(tick))
+            if messages:
+                self._radio[uav.escorts] = self._radio.get(uav.escorts, ()) + messages
+                for message in messages:
+                    self._arrived[uav.escorts].extend(
+                        (tick, message.time, *message.relative_position, message.coverage_error)
+                    )
+
+    def _observation(
+        self,
+        name: str,
+        tick: int,
+        state: list[float],
+        looks: tuple[Detection, ...],
+        radio: tuple[RelativeInformation, ...],
+        *,
+        known: bool = True,
+        over: bool = False,
+    ) -> Observation:
+        """The observation of a vehicle at a tick: its own row and nothing else.
+
+        Args:
+            name: The vehicle.
+            tick: When.
+            state: Its position [m] and velocity [m/s].
+            looks: What a UAV has detected.
+            radio: What a UGV has heard.
+            known: Whether its process was there to hear: otherwise its own motion, law and driver and nothing else.
+            over: Whether no command is awaited.
+        """
+        news = self._news[name].get(tick, _NO_NEWS) if self._news else _NO_NEWS
+        x, y, v_x, v_y = state
+        time = tick * self.world.parameters.dt
+        if name in self._uav_row:
+            return UavObservation(
+                tick=tick,
+                time=time,
+                position=(x, y),
+                velocity=(v_x, v_y),
+                detections=looks if known else (),
+                law=news.law,
+                over=over,
+                episode=self.episode,
+            )
+        return UgvObservation(
+            tick=tick,
+            time=time,
+            position=(x, y),
+            velocity=(v_x, v_y),
+            radio=radio if known else (),
+            operator=news.operator if known else (),
+            driver=news.driver,
+            over=over,
+            episode=self.episode,
+        )
+
+    def observations(self) -> dict[str, Observation]:
+        """The observation of each vehicle at this tick: its own row and nothing else."""
+        self._listen()
+        world = self.world
+        over, dt = self.over, world.parameters.dt
+        positions, velocities = world.position.tolist(), world.velocity.tolist()
+        seen: dict[str, Observation] = {}
+        for k, name in enumerate(world.names):
+            row = self._uav_row.get(name)
+            looks = (
+                ()
+                if row is None
+                else tuple(
+                    Detection(time=t * dt, relative_position=(x, y))
+                    for t, x, y in world.received[row]
+                )
+            )
+            radio = self._radio.get(name, ())
+            seen[name] = self._observation(
+                name, world.tick, positions[k] + velocities[k], looks, radio, over=over
+            )
+        return seen
+
+    def past(
+        self, name: str, begin: int, end: int, unheard: Collection[int]
+    ) -> tuple[Observation, ...]:
+        """The observations of a vehicle from tick `begin` up to `end`, for a process that joins again.
+
+        Args:
+            name: The vehicle.
+            begin: First tick.
+            end: The tick after the last one; all must have been recorded.
+            unheard: Ticks whose observation it was not sent: of those it is told its own motion, law and driver
+                and nothing else.
+        """
+        states = self.recorder.states[begin:end, self._rows[name], :4].tolist()
+        looks: dict[int, tuple[Detection, ...]] = {}
+        radio: dict[int, tuple[RelativeInformation, ...]] = {}
+        if name in self._uav_row:
+            dt = self.world.parameters.dt
+            for tick, taken, x, y in self._arrived_between(name, _LOOK, begin, end):
+                look = Detection(time=taken * dt, relative_position=(x, y))
+                looks[int(tick)] = (*looks.get(int(tick), ()), look)
+        else:
+            for tick, time, x, y, error in self._arrived_between(name, _RADIO, begin, end):
+                message = RelativeInformation(
+                    time=time, relative_position=(x, y), coverage_error=error
+                )
+                radio[int(tick)] = (*radio.get(int(tick), ()), message)
+        return tuple(
+            self._observation(
+                name,
+                tick,
+                state,
+                looks.get(tick, ()),
+                radio.get(tick, ()),
+                known=tick not in unheard,
+            )
+            for tick, state in enumerate(states, begin)
+        )
+
+    def _arrived_between(self, name: str, width: int, begin: int, end: int) -> list[list[float]]:
+        rows: npt.NDArray[np.float64] = np.frombuffer(self._arrived[name]).reshape(-1, width)
+        first, last = np.searchsorted(rows[:, 0], (begin, end))
+        within: list[list[float]] = rows[first:last].tolist()
+        return within
+
+    def _count(self, name: str, command: Command | None) -> None:
+        """Note whether a vehicle's process was in time."""
+        tick = self.world.tick
+        if command is None:
+            self.missing[name] += 1
+        else:
+            self._answered[name] = command.tick
+            self.stale[name] += command.tick < tick
+        if self._answered[name] < tick and self.first_missing is None:
+            self.first_missing = tick
+
+    def apply(self, commands: Mapping[str, Command]) -> None:
+        """Let these commands set out, and what has arrived act for one tick.
+
+        What the UAVs radio arrives at the next one.
+        """
+        self._listen()
+        world, watched = self.world, LAWS[self.law.name].watched
+        if watched:
+            self.recorder.record(self.reports)  # what is said of this tick is held against it
+        for k, name in enumerate(world.names):
+            command = commands.get(name)
+            self._count(name, command)
+            if command is not None:
+                world.send(k, command.tick, command.acceleration)
+            uav = self._uav_row.get(name)
+            if uav is not None:
+                self.reports[uav] = None
+                if isinstance(command, UavCommand):
+                    self.reports[uav] = command.report
+                    self.assurance.send(uav, command.tick, command.acceleration)
+                    for message in command.radio:
+                        self._radios[name].send(
+                            world.tick + 1, message, world.tick
+                        )  # heard at the next tick at the earliest
+        tick, received = world.tick, world.received
+        world.advance()
+        if watched:
+            for uav, (a, g) in enumerate(self._pairs):
+                command, acted = commands.get(world.names[a]), world.commands[a]
+                self._assure(tick, uav, a, g, command, received[uav], acted)
+
+    def _assure(
+        self,
+        tick: int,
+        uav: int,
+        a: int,
+        g: int,
+        command: Command | None,
+        received: list[Look],
+        acting: FloatArray,
+    ) -> None:
+        """Hold what a UAV says of a tick against the truth.
+
+        Args:
+            tick: Which.
+            uav: Its row among the UAVs.
+            a, g: Its row and its UGV's among the vehicles.
+            command: What it has answered; without one it has seen nothing of this tick.
+            received: The detections that had reached it.
+            acting: What it has acted on in this tick [m/s²], shape (2,).
+        """
+        states, arrivals = self.recorder.states, []
+        said = tick if command is None else command.tick
+        for taken, x, y in received if command is not None else ():
+            there = states[taken].tolist()
+            p_a, p_g = there[a], there[g]
+            arrivals.append(
+                Arrival(taken, math.hypot(x - (p_a[0] - p_g[0]), y - (p_a[1] - p_g[1])))
+            )
+        self.assurance.take(
+            uav,
+            tick,
+            self.reports[uav],
+            distance=self.recorder.escorts.item(said, uav, 0),
+            arrivals=arrivals,
+            acts=tuple(acting.tolist()),
+            current=said == tick,
+        )
+
+    def _goes_on(self) -> bool:
+        """True if nobody has stopped it meanwhile."""
+        return not self._stopped
+
+    def fly(self, exchange: Exchange, *, on_tick: Callable[[], None] | None = None) -> None:
+        """Fly to the end.
+
+        Args:
+            exchange: How observations and commands travel.
+            on_tick: Called after each tick.
+        """
+        while not self.over:
+            exchange.begin(self.world.tick)
+            if not self._goes_on():
+                break
+            exchange.publish(self.observations())
+            self.recorder.record(self.reports)  # while the vehicles think
+            commands = exchange.collect(self.world.tick)
+            if not self._goes_on():
+                break
+            self.apply(commands)
+            if on_tick is not None:
+                on_tick()
+        self.recorder.record(self.reports)
+        if not self._abandoned:
+            exchange.publish(self.observations())
+
+    def truth(self) -> Truth:
+        """Everything but the grid, for observers."""
+        world = self.world
+        arrays = (world.position, world.velocity, world.acceleration, self.commands)
+        rows = zip(*(rows.tolist() for rows in arrays), strict=True)
+        self.recorder.record(self.reports)
+        measures, detections = (
+            self.recorder.escorts[world.tick, :, :2].tolist(),
+            world.detections.tolist(),
+        )
+        return Truth(
+            tick=world.tick,
+            time=world.time,
+            vehicles={
+                name: VehicleTruth(
+                    position=tuple(p), velocity=tuple(v), acceleration=tuple(u), command=tuple(c)
+                )
+                for name, (p, v, u, c) in zip(world.names, rows, strict=True)
+            },
+            escorts=tuple(
+                EscortTruth(
+                    uav=uav.name,
+                    ugv=uav.escorts,
+                    distance=measures[k][0],
+                    coverage_error=max(0.0, measures[k][1]),
+                    detection=tuple(detections[k])
+                    if detections[k][0] == detections[k][0]
+                    else None,
+                    report=self.reports[k],
+                )
+                for k, uav in enumerate(world.uavs)
+            ),
+        )
+
+
+def warm_up(scenario: Scenario) -> None:
+    """Let all that a flight compiles be compiled or loaded, with a world that nobody sees."""
+    flight = Flight(scenario, scenario.seed)
+    flight.recorder.record(flight.reports)
+    flight.apply({})
+    flight.observations()

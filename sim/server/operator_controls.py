@@ -1,0 +1,184 @@
+"""The operator controls of a run: each takes effect at the boundary of a tick."""
+
+from collections.abc import Callable
+
+import msgspec
+
+from bus.errors import ScenarioError
+from bus.keys import CONTROL, OPERATOR
+from bus.messages import Action, Change, Control, Drive
+from bus.registry import DRIVERS
+from bus.session import Session
+from sim.scenario.checks import check_scenario
+from sim.server.flight import Flight
+from sim.server.pace import Pace
+
+_REFUSALS = 5
+"""So many of them are kept."""
+_LONGEST = 500
+"""Letters of a text on the bus."""
+
+MakePace = Callable[[float | None], Pace]
+"""How time goes on at a factor; None is lockstep."""
+
+
+class OperatorControls:
+    """Takes what operators say, refuses what cannot be done, and keeps what has taken effect.
+
+    Pause, step and speed change how fast simulated time goes, and nothing of the trajectory.
+
+    Args:
+        session: The simulator's session.
+        flight: What is flown.
+        make_pace: Makes the pace for a factor.
+        factor: The first one.
+        on_event: Called with one line for a person.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        flight: Flight,
+        make_pace: MakePace,
+        factor: float | None,
+        on_event: Callable[[str], None],
+    ) -> None:
+        self.pace = make_pace(factor)
+        self.paused = False
+        self.steps = 0
+        """Ticks that are still to be stepped through before the clock stands still again."""
+        self.changes: list[Change] = []
+        """Controls that have taken effect, the oldest first."""
+        self.refusals: list[str] = []
+        """The last wishes that were refused, and why."""
+        self._late_before = 0
+        self._flight, self._make_pace, self._on_event = flight, make_pace, on_event
+        self._ugvs = {ugv.name: OPERATOR for ugv in flight.scenario.ugv}
+        self._wheels = session.inbox_of_all(self._ugvs)
+        self._controls = session.inbox(CONTROL)
+        self._next_seed: int | None = None
+
+    @property
+    def late_ticks(self) -> int:
+        """Ticks that the clock could not keep, at whatever factor."""
+        return self._late_before + self.pace.late_ticks
+
+    def next_flight(self) -> Flight | None:
+        """The flight that an operator has asked for in the place of this one, if any."""
+        if self._next_seed is None:
+            return None
+        old = self._flight
+        self._flight = Flight(
+            old.scenario, self._next_seed, secret=old.secret, episode=old.episode + 1
+        )
+        self._next_seed = None
+        return self._flight
+
+    def apply(self, *, patience: float | None = None) -> None:
+        """Do what operators have asked for since the last call.
+
+        Args:
+            patience: How long to wait for something [s]; None: not at all.
+        """
+        letter = (
+            self._controls.next_waiting() if patience is None else self._controls.receive(patience)
+        )
+        while letter is not None:
+            if isinstance(letter.message, Control):
+                self._do(letter.message)
+            letter = self._controls.next_waiting()
+
+    def listen(self) -> None:
+        """Pass on what has been said at the wheels: it is heard at this tick."""
+        while (letter := self._wheels.next_waiting()) is not None:
+            if isinstance(letter.message, Drive):
+                self._flight.say(letter.sender, letter.message)
+
+    def _do(self, control: Control) -> None:
+        try:
+            _HANDLERS[control.action](self, control)
+        except ScenarioError as error:
+            refusal = f"an operator's {control.action} is refused: {error}"
+            self.refusals = [
+                *self.refusals,
+                f"tick {self._flight.world.tick}: {refusal}"[:_LONGEST],
+            ][-_REFUSALS:]
+            self._on_event(refusal)
+            return
+        self.changes.append(Change(tick=self._flight.world.tick, control=control))
+        if control.action is not Action.STEP:
+            self._on_event(f"an operator: {_in_words(control)} at tick {self._flight.world.tick}")
+
+    def _pause(self, _control: Control) -> None:
+        self.paused, self.steps = True, 0
+
+    def _resume(self, _control: Control) -> None:
+        self.paused, self.steps = False, 0
+
+    def _step(self, control: Control) -> None:
+        self.paused, self.steps = True, control.ticks
+
+    def _speed(self, control: Control) -> None:
+        self._late_before += self.pace.late_ticks
+        self.pace = self._make_pace(control.factor)
+
+    def _reset(self, control: Control) -> None:
+        self._next_seed = self._flight.seed if control.seed is None else control.seed
+        self._flight.abandon()
+
+    def _law(self, control: Control) -> None:
+        if control.law is None:
+            raise ScenarioError("law is missing")
+        check_scenario(
+            msgspec.structs.replace(self._flight.scenario, law=control.law), source="law"
+        )
+        self._flight.order(control.law)
+
+    def _driver(self, control: Control) -> None:
+        names = [control.vehicle] if control.vehicle is not None else list(self._ugvs)
+        if control.vehicle is not None and control.vehicle not in self._ugvs:
+            raise ScenarioError(
+                f"vehicle = {control.vehicle!r}: unknown; allowed: {', '.join(self._ugvs)}"
+            )
+        allowed = [row.name for row in DRIVERS.values() if not row.outside]
+        if control.driver not in allowed:
+            raise ScenarioError(
+                f"driver = {control.driver!r}: cannot take a wheel; allowed: {', '.join(allowed)}"
+            )
+        scenario = self._flight.scenario
+        assigned = [
+            msgspec.structs.replace(ugv, driver=control.driver) if ugv.name in names else ugv
+            for ugv in scenario.ugv
+        ]
+        check_scenario(msgspec.structs.replace(scenario, ugv=tuple(assigned)), source="driver")
+        for name in names:
+            self._flight.assign_driver(name, control.driver)
+
+    def _link(self, control: Control) -> None:
+        if control.link is None or control.settings is None:
+            raise ScenarioError("link and settings: one is missing")
+        self._flight.degrade(control.link, control.vehicle, control.settings)
+
+
+_HANDLERS: dict[Action, Callable[[OperatorControls, Control], None]] = {
+    Action.PAUSE: OperatorControls._pause,
+    Action.RESUME: OperatorControls._resume,
+    Action.STEP: OperatorControls._step,
+    Action.SPEED: OperatorControls._speed,
+    Action.RESET: OperatorControls._reset,
+    Action.LAW: OperatorControls._law,
+    Action.DRIVER: OperatorControls._driver,
+    Action.LINK: OperatorControls._link,
+}
+
+
+def _in_words(control: Control) -> str:
+    if control.action is Action.LAW and control.law is not None:
+        return f"law {control.law.name}"
+    if control.action is Action.DRIVER:
+        return f"driver {control.driver} in {control.vehicle or 'every UGV'}"
+    if control.action is Action.LINK:
+        return f"the link for {control.link} of {control.vehicle or 'every vehicle'}"
+    if control.action is Action.SPEED:
+        return "lockstep" if control.factor is None else f"{control.factor:g} times real time"
+    return str(control.action)

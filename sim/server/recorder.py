@@ -1,0 +1,149 @@
+"""Recording of a flight: the record of every tick, its hash, and the numbers that sum it up."""
+
+import csv
+import hashlib
+import math
+import platform
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from bus.messages import UavReport
+from sim.kernels.compile import FloatArray
+from sim.world import World
+
+_ROOM = 1024
+_CERTIFIED = 6
+"""Column of `Recorder.escorts`."""
+
+
+def _certificate(report: UavReport) -> tuple[float, float]:
+    """Certified or not (1 or 0), and the certified distance [m]; NaN where a report does not say."""
+    if report.certified is None:
+        return math.nan, math.nan
+    return float(
+        report.certified
+    ), math.nan if report.certified_distance is None else report.certified_distance
+
+
+class Recorder:
+    """Arrays that grow with the flight; row k is tick k.
+
+    Args:
+        world: The world that is recorded.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self.ticks = 0
+        """Number of complete ticks: those whose commands were applied."""
+        self.rows = 0
+        """Number of states taken down: one more than complete ticks, once the flight is over."""
+        vehicles, uavs = len(world.names), len(world.uavs)
+        self._states: FloatArray = np.empty(
+            (_ROOM, vehicles, 6)
+        )  # p, v at k; then the command applied during k
+        self._escorts: FloatArray = np.empty(
+            (_ROOM, uavs, 8)
+        )  # distance, e, detection, estimate, certified, bound
+
+    def _make_room(self, k: int) -> None:
+        if k == len(self._states):
+            self._states = np.concatenate((self._states, np.empty_like(self._states)))
+            self._escorts = np.concatenate((self._escorts, np.empty_like(self._escorts)))
+
+    def record(self, reports: list[UavReport | None]) -> None:
+        """Take down the state at this tick and, with it, what was applied and reported during the one before.
+
+        Called once at each tick, best while the vehicles think; again at the same tick it changes nothing.
+
+        Args:
+            reports: What each UAV reported at the tick before; None where it did not.
+        """
+        k = self._world.tick
+        if k < self.rows:
+            return
+        self._make_room(k)
+        if k:
+            self._states[k - 1, :, 4:6] = self._world.acceleration
+            for uav, report in enumerate(reports):
+                if report is not None:
+                    self._escorts[k - 1, uav, 4:8] = (*report.estimate, *_certificate(report))
+        self._states[k, :, 0:2] = self._world.position
+        self._states[k, :, 2:4] = self._world.velocity
+        self._states[k, :, 4:6] = np.nan
+        self._escorts[k, :, 0:2] = self._world.measure()
+        self._escorts[k, :, 2:4] = self._world.detections
+        self._escorts[k, :, 4:8] = np.nan
+        self.ticks, self.rows = k, k + 1
+
+    @property
+    def states(self) -> FloatArray:
+        """Position [m], velocity [m/s] and applied acceleration [m/s²] of each vehicle, shape (rows, vehicles, 6).
+
+        The last row of a flight that is over has no acceleration: NaN.
+        """
+        return self._states[: self.rows]
+
+    @property
+    def escorts(self) -> FloatArray:
+        """Quantities of each UAV and its UGV, shape (rows, UAVs, 8); NaN where there is none.
+
+        Distance [m], e(t) [m²], detected p_delta [m], estimated p_g [m], whether certified (1 or 0), certified
+        distance [m].
+        """
+        return self._escorts[: self.rows]
+
+    def sha256(self, ticks: int | None = None) -> str:
+        """The trajectory's hash over the first `ticks` complete ticks (all of them by default).
+
+        For each tick in order and each vehicle in name order: p and v, then the command applied; little-endian float64,
+        -0.0 written as 0.0.
+        """
+        complete = self._states[: self.ticks if ticks is None else min(ticks, self.ticks)]
+        return hashlib.sha256((complete + 0.0).astype("<f8").tobytes()).hexdigest()
+
+    def _rows(self) -> Iterator[list[float | int | str]]:
+        dt = self._world.parameters.dt
+        for k in range(self.rows):
+            numbers: list[float | int] = self._states[k].ravel().tolist()
+            for escort in self._escorts[k].tolist():
+                numbers += escort
+                if not math.isnan(escort[_CERTIFIED]):
+                    numbers[_CERTIFIED - len(escort)] = int(escort[_CERTIFIED])
+            yield [k, k * dt, *("" if math.isnan(number) else number for number in numbers)]
+
+    def write(self, path: Path) -> None:
+        """Write the trajectory as CSV with a header that carries the units.
+
+        Numbers survive exactly, none is an empty field.
+        """
+        header = ["tick", "time [s]"]
+        for name in self._world.names:
+            header += [
+                f"{name}.{field}"
+                for field in ("x [m]", "y [m]", "vx [m/s]", "vy [m/s]", "ux [m/s2]", "uy [m/s2]")
+            ]
+        for uav in self._world.uavs:
+            header += [f"{uav.name}.{field}" for field in ("distance [m]", "coverage_error [m2]")]
+            header += [f"{uav.name}.{field}" for field in ("detected_x [m]", "detected_y [m]")]
+            header += [f"{uav.name}.{field}" for field in ("estimate_x [m]", "estimate_y [m]")]
+            header += [f"{uav.name}.{field}" for field in ("certified", "certified_distance [m]")]
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(header)
+            writer.writerows(self._rows())
+
+
+def platform_row() -> dict[str, str]:
+    """Versions and machine on which the bits of a trajectory depend, besides scenario and seed."""
+    return {
+        "python": platform.python_version(),
+        "numpy": version("numpy"),
+        "numba": version("numba"),
+        "c_library": " ".join(platform.libc_ver()),
+        "machine": platform.machine(),
+        "system": platform.system(),
+    }

@@ -1,0 +1,170 @@
+"""The simulator process: the world behind the bus."""
+
+import time
+from collections.abc import Callable, Mapping
+
+from bus.errors import PeerLost
+from bus.messages import Action, Change, Command, Observation, Status, VehicleStatus
+from bus.session import Session
+from sim.scenario.types import Scenario
+from sim.server.flight import Flight
+from sim.server.operator_controls import OperatorControls
+from sim.server.pace import Lockstep, Pace, RealTime
+from sim.server.sessions import Slots
+from sim.server.telemetry import Telemetry, Warn, no_warnings
+
+
+class Server:
+    """Flies one scenario with vehicles that are other processes.
+
+    Args:
+        session: The simulator's session.
+        scenario: What is flown.
+        seed: Of all random numbers, with the secret.
+        secret: Of the run, which stays in this process; empty: none.
+        realtime: Simulated seconds per second of wall time; None: lockstep, as fast as the vehicles answer.
+        deadline: In lockstep, how long to wait for the commands of one tick [s].
+        join_timeout: How long to wait for all vehicles at the start, for one that is to come back, and for the
+            router [s].
+        respawn: In lockstep, whether the clock stands still for a vehicle that was lost.
+        on_event: Called with one line for a person: who joined, who was lost, who is late.
+        stop: Asked now and then whether somebody wants the run to end.
+        warn: What cannot be promised of a scenario whose links are now these, a line each: observers are told.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        scenario: Scenario,
+        seed: int,
+        *,
+        secret: str = "",
+        realtime: float | None = None,
+        deadline: float = 10.0,
+        join_timeout: float = 30.0,
+        respawn: bool = False,
+        on_event: Callable[[str], None] = lambda _line: None,
+        stop: Callable[[], bool] = lambda: False,
+        warn: Warn = no_warnings,
+    ) -> None:
+        self.flight = Flight(scenario, seed, secret=secret)
+        self.started = 0.0
+        """Wall clock at the first tick [s]."""
+        self._join_timeout = join_timeout
+        self._stop = stop
+        self._slots = Slots(session, self.flight, on_event)
+
+        def make_pace(factor: float | None) -> Pace:
+            if factor is not None:
+                return RealTime(self._slots, dt=scenario.dt, factor=factor, on_event=on_event)
+            return Lockstep(
+                session,
+                self._slots,
+                deadline=deadline,
+                patience=join_timeout,
+                respawn=respawn,
+                on_event=on_event,
+            )
+
+        self._operators = OperatorControls(session, self.flight, make_pace, realtime, on_event)
+        self._telemetry = Telemetry(session, self.flight, self._slots, self._operators, warn)
+        session.announce()
+
+    def join(self) -> None:
+        """Wait until every vehicle has joined, and brief each.
+
+        Raises:
+            PeerLost: If one does not come in time; it is named.
+        """
+        limit = time.monotonic() + self._join_timeout
+        while not self._idle():
+            self._slots.follow()
+            for name in self._slots.unbriefed:
+                self._slots.brief(name)
+            missing = self._slots.absent
+            if not missing:
+                return
+            if time.monotonic() > limit:
+                raise PeerLost(
+                    f"{' and '.join(missing)} did not join within {self._join_timeout:g} s"
+                )
+            self._slots.commands.receive(0.2)
+
+    def _idle(self) -> bool:
+        """While the simulator waits for whatever it is: look who wants the end, and tell observers how it stands."""
+        if self._stop():
+            self.flight.stop()
+        self._telemetry.refresh()
+        return self.flight.over
+
+    def begin(self, tick: int) -> None:
+        """Do what operators want, and stand still for as long as they want it."""
+        operators = self._operators
+        operators.apply()
+        if operators.paused and not self.flight.over:
+            if not operators.steps:
+                self._stand_still()
+            operators.steps = max(0, operators.steps - 1)
+        operators.listen()
+
+    def _stand_still(self) -> None:
+        operators = self._operators
+        self._telemetry.refresh(at_once=True)
+        while operators.paused and not operators.steps and not self._idle():
+            operators.apply(patience=0.2)
+        operators.pace.restart()
+
+    def publish(self, observations: Mapping[str, Observation]) -> None:
+        """Give each vehicle that is there its observation of this tick, and observers what they listen to."""
+        self._operators.pace.publish(observations)
+        self._telemetry.tell()
+
+    def collect(self, tick: int) -> dict[str, Command]:
+        """The commands for this tick, once it is over."""
+        if self._stop():
+            self.flight.stop()
+        return self._operators.pace.collect(tick, self._idle)
+
+    def status(self, now: float) -> Status:
+        """The status of the run at `now` on the monotonic clock [s]."""
+        return self._telemetry.status(now)
+
+    def vehicles(self) -> dict[str, VehicleStatus]:
+        """The status of each vehicle's process so far."""
+        self._slots.follow()
+        return self._slots.statuses()
+
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """Changes by operators in this flight so far, with their ticks."""
+        changes = self._operators.changes
+        begun = max(
+            (n + 1 for n, change in enumerate(changes) if change.control.action is Action.RESET),
+            default=0,
+        )
+        return tuple(changes[begun:])
+
+    @property
+    def late_ticks(self) -> int:
+        """Ticks that the clock could not keep."""
+        return self._operators.late_ticks
+
+    def fly(self, *, on_tick: Callable[[], None] | None = None) -> Flight:
+        """Wait for the vehicles, fly to the end (or to `flight.stop()`), and tell everybody that it is over.
+
+        Raises:
+            PeerLost: If a vehicle does not join, or the router goes away for good.
+        """
+        self.join()
+        self.started = time.perf_counter()
+        while not self.flight.over:
+            self.flight.fly(self, on_tick=on_tick)
+            again = self._operators.next_flight()
+            if again is not None:
+                self.flight = again
+                self._slots.fly(again)
+                self._telemetry.fly(again)
+                self._operators.pace.restart()
+                self.started = time.perf_counter()
+        self._telemetry.refresh(at_once=True)
+        return self.flight

@@ -1,0 +1,290 @@
+"""The vehicles' places in a run: who holds each, what it was told, and what has gone wrong with it."""
+
+import threading
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import msgspec
+
+from bus.keys import BRIEFING, COMMAND, OBSERVATION, Key, Role
+from bus.messages import Command, Observation, UavCommand, UgvCommand, VehicleStatus
+from bus.session import Letter, Outbox, Session
+from sim.engine.briefing import briefing
+from sim.scenario.types import Uav
+from sim.server.flight import Flight
+
+PART = 1000
+"""Ticks of a vehicle's past in one briefing: below 300 kB, a few milliseconds of work."""
+
+UNREADABLE = "does not decode"
+ANOTHER_TICK = "answers another tick"
+TWICE = "answers a tick twice"
+SECOND_SESSION = "comes from a second session"
+
+
+@dataclass(slots=True, kw_only=True)
+class Slot:
+    """One vehicle's place. The first session that comes holds it until it goes; then the next one does."""
+
+    name: str
+    role: Role
+    briefings: Outbox
+    observations: Outbox
+    sessions: dict[int, int] = field(default_factory=dict)
+    """Places of those that are there, in the order in which they came, and how often each place had been taken by then."""
+    owed: int | None = None
+    """First tick of the past that the holder has yet to be told; None once it is briefed."""
+    newest: int = -1
+    """The tick that its newest command answers."""
+    unheard: set[int] = field(default_factory=set)
+    """Ticks whose observation nobody was there to hear."""
+    lost: int = 0
+    rejoined: int = 0
+    refused: Counter[str] = field(default_factory=Counter)
+    fault: str = ""
+
+    @property
+    def present(self) -> bool:
+        """True while a session is there."""
+        return bool(self.sessions)
+
+    @property
+    def holder(self) -> int | None:
+        """The session that came first of those that are there; None: nobody is there."""
+        return next(iter(self.sessions), None)
+
+
+class Slots:
+    """All vehicles' places, and the inbox that their commands come to.
+
+    Args:
+        session: The simulator's session.
+        flight: What is flown.
+        on_event: Called with one line for a person.
+    """
+
+    def __init__(self, session: Session, flight: Flight, on_event: Callable[[str], None]) -> None:
+        self._flight = flight
+        self._on_event = on_event
+        self._gate = threading.Lock()
+        self._arrivals: Counter[tuple[str, int]] = (
+            Counter()
+        )  # how often somebody came to each place of each vehicle
+        self._changes: dict[
+            tuple[str, int], bool
+        ] = {}  # where somebody came or went since they were last taken in
+        self._slots: dict[str, Slot] = {}
+        for vehicle in flight.scenario.vehicles:
+            role = Role.UAV if isinstance(vehicle, Uav) else Role.UGV
+            self._slots[vehicle.name] = Slot(
+                name=vehicle.name,
+                role=role,
+                briefings=session.outbox(BRIEFING[role], vehicle.name),
+                observations=session.outbox(OBSERVATION[role], vehicle.name),
+            )
+        keys: dict[str, Key] = {name: COMMAND[slot.role] for name, slot in self._slots.items()}
+        self.commands = session.inbox_of_all(keys)
+        session.watch("*", self._note)
+
+    def fly(self, flight: Flight) -> None:
+        """Another flight begins: everybody is briefed anew."""
+        self._flight = flight
+        for slot in self._slots.values():
+            slot.newest = -1
+            slot.unheard.clear()
+            slot.owed = 0 if slot.sessions else None
+
+    def _note(self, name: str, place: int, present: bool) -> None:
+        """A session comes or goes; called from a thread of Zenoh's.
+
+        However often that happens, it is kept once for each place: a flood of it must neither fill the memory nor
+        stop the clock.
+        """
+        if name not in self._slots:
+            return
+        with self._gate:
+            self._arrivals[name, place] += present
+            known = (name, place) in self._changes
+            self._changes[name, place] = present
+        if not known:
+            self.commands.poke()
+
+    def follow(self) -> None:
+        """Take in who has come and gone since the last call, and name what did not decode."""
+        with self._gate:
+            changes = [
+                (name, place, self._arrivals[name, place], there)
+                for (name, place), there in self._changes.items()
+            ]
+            self._changes.clear()
+        for name, place, arrivals, present in changes:
+            slot = self._slots[name]
+            if place in slot.sessions and not (present and slot.sessions[place] == arrivals):
+                self._leave(slot, place)
+            if present and place not in slot.sessions:
+                self._arrive(slot, place, arrivals)
+        for name, slot in self._slots.items():
+            unreadable = self.commands.refused[name]
+            if unreadable > slot.refused[UNREADABLE]:
+                self._refuse(
+                    slot,
+                    UNREADABLE,
+                    self.commands.fault[name],
+                    unreadable - slot.refused[UNREADABLE],
+                )
+
+    def _arrive(self, slot: Slot, place: int, arrivals: int) -> None:
+        slot.sessions[place] = arrivals
+        if len(slot.sessions) > 1:
+            self._refuse(
+                slot,
+                SECOND_SESSION,
+                f"a second session (number {place}) has come; the first (number {slot.holder}) keeps the slot",
+            )
+            return
+        self._begin(slot)
+
+    def _begin(self, slot: Slot) -> None:
+        """A session takes the slot."""
+        slot.owed = 0
+        if slot.lost:
+            slot.rejoined += 1
+            self._flight.rejoin(slot.name)
+            self._on_event(f"{slot.name} has joined again at tick {self._flight.world.tick}")
+
+    def _leave(self, slot: Slot, place: int) -> None:
+        held = slot.holder == place
+        del slot.sessions[place]
+        if not held:
+            return
+        if not self._flight.over:
+            slot.lost += 1
+            self._on_event(f"{slot.name} is lost at tick {self._flight.world.tick}")
+        if slot.sessions:
+            self._begin(slot)
+
+    def _refuse(self, slot: Slot, cause: str, fault: str, count: int = 1) -> None:
+        if not slot.refused[cause]:
+            self._on_event(f"{slot.name}: {cause}: {fault}; refused, and from now on only counted")
+        slot.refused[cause] += count
+        slot.fault = fault[:500]
+
+    @property
+    def absent(self) -> list[str]:
+        """Vehicles that nobody sits in, in name order."""
+        return [name for name, slot in self._slots.items() if not slot.present]
+
+    @property
+    def unbriefed(self) -> list[str]:
+        """Vehicles that somebody sits in who does not know all yet."""
+        return [
+            name for name, slot in self._slots.items() if slot.present and slot.owed is not None
+        ]
+
+    def brief(self, name: str, *, parts: int | None = None) -> bool:
+        """Send a vehicle what it is owed.
+
+        Args:
+            name: The vehicle.
+            parts: At most so many messages; None: all.
+
+        Returns:
+            Whether it knows all now.
+        """
+        slot, now = self._slots[name], self._flight.world.tick
+        sent = 0
+        while slot.owed is not None and (parts is None or sent < parts):
+            end = min(slot.owed + PART, now)
+            told = briefing(self._flight.scenario, name, self._flight.seed, self._flight.secret)
+            past = self._flight.past(name, slot.owed, end, slot.unheard)
+            slot.briefings.send(
+                msgspec.structs.replace(
+                    told, past=past, more=end < now, episode=self._flight.episode
+                )
+            )
+            sent += 1
+            slot.owed = end if end < now else None
+        return slot.owed is None
+
+    def send(
+        self, observations: Mapping[str, Observation], *, parts: int | None = None
+    ) -> set[str]:
+        """Give each vehicle that is there and briefed its observation of this tick.
+
+        Args:
+            observations: Of every vehicle.
+            parts: How many messages of a briefing may go out before it; None: all.
+
+        Returns:
+            Who was given one.
+        """
+        given = set()
+        for name, observation in observations.items():
+            slot = self._slots[name]
+            if slot.sessions and (slot.owed is None or self.brief(name, parts=parts)):
+                slot.observations.send(observation)
+                slot.unheard.discard(observation.tick)
+                given.add(name)
+            else:
+                slot.unheard.add(observation.tick)
+        return given
+
+    def take(
+        self, letter: Letter, tick: int, commands: dict[str, Command], *, oldest: int | None = None
+    ) -> bool:
+        """Put a command among those of this tick, or refuse it.
+
+        Args:
+            letter: What has come.
+            tick: Now.
+            commands: Those of this tick.
+            oldest: The earliest tick that may be answered; None: any that the vehicle has not answered yet.
+
+        Returns:
+            Whether it was taken.
+        """
+        slot, command = self._slots[letter.sender], letter.message
+        if not isinstance(command, UavCommand | UgvCommand):
+            return False
+        answered = command.tick
+        if letter.place is not None and slot.present and letter.place != slot.holder:
+            self._refuse(
+                slot,
+                SECOND_SESSION,
+                f"a command for tick {answered} from the session number {letter.place}",
+            )
+        elif answered == slot.newest:
+            self._refuse(slot, TWICE, f"tick {answered} once more at tick {tick}")
+        elif (
+            answered > tick or answered < slot.newest or (oldest is not None and answered < oldest)
+        ):
+            self._refuse(slot, ANOTHER_TICK, f"tick {answered} at tick {tick}")
+        else:
+            slot.newest = answered
+            commands[letter.sender] = command
+            return True
+        return False
+
+    def name_late(self, names: list[str], tick: int, late: float) -> None:
+        """Say who has not answered by the deadline."""
+        for name in names:
+            self._slots[name].fault = f"no command for tick {tick} after {late:.1f} s"
+            self._on_event(f"{name} is late: {self._slots[name].fault}")
+
+    def status(self, name: str) -> VehicleStatus:
+        """The status of a vehicle."""
+        slot = self._slots[name]
+        return VehicleStatus(
+            present=slot.present,
+            missing_commands=self._flight.missing[name],
+            stale_commands=self._flight.stale[name],
+            lost=slot.lost,
+            rejoined=slot.rejoined,
+            refused=dict(slot.refused),
+            last_fault=slot.fault,
+        )
+
+    def statuses(self) -> dict[str, VehicleStatus]:
+        """The status of each vehicle."""
+        return {name: self.status(name) for name in self._slots}

@@ -1,0 +1,139 @@
+"""The telemetry of a run, for observers.
+
+The truth, the map and the status, to whoever listens, and never in the tick's way.
+"""
+
+import time
+from collections.abc import Callable
+
+from bus.keys import COVERAGE, GLANCE, STATUS, TRUTH
+from bus.messages import CoverageMap, Status
+from bus.session import Session
+from sim.scenario.types import LinkTable, Scenario
+from sim.scene.known import geometry_of
+from sim.server.flight import Flight
+from sim.server.operator_controls import OperatorControls
+from sim.server.sessions import Slots
+
+_PERIOD = 0.2
+"""Wall time between two status messages, and between two maps [s]."""
+_TRUTH_PERIOD = 0.025
+"""Wall time between two glances [s]: twice as often as pages draw."""
+
+
+_SHOWN = 20
+"""Changes that a status shows."""
+
+
+Warn = Callable[[Scenario, LinkTable], tuple[str, ...]]
+"""Tells what cannot be promised of a scenario whose links are now these, a line each."""
+
+
+def no_warnings(_scenario: Scenario, _links: LinkTable) -> tuple[str, ...]:
+    """Of a simulator that nobody has told what is promised."""
+    return ()
+
+
+class Telemetry:
+    """Sends what is wanted.
+
+    Args:
+        session: The simulator's session.
+        flight: What is flown.
+        slots: The vehicles' places.
+        operators: The operator controls: how time goes on, and what they have changed.
+        warn: What cannot be promised of a scenario whose links are now these, a line each.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        flight: Flight,
+        slots: Slots,
+        operators: OperatorControls,
+        warn: Warn,
+    ) -> None:
+        self._warn = warn
+        self._flight, self._slots, self._operators = flight, slots, operators
+        self._geometry = geometry_of(flight.scenario)
+        self._truth, self._glance = session.outbox(TRUTH), session.outbox(GLANCE)
+        self._map, self._status = session.outbox(COVERAGE), session.outbox(STATUS)
+        self._due = self._truth_due = 0.0
+        self._last = (0.0, 0)
+
+    def fly(self, flight: Flight) -> None:
+        """Another flight begins."""
+        self._flight, self._last = flight, (0.0, 0)
+
+    def tell(self) -> None:
+        """Send the truth of this tick, and the rest if it is time."""
+        if self._truth.wanted:
+            self._truth.send(self._flight.truth())
+        self.refresh()
+
+    def refresh(self, *, at_once: bool = False) -> None:
+        """Send the downsampled truth, status and map some times a second each.
+
+        Args:
+            at_once: Send them whenever the last ones were.
+        """
+        now = time.monotonic()
+        if now >= self._truth_due or at_once:
+            self._truth_due = now + _TRUTH_PERIOD
+            if self._glance.wanted:
+                self._glance.send(self._flight.truth())
+        if now < self._due and not at_once:
+            return
+        self._due = now + _PERIOD
+        self._slots.follow()
+        if self._status.wanted:
+            self._status.send(self.status(now))
+        if self._map.wanted:
+            self._map.send(self._coverage_map())
+
+    def status(self, now: float) -> Status:
+        """The status of the run at `now` on the monotonic clock [s]."""
+        flight, world = self._flight, self._flight.world
+        before, tick = self._last
+        self._last = (now, world.tick)
+        elapsed = now - before
+        watched = flight.watched()
+        return Status(
+            scenario=flight.scenario.name,
+            seed=flight.seed,
+            tick=world.tick,
+            ticks=flight.scenario.ticks,
+            time=world.time,
+            realtime_factor=(world.tick - tick) * flight.scenario.dt / elapsed
+            if before and elapsed > 0.0
+            else 0.0,
+            wanted_factor=self._operators.pace.factor,
+            late_ticks=self._operators.late_ticks,
+            paused=self._operators.paused,
+            law=flight.law.name,
+            drivers=dict(flight.drivers),
+            changes=tuple(self._operators.changes)[-_SHOWN:],
+            refusals=tuple(self._operators.refusals),
+            geometry=self._geometry,
+            certified={name: bool(report.certified) for name, report in watched.items()},
+            uncertified={
+                name: report.uncertified for name, report in watched.items() if not report.certified
+            },
+            certificates=flight.assurance.status(),
+            warnings=self._warn(flight.flown, world.links.table),
+            links=world.links.status(),
+            vehicles=self._slots.statuses(),
+            over=flight.over,
+        )
+
+    def _coverage_map(self) -> CoverageMap:
+        world = self._flight.world
+        rows, columns = world.coverage.shape
+        share = (world.coverage * (255.0 / world.parameters.desired)).clip(0.0, 255.0).astype("u1")
+        return CoverageMap(
+            tick=world.tick,
+            rows=rows,
+            columns=columns,
+            cell=world.parameters.cell,
+            cells=share.tobytes(),
+        )

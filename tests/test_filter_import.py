@@ -1,0 +1,45 @@
+"""filterpy's filter comes without the rest of filterpy, and the rest is there for whoever wants it."""
+
+import subprocess
+import sys
+
+
+def _printed(code: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_a_uav_pilot_loads_none_of_the_packages_that_its_filter_does_without():
+    heavy = "{'scipy.linalg', 'scipy.stats', 'filterpy.kalman.EKF', 'matplotlib'}"
+    assert _printed(f"import sys, agents.uav; print(len({heavy} & set(sys.modules)))") == "0"
+
+
+def test_filterpy_is_whole_for_whoever_imports_it_after_a_pilot_or_before():
+    whole = (
+        "from agents.estimation.kalman import KalmanFilter as ours\n"
+        "from filterpy.kalman import KalmanFilter, UnscentedKalmanFilter, update\n"
+        "from filterpy.common import Q_discrete_white_noise, Saver\n"
+        "import filterpy\n"
+        "assert ours is KalmanFilter\n"
+        "assert filterpy.stats.logpdf.__module__ == 'filterpy.stats.stats'\n"
+        "assert filterpy.__version__ and filterpy.leastsq and filterpy.kalman.EKF\n"
+        "print(Q_discrete_white_noise(2).shape, UnscentedKalmanFilter.__name__)\n"
+    )
+    expected = "(2, 2) UnscentedKalmanFilter"
+    assert _printed(whole) == expected
+    assert _printed("import filterpy.kalman\n" + whole) == expected
+
+
+def test_the_filter_has_its_likelihood_as_filterpy_computes_it():
+    likelihood = (
+        "from {} import KalmanFilter\n"
+        "f = KalmanFilter(dim_x=1, dim_z=1)\n"
+        "f.update(0.5)\n"
+        "print(repr(float(f.log_likelihood)), 'likelihood' in repr(f))\n"
+    )
+    ours = _printed(likelihood.format("agents.estimation.kalman"))
+    assert ours == _printed(likelihood.format("filterpy.kalman"))
+    assert ours.endswith("True")

@@ -1,0 +1,189 @@
+"""What a first user meets: names that collide, brackets in paths and errors, a file to begin with, the doctor."""
+
+import json
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from bus.errors import ScenarioError
+from outrider.cli.main import main
+from outrider.cli.options import scenario_of
+from sim.scenario.loading import load_scenario, scenario_names, shipped_text
+from sim.scenario.schema import field_docs, scenario_schema
+from sim.scenario.types import Scenario, Visibility
+
+
+def command(monkeypatch, *words) -> int:
+    monkeypatch.setattr(sys, "argv", ["outrider", *map(str, words)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code or 0
+
+
+def python(folder: Path, *words: str) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [sys.executable, *words], cwd=folder, capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.parametrize("name", ["agents", "bus", "sim"])
+@pytest.mark.parametrize("kind", ["module", "package"])
+def test_a_module_in_the_place_of_one_of_ours_is_named_in_one_line(tmp_path, name, kind):
+    file = tmp_path / (f"{name}.py" if kind == "module" else f"{name}/__init__.py")
+    file.parent.mkdir(exist_ok=True)
+    file.touch()
+    (tmp_path / "train.py").write_text("import outrider\n")
+    line = python(tmp_path, "train.py").stderr.splitlines()[-1]
+    assert line.startswith(f"ImportError: {file} stands in the way of")
+    assert python(tmp_path, "-P", "-c", "import outrider").returncode == 0
+    assert python(tmp_path, "-m", "outrider", "--version").returncode == 0
+
+
+def test_a_foreign_module_on_the_python_path_ends_the_command_with_one_line(tmp_path):
+    (tmp_path / "bus.py").touch()
+    run = subprocess.run(
+        [Path(sys.executable).with_name("outrider"), "--version"],
+        env={"PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 1
+    assert run.stderr.startswith(f"outrider: {tmp_path / 'bus.py'} stands in the way of")
+    assert len(run.stderr.splitlines()) == 1
+
+
+def test_a_users_function_that_wants_a_module_of_our_name_is_told_so(tmp_path, monkeypatch, capsys):
+    (tmp_path / "bus.py").write_text("speed = 0.1\n")
+    (tmp_path / "wants_bus.py").write_text(
+        "from bus import speed\n\ndef wheel(o, b): return 0, 0\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    words = ("run", "--in-process", "--driver", "policy", "--policy", "wants_bus:wheel")
+    assert command(monkeypatch, *words) == 2
+    line = capsys.readouterr().err
+    assert "bus.py beside it is not found: Outrider has that name" in line
+    assert len(line.splitlines()) == 1
+
+
+def test_brackets_in_a_path_are_no_markup(tmp_path, monkeypatch, capsys):
+    out = tmp_path / "[" / "x]" / "[bold]"
+    words = ("run", "--in-process", "--duration", "1", "--no-picture", "--out", out)
+    assert command(monkeypatch, *words) == 0
+    assert str(out / "summary.json") in capsys.readouterr().out
+
+
+def test_brackets_in_an_error_of_a_policy_reach_the_terminal(tmp_path, monkeypatch, capsys):
+    (tmp_path / "frames.py").write_text(
+        "def wheel(o, b): raise ValueError('frame [/base_link] unknown, [m/s²]')\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    words = ("--duration", "1", "--no-files", "--driver", "policy", "--policy", "frames:wheel")
+    assert command(monkeypatch, "run", *words) == 1
+    told = capsys.readouterr().err
+    assert "frame [/base_link] unknown, [m/s²]" in told
+    assert "Traceback" not in told
+
+
+def test_every_shipped_scenario_fits_the_schema_and_nonsense_does_not():
+    validator = jsonschema.Draft202012Validator(scenario_schema())
+    validator.check_schema(scenario_schema())
+    for name in scenario_names():
+        validator.validate(tomllib.loads(shipped_text(name)))
+    assert validator.is_valid(
+        {**tomllib.loads(shipped_text("escort")), "links": {"profile": "lte"}}
+    )
+    for change in ({"duratoin": 3.0}, {"dt": "0.05"}, {"seed": -1}, {"links": {"profile": "5g"}}):
+        assert not validator.is_valid({**tomllib.loads(shipped_text("escort")), **change}), change
+
+
+def test_the_schema_tells_what_the_types_say_of_a_field():
+    assert (
+        scenario_schema()["$defs"]["Scenario"]["properties"]["dt"]["description"]
+        == (field_docs(Scenario)["dt"])
+    )
+    assert field_docs(Visibility)["radius"] == "r_v [m]."
+
+
+def test_a_new_scenario_is_a_shipped_one_that_flies_and_replaces_nothing(
+    tmp_path, monkeypatch, capsys
+):
+    file = tmp_path / "mine.toml"
+    assert command(monkeypatch, "scenarios", "new", file, "--from", "circle") == 0
+    assert load_scenario(file, overrides={"name": "circle"}) == load_scenario("circle")
+    schema = json.loads((tmp_path / "scenario.schema.json").read_text())
+    assert schema == json.loads(json.dumps(scenario_schema()))
+    assert command(monkeypatch, "scenarios", "new", file) == 2
+    assert "--force" in capsys.readouterr().err
+    assert "circle" in file.read_text()
+    assert command(monkeypatch, "scenarios", "show", "circel") == 2
+    assert "circle" in capsys.readouterr().err
+
+
+def test_the_doctor_finds_what_is_here_and_what_is_not(monkeypatch, capsys):
+    from outrider.cli import doctor
+
+    monkeypatch.setitem(doctor.EXTRAS, "tls", ("no_such_library",))
+    assert command(monkeypatch, "doctor", "--json") == 0
+    found = {row["what"]: row for row in json.loads(capsys.readouterr().out)["findings"]}
+    assert found["packages"]["state"] == "ok"
+    assert found["[tls]"]["state"] == "missing"
+    assert "pip install -e '.[tls]'" in found["[tls]"]["told"]
+    assert found["[record]"]["state"] == "ok"
+
+
+def test_the_doctor_fails_where_nothing_can_fly(monkeypatch, capsys):
+    from outrider.cli import doctor
+
+    broken = doctor.Finding("packages", "wrong", "not installed: numpy")
+    monkeypatch.setattr(doctor, "CHECKS", (lambda: iter([broken]),))
+    assert command(monkeypatch, "doctor") == 1
+    assert "not installed: numpy" in capsys.readouterr().out
+
+
+def test_the_shell_completes_commands():
+    run = subprocess.run(
+        [Path(sys.executable).with_name("outrider")],
+        env={
+            "_OUTRIDER_COMPLETE": "complete_bash",
+            "COMP_WORDS": "outrider fal",
+            "COMP_CWORD": "1",
+        },
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert run.stdout.split() == ["falsify"]
+
+
+@pytest.mark.parametrize(
+    ("own", "kind", "name"),
+    [("policy", "driver", "policy"), ("weighting", "law", "weighted"), ("path", "law", "path")],
+)
+def test_a_function_of_ones_own_is_flown_or_refused_but_never_ignored(own, kind, name, capsys):
+    scenario, changes = scenario_of("escort", **{own: "mine:f"})
+    flown = scenario.ugv[0].driver if kind == "driver" else scenario.law.name
+    assert flown == name
+    assert capsys.readouterr().err == f"--{own} mine:f: so the {kind} is {name}\n"
+    assert load_scenario("escort", overrides=changes) == scenario
+    other = {"driver": "evade", "law": "linear"}[kind]
+    with pytest.raises(ScenarioError, match=f"is for --{kind} {name}, not for --{kind} {other}"):
+        scenario_of("escort", **{own: "mine:f", kind: other})
+    assert scenario_of("escort", **{own: "mine:f", kind: name})[0] == scenario
+    assert capsys.readouterr().err == ""
+
+
+def test_a_vehicle_without_a_name_gets_the_next_one(tmp_path):
+    file = tmp_path / "four.toml"
+    file.write_text(
+        "[[uav]]\nposition = [6.0, 21.0]\n[[uav]]\nposition = [8.0, 21.0]\n"
+        "[[uav]]\nname = 'uav_0'\nposition = [7.0, 21.0]\n"
+        "[[ugv]]\nposition = [6.0, 20.0]\n[[ugv]]\nposition = [30.0, 20.0]\n"
+    )
+    scenario = load_scenario(file)
+    assert [uav.name for uav in scenario.uav] == ["uav_1", "uav_2", "uav_0"]
+    assert [ugv.name for ugv in scenario.ugv] == ["ugv_0", "ugv_1"]

@@ -1,0 +1,66 @@
+"""The pages of the reference that are made from the code are whole."""
+
+import importlib
+from pathlib import Path
+from types import ModuleType
+
+import msgspec
+import pytest
+
+from bus.keys import KEYS
+from bus.messages import LinkSettings
+from outrider.cli.main import COMMANDS
+from sim.scenario.loading import scenario_names
+from sim.scenario.types import Scenario
+
+GENERATORS = Path(__file__).resolve().parent.parent / "docs" / "generators"
+
+
+@pytest.fixture
+def generator(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> ModuleType:
+    monkeypatch.syspath_prepend(GENERATORS)
+    return importlib.import_module(request.param)
+
+
+@pytest.mark.parametrize("generator", ["command_line"], indirect=True)
+def test_every_command_has_its_section_with_an_example_and_no_option_without_a_word(
+    generator: ModuleType,
+) -> None:
+    sections = dict(
+        part.split("\n", 1) for part in ("\n" + generator.page()).split("\n## outrider ")[1:]
+    )
+    assert set(sections) >= {*COMMANDS, "scenarios", "scenarios show"}
+    for name, text in sections.items():
+        assert f"```sh\noutrider {name}" in text
+        rows = [line.split(" | ") for line in text.splitlines() if line.startswith("| `")]
+        assert all(len(row) == 3 and row[1].strip() for row in rows), name
+    assert "| `--seed` INTEGER | Seed of all random numbers" in sections["run"]
+
+
+@pytest.mark.parametrize("generator", ["bus_messages"], indirect=True)
+def test_every_key_and_every_field_of_its_message_is_told(generator: ModuleType) -> None:
+    rows, sections = generator.keys().splitlines()[2:], generator.messages()
+    assert len(rows) == len(KEYS)
+    for key, row in zip(KEYS, rows, strict=True):
+        assert f"[{key.message.__name__}]" in row
+        assert f"### {key.message.__name__}\n" in sections
+        text = sections.split(f"### {key.message.__name__}\n")[1].split("\n###")[0]
+        for field in msgspec.structs.fields(key.message):
+            assert f"| `{field.encode_name}` | " in text
+
+
+@pytest.mark.parametrize("generator", ["scenario_fields"], indirect=True)
+def test_every_field_of_a_scenario_is_told_in_its_table(generator: ModuleType) -> None:
+    text = generator.tables()
+    sections = dict(part.split("\n", 1) for part in ("\n" + text).split("\n### ")[1:])
+    assert {"`[area]`", "`[law]`", "`[[uav]]`", "`[[ugv]]`", "`[[ugv.script]]`"} <= set(sections)
+    for heading, struct in (
+        ("The top of the file", Scenario),
+        ("`[links.detections]`", LinkSettings),
+    ):
+        for field in msgspec.structs.fields(struct):
+            assert f"| `{field.encode_name}` | " in sections[heading]
+    assert "| `duration` | number > 0 | `160.0` | [s], a whole number of ticks. |" in text
+    assert [row.split("`")[1] for row in generator.shipped().splitlines()[2:]] == [
+        *scenario_names()
+    ]
