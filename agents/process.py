@@ -112,7 +112,7 @@ def warm_up(role: Role) -> None:
 
 
 class _Presence:
-    """Whether the simulator is there, as the bus tells it."""
+    """Follows on the bus whether the simulator is there."""
 
     def __init__(self) -> None:
         self._sessions: set[int] = set()
@@ -126,7 +126,7 @@ class _Presence:
         return 0.0 if self._sessions else time.monotonic() - self._since
 
 
-class _Seat:
+class _Slot:
     """A vehicle's place in the run as its own process sees it: it waits for messages, but not for ever.
 
     A simulator that has lost sight of this process briefs it anew, and so does one that has been started anew. A
@@ -207,7 +207,7 @@ class _Seat:
             return seen
 
     def _is_new(self, letter: Letter) -> bool:
-        """Whether an observation is of the flight it was briefed for, and neither past nor a copy of one that it has seen."""
+        """True if an observation is of the flight it was briefed for, and neither past nor a copy of one that it has seen."""
         observation: Any = letter.message
         if (letter.session, observation.episode) != self._flight:
             return False
@@ -286,13 +286,13 @@ def fly(
         warm_up(party.role)  # before the token: nobody must wait for a compiler
     with open_session(party, run, connect=connect, credential=credential) as session:
         commands = session.outbox(COMMAND[party.role], party.name)
-        seat = _Seat(session, make_pilot, join_timeout)
+        slot = _Slot(session, make_pilot, join_timeout)
         sent = 0
         while True:
-            seen = seat.look()
+            seen = slot.look()
             if not seen:
                 continue
             if seen[-1].over:
                 return sent
-            _answer(seat.pilot, seen, commands, party.name)
+            _answer(slot.pilot, seen, commands, party.name)
             sent += 1

@@ -114,7 +114,6 @@ BY_NAME: dict[str, object] = {
     "p_y": 21.3,
     "coverage": _GROUND,
     "state": _STATE,
-    "p": _DRIVERS[-1],
     "goals": _ROUTE.goals,
     "script": _ROUTE.script,
     "route": _ROUTE,
@@ -173,6 +172,10 @@ BY_NAME: dict[str, object] = {
 """An argument of this name has this value, in every function."""
 
 IN_MODULE: dict[str, dict[str, object]] = {
+    **{
+        f"agents.drivers.{name}": {"p": _DRIVERS[-1]}
+        for name in ("waypoints", "wander", "script", "evade", "ugv_tick")
+    },
     "agents.control.guard": {"commands": np.array([[0.1, -0.2], [0.0, 0.3]]), "state": _GUARD},
     "sim.kernels.lanes": {"first": 13, "end": 76},
     "agents.estimation.twin": {
@@ -229,7 +232,7 @@ EXTRA: dict[str, dict[str, list[object]]] = {
         "v_x": [30.0, -30.0],
     },
     "agents.drivers.evade.turned": {"time": [0.1 * k for k in range(300)]},
-    "agents.drivers.evade.border_side": {"p": [0.1, 0.5, 39.9]},
+    "agents.drivers.evade.border_side": {"at": [0.1, 0.5, 39.9]},
     "agents.drivers.script.script_control": {
         "time": [0.0, 0.5, 2.0, 1e12],
         "script": [np.zeros((0, 3))],

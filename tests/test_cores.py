@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import PROPERTY
 
-from outrider.running.cores import can_be_kept_apart, halves, keep_apart
+from outrider.running.cores import can_be_kept_apart, cores_for, halves, keep_apart
 
 
 @given(st.sets(st.integers(0, 255), min_size=1))
@@ -37,10 +37,15 @@ def test_a_uav_gets_other_cores_than_the_simulator() -> None:
             child.communicate(b"\n")
 
 
-def test_a_process_that_has_gone_is_no_trouble() -> None:
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs two cores")
+def test_a_process_that_has_gone_keeps_no_other_from_its_cores() -> None:
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
-    keep_apart({gone.pid: True})
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as there:
+        keep_apart({gone.pid: True, there.pid: True})
+        found = os.sched_getaffinity(there.pid)
+        there.communicate(b"\n")
+    assert found == cores_for(is_uav=True) < os.sched_getaffinity(0)
 
 
 def test_few_vehicles_are_kept_apart_and_many_are_not() -> None:

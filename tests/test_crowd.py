@@ -63,24 +63,24 @@ def test_a_party_has_so_many_sessions_and_no_more(tmp_path: Path) -> None:
 
 def test_a_flood_of_tokens_is_kept_once_for_each_place(tmp_path: Path) -> None:
     with stage(tmp_path, 10) as run:
-        seats = run.server._seats
+        slots = run.server._slots
         for number in range(20_000):
-            seats._note("ugv_0", number % PLACES, number % 3 > 0)
-            seats._note("nobody", number % PLACES, True)
-        assert len(seats._changes) == len(seats._arrivals) == PLACES
-        seats.follow()
-        assert len(seats._seats["ugv_0"].sessions) <= PLACES
-        assert not seats._changes
+            slots._note("ugv_0", number % PLACES, number % 3 > 0)
+            slots._note("nobody", number % PLACES, True)
+        assert len(slots._changes) == len(slots._arrivals) == PLACES
+        slots.follow()
+        assert len(slots._slots["ugv_0"].sessions) <= PLACES
+        assert not slots._changes
 
 
 def test_a_session_that_goes_and_comes_between_two_looks_is_briefed_anew(tmp_path: Path) -> None:
     with stage(tmp_path, 10) as run:
-        seats = run.server._seats
-        seats._note("ugv_0", 0, True)
-        seats.follow()
-        seat = seats._seats["ugv_0"]
-        seat.owed = None
-        seats._note("ugv_0", 0, False)
-        seats._note("ugv_0", 0, True)
-        seats.follow()
-    assert (seat.lost, seat.rejoined, seat.owed, seat.holder) == (1, 1, 0, 0)
+        slots = run.server._slots
+        slots._note("ugv_0", 0, True)
+        slots.follow()
+        slot = slots._slots["ugv_0"]
+        slot.owed = None
+        slots._note("ugv_0", 0, False)
+        slots._note("ugv_0", 0, True)
+        slots.follow()
+    assert (slot.lost, slot.rejoined, slot.owed, slot.holder) == (1, 1, 0, 0)

@@ -185,11 +185,11 @@ def change(flight: Any) -> None:
     """What operators do to a flight at fixed ticks."""
     tick = flight.world.tick
     if tick == 60:
-        flight.seat("ugv_0", "wander")
+        flight.assign_driver("ugv_0", "wander")
     if tick == 100:
         flight.order(Law(name="linear"))
     if tick == 150:
-        flight.seat("ugv_0", "teleop")
+        flight.assign_driver("ugv_0", "teleop")
     if 150 <= tick < 220 and tick % 4 == 0:
         flight.say("ugv_0", Drive(driver="a person", velocity=(0.15, -0.1)))
 

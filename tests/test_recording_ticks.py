@@ -186,14 +186,14 @@ def test_a_scene_holds_every_body_and_every_track(tmp_path: Path) -> None:
 
 SPOKEN = {
     0: [("say", "ugv_0", Drive(driver="anna", velocity=(0.1, 0.0)))],
-    7: [("seat", "ugv_0", "teleop")],
+    7: [("assign_driver", "ugv_0", "teleop")],
     9: [
         ("say", "ugv_0", Drive(driver="anna", velocity=(0.1, 1.0 / 3.0))),
         ("say", "ugv_0", Drive(driver="ben", goal=(21.0, 22.0))),
     ],
     20: [("degrade", LinkKind.RADIO, "uav_0", LinkSettings(loss=0.5))],
     40: [("order", Law(name="switching"))],
-    41: [("seat", "ugv_0", "teleop"), ("say", "ugv_0", Drive(driver="anna"))],
+    41: [("assign_driver", "ugv_0", "teleop"), ("say", "ugv_0", Drive(driver="anna"))],
 }
 
 

@@ -227,11 +227,14 @@ def test_a_bad_action_is_refused_in_one_line_and_nothing_has_happened(
 
 
 def test_integers_and_lists_are_actions_too() -> None:
-    env = outrider.vector_env(SCENARIO, num_envs=2, agent="uav_0")
-    env.reset(seed=1)
-    env.step([[0, 1], [1, 0]])
-    env.step(np.zeros((2, 2), dtype=np.int32))
-    env.step(np.zeros((2, 2), dtype=np.float32))
+    actions = [[0, 1], [1, 0]]
+    seen = []
+    for asked in (np.array(actions, float), actions, *(np.array(actions, t) for t in "if")):
+        env = outrider.vector_env(SCENARIO, num_envs=2, agent="uav_0")
+        env.reset(seed=1)
+        env.step(asked)
+        seen.append(env.step(asked)[0])
+    assert all(equal(one, seen[0]) for one in seen[1:])
 
 
 EXTREMES = st.sampled_from([0.0, 1e-300, -1e-9, 0.3, -0.3, 1e6, -1e6])

@@ -31,7 +31,7 @@ PRELOADED = (
     "rich.table",
     "typer.rich_utils",
 )
-"""What vehicles and simulator load besides the pilots' code."""
+"""Modules that vehicles and simulator load besides the pilots' code."""
 
 
 def preload() -> None:

@@ -316,7 +316,7 @@ _PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream")
 
 
 def is_local(endpoint: str) -> bool:
-    """Whether only processes of this machine can reach an endpoint."""
+    """True if only processes of this machine can reach an endpoint."""
     protocol, _, address = endpoint.partition("/")
     host = address.rpartition(":")[0].strip("[]")
     return protocol.startswith("unix") or host in ("127.0.0.1", "localhost", "::1")

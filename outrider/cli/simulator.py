@@ -161,9 +161,9 @@ def command(
             ERR.print(
                 "no credentials: every process that reaches this endpoint may read and write everything"
             )
-    seats: list[Server] = []
+    servers: list[Server] = []
     recorder = _recorder(
-        record, flown, kept, seats
+        record, flown, kept, servers
     )  # a file that cannot be written shows before anybody joins
     with stop_on_signals() as stop:
         party = Party(role=Role.SIMULATOR, name=SIMULATOR_NAME)
@@ -193,7 +193,7 @@ def command(
                 stop=lambda: bool(stop),
                 warn=promise_warnings,
             )
-            seats.append(server)
+            servers.append(server)
             shown = 0.0
 
             def on_tick() -> None:
@@ -235,7 +235,7 @@ def command(
 def _recorder(
     path: Path | None, flown: "Scenario", secret: str, servers: "list[Server]"
 ) -> "FlightRecorder | None":
-    """What records the flight; the server whose vehicles it asks for comes later."""
+    """Records the flight; the server whose vehicles it asks for comes later."""
     if path is None:
         return None
     from outrider.recording.writer import FlightRecorder
@@ -252,7 +252,7 @@ def _recorder(
 def _credentials(
     file: Path | None, *, hosts: bool
 ) -> "tuple[CredentialSet | None, Credential | None]":
-    """What the router inside needs to know its clients, or what the client of another router is known by."""
+    """Credentials by which the router inside knows its clients, or that of a client of another router."""
     from bus.access import read_credentials
     from bus.keys import SIMULATOR_NAME, Role
 

@@ -1,4 +1,4 @@
-"""What the simulator's process tells the process that started it: JSON lines on stdout."""
+"""Reports of the simulator's process to the process that started it: JSON lines on stdout."""
 
 import sys
 from collections.abc import Iterator, Sequence

@@ -31,7 +31,7 @@ _LONGEST_COMMAND = 4096
 
 
 class Request(msgspec.Struct, frozen=True, kw_only=True):
-    """What a forked process is to be."""
+    """Command, environment and cores of a process that is forked."""
 
     command: list[str]
     """Its command line, from the interpreter on."""

@@ -29,9 +29,9 @@ from outrider.running.summary import Process, Summary
 from sim.scenario.types import Scenario, Ugv
 
 _PATIENCE = 10.0
-"""How long a process may take to end when it was asked to [s]."""
+"""Time that a process may take to end when it was asked to [s]."""
 _LAST_FRAME = 0.2
-"""So long after the end of the simulator the page is still served [s], so that browsers show that the run is over."""
+"""The page is still served so long after the end of the simulator [s], so that browsers show that the run is over."""
 _PORTS = range(20_000, 32_000)
 """Of this machine, below those that systems give to clients."""
 Transport = Literal["unix", "tcp", "tls"]
@@ -80,16 +80,16 @@ def _ended_afterwards() -> Iterator[list[Child]]:
 
 
 class Outcome(msgspec.Struct, kw_only=True):
-    """How a run ended."""
+    """The end of a run."""
 
     summary: Summary | None = None
     files: list[Path] = []
     fault: str = ""
-    """What failed on the way, for a person; empty where nothing did."""
+    """The failure on the way, for a person; empty where nothing did."""
 
 
 class Watcher(msgspec.Struct, frozen=True, kw_only=True):
-    """Who follows a run, and can end it."""
+    """Callbacks of whoever follows a run, and can end it."""
 
     on_tick: Callable[[int], None]
     """Called with the tick, some times a second."""
@@ -98,7 +98,7 @@ class Watcher(msgspec.Struct, frozen=True, kw_only=True):
     on_warnings: Callable[[Sequence[str]], None]
     """Called with what stands in the way of the scenario's promise, a line each."""
     stop: Callable[[], int]
-    """How often somebody has asked for the end: once ends the run in order, twice at once."""
+    """Counts who has asked for the end: once ends the run in order, twice at once."""
 
 
 NOBODY = Watcher(
@@ -232,7 +232,7 @@ class _Processes:
         self.children = children
         self._forks = forks
         self.lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-        """What the simulator reports."""
+        """Reports of the simulator, a line each."""
         self._scenario, self._folder, self._run = scenario, folder, run
         self._pin = pin and can_be_kept_apart(len(scenario.vehicles))
         self._address: Path | tuple[str, int] = folder / "bus.sock"

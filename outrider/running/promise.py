@@ -1,4 +1,4 @@
-"""Whether a scenario's UAVs can certify that they keep sight, told before it is flown and when its links change in flight.
+"""Tests before a flight, and when links change in it, whether a scenario's UAVs can certify that they keep sight.
 
 The declared assumptions are those of docs/explanation/certificate.md: A1 the error of a detection, A2 the age of the newest
 one, A5 a
@@ -27,7 +27,7 @@ _RARE = 1e-6
 
 
 class How(StrEnum):
-    """How an assumption is broken."""
+    """Frequency at which an assumption is broken."""
 
     THROUGHOUT = "for certain and throughout"
     """In every tick, or in most of them: hardly anything can be certified."""
@@ -57,7 +57,7 @@ class Shortfall(NamedTuple):
 
 @functools.lru_cache(maxsize=256)
 def promise_warnings(scenario: Scenario, links: LinkTable | None = None) -> tuple[str, ...]:
-    """What stands in the way of the law `certified`, one line each; empty for other laws, and where nothing does.
+    """Warnings of what stands in the way of the law `certified`, one line each; empty for other laws, and where nothing does.
 
     Arguments as in `shortfalls`.
     """
@@ -65,7 +65,7 @@ def promise_warnings(scenario: Scenario, links: LinkTable | None = None) -> tupl
 
 
 def how_certifiable(scenario: Scenario) -> str | None:
-    """Whether sight can be certified `always`, `not always` or `hardly ever`, as far as that is known.
+    """Tells if sight can be certified `always`, `not always` or `hardly ever`, as far as that is known.
 
     None for other laws.
     """
@@ -210,7 +210,7 @@ def _ages(link: _Link, declared: float) -> Iterator[tuple[How, str]]:
 
 
 def _queue_ticks(p: LinkParameters, period: int) -> int | None:
-    """How old, but for the way, the newest look is at most once the queue is full; None: it never fills."""
+    """Greatest age of the newest look, but for the way, once the queue is full; None: it never fills."""
     if p.spacing <= period + DUST:
         return None
     waits = (p.queue - 1) * period + 1 if p.newest else math.floor(p.queue * p.spacing)

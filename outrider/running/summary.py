@@ -21,7 +21,7 @@ class Process(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Summary(msgspec.Struct, frozen=True, kw_only=True):
-    """What `outrider run --json` prints. Over all escorts; a number that does not exist is None."""
+    """Numbers that `outrider run --json` prints, over all escorts; a number that does not exist is None."""
 
     scenario: str
     seed: int
@@ -35,7 +35,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """[s]"""
     ticks: int
     complete: bool
-    """Whether the flight reached the scenario's end."""
+    """True if the flight reached the scenario's end."""
     ticks_per_second: float
     """Wall time, from the first tick to the last."""
     max_distance: float
@@ -49,7 +49,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     switching_radius: float | None
     """r_s of (18) [m]"""
     crossings: int
-    """How often the distance rose to r_s or beyond."""
+    """Count of the ticks at which the distance rose to r_s or beyond."""
     initial_error: float
     """e(0) [m²]"""
     mean_error: float
@@ -64,7 +64,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     missing_commands: dict[str, int]
     """Ticks for which a vehicle had no new command."""
     faults: dict[str, dict[str, int]] = {}
-    """What went wrong with a vehicle's process, by cause: how often; empty where nothing did."""
+    """Faults of a vehicle's process, counted by cause; empty where nothing did."""
     certified_share: float | None = None
     """Of the ticks that a safety filter watched over, those in which sight was certified to be kept."""
     intervened_share: float | None = None
@@ -76,7 +76,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     certificate_broken: int = 0
     """Ticks that were not certified although the one before was and all assumptions held; likewise."""
     links: dict[str, LinkStatus] = {}
-    """What each link did to messages, by `vehicle/kind`."""
+    """Counts of each link's messages, by `vehicle/kind`."""
     realtime: float | None = None
     """The factor that the clock was to keep; None in lockstep."""
     realtime_factor: float
@@ -84,9 +84,9 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     late_ticks: int = 0
     """Ticks that the clock could not keep."""
     changes: list[Change] = []
-    """What operators have changed while it flew, and at which tick."""
+    """Changes by operators while it flew, with their ticks."""
     deterministic: bool
-    """Whether every command came in time and no operator had a hand in it.
+    """True if every command came in time and no operator had a hand in it.
 
     The hash is that of scenario, seed and secret.
     """
@@ -97,7 +97,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
 
 
 _FLOWN = (Action.LAW, Action.DRIVER, Action.LINK)
-"""What operators do that changes a trajectory."""
+"""Actions of operators that change a trajectory."""
 
 
 def _rms(errors: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float | None:

@@ -53,7 +53,7 @@ def load_function(name: str, *, what: str) -> Callable[..., Any] | None:
 
 
 def _named(name: str, what: str) -> Any:  # noqa: ANN401 - whatever it is
-    """What `module:name` names."""
+    """The object that `module:name` names."""
     module_name, separator, function_name = name.partition(":")
     if not (separator and module_name and function_name):
         raise ScenarioError(f"{what} = {name!r}: not of the form module:function")

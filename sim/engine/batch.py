@@ -25,7 +25,7 @@ from sim.engine.world_state import (
     first_state,
     world_parameters,
 )
-from sim.engine.world_tick import begin_world, measure, world_tick
+from sim.engine.world_tick import begin_world, measure, truth_of, world_tick
 from sim.kernels.compile import FloatArray, IntArray, entry_point, released
 from sim.kernels.records import records
 from sim.kernels.threads import Crew
@@ -48,7 +48,8 @@ def _step_worlds(t: BatchTables, s: BatchState, linked: bool, begin: int, end: i
 @released
 def _measure_worlds(t: BatchTables, s: BatchState, begin: int, end: int) -> None:
     for k in range(begin, end):
-        measure(t.world, s.truth.position[k], t.escorts, s.truth.coverage[k], s.truth.measures[k])
+        truth = truth_of(s.truth, k)
+        measure(t.world, truth.position, t.escorts, truth.coverage, truth.measures, True)
 
 
 def arrays_of(state: object) -> list[npt.NDArray[Any]]:

@@ -1,4 +1,4 @@
-"""Whether the safety filters tell the truth: what each UAV reports, held against what the simulator knows.
+"""Tests that the safety filters tell the truth: what each UAV reports, held against what the simulator knows.
 
 Two counts must be 0 in every flight of every law and network: ticks that are certified while the UGV is out of
 sight, and certificates that are lost although every declared assumption holds.
@@ -32,7 +32,7 @@ class Arrival(NamedTuple):
 
 
 class Assumptions:
-    """Whether the declared assumptions of one UAV's certificate hold, as the simulator sees them.
+    """Follows whether the declared assumptions of one UAV's certificate hold, as the simulator sees them.
 
     Args:
         certificate: What is declared to the UAV.
@@ -70,7 +70,7 @@ class Assumptions:
         self._obeyed = self._sent[due % len(self._sent)] == (due, acceleration)
 
     def hold(self, tick: int) -> bool:
-        """Whether they do now.
+        """True if they hold at this tick.
 
         The newest detection's age, all detections' errors, the command that acted just before.
         """
@@ -78,7 +78,7 @@ class Assumptions:
 
 
 class Assurance:
-    """What the safety filters of all UAVs have said so far.
+    """Collects the reports of all UAVs' safety filters.
 
     Args:
         scenario: What is flown.
@@ -106,7 +106,7 @@ class Assurance:
         self._radius = scenario.visibility.radius
         self._assumptions = [Assumptions(declared(scenario, uav), scenario.dt) for uav in uavs]
         self._promised = [False] * len(uavs)
-        """Whether the tick before was certified, and nothing excuses that this one is not."""
+        """True where the tick before was certified, and nothing excuses that this one is not."""
         self._last = [_NOBODY] * len(uavs)
 
     def send(self, uav: int, answered: int, acceleration: Vector) -> None:

@@ -44,7 +44,7 @@ from sim.world import Look, World
 
 @dataclass(slots=True)
 class News:
-    """What a vehicle is told at one tick besides what it perceives."""
+    """News for a vehicle at one tick, besides its perception."""
 
     operator: tuple[Drive, ...] = ()
     driver: str | None = None
@@ -55,7 +55,7 @@ _NO_NEWS = News()
 
 
 class Exchange(Protocol):
-    """How observations reach the vehicles and commands come back."""
+    """Takes observations to the vehicles and brings commands back."""
 
     def begin(self, tick: int) -> None:
         """A tick begins; what operators want is done before its observations are made."""
@@ -90,9 +90,9 @@ class Flight:
         self.secret = secret
         self.episode = episode
         self.law = scenario.law
-        """What the UAVs fly now."""
+        """The law that the UAVs fly now."""
         self.drivers = {ugv.name: ugv.driver for ugv in scenario.ugv}
-        """Who drives each UGV now."""
+        """The driver of each UGV now."""
         self._news: dict[str, dict[int, News]] = defaultdict(dict)
         self.world = World(scenario, seed, secret=secret)
         self.recorder = Recorder(self.world)
@@ -103,11 +103,11 @@ class Flight:
         self.first_missing: int | None = None
         """The first tick at which a vehicle's command was missing or stale."""
         self.reports: list[UavReport | None] = [None] * len(self.world.uavs)
-        """What each UAV last said of itself."""
+        """The last report of each UAV."""
         self.assurance = Assurance(scenario)
-        """What the safety filters have said, and whether it was true."""
+        """Checks the reports of the safety filters."""
         self.degradations: list[Change] = []
-        """What has been done to links while it was flown, and when."""
+        """Changes of links in flight, with their ticks."""
         self._stopped = self._abandoned = False
         self._ticks = scenario.ticks
         self._answered = dict.fromkeys(
@@ -123,11 +123,11 @@ class Flight:
         self._radios = self.world.links.of(LinkKind.RADIO)
         self._listened = -1
         self._arrived: dict[str, array[float]] = {name: array("d") for name in self.world.names}
-        """What has reached each vehicle. UAV: tick, tick of the look, p_delta; UGV: tick, time, p_delta, error."""
+        """Messages that have reached each vehicle. UAV: tick, tick of the look, p_delta; UGV: tick, time, p_delta, error."""
 
     @property
     def commands(self) -> FloatArray:
-        """What each vehicle was asked for in the last tick, before the bounds [m/s²]; shape (vehicles, 2)."""
+        """The command of each vehicle in the last tick, before the bounds [m/s²]; shape (vehicles, 2)."""
         return self.world.commands
 
     @property
@@ -137,12 +137,12 @@ class Flight:
 
     @property
     def complete(self) -> bool:
-        """Whether the scenario's last tick has been flown."""
+        """True once the scenario's last tick has been flown."""
         return self.world.tick >= self._ticks
 
     @property
     def over(self) -> bool:
-        """Whether nothing more is flown: complete, or stopped."""
+        """True once nothing more is flown: complete, or stopped."""
         return self._stopped or self.complete
 
     def stop(self) -> None:
@@ -160,7 +160,7 @@ class Flight:
         """An operator says something to a UGV; its link brings it there, at once or later."""
         self._operators[ugv].send(self.world.tick, words, self.world.tick)
 
-    def seat(self, ugv: str, driver: str) -> None:
+    def assign_driver(self, ugv: str, driver: str) -> None:
         """Another driver takes a UGV's wheel with the coming observation."""
         self._news_of(ugv).driver = self.drivers[ugv] = driver
 
@@ -186,7 +186,7 @@ class Flight:
         }
 
     def news(self, tick: int) -> dict[str, News]:
-        """What vehicles were told at a tick besides what they perceived; only those that were told something."""
+        """The news of a tick, by vehicle; only those that were told something."""
         return {name: told[tick] for name, told in self._news.items() if tick in told}
 
     def degrade(self, kind: LinkKind, vehicle: str | None, settings: LinkSettings) -> None:
@@ -233,7 +233,7 @@ class Flight:
         known: bool = True,
         over: bool = False,
     ) -> Observation:
-        """What a vehicle perceives at a tick: its own row and nothing else.
+        """The observation of a vehicle at a tick: its own row and nothing else.
 
         Args:
             name: The vehicle.
@@ -271,7 +271,7 @@ class Flight:
         )
 
     def observations(self) -> dict[str, Observation]:
-        """What each vehicle perceives at this tick: its own row and nothing else."""
+        """The observation of each vehicle at this tick: its own row and nothing else."""
         self._listen()
         world = self.world
         over, dt = self.over, world.parameters.dt
@@ -296,7 +296,7 @@ class Flight:
     def past(
         self, name: str, begin: int, end: int, unheard: Collection[int]
     ) -> tuple[Observation, ...]:
-        """What a vehicle has perceived from tick `begin` up to `end`, for a process that joins again.
+        """The observations of a vehicle from tick `begin` up to `end`, for a process that joins again.
 
         Args:
             name: The vehicle.
@@ -418,7 +418,7 @@ class Flight:
         )
 
     def _goes_on(self) -> bool:
-        """Whether nobody has stopped it meanwhile."""
+        """True if nobody has stopped it meanwhile."""
         return not self._stopped
 
     def fly(self, exchange: Exchange, *, on_tick: Callable[[], None] | None = None) -> None:

@@ -1,4 +1,4 @@
-"""The operators' desk: what they want of a run, done at the boundary of a tick."""
+"""The operator controls of a run: each takes effect at the boundary of a tick."""
 
 from collections.abc import Callable
 
@@ -22,7 +22,7 @@ MakePace = Callable[[float | None], Pace]
 """How time goes on at a factor; None is lockstep."""
 
 
-class Desk:
+class OperatorControls:
     """Takes what operators say, refuses what cannot be done, and keeps what has taken effect.
 
     Pause, step and speed change how fast simulated time goes, and nothing of the trajectory.
@@ -48,7 +48,7 @@ class Desk:
         self.steps = 0
         """Ticks that are still to be stepped through before the clock stands still again."""
         self.changes: list[Change] = []
-        """What has taken effect, the oldest first."""
+        """Controls that have taken effect, the oldest first."""
         self.refusals: list[str] = []
         """The last wishes that were refused, and why."""
         self._late_before = 0
@@ -74,7 +74,7 @@ class Desk:
         self._next_seed = None
         return self._flight
 
-    def heed(self, *, patience: float | None = None) -> None:
+    def apply(self, *, patience: float | None = None) -> None:
         """Do what operators have asked for since the last call.
 
         Args:
@@ -96,7 +96,7 @@ class Desk:
 
     def _do(self, control: Control) -> None:
         try:
-            _DEEDS[control.action](self, control)
+            _HANDLERS[control.action](self, control)
         except ScenarioError as error:
             refusal = f"an operator's {control.action} is refused: {error}"
             self.refusals = [
@@ -146,13 +146,13 @@ class Desk:
                 f"driver = {control.driver!r}: cannot take a wheel; allowed: {', '.join(allowed)}"
             )
         scenario = self._flight.scenario
-        seated = [
+        assigned = [
             msgspec.structs.replace(ugv, driver=control.driver) if ugv.name in names else ugv
             for ugv in scenario.ugv
         ]
-        check_scenario(msgspec.structs.replace(scenario, ugv=tuple(seated)), source="driver")
+        check_scenario(msgspec.structs.replace(scenario, ugv=tuple(assigned)), source="driver")
         for name in names:
-            self._flight.seat(name, control.driver)
+            self._flight.assign_driver(name, control.driver)
 
     def _link(self, control: Control) -> None:
         if control.link is None or control.settings is None:
@@ -160,15 +160,15 @@ class Desk:
         self._flight.degrade(control.link, control.vehicle, control.settings)
 
 
-_DEEDS: dict[Action, Callable[[Desk, Control], None]] = {
-    Action.PAUSE: Desk._pause,
-    Action.RESUME: Desk._resume,
-    Action.STEP: Desk._step,
-    Action.SPEED: Desk._speed,
-    Action.RESET: Desk._reset,
-    Action.LAW: Desk._law,
-    Action.DRIVER: Desk._driver,
-    Action.LINK: Desk._link,
+_HANDLERS: dict[Action, Callable[[OperatorControls, Control], None]] = {
+    Action.PAUSE: OperatorControls._pause,
+    Action.RESUME: OperatorControls._resume,
+    Action.STEP: OperatorControls._step,
+    Action.SPEED: OperatorControls._speed,
+    Action.RESET: OperatorControls._reset,
+    Action.LAW: OperatorControls._law,
+    Action.DRIVER: OperatorControls._driver,
+    Action.LINK: OperatorControls._link,
 }
 
 

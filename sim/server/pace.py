@@ -1,4 +1,4 @@
-"""When a tick is over: in lockstep, when all have answered; in real time, when the clock says so."""
+"""Decides when a tick is over: in lockstep, when all have answered; in real time, when the clock says so."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -8,7 +8,7 @@ from typing import Protocol
 from bus.errors import PeerLost
 from bus.messages import Command, Observation
 from bus.session import Session
-from sim.server.sessions import Seats
+from sim.server.sessions import Slots
 
 _LOOK_AROUND = 0.2
 """While it waits, a pace looks this often [s] at who is still there and whether somebody wants the end."""
@@ -32,7 +32,7 @@ Idle = Callable[[], bool]
 
 
 class Pace(Protocol):
-    """How the exchange with the vehicles goes on from tick to tick."""
+    """Paces the exchange with the vehicles from tick to tick."""
 
     late_ticks: int
     """Ticks that the clock could not keep."""
@@ -61,7 +61,7 @@ class _Wait:
     since: float
     limit: float
     patient: bool
-    """Whether it is waited for also where it is not there."""
+    """True if it is waited for also where it is not there."""
 
 
 class Lockstep:
@@ -69,7 +69,7 @@ class Lockstep:
 
     Args:
         session: The simulator's session.
-        seats: The vehicles' places.
+        slots: The vehicles' places.
         deadline: How long the commands of one tick may take [s].
         patience: How long a vehicle may take to come back where it is waited for, and the router to do so at all [s].
         respawn: Whether the clock stands still for a vehicle that was lost.
@@ -82,7 +82,7 @@ class Lockstep:
     def __init__(
         self,
         session: Session,
-        seats: Seats,
+        slots: Slots,
         *,
         deadline: float,
         patience: float,
@@ -90,7 +90,7 @@ class Lockstep:
         on_event: Callable[[str], None],
     ) -> None:
         self._session = session
-        self._seats = seats
+        self._slots = slots
         self._deadline = deadline
         self._patience = patience
         self._respawn = respawn
@@ -111,7 +111,7 @@ class Lockstep:
     def publish(self, observations: Mapping[str, Observation]) -> None:
         """Give each vehicle its observation."""
         self._observations = observations
-        given = self._seats.send(observations)
+        given = self._slots.send(observations)
         now = time.monotonic()
         self._given_up -= given
         self._awaited = {name: _Wait(now, self._deadline, patient=False) for name in given}
@@ -130,16 +130,16 @@ class Lockstep:
         awaited, patience = self._awaited, self._look_around
         look = time.monotonic() + patience
         while awaited:
-            letter = self._seats.commands.receive(patience)
+            letter = self._slots.commands.receive(patience)
             if letter is not None:
-                if self._seats.take(letter, tick, commands, oldest=tick):
+                if self._slots.take(letter, tick, commands, oldest=tick):
                     awaited.pop(letter.sender, None)
                     self._cut_off.pop(letter.sender, None)
                 if (
                     time.monotonic() < look
                 ):  # a flood of letters must not keep us from looking around
                     continue
-            self._seats.follow()
+            self._slots.follow()
             if idle():
                 break
             patience = self._look_around
@@ -155,7 +155,7 @@ class Lockstep:
         return commands
 
     def _bus_is_there(self) -> bool:
-        """Whether the router is; without it nobody can be blamed, and the clock stands still.
+        """True while the router is away; without it nobody can be blamed, and the clock stands still.
 
         Raises:
             PeerLost: If it does not come back.
@@ -181,23 +181,23 @@ class Lockstep:
     def _mind_the_absent(self) -> None:
         """Do without those who have gone, or wait for them; give those who are back what they have missed."""
         now = time.monotonic()
-        for name in self._awaited.keys() & set(self._seats.absent):
+        for name in self._awaited.keys() & set(self._slots.absent):
             if not self._awaited[name].patient:
                 limit = self._patience if self._is_waited_for(name) else self._grace
                 self._awaited[name] = _Wait(now, limit, patient=True)
-        back = [name for name in self._seats.unbriefed if name in self._awaited]
-        for name in self._seats.send({name: self._observations[name] for name in back}):
+        back = [name for name in self._slots.unbriefed if name in self._awaited]
+        for name in self._slots.send({name: self._observations[name] for name in back}):
             # it has all its past to work through
             self._awaited[name] = _Wait(now, self._patience, patient=self._is_waited_for(name))
 
     def _is_waited_for(self, name: str) -> bool:
-        """Whether the clock stands still for a vehicle that has gone."""
+        """True if the clock stands still for a vehicle that has gone."""
         return self._respawn or name in self._cut_off
 
     def _give_up(self, tick: int) -> None:
         now = time.monotonic()
         late = [name for name, wait in self._awaited.items() if now - wait.since >= wait.limit]
-        absent = set(self._seats.absent)
+        absent = set(self._slots.absent)
         for name in late:
             waited = now - self._awaited.pop(name).since
             if name in absent:
@@ -207,7 +207,7 @@ class Lockstep:
                         f"{name} has not come back within {waited:.1f} s; it brakes and the run goes on"
                     )
             else:
-                self._seats.name_late([name], tick, waited)
+                self._slots.name_late([name], tick, waited)
 
 
 class RealTime:
@@ -216,18 +216,18 @@ class RealTime:
     The end of tick k is due at (k + 1) dt / F after the start: computed, never summed, so it does not drift.
 
     Args:
-        seats: The vehicles' places.
+        slots: The vehicles' places.
         dt: Length of a tick [s].
         factor: F, simulated seconds per second of wall time.
         on_event: Called with one line for a person.
     """
 
     def __init__(
-        self, seats: Seats, *, dt: float, factor: float, on_event: Callable[[str], None]
+        self, slots: Slots, *, dt: float, factor: float, on_event: Callable[[str], None]
     ) -> None:
         self.factor: float | None = factor
         self.late_ticks = 0
-        self._seats = seats
+        self._slots = slots
         self._period = dt / factor
         self._on_event = on_event
         self._start: float | None = None
@@ -240,11 +240,11 @@ class RealTime:
 
     def publish(self, observations: Mapping[str, Observation]) -> None:
         """Give each vehicle its observation; a long past goes out in parts, one a tick."""
-        self._seats.follow()
-        self._seats.send(observations, parts=1)
+        self._slots.follow()
+        self._slots.send(observations, parts=1)
 
     def _due(self, tick: int) -> float:
-        """When this tick's end is due [s], on the monotonic clock."""
+        """The time at which this tick's end is due [s], on the monotonic clock."""
         now = time.monotonic()
         if self._restart or self._start is None:
             self._start, self._first, self._restart = now, tick, False
@@ -274,5 +274,5 @@ class RealTime:
         return commands
 
     def _take(self, tick: int, commands: dict[str, Command]) -> None:
-        while (letter := self._seats.commands.next_waiting()) is not None:
-            self._seats.take(letter, tick, commands)
+        while (letter := self._slots.commands.next_waiting()) is not None:
+            self._slots.take(letter, tick, commands)

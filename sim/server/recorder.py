@@ -1,4 +1,4 @@
-"""What a flight was: the record of every tick, its hash, and the numbers that sum it up."""
+"""Recording of a flight: the record of every tick, its hash, and the numbers that sum it up."""
 
 import csv
 import hashlib
@@ -20,7 +20,7 @@ _CERTIFIED = 6
 
 
 def _certificate(report: UavReport) -> tuple[float, float]:
-    """Whether the tick is certified (1 or 0), and the certified distance [m]; NaN where a report does not say."""
+    """Certified or not (1 or 0), and the certified distance [m]; NaN where a report does not say."""
     if report.certified is None:
         return math.nan, math.nan
     return float(
@@ -89,7 +89,7 @@ class Recorder:
 
     @property
     def escorts(self) -> FloatArray:
-        """What is known of each UAV and its UGV, shape (rows, UAVs, 8); NaN where there is none.
+        """Quantities of each UAV and its UGV, shape (rows, UAVs, 8); NaN where there is none.
 
         Distance [m], e(t) [m²], detected p_delta [m], estimated p_g [m], whether certified (1 or 0), certified
         distance [m].
@@ -138,7 +138,7 @@ class Recorder:
 
 
 def platform_row() -> dict[str, str]:
-    """What the bits of a trajectory depend on besides scenario and seed."""
+    """Versions and machine on which the bits of a trajectory depend, besides scenario and seed."""
     return {
         "python": platform.python_version(),
         "numpy": version("numpy"),

@@ -8,9 +8,9 @@ from bus.messages import Action, Change, Command, Observation, Status, VehicleSt
 from bus.session import Session
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
-from sim.server.operator_controls import Desk
+from sim.server.operator_controls import OperatorControls
 from sim.server.pace import Lockstep, Pace, RealTime
-from sim.server.sessions import Seats
+from sim.server.sessions import Slots
 from sim.server.telemetry import Telemetry, Warn, no_warnings
 
 
@@ -52,22 +52,22 @@ class Server:
         """Wall clock at the first tick [s]."""
         self._join_timeout = join_timeout
         self._stop = stop
-        self._seats = Seats(session, self.flight, on_event)
+        self._slots = Slots(session, self.flight, on_event)
 
         def make_pace(factor: float | None) -> Pace:
             if factor is not None:
-                return RealTime(self._seats, dt=scenario.dt, factor=factor, on_event=on_event)
+                return RealTime(self._slots, dt=scenario.dt, factor=factor, on_event=on_event)
             return Lockstep(
                 session,
-                self._seats,
+                self._slots,
                 deadline=deadline,
                 patience=join_timeout,
                 respawn=respawn,
                 on_event=on_event,
             )
 
-        self._desk = Desk(session, self.flight, make_pace, realtime, on_event)
-        self._telemetry = Telemetry(session, self.flight, self._seats, self._desk, warn)
+        self._operators = OperatorControls(session, self.flight, make_pace, realtime, on_event)
+        self._telemetry = Telemetry(session, self.flight, self._slots, self._operators, warn)
         session.announce()
 
     def join(self) -> None:
@@ -78,20 +78,20 @@ class Server:
         """
         limit = time.monotonic() + self._join_timeout
         while not self._idle():
-            self._seats.follow()
-            for name in self._seats.unbriefed:
-                self._seats.brief(name)
-            missing = self._seats.absent
+            self._slots.follow()
+            for name in self._slots.unbriefed:
+                self._slots.brief(name)
+            missing = self._slots.absent
             if not missing:
                 return
             if time.monotonic() > limit:
                 raise PeerLost(
                     f"{' and '.join(missing)} did not join within {self._join_timeout:g} s"
                 )
-            self._seats.commands.receive(0.2)
+            self._slots.commands.receive(0.2)
 
     def _idle(self) -> bool:
-        """While the simulator waits for whatever it is: heed who wants the end, and tell observers how it stands."""
+        """While the simulator waits for whatever it is: look who wants the end, and tell observers how it stands."""
         if self._stop():
             self.flight.stop()
         self._telemetry.refresh()
@@ -99,45 +99,45 @@ class Server:
 
     def begin(self, tick: int) -> None:
         """Do what operators want, and stand still for as long as they want it."""
-        desk = self._desk
-        desk.heed()
-        if desk.paused and not self.flight.over:
-            if not desk.steps:
+        operators = self._operators
+        operators.apply()
+        if operators.paused and not self.flight.over:
+            if not operators.steps:
                 self._stand_still()
-            desk.steps = max(0, desk.steps - 1)
-        desk.listen()
+            operators.steps = max(0, operators.steps - 1)
+        operators.listen()
 
     def _stand_still(self) -> None:
-        desk = self._desk
+        operators = self._operators
         self._telemetry.refresh(at_once=True)
-        while desk.paused and not desk.steps and not self._idle():
-            desk.heed(patience=0.2)
-        desk.pace.restart()
+        while operators.paused and not operators.steps and not self._idle():
+            operators.apply(patience=0.2)
+        operators.pace.restart()
 
     def publish(self, observations: Mapping[str, Observation]) -> None:
         """Give each vehicle that is there its observation of this tick, and observers what they listen to."""
-        self._desk.pace.publish(observations)
+        self._operators.pace.publish(observations)
         self._telemetry.tell()
 
     def collect(self, tick: int) -> dict[str, Command]:
         """The commands for this tick, once it is over."""
         if self._stop():
             self.flight.stop()
-        return self._desk.pace.collect(tick, self._idle)
+        return self._operators.pace.collect(tick, self._idle)
 
     def status(self, now: float) -> Status:
-        """How the run stands, `now` on the monotonic clock [s]."""
+        """The status of the run at `now` on the monotonic clock [s]."""
         return self._telemetry.status(now)
 
     def vehicles(self) -> dict[str, VehicleStatus]:
-        """How each vehicle's process has done so far."""
-        self._seats.follow()
-        return self._seats.statuses()
+        """The status of each vehicle's process so far."""
+        self._slots.follow()
+        return self._slots.statuses()
 
     @property
     def changes(self) -> tuple[Change, ...]:
-        """What operators have changed in this flight so far, and when."""
-        changes = self._desk.changes
+        """Changes by operators in this flight so far, with their ticks."""
+        changes = self._operators.changes
         begun = max(
             (n + 1 for n, change in enumerate(changes) if change.control.action is Action.RESET),
             default=0,
@@ -147,7 +147,7 @@ class Server:
     @property
     def late_ticks(self) -> int:
         """Ticks that the clock could not keep."""
-        return self._desk.late_ticks
+        return self._operators.late_ticks
 
     def fly(self, *, on_tick: Callable[[], None] | None = None) -> Flight:
         """Wait for the vehicles, fly to the end (or to `flight.stop()`), and tell everybody that it is over.
@@ -159,12 +159,12 @@ class Server:
         self.started = time.perf_counter()
         while not self.flight.over:
             self.flight.fly(self, on_tick=on_tick)
-            again = self._desk.next_flight()
+            again = self._operators.next_flight()
             if again is not None:
                 self.flight = again
-                self._seats.fly(again)
+                self._slots.fly(again)
                 self._telemetry.fly(again)
-                self._desk.pace.restart()
+                self._operators.pace.restart()
                 self.started = time.perf_counter()
         self._telemetry.refresh(at_once=True)
         return self.flight

@@ -24,7 +24,7 @@ SECOND_SESSION = "comes from a second session"
 
 
 @dataclass(slots=True, kw_only=True)
-class Seat:
+class Slot:
     """One vehicle's place. The first session that comes holds it until it goes; then the next one does."""
 
     name: str
@@ -46,7 +46,7 @@ class Seat:
 
     @property
     def present(self) -> bool:
-        """Whether anybody is there."""
+        """True while a session is there."""
         return bool(self.sessions)
 
     @property
@@ -55,7 +55,7 @@ class Seat:
         return next(iter(self.sessions), None)
 
 
-class Seats:
+class Slots:
     """All vehicles' places, and the inbox that their commands come to.
 
     Args:
@@ -74,26 +74,26 @@ class Seats:
         self._changes: dict[
             tuple[str, int], bool
         ] = {}  # where somebody came or went since they were last taken in
-        self._seats: dict[str, Seat] = {}
+        self._slots: dict[str, Slot] = {}
         for vehicle in flight.scenario.vehicles:
             role = Role.UAV if isinstance(vehicle, Uav) else Role.UGV
-            self._seats[vehicle.name] = Seat(
+            self._slots[vehicle.name] = Slot(
                 name=vehicle.name,
                 role=role,
                 briefings=session.outbox(BRIEFING[role], vehicle.name),
                 observations=session.outbox(OBSERVATION[role], vehicle.name),
             )
-        keys: dict[str, Key] = {name: COMMAND[seat.role] for name, seat in self._seats.items()}
+        keys: dict[str, Key] = {name: COMMAND[slot.role] for name, slot in self._slots.items()}
         self.commands = session.inbox_of_all(keys)
         session.watch("*", self._note)
 
     def fly(self, flight: Flight) -> None:
         """Another flight begins: everybody is briefed anew."""
         self._flight = flight
-        for seat in self._seats.values():
-            seat.newest = -1
-            seat.unheard.clear()
-            seat.owed = 0 if seat.sessions else None
+        for slot in self._slots.values():
+            slot.newest = -1
+            slot.unheard.clear()
+            slot.owed = 0 if slot.sessions else None
 
     def _note(self, name: str, place: int, present: bool) -> None:
         """A session comes or goes; called from a thread of Zenoh's.
@@ -101,7 +101,7 @@ class Seats:
         However often that happens, it is kept once for each place: a flood of it must neither fill the memory nor
         stop the clock.
         """
-        if name not in self._seats:
+        if name not in self._slots:
             return
         with self._gate:
             self._arrivals[name, place] += present
@@ -119,67 +119,67 @@ class Seats:
             ]
             self._changes.clear()
         for name, place, arrivals, present in changes:
-            seat = self._seats[name]
-            if place in seat.sessions and not (present and seat.sessions[place] == arrivals):
-                self._leave(seat, place)
-            if present and place not in seat.sessions:
-                self._arrive(seat, place, arrivals)
-        for name, seat in self._seats.items():
+            slot = self._slots[name]
+            if place in slot.sessions and not (present and slot.sessions[place] == arrivals):
+                self._leave(slot, place)
+            if present and place not in slot.sessions:
+                self._arrive(slot, place, arrivals)
+        for name, slot in self._slots.items():
             unreadable = self.commands.refused[name]
-            if unreadable > seat.refused[UNREADABLE]:
+            if unreadable > slot.refused[UNREADABLE]:
                 self._refuse(
-                    seat,
+                    slot,
                     UNREADABLE,
                     self.commands.fault[name],
-                    unreadable - seat.refused[UNREADABLE],
+                    unreadable - slot.refused[UNREADABLE],
                 )
 
-    def _arrive(self, seat: Seat, place: int, arrivals: int) -> None:
-        seat.sessions[place] = arrivals
-        if len(seat.sessions) > 1:
+    def _arrive(self, slot: Slot, place: int, arrivals: int) -> None:
+        slot.sessions[place] = arrivals
+        if len(slot.sessions) > 1:
             self._refuse(
-                seat,
+                slot,
                 SECOND_SESSION,
-                f"a second session (number {place}) has come; the first (number {seat.holder}) keeps the seat",
+                f"a second session (number {place}) has come; the first (number {slot.holder}) keeps the slot",
             )
             return
-        self._begin(seat)
+        self._begin(slot)
 
-    def _begin(self, seat: Seat) -> None:
-        """A session takes the seat."""
-        seat.owed = 0
-        if seat.lost:
-            seat.rejoined += 1
-            self._flight.rejoin(seat.name)
-            self._on_event(f"{seat.name} has joined again at tick {self._flight.world.tick}")
+    def _begin(self, slot: Slot) -> None:
+        """A session takes the slot."""
+        slot.owed = 0
+        if slot.lost:
+            slot.rejoined += 1
+            self._flight.rejoin(slot.name)
+            self._on_event(f"{slot.name} has joined again at tick {self._flight.world.tick}")
 
-    def _leave(self, seat: Seat, place: int) -> None:
-        held = seat.holder == place
-        del seat.sessions[place]
+    def _leave(self, slot: Slot, place: int) -> None:
+        held = slot.holder == place
+        del slot.sessions[place]
         if not held:
             return
         if not self._flight.over:
-            seat.lost += 1
-            self._on_event(f"{seat.name} is lost at tick {self._flight.world.tick}")
-        if seat.sessions:
-            self._begin(seat)
+            slot.lost += 1
+            self._on_event(f"{slot.name} is lost at tick {self._flight.world.tick}")
+        if slot.sessions:
+            self._begin(slot)
 
-    def _refuse(self, seat: Seat, cause: str, fault: str, count: int = 1) -> None:
-        if not seat.refused[cause]:
-            self._on_event(f"{seat.name}: {cause}: {fault}; refused, and from now on only counted")
-        seat.refused[cause] += count
-        seat.fault = fault[:500]
+    def _refuse(self, slot: Slot, cause: str, fault: str, count: int = 1) -> None:
+        if not slot.refused[cause]:
+            self._on_event(f"{slot.name}: {cause}: {fault}; refused, and from now on only counted")
+        slot.refused[cause] += count
+        slot.fault = fault[:500]
 
     @property
     def absent(self) -> list[str]:
         """Vehicles that nobody sits in, in name order."""
-        return [name for name, seat in self._seats.items() if not seat.present]
+        return [name for name, slot in self._slots.items() if not slot.present]
 
     @property
     def unbriefed(self) -> list[str]:
         """Vehicles that somebody sits in who does not know all yet."""
         return [
-            name for name, seat in self._seats.items() if seat.present and seat.owed is not None
+            name for name, slot in self._slots.items() if slot.present and slot.owed is not None
         ]
 
     def brief(self, name: str, *, parts: int | None = None) -> bool:
@@ -192,20 +192,20 @@ class Seats:
         Returns:
             Whether it knows all now.
         """
-        seat, now = self._seats[name], self._flight.world.tick
+        slot, now = self._slots[name], self._flight.world.tick
         sent = 0
-        while seat.owed is not None and (parts is None or sent < parts):
-            end = min(seat.owed + PART, now)
+        while slot.owed is not None and (parts is None or sent < parts):
+            end = min(slot.owed + PART, now)
             told = briefing(self._flight.scenario, name, self._flight.seed, self._flight.secret)
-            past = self._flight.past(name, seat.owed, end, seat.unheard)
-            seat.briefings.send(
+            past = self._flight.past(name, slot.owed, end, slot.unheard)
+            slot.briefings.send(
                 msgspec.structs.replace(
                     told, past=past, more=end < now, episode=self._flight.episode
                 )
             )
             sent += 1
-            seat.owed = end if end < now else None
-        return seat.owed is None
+            slot.owed = end if end < now else None
+        return slot.owed is None
 
     def send(
         self, observations: Mapping[str, Observation], *, parts: int | None = None
@@ -221,13 +221,13 @@ class Seats:
         """
         given = set()
         for name, observation in observations.items():
-            seat = self._seats[name]
-            if seat.sessions and (seat.owed is None or self.brief(name, parts=parts)):
-                seat.observations.send(observation)
-                seat.unheard.discard(observation.tick)
+            slot = self._slots[name]
+            if slot.sessions and (slot.owed is None or self.brief(name, parts=parts)):
+                slot.observations.send(observation)
+                slot.unheard.discard(observation.tick)
                 given.add(name)
             else:
-                seat.unheard.add(observation.tick)
+                slot.unheard.add(observation.tick)
         return given
 
     def take(
@@ -244,24 +244,24 @@ class Seats:
         Returns:
             Whether it was taken.
         """
-        seat, command = self._seats[letter.sender], letter.message
+        slot, command = self._slots[letter.sender], letter.message
         if not isinstance(command, UavCommand | UgvCommand):
             return False
         answered = command.tick
-        if letter.place is not None and seat.present and letter.place != seat.holder:
+        if letter.place is not None and slot.present and letter.place != slot.holder:
             self._refuse(
-                seat,
+                slot,
                 SECOND_SESSION,
                 f"a command for tick {answered} from the session number {letter.place}",
             )
-        elif answered == seat.newest:
-            self._refuse(seat, TWICE, f"tick {answered} once more at tick {tick}")
+        elif answered == slot.newest:
+            self._refuse(slot, TWICE, f"tick {answered} once more at tick {tick}")
         elif (
-            answered > tick or answered < seat.newest or (oldest is not None and answered < oldest)
+            answered > tick or answered < slot.newest or (oldest is not None and answered < oldest)
         ):
-            self._refuse(seat, ANOTHER_TICK, f"tick {answered} at tick {tick}")
+            self._refuse(slot, ANOTHER_TICK, f"tick {answered} at tick {tick}")
         else:
-            seat.newest = answered
+            slot.newest = answered
             commands[letter.sender] = command
             return True
         return False
@@ -269,22 +269,22 @@ class Seats:
     def name_late(self, names: list[str], tick: int, late: float) -> None:
         """Say who has not answered by the deadline."""
         for name in names:
-            self._seats[name].fault = f"no command for tick {tick} after {late:.1f} s"
-            self._on_event(f"{name} is late: {self._seats[name].fault}")
+            self._slots[name].fault = f"no command for tick {tick} after {late:.1f} s"
+            self._on_event(f"{name} is late: {self._slots[name].fault}")
 
     def status(self, name: str) -> VehicleStatus:
-        """How a vehicle stands."""
-        seat = self._seats[name]
+        """The status of a vehicle."""
+        slot = self._slots[name]
         return VehicleStatus(
-            present=seat.present,
+            present=slot.present,
             missing_commands=self._flight.missing[name],
             stale_commands=self._flight.stale[name],
-            lost=seat.lost,
-            rejoined=seat.rejoined,
-            refused=dict(seat.refused),
-            last_fault=seat.fault,
+            lost=slot.lost,
+            rejoined=slot.rejoined,
+            refused=dict(slot.refused),
+            last_fault=slot.fault,
         )
 
     def statuses(self) -> dict[str, VehicleStatus]:
-        """How each stands."""
-        return {name: self.status(name) for name in self._seats}
+        """The status of each vehicle."""
+        return {name: self.status(name) for name in self._slots}

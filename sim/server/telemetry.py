@@ -1,4 +1,4 @@
-"""What the simulator tells observers.
+"""The telemetry of a run, for observers.
 
 The truth, the map and the status, to whoever listens, and never in the tick's way.
 """
@@ -12,12 +12,12 @@ from bus.session import Session
 from sim.scenario.types import LinkTable, Scenario
 from sim.scene.known import geometry_of
 from sim.server.flight import Flight
-from sim.server.operator_controls import Desk
-from sim.server.sessions import Seats
+from sim.server.operator_controls import OperatorControls
+from sim.server.sessions import Slots
 
 _PERIOD = 0.2
 """Wall time between two status messages, and between two maps [s]."""
-_GLANCE_PERIOD = 0.025
+_TRUTH_PERIOD = 0.025
 """Wall time between two glances [s]: twice as often as pages draw."""
 
 
@@ -40,20 +40,25 @@ class Telemetry:
     Args:
         session: The simulator's session.
         flight: What is flown.
-        seats: The vehicles' places.
-        desk: The operators' desk: how time goes on, and what they have changed.
+        slots: The vehicles' places.
+        operators: The operator controls: how time goes on, and what they have changed.
         warn: What cannot be promised of a scenario whose links are now these, a line each.
     """
 
     def __init__(
-        self, session: Session, flight: Flight, seats: Seats, desk: Desk, warn: Warn
+        self,
+        session: Session,
+        flight: Flight,
+        slots: Slots,
+        operators: OperatorControls,
+        warn: Warn,
     ) -> None:
         self._warn = warn
-        self._flight, self._seats, self._desk = flight, seats, desk
+        self._flight, self._slots, self._operators = flight, slots, operators
         self._geometry = geometry_of(flight.scenario)
         self._truth, self._glance = session.outbox(TRUTH), session.outbox(GLANCE)
         self._map, self._status = session.outbox(COVERAGE), session.outbox(STATUS)
-        self._due = self._glance_due = 0.0
+        self._due = self._truth_due = 0.0
         self._last = (0.0, 0)
 
     def fly(self, flight: Flight) -> None:
@@ -67,27 +72,27 @@ class Telemetry:
         self.refresh()
 
     def refresh(self, *, at_once: bool = False) -> None:
-        """Send a glance, status and map some times a second each.
+        """Send the downsampled truth, status and map some times a second each.
 
         Args:
             at_once: Send them whenever the last ones were.
         """
         now = time.monotonic()
-        if now >= self._glance_due or at_once:
-            self._glance_due = now + _GLANCE_PERIOD
+        if now >= self._truth_due or at_once:
+            self._truth_due = now + _TRUTH_PERIOD
             if self._glance.wanted:
                 self._glance.send(self._flight.truth())
         if now < self._due and not at_once:
             return
         self._due = now + _PERIOD
-        self._seats.follow()
+        self._slots.follow()
         if self._status.wanted:
             self._status.send(self.status(now))
         if self._map.wanted:
             self._map.send(self._coverage_map())
 
     def status(self, now: float) -> Status:
-        """How the run stands, `now` on the monotonic clock [s]."""
+        """The status of the run at `now` on the monotonic clock [s]."""
         flight, world = self._flight, self._flight.world
         before, tick = self._last
         self._last = (now, world.tick)
@@ -102,13 +107,13 @@ class Telemetry:
             realtime_factor=(world.tick - tick) * flight.scenario.dt / elapsed
             if before and elapsed > 0.0
             else 0.0,
-            wanted_factor=self._desk.pace.factor,
-            late_ticks=self._desk.late_ticks,
-            paused=self._desk.paused,
+            wanted_factor=self._operators.pace.factor,
+            late_ticks=self._operators.late_ticks,
+            paused=self._operators.paused,
             law=flight.law.name,
             drivers=dict(flight.drivers),
-            changes=tuple(self._desk.changes)[-_SHOWN:],
-            refusals=tuple(self._desk.refusals),
+            changes=tuple(self._operators.changes)[-_SHOWN:],
+            refusals=tuple(self._operators.refusals),
             geometry=self._geometry,
             certified={name: bool(report.certified) for name, report in watched.items()},
             uncertified={
@@ -117,7 +122,7 @@ class Telemetry:
             certificates=flight.assurance.status(),
             warnings=self._warn(flight.flown, world.links.table),
             links=world.links.status(),
-            vehicles=self._seats.statuses(),
+            vehicles=self._slots.statuses(),
             over=flight.over,
         )
 
