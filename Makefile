@@ -8,7 +8,7 @@ PIP    := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-che
 .DEFAULT_GOAL := help
 LEARNERS := sb3 torchrl rllib supersuit
 
-.PHONY: help run test check format figures bench docs soak kill-test crowd-test compose-test page-test learn-test clean
+.PHONY: help run test long-test check format figures bench docs soak kill-test crowd-test compose-test page-test learn-test clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
@@ -46,6 +46,9 @@ figures: $(VENV)/.run ## the paper's figures and the table of their claims
 
 bench: $(VENV)/.run ## the speed of each layer beside its limit
 	$(BIN)/outrider bench $(ARGS)
+
+long-test: $(VENV)/.dev ## the tests that repeat for long what a short one of the suite shows
+	$(BIN)/python -m pytest -n 2 --dist loadgroup -m long $(ARGS)
 
 docs: $(VENV)/.docs ## the documentation as a site that works offline, in site/index.html
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict $(ARGS) && echo "open site/index.html"

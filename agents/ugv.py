@@ -46,9 +46,9 @@ class UgvPilot:
     ) -> None:
         self._briefing = briefing
         self._policy, self._policy_name = policy, policy_name
-        self._driver = driver or self._seat(briefing.driver)
+        self._driver = driver or self._make(briefing.driver)
 
-    def _seat(self, name: str) -> Driver:
+    def _make(self, name: str) -> Driver:
         if name in DRIVERS and DRIVERS[name].own:
             if self._policy is None:
                 raise ScenarioError(
@@ -62,5 +62,5 @@ class UgvPilot:
     def act(self, observation: UgvObservation) -> UgvCommand:
         """The command for this observation."""
         if observation.driver is not None:
-            self._driver = self._seat(observation.driver)
+            self._driver = self._make(observation.driver)
         return UgvCommand(tick=observation.tick, acceleration=self._driver.drive(observation))

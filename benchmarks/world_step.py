@@ -1,4 +1,4 @@
-"""Where the time of a world-step goes, by leaving one thing after the other out, and what the least is that it can cost.
+"""The cost of a world-step, by leaving one thing after the other out, and the least that it can be.
 
 python benchmarks/world_step.py --seconds 15
 """
@@ -43,11 +43,11 @@ FLOPS = {
     "coverage_error": 30,
     "coverage_gradient": 42,
 }
-"""Additions, multiplications, divisions and comparisons of each cell, counted in sim/models/field.py with the sensor `hill`."""
+"""Operations of each cell, divisions and comparisons included, counted in sim/models/field.py with the sensor `hill`."""
 
 
 def disc(radius: float, cell: float, width: float) -> tuple[int, float]:
-    """Cells of a disc in the middle of the area, and the cache lines that they lie in, on average over where a line begins.
+    """Cells of a disc in the middle of the area, and their cache lines, on average over where a line begins.
 
     Args:
         radius: [m].
@@ -61,7 +61,7 @@ def disc(radius: float, cell: float, width: float) -> tuple[int, float]:
 
 
 def floor(scenario: Scenario) -> dict[str, Any]:
-    """What a world-step has to compute and to move, with e(t) at every tick and with only the fall of it.
+    """Counts what a world-step has to compute and to move, with e(t) at every tick and with only the fall of it.
 
     The sensor's disc lies within the density's as long as the UGV is in sight, so its lines are counted once.
     """

@@ -213,7 +213,10 @@ def end_connections(links: Collection[Link]) -> list[Link]:
     Returns:
         Those that were found.
     """
-    wanted = {_ends(link): link for link in links}
+    wanted: dict[_Ends, Link] = {}
+    for one in links:
+        with suppress(ValueError):  # an end that is no address is not found either
+            wanted[_ends(one)] = one
     ended: list[Link] = []
     for number in os.listdir("/dev/fd") if wanted else ():
         with suppress(OSError, ValueError):

@@ -1,4 +1,4 @@
-"""How well a learned UAV does beside the paper's laws, on flights that its training never saw."""
+"""Compares a learned UAV with the paper's laws, on flights that its training never saw."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -27,7 +27,7 @@ VALIDATION_SEEDS = tuple(range(800_001, 800_017))
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """What is flown."""
+    """A scenario and a driver to be flown."""
 
     title: str
     scenario: str

@@ -1,6 +1,6 @@
 """One policy for both vehicles with SuperSuit's conversions and Stable-Baselines3's PPO.
 
-pip install 'outrider[supersuit]'
+pip install -e '.[supersuit]'
 python examples/supersuit_sb3.py --steps 2000 --out runs/supersuit
 """
 

@@ -1,6 +1,6 @@
 """Both vehicles learn with RLlib's PPO, a policy for the UAVs and one for the UGVs.
 
-pip install 'outrider[rllib]'
+pip install -e '.[rllib]'
 python examples/train_rllib.py --iterations 2 --out runs/rllib
 """
 

@@ -2,7 +2,7 @@
 
 The policies see their own observations alone; the critics, which nobody flies with, see the true state.
 
-    pip install 'outrider[torchrl]'
+    pip install -e '.[torchrl]'
     python examples/train_torchrl.py --minutes 10 --out runs/torchrl
 """
 

@@ -2,7 +2,7 @@
 
 PPO of Stable-Baselines3, many worlds at once, on a processor.
 
-python -m pip install 'outrider[sb3]'; python examples/train_uav.py --minutes 12
+python -m pip install -e '.[sb3]'; python examples/train_uav.py --minutes 12
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""What all figures share beside the scene: how one is made and saved, its axes over time, legends, colours of laws.
+"""The look of all figures beside the scene: how one is made and saved, its axes over time, legends, colours of laws.
 
 Colours of vehicles and limits, fonts and the map itself are the scene's (`sim.scene`).
 """

@@ -2,11 +2,18 @@
 
 from typing import Any
 
+import msgspec
+
 from agents.control.laws import LawParameters, law_parameters
-from bus.messages import Law, UavBriefing
+from bus.messages import (
+    Law,
+    UavBriefing,
+)
+from bus.profiles import PROFILES
 from sim.engine.briefing import briefing
 from sim.kernels.compile import FloatArray
-from sim.scenario.types import Scenario, Uav, Ugv
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import LinkTable, Scenario, Uav, Ugv
 from sim.server.flight import Flight
 
 V_A, U_A, V_G, U_G = 0.6, 0.3, 0.2, 0.1  # the paper's vehicles: speeds [m/s], accelerations [m/s²]
@@ -61,3 +68,12 @@ def distances(flight: Flight) -> FloatArray:
 def errors(flight: Flight) -> FloatArray:
     """e(t) of (4) at each tick [m²]."""
     return flight.recorder.escorts[:, 0, 1]
+
+
+POOR = PROFILES["wifi-poor"]
+BAD = LinkTable(detections=POOR, commands=PROFILES["jammed"], operator=POOR, radio=POOR)
+
+
+def degraded(ticks: int, links: LinkTable = BAD) -> Scenario:
+    scenario = load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}"])
+    return msgspec.structs.replace(scenario, links=links)

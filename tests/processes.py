@@ -1,28 +1,31 @@
 """Runs with real processes, for the tests: starting them, looking at them, and what they leave behind."""
 
 import json
-import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
-import pytest
-
 from bus.access import read_credential
-from bus.keys import STATUS, Party, Role
-from bus.messages import Status
+from bus.keys import CONTROL, STATUS, Party, Role
+from bus.messages import Action, Control, Status
 from bus.session import Session, open_session
 
 OUTRIDER = [sys.executable, "-m", "outrider"]
 
 
-def outrider(*arguments: str, timeout: float = 120.0) -> "subprocess.CompletedProcess[str]":
+def outrider(
+    *arguments: str, timeout: float = 120.0, cwd: Path | None = None
+) -> "subprocess.CompletedProcess[str]":
     return subprocess.run(
-        [*OUTRIDER, *arguments], capture_output=True, text=True, check=False, timeout=timeout
+        [*OUTRIDER, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=timeout,
+        cwd=cwd,
     )
 
 
@@ -33,10 +36,21 @@ def run_json(*arguments: str) -> dict[str, object]:
     return summary
 
 
-def family(pid: int) -> list[int]:
+def children_of(pid: int) -> list[int]:
     """Children of a process, by the kernel's own list."""
     text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii")
     return [int(child) for child in text.split()]
+
+
+def kind_of(pid: int) -> str:
+    """The command that a process of a run flies; empty for another, such as the one that forks them."""
+    words = command_line(pid).split()
+    return words[words.index("outrider") + 1] if "outrider" in words else ""
+
+
+def family(pid: int) -> list[int]:
+    """The processes of a run: its children without the one that forks them."""
+    return [child for child in children_of(pid) if kind_of(child)]
 
 
 def alive(pid: int) -> bool:
@@ -63,34 +77,24 @@ def wait_until(
         time.sleep(0.02)
 
 
-@pytest.fixture
-def nothing_left_behind(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Each test has a folder for temporary things of its own, which must be empty in the end.
-
-    Its path is short, for sockets.
-    """
-    with tempfile.TemporaryDirectory(prefix="o-") as folder:
-        monkeypatch.setenv("TMPDIR", folder)
-        yield
-        wait_until(
-            lambda: not os.listdir(folder),
-            told=lambda: f"left behind: {[str(path) for path in Path(folder).rglob('*')]}",
-        )
-
-
 @contextmanager
-def observing(run: "subprocess.Popen[str]") -> Iterator[Session]:
-    """An observer's session on the bus of a run."""
+def joined(run: "subprocess.Popen[str]", role: Role) -> Iterator[Session]:
+    """A session of an observer or operator on the bus of a run."""
     words = command_line(child_of(run, "simulator")).split()
     endpoint, name, known = (
         words[words.index(option) + 1] for option in ("--listen", "--run", "--credentials")
     )
     wait_until(lambda: Path(endpoint.removeprefix("unixsock-stream/")).exists())
-    credential = read_credential(Path(known).with_name("observer.json"))
+    credential = read_credential(Path(known).with_name(f"{role.value}.json"))
     with open_session(
-        Party(role=Role.OBSERVER, name="observer"), name, connect=endpoint, credential=credential
+        Party(role=role, name=role.value), name, connect=endpoint, credential=credential
     ) as session:
         yield session
+
+
+def observing(run: "subprocess.Popen[str]") -> AbstractContextManager[Session]:
+    """An observer's session on the bus of a run."""
+    return joined(run, Role.OBSERVER)
 
 
 def await_status(
@@ -109,17 +113,32 @@ def await_status(
     raise AssertionError(f"never came; the last status was {last}")
 
 
+def fly_to(operator: Session, tick: int) -> None:
+    """Let a run that has not begun fly so far, hold it there until that is known, and let it go on."""
+    controls = operator.outbox(CONTROL)
+    wait_until(lambda: controls.wanted)  # the simulator is there to be told
+    controls.send(Control(action=Action.STEP, ticks=tick))
+    await_status(operator, lambda status: status.paused and status.tick >= tick)
+    controls.send(Control(action=Action.RESUME))
+    await_status(
+        operator, lambda status: not status.paused
+    )  # else a router that dies takes it away
+
+
 @contextmanager
 def flying(*arguments: str) -> Iterator["subprocess.Popen[str]"]:
-    """A run in the background that is under way: all its children are there and it has flown for a moment."""
+    """A run in the background that is under way: all its processes are there and it has flown 20 ticks.
+
+    It is held there, so that nothing of it is over when the test begins, and goes on with the test.
+    """
     run = subprocess.Popen(
         [*OUTRIDER, "run", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     try:
-        wait_until(lambda: len(family(run.pid)) == 3)
-        with observing(run) as session:
-            await_status(session, lambda status: status.tick > 20)
-        yield run
+        wait_until(lambda: "simulator" in map(kind_of, family(run.pid)))
+        with joined(run, Role.OPERATOR) as operator:
+            fly_to(operator, 20)
+            yield run
     finally:
         if run.poll() is None:
             run.kill()
@@ -130,7 +149,11 @@ def flying(*arguments: str) -> Iterator["subprocess.Popen[str]"]:
 
 
 def command_line(pid: int) -> str:
-    return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
+    """Its words, with a blank between two; empty for one that has ended."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes().rstrip(b"\0").replace(b"\0", b" ").decode()
+    except (FileNotFoundError, ProcessLookupError):
+        return ""
 
 
 def blocks(pid: int, number: int) -> bool:
@@ -143,4 +166,4 @@ def blocks(pid: int, number: int) -> bool:
 
 
 def child_of(run: "subprocess.Popen[str]", what: str) -> int:
-    return next(pid for pid in family(run.pid) if f" outrider {what} " in command_line(pid))
+    return next(pid for pid in family(run.pid) if kind_of(pid) == what)

@@ -14,6 +14,7 @@ from agents import process
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.access import new_credentials
+from bus.keys import CONTROL, STATUS
 from bus.messages import Status
 from bus.session import Session, open_session
 from outrider.running.flying import fly
@@ -145,3 +146,28 @@ def await_status(statuses: Any, wanted: Callable[[Status], bool]) -> Status:
         if letter is not None and wanted(letter.message):
             return letter.message
     raise AssertionError("never came")
+
+
+def operating(run: Any, work: Callable[[Any, Any], None]) -> Callable[[], None]:
+    """Let an operator work while the run flies; to be called when it is over."""
+    operator = run.client("operator")
+    controls, statuses = operator.outbox(CONTROL), operator.inbox(STATUS)
+    faults: list[BaseException] = []
+
+    def body() -> None:
+        try:
+            wait_until(lambda: controls.wanted)
+            work(controls.send, lambda wanted: await_status(statuses, wanted))
+        except BaseException as error:  # noqa: BLE001 - told in the test's own thread
+            faults.append(error)
+            run.server.flight.stop()
+
+    hand = threading.Thread(target=body)
+    hand.start()
+
+    def end() -> None:
+        hand.join(60.0)
+        if faults:
+            raise faults[0]
+
+    return end

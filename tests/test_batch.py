@@ -3,16 +3,15 @@
 import threading
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 from flights import escort
+from worlds import LATE, SMALL
 
 from bus.profiles import PROFILES
 from sim.engine.batch import Batch
 from sim.kernels.threads import Crew
 from sim.scenario.types import (
-    Area,
     Coverage,
     Detections,
     LinkTable,
@@ -29,11 +28,6 @@ pytestmark = pytest.mark.xdist_group(
     "batch"
 )  # on one worker: what they compile takes half a minute, once
 
-POOR = PROFILES["wifi-poor"]
-LATE = msgspec.structs.replace(
-    POOR, delay=0.4, jitter=0.3, duplicates=0.2, reorder=0.2, reorder_delay=0.3
-)
-SMALL = Area(width=16.0, height=12.0, cell=0.5)
 
 SCENARIOS: dict[str, Scenario] = {
     "plain": escort(),

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from test_closed_loop import SCENARIOS
+from worlds import SCENARIOS
 
 from bus.errors import ScenarioError
 from outrider.bench import ROWS, kernels, many, measure, runs, scaling

@@ -37,7 +37,7 @@ from bus.errors import AccessDenied
 from bus.keys import COMMAND, Role
 from bus.messages import UavCommand
 from bus.session import open_session
-from outrider.cli.main import _app
+from outrider.cli.main import make_app
 from outrider.running.launch import free_port
 
 RUN = "run"
@@ -308,7 +308,7 @@ def test_the_command_makes_checks_and_renews(
     folder = str(tmp_path / "made")
 
     def command(*arguments: str) -> tuple[int, Any]:
-        code = _app()(["credentials", folder, *arguments, "--json"], standalone_mode=False)
+        code = make_app()(["credentials", folder, *arguments, "--json"], standalone_mode=False)
         return int(code or 0), json.loads(capsys.readouterr().out)
 
     assert command("--tls", "--run", RUN, "--host", "10.0.0.7")[0] == 0

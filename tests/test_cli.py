@@ -1,23 +1,15 @@
 """The command line: help with examples, one clear line for bad input, one JSON object where it is asked for."""
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from processes import outrider
 
 from bus import session
 from outrider.cli import main
 from outrider.cli.main import COMMANDS
-
-OUTRIDER = [sys.executable, "-m", "outrider"]
-
-
-def outrider(*arguments: str, cwd: Path | None = None) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run(
-        [*OUTRIDER, *arguments], capture_output=True, text=True, check=False, timeout=120, cwd=cwd
-    )
 
 
 def here(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:

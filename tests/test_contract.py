@@ -7,6 +7,7 @@ from typing import get_args, get_type_hints
 
 import msgspec
 import pytest
+from fields import fields_within
 
 from bus import keys, messages
 from bus.keys import KEYS, Role
@@ -14,28 +15,12 @@ from bus.keys import KEYS, Role
 ROOT = Path(__file__).resolve().parent.parent
 
 
-def _fields_within(kind: object, seen: set[object] | None = None) -> set[str]:
-    """Names of all fields of a message and of the structs inside it."""
-    seen = set() if seen is None else seen
-    if kind in seen:
-        return set()
-    seen.add(kind)
-    names: set[str] = set()
-    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
-        for name, hint in get_type_hints(kind, include_extras=False).items():
-            if name in kind.__struct_fields__:
-                names |= {name} | _fields_within(hint, seen)
-    for part in get_args(kind):
-        names |= _fields_within(part, seen)
-    return names
-
-
 TO_UAV = [key.message for key in KEYS if Role.UAV in key.readers]
 TO_UGV = [key.message for key in KEYS if Role.UGV in key.readers]
 
 
 def test_the_uav_is_told_these_fields_and_no_others() -> None:
-    fields = set().union(*(_fields_within(kind) for kind in TO_UAV))
+    fields = set().union(*(fields_within(kind) for kind in TO_UAV))
     observation = {
         "tick",
         "time",
@@ -71,7 +56,7 @@ def test_the_uav_is_told_these_fields_and_no_others() -> None:
         "patience",
         "manoeuvre",
     }
-    law = _fields_within(messages.Law)
+    law = fields_within(messages.Law)
     declared = {
         "certificate",
         "error",
@@ -87,7 +72,7 @@ def test_the_uav_is_told_these_fields_and_no_others() -> None:
 
 
 def test_the_ugv_is_told_these_fields_and_no_others() -> None:
-    fields = set().union(*(_fields_within(kind) for kind in TO_UGV))
+    fields = set().union(*(fields_within(kind) for kind in TO_UGV))
     observation = {
         "tick",
         "time",
@@ -140,7 +125,7 @@ def test_no_message_to_the_uav_names_goal_path_input_or_plan(kind: type[messages
         "secret",
         "vehicles",
     }
-    assert not _fields_within(kind) & forbidden
+    assert not fields_within(kind) & forbidden
 
 
 @pytest.mark.parametrize("kind", TO_UGV)
@@ -159,14 +144,14 @@ def test_no_message_to_the_ugv_names_the_uavs_velocity_input_or_law(
         "secret",
         "vehicles",
     }
-    assert not _fields_within(kind) & forbidden
-    nested = _fields_within(messages.RelativeInformation)
+    assert not fields_within(kind) & forbidden
+    nested = fields_within(messages.RelativeInformation)
     assert nested == {"time", "relative_position", "coverage_error"}
 
 
 def test_what_a_uav_can_radio_has_no_velocity_and_no_input() -> None:
     radio = get_type_hints(messages.UavCommand)["radio"]
-    assert _fields_within(radio) == {"time", "relative_position", "coverage_error"}
+    assert fields_within(radio) == {"time", "relative_position", "coverage_error"}
     assert "radio" not in messages.UgvCommand.__struct_fields__
 
 

@@ -16,11 +16,10 @@ from typing import Any
 
 import httpx2
 import pytest
-from processes import OUTRIDER, alive, child_of, family, nothing_left_behind, outrider, wait_until
+from processes import OUTRIDER, alive, child_of, family, outrider, wait_until
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-__all__ = ["nothing_left_behind"]
 pytestmark = pytest.mark.usefixtures("nothing_left_behind")
 Frame = dict[str, Any]
 

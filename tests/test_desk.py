@@ -2,42 +2,16 @@
 
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from staging import await_status, stage, wait_until, whole
+from staging import operating, stage, wait_until, whole
 
-from bus.keys import CONTROL, OPERATOR, STATUS
+from bus.keys import OPERATOR
 from bus.messages import Action, Control, Drive, Law, LinkKind, LinkSettings
 from outrider.running.promise import promise_warnings
-
-
-def operating(run: Any, work: Callable[[Any, Any], None]) -> Callable[[], None]:
-    """Let an operator work while the run flies; to be called when it is over."""
-    operator = run.client("operator")
-    controls, statuses = operator.outbox(CONTROL), operator.inbox(STATUS)
-    faults: list[BaseException] = []
-
-    def body() -> None:
-        try:
-            wait_until(lambda: controls.wanted)
-            work(controls.send, lambda wanted: await_status(statuses, wanted))
-        except BaseException as error:  # noqa: BLE001 - told in the test's own thread
-            faults.append(error)
-            run.server.flight.stop()
-
-    hand = threading.Thread(target=body)
-    hand.start()
-
-    def end() -> None:
-        hand.join(60.0)
-        if faults:
-            raise faults[0]
-
-    return end
 
 
 def test_another_law_is_flown_from_its_tick_on(tmp_path: Path) -> None:

@@ -22,8 +22,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
-from processes import await_status, nothing_left_behind, wait_until
-from test_faults import scattered
+from processes import await_status, wait_until
+from scattered import scattered
 
 from bus.access import read_credential
 from bus.keys import CONTROL, GLANCE, OPERATOR, STATUS, Party, Role
@@ -46,8 +46,6 @@ from outrider.view.terminal.panel import ErrorCurve, banner, numbers
 from outrider.view.terminal.pressed_keys import FIRST, HIGHEST, LOWEST, REPEAT, Heading, PressedKeys
 from outrider.view.terminal.teleoperation import DriveView, Teleoperation
 from outrider.view.terminal.topview import Trails, draw
-
-__all__ = ["nothing_left_behind"]
 
 CHILD = (
     "import fcntl, sys, termios\n"

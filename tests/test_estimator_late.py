@@ -5,11 +5,7 @@ from collections import defaultdict
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from properties import PROPERTY
-from scipy.stats import chi2
-from test_estimator import (
+from filters import (
     DT,
     FREE,
     PUSH,
@@ -25,6 +21,10 @@ from test_estimator import (
     squared,
     within,
 )
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from properties import PROPERTY
+from scipy.stats import chi2
 
 from agents.estimation.estimator import RelativeEstimator
 from agents.estimation.motion_model import acceleration_deviation, straying

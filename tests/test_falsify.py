@@ -19,6 +19,7 @@ import msgspec
 import numpy as np
 import pytest
 from flights import R_S, R_V, distances
+from processes import OUTRIDER, outrider
 
 from bus.errors import PeerLost, ScenarioError
 from bus.messages import Command, LinkKind, UavCommand
@@ -37,7 +38,6 @@ from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 
-OUTRIDER = [sys.executable, "-m", "outrider"]
 DEGRADED = SearchLimits(delay=1.0, loss=0.3, blackout=5.0, noise=0.1, command_delay=0.5)
 QUICK = {"duration": 25.0}
 UNDEGRADED = SearchLimits()
@@ -61,12 +61,6 @@ def found(law: str, runs: int, limits: SearchLimits = UNDEGRADED, **wanted: Any)
     )
     search_both(result, asked=lambda: False, on_run=lambda *_: None)
     return result
-
-
-def outrider(*arguments: str, cwd: Path) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run(
-        [*OUTRIDER, *arguments], capture_output=True, text=True, check=False, timeout=150, cwd=cwd
-    )
 
 
 def candidates(count: int) -> list[Candidate]:

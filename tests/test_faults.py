@@ -6,8 +6,6 @@ import signal
 import socket
 import subprocess
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -19,29 +17,18 @@ from processes import (
     child_of,
     family,
     flying,
-    nothing_left_behind,
     observing,
     outrider,
     wait_until,
 )
+from scattered import SECONDS, SECRET, scattered
 
-from bus.access import read_credential
-from bus.keys import Party, Role
 from bus.messages import Status
-from bus.session import open_session
 from outrider.running import launch
 from outrider.running.flying import fly
 from sim.scenario.loading import load_scenario
 
-__all__ = ["nothing_left_behind"]
 pytestmark = pytest.mark.usefixtures("nothing_left_behind")
-
-SECONDS = 400.0
-"""Simulated time of a run that is long enough to be disturbed, and short enough to be flown in a few seconds."""
-
-
-SECRET = bytes(range(16)).hex()
-"""Of the runs whose processes are started by hand; their simulator would make one."""
 
 
 @pytest.fixture(scope="module")
@@ -190,79 +177,6 @@ def test_a_vehicle_killed_before_the_first_tick_is_started_again(
         assert "was killed by signal 9" in outcome.fault
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
-
-
-def answers(port: int) -> bool:
-    with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", port)) == 0
-
-
-class Scattered:
-    """The processes of a run, each started by hand, around a router of its own."""
-
-    def __init__(self, folder: Path) -> None:
-        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
-        made = outrider("credentials", str(folder / "credentials"), "--run", "mine", "--json")
-        assert made.returncode == 0, made.stderr
-        self._files = json.loads(made.stdout)["files"]
-        self.processes: list[subprocess.Popen[str]] = []
-
-    def start(self, kind: str, *arguments: str, name: str = "") -> "subprocess.Popen[str]":
-        common = ["--credentials", self._files[name or kind]]
-        if kind != "router":
-            common += ["--run", "mine", "--connect", self.endpoint]
-        process = subprocess.Popen(
-            [*OUTRIDER, kind, *arguments, *common],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        self.processes.append(process)
-        return process
-
-    def router(self, *arguments: str) -> "subprocess.Popen[str]":
-        router = self.start("router", "--listen", self.endpoint, *arguments)
-        port = int(self.endpoint.rpartition(":")[2])
-        wait_until(lambda: answers(port))
-        return router
-
-    def simulator(self, *arguments: str) -> "subprocess.Popen[str]":
-        told = ("escort", "--duration", str(SECONDS), "--secret", SECRET, "--json")
-        return self.start("simulator", *told, *arguments)
-
-    def vehicles(self, *arguments: str) -> "list[subprocess.Popen[str]]":
-        return [self.start(name[:3], *arguments, name=name) for name in ("uav_0", "ugv_0")]
-
-    def wait_for_tick(self, tick: int) -> None:
-        """Until the run has come so far, as an observer sees it."""
-        credential = read_credential(Path(self._files["observer"]))
-        observer = Party(role=Role.OBSERVER, name="observer")
-        with open_session(
-            observer, "mine", connect=self.endpoint, credential=credential
-        ) as session:
-            await_status(session, lambda status: status.tick > tick)
-
-
-@contextmanager
-def scattered(folder: Path) -> Iterator[Scattered]:
-    run = Scattered(folder)
-    try:
-        yield run
-    finally:
-        for process in run.processes:
-            if process.poll() is None:
-                process.kill()
-            process.wait()
-            for stream in (process.stdout, process.stderr):
-                if stream:
-                    stream.close()
-
-
 def test_a_router_for_one_run_ends_with_it(tmp_path: Path) -> None:
     with scattered(tmp_path) as run:
         router = run.router("--once")
@@ -279,7 +193,7 @@ def test_a_router_that_dies_and_comes_back_changes_no_bit(
         router = run.router()
         simulator = run.simulator()
         vehicles = run.vehicles()
-        run.wait_for_tick(500)
+        run.fly_to(500)
         router.kill()
         router.wait()
         run.router()
@@ -295,7 +209,7 @@ def test_without_its_router_every_process_ends_and_says_who_is_missing(tmp_path:
         router = run.router()
         simulator = run.simulator("--join-timeout", "4")
         vehicles = run.vehicles("--join-timeout", "4")
-        run.wait_for_tick(100)
+        run.fly_to(100)
         router.kill()
         router.wait()
         out, err = simulator.communicate(timeout=60)
@@ -317,7 +231,7 @@ def test_vehicles_wait_for_a_simulator_that_dies_and_fly_with_the_next_one(
         run.router()
         simulator = run.simulator()
         vehicles = run.vehicles()
-        run.wait_for_tick(500)
+        run.fly_to(500)
         simulator.kill()
         simulator.wait()
         summary, _ = finished(run.simulator())
@@ -330,7 +244,7 @@ def test_without_their_simulator_vehicles_end_and_say_who_is_missing(tmp_path: P
         run.router()
         simulator = run.simulator()
         vehicles = run.vehicles("--join-timeout", "2")
-        run.wait_for_tick(100)
+        run.fly_to(100)
         simulator.kill()
         for vehicle in vehicles:
             _, err = vehicle.communicate(timeout=60)

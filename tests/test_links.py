@@ -6,9 +6,8 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from flights import escort
-from staging import PILOT, stage
-from test_desk import operating
+from flights import degraded, escort
+from staging import PILOT, operating, stage
 
 from bus.errors import ScenarioError
 from bus.messages import (
@@ -27,17 +26,9 @@ from outrider.running.flying import fly
 from sim.engine.briefing import briefing
 from sim.env.parallel import parallel_env
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Detections, LinkTable, Scenario, Ugv, VehicleLinks
+from sim.scenario.types import Detections, LinkTable, Ugv, VehicleLinks
 from sim.server.flight import Flight
 from sim.world import World
-
-POOR = PROFILES["wifi-poor"]
-BAD = LinkTable(detections=POOR, commands=PROFILES["jammed"], operator=POOR, radio=POOR)
-
-
-def degraded(ticks: int, links: LinkTable = BAD) -> Scenario:
-    scenario = load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}"])
-    return msgspec.structs.replace(scenario, links=links)
 
 
 def moving(links: LinkTable, **fields: Any) -> Flight:

@@ -15,26 +15,23 @@ from processes import (
     child_of,
     family,
     flying,
-    nothing_left_behind,
     outrider,
     run_json,
     wait_until,
 )
 
+from outrider.running.child import Child
 from outrider.running.flying import fly
-from outrider.running.launch import Child
 from sim.scenario.loading import load_scenario, scenario_names
 
-__all__ = ["nothing_left_behind"]
 pytestmark = pytest.mark.usefixtures("nothing_left_behind")
 
 
-@pytest.mark.parametrize("name", scenario_names())
-def test_three_processes_and_one_fly_the_same_bits(name: str) -> None:
-    scenario = load_scenario(name, overrides=["duration=100.0"])
+def _same_bits(name: str, seconds: float) -> None:
+    scenario = load_scenario(name, overrides=[f"duration={seconds}"])
     _, here = fly(scenario, scenario.seed)
-    assert here.ticks >= 2000
-    there = run_json(name, "--duration", "100")
+    assert here.ticks >= round(seconds / 0.05)
+    there = run_json(name, "--duration", str(seconds))
     assert there["trajectory_sha256"] == here.trajectory_sha256
     assert there["ticks"] == here.ticks
     assert there["deterministic"] is True
@@ -44,18 +41,29 @@ def test_three_processes_and_one_fly_the_same_bits(name: str) -> None:
     assert len({process["pid"] for process in processes}) == 3
 
 
+@pytest.mark.parametrize("name", scenario_names())
+def test_three_processes_and_one_fly_the_same_bits(name: str) -> None:
+    _same_bits(name, 100.0 if name == "escort" else 10.0)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", scenario_names())
+def test_three_processes_and_one_fly_the_same_bits_for_long(name: str) -> None:
+    _same_bits(name, 100.0)
+
+
 def test_another_seed_of_a_noisy_scenario_is_another_trajectory() -> None:
-    hashes = {
-        str(run_json("escort", "--seed", str(seed), "--in-process")["trajectory_sha256"])
-        for seed in (1, 2, 3)
-    }
-    assert len(hashes) == 3
+    scenario = load_scenario("escort", overrides=["duration=20.0"])
+    hashes = [fly(scenario, seed)[1].trajectory_sha256 for seed in (1, 2, 3)]
+    assert len(set(hashes)) == 3
+    second = run_json("escort", "--seed", "2", "--duration", "20", "--in-process")
+    assert second["trajectory_sha256"] == hashes[1]
 
 
 def test_two_runs_at_once_do_not_meet() -> None:
     runs = [
         subprocess.Popen(
-            [*OUTRIDER, "run", "escort", "--json", "--no-files"],
+            [*OUTRIDER, "run", "escort", "--duration", "40", "--json", "--no-files"],
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
         )
@@ -93,7 +101,7 @@ def test_a_vehicle_that_dies_brakes_and_the_run_ends_with_its_name(
     victim: str, tmp_path: Path
 ) -> None:
     with flying(
-        "escort", "--duration", "500", "--no-picture", "--out", str(tmp_path), "--json"
+        "escort", "--duration", "100", "--no-picture", "--out", str(tmp_path), "--json"
     ) as run:
         children = family(run.pid)
         os.kill(child_of(run, victim), signal.SIGKILL)
@@ -102,7 +110,7 @@ def test_a_vehicle_that_dies_brakes_and_the_run_ends_with_its_name(
     assert f"{victim}_0 (pid" in err
     assert "killed by signal 9" in err
     summary = json.loads(out)
-    assert summary["ticks"] == 10_000
+    assert summary["ticks"] == 2_000
     assert summary["complete"] is True
     assert summary["deterministic"] is False
     assert summary["faults"][f"{victim}_0"]["lost"] == 1
@@ -121,13 +129,13 @@ def test_a_simulator_that_dies_ends_the_run_with_its_name() -> None:
     assert not any(alive(child) for child in children)
 
 
-def test_a_child_that_fails_leaves_its_last_words() -> None:
+def test_a_child_that_fails_leaves_the_end_of_its_standard_error() -> None:
     child = Child("uav_0", ["uav", "--run", "a/b"])
     try:
         assert child.wait(30.0)
-        assert "uav_0 (pid" in child.epitaph()
-        assert "ended with exit code 2" in child.epitaph()
-        assert "run = 'a/b'" in child.epitaph()
+        assert "uav_0 (pid" in child.exit_report()
+        assert "ended with exit code 2" in child.exit_report()
+        assert "run = 'a/b'" in child.exit_report()
     finally:
         child.close()
 
@@ -149,10 +157,14 @@ def test_a_frozen_child_ends_too_when_the_parent_is_killed() -> None:
         wait_until(lambda: not any(alive(child) for child in children))
 
 
-def test_a_child_that_hears_of_the_end_before_its_leash_leaves_nothing_either() -> None:
+@pytest.mark.parametrize("closed", ["stdin", "stdout"])
+def test_a_child_that_hears_of_the_end_before_its_watchdog_leaves_nothing_either(
+    closed: str,
+) -> None:
     hears_first = (
-        "import pathlib, select, sys; from outrider.running.watchdog import hold; hold(pathlib.Path(sys.argv[1]));"
-        "print(flush=True); select.select([sys.stdin], [], [])"
+        "import pathlib, select, sys; from outrider.running.watchdog import start_watchdog;"
+        "start_watchdog(pathlib.Path(sys.argv[1])); print(flush=True); ends = select.poll();"
+        "ends.register(0, select.POLLIN); ends.register(1, 0); ends.poll()"
     )
     with tempfile.TemporaryDirectory(prefix="o-") as home:
         folder = Path(home) / "run"
@@ -167,7 +179,7 @@ def test_a_child_that_hears_of_the_end_before_its_leash_leaves_nothing_either() 
             assert child.stdin
             assert child.stdout
             child.stdout.readline()
-            child.stdin.close()
+            getattr(child, closed).close()
             child.wait(30)
         assert not folder.exists()
 
@@ -183,8 +195,9 @@ def free_port() -> int:
 
 def test_processes_started_one_by_one_fly_the_same_bits() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
+    told = ("simulator", "escort", "--duration", "40")
     simulator = subprocess.Popen(
-        [*OUTRIDER, "simulator", "escort", "--listen", endpoint, "--run", "mine", "--json"],
+        [*OUTRIDER, *told, "--listen", endpoint, "--run", "mine", "--json"],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
     )
@@ -196,7 +209,7 @@ def test_processes_started_one_by_one_fly_the_same_bits() -> None:
     ]
     summary = json.loads(simulator.communicate(timeout=120)[0])
     assert [vehicle.wait(30) for vehicle in vehicles] == [0, 0]
-    _, here = fly(load_scenario("escort"), 7)
+    _, here = fly(load_scenario("escort", overrides=["duration=40.0"]), 7)
     assert summary["trajectory_sha256"] == here.trajectory_sha256
 
 

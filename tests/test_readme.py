@@ -12,7 +12,7 @@ import typer
 
 import outrider
 from bus.messages import LinkKind
-from outrider.cli.main import COMMANDS
+from outrider.cli.main import make_app
 from outrider.running.user_code import check_own_functions
 from sim.scenario.loading import load_scenario
 
@@ -87,12 +87,9 @@ def test_the_many_worlds_shown_fly(tmp_path: Path) -> None:
 
 
 def test_the_commands_and_options_shown_exist() -> None:
-    app = typer.Typer(add_completion=False)
-    for name, command in COMMANDS.items():
-        app.command(name)(command)
     known = {
         name: {"--help"} | {opt for p in one.params for opt in (*p.opts, *p.secondary_opts)}
-        for name, one in typer.main.get_command(app).commands.items()
+        for name, one in typer.main.get_command(make_app()).commands.items()
     }
     shown = set()
     for page in PAGES:

@@ -6,8 +6,8 @@ import re
 from pathlib import Path
 
 import pytest
+from processes import outrider
 from scipy import stats
-from test_sweep import outrider
 
 from bus.errors import ScenarioError
 from bus.registry import LAWS

@@ -69,7 +69,9 @@ def test_connections_are_found_however_their_addresses_are_written() -> None:
         ]
         there = [Link(str(x.zid), x.src, x.dst, None) for x in router._zenoh.info.links()]
         assert {link.zid for link in there} == {client.id for client in clients}
-        ended = end_connections([*there, there[0]._replace(dst="tcp/[::1]:1")])
+        ended = end_connections(
+            [*there, there[0]._replace(dst="tcp/[::1]:1"), there[0]._replace(src="ws/a")]
+        )
         assert sorted(ended) == sorted(there)
         gone = {link.dst for link in there}
         await_that(lambda: not gone & addresses(router))
@@ -128,7 +130,7 @@ def test_one_vehicle_with_hundreds_of_sessions_keeps_no_other_out(
 ) -> None:
     """Its own first one stays connected, and a few beside it; the rest are ended whenever they come again."""
     monkeypatch.setattr(session_limit, "GRACE", 0.3)
-    monkeypatch.setattr(session_limit, "_PAUSE", 0.02)
+    monkeypatch.setattr(session_limit, "_AT_ONCE", 100)
     with flooded(protocol, 300, claimed=claimed) as (router, first):
         there = addresses(router)
         uav, endpoint = GIVEN[protocol].of("uav_0"), router._zenoh.info.links()[0].src

@@ -8,8 +8,7 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordEpisodeStatistics
-from test_closed_loop import SCENARIOS
-from test_vector import CASES, _actions, _equal, _world
+from worlds import CASES, SCENARIOS, equal, random_actions, row_of
 
 from outrider.envs.single import SingleEnv, single_env
 from outrider.envs.vector import vector_env
@@ -35,13 +34,13 @@ def test_it_is_world_0_of_the_vector_environment_also_over_ends(name: str) -> No
     many = vector_env(scenario, num_envs=2, agent=agent, **options)
     last, _ = one.reset(seed=21)
     seen, _ = many.reset(seed=21)
-    for actions in _actions(2, 420):
-        assert _equal(last, _world(seen, 0))
+    for actions in random_actions(2, 420):
+        assert equal(last, row_of(seen, 0))
         seen, rewards, terminated, truncated, infos = many.step(actions)
         last, reward, ends, cut, info = one.step(actions[0])
         assert (reward, ends, cut) == (rewards[0], terminated[0], truncated[0])
         if ends or cut:
-            assert _equal(last, infos["final_obs"][0])
+            assert equal(last, infos["final_obs"][0])
             infos = infos["final_info"]
             with pytest.raises(ResetNeeded, match="after the end"):
                 one.step(actions[0])
@@ -78,10 +77,10 @@ def test_what_was_returned_is_never_changed_later() -> None:
     env = single_env(SCENARIO)
     kept = [env.reset(seed=1)[0]]
     copies = [kept[0].copy()]
-    for actions in _actions(1, 5):
+    for actions in random_actions(1, 5):
         kept.append(env.step(actions[0])[0])
         copies.append(kept[-1].copy())
-    assert all(_equal(one, other) for one, other in zip(kept, copies, strict=True))
+    assert all(equal(one, other) for one, other in zip(kept, copies, strict=True))
 
 
 def test_an_episode_is_counted_once() -> None:
@@ -140,7 +139,7 @@ def test_a_bad_action_is_refused_in_one_line_and_nothing_has_happened(action: An
     with pytest.raises(ValueError, match="action of uav_0") as caught:
         env.step(action)
     assert "\n" not in str(caught.value)
-    assert _equal(env.step([0.1, 0.2])[0], other.step([0.1, 0.2])[0])
+    assert equal(env.step([0.1, 0.2])[0], other.step([0.1, 0.2])[0])
 
 
 @pytest.mark.parametrize(

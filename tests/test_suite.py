@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_closed_loop import SCENARIOS
+from worlds import SCENARIOS
 
 from bus.messages import Command
 from outrider.cli import main

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from processes import blocks, command_line
+from processes import OUTRIDER, blocks, command_line, outrider
 
 from bus.errors import PeerLost, ScenarioError
 from outrider.experiments.sweep.definition import describe_sweep, shipped_sweeps
@@ -21,7 +21,6 @@ from outrider.experiments.sweep.worker import fly_runs
 from outrider.running.flying import run
 from sim.scenario.loading import load_scenario, scenario_names
 
-OUTRIDER = [sys.executable, "-m", "outrider"]
 QUICK = ("duration=5.0", "area.cell=0.5")
 SMALL = {
     "laws": "linear,switching",
@@ -39,12 +38,6 @@ GRID = [
     "--set",
     "area.cell=0.5",
 ]
-
-
-def outrider(*arguments: str, cwd: Path | None = None) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run(
-        [*OUTRIDER, *arguments], capture_output=True, text=True, check=False, timeout=120, cwd=cwd
-    )
 
 
 def plan_of(source: str = "escort", **given) -> Plan:

@@ -5,7 +5,6 @@ The parallel environment many times over, to the bit, with Gymnasium's ways to b
 
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
@@ -14,52 +13,16 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
-from test_batch import LATE
-from test_closed_loop import SCENARIOS, SEVERAL
+from worlds import CASES, LATE_LOOKS, SCENARIO, SCENARIOS, SEVERAL, equal, random_actions, row_of
 
 import outrider
 from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from outrider.envs.env_pilots import pilots
-from sim.env.rewards import RewardWeights
-from sim.scenario.types import LinkTable, Scenario
+from sim.scenario.types import Scenario
 
 pytestmark = pytest.mark.xdist_group(
     "many worlds"
 )  # on one worker: what they compile takes a minute, once
-
-SCENARIO = SCENARIOS["certified"]
-SEEN = RewardWeights(uncovered=0.5, seen=2.0, effort=0.3)
-LATE_LOOKS = msgspec.structs.replace(SCENARIO, links=LinkTable(detections=LATE))
-
-
-def _actions(worlds: int, ticks: int, *, size: float = 0.3) -> np.ndarray:
-    return np.random.default_rng(1).uniform(-size, size, (ticks, worlds, 2))
-
-
-def _equal(one: Any, other: Any) -> bool:
-    if isinstance(one, dict):
-        return one.keys() == other.keys() and all(_equal(one[key], other[key]) for key in one)
-    return one.dtype == other.dtype and one.tobytes() == np.ascontiguousarray(other).tobytes()
-
-
-def _world(observations: Any, k: int) -> Any:
-    return (
-        {key: array[k] for key, array in observations.items()}
-        if isinstance(observations, dict)
-        else observations[k]
-    )
-
-
-CASES: dict[str, tuple[Scenario, str, dict[str, Any]]] = {
-    "uav": (SCENARIO, "uav_0", {}),
-    "ugv": (SCENARIO, "ugv_0", {"end_on_goals_reached": True}),
-    "weights": (SCENARIO, "uav_0", {"rewards": SEEN}),
-    "patch": (SCENARIO, "uav_0", {"coverage_patch": (7, 0.6)}),
-    "late": (LATE_LOOKS, "uav_0", {}),
-    "evade": (SCENARIOS["evade"], "uav_0", {}),
-    "evade over a network": (SCENARIOS["network"], "uav_0", {"duration": 10.0}),
-    "no end": (SCENARIO, "uav_0", {"end_on_sight_lost": False, "duration": 3.0}),
-}
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -72,8 +35,8 @@ def test_each_world_is_the_parallel_environment_also_over_ends(name: str) -> Non
     seen, _ = many.reset(seed=21)
     last = [env.reset(seed=seed)[0] for env, seed in zip(singles, seeds, strict=True)]
     ends = 0
-    for actions in _actions(3, 420):
-        assert all(_equal(last[k][agent], _world(seen, k)) for k in range(3))
+    for actions in random_actions(3, 420):
+        assert all(equal(last[k][agent], row_of(seen, k)) for k in range(3))
         seen, rewards, terminated, truncated, infos = many.step(actions)
         for k, env in enumerate(singles):
             commands = {one: policy(last[k][one]) for one, policy in crews[k].items()} | {
@@ -88,7 +51,7 @@ def test_each_world_is_the_parallel_environment_also_over_ends(name: str) -> Non
             if terms[agent] or truncs[agent]:
                 ends += 1
                 assert infos["_final_obs"][k]
-                assert _equal(last[k][agent], infos["final_obs"][k])
+                assert equal(last[k][agent], infos["final_obs"][k])
                 assert infos["final_info"]["episode"]["l"][k] == env.world.tick
                 for key, value in told[agent].items():
                     if key != "links":
@@ -119,12 +82,12 @@ def test_everybody_may_learn() -> None:
                     truncated[name][k],
                 )
                 if not env.agents:
-                    assert _equal(last[k][name], infos[name]["final_obs"][k])
+                    assert equal(last[k][name], infos[name]["final_obs"][k])
                 else:
-                    assert _equal(last[k][name], seen[name][k])
+                    assert equal(last[k][name], seen[name][k])
             if not env.agents:
                 last[k] = env.reset()[0]
-                assert all(_equal(last[k][name], seen[name][k]) for name in many.possible_agents)
+                assert all(equal(last[k][name], seen[name][k]) for name in many.possible_agents)
 
 
 @pytest.mark.parametrize("scenario", [SCENARIO, LATE_LOOKS], ids=["in time", "late"])
@@ -155,18 +118,18 @@ def test_single_precision_is_the_double_rounded() -> None:
         for dtype in (np.float32, np.float64)
     )
     pairs = [(one.reset(seed=1)[0], other.reset(seed=1)[0])]
-    for actions in _actions(2, 20):
+    for actions in random_actions(2, 20):
         pairs.append((one.step(actions)[0], other.step(actions)[0]))
     for short, exact in pairs:
         assert one.observation_space.contains(short)
-        assert all(_equal(short[key], exact[key].astype(np.float32)) for key in exact)
+        assert all(equal(short[key], exact[key].astype(np.float32)) for key in exact)
 
 
 def test_the_gradient_points_to_new_ground() -> None:
     env = outrider.vector_env(SCENARIO, num_envs=2, agent="uav_0", gradient=True)
     seen, _ = env.reset(seed=1)
     assert seen.shape == (2, 11)
-    for actions in _actions(2, 40):
+    for actions in random_actions(2, 40):
         seen, *_ = env.step(actions)
     assert (np.linalg.norm(seen[:, 9:], axis=1) > 0.01).all()
     assert env.observation_space.contains(seen)
@@ -180,7 +143,7 @@ def test_it_is_a_gymnasium_vector_environment() -> None:
     recorded = RecordEpisodeStatistics(env)
     seen, _ = recorded.reset(seed=3)
     assert recorded.observation_space.contains(seen)
-    for actions in _actions(4, 25, size=0.01):
+    for actions in random_actions(4, 25, size=0.01):
         seen, rewards, terminated, truncated, infos = recorded.step(actions)
         assert rewards.dtype == np.float64
         assert terminated.dtype == truncated.dtype == np.bool_
@@ -193,11 +156,11 @@ def test_it_is_a_gymnasium_vector_environment() -> None:
 def test_a_part_of_the_worlds_can_begin_anew() -> None:
     env = outrider.vector_env(SCENARIO, num_envs=3, agent="uav_0")
     first, _ = env.reset(seed=7)
-    for actions in _actions(3, 10):
+    for actions in random_actions(3, 10):
         later, *_ = env.step(actions)
     again, _ = env.reset(seed=7, options={"reset_mask": np.array([True, False, True])})
-    assert _equal(again[[0, 2]], first[[0, 2]])
-    assert _equal(again[1], later[1])
+    assert equal(again[[0, 2]], first[[0, 2]])
+    assert equal(again[1], later[1])
 
 
 def test_others_may_be_policies_for_all_worlds_at_once() -> None:
@@ -209,7 +172,7 @@ def test_others_may_be_policies_for_all_worlds_at_once() -> None:
 
     env = outrider.vector_env(SCENARIO, num_envs=2, agent="uav_0", others={"ugv_0": south})
     env.reset(seed=1)
-    for actions in _actions(2, 20, size=0.0):
+    for actions in random_actions(2, 20, size=0.0):
         env.step(actions)
     assert rows[0].shape == (2, 8)
     assert (rows[-1][:, 4] < -0.03).all()
@@ -220,11 +183,11 @@ def test_what_was_returned_is_never_changed_later() -> None:
     env = outrider.vector_env(SCENARIO, num_envs=2, agent="uav_0", coverage_patch=(5, 1.0))
     kept: list[Any] = [env.reset(seed=1)[0]]
     copies = [{key: array.copy() for key, array in kept[0].items()}]
-    for actions in _actions(2, 5):
+    for actions in random_actions(2, 5):
         seen, rewards, *_ = env.step(actions)
         kept.append(seen | {"rewards": rewards})
         copies.append({key: array.copy() for key, array in kept[-1].items()})
-    assert all(_equal(one, other) for one, other in zip(kept, copies, strict=True))
+    assert all(equal(one, other) for one, other in zip(kept, copies, strict=True))
 
 
 @pytest.mark.parametrize(
@@ -250,7 +213,7 @@ def test_a_bad_action_is_refused_in_one_line_and_nothing_has_happened(
 ) -> None:
     env = outrider.vector_env(SCENARIO, num_envs=2, agent="uav_0")
     env.reset(seed=1)
-    good = _actions(2, 6)
+    good = random_actions(2, 6)
     for action in good[:3]:
         env.step(action)
     with pytest.raises(ValueError, match=message) as caught:
@@ -260,7 +223,7 @@ def test_a_bad_action_is_refused_in_one_line_and_nothing_has_happened(
     other.reset(seed=1)
     for action in good[:3]:
         other.step(action)
-    assert _equal(env.step(good[3])[0], other.step(good[3])[0])
+    assert equal(env.step(good[3])[0], other.step(good[3])[0])
 
 
 def test_integers_and_lists_are_actions_too() -> None:

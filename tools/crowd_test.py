@@ -1,6 +1,4 @@
-"""What a crowd at the router's port can do, and what a vehicle with credentials can.
-
-Each attack against a real run, as a table.
+"""Attacks of a crowd at the router's port, and of a vehicle with credentials, against a real run, as a table.
 
 Each row is a run on the wall clock with a simulator, a UAV and a UGV as processes over loopback. While it flies,
 the attack is made, and then an observer joins. The table tells how long that took, what the simulator's memory was
@@ -147,7 +145,7 @@ def tokens(key: str, count: int, *, kept: bool) -> Attack:
             held = []
             for number in range(count):
                 token = opened.liveliness().declare_token(
-                    f"outrider/{RUN}/ugv_0/alive/" + key.format(number)
+                    f"outrider/{RUN}/ugv_0/{key.format(number)}"
                 )
                 held.append(token) if kept else token.undeclare()
             yield
@@ -191,9 +189,10 @@ ATTACKS: dict[str, Attack] = {
     "puts-36x32MB": puts(36, 32_000_000, 4),
     "puts-400x1.9MB": puts(400, 1_900_000, 4),
     "puts-4000x64kB": puts(4000, 65_536, 4),
-    "tokens-20000": tokens("{}", 20_000, kept=True),
-    "tokens-one-key": tokens("7", 20_000, kept=True),
-    "tokens-flapping": tokens("7", 20_000, kept=False),
+    "tokens-20000": tokens("alive/{}", 20_000, kept=True),
+    "tokens-one-key": tokens("alive/7", 20_000, kept=True),
+    "tokens-flapping": tokens("alive/7", 20_000, kept=False),
+    "tokens-claims": tokens("session/{}", 20_000, kept=True),
     "sessions-900": crowd_of_sessions(900),
     "sessions-900-tls": crowd_of_sessions(900),
 }

@@ -59,8 +59,8 @@ def free_port() -> int:
     return port
 
 
-def wait_until(condition: Callable[[], Any], what: str, seconds: float = 20.0) -> Any:  # noqa: ANN401 - whatever it gives
-    """What the condition gives once it gives something true."""
+def wait_until(condition: Callable[[], Any], what: str, seconds: float = 20.0) -> Any:  # noqa: ANN401
+    """Wait for the condition; the first true value that it gives."""
     limit = time.monotonic() + seconds
     while not (found := condition()):
         if time.monotonic() > limit:
@@ -144,7 +144,7 @@ class Processes:
         for name in ("uav_0", "ugv_0"):
             self.start(name[:3], "--join-timeout", "120", name=name)
         self.start("dashboard", "--port", str(port))
-        wait_until(lambda: answers(port), "the dashboard listens")
+        wait_until(lambda: answers(port), "the dashboard listens", 60.0)
 
     def log(self, name: str) -> str:
         """All that a process has said."""
@@ -366,7 +366,7 @@ def check_frame_rate(first: Page) -> str:
 
 
 def check_reload(first: Page) -> str:
-    """What was there before is there again."""
+    """Past and state are there again after a reload."""
     rows = first.run("outrider.store.rows.length")
     first.page.reload()
     first.ready()
@@ -503,7 +503,7 @@ def _slider(page: Page, label: str, share: float) -> None:
 
 
 def check_links(page: Page) -> str:
-    """A slider degrades a link with one word, a blackout is dark, a refusal is shown, and all can be made perfect again."""
+    """A slider degrades a link, a blackout is dark, a refusal is shown, and all can be made perfect again."""
     name = "uav_0/detections"
     row = page.page.locator(f"[data-link='{name}']")
     row.click()
@@ -565,7 +565,7 @@ def check_links(page: Page) -> str:
 
 
 def check_observer(processes: Processes, context: Any, complaints: list[str]) -> str:  # noqa: ANN401
-    """Who only looks on sees all, and is told why nothing can be changed."""
+    """An observer sees all, and is told why nothing can be changed."""
     page = Page(context, processes.address(OBSERVERS), complaints)
     tick = page.tick
     wait_until(lambda: page.tick > tick, "it moves")
@@ -779,7 +779,7 @@ def perform(playwright: Any, chromium: str, pictures: Path | None) -> None:  # n
 
 
 def find_browser() -> str:
-    """Where Chromium is; empty: nowhere."""
+    """Path of Chromium; empty: there is none."""
     return next(filter(None, map(shutil.which, (os.environ.get("CHROMIUM", ""), *BROWSERS))), "")
 
 
@@ -820,7 +820,7 @@ def install_browser() -> None:
 
 
 def missing() -> str:
-    """What this test needs and does not find, in one line; empty: nothing."""
+    """A line about what this test needs and does not find; empty: nothing."""
     for module, extra in (("playwright", "playwright"), ("nicegui", "'outrider[dashboard]'")):
         try:
             __import__(module)

@@ -61,7 +61,7 @@ def family(pid: int) -> dict[int, str]:
 
 
 def memory(pid: int) -> float | None:
-    """What a process holds [MB]; None if it has gone."""
+    """Memory of a process [MB]; None if it has gone."""
     try:
         return int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]) * PAGE
     except (FileNotFoundError, ProcessLookupError):
@@ -142,10 +142,10 @@ def watch(
     with open_session(observer, name, connect=endpoint, credential=credential) as session:
         inbox, shown = session.inbox(STATUS), 0.0
         while run.poll() is None:
-            letter = inbox.receive(0.5)
-            if letter is None or not isinstance(letter.message, Status):
+            received = inbox.receive(0.5)
+            if received is None or not isinstance(received.message, Status):
                 continue
-            status = letter.message
+            status = received.message
             now = time.monotonic()
             if now - shown > 1.0:
                 shown = now

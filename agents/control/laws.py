@@ -115,7 +115,7 @@ def law_parameters(briefing: UavBriefing, law: Law) -> LawParameters:
     """The numbers of one law for one UAV.
 
     Raises:
-        ScenarioError: If the law or the sensor is unknown, or the UAV too weak for the law's r_s.
+        ScenarioError: If the law or the sensor is unknown, the law has no branch, or the UAV is too weak for r_s.
     """
     key_0, key_1 = words_of(briefing.key)
     v_a, u_a = number(briefing.limits.max_speed), number(briefing.limits.max_acceleration)
@@ -124,7 +124,7 @@ def law_parameters(briefing: UavBriefing, law: Law) -> LawParameters:
     v_ref = law.reference_speed if law.reference_speed is not None else v_a
     radius = switching_radius if row.needs_radius else raw_switching_radius
     r_s = float(radius(briefing.visibility_radius, v_a, v_g, u_a))
-    return LawParameters(
+    parameters = LawParameters(
         law=row.code,
         dt=float(briefing.dt),
         width=float(briefing.area.width),
@@ -151,6 +151,12 @@ def law_parameters(briefing: UavBriefing, law: Law) -> LawParameters:
         key_0=key_0,
         key_1=key_1,
     )
+    if math.isnan(weights(parameters, OwnTerms(), 1.0)[0]):
+        raise ScenarioError(
+            f"law.name = {law.name!r}: has a row in bus.registry, but no branch in "
+            f"{__name__}.weights"
+        )
+    return parameters
 
 
 def initial_state() -> FloatArray:
@@ -172,7 +178,7 @@ def way_to_uncovered(
     """The symmetry breaker (7) with its point held until it is covered or leaves the support of the density.
 
     Returns:
-        Whether anything is uncovered at all, and the direction.
+        True if anything is uncovered at all, and the direction.
     """
     c, key = parameters, (parameters.key_0, parameters.key_1)
     held = state[_HELD] != 0.0 and is_uncovered(

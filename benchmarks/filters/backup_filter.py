@@ -73,7 +73,7 @@ def backup_policy(
 def worst_distance(
     promise: Promise, discs: FloatArray, new: int, near: int, t: float, x: float, y: float
 ) -> float:
-    """How far from (x, y) [m] the UGV can be at time t [s], by the newest disc and the one with the least bound."""
+    """The largest distance of the UGV from (x, y) [m] at time t [s], by the newest disc and the one of least bound."""
     c = promise
     new_radius, near_radius = (
         c.eps + c.v_g * (t - discs[new, 2]),

@@ -1,4 +1,4 @@
-"""What was measured, as JSON, as a table with what it says in words, and as a picture."""
+"""Writes the measurements as JSON, as a table with a reading of it, and as a picture."""
 
 from itertools import groupby
 from pathlib import Path
@@ -44,7 +44,7 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def label(self) -> str:
-        """What was measured."""
+        """The measurement's name."""
         return f"{self.name} {self.variant}, {self.agents} agents"
 
     @property
@@ -80,7 +80,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def crowded(report: Report) -> str:
-    """What is wrong with rows that were measured beside other work; empty if nothing is."""
+    """Names the fault of rows that were measured beside other work; empty if nothing is."""
     shares = [row.others for row in report.rows if row.others is not None and row.others > CROWDED]
     if not shares:
         return ""
@@ -148,7 +148,7 @@ def markdown(report: Report) -> str:
 
 
 def where_faster(report: Report) -> list[str]:
-    """A sentence for each peer that is faster than any of ours at the same number of worlds, and for each number of worlds."""
+    """A sentence for each number of worlds, and for each peer that is faster there than any of ours."""
     sentences: list[str] = []
     for worlds in sorted({row.worlds for row in report.rows}):
         here = [row for row in report.rows if row.worlds == worlds]

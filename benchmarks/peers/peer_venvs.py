@@ -23,7 +23,7 @@ def python_of(folder: Path) -> Path:
 
 
 def stamp_of(requirements: tuple[str, ...]) -> str:
-    """What is written into an environment that is whole."""
+    """The stamp that is written into an environment that is whole."""
     return (
         json.dumps({"python": sys.version.split()[0], "requirements": list(requirements)}, indent=2)
         + "\n"

@@ -2,7 +2,7 @@
 
 import inspect
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -10,29 +10,39 @@ from typing import Any, get_args, get_type_hints
 import typer
 from fields import cell
 
-from outrider.cli.main import COMMANDS
+from outrider.cli.main import make_app
 
 _KINDS = {int: "INTEGER", float: "NUMBER", str: "TEXT", Path: "PATH"}
 
 
 def page() -> str:
     """A section for each command: what it does, an example, its arguments and options."""
-    app = typer.Typer(add_completion=False)
-    for name, command in COMMANDS.items():
-        app.command(name)(command)
-    group: Any = typer.main.get_command(app)
-    return "\n\n".join(_section(name, COMMANDS[name], group.commands[name]) for name in COMMANDS)
+    return "\n\n".join(_section(name, command) for name, command in commands().items())
 
 
-def _section(name: str, function: Callable[..., None], command: Any) -> str:
+def commands() -> dict[str, Any]:
+    """All commands by name, those within another one behind it."""
+    found: dict[str, Any] = {}
+    waiting: list[tuple[str, Any]] = [("", typer.main.get_command(make_app()))]
+    while waiting:
+        name, command = waiting.pop(0)
+        if name:
+            found[name] = command
+        inner = getattr(command, "commands", {})
+        waiting[:0] = [(f"{name} {one}".strip(), inner[one]) for one in inner]
+    return found
+
+
+def _section(name: str, command: Any) -> str:
     prose, _, example = inspect.cleandoc(command.help or "").partition("Example:")
-    types = get_type_hints(function)
+    types = get_type_hints(inspect.unwrap(command.callback))
     shown = [one for one in command.params if not getattr(one, "hidden", False)]
     arguments = "".join(f" {_argument(one)}" for one in shown if _is_argument(one))
     lines = [f"## outrider {name}", prose.strip(), f"Usage: `outrider {name} [OPTIONS]{arguments}`"]
     if example.strip():
-        commands = "\n".join(line.strip() for line in example.strip().splitlines())
-        lines.append(f"```sh\n{commands}\n```")
+        flat = " ".join(example.split())
+        shell = re.sub(r",? (?:then|or|and) (?=outrider )| Example: ", "\n", flat)
+        lines.append(f"```sh\n{shell}\n```")
     rows = [_row(one, types.get(one.name, str)) for one in shown]
     if rows:
         lines.append("\n".join(["| option | what | default |", "|---|---|---|", *rows]))

@@ -41,7 +41,12 @@ MODULES = {
         "outrider/experiments/suite/board.py",
         "outrider/registration.py",
     ),
-    "Runs": ("outrider/running/flying.py", "sim/scenario/types.py", "sim/world.py"),
+    "Runs": (
+        "outrider/running/flying.py",
+        "sim/scenario/loading.py",
+        "sim/scenario/types.py",
+        "sim/world.py",
+    ),
     "Vehicles": (
         "agents/process.py",
         "agents/uav.py",
@@ -51,7 +56,7 @@ MODULES = {
     ),
     "The paper's laws": ("sim/models", "agents/control"),
     "The bus": ("bus",),
-    "Links": ("sim/channel",),
+    "Links": ("sim/channel", "sim/engine"),
 }
 """The modules with a page of their own: files, or folders with all that is in them."""
 

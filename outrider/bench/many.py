@@ -77,7 +77,7 @@ def _kernels_alone(
 
 
 def _limit(loop: ClosedLoop, *, full: bool, ticks: int, calls: int) -> float:
-    """World-steps a second of the kernels alone, at the places and on the ground of these worlds, on as many threads."""
+    """World-steps a second of the kernels alone, at the same places and on the same ground and threads."""
     truth, w = loop.batch.state.truth, loop.batch.parameters
     a, g = loop.batch.tables.escorts[0]
     widths = loop.tables.around if full else loop.tables.seen

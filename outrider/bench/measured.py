@@ -28,7 +28,7 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Layer(NamedTuple):
-    """How a layer is measured."""
+    """The measurement of one layer."""
 
     work: Callable[[], Pair]
     unit: str

@@ -39,7 +39,7 @@ def _peer(name: str, endpoint: str, answer: bytes) -> None:
 
 
 def ticks_per_second(observation: bytes, answer: bytes, ticks: int, *, peers: int = 2) -> float:
-    """How many lockstep ticks a second a bare exchange of these payloads reaches.
+    """Lockstep ticks a second that a bare exchange of these payloads reaches.
 
     Args:
         observation: Sent to each peer at each tick.

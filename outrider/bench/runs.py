@@ -75,7 +75,7 @@ def tls() -> Pair:
 
 
 def pairs(count: int) -> Pair:
-    """So many UAVs with their UGVs in lockstep, each in a process of its own, beside a bare exchange among as many peers."""
+    """So many pairs in lockstep, each vehicle in a process of its own, beside a bare exchange among as many peers."""
     with tempfile.TemporaryDirectory(prefix="outrider-pairs-") as folder:
         path = Path(folder) / f"pairs-{count}.toml"
         path.write_text(
@@ -97,7 +97,7 @@ def run_in_process() -> Pair:
 
 
 def sweep(*, seconds: float = 60.0, seeds: int = 16) -> Pair:
-    """Runs a second of a small sweep on all cores, its worker processes already there, beside one process times the cores.
+    """Runs a second of a small sweep on all cores, its workers already there, beside one process times the cores.
 
     Args:
         seconds: Duration of each run [s].

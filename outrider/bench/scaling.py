@@ -1,7 +1,4 @@
-"""How the speed of many worlds depends on their number, on the grid and on the vehicles.
-
-Numbers, and a picture of them.
-"""
+"""The speed of many worlds over their number, the grid and the vehicles: numbers, and a picture of them."""
 
 import tempfile
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""How a rate is taken, and what a measurement gives."""
+"""Rates, and the pair of numbers that a measurement gives."""
 
 import time
 from collections.abc import Callable

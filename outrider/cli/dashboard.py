@@ -10,10 +10,10 @@ from outrider.cli.options import (
     DEFAULT_RUN,
     Connect,
     CredentialFile,
-    Leash,
     NoPageToken,
     PageToken,
     RunName,
+    Watchdog,
 )
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def command(
             hidden=True, help="Serve on this socket of the parent's, and say so on stdout."
         ),
     ] = -1,
-    leash: Leash = False,
+    watchdog: Watchdog = False,
 ) -> None:
     """Show a run in the browser while it is flown, and steer it: pause, speed, law, driver, and a UGV's wheel.
 
@@ -65,11 +65,11 @@ def command(
     from bus.session import open_session
     from outrider.cli.console import ERR
     from outrider.cli.options import check_endpoints
-    from outrider.running.watchdog import hold
+    from outrider.running.watchdog import start_watchdog
     from outrider.view.page.access.door import address_of, check_extra, choose_admission
 
-    if leash:
-        hold()
+    if watchdog:
+        start_watchdog()
     check_endpoints((connect,), secured=True, insecure=False)
     admission = choose_admission(host, token, wanted=not no_token)
     check_extra()

@@ -70,7 +70,8 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-def _app() -> typer.Typer:
+def make_app() -> typer.Typer:
+    """The whole command line: for `main`, and for the pages that tell of it."""
     app = typer.Typer(
         no_args_is_help=True,
         pretty_exceptions_enable=False,
@@ -102,7 +103,7 @@ def _fail(line: str, code: int) -> int:
 
 def _run() -> int:
     try:
-        return int(_app()(standalone_mode=False) or 0)
+        return int(make_app()(standalone_mode=False) or 0)
     except (ScenarioError, AccessDenied) as error:
         return _fail(str(error), 2)
     except OutriderError as error:
@@ -122,8 +123,19 @@ def _run() -> int:
         return _fail(f"{told()} (outrider --help tells more)", int(getattr(error, "exit_code", 2)))
 
 
+def _computes(arguments: list[str]) -> bool:
+    """False for a command that only reads scenarios, and for one whose processes compute in its place."""
+    if arguments[:1] == ["run"]:
+        return "--in-process" in arguments
+    return arguments[:1] != ["scenarios"]
+
+
 def main() -> None:
     """Run the command line."""
+    if not _computes(sys.argv[1:]):
+        from sim.kernels.compile import interpret
+
+        interpret()
     # Pools start their workers by themselves: none of them is to import what lies in the folder where the user stands.
     os.environ["PYTHONSAFEPATH"] = "1"
     logging.basicConfig(format="%(name)s: %(message)s", level=logging.WARNING)

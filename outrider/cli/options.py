@@ -30,8 +30,9 @@ Secret = Annotated[
     typer.Option(
         "--secret",
         metavar="@FILE|new|HEX",
-        help="The run's secret, which no vehicle is told: @FILE that holds it, `new` to make one, or 32 to 128 hexadecimal "
-        "digits, which other users of this machine would see in the list of processes.",
+        help="The run's secret, which no vehicle is told: @FILE that holds it, `new` to make one, "
+        "or 32 to 128 hexadecimal digits, which other users of this machine would see in the list "
+        "of processes.",
         envvar="OUTRIDER_SECRET",
     ),
 ]
@@ -43,7 +44,6 @@ LawName = Annotated[
     typer.Option(
         "--law",
         help=f"The UAVs' law. {described(LAWS)}.",
-        autocompletion=lambda: [(row.name, row.about) for row in LAWS.values()],
     ),
 ]
 DriverName = Annotated[
@@ -51,7 +51,6 @@ DriverName = Annotated[
     typer.Option(
         "--driver",
         help=f"The UGVs' driver. {described(DRIVERS)}.",
-        autocompletion=lambda: [(row.name, row.about) for row in DRIVERS.values()],
     ),
 ]
 Set = Annotated[
@@ -77,14 +76,14 @@ NetworkName = Annotated[
     typer.Option(
         "--network",
         help=f"The profile of every radio link: {', '.join(PROFILES)}. One link: --set links.detections.delay=0.5.",
-        autocompletion=lambda: list(PROFILES),
     ),
 ]
 AllowCode = Annotated[
     bool,
     typer.Option(
         "--allow-code",
-        help="Load the code that the file itself names ([custom]); code that you name in the command is loaded without it.",
+        help="Load the code that the file itself names ([custom]); code that you name in the "
+        "command is loaded without it.",
     ),
 ]
 VirtualPath = Annotated[
@@ -93,7 +92,7 @@ VirtualPath = Annotated[
 Json = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else there.")
 ]
-Leash = Annotated[
+Watchdog = Annotated[
     bool, typer.Option(hidden=True, help="End when standard input closes: the parent has gone.")
 ]
 
@@ -165,8 +164,9 @@ PageToken = Annotated[
     str,
     typer.Option(
         "--token",
-        help="What a browser must know: 8 to 128 letters, digits, '_' and '-'. By default a new one is made up, and printed with "
-        "the address. Other users of this machine see what a command line says; what is in OUTRIDER_TOKEN they do not.",
+        help="What a browser must know: 8 to 128 letters, digits, '_' and '-'. By default a new "
+        "one is made up, and printed with the address. Other users of this machine see what a "
+        "command line says; what is in OUTRIDER_TOKEN they do not.",
         envvar="OUTRIDER_TOKEN",
         show_default=False,
         show_envvar=True,
@@ -332,7 +332,8 @@ def check_endpoints(endpoints: tuple[str, ...], *, secured: bool, insecure: bool
         protocol, separator, address = endpoint.partition("/")
         if protocol not in _PROTOCOLS or not separator or not address:
             raise ScenarioError(
-                f"endpoint {endpoint!r}: allowed are protocol/address, such as {DEFAULT_ENDPOINT}, with {', '.join(_PROTOCOLS)}"
+                f"endpoint {endpoint!r}: allowed are protocol/address, such as {DEFAULT_ENDPOINT}, "
+                f"with {', '.join(_PROTOCOLS)}"
             )
         if not (secured or insecure or is_local(endpoint)):
             raise ScenarioError(

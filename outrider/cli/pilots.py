@@ -9,10 +9,10 @@ from outrider.cli.options import (
     DEFAULT_RUN,
     Connect,
     CredentialFile,
-    Leash,
     PolicyName,
     RunName,
     VirtualPath,
+    Watchdog,
     Weighting,
     check_endpoints,
     credential_of,
@@ -38,7 +38,7 @@ def uav(
     join_timeout: JoinTimeout = 30.0,
     weighting: Weighting = "",
     path: VirtualPath = "",
-    leash: Leash = False,
+    watchdog: Watchdog = False,
 ) -> None:
     """Fly one UAV: join the run, answer every observation with a command, leave when it is over.
 
@@ -50,7 +50,7 @@ def uav(
     from bus.keys import Party, Role
     from outrider.running.user_code import load_function
 
-    _hold(leash)
+    _watch(watchdog)
     check_endpoints((connect,), secured=True, insecure=False)
     maker = uav_maker(
         weighting=load_function(weighting, what="weighting"),
@@ -76,7 +76,7 @@ def ugv(
     credentials: CredentialFile = None,
     join_timeout: JoinTimeout = 30.0,
     policy: PolicyName = "",
-    leash: Leash = False,
+    watchdog: Watchdog = False,
 ) -> None:
     """Drive one UGV: join the run, answer every observation with a command, leave when it is over.
 
@@ -88,7 +88,7 @@ def ugv(
     from bus.keys import Party, Role
     from outrider.running.user_code import load_function
 
-    _hold(leash)
+    _watch(watchdog)
     check_endpoints((connect,), secured=True, insecure=False)
     credential = credential_of(credentials, Role.UGV, name)
     maker = ugv_maker(policy=load_function(policy, what="policy"), policy_name=policy)
@@ -102,8 +102,8 @@ def ugv(
     )
 
 
-def _hold(leash: bool) -> None:
-    if leash:
-        from outrider.running.watchdog import hold
+def _watch(watchdog: bool) -> None:
+    if watchdog:
+        from outrider.running.watchdog import start_watchdog
 
-        hold()
+        start_watchdog()

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from outrider.cli.console import FlightProgress
     from outrider.cli.stopping import Stop
+    from outrider.running.forking import Forkserver
     from outrider.running.launch import Outcome
     from sim.scenario.types import Scenario
 
@@ -104,15 +105,6 @@ def command(
 
     Example: outrider run escort --seed 3 --law switching
     """
-    from bus.registry import DRIVERS
-    from outrider.cli.console import flight_progress, print_json, print_summary, print_warnings
-    from outrider.cli.options import scenario_of, secret_of
-    from outrider.cli.stopping import stop_on_signals
-    from outrider.running.promise import promise_warnings
-    from outrider.running.user_code import check_code, check_own_functions
-    from outrider.view.output import default_folder, write_summary
-    from sim.scenario.checks import scenario_warnings
-
     if in_process and (realtime is not None or respawn or dashboard):
         raise typer.BadParameter(
             "--realtime, --respawn and --dashboard need processes; leave --in-process out"
@@ -121,59 +113,79 @@ def command(
         raise typer.BadParameter("--lockstep and --realtime exclude each other")
     if dashboard and not lockstep and realtime is None:
         realtime = 1.0
-    own = {"weighting": weighting, "path": path, "policy": policy, "network": network}
-    flown, overrides = scenario_of(
-        scenario, seed=seed, duration=duration, law=law, driver=driver, changes=changes, **own
-    )
-    strangers = any(DRIVERS[ugv.driver].outside for ugv in flown.ugv)
-    if in_process and strangers:
-        raise typer.BadParameter("--driver external is another process; leave --in-process out")
-    kept = secret_of(secret, wanted=strangers)
-    check_code(flown, overrides, source=scenario, allowed=allow_code)
-    # what does not fit shows here, not in a child
-    print_warnings(
-        (*scenario_warnings(flown), *promise_warnings(flown), *check_own_functions(flown))
-    )
-    if record is not None:
-        import outrider.recording.writer  # noqa: F401 - a missing extra shows here, not in a child
-    folder = (out or default_folder(flown.name)) if files else None
-    if folder is not None:
-        folder.mkdir(
-            parents=True, exist_ok=True
-        )  # a folder that cannot be made shows before the flight, not after it
-    with stop_on_signals() as stop, _page(dashboard, dashboard_port) as page:
-        if in_process:
-            outcome = _fly_here(flown, kept, folder, picture, record, stop)
-        else:
-            from outrider.running.launch import Watcher, launch
+    with _forkserver(wanted=not in_process) as forks:  # it loads meanwhile
+        from bus.registry import DRIVERS
+        from outrider.cli.console import flight_progress, print_json, print_summary, print_warnings
+        from outrider.cli.options import scenario_of, secret_of
+        from outrider.cli.stopping import stop_on_signals
+        from outrider.running.user_code import check_code, check_own_functions
+        from outrider.view.output import default_folder, write_summary
+        from sim.scenario.checks import scenario_warnings
 
-            with flight_progress(flown, "starting (the first start compiles)") as progress:
-                watcher = Watcher(
-                    on_tick=progress.show, on_event=progress.say, stop=lambda: stop.count
-                )
-                outcome = launch(
-                    flown,
-                    scenario,
-                    overrides,
-                    watcher,
-                    out=folder,
-                    picture=picture,
-                    record=record,
-                    realtime=realtime,
-                    deadline=deadline,
-                    respawn=respawn,
-                    pin=pin,
-                    page=page,
-                    secret=kept,
-                )
-        if outcome.summary is not None and folder is not None:
-            write_summary(outcome.summary, folder)
-    if outcome.summary is not None:
-        if json:
-            print_json(outcome.summary)
-        else:
-            print_summary(outcome.summary, outcome.files)
-    _end(outcome, stop)
+        own = {"weighting": weighting, "path": path, "policy": policy, "network": network}
+        flown, overrides = scenario_of(
+            scenario, seed=seed, duration=duration, law=law, driver=driver, changes=changes, **own
+        )
+        strangers = any(DRIVERS[ugv.driver].outside for ugv in flown.ugv)
+        if in_process and strangers:
+            raise typer.BadParameter("--driver external is another process; leave --in-process out")
+        kept = secret_of(secret, wanted=strangers)
+        check_code(flown, overrides, source=scenario, allowed=allow_code)
+        # what does not fit shows here, not in a child
+        print_warnings((*scenario_warnings(flown), *check_own_functions(flown)))
+        if record is not None:
+            import outrider.recording.writer  # noqa: F401 - a missing extra shows here, not in a child
+        folder = (out or default_folder(flown.name)) if files else None
+        if folder is not None:
+            folder.mkdir(
+                parents=True, exist_ok=True
+            )  # a folder that cannot be made shows before the flight, not after it
+        with stop_on_signals() as stop, _page(dashboard, dashboard_port) as page:
+            if in_process:
+                outcome = _fly_here(flown, kept, folder, picture, record, stop)
+            else:
+                from outrider.running.launch import Watcher, launch
+
+                with flight_progress(flown, "starting (the first start compiles)") as progress:
+                    watcher = Watcher(
+                        on_tick=progress.show,
+                        on_event=progress.say,
+                        on_warnings=print_warnings,
+                        stop=lambda: stop.count,
+                    )
+                    outcome = launch(
+                        flown,
+                        scenario,
+                        overrides,
+                        watcher,
+                        out=folder,
+                        picture=picture,
+                        record=record,
+                        realtime=realtime,
+                        deadline=deadline,
+                        respawn=respawn,
+                        pin=pin,
+                        page=page,
+                        secret=kept,
+                        forks=forks,
+                    )
+            if outcome.summary is not None and folder is not None:
+                write_summary(outcome.summary, folder)
+        if outcome.summary is not None:
+            if json:
+                print_json(outcome.summary)
+            else:
+                print_summary(outcome.summary, outcome.files)
+        _end(outcome, stop)
+
+
+def _forkserver(*, wanted: bool) -> "AbstractContextManager[Forkserver | None]":
+    from contextlib import nullcontext
+
+    from outrider.running.child import environment_of
+    from outrider.running.forking import forkserver
+
+    return forkserver(environment_of("")) if wanted else nullcontext()
 
 
 def _page(wanted: bool, port: int) -> "AbstractContextManager[socket.socket | None]":
@@ -198,13 +210,15 @@ def _fly_here(
 ) -> "Outcome":
     from agents.process import warm_up as warm_up_pilot
     from bus.keys import Role
-    from outrider.cli.console import flight_progress
+    from outrider.cli.console import flight_progress, print_warnings
     from outrider.running.flying import fly
     from outrider.running.launch import Outcome
+    from outrider.running.promise import promise_warnings
     from outrider.view.output import write_flight
     from sim.kernels.compile import compiling
     from sim.server.flight import Flight, warm_up
 
+    print_warnings(promise_warnings(flown))
     shown = 0.0
     recorder = None
     if record is not None:

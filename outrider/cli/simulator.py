@@ -15,13 +15,13 @@ from outrider.cli.options import (
     Insecure,
     Json,
     LawName,
-    Leash,
     NetworkName,
     RealTime,
     Record,
     RunName,
     Secret,
     Set,
+    Watchdog,
     check_endpoints,
     credential_of,
 )
@@ -101,8 +101,8 @@ def command(
         bool,
         typer.Option(hidden=True, help="Report on stdout as JSON lines, for a parent process."),
     ] = False,
-    leash: Leash = False,
-    leash_folder: Annotated[
+    watchdog: Watchdog = False,
+    watchdog_folder: Annotated[
         Path | None, typer.Option(hidden=True, help="Removed when the parent has gone.")
     ] = None,
 ) -> None:
@@ -121,15 +121,15 @@ def command(
     from outrider.running.exit_reports import Reports
     from outrider.running.promise import promise_warnings
     from outrider.running.summary import summarize
-    from outrider.running.watchdog import hold
+    from outrider.running.watchdog import start_watchdog
     from outrider.view.output import write_flight
     from sim.kernels.compile import compiling
     from sim.scenario.checks import scenario_warnings
     from sim.server.flight import warm_up
     from sim.server.serving import Server
 
-    if leash:
-        hold(leash_folder)
+    if watchdog:
+        start_watchdog(watchdog_folder)
     flown, _ = scenario_of(
         scenario,
         seed=seed,
@@ -148,9 +148,11 @@ def command(
     kept = secret_of(secret, wanted=secured and not events)  # a parent has decided
     with compiling():
         warm_up(flown)
-    reports = Reports(enabled=events)
+    reports, promised = Reports(enabled=events), promise_warnings(flown)
+    if events and promised:
+        reports.warn(promised)  # of the scenario itself the parent has told
     if not events:
-        print_warnings((*scenario_warnings(flown), *promise_warnings(flown)))
+        print_warnings((*scenario_warnings(flown), *promised))
         where = (
             f"using the router at {connect}" if connect else f"listening on {', '.join(endpoints)}"
         )

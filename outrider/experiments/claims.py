@@ -1,4 +1,4 @@
-"""What the paper's figures claim, and whether it comes out.
+"""The claims of the paper's figures, held against flights.
 
 Every claim is computed from flights, none is taken for granted.
 """

@@ -75,7 +75,7 @@ def make_figures(
 
 
 def experiments() -> dict[str, Scenario]:
-    """What is flown for the figures, by a short name."""
+    """The scenarios of the figures, by a short name."""
     first, second = load_scenario("scenario-1"), load_scenario("scenario-2")
     return {
         "low": load_scenario("figure-1-low-gain"),
@@ -106,7 +106,7 @@ def fly_all(tell: Callable[[str, float], None]) -> Flights:
 
 
 def all_claims(flights: Flights) -> list[Claim]:
-    """What the five figures claim, then the numbers known from elsewhere."""
+    """The claims of the five figures, then the numbers known from elsewhere."""
     return [
         *claims_1(*(flights[name] for name in GAINS)),
         *claims_2([flights[law].scenario for law in WEIGHTINGS]),
@@ -135,7 +135,7 @@ def full_error(scenario: Scenario) -> tuple[float, float]:
 
 
 def anchors(flights: Flights) -> list[Claim]:
-    """The check values of a program written apart from this one, for a UGV on a straight line, and the error of bare ground."""
+    """Check values of an independent program for a UGV on a straight line, and the error of bare ground."""
     rows = [
         ("e(0) over bare ground", *full_error(flights["open"].scenario), " m²", 0.1),
         (
@@ -230,7 +230,8 @@ def _draw_departure(axes: Axes, flights: Flights, labels: dict[str, str]) -> Non
         marker=".",
         zorder=8,
     )
-    text = f"t = {k * one.scenario.dt:.0f} s: {distance(one)[k]:.1f} m apart, $r_v$ = {one.scenario.visibility.radius:g} m"
+    when, apart = f"t = {k * one.scenario.dt:.0f} s", f"{distance(one)[k]:.1f} m apart"
+    text = f"{when}: {apart}, $r_v$ = {limit.radius:g} m"
     axes.text(0.025, 0.77, text, color=style.LIMIT, transform=axes.transAxes)
     axes.legend(loc="upper left", ncols=2)
     style.panel(axes, "a", "Coverage alone leaves the circle $r_v$")

@@ -1,4 +1,4 @@
-"""What figures and claims read off a flight: distance, error, crossings, and the velocity error with its peaks."""
+"""Quantities that figures and claims read off a flight: distance, error, crossings, velocity error and its peaks."""
 
 import math
 from collections.abc import Callable
@@ -44,7 +44,7 @@ def rise(values: FloatArray) -> float:
 
 
 def crossings(flight: Flight) -> int:
-    """How often the distance rises to r_s or beyond."""
+    """Counts how often the distance rises to r_s or beyond."""
     r_s = switching_radius_of(flight)
     beyond = distance(flight) >= (math.inf if r_s is None else r_s)
     return int((beyond[1:] & ~beyond[:-1]).sum())
@@ -101,7 +101,7 @@ def searching(wanted: FloatArray) -> BoolArray:
 
 
 def turns(wanted: FloatArray) -> FloatArray:
-    """How far u_si has turned at each tick, at most over the last few ticks, each against the one before [rad]."""
+    """The largest turn of u_si from one tick to the next over the last few ticks, at each tick [rad]."""
     course = wanted[:, 0] + 1j * wanted[:, 1]
     step = np.concatenate(([0.0], np.abs(np.angle(course[1:] * course[:-1].conj()))))
     found: FloatArray = np.max(

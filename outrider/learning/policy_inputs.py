@@ -1,4 +1,4 @@
-"""What the learned UAV sees and does.
+"""Observation and action of the learned UAV.
 
 The ground around its UGV and a velocity, both in the frame of the line between them.
 """

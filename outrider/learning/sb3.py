@@ -144,7 +144,7 @@ class VecEnvAdapter(VecEnv):  # type: ignore[misc]  # it has no types where it i
         return [found] * len(self._worlds(indices))
 
     def _found(self, name: str) -> Any:  # noqa: ANN401
-        """What the outermost layer that has this name has under it."""
+        """The attribute of the outermost layer that has it."""
         return getattr(
             next((layer for layer in self._layers() if hasattr(layer, name)), self.env), name
         )

@@ -127,7 +127,7 @@ class RecordingFile:
 
     @property
     def next_start(self) -> float:
-        """Where another flight would begin on the file's clock [s]."""
+        """The place of another flight on the file's clock [s]."""
         return math.ceil(self._last / 1e8 + 1.0) / 10.0
 
     def _clock(self, seconds: float) -> int:
@@ -198,7 +198,7 @@ class RecordingFile:
         self._put(COMMANDS, commands, seconds)
 
     def word(self, ugv: str, tick: int, said: Drive, seconds: float) -> None:
-        """Take down what an operator's word was that a UGV heard at a tick, which began at `seconds`."""
+        """Take down an operator's message that a UGV received at a tick, which began at `seconds`."""
         self._put(
             operator_topic(ugv),
             OperatorWord(tick=tick, driver=said.driver, velocity=said.velocity, goal=said.goal),

@@ -60,7 +60,7 @@ class RunRecorder:
 
     @property
     def ticks_of_run(self) -> int | None:
-        """How many it will have; None: not known yet."""
+        """Number of ticks that it will have; None: not known yet."""
         return self._status.ticks if self._status is not None else None
 
     @property
@@ -74,29 +74,29 @@ class RunRecorder:
 
     def take(self, patience: float) -> None:
         """Take down what has come, and wait for up to `patience` [s] where nothing has."""
-        letter = self._truths.receive(patience)
+        received = self._truths.receive(patience)
         self._take_others()
-        self._busy = letter is not None
+        self._busy = received is not None
         taken = 0
-        while letter is not None:
-            if isinstance(letter.message, Truth):
-                self._take_truth(letter.message)
+        while received is not None:
+            if isinstance(received.message, Truth):
+                self._take_truth(received.message)
                 taken += 1
-            letter = self._truths.next_waiting() if taken < _AT_ONCE else None
+            received = self._truths.next_waiting() if taken < _AT_ONCE else None
         self._file.flush_if_due()
 
     def _take_others(self) -> None:
-        while (letter := self._statuses.next_waiting()) is not None:
-            if isinstance(letter.message, Status):
-                self._status = letter.message
+        while (received := self._statuses.next_waiting()) is not None:
+            if isinstance(received.message, Status):
+                self._status = received.message
                 if self._episode >= 0:
-                    self._file.status(letter.message)
-                    self._take_changes(letter.message.changes)
-                over = letter.message.over
+                    self._file.status(received.message)
+                    self._take_changes(received.message.changes)
+                over = received.message.over
                 self._over_since = (self._over_since or time.monotonic()) if over else None
-        while (letter := self._maps.next_waiting()) is not None:
-            if isinstance(letter.message, CoverageMap):
-                self._map = letter.message
+        while (received := self._maps.next_waiting()) is not None:
+            if isinstance(received.message, CoverageMap):
+                self._map = received.message
         self._put_map()
 
     def _take_changes(self, changes: tuple[Change, ...]) -> None:
@@ -146,7 +146,7 @@ class RunRecorder:
             )
 
     def counts(self) -> dict[str, object]:
-        """What has come, in numbers."""
+        """Counts of what has come."""
         return {
             "ticks": self.ticks,
             "missing_ticks": self.missing_ticks,

@@ -78,7 +78,7 @@ _BROKEN = (
 
 @dataclass(slots=True, kw_only=True)
 class Damage:
-    """Where a file stops making sense."""
+    """The place from which on a file cannot be read."""
 
     end: int = 0
     """Bytes that could be read."""
@@ -149,7 +149,7 @@ class _Reader:
 
 
 def _unpacked(chunk: records.Chunk) -> bytes:
-    """What is in a chunk; neither what it declares nor what is true may be more than fits."""
+    """The content of a chunk; neither its declared nor its true size may be more than fits."""
     if chunk.uncompressed_size > _MOST_BYTES:
         raise ValueError(
             f"a chunk of {chunk.uncompressed_size:,} bytes; {_MOST_BYTES:,} are the most"
@@ -301,7 +301,7 @@ class Recording:
     commands: dict[int, Commands] = field(default_factory=dict)
     """By tick."""
     words: list[tuple[str, OperatorWord]] = field(default_factory=list)
-    """What operators said, and at which UGV's wheel, in the order in which it was heard."""
+    """UGV and message of each operator's command, in the order in which they were received."""
     changes: list[Change] = field(default_factory=list)
     """What operators changed; of a run that an observer recorded, pauses and speeds too."""
     factors: list[float] = field(default_factory=list)
@@ -314,7 +314,7 @@ class Recording:
 
     @property
     def scenario(self) -> Scenario:
-        """What was flown.
+        """The scenario that was flown.
 
         Raises:
             ScenarioError: If the file does not tell, or this version cannot fly it.
@@ -405,7 +405,7 @@ def flight_of(path: Path, number: int | None = None) -> Recording:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Repair:
-    """What a repair has saved."""
+    """The outcome of a repair."""
 
     messages: int
     lost_bytes: int

@@ -70,7 +70,7 @@ def _new_flight(recording: Recording) -> Flight:
 
 
 def _without_gap(recording: Recording) -> int:
-    """How many truths follow each other from the first on."""
+    """Counts the truths that follow each other from the first on."""
     return next(
         (k for k, truth in enumerate(recording.truths) if truth.tick != k), len(recording.truths)
     )
@@ -118,7 +118,7 @@ def restore(recording: Recording) -> Flight:
 
 
 def _repeat(flight: Flight, control: Control) -> None:
-    """What an operator changed of who flies and drives how; of all UGVs where none is named."""
+    """Repeat an operator's change of law, driver or link; of all UGVs where none is named."""
     if control.action is Action.LAW and control.law is not None:
         flight.law = control.law
     elif control.action is Action.DRIVER and control.driver is not None:

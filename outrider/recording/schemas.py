@@ -1,4 +1,4 @@
-"""What stands in a recording: its channels, their JSON schemas, and the head that says what was flown.
+"""The content of a recording: its channels, their JSON schemas, and the head that says what was flown.
 
 Times are simulated: nanoseconds since the first tick. One file holds one run; a run that was reset has several
 flights, one after the other, each with a head of its own.
@@ -39,7 +39,7 @@ EXTRA = "recording needs the extra: pip install 'outrider[record]'"
 
 
 class Head(Message, frozen=True, kw_only=True):
-    """What was flown; the first message of each flight."""
+    """The scenario, seed and platform of a flight; its first message."""
 
     format: int = FORMAT
     outrider: Text
@@ -62,7 +62,7 @@ class Head(Message, frozen=True, kw_only=True):
 
 
 class Commands(Message, frozen=True, kw_only=True):
-    """What each vehicle was asked for during a tick, before the bounds: what is needed to fly it again."""
+    """Each vehicle's commanded acceleration during a tick, before the bounds: needed to fly it again."""
 
     tick: Tick
     accelerations: dict[Name, Vector]
@@ -70,7 +70,7 @@ class Commands(Message, frozen=True, kw_only=True):
 
 
 class OperatorWord(Drive, frozen=True, kw_only=True):
-    """What an operator said, and the tick at which it was heard: that of the UGV's observation that held it."""
+    """An operator's command, and the tick of the UGV's observation that held it."""
 
     tick: Tick
 
@@ -99,7 +99,7 @@ _OPERATOR = "operator"
 
 
 def operator_topic(ugv: str) -> Topic:
-    """What operators have said at this UGV's wheel, where they have."""
+    """The channel of the operators' commands to this UGV, where there are any."""
     return Topic(name=f"/{ugv}/{_OPERATOR}", message=OperatorWord)
 
 

@@ -1,4 +1,4 @@
-"""What viewers of MCAP understand at once (Foxglove, Lichtblick): frames, poses, a scene, the grid, a log.
+"""Channels that viewers of MCAP understand at once (Foxglove, Lichtblick): frames, poses, a scene, the grid, a log.
 
 They are shown a few poses per simulated second: a viewer draws what lies between two of them by itself. Every tick
 stands in our own channels.
@@ -60,7 +60,7 @@ def _ring(ring: Ring) -> messages.LinePrimitive:
 
 
 class _Track:
-    """Where a vehicle went: a line that gets coarser as it gets longer."""
+    """The way of a vehicle: a line that gets coarser as it gets longer."""
 
     def __init__(self) -> None:
         self.points: list[messages.Point3] = []
@@ -210,7 +210,7 @@ class Viewers:
         )
 
     def coverage(self, ground: CoverageMap, time_ns: int) -> None:
-        """What was seen of the ground."""
+        """Show the coverage of the ground."""
         pose = messages.Pose(
             position=messages.Vector3(z=-0.01), orientation=messages.Quaternion(w=1.0)
         )

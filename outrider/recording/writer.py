@@ -53,7 +53,7 @@ _STATUS_PERIOD = 0.5
 
 
 class _Said(NamedTuple):
-    """An operator's word that a UGV heard."""
+    """An operator's command that a UGV received."""
 
     ugv: str
     word: Drive
@@ -71,7 +71,7 @@ Tuples, since the tick pays for making them.
 
 
 def _news_in(told: Mapping[str, News], tick: int) -> Iterator[_Said | Change]:
-    """What operators have said and changed at a tick."""
+    """The operators' commands and changes at a tick."""
     laws = []
     for name, news in told.items():
         for word in news.operator:

@@ -21,8 +21,15 @@ def halves(cores: set[int]) -> tuple[set[int], set[int]]:
 
 
 def can_be_kept_apart(vehicles: int) -> bool:
-    """Whether so few share the cores that each finds its own as it left it; many are divided better by the system."""
+    """True for so few that each finds its core as it left it; many are divided better by the system."""
     return vehicles <= 2 * (os.cpu_count() or 1)
+
+
+def cores_for(*, is_uav: bool) -> frozenset[int]:
+    """The cores of a vehicle's process; empty where the system does not say which there are."""
+    if not hasattr(os, "sched_getaffinity"):
+        return frozenset()
+    return frozenset(halves(os.sched_getaffinity(0))[1 if is_uav else 0])
 
 
 def keep_apart(pids: Mapping[int, bool]) -> None:

@@ -1,7 +1,7 @@
 """What the simulator's process tells the process that started it: JSON lines on stdout."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -15,6 +15,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     tick: int | None = None
     event: str | None = None
+    warnings: list[str] | None = None
     summary: Summary | None = None
     files: list[str] | None = None
 
@@ -37,6 +38,10 @@ class Reports:
     def say(self, line: str) -> None:
         """Something a person should know."""
         self._write(Report(event=line))
+
+    def warn(self, lines: Sequence[str]) -> None:
+        """Why what is flown will not do what one may expect."""
+        self._write(Report(warnings=list(lines)))
 
     def summary(self, summary: Summary) -> None:
         """The flight is over."""

@@ -6,15 +6,13 @@ import queue
 import secrets
 import shutil
 import socket
-import subprocess
-import sys
 import tempfile
-import threading
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
 from pathlib import Path
-from typing import IO, Literal
+from typing import Literal
 
 import msgspec
 
@@ -23,138 +21,22 @@ from bus.certificates import new_authority
 from bus.errors import BusError, PeerLost
 from bus.keys import OPERATOR_NAME, SIMULATOR_NAME
 from bus.registry import DRIVERS
-from outrider.running.cores import can_be_kept_apart, keep_apart
+from outrider.running.child import Child, environment_of
+from outrider.running.cores import can_be_kept_apart, cores_for, keep_apart
 from outrider.running.exit_reports import Report
+from outrider.running.forking import Forkserver, forkserver
 from outrider.running.summary import Process, Summary
 from sim.scenario.types import Scenario, Ugv
 
 _PATIENCE = 10.0
 """How long a process may take to end when it was asked to [s]."""
-_LAST_WORDS = 12
-"""Lines of a child's standard error that are kept."""
 _LAST_FRAME = 0.2
 """So long after the end of the simulator the page is still served [s], so that browsers show that the run is over."""
-_SECRET = "OUTRIDER_SECRET"  # noqa: S105 - a variable's name
-"""Where the simulator's process finds the run's secret."""
 _PORTS = range(20_000, 32_000)
 """Of this machine, below those that systems give to clients."""
 Transport = Literal["unix", "tcp", "tls"]
 _LIVES = 3
 """A process that dies more often than this while the clock stands still is not started again."""
-
-
-def _environment(secret: str) -> dict[str, str]:
-    """A child's environment: ours, without our run's secret unless it is for it.
-
-    A command line would show it to everybody.
-    """
-    ours = {name: value for name, value in os.environ.items() if name != _SECRET}
-    return ours | ({_SECRET: secret} if secret else {})
-
-
-class Child:
-    """One process of the run, with its last words.
-
-    Args:
-        name: On the bus.
-        arguments: Of the `outrider` command line.
-        lines: Where its standard output goes, line by line; None is its end.
-        files: Open files that it inherits, by their numbers.
-        secret: Of the run: for the simulator alone.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        arguments: Sequence[str],
-        lines: "queue.SimpleQueue[bytes | None] | None" = None,
-        files: Sequence[int] = (),
-        secret: str = "",
-    ) -> None:
-        self.name = name
-        self._words: deque[str] = deque(maxlen=_LAST_WORDS)
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "outrider", *arguments, "--leash"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL if lines is None else subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            pass_fds=files,
-            env=_environment(secret),
-            start_new_session=True,  # Ctrl-C reaches us alone; we end the children in order
-        )
-        self._readers = [
-            threading.Thread(target=self._listen, args=(self._process.stderr,), daemon=True)
-        ]
-        if lines is not None:
-            self._readers.append(
-                threading.Thread(
-                    target=self._pass_on, args=(self._process.stdout, lines), daemon=True
-                )
-            )
-        for reader in self._readers:
-            reader.start()
-
-    def _listen(self, stream: IO[bytes]) -> None:
-        for line in stream:
-            self._words.append(line.decode(errors="replace").rstrip())
-
-    @staticmethod
-    def _pass_on(stream: IO[bytes], lines: "queue.SimpleQueue[bytes | None]") -> None:
-        for line in stream:
-            lines.put(line)
-        lines.put(None)
-
-    @property
-    def pid(self) -> int:
-        """Process id."""
-        return self._process.pid
-
-    @property
-    def ended(self) -> int | None:
-        """Exit code, negative for a signal; None while it runs."""
-        return self._process.poll()
-
-    def last_words(self) -> str:
-        """The end of what it wrote to standard error."""
-        for reader in self._readers:
-            reader.join(1.0)
-        return " | ".join(word for word in self._words if word)
-
-    def epitaph(self) -> str:
-        """How it ended, for a person."""
-        code = self.ended
-        how = (
-            f"was killed by signal {-code}"
-            if code is not None and code < 0
-            else f"ended with exit code {code}"
-        )
-        words = self.last_words()
-        return f"{self.name} (pid {self.pid}) {how}" + (f": {words}" if words else "")
-
-    def ask_to_end(self) -> None:
-        """SIGTERM, if it still runs."""
-        if self.ended is None:
-            self._process.terminate()
-
-    def wait(self, patience: float) -> bool:
-        """Whether it has ended within `patience` [s]."""
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(patience)
-        return self.ended is not None
-
-    def kill(self) -> None:
-        """SIGKILL, and wait for its end."""
-        self._process.kill()
-        self._process.wait()
-
-    def close(self) -> None:
-        """Close our ends of its pipes."""
-        for reader in self._readers:
-            reader.join(1.0)
-        for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
-            if stream is not None:
-                with contextlib.suppress(OSError):
-                    stream.close()
 
 
 @contextlib.contextmanager
@@ -182,8 +64,8 @@ def free_port() -> int:
 
 
 @contextlib.contextmanager
-def _family() -> Iterator[list[Child]]:
-    """Children that are all gone afterwards."""
+def _ended_afterwards() -> Iterator[list[Child]]:
+    """Children that are all ended afterwards."""
     children: list[Child] = []
     try:
         yield children
@@ -213,11 +95,18 @@ class Watcher(msgspec.Struct, frozen=True, kw_only=True):
     """Called with the tick, some times a second."""
     on_event: Callable[[str], None]
     """Called with a line for a person."""
+    on_warnings: Callable[[Sequence[str]], None]
+    """Called with what stands in the way of the scenario's promise, a line each."""
     stop: Callable[[], int]
     """How often somebody has asked for the end: once ends the run in order, twice at once."""
 
 
-NOBODY = Watcher(on_tick=lambda _tick: None, on_event=lambda _line: None, stop=lambda: 0)
+NOBODY = Watcher(
+    on_tick=lambda _tick: None,
+    on_event=lambda _line: None,
+    on_warnings=lambda _lines: None,
+    stop=lambda: 0,
+)
 
 
 def launch(
@@ -238,6 +127,7 @@ def launch(
     transport: Transport = "unix",
     page: socket.socket | None = None,
     secret: str = "",
+    forks: Forkserver | None = None,
 ) -> Outcome:
     """Fly a scenario as one process for the simulator and one for each vehicle, over Zenoh on a private socket.
 
@@ -263,13 +153,31 @@ def launch(
         page: A socket that listens, on which the run is shown in the browser; None: it is not. The page's process
             is no part of the flight: where it fails, that is told, and the flight goes on.
         secret: Of the run, for the simulator's process alone; empty: none.
+        forks: A forkserver that the caller has started; None: one is started here.
 
     Returns:
         The summary of what was flown, if anything was; and the fault that ended it early.
     """
-    with _private_folder() as folder, _family() as pages, _family() as children:
+    with (
+        _private_folder() as folder,
+        nullcontext(forks) if forks else forkserver(environment_of("")) as server,
+        _ended_afterwards() as pages,
+        _ended_afterwards() as children,
+    ):
+        while server is not None and not server.ready(0.1):
+            if watcher.stop():
+                return Outcome()
         run = f"run-{os.getpid()}-{secrets.token_hex(4)}"
-        crew = _Crew(scenario, folder, run, children, pin=pin, secured=secured, transport=transport)
+        processes = _Processes(
+            scenario,
+            folder,
+            run,
+            children,
+            server,
+            pin=pin,
+            secured=secured,
+            transport=transport,
+        )
         timing = ["--deadline", str(deadline), "--join-timeout", str(join_timeout)]
         pace = (["--realtime", str(realtime)] if realtime is not None else []) + (
             ["--respawn"] if respawn else []
@@ -277,12 +185,14 @@ def launch(
         settings = [argument for override in overrides for argument in ("--set", override)]
         output = (["--out", str(out)] if out else []) + ([] if picture else ["--no-picture"])
         output += ["--record", str(record)] if record else []
-        crew.start_simulator(source, [*settings, *output, *timing, *pace], watcher, secret)
-        if page is not None and not watcher.stop() and crew.simulator.ended is None:
-            crew.show_on(page, pages, watcher)
+        processes.start_simulator(source, [*settings, *output, *timing, *pace], watcher, secret)
+        if page is not None and not watcher.stop() and processes.simulator.ended is None:
+            processes.show_on(page, pages, watcher)
         if not watcher.stop():
-            crew.start_vehicles(watcher)
-        outcome = _follow(crew, watcher, respawn=respawn)
+            processes.start_vehicles(watcher)
+        if server is not None and not respawn:
+            server.close()  # nothing more is forked
+        outcome = _follow(processes, watcher, respawn=respawn)
         if any(shown.ended is None for shown in pages):
             time.sleep(_LAST_FRAME)
         if outcome.summary is not None:
@@ -293,7 +203,7 @@ def launch(
         return outcome
 
 
-class _Crew:
+class _Processes:
     """The run's processes, the simulator's first.
 
     Args:
@@ -301,6 +211,7 @@ class _Crew:
         folder: The run's private folder.
         run: Its name.
         children: Where they are kept, so that they are ended whatever happens.
+        forks: What forks them; None: each is started by itself.
         pin: Whether they are given cores.
         secured: Whether they are given credentials.
         transport: How they reach each other.
@@ -312,12 +223,14 @@ class _Crew:
         folder: Path,
         run: str,
         children: list[Child],
+        forks: Forkserver | None,
         *,
         pin: bool,
         secured: bool,
         transport: Transport,
     ) -> None:
         self.children = children
+        self._forks = forks
         self.lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         """What the simulator reports."""
         self._scenario, self._folder, self._run = scenario, folder, run
@@ -360,8 +273,15 @@ class _Crew:
             self._run,
             "--events",
         ]
-        arguments += [*self._known_as(ROUTER_FILE), *settings, "--leash-folder", str(self._folder)]
-        self.children.append(Child(SIMULATOR_NAME, arguments, self.lines, secret=secret))
+        arguments += [
+            *self._known_as(ROUTER_FILE),
+            *settings,
+            "--watchdog-folder",
+            str(self._folder),
+        ]
+        self.children.append(
+            Child(SIMULATOR_NAME, arguments, self.lines, secret=secret, forkserver=self._forks)
+        )
         while not self._listens() and self.simulator.ended is None and not watcher.stop():
             time.sleep(0.02)
 
@@ -401,7 +321,7 @@ class _Crew:
         if self._page is None or self._page.ended is None:
             return ""
         page, self._page = self._page, None
-        return f"{page.epitaph()}; the run goes on without its page"
+        return f"{page.exit_report()}; the run goes on without its page"
 
     def _start(self, name: str) -> Child:
         common = [
@@ -413,19 +333,18 @@ class _Crew:
             self._run,
             *self._known_as(name),
         ]
-        custom = self._scenario.custom
-        if name not in self._uavs:
-            return Child(
-                name, ["ugv", *common, *(["--policy", custom.policy] if custom.policy else [])]
-            )
-        own = [("--weighting", custom.weighting), ("--path", custom.path)]
+        custom, is_uav = self._scenario.custom, name in self._uavs
+        own = (
+            [("--weighting", custom.weighting), ("--path", custom.path)]
+            if is_uav
+            else [("--policy", custom.policy)]
+        )
+        given = [argument for option, value in own if value for argument in (option, value)]
         return Child(
             name,
-            [
-                "uav",
-                *common,
-                *(argument for option, value in own if value for argument in (option, value)),
-            ],
+            ["uav" if is_uav else "ugv", *common, *given],
+            forkserver=self._forks,
+            cores=cores_for(is_uav=is_uav) if self._pin else frozenset(),
         )
 
     def start_vehicles(self, watcher: Watcher) -> None:
@@ -452,41 +371,43 @@ class _Crew:
             keep_apart({child.pid: child.name in self._uavs for child in self.children})
 
 
-def _follow(crew: _Crew, watcher: Watcher, *, respawn: bool) -> Outcome:
+def _follow(processes: _Processes, watcher: Watcher, *, respawn: bool) -> Outcome:
     """Until the simulator's process has ended, whoever made it end."""
-    simulator, outcome, asked = crew.simulator, Outcome(), False
-    tick, deaths, mourned = 0, Counter[str](), set[int]()
+    simulator, outcome, asked = processes.simulator, Outcome(), False
+    tick, deaths, counted = 0, Counter[str](), set[int]()
 
     def read(line: bytes) -> None:
         nonlocal tick
-        report = msgspec.json.decode(line, type=Report)
-        if report.tick is not None:
-            if report.tick > tick:
+        told = msgspec.json.decode(line, type=Report)
+        if told.tick is not None:
+            if told.tick > tick:
                 deaths.clear()
-            tick = report.tick
-            watcher.on_tick(report.tick)
-        if report.event is not None:
-            watcher.on_event(report.event)
-        if report.summary is not None:
-            outcome.summary = report.summary
-        if report.files is not None:
-            outcome.files = [Path(file) for file in report.files]
+            tick = told.tick
+            watcher.on_tick(told.tick)
+        if told.event is not None:
+            watcher.on_event(told.event)
+        if told.warnings is not None:
+            watcher.on_warnings(told.warnings)
+        if told.summary is not None:
+            outcome.summary = told.summary
+        if told.files is not None:
+            outcome.files = [Path(file) for file in told.files]
 
-    def bury(dead: Child) -> bool:
-        """A vehicle's process has failed; whether the run must end for it."""
-        mourned.add(dead.pid)
+    def count(dead: Child) -> bool:
+        """Tell of a vehicle's process that has failed, and start it again; true if the run must end for it."""
+        counted.add(dead.pid)
         deaths[dead.name] += 1
         again = respawn and deaths[dead.name] <= _LIVES
-        epitaph = dead.epitaph()
+        report = dead.exit_report()
         if respawn and not again:
-            epitaph += (
+            report += (
                 f"; for the {deaths[dead.name]}th time at tick {tick}, and it is not started again"
             )
-        watcher.on_event(epitaph + (": started again" if again else ""))
+        watcher.on_event(report + (": started again" if again else ""))
         if again:
-            crew.start_again(dead)
+            processes.start_again(dead)
         else:
-            outcome.fault = outcome.fault or epitaph
+            outcome.fault = outcome.fault or report
         return not again and (respawn or tick == 0)
 
     while True:
@@ -496,25 +417,25 @@ def _follow(crew: _Crew, watcher: Watcher, *, respawn: bool) -> Outcome:
         if watcher.stop() > 1:
             raise BusError("killed before the end")
         if not asked and outcome.summary is None:
-            if lost := crew.lost_page():
+            if lost := processes.lost_page():
                 watcher.on_event(lost)
             dead = [
                 child
-                for child in crew.children[1:]
-                if child.ended not in (None, 0) and child.pid not in mourned
+                for child in processes.children[1:]
+                if child.ended not in (None, 0) and child.pid not in counted
             ]
             for child in dead:
-                if bury(child):
+                if count(child):
                     asked = True
                     simulator.ask_to_end()
         with contextlib.suppress(queue.Empty):
-            line = crew.lines.get(timeout=0.1)
+            line = processes.lines.get(timeout=0.1)
             if line is None:
                 break
             read(line)
     simulator.wait(_PATIENCE)
     if outcome.summary is None and not outcome.fault and not watcher.stop():
-        raise PeerLost(simulator.epitaph())
+        raise PeerLost(simulator.exit_report())
     if simulator.ended not in (0, None) and not watcher.stop() and not outcome.fault:
-        outcome.fault = simulator.last_words() or simulator.epitaph()
+        outcome.fault = simulator.stderr_tail() or simulator.exit_report()
     return outcome

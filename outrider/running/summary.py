@@ -2,15 +2,15 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
-from agents.control.visibility import raw_switching_radius
 from bus.messages import Action, CertificateStatus, Change, LinkStatus, VehicleStatus
-from sim.server.flight import Flight
-from sim.server.recorder import platform_row
+
+if TYPE_CHECKING:
+    from sim.server.flight import Flight
 
 
 class Process(msgspec.Struct, frozen=True, kw_only=True):
@@ -106,8 +106,10 @@ def _rms(errors: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float | N
     return math.sqrt(float(found.mean())) if found.size else None
 
 
-def switching_radius_of(flight: Flight, escort: int = 0) -> float | None:
+def switching_radius_of(flight: "Flight", escort: int = 0) -> float | None:
     """r_s of (18) [m] for one escort; None where it has no finite value."""
+    from agents.control.visibility import raw_switching_radius  # noqa: PLC0415 - compiled: whoever only reads summaries goes without
+
     world = flight.world
     a, g = world.escorts[escort]
     v_a, u_a = world.bounds[a].tolist()
@@ -145,7 +147,7 @@ def certificate_fields(told: CertificateStatus | None) -> dict[str, Any]:
 
 
 def summarize(
-    flight: Flight,
+    flight: "Flight",
     *,
     seconds: float,
     vehicles: Mapping[str, VehicleStatus] | None = None,
@@ -163,6 +165,8 @@ def summarize(
         late_ticks: Ticks that it could not keep.
         changes: What operators have changed.
     """
+    from sim.server.recorder import platform_row  # noqa: PLC0415 - likewise
+
     scenario, recorder, world = flight.scenario, flight.recorder, flight.world
     distance, error = recorder.escorts[:, :, 0], recorder.escorts[:, :, 1]
     p_a, p_g = (

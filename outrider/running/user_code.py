@@ -10,9 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agents.control.orbit import check_path
-from agents.control.visibility import switching_radius
-from agents.control.weighting import check_weighting
 from agents.drivers.policy import RowPolicy
 from bus.errors import ScenarioError
 from bus.layout import Row, UgvRow
@@ -283,6 +280,10 @@ def check_own_functions(scenario: "Scenario") -> tuple[str, ...]:
     Raises:
         ScenarioError: If a function is not there or does not fit.
     """
+    from agents.control.orbit import check_path  # noqa: PLC0415 - nobody else needs the laws
+    from agents.control.visibility import switching_radius  # noqa: PLC0415
+    from agents.control.weighting import check_weighting  # noqa: PLC0415
+
     weighting = load_function(scenario.custom.weighting, what="custom.weighting")
     path = load_function(scenario.custom.path, what="custom.path")
     load_function(scenario.custom.policy, what="custom.policy")

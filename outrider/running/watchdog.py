@@ -25,7 +25,7 @@ def _wake_when_the_parent_dies() -> None:
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, int(signal.SIGCONT), 0, 0, 0)
 
 
-def hold(folder: Path | None = None) -> None:
+def start_watchdog(folder: Path | None = None) -> None:
     """Send this process SIGTERM once its standard input closes: nobody is left who holds the other end.
 
     Args:
@@ -44,17 +44,21 @@ def hold(folder: Path | None = None) -> None:
 
     def leave() -> None:
         # The main thread may hear first that the parent has gone (a broken pipe, the run's end) and would cut
-        # `wait` short.
-        if select.select([sys.stdin.fileno()], [], [], 0)[0]:
+        # `wait` short. The system closes a dead parent's pipes one by one, this one perhaps last of all.
+        pipes = select.poll()
+        pipes.register(sys.stdin.fileno(), select.POLLIN)
+        for broken in (1, 2):
+            pipes.register(broken, 0)
+        if pipes.poll(0):
             tidy()
 
     _wake_when_the_parent_dies()
     atexit.register(leave)
-    threading.Thread(target=wait, name="outrider-leash", daemon=True).start()
+    threading.Thread(target=wait, name="outrider-watchdog", daemon=True).start()
 
 
 @cache
-def leave_with(parent: int) -> None:
+def end_with_parent(parent: int) -> None:
     """End this worker of a pool when its parent has gone, however it went: a pool's own workers would stay.
 
     Args:
@@ -66,15 +70,12 @@ def leave_with(parent: int) -> None:
             time.sleep(0.5)
         os._exit(1)
 
-    threading.Thread(target=watch, name="outrider-leash", daemon=True).start()
+    threading.Thread(target=watch, name="outrider-watchdog", daemon=True).start()
 
 
 @contextmanager
-def deaf_to_interrupts() -> Iterator[None]:
-    """Processes that are started meanwhile do not hear of Ctrl-C, which a terminal sends to all.
-
-    Their parent ends them.
-    """
+def interrupts_masked() -> Iterator[None]:
+    """Start processes that do not receive SIGINT, which a terminal sends to all; their parent ends them."""
     resource_tracker.ensure_running()  # it would be started with the first process, and let SIGINT through again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

@@ -1,1 +1,1 @@
-"""What is drawn of a flight: pictures, films, terminal and page."""
+"""Views of a flight: pictures, films, terminal and page."""

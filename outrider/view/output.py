@@ -1,15 +1,18 @@
-"""What a run leaves behind in its folder: the trajectory, the picture and the summary."""
+"""The files of a run: the trajectory, the picture and the summary."""
 
 import os
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
 
 from outrider.running.summary import Summary
-from sim.server.flight import Flight
+
+if TYPE_CHECKING:
+    from sim.server.flight import Flight
 
 TRAJECTORY = "trajectory.csv"
 PICTURE = "flight.png"
@@ -39,7 +42,7 @@ def write_summary(summary: Summary, folder: Path) -> Path:
 
 
 def write_flight(
-    flight: Flight, summary: Summary, folder: Path, *, picture: bool = True
+    flight: "Flight", summary: Summary, folder: Path, *, picture: bool = True
 ) -> list[Path]:
     """Write all there is of a flight.
 

@@ -1,4 +1,4 @@
-"""What is wrong with a scenario, in one line: the field, its value, what is wrong, what is allowed."""
+"""Faults of a scenario, in one line each: the field, its value, what is wrong, what is allowed."""
 
 import json
 import math
@@ -32,7 +32,8 @@ def _written(value: object, depth: int) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(_written(part, depth + 1) for part in value)}]"
     if isinstance(value, dict):
-        return f"{{{', '.join(f'{key} = {_written(part, depth + 1)}' for key, part in value.items())}}}"
+        entries = (f"{key} = {_written(part, depth + 1)}" for key, part in value.items())
+        return f"{{{', '.join(entries)}}}"
     return str(value)
 
 
@@ -54,7 +55,7 @@ def near(word: str, known: Sequence[str]) -> str:
 
 
 class Fault(NamedTuple):
-    """Why a scenario is refused."""
+    """A reason to refuse a scenario."""
 
     field: str
     """Such as `uav.0.max_speed`."""
@@ -76,5 +77,5 @@ class Fault(NamedTuple):
 
 
 def is_whole(number: float, tolerance: float) -> bool:
-    """Whether a number is a whole one, 1 or more, but for rounding."""
+    """Tells whether a number is a whole one, 1 or more, but for rounding."""
     return math.isfinite(number) and round(number) >= 1 and abs(number - round(number)) <= tolerance

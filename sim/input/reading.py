@@ -202,7 +202,7 @@ def _type_fault(message: str, raw: object) -> Fault:
 
 
 def _expectation(text: str, path: list[str]) -> tuple[str, str]:
-    """What is wrong and what is allowed."""
+    """Says what is wrong and what is allowed."""
     found = _EXPECTED.fullmatch(text)
     if found is None:
         return text[0].lower() + text[1:], "a number that a float can hold"

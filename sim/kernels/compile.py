@@ -5,6 +5,7 @@ Strict floating point, one cache for one source text.
 
 import contextlib
 import fcntl
+import functools
 import hashlib
 import os
 import shutil
@@ -15,7 +16,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -26,6 +26,7 @@ IntArray = npt.NDArray[np.int64]
 """Likewise int64."""
 
 _F = TypeVar("_F", bound=Callable[..., Any])
+_interpreted = False
 _KEEP = 6  # caches of other source texts (checkouts, versions) that stay beside ours
 
 
@@ -35,6 +36,8 @@ def _source_digest() -> str:
     numba looks only at the file that holds a function, not at those that it calls: after a change in a called
     file it would run the old code. So each state of the sources has a cache of its own.
     """
+    import numba  # noqa: PLC0415 - see `interpret`
+
     root = Path(__file__).resolve().parents[2]
     digest = hashlib.sha256(f"{sys.version}{numba.__version__}{np.__version__}".encode())
     for folder in ("sim", "agents", "outrider"):
@@ -62,7 +65,11 @@ def _drop_old(home: Path) -> None:
         shutil.rmtree(path, ignore_errors=True)
 
 
-def _open_cache() -> Path | None:
+@functools.cache
+def cache_folder() -> Path | None:
+    """The folder of the compile cache, which numba is told; None where none can be written."""
+    import numba  # noqa: PLC0415 - see `interpret`
+
     home = _cache_home()
     folder = home / f"numba-{_source_digest()}"
     try:
@@ -77,17 +84,18 @@ def _open_cache() -> Path | None:
             stacklevel=2,
         )
         return None
+    numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
     return folder
 
 
-_FOLDER = _open_cache()
-if _FOLDER is not None:
-    numba.config.CACHE_DIR = str(_FOLDER)  # type: ignore[attr-defined]
+def interpret() -> None:
+    """Leave all functions to the interpreter: for a process that computes next to nothing, and must start at once.
 
-
-def cache_folder() -> Path | None:
-    """The folder of the compile cache; None where none can be written."""
-    return _FOLDER
+    It loads no numba then. To be called before anything that is compiled is imported: compiled functions cannot call
+    others.
+    """
+    global _interpreted  # noqa: PLW0603 - a process is the one or the other, from its start
+    _interpreted = True
 
 
 def _compile(function: _F, **options: Any) -> _F:  # noqa: ANN401 - numba's
@@ -95,8 +103,12 @@ def _compile(function: _F, **options: Any) -> _F:  # noqa: ANN401 - numba's
 
     No entry for C, which nobody uses and which takes time to compile.
     """
+    if _interpreted:
+        return function
+    import numba  # noqa: PLC0415 - see `interpret`
+
     njit: Any = numba.njit
-    chosen = {"cache": _FOLDER is not None, "error_model": "numpy", "no_cfunc_wrapper": True}
+    chosen = {"cache": cache_folder() is not None, "error_model": "numpy", "no_cfunc_wrapper": True}
     return cast("_F", njit(**chosen, **options)(function))
 
 
@@ -140,6 +152,10 @@ def entry_point(function: _F, *arguments: object) -> _F:
     a world whose tick takes one. Whoever calls often with arguments of fixed types looks once. Later arguments are
     not checked: arrays must have the same types, dimensions and layout.
     """
+    if _interpreted:
+        return function
+    import numba  # noqa: PLC0415 - see `interpret`
+
     dispatcher: Any = function
     typeof: Any = numba.typeof
     types = tuple(typeof(argument) for argument in arguments)
@@ -150,9 +166,10 @@ def entry_point(function: _F, *arguments: object) -> _F:
 @contextlib.contextmanager
 def compiling() -> Iterator[None]:
     """While one process compiles, the others wait and then load what it has compiled."""
-    if _FOLDER is None:
+    folder = None if _interpreted else cache_folder()
+    if folder is None:
         yield
         return
-    with (_FOLDER / "lock").open("w") as lock:
+    with (folder / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield

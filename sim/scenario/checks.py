@@ -182,9 +182,13 @@ def check_scenario(scenario: Scenario, *, source: str = "") -> Scenario:
 
 
 def scenario_warnings(scenario: Scenario) -> tuple[str, ...]:
-    """What can be flown but will not do what one may expect.
+    """Warns of what can be flown but will not do what one may expect.
 
-    A line each, for a scenario that `check_scenario` has passed.
+    Args:
+        scenario: One that `check_scenario` has passed.
+
+    Returns:
+        A line for each.
     """
     return tuple(
         line
@@ -215,10 +219,14 @@ def _circle_warnings(s: Scenario) -> Iterator[str]:
             needs = (
                 f"needs {radius * rate:.3g} m/s and {radius * rate * rate:.3g} m/s² of {uav.name}"
             )
-            has = f"which beside {ugv.name} has v_a - v_g = {spare:.3g} m/s and u_a = {uav.max_acceleration:.3g} m/s²"
+            has = (
+                f"which beside {ugv.name} has v_a - v_g = {spare:.3g} m/s "
+                f"and u_a = {uav.max_acceleration:.3g} m/s²"
+            )
             reason = f"the smaller of (v_a - v_g)/r_pv and sqrt(u_a/r_pv), r_pv = {radius:.4g} m"
             field = f"law.circle_rate = {s.law.circle_rate}"
-            yield f"{field}: cannot be flown: {needs}, {has}; allowed up to {bound:.4f} rad/s, {reason}"
+            allowed = f"allowed up to {bound:.4f} rad/s, {reason}"
+            yield f"{field}: cannot be flown: {needs}, {has}; {allowed}"
 
 
 def _task_warnings(s: Scenario) -> Iterator[str]:

@@ -145,7 +145,7 @@ class VehicleLinks(_Links, frozen=True, kw_only=True):
 
 
 class LinkTable(_Links, frozen=True, kw_only=True):
-    """What the radio links do to messages, kind by kind.
+    """The settings of the radio links, kind by kind.
 
     In TOML each may name a `profile` that it starts from, and so may all.
     """
@@ -160,7 +160,7 @@ class LinkTable(_Links, frozen=True, kw_only=True):
         return settings
 
     def path_of(self, vehicle: str, kind: LinkKind) -> str:
-        """Where these settings stand in the scenario, such as `links.commands` or `links.only.0.commands`."""
+        """The field of the scenario that holds these settings, such as `links.commands` or `links.only.0.commands`."""
         own = next((f"only.{k}." for k, row in enumerate(self.only) if row.vehicle == vehicle), "")
         return f"links.{own}{kind}"
 
@@ -190,7 +190,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     dt: Positive = 0.05
     """Length of a tick [s]."""
     hold: NonNegative = 0.5
-    """How long the last command is held when none comes [s]; then the vehicle brakes."""
+    """For so long the last command is held when none comes [s]; then the vehicle brakes."""
     area: Area = DEFAULT_AREA
     sensor: Sensor = Sensor()
     visibility: Visibility = Visibility()

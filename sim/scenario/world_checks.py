@@ -256,7 +256,10 @@ def commands_act(s: Scenario) -> Iterator[Fault]:
         if least > round(s.hold / s.dt):
             path = f"{s.links.path_of(vehicle.name, LinkKind.COMMANDS)} of {vehicle.name}"
             age = f"{least * s.dt:g} s"
-            wrong = f"commands are {age} old or more when they arrive ({path}), so that it would only brake"
+            wrong = (
+                f"commands are {age} old or more when they arrive ({path}), "
+                "so that it would only brake"
+            )
             yield Fault("hold", s.hold, wrong, f"{age} or more")
 
 

@@ -1,4 +1,4 @@
-"""How every runner counts and what it prints: alike for all.
+"""Counting and printing, alike for every runner.
 
 Standard library only, since it runs in every environment.
 """
@@ -61,7 +61,7 @@ def _cores() -> tuple[float, float]:
 
 
 def calls_per_second(step: Step, seconds: float) -> float:
-    """How often it can be called [1/s]; it is called at least once and for at least so long [s]."""
+    """The rate at which it can be called [1/s]; it is called at least once and for at least so long [s]."""
     calls, started = 0, time.perf_counter()
     while True:
         step()

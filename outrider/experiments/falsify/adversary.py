@@ -21,7 +21,7 @@ def cut(number: float, digits: int) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tactics:
-    """Where the UGV drives, by how far away the UAV is and whether it comes or goes."""
+    """The UGV's answers, by how far away the UAV is and whether it comes or goes."""
 
     far: float
     """From this distance on it counts as far [m]."""

@@ -32,7 +32,7 @@ _CHUNK = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attacked:
-    """What came out of a few runs of one combination."""
+    """The outcome of a few runs of one combination."""
 
     eps: float
     """Largest error of a detection [m]."""
@@ -65,7 +65,7 @@ class Attacked:
 
 
 def kind(conditions: Conditions) -> str:
-    """Where it is flown and what breaks A5, in words."""
+    """Names the place and the disturbance that breaks A5."""
     breaks = attack.DISTURBANCES[conditions.disturbance].replace("_", " ")
     if conditions.jitter:
         breaks = "jitter and duplicates" if conditions.duplicates else "jitter"
@@ -76,7 +76,7 @@ def kind(conditions: Conditions) -> str:
 
 @dataclass(slots=True)
 class KindTally:
-    """What has been found in one place with one disturbance."""
+    """Counts of one place with one disturbance."""
 
     runs: int = 0
     violations: int = 0
@@ -88,7 +88,7 @@ class KindTally:
 
 @dataclass(slots=True)
 class AttackTally:
-    """What has been found so far."""
+    """Counts of a search so far."""
 
     runs: int = 0
     combinations: int = 0

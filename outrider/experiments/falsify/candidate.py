@@ -17,7 +17,7 @@ from sim.server.flight import Flight
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CandidateResult:
-    """What came out of a run."""
+    """The outcome of a run."""
 
     number: int
     score: float
@@ -37,7 +37,7 @@ class CandidateResult:
 
 
 _WHILE = 1.0
-"""Where a tick was not certified, a promise counts again when it has stood for so long, and for the delay of the commands [s]."""
+"""After an uncertified tick a promise counts again once it has stood for so long and for the commands' delay [s]."""
 
 
 class _Watch:
@@ -117,5 +117,5 @@ def flown(
 
 
 def fly_candidate(candidate: Candidate, base: Scenario, limits: SearchLimits) -> CandidateResult:
-    """What came out of a candidate; for a worker."""
+    """Fly a candidate; for a worker."""
     return flown(candidate, base, limits)[2]

@@ -26,7 +26,7 @@ _SHARE_OF_TIME = 1.0 / 3.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wanted:
-    """What is to be searched."""
+    """The search that is asked for."""
 
     base: Scenario
     limits: SearchLimits
@@ -51,7 +51,7 @@ class Wanted:
 
 @dataclass(slots=True)
 class Found:
-    """What has been found."""
+    """The outcome of a search."""
 
     wanted: Wanted
     flights: Tally = field(default_factory=Tally)

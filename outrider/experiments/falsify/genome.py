@@ -154,7 +154,7 @@ def _script(scenario: Scenario, x: Sequence[float]) -> tuple[ScriptStep, ...]:
 
 
 def tactics_of(vector: Sequence[float], scenario: Scenario) -> Tactics:
-    """How the UGV of an `adversary` answers."""
+    """The tactics of an `adversary`."""
     uav, ugv = pair(scenario)
     table = tuple(
         (2.0 * math.pi * angle, ugv.max_speed * min(1.0, 1.5 * speed))

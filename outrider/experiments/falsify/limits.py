@@ -41,7 +41,7 @@ class SearchLimits:
 
 
 def needed_age(limits: SearchLimits, scenario: Scenario) -> float:
-    """The age A [s] that the newest detection does not exceed within these limits, but for one loss in a thousand million."""
+    """The age A [s] that the newest detection stays below within these limits, but for one loss in 10⁹."""
     return (
         limits.delay + limits.blackout + looks_until_seen(limits.loss, scenario) + 2.0 * scenario.dt
     )
@@ -79,7 +79,7 @@ def pair(scenario: Scenario) -> tuple[Uav, Ugv]:
 
 
 def base_of(scenario: Scenario, limits: SearchLimits) -> Scenario:
-    """What all candidates have in common.
+    """The scenario that every candidate starts from.
 
     What the scenario declares of its detections for the law `certified` is kept; what it leaves open is declared
     as these limits

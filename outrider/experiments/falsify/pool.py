@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from bus.errors import PeerLost
-from outrider.running.watchdog import deaf_to_interrupts, leave_with
+from outrider.running.watchdog import end_with_parent, interrupts_masked
 
 _Result = TypeVar("_Result")
 
@@ -27,7 +27,7 @@ def _begin(parent: int, warm: Callable[[], None]) -> None:
     End when it has gone, however it went.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    leave_with(parent)
+    end_with_parent(parent)
     warm()
 
 
@@ -99,7 +99,7 @@ class Workers:
                 call = next(calls, None)
                 if call is None:
                     break
-                with deaf_to_interrupts():
+                with interrupts_masked():
                     asked.append(pool.submit(function, *call))
             if not asked:
                 return

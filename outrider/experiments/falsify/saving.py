@@ -34,7 +34,7 @@ def _value(value: object) -> str:
 
 
 def _changed(settings: LinkSettings) -> dict[str, Any]:
-    """What a link does that a perfect one does not."""
+    """The settings in which a link differs from a perfect one."""
     plain = msgspec.to_builtins(settings)
     return {
         key: value

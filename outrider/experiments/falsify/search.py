@@ -55,7 +55,7 @@ def warm() -> None:
 
 
 class Budget:
-    """How much may be flown: runs, time, or both, whichever ends first.
+    """The amount that may be flown: runs, time, or both, whichever ends first.
 
     Args:
         runs: None: no limit.
@@ -75,7 +75,7 @@ class Budget:
         return time.monotonic() - self._began
 
     def share(self, runs: int) -> float:
-        """How much of it is used up after so many runs."""
+        """The share of it that is used up after so many runs."""
         of_runs = runs / self.runs if self.runs else 0.0
         return max(of_runs, self.elapsed / self._seconds if self._seconds else 0.0)
 
@@ -90,7 +90,7 @@ class Budget:
 
 @dataclass(slots=True)
 class Tally:
-    """What has been found so far."""
+    """Counts of a search so far."""
 
     runs: int = 0
     violations: int = 0
@@ -167,7 +167,7 @@ class _Island:
         ]
 
     def tell(self, scores: list[float]) -> None:
-        """How far the UGV came in each [m]."""
+        """Tell how far the UGV came in each [m]."""
         self._strategy.tell(self._asked, [-score for score in scores])
 
 

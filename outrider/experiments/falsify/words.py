@@ -8,7 +8,8 @@ from sim.server.flight import Flight
 
 def _start(scenario: Scenario) -> str:
     uav, ugv = scenario.uav[0], scenario.ugv[0]
-    speeds = f"the UAV flies at {math.hypot(*uav.velocity):.2f} m/s, the UGV drives at {math.hypot(*ugv.velocity):.2f} m/s"
+    v_a, v_g = math.hypot(*uav.velocity), math.hypot(*ugv.velocity)
+    speeds = f"the UAV flies at {v_a:.2f} m/s, the UGV drives at {v_g:.2f} m/s"
     if uav.velocity == ugv.velocity == (0.0, 0.0):
         speeds = "both at rest"
     return f"It starts {math.dist(uav.position, ugv.position):.2f} m apart, {speeds}."
@@ -32,7 +33,7 @@ def _network(scenario: Scenario) -> str:
 
 
 def _at(flight: Flight, tick: int) -> str:
-    """How both move at a tick, along the line between them."""
+    """Describes how both move at a tick, along the line between them."""
     rows = {name: k for k, name in enumerate(flight.world.names)}
     a, g = flight.recorder.states[tick, rows[flight.world.uavs[0].name]], None
     g = flight.recorder.states[tick, rows[flight.world.uavs[0].escorts]]
@@ -53,7 +54,7 @@ def _at(flight: Flight, tick: int) -> str:
 
 
 def in_words(scenario: Scenario, flight: Flight) -> list[str]:
-    """What happens, a sentence each."""
+    """Describes what happens, a sentence each."""
     distance, r_v, dt = flight.recorder.escorts[:, 0, 0], scenario.visibility.radius, scenario.dt
     farthest = int(distance.argmax())
     beyond = [int(tick) for tick in (distance >= r_v).nonzero()[0]]

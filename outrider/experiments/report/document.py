@@ -74,7 +74,7 @@ def cells_of(law: str, cell: Cell) -> list[str]:
 
 
 def certified_runs(material: Material) -> str:
-    """How many runs were certified at every tick, and how many of them lost the UGV; empty where none was."""
+    """Counts the runs that were certified at every tick, and how many of them lost the UGV; empty where none was."""
     cells = [
         panel.cell(law, value)
         for panel in material.panels
@@ -219,7 +219,7 @@ def _settings(material: Material) -> Iterator[str]:
 
 
 def _caution(material: Material) -> str:
-    """What it means that something has not happened in so many runs."""
+    """Bounds the rate of something that has not happened in so many runs."""
     fewest = min(
         (
             len(cell.flown)

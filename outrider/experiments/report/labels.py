@@ -1,4 +1,4 @@
-"""What a field of the scenario is called on an axis, and in which unit."""
+"""Names of a scenario's fields on an axis, with units."""
 
 import math
 

@@ -34,7 +34,7 @@ Draw = Callable[[Axes, Panel, "list[float]", float], None]
 
 
 def positions(panel: Panel) -> tuple[list[float], float]:
-    """Where the values stand on the axis, and the smallest gap between two."""
+    """Places of the values on the axis, and the smallest gap between two."""
     values = panel.values
     numbers = [
         float(value)
@@ -64,7 +64,7 @@ def _dress(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
 
 
 def _aside(panel: Panel, number: int, gap: float, share: float = 0.62) -> float:
-    """How far a law's marks stand beside the value, so that none hides another."""
+    """Offset of a law's marks from the value, so that none hides another."""
     count = len(panel.laws)
     return gap * share * ((number + 0.5) / count - 0.5)
 

@@ -32,7 +32,7 @@ class Cell:
 
     @property
     def failed(self) -> int:
-        """How many did."""
+        """Number of runs that failed."""
         return len(self.rows) - len(self.flown)
 
     @property

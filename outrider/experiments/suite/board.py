@@ -19,7 +19,7 @@ BASELINES = tuple(law.name for law in LAWS.values() if law.compared)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Standing:
-    """How one entry has done in all the tasks."""
+    """The scores of one entry in all the tasks."""
 
     entry: str
     score: float
@@ -40,7 +40,7 @@ class Standing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leaderboard:
-    """Who has done how well."""
+    """The entries and their scores."""
 
     tasks: tuple[str, ...]
     standings: tuple[Standing, ...]

@@ -29,7 +29,7 @@ SETTINGS = ("estimate", "gradient", "safety_filter", "coverage_patch", "dtype", 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """How one entry has done in one task."""
+    """The score of one entry in one task."""
 
     task: str
     entry: str
@@ -100,7 +100,7 @@ class _Meter:
             self.certificate_broken += int(told["certificate_broken"].sum())
 
     def _unseen(self, x: float, y: float) -> float:
-        """What e would be [m²] with the UGV at (x, y) [m], had no UAV seen anything.
+        """E(t) [m²] with the UGV at (x, y) [m], had no UAV seen anything.
 
         UGVs of many worlds often stand there.
         """

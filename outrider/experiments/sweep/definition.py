@@ -40,7 +40,7 @@ class Block(_Table, frozen=True, kw_only=True):
 
 
 class Sweep(_Table, frozen=True, kw_only=True):
-    """What is flown: each law, in each block, at each combination of its values, with each seed."""
+    """A plan of runs: each law, in each block, at each combination of its values, with each seed."""
 
     title: Text = ""
     scenario: Text = "escort"
@@ -79,7 +79,7 @@ def _flat(table: Mapping[str, Any], path: str = "") -> dict[str, Any]:
 
 
 def _varied(table: Mapping[str, Any], path: str, file: str) -> dict[str, Any]:
-    """What is varied, checked.
+    """The varied fields with their values, checked.
 
     Raises:
         ScenarioError: If a field has no list of values, an empty one, a value twice, or is varied in another way.

@@ -34,7 +34,7 @@ _MOST_HEAD, _MOST_TABLE = 4 << 20, 1 << 30
 
 
 class SweepHead(msgspec.Struct, frozen=True, kw_only=True):
-    """What a folder holds: enough to tell it from another sweep's, and to report on it."""
+    """The head of a folder: enough to tell it from another sweep's, and to report on it."""
 
     outrider: str
     """The version that made it."""
@@ -46,7 +46,7 @@ class SweepHead(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def read_head(folder: Path) -> SweepHead | None:
-    """What a folder holds; None where it is no sweep's.
+    """Read a folder's head; None where it is no sweep's.
 
     Raises:
         ScenarioError: If its head is damaged.
@@ -241,7 +241,7 @@ class SweepFolder:
 
     @property
     def failed(self) -> int:
-        """How many runs failed."""
+        """Number of runs that failed."""
         return sum(failed for failed, _ in self._rows.values())
 
     @property
@@ -251,7 +251,7 @@ class SweepFolder:
 
     @property
     def rows(self) -> int:
-        """How many there are."""
+        """Number of rows."""
         return len(self._rows)
 
     def add(self, results: Iterable[dict[str, Any]]) -> None:

@@ -47,7 +47,7 @@ class Plan:
 
     @property
     def runs(self) -> int:
-        """How many."""
+        """Number of runs."""
         return len(self.points) * self.sweep.seeds
 
     def seed_of(self, run: int) -> int:

@@ -14,7 +14,7 @@ from bus.errors import PeerLost
 from outrider.experiments.sweep.folder import SweepFolder
 from outrider.experiments.sweep.plan import Plan
 from outrider.experiments.sweep.worker import fly_runs, installed_version
-from outrider.running.watchdog import deaf_to_interrupts
+from outrider.running.watchdog import interrupts_masked
 from sim.scenario.types import Scenario
 
 if TYPE_CHECKING:
@@ -38,12 +38,12 @@ class SweepTask:
 
 
 def cost_of(scenario: Scenario) -> int:
-    """What a run of a scenario costs, in ticks of one UAV."""
+    """Cost of a run of a scenario, in ticks of one UAV."""
     return scenario.ticks * len(scenario.uav)
 
 
 def make_tasks(plan: Plan, done: set[int], workers: int) -> list[SweepTask]:
-    """What is still to be flown, in order, cut into tasks.
+    """Cut what is still to be flown into tasks, in order.
 
     Args:
         plan: The whole sweep.
@@ -112,7 +112,7 @@ def _results(
     with parallel_config(**backend, n_jobs=jobs):
         parent = os.getpid() if client is None else None
         calls = (delayed(fly_runs)(task.scenario, task.seeds, parent) for task in tasks)
-        with deaf_to_interrupts():
+        with interrupts_masked():
             results = Parallel(
                 return_as="generator_unordered", batch_size=1, pre_dispatch="3*n_jobs"
             )(calls)

@@ -1,4 +1,4 @@
-"""What a worker process of a sweep does: a few runs of one point, each in this process."""
+"""The work of a sweep's worker process: a few runs of one point, each in this process."""
 
 import os
 import time
@@ -10,7 +10,7 @@ from agents.process import warm_up as warm_up_pilot
 from bus.keys import Role
 from outrider.experiments.sweep.columns import failed_row, row_of
 from outrider.running.flying import fly
-from outrider.running.watchdog import leave_with
+from outrider.running.watchdog import end_with_parent
 from sim.kernels.compile import compiling
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
@@ -50,7 +50,7 @@ def fly_runs(
         The results, each with its run's number.
     """
     if parent not in (None, os.getpid()):  # a single job is flown in the sweep's own process
-        leave_with(parent)
+        end_with_parent(parent)
     _warm()
     return [{"run": run, **fly_run(scenario, seed)} for run, seed in seeds.items()]
 

@@ -30,7 +30,7 @@ STATIC = Path(__file__).with_name("static")
 
 
 class PageMessage(msgspec.Struct, forbid_unknown_fields=True):
-    """What a page says."""
+    """A message from a page."""
 
     kind: str
     """`drawn`, `here`, `take`, `back` or `drive`."""

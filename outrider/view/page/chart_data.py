@@ -1,4 +1,4 @@
-"""What the charts and the tracks need of a run so far, in bounded memory."""
+"""The data of charts and tracks of a run so far, in bounded memory."""
 
 import math
 from collections import deque
@@ -16,7 +16,7 @@ Row = tuple[float | None, ...]
 
 
 class Losses:
-    """What became of messages lately, from the counters of one status after the other."""
+    """Losses of messages lately, from the counters of one status after the other."""
 
     def __init__(self) -> None:
         self._told: deque[tuple[float, dict[str, LinkStatus]]] = deque()
@@ -141,7 +141,7 @@ def _row(truth: Truth, factor: float, dt: float, losses: Losses) -> Row:
 
 
 def _estimate_error(truth: Truth, escort: EscortTruth, dt: float) -> float | None:
-    """How far the reported estimate is from where the UGV was when it was reported [m]."""
+    """Distance of the reported estimate from the UGV's place when it was reported [m]."""
     ugv = truth.vehicles.get(escort.ugv)
     if escort.report is None or ugv is None:
         return None

@@ -27,7 +27,7 @@ _POLL = 0.0125
 _IDLE_POLL = 0.1
 """The same while nobody looks on."""
 _ALIVE = 0.5
-"""A browser hears something at least this often [s], also when nothing moves."""
+"""A browser is sent something at least this often [s], also when nothing moves."""
 _AHEAD = 2
 """Frames that a browser may have in hand."""
 _CHANGES = 20
@@ -51,7 +51,7 @@ class Browser:
 
 
 class Hub:
-    """What is known of the run, and who looks on.
+    """Keeps the newest of a run, and the browsers that look on.
 
     Args:
         source: Where it is flown, or played.
@@ -106,7 +106,7 @@ class Hub:
 
     @property
     def _scene(self) -> Scene | None:
-        """What the map shows, as far as it is known."""
+        """The map's scene, as far as it is known."""
         status, escorts = self.status, dict(self.history.escorts)
         if status is None or not escorts:
             return None
@@ -121,7 +121,7 @@ class Hub:
 
     @property
     def drivers(self) -> Mapping[str, str]:
-        """Who drives each UGV."""
+        """The driver of each UGV."""
         if self.status is None:
             return {}
         if self.status.drivers:
@@ -130,7 +130,7 @@ class Hub:
 
     @property
     def law(self) -> Law | None:
-        """What the UAVs fly now, with its gains; None where those are not known."""
+        """The UAVs' law now, with its gains; None where those are not known."""
         return None if self.status is None else running_law(self.status, self.first_law)
 
     def close(self) -> None:
@@ -159,7 +159,7 @@ class Hub:
         return have != (self._versions[Truth], self._versions[Status], self._versions[CoverageMap])
 
     def frame(self, browser: Browser) -> bytes:
-        """What this browser does not know yet, as JSON."""
+        """All that is new for this browser, as JSON."""
         frame: dict[str, Any] = {"kind": "frame", "state": self._state(browser)}
         versions = self._versions
         if browser.truth != versions[Truth]:

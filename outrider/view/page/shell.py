@@ -1,4 +1,4 @@
-"""The page's shell: places for header, tiles, map, charts and controls. What moves is drawn by the files in `static`."""
+"""The page's shell: places for header, tiles, map, charts and controls, which the files in `static` fill."""
 
 from collections.abc import Callable
 from typing import Any
@@ -6,6 +6,7 @@ from typing import Any
 from nicegui import ui
 
 from outrider.view.page.controls.links_card import OBSERVER, LinkForm
+from outrider.view.page.controls.widgets import card, html
 from sim.scene import colors as scene_colors
 from sim.scene.colors import covered
 from sim.scene.model import LABELS
@@ -99,22 +100,16 @@ def build_page(controls: BuildControls | None, welcome: Callable[[], None]) -> N
             positive=scene_colors.GOOD,
         )
         with ui.element("div").classes("dashboard"):
-            ui.html(_HEADER, sanitize=False).classes("top")
-            ui.html(_TILES, sanitize=False).classes("tiles")
-            ui.html(_MAP, sanitize=False).classes("card map-card")
-            ui.html(_CHARTS, sanitize=False).classes("card charts")
+            html(_HEADER, "top")
+            html(_TILES, "tiles")
+            html(_MAP, "card map-card")
+            html(_CHARTS, "card charts")
             with ui.element("div").classes("side"):
                 if controls is not None:
                     ui.timer(_PERIOD, controls())
                 else:
                     LinkForm(None, OBSERVER)
-                with ui.element("div").classes("card"):
-                    ui.html(
-                        '<span class="title">Processes</span><div id="processes"></div>',
-                        sanitize=False,
-                    )
-                with ui.element("div").classes("card"):
-                    ui.html(
-                        '<span class="title">What has been changed</span><div id="changes">nothing yet</div>',
-                        sanitize=False,
-                    )
+                with card("Processes"):
+                    html('<div id="processes"></div>')
+                with card("What has been changed"):
+                    html('<div id="changes">nothing yet</div>')

@@ -1,4 +1,4 @@
-"""Teleoperation of one UGV: a thread between keys and bus, so that a slow terminal never keeps a brake from being sent."""
+"""Teleoperation of one UGV: a thread between keys and bus, so that a slow terminal never holds up a brake."""
 
 import math
 import threading
@@ -27,7 +27,7 @@ _SETTLE = 1.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveView:
-    """What is known at one moment."""
+    """All that is known of a run at one moment."""
 
     status: Status | None = None
     truth: Truth | None = None
@@ -56,7 +56,7 @@ class DriveView:
 
     @property
     def scene(self) -> Scene | None:
-        """What the map shows; None before it is known."""
+        """The map's scene; None before it is known."""
         if self.status is None or self.status.geometry is None or self.truth is None:
             return None
         geometry, vehicles = self.status.geometry, self.truth.vehicles
@@ -157,7 +157,7 @@ class Teleoperation:
         self._do(self._return)
 
     def farewell(self) -> str:
-        """How it ended, in a line."""
+        """A line that tells how it ended."""
         ugv = self.vehicle
         if self.handed_to:
             return f"{ugv} is handed back to {self.handed_to}"
@@ -169,9 +169,9 @@ class Teleoperation:
             return f"{ugv} could not be handed back ({why}); it brakes without an operator"
         return f"{ugv} was left to {self._driver or 'its driver'}"
 
-    def _do(self, deed: Callable[[], object]) -> None:
+    def _do(self, change: Callable[[], object]) -> None:
         with self._lock:
-            deed()
+            change()
         self._nudge.set()
 
     def _release(self) -> None:
@@ -179,7 +179,7 @@ class Teleoperation:
         self._braked = True
 
     def view(self) -> DriveView:
-        """What is known now."""
+        """All that is known now."""
         with self._lock:
             client = self._client
             return DriveView(
@@ -274,7 +274,7 @@ class Teleoperation:
             self._granted = False
 
     def _last_driver(self) -> str:
-        """Who drove before an operator who has not handed the wheel back, as far as the status still tells."""
+        """The driver before an operator who has not handed the wheel back, as far as the status still tells."""
         status = self._client.status
         controls = [change.control for change in status.changes] if status is not None else []
         found = [one.driver for one in controls if one.vehicle in (None, self.vehicle)]

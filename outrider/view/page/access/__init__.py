@@ -1,1 +1,1 @@
-"""Who may look at the page: the socket, tokens and tickets, headers, and the visitors who were let in."""
+"""Access to the page: the socket, tokens and tickets, headers, and the visitors who were let in."""

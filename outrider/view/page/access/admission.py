@@ -1,6 +1,4 @@
-"""Who may look at the page.
-
-Whoever knows the token or has the ticket, or this machine's own browsers where there is none.
+"""Lets browsers in that know the token or have the ticket, or this machine's own where there is none.
 
 A request is judged by its headers before anything is built for it. Pages of other sites get nothing, whatever the
 browser sends along with their requests: otherwise any page in the same browser could take the wheel.
@@ -87,7 +85,7 @@ class Guard:
         await answer(scope, receive, send)
 
     async def _answer(self, scope: Scope, receive: Receive) -> Response | None:
-        """What is said in the application's place; None: let through."""
+        """The answer in the application's place; None: let through."""
         headers = _headers_of(scope)
         host = _HOST.fullmatch((headers or {}).get("host", ""))
         origin = "" if headers is None else headers.get("origin", "")

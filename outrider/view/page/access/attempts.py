@@ -22,7 +22,7 @@ _NETWORK = 64
 
 
 class Judgement(Enum):
-    """What became of a try."""
+    """The outcome of a try."""
 
     RIGHT = "right"
     WRONG = "wrong"
@@ -30,7 +30,7 @@ class Judgement(Enum):
 
 
 class _Address:
-    """What one address has tried."""
+    """The tries of one address."""
 
     def __init__(self) -> None:
         self.lock = asyncio.Lock()
@@ -87,7 +87,7 @@ class Attempts:
         return max(0.0, row.next - self._clock())
 
     def _row(self, owner: str) -> _Address | None:
-        """What is known of an address; None where there is no room for another.
+        """The tries of an address; None where there is no room for another.
 
         Each that is known has a try that waits.
         """

@@ -25,7 +25,7 @@ def check_extra() -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Admission:
-    """What a browser must know to be let in; all empty: nothing, but be on this machine."""
+    """The secrets that let a browser in; all empty: none, but it must be on this machine."""
 
     token: str = ""
     """Lets in any number of browsers; it is typed, and never part of an address."""
@@ -34,7 +34,7 @@ class Admission:
 
 
 def choose_admission(host: str, token: str, *, wanted: bool = True) -> Admission:
-    """What a browser must know.
+    """Choose the secrets that let a browser in.
 
     Args:
         host: The page is served on this address.
@@ -92,7 +92,7 @@ def open_socket(host: str, port: int, option: str = "--port") -> socket.socket:
 
 
 def address_of(listening: socket.socket, admission: Admission) -> str:
-    """Where a browser of this machine finds the page, in words for its user.
+    """The page's address for a browser of this machine, in words for its user.
 
     Whoever has chosen the token knows it, and may not want it in a log.
     """

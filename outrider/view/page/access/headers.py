@@ -1,4 +1,4 @@
-"""What browsers are told with every response.
+"""Headers of every response.
 
 What may run in the page, and that nobody may frame, guess or follow it.
 """

@@ -2,7 +2,6 @@
 
 import math
 import time
-from typing import Any
 
 import msgspec
 from nicegui import ui
@@ -18,6 +17,7 @@ from outrider.view.page.controls.network import (
     with_field,
     words,
 )
+from outrider.view.page.controls.widgets import button, card, html, number, row, select, slider
 from outrider.view.page.hub import Hub
 
 OBSERVER = "This page only looks on: changing a link takes the operator's credentials."
@@ -58,15 +58,9 @@ class LinkForm:
         self._said: dict[str, LinkSettings] = {}  # what was wished for and is not yet in a status
         self._refusals: tuple[str, ...] = ()
         self._off = "" if hub is not None else " disable"
-        with ui.element("div").classes("card links-card").props("id=links-card hidden"):
-            ui.html(
-                '<span class="title">Links</span><span class="muted">got through · age now</span>',
-                sanitize=False,
-            ).classes("head")
-            ui.html(
-                '<div id="links"></div><div id="link-refusal" class="refused" role="alert"></div>',
-                sanitize=False,
-            )
+        head = '<span class="muted">got through · age now</span>'
+        with card("Links", beside=head, classes="links-card", props="id=links-card hidden"):
+            html('<div id="links"></div><div id="link-refusal" class="refused" role="alert"></div>')
             self._build(reason)
         if hub is not None:
             ui.on("choose_link", self._choose)
@@ -74,71 +68,69 @@ class LinkForm:
     def _build(self, reason: str) -> None:
         if reason:
             ui.label(reason).classes("note reason")
-        with ui.element("div").classes("row-of form-head"):
-            self._kind = self._select(
-                "link", {ALL: "all", **{str(kind): str(kind) for kind in LinkKind}}, ALL
-            )
-            self._vehicle = self._select("of", {ALL: "all"}, ALL)
-        with ui.element("div").classes("row-of"):
-            self._profile = self._select("profile", [*PROFILES, _OWN], None)
-            ui.button("Perfect", on_click=self._perfect).props("outline dense" + self._off)
+        kinds = {ALL: "all", **{str(kind): str(kind) for kind in LinkKind}}
+        with row("form-head"):
+            self._kind = select(kinds, "link", value=ALL, props=self._off)
+            self._vehicle = select({ALL: "all"}, "of", value=ALL, props=self._off)
+        with row():
+            self._profile = select([*PROFILES, _OWN], "profile", value=None, props=self._off)
+            button("Perfect", self._perfect, props="outline" + self._off, classes="")
         self._kind.on_value_change(self._turn)
         self._vehicle.on_value_change(self._turn)
         self._profile.on_value_change(self._set_profile)
         # Where nothing can be changed they would only show numbers that are none of the links'.
-        self._sliders = {row[0]: self._slider(*row) for row in _SLIDERS if not reason}
-        with ui.element("div").classes("row-of"):
-            self._dark = ui.button("Blackout for 5 s", on_click=self._blackout).props(
-                "unelevated dense color=negative" + self._off
+        self._sliders = {of[0]: self._slider(*of) for of in _SLIDERS if not reason}
+        with row():
+            red = "unelevated color=negative" + self._off
+            self._dark = button("Blackout for 5 s", self._blackout, props=red)
+            self._length = number(
+                value=5,
+                min=0.1,
+                max=3600,
+                step=1,
+                suffix="s",
+                on_change=self._name_blackout,
+                props="aria-label='length of the blackout [s]'" + self._off,
+                classes="value",
             )
-            self._dark.classes("grow")
-            self._length = ui.number(
-                value=5, min=0.1, max=3600, step=1, suffix="s", on_change=self._name_blackout
-            )
-            self._length.props(
-                "dense outlined aria-label='length of the blackout [s]'" + self._off
-            ).classes("value")
         self._note = ui.label(
             "The chosen links differ; what you move is set for all of them, the rest stays."
         ).classes("note")
         self._note.set_visibility(False)
 
-    def _select(self, label: str, options: Any, value: str | None) -> ui.select:  # noqa: ANN401 - a list or a dictionary
-        return (
-            ui.select(options, label=label, value=value)
-            .props("dense outlined" + self._off)
-            .classes("grow")
-        )
-
     def _slider(
         self, field: str, label: str, unit: str, end: float, step: float, most: float, one: float
     ) -> tuple[ui.slider, ui.number, float]:
-        with ui.element("div").classes("row-of slider-row"):
+        with row("slider-row"):
             ui.label(label).classes("slider-label")
-            slider = ui.slider(min=0.0, max=end, step=step, value=0.0).props(
-                f"aria-label='{label} [{unit}]'"
+            moved = slider(f"{label} [{unit}]", min=0.0, max=end, step=step, value=0.0)
+            typed_in = number(
+                value=0,
+                min=0.0,
+                max=most,
+                step=step,
+                suffix=unit,
+                props=f"aria-label='{label}, number [{unit}]'",
+                classes="value",
             )
-            slider.classes("grow")
-            number = ui.number(value=0, min=0.0, max=most, step=step, suffix=unit)
-            number.props(f"dense outlined aria-label='{label}, number [{unit}]'").classes("value")
 
         def follow() -> None:
             if not self._shows:
                 self._touched = time.monotonic()
-                number.set_value(round(slider.value, 3))
+                typed_in.set_value(round(moved.value, 3))
 
         def typed() -> None:
-            if number.value is not None and not self._shows:
-                self._set(field, number.value * one)
+            if typed_in.value is not None and not self._shows:
+                self._set(field, typed_in.value * one)
 
         def released(event: GenericEventArguments) -> None:
             self._set(field, float(event.args) * one)
 
-        slider.on_value_change(follow)
-        slider.on("change", released)  # when it is let go
-        number.on("blur", typed).on("keydown.enter", js_handler="(event) => event.target.blur()")
-        number.on("focus", self._touch).on("keydown", self._touch)
-        return slider, number, one
+        moved.on_value_change(follow)
+        moved.on("change", released)  # when it is let go
+        typed_in.on("blur", typed).on("keydown.enter", js_handler="(event) => event.target.blur()")
+        typed_in.on("focus", self._touch).on("keydown", self._touch)
+        return moved, typed_in, one
 
     # What people want
 
@@ -217,7 +209,7 @@ class LinkForm:
         return chosen(self._names, self._kind.value, self._vehicle.value)
 
     def _settings(self, name: str) -> LinkSettings:
-        """What a link is set to, or was asked to be."""
+        """The settings of a link, or those that were asked for."""
         status = None if self._hub is None else self._hub.status
         if name in self._said or status is None:
             return self._said.get(name, LinkSettings())
@@ -268,8 +260,8 @@ class LinkForm:
     def _show(self, settings: LinkSettings, differ: bool) -> None:
         said = words(settings)
         self._profile.set_value(said if said in PROFILES and not differ else _OWN)
-        for field, (slider, number, one) in self._sliders.items():
+        for field, (moved, typed_in, one) in self._sliders.items():
             value = round(getattr(settings, field) / one, 3)
-            slider.set_value(min(value, slider.props["max"]))
-            number.set_value(value)
+            moved.set_value(min(value, moved.props["max"]))
+            typed_in.set_value(value)
         self._note.set_visibility(differ)

@@ -72,7 +72,7 @@ def _differences(settings: LinkSettings, profile: LinkSettings) -> list[str]:
 
 
 def said_of_links(status: Status) -> dict[str, Any]:
-    """What the page shows in words.
+    """The links' settings in words.
 
     `of` each link, and of each of the `changes` that is one of links ("" of others).
     """
@@ -103,7 +103,7 @@ def chosen(names: Iterable[str], kind: str, vehicle: str) -> list[str]:
 
 
 def controls_for(wanted: Mapping[str, LinkSettings], names: Sequence[str]) -> list[Control]:
-    """What is to be said so that links get their settings: one word for a kind where all of it gets the same."""
+    """The controls that give links their settings: one for a kind where all of it gets the same."""
     controls = []
     for kind in LinkKind:
         owned = chosen(names, kind, ALL)

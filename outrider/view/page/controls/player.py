@@ -9,6 +9,7 @@ from nicegui.events import GenericEventArguments
 
 from outrider.view.page.controls.links_card import RECORDING, LinkForm
 from outrider.view.page.controls.run_card import choose, factor_of, position_of
+from outrider.view.page.controls.widgets import button, card, number, row, select, slider, ticks
 from outrider.view.page.hub import Hub
 from outrider.view.page.sources.tape import Tape
 
@@ -29,72 +30,52 @@ class Player:
     def __init__(self, hub: Hub, tape: Tape) -> None:
         self._hub, self._tape = hub, tape
         self._touched = -math.inf
-        with ui.element("div").classes("card"):
-            ui.html(
-                '<span class="title">Replay</span><span id="file" class="muted"></span>',
-                sanitize=False,
-            ).classes("head")
+        name = '<span id="file" class="muted"></span>'
+        with card("Replay", beside=name):
             self._build_player()
-        with ui.element("div").classes("card"):
-            ui.html('<span class="title">As it was flown</span>', sanitize=False)
+        with card("As it was flown"):
             self._build_settings()
-        with ui.element("div").classes("card"):
-            ui.html('<span class="title">The wheel</span>', sanitize=False)
-            with ui.element("div").classes("row-of"):
-                ui.button("Take the wheel", icon="sports_esports").props(
-                    "unelevated dense color=accent disable"
-                ).classes("grow")
+        with card("The wheel"):
+            with row():
+                take = "unelevated color=accent disable"
+                button("Take the wheel", icon="sports_esports", props=take)
             ui.label("Nobody can drive: this is a recording.").classes("note")
         LinkForm(None, RECORDING)
 
     def _build_player(self) -> None:
         tape = self._tape
-        with ui.element("div").classes("row-of"):
-            self._play = (
-                ui.button("Pause", icon="pause", on_click=self._toggle)
-                .props("unelevated dense")
-                .classes("grow")
-            )
-            self._step = (
-                ui.button("Step", icon="skip_next", on_click=self._make_step)
-                .props("outline dense")
-                .classes("grow")
-            )
-            self._ticks = (
-                ui.number("ticks", value=1, min=1, max=1_000_000, precision=0)
-                .props("dense outlined")
-                .classes("narrow")
-            )
-        with ui.element("div").classes("row-of"):
-            ui.button(icon="replay", on_click=lambda: self._wind(tape.begin)).props(
-                "flat dense round aria-label='to the start'"
-            ).classes("small")
+        with row():
+            self._play = button("Pause", self._toggle, icon="pause", props="unelevated")
+            self._step = button("Step", self._make_step, icon="skip_next")
+            self._ticks = ticks()
+        with row():
+            start = "flat round aria-label='to the start'"
+            button("", lambda: tape.wind(tape.begin), icon="replay", props=start, classes="small")
             span = max(tape.end - tape.begin, 1e-3)
-            self._at = ui.slider(
-                min=tape.begin, max=tape.begin + span, step=span / 1000.0, value=tape.begin
+            self._at = slider(
+                "time",
+                min=tape.begin,
+                max=tape.begin + span,
+                step=span / 1000.0,
+                value=tape.begin,
             )
-            self._at.props("aria-label=time").classes("grow")
             self._at.on("update:model-value", self._seek, throttle=_THROTTLE)
             self._time = ui.label("").classes("readout wide")
-        with ui.element("div").classes("row-of"):
+        with row():
             ui.label("speed").classes("muted")
-            self._speed = ui.slider(
-                min=-1.0, max=2.0, step=0.1, value=position_of(tape.speed)
-            ).props("aria-label=speed")
-            self._speed.classes("grow").on(
-                "update:model-value", self._set_speed, throttle=_THROTTLE
+            self._speed = slider(
+                "speed", min=-1.0, max=2.0, step=0.1, value=position_of(tape.speed)
             )
+            self._speed.on("update:model-value", self._set_speed, throttle=_THROTTLE)
             self._factor = ui.label("").classes("readout")
 
     def _build_settings(self) -> None:
-        with ui.element("div").classes("row-of"):
-            self._law = ui.select([], label="law").props("dense outlined disable").classes("grow")
-            self._driver = (
-                ui.select([], label="driver").props("dense outlined disable").classes("grow")
-            )
-        with ui.element("div").classes("row-of"):
-            self._seed = ui.number("seed").props("dense outlined disable").classes("grow")
-            ui.button("Reset", icon="restart_alt").props("outline dense disable")
+        with row():
+            self._law = select([], "law", props="disable")
+            self._driver = select([], "driver", props="disable")
+        with row():
+            self._seed = number("seed", props="disable", classes="grow")
+            button("Reset", icon="restart_alt", props="outline disable", classes="")
         ui.label("Law, driver and seed cannot be changed: this is a recording.").classes("note")
 
     # What people want
@@ -108,12 +89,9 @@ class Player:
     def _make_step(self) -> None:
         self._tape.step(int(self._ticks.value or 1))
 
-    def _wind(self, to: float) -> None:
-        self._tape.wind(to)
-
     def _seek(self, event: GenericEventArguments) -> None:
         self._touched = time.monotonic()
-        self._wind(_number(event.args))
+        self._tape.wind(_number(event.args))
 
     def _set_speed(self, event: GenericEventArguments) -> None:
         self._touched = time.monotonic()

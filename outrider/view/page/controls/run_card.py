@@ -9,12 +9,23 @@ from nicegui import ui
 from bus.messages import Action, Control, Law, Status
 from bus.registry import DRIVERS, LAWS
 from outrider.view.page.controls.links_card import LinkForm
+from outrider.view.page.controls.widgets import (
+    button,
+    card,
+    html,
+    number,
+    row,
+    select,
+    slider,
+    ticks,
+)
 from outrider.view.page.hub import Hub
 
 _PATIENCE = 2.0
 """So long a control shows what was chosen before it shows what is [s]."""
 
-_STICK = """<div id="stick" aria-label="joystick" role="slider" aria-valuetext="centred"><i></i></div><div class="hints">
+_STICK = """<div id="stick" aria-label="joystick" role="slider" aria-valuetext="centred"><i></i></div>
+<div class="hints">
 <div id="who"></div><div><kbd>&larr;</kbd><kbd>&uarr;</kbd><kbd>&darr;</kbd><kbd>&rarr;</kbd> or
 <kbd>W</kbd><kbd>A</kbd><kbd>S</kbd><kbd>D</kbd></div><div><kbd>space</kbd> brakes</div><div id="pad">no
 gamepad</div></div>"""
@@ -28,74 +39,49 @@ class Controls:
         self._touched = -math.inf
         self._wanted = ("", "")
         self._shows = False  # while it shows what is, a control's change is nobody's wish
-        with ui.element("div").classes("card"):
-            ui.html('<span class="title">Run</span>', sanitize=False)
+        with card("Run"):
             self._build_run()
             self._build_laws()
-        with ui.element("div").classes("card wheel-card").props("id=wheel-card"):
-            ui.html('<span class="title">The wheel</span>', sanitize=False)
+        with card("The wheel", classes="wheel-card", props="id=wheel-card"):
             self._build_wheel()
         self._links = LinkForm(hub)
 
     def _build_run(self) -> None:
-        with ui.element("div").classes("row-of"):
-            self._pause = (
-                ui.button("Pause", icon="pause", on_click=self._toggle_pause)
-                .props("unelevated dense")
-                .classes("grow")
-            )
-            self._step = (
-                ui.button("Step", icon="skip_next", on_click=self._make_step)
-                .props("outline dense")
-                .classes("grow")
-            )
-            self._ticks = (
-                ui.number("ticks", value=1, min=1, max=1_000_000, precision=0)
-                .props("dense outlined")
-                .classes("narrow")
-            )
-        with ui.element("div").classes("row-of"):
-            self._lockstep = ui.switch("lockstep", value=True, on_change=self._set_speed).props(
-                "dense"
-            )
-            self._speed = (
-                ui.slider(min=-1.0, max=2.0, step=0.1, value=0.0)
-                .props("aria-label=speed")
-                .classes("grow")
-            )
+        with row():
+            self._pause = button("Pause", self._toggle_pause, icon="pause", props="unelevated")
+            self._step = button("Step", self._make_step, icon="skip_next")
+            self._ticks = ticks()
+        with row():
+            self._lockstep = ui.switch("lockstep", value=True, on_change=self._set_speed)
+            self._lockstep.props("dense")
+            self._speed = slider("speed", min=-1.0, max=2.0, step=0.1, value=0.0)
             self._speed.on("change", self._set_speed)
-            self._factor = (
-                ui.label("")
-                .classes("readout")
-                .bind_text_from(self._speed, "value", lambda value: f"{factor_of(value):g} ×")
-            )
+            self._factor = ui.label("").classes("readout")
+            self._factor.bind_text_from(self._speed, "value", lambda x: f"{factor_of(x):g} ×")
             self._speed.bind_enabled_from(self._lockstep, "value", lambda lockstep: not lockstep)
-        with ui.element("div").classes("row-of"):
-            self._seed = (
-                ui.number("seed", min=0, max=2**53 - 1, precision=0, placeholder="the same")
-                .props("dense outlined")
-                .classes("grow")
+        with row():
+            most = 2**53 - 1
+            self._seed = number(
+                "seed", min=0, max=most, precision=0, placeholder="the same", classes="grow"
             )
-            ui.button("Reset", icon="restart_alt", on_click=self._reset).props("outline dense")
+            button("Reset", self._reset, icon="restart_alt", classes="")
 
     def _build_wheel(self) -> None:
-        with ui.element("div").classes("row-of"):
-            ui.html(
-                '<select id="wheel-vehicle" aria-label="which UGV"></select>', sanitize=False
-            ).classes("vehicle-place")
-            ui.button("Take the wheel", icon="sports_esports").props(
-                "unelevated dense color=accent id=take"
-            ).classes("grow take").on("click", js_handler="() => window.outrider.take()")
-            ui.button("Hand back").props("outline dense color=accent id=back").classes(
-                "grow back"
-            ).on("click", js_handler="() => window.outrider.back()")
-        ui.html(_STICK, sanitize=False).classes("stick-row")
-        with ui.element("div").classes("row-of"):
+        with row():
+            html('<select id="wheel-vehicle" aria-label="which UGV"></select>', "vehicle-place")
+            take = "unelevated color=accent id=take"
+            button("Take the wheel", icon="sports_esports", props=take, classes="grow take").on(
+                "click", js_handler="() => window.outrider.take()"
+            )
+            button("Hand back", props="outline color=accent id=back", classes="grow back").on(
+                "click", js_handler="() => window.outrider.back()"
+            )
+        html(_STICK, "stick-row")
+        with row():
             ui.label("full speed").classes("muted")
-            self._full = (
-                ui.slider(min=0.05, max=1.0, step=0.05, value=self._hub.wheel.share)
-                .props("aria-label='full speed' color=accent")
-                .classes("grow")
+            share = self._hub.wheel.share
+            self._full = slider(
+                "full speed", min=0.05, max=1.0, step=0.05, value=share, props="color=accent"
             )
             self._full.on("change", self._set_full)
             self._top = ui.label().classes("readout")
@@ -105,19 +91,13 @@ class Controls:
     def _build_laws(self) -> None:
         laws = [law.name for law in LAWS.values() if not law.own]  # a page brings no function
         drivers = [
-            row.name for row in DRIVERS.values() if not (row.own or row.outside or row.operated)
+            driver.name
+            for driver in DRIVERS.values()
+            if not (driver.own or driver.outside or driver.operated)
         ]
-        with ui.element("div").classes("row-of"):
-            self._law = (
-                ui.select(laws, label="law", on_change=self._set_law)
-                .props("dense outlined")
-                .classes("grow")
-            )
-            self._driver = (
-                ui.select(drivers, label="driver", on_change=self._set_driver)
-                .props("dense outlined")
-                .classes("grow")
-            )
+        with row():
+            self._law = select(laws, "law", on_change=self._set_law)
+            self._driver = select(drivers, "driver", on_change=self._set_driver)
 
     # What people want
 

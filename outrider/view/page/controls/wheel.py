@@ -11,7 +11,7 @@ from outrider.view.operator import Helm
 _PATIENCE = 3.0
 """So long a browser at the wheel may be silent [s]."""
 _SETTLING = 2.0
-"""So long the simulator may take to seat the driver [s]."""
+"""So long the simulator may take to change the driver [s]."""
 _UNBOUNDED = 1.0
 """The largest speed of a vehicle that has no bound, or none that is known [m/s]."""
 _GAP = 0.04
@@ -100,7 +100,7 @@ class SharedWheel:
             self._alive = time.monotonic()
 
     def check(self, drivers: Mapping[str, str]) -> None:
-        """Free the wheel of whoever has fallen silent, or of whose vehicle somebody else has been seated in."""
+        """Free the wheel of a browser that has fallen silent, or whose vehicle has got another driver."""
         now = time.monotonic()
         unseated = (
             drivers.get(self.vehicle, "") not in ("", TELEOP) and now - self._taken > _SETTLING
@@ -113,6 +113,6 @@ class SharedWheel:
         return bool(self._helm.waiting(drivers))
 
     def strangers(self, drivers: Mapping[str, str]) -> list[str]:
-        """The UGVs that obey an operator whom nobody here has seated: another operator may drive them."""
+        """The UGVs that obey an operator who is none of ours: another one may drive them."""
         ours = {*self._helm.waiting(drivers), self.vehicle if self.holder else ""}
         return [name for name, driver in drivers.items() if driver == TELEOP and name not in ours]

@@ -1,1 +1,1 @@
-"""Where the page has its news from: a run that is flown now, or a recording that is played."""
+"""Sources of the page: a run that is flown now, or a recording that is played."""

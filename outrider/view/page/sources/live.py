@@ -20,7 +20,7 @@ class Live:
         self.may_steer = self._client.may_steer
 
     def news(self) -> Iterator[Message]:
-        """What has come since the last call."""
+        """The messages since the last call, the newest of each kind."""
         return self._client.news()
 
     @property
@@ -30,7 +30,7 @@ class Live:
 
     @property
     def standing(self) -> SourceState:
-        """How it stands, and what is wrong in one line."""
+        """The run's state, with a line about what is wrong."""
         level, line = self._banner()
         client = self._client
         return SourceState(

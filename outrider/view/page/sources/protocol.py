@@ -1,4 +1,4 @@
-"""Where the page has its news from: a run that is flown now (`live`), or a recording that is played (`tape`)."""
+"""The protocol of the page's sources: a run that is flown now (`live`), or a recording that is played (`tape`)."""
 
 from collections.abc import Iterator
 from typing import Protocol
@@ -9,7 +9,7 @@ from bus.messages import Control, Drive, Message
 
 
 class Playing(msgspec.Struct, frozen=True, kw_only=True):
-    """How a recording is played."""
+    """The state of a recording that is played."""
 
     file: str
     begin: float
@@ -25,7 +25,7 @@ class Playing(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SourceState(msgspec.Struct, frozen=True, kw_only=True):
-    """How a source stands."""
+    """The state of a source."""
 
     level: str = ""
     """How bad it is what `line` says: `bad`, `info`, or nothing."""
@@ -36,10 +36,10 @@ class SourceState(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Source(Protocol):
-    """What the hub asks of either."""
+    """The hub's side of either."""
 
     may_steer: bool
-    """Whether anybody hears what is said."""
+    """Whether anybody receives what is sent."""
 
     def news(self) -> Iterator[Message]:
         """Status, Truth and CoverageMap that have come since the last call, in this order of kinds."""
@@ -50,7 +50,7 @@ class Source(Protocol):
 
     @property
     def standing(self) -> SourceState:
-        """How it stands now."""
+        """Its state now."""
 
     def control(self, control: Control) -> bool:
         """Say something to the simulator; False if it cannot be said."""

@@ -101,7 +101,7 @@ class Tape:
         return max(0, bisect_right(self._times, self._at + 1e-9) - 1)
 
     def news(self) -> Iterator[Message]:
-        """What is to be shown since the last call."""
+        """The messages to be shown since the last call."""
         now = self._clock()
         if self.playing and self._looked is not None:
             self._at = min(self.end, self._at + (now - self._looked) * self.speed)
@@ -118,7 +118,7 @@ class Tape:
             yield self._maps[ground]
 
     def _on_the_way_to(self, index: int) -> Iterator[Status | Truth]:
-        """The truths that lead there from where the tape was, or from its start if it was wound back, and statuses between."""
+        """The truths from where the tape was (its start if it was wound back) to this one, and statuses between."""
         if index == self._truth:
             return
         first = self._truth + 1 if index > self._truth else 0
@@ -155,7 +155,7 @@ class Tape:
 
     @property
     def standing(self) -> SourceState:
-        """How it is played."""
+        """The state of the recording."""
         playing = Playing(
             file=self._file,
             begin=self.begin,
@@ -171,7 +171,7 @@ class Tape:
         return SourceState(level="info", line=f"The recording ends here{why}.", replay=playing)
 
     def control(self, _control: Control) -> bool:
-        """Nobody hears."""
+        """Send nothing: a recording takes no commands."""
         return False
 
     def drive(self, _vehicle: str, _drive: Drive) -> bool:

@@ -1,0 +1,142 @@
+"""One process of a run, as the process sees it that has started it."""
+
+import contextlib
+import os
+import queue
+import subprocess
+import sys
+import threading
+from collections import deque
+from collections.abc import Sequence
+from typing import IO
+
+from outrider.running.forking import Forked, Forkserver
+
+_TAIL = 12
+"""Lines of a child's standard error that are kept."""
+_SECRET = "OUTRIDER_SECRET"  # noqa: S105 - a variable's name
+"""Where the simulator's process finds the run's secret."""
+
+
+def environment_of(secret: str) -> dict[str, str]:
+    """A child's environment: ours, without our run's secret unless it is for it.
+
+    A command line would show it to everybody.
+    """
+    ours = {name: value for name, value in os.environ.items() if name != _SECRET}
+    return ours | ({_SECRET: secret} if secret else {})
+
+
+class Child:
+    """One process of the run, with the end of its standard error.
+
+    Args:
+        name: On the bus.
+        arguments: Of the `outrider` command line.
+        lines: Where its standard output goes, line by line; None is its end.
+        files: Open files that it inherits, by their numbers; none of a forked one.
+        secret: Of the run: for the simulator alone.
+        forkserver: What forks it; None: it is started as a new interpreter.
+        cores: The processor cores of a forked one, all its threads included; empty: as ours.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        arguments: Sequence[str],
+        lines: "queue.SimpleQueue[bytes | None] | None" = None,
+        files: Sequence[int] = (),
+        secret: str = "",
+        forkserver: Forkserver | None = None,
+        cores: frozenset[int] = frozenset(),
+    ) -> None:
+        self.name = name
+        self._tail: deque[str] = deque(maxlen=_TAIL)
+        command = [sys.executable, "-P", "-m", "outrider", *arguments, "--watchdog"]
+        if forkserver is not None and not files:
+            self._process: Forked | subprocess.Popen[bytes] = forkserver.fork(
+                command, environment_of(secret), cores, heard=lines is not None
+            )
+        else:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL if lines is None else subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                pass_fds=files,
+                env=environment_of(secret),
+                start_new_session=True,  # Ctrl-C reaches us alone; we end the children in order
+            )
+        self._readers = [
+            threading.Thread(target=self._listen, args=(self._process.stderr,), daemon=True)
+        ]
+        if lines is not None:
+            self._readers.append(
+                threading.Thread(
+                    target=self._pass_on, args=(self._process.stdout, lines), daemon=True
+                )
+            )
+        for reader in self._readers:
+            reader.start()
+
+    def _listen(self, stream: IO[bytes]) -> None:
+        for line in stream:
+            self._tail.append(line.decode(errors="replace").rstrip())
+
+    @staticmethod
+    def _pass_on(stream: IO[bytes], lines: "queue.SimpleQueue[bytes | None]") -> None:
+        for line in stream:
+            lines.put(line)
+        lines.put(None)
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    @property
+    def ended(self) -> int | None:
+        """Exit code, negative for a signal; None while it runs."""
+        return self._process.poll()
+
+    def stderr_tail(self) -> str:
+        """The end of what it wrote to standard error."""
+        for reader in self._readers:
+            reader.join(1.0)
+        return " | ".join(line for line in self._tail if line)
+
+    def exit_report(self) -> str:
+        """How it ended, for a person."""
+        code = self.ended
+        how = (
+            f"was killed by signal {-code}"
+            if code is not None and code < 0
+            else f"ended with exit code {code}"
+        )
+        tail = self.stderr_tail()
+        return f"{self.name} (pid {self.pid}) {how}" + (f": {tail}" if tail else "")
+
+    def ask_to_end(self) -> None:
+        """SIGTERM, if it still runs."""
+        if self.ended is None:
+            self._process.terminate()
+
+    def wait(self, patience: float) -> bool:
+        """Wait up to `patience` [s] for its end; true if it has ended."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(patience)
+        return self.ended is not None
+
+    def kill(self) -> None:
+        """SIGKILL, and wait for its end."""
+        self._process.kill()
+        self._process.wait()
+
+    def close(self) -> None:
+        """Close our ends of its pipes."""
+        for reader in self._readers:
+            reader.join(1.0)
+        for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
+            if stream is not None:
+                with contextlib.suppress(OSError):
+                    stream.close()

@@ -1,0 +1,101 @@
+"""The processes of a run, each started by hand around a router of its own, for the tests."""
+
+import json
+import socket
+import subprocess
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from processes import (
+    OUTRIDER,
+    fly_to,
+    outrider,
+    wait_until,
+)
+
+from bus.access import read_credential
+from bus.session import open_session
+
+SECONDS = 100.0
+"""Simulated time of a run that is disturbed while it is flown: 2,000 ticks, about a second."""
+
+
+SECRET = bytes(range(16)).hex()
+"""Of the runs whose processes are started by hand; their simulator would make one."""
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+    return port
+
+
+def answers(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+class Scattered:
+    """The processes of a run, each started by hand, around a router of its own."""
+
+    def __init__(self, folder: Path, stack: ExitStack) -> None:
+        self._stack = stack
+        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        made = outrider("credentials", str(folder / "credentials"), "--run", "mine", "--json")
+        assert made.returncode == 0, made.stderr
+        self._files = json.loads(made.stdout)["files"]
+        self.processes: list[subprocess.Popen[str]] = []
+
+    def start(self, kind: str, *arguments: str, name: str = "") -> "subprocess.Popen[str]":
+        common = ["--credentials", self._files[name or kind]]
+        if kind != "router":
+            common += ["--run", "mine", "--connect", self.endpoint]
+        process = subprocess.Popen(
+            [*OUTRIDER, kind, *arguments, *common],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self.processes.append(process)
+        return process
+
+    def router(self, *arguments: str) -> "subprocess.Popen[str]":
+        router = self.start("router", "--listen", self.endpoint, *arguments)
+        port = int(self.endpoint.rpartition(":")[2])
+        wait_until(lambda: answers(port))
+        return router
+
+    def simulator(self, *arguments: str) -> "subprocess.Popen[str]":
+        told = ("escort", "--duration", str(SECONDS), "--secret", SECRET, "--json")
+        return self.start("simulator", *told, *arguments)
+
+    def vehicles(self, *arguments: str) -> "list[subprocess.Popen[str]]":
+        return [self.start(name[:3], *arguments, name=name) for name in ("uav_0", "ugv_0")]
+
+    def fly_to(self, tick: int) -> None:
+        """Let the run come so far, and go on."""
+        credential = read_credential(Path(self._files["operator"]))
+        session = open_session(
+            credential.party, "mine", connect=self.endpoint, credential=credential
+        )
+        fly_to(self._stack.enter_context(session), tick)
+
+
+@contextmanager
+def scattered(folder: Path) -> Iterator[Scattered]:
+    with ExitStack() as stack:
+        run = Scattered(folder, stack)
+        stack.callback(end_all, run.processes)
+        yield run
+
+
+def end_all(processes: "list[subprocess.Popen[str]]") -> None:
+    for process in processes:
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+        for stream in (process.stdout, process.stderr):
+            if stream:
+                stream.close()

@@ -1,0 +1,182 @@
+"""The forkserver of a run: what it has loaded, what it knows, and that a forked process is as one that was started."""
+
+import os
+import queue
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
+from pathlib import Path
+
+import pytest
+from processes import (
+    alive,
+    child_of,
+    children_of,
+    command_line,
+    flying,
+    wait_until,
+)
+
+from bus.errors import BusError
+from outrider.running import forking, launch
+from outrider.running.child import Child, environment_of
+from outrider.running.cores import cores_for
+from outrider.running.flying import fly
+from outrider.running.forking import Forkserver, forkserver
+from sim.scenario.loading import load_scenario
+
+SECRET = bytes(range(100, 116)).hex()
+
+
+@pytest.fixture(scope="module")
+def forks() -> Iterator[Forkserver]:
+    with forkserver(environment_of("")) as server:
+        assert server is not None
+        yield server
+
+
+def _stat(pid: int) -> list[str]:
+    return Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+
+
+def _waiting(forks: Forkserver, **named: object) -> Child:
+    """A vehicle that waits for a router, for ever: nobody listens there."""
+    words = ["uav", "--connect", "unixsock-stream//nowhere/bus.sock", "--join-timeout", "100"]
+    return Child("uav_0", words, forkserver=forks, **named)
+
+
+def test_what_is_loaded_before_a_fork_is_no_world_no_scenario_no_session_and_no_thread() -> None:
+    code = (
+        "import sys, threading; from outrider.cli.forkserver import preload; preload();"
+        "print(threading.active_count(), sorted(n for n in sys.modules if n.startswith('sim.')))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    threads, _, loaded = done.stdout.partition(" ")
+    assert threads == "1"
+    names = set(eval(loaded))  # noqa: S307 - a list of names that we have printed
+    assert "sim.models.field" in names
+    rooms = {name.split(".")[1] for name in names}
+    assert rooms <= {"kernels", "models", "input"}
+
+
+def test_a_forked_process_is_our_child_in_its_own_session_with_its_own_command_line(
+    forks: Forkserver,
+) -> None:
+    child = _waiting(forks, cores=cores_for(is_uav=True))
+    try:
+        wait_until(lambda: " outrider uav " in command_line(child.pid))
+        started = f"{sys.executable} -P -m outrider uav --connect unixsock-stream//nowhere/bus.sock"
+        assert command_line(child.pid).startswith(started)
+        assert command_line(child.pid).endswith("--join-timeout 100 --watchdog")
+        _, parent, _, session, *_ = _stat(child.pid)
+        assert (int(parent), int(session)) == (os.getpid(), child.pid)
+        assert os.sched_getaffinity(child.pid) == cores_for(is_uav=True)
+        assert child.ended is None
+        assert not child.wait(0.0)
+        child.kill()
+        assert child.ended == -signal.SIGKILL
+        assert "was killed by signal 9" in child.exit_report()
+    finally:
+        child.close()
+
+
+@pytest.mark.parametrize("end", [Child.ask_to_end, Child.close])
+def test_a_forked_process_ends_when_asked_and_when_nobody_holds_its_standard_input(
+    end: Callable[[Child], None], forks: Forkserver, tmp_path: Path
+) -> None:
+    socket = tmp_path / "bus.sock"
+    words = ["simulator", "escort", "--listen", f"unixsock-stream/{socket}"]
+    child = Child("simulator", words, forkserver=forks)
+    wait_until(socket.exists)
+    end(child)
+    assert child.wait(30.0)
+    child.close()
+
+
+def test_a_forked_process_that_fails_has_exit_code_and_standard_error_of_its_own(
+    forks: Forkserver,
+) -> None:
+    lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+    child = Child("uav_0", ["uav", "--run", "a/b"], lines, forkserver=forks)
+    try:
+        assert child.wait(30.0)
+        assert "ended with exit code 2" in child.exit_report()
+        assert "run = 'a/b'" in child.exit_report()
+        assert lines.get(timeout=10.0) is None
+    finally:
+        child.close()
+
+
+def test_forked_processes_draw_numbers_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawing = (
+        "import random, numpy\nraise SystemExit(f'{random.random()} {numpy.random.random()}')\n"
+    )
+    (tmp_path / "drawing.py").write_text(drawing, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    drawn: list[str] = []
+    with forkserver(environment_of("")) as server:
+        for _ in range(2):
+            child = Child("ugv_0", ["ugv", "--policy", "drawing:policy"], forkserver=server)
+            assert child.wait(30.0)
+            drawn += child.stderr_tail().split()
+            child.close()
+    assert len(drawn) == len(set(drawn)) == 4
+
+
+def test_a_forkserver_that_has_ended_is_one_line() -> None:
+    with forkserver(environment_of("")) as server:
+        assert server is not None
+        assert server.ready(60.0)
+        server._process.kill()
+        with pytest.raises(BusError, match=r"the process that forks the run's processes has ended"):
+            _waiting(server)
+
+
+def test_where_orphans_find_no_parent_each_process_is_started_by_itself(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(forking, "_adopting", lambda: nullcontext(False))
+    monkeypatch.setattr(forking, "Forkserver", None)  # nobody starts one
+    scenario, changes = load_scenario("escort", overrides=["duration=1.0"]), ["duration=1.0"]
+    outcome = launch.launch(scenario, "escort", changes, launch.NOBODY, out=None)
+    assert outcome.summary is not None
+    assert outcome.summary.trajectory_sha256 == fly(scenario, scenario.seed)[1].trajectory_sha256
+
+
+@pytest.mark.usefixtures("nothing_left_behind")
+def test_it_stays_for_respawns_alone_knows_no_secret_and_goes_with_its_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("OUTRIDER_SECRET", SECRET)
+    with flying("escort", "--set", "duration=100000.0", "--no-files", "--respawn") as run:
+        everybody = children_of(run.pid)
+        (server,) = [pid for pid in everybody if "outrider.cli.forkserver" in command_line(pid)]
+        assert len(everybody) == 4
+        for pid in (server, child_of(run, "uav"), child_of(run, "ugv")):
+            assert SECRET.encode() not in Path(f"/proc/{pid}/environ").read_bytes()
+            assert not _holds(pid, SECRET.encode())
+        assert _holds(child_of(run, "simulator"), SECRET.encode())
+        run.kill()
+        run.wait()
+        wait_until(lambda: not any(alive(pid) for pid in everybody))
+
+
+def _holds(pid: int, what: bytes) -> bool:
+    """Whether some writable memory of a process holds these bytes."""
+    with Path(f"/proc/{pid}/mem").open("rb", 0) as memory:
+        for line in Path(f"/proc/{pid}/maps").read_text(encoding="utf-8").splitlines():
+            place, access, *_ = line.split()
+            if not access.startswith("rw"):
+                continue
+            begin, end = (int(edge, 16) for edge in place.split("-"))
+            try:
+                memory.seek(begin)
+                if what in memory.read(end - begin):
+                    return True
+            except (OSError, OverflowError):
+                continue
+    return False

@@ -1,0 +1,112 @@
+"""Scenarios and helpers for the tests of many worlds at once."""
+
+from typing import Any
+
+import msgspec
+import numpy as np
+from flights import escort
+
+from bus.messages import Estimator, Law, ScriptStep
+from bus.profiles import PROFILES
+from sim.env.rewards import RewardWeights
+from sim.scenario.types import Area, Certificate, Detections, LinkTable, Scenario, Uav, Ugv
+
+WIFI_POOR = PROFILES["wifi-poor"]
+
+LATE = msgspec.structs.replace(
+    WIFI_POOR, delay=0.4, jitter=0.3, duplicates=0.2, reorder=0.2, reorder_delay=0.3
+)
+
+SMALL = Area(width=16.0, height=12.0, cell=0.5)
+
+NOISY = Detections(noise=0.2, dropout=0.2)
+
+HERE = (8.0, 6.0)
+
+GOALS = ((12.0, 6.0), (12.0, 9.0), (4.0, 3.0))
+
+
+def small(law: str, driver: str = "waypoints", **fields: Any) -> Scenario:
+    script = (ScriptStep(time=1.0, velocity=(0.2, 0.0)), ScriptStep(time=4.0, velocity=(-0.1, 0.3)))
+    ugv = Ugv(position=HERE, driver=driver, goals=GOALS, goal_tolerance=0.3, script=script)
+    given = {"area": SMALL, "detections": NOISY, "duration": 20.0} | fields
+    return escort(law, uav=Uav(position=(8.0, 7.0)), ugv=ugv, **given)
+
+
+SEVERAL = Scenario(
+    area=SMALL,
+    detections=NOISY,
+    duration=15.0,
+    law=Law(name="certified"),
+    uav=(
+        Uav(name="uav_1", position=(4.0, 4.0), escorts="ugv_0"),
+        Uav(name="uav_0", position=(9.0, 4.0), escorts="ugv_1"),
+        Uav(name="uav_2", position=(9.0, 6.0), escorts="ugv_1", max_speed=0.8),
+    ),
+    ugv=(
+        Ugv(name="ugv_0", position=(4.0, 5.0), goals=((6.0, 6.0),), driver="wander"),
+        Ugv(name="ugv_1", position=(9.0, 5.0), goals=((3.0, 3.0), (5.0, 3.0)), driver="evade"),
+    ),
+)
+
+POOR = LinkTable(detections=LATE, commands=LATE, radio=LATE)
+
+SCENARIOS: dict[str, Scenario] = {
+    **{
+        law: small(law)
+        for law in (
+            "tracking",
+            "coverage",
+            "linear",
+            "switching",
+            "logarithmic",
+            "circle",
+            "certified",
+        )
+    },
+    **{driver: small("certified", driver) for driver in ("wander", "script", "evade")},
+    "raw detections": small("logarithmic", estimator=Estimator(enabled=False)),
+    "network": small("certified", "evade", links=POOR, duration=30.0),
+    "delayed commands": small(
+        "certified",
+        links=LinkTable(commands=msgspec.structs.replace(PROFILES["perfect"], delay=0.2)),
+    ),
+    "uncertifiable": small("certified", certificate=Certificate(error=0.01)),
+    "several": SEVERAL,
+}
+
+SCENARIO = SCENARIOS["certified"]
+
+SEEN = RewardWeights(uncovered=0.5, seen=2.0, effort=0.3)
+
+LATE_LOOKS = msgspec.structs.replace(SCENARIO, links=LinkTable(detections=LATE))
+
+
+def random_actions(worlds: int, ticks: int, *, size: float = 0.3) -> np.ndarray:
+    return np.random.default_rng(1).uniform(-size, size, (ticks, worlds, 2))
+
+
+def equal(one: Any, other: Any) -> bool:
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(equal(one[key], other[key]) for key in one)
+    return one.dtype == other.dtype and one.tobytes() == np.ascontiguousarray(other).tobytes()
+
+
+def row_of(observations: Any, k: int) -> Any:
+    return (
+        {key: array[k] for key, array in observations.items()}
+        if isinstance(observations, dict)
+        else observations[k]
+    )
+
+
+CASES: dict[str, tuple[Scenario, str, dict[str, Any]]] = {
+    "uav": (SCENARIO, "uav_0", {}),
+    "ugv": (SCENARIO, "ugv_0", {"end_on_goals_reached": True}),
+    "weights": (SCENARIO, "uav_0", {"rewards": SEEN}),
+    "patch": (SCENARIO, "uav_0", {"coverage_patch": (7, 0.6)}),
+    "late": (LATE_LOOKS, "uav_0", {}),
+    "evade": (SCENARIOS["evade"], "uav_0", {}),
+    "evade over a network": (SCENARIOS["network"], "uav_0", {"duration": 10.0}),
+    "no end": (SCENARIO, "uav_0", {"end_on_sight_lost": False, "duration": 3.0}),
+}
