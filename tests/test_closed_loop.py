@@ -240,7 +240,7 @@ def test_an_episode_ends_by_itself_and_begins_anew_as_if_it_were_the_first() -> 
         assert one.tobytes() == other.tobytes()
     assert s.batch.truth.coverage.tobytes() == f.batch.truth.coverage.tobytes()
     used.fly()
-    assert s.truncated.tolist() == [1, 1, 1]
+    assert s.rows.truncated.tolist() == [1, 1, 1]
     ticks = s.batch.ticks.copy()
     assert ticks.tolist() == [scenario.ticks] * 3
 
