@@ -232,15 +232,15 @@ def test_an_episode_ends_by_itself_and_begins_anew_as_if_it_were_the_first() -> 
         loop.fly(200)
     s, f = used.state, fresh.state
     for one, other in (
-        (s.rewards, f.rewards),
-        (s.uav_rows, f.uav_rows),
-        (s.ugv_rows, f.ugv_rows),
+        (s.rows.rewards, f.rows.rewards),
+        (s.rows.uav_rows, f.rows.uav_rows),
+        (s.rows.ugv_rows, f.rows.ugv_rows),
         (s.patches, f.patches),
     ):
         assert one.tobytes() == other.tobytes()
     assert s.batch.truth.coverage.tobytes() == f.batch.truth.coverage.tobytes()
     used.fly()
-    assert s.truncated.tolist() == [1, 1, 1]
+    assert s.rows.truncated.tolist() == [1, 1, 1]
     ticks = s.batch.ticks.copy()
     assert ticks.tolist() == [scenario.ticks] * 3
 

@@ -127,6 +127,7 @@ BY_NAME: dict[str, object] = {
     "target": (True, 20.1, 20.4),
     "radio": np.array([[0.2, 0.7, -0.4], [0.3, 0.9, -0.3], [0.3, 8.0, 9.0]]),
     "received": 2,
+    "reached": 1,
     "lead": 4.0,
     "terms": _RNG.normal(size=90),
     "begin": 3,
@@ -220,6 +221,7 @@ EXTRA: dict[str, dict[str, list[object]]] = {
     "agents.control.guard.note_detection": {"taken": [-1, 38], "p_delta_x": [-30.0, 30.0]},
     "agents.control.uav_tick.uav_tick": {"guarded": [False], "target": [(False, 0.0, 0.0)]},
     "agents.control.uav_tick.uav_perceive": {"guarded": [False], "looked": [0]},
+    "sim.models.vehicles.next_goal": {"reached": [0, 2, 3], "tolerance": [1e9]},
     "agents.drivers.ugv_tick.ugv_tick": {
         "p": _DRIVERS,
         "state": [driver_state(), _CORNERED],

@@ -131,26 +131,26 @@ class ClosedLoop:
         for name in (*self.external, *chosen):
             if name not in self.names:
                 raise ValueError(f"vehicle = {name!r}; allowed: {', '.join(self.names)}")
-        crew = _Crew(
+        numbers = _PilotNumbers(
             scenario, self.uavs, self.ugvs, set(self.external), chosen, shield=safety_filter
         )
         self.batch = Batch(
             scenario, worlds, gains=weights.seen > 0.0, threads=threads, secret=secret
         )
         radio = self._radio = LinkArrays(scenario, (LinkKind.RADIO,), 3, worlds)
-        listening = crew.radio
-        thinking = crew.thinking | (estimate or gradient or listening)
+        receiving = numbers.radio
+        thinking = numbers.thinking | (estimate or gradient or receiving)
         dt = scenario.dt
         self.parameters = LoopParameters(
             error=error or weights.uncovered > 0.0,
             estimate=estimate,
             gradient=gradient,
             own_maps=len(self.uavs) > 1,
-            radio=listening,
+            radio=receiving,
             radio_ticks=max(1, round(RADIO_PERIOD / dt)),
             meters_per_pixel=float(patch.meters_per_pixel) if patch else 1.0,
         )
-        scripts, script_rows = joined(crew.scripts, 3)
+        scripts, script_rows = joined(numbers.scripts, 3)
         rows = row_tables(
             scenario,
             weights,
@@ -165,17 +165,17 @@ class ClosedLoop:
                 dtype=np.int64,
             ),
             thinking=thinking.astype(np.int64),
-            guarded=crew.guarded.astype(np.int64),
-            faults=crew.faults.astype(np.int64),
-            delays=crew.delays,
-            ages=crew.ages,
-            bounded=crew.bounded.astype(np.int64),
-            listeners=np.array(
+            guarded=numbers.guarded.astype(np.int64),
+            faults=numbers.faults.astype(np.int64),
+            delays=numbers.delays,
+            ages=numbers.ages,
+            bounded=numbers.bounded.astype(np.int64),
+            receivers=np.array(
                 [self.ugvs.index(self.names[g]) for g in self.batch.tables.escorts[:, 1]],
                 dtype=np.int64,
             ),
-            kalman=crew.kalman,
-            promises=crew.promises,
+            kalman=numbers.kalman,
+            promises=numbers.promises,
             scripts=scripts,
             script_rows=script_rows,
             radio=radio.table,
@@ -186,9 +186,9 @@ class ClosedLoop:
         )
         late = self.batch.longest_delay(LinkKind.DETECTIONS)
         kalman = kalman_state(min(late, round(SPAN / dt)) + 1)
-        guards = guard_state(crew.slowest, min(late + 1, max(1, math.ceil(_TRACK / dt))))
+        guards = guard_state(numbers.slowest, min(late + 1, max(1, math.ceil(_TRACK / dt))))
         uavs, ugvs = len(self.uavs), len(self.ugvs)
-        room = radio.room * uavs if listening else 1
+        room = radio.room * uavs if receiving else 1
         coverage = self.batch.state.truth.coverage
         pixels = patch.pixels if patch else 1
         self.state = LoopState(
@@ -200,16 +200,16 @@ class ClosedLoop:
                 uav_columns=len(GradientCue._fields),
             ),
             maps=np.zeros((worlds, uavs if self.parameters.own_maps else 0, *coverage.shape[1:])),
-            sent=np.zeros((worlds, uavs, int(crew.delays.max()) + 1, 2)),
-            laws=np.repeat(crew.laws[None], worlds, axis=0),
-            drivers=np.repeat(crew.drivers[None], worlds, axis=0),
+            sent=np.zeros((worlds, uavs, int(numbers.delays.max()) + 1, 2)),
+            laws=np.repeat(numbers.laws[None], worlds, axis=0),
+            drivers=np.repeat(numbers.drivers[None], worlds, axis=0),
             law_states=np.zeros((worlds, uavs, STATE_SIZE)),
             kalman=KalmanState._make(_repeated(kalman, worlds, uavs)),
             guards=GuardState._make(_repeated(guards, worlds, uavs)),
             driver_states=_repeated((driver_state(),), worlds, ugvs)[0],
             outbox=np.full((worlds, uavs, 3), -1.0),
             radio=radio.states,
-            inbox=np.zeros((worlds, radio.room if listening else 1, 3)),
+            inbox=np.zeros((worlds, radio.room if receiving else 1, 3)),
             inboxes=np.zeros((worlds, ugvs, room, 3)),
             arrived=np.zeros((worlds, ugvs), dtype=np.int64),
             patches=np.zeros((worlds, uavs if patch else 0, pixels, pixels)),
@@ -271,7 +271,7 @@ class ClosedLoop:
         self, worlds: IntArray, actions: FloatArray, ticks: int, *, beginning: bool = False
     ) -> None:
         told = (self.parameters, self.tables, self.state, worlds, beginning, actions, ticks)
-        self.batch.crew.share(run_worlds, len(worlds), *told)
+        self.batch.workers.share(run_worlds, len(worlds), *told)
 
     def metrics(self, uav: str) -> dict[str, FloatArray]:
         """How a UAV has truly done in this episode, in each world; arrays of shape (worlds,).
@@ -308,7 +308,7 @@ class ClosedLoop:
 
     def close(self) -> None:
         """End the threads."""
-        self.batch.crew.close()
+        self.batch.workers.close()
 
 
 def _is_bounded(told: UavBriefing) -> bool:
@@ -319,8 +319,8 @@ def _is_bounded(told: UavBriefing) -> bool:
     return detector.cut is not None and detector.noise * detector.cut <= declared
 
 
-class _Crew:
-    """The pilots' numbers in tables."""
+class _PilotNumbers:
+    """The parameters of all pilots, in tables."""
 
     def __init__(
         self,

@@ -51,7 +51,7 @@ class LoopParameters(NamedTuple):
     own_maps: bool
     """Whether each UAV has a map of its own; else all that is seen is its own."""
     radio: bool
-    """Whether any UGV listens to the radio."""
+    """Whether any UGV uses the radio."""
     radio_ticks: int
     meters_per_pixel: float
 
@@ -75,7 +75,7 @@ class LoopTables(NamedTuple):
     """For each UAV the declared age of the newest detection [ticks]. Shape (UAVs,)."""
     bounded: IntArray
     """For each UAV whether no detection can have a larger error than is declared. Shape (UAVs,)."""
-    listeners: IntArray
+    receivers: IntArray
     """For each UAV the row among the UGVs of the one that receives its radio. Shape (UAVs,)."""
     kalman: RecordArray
     """`KalmanParameters` of each UAV. Shape (UAVs,)."""

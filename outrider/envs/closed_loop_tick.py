@@ -148,8 +148,8 @@ def _radio(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
     """What the UAVs have said at the tick before sets out, and what has arrived is with the UGVs."""
     dt, tick, arrived = t.batch.world[0].dt, s.batch.ticks[k], s.arrived[k]
     arrived[:] = 0
-    for u in range(t.listeners.shape[0]):
-        g, outbox, inbox = t.listeners[u], s.outbox[k, u], s.inbox[k]
+    for u in range(t.receivers.shape[0]):
+        g, outbox, inbox = t.receivers[u], s.outbox[k, u], s.inbox[k]
         come, link = s.inboxes[k, g], link_of(s.radio, k, u)
         key = key_of(s.batch.keys[k], t.radio.owners[u, 0], t.radio.owners[u, 1])
         begin_tick(t.radio, u, link, key, tick)

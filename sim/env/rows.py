@@ -11,9 +11,9 @@ import numpy as np
 from bus.layout import UavRow, UgvRow
 from sim.engine.world_state import LOOK_X, LOOK_Y, TAKEN, BatchState, BatchTables
 from sim.env.rewards import RewardWeights, UavTerms, full_error, uav_terms, ugv_terms
-from sim.kernels.compile import FloatArray, IntArray, compiled, inlined
+from sim.kernels.compile import FloatArray, IntArray, inlined
 from sim.kernels.records import RecordArray, records
-from sim.models.vehicles import goal_reached, norm
+from sim.models.vehicles import next_goal, norm
 from sim.scenario.types import Scenario, Ugv
 from sim.world import Look, World
 
@@ -197,20 +197,6 @@ def row_state(t: RowTables, worlds: int, *, uav_metrics: int = 0, uav_columns: i
     return state
 
 
-@compiled
-def turn(
-    goals: FloatArray, reached: int, tolerance: float, x: float, y: float
-) -> tuple[int, float]:
-    """How many goals are reached from (x, y) [m] on, and the way to the next one [m]; 0 where none is left."""
-    while reached < goals.shape[0] and goal_reached(
-        x, y, goals[reached, 0], goals[reached, 1], tolerance
-    ):
-        reached += 1
-    if reached == goals.shape[0]:
-        return reached, 0.0
-    return reached, norm(x - goals[reached, 0], y - goals[reached, 1])
-
-
 @inlined
 def _measure_uav(bt: BatchTables, bs: BatchState, s: RowState, k: int, u: int) -> None:
     """How UAV u truly stands at this tick, and the newest detection that has reached it."""
@@ -243,7 +229,7 @@ def _measure_ugv(
         if not beginning:
             way = norm(x - goals[reached, 0], y - goals[reached, 1])
             row[UGV_METRICS.nearer] = row[UGV_METRICS.to_go] - way
-        now, row[UGV_METRICS.to_go] = turn(goals, reached, t.tolerances[g], x, y)
+        now, row[UGV_METRICS.to_go] = next_goal(goals, reached, t.tolerances[g], x, y)
         row[UGV_METRICS.arrivals], row[UGV_METRICS.reached] = now - reached, now
 
 
