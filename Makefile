@@ -51,7 +51,7 @@ long-test: $(VENV)/.dev ## the tests that repeat for long what a short one of th
 	$(BIN)/python -m pytest -n 2 --dist loadgroup -m long $(ARGS)
 
 docs: $(VENV)/.docs ## the documentation as a site that works offline, in site/index.html
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict $(ARGS) && echo "open site/index.html"
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict $(ARGS) && echo "open site/index.html"
 
 $(VENV)/.docs: $(VENV)/.run
 	@$(PIP) --editable '.[docs]'

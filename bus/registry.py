@@ -56,15 +56,15 @@ class LawRow:
     about: str
     """One line, for help texts."""
     covers: bool = False
-    """It steers by the coverage gradient, and so by v_ref of (10)."""
+    """Whether it steers by the coverage gradient, and so by v_ref of (10)."""
     needs_radius: bool = True
-    """It needs a positive switching radius r_s (18)."""
+    """Whether it needs a positive switching radius r_s (18)."""
     keeps_sight: bool = True
-    """It turns back to the UGV."""
+    """Whether it ever turns back to the UGV."""
     own: str = ""
     """The field of `[custom]` that names the function of the user's own which it needs."""
     watched: bool = False
-    """The safety filter stands behind it."""
+    """Whether the safety filter stands behind it."""
     color: str
     """Of its lines in pictures and tables."""
     mark: str = "o"
@@ -72,7 +72,7 @@ class LawRow:
 
     @property
     def compared(self) -> bool:
-        """It flies in every comparison: it keeps sight and needs nothing of the user's own."""
+        """Whether it flies in every comparison: it keeps sight and needs nothing of the user's own."""
         return self.keeps_sight and not self.own
 
 
@@ -160,21 +160,21 @@ class DriverRow:
     make: str = ""
     """The class, made from a `UgvBriefing`; empty where the driver is not ours to make."""
     code: int | None = None
-    """Of its branch in `agents.drivers.ugv_tick.ugv_tick`; None: it flies in no batch of worlds."""
+    """Of its branch in `agents.drivers.ugv_tick`; None: it flies in no batch of worlds."""
     needs: str = ""
     """The field of `[[ugv]]` without which it cannot drive."""
     wants: str = ""
     """The field of `[[ugv]]` without which it stands still."""
     listens: bool = False
-    """It uses what the UAV radios."""
+    """Whether it uses what the UAV radios."""
     unbounded: bool = False
-    """It drives without a bound where the UGV has none; the others assume a large one."""
+    """Whether it drives without a bound where the UGV has none; the others assume a large one."""
     operated: bool = False
-    """It does what an operator says."""
+    """Whether it does what an operator says."""
     own: str = ""
     """The field of `[custom]` that names what drives."""
     outside: bool = False
-    """It is a process of the user's own, from start to end."""
+    """Whether it is a process of the user's own, from start to end."""
 
 
 TELEOP = "teleop"
@@ -246,7 +246,7 @@ class SavedPolicyRow:
 
     name: str
     form: str
-    """The rest of its name, after the library's and a colon."""
+    """How one is named after the library's name and a colon."""
     load: str
     """The function that loads one, from what stands after the colon and where it stood, for errors."""
     code: None = None
@@ -262,7 +262,7 @@ SAVED_POLICIES = _table(
 """The libraries by name."""
 _FORMS = [f"{row.name}:{row.form}" for row in SAVED_POLICIES.values()]
 POLICY_FORMS = f"module:function, {', '.join(_FORMS[:-1])} or {_FORMS[-1]}"
-"""All forms of a policy's name, for help texts and errors."""
+"""What a policy may be, for help texts and errors."""
 
 
 def described(rows: Mapping[str, LawRow] | Mapping[str, DriverRow]) -> str:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from sim.engine.batch import Batch
 from sim.engine.links import Links
-from sim.engine.world_state import ANSWERED, U_X, U_Y, WorldState
+from sim.engine.world_state import ANSWERED, U_X, U_Y, BatchState, BatchTables, WorldState
 from sim.engine.world_tick import measure, truth_of
 from sim.kernels.compile import FloatArray, entry_point
 from sim.scenario.types import Scenario, Uav
@@ -82,7 +82,7 @@ class World:
         self.commands: FloatArray = self.state.commands
         """What each vehicle acted on in the last tick, before the bounds [m/s²], shape (vehicles, 2)."""
         measured = self.position, self.escorts, self.coverage, self.state.measures
-        self._measured = tables.world, *measured
+        self._measured = tables.world, *measured, True
         self._measure = entry_point(measure, *self._measured)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -105,6 +105,11 @@ class World:
     def time(self) -> float:
         """Simulated time [s]: tick times dt, never a sum."""
         return self._tick * self.parameters.dt
+
+    @property
+    def arrays(self) -> tuple[BatchTables, BatchState]:
+        """The batch of one, for compiled functions."""
+        return self._batch.tables, self._batch.state
 
     def _received(self) -> list[list[Look]]:
         state = self._batch.state

@@ -10,7 +10,7 @@ from worlds import LATE, SMALL
 
 from bus.profiles import PROFILES
 from sim.engine.batch import Batch
-from sim.kernels.threads import Crew
+from sim.kernels.threads import WorkerThreads
 from sim.scenario.types import (
     Coverage,
     Detections,
@@ -158,7 +158,7 @@ def test_there_must_be_a_seed_for_each_world_that_begins() -> None:
 
 
 def test_threads_share_everything_once_and_pass_on_what_fails() -> None:
-    crew, done, lock = Crew(3), [], threading.Lock()
+    workers, done, lock = WorkerThreads(3), [], threading.Lock()
 
     def work(offset: int, begin: int, end: int) -> None:
         with lock:
@@ -166,13 +166,13 @@ def test_threads_share_everything_once_and_pass_on_what_fails() -> None:
         if offset and begin == 0:
             raise ValueError("the first part")
 
-    crew.share(work, 100, 0)
+    workers.share(work, 100, 0)
     assert sorted(done) == list(range(100))
     done.clear()
     with pytest.raises(ValueError, match="the first part"):
-        crew.share(work, 100, 5)
+        workers.share(work, 100, 5)
     assert sorted(done) == list(range(5, 105))
-    crew.close()
-    crew.share(work, 10, 0)
+    workers.close()
+    workers.share(work, 10, 0)
     with pytest.raises(ValueError, match="threads = 0"):
-        Crew(0)
+        WorkerThreads(0)

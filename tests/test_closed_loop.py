@@ -16,10 +16,11 @@ from bus.errors import ScenarioError
 from bus.messages import Command, Law, LinkKind, Observation, UavCommand
 from bus.profiles import PROFILES
 from outrider.envs.closed_loop import ClosedLoop
-from outrider.envs.closed_loop_state import DISTANCE, SURE
+from outrider.envs.closed_loop_state import GUARD_METRICS
 from outrider.running.flying import InProcess, fly, make_pilots
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights
+from sim.env.rows import UAV_METRICS
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Certificate, Detections, LinkTable, Scenario
 from sim.server.flight import Flight
@@ -95,11 +96,13 @@ def test_what_is_certified_out_of_sight_is_counted_in_every_world() -> None:
     loop = ClosedLoop(scenario, len(seeds), error=True, end_on_sight_lost=False)
     loop.tables.batch.world["r_v"] = 0.5
     loop.begin(seeds)
-    seats, counted = loop.state.uav_seats[:, 0], np.zeros(len(seeds))
+    rows, counted = loop.state.rows.uavs[:, 0], np.zeros(len(seeds))
     for _ in range(scenario.ticks):
-        far = seats[:, DISTANCE] >= 0.5
+        far = rows[:, UAV_METRICS.distance] >= 0.5
         loop.fly(1)
-        counted += far & (seats[:, SURE] == 1.0)  # said of the tick at which it was so far
+        counted += far & (
+            rows[:, GUARD_METRICS.sure] == 1.0
+        )  # said of the tick at which it was so far
     assert loop.metrics("uav_0")["certified_while_lost"].tolist() == counted.tolist()
     assert counted.min() > 100
 
@@ -229,15 +232,15 @@ def test_an_episode_ends_by_itself_and_begins_anew_as_if_it_were_the_first() -> 
         loop.fly(200)
     s, f = used.state, fresh.state
     for one, other in (
-        (s.rewards, f.rewards),
-        (s.uav_rows, f.uav_rows),
-        (s.ugv_rows, f.ugv_rows),
+        (s.rows.rewards, f.rows.rewards),
+        (s.rows.uav_rows, f.rows.uav_rows),
+        (s.rows.ugv_rows, f.rows.ugv_rows),
         (s.patches, f.patches),
     ):
         assert one.tobytes() == other.tobytes()
     assert s.batch.truth.coverage.tobytes() == f.batch.truth.coverage.tobytes()
     used.fly()
-    assert s.truncated.tolist() == [1, 1, 1]
+    assert s.rows.truncated.tolist() == [1, 1, 1]
     ticks = s.batch.ticks.copy()
     assert ticks.tolist() == [scenario.ticks] * 3
 

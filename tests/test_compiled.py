@@ -114,7 +114,6 @@ BY_NAME: dict[str, object] = {
     "p_y": 21.3,
     "coverage": _GROUND,
     "state": _STATE,
-    "p": _DRIVERS[-1],
     "goals": _ROUTE.goals,
     "script": _ROUTE.script,
     "route": _ROUTE,
@@ -128,6 +127,7 @@ BY_NAME: dict[str, object] = {
     "target": (True, 20.1, 20.4),
     "radio": np.array([[0.2, 0.7, -0.4], [0.3, 0.9, -0.3], [0.3, 8.0, 9.0]]),
     "received": 2,
+    "reached": 1,
     "lead": 4.0,
     "terms": _RNG.normal(size=90),
     "begin": 3,
@@ -173,6 +173,10 @@ BY_NAME: dict[str, object] = {
 """An argument of this name has this value, in every function."""
 
 IN_MODULE: dict[str, dict[str, object]] = {
+    **{
+        f"agents.drivers.{name}": {"p": _DRIVERS[-1]}
+        for name in ("waypoints", "wander", "script", "evade", "ugv_tick")
+    },
     "agents.control.guard": {"commands": np.array([[0.1, -0.2], [0.0, 0.3]]), "state": _GUARD},
     "sim.kernels.lanes": {"first": 13, "end": 76},
     "agents.estimation.twin": {
@@ -217,6 +221,7 @@ EXTRA: dict[str, dict[str, list[object]]] = {
     "agents.control.guard.note_detection": {"taken": [-1, 38], "p_delta_x": [-30.0, 30.0]},
     "agents.control.uav_tick.uav_tick": {"guarded": [False], "target": [(False, 0.0, 0.0)]},
     "agents.control.uav_tick.uav_perceive": {"guarded": [False], "looked": [0]},
+    "sim.models.vehicles.next_goal": {"reached": [0, 2, 3], "tolerance": [1e9]},
     "agents.drivers.ugv_tick.ugv_tick": {
         "p": _DRIVERS,
         "state": [driver_state(), _CORNERED],
@@ -229,7 +234,7 @@ EXTRA: dict[str, dict[str, list[object]]] = {
         "v_x": [30.0, -30.0],
     },
     "agents.drivers.evade.turned": {"time": [0.1 * k for k in range(300)]},
-    "agents.drivers.evade.border_side": {"p": [0.1, 0.5, 39.9]},
+    "agents.drivers.evade.border_side": {"at": [0.1, 0.5, 39.9]},
     "agents.drivers.script.script_control": {
         "time": [0.0, 0.5, 2.0, 1e12],
         "script": [np.zeros((0, 3))],

@@ -183,6 +183,7 @@ ON_BOARD = {
     "sim.models.randomness",
     "sim.kernels.compile",
     "sim.kernels.lanes",
+    "sim.kernels.records",
 }
 """All that a vehicle carries of the simulator."""
 

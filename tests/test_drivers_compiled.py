@@ -105,8 +105,8 @@ def _fly(
 
 def _alone(name: str, told: UgvBriefing) -> FloatArray:
     """By the pilot's driver, tick by tick."""
-    driver = resolve(DRIVERS[name].make)(told)
-    rows, (said, counts) = np.zeros((TICKS, 6)), _said(told.area)
+    driver, rows = resolve(DRIVERS[name].make)(told), np.zeros((TICKS, 6))
+    said, counts = _said(told.area)
     p_x, p_y, v_x, v_y = *START, 0.03, -0.02
     for k in range(TICKS):
         radio = tuple(

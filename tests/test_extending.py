@@ -23,6 +23,19 @@ ASKED = """
 import json
 
 import numba
+import numpy as np
+
+from sim.kernels import compile, records
+
+if numba.config.DISABLE_JIT:
+    def plain(function, **_):
+        function.py_func = function
+        return function
+
+    compile.interpret()
+    compile._compile = plain  # which leaves it as it is, but for what a compiled function has
+    rows_type = records.record_type  # Python reads a record's columns by name, not those of a void
+    records.record_type = lambda fields: np.dtype((np.record, rows_type(fields)))
 
 import outrider
 from agents.control.laws import OwnTerms, law_parameters, weights
@@ -288,3 +301,21 @@ def test_a_row_whose_code_is_missing_is_refused(
     apply(copied(tmp_path), blocks)
     with pytest.raises(AssertionError, match=wrong):
         answer(tmp_path, code, NUMBA_DISABLE_JIT="1")
+
+
+def test_another_code_has_another_cache_of_compiled_functions(root: Path) -> None:
+    code = """
+import json
+from pathlib import Path
+import bus.registry
+from sim.kernels.compile import _source_digest
+rows, before = Path(bus.registry.__file__), _source_digest()
+text = rows.read_text()
+rows.write_text(text.replace("code=9", "code=10"))
+after = _source_digest()
+rows.write_text(text)
+print(json.dumps({"where": str(rows), "digests": [before, after, _source_digest()]}))
+"""
+    before, after, again = answer(root, code)["digests"]
+    assert before == again
+    assert after != before

@@ -113,7 +113,7 @@ def test_gradient_points_where_the_error_falls_fastest(sensor: int) -> None:
         rest = (p_gx, p_gy, R_O, DESIRED, sensor, 1.0, R, 0.25)
 
         def decrease(d_x: float, d_y: float, rest=rest, coverage=coverage, p=(p_ax, p_ay)) -> float:
-            return reference.error_decrease(coverage, p[0] + d_x, p[1] + d_y, *rest)
+            return error_decrease(coverage, p[0] + d_x, p[1] + d_y, *rest)
 
         d = 1e-4
         slope_x, slope_y = (
@@ -133,6 +133,35 @@ def test_gradient_vanishes_in_symmetric_states_and_only_there(
     rest = (*p, R_O, DESIRED, sensor, 1.0, R, 0.25)
     assert is_zero_gradient(*coverage_gradient(coverage, *p, *rest))
     assert not is_zero_gradient(*coverage_gradient(coverage, p[0] + 1e-6, p[1], *rest))
+
+
+def error_decrease(
+    coverage: FloatGrid,
+    p_ax: float,
+    p_ay: float,
+    p_gx: float,
+    p_gy: float,
+    r_o: float,
+    desired: float,
+    sensor: int,
+    peak: float,
+    reach: float,
+    cell: float,
+) -> float:
+    r"""$-\dot e$ while the UGV stands: $\int h'(C^* - C)\, S_a(p_a, q)\, \phi\, dq$.
+
+    Arguments as in `coverage_gradient`.
+    """
+    quality = reference.sensor_quality(
+        sensor, reference.distances(coverage, p_ax, p_ay, cell), peak, reach
+    )
+    lack = 2.0 * np.maximum(0.0, desired - coverage)
+    return float(
+        (
+            lack * quality * reference.density(reference.distances(coverage, p_gx, p_gy, cell), r_o)
+        ).sum()
+        * cell**2
+    )
 
 
 def test_gradient_over_even_ground_points_to_the_ugv() -> None:
@@ -289,7 +318,7 @@ def test_the_gain_of_a_look_is_the_fall_of_the_error(
         coverage_error(field, g_x, g_y, R_O, DESIRED, 0.25) for field in (ground, seen)
     )
     assert gain == pytest.approx(before - after, rel=1e-9)
-    rate = reference.error_decrease(ground, p_x, p_y, g_x, g_y, R_O, DESIRED, sensor, 1.0, R, 0.25)
+    rate = error_decrease(ground, p_x, p_y, g_x, g_y, R_O, DESIRED, sensor, 1.0, R, 0.25)
     assert gain == pytest.approx(
         rate * dt, rel=0.05
     )  # the penalty's second derivative over one tick

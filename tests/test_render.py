@@ -74,8 +74,9 @@ def test_same_flight_gives_the_same_bytes_whatever_the_users_settings_are(flight
 
 def test_a_run_loads_no_matplotlib_and_drawing_no_pyplot():
     code = (
-        "import sys, outrider.running.flying, outrider.view.output; print('matplotlib' in sys.modules); "
-        "import outrider.experiments.paper_figures; print('matplotlib' in sys.modules, 'matplotlib.pyplot' in sys.modules)"
+        "import sys, outrider.running.flying, outrider.view.output, outrider.view.terminal.screen;"
+        "print('matplotlib' in sys.modules); import outrider.experiments.paper_figures;"
+        "print('matplotlib' in sys.modules, 'matplotlib.pyplot' in sys.modules)"
     )
     told = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True

@@ -117,21 +117,27 @@ def flooded(protocol: str, count: int, *, claimed: bool = False) -> Iterator[tup
 
 
 @pytest.mark.parametrize(
-    ("protocol", "claimed", "left"),
-    [("tcp", False, NAMELESS), ("tcp", True, PLACES - 1), ("tls", False, PLACES - 1)],
+    ("protocol", "count", "claimed", "left"),
+    [
+        ("tcp", 300, False, NAMELESS),
+        ("tcp", 100, True, PLACES - 1),
+        ("tls", 100, False, PLACES - 1),
+    ],
     ids=["nameless", "claimed", "certified"],
 )
 def test_one_vehicle_with_hundreds_of_sessions_keeps_no_other_out(
     protocol: str,
+    count: int,
     claimed: bool,
     left: int,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     """Its own first one stays connected, and a few beside it; the rest are ended whenever they come again."""
-    monkeypatch.setattr(session_limit, "GRACE", 0.3)
+    monkeypatch.setattr(session_limit, "GRACE", 1.0)
+    monkeypatch.setattr(session_limit, "_QUIET", 1000.0)
     monkeypatch.setattr(session_limit, "_AT_ONCE", 100)
-    with flooded(protocol, 300, claimed=claimed) as (router, first):
+    with flooded(protocol, count, claimed=claimed) as (router, first):
         there = addresses(router)
         uav, endpoint = GIVEN[protocol].of("uav_0"), router._zenoh.info.links()[0].src
         with open_session(uav.party, RUN, connect=endpoint, credential=uav) as late:
@@ -140,8 +146,8 @@ def test_one_vehicle_with_hundreds_of_sessions_keeps_no_other_out(
             await_that(lambda: len(there & addresses(router)) <= 1 + left)
             assert {first, mine} <= addresses(router)
     told = [r.getMessage() for r in caplog.records if r.levelno == logging.WARNING]
-    assert len(told) == 1
-    assert "were ended" in told[0]
+    assert 1 <= len(told) <= 2  # a line for the party, and one for nobody's
+    assert all("were ended" in line for line in told)
 
 
 def test_a_party_claims_sessions_in_its_own_name_alone() -> None:

@@ -14,6 +14,7 @@ from flights import escort, parameters
 from agents.control.laws import OwnTerms, weights
 from agents.control.orbit import largest_circle_rate
 from agents.control.visibility import switching_radius
+from agents.drivers import parameters as parameters_of_drivers
 from bus.keys import KEYS, Key
 from bus.messages import LinkKind
 from bus.profiles import PROFILES
@@ -47,8 +48,6 @@ CHOSEN = {
     "outrider/experiments/paper_figures.py": "the flights of the paper's figure 3",
     "outrider/experiments/claims.py": "likewise",
     "outrider/experiments/falsify/attacks.py": "guards that are known to be wrong, no laws",
-    "outrider/learning/curve.py": "the laws of one picture",
-    "outrider/learning/evaluate.py": "cases that are called after their driver",
 }
 """Files that name a few of them on purpose, and why: an experiment's choice, which no new row changes."""
 
@@ -132,6 +131,18 @@ def test_every_law_has_its_branch(name: str) -> None:
 def test_a_row_without_its_branch_flies_no_other_law() -> None:
     missing = parameters(escort("linear"))._replace(law=1 + max(row.code for row in LAWS.values()))
     assert np.isnan(weights(missing, OwnTerms(), 1.0)).all()
+
+
+def test_every_compiled_driver_has_its_branch() -> None:
+    tree = ast.parse((ROOT / "agents" / "drivers" / "ugv_tick.py").read_text(encoding="utf-8"))
+    asked = [
+        node.comparators[0].id
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Compare) and ast.unparse(node.left) == "p.driver"
+    ]
+    last = "EVADE"  # what is none of the others
+    codes = [getattr(parameters_of_drivers, name) for name in (*asked, last)]
+    assert sorted(codes) == sorted(parameters_of_drivers.COMPILED_DRIVERS.values())
 
 
 @pytest.mark.parametrize("name", SENSORS)

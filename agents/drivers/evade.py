@@ -135,11 +135,11 @@ def turned(x: float, y: float, time: float, lead: float, key: Key) -> tuple[floa
 
 
 @compiled
-def border_side(p: float, size: float, margin: float) -> float:
+def border_side(at: float, size: float, margin: float) -> float:
     """The sign of the side of one axis that is nearer than the margin, or 0; all in [m]."""
-    if p > size - margin:
+    if at > size - margin:
         return 1.0
-    return -1.0 if p < margin else 0.0
+    return -1.0 if at < margin else 0.0
 
 
 @compiled

@@ -13,7 +13,7 @@ from agents.drivers.steering import LARGEST, Steering
 from bus.errors import ScenarioError
 from bus.layout import Row, UgvRow
 from bus.messages import UgvBriefing, UgvObservation
-from sim.models.vehicles import goal_reached
+from sim.models.vehicles import next_goal
 
 _LOG = logging.getLogger("outrider.policy")
 
@@ -67,19 +67,17 @@ class UgvRows:
     """
 
     def __init__(self, briefing: UgvBriefing) -> None:
-        self._goals = [(float(x), float(y)) for x, y in briefing.goals]
+        self._goals = np.array(briefing.goals, dtype=np.float64).reshape(-1, 2)
         self._tolerance = float(briefing.goal_tolerance)
         self._reached = 0
 
     def row(self, observation: UgvObservation) -> Row:
         """The row of this tick; shape (8,), float64."""
         (x, y), (v_x, v_y), goals = observation.position, observation.velocity, self._goals
-        while self._reached < len(goals) and goal_reached(
-            x, y, *goals[self._reached], self._tolerance
-        ):
-            self._reached += 1
-        underway = self._reached < len(goals)
-        goal_x, goal_y = goals[min(self._reached, len(goals) - 1)] if goals else (0.0, 0.0)
+        self._reached, _ = next_goal(goals, self._reached, self._tolerance, x, y)
+        underway, goal_x, goal_y = self._reached < len(goals), 0.0, 0.0
+        if len(goals):
+            goal_x, goal_y = goals[min(self._reached, len(goals) - 1)].tolist()
         return np.array(
             UgvRow(observation.time, x, y, v_x, v_y, float(underway), goal_x, goal_y),
             dtype=np.float64,

@@ -184,7 +184,7 @@ def _targets(text: str, origin: str) -> list[str]:
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Put the modules' pages into the navigation, and the pages of the root that are there."""
+    """Put the modules' pages into the navigation."""
     for section in config.nav or []:
         if "Reference" in section:
             groups = [
@@ -195,8 +195,6 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
             section["Reference"][place] = {
                 "Python": [{"All modules": "reference/python.md"}, *groups]
             }
-        if "Project" in section and (ROOT / "CONTRIBUTING.md").exists():
-            section["Project"].insert(0, PROJECT["CONTRIBUTING.md"])
     return config
 
 
@@ -204,9 +202,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that no file of docs is."""
     waiting: dict[str, str] = {}
     for path, address in PROJECT.items():
-        if (ROOT / path).exists():
-            _ORIGIN[address] = path
-            files.append(File.generated(config, address, content=(ROOT / path).read_text("utf-8")))
+        _ORIGIN[address] = path
+        files.append(File.generated(config, address, content=(ROOT / path).read_text("utf-8")))
     for group in modules().values():
         for file in group:
             files.append(File.generated(config, _api(file), content=_api_page(file)))
@@ -242,8 +239,6 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
             return found[0]
         path = os.path.normpath(os.path.join(os.path.dirname(origin), file))
         address = _site_address(path)
-        if path == "CONTRIBUTING.md" and not (ROOT / path).exists():
-            address = "explanation/code.md"
         if files.get_file_from_path(address) is None and not path.startswith("docs/"):
             raise PluginError(f"{origin}: links to {found['to']}, which is not there")
         relative = os.path.relpath(address, PurePosixPath(here).parent)

@@ -20,7 +20,7 @@ from sim.engine.world_state import WorldParameters
 from sim.env.rewards import RewardWeights
 from sim.kernels.compile import FloatArray, IntArray, released
 from sim.kernels.prefetch import fetch_disc
-from sim.kernels.threads import Crew
+from sim.kernels.threads import WorkerThreads
 from sim.models.field import accumulate, accumulate_with_gain, coverage_error, coverage_gradient
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
@@ -85,7 +85,7 @@ def _limit(loop: ClosedLoop, *, full: bool, ticks: int, calls: int) -> float:
     out = np.zeros(loop.worlds)
 
     def call() -> None:
-        loop.batch.crew.share(
+        loop.batch.workers.share(
             _kernels_alone, loop.worlds, w, full, widths, truth.coverage, places, out, ticks
         )
 
@@ -199,13 +199,13 @@ def bandwidth() -> Pair:
     arrays = [np.full(_TRIAD, value) for value in (0.0, 1.0, 2.0)]
     found = []
     for threads in (None, 1):
-        crew = Crew(threads)
-        crew.share(_triad, _TRIAD, *arrays)
+        workers = WorkerThreads(threads)
+        workers.share(_triad, _TRIAD, *arrays)
         best = 0.0
         for _ in range(5):
             started = time.perf_counter()
-            crew.share(_triad, _TRIAD, *arrays)
+            workers.share(_triad, _TRIAD, *arrays)
             best = max(best, 24e-9 * _TRIAD / (time.perf_counter() - started))
-        crew.close()
+        workers.close()
         found.append(best)
     return found[0], found[1]

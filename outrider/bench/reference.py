@@ -95,30 +95,6 @@ def coverage_gradient(
     )
 
 
-def error_decrease(
-    coverage: FloatGrid,
-    p_ax: float,
-    p_ay: float,
-    p_gx: float,
-    p_gy: float,
-    r_o: float,
-    desired: float,
-    sensor: int,
-    peak: float,
-    reach: float,
-    cell: float,
-) -> float:
-    r"""$-\dot e$ while the UGV stands: $\int h'(C^* - C)\, S_a(p_a, q)\, \phi\, dq$.
-
-    Arguments as in `coverage_gradient`.
-    """
-    quality = sensor_quality(sensor, distances(coverage, p_ax, p_ay, cell), peak, reach)
-    lack = 2.0 * np.maximum(0.0, desired - coverage)
-    return float(
-        (lack * quality * density(distances(coverage, p_gx, p_gy, cell), r_o)).sum() * cell**2
-    )
-
-
 def uncovered(
     coverage: FloatGrid, p_gx: float, p_gy: float, r_o: float, desired: float, cell: float
 ) -> BoolGrid:

@@ -26,24 +26,11 @@ from agents.estimation.past import SPAN
 from agents.estimation.twin import KalmanParameters, KalmanState, kalman_parameters, kalman_state
 from agents.uav import RADIO_PERIOD
 from bus.errors import ScenarioError
-from bus.layout import UgvRow
+from bus.layout import GradientCue
 from bus.messages import LinkKind, LinkStatus, UavBriefing, UgvBriefing
 from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
 from outrider.envs.closed_loop_state import (
-    BROKEN,
-    CERTIFIED_TICKS,
-    DISTANCE,
-    ERROR,
-    ERROR_SUM,
-    FALSE_TICKS,
-    INTERVENED,
-    MAX_DISTANCE,
-    NEWEST,
-    SEAT_SIZE,
-    SHIELDED,
-    TO_GO,
-    UAV_ROW,
-    VIOLATIONS,
+    GUARD_METRICS,
     LoopParameters,
     LoopState,
     LoopTables,
@@ -55,7 +42,8 @@ from sim.engine.briefing import briefing
 from sim.engine.link_arrays import LinkArrays
 from sim.engine.world_state import first_state
 from sim.env.patch import CoveragePatch
-from sim.env.rewards import RewardWeights, full_error
+from sim.env.rewards import RewardWeights
+from sim.env.rows import UAV_METRICS, joined, row_state, row_tables
 from sim.kernels.compile import FloatArray, IntArray, compiling
 from sim.kernels.prefetch import disc_widths
 from sim.kernels.records import records
@@ -76,12 +64,6 @@ def _repeated(
 ) -> list[npt.NDArray[Any]]:
     """The arrays of one memory for each of `of_each` vehicles in each world."""
     return [np.broadcast_to(array, (worlds, of_each, *array.shape)).copy() for array in state]
-
-
-def _joined(arrays: Sequence[FloatArray], columns: int) -> tuple[FloatArray, IntArray]:
-    """Arrays one after the other, and where each begins."""
-    edges = np.cumsum([0, *(len(array) for array in arrays)]).astype(np.int64)
-    return np.concatenate([np.zeros((0, columns)), *arrays]), edges
 
 
 def pilot_names(scenario: Scenario, vehicle: str) -> tuple[str, ...]:
@@ -145,71 +127,57 @@ class ClosedLoop:
         self.external = tuple(external)
         """Whose actions come from outside."""
         weights = rewards or RewardWeights()
-        numbers = [getattr(weights, name) for name in _WEIGHTS]
         chosen = dict(pilots or {})
         for name in (*self.external, *chosen):
             if name not in self.names:
                 raise ValueError(f"vehicle = {name!r}; allowed: {', '.join(self.names)}")
-        crew = _Crew(
+        numbers = _PilotNumbers(
             scenario, self.uavs, self.ugvs, set(self.external), chosen, shield=safety_filter
         )
         self.batch = Batch(
             scenario, worlds, gains=weights.seen > 0.0, threads=threads, secret=secret
         )
         radio = self._radio = LinkArrays(scenario, (LinkKind.RADIO,), 3, worlds)
-        listening = crew.radio
-        thinking = crew.thinking | (estimate or gradient or listening)
+        receiving = numbers.radio
+        thinking = numbers.thinking | (estimate or gradient or receiving)
         dt = scenario.dt
         self.parameters = LoopParameters(
-            ticks=scenario.ticks,
             error=error or weights.uncovered > 0.0,
             estimate=estimate,
             gradient=gradient,
-            end_on_sight_lost=end_on_sight_lost,
-            end_on_goals=end_on_goals_reached,
             own_maps=len(self.uavs) > 1,
-            radio=listening,
+            radio=receiving,
             radio_ticks=max(1, round(RADIO_PERIOD / dt)),
-            full=full_error(
-                scenario.visibility.radius + scenario.sensor.range, scenario.coverage.desired
-            ),
             meters_per_pixel=float(patch.meters_per_pixel) if patch else 1.0,
         )
-        goals, goal_rows = _joined(crew.goals, 2)
-        scripts, script_rows = _joined(crew.scripts, 3)
-        index = {name: k for k, name in enumerate(self.names)}
+        scripts, script_rows = joined(numbers.scripts, 3)
+        rows = row_tables(
+            scenario,
+            weights,
+            end_on_sight_lost=end_on_sight_lost,
+            end_on_goals=end_on_goals_reached,
+        )
         self.tables = LoopTables(
             batch=self.batch.tables,
-            place=np.array(
-                [
-                    self.uavs.index(n) if n in self.uavs else -1 - self.ugvs.index(n)
-                    for n in self.names
-                ],
-                dtype=np.int64,
-            ),
+            rows=rows,
             hand=np.array(
                 [self.external.index(n) if n in self.external else -1 for n in self.names],
                 dtype=np.int64,
             ),
-            ugv_rows=np.array([index[n] for n in self.ugvs], dtype=np.int64),
             thinking=thinking.astype(np.int64),
-            guarded=crew.guarded.astype(np.int64),
-            faults=crew.faults.astype(np.int64),
-            delays=crew.delays,
-            ages=crew.ages,
-            bounded=crew.bounded.astype(np.int64),
-            listeners=np.array(
+            guarded=numbers.guarded.astype(np.int64),
+            faults=numbers.faults.astype(np.int64),
+            delays=numbers.delays,
+            ages=numbers.ages,
+            bounded=numbers.bounded.astype(np.int64),
+            receivers=np.array(
                 [self.ugvs.index(self.names[g]) for g in self.batch.tables.escorts[:, 1]],
                 dtype=np.int64,
             ),
-            kalman=crew.kalman,
-            promises=crew.promises,
-            tolerances=np.array([ugv.goal_tolerance for ugv in crew.told_ugvs], dtype=np.float64),
-            goals=goals,
-            goal_rows=goal_rows,
+            kalman=numbers.kalman,
+            promises=numbers.promises,
             scripts=scripts,
             script_rows=script_rows,
-            weights=np.array(numbers, dtype=np.float64),
             radio=radio.table,
             seen=disc_widths(scenario.sensor.range, scenario.area.cell),
             around=disc_widths(
@@ -218,36 +186,34 @@ class ClosedLoop:
         )
         late = self.batch.longest_delay(LinkKind.DETECTIONS)
         kalman = kalman_state(min(late, round(SPAN / dt)) + 1)
-        guards = guard_state(crew.slowest, min(late + 1, max(1, math.ceil(_TRACK / dt))))
-        uavs, ugvs, vehicles = len(self.uavs), len(self.ugvs), len(self.names)
-        room = radio.room * uavs if listening else 1
+        guards = guard_state(numbers.slowest, min(late + 1, max(1, math.ceil(_TRACK / dt))))
+        uavs, ugvs = len(self.uavs), len(self.ugvs)
+        room = radio.room * uavs if receiving else 1
         coverage = self.batch.state.truth.coverage
         pixels = patch.pixels if patch else 1
         self.state = LoopState(
             batch=self.batch.state,
+            rows=row_state(
+                rows,
+                worlds,
+                uav_metrics=len(GUARD_METRICS),
+                uav_columns=len(GradientCue._fields),
+            ),
             maps=np.zeros((worlds, uavs if self.parameters.own_maps else 0, *coverage.shape[1:])),
-            sent=np.zeros((worlds, uavs, int(crew.delays.max()) + 1, 2)),
-            laws=np.repeat(crew.laws[None], worlds, axis=0),
-            drivers=np.repeat(crew.drivers[None], worlds, axis=0),
+            sent=np.zeros((worlds, uavs, int(numbers.delays.max()) + 1, 2)),
+            laws=np.repeat(numbers.laws[None], worlds, axis=0),
+            drivers=np.repeat(numbers.drivers[None], worlds, axis=0),
             law_states=np.zeros((worlds, uavs, STATE_SIZE)),
             kalman=KalmanState._make(_repeated(kalman, worlds, uavs)),
             guards=GuardState._make(_repeated(guards, worlds, uavs)),
             driver_states=_repeated((driver_state(),), worlds, ugvs)[0],
             outbox=np.full((worlds, uavs, 3), -1.0),
             radio=radio.states,
-            inbox=np.zeros((worlds, radio.room if listening else 1, 3)),
-            heard=np.zeros((worlds, ugvs, room, 3)),
-            hearing=np.zeros((worlds, ugvs), dtype=np.int64),
-            uav_seats=np.zeros((worlds, uavs, SEAT_SIZE)),
-            ugv_seats=np.zeros((worlds, ugvs, TO_GO + 1)),
-            uav_rows=np.zeros((worlds, uavs, UAV_ROW)),
-            ugv_rows=np.zeros((worlds, ugvs, len(UgvRow._fields))),
+            inbox=np.zeros((worlds, radio.room if receiving else 1, 3)),
+            inboxes=np.zeros((worlds, ugvs, room, 3)),
+            arrived=np.zeros((worlds, ugvs), dtype=np.int64),
             patches=np.zeros((worlds, uavs if patch else 0, pixels, pixels)),
-            rewards=np.zeros((worlds, vehicles)),
-            terminated=np.zeros(worlds, dtype=np.int64),
-            truncated=np.zeros(worlds, dtype=np.int64),
         )
-        self.state.uav_seats[:, :, NEWEST] = -1.0
         if self.parameters.own_maps:
             self.state.maps[:] = first_state(scenario).coverage
         self._fresh = Fresh(self.state[1:])  # all but the batch, which knows its own
@@ -274,7 +240,7 @@ class ClosedLoop:
         keys = self.state.batch.keys[which, PILOT]
         for rows, vehicles in (
             (self.state.laws, self.tables.batch.escorts[:, 0]),
-            (self.state.drivers, self.tables.ugv_rows),
+            (self.state.drivers, self.tables.rows.ugvs),
         ):
             for word, name in enumerate(("key_0", "key_1")):
                 rows[name][which] = keys[:, vehicles, word]
@@ -305,7 +271,7 @@ class ClosedLoop:
         self, worlds: IntArray, actions: FloatArray, ticks: int, *, beginning: bool = False
     ) -> None:
         told = (self.parameters, self.tables, self.state, worlds, beginning, actions, ticks)
-        self.batch.crew.share(run_worlds, len(worlds), *told)
+        self.batch.workers.share(run_worlds, len(worlds), *told)
 
     def metrics(self, uav: str) -> dict[str, FloatArray]:
         """How a UAV has truly done in this episode, in each world; arrays of shape (worlds,).
@@ -316,20 +282,20 @@ class ClosedLoop:
         those that it did not certify although the one before was and all assumptions held: any is a fault of the
         certificate.
         """
-        seats, ticks = self.state.uav_seats[:, self.uavs.index(uav)], self.state.batch.ticks
-        shielded = np.maximum(seats[:, SHIELDED], 1.0)
+        rows, ticks = self.state.rows.uavs[:, self.uavs.index(uav)], self.state.batch.ticks
+        asked = np.maximum(rows[:, GUARD_METRICS.asked], 1.0)
         counted = np.where(self.parameters.error, 1.0, np.nan)
         return {
             "ticks": ticks.astype(np.float64),
-            "distance": seats[:, DISTANCE].copy(),
-            "max_distance": seats[:, MAX_DISTANCE].copy(),
-            "visibility_violations": seats[:, VIOLATIONS].copy(),
-            "coverage_error": seats[:, ERROR] * counted,
-            "mean_error": seats[:, ERROR_SUM] / (ticks + 1) * counted,
-            "intervened": seats[:, INTERVENED] / shielded,
-            "certified": seats[:, CERTIFIED_TICKS] / shielded,
-            "certified_while_lost": seats[:, FALSE_TICKS].copy(),
-            "certificate_broken": seats[:, BROKEN].copy(),
+            "distance": rows[:, UAV_METRICS.distance].copy(),
+            "max_distance": rows[:, UAV_METRICS.max_distance].copy(),
+            "visibility_violations": rows[:, UAV_METRICS.violations].copy(),
+            "coverage_error": rows[:, UAV_METRICS.error] * counted,
+            "mean_error": rows[:, UAV_METRICS.error_sum] / (ticks + 1) * counted,
+            "intervened": rows[:, GUARD_METRICS.intervened] / asked,
+            "certified": rows[:, GUARD_METRICS.certified] / asked,
+            "certified_while_lost": rows[:, GUARD_METRICS.false].copy(),
+            "certificate_broken": rows[:, GUARD_METRICS.broken].copy(),
         }
 
     def links(self, world: int) -> dict[str, LinkStatus]:
@@ -342,11 +308,7 @@ class ClosedLoop:
 
     def close(self) -> None:
         """End the threads."""
-        self.batch.crew.close()
-
-
-_WEIGHTS = ("uncovered", "seen", "sight_lost", "out_of_sight", "progress", "goal", "effort")
-"""The order of `LoopTables.weights`."""
+        self.batch.workers.close()
 
 
 def _is_bounded(told: UavBriefing) -> bool:
@@ -357,8 +319,8 @@ def _is_bounded(told: UavBriefing) -> bool:
     return detector.cut is not None and detector.noise * detector.cut <= declared
 
 
-class _Crew:
-    """The pilots' numbers in tables."""
+class _PilotNumbers:
+    """The parameters of all pilots, in tables."""
 
     def __init__(
         self,
@@ -416,7 +378,6 @@ class _Crew:
             ],
         )
         routes = [told_route(one) for one in self.told_ugvs]
-        self.goals = [route.goals for route in routes]
         self.scripts = [route.script for route in routes]
         self.radio = any(
             DRIVERS[name].listens and one.vehicle not in external

@@ -44,22 +44,22 @@ class _Radio:
         self._escorts = {uav.name: uav.escorts for uav in env.scenario.uav}
         self._links = env.world.links.of(LinkKind.RADIO)
         self._said: dict[str, RelativeInformation] = {}
-        self._heard: dict[str, tuple[RelativeInformation, ...]] = {}
+        self._arrived: dict[str, tuple[RelativeInformation, ...]] = {}
 
-    def heard(self, ugv: str) -> tuple[RelativeInformation, ...]:
-        """What a UGV hears at this tick."""
+    def received(self, ugv: str) -> tuple[RelativeInformation, ...]:
+        """The messages that have reached a UGV at this tick."""
         while self._tick < self._env.world.tick:
             self._go_on()
-        return self._heard.get(ugv, ())
+        return self._arrived.get(ugv, ())
 
     def _go_on(self) -> None:
         self._tick += 1
-        self._heard = {}
+        self._arrived = {}
         for uav, link in self._links.items():
             if uav in self._said:
                 link.send(self._tick, self._said.pop(uav), self._tick - 1)
             ugv = self._escorts[uav]
-            self._heard[ugv] = self._heard.get(ugv, ()) + tuple(link.arrivals(self._tick))
+            self._arrived[ugv] = self._arrived.get(ugv, ()) + tuple(link.arrivals(self._tick))
         if self._tick == self._env.world.tick:
             for uav in self._filters:
                 self._speak(uav)
@@ -78,19 +78,19 @@ class _Radio:
         )
 
 
-class _Crew:
+class _EnvPilots:
     """The pilots of one environment, new ones for each episode."""
 
     def __init__(self, env: Any, weighting: Weighting | None, path: VirtualPath | None) -> None:  # noqa: ANN401
         self._env = env.unwrapped
         self._weighting, self._path = weighting, path
-        self._board()
+        self._begin()
 
-    def _board(self) -> None:
+    def _begin(self) -> None:
         env = self._env
         self._episode: int = env.episode
-        listens = any(DRIVERS[ugv.driver].listens for ugv in env.scenario.ugv)
-        self._radio = _Radio(env) if listens and env.episode else None
+        receives = any(DRIVERS[ugv.driver].listens for ugv in env.scenario.ugv)
+        self._radio = _Radio(env) if receives and env.episode else None
         self._pilots: dict[str, Pilot] = make_pilots(
             env.scenario,
             env.episode_seed,
@@ -105,7 +105,7 @@ class _Crew:
         observation: npt.NDArray[np.floating[Any]] | Mapping[str, npt.NDArray[np.floating[Any]]],
     ) -> FloatArray:
         if self._episode != self._env.episode:
-            self._board()
+            self._begin()
         row = observation["row"] if isinstance(observation, Mapping) else observation
         pilot, dt = self._pilots[name], self._env.scenario.dt
         if isinstance(pilot, UavPilot):
@@ -113,10 +113,10 @@ class _Crew:
             if self._env.degraded:  # several may have come at once, and the row has room for one
                 seen = msgspec.structs.replace(seen, detections=self._env.received(name))
             return np.array(pilot.act(seen).acceleration)
-        heard = ugv_observation(row, dt=dt)
+        perceived = ugv_observation(row, dt=dt)
         if self._radio is not None:
-            heard = msgspec.structs.replace(heard, radio=self._radio.heard(name))
-        return np.array(pilot.act(heard).acceleration)
+            perceived = msgspec.structs.replace(perceived, radio=self._radio.received(name))
+        return np.array(pilot.act(perceived).acceleration)
 
 
 def pilots(
@@ -140,5 +140,5 @@ def pilots(
     Raises:
         ScenarioError: If the scenario asks for a law or a driver that cannot be had.
     """
-    crew = _Crew(env, weighting, path)
-    return {name: partial(crew.act, name) for name in env.possible_agents}
+    flown = _EnvPilots(env, weighting, path)
+    return {name: partial(flown.act, name) for name in env.possible_agents}

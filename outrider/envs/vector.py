@@ -22,11 +22,12 @@ from gymnasium.vector.utils import batch_space
 from bus.layout import GradientCue, UavRow, bounds
 from bus.messages import LinkStatus
 from outrider.envs.closed_loop import ClosedLoop, pilot_names
-from outrider.envs.closed_loop_state import ACTED, BOUND, REACHED, SURE
+from outrider.envs.closed_loop_state import GUARD_METRICS
 from sim.engine.run_keys import check_secret
 from sim.env.actions import take_batch
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights
+from sim.env.rows import UGV_METRICS
 from sim.env.seeds import Seeds
 from sim.env.spaces import action_space, box, observation_space
 from sim.kernels.compile import FloatArray
@@ -180,10 +181,10 @@ class Worlds:
         """What a vehicle observes in all worlds: new arrays, which nobody changes later."""
         state = self.loop.state
         if name in self.loop.ugvs:
-            return state.ugv_rows[:, self.loop.ugvs.index(name)].astype(self._dtype)
+            return state.rows.ugv_rows[:, self.loop.ugvs.index(name)].astype(self._dtype)
         u = self.loop.uavs.index(name)
         width = len(UavRow._fields) + (len(GradientCue._fields) if self._gradient else 0)
-        row = state.uav_rows[:, u, :width].astype(self._dtype)
+        row = state.rows.uav_rows[:, u, :width].astype(self._dtype)
         return (
             row
             if self._patch is None
@@ -194,13 +195,14 @@ class Worlds:
         """Facts of a vehicle's own that are in no row, in all worlds, with Gymnasium's masks."""
         found: dict[str, Any] = {}
         if name in self.loop.ugvs:
-            found["goals_reached"] = self.loop.state.ugv_seats[
-                :, self.loop.ugvs.index(name), REACHED
+            found["goals_reached"] = self.loop.state.rows.ugvs[
+                :, self.loop.ugvs.index(name), UGV_METRICS.reached
             ].astype(np.int64)
         elif self._shielded and name in self._hands:
-            seats = self.loop.state.uav_seats[:, self.loop.uavs.index(name)]
-            found["intervened"], found["certified"] = seats[:, ACTED] != 0.0, seats[:, SURE] != 0.0
-            found["certified_distance"] = seats[:, BOUND].copy()
+            rows = self.loop.state.rows.uavs[:, self.loop.uavs.index(name)]
+            found["intervened"] = rows[:, GUARD_METRICS.acted] != 0.0
+            found["certified"] = rows[:, GUARD_METRICS.sure] != 0.0
+            found["certified_distance"] = rows[:, GUARD_METRICS.bound].copy()
         return found | {f"_{key}": np.ones(self.num_envs, dtype=np.bool_) for key in found}
 
     def reset(
@@ -283,18 +285,18 @@ class Worlds:
             self._actions[:, place] = action
         self.loop.step(self._actions)
         state = self.loop.state
-        self._returns += state.rewards
-        ended: npt.NDArray[np.bool_] = (state.terminated | state.truncated) != 0
+        self._returns += state.rows.rewards
+        ended: npt.NDArray[np.bool_] = (state.rows.terminated | state.rows.truncated) != 0
         return ended
 
     def rewards(self, name: str) -> FloatArray:
         """Of the last tick. Shape (num_envs,)."""
-        return self.loop.state.rewards[:, self._rows[name]].copy()
+        return self.loop.state.rows.rewards[:, self._rows[name]].copy()
 
     def ends(self) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
         """Which episodes have terminated, and which were truncated."""
         state = self.loop.state
-        return state.terminated != 0, state.truncated != 0
+        return state.rows.terminated != 0, state.rows.truncated != 0
 
     def final(self, name: str, ended: npt.NDArray[np.bool_]) -> dict[str, Any]:
         """The last observations and infos of the episodes that have ended, as Gymnasium's own vector environments give them."""

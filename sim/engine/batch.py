@@ -25,10 +25,10 @@ from sim.engine.world_state import (
     first_state,
     world_parameters,
 )
-from sim.engine.world_tick import begin_world, measure, world_tick
+from sim.engine.world_tick import begin_world, measure, truth_of, world_tick
 from sim.kernels.compile import FloatArray, IntArray, entry_point, released
 from sim.kernels.records import records
-from sim.kernels.threads import Crew
+from sim.kernels.threads import WorkerThreads
 from sim.models.randomness import RUN_PURPOSES
 from sim.scenario.types import Scenario
 
@@ -48,7 +48,8 @@ def _step_worlds(t: BatchTables, s: BatchState, linked: bool, begin: int, end: i
 @released
 def _measure_worlds(t: BatchTables, s: BatchState, begin: int, end: int) -> None:
     for k in range(begin, end):
-        measure(t.world, s.truth.position[k], t.escorts, s.truth.coverage[k], s.truth.measures[k])
+        truth = truth_of(s.truth, k)
+        measure(t.world, truth.position, t.escorts, truth.coverage, truth.measures, True)
 
 
 def arrays_of(state: object) -> list[npt.NDArray[Any]]:
@@ -99,7 +100,7 @@ class Batch:
         self.worlds = worlds
         self._secret = secret
         self.parameters = world_parameters(scenario, gains=gains)
-        self.crew = Crew(threads)
+        self.workers = WorkerThreads(threads)
         """The threads that share the worlds."""
         self._links = LinkArrays(scenario, (LinkKind.DETECTIONS, LinkKind.COMMANDS), 3, worlds)
         first, escorts, vehicles = (
@@ -139,7 +140,7 @@ class Batch:
             worlds: Which; all by default.
         """
         which = self.restore(seeds, worlds)
-        self.crew.share(_begin_worlds, len(which), self.tables, self.state, which)
+        self.workers.share(_begin_worlds, len(which), self.tables, self.state, which)
 
     def restore(
         self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None
@@ -181,7 +182,7 @@ class Batch:
         Args:
             linked: Whether commands cross their links.
         """
-        self.crew.share(self._step, self.worlds, self.tables, self.state, linked)
+        self.workers.share(self._step, self.worlds, self.tables, self.state, linked)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "_step"}
@@ -192,7 +193,7 @@ class Batch:
 
     def measure(self) -> FloatArray:
         """Distance [m] and e(t) [m²] of each UAV in each world, with the true p_g. Shape (worlds, UAVs, 2); a view."""
-        self.crew.share(_measure_worlds, self.worlds, self.tables, self.state)
+        self.workers.share(_measure_worlds, self.worlds, self.tables, self.state)
         return self.state.truth.measures
 
     @property

@@ -119,15 +119,21 @@ def measure(
     escorts: IntArray,
     coverage: FloatArray,
     measures: FloatArray,
+    error: bool,
 ) -> None:
-    """Distance [m] and e(t) (4) with the true p_g [m²] of each UAV, into `measures`; `world` as in `BatchTables`."""
+    """Distance [m] and e(t) (4) with the true p_g [m²] of each UAV, into `measures`; `world` as in `BatchTables`.
+
+    e(t) is left out, and 0, where `error` is not asked for.
+    """
     w = world[0]
     for k in range(escorts.shape[0]):
         a, g = escorts[k, 0], escorts[k, 1]
         measures[k, 0] = norm(position[a, 0] - position[g, 0], position[a, 1] - position[g, 1])
-        measures[k, 1] = coverage_error(
-            coverage, position[g, 0], position[g, 1], w.r_o, w.desired, w.cell
-        )
+        measures[k, 1] = 0.0
+        if error:
+            measures[k, 1] = coverage_error(
+                coverage, position[g, 0], position[g, 1], w.r_o, w.desired, w.cell
+            )
 
 
 @inlined

@@ -20,9 +20,10 @@ from bus.messages import Briefing, Detection
 from sim.engine.briefing import briefing
 from sim.engine.run_keys import check_secret
 from sim.env.actions import take_actions
+from sim.env.episode import Episode
 from sim.env.patch import CoveragePatch, OwnMaps
 from sim.env.rewards import RewardWeights
-from sim.env.rows import Moment, UavSeat, UgvSeat, all_arrived, seats
+from sim.env.rows import Moment
 from sim.env.seeds import Seeds
 from sim.env.spaces import action_space, observation_space
 from sim.env.state import state_array, state_space
@@ -139,14 +140,14 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         area = self.scenario.area
         cells = empty_coverage(area.width, area.height, area.cell).size if coverage_in_state else 0
         self._gains = rewards.seen > 0.0
-        self._seats = seats(self.scenario, rewards)
+        self._episode = Episode(self.scenario, rewards)
         self.action_spaces = {vehicle.name: action_space(vehicle) for vehicle in vehicles}
         self.observation_spaces = {
             vehicle.name: observation_space(self.scenario, vehicle, self._patch, dtype)
             for vehicle in vehicles
         }
-        self.state_space = state_space(self.scenario, self._seats, cells=cells, dtype=dtype)
-        self.state_names = state_names((seat.name, seat.state_row) for seat in self._seats)
+        self.state_space = state_space(self.scenario, self._episode, cells=cells, dtype=dtype)
+        self.state_names = state_names(self._episode.state_rows.items())
         """Names of the state's entries, but for the cells."""
         self.degraded = False
         """Whether any link does anything to a message."""
@@ -193,9 +194,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self.degraded = self._world.links.degraded
         self._maps = OwnMaps(self._world, needed=self._patch is not None)
         self.agents = list(self.possible_agents)
-        self._moment = Moment.of(self._world)
-        for seat in self._seats:
-            seat.begin(self._moment)
+        self._episode.begin(self._world)
         self._follow()
         return self._observations(), self._infos()
 
@@ -227,23 +226,20 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         for k, command in enumerate(self._commands.tolist()):
             world.send(k, world.tick, command)
         world.advance()
-        moment = self._moment = Moment.of(world)
-        for seat in self._seats:
-            seat.advance(moment)
+        self._episode.advance(
+            world,
+            end_on_sight_lost=self.end_on_sight_lost,
+            end_on_goals=self.end_on_goals_reached,
+        )
         self._maps.look(world)
-        left = self.scenario.ticks - moment.tick
-        lost = self.end_on_sight_lost and any(seat.lost for seat in self._seats)
-        terminated = lost or (self.end_on_goals_reached and all_arrived(self._seats))
-        truncated = left <= 0
-        ticks_lost = 1 + left if lost else 1
+        terminated, truncated = self._episode.terminated, self._episode.truncated
         names = self.agents
-        rewards = {seat.name: seat.reward(moment, ticks_lost) for seat in self._seats}
         if terminated or truncated:
             self.agents = []
         self._follow()
         return (
             self._observations(),
-            rewards,
+            self._episode.rewards(),
             dict.fromkeys(names, terminated),
             dict.fromkeys(names, truncated),
             self._infos(),
@@ -253,19 +249,20 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """Facts that are in no row; where the network is not perfect, also how each vehicle's own links do."""
         links, degraded = self.world.links, self.degraded
         return {
-            seat.name: seat.info() | ({"links": links.status(seat.name)} if degraded else {})
-            for seat in self._seats
+            name: self._episode.info(name) | ({"links": links.status(name)} if degraded else {})
+            for name in self.possible_agents
         }
 
     def _observations(self) -> dict[str, Observation]:
         """A new array for each vehicle, which nobody changes later."""
-        return {seat.name: self._observe(seat) for seat in self._seats}
+        return {name: self._observe(name) for name in self.possible_agents}
 
-    def _observe(self, seat: UavSeat | UgvSeat) -> Observation:
-        row: Array = np.array(seat.row(self._moment), dtype=self._dtype)
-        if self._patch is None or isinstance(seat, UgvSeat):
+    def _observe(self, name: str) -> Observation:
+        row: Array = self._episode.row(name).astype(self._dtype)
+        uav = None if self._patch is None else self._episode.uav(name)
+        if self._patch is None or uav is None:
             return row
-        picture = self._maps.patch(seat.escort, self.world, self._patch)
+        picture = self._maps.patch(uav, self.world, self._patch)
         return {"row": row, "coverage": picture.astype(self._dtype, copy=False)}
 
     @property
@@ -286,16 +283,15 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """
         return state_array(
             self.world,
-            self._moment,
-            self._seats,
+            self._episode,
             with_cells=self.coverage_in_state,
             dtype=self._dtype,
         )
 
     def metrics(self) -> dict[str, dict[str, float]]:
         """How each vehicle truly stands, and the terms of its last reward: for people and logs, not for policies."""
-        moment = Moment.of(self.world)
-        return {seat.name: seat.metrics(moment) for seat in self._seats}
+        _ = self.world  # there must be one
+        return {name: self._episode.metrics(name) for name in self.possible_agents}
 
     def received(self, agent: str) -> tuple[Detection, ...]:
         """All the detections that have reached a UAV at this tick, as it would be told on the bus.
@@ -305,15 +301,13 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         Raises:
             ValueError: If there is no such UAV.
         """
-        seat = next(
-            (seat for seat in self._seats if seat.name == agent and isinstance(seat, UavSeat)), None
-        )
-        if seat is None:
+        uav = self._episode.uav(agent)
+        if uav is None:
             raise ValueError(
                 f"agent = {agent!r}; allowed: {', '.join(uav.name for uav in self.scenario.uav)}"
             )
         dt = self.scenario.dt
-        looks = self._moment.received[seat.escort]
+        looks = self.world.received[uav]
         return tuple(
             Detection(time=look.tick * dt, relative_position=(look.x, look.y)) for look in looks
         )
@@ -330,7 +324,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
 
     def _follow(self) -> None:
         if self._view is not None:
-            self._view.follow(self.world, self._moment)
+            self._view.follow(self.world, Moment.of(self.world))
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """A picture of this moment, shape (rows, columns, 3); with the mode "human" it is shown in a window instead.
@@ -344,7 +338,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
                 "render() draws nothing: the environment was made without render_mode='human' or 'rgb_array'"
             )
             return None
-        return self._view.render(self.world, self._moment)
+        return self._view.render(self.world, Moment.of(self.world))
 
     def close(self) -> None:
         """Close the window, if there is one."""

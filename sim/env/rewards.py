@@ -64,14 +64,6 @@ class UgvTerms(NamedTuple):
     effort: float = 0.0
 
 
-def total(terms: tuple[float, ...]) -> float:
-    """The sum of a reward's terms, in their order: the `sum` of later Pythons would round otherwise."""
-    reward = 0.0
-    for term in terms:
-        reward += term
-    return reward
-
-
 def full_error(r_o: float, desired: float) -> float:
     r"""e(t) of (4) where nothing is seen and the border is far [m²].
 
@@ -86,11 +78,7 @@ def full_error(r_o: float, desired: float) -> float:
 
 @compiled
 def uav_terms(
-    uncovered: float,
-    seen: float,
-    sight_lost: float,
-    out_of_sight: float,
-    effort: float,
+    weights: RewardWeights,
     error: float,
     gain: float,
     full: float,
@@ -104,7 +92,7 @@ def uav_terms(
     """A UAV's reward of one tick, in the order of `UavTerms`.
 
     Args:
-        uncovered, seen, sight_lost, out_of_sight, effort: Weights of `RewardWeights`.
+        weights: What is paid for.
         error: e(t) [m²].
         gain: How far its last look made e(t) fall [m²].
         full: `full_error` [m²].
@@ -116,32 +104,29 @@ def uav_terms(
         dt: Length of a tick [s].
     """
     return (
-        -uncovered * error / full * dt,
-        seen * gain / full,
-        -sight_lost if lost and not was_lost else 0.0,
-        -out_of_sight * ticks_lost * dt if lost else 0.0,
-        -effort * (u_x * u_x + u_y * u_y) * dt,
+        -weights.uncovered * error / full * dt,
+        weights.seen * gain / full,
+        -weights.sight_lost if lost and not was_lost else 0.0,
+        -weights.out_of_sight * ticks_lost * dt if lost else 0.0,
+        -weights.effort * (u_x * u_x + u_y * u_y) * dt,
     )
 
 
 @compiled
 def ugv_terms(
-    progress: float,
-    goal: float,
-    effort: float,
-    nearer: float,
-    arrivals: int,
-    u_x: float,
-    u_y: float,
-    dt: float,
+    weights: RewardWeights, nearer: float, arrivals: int, u_x: float, u_y: float, dt: float
 ) -> tuple[float, float, float]:
     """A UGV's reward of one tick, in the order of `UgvTerms`.
 
     Args:
-        progress, goal, effort: Weights of `RewardWeights`.
+        weights: What is paid for.
         nearer: How much nearer it came to its goal [m].
         arrivals: Goals reached in this tick.
         u_x, u_y: Acceleration as applied [m/s²].
         dt: Length of a tick [s].
     """
-    return progress * nearer, goal * arrivals, -effort * (u_x * u_x + u_y * u_y) * dt
+    return (
+        weights.progress * nearer,
+        weights.goal * arrivals,
+        -weights.effort * (u_x * u_x + u_y * u_y) * dt,
+    )

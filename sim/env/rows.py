@@ -1,24 +1,53 @@
-"""The vehicles' seats in the environment: what each observes and is paid, and what has to be remembered for it."""
+"""What each vehicle observes and is paid, in arrays: the same compiled functions for one world and for many.
+
+A tick of the rows, once the world's is done and measured: `advance_rows`, then `observe_rows` where somebody looks.
+"""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from bus.layout import UavRow, UavState, UgvRow, UgvState
-from sim.env.rewards import (
-    RewardWeights,
-    UavTerms,
-    UgvTerms,
-    full_error,
-    total,
-    uav_terms,
-    ugv_terms,
-)
-from sim.kernels.compile import FloatArray, compiled
-from sim.models.vehicles import goal_reached, norm
+from bus.layout import UavRow, UgvRow
+from sim.engine.world_state import LOOK_X, LOOK_Y, TAKEN, BatchState, BatchTables
+from sim.env.rewards import RewardWeights, UavTerms, full_error, uav_terms, ugv_terms
+from sim.kernels.compile import FloatArray, IntArray, inlined
+from sim.kernels.records import RecordArray, records
+from sim.models.vehicles import next_goal, norm
 from sim.scenario.types import Scenario, Ugv
 from sim.world import Look, World
+
+
+class UavMetrics(NamedTuple):
+    """How a UAV truly stands: the columns of `RowState.uavs`."""
+
+    newest: float
+    """Tick of the newest detection that has reached it; -1: none."""
+    was_lost: float
+    lost: float
+    """Whether the distance was and is r_v or more."""
+    distance: float
+    max_distance: float
+    """Now and at most [m]."""
+    violations: float
+    """Ticks out of sight."""
+    error: float
+    """e(t) [m²]; 0 where it is not computed."""
+    error_sum: float
+    """Over the ticks so far, the first included [m²]."""
+
+
+class UgvMetrics(NamedTuple):
+    """How a UGV truly stands: the columns of `RowState.ugvs`."""
+
+    reached: float
+    """Goals."""
+    arrivals: float
+    """Goals reached at this tick."""
+    nearer: float
+    """How much nearer it came to its goal [m]."""
+    to_go: float
+    """Way to the next goal [m]; 0 where none is left."""
 
 
 class Moment(NamedTuple):
@@ -28,268 +57,296 @@ class Moment(NamedTuple):
     time: float
     position: list[list[float]]
     velocity: list[list[float]]
-    acceleration: list[list[float]]
     received: list[list[Look]]
-    gains: list[float]
     measures: list[list[float]]
+    """Distance [m] and e(t) [m²] of each UAV."""
 
     @classmethod
     def of(cls, world: World) -> "Moment":
-        """The moment that the world is at."""
+        """The moment that the world is at, as it was measured last."""
         return cls(
             world.tick,
             world.time,
             world.position.tolist(),
             world.velocity.tolist(),
-            world.acceleration.tolist(),
             list(world.received),
-            world.state.gains.tolist(),
-            world.measure().tolist(),
+            world.state.measures.tolist(),
         )
 
 
-def route_of(ugv: Ugv) -> FloatArray:
-    """A UGV's goals [m]. Shape (goals, 2)."""
-    return np.array(ugv.goals, dtype=np.float64).reshape(-1, 2)
+def columns(row: Any) -> Any:  # noqa: ANN401 - a type of named tuples, and one whose fields are whole numbers
+    """Where each field of a row stands: a row whose values are their own places."""
+    return row._make(range(len(row._fields)))
 
 
-@compiled
-def turn(
-    goals: FloatArray, reached: int, tolerance: float, x: float, y: float
-) -> tuple[int, float]:
-    """How many goals are reached from (x, y) [m] on, and the way to the next one [m]; 0 where none is left."""
-    while reached < goals.shape[0] and goal_reached(
-        x, y, goals[reached, 0], goals[reached, 1], tolerance
-    ):
-        reached += 1
-    if reached == goals.shape[0]:
-        return reached, 0.0
-    return reached, norm(x - goals[reached, 0], y - goals[reached, 1])
+UAV, UGV = columns(UavRow), columns(UgvRow)
+"""Columns of `RowState.uav_rows` and `RowState.ugv_rows`."""
+UAV_METRICS, UGV_METRICS = columns(UavMetrics), columns(UgvMetrics)
+"""Columns of `RowState.uavs` and `RowState.ugvs`."""
 
 
-class UavSeat:
-    """One UAV: it may know its own state and its detections; it is paid for ground seen and for sight kept."""
+class EpisodeParameters(NamedTuple):
+    """When an episode ends, and what its rewards are measured against."""
 
-    state_row = UavState
+    ticks: int
+    """Of an episode."""
+    full: float
+    """`full_error` [m²]."""
+    end_on_sight_lost: bool
+    end_on_goals: bool
 
-    def __init__(
-        self, scenario: Scenario, weights: RewardWeights, name: str, vehicle: int, escort: int
-    ) -> None:
-        self.name = name
-        self.vehicle = vehicle
-        """Its row in the world's arrays of vehicles."""
-        self.escort = escort
-        """Its row in the world's arrays of UAVs."""
-        self.lost = False
-        """Whether the distance is r_v or more at this tick."""
-        self.terms = UavTerms()
-        self._weights = weights
-        self._dt = scenario.dt
-        self._horizon = scenario.ticks * scenario.dt
-        self._r_v = scenario.visibility.radius
-        self._full = full_error(
+
+class RowTables(NamedTuple):
+    """What all worlds share and nobody changes."""
+
+    episode: RecordArray
+    """`EpisodeParameters`. Shape (1,)."""
+    weights: RecordArray
+    """`RewardWeights`. Shape (1,)."""
+    place: IntArray
+    """For each vehicle its row among the UAVs, or -1 - its row among the UGVs. Shape (vehicles,)."""
+    ugvs: IntArray
+    """For each UGV its row among the vehicles. Shape (UGVs,)."""
+    tolerances: FloatArray
+    """Goal tolerance of each UGV [m]. Shape (UGVs,)."""
+    goals: FloatArray
+    """The goals of all UGVs [m]. Shape (any, 2)."""
+    goal_rows: IntArray
+    """Where each UGV's begin. Shape (UGVs + 1,)."""
+
+
+class RowState(NamedTuple):
+    """What changes. All arrays have an axis for worlds in front."""
+
+    uavs: FloatArray
+    """`UavMetrics`; further columns are the caller's. Shape (worlds, UAVs, 8 or more)."""
+    ugvs: FloatArray
+    """`UgvMetrics`. Shape (worlds, UGVs, 4)."""
+    uav_rows: FloatArray
+    """`UavRow`; further columns are the caller's. Shape (worlds, UAVs, 9 or more)."""
+    ugv_rows: FloatArray
+    """`UgvRow`. Shape (worlds, UGVs, 8)."""
+    terms: FloatArray
+    """Of the last reward: `UavTerms` or `UgvTerms`. Shape (worlds, vehicles, 5)."""
+    rewards: FloatArray
+    """Of the last tick. Shape (worlds, vehicles)."""
+    terminated: IntArray
+    truncated: IntArray
+    """Shape (worlds,)."""
+
+
+def joined(arrays: Sequence[FloatArray], width: int) -> tuple[FloatArray, IntArray]:
+    """Arrays one after the other, and where each begins."""
+    edges = np.cumsum([0, *(len(array) for array in arrays)]).astype(np.int64)
+    return np.concatenate([np.zeros((0, width)), *arrays]), edges
+
+
+def row_tables(
+    scenario: Scenario, weights: RewardWeights, *, end_on_sight_lost: bool, end_on_goals: bool
+) -> RowTables:
+    """The tables of a scenario."""
+    vehicles = scenario.vehicles
+    ugvs = [k for k, vehicle in enumerate(vehicles) if isinstance(vehicle, Ugv)]
+    uavs = [k for k in range(len(vehicles)) if k not in ugvs]
+    driven = [vehicle for vehicle in vehicles if isinstance(vehicle, Ugv)]
+    goals, goal_rows = joined(
+        [np.array(ugv.goals, dtype=np.float64).reshape(-1, 2) for ugv in driven], 2
+    )
+    episode = EpisodeParameters(
+        ticks=scenario.ticks,
+        full=full_error(
             scenario.visibility.radius + scenario.sensor.range, scenario.coverage.desired
-        )
+        ),
+        end_on_sight_lost=end_on_sight_lost,
+        end_on_goals=end_on_goals,
+    )
+    return RowTables(
+        episode=records(EpisodeParameters, [episode]),
+        weights=records(RewardWeights, [weights]),
+        place=np.array(
+            [uavs.index(k) if k in uavs else -1 - ugvs.index(k) for k in range(len(vehicles))],
+            dtype=np.int64,
+        ),
+        ugvs=np.array(ugvs, dtype=np.int64),
+        tolerances=np.array([ugv.goal_tolerance for ugv in driven], dtype=np.float64),
+        goals=goals,
+        goal_rows=goal_rows,
+    )
 
-    def begin(self, moment: Moment) -> None:
-        """Forget the last episode."""
-        self.terms = UavTerms()
-        self._newest: int | None = None  # tick of the newest detection that has come
-        self._violations = 0
-        self._max_distance = 0.0
-        self.lost = False
-        self.advance(moment)
 
-    def advance(self, moment: Moment) -> None:
-        """Take in the next tick."""
-        distance = moment.measures[self.escort][0]
-        self._was_lost, self.lost = self.lost, distance >= self._r_v
-        self._violations += self.lost
-        self._max_distance = max(self._max_distance, distance)
-        for look in moment.received[self.escort]:
-            self._newest = look.tick if self._newest is None else max(self._newest, look.tick)
+def row_state(t: RowTables, worlds: int, *, uav_metrics: int = 0, uav_columns: int = 0) -> RowState:
+    """The state before the first look.
 
-    def _age(self, moment: Moment) -> float:
-        return self._horizon if self._newest is None else moment.time - self._newest * self._dt
+    Args:
+        t: The tables.
+        worlds: How many.
+        uav_metrics, uav_columns: Further columns of `uavs` and of `uav_rows`.
+    """
+    vehicles, ugvs = len(t.place), len(t.ugvs)
+    state = RowState(
+        uavs=np.zeros((worlds, vehicles - ugvs, len(UAV_METRICS) + uav_metrics)),
+        ugvs=np.zeros((worlds, ugvs, len(UGV_METRICS))),
+        uav_rows=np.zeros((worlds, vehicles - ugvs, len(UAV) + uav_columns)),
+        ugv_rows=np.zeros((worlds, ugvs, len(UGV))),
+        terms=np.zeros((worlds, vehicles, len(UavTerms._fields))),
+        rewards=np.zeros((worlds, vehicles)),
+        terminated=np.zeros(worlds, dtype=np.int64),
+        truncated=np.zeros(worlds, dtype=np.int64),
+    )
+    state.uavs[:, :, UAV_METRICS.newest] = -1.0
+    return state
 
-    def row(self, moment: Moment) -> UavRow:
-        """What it observes."""
-        x, y = moment.position[self.vehicle]
-        vx, vy = moment.velocity[self.vehicle]
-        looks = moment.received[self.escort]
-        if looks:
-            look = max(looks)  # the newest; the pilots that fly over the bus use them all
-            return UavRow(
-                moment.time, x, y, vx, vy, 1.0, look.x, look.y, moment.time - look.tick * self._dt
-            )
-        return UavRow(moment.time, x, y, vx, vy, 0.0, 0.0, 0.0, self._age(moment))
 
-    def state(self, moment: Moment) -> UavState:
-        """The truth of it."""
-        distance, error = moment.measures[self.escort]
-        x, y = moment.position[self.vehicle]
-        vx, vy = moment.velocity[self.vehicle]
-        return UavState(x, y, vx, vy, distance, error, self._age(moment))
+@inlined
+def _measure_uav(bt: BatchTables, bs: BatchState, s: RowState, k: int, u: int) -> None:
+    """How UAV u truly stands at this tick, and the newest detection that has reached it."""
+    row, received = s.uavs[k, u], bs.received[k, u]
+    distance, error = bs.truth.measures[k, u, 0], bs.truth.measures[k, u, 1]
+    row[UAV_METRICS.was_lost] = row[UAV_METRICS.lost]
+    row[UAV_METRICS.lost] = 1.0 if distance >= bt.world[0].r_v else 0.0
+    row[UAV_METRICS.distance] = distance
+    row[UAV_METRICS.max_distance] = max(row[UAV_METRICS.max_distance], distance)
+    row[UAV_METRICS.violations] += row[UAV_METRICS.lost]
+    row[UAV_METRICS.error] = error
+    row[UAV_METRICS.error_sum] += error
+    for n in range(bs.arrived[k, u]):
+        row[UAV_METRICS.newest] = max(row[UAV_METRICS.newest], received[n, TAKEN])
 
-    def reward(self, moment: Moment, ticks_lost: int) -> float:
-        """What it is paid for this tick; the terms stay in `terms`.
 
-        Args:
-            moment: This tick.
-            ticks_lost: Ticks that are charged if it is out of sight: one, and the rest of the episode where it
-                ends by that.
-        """
-        w, (u_x, u_y) = self._weights, moment.acceleration[self.vehicle]
-        self.terms = UavTerms._make(
-            uav_terms(
-                w.uncovered,
-                w.seen,
-                w.sight_lost,
-                w.out_of_sight,
-                w.effort,
-                moment.measures[self.escort][1],
-                moment.gains[self.escort],
-                self._full,
-                self.lost,
-                self._was_lost,
+@inlined
+def _measure_ugv(
+    bs: BatchState, t: RowTables, s: RowState, k: int, g: int, beginning: bool
+) -> None:
+    """UGV g turns to the next goal where it has reached one."""
+    row, position, goals = (
+        s.ugvs[k, g],
+        bs.truth.position[k, t.ugvs[g]],
+        t.goals[t.goal_rows[g] : t.goal_rows[g + 1]],
+    )
+    x, y, reached = position[0], position[1], int(row[UGV_METRICS.reached])
+    row[UGV_METRICS.nearer], row[UGV_METRICS.arrivals] = 0.0, 0.0
+    if reached < goals.shape[0]:
+        if not beginning:
+            way = norm(x - goals[reached, 0], y - goals[reached, 1])
+            row[UGV_METRICS.nearer] = row[UGV_METRICS.to_go] - way
+        now, row[UGV_METRICS.to_go] = next_goal(goals, reached, t.tolerances[g], x, y)
+        row[UGV_METRICS.arrivals], row[UGV_METRICS.reached] = now - reached, now
+
+
+@inlined
+def _end(t: RowTables, s: RowState, k: int, left: int) -> int:
+    """Whether the episode is over; for how many ticks a UAV out of sight pays."""
+    lost, goals = False, 0
+    for u in range(s.uavs.shape[1]):
+        lost = lost or s.uavs[k, u, UAV_METRICS.lost] != 0.0
+    for g in range(t.ugvs.shape[0]):
+        goals += t.goal_rows[g + 1] - t.goal_rows[g] - int(s.ugvs[k, g, UGV_METRICS.reached])
+    lost = t.episode[0].end_on_sight_lost and lost
+    arrived = t.episode[0].end_on_goals and t.goals.shape[0] > 0 and goals == 0
+    s.terminated[k], s.truncated[k] = 1 if lost or arrived else 0, 1 if left <= 0 else 0
+    return 1 + left if lost else 1
+
+
+@inlined
+def _pay(
+    bt: BatchTables, bs: BatchState, t: RowTables, s: RowState, k: int, ticks_lost: int
+) -> None:
+    """Everybody's reward of this tick: the sum of its terms, in their order."""
+    w, weights, dt = t.episode[0], t.weights[0], bt.world[0].dt
+    for v in range(t.place.shape[0]):
+        u_x, u_y = bs.truth.acceleration[k, v, 0], bs.truth.acceleration[k, v, 1]
+        terms = s.terms[k, v]
+        if t.place[v] >= 0:
+            row = s.uavs[k, t.place[v]]
+            terms[0], terms[1], terms[2], terms[3], terms[4] = uav_terms(
+                weights,
+                row[UAV_METRICS.error],
+                bs.truth.gains[k, t.place[v]],
+                w.full,
+                row[UAV_METRICS.lost] != 0.0,
+                row[UAV_METRICS.was_lost] != 0.0,
                 ticks_lost,
                 u_x,
                 u_y,
-                self._dt,
+                dt,
             )
-        )
-        return total(self.terms)
-
-    def info(self) -> dict[str, float]:
-        """Facts of its own that are in no row: none."""
-        return {}
-
-    def metrics(self, moment: Moment) -> dict[str, float]:
-        """How it truly stands, for people."""
-        distance, error = moment.measures[self.escort]
-        return {
-            "distance": distance,
-            "margin": self._r_v - distance,
-            "max_distance": self._max_distance,
-            "visibility_violations": self._violations,
-            "coverage_error": error,
-            "uncovered_share": error / self._full,
-        } | {f"reward_{name}": term for name, term in self.terms._asdict().items()}
-
-
-class UgvSeat:
-    """One UGV: it may know its own state and its goal.
-
-    It is paid for coming nearer to its goals and for reaching them.
-    """
-
-    state_row = UgvState
-    lost = False
-
-    def __init__(self, scenario: Scenario, weights: RewardWeights, ugv: Ugv, vehicle: int) -> None:
-        self.name = ugv.name
-        self.vehicle = vehicle
-        self.terms = UgvTerms()
-        self._weights = weights
-        self._dt = scenario.dt
-        self._tolerance = ugv.goal_tolerance
-        self._goals = [(float(x), float(y)) for x, y in ugv.goals]
-        self._route = route_of(ugv)
-
-    @property
-    def underway(self) -> bool:
-        """Whether a goal is still to be reached."""
-        return self._reached < len(self._goals)
-
-    @property
-    def has_goals(self) -> bool:
-        """Whether it was given any goal."""
-        return bool(self._goals)
-
-    def _goal(self) -> tuple[float, float]:
-        if not self._goals:
-            return 0.0, 0.0
-        return self._goals[min(self._reached, len(self._goals) - 1)]
-
-    def _way(self, x: float, y: float) -> float:
-        """Distance to the goal [m]."""
-        goal_x, goal_y = self._goal()
-        return norm(x - goal_x, y - goal_y)
-
-    def begin(self, moment: Moment) -> None:
-        """Forget the last episode."""
-        self.terms = UgvTerms()
-        self._reached = 0
-        self._progress = 0.0
-        self._arrivals = 0
-        self._turn(*moment.position[self.vehicle])
-
-    def _turn(self, x: float, y: float) -> None:
-        """Turn to the next goal where one is reached: the rule of the paper's driver."""
-        before = self._reached
-        self._reached, self._to_go = turn(self._route, before, self._tolerance, x, y)
-        self._arrivals = self._reached - before
-
-    def advance(self, moment: Moment) -> None:
-        """Take in the next tick."""
-        x, y = moment.position[self.vehicle]
-        if self.underway:
-            self._progress = self._to_go - self._way(x, y)
-            self._turn(x, y)
         else:
-            self._progress, self._arrivals = 0.0, 0
-
-    def row(self, moment: Moment) -> UgvRow:
-        """What it observes."""
-        x, y = moment.position[self.vehicle]
-        vx, vy = moment.velocity[self.vehicle]
-        goal_x, goal_y = self._goal()
-        return UgvRow(moment.time, x, y, vx, vy, float(self.underway), goal_x, goal_y)
-
-    def state(self, moment: Moment) -> UgvState:
-        """The truth of it."""
-        x, y = moment.position[self.vehicle]
-        vx, vy = moment.velocity[self.vehicle]
-        goal_x, goal_y = self._goal()
-        return UgvState(x, y, vx, vy, float(self.underway), goal_x, goal_y)
-
-    def reward(self, moment: Moment, ticks_lost: int) -> float:
-        """What it is paid for this tick; the terms stay in `terms`. It is not its task to keep sight."""
-        w, (u_x, u_y) = self._weights, moment.acceleration[self.vehicle]
-        self.terms = UgvTerms._make(
-            ugv_terms(
-                w.progress, w.goal, w.effort, self._progress, self._arrivals, u_x, u_y, self._dt
-            )
-        )
-        return total(self.terms)
-
-    def info(self) -> dict[str, float]:
-        """Facts of its own that are in no row."""
-        return {"goals_reached": self._reached}
-
-    def metrics(self, moment: Moment) -> dict[str, float]:
-        """How it truly stands, for people."""
-        return {"goals_reached": self._reached, "way_to_goal": self._to_go} | {
-            f"reward_{name}": term for name, term in self.terms._asdict().items()
-        }
+            row = s.ugvs[k, -1 - t.place[v]]
+            nearer, arrivals = row[UGV_METRICS.nearer], int(row[UGV_METRICS.arrivals])
+            terms[0], terms[1], terms[2] = ugv_terms(weights, nearer, arrivals, u_x, u_y, dt)
+        reward = 0.0
+        for n in range(terms.shape[0]):
+            reward += terms[n]
+        s.rewards[k, v] = reward
 
 
-Seat = UavSeat | UgvSeat
+@inlined
+def advance_rows(
+    bt: BatchTables, bs: BatchState, t: RowTables, s: RowState, k: int, beginning: bool
+) -> None:
+    """Take in the tick that world k is at, whose measures are there: how everybody stands and is paid.
+
+    Args:
+        bt, bs: The worlds.
+        t: What all worlds share.
+        s: Is changed.
+        k: The world.
+        beginning: Whether an episode begins: nobody is paid then.
+    """
+    for u in range(s.uavs.shape[1]):
+        _measure_uav(bt, bs, s, k, u)
+    for g in range(t.ugvs.shape[0]):
+        _measure_ugv(bs, t, s, k, g, beginning)
+    if not beginning:
+        ticks_lost = _end(t, s, k, t.episode[0].ticks - bs.ticks[k])
+        _pay(bt, bs, t, s, k, ticks_lost)
 
 
-def all_arrived(seats: Sequence[Seat]) -> bool:
-    """Whether every UGV that has goals has reached them all; never where none has any."""
-    busy = [seat for seat in seats if isinstance(seat, UgvSeat) and seat.has_goals]
-    return bool(busy) and not any(seat.underway for seat in busy)
+@inlined
+def _observe_uav(
+    bt: BatchTables, bs: BatchState, t: RowTables, s: RowState, k: int, u: int
+) -> None:
+    """Write the row of UAV u: of several detections the newest, the pilots over the bus use them all."""
+    row, received, dt = s.uav_rows[k, u], bs.received[k, u], bt.world[0].dt
+    position, velocity = (
+        bs.truth.position[k, bt.escorts[u, 0]],
+        bs.truth.velocity[k, bt.escorts[u, 0]],
+    )
+    time, newest = bs.ticks[k] * dt, s.uavs[k, u, UAV_METRICS.newest]
+    row[UAV.time], row[UAV.x], row[UAV.y] = time, position[0], position[1]
+    row[UAV.vx], row[UAV.vy] = velocity[0], velocity[1]
+    row[UAV.detected], row[UAV.relative_x], row[UAV.relative_y] = 0.0, 0.0, 0.0
+    row[UAV.age] = t.episode[0].ticks * dt if newest < 0.0 else time - newest * dt
+    best = -1
+    for n in range(bs.arrived[k, u]):
+        if best < 0 or received[n, TAKEN] > received[best, TAKEN]:
+            best = n
+    if best >= 0:
+        row[UAV.detected] = 1.0
+        row[UAV.relative_x], row[UAV.relative_y] = received[best, LOOK_X], received[best, LOOK_Y]
+        row[UAV.age] = time - received[best, TAKEN] * dt
 
 
-def seats(scenario: Scenario, weights: RewardWeights) -> list[Seat]:
-    """A seat for each vehicle, in name order."""
-    names = [vehicle.name for vehicle in scenario.vehicles]
-    uavs = [name for name in names if name in {uav.name for uav in scenario.uav}]
-    return [
-        UgvSeat(scenario, weights, vehicle, k)
-        if isinstance(vehicle, Ugv)
-        else UavSeat(scenario, weights, vehicle.name, k, uavs.index(vehicle.name))
-        for k, vehicle in enumerate(scenario.vehicles)
-    ]
+@inlined
+def _observe_ugv(
+    bt: BatchTables, bs: BatchState, t: RowTables, s: RowState, k: int, g: int
+) -> None:
+    """Write the row of UGV g."""
+    row, v, first, last = s.ugv_rows[k, g], t.ugvs[g], t.goal_rows[g], t.goal_rows[g + 1]
+    goal = first + int(s.ugvs[k, g, UGV_METRICS.reached])
+    row[UGV.time] = bs.ticks[k] * bt.world[0].dt
+    row[UGV.x], row[UGV.y] = bs.truth.position[k, v, 0], bs.truth.position[k, v, 1]
+    row[UGV.vx], row[UGV.vy] = bs.truth.velocity[k, v, 0], bs.truth.velocity[k, v, 1]
+    row[UGV.underway], row[UGV.goal_x], row[UGV.goal_y] = 1.0 if goal < last else 0.0, 0.0, 0.0
+    if last > first:
+        goal = min(goal, last - 1)
+        row[UGV.goal_x], row[UGV.goal_y] = t.goals[goal, 0], t.goals[goal, 1]
+
+
+@inlined
+def observe_rows(bt: BatchTables, bs: BatchState, t: RowTables, s: RowState, k: int) -> None:
+    """Write what everybody in world k observes; arguments as in `advance_rows`."""
+    for u in range(s.uavs.shape[1]):
+        _observe_uav(bt, bs, t, s, k, u)
+    for g in range(t.ugvs.shape[0]):
+        _observe_ugv(bt, bs, t, s, k, g)

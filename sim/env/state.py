@@ -1,6 +1,5 @@
 """The state: everything that is true, as one flat array."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -8,28 +7,27 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from bus.layout import CommonState, bounds
-from sim.env.rows import Moment, Seat
+from sim.env.episode import Episode
 from sim.env.spaces import box, extent_of
 from sim.scenario.types import Scenario
 from sim.world import World
 
 
 def state_space(
-    scenario: Scenario, seats: Sequence[Seat], *, cells: int, dtype: type[np.floating]
+    scenario: Scenario, episode: Episode, *, cells: int, dtype: type[np.floating]
 ) -> spaces.Box:
     """The space of `state_array`; `cells` entries of coverage at the end."""
     vehicles = scenario.vehicles
     low, high = bounds(CommonState, extent_of(scenario, vehicles[0]))
-    for seat, vehicle in zip(seats, vehicles, strict=True):
-        least, largest = bounds(seat.state_row, extent_of(scenario, vehicle))
+    for vehicle in vehicles:
+        least, largest = bounds(episode.state_rows[vehicle.name], extent_of(scenario, vehicle))
         low, high = low + least, high + largest
     return box(low + [0.0] * cells, high + [1.0] * cells, dtype)
 
 
 def state_array(
     world: World,
-    moment: Moment,
-    seats: Sequence[Seat],
+    episode: Episode,
     *,
     with_cells: bool,
     dtype: type[np.floating],
@@ -37,9 +35,9 @@ def state_array(
     """The common entries, each vehicle's in name order and, `with_cells`, min(C / C*, 1) of every cell, row by row."""
     shares = np.minimum(world.coverage / world.parameters.desired, 1.0)
     covered = np.count_nonzero(world.coverage >= world.parameters.desired) / shares.size
-    values = [*CommonState(time=moment.time, covered=covered, seen=float(shares.mean()))]
-    for seat in seats:
-        values += seat.state(moment)
+    values = [*CommonState(time=world.time, covered=covered, seen=float(shares.mean()))]
+    for name in episode.names:
+        values += episode.state(name)
     if with_cells:
         return np.concatenate((values, shares.ravel()), dtype=dtype, casting="same_kind")
     return np.array(values, dtype=dtype)

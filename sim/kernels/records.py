@@ -5,7 +5,7 @@ A named tuple costs some 0.1 µs a number each time that Python hands it to a co
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -16,15 +16,15 @@ RecordArray = npt.NDArray[np.void]
 _KINDS = {float: np.float64, int: np.int64, bool: np.bool_, np.uint64: np.uint64}
 
 
-def record_type(fields: type[NamedTuple]) -> np.dtype[np.void]:
-    """The columns of a table whose rows are such named tuples: a column for each field that is a number or a flag."""
+def record_type(fields: type[Any]) -> np.dtype[np.void]:
+    """The columns of a table of such named tuples or data classes: a column for each field that is a number or a flag."""
     hints = get_type_hints(fields).items()
     columns = [(name, _KINDS[hint]) for name, hint in hints if hint in _KINDS]
     return np.dtype(columns, align=True)
 
 
-def records(fields: type[NamedTuple], rows: Sequence[Any]) -> RecordArray:
-    """A table with a row for each of these named tuples. Shape (rows,)."""
+def records(fields: type[Any], rows: Sequence[Any]) -> RecordArray:
+    """A table with a row for each of these. Shape (rows,)."""
     kind = record_type(fields)
     table = np.zeros(len(rows), dtype=kind)
     for name in kind.names or ():

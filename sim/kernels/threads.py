@@ -19,7 +19,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-class Crew:
+class WorkerThreads:
     """Threads that share the worlds of a batch; the caller is one of them.
 
     Args:
@@ -37,8 +37,8 @@ class Crew:
         self._owner = -1  # a process that was forked has the pool's object, but not its threads
         self._lock = threading.Lock()
 
-    def __reduce__(self) -> tuple[type["Crew"], tuple[int]]:
-        return Crew, (self.threads,)  # a copy has threads of its own
+    def __reduce__(self) -> tuple[type["WorkerThreads"], tuple[int]]:
+        return WorkerThreads, (self.threads,)  # a copy has threads of its own
 
     def share(self, work: Callable[..., object], count: int, *arguments: object) -> None:
         """Call `work(*arguments, begin, end)` so that the ranges cover 0 to `count`, and wait for all of them.

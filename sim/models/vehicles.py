@@ -2,7 +2,7 @@
 
 import math
 
-from sim.kernels.compile import compiled
+from sim.kernels.compile import FloatArray, compiled
 
 
 @compiled
@@ -96,6 +96,20 @@ def speed_to_stop_within(distance: float, u_max: float, dt: float) -> float:
 def goal_reached(p_x: float, p_y: float, goal_x: float, goal_y: float, tolerance: float) -> bool:
     r"""Whether a goal counts as reached: $\|p_g - \bar p\| < \epsilon$ (section II of the paper)."""
     return norm(p_x - goal_x, p_y - goal_y) < tolerance
+
+
+@compiled
+def next_goal(
+    goals: FloatArray, reached: int, tolerance: float, x: float, y: float
+) -> tuple[int, float]:
+    """How many goals are reached from (x, y) [m] on, and the way to the next one [m]; 0 where none is left."""
+    while reached < goals.shape[0] and goal_reached(
+        x, y, goals[reached, 0], goals[reached, 1], tolerance
+    ):
+        reached += 1
+    if reached == goals.shape[0]:
+        return reached, 0.0
+    return reached, norm(x - goals[reached, 0], y - goals[reached, 1])
 
 
 @compiled

@@ -683,7 +683,7 @@ def attack(
             round(duration / promise.dt),
             results[k],
         )
-    batch.crew.close()
+    batch.workers.close()
     return results
 
 

@@ -27,8 +27,9 @@ _UNEVEN = 6.0
 MOST_PANELS = 24
 """So many are drawn; the rest is in the table."""
 _PANEL = (520, 400)
-_HEADER = 84
-"""Of a panel, and above them all [px]."""
+_HEADER, _KEY_LINE = 84, 24
+"""Of a panel, above them all, and of each further line of the legend [px]."""
+_KEYS_A_LINE = 6
 
 Draw = Callable[[Axes, Panel, "list[float]", float], None]
 
@@ -82,8 +83,9 @@ def _sheet(
     panels = material.panels[:MOST_PANELS]
     columns = min(len(panels), 2 if len(panels) in (2, 4) else 3)
     rows = math.ceil(len(panels) / columns)
-    height = _PANEL[1] * rows + _HEADER
-    figure = style.new_figure(max(1040, _PANEL[0] * columns), height, header=_HEADER / height)
+    header = _HEADER + _KEY_LINE * (math.ceil(len(keys) / _KEYS_A_LINE) - 1)
+    height = _PANEL[1] * rows + header
+    figure = style.new_figure(max(1040, _PANEL[0] * columns), height, header=header / height)
     grid = figure.subplots(rows, columns, squeeze=False, sharey=alike)
     for k, axes in enumerate(grid.flat):
         if k >= len(panels):
@@ -99,7 +101,7 @@ def _sheet(
     figure.legend(
         handles=list(keys),
         loc="upper left",
-        ncols=len(keys),
+        ncols=min(len(keys), _KEYS_A_LINE),
         bbox_to_anchor=(0.004, 1.0 - 36.0 / height),
     )
     return figure

@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from outrider.envs.closed_loop import ClosedLoop, pilot_names
-from outrider.envs.closed_loop_state import ERROR, LOST
 from outrider.envs.vector import Policy, Worlds
 from outrider.experiments.intervals import mean_interval
 from outrider.experiments.suite.tasks import SEEDS, Task
 from sim.engine.run_keys import check_secret, new_secret
 from sim.engine.world_state import first_state
+from sim.env.rows import UAV_METRICS
 from sim.env.seeds import Seeds
 from sim.kernels.compile import FloatArray
 from sim.models.field import coverage_error
@@ -77,12 +77,12 @@ class _Meter:
     def note(self) -> None:
         """Take in the tick that all worlds are at."""
         state = self._loop.state
-        self.in_sight &= ~(state.uav_seats[:, :, LOST] != 0.0).any(axis=1)
+        self.in_sight &= ~(state.rows.uavs[:, :, UAV_METRICS.lost] != 0.0).any(axis=1)
         ugvs = state.batch.truth.position[:, self._loop.tables.batch.escorts[:, 1]]
         which = np.flatnonzero(self.in_sight)
         if which.size == 0:
             return
-        error = state.uav_seats[which, :, ERROR]
+        error = state.rows.uavs[which, :, UAV_METRICS.error]
         most = np.array(
             [[self._unseen(x, y) for x, y in of_world] for of_world in ugvs[which].tolist()]
         )

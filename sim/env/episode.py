@@ -1,0 +1,141 @@
+"""One world's rows, rewards and metrics by vehicle: a shell around `sim.env.rows` with a batch of one."""
+
+from typing import Any
+
+from bus.layout import Row, UavRow, UavState, UgvRow, UgvState
+from sim.engine.world_state import BatchState, BatchTables
+from sim.env.rewards import RewardWeights, UavTerms, UgvTerms
+from sim.env.rows import (
+    RowState,
+    RowTables,
+    UavMetrics,
+    UgvMetrics,
+    advance_rows,
+    observe_rows,
+    row_state,
+    row_tables,
+)
+from sim.kernels.compile import borrowing, entry_point
+from sim.scenario.types import Scenario, Ugv
+from sim.world import World
+
+
+@borrowing
+def _advance(bt: BatchTables, bs: BatchState, t: RowTables, s: RowState, beginning: bool) -> None:
+    advance_rows(bt, bs, t, s, 0, beginning)
+    observe_rows(bt, bs, t, s, 0)
+
+
+class Episode:
+    """How each vehicle of a world stands in an episode: what it observes, is paid, and truly does.
+
+    Args:
+        scenario: What is flown.
+        weights: What the vehicles are paid for.
+    """
+
+    def __init__(self, scenario: Scenario, weights: RewardWeights) -> None:
+        self.names = [vehicle.name for vehicle in scenario.vehicles]
+        """Vehicles in the order of every array."""
+        self._dt, self._r_v = scenario.dt, float(scenario.visibility.radius)
+        self._tables = row_tables(scenario, weights, end_on_sight_lost=True, end_on_goals=False)
+        self._rows: dict[str, type[UavState | UgvState]] = {
+            vehicle.name: UgvState if isinstance(vehicle, Ugv) else UavState
+            for vehicle in scenario.vehicles
+        }
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_advance"}
+
+    @property
+    def state_rows(self) -> dict[str, type[UavState | UgvState]]:
+        """The entries of the state of each vehicle."""
+        return self._rows
+
+    def uav(self, name: str) -> int | None:
+        """A vehicle's row among the UAVs; None where it is none."""
+        place = int(self._tables.place[self.names.index(name)]) if name in self.names else -1
+        return place if place >= 0 else None
+
+    def begin(self, world: World) -> None:
+        """Forget the last episode."""
+        self._state = row_state(self._tables, 1)
+        self._take(world, beginning=True)
+
+    def advance(self, world: World, *, end_on_sight_lost: bool, end_on_goals: bool) -> None:
+        """Take in the next tick; the episode ends where sight is lost, or every goal reached, if it shall."""
+        episode = self._tables.episode
+        episode["end_on_sight_lost"], episode["end_on_goals"] = end_on_sight_lost, end_on_goals
+        self._take(world, beginning=False)
+
+    def _take(self, world: World, *, beginning: bool) -> None:
+        world.measure()
+        told = (*world.arrays, self._tables, self._state, beginning)
+        if "_advance" not in self.__dict__:
+            self._advance = entry_point(_advance, *told)
+        self._advance(*told)
+
+    @property
+    def terminated(self) -> bool:
+        """Whether it is over by what has happened."""
+        return bool(self._state.terminated[0])
+
+    @property
+    def truncated(self) -> bool:
+        """Whether it is over by its length."""
+        return bool(self._state.truncated[0])
+
+    def _place(self, name: str) -> int:
+        return int(self._tables.place[self.names.index(name)])
+
+    def _uav(self, place: int) -> UavMetrics:
+        return UavMetrics._make(self._state.uavs[0, place].tolist())
+
+    def _ugv(self, place: int) -> UgvMetrics:
+        return UgvMetrics._make(self._state.ugvs[0, -1 - place].tolist())
+
+    def row(self, name: str) -> Row:
+        """What a vehicle observes; a view."""
+        place, state = self._place(name), self._state
+        row: Row = state.uav_rows[0, place] if place >= 0 else state.ugv_rows[0, -1 - place]
+        return row
+
+    def rewards(self) -> dict[str, float]:
+        """What each vehicle is paid for this tick."""
+        return dict(zip(self.names, self._state.rewards[0].tolist(), strict=True))
+
+    def state(self, name: str) -> UavState | UgvState:
+        """The truth of a vehicle."""
+        place, row = self._place(name), self.row(name).tolist()
+        if place >= 0:
+            own, metrics = UavRow._make(row), self._uav(place)
+            age = own.time - metrics.newest * self._dt if metrics.newest >= 0.0 else own.age
+            return UavState(own.x, own.y, own.vx, own.vy, metrics.distance, metrics.error, age)
+        return UgvState._make(UgvRow._make(row)[1:])
+
+    def info(self, name: str) -> dict[str, float]:
+        """Facts of a vehicle's own that are in no row."""
+        place = self._place(name)
+        return {} if place >= 0 else {"goals_reached": int(self._ugv(place).reached)}
+
+    def metrics(self, name: str) -> dict[str, float]:
+        """How a vehicle truly stands, for people."""
+        place, numbers = self._place(name), self._state.terms[0, self.names.index(name)].tolist()
+        found: dict[str, float]
+        terms: UavTerms | UgvTerms
+        if place >= 0:
+            m = self._uav(place)
+            found = {
+                "distance": m.distance,
+                "margin": self._r_v - m.distance,
+                "max_distance": m.max_distance,
+                "visibility_violations": int(m.violations),
+                "coverage_error": m.error,
+                "uncovered_share": m.error / self._tables.episode["full"].item(),
+            }
+            terms = UavTerms._make(numbers)
+        else:
+            n = self._ugv(place)
+            found = {"goals_reached": int(n.reached), "way_to_goal": n.to_go}
+            terms = UgvTerms._make(numbers[: len(UgvTerms._fields)])
+        return found | {f"reward_{name}": term for name, term in terms._asdict().items()}
