@@ -5,6 +5,7 @@ import socket
 import subprocess
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import cached_property
 from pathlib import Path
 
 from processes import (
@@ -15,7 +16,8 @@ from processes import (
 )
 
 from bus.access import read_credential
-from bus.session import open_session
+from bus.keys import CONTROL
+from bus.session import Session, open_session
 
 SECONDS = 100.0
 """Simulated time of a run that is disturbed while it is flown: 2,000 ticks, about a second."""
@@ -74,13 +76,22 @@ class Scattered:
     def vehicles(self, *arguments: str) -> "list[subprocess.Popen[str]]":
         return [self.start(name[:3], *arguments, name=name) for name in ("uav_0", "ugv_0")]
 
+    @cached_property
+    def operator(self) -> Session:
+        """An operator's session, for as long as the run lasts."""
+        credential = read_credential(Path(self._files["operator"]))
+        return self._stack.enter_context(
+            open_session(credential.party, "mine", connect=self.endpoint, credential=credential)
+        )
+
+    def await_simulator(self) -> None:
+        """Vehicles that are not patient are to find it there."""
+        controls = self.operator.outbox(CONTROL)
+        wait_until(lambda: controls.wanted)
+
     def fly_to(self, tick: int) -> None:
         """Let the run come so far, and go on."""
-        credential = read_credential(Path(self._files["operator"]))
-        session = open_session(
-            credential.party, "mine", connect=self.endpoint, credential=credential
-        )
-        fly_to(self._stack.enter_context(session), tick)
+        fly_to(self.operator, tick)
 
 
 @contextmanager

@@ -243,6 +243,7 @@ def test_without_their_simulator_vehicles_end_and_say_who_is_missing(tmp_path: P
     with scattered(tmp_path) as run:
         run.router()
         simulator = run.simulator()
+        run.await_simulator()
         vehicles = run.vehicles("--join-timeout", "2")
         run.fly_to(100)
         simulator.kill()
