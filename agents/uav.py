@@ -144,7 +144,7 @@ class UavPilot:
             maxlen=math.ceil(briefing.certificate.delay / briefing.dt)
         )  # that may be under way
         self.filter: SafetyFilter | None = self._make_filter()
-        """What watches over the law `certified`."""
+        """The safety filter of the law `certified`."""
         self._tick: int | None = None
         self._radio_ticks = max(1, round(RADIO_PERIOD / briefing.dt))
         self._take_on()
@@ -250,7 +250,7 @@ class UavPilot:
         self.estimator.prepare()
 
     def _own_terms(self, observation: UavObservation, estimate: Estimate | None) -> OwnTerms:
-        """What the user's own function says at this tick, if the law asks it."""
+        """The answer of the user's own function at this tick, if the law asks it."""
         if estimate is None or self._parameters.law not in (WEIGHTED, PATH):
             return _NOTHING_OWN
         if self._weighting is not None and self._parameters.law == WEIGHTED:

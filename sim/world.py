@@ -24,7 +24,7 @@ class Look(NamedTuple):
 
 
 _KEPT = ("scenario", "seed", "_batch", "names", "uavs", "parameters", "links", "_tick", "received")
-"""What a copy of a world is made of: the views are its own."""
+"""The attributes that a copy takes over; it makes views of its own."""
 
 
 class World:
@@ -51,7 +51,7 @@ class World:
         )
         self.parameters = self._batch.parameters
         self.links = Links(scenario, self._batch)
-        """What messages cross."""
+        """All links of the run."""
         self._tick = 0
         self._bind()
         self.received = self._received()
@@ -80,7 +80,7 @@ class World:
         self.detections = self.state.detections
         """The relative position each UAV has detected at this tick [m]; NaN where none. Shape (UAVs, 2)."""
         self.commands: FloatArray = self.state.commands
-        """What each vehicle acted on in the last tick, before the bounds [m/s²], shape (vehicles, 2)."""
+        """The commands that acted in the last tick, before the bounds [m/s²], shape (vehicles, 2)."""
         measured = self.position, self.escorts, self.coverage, self.state.measures
         self._measured = tables.world, *measured, True
         self._measure = entry_point(measure, *self._measured)

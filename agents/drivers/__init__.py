@@ -1,1 +1,1 @@
-"""Who sits in the UGV."""
+"""The drivers of the UGVs."""

@@ -1,4 +1,4 @@
-"""What the compiled drivers need to know, as plain numbers."""
+"""The numbers of the compiled drivers."""
 
 from typing import NamedTuple
 

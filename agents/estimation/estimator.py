@@ -35,7 +35,7 @@ _FREE_SPEED = (
 
 
 class Estimate(msgspec.Struct, frozen=True, kw_only=True):
-    """What the UAV believes of the UGV, in the world frame."""
+    """The UAV's belief about the UGV, in the world frame."""
 
     position: tuple[float, float]  # [m]
     velocity: tuple[float, float]  # [m/s], never longer than v_g,max

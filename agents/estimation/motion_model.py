@@ -1,4 +1,4 @@
-"""What the UAV's filter supposes: how noisy a detection is, and how a UGV moves of which only the bounds are known."""
+"""The assumptions of the UAV's filter: how noisy a detection is, and how a UGV moves of which only the bounds are known."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What the UAV's filter keeps of its past, so that a detection that comes late counts at its own time."""
+"""The past of the UAV's filter, kept so that a detection that comes late counts at its own time."""
 
 from bisect import bisect_left
 from collections import deque

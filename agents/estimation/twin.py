@@ -68,7 +68,7 @@ TAKEN, P_DELTA_X, P_DELTA_Y = range(3)
 
 
 class KalmanParameters(NamedTuple):
-    """What the filter of one UAV supposes, as plain numbers; from `kalman_parameters`."""
+    """The numbers of one UAV's filter; from `kalman_parameters`."""
 
     dt: float
     """Length of a tick [s]."""
@@ -98,7 +98,7 @@ class KalmanState(NamedTuple):
     """The filter of one UAV; its arrays change in place. From `kalman_state`."""
 
     numbers: FloatArray
-    """What it believes and has counted, see the named places. Shape (NUMBERS,)."""
+    """Its belief and its counters, see the named places. Shape (NUMBERS,)."""
     history: FloatArray
     """The last ticks, each in row tick % depth: p_a, what was detected then, the belief before it.
 

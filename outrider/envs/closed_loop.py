@@ -67,7 +67,7 @@ def _repeated(
 
 
 def pilot_names(scenario: Scenario, vehicle: str) -> tuple[str, ...]:
-    """Who can fly or drive a vehicle in here, by name."""
+    """The laws or drivers that can fly or drive a vehicle in here, by name."""
     if any(uav.name == vehicle for uav in scenario.uav):
         return tuple(law.name for law in LAWS.values() if not law.own)
     return tuple(COMPILED_DRIVERS)

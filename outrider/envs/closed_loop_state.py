@@ -1,4 +1,4 @@
-"""What `outrider.envs.closed_loop` is told, keeps and shares: the arrays that its compiled tick works on."""
+"""Parameters, tables and state of `outrider.envs.closed_loop`: the arrays that its compiled tick works on."""
 
 from typing import Any, NamedTuple
 
@@ -40,7 +40,7 @@ GUARD_METRICS: Any = GuardMetrics._make(range(_FIRST, _FIRST + len(GuardMetrics.
 
 
 class LoopParameters(NamedTuple):
-    """What the loop does, as plain numbers."""
+    """The switches and numbers of the loop."""
 
     error: bool
     """Whether e(t) is needed at every tick."""
@@ -57,7 +57,7 @@ class LoopParameters(NamedTuple):
 
 
 class LoopTables(NamedTuple):
-    """What all worlds share and nobody changes."""
+    """The constants of all worlds."""
 
     batch: BatchTables
     rows: RowTables
@@ -95,7 +95,7 @@ class LoopState(NamedTuple):
 
     batch: BatchState
     rows: RowState
-    """What everybody observes, is paid and has done."""
+    """Observation rows, rewards and metrics."""
     maps: FloatArray
     """The UAVs' own maps, where they differ from the world's. Shape (worlds, UAVs or 0, rows, columns)."""
     sent: FloatArray
@@ -117,9 +117,9 @@ class LoopState(NamedTuple):
     """The radio message that each UAV has just sent: the tick of it (-1: none), p_delta [m]. Shape (worlds, UAVs, 3)."""
     radio: LinkState
     inbox: FloatArray
-    """What has arrived by one radio link: tick, p_delta [m]. Shape (worlds, room, 3)."""
+    """Room for the messages that arrive by one radio link: tick, p_delta [m]. Shape (worlds, room, 3)."""
     inboxes: FloatArray
-    """What has reached each UGV by radio at this tick. Shape (worlds, UGVs, room, 3)."""
+    """The radio messages that have reached each UGV at this tick: time [s], p_delta [m]. Shape (worlds, UGVs, room, 3)."""
     arrived: IntArray
     """How many. Shape (worlds, UGVs)."""
     patches: FloatArray

@@ -145,7 +145,7 @@ def _drive(
 
 @inlined
 def _radio(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
-    """What the UAVs have said at the tick before sets out, and what has arrived is with the UGVs."""
+    """Send out the radio messages of the tick before, and receive those that arrive."""
     dt, tick, arrived = t.batch.world[0].dt, s.batch.ticks[k], s.arrived[k]
     arrived[:] = 0
     for u in range(t.receivers.shape[0]):

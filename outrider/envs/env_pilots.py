@@ -25,7 +25,7 @@ Policy = Callable[
 
 
 class _Radio:
-    """What the UAVs' computers tell the UGVs: each runs its filter and radios what it knows, whoever flies the UAV."""
+    """The radio from the UAVs' computers to the UGVs: each runs its filter and radios what it knows, whoever flies the UAV."""
 
     def __init__(self, env: Any) -> None:  # noqa: ANN401
         self._env, self._dt, self._tick = env, env.scenario.dt, -1

@@ -52,7 +52,7 @@ def _checked_count(num_envs: int) -> int:
 
 
 class Worlds:
-    """What both vector environments stand on.
+    """The common part of both vector environments.
 
     The closed loop, its seeds, spaces, and the change from one episode to the next.
 
@@ -178,7 +178,7 @@ class Worlds:
         return spaces.Dict({**space.spaces, "row": row}) if isinstance(space, spaces.Dict) else row
 
     def observe(self, name: str) -> Observation:
-        """What a vehicle observes in all worlds: new arrays, which nobody changes later."""
+        """The observations of a vehicle in all worlds: new arrays, which nobody changes later."""
         state = self.loop.state
         if name in self.loop.ugvs:
             return state.rows.ugv_rows[:, self.loop.ugvs.index(name)].astype(self._dtype)

@@ -1,1 +1,1 @@
-"""What a radio link does to messages, in simulated time."""
+"""Radio links in simulated time."""

@@ -80,7 +80,7 @@ def extra_delays(settings: LinkSettings) -> tuple[float, float]:
 
 
 def link_faults(settings: LinkSettings, path: str = "") -> Iterator[Fault]:
-    """What makes a link impossible whose fields are within their bounds; the path goes before the fields' names."""
+    """Find why a link is impossible whose fields are within their bounds; the path goes before the fields' names."""
     yield from _number_faults(settings, path)
     if settings.jitter_shape not in SHAPES:
         wrong = f"no such shape{near(settings.jitter_shape, tuple(SHAPES))}"
@@ -183,7 +183,7 @@ def _dark_ticks(
 
 
 def link_parameters(settings: LinkSettings, dt: float, *, per_tick: int = 1) -> LinkParameters:
-    r"""What the compiled link needs of checked settings.
+    r"""Turn checked settings into the compiled link's numbers.
 
     The two states of Gilbert and Elliott are exact at the ticks: with the mean lengths L and I, $\pi = L/(L + I)$ and
     $\lambda = 1/L + 1/I$ the exponential of the generator gives bad after bad $\pi + (1 - \pi) e^{-\lambda dt}$
@@ -377,7 +377,7 @@ def _change_weather(old: LinkParameters, new: LinkParameters, state: LinkState) 
 def link_status(
     parameters: LinkParameters, state: LinkState, settings: LinkSettings | None = None
 ) -> LinkStatus:
-    """What a link has done so far, from its state; and its settings, where they are given."""
+    """The counters of a link so far, from its state; with its settings, where they are given."""
     count, numbers, dt = state.counts.tolist(), state.numbers.tolist(), parameters.dt
     lost, ages = dict(zip(CAUSES, count[LOST:], strict=True)), count[AGES]
     known = count[ORIGINALS] + sum(lost.values())
@@ -414,7 +414,7 @@ class Link:
         self, settings: LinkSettings, *, dt: float, key: Key, label: str = "link", per_tick: int = 1
     ) -> None:
         self.settings = check_link(settings, label)
-        """What it does now."""
+        """Its settings now."""
         self._dt, self._key, self._label, self._per_tick = dt, key, label, per_tick
         self._parameters = link_parameters(self.settings, dt, per_tick=per_tick)
         self._table = link_table([self._parameters])
@@ -468,7 +468,7 @@ class Link:
         self._out = np.empty_like(self._state.payload)
 
     def counters(self) -> LinkStatus:
-        """What it has done up to the last `arrivals`."""
+        """The counters up to the last `arrivals`."""
         self._make_up()
         return link_status(self._parameters, self._state, self.settings)
 

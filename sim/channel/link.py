@@ -1,4 +1,4 @@
-r"""What one radio link does to messages, in simulated time: compiled, seeded, the same bits for one world and for many.
+r"""One radio link in simulated time: compiled, seeded, the same bits for one world and for many.
 
 A tick of a link has one order: `advance` once, `send` for each message of this tick, `receive` once; `exchange`
 does the three.
@@ -126,7 +126,7 @@ def jitter_quantile(shape: int, scale: float, share: float) -> float:
 
 
 class LinkParameters(NamedTuple):
-    """What one link does, as plain numbers. Made by `sim.channel.description.link_parameters`."""
+    """The numbers of one link. Made by `sim.channel.description.link_parameters`."""
 
     perfect: bool
     """Whether it does nothing at all."""
@@ -175,7 +175,7 @@ class LinkParameters(NamedTuple):
 
 
 class LinkTable(NamedTuple):
-    """What many links do, one row a link. Made by `sim.channel.description.link_table`."""
+    """The numbers of many links, one row a link. Made by `sim.channel.description.link_table`."""
 
     rows: RecordArray
     """The numbers of `LinkParameters`. Shape (links,)."""
@@ -197,7 +197,7 @@ class LinkState(NamedTuple):
     Shape (room, 5).
     """
     payload: FloatArray
-    """What it carries; column 0 is the tick that its content is from. Shape (room, width)."""
+    """Contents; column 0 is the tick that its content is from. Shape (room, width)."""
     buckets: IntArray
     """First and last slot for each tick to come, modulo their number, and for the queue in the last row; -1: none."""
     counts: IntArray
@@ -302,7 +302,7 @@ def _flight_time(p: LinkParameters, share: float, held: bool) -> int:
 def _fate(
     p: LinkParameters, dark: bool, bad: bool, key: Key, tick: int, index: int
 ) -> tuple[int, bool, bool]:
-    """What the channel does to one message.
+    """Decide what the channel does to one message.
 
     The cause of its loss or -1, whether it is doubled, whether it is held back.
     """

@@ -1,4 +1,4 @@
-"""What each vehicle is told when it joins: its own row of the scenario, and nothing of the others' but their bounds."""
+"""The briefing of each vehicle when it joins: its own row of the scenario, and of the others nothing but their bounds."""
 
 import math
 
@@ -27,7 +27,7 @@ def _error(scenario: Scenario) -> float | None:
 
 
 def declared(scenario: Scenario, uav: str) -> Certificate:
-    """What a UAV may rely on."""
+    """The certificate's numbers that a UAV may rely on."""
     given, commands = scenario.certificate, scenario.links.of(uav, LinkKind.COMMANDS)
     error = given.error if given.error is not None else _error(scenario)
     longest = (

@@ -66,7 +66,7 @@ class LinkArrays:
         one = [link_state(p, width, room=self.room, wheel=wheel) for p in self._parameters]
         fresh = [np.stack(arrays) for arrays in zip(*one, strict=True)]
         self.states = LinkState._make(np.repeat(array[None], worlds, axis=0) for array in fresh)
-        """What they remember. Arrays with axes for worlds and links."""
+        """Their states. Arrays with axes for worlds and links."""
 
     @property
     def perfect(self) -> bool:

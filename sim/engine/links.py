@@ -29,7 +29,7 @@ class Links:
     def __init__(self, scenario: Scenario, batch: Batch) -> None:
         rows = {vehicle.name: k for k, vehicle in enumerate(scenario.vehicles)}
         self.table = scenario.links
-        """What the links do now, as a scenario would write it."""
+        """The links' settings now, as a scenario would write them."""
         self._scenario, self._batch, keys = scenario, batch, batch.state.keys[0]
         self._of: dict[LinkKind, dict[str, Link]] = {
             kind: {

@@ -1,4 +1,4 @@
-"""What is true in worlds, and what they share: the arrays that the compiled tick works on.
+"""The state of worlds, and the tables that they share: the arrays that the compiled tick works on.
 
 Arrays have an axis for vehicles, or for UAVs with the UGVs they escort, in name order.
 """
@@ -23,7 +23,7 @@ ANSWERED, U_X, U_Y = range(3)
 
 
 class WorldParameters(NamedTuple):
-    """What the step needs of a scenario, as plain numbers in SI units."""
+    """The numbers of a scenario that the tick reads, in SI units."""
 
     dt: float
     width: float
@@ -46,16 +46,16 @@ class WorldParameters(NamedTuple):
 
 
 class WorldState(NamedTuple):
-    """What is true. With an axis for worlds in front it is the truth of each of many."""
+    """The truth of one world; with an axis for worlds in front, of each of many."""
 
     position: FloatArray
     """Positions [m]. Shape (vehicles, 2)."""
     velocity: FloatArray
     """Velocities [m/s]. Shape (vehicles, 2)."""
     acceleration: FloatArray
-    """What was applied in the last tick, after its bound [m/s²]. Shape (vehicles, 2)."""
+    """Accelerations applied in the last tick, after their bounds [m/s²]. Shape (vehicles, 2)."""
     commands: FloatArray
-    """What each vehicle acted on in the last tick, before the bound [m/s²]. Shape (vehicles, 2)."""
+    """The commands that acted in the last tick, before the bounds [m/s²]. Shape (vehicles, 2)."""
     coverage: FloatArray
     """C of (3) on the grid, all UAVs together. Shape (rows, columns)."""
     detections: FloatArray
@@ -123,7 +123,7 @@ def escorts_of(scenario: Scenario) -> IntArray:
 
 
 class BatchTables(NamedTuple):
-    """What all worlds share and nobody changes."""
+    """The constants of all worlds."""
 
     world: RecordArray
     """`WorldParameters`. Shape (1,)."""
@@ -136,7 +136,7 @@ class BatchTables(NamedTuple):
 
 
 class BatchState(NamedTuple):
-    """What is true in each world. All arrays have an axis for worlds in front."""
+    """The state of each world. All arrays have an axis for worlds in front."""
 
     keys: WordArray
     """Of each world's random numbers. Shape (worlds, RUN_PURPOSES, vehicles, 2)."""
@@ -144,7 +144,7 @@ class BatchState(NamedTuple):
     """Shape (worlds,)."""
     truth: WorldState
     received: FloatArray
-    """What has reached each UAV's computer at this tick, in the order of arrival. Shape (worlds, UAVs, room, 3)."""
+    """The detections that reach each UAV at this tick, in the order of arrival. Shape (worlds, UAVs, room, 3)."""
     arrived: IntArray
     """How many. Shape (worlds, UAVs)."""
     sent: FloatArray

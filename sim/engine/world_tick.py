@@ -153,7 +153,7 @@ def truth_of(truth: WorldState, k: int) -> WorldState:
 
 @inlined
 def receive_commands(t: BatchTables, s: BatchState, k: int) -> None:
-    """What has been sent sets out, and each vehicle acts on its newest command that has arrived.
+    """Send the commands out; each vehicle acts on its newest one that has arrived.
 
     Where none has come for a while, it brakes.
     """
@@ -189,7 +189,7 @@ def move(t: BatchTables, s: BatchState, k: int) -> None:
 
 @inlined
 def deliver_detections(t: BatchTables, s: BatchState, k: int) -> None:
-    """What the detectors have found at this tick sets out, and what has arrived is there."""
+    """Send this tick's detections out, and receive those that arrive."""
     keys, tick, found, received = s.keys[k], s.ticks[k], s.truth.detections[k], s.received[k]
     message = s.inbox[k, 0]
     for u in range(found.shape[0]):

@@ -95,13 +95,13 @@ class Episode:
         return UgvMetrics._make(self._state.ugvs[0, -1 - place].tolist())
 
     def row(self, name: str) -> Row:
-        """What a vehicle observes; a view."""
+        """The observation of a vehicle; a view."""
         place, state = self._place(name), self._state
         row: Row = state.uav_rows[0, place] if place >= 0 else state.ugv_rows[0, -1 - place]
         return row
 
     def rewards(self) -> dict[str, float]:
-        """What each vehicle is paid for this tick."""
+        """The reward of each vehicle for this tick."""
         return dict(zip(self.names, self._state.rewards[0].tolist(), strict=True))
 
     def state(self, name: str) -> UavState | UgvState:

@@ -125,7 +125,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self.scenario = check_scenario(
             loaded if duration is None else msgspec.structs.replace(loaded, duration=duration)
         )
-        """What is flown."""
+        """The scenario that is flown."""
         self.render_mode = render_mode
         self.end_on_sight_lost = end_on_sight_lost
         self.end_on_goals_reached = end_on_goals_reached

@@ -57,7 +57,7 @@ def sample(
 
 
 class OwnMaps:
-    """What each UAV has seen itself. One UAV's map is the world's; each of several has one of its own.
+    """The ground that each UAV has seen itself. One UAV's map is the world's; each of several has one of its own.
 
     Args:
         world: At its start.

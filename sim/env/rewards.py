@@ -1,4 +1,4 @@
-"""What the environment pays for: the weights, and each vehicle's reward as a sum of named terms."""
+"""Rewards: the weights, and each vehicle's reward as a sum of named terms."""
 
 import dataclasses
 import math

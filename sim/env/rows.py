@@ -1,4 +1,4 @@
-"""What each vehicle observes and is paid, in arrays: the same compiled functions for one world and for many.
+"""Observation rows, metrics and rewards of the vehicles, in arrays: the same compiled functions for one world and for many.
 
 A tick of the rows, once the world's is done and measured: `advance_rows`, then `observe_rows` where somebody looks.
 """
@@ -97,7 +97,7 @@ class EpisodeParameters(NamedTuple):
 
 
 class RowTables(NamedTuple):
-    """What all worlds share and nobody changes."""
+    """The constants of all worlds."""
 
     episode: RecordArray
     """`EpisodeParameters`. Shape (1,)."""
@@ -116,7 +116,7 @@ class RowTables(NamedTuple):
 
 
 class RowState(NamedTuple):
-    """What changes. All arrays have an axis for worlds in front."""
+    """The rows of each world. All arrays have an axis for worlds in front."""
 
     uavs: FloatArray
     """`UavMetrics`; further columns are the caller's. Shape (worlds, UAVs, 8 or more)."""
