@@ -85,7 +85,35 @@ def test_brackets_in_an_error_of_a_policy_reach_the_terminal(tmp_path, monkeypat
     words = ("--duration", "1", "--no-files", "--driver", "policy", "--policy", "frames:wheel")
     assert command(monkeypatch, "run", *words) == 1
     told = capsys.readouterr().err
-    assert "frame [/base_link] unknown, [m/s²]" in told
+    assert "frame [/base_link] unknown, [m/s²] (frames.py:1, in wheel)" in told
+    assert "Traceback" not in told
+
+
+def test_debug_shows_the_traceback_of_a_vehicles_process_and_its_log_keeps_it(
+    tmp_path, monkeypatch, capsys
+):
+    (tmp_path / "deep.py").write_text(
+        "def wheel(o, b):\n    return inner(o)\n\n\ndef inner(o):\n    return 1 / 0\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("OUTRIDER_DEBUG", "")  # so that it is as before afterwards
+    words = ("--duration", "1", "--no-picture", "--out", "flown", "--policy", "deep:wheel")
+    assert command(monkeypatch, "run", *words, "--debug") == 1
+    told = capsys.readouterr().err
+    log = (tmp_path / "flown" / "logs" / "ugv_0.log").read_text()
+    for text in (told, log):
+        assert "Traceback (most recent call last):" in text
+        assert "in inner" in text
+        assert "ZeroDivisionError: division by zero (deep.py:6, in inner)" in text
+
+
+def test_an_error_in_a_weighting_of_ones_own_names_its_line(tmp_path, monkeypatch, capsys):
+    (tmp_path / "steep.py").write_text("def share(d, r_s):\n    return d.nothing\n")
+    monkeypatch.chdir(tmp_path)
+    words = ("run", "--in-process", "--no-files", "--weighting", "steep:share")
+    assert command(monkeypatch, *words) in (1, 2)
+    told = capsys.readouterr().err
+    assert "steep.py:2, in share" in told
     assert "Traceback" not in told
 
 

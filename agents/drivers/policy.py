@@ -10,7 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from agents.drivers.steering import LARGEST, Steering
-from bus.errors import ScenarioError
+from bus.errors import ScenarioError, told_with_place
 from bus.layout import Row, UgvRow
 from bus.messages import UgvBriefing, UgvObservation
 from sim.models.vehicles import next_goal
@@ -158,9 +158,7 @@ class PolicyDriver:
         try:
             answer = self._policy(observation, self._briefing)
         except Exception as error:
-            raise ScenarioError(
-                f"{where}: raised {_one_line(f'{type(error).__name__}: {error}')}"
-            ) from error
+            raise ScenarioError(f"{where}: raised {_one_line(told_with_place(error))}") from error
         self._mind_time(where, time.perf_counter() - begun)
         pair = _pair(answer)
         if pair is None or (self._sees_rows and max(map(abs, pair)) > LARGEST):

@@ -131,14 +131,12 @@ class _Own:
         self._name, self._policy = name, policy
 
     def __call__(self, seen: "Observation") -> "ArrayLike":
-        from bus.errors import OutriderError
+        from bus.errors import OutriderError, told_with_place
 
         try:
             return self._policy(seen)
         except Exception as error:
-            raise OutriderError(
-                f"--policy {self._name}: {type(error).__name__}: {error}"
-            ) from error
+            raise OutriderError(f"--policy {self._name}: {told_with_place(error)}") from error
 
 
 def _fly(
