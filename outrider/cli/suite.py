@@ -96,10 +96,14 @@ def command(
 def _tasks(whole: "Suite", only: list[str]) -> "Suite":
     from bus.errors import ScenarioError
     from outrider.experiments.suite.tasks import Suite
+    from sim.input.faults import near
 
     unknown = [name for name in only if name not in whole.names]
     if unknown:
-        raise ScenarioError(f"--only {unknown[0]}: no such task; allowed: {', '.join(whole.names)}")
+        meant = near(unknown[0], whole.names)
+        raise ScenarioError(
+            f"--only {unknown[0]}: no such task{meant}; allowed: {', '.join(whole.names)}"
+        )
     return Suite([task for task in whole if not only or task.name in only])
 
 

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO
 
@@ -17,6 +17,8 @@ _TAIL = 200
 """Lines of a child's standard error that are kept."""
 _TOLD = 12
 """Of them so many are told in one line."""
+_NOTICE = "outrider.policy: "
+"""What a pilot's log says of the user's own code begins so."""
 _TRACEBACK = "Traceback (most recent call last):"
 _SECRET = "OUTRIDER_SECRET"  # noqa: S105 - a variable's name
 """Where the simulator's process finds the run's secret."""
@@ -58,6 +60,7 @@ class Child:
     ) -> None:
         self.name = name
         self._log = log
+        self._notices: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._tail: deque[str] = deque(maxlen=_TAIL)
         command = [sys.executable, "-P", "-m", "outrider", *arguments, "--watchdog"]
         if forkserver is not None and not files:
@@ -88,7 +91,10 @@ class Child:
 
     def _listen(self, stream: IO[bytes]) -> None:
         for line in stream:
-            self._tail.append(line.decode(errors="replace").rstrip())
+            text = line.decode(errors="replace").rstrip()
+            self._tail.append(text)
+            if text.startswith(_NOTICE):
+                self._notices.put(text.removeprefix(_NOTICE))
             if self._log is not None:
                 with contextlib.suppress(OSError):  # a full disk must not end the run
                     self._log.parent.mkdir(exist_ok=True)
@@ -100,6 +106,12 @@ class Child:
         for line in stream:
             lines.put(line)
         lines.put(None)
+
+    def notices(self) -> Iterator[str]:
+        """Tells what it has said of the user's own code since the last call, line by line."""
+        with contextlib.suppress(queue.Empty):
+            while True:
+                yield f"{self.name}: {self._notices.get_nowait()}"
 
     @property
     def pid(self) -> int:

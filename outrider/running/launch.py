@@ -433,6 +433,9 @@ def _follow(processes: _Processes, watcher: Watcher, *, respawn: bool) -> Outcom
             simulator.ask_to_end()
         if watcher.stop() > 1:
             raise BusError("killed before the end")
+        for child in processes.children[1:]:
+            for notice in child.notices():
+                watcher.on_event(notice)
         if not asked and outcome.summary is None:
             if lost := processes.lost_page():
                 watcher.on_event(lost)
