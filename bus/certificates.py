@@ -63,7 +63,7 @@ def _need() -> None:
     try:
         import cryptography  # noqa: F401, PLC0415 - an extra
     except ImportError as error:
-        raise BusError("certificates need cryptography: pip install 'outrider[tls]'") from error
+        raise BusError("certificates need cryptography: pip install -e '.[tls]'") from error
 
 
 def _read(text: str, what: str) -> "x509.Certificate":

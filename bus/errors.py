@@ -1,4 +1,31 @@
-"""Every error that Outrider raises on purpose, split by who must act."""
+"""Every error that Outrider raises on purpose, split by who must act; and where in a user's own code others begin."""
+
+import os
+import sysconfig
+import traceback
+
+_ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+_OURS = tuple(os.path.join(_ROOT, name) + os.sep for name in ("agents", "bus", "outrider", "sim"))
+_LIBRARIES = tuple(
+    os.path.realpath(path) + os.sep
+    for name, path in sysconfig.get_paths().items()
+    if name in ("stdlib", "platstdlib", "purelib", "platlib")
+)
+
+
+def place_in_user_code(error: BaseException) -> str:
+    """The innermost frame of an error in a file of the user's own: `mine.py:3, in wheel`; empty where there is none."""
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        file = os.path.realpath(frame.filename)
+        if not frame.filename.startswith("<") and not file.startswith((*_OURS, *_LIBRARIES)):
+            return f"{os.path.relpath(file)}:{frame.lineno}, in {frame.name}"
+    return ""
+
+
+def told_with_place(error: BaseException) -> str:
+    """An error of the user's own code with its type, and where it was raised."""
+    place = place_in_user_code(error)
+    return f"{type(error).__name__}: {error}" + (f" ({place})" if place else "")
 
 
 class OutriderError(Exception):

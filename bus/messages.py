@@ -415,6 +415,29 @@ class Control(Message, frozen=True, kw_only=True):
     settings: LinkSettings | None = None
     """LINK: what it does to messages from now on."""
 
+    def in_words(self) -> str:
+        """Tells a person what was asked for."""
+        match self.action:
+            case Action.LAW if self.law is not None:
+                return f"law {self.law.name}"
+            case Action.DRIVER:
+                return f"driver {self.driver} in {self.vehicle or 'every UGV'}"
+            case Action.LINK:
+                told = msgspec.to_builtins(self.settings or LinkSettings())
+                plain = msgspec.to_builtins(LinkSettings())
+                changed = [
+                    f"{name} {value}" for name, value in told.items() if value != plain[name]
+                ]
+                whose = self.vehicle or "every vehicle"
+                return f"link {self.link} of {whose}: {', '.join(changed) or 'perfect'}"
+            case Action.SPEED:
+                factor = self.factor
+                return "lockstep" if factor is None else f"{factor:g} times real time"
+            case Action.STEP:
+                return f"step {self.ticks}"
+            case _:
+                return str(self.action)
+
 
 class Change(Message, frozen=True, kw_only=True):
     """A control that has taken effect, and when."""
@@ -480,6 +503,8 @@ class VehicleStatus(Message, frozen=True, kw_only=True):
     """Ticks for which no new command was there."""
     stale_commands: Tick = 0
     """Commands that were used after the tick they answer."""
+    shortened_commands: Tick = 0
+    """Commands that were longer than the vehicle's bound."""
     lost: Tick = 0
     """How often its process went away during the run."""
     rejoined: Tick = 0

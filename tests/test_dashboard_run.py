@@ -217,7 +217,7 @@ def test_a_missing_extra_is_one_line_that_says_what_to_install(words: list[str])
     )
     assert done.returncode == 2
     assert done.stderr.strip().splitlines() == [
-        "outrider: nicegui is missing: pip install 'outrider[dashboard]'"
+        "outrider: nicegui is missing: pip install -e '.[dashboard]'"
     ]
 
 

@@ -7,14 +7,18 @@ import tomllib
 from pathlib import Path
 
 import jsonschema
+import msgspec
 import pytest
 
 from bus.errors import ScenarioError
+from bus.messages import Action, Control, LinkKind, LinkSettings
+from bus.registry import LAWS
 from outrider.cli.main import main
 from outrider.cli.options import scenario_of
+from outrider.running.flying import fly
 from sim.scenario.loading import load_scenario, scenario_names, shipped_text
 from sim.scenario.schema import field_docs, scenario_schema
-from sim.scenario.types import Scenario, Visibility
+from sim.scenario.types import Custom, Scenario, Visibility
 
 
 def command(monkeypatch, *words) -> int:
@@ -85,7 +89,35 @@ def test_brackets_in_an_error_of_a_policy_reach_the_terminal(tmp_path, monkeypat
     words = ("--duration", "1", "--no-files", "--driver", "policy", "--policy", "frames:wheel")
     assert command(monkeypatch, "run", *words) == 1
     told = capsys.readouterr().err
-    assert "frame [/base_link] unknown, [m/s²]" in told
+    assert "frame [/base_link] unknown, [m/s²] (frames.py:1, in wheel)" in told
+    assert "Traceback" not in told
+
+
+def test_debug_shows_the_traceback_of_a_vehicles_process_and_its_log_keeps_it(
+    tmp_path, monkeypatch, capsys
+):
+    (tmp_path / "deep.py").write_text(
+        "def wheel(o, b):\n    return inner(o)\n\n\ndef inner(o):\n    return 1 / 0\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("OUTRIDER_DEBUG", "")  # so that it is as before afterwards
+    words = ("--duration", "1", "--no-picture", "--out", "flown", "--policy", "deep:wheel")
+    assert command(monkeypatch, "run", *words, "--debug") == 1
+    told = capsys.readouterr().err
+    log = (tmp_path / "flown" / "logs" / "ugv_0.log").read_text()
+    for text in (told, log):
+        assert "Traceback (most recent call last):" in text
+        assert "in inner" in text
+        assert "ZeroDivisionError: division by zero (deep.py:6, in inner)" in text
+
+
+def test_an_error_in_a_weighting_of_ones_own_names_its_line(tmp_path, monkeypatch, capsys):
+    (tmp_path / "steep.py").write_text("def share(d, r_s):\n    return d.nothing\n")
+    monkeypatch.chdir(tmp_path)
+    words = ("run", "--in-process", "--no-files", "--weighting", "steep:share")
+    assert command(monkeypatch, *words) in (1, 2)
+    told = capsys.readouterr().err
+    assert "steep.py:2, in share" in told
     assert "Traceback" not in told
 
 
@@ -187,3 +219,47 @@ def test_a_vehicle_without_a_name_gets_the_next_one(tmp_path):
     scenario = load_scenario(file)
     assert [uav.name for uav in scenario.uav] == ["uav_1", "uav_2", "uav_0"]
     assert [ugv.name for ugv in scenario.ugv] == ["ugv_0", "ugv_1"]
+
+
+def test_answers_in_wrong_units_are_counted_or_told_once(tmp_path, monkeypatch, caplog):
+    (tmp_path / "units.py").write_text(
+        "class Rows:\n    def predict(self, row):\n        return (5.0, 0.0)\n\nrows = Rows()\n\n"
+        "def wheel(observation, briefing):\n    return (5.0, 0.0)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    own = {"duration": 2.0, "ugv.0.driver": "policy"}
+    scenario = load_scenario("escort", overrides={**own, "custom.policy": "units:rows"})
+    flight, summary = fly(scenario, 7)
+    assert flight.shortened == {"uav_0": 0, "ugv_0": 40}
+    assert summary.faults == {"ugv_0": {"command beyond its bound": 40}}
+    flight, summary = fly(msgspec.structs.replace(scenario, custom=Custom(policy="units:wheel")), 7)
+    assert flight.shortened == {"uav_0": 0, "ugv_0": 0}  # it is kept within its bounds on board
+    first, second = (record.getMessage() for record in caplog.records)
+    assert first == (
+        "ugv_0: its command for tick 0, 5 m/s², is longer than its bound 0.1 m/s² and is shortened "
+        "to it; more of these are only counted"
+    )
+    assert second.startswith("policy = 'units:wheel': tick 0: returned 5 m/s², longer than the")
+
+
+@pytest.mark.parametrize("law", [law.name for law in LAWS.values() if not law.own])
+def test_no_law_of_ours_asks_for_more_than_its_bound(law):
+    scenario = load_scenario("escort", overrides={"duration": 20.0, "law.name": law})
+    flight, summary = fly(scenario, 7)
+    assert flight.shortened == {"uav_0": 0, "ugv_0": 0}
+    assert summary.faults == {}
+
+
+def test_what_an_operator_changed_is_told_in_words():
+    link = Control(
+        action=Action.LINK,
+        link=LinkKind.COMMANDS,
+        vehicle="uav_0",
+        settings=LinkSettings(delay=0.5, loss=0.2),
+    )
+    assert link.in_words() == "link commands of uav_0: delay 0.5, loss 0.2"
+    perfect = Control(action=Action.LINK, link=LinkKind.RADIO, settings=LinkSettings())
+    assert perfect.in_words() == "link radio of every vehicle: perfect"
+    assert Control(action=Action.SPEED, factor=2.0).in_words() == "2 times real time"
+    assert Control(action=Action.STEP, ticks=3).in_words() == "step 3"
+    assert Control(action=Action.PAUSE).in_words() == "pause"

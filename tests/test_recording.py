@@ -690,8 +690,7 @@ def test_without_the_extra_there_is_one_clear_line() -> None:
     )
     found = subprocess.run([sys.executable, "-c", body], capture_output=True, text=True, check=True)
     assert (
-        found.stdout.splitlines()
-        == ["recording needs the extra: pip install 'outrider[record]'"] * 2
+        found.stdout.splitlines() == ["recording needs the extra: pip install -e '.[record]'"] * 2
     )
 
 

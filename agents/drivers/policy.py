@@ -10,12 +10,14 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from agents.drivers.steering import LARGEST, Steering
-from bus.errors import ScenarioError
+from bus.errors import ScenarioError, told_with_place
 from bus.layout import Row, UgvRow
 from bus.messages import UgvBriefing, UgvObservation
 from sim.models.vehicles import next_goal
 
 _LOG = logging.getLogger("outrider.policy")
+_ROUNDING = 1e-9
+"""So much longer, as a share, an answer may be by rounding alone."""
 
 
 @runtime_checkable
@@ -144,7 +146,7 @@ class PolicyDriver:
         self._sees_rows = isinstance(policy, RowPolicy)
         self._policy = _Predictor(policy, briefing) if isinstance(policy, RowPolicy) else policy
         self._name = name
-        self._warm = self._slow = False
+        self._warm = self._slow = self._long = False
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """The acceleration [m/s²] for this observation.
@@ -158,16 +160,30 @@ class PolicyDriver:
         try:
             answer = self._policy(observation, self._briefing)
         except Exception as error:
-            raise ScenarioError(
-                f"{where}: raised {_one_line(f'{type(error).__name__}: {error}')}"
-            ) from error
+            raise ScenarioError(f"{where}: raised {_one_line(told_with_place(error))}") from error
         self._mind_time(where, time.perf_counter() - begun)
         pair = _pair(answer)
         if pair is None or (self._sees_rows and max(map(abs, pair)) > LARGEST):
             raise ScenarioError(
                 f"{where}: returned {_one_line(repr(answer))}; allowed: two finite numbers, the acceleration x and y [m/s²]"
             )
-        return pair if self._sees_rows else self._steering.within(observation, pair)
+        if self._sees_rows:
+            return pair
+        self._check_bound(where, math.hypot(*pair))
+        return self._steering.within(observation, pair)
+
+    def _check_bound(self, where: str, size: float) -> None:
+        """Say once that an answer is longer than the UGV can accelerate: its units may be wrong."""
+        bound = self._steering.u_max
+        if not self._long and size > bound * (1.0 + _ROUNDING):
+            self._long = True
+            _LOG.warning(
+                "%s: returned %.4g m/s², longer than the UGV's bound %.4g m/s², to which it is shortened; "
+                "more of these are not told",
+                where,
+                size,
+                bound,
+            )
 
     def _mind_time(self, where: str, seconds: float) -> None:
         """Say once that the policy is too slow for a clock; its first answer may take as long as it likes."""

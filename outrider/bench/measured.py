@@ -122,7 +122,7 @@ def measure(only: list[str], repeats: int, *, on_progress: Progress | None = Non
         if not _can(ROWS[name]):
             layer = ROWS[name]
             raise ScenarioError(
-                f"--only {name}: needs {' and '.join(layer.needs)}: pip install 'outrider[{layer.extra}]'"
+                f"--only {name}: needs {' and '.join(layer.needs)}: pip install -e '.[{layer.extra}]'"
             )
     rows: list[Row] = []
     names = only or [name for name, layer in ROWS.items() if _can(layer)]

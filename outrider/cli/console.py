@@ -107,7 +107,9 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
         ("speed", f"{summary.ticks_per_second:,.0f} ticks/s"),
         (
             "UGV in sight (5)",
-            Text("always", style="green")
+            Text("nothing was flown", style="yellow")
+            if not summary.ticks
+            else Text("always", style="green")
             if seen
             else Text(f"lost in {summary.visibility_violations} ticks", style="red"),
         ),
@@ -131,11 +133,7 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
         kept = f"{summary.realtime_factor:.3f} of {summary.realtime:g}, {summary.late_ticks} ticks late"
         rows.append(("real time", kept))
     for change in summary.changes:
-        control = change.control
-        what = control.driver or control.link or (control.law.name if control.law else "")
-        rows.append(
-            (f"operator at {change.tick * summary.dt:.2f} s", f"{control.action} {what}".strip())
-        )
+        rows.append((f"operator at {change.tick * summary.dt:.2f} s", change.control.in_words()))
     if summary.certified_share is not None:
         share, colour = (
             f"{100.0 * summary.certified_share:.2f} % of the ticks",

@@ -119,7 +119,7 @@ def _drive(session: "Session", vehicle: str, first: "Status", *, speed: float, b
     try:
         from outrider.view.terminal.screen import DriveApp
     except ImportError as error:
-        raise ScenarioError("drive: needs textual: pip install 'outrider[drive]'") from error
+        raise ScenarioError("drive: needs textual: pip install -e '.[drive]'") from error
     from outrider.cli.console import ERR
     from outrider.view.terminal.teleoperation import Teleoperation
 

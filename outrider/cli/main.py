@@ -4,12 +4,19 @@ import logging
 import os
 import signal
 import sys
+import traceback
 from collections.abc import Callable
 from types import FrameType
 
 import typer
 
-from bus.errors import AccessDenied, OutriderError, ScenarioError
+from bus.errors import (
+    AccessDenied,
+    OutriderError,
+    ScenarioError,
+    place_in_user_code,
+    told_with_place,
+)
 from outrider.cli import (
     bench,
     check,
@@ -55,6 +62,9 @@ COMMANDS: dict[str, Callable[..., None]] = {
 }
 
 
+_DEBUG = "OUTRIDER_DEBUG"
+
+
 def _about() -> None:
     """Outrider: a UAV that flies as the outrider of a ground vehicle, and never loses sight of it.
 
@@ -83,6 +93,11 @@ def make_app() -> typer.Typer:
         version: bool = typer.Option(
             False, "--version", callback=_version, is_eager=True, help="Print the version and stop."
         ),
+        debug: bool = typer.Option(
+            False,
+            "--debug",
+            help="Show the whole traceback of an error, of every process of a run.",
+        ),
     ) -> None:
         pass
 
@@ -101,12 +116,19 @@ def _fail(line: str, code: int) -> int:
     return code
 
 
+def _show_traceback() -> None:
+    if os.environ.get(_DEBUG):
+        traceback.print_exc()
+
+
 def _run() -> int:
     try:
         return int(make_app()(standalone_mode=False) or 0)
     except (ScenarioError, AccessDenied) as error:
+        _show_traceback()
         return _fail(str(error), 2)
     except OutriderError as error:
+        _show_traceback()
         return _fail(str(error), 1)
     except BrokenPipeError:
         return 1
@@ -119,7 +141,10 @@ def _run() -> int:
             error, "format_message", None
         )  # typer's own errors, of whichever click it carries
         if told is None:
-            raise
+            if not place_in_user_code(error):
+                raise
+            _show_traceback()
+            return _fail(f"{told_with_place(error)}; --debug shows the whole traceback", 1)
         return _fail(f"{told()} (outrider --help tells more)", int(getattr(error, "exit_code", 2)))
 
 
@@ -132,6 +157,9 @@ def _computes(arguments: list[str]) -> bool:
 
 def main() -> None:
     """Run the command line."""
+    if "--debug" in sys.argv[1:]:  # before or after the command's name; children find the variable
+        sys.argv.remove("--debug")
+        os.environ[_DEBUG] = "1"
     if not _computes(sys.argv[1:]):
         from sim.kernels.compile import interpret
 

@@ -156,10 +156,14 @@ def command(
         where = (
             f"using the router at {connect}" if connect else f"listening on {', '.join(endpoints)}"
         )
-        ERR.print(f"{where}, run {run}: waiting for {', '.join(v.name for v in flown.vehicles)}")
+        ERR.print(
+            f"{where}, run {run}: waiting for {', '.join(v.name for v in flown.vehicles)}",
+            soft_wrap=True,
+        )
         if endpoints and given is None:
             ERR.print(
-                "no credentials: every process that reaches this endpoint may read and write everything"
+                "no credentials: every process that reaches this endpoint may read and write everything",
+                soft_wrap=True,
             )
     servers: list[Server] = []
     recorder = _recorder(

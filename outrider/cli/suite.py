@@ -96,10 +96,14 @@ def command(
 def _tasks(whole: "Suite", only: list[str]) -> "Suite":
     from bus.errors import ScenarioError
     from outrider.experiments.suite.tasks import Suite
+    from sim.input.faults import near
 
     unknown = [name for name in only if name not in whole.names]
     if unknown:
-        raise ScenarioError(f"--only {unknown[0]}: no such task; allowed: {', '.join(whole.names)}")
+        meant = near(unknown[0], whole.names)
+        raise ScenarioError(
+            f"--only {unknown[0]}: no such task{meant}; allowed: {', '.join(whole.names)}"
+        )
     return Suite([task for task in whole if not only or task.name in only])
 
 
@@ -131,14 +135,12 @@ class _Own:
         self._name, self._policy = name, policy
 
     def __call__(self, seen: "Observation") -> "ArrayLike":
-        from bus.errors import OutriderError
+        from bus.errors import OutriderError, told_with_place
 
         try:
             return self._policy(seen)
         except Exception as error:
-            raise OutriderError(
-                f"--policy {self._name}: {type(error).__name__}: {error}"
-            ) from error
+            raise OutriderError(f"--policy {self._name}: {told_with_place(error)}") from error
 
 
 def _fly(

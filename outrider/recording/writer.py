@@ -200,6 +200,7 @@ class FlightRecorder:
                 present=True,
                 missing_commands=flight.missing[name],
                 stale_commands=flight.stale[name],
+                shortened_commands=flight.shortened[name],
             )
             for name in flight.world.names
         }

@@ -7,13 +7,19 @@ import subprocess
 import sys
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import IO
 
 from outrider.running.forking import Forked, Forkserver
 
-_TAIL = 12
+_TAIL = 200
 """Lines of a child's standard error that are kept."""
+_TOLD = 12
+"""Of them so many are told in one line."""
+_NOTICE = "outrider.policy: "
+"""What a pilot's log says of the user's own code begins so."""
+_TRACEBACK = "Traceback (most recent call last):"
 _SECRET = "OUTRIDER_SECRET"  # noqa: S105 - a variable's name
 """Where the simulator's process finds the run's secret."""
 
@@ -38,6 +44,7 @@ class Child:
         secret: Of the run: for the simulator alone.
         forkserver: What forks it; None: it is started as a new interpreter.
         cores: The processor cores of a forked one, all its threads included; empty: as ours.
+        log: The file that keeps all of its standard error, if it writes any; None: no file does.
     """
 
     def __init__(
@@ -49,8 +56,11 @@ class Child:
         secret: str = "",
         forkserver: Forkserver | None = None,
         cores: frozenset[int] = frozenset(),
+        log: Path | None = None,
     ) -> None:
         self.name = name
+        self._log = log
+        self._notices: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._tail: deque[str] = deque(maxlen=_TAIL)
         command = [sys.executable, "-P", "-m", "outrider", *arguments, "--watchdog"]
         if forkserver is not None and not files:
@@ -81,13 +91,27 @@ class Child:
 
     def _listen(self, stream: IO[bytes]) -> None:
         for line in stream:
-            self._tail.append(line.decode(errors="replace").rstrip())
+            text = line.decode(errors="replace").rstrip()
+            self._tail.append(text)
+            if text.startswith(_NOTICE):
+                self._notices.put(text.removeprefix(_NOTICE))
+            if self._log is not None:
+                with contextlib.suppress(OSError):  # a full disk must not end the run
+                    self._log.parent.mkdir(exist_ok=True)
+                    with self._log.open("ab") as file:
+                        file.write(line)
 
     @staticmethod
     def _pass_on(stream: IO[bytes], lines: "queue.SimpleQueue[bytes | None]") -> None:
         for line in stream:
             lines.put(line)
         lines.put(None)
+
+    def notices(self) -> Iterator[str]:
+        """Tells what it has said of the user's own code since the last call, line by line."""
+        with contextlib.suppress(queue.Empty):
+            while True:
+                yield f"{self.name}: {self._notices.get_nowait()}"
 
     @property
     def pid(self) -> int:
@@ -100,10 +124,20 @@ class Child:
         return self._process.poll()
 
     def stderr_tail(self) -> str:
-        """The end of what it wrote to standard error."""
+        """The end of what it wrote to standard error, in one line; of a traceback what follows it.
+
+        With OUTRIDER_DEBUG all of it, as it was written.
+        """
         for reader in self._readers:
             reader.join(1.0)
-        return " | ".join(line for line in self._tail if line)
+        lines = [line for line in self._tail if line]
+        if _TRACEBACK not in lines:
+            return " | ".join(lines[-_TOLD:])
+        if os.environ.get("OUTRIDER_DEBUG"):
+            return "\n".join(["", *lines])
+        last = len(lines) - lines[::-1].index(_TRACEBACK)
+        where = f" (the whole traceback: {self._log})" if self._log is not None else ""
+        return " | ".join(line for line in lines[last:] if not line.startswith(" ")) + where
 
     def exit_report(self) -> str:
         """How it ended, for a person."""

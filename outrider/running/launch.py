@@ -177,6 +177,7 @@ def launch(
             pin=pin,
             secured=secured,
             transport=transport,
+            logs=out / "logs" if out else None,
         )
         timing = ["--deadline", str(deadline), "--join-timeout", str(join_timeout)]
         pace = (["--realtime", str(realtime)] if realtime is not None else []) + (
@@ -215,6 +216,7 @@ class _Processes:
         pin: Whether they are given cores.
         secured: Whether they are given credentials.
         transport: How they reach each other.
+        logs: The folder for what each writes to standard error; None: it is not kept.
     """
 
     def __init__(
@@ -228,8 +230,10 @@ class _Processes:
         pin: bool,
         secured: bool,
         transport: Transport,
+        logs: Path | None,
     ) -> None:
         self.children = children
+        self._logs = logs
         self._forks = forks
         self.lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         """Reports of the simulator, a line each."""
@@ -257,6 +261,9 @@ class _Processes:
         """The simulator's process."""
         return self.children[0]
 
+    def _log(self, name: str) -> Path | None:
+        return self._logs / f"{name}.log" if self._logs is not None else None
+
     def _known_as(self, name: str) -> list[str]:
         return ["--credentials", str(self._files[name])] if self._files else []
 
@@ -280,7 +287,14 @@ class _Processes:
             str(self._folder),
         ]
         self.children.append(
-            Child(SIMULATOR_NAME, arguments, self.lines, secret=secret, forkserver=self._forks)
+            Child(
+                SIMULATOR_NAME,
+                arguments,
+                self.lines,
+                secret=secret,
+                forkserver=self._forks,
+                log=self._log(SIMULATOR_NAME),
+            )
         )
         while not self._listens() and self.simulator.ended is None and not watcher.stop():
             time.sleep(0.02)
@@ -305,7 +319,9 @@ class _Processes:
         arguments += ["--host", "127.0.0.1", "--listening", str(page.fileno())]
         arguments += ["--law", msgspec.json.encode(self._scenario.law).decode()]
         lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-        self._page = Child("dashboard", arguments, lines, (page.fileno(),))
+        self._page = Child(
+            "dashboard", arguments, lines, (page.fileno(),), log=self._log("dashboard")
+        )
         pages.append(self._page)
         page.close()  # it is the child's now: where that ends, nobody else keeps a browser waiting
         limit = time.monotonic() + _PATIENCE
@@ -345,6 +361,7 @@ class _Processes:
             ["uav" if is_uav else "ugv", *common, *given],
             forkserver=self._forks,
             cores=cores_for(is_uav=is_uav) if self._pin else frozenset(),
+            log=self._log(name),
         )
 
     def start_vehicles(self, watcher: Watcher) -> None:
@@ -416,6 +433,9 @@ def _follow(processes: _Processes, watcher: Watcher, *, respawn: bool) -> Outcom
             simulator.ask_to_end()
         if watcher.stop() > 1:
             raise BusError("killed before the end")
+        for child in processes.children[1:]:
+            for notice in child.notices():
+                watcher.on_event(notice)
         if not asked and outcome.summary is None:
             if lost := processes.lost_page():
                 watcher.on_event(lost)

@@ -117,11 +117,15 @@ def switching_radius_of(flight: "Flight", escort: int = 0) -> float | None:
     return r_s if math.isfinite(r_s) else None
 
 
-def _faults(vehicles: Mapping[str, VehicleStatus]) -> dict[str, dict[str, int]]:
+def _faults(
+    vehicles: Mapping[str, VehicleStatus], shortened: Mapping[str, int]
+) -> dict[str, dict[str, int]]:
     """All that went wrong, by vehicle and cause, without the zeros."""
     found: dict[str, dict[str, int]] = {}
-    for name, status in vehicles.items():
+    for name, count in shortened.items():
+        status = vehicles.get(name, VehicleStatus(present=True))
         counts = {
+            "command beyond its bound": count,
             "lost": status.lost,
             "joined again": status.rejoined,
             "no new command": status.missing_commands,
@@ -197,7 +201,7 @@ def summarize(
         estimate_rmse=_rms(recorder.escorts[:, :, 4:6] - p_g),
         detection_rmse=_rms(recorder.escorts[:, :, 2:4] - (p_a - p_g)),
         missing_commands=dict(flight.missing),
-        faults=_faults(vehicles or {}),
+        faults=_faults(vehicles or {}, flight.shortened),
         **certificate_fields(flight.assurance.status()),
         links=world.links.status(),
         realtime=realtime,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agents.drivers.policy import RowPolicy
-from bus.errors import ScenarioError
+from bus.errors import ScenarioError, told_with_place
 from bus.layout import Row, UgvRow
 from bus.registry import LAWS, POLICY_FORMS, SAVED_POLICIES, resolve
 from sim.input.faults import one_line
@@ -25,7 +25,7 @@ _FORMS = f"allowed: {POLICY_FORMS}"
 
 
 def _reason(error: BaseException) -> str:
-    flat = " ".join(f"{type(error).__name__}: {error}".split())
+    flat = " ".join(told_with_place(error).split())
     return flat if len(flat) <= 160 else f"{flat[:160]} ..."
 
 

@@ -1,4 +1,4 @@
-"""A window that shows the environment's picture, by pygame, which is an extra: `pip install 'outrider[window]'`."""
+"""A window that shows the environment's picture, by pygame, which is an extra: `pip install -e '.[window]'`."""
 
 import importlib
 from typing import Any
@@ -14,7 +14,7 @@ def _load_pygame() -> Any:  # noqa: ANN401 - a module without types
         return importlib.import_module("pygame")
     except ImportError as error:
         raise OutriderError(
-            "render_mode 'human' needs pygame: pip install 'outrider[window]', or use 'rgb_array'"
+            "render_mode 'human' needs pygame: pip install -e '.[window]', or use 'rgb_array'"
         ) from error
 
 

@@ -3,6 +3,7 @@
 The same loop serves the pilots in this process and the three processes over the bus, so both fly the same bits.
 """
 
+import logging
 import math
 from array import array
 from collections import defaultdict
@@ -67,6 +68,9 @@ class Exchange(Protocol):
         """The newest command of each vehicle that has a new one; none answers a later tick than this."""
 
 
+_LOG = logging.getLogger("outrider.sim")
+_ROUNDING = 1e-9
+"""So much longer, as a share, a command may be by rounding alone."""
 _RADIO = 5
 _LOOK = 4
 """Numbers that are kept of a radio message and of a detection that have arrived."""
@@ -80,10 +84,17 @@ class Flight:
         seed: Of all random numbers, with the secret.
         secret: Of the run; empty: none. No vehicle, operator or observer is told.
         episode: Which flight of the run it is.
+        on_notice: Called with one line for a person.
     """
 
     def __init__(
-        self, scenario: Scenario, seed: int, *, secret: str = "", episode: int = 0
+        self,
+        scenario: Scenario,
+        seed: int,
+        *,
+        secret: str = "",
+        episode: int = 0,
+        on_notice: Callable[[str], None] = _LOG.warning,
     ) -> None:
         self.scenario = scenario
         self.seed = seed
@@ -100,6 +111,9 @@ class Flight:
         """Ticks for which a vehicle had no new command."""
         self.stale: dict[str, int] = dict.fromkeys(self.world.names, 0)
         """Commands of a vehicle that were used after the tick they answer."""
+        self.shortened: dict[str, int] = dict.fromkeys(self.world.names, 0)
+        """Commands of a vehicle that were longer than its bound."""
+        self.on_notice = on_notice
         self.first_missing: int | None = None
         """The first tick at which a vehicle's command was missing or stale."""
         self.reports: list[UavReport | None] = [None] * len(self.world.uavs)
@@ -113,6 +127,9 @@ class Flight:
         self._answered = dict.fromkeys(
             self.world.names, -1
         )  # the tick that each vehicle's newest command answers
+        self._bounds = dict(
+            zip(self.world.names, self.world.bounds[:, 1].tolist(), strict=True)
+        )  # u_max [m/s²]
         self._rows = {name: k for k, name in enumerate(self.world.names)}
         self._uav_row = {uav.name: k for k, uav in enumerate(self.world.uavs)}
         self._pairs: list[tuple[int, int]] = [(a, g) for a, g in self.world.escorts.tolist()]
@@ -345,8 +362,21 @@ class Flight:
         else:
             self._answered[name] = command.tick
             self.stale[name] += command.tick < tick
+            self._check_bound(name, command)
         if self._answered[name] < tick and self.first_missing is None:
             self.first_missing = tick
+
+    def _check_bound(self, name: str, command: Command) -> None:
+        """Count a command that the bound of (1) shortens, and tell of the first: its units may be wrong."""
+        size, bound = math.hypot(*command.acceleration), self._bounds[name]
+        if size <= bound * (1.0 + _ROUNDING):
+            return
+        self.shortened[name] += 1
+        if self.shortened[name] == 1:
+            self.on_notice(
+                f"{name}: its command for tick {command.tick}, {size:.4g} m/s², is longer than its "
+                f"bound {bound:.4g} m/s² and is shortened to it; more of these are only counted"
+            )
 
     def apply(self, commands: Mapping[str, Command]) -> None:
         """Let these commands set out, and what has arrived act for one tick.

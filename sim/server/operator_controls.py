@@ -69,7 +69,11 @@ class OperatorControls:
             return None
         old = self._flight
         self._flight = Flight(
-            old.scenario, self._next_seed, secret=old.secret, episode=old.episode + 1
+            old.scenario,
+            self._next_seed,
+            secret=old.secret,
+            episode=old.episode + 1,
+            on_notice=old.on_notice,
         )
         self._next_seed = None
         return self._flight
@@ -107,7 +111,7 @@ class OperatorControls:
             return
         self.changes.append(Change(tick=self._flight.world.tick, control=control))
         if control.action is not Action.STEP:
-            self._on_event(f"an operator: {_in_words(control)} at tick {self._flight.world.tick}")
+            self._on_event(f"an operator: {control.in_words()} at tick {self._flight.world.tick}")
 
     def _pause(self, _control: Control) -> None:
         self.paused, self.steps = True, 0
@@ -170,15 +174,3 @@ _HANDLERS: dict[Action, Callable[[OperatorControls, Control], None]] = {
     Action.DRIVER: OperatorControls._driver,
     Action.LINK: OperatorControls._link,
 }
-
-
-def _in_words(control: Control) -> str:
-    if control.action is Action.LAW and control.law is not None:
-        return f"law {control.law.name}"
-    if control.action is Action.DRIVER:
-        return f"driver {control.driver} in {control.vehicle or 'every UGV'}"
-    if control.action is Action.LINK:
-        return f"the link for {control.link} of {control.vehicle or 'every vehicle'}"
-    if control.action is Action.SPEED:
-        return "lockstep" if control.factor is None else f"{control.factor:g} times real time"
-    return str(control.action)

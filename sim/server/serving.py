@@ -47,7 +47,7 @@ class Server:
         stop: Callable[[], bool] = lambda: False,
         warn: Warn = no_warnings,
     ) -> None:
-        self.flight = Flight(scenario, seed, secret=secret)
+        self.flight = Flight(scenario, seed, secret=secret, on_notice=on_event)
         self.started = 0.0
         """Wall clock at the first tick [s]."""
         self._join_timeout = join_timeout

@@ -1,6 +1,8 @@
 """The vehicles' places in a run: who holds each, what it was told, and what has gone wrong with it."""
 
+import math
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -23,6 +25,10 @@ TWICE = "answers a tick twice"
 SECOND_SESSION = "comes from a second session"
 
 
+_QUIET = 10.0
+"""Time between two lines about one vehicle that is late [s]."""
+
+
 @dataclass(slots=True, kw_only=True)
 class Slot:
     """One vehicle's place. The first session that comes holds it until it goes; then the next one does."""
@@ -43,6 +49,10 @@ class Slot:
     rejoined: int = 0
     refused: Counter[str] = field(default_factory=Counter)
     fault: str = ""
+    late: int = 0
+    """Deadlines that it has not kept."""
+    late_told: float = -math.inf
+    """When that was told last [s]."""
 
     @property
     def present(self) -> bool:
@@ -268,9 +278,15 @@ class Slots:
 
     def name_late(self, names: list[str], tick: int, late: float) -> None:
         """Say who has not answered by the deadline."""
+        now = time.monotonic()
         for name in names:
-            self._slots[name].fault = f"no command for tick {tick} after {late:.1f} s"
-            self._on_event(f"{name} is late: {self._slots[name].fault}")
+            slot = self._slots[name]
+            slot.fault = f"no command for tick {tick} after {late:.1f} s"
+            slot.late += 1
+            if now - slot.late_told >= _QUIET:
+                slot.late_told = now
+                often = f", for the {slot.late}th time" if slot.late > 1 else ""
+                self._on_event(f"{name} is late{often}: {slot.fault}")
 
     def status(self, name: str) -> VehicleStatus:
         """The status of a vehicle."""
@@ -279,6 +295,7 @@ class Slots:
             present=slot.present,
             missing_commands=self._flight.missing[name],
             stale_commands=self._flight.stale[name],
+            shortened_commands=self._flight.shortened[name],
             lost=slot.lost,
             rejoined=slot.rejoined,
             refused=dict(slot.refused),

@@ -254,4 +254,5 @@ def _process(text: Text, name: str, vehicle: VehicleStatus, *, known: bool = Tru
     text.append(name)
     told = [f"lost {vehicle.lost}x"] if vehicle.lost else []
     told += [f"missed {vehicle.missing_commands}"] if vehicle.missing_commands else []
+    told += [f"shortened {vehicle.shortened_commands}"] if vehicle.shortened_commands else []
     text.append(", ".join([*told, state]).rjust(_INNER - 2 - len(name)) + "\n", style=color)

@@ -20,7 +20,7 @@ def check_extra() -> None:
     """
     for module in _NEEDED:
         if find_spec(module) is None:
-            raise ScenarioError(f"{module} is missing: pip install 'outrider[dashboard]'")
+            raise ScenarioError(f"{module} is missing: pip install -e '.[dashboard]'")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -143,6 +143,7 @@ function faultsOf(vehicle) {
   const found = [
     [vehicle.missing_commands, "missing"],
     [vehicle.stale_commands, "stale"],
+    [vehicle.shortened_commands, "shortened"],
     [vehicle.lost, "lost"],
     [vehicle.rejoined, "rejoined"],
     [refused, "refused"],
