@@ -156,7 +156,8 @@ def test_right_over_the_point_any_direction_is_drawn_with_the_key() -> None:
     place = (20.125, 20.125)
     angles = []
     for key in range(400):
-        c = parameters(escort("coverage"))._replace(key=a_key(key))
+        key_0, key_1 = a_key(key)
+        c = parameters(escort("coverage"))._replace(key_0=key_0, key_1=key_1)
         found, x, y = way_to_uncovered(c, coverage, initial_state(), 0, *place, *place)
         assert found
         assert np.hypot(x, y) == pytest.approx(1.0, rel=1e-12)

@@ -1,6 +1,7 @@
 """What a first user meets: names that collide, brackets in paths and errors, a file to begin with, the doctor."""
 
 import json
+import signal
 import subprocess
 import sys
 import tomllib
@@ -22,9 +23,16 @@ from sim.scenario.types import Custom, Scenario, Visibility
 
 
 def command(monkeypatch, *words) -> int:
+    """Run the command line in this process, and leave it as it was."""
     monkeypatch.setattr(sys, "argv", ["outrider", *map(str, words)])
-    with pytest.raises(SystemExit) as ended:
-        main()
+    monkeypatch.setenv("PYTHONSAFEPATH", "")
+    monkeypatch.setattr("sim.kernels.compile.interpret", lambda: None)  # other tests compile
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        with pytest.raises(SystemExit) as ended:
+            main()
+    finally:
+        signal.signal(signal.SIGTERM, before)
     return ended.value.code or 0
 
 

@@ -1,7 +1,7 @@
 """The reference of the bus, from its table of keys and its messages."""
 
 import msgspec
-from fields import cell, fields, structs, text_of, words
+from structs import cell, fields, structs, text_of, words
 
 from bus.keys import KEYS, Role
 from bus.messages import Message

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import typer
-from fields import cell
+from structs import cell
 
 from outrider.cli.main import make_app
 

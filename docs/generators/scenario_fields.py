@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 import msgspec
-from fields import cell, fields, structs, text_of, words
 from msgspec import inspect as types
+from structs import cell, fields, structs, text_of, words
 
 from sim.scenario.loading import load_scenario, scenario_names
 from sim.scenario.types import Scenario
