@@ -185,7 +185,7 @@ class Detector(Message, frozen=True, kw_only=True):
     """Time between two looks [s]."""
 
 
-class Certificate(Message, frozen=True, kw_only=True):
+class DeclaredBounds(Message, frozen=True, kw_only=True):
     """What a UAV may rely on of its detections and commands to certify that it keeps sight (docs/explanation/certificate.md)."""
 
     error: NonNegative | None
@@ -236,7 +236,7 @@ class UavBriefing(Message, frozen=True, kw_only=True):
     law: Law
     detector: Detector
     estimator: Estimator
-    certificate: Certificate = Certificate(error=None, age=1.0)
+    certificate: DeclaredBounds = DeclaredBounds(error=None, age=1.0)
     key: PilotKey
     """Of the pilot's own random numbers.
 

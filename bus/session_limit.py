@@ -44,7 +44,7 @@ _OVER_TCP = ("tcp/", "tls/", "ws/")
 """Of these each session has a connection of its own that can be found; a Unix socket is this machine's users' alone."""
 
 
-class Link(NamedTuple):
+class Connection(NamedTuple):
     """The connection of one session."""
 
     zid: str
@@ -55,8 +55,8 @@ class Link(NamedTuple):
 
 
 def surplus(
-    since: Mapping[Link, float], claims: Mapping[str, Collection[str]], now: float
-) -> list[Link]:
+    since: Mapping[Connection, float], claims: Mapping[str, Collection[str]], now: float
+) -> list[Connection]:
     """Which connections are too many.
 
     The oldest `PLACES` of each party stay. Of the others those that are younger than `GRACE` stay, the newest
@@ -69,7 +69,7 @@ def surplus(
             places of any: nobody can have another's session ended.
         now: The present [s].
     """
-    parties: defaultdict[str, list[Link]] = defaultdict(list)
+    parties: defaultdict[str, list[Connection]] = defaultdict(list)
     for link in since:
         for name in {link.name} if link.name is not None else claims.get(link.zid, ()):
             parties[name].append(link)
@@ -97,7 +97,7 @@ class SessionLimit:
             known: Names of all parties; another certificate of the same authority is named in the log.
         """
         self._router, self._known = router, known
-        self._since: dict[Link, float] = {}
+        self._since: dict[Connection, float] = {}
         self._claims: dict[str, set[str]] = {}
         self._claimed: Counter[str] = Counter()
         self._told: dict[str, float] = {}
@@ -158,7 +158,7 @@ class SessionLimit:
         """End some of what is too many; whether more is, or will be by its age."""
         now = time.monotonic()
         there = [
-            Link(str(link.zid), link.src, link.dst, link.auth_identifier)
+            Connection(str(link.zid), link.src, link.dst, link.auth_identifier)
             for link in self._router.info.links()
             if link.dst.startswith(_OVER_TCP)
         ]
@@ -195,7 +195,7 @@ class SessionLimit:
 _Ends = tuple[object, int, object, int]
 
 
-def _ends(link: Link) -> _Ends:
+def _ends(link: Connection) -> _Ends:
     (host, port), (far_host, far_port) = (
         end.partition("/")[2].rpartition(":")[::2] for end in (link.src, link.dst)
     )
@@ -207,17 +207,17 @@ def _numeric(host: str) -> object:
     return ip_address(host.strip("[]").partition("%")[0])
 
 
-def end_connections(links: Collection[Link]) -> list[Link]:
+def end_connections(links: Collection[Connection]) -> list[Connection]:
     """End connections of this process that a library holds.
 
     Returns:
         Those that were found.
     """
-    wanted: dict[_Ends, Link] = {}
+    wanted: dict[_Ends, Connection] = {}
     for one in links:
         with suppress(ValueError):  # an end that is no address is not found either
             wanted[_ends(one)] = one
-    ended: list[Link] = []
+    ended: list[Connection] = []
     for number in os.listdir("/dev/fd") if wanted else ():
         with suppress(OSError, ValueError):
             # Of sockets alone: to close a copy of a file's descriptor would give back the process' locks on the file.

@@ -170,7 +170,7 @@ def test_a_window_that_a_person_closes_stays_closed_and_the_flight_goes_on(displ
 
 def test_missing_pygame_is_one_line_that_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(OutriderError, match=r"outrider\[window\]") as caught:
+    with pytest.raises(OutriderError, match=r"\[window\]") as caught:
         Window("", 20.0)
     assert "\n" not in str(caught.value)
 

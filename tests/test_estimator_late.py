@@ -28,7 +28,7 @@ from scipy.stats import chi2
 
 from agents.estimation.estimator import RelativeEstimator
 from agents.estimation.motion_model import acceleration_deviation, straying
-from agents.estimation.past import SPAN, History
+from agents.estimation.past import SPAN, FilterHistory
 from bus.messages import Detection, Detector, Estimator, Limits
 
 EVERY = 4  # ticks between two looks: 0.2 s
@@ -263,8 +263,8 @@ def test_the_past_that_is_kept_is_bounded():
         RelativeEstimator(
             detector=Detector(period=DT), target=UGV, dt=DT, settings=Estimator(), span=-1.0
         )
-    assert History(span=60.0, dt=0.05).ticks == 1200
-    assert History(span=math.inf, dt=5e-324).ticks == 100_000
+    assert FilterHistory(span=60.0, dt=0.05).ticks == 1200
+    assert FilterHistory(span=math.inf, dt=5e-324).ticks == 100_000
     estimator = make()
     for k in range(1500):
         call(estimator, k)

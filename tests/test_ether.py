@@ -36,9 +36,9 @@ from sim.channel.link import (
     DARK,
     LOST,
     SHAPES,
+    LinkNumbers,
     LinkParameters,
     LinkState,
-    LinkTable,
     advance,
     exchange,
     jitter_quantile,
@@ -59,7 +59,7 @@ KS = 1.95
 
 @compiled
 def _drive(
-    t: LinkTable,
+    t: LinkNumbers,
     s: LinkState,
     key: Key,
     first: int,

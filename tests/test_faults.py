@@ -92,9 +92,10 @@ def test_in_real_time_a_vehicle_brakes_while_its_process_is_away_and_flies_on_wh
     with flying(
         "escort", "--duration", "150", "--realtime", "20", "--respawn", "--no-files", "--json"
     ) as run:
-        os.kill(child_of(run, "uav"), signal.SIGKILL)
         with observing(run) as session:
-            gone = await_status(session, lambda status: not status.vehicles["uav_0"].present)
+            await_status(session, lambda status: status.tick > 0)  # it sees what comes now
+            os.kill(child_of(run, "uav"), signal.SIGKILL)
+            gone = await_status(session, lambda status: status.vehicles["uav_0"].lost == 1)
             back = await_status(session, lambda status: status.vehicles["uav_0"].rejoined == 1)
             later = await_status(
                 session, lambda status: answered(status) > answered(back) + 100

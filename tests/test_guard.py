@@ -40,7 +40,7 @@ from agents.control.guard import (
 )
 from agents.control.handover import Promise, certificate
 from agents.control.visibility import SafetyFilter, promise_of
-from bus.messages import Certificate, Detection, UavBriefing, UavObservation
+from bus.messages import DeclaredBounds, Detection, UavBriefing, UavObservation
 from sim.kernels.compile import FloatArray
 from sim.kernels.records import RecordArray, records
 from sim.models.vehicles import step_vehicle
@@ -52,7 +52,7 @@ LATEST = 40  # ticks that a detection is on its way at most
 def declared(delay: float = 0.0, error: float | None = 0.3) -> UavBriefing:
     """What the paper's UAV is told, with this delay of its commands [s] and this error of its detections [m]."""
     return msgspec.structs.replace(
-        told(escort("certified")), certificate=Certificate(error=error, age=1.0, delay=delay)
+        told(escort("certified")), certificate=DeclaredBounds(error=error, age=1.0, delay=delay)
     )
 
 

@@ -20,6 +20,7 @@ from processes import (
     family,
     flying,
     outrider,
+    wait_until,
 )
 from staging import stage
 
@@ -122,6 +123,8 @@ def test_over_the_bus_with_a_process_that_joins_again_and_after_a_reset_too(tmp_
             if tick == 200 and not asked:
                 asked = True
                 operator.send(Control(action=Action.RESET))
+                controls = going.server._operators._controls
+                wait_until(controls.holds_any)  # else the flight may end before it comes
 
         flight = going.fly(on_tick)
     assert flight.episode == 1

@@ -13,7 +13,7 @@ from bus.access import Credential, client_settings, new_certificates, new_creden
 from bus.certificates import new_authority
 from bus.keys import PLACES, session_token
 from bus.session import Session, open_session
-from bus.session_limit import GRACE, NAMELESS, NEWCOMERS, Link, end_connections, surplus
+from bus.session_limit import GRACE, NAMELESS, NEWCOMERS, Connection, end_connections, surplus
 from outrider.running.launch import free_port
 
 RUN = "run"
@@ -24,9 +24,9 @@ GIVEN = {
 SIMULATOR = GIVEN["tcp"].of("simulator").party
 
 
-def links(name: str, count: int, certified: bool = False) -> list[Link]:
+def links(name: str, count: int, certified: bool = False) -> list[Connection]:
     return [
-        Link(f"{name}{k}", "tcp/a:1", f"tcp/{name}:{k}", name if certified else None)
+        Connection(f"{name}{k}", "tcp/a:1", f"tcp/{name}:{k}", name if certified else None)
         for k in range(count)
     ]
 
@@ -67,7 +67,7 @@ def test_connections_are_found_however_their_addresses_are_written() -> None:
             stack.enter_context(open_session(SIMULATOR, RUN, connect=endpoint))
             for endpoint in connect
         ]
-        there = [Link(str(x.zid), x.src, x.dst, None) for x in router._zenoh.info.links()]
+        there = [Connection(str(x.zid), x.src, x.dst, None) for x in router._zenoh.info.links()]
         assert {link.zid for link in there} == {client.id for client in clients}
         ended = end_connections(
             [*there, there[0]._replace(dst="tcp/[::1]:1"), there[0]._replace(src="ws/a")]

@@ -394,7 +394,11 @@ def test_the_command_tells_what_the_tasks_are(outrider: Callable[..., Any]) -> N
     ("arguments", "code", "told"),
     [
         (["lograithmic"], 2, "law 'lograithmic': unknown"),
-        (["--only", "nosie"], 2, "--only nosie: no such task; allowed: paper,"),
+        (
+            ["--only", "nosie"],
+            2,
+            "--only nosie: no such task, did you mean 'noise'?; allowed: paper,",
+        ),
         (["--policy", "nowhere:f"], 2, "--policy = 'nowhere:f'"),
         (["linear", "--secret", "1234"], 2, "--secret: 4 characters that are no secret; allowed: "),
         (["--estimate"], 2, "--estimate: for a --policy alone"),

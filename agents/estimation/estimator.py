@@ -20,7 +20,7 @@ import numpy as np
 
 from agents.estimation.kalman import KalmanFilter
 from agents.estimation.motion_model import acceleration_deviation, cut_variance, motion, straying
-from agents.estimation.past import SAME_TIME, SPAN, History, Moment
+from agents.estimation.past import SAME_TIME, SPAN, FilterHistory, PastTick
 from bus.messages import Detection, Detector, Estimator, Limits
 from sim.kernels.compile import FloatArray
 from sim.models.vehicles import clip_norm
@@ -115,8 +115,8 @@ class RelativeEstimator:
         self._weighed: tuple[list[float], FloatArray] | None = (
             None  # gain and covariance for a detection at this one
         )
-        self._history = History(span=span, dt=dt)
-        self._now: Moment | None = None  # None: never called
+        self._history = FilterHistory(span=span, dt=dt)
+        self._now: PastTick | None = None  # None: never called
         self._age: int | None = None  # ticks; None: nothing was ever believed
         self._refused = 0  # by the gate
         self._refused_in_a_row = 0
@@ -173,7 +173,7 @@ class RelativeEstimator:
             ValueError: If the time goes back or is between two ticks.
         """
         now = self._advance(time, own_position)
-        first: Moment | None = None  # the earliest at which something is new
+        first: PastTick | None = None  # the earliest at which something is new
         for detection in detections:
             moment = now if abs(detection.time - time) <= SAME_TIME else self._past(now, detection)
             if (
@@ -188,7 +188,7 @@ class RelativeEstimator:
             self._run_again(first)
         return self._estimate()
 
-    def _advance(self, time: float, own_position: tuple[float, float]) -> Moment:
+    def _advance(self, time: float, own_position: tuple[float, float]) -> PastTick:
         """Predict over the ticks since the last call."""
         last = self._now
         elapsed = 0.0 if last is None else time - last.time
@@ -203,7 +203,7 @@ class RelativeEstimator:
             last.own_position = own_position
             return last
         self._coast(ticks)
-        now = self._now = Moment(
+        now = self._now = PastTick(
             tick=ticks if last is None else last.tick + ticks,
             time=time,
             own_position=own_position,
@@ -223,7 +223,7 @@ class RelativeEstimator:
             if ticks and self._settings.enabled:
                 self._predict(ticks, self._age)
 
-    def _past(self, now: Moment, detection: Detection) -> Moment | None:
+    def _past(self, now: PastTick, detection: Detection) -> PastTick | None:
         """The moment at which a detection was taken; None, and counted, where there is none to be had."""
         moment = None
         if detection.time < now.time:
@@ -236,7 +236,7 @@ class RelativeEstimator:
             self._misdated += 1
         return moment
 
-    def _is_new(self, now: Moment, moment: Moment, detection: Detection) -> bool:
+    def _is_new(self, now: PastTick, moment: PastTick, detection: Detection) -> bool:
         """Put a detection into its moment, unless there is one."""
         (p_x, p_y), (p_delta_x, p_delta_y) = moment.own_position, detection.relative_position
         seen = (p_x - p_delta_x, p_y - p_delta_y)
@@ -249,7 +249,7 @@ class RelativeEstimator:
             self._misdated += 1  # it was not taken then: another one was
         return False
 
-    def _run_again(self, first: Moment) -> None:
+    def _run_again(self, first: PastTick) -> None:
         """Go back to before `first` and run again through all that was detected since.
 
         `innovation_squared` needs no way back: whatever has met the gate meets it again.
@@ -266,7 +266,7 @@ class RelativeEstimator:
             moment.refused, moment.refused_in_a_row = self._refused, self._refused_in_a_row
             self._look(moment)
 
-    def _look(self, moment: Moment) -> None:
+    def _look(self, moment: PastTick) -> None:
         """Take up what was detected at this moment, if anything was."""
         if moment.seen is not None:
             self._take(*moment.seen)

@@ -19,7 +19,7 @@ _MOST_TICKS = 100_000  # about 60 MB; where ticks are so short that the span has
 _tick_of = attrgetter("tick")
 
 
-class Moment(msgspec.Struct, gc=False, kw_only=True):
+class PastTick(msgspec.Struct, gc=False, kw_only=True):
     """A tick at which the filter was called: where the UAV was, what it saw, and what it believed before that.
 
     The arrays are the filter's own, not copies: it replaces its arrays and never writes into them.
@@ -36,7 +36,7 @@ class Moment(msgspec.Struct, gc=False, kw_only=True):
     refused_in_a_row: int
 
 
-class History:
+class FilterHistory:
     """The moments of the last so many ticks, in order; the oldest make room.
 
     Args:
@@ -52,11 +52,11 @@ class History:
             raise ValueError(f"span must not be negative, but is {span}")
         self.ticks = round(min(span / dt, _MOST_TICKS))
         """How far back it reaches."""
-        self._moments: deque[Moment] = deque(maxlen=self.ticks + 1)
+        self._moments: deque[PastTick] = deque(maxlen=self.ticks + 1)
         self.add = self._moments.append
         """Add the newest moment. The method is the queue's own: it is called at every tick."""
 
-    def find(self, *, tick: int, time: float) -> Moment | None:
+    def find(self, *, tick: int, time: float) -> PastTick | None:
         """The moment of this tick, if the filter was called then and at this time [s]."""
         k = bisect_left(self._moments, tick, key=_tick_of)
         if k == len(self._moments):
@@ -64,7 +64,7 @@ class History:
         moment = self._moments[k]
         return moment if moment.tick == tick and abs(moment.time - time) <= SAME_TIME else None
 
-    def after(self, moment: Moment) -> list[Moment]:
+    def after(self, moment: PastTick) -> list[PastTick]:
         """All moments later than this one, in order."""
         k = bisect_left(self._moments, moment.tick + 1, key=_tick_of)
         return [self._moments[i] for i in range(k, len(self._moments))]

@@ -42,7 +42,7 @@ class Only(StrEnum):
     ATTACK = "attack"
 
 
-class Control(StrEnum):
+class ControlGuard(StrEnum):
     """Guards that are known to be wrong."""
 
     TRACKING = "tracking"
@@ -125,7 +125,7 @@ def command(
         ),
     ] = None,
     control: Annotated[
-        Control | None,
+        ControlGuard | None,
         typer.Option(
             help="Attack a guard that is known to be wrong in the place of the filter, to see that it is caught."
         ),

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 from agents.control.guard import GuardState
 from agents.estimation.twin import KalmanState
 from bus.layout import UavRow
-from sim.channel.link import LinkState, LinkTable
+from sim.channel.link import LinkNumbers, LinkState
 from sim.engine.world_state import BatchState, BatchTables
 from sim.env.rows import UAV_METRICS, RowState, RowTables
 from sim.kernels.compile import FloatArray, IntArray
@@ -83,7 +83,7 @@ class LoopTables(NamedTuple):
     """`Promise` of each UAV. Shape (UAVs,)."""
     scripts: FloatArray
     script_rows: IntArray
-    radio: LinkTable
+    radio: LinkNumbers
     """A row for each UAV."""
     seen: IntArray
     """The sensor's disc, and of the density (9), from `sim.kernels.prefetch.disc_widths`."""

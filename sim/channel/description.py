@@ -37,9 +37,9 @@ from sim.channel.link import (
     TICK,
     UNIFORM,
     WAITING,
+    LinkNumbers,
     LinkParameters,
     LinkState,
-    LinkTable,
     exchange,
     fly,
     in_ticks,
@@ -246,7 +246,7 @@ def link_parameters(settings: LinkSettings, dt: float, *, per_tick: int = 1) -> 
 
 def link_table(
     links: Sequence[LinkParameters], owners: Sequence[tuple[int, int]] | None = None
-) -> LinkTable:
+) -> LinkNumbers:
     """The table of these links.
 
     Args:
@@ -259,7 +259,7 @@ def link_table(
         for p, first, end in zip(links, edges, edges[1:], strict=False)
     ]
     none: IntArray = np.zeros((0, 2), dtype=np.int64)
-    return LinkTable(
+    return LinkNumbers(
         rows=records(LinkParameters, rows),
         blackouts=np.concatenate([none, *(p.blackouts for p in links)]),
         owners=np.array(owners or [(0, 0)] * len(links), dtype=np.int64).reshape(-1, 2),

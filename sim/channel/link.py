@@ -171,10 +171,10 @@ class LinkParameters(NamedTuple):
     """Messages that may wait or fly at once."""
     first_blackout: int = 0
     end_blackout: int = 0
-    """Where its rows of `blackouts` stand in those of a `LinkTable`."""
+    """Where its rows of `blackouts` stand in those of a `LinkNumbers`."""
 
 
-class LinkTable(NamedTuple):
+class LinkNumbers(NamedTuple):
     """The numbers of many links, one row a link. Made by `sim.channel.description.link_table`."""
 
     rows: RecordArray
@@ -377,7 +377,7 @@ def _dark_by_chance(
 
 
 @borrowing
-def _settle(t: LinkTable, row: int, s: LinkState, key: Key, tick: int) -> None:
+def _settle(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None:
     """Begin a tick: what the channel is like at it, good or bad, dark or not."""
     p, counts, numbers = t.rows[row], s.counts, s.numbers
     counts[TICK], counts[INDEX] = tick, 0
@@ -414,7 +414,7 @@ def _note_age(counts: IntArray, numbers: FloatArray) -> None:
 
 
 @borrowing
-def make_up(t: LinkTable, row: int, s: LinkState, key: Key, tick: int) -> None:
+def make_up(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None:
     """Go through the ticks up to this one, it included, that were left out; in none of them was anything under way.
 
     Args:
@@ -430,7 +430,7 @@ def make_up(t: LinkTable, row: int, s: LinkState, key: Key, tick: int) -> None:
 
 
 @borrowing
-def advance(t: LinkTable, row: int, s: LinkState, key: Key, tick: int) -> None:
+def advance(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None:
     """Begin a tick: the channel's state, then whatever may leave the queue. Once a tick, in order.
 
     Args:
@@ -447,7 +447,7 @@ def advance(t: LinkTable, row: int, s: LinkState, key: Key, tick: int) -> None:
 
 
 @borrowing
-def send(t: LinkTable, row: int, s: LinkState, key: Key, payload: FloatArray) -> None:
+def send(t: LinkNumbers, row: int, s: LinkState, key: Key, payload: FloatArray) -> None:
     """Send one message at the tick that `advance` has begun.
 
     Args:
@@ -528,7 +528,7 @@ def receive(s: LinkState, out: FloatArray) -> int:
 
 @borrowing
 def exchange(
-    t: LinkTable, s: LinkState, key: Key, tick: int, payloads: FloatArray, out: FloatArray
+    t: LinkNumbers, s: LinkState, key: Key, tick: int, payloads: FloatArray, out: FloatArray
 ) -> int:
     """One whole tick of a table's only link: `advance`, `send` for each row of `payloads`, `receive` into `out`.
 

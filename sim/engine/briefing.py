@@ -2,7 +2,15 @@
 
 import math
 
-from bus.messages import Briefing, Certificate, Detector, Limits, LinkKind, UavBriefing, UgvBriefing
+from bus.messages import (
+    Briefing,
+    DeclaredBounds,
+    Detector,
+    Limits,
+    LinkKind,
+    UavBriefing,
+    UgvBriefing,
+)
 from sim.channel.description import extra_delays
 from sim.engine.run_keys import derive_key
 from sim.models.randomness import PILOT
@@ -26,7 +34,7 @@ def _error(scenario: Scenario) -> float | None:
     return _bound(noise * scenario.noise_cut) if noise > 0.0 else 0.0
 
 
-def declared(scenario: Scenario, uav: str) -> Certificate:
+def declared(scenario: Scenario, uav: str) -> DeclaredBounds:
     """The certificate's numbers that a UAV may rely on."""
     given, commands = scenario.certificate, scenario.links.of(uav, LinkKind.COMMANDS)
     error = given.error if given.error is not None else _error(scenario)
@@ -36,7 +44,7 @@ def declared(scenario: Scenario, uav: str) -> Certificate:
         + (commands.reorder_delay if commands.reorder else 0.0)
     )
     delay = given.delay if given.delay is not None else longest
-    return Certificate(
+    return DeclaredBounds(
         error=error, age=given.age, delay=delay, margin=given.margin, hold=scenario.hold
     )
 

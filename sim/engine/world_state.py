@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bus.registry import SENSORS
-from sim.channel.link import LinkState, LinkTable
+from sim.channel.link import LinkNumbers, LinkState
 from sim.kernels.compile import FloatArray, IntArray
 from sim.kernels.records import RecordArray
 from sim.models.field import cover, empty_coverage
@@ -131,7 +131,7 @@ class BatchTables(NamedTuple):
     """v_max [m/s] and u_max [m/s²]. Shape (vehicles, 2)."""
     escorts: IntArray
     """Rows (UAV, UGV). Shape (UAVs, 2)."""
-    links: LinkTable
+    links: LinkNumbers
     """Of the detections, a row for each UAV, then of the commands, a row for each vehicle."""
 
 

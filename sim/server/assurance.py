@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from bus.messages import Certificate, CertificateStatus, UavReport, Vector
+from bus.messages import CertificateStatus, DeclaredBounds, UavReport, Vector
 from sim.channel.link import DUST, in_ticks
 from sim.engine.briefing import declared
 from sim.scenario.types import Scenario, Uav
@@ -39,7 +39,7 @@ class Assumptions:
         dt: Length of a tick [s].
     """
 
-    def __init__(self, certificate: Certificate, dt: float) -> None:
+    def __init__(self, certificate: DeclaredBounds, dt: float) -> None:
         self._error = math.inf if certificate.error is None else certificate.error + _ROUNDING
         self._age = math.floor(certificate.age / dt + DUST)
         self._delay = in_ticks(certificate.delay, dt)
