@@ -11,9 +11,10 @@ import pytest
 from worlds import SCENARIOS
 
 from bus.errors import ScenarioError
-from outrider.bench import ROWS, kernels, many, measure, runs, scaling
+from outrider.bench import kernels, many, runs, scaling
 from outrider.bench import measured as rows
 from outrider.bench.c_kernels import COMPILERS, CKernels
+from outrider.bench.measured import ROWS, measure
 from outrider.cli import bench as command
 from sim.scenario.loading import load_scenario
 

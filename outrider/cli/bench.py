@@ -44,7 +44,7 @@ def command(
 
             points = make_scaling(scaling, on_progress=tell)
         else:
-            from outrider.bench import measure
+            from outrider.bench.measured import measure
 
             rows = measure(only or [], repeats, on_progress=tell)
     if scaling is not None:
