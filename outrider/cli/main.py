@@ -1,5 +1,6 @@
 """The command line's table, and what becomes of its errors: one clear line, and an exit code."""
 
+import atexit
 import logging
 import os
 import signal
@@ -63,6 +64,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
 
 
 _DEBUG = "OUTRIDER_DEBUG"
+_INTERRUPTED = 130
 
 
 def _about() -> None:
@@ -135,7 +137,7 @@ def _run() -> int:
     except OSError as error:
         return _fail(f"{error.filename or 'output'}: {error.strerror or error}", 1)
     except KeyboardInterrupt:
-        return _fail("interrupted", 130)
+        return _fail("interrupted", _INTERRUPTED)
     except Exception as error:
         told = getattr(
             error, "format_message", None
@@ -168,4 +170,11 @@ def main() -> None:
     os.environ["PYTHONSAFEPATH"] = "1"
     logging.basicConfig(format="%(name)s: %(message)s", level=logging.WARNING)
     signal.signal(signal.SIGTERM, _end)
-    sys.exit(_run())
+    code = _run()
+    if code == _INTERRUPTED:
+        # A library's thread may be in the middle of something: C++ would abort where it ends with the interpreter.
+        atexit._run_exitfuncs()
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)
