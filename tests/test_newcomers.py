@@ -12,14 +12,20 @@ import msgspec
 import pytest
 
 from bus.errors import ScenarioError
-from bus.messages import Action, Control, LinkKind, LinkSettings
+from bus.messages import Action, Control, LinkKind, LinkSettings, UavCommand
 from bus.registry import LAWS
 from outrider.cli.main import main
 from outrider.cli.options import scenario_of
-from outrider.running.flying import fly
+from outrider.recording.reader import flight_of
+from outrider.recording.refly import external_uavs, restore
+from outrider.recording.writer import FlightRecorder
+from outrider.running.flying import InProcess, fly, make_pilots
+from outrider.running.summary import summarize
+from outrider.view.flight_picture import flight_figure
 from sim.scenario.loading import load_scenario, scenario_names, shipped_text
 from sim.scenario.schema import field_docs, scenario_schema
 from sim.scenario.types import Custom, Scenario, Visibility
+from sim.server.flight import Flight
 
 
 def command(monkeypatch, *words) -> int:
@@ -271,3 +277,47 @@ def test_what_an_operator_changed_is_told_in_words():
     assert Control(action=Action.SPEED, factor=2.0).in_words() == "2 times real time"
     assert Control(action=Action.STEP, ticks=3).in_words() == "step 3"
     assert Control(action=Action.PAUSE).in_words() == "pause"
+
+
+class Hover:
+    """The pilot of docs/how-to/own-pilot.md: it reports nothing."""
+
+    def act(self, observation):
+        (look, *_) = observation.detections or [None]
+        x, y = look.relative_position if look else (0.0, 0.0)
+        v_x, v_y = observation.velocity
+        return UavCommand(tick=observation.tick, acceleration=(-0.2 * x - v_x, -0.2 * y - v_y))
+
+
+class OwnExchange(InProcess):
+    """Flies the scenario's UGV and a UAV of the user's own."""
+
+    def collect(self, tick):
+        commands = super().collect(tick)
+        return commands | {"uav_0": Hover().act(self._observations["uav_0"])}
+
+
+def test_a_uav_of_ones_own_is_not_titled_with_the_law_that_it_does_not_fly(tmp_path):
+    told = []
+    scenario = load_scenario("escort", overrides={"duration": 5.0})
+    flight = Flight(scenario, 7, on_notice=told.append)
+    recorder = FlightRecorder(tmp_path / "own.mcap", scenario, 7)
+    flight.fly(OwnExchange(make_pilots(scenario, 7)), on_tick=lambda: recorder.tick(flight))
+    recorder.close()
+    summary = summarize(flight, seconds=1.0)
+    assert (summary.law, summary.certified_share, summary.uncertified) == ("external", None, {})
+    (line,) = told
+    assert line.startswith("uav_0 sees its UGV and reports no estimate: a program of your own")
+    recording = flight_of(tmp_path / "own.mcap")
+    assert external_uavs(recording) == {"uav_0"}
+    for drawn in (flight_figure(flight), flight_figure(restore(recording))):
+        titles = " ".join(text.get_text() for text in drawn.texts)
+        assert "law external" in titles
+        assert "certified" not in titles
+
+
+def test_a_pilot_of_ours_that_sees_nothing_is_not_taken_for_one_of_the_users():
+    dark = {"duration": 3.0, "links.detections.blackouts": [[0.0, 10.0]]}
+    flight, summary = fly(load_scenario("escort", overrides=dark), 7)
+    assert summary.law == "certified"
+    assert summary.uncertified == {"the UAV has no estimate yet, or its command did not come": 60}

@@ -177,7 +177,7 @@ def _draw_header(figure: Figure, flight: Flight) -> None:
     if lost:
         verdict, color = f"UGV out of sight for {lost * scenario.dt:.2f} s", style.LIMIT
     facts = (
-        f"law {scenario.law.name}   ·   seed {flight.seed}   ·   {flight.recorder.ticks * scenario.dt:g} s   ·   "
+        f"law {flight.law_name}   ·   seed {flight.seed}   ·   {flight.recorder.ticks * scenario.dt:g} s   ·   "
         f"largest distance {farthest:.2f} m of $r_v$ = {r_v:g} m"
     )
     name = textwrap.shorten(scenario.name, 48) or "scenario"

@@ -69,11 +69,26 @@ class Exchange(Protocol):
 
 
 _LOG = logging.getLogger("outrider.sim")
+EXTERNAL = "external"
+"""The law of a UAV, and the driver of a UGV, that is a program of the user's own."""
 _ROUNDING = 1e-9
 """So much longer, as a share, a command may be by rounding alone."""
 _RADIO = 5
 _LOOK = 4
 """Numbers that are kept of a radio message and of a detection that have arrived."""
+
+
+def law_title(scenario: Scenario, external: Collection[str]) -> str:
+    """The scenario's law for a person: `external` where programs of the user's own fly instead.
+
+    Args:
+        scenario: What is flown.
+        external: The UAVs that such programs fly.
+    """
+    if len(external) == len(scenario.uav):
+        return EXTERNAL
+    own = " and ".join(sorted(external))
+    return f"{scenario.law.name}, {own} {EXTERNAL}" if own else scenario.law.name
 
 
 class Flight:
@@ -113,11 +128,17 @@ class Flight:
         """Commands of a vehicle that were used after the tick they answer."""
         self.shortened: dict[str, int] = dict.fromkeys(self.world.names, 0)
         """Commands of a vehicle that were longer than its bound."""
+        self.external: set[str] = set()
+        """UAVs that a program of the user's own flies: it has seen its UGV and never reported an estimate.
+
+        The scenario's law, and its certificate, tell nothing of them.
+        """
         self.on_notice = on_notice
         self.first_missing: int | None = None
         """The first tick at which a vehicle's command was missing or stale."""
         self.reports: list[UavReport | None] = [None] * len(self.world.uavs)
         """The last report of each UAV."""
+        self._reporting = [False] * len(self.world.uavs)
         self.assurance = Assurance(scenario)
         """Checks the reports of the safety filters."""
         self.degradations: list[Change] = []
@@ -151,6 +172,11 @@ class Flight:
     def flown(self) -> Scenario:
         """The scenario with the law that the UAVs fly now."""
         return msgspec.structs.replace(self.scenario, law=self.law)
+
+    @property
+    def law_name(self) -> str:
+        """The law for a person, as `law_title` gives it."""
+        return law_title(self.scenario, self.external)
 
     @property
     def complete(self) -> bool:
@@ -378,6 +404,22 @@ class Flight:
                 f"bound {bound:.4g} m/s² and is shortened to it; more of these are only counted"
             )
 
+    def _judge_report(self, uav: int, command: UavCommand, watched: bool) -> None:
+        """Take a UAV's report; a pilot of ours that has seen its UGV cannot lack it, so it tells whose pilot it is."""
+        report = self.reports[uav] = command.report
+        if report is not None and not (watched and report.certified is None):
+            self._reporting[uav] = True
+        if self._reporting[uav] or command.tick != self.world.tick or not self.world.received[uav]:
+            return
+        name = self.world.uavs[uav].name
+        if name not in self.external:
+            self.external.add(name)
+            self.assurance.disregard(uav)
+            self.on_notice(
+                f"{name} sees its UGV and reports no estimate: a program of your own flies it, "
+                f"of which the law {self.law.name} tells nothing"
+            )
+
     def apply(self, commands: Mapping[str, Command]) -> None:
         """Let these commands set out, and what has arrived act for one tick.
 
@@ -396,7 +438,7 @@ class Flight:
             if uav is not None:
                 self.reports[uav] = None
                 if isinstance(command, UavCommand):
-                    self.reports[uav] = command.report
+                    self._judge_report(uav, command, watched)
                     self.assurance.send(uav, command.tick, command.acceleration)
                     for message in command.radio:
                         self._radios[name].send(
