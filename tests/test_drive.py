@@ -435,9 +435,9 @@ def test_a_wheel_taken_before_any_news_came_is_given_back_too(endpoint: str) -> 
 
 
 def test_an_unknown_vehicle_is_refused_with_those_that_there_are(endpoint: str) -> None:
-    with scripted(endpoint), seat(*arguments(endpoint, "--vehicle", "ugv_7")) as one:
+    with scripted(endpoint), seat(*arguments(endpoint, "--name", "ugv_7")) as one:
         assert one.ends() == 2
-        assert "--vehicle ugv_7: no UGV of this run; there is ugv_0" in one.told
+        assert "--name ugv_7: no UGV of this run; there is ugv_0" in one.told
         assert "1049" not in one.screen.modes
 
 

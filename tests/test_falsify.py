@@ -345,7 +345,7 @@ BAD = {
     ),
     "several pairs": (["pairs.toml"], "2 UAVs and 2 UGVs"),
     "control of another law": (["--control", "tracking", "--law", "linear"], "--control"),
-    "engine of another law": (["--law", "linear", "--only", "attack"], "--only"),
+    "engine of another law": (["--law", "linear", "--engine", "attack"], "--engine"),
     "error that is not in the grid": (["--law", "certified", "--eps", "0.4"], "allowed: 0, 0.3"),
     "no whole tick": (["--duration", "0.07"], "duration = 0.07"),
     "a folder": (["--out", "."], "is a folder"),

@@ -10,11 +10,12 @@ from pathlib import Path
 import jsonschema
 import msgspec
 import pytest
+import typer
 
 from bus.errors import ScenarioError
 from bus.messages import Action, Control, LinkKind, LinkSettings, UavCommand
 from bus.registry import LAWS
-from outrider.cli.main import main
+from outrider.cli.main import main, make_app
 from outrider.cli.options import scenario_of
 from outrider.recording.reader import flight_of
 from outrider.recording.refly import external_uavs, restore
@@ -123,6 +124,50 @@ def test_debug_shows_the_traceback_of_a_vehicles_process_and_its_log_keeps_it(
         assert "Traceback (most recent call last):" in text
         assert "in inner" in text
         assert "ZeroDivisionError: division by zero (deep.py:6, in inner)" in text
+
+
+TOO_FAST = """from math import cos, sin
+
+def spin(t):
+    return (4.0 * cos(t), 4.0 * sin(t)), (-4.0 * cos(t), -4.0 * sin(t))
+"""
+
+
+@pytest.mark.parametrize("named_by", ["the command", "the file"])
+def test_check_tries_a_function_of_ones_own_as_run_does_and_says_where_it_does_not(
+    tmp_path, monkeypatch, capsys, named_by
+):
+    (tmp_path / "spinning.py").write_text(TOO_FAST)
+    monkeypatch.chdir(tmp_path)
+    words = ["escort", "--duration", "1", "--path", "spinning:spin"]
+    if named_by == "the file":
+        text = shipped_text("escort").replace('name = "certified"', 'name = "path"')
+        (tmp_path / "mine.toml").write_text(f'{text}\n[custom]\npath = "spinning:spin"\n')
+        assert command(monkeypatch, "check", "mine.toml") == 0
+        assert "loaded with --allow-code alone" in capsys.readouterr().err
+        words = ["mine.toml", "--duration", "1", "--allow-code"]
+    assert command(monkeypatch, "check", *words) == 0
+    checked = capsys.readouterr().err
+    flown = ("run", *words, "--in-process", "--no-files")
+    assert command(monkeypatch, *flown) == 0
+    warned = [line for line in capsys.readouterr().err.splitlines() if "warning" in line]
+    assert warned
+    assert [line for line in checked.splitlines() if "warning" in line] == warned
+
+
+def test_an_option_means_the_same_in_every_command():
+    kinds = {}
+    waiting = [typer.main.get_command(make_app())]
+    while waiting:
+        found = waiting.pop()
+        waiting += getattr(found, "commands", {}).values()
+        for option in found.params:
+            for name in option.opts:
+                if name.startswith("--"):
+                    kind = (option.is_flag, option.multiple, option.metavar)
+                    kinds.setdefault(name, {}).setdefault(kind, []).append(found.name)
+    assert set(kinds.pop("--out")) == {(False, False, "FOLDER"), (False, False, "FILE")}
+    assert {name: seen for name, seen in kinds.items() if len(seen) > 1} == {}
 
 
 def test_an_error_in_a_weighting_of_ones_own_names_its_line(tmp_path, monkeypatch, capsys):
@@ -318,6 +363,6 @@ def test_a_uav_of_ones_own_is_not_titled_with_the_law_that_it_does_not_fly(tmp_p
 
 def test_a_pilot_of_ours_that_sees_nothing_is_not_taken_for_one_of_the_users():
     dark = {"duration": 3.0, "links.detections.blackouts": [[0.0, 10.0]]}
-    flight, summary = fly(load_scenario("escort", overrides=dark), 7)
+    _, summary = fly(load_scenario("escort", overrides=dark), 7)
     assert summary.law == "certified"
     assert summary.uncertified == {"the UAV has no estimate yet, or its command did not come": 60}

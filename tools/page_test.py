@@ -164,7 +164,7 @@ class Processes:
         path, port = str(self._folder / "run.mcap"), free_port()
         if self._running.pop("recording").wait(60.0):
             raise Failed("nothing was recorded")
-        words = ["replay", path, "--dashboard", "--dashboard-port", str(port), "--speed", "0.5"]
+        words = ["replay", path, "--dashboard", "--port", str(port), "--realtime", "0.5"]
         with (self._folder / "replay.log").open("ab") as log:
             self._running["replay"] = subprocess.Popen(
                 [*OUTRIDER, *words], stdin=subprocess.DEVNULL, stdout=log, stderr=log

@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from outrider.cli.options import Json
+
 Name = Annotated[str, typer.Argument(help="A shipped scenario's name.")]
 SCHEMA_FILE = "scenario.schema.json"
 """Written beside a new scenario, for editors that know JSON Schema."""
@@ -15,7 +17,7 @@ app = typer.Typer(invoke_without_command=True)
 @app.callback()
 def command(
     context: typer.Context,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    json: Json = False,
 ) -> None:
     """List the shipped scenarios; show one, begin a file of one's own, or print the schema for an editor.
 
