@@ -199,6 +199,9 @@ def launch(
         if outcome.summary is not None:
             for child in children:
                 child.wait(2.0 if outcome.summary.complete else 0.5)
+            if not watcher.stop() and not respawn:  # one may have failed just before the end
+                failed = [child.exit_report() for child in children[1:] if child.ended]
+                outcome.fault = outcome.fault or next(iter(failed), "")
             who = [Process(name=child.name, pid=child.pid) for child in children]
             outcome.summary = msgspec.structs.replace(outcome.summary, processes=who)
         return outcome
