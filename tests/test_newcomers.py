@@ -366,3 +366,28 @@ def test_a_pilot_of_ours_that_sees_nothing_is_not_taken_for_one_of_the_users():
     _, summary = fly(load_scenario("escort", overrides=dark), 7)
     assert summary.law == "certified"
     assert summary.uncertified == {"the UAV has no estimate yet, or its command did not come": 60}
+
+
+def test_ctrl_c_is_told_in_one_line_however_early_it_comes(monkeypatch, capsys):
+    from outrider.cli import main as module
+
+    def early():
+        raise KeyboardInterrupt
+
+    left = []
+    monkeypatch.setattr("os._exit", left.append)
+    monkeypatch.setattr("atexit._run_exitfuncs", lambda: None)
+    monkeypatch.setitem(module.COMMANDS, "doctor", early)
+    for words in (("doctor",), ("scenarios",)):
+        with monkeypatch.context() as m:
+            if words == ("scenarios",):  # before the command's own code
+                m.setattr(module, "make_app", early)
+            assert command(monkeypatch, *words) == 130
+    assert left == [130, 130]
+    assert capsys.readouterr().err == "outrider: interrupted\n" * 2
+
+
+def test_what_is_to_be_typed_next_can_be_copied(tmp_path, monkeypatch, capsys):
+    file = tmp_path / "Käfig 1.toml"
+    assert command(monkeypatch, "scenarios", "new", file) == 0
+    assert f"outrider check '{file}' says" in capsys.readouterr().out

@@ -918,7 +918,7 @@ def install_browser() -> None:
 
 def missing() -> str:
     """A line about what this test needs and does not find; empty: nothing."""
-    for module, extra in (("playwright", "playwright"), ("nicegui", "'outrider[dashboard]'")):
+    for module, extra in (("playwright", "playwright"), ("nicegui", "-e '.[dashboard]'")):
         try:
             __import__(module)
         except ModuleNotFoundError:

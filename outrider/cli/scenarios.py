@@ -1,5 +1,6 @@
 """`outrider scenarios`: what is shipped, what it says, and a file of one's own to begin with."""
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -100,7 +101,8 @@ def new(
         file.with_name(SCHEMA_FILE).write_text(schema_text(), encoding="utf-8")
     file.write_text(text, encoding="utf-8")
     OUT.print(
-        f"{file}: written; outrider check {file} says whether it can be flown", soft_wrap=True
+        f"{file}: written; outrider check {shlex.quote(str(file))} says whether it can be flown",
+        soft_wrap=True,
     )
 
 
