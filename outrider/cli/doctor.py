@@ -122,7 +122,7 @@ def _docker() -> Iterator[Finding]:
     if engine and compose:
         yield Finding("Docker", "ok", f"engine {engine}, compose {compose}")
     else:
-        lacking = "compose" if engine else "a running engine"
+        lacking = "compose" if engine else "running engine"
         yield Finding("Docker", "missing", f"no {lacking}; for the containers alone")
 
 

@@ -162,7 +162,7 @@ def _draw_estimate(axes: Axes, flight: Flight) -> None:
             estimated,
             color=style.color(style.UAV, k),
             linewidth=1.2,
-            label="filter" if k == 0 else "",
+            label="filter" if k == 0 and not np.isnan(estimated).all() else "",
         )
     style.over_time(axes, _end(flight), "error [m]")
     axes.set_title("Estimate of the UGV's place")
