@@ -286,7 +286,7 @@ class Detection(Message, frozen=True, kw_only=True):
     """One noisy look of the UAV at the UGV."""
 
     time: NonNegative
-    """When it was taken [s]."""
+    """When it was taken [s]: a tick times dt. One between two ticks is refused by the filter, and counted."""
     relative_position: Vector
     """p_a - p_g with noise [m]."""
 
@@ -295,6 +295,7 @@ class RelativeInformation(Message, frozen=True, kw_only=True):
     """What a UAV radios to its UGV: relative information, and how much it has seen."""
 
     time: NonNegative
+    """When it was estimated [s]: a tick times dt. One between two ticks is used for nothing."""
     relative_position: Vector
     """The estimate of p_a - p_g [m]."""
     coverage_error: NonNegative

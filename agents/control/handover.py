@@ -7,50 +7,25 @@ The proof is in docs/explanation/certificate.md. SI units.
 
 import functools
 import math
-from typing import NamedTuple
 
 from agents.control.discs import MARGIN, lens_distance
+from agents.control.promise import Declared, Promise
 from sim.kernels.compile import compiled
 
 ROUNDING = 1e-12
 """Ticks by which a quotient may exceed a whole number and still be that number."""
+
+DUST = 1e-6
+"""And the share of a tick by which a declared time may fall short of whole ticks and still be them."""
+
+_FOREVER = float(2**53)
+"""Ticks of a time without a bound."""
 
 _GRID, _STEPS = 0.005, 950
 """Step of the distances [m] over which the hand-over is checked when a scenario loads, and its margin.
 
 But no more steps than
 these to r_v, or a large radius would take minutes."""
-
-
-class Promise(NamedTuple):
-    """The declared numbers of one certificate, and the two that follow from them; from `certificate`."""
-
-    dt: float
-    """Length of a tick [s]."""
-    eps: float
-    """Largest error of a detection, as a vector's norm [m]."""
-    age: float
-    """Largest age of the newest arrived detection, A [s]."""
-    delay: float
-    """From the tick that a command answers to the one in which it acts, tau_c [s], a whole number of ticks."""
-    r_v: float
-    """Visibility radius [m], less the margin that was asked for, the sagitta of a tick and `MARGIN`."""
-    v_a: float
-    """Largest speed of the UAV [m/s]."""
-    u_a: float
-    """Largest acceleration of the UAV [m/s²]."""
-    v_g: float
-    """Largest speed of the UGV [m/s]."""
-    width: float
-    """Of the area with its walls, from 0 [m]; infinite: there are none on this axis."""
-    height: float
-    """Likewise."""
-    handover: float
-    """R_h: a plan may end where the UGV is surely within this [m]; NaN if there is none."""
-    reach: float
-    """E: and where the newest detection's own bound is at most this [m]; NaN if there is none."""
-    hold: float
-    """For how long the vehicle goes on with its last command when none comes [s]."""
 
 
 @compiled
@@ -186,58 +161,33 @@ def tick_sagitta(v_a: float, u_a: float, dt: float) -> float:
 
 
 @functools.lru_cache(maxsize=1024)
-def certificate(
-    *,
-    r_v: float,
-    v_a: float,
-    u_a: float,
-    v_g: float,
-    dt: float,
-    eps: float,
-    age: float,
-    delay: float = 0.0,
-    margin: float = 0.0,
-    width: float = math.inf,
-    height: float = math.inf,
-    hold: float = math.inf,
-) -> Promise:
-    r"""The certificate of one UAV. What fails is NaN in it and named by `check_assumptions`.
-
-    Args:
-        r_v: Visibility radius [m].
-        v_a: Largest speed of the UAV [m/s].
-        u_a: Its largest acceleration [m/s²].
-        v_g: Largest speed of the UGV [m/s].
-        dt: Length of a tick [s].
-        eps: Largest error of a detection [m].
-        age: Largest age of the newest arrived detection, A [s].
-        delay: From the tick that a command answers to the one in which it acts [s]; rounded up to whole ticks.
-        margin: Taken off r_v [m], for what the theorem does not cover (jitter and loss of commands).
-        width, height: Of an area with walls [m]: plans stay in it, and `keep_detection` is given what is clipped to it.
-        hold: For how long the vehicle goes on with its last command when none comes [s]; then it brakes.
-    """
-    delay = math.ceil(delay / dt - ROUNDING) * dt
-    v_a, u_a, v_g, eps = float(v_a), float(u_a), float(v_g), float(eps)
-    r_v = float(r_v - margin) - tick_sagitta(v_a, u_a, dt)
+def certificate(declared: Declared) -> Promise:
+    """The certificate of one UAV. What fails is NaN in it and named by `check_assumptions`."""
+    c = declared
+    dt, v_a, u_a, v_g = float(c.dt), float(c.v_a), float(c.u_a), float(c.v_g)
+    eps, age = float(c.eps), float(c.age)
+    delay_ticks = math.ceil(c.delay / dt - ROUNDING)
+    r_v = float(c.r_v - c.margin) - tick_sagitta(v_a, u_a, dt)
     radius = reach = math.nan
     if all(math.isfinite(x) for x in (r_v, v_a, v_g, eps, age)) and 0.0 <= v_g < v_a and u_a > 0.0:
-        rho = eps + v_g * (age + delay)
+        rho = eps + v_g * (age + delay_ticks * dt)
         radius = float(handover_radius(r_v, eps, rho, v_a, u_a, v_g, dt))
         reach = float(handover_reach(radius, eps, rho, v_a, u_a, v_g, dt))
     return Promise(
-        dt,
-        eps,
-        float(age),
-        delay,
-        r_v - MARGIN,
-        v_a,
-        u_a,
-        v_g,
-        float(width),
-        float(height),
-        radius,
-        reach,
-        float(hold),
+        dt=dt,
+        eps=eps,
+        age=age,
+        age_ticks=math.floor(min(age / dt + DUST, _FOREVER)),
+        delay_ticks=delay_ticks,
+        r_v=r_v - MARGIN,
+        v_a=v_a,
+        u_a=u_a,
+        v_g=v_g,
+        width=float(c.width),
+        height=float(c.height),
+        handover=radius,
+        reach=reach,
+        hold=float(c.hold),
     )
 
 
@@ -270,7 +220,7 @@ def largest_age(promise: Promise) -> float:
     c = promise
 
     def fits(age: float) -> bool:
-        rho = c.eps + c.v_g * (age + c.delay)
+        rho = c.eps + c.v_g * (age + c.delay_ticks * c.dt)
         return not math.isnan(
             handover_radius(c.r_v + MARGIN, c.eps, rho, c.v_a, c.u_a, c.v_g, c.dt)
         )
@@ -290,7 +240,7 @@ def check_assumptions(promise: Promise) -> tuple[str, ...]:
     Empty if all hold that are known when a run is loaded.
     """
     c = promise
-    faults = []
+    delay, faults = c.delay_ticks * c.dt, list[str]()
     if not math.isfinite(c.eps):
         faults.append(
             f"eps = {c.eps:g} m: the noise of the detections is not cut, so none of them bounds the distance"
@@ -306,14 +256,14 @@ def check_assumptions(promise: Promise) -> tuple[str, ...]:
     if not c.u_a > 0.0:
         faults.append(f"u_a = {c.u_a:g} m/s²: must be positive")
     if not faults and math.isnan(c.handover):
-        rho, most = c.eps + c.v_g * (c.age + c.delay), largest_age(c)
+        rho, most = c.eps + c.v_g * (c.age + delay), largest_age(c)
         limit = "for no A" if math.isnan(most) else f"for A up to {most:.2f} s"
         faults.append(
-            f"eps + v_g (A + tau_c) = {rho:.4g} m (eps {c.eps:g} m, A {c.age:g} s, tau_c {c.delay:g} s): "
+            f"eps + v_g (A + tau_c) = {rho:.4g} m (eps {c.eps:g} m, A {c.age:g} s, tau_c {delay:g} s): "
             f"too much for r_v = {c.r_v:.4g} m; with these numbers the hand-over holds {limit}"
         )
-    if c.hold < c.delay - 0.5 * c.dt:
+    if c.hold < delay - 0.5 * c.dt:
         faults.append(
-            f"hold = {c.hold:g} s: shorter than tau_c = {c.delay:g} s, so that the UAV brakes before a command acts"
+            f"hold = {c.hold:g} s: shorter than tau_c = {delay:g} s, so that the UAV brakes before a command acts"
         )
     return tuple(faults)

@@ -12,23 +12,25 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.control.guard import GuardState, guard_state
-from agents.control.handover import Promise, check_assumptions
+from agents.control.handover import check_assumptions
 from agents.control.laws import (
     STATE_SIZE,
     WATCHED,
     LawParameters,
     law_parameters,
 )
+from agents.control.promise import Promise
 from agents.control.visibility import promise_of
 from agents.drivers.compiled import driver_parameters, driver_state, told_route
 from agents.drivers.parameters import COMPILED_DRIVERS, DriverParameters
 from agents.estimation.past import SPAN
 from agents.estimation.twin import KalmanParameters, KalmanState, kalman_parameters, kalman_state
-from agents.uav import RADIO_PERIOD
+from agents.uav import radio_ticks
 from bus.errors import ScenarioError
 from bus.layout import GradientCue
 from bus.messages import LinkKind, LinkStatus, UavBriefing, UgvBriefing
 from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
+from bus.ticks import ticks_within
 from outrider.envs.closed_loop_state import (
     GUARD_METRICS,
     LoopParameters,
@@ -36,7 +38,6 @@ from outrider.envs.closed_loop_state import (
     LoopTables,
 )
 from outrider.envs.closed_loop_tick import run_worlds
-from sim.channel.link import DUST
 from sim.engine.batch import Batch, Fresh, arrays_of
 from sim.engine.briefing import briefing
 from sim.engine.link_arrays import LinkArrays
@@ -147,7 +148,7 @@ class ClosedLoop:
             gradient=gradient,
             own_maps=len(self.uavs) > 1,
             radio=receiving,
-            radio_ticks=max(1, round(RADIO_PERIOD / dt)),
+            radio_ticks=radio_ticks(dt),
             meters_per_pixel=float(patch.meters_per_pixel) if patch else 1.0,
         )
         scripts, script_rows = joined(numbers.scripts, 3)
@@ -185,7 +186,7 @@ class ClosedLoop:
             ),
         )
         late = self.batch.longest_delay(LinkKind.DETECTIONS)
-        kalman = kalman_state(min(late, round(SPAN / dt)) + 1)
+        kalman = kalman_state(min(late, ticks_within(SPAN, dt)) + 1)
         guards = guard_state(numbers.slowest, min(late + 1, max(1, math.ceil(_TRACK / dt))))
         uavs, ugvs = len(self.uavs), len(self.ugvs)
         room = radio.room * uavs if receiving else 1
@@ -341,13 +342,9 @@ class _PilotNumbers:
         ]
         promises = [promise_of(one) for one in told_uavs]
         self.laws = records(LawParameters, laws)
-        self.slowest = max(promises, key=lambda promise: promise.delay)
-        self.delays = np.array(
-            [round(promise.delay / promise.dt) for promise in promises], dtype=np.int64
-        )
-        self.ages = np.array(
-            [math.floor(one.certificate.age / one.dt + DUST) for one in told_uavs], dtype=np.int64
-        )
+        self.slowest = max(promises, key=lambda promise: promise.delay_ticks)
+        self.delays = np.array([promise.delay_ticks for promise in promises], dtype=np.int64)
+        self.ages = np.array([promise.age_ticks for promise in promises], dtype=np.int64)
         self.bounded = np.array([_is_bounded(one) for one in told_uavs])
         self.promises = records(Promise, promises)
         self.faults = np.array([bool(check_assumptions(promise)) for promise in promises])

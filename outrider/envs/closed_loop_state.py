@@ -119,7 +119,7 @@ class LoopState(NamedTuple):
     inbox: FloatArray
     """Room for the messages that arrive by one radio link: tick, p_delta [m]. Shape (worlds, room, 3)."""
     inboxes: FloatArray
-    """The radio messages that have reached each UGV at this tick: time [s], p_delta [m]. Shape (worlds, UGVs, room, 3)."""
+    """The radio messages that have reached each UGV at this tick: the tick, p_delta [m]. Shape (worlds, UGVs, room, 3)."""
     arrived: IntArray
     """How many. Shape (worlds, UGVs)."""
     patches: FloatArray

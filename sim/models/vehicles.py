@@ -1,8 +1,20 @@
 """The vehicles: double integrators with bounds (1), and what every driver of one needs."""
 
 import math
+from typing import NamedTuple
 
 from sim.kernels.compile import FloatArray, compiled
+
+
+class Motion(NamedTuple):
+    """Where a vehicle is and how it moves."""
+
+    p_x: float
+    p_y: float
+    """Position [m]."""
+    v_x: float
+    v_y: float
+    """Velocity [m/s]."""
 
 
 @compiled
