@@ -99,7 +99,7 @@ class ClosedLoop:
         ValueError: If another argument is not allowed.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - options, each by keyword
         self,
         scenario: Scenario,
         worlds: int,

@@ -75,7 +75,7 @@ class Worlds:
         secret: As in `outrider.parallel_env`.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - options, each by keyword
         self,
         scenario: str | Path | Scenario,
         num_envs: int,
