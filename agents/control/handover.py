@@ -50,26 +50,41 @@ def rest_to_rest(way: float, v_a: float, u_a: float, dt: float) -> tuple[int, in
 
 
 @compiled
-def handover_peak(
-    radius: float, rho: float, way: float, turn: int, cruise: int, v_g: float, dt: float
-) -> float:
-    """The largest distance [m] while the UAV flies from rest to a new detection, given that two discs hold the UGV at the start.
+def motion_stays_within(
+    limit: float, radius: float, rho: float, way: float, turn: int, cruise: int, drift: float
+) -> bool:
+    """True if the UGV stays within a distance while the UAV flies from rest to a new detection.
+
+    Two discs hold the UGV at the start.
 
     Args:
+        limit: The distance [m].
         radius: Of the disc around the UAV, at rest [m].
         rho: Of the disc around the new detection [m].
         way: To that detection [m].
         turn, cruise: Ticks of the motion, as from `rest_to_rest`.
-        v_g: Largest speed of the UGV [m/s].
-        dt: Length of a tick [s].
+        drift: How far the UGV drives at most in a tick, v_g dt [m].
     """
+    if radius > limit:
+        return False
+    ticks = 2 * turn + cruise
+    if 0.5 * (radius + way + rho) <= limit - drift * ticks:
+        return (
+            True  # the less of two bounds is no more than their mean, which is the same all the way
+        )
     speed = way / max(1, turn + cruise)  # metres in a tick
-    peak, x, v = radius, 0.0, 0.0
-    for k in range(1, 2 * turn + cruise + 1):
-        w = speed * min(1.0, k / turn, (2 * turn + cruise - k) / turn)
+    x, v = 0.0, 0.0
+    for k in range(1, ticks + 1):
+        w = speed * min(1.0, k / turn, (ticks - k) / turn)
         x, v = x + 0.5 * (v + w), w
-        peak = max(peak, lens_distance(x, 0.0, 0.0, 0.0, radius, way, 0.0, rho) + v_g * k * dt)
-    return peak
+        room = limit - drift * k
+        if (  # one disc alone is mostly enough, and the lens costs most
+            x + radius > room
+            and abs(way - x) + rho > room
+            and lens_distance(x, 0.0, 0.0, 0.0, radius, way, 0.0, rho) > room
+        ):
+            return False
+    return True
 
 
 @compiled
@@ -92,32 +107,63 @@ def handover_reach(
 
 
 @compiled
-def handover_fits(
-    radius: float, r_v: float, eps: float, rho: float, v_a: float, u_a: float, v_g: float, dt: float
+def _way_fits(
+    k: int,
+    radius: float,
+    r_v: float,
+    eps: float,
+    rho: float,
+    v_a: float,
+    u_a: float,
+    v_g: float,
+    dt: float,
 ) -> bool:
-    """Whether every motion from rest to a newer detection stays within r_v, if the UGV is within `radius` [m] at its start.
-
-    Over all ways in steps of half a centimetre, more where r_v is large: between two of them the motion with the
-    same ticks
-    scales with the way, so that no point of it and no disc moves by more than a step. The farther a detection, the
-    younger it
-    is: way + rho <= E + 2 eps.
-    Arguments as in `handover_radius`.
-    """
+    """True if every motion of a way of k steps stays within r_v, or no detection is so far. Arguments as in `unfit_way`."""
     step = max(_GRID, r_v / _STEPS)
-    reach = handover_reach(radius, eps, rho, v_a, u_a, v_g, dt)
-    turn, cruise = 0, 0
-    for k in range(1, int((radius + rho) / step) + 2):
-        last_turn, last_cruise, way = turn, cruise, k * step
-        turn, cruise, _ = rest_to_rest(way, v_a, u_a, dt)
-        rest = min(rho, reach + 2.0 * eps - way + step)
-        if rest < 0.0 or radius + rest < way - step:
-            break
-        for i in range(max(1, last_turn), turn + 1):
-            for j in range(last_cruise, cruise + 1):
-                if handover_peak(radius, rest + step, way, i, j, v_g, dt) > r_v - step:
-                    return False
+    way, reach = k * step, handover_reach(radius, eps, rho, v_a, u_a, v_g, dt)
+    rest = min(rho, reach + 2.0 * eps - way + step)
+    if rest < 0.0 or radius + rest < way - step:
+        return True
+    last_turn, last_cruise, _ = rest_to_rest((k - 1) * step, v_a, u_a, dt)
+    turn, cruise, _ = rest_to_rest(way, v_a, u_a, dt)
+    for i in range(max(1, last_turn), turn + 1):
+        for j in range(last_cruise, cruise + 1):
+            if not motion_stays_within(r_v - step, radius, rest + step, way, i, j, v_g * dt):
+                return False
     return True
+
+
+@compiled
+def unfit_way(
+    likely: int,
+    radius: float,
+    r_v: float,
+    eps: float,
+    rho: float,
+    v_a: float,
+    u_a: float,
+    v_g: float,
+    dt: float,
+) -> int:
+    """Steps of a way to a newer detection on which a motion from rest leaves r_v, if the UGV is within `radius` [m] at its start.
+
+    Over all ways in steps of half a centimetre, more where r_v is large: between two of them the motion with the same
+    ticks scales with the way, so that no point of it and no disc moves by more than a step. The farther a detection,
+    the younger it is: way + rho <= E + 2 eps.
+
+    Args:
+        likely: A way that is tried first, in steps; 0: none.
+        radius, r_v, eps, rho, v_a, u_a, v_g, dt: As in `handover_radius`.
+
+    Returns:
+        Such a way, in steps; 0 if there is none.
+    """
+    if likely > 0 and not _way_fits(likely, radius, r_v, eps, rho, v_a, u_a, v_g, dt):
+        return likely
+    for k in range(1, int((radius + rho) / max(_GRID, r_v / _STEPS)) + 2):
+        if not _way_fits(k, radius, r_v, eps, rho, v_a, u_a, v_g, dt):
+            return k
+    return 0
 
 
 @compiled
@@ -138,12 +184,13 @@ def handover_radius(
         v_a, u_a, v_g: Bounds [m/s], [m/s²], [m/s].
         dt: Length of a tick [s].
     """
-    radius, step = r_v, max(_GRID, r_v / _STEPS)
+    radius, step, unfit = r_v, max(_GRID, r_v / _STEPS), 0
     while radius > rho:
         radius -= step
         if not handover_reach(radius, eps, rho, v_a, u_a, v_g, dt) >= radius:
             return math.nan
-        if handover_fits(radius, r_v, eps, rho, v_a, u_a, v_g, dt):
+        unfit = unfit_way(unfit, radius, r_v, eps, rho, v_a, u_a, v_g, dt)
+        if unfit == 0:
             return radius
     return math.nan
 
