@@ -82,6 +82,7 @@ ROWS: dict[str, Layer] = {
         missing=NO_COMPILER,
     ),
     "batch_1024": Layer(many.stepped, "steps/s", ALONE),
+    "batch_1024_single": Layer(many.in_single, "steps/s", "batch_1024, grids in double precision"),
     "batch_1024_rate": Layer(partial(many.stepped, rewards=many.RATE), "steps/s", ALONE),
     "batch_1024_pilots": Layer(many.pilots, "steps/s", ALONE),
     "batch_memory": Layer(many.memory, "B", "growth of a process by 1,024 worlds, each", 2),

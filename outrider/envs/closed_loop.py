@@ -41,7 +41,7 @@ from outrider.envs.closed_loop_tick import run_worlds
 from sim.engine.batch import Batch, Fresh, arrays_of
 from sim.engine.briefing import briefing
 from sim.engine.link_arrays import LinkArrays
-from sim.engine.world_state import first_state
+from sim.engine.world_state import Precision
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights
 from sim.env.rows import UAV_METRICS, joined, row_state, row_tables
@@ -93,6 +93,7 @@ class ClosedLoop:
         end_on_goals_reached: Whether it terminates when every UGV with goals has reached them all.
         threads: Processor cores that share the worlds; by default all that this process may use.
         secret: Of all random numbers, with each world's seed, as `sim.engine.run_keys.check_secret` returns it; empty: none.
+        precision: Of the coverage grids.
 
     Raises:
         ScenarioError: If a vehicle has a law or a driver that cannot be flown in here.
@@ -116,6 +117,7 @@ class ClosedLoop:
         end_on_goals_reached: bool = False,
         threads: int | None = None,
         secret: str = "",
+        precision: Precision = "double",
     ) -> None:
         self.scenario = scenario
         self.worlds = worlds
@@ -136,7 +138,12 @@ class ClosedLoop:
             scenario, self.uavs, self.ugvs, set(self.external), chosen, shield=safety_filter
         )
         self.batch = Batch(
-            scenario, worlds, gains=weights.seen > 0.0, threads=threads, secret=secret
+            scenario,
+            worlds,
+            gains=weights.seen > 0.0,
+            threads=threads,
+            secret=secret,
+            precision=precision,
         )
         radio = self._radio = LinkArrays(scenario, (LinkKind.RADIO,), 3, worlds)
         receiving = numbers.radio
@@ -200,7 +207,10 @@ class ClosedLoop:
                 uav_metrics=len(GUARD_METRICS),
                 uav_columns=len(GradientCue._fields),
             ),
-            maps=np.zeros((worlds, uavs if self.parameters.own_maps else 0, *coverage.shape[1:])),
+            maps=np.zeros(
+                (worlds, uavs if self.parameters.own_maps else 0, *coverage.shape[1:]),
+                dtype=coverage.dtype,
+            ),
             sent=np.zeros((worlds, uavs, int(numbers.delays.max()) + 1, 2)),
             laws=np.repeat(numbers.laws[None], worlds, axis=0),
             drivers=np.repeat(numbers.drivers[None], worlds, axis=0),
@@ -216,7 +226,7 @@ class ClosedLoop:
             patches=np.zeros((worlds, uavs if patch else 0, pixels, pixels)),
         )
         if self.parameters.own_maps:
-            self.state.maps[:] = first_state(scenario).coverage
+            self.state.maps[:] = coverage[0]
         self._fresh = Fresh(self.state[1:])  # all but the batch, which knows its own
         self._all = np.arange(worlds)
         with compiling():  # one process does, the others wait
