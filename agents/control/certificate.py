@@ -52,7 +52,7 @@ _SPEEDS = (1.0, 0.6, 0.35, 0.2)
 """Shares of v_a at which a plan may return; a fast one runs too far where the way is short."""
 
 INNER, PLAN, BEST_EFFORT = 0, 1, 2
-"""Who acts: the inner control; the plan (certified); nobody certified, the filter does what it can."""
+"""Codes of who acts: the inner control; the plan (certified); nobody certified, the filter does what it can."""
 
 (
     CERTIFIED,
@@ -179,7 +179,7 @@ def clear_plan(plan: RecordArray) -> None:
 
 @compiled
 def end_disc(plan: RecordArray) -> Disc:
-    """What surely held the UGV when the last plan was checked; infinite before the first."""
+    """The disc that surely held the UGV when the last plan was checked; infinite before the first."""
     held = plan[0]
     return Disc(held.end_x, held.end_y, held.end_radius, held.end_tick)
 

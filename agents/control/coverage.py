@@ -20,7 +20,7 @@ def symmetry_breaker(
 
 @compiled
 def is_zero_gradient(u_cov_x: float, u_cov_y: float, size: float) -> bool:
-    """Whether u_cov = 0 in the sense of (8), relative to the size of its integrand."""
+    """True if u_cov = 0 in the sense of (8), relative to the size of its integrand."""
     return norm(u_cov_x, u_cov_y) <= ZERO_GRADIENT * size
 
 

@@ -87,7 +87,7 @@ class GuardFlags(NamedTuple):
 
 
 class GuardState(NamedTuple):
-    """What the filter of one UAV remembers; from `guard_state`.
+    """The memory of one UAV's filter; from `guard_state`.
 
     Arrays with an axis in front are the memories of many worlds.
     """

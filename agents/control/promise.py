@@ -1,4 +1,4 @@
-"""What a certificate is given on: the declared numbers, and the record that compiled code reads them from. SI units.
+"""The numbers that a certificate is given on: what is declared, and the record that compiled code reads. SI units.
 
 The proof is in docs/explanation/certificate.md.
 """
@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 
 class Declared(NamedTuple):
-    """What is known of one UAV, its UGV and its links before a flight, and what is asked for."""
+    """The facts about one UAV, its UGV and its links before a flight, and what is asked for."""
 
     r_v: float
     """Visibility radius [m]."""

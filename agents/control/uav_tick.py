@@ -19,7 +19,7 @@ TAKEN, LOOK_X, LOOK_Y = range(3)
 
 
 class UavMemory(NamedTuple):
-    """What a UAV remembers; its arrays change in place."""
+    """The memory of a UAV; its arrays change in place."""
 
     coverage: FloatArray
     """Its own map C of (3). Shape (rows, columns)."""

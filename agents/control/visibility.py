@@ -33,7 +33,7 @@ _MOST_TICKS = 1_000_000
 
 @compiled
 def is_visible(p_ax: float, p_ay: float, p_gx: float, p_gy: float, r_v: float) -> bool:
-    r"""Whether the UAV surely sees the UGV, Klodt 2015, eq. (5): $\|p_a - p_g\| < r_v$. Positions and r_v in [m]."""
+    r"""True if the UAV surely sees the UGV, Klodt 2015, eq. (5): $\|p_a - p_g\| < r_v$. Positions and r_v in [m]."""
     return norm(p_ax - p_gx, p_ay - p_gy) < r_v
 
 
@@ -95,14 +95,14 @@ def promise_of(briefing: UavBriefing) -> Promise:
 
 
 class Verdict(NamedTuple):
-    """What the filter made of a command."""
+    """The filter's answer to a command."""
 
     acceleration: Vector
-    """What is to act [m/s²]."""
+    """The command that is to act [m/s²]."""
     intervened: bool
-    """Whether that is not what was asked for."""
+    """True if that is not what was asked for."""
     certified: bool
-    """Whether sight is kept from here on, whatever the UGV does within its bounds."""
+    """True if sight is kept from here on, whatever the UGV does within its bounds."""
     reason: str
     """Why not."""
     distance: float

@@ -340,7 +340,7 @@ class RelativeEstimator:
         self._refused_in_a_row = 0
 
     def _is_believable(self, x: float, y: float) -> bool:
-        r"""Whether $\nu^T S^{-1} \nu$ is within the gate, $\nu = z - H\hat x$, $S = H P H^T + R$."""
+        r"""True if $\nu^T S^{-1} \nu$ is within the gate, $\nu = z - H\hat x$, $S = H P H^T + R$."""
         state, P = self._filter.x, self._filter.P
         nu_x, nu_y = x - state.item(0), y - state.item(1)
         s_xx, s_xy, s_yy = P.item(0) + self._variance, P.item(1), P.item(5) + self._variance

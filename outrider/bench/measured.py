@@ -34,11 +34,11 @@ class Layer(NamedTuple):
     unit: str
     """Of both numbers."""
     reference: str
-    """What the second number is."""
+    """The meaning of the second number."""
     most: int = 1_000
     """It is measured no more often than this: what takes minutes is measured once."""
     missing: str = ""
-    """What is said in the place of `reference` where there is no second number."""
+    """The words in the place of `reference` where there is no second number."""
     needs: tuple[str, ...] = ()
     """Packages of an extra without which the row is left out, unless it is asked for."""
     extra: str = ""

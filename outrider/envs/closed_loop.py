@@ -234,7 +234,7 @@ class ClosedLoop:
 
     @property
     def degraded(self) -> bool:
-        """Whether any link does anything to a message."""
+        """True if any link does anything to a message."""
         return self.batch.degraded or not self._radio.perfect
 
     def begin(
@@ -323,7 +323,7 @@ class ClosedLoop:
 
 
 def _is_bounded(told: UavBriefing) -> bool:
-    """Whether no detection can have a larger error than is declared."""
+    """True if no detection can have a larger error than is declared."""
     detector, declared = told.detector, told.certificate.error
     if declared is None or detector.noise == 0.0:
         return declared is not None

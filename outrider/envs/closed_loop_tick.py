@@ -238,7 +238,7 @@ def _observe(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
 
 @inlined
 def _note_obedience(t: LoopTables, s: LoopState, k: int, u: int, tick: int) -> None:
-    """Whether UAV u acted in this tick, which has just been flown, on the command that was due.
+    """True if UAV u acted in this tick, which has just been flown, on the command that was due.
 
     That is the one of as many ticks ago as is declared; before the first there is none, and nothing acts.
     """

@@ -147,7 +147,7 @@ class Worlds:
         self._actions: FloatArray = np.zeros((self.num_envs, len(self._hands), 2))
         self._returns: FloatArray = np.zeros((self.num_envs, len(names)))
         self.begun = False
-        """Whether there is an episode to step."""
+        """True if there is an episode to step."""
 
     def _check_others(
         self, given: Mapping[str, object], named: Mapping[str, str], names: list[str]

@@ -24,7 +24,7 @@ from sim.engine.briefing import briefing
 from sim.scenario.types import LinkTable, Scenario
 
 _RARE = 1e-6
-"""What is expected less often than this in a whole flight is not told."""
+"""Events that are expected less often than this in a whole flight is not told."""
 
 
 class How(StrEnum):

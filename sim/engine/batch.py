@@ -203,7 +203,7 @@ class Batch:
 
     @property
     def degraded(self) -> bool:
-        """Whether any link does anything to a message."""
+        """True if any link does anything to a message."""
         return not self._links.perfect
 
     def longest_delay(self, kind: LinkKind) -> int:

@@ -46,7 +46,7 @@ class WorldParameters(NamedTuple):
     hold_ticks: int
     """For how long a vehicle goes on with its last command when none comes."""
     gains: bool
-    """Whether the fall of e(t) by each look is counted."""
+    """True if the fall of e(t) by each look is counted."""
 
 
 class WorldState(NamedTuple):

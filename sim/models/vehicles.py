@@ -106,7 +106,7 @@ def speed_to_stop_within(distance: float, u_max: float, dt: float) -> float:
 
 @compiled
 def goal_reached(p_x: float, p_y: float, goal_x: float, goal_y: float, tolerance: float) -> bool:
-    r"""Whether a goal counts as reached: $\|p_g - \bar p\| < \epsilon$ (section II of the paper)."""
+    r"""True if a goal counts as reached: $\|p_g - \bar p\| < \epsilon$ (section II of the paper)."""
     return norm(p_x - goal_x, p_y - goal_y) < tolerance
 
 

@@ -72,7 +72,7 @@ LAWS = {
     "switch_tracking": SWITCH_TRACKING,
     "paper": PAPER,
 }
-"""Who guards the promise: the filter.
+"""The laws that guard the promise: the filter.
 
 Beyond a radius of d_cert full speed to the newest detection, full speed to the one with
 the least bound, or tracking (15); beyond (18) of the newest detection's distance tracking (15)."""
@@ -96,7 +96,7 @@ AREAS = ("open", "corner", "small")
 In a room of 9 m by 7 m, at the paper's radius.
 """
 DISTURBANCES = ("none", "single_losses", "silences", "late", "law_changes", "rejoins")
-"""What breaks A5 now and then: a command that is lost; none for up to `silence`.
+"""The disturbances that break A5 now and then: a command that is lost; none for up to `silence`.
 
 All later than declared for a while; the
 filter switched off for a while and begun anew; a process that is away for a while and joins again."""
@@ -132,7 +132,7 @@ _A_C, _B_C, _C_C, _D_C = -3.0, -3.0, -8.0 / 3.0, -3.0  # (15) with the paper's c
 
 
 class Conditions(NamedTuple):
-    """What one attack flies: who guards, who attacks, and over which network. Times in s, lengths in m."""
+    """The conditions of one attack: who guards, who attacks, and over which network. Times in s, lengths in m."""
 
     law: int = FILTER
     inner: int = ANY
@@ -152,7 +152,7 @@ class Conditions(NamedTuple):
     duplicates: float = 0.0
     """Share of commands that come twice."""
     disturbance: int = 0
-    """What breaks A5 now and then, an index of `DISTURBANCES`."""
+    """The disturbance that breaks A5 now and then, an index of `DISTURBANCES`."""
     silence: float = 0.5
     """Longest time without a command, where that is the disturbance."""
     hold: float = 2.0
@@ -205,7 +205,7 @@ def _inner(
     held: FloatArray,
     u: float,
 ) -> tuple[float, float]:
-    """What the inner control wants.
+    """The command that the inner control wants.
 
     (x, y) is the true p_a - p_g, (zx, zy) that of the newest detection, `held` its memory.
     """
@@ -242,7 +242,7 @@ def _ugv(
     held: FloatArray,
     u: float,
 ) -> tuple[float, float]:
-    """What the UGV does; (x, y) is p_a - p_g, v the UAV's velocity, w its own."""
+    """The UGV's command; (x, y) is p_a - p_g, v the UAV's velocity, w its own."""
     e_x, e_y = _direction(x, y)
     side = held[2]
     if kind == 0:
@@ -298,7 +298,7 @@ def _redraw(random: npt.NDArray[np.uint64], held: FloatArray, u: float) -> None:
 
 @compiled
 def _guard(c: Conditions, x: float, y: float, d: float, r: float) -> bool:
-    """Whether a law that switches takes over: at a distance d certified, r to the newest detection."""
+    """True if a law that switches takes over: at a distance d certified, r to the newest detection."""
     return r >= c.radius if c.law == PAPER else d >= c.radius
 
 
