@@ -373,7 +373,7 @@ def test_bad_input_gets_one_line(
 
 def test_a_missing_extra_is_one_line_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cma", None)
-    with pytest.raises(ScenarioError, match=r"pip install 'outrider\[falsify\]'"):
+    with pytest.raises(ScenarioError, match=r"pip install -e '\.\[falsify\]'"):
         search.check_extra()
 
 
