@@ -3,7 +3,6 @@
 import math
 from collections import deque
 
-import msgspec
 import numpy as np
 
 from agents.control.guard import guard_state
@@ -74,25 +73,32 @@ def _act(
     promises: RecordArray,
     guarded: bool,
     memory: UavMemory,
-    own: OwnTerms,
+    looked: int,
     tick: int,
     here: Motion,
+    looks: FloatArray,
+    own: OwnTerms,
     target: tuple[bool, float, float],
 ) -> tuple[float, float, int, int, float]:
-    return uav_tick(laws[0], promises[0], guarded, memory, own, tick, here, target)
+    """Both parts of the tick in one call: handing over the memory costs as much as either of them."""
+    law, promise, arrived = laws[0], promises[0], looks.shape[0]
+    uav_perceive(law, promise, guarded, memory, looked, tick, here, looks, arrived)
+    return uav_tick(law, promise, guarded, memory, own, tick, here, target)
 
 
 def _report(estimate: Estimate, verdict: Verdict | None) -> UavReport:
-    report = UavReport(
+    if verdict is None:
+        return UavReport(
+            estimate=estimate.position,
+            covariance=estimate.covariance,
+            age=estimate.age,
+            refused=estimate.refused,
+        )
+    return UavReport(
         estimate=estimate.position,
         covariance=estimate.covariance,
         age=estimate.age,
         refused=estimate.refused,
-    )
-    if verdict is None:
-        return report
-    return msgspec.structs.replace(
-        report,
         certified=verdict.certified,
         uncertified=verdict.reason[:_LONGEST],
         intervened=verdict.intervened,
@@ -148,9 +154,9 @@ class UavPilot:
         self._tick: int | None = None
         self._radio_ticks = max(1, round(RADIO_PERIOD / briefing.dt))
         self._take_on()
-        target = (False, 0.0, 0.0)
-        self._perceive = entry_point(_perceive, *self._fixed, 0, 0, _NOWHERE, _NO_LOOKS)
-        self._act = entry_point(_act, *self._fixed, _NOTHING_OWN, 0, _NOWHERE, target)
+        seen, target = (0, 0, _NOWHERE, _NO_LOOKS), (False, 0.0, 0.0)
+        self._perceive = entry_point(_perceive, *self._fixed, *seen)
+        self._act = entry_point(_act, *self._fixed, *seen, _NOTHING_OWN, target)
 
     def _take_on(self) -> None:
         """The law and the filter that there are now, as compiled code takes them."""
@@ -202,11 +208,10 @@ class UavPilot:
     def _answer(self, observation: UavObservation) -> UavCommand:
         if observation.law is not None:
             self._fly(observation.law)
-        estimate = self.perceive(observation)
+        estimate = self._estimate(observation)
         target = (False, 0.0, 0.0) if estimate is None else (True, *estimate.position)
         own = self._own_terms(observation, estimate)
-        here = Motion(*observation.position, *observation.velocity)
-        acted = self._act(*self._fixed, own, observation.tick, here, target)
+        acted = self._act(*self._fixed, *self._seen(observation), own, target)
         (u_x, u_y), verdict = acted[:2], None
         if self.filter is not None:
             verdict = self.filter.verdict(*acted)
@@ -219,20 +224,27 @@ class UavPilot:
             report=_report(estimate, verdict),
         )
 
-    def perceive(self, observation: UavObservation) -> Estimate | None:
-        """Take an observation into the map and the filter, also one that comes too late to be answered."""
-        elapsed = 0 if self._tick is None else observation.tick - self._tick
-        tick = self._tick = observation.tick
-        looks = _NO_LOOKS
-        if self.filter is not None and observation.detections:
-            looks = self.filter.looks(observation)
-        here = Motion(*observation.position, *observation.velocity)
-        self._perceive(*self._fixed, elapsed, tick, here, looks)
+    def perceive(self, observation: UavObservation) -> None:
+        """Take an observation into the map and the filters that comes too late to be answered."""
+        self._estimate(observation)
+        self._perceive(*self._fixed, *self._seen(observation))
+
+    def _estimate(self, observation: UavObservation) -> Estimate | None:
         return self.estimator.update(
             time=observation.time,
             own_position=observation.position,
             detections=observation.detections,
         )
+
+    def _seen(self, observation: UavObservation) -> tuple[int, int, Motion, FloatArray]:
+        """What compiled code takes of an observation: ticks since the last one, tick, motion and detections."""
+        tick, before = observation.tick, self._tick
+        self._tick = tick
+        looks = _NO_LOOKS
+        if self.filter is not None and observation.detections:
+            looks = self.filter.looks(observation)
+        here = Motion(*observation.position, *observation.velocity)
+        return 0 if before is None else tick - before, tick, here, looks
 
     def _fly(self, law: Law) -> None:
         """Take another law; map, filter and the state of the law before stay."""
