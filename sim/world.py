@@ -115,6 +115,8 @@ class World:
         state = self._batch.state
         return [
             [Look(int(taken), x, y) for taken, x, y in state.received[0, k, :count].tolist()]
+            if count
+            else []
             for k, count in enumerate(state.arrived[0].tolist())
         ]
 
