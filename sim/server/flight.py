@@ -512,3 +512,6 @@ def warm_up(scenario: Scenario) -> None:
     flight.recorder.record(flight.reports)
     flight.apply({})
     flight.observations()
+    for link in flight.world.links.of(LinkKind.RADIO).values():
+        link.send(flight.world.tick + 1, None, flight.world.tick)
+        link.arrivals(flight.world.tick + 1)
