@@ -6,7 +6,6 @@ from collections import deque
 import numpy as np
 
 from agents.control.guard import guard_state
-from agents.control.handover import Promise
 from agents.control.laws import (
     PATH,
     WATCHED,
@@ -18,7 +17,8 @@ from agents.control.laws import (
     number,
 )
 from agents.control.orbit import Path, check_path
-from agents.control.uav_tick import Motion, UavMemory, uav_perceive, uav_tick
+from agents.control.promise import Promise
+from agents.control.uav_tick import UavMemory, uav_perceive, uav_tick
 from agents.control.visibility import SafetyFilter, Verdict, promise_of
 from agents.control.weighting import Weighting, check_weighting
 from agents.estimation.estimator import Estimate, RelativeEstimator
@@ -32,12 +32,13 @@ from bus.messages import (
     UavReport,
     Vector,
 )
+from bus.ticks import Look, looks_of
 from sim.kernels.compile import FloatArray, borrowing, entry_point
 from sim.kernels.records import RecordArray, records
 from sim.models.field import cover, coverage_error, empty_coverage
-from sim.models.vehicles import norm
+from sim.models.vehicles import Motion, norm
 
-RADIO_PERIOD = 0.2
+_RADIO_PERIOD = 0.2
 """Time between two radio messages to the UGV [s]."""
 
 _PATH_HORIZON = 600.0
@@ -84,6 +85,11 @@ def _act(
     law, promise, arrived = laws[0], promises[0], looks.shape[0]
     uav_perceive(law, promise, guarded, memory, looked, tick, here, looks, arrived)
     return uav_tick(law, promise, guarded, memory, own, tick, here, target)
+
+
+def radio_ticks(dt: float) -> int:
+    """Every how many ticks of this length [s] a UAV radios to its UGV."""
+    return max(1, round(_RADIO_PERIOD / dt))
 
 
 def _report(estimate: Estimate, verdict: Verdict | None) -> UavReport:
@@ -146,13 +152,11 @@ class UavPilot:
         promise = promise_of(briefing)
         self._promises = records(Promise, [promise])
         self._law_state, self._no_guard = initial_state(), guard_state(promise, depth=1)
-        self._sent: deque[Vector] = deque(
-            maxlen=math.ceil(briefing.certificate.delay / briefing.dt)
-        )  # that may be under way
+        self._sent: deque[Vector] = deque(maxlen=promise.delay_ticks)  # that may be under way
         self.filter: SafetyFilter | None = self._make_filter()
         """The safety filter of the law `certified`."""
         self._tick: int | None = None
-        self._radio_ticks = max(1, round(RADIO_PERIOD / briefing.dt))
+        self._radio_ticks = radio_ticks(briefing.dt)
         self._take_on()
         seen, target = (0, 0, _NOWHERE, _NO_LOOKS), (False, 0.0, 0.0)
         self._perceive = entry_point(_perceive, *self._fixed, *seen)
@@ -208,10 +212,11 @@ class UavPilot:
     def _answer(self, observation: UavObservation) -> UavCommand:
         if observation.law is not None:
             self._fly(observation.law)
-        estimate = self._estimate(observation)
+        looks = looks_of(observation.detections, self._briefing.dt)
+        estimate = self._estimate(observation, looks)
         target = (False, 0.0, 0.0) if estimate is None else (True, *estimate.position)
         own = self._own_terms(observation, estimate)
-        acted = self._act(*self._fixed, *self._seen(observation), own, target)
+        acted = self._act(*self._fixed, *self._seen(observation, looks), own, target)
         (u_x, u_y), verdict = acted[:2], None
         if self.filter is not None:
             verdict = self.filter.verdict(*acted)
@@ -226,25 +231,25 @@ class UavPilot:
 
     def perceive(self, observation: UavObservation) -> None:
         """Take an observation into the map and the filters that comes too late to be answered."""
-        self._estimate(observation)
-        self._perceive(*self._fixed, *self._seen(observation))
+        looks = looks_of(observation.detections, self._briefing.dt)
+        self._estimate(observation, looks)
+        self._perceive(*self._fixed, *self._seen(observation, looks))
 
-    def _estimate(self, observation: UavObservation) -> Estimate | None:
+    def _estimate(self, observation: UavObservation, looks: tuple[Look, ...]) -> Estimate | None:
         return self.estimator.update(
-            time=observation.time,
-            own_position=observation.position,
-            detections=observation.detections,
+            tick=observation.tick, own_position=observation.position, looks=looks
         )
 
-    def _seen(self, observation: UavObservation) -> tuple[int, int, Motion, FloatArray]:
+    def _seen(
+        self, observation: UavObservation, looks: tuple[Look, ...]
+    ) -> tuple[int, int, Motion, FloatArray]:
         """What compiled code takes of an observation: ticks since the last one, tick, motion and detections."""
-        tick, before = observation.tick, self._tick
+        tick, before, rows = observation.tick, self._tick, _NO_LOOKS
         self._tick = tick
-        looks = _NO_LOOKS
-        if self.filter is not None and observation.detections:
-            looks = self.filter.looks(observation)
+        if looks and self.filter is not None:
+            rows = np.array(looks, dtype=np.float64)
         here = Motion(*observation.position, *observation.velocity)
-        return 0 if before is None else tick - before, tick, here, looks
+        return 0 if before is None else tick - before, tick, here, rows
 
     def _fly(self, law: Law) -> None:
         """Take another law; map, filter and the state of the law before stay."""
