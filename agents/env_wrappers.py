@@ -143,7 +143,9 @@ class SafetyFilterWrapper(BaseParallelWrapper):  # type: ignore[misc]
             seen = observations[agent]
             row = seen["row"] if isinstance(seen, dict) else seen
             observation = uav_observation(row, dt=env.scenario.dt)
-            self._seen[agent] = msgspec.structs.replace(observation, detections=env.received(agent))
+            self._seen[agent] = msgspec.structs.replace(
+                observation, detections=env.received(agent), flown=env.flown(agent)
+            )
             self.filters[agent].see(self._seen[agent])
 
     def step(self, actions: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
@@ -156,6 +158,7 @@ class SafetyFilterWrapper(BaseParallelWrapper):  # type: ignore[misc]
             x, y = wanted.tolist()
             verdicts[agent] = verdict = self.filters[agent].filter(self._seen[agent], (x, y))
             safe[agent] = np.array(verdict.acceleration)
+            self.env.unwrapped.carry(agent, verdict.motions)
         observations, rewards, terminations, truncations, infos = self.env.step(safe)
         self._see(observations)
         for agent, verdict in verdicts.items():

@@ -19,7 +19,7 @@ from agents.control.laws import (
 from agents.control.orbit import Path, check_path
 from agents.control.promise import Promise
 from agents.control.uav_tick import UavMemory, uav_perceive, uav_tick
-from agents.control.visibility import SafetyFilter, Verdict, promise_of
+from agents.control.visibility import SafetyFilter, Verdict, flown_in, promise_of
 from agents.control.weighting import Weighting, check_weighting
 from agents.estimation.estimator import Estimate, RelativeEstimator
 from bus.errors import ScenarioError
@@ -80,11 +80,12 @@ def _act(
     looks: FloatArray,
     own: OwnTerms,
     target: tuple[bool, float, float],
+    flown: int,
 ) -> tuple[float, float, int, int, float]:
     """Both parts of the tick in one call: handing over the memory costs as much as either of them."""
     law, promise, arrived = laws[0], promises[0], looks.shape[0]
     uav_perceive(law, promise, guarded, memory, looked, tick, here, looks, arrived)
-    return uav_tick(law, promise, guarded, memory, own, tick, here, target)
+    return uav_tick(law, promise, guarded, memory, own, tick, here, target, flown)
 
 
 def radio_ticks(dt: float) -> int:
@@ -160,7 +161,7 @@ class UavPilot:
         self._take_on()
         seen, target = (0, 0, _NOWHERE, _NO_LOOKS), (False, 0.0, 0.0)
         self._perceive = entry_point(_perceive, *self._fixed, *seen)
-        self._act = entry_point(_act, *self._fixed, *seen, _NOTHING_OWN, target)
+        self._act = entry_point(_act, *self._fixed, *seen, _NOTHING_OWN, target, 0)
 
     def _take_on(self) -> None:
         """The law and the filter that there are now, as compiled code takes them."""
@@ -216,15 +217,18 @@ class UavPilot:
         estimate = self._estimate(observation, looks)
         target = (False, 0.0, 0.0) if estimate is None else (True, *estimate.position)
         own = self._own_terms(observation, estimate)
-        acted = self._act(*self._fixed, *self._seen(observation, looks), own, target)
+        seen, flown = self._seen(observation, looks), flown_in(observation)
+        acted = self._act(*self._fixed, *seen, own, target, flown)
         (u_x, u_y), verdict = acted[:2], None
         if self.filter is not None:
-            verdict = self.filter.verdict(*acted)
+            verdict = self.filter.verdict(observation.tick, *acted)
+        motions = () if verdict is None else verdict.motions
         if estimate is None:
-            return UavCommand(tick=observation.tick, acceleration=(u_x, u_y))
+            return UavCommand(tick=observation.tick, acceleration=(u_x, u_y), motions=motions)
         return UavCommand(
             tick=observation.tick,
             acceleration=(u_x, u_y),
+            motions=motions,
             radio=self._radio(observation, estimate),
             report=_report(estimate, verdict),
         )

@@ -185,6 +185,33 @@ class Detector(Message, frozen=True, kw_only=True):
     """Time between two looks [s]."""
 
 
+MOST_CARRIED = 6
+"""Motions that one command carries at most: its own and those before it that have not begun, so that it fits a kilobyte."""
+
+Ticks = Annotated[int, Meta(ge=0, le=1_000_000)]
+
+
+class MotionPlan(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """A motion that a command carries, for a receiver that flies it even where later commands are lost.
+
+    In JSON an array of these fields, in this order. Its name is the tick in which it begins.
+    """
+
+    begins: Tick
+    """The tick in which it begins; the receiver lets it begin in no other."""
+    parent: Annotated[int, Meta(ge=-1, le=2**53)]
+    """It begins only if the motion that is flown then is the one that began in this tick; -1: none is flown."""
+    acceleration: Vector
+    """In its first tick [m/s²]."""
+    turn: Ticks = 0
+    cruise: Ticks = 0
+    brake: Ticks = 0
+    """How long the plan after it turns, cruises and brakes [ticks]; then the vehicle rests."""
+    turning: Vector = (0.0, 0.0)
+    braking: Vector = (0.0, 0.0)
+    """Accelerations while it turns and brakes [m/s²]."""
+
+
 class DeclaredBounds(Message, frozen=True, kw_only=True):
     """The bounds by which a UAV certifies that it keeps sight (docs/explanation/certificate.md)."""
 
@@ -198,6 +225,8 @@ class DeclaredBounds(Message, frozen=True, kw_only=True):
     """Taken off r_v [m], for what the theorem does not cover."""
     hold: NonNegative | None = None
     """For how long the vehicle goes on with its last command when none comes [s]; None: not told."""
+    outage: NonNegative | None = None
+    """From the beginning of a motion to that of the next at most, B [s]; None: commands carry no motions."""
 
 
 class Estimator(Message, frozen=True, kw_only=True):
@@ -310,6 +339,8 @@ class UavObservation(Message, frozen=True, kw_only=True):
     position: Vector
     velocity: Vector
     detections: tuple[Detection, ...] = ()
+    flown: Tick | None = None
+    """The motion that the vehicle flew in the tick before: that in which it began; None: it flew none."""
     law: Law | None = None
     """The law to fly from this tick on; None: the one before."""
     over: bool = False
@@ -371,6 +402,9 @@ class UavCommand(Message, frozen=True, kw_only=True):
 
     tick: Tick
     acceleration: Vector
+    motions: Annotated[tuple[MotionPlan, ...], Meta(max_length=MOST_CARRIED)] = ()
+    """What the vehicle shall fly from the tick on in which the last of them begins, and before it those that it may have
+    missed, one a tick, the oldest first; none: it holds the acceleration, and brakes when no command comes."""
     radio: tuple[RelativeInformation, ...] = ()
     report: UavReport | None = None
 

@@ -3,13 +3,25 @@
 Arrays have an axis for vehicles, in name order. One seed, one secret and the same commands give the same bits.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from bus.messages import MotionPlan
 from sim.engine.batch import Batch
 from sim.engine.links import Links
-from sim.engine.world_state import ANSWERED, U_X, U_Y, BatchState, BatchTables, WorldState
+from sim.engine.world_state import (
+    ANSWERED,
+    CARRIED,
+    LAST,
+    U_X,
+    U_Y,
+    BatchState,
+    BatchTables,
+    WorldState,
+)
 from sim.engine.world_tick import measure, truth_of
 from sim.kernels.compile import FloatArray, entry_point
+from sim.models.motion import NO_MOTION, keep_motion, motion_row
 from sim.scenario.types import Scenario, Uav
 
 
@@ -60,7 +72,9 @@ class World:
     def _bind(self) -> None:
         """Name the batch's arrays: views, which stay the same ones."""
         state, tables = self._batch.state, self._batch.tables
-        self._sent = state.sent[0]
+        self._sent, self._motions = state.sent[0], state.motions[0]
+        self._begun = state.flown["begins"][0, :, 0]
+        self._carries = self.scenario.certificate.outage is not None
         self.keys = state.keys[0]
         """Of all random numbers. Shape (RUN_PURPOSES, vehicles, 2)."""
         self.escorts = tables.escorts
@@ -116,20 +130,36 @@ class World:
         looks: list[list[Look]] = [[] for _ in arrived]
         for k, count in enumerate(arrived):
             if count:
-                for taken, x, y in received[0, k, :count].tolist():
+                for taken, x, y, *_ in received[0, k, :count].tolist():
                     looks[k].append(Look(int(taken), x, y))
         return looks
 
-    def send(self, k: int, answered: int, acceleration: tuple[float, float]) -> None:
+    def send(
+        self,
+        k: int,
+        answered: int,
+        acceleration: tuple[float, float],
+        motions: Sequence[MotionPlan] = (),
+    ) -> None:
         """A vehicle's command sets out to its actuators in the coming tick; one a tick.
 
         Args:
             k: The vehicle's row.
             answered: The tick whose observation it answers.
             acceleration: [m/s²]
+            motions: That it carries, one a tick, the oldest first. Without a receiver for them the acceleration acts.
         """
         sent = self._sent
         sent[k, ANSWERED], (sent[k, U_X], sent[k, U_Y]) = answered, acceleration
+        if self._carries:
+            sent[k, LAST], sent[k, CARRIED] = motions[-1].begins if motions else -1, len(motions)
+            for motion in motions:
+                keep_motion(self._motions[k], motion_row(motion)[0], self._tick)
+
+    def flown(self, k: int) -> int | None:
+        """The motion that a vehicle flies, by the tick in which it began; None: none."""
+        begins = self._begun.item(k) if self._carries else NO_MOTION
+        return begins if begins >= 0 else None
 
     def advance(self) -> None:
         """Advance by one tick: what has been sent sets out, and each vehicle acts on its newest command that has arrived.

@@ -63,7 +63,9 @@ INNER, PLAN, BEST_EFFORT = 0, 1, 2
     NO_PLAN,
     UNKNOWN_COMMANDS,
     UNSAFE_COURSE,
-) = range(8)
+    OUTAGE,
+    UNCHECKED_MOTION,
+) = range(10)
 UNCERTIFIED = {
     NO_DETECTION: "no detection has arrived yet",
     TOO_OLD: "the newest detection is older than declared (age > A)",
@@ -72,6 +74,8 @@ UNCERTIFIED = {
     NO_PLAN: "outside the certified set: no plan keeps the UGV within r_v from here",
     UNKNOWN_COMMANDS: "commands are under way of which it is not known that they will act",
     UNSAFE_COURSE: "commands under way may take the UGV out of sight before the next one acts",
+    OUTAGE: "no motion has begun for longer than declared: commands are lost (outage > B)",
+    UNCHECKED_MOTION: "the UAV flies, or may begin, a motion that was not checked from where it is",
 }
 """Why a tick is not certified, by the code that `agents.control.guard.guard` gives."""
 
@@ -294,8 +298,11 @@ def _stays_in_area(promise: Promise, here: Motion, a_x: float, a_y: float, durat
 
 @compiled
 def _end_radius(promise: Promise, known: Known, tick: int, x: float, y: float, ticks: int) -> float:
-    """How far the UGV is at most from a plan's end, now [m], if a plan of so many ticks may end there; else infinite."""
-    c, n, growth = promise, known.newest, drift(promise, ticks)
+    """How far the UGV is at most from a plan's end, now [m], if a plan of so many ticks may end there; else infinite.
+
+    It may have to rest there until the next motion begins, for the declared outage.
+    """
+    c, n, growth = promise, known.newest, drift(promise, ticks + promise.outage_ticks)
     single = norm(x - n.x, y - n.y) + radius_at(promise, n, tick)
     if not single + growth <= c.reach:
         return math.inf
@@ -522,6 +529,23 @@ def safe_control(
     w_x, w_y = servo(here.p_x, here.p_y, here.v_x, here.v_y, z.x, z.y, c.v_a, c.u_a, c.dt)
     drop_plan(plan)
     return w_x, w_y, BEST_EFFORT
+
+
+@compiled
+def may_rest(
+    promise: Promise,
+    detections: RecordArray,
+    plan: RecordArray,
+    tick: int,
+    here: Motion,
+    ticks: int,
+) -> bool:
+    """True if the UAV is at rest and may rest there for so many ticks, and then until the next motion begins."""
+    c, newest = promise, newest_detection(detections)
+    if newest < 0 or norm(here.v_x, here.v_y) > _REST or not _is_in_area(c, here.p_x, here.p_y):
+        return False
+    known = known_from(c, detections, plan, newest, tick, here.p_x, here.p_y)
+    return _end_radius(c, known, tick, here.p_x, here.p_y, ticks) < math.inf
 
 
 @compiled

@@ -13,6 +13,7 @@ All positions in the world's frame [m], speeds [m/s], accelerations [m/s²], tim
 from typing import NamedTuple
 
 import numpy as np
+from sim.models.motion import NO_MOTION
 
 from agents.control.certificate import (
     BEST_EFFORT,
@@ -21,7 +22,9 @@ from agents.control.certificate import (
     NO_DETECTION,
     NO_PLAN,
     OFF_COURSE,
+    OUTAGE,
     TOO_OLD,
+    UNCHECKED_MOTION,
     UNKNOWN_COMMANDS,
     UNSAFE_COURSE,
     clear_plan,
@@ -40,6 +43,18 @@ from agents.control.discs import (
     no_detections,
 )
 from agents.control.promise import Promise
+from agents.control.underway import (
+    Underway,
+    begin_underway,
+    check_start,
+    doubt,
+    due_end,
+    flown_for,
+    send_motion,
+    take_observation,
+    take_rest,
+    underway,
+)
 from sim.kernels.compile import FloatArray, borrowing
 from sim.kernels.records import RecordArray, record_type
 from sim.models.vehicles import Motion, within_walls
@@ -102,6 +117,8 @@ class GuardState(NamedTuple):
     """`TrackTick` of the UAV's own ticks: k in row k % depth, until a later tick needs the row. (depth,)"""
     flags: RecordArray
     """`GuardFlags`. (1,)"""
+    underway: Underway
+    """The motions that were sent, where commands carry them."""
 
 
 def guard_state(promise: Promise, depth: int) -> GuardState:
@@ -119,6 +136,7 @@ def guard_state(promise: Promise, depth: int) -> GuardState:
         course=np.zeros(promise.delay_ticks + 1, dtype=record_type(CourseTick)),
         track=np.zeros(depth, dtype=record_type(TrackTick)),
         flags=np.zeros(1, dtype=record_type(GuardFlags)),
+        underway=underway(promise),
     )
     begin_guard(state)
     return state
@@ -139,6 +157,7 @@ def begin_guard(state: GuardState) -> None:
         place.x, place.y, place.tick = 0.0, 0.0, NEVER
     flags = state.flags[0]
     flags.contradicted, flags.tick, flags.known, flags.safe = 0, NEVER, 0, 0
+    begin_underway(state.underway)
 
 
 @borrowing
@@ -186,6 +205,7 @@ def forget_commands(state: GuardState) -> None:
     Until those under way are known again, nothing is certified.
     """
     state.flags[0].known = 0
+    doubt(state.underway)
 
 
 @borrowing
@@ -304,8 +324,44 @@ def _reason(
 
 
 @borrowing
+def _guard_motions(
+    promise: Promise,
+    state: GuardState,
+    tick: int,
+    here: Motion,
+    u_x: float,
+    u_y: float,
+    flown: int,
+) -> tuple[float, float, int, int]:
+    """`guard` for a UAV whose commands carry motions."""
+    c, flags, sent, plan = promise, state.flags[0], state.underway, state.plan
+    expected = take_observation(c, sent, tick, here, flown, flags.tick)
+    if tick == 0:
+        check_start(c, sent, state.detections, plan, here)
+    ahead, checked = due_end(c, sent, tick, here)
+    take_rest(sent, plan)
+    if contradicts_plan(c, state.detections, plan):
+        flags.contradicted = 1
+    u_x, u_y, acts = safe_control(c, state.detections, plan, tick + c.delay_ticks, ahead, u_x, u_y)
+    send_motion(c, sent, plan, tick, here, u_x, u_y, acts)
+    flags.tick, flags.safe = tick, 1 if checked else 0
+    code = _reason(c, state, tick, acts, expected, True)
+    if code == UNSAFE_COURSE:
+        code = UNCHECKED_MOTION
+    if code == CERTIFIED and flown_for(c, sent, tick) > c.outage_ticks:
+        code = OUTAGE
+    return u_x, u_y, acts, code
+
+
+@borrowing
 def guard(
-    promise: Promise, state: GuardState, tick: int, here: Motion, u_x: float, u_y: float
+    promise: Promise,
+    state: GuardState,
+    tick: int,
+    here: Motion,
+    u_x: float,
+    u_y: float,
+    flown: int = NO_MOTION,
 ) -> tuple[float, float, int, int, float]:
     """Let a command through if sight is kept after it, else give the one that keeps it.
 
@@ -317,13 +373,18 @@ def guard(
         tick: Now.
         here: Where the UAV is now.
         u_x, u_y: What the inner control wants [m/s²].
+        flown: The tick in which the motion began that the vehicle flew in the tick before; NO_MOTION: it flew none.
 
     Returns:
         The command [m/s²]; who acts: INNER, PLAN or BEST_EFFORT; why this tick is not certified, a code of
         `UNCERTIFIED`, or CERTIFIED, which holds only if `check_assumptions` finds nothing in the promise; and the
-        certified distance now [m].
+        certified distance now [m]. The motion that the command carries is in `state.underway`.
     """
     c, flags = promise, state.flags[0]
+    bound = certified_distance(c, state.detections, tick, here.p_x, here.p_y)
+    if c.carries:
+        u_x, u_y, acts, code = _guard_motions(c, state, tick, here, u_x, u_y, flown)
+        return u_x, u_y, acts, code, bound
     on_course = _set_out(c, state, tick, here)
     if contradicts_plan(c, state.detections, state.plan):
         flags.contradicted = 1
@@ -336,5 +397,4 @@ def guard(
         flags.safe = 1
     code = _reason(c, state, tick, acts, on_course, flags.known >= last)
     _send(c, state, tick, u_x, u_y)
-    bound = certified_distance(c, state.detections, tick, here.p_x, here.p_y)
     return u_x, u_y, acts, code, bound

@@ -7,6 +7,7 @@ The proof is in docs/explanation/certificate.md. SI units.
 
 import functools
 import math
+from collections.abc import Callable
 
 from agents.control.discs import MARGIN, lens_distance
 from agents.control.promise import Declared, Promise
@@ -89,18 +90,25 @@ def motion_stays_within(
 
 @compiled
 def handover_reach(
-    radius: float, eps: float, rho: float, v_a: float, u_a: float, v_g: float, dt: float
+    radius: float,
+    eps: float,
+    rho: float,
+    v_a: float,
+    u_a: float,
+    v_g: float,
+    dt: float,
+    wait: float,
 ) -> float:
     r"""E [m]: where the newest detection's own bound is at most this, the plan to any later one ends within `radius` in time.
 
-    $$ E = \frac{v_a}{v_g}\left(R_h - \rho_A (1 - v_g/v_a) - v_g (v_a/u_a + 2 dt)\right) - 2 \epsilon $$
+    $$ E = \frac{v_a}{v_g}\left(R_h - \rho_A (1 - v_g/v_a) - v_g (v_a/u_a + 2 dt + B)\right) - 2 \epsilon $$
 
     Arguments as in `handover_radius`; `radius` is R_h [m].
     """
     if v_g == 0.0:
         return math.inf
     return (
-        v_a / v_g * (radius - rho * (1.0 - v_g / v_a) - v_g * (v_a / u_a + 2.0 * dt))
+        v_a / v_g * (radius - rho * (1.0 - v_g / v_a) - v_g * (v_a / u_a + 2.0 * dt + wait))
         - 2.0 * eps
         - MARGIN
     )
@@ -117,10 +125,11 @@ def _way_fits(
     u_a: float,
     v_g: float,
     dt: float,
+    wait: float,
 ) -> bool:
     """True if every motion of a way of k steps stays within r_v, or no detection is so far. Arguments as in `unfit_way`."""
     step = max(_GRID, r_v / _STEPS)
-    way, reach = k * step, handover_reach(radius, eps, rho, v_a, u_a, v_g, dt)
+    way, reach = k * step, handover_reach(radius, eps, rho, v_a, u_a, v_g, dt, wait)
     rest = min(rho, reach + 2.0 * eps - way + step)
     if rest < 0.0 or radius + rest < way - step:
         return True
@@ -144,6 +153,7 @@ def unfit_way(
     u_a: float,
     v_g: float,
     dt: float,
+    wait: float,
 ) -> int:
     """Steps of a way to a newer detection on which a motion from rest leaves r_v, if the UGV is within `radius` [m] at its start.
 
@@ -153,22 +163,22 @@ def unfit_way(
 
     Args:
         likely: A way that is tried first, in steps; 0: none.
-        radius, r_v, eps, rho, v_a, u_a, v_g, dt: As in `handover_radius`.
+        radius, r_v, eps, rho, v_a, u_a, v_g, dt, wait: As in `handover_radius`.
 
     Returns:
         Such a way, in steps; 0 if there is none.
     """
-    if likely > 0 and not _way_fits(likely, radius, r_v, eps, rho, v_a, u_a, v_g, dt):
+    if likely > 0 and not _way_fits(likely, radius, r_v, eps, rho, v_a, u_a, v_g, dt, wait):
         return likely
     for k in range(1, int((radius + rho) / max(_GRID, r_v / _STEPS)) + 2):
-        if not _way_fits(k, radius, r_v, eps, rho, v_a, u_a, v_g, dt):
+        if not _way_fits(k, radius, r_v, eps, rho, v_a, u_a, v_g, dt, wait):
             return k
     return 0
 
 
 @compiled
 def handover_radius(
-    r_v: float, eps: float, rho: float, v_a: float, u_a: float, v_g: float, dt: float
+    r_v: float, eps: float, rho: float, v_a: float, u_a: float, v_g: float, dt: float, wait: float
 ) -> float:
     """R_h [m]: from rest, with the UGV surely within it, every plan to a newer detection stays within r_v.
 
@@ -183,13 +193,14 @@ def handover_radius(
         rho: Largest radius of the newest detection's disc, eps + v_g (A + tau_c) [m].
         v_a, u_a, v_g: Bounds [m/s], [m/s²], [m/s].
         dt: Length of a tick [s].
+        wait: For how long the UAV may have to rest at a plan's end, B [s]; 0 where no command is lost.
     """
     radius, step, unfit = r_v, max(_GRID, r_v / _STEPS), 0
     while radius > rho:
         radius -= step
-        if not handover_reach(radius, eps, rho, v_a, u_a, v_g, dt) >= radius:
+        if not handover_reach(radius, eps, rho, v_a, u_a, v_g, dt, wait) >= radius:
             return math.nan
-        unfit = unfit_way(unfit, radius, r_v, eps, rho, v_a, u_a, v_g, dt)
+        unfit = unfit_way(unfit, radius, r_v, eps, rho, v_a, u_a, v_g, dt, wait)
         if unfit == 0:
             return radius
     return math.nan
@@ -215,11 +226,13 @@ def certificate(declared: Declared) -> Promise:
     eps, age = float(c.eps), float(c.age)
     delay_ticks = math.ceil(c.delay / dt - ROUNDING)
     r_v = float(c.r_v - c.margin) - tick_sagitta(v_a, u_a, dt)
+    outage_ticks = 0 if c.outage is None else math.floor(min(c.outage / dt + DUST, _FOREVER))
+    wait = outage_ticks * dt
     radius = reach = math.nan
     if all(math.isfinite(x) for x in (r_v, v_a, v_g, eps, age)) and 0.0 <= v_g < v_a and u_a > 0.0:
         rho = eps + v_g * (age + delay_ticks * dt)
-        radius = float(handover_radius(r_v, eps, rho, v_a, u_a, v_g, dt))
-        reach = float(handover_reach(radius, eps, rho, v_a, u_a, v_g, dt))
+        radius = float(handover_radius(r_v, eps, rho, v_a, u_a, v_g, dt, wait))
+        reach = float(handover_reach(radius, eps, rho, v_a, u_a, v_g, dt, wait))
     return Promise(
         dt=dt,
         eps=eps,
@@ -235,16 +248,24 @@ def certificate(declared: Declared) -> Promise:
         handover=radius,
         reach=reach,
         hold=float(c.hold),
+        carries=c.outage is not None,
+        outage_ticks=outage_ticks,
     )
 
 
 @compiled
 def certified_radius(
-    handover: float, v_a: float, u_a: float, v_g: float, dt: float, delay: float
+    handover: float,
+    v_a: float,
+    u_a: float,
+    v_g: float,
+    dt: float,
+    delay: float,
+    outage: float = 0.0,
 ) -> float:
     r"""r_cert [m]: while d_cert is less, every inner control acts, whatever the velocity.
 
-    $$ r_{cert} = R_h - \frac{v_a^2}{2 u_a} - \frac{v_a v_g}{u_a} - (\tfrac32 v_a + 2 v_g) dt - (v_a + v_g) \tau_c $$
+    $$ r_{cert} = R_h - \frac{v_a^2}{2 u_a} - \frac{v_a v_g}{u_a} - (\tfrac32 v_a + 2 v_g) dt - (v_a + v_g) \tau_c - v_g B $$
 
     With $R_h \to r_v - v_g^2 / (2 u_a)$ this is (18) as dt and tau_c go to 0. Beyond it the filter decides by the
     velocity that the UAV really has: r_cert is for display, for tuning and for tests.
@@ -254,9 +275,29 @@ def certified_radius(
         v_a, u_a, v_g: Bounds [m/s], [m/s²], [m/s].
         dt: Length of a tick [s].
         delay: tau_c [s].
+        outage: B [s]; 0 where commands carry no motions.
     """
     stop = 0.5 * v_a * v_a / u_a + v_a * v_g / u_a
-    return handover - stop - (1.5 * v_a + 2.0 * v_g) * dt - (v_a + v_g) * delay
+    return handover - stop - (1.5 * v_a + 2.0 * v_g) * dt - (v_a + v_g) * delay - v_g * outage
+
+
+def _largest(promise: Promise, fits: Callable[[float], bool]) -> float:
+    """The largest time [s] that fits, to a hundredth; NaN if there is none."""
+    low, high = 0.0, promise.r_v / max(promise.v_g, 1e-9)
+    if not fits(low):
+        return math.nan
+    while high - low > 0.01:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if fits(middle) else (low, middle)
+    return low
+
+
+def _hands_over(promise: Promise, age: float, outage: float) -> bool:
+    """True if the hand-over holds with these A and B [s], other numbers as they are."""
+    c = promise
+    rho = c.eps + c.v_g * (age + c.delay_ticks * c.dt)
+    radius = handover_radius(c.r_v + MARGIN, c.eps, rho, c.v_a, c.u_a, c.v_g, c.dt, outage)
+    return not math.isnan(radius)
 
 
 def largest_age(promise: Promise) -> float:
@@ -264,21 +305,16 @@ def largest_age(promise: Promise) -> float:
 
     To a hundredth.
     """
-    c = promise
+    outage = promise.outage_ticks * promise.dt
+    return _largest(promise, lambda age: _hands_over(promise, age, outage))
 
-    def fits(age: float) -> bool:
-        rho = c.eps + c.v_g * (age + c.delay_ticks * c.dt)
-        return not math.isnan(
-            handover_radius(c.r_v + MARGIN, c.eps, rho, c.v_a, c.u_a, c.v_g, c.dt)
-        )
 
-    low, high = 0.0, c.r_v / max(c.v_g, 1e-9)
-    if not fits(low):
-        return math.nan
-    while high - low > 0.01:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if fits(middle) else (low, middle)
-    return low
+def largest_outage(promise: Promise) -> float:
+    """The largest B [s] for which the hand-over holds, other numbers as they are; NaN if there is none.
+
+    To a hundredth.
+    """
+    return _largest(promise, lambda outage: _hands_over(promise, promise.age, outage))
 
 
 def check_assumptions(promise: Promise) -> tuple[str, ...]:
@@ -305,11 +341,19 @@ def check_assumptions(promise: Promise) -> tuple[str, ...]:
     if not faults and math.isnan(c.handover):
         rho, most = c.eps + c.v_g * (c.age + delay), largest_age(c)
         limit = "for no A" if math.isnan(most) else f"for A up to {most:.2f} s"
+        if c.carries:
+            most = largest_outage(c)
+            limit += ", or for no B" if math.isnan(most) else f", or for B up to {most:.2f} s"
+            limit += f", not {c.outage_ticks * c.dt:g} s"
         faults.append(
             f"eps + v_g (A + tau_c) = {rho:.4g} m (eps {c.eps:g} m, A {c.age:g} s, tau_c {delay:g} s): "
             f"too much for r_v = {c.r_v:.4g} m; with these numbers the hand-over holds {limit}"
         )
-    if c.hold < delay - 0.5 * c.dt:
+    if c.carries and c.outage_ticks < 1:
+        faults.append(
+            f"B: must be at least a tick, {c.dt:g} s, as the next motion begins in the next tick"
+        )
+    if not c.carries and c.hold < delay - 0.5 * c.dt:
         faults.append(
             f"hold = {c.hold:g} s: shorter than tau_c = {delay:g} s, so that the UAV brakes before a command acts"
         )

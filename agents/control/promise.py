@@ -35,6 +35,8 @@ class Declared(NamedTuple):
     """Likewise."""
     hold: float = math.inf
     """For how long the vehicle goes on with its last command when none comes [s]; then it brakes."""
+    outage: float | None = None
+    """From the beginning of a motion to that of the next at most, B [s]; None: commands carry no motions."""
 
 
 class Promise(NamedTuple):
@@ -68,3 +70,7 @@ class Promise(NamedTuple):
     """E: and where the newest detection's own bound is at most this [m]; NaN if there is none."""
     hold: float
     """For how long the vehicle goes on with its last command when none comes, as it was declared [s]."""
+    carries: bool
+    """True where commands carry motions."""
+    outage_ticks: int
+    """From the beginning of a motion to that of the next at most, B; 0 where commands carry none."""

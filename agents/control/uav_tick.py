@@ -75,6 +75,7 @@ def uav_tick(
     tick: int,
     here: Motion,
     target: tuple[bool, float, float],
+    flown: int,
 ) -> tuple[float, float, int, int, float]:
     """The UAV's command under any law, within the bound of (1), and within the safety filter where there is one.
 
@@ -84,6 +85,7 @@ def uav_tick(
         law, promise, guarded, memory, tick, here: As in `uav_perceive`.
         own: What the user's function says at this tick, for the laws `weighted` and `path`.
         target: Whether the UGV was ever detected, and where it is believed to be [m].
+        flown: As in `agents.control.guard.guard`.
 
     Returns:
         As `agents.control.guard.guard`; without the filter nothing acts but the law, and nothing is certified.
@@ -95,4 +97,4 @@ def uav_tick(
         u_x, u_y = brake(here.v_x, here.v_y, law.u_max, law.dt)
     if not guarded:
         return u_x, u_y, INNER, NO_DETECTION, 0.0
-    return guard(promise, memory.guard, tick, here, u_x, u_y)
+    return guard(promise, memory.guard, tick, here, u_x, u_y, flown)

@@ -6,6 +6,7 @@ from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
+from sim.models.motion import NO_MOTION, motion_plan
 
 from agents.control.certificate import CERTIFIED, INNER, UNCERTIFIED
 from agents.control.guard import (
@@ -18,8 +19,9 @@ from agents.control.guard import (
 )
 from agents.control.handover import certificate, check_assumptions
 from agents.control.promise import Declared, Promise
+from agents.control.underway import carried
 from bus.errors import ScenarioError
-from bus.messages import UavBriefing, UavObservation, Vector
+from bus.messages import MotionPlan, UavBriefing, UavObservation, Vector
 from bus.ticks import looks_of
 from sim.kernels.compile import compiled
 from sim.models.vehicles import Motion, norm, stopping_distance
@@ -90,8 +92,14 @@ def promise_of(briefing: UavBriefing) -> Promise:
             width=briefing.area.width,
             height=briefing.area.height,
             hold=math.inf if declared.hold is None else declared.hold,
+            outage=declared.outage,
         )
     )
+
+
+def flown_in(observation: UavObservation) -> int:
+    """The motion that the vehicle says that it flew, as `agents.control.guard.guard` takes it."""
+    return NO_MOTION if observation.flown is None else observation.flown
 
 
 class Verdict(NamedTuple):
@@ -107,6 +115,8 @@ class Verdict(NamedTuple):
     """Why not."""
     distance: float
     """The UGV is surely no farther than this [m]; infinite before the first detection."""
+    motions: tuple[MotionPlan, ...] = ()
+    """What the command is to carry, where the vehicle flies motions."""
 
 
 class SafetyFilter:
@@ -164,13 +174,23 @@ class SafetyFilter:
             observation.velocity,
             acceleration,
         )
-        here = Motion(p_x, p_y, v_x, v_y)
-        return self.verdict(
-            *guard(self.promise, self.state, observation.tick, here, float(u_x), float(u_y))
-        )
+        here, tick, flown = Motion(p_x, p_y, v_x, v_y), observation.tick, flown_in(observation)
+        done = guard(self.promise, self.state, tick, here, float(u_x), float(u_y), flown)
+        return self.verdict(tick, *done)
 
-    def verdict(self, u_x: float, u_y: float, acts: int, code: int, distance: float) -> Verdict:
-        """Count what `guard` has made of a command, and say it in words."""
+    def motions(self, tick: int) -> tuple[MotionPlan, ...]:
+        """What the command that answers this tick carries: its own motion last, before it those that may be missing."""
+        if not self.promise.carries:
+            return ()
+        sent, last = self.state.underway.sent, tick + self.promise.delay_ticks
+        count = carried(self.promise, self.state.underway, tick)
+        places = [begins % len(sent) for begins in range(last - count + 1, last + 1)]
+        return tuple(motion_plan(sent[place : place + 1]) for place in places)
+
+    def verdict(
+        self, tick: int, u_x: float, u_y: float, acts: int, code: int, distance: float
+    ) -> Verdict:
+        """Count what `guard` has made of the command for this tick, and say it in words."""
         reason = "" if code == CERTIFIED else UNCERTIFIED[code]
         if self.faults:
             reason = self.faults[0]
@@ -178,4 +198,5 @@ class SafetyFilter:
         self.interventions += acts != INNER
         if reason:
             self.uncertified[reason] += 1
-        return Verdict((u_x, u_y), acts != INNER, not reason, reason, distance)
+        motions = self.motions(tick)
+        return Verdict((u_x, u_y), acts != INNER, not reason, reason, distance, motions)

@@ -20,6 +20,7 @@ from agents.control.laws import (
     law_parameters,
 )
 from agents.control.promise import Promise
+from agents.control.underway import Underway
 from agents.control.visibility import promise_of
 from agents.drivers.compiled import driver_parameters, driver_state, told_route
 from agents.drivers.parameters import COMPILED_DRIVERS, DriverParameters
@@ -65,6 +66,13 @@ def _repeated(
 ) -> list[npt.NDArray[Any]]:
     """The arrays of one memory for each of `of_each` vehicles in each world."""
     return [np.broadcast_to(array, (worlds, of_each, *array.shape)).copy() for array in state]
+
+
+def _guards_of(state: GuardState, worlds: int, of_each: int) -> GuardState:
+    """The memory of one safety filter for each of `of_each` UAVs in each world."""
+    sent = Underway._make(_repeated(state.underway, worlds, of_each))
+    detections, plan, course, track, flags = _repeated(state[:-1], worlds, of_each)
+    return GuardState(detections, plan, course, track, flags, sent)
 
 
 def pilot_names(scenario: Scenario, vehicle: str) -> tuple[str, ...]:
@@ -196,6 +204,7 @@ class ClosedLoop:
         kalman = kalman_state(min(late, ticks_within(SPAN, dt)) + 1)
         guards = guard_state(numbers.slowest, min(late + 1, max(1, math.ceil(_TRACK / dt))))
         uavs, ugvs = len(self.uavs), len(self.ugvs)
+        guards = _guards_of(guards, worlds, uavs)
         room = radio.room * uavs if receiving else 1
         coverage = self.batch.state.truth.coverage
         pixels = patch.pixels if patch else 1
@@ -216,7 +225,7 @@ class ClosedLoop:
             drivers=np.repeat(numbers.drivers[None], worlds, axis=0),
             law_states=np.zeros((worlds, uavs, STATE_SIZE)),
             kalman=KalmanState._make(_repeated(kalman, worlds, uavs)),
-            guards=GuardState._make(_repeated(guards, worlds, uavs)),
+            guards=guards,
             driver_states=_repeated((driver_state(),), worlds, ugvs)[0],
             outbox=np.full((worlds, uavs, 3), -1.0),
             radio=radio.states,

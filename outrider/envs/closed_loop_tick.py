@@ -9,6 +9,7 @@ from agents.control.certificate import INNER
 from agents.control.guard import GuardState, guard
 from agents.control.laws import OwnTerms
 from agents.control.uav_tick import UavMemory, uav_perceive, uav_tick
+from agents.control.underway import Underway, hand_over
 from agents.drivers.parameters import Route
 from agents.drivers.ugv_tick import ugv_tick
 from agents.estimation.twin import AGE, KalmanState, kalman_estimate, kalman_step
@@ -23,7 +24,7 @@ from outrider.envs.closed_loop_state import (
 from sim.channel.link import advance as begin_tick
 from sim.channel.link import receive, send
 from sim.engine.link_arrays import link_of
-from sim.engine.world_state import ANSWERED, U_X, U_Y, WorldState
+from sim.engine.world_state import ANSWERED, CARRIED, LAST, U_X, U_Y, WorldState
 from sim.engine.world_tick import begin_world, measure, truth_of, world_tick
 from sim.env.patch import sample
 from sim.env.rows import UAV, UAV_METRICS, advance_rows, observe_rows
@@ -39,7 +40,9 @@ _SAID, _SENT_X, _SENT_Y = range(3)
 @inlined
 def _guard_of(t: LoopTables, s: GuardState, k: int, u: int) -> GuardState:
     course = s.course[k, u, : t.delays[u] + 1]
-    return GuardState(s.detections[k, u], s.plan[k, u], course, s.track[k, u], s.flags[k, u])
+    w, rows = s.underway, t.delays[u] + 2
+    sent = Underway(w.sent[k, u, :rows], w.flown[k, u], w.expected[k, u])
+    return GuardState(s.detections[k, u], s.plan[k, u], course, s.track[k, u], s.flags[k, u], sent)
 
 
 @inlined
@@ -71,16 +74,19 @@ def _fly(
     tick, row = s.batch.ticks[k], s.rows.uavs[k, u]
     here, law, guarded = _motion_of(s.batch.truth, k, v), s.laws[k, u], t.guarded[u] != 0
     memory, target = _memory_of(p, t, s, k, u), kalman_estimate(_kalman_of(s.kalman, k, u))
+    flown = s.batch.flown[k, v, 0].begins
     if t.hand[v] < 0:
         own = OwnTerms(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         u_x, u_y, acts, code, bound = uav_tick(
-            law, t.promises[u], guarded, memory, own, tick, here, target
+            law, t.promises[u], guarded, memory, own, tick, here, target, flown
         )
     else:
         u_x, u_y = actions[t.hand[v], 0], actions[t.hand[v], 1]
         acts, code, bound = INNER, NOTHING_AGAINST, 0.0
         if guarded:
-            u_x, u_y, acts, code, bound = guard(t.promises[u], memory.guard, tick, here, u_x, u_y)
+            u_x, u_y, acts, code, bound = guard(
+                t.promises[u], memory.guard, tick, here, u_x, u_y, flown
+            )
     if guarded:
         row[GUARD_METRICS.bound] = bound
         row[GUARD_METRICS.acted] = 1.0 if acts != INNER else 0.0
@@ -101,6 +107,11 @@ def _fly(
         row[GUARD_METRICS.certified] += row[GUARD_METRICS.sure]
     sent = s.batch.sent[k, v]
     sent[ANSWERED], sent[U_X], sent[U_Y] = tick, u_x, u_y
+    sent[LAST], sent[CARRIED] = -1.0, 0.0
+    if guarded and t.promises[u].carries:
+        sent[LAST], sent[CARRIED] = hand_over(
+            t.promises[u], memory.guard.underway, tick, s.batch.motions[k, v]
+        )
     if p.radio:
         known, g_x, g_y = target
         says = known and tick % p.radio_ticks == 0
@@ -240,9 +251,15 @@ def _observe(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
 def _note_obedience(t: LoopTables, s: LoopState, k: int, u: int, tick: int) -> None:
     """True if UAV u acted in this tick, which has just been flown, on the command that was due.
 
-    That is the one of as many ticks ago as is declared; before the first there is none, and nothing acts.
+    That is the one of as many ticks ago as is declared; before the first there is none, and nothing acts. Where commands
+    carry motions, whether one has begun within the outage that is declared.
     """
     v, size, sent = t.batch.escorts[u, 0], t.delays[u] + 1, s.sent[k, u]
+    if t.promises[u].carries:
+        begins = s.batch.flown[k, v, 0].begins
+        in_time = tick - (begins if begins >= 0 else t.delays[u] - 1) < t.promises[u].outage_ticks
+        s.rows.uavs[k, u, GUARD_METRICS.obeyed] = 1.0 if in_time else 0.0
+        return
     now, due, acting = tick % size, (tick + 1) % size, s.batch.truth.commands[k, v]
     sent[now, 0], sent[now, 1] = s.batch.sent[k, v, U_X], s.batch.sent[k, v, U_Y]
     same = sent[due, 0] == acting[0] and sent[due, 1] == acting[1]

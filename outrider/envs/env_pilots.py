@@ -117,7 +117,9 @@ class _EnvPilots:
             seen = uav_observation(row, dt=dt)
             if self._env.degraded:  # several may have come at once, and the row has room for one
                 seen = msgspec.structs.replace(seen, detections=self._env.received(name))
-            return np.array(pilot.act(seen).acceleration)
+            command = pilot.act(msgspec.structs.replace(seen, flown=self._env.flown(name)))
+            self._env.carry(name, command.motions)
+            return np.array(command.acceleration)
         perceived = ugv_observation(row, dt=dt)
         if self._radio is not None:
             perceived = msgspec.structs.replace(perceived, radio=self._radio.received(name))

@@ -12,10 +12,17 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.messages import LinkKind, LinkSettings, LinkStatus
+from sim.channel.link import in_ticks
+from sim.engine.briefing import declared
 from sim.engine.link_arrays import LinkArrays
 from sim.engine.run_keys import derive_keys
 from sim.engine.world_state import (
     ANSWERED,
+    CARRIED,
+    LAST,
+    MESSAGE_SIZE,
+    U_X,
+    U_Y,
     BatchState,
     BatchTables,
     Precision,
@@ -25,12 +32,14 @@ from sim.engine.world_state import (
     escorts_of,
     first_state,
     grid_in,
+    receivers_of,
     world_parameters,
 )
 from sim.engine.world_tick import begin_world, measure, truth_of, world_tick
 from sim.kernels.compile import FloatArray, IntArray, entry_point, released
 from sim.kernels.records import records
 from sim.kernels.threads import WorkerThreads
+from sim.models.motion import no_motions
 from sim.models.randomness import RUN_PURPOSES
 from sim.scenario.types import Scenario
 
@@ -106,7 +115,9 @@ class Batch:
         self.parameters = world_parameters(scenario, gains=gains)
         self.workers = WorkerThreads(threads)
         """The threads that share the worlds."""
-        self._links = LinkArrays(scenario, (LinkKind.DETECTIONS, LinkKind.COMMANDS), 3, worlds)
+        self._links = LinkArrays(
+            scenario, (LinkKind.DETECTIONS, LinkKind.COMMANDS), MESSAGE_SIZE, worlds
+        )
         first, escorts, vehicles = (
             first_state(scenario),
             escorts_of(scenario),
@@ -118,22 +129,32 @@ class Batch:
             bounds=bounds_of(scenario),
             escorts=escorts,
             links=self._links.table,
+            receivers=receivers_of(scenario),
         )
-        room = self._links.room
+        room, rows = self._links.room, self._motion_rows()
         self.state = BatchState(
             keys=np.zeros((worlds, RUN_PURPOSES, vehicles, 2), dtype=np.uint64),
             ticks=np.zeros(worlds, dtype=np.int64),
             truth=WorldState._make(np.repeat(array[None], worlds, axis=0) for array in first),
-            received=np.zeros((worlds, len(escorts), room, 3)),
+            received=np.zeros((worlds, len(escorts), room, MESSAGE_SIZE)),
             arrived=np.zeros((worlds, len(escorts)), dtype=np.int64),
-            sent=np.full((worlds, vehicles, 3), -1.0),
+            sent=np.full((worlds, vehicles, MESSAGE_SIZE), -1.0),
+            motions=no_motions(worlds, vehicles, rows),
+            flown=no_motions(worlds, vehicles, 1),
             answered=np.full((worlds, vehicles), -1, dtype=np.int64),
-            inbox=np.zeros((worlds, room, 3)),
+            inbox=np.zeros((worlds, room, MESSAGE_SIZE)),
             links=self._links.states,
         )
         self._first_links = self.state.links
         self.fresh = Fresh(self.state)
         """How every world begins."""
+
+    def _motion_rows(self) -> int:
+        """How many motions each receiver has room for: those that may be under way at once; one where there are none."""
+        if self.scenario.certificate.outage is None:
+            return 1
+        told = (declared(self.scenario, uav.name) for uav in self.scenario.uav)
+        return 2 + max(in_ticks(one.delay, self.scenario.dt) for one in told)
 
     def begin(
         self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None = None
@@ -178,7 +199,8 @@ class Batch:
                 bounds them.
         """
         self.state.sent[:, :, ANSWERED] = self.state.ticks[:, None]
-        self.state.sent[:, :, ANSWERED + 1 :] = commands
+        self.state.sent[:, :, U_X : U_Y + 1] = commands
+        self.state.sent[:, :, LAST], self.state.sent[:, :, CARRIED] = -1.0, 0.0
         self.advance()
 
     def advance(self, *, linked: bool = True) -> None:
@@ -221,10 +243,12 @@ class Batch:
         """
         self._links.change(kind, vehicle, settings)
         s, room = self.state, self._links.room
-        received = np.zeros((*s.received.shape[:2], room, 3))
+        received = np.zeros((*s.received.shape[:2], room, MESSAGE_SIZE))
         kept = min(room, s.received.shape[2])
         received[:, :, :kept] = s.received[:, :, :kept]
         self.tables = self.tables._replace(links=self._links.table)
         self.state = s._replace(
-            received=received, inbox=np.zeros((self.worlds, room, 3)), links=self._links.states
+            received=received,
+            inbox=np.zeros((self.worlds, room, MESSAGE_SIZE)),
+            links=self._links.states,
         )

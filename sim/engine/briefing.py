@@ -45,7 +45,12 @@ def declared(scenario: Scenario, uav: str) -> DeclaredBounds:
     )
     delay = given.delay if given.delay is not None else longest
     return DeclaredBounds(
-        error=error, age=given.age, delay=delay, margin=given.margin, hold=scenario.hold
+        error=error,
+        age=given.age,
+        delay=delay,
+        margin=given.margin,
+        hold=scenario.hold,
+        outage=given.outage,
     )
 
 

@@ -13,13 +13,20 @@ from sim.kernels.compile import FloatArray, IntArray
 from sim.kernels.records import RecordArray
 from sim.models.field import cover, empty_coverage
 from sim.models.randomness import WordArray
-from sim.scenario.types import Scenario
+from sim.scenario.types import Scenario, Uav
 
 TAKEN, LOOK_X, LOOK_Y = range(3)
 """Columns of `BatchState.received`: the tick at which it was taken, and the noisy p_a - p_g [m]."""
 
-ANSWERED, U_X, U_Y = range(3)
-"""Columns of `BatchState.sent`: the tick that a command answers, -1 where there is none, and the acceleration [m/s²]."""
+ANSWERED, U_X, U_Y, LAST, CARRIED = range(5)
+"""Columns of `BatchState.sent`: the tick that a command answers, -1 where there is none, and the acceleration [m/s²].
+
+Of one that carries motions, the tick in which the last of them begins, else -1; and how many it carries, which begin in
+that tick and those before it.
+"""
+
+MESSAGE_SIZE = 5
+"""Numbers in a message on a link of detections or commands."""
 
 
 Precision = Literal["double", "single"]
@@ -143,6 +150,12 @@ def escorts_of(scenario: Scenario) -> IntArray:
     )
 
 
+def receivers_of(scenario: Scenario) -> IntArray:
+    """1 for each vehicle whose receiver flies motions: the UAVs, where an outage is declared. Shape (vehicles,)."""
+    carries = scenario.certificate.outage is not None
+    return np.array([carries and isinstance(v, Uav) for v in scenario.vehicles], dtype=np.int64)
+
+
 class BatchTables(NamedTuple):
     """The constants of all worlds."""
 
@@ -154,6 +167,8 @@ class BatchTables(NamedTuple):
     """Rows (UAV, UGV). Shape (UAVs, 2)."""
     links: LinkNumbers
     """Of the detections, a row for each UAV, then of the commands, a row for each vehicle."""
+    receivers: IntArray
+    """1 for each vehicle whose receiver flies the motions that its commands carry. Shape (vehicles,)."""
 
 
 class BatchState(NamedTuple):
@@ -165,16 +180,23 @@ class BatchState(NamedTuple):
     """Shape (worlds,)."""
     truth: WorldState
     received: FloatArray
-    """The detections that reach each UAV at this tick, in the order of arrival. Shape (worlds, UAVs, room, 3)."""
+    """The detections that reach each UAV at this tick, in the order of arrival. Shape (worlds, UAVs, room, MESSAGE_SIZE)."""
     arrived: IntArray
     """How many. Shape (worlds, UAVs)."""
     sent: FloatArray
-    """The commands that set out in the coming tick. Shape (worlds, vehicles, 3)."""
+    """The commands that set out in the coming tick. Shape (worlds, vehicles, MESSAGE_SIZE)."""
+    motions: RecordArray
+    """`MotionRecord` of those that commands carry: of the one that begins in tick k in row k % rows.
+
+    Shape (worlds, vehicles, rows).
+    """
+    flown: RecordArray
+    """`MotionRecord` of the motion that each vehicle flies. Shape (worlds, vehicles, 1)."""
     answered: IntArray
     """The tick that the newest command of each vehicle, as it has arrived, answers; -1: none.
 
     Shape (worlds, vehicles).
     """
     inbox: FloatArray
-    """Room for what arrives by one link. Shape (worlds, room, 3)."""
+    """Room for what arrives by one link. Shape (worlds, room, MESSAGE_SIZE)."""
     links: LinkState

@@ -9,6 +9,8 @@ from sim.channel.link import receive, send
 from sim.engine.link_arrays import link_of
 from sim.engine.world_state import (
     ANSWERED,
+    CARRIED,
+    LAST,
     LOOK_X,
     LOOK_Y,
     TAKEN,
@@ -23,6 +25,7 @@ from sim.kernels.compile import FloatArray, IntArray, borrowing, inlined
 from sim.kernels.records import RecordArray
 from sim.models.detection import detect
 from sim.models.field import accumulate, accumulate_with_gain, coverage_error
+from sim.models.motion import NO_MOTION, follow_on, motion_command
 from sim.models.randomness import DETECTION_CHANCE, DETECTION_NOISE, WordArray, key_of
 from sim.models.vehicles import brake, norm, step_vehicle, within_walls
 
@@ -151,11 +154,47 @@ def truth_of(truth: WorldState, k: int) -> WorldState:
     )
 
 
+@borrowing
+def _note_arrival(motions: RecordArray, last: int, carried: int) -> None:
+    """A command has arrived that carries the motions that begin in the tick `last` and in those before it.
+
+    Of one that has begun already, or whose row holds a later one by now, nothing comes.
+    """
+    rows = motions.shape[0]
+    for begins in range(max(0, last - min(carried, rows) + 1), last + 1):
+        if motions[begins % rows].begins == begins:
+            motions[begins % rows].arrived = True
+
+
+@borrowing
+def _fly_motion(
+    w: WorldParameters,
+    motions: RecordArray,
+    flown: RecordArray,
+    acting: FloatArray,
+    velocity: FloatArray,
+    tick: int,
+    u_max: float,
+) -> bool:
+    """Begin the motion of this tick if it has come and goes on from the one that is flown; fly it, or the rest of that one.
+
+    False where commands act that carry none.
+    """
+    if motions[tick % motions.shape[0]].arrived:
+        follow_on(motions, flown, tick)
+    if flown[0].plain:
+        return False
+    acting[0], acting[1] = motion_command(flown[0], velocity[0], velocity[1], u_max, w.dt)
+    flown[0].age += 1
+    return True
+
+
 @inlined
 def receive_commands(t: BatchTables, s: BatchState, k: int) -> None:
     """Send the commands out; each vehicle acts on its newest one that has arrived.
 
-    Where none has come for a while, it brakes.
+    Where none has come for a while, it brakes. A receiver of motions begins each in its own tick, and flies on what it
+    flies where none begins.
     """
     w, keys, tick = t.world[0], s.keys[k], s.ticks[k]
     acting, sent, answered, inbox = s.truth.commands[k], s.sent[k], s.answered[k], s.inbox[k]
@@ -168,9 +207,20 @@ def receive_commands(t: BatchTables, s: BatchState, k: int) -> None:
             send(t.links, row, link, key, sent[v])
             sent[v, ANSWERED] = -1.0
         for n in range(receive(link, inbox)):
+            last = int(inbox[n, LAST])
+            if t.receivers[v] and last >= 0:
+                _note_arrival(s.motions[k, v], last, int(inbox[n, CARRIED]))
             if inbox[n, ANSWERED] > answered[v]:
                 answered[v] = int(inbox[n, ANSWERED])
                 acting[v, 0], acting[v, 1] = inbox[n, U_X], inbox[n, U_Y]
+                if t.receivers[v] and last < 0:
+                    flown = s.flown[k, v, 0]
+                    flown.begins, flown.plain = NO_MOTION, True
+        if t.receivers[v]:
+            motions, flying, u_max = s.motions[k, v], s.flown[k, v], t.bounds[v, 1]
+            moving = s.truth.velocity[k, v]
+            if _fly_motion(w, motions, flying, acting[v], moving, tick, u_max):
+                continue
         if tick - answered[v] > w.hold_ticks:
             v_x, v_y = s.truth.velocity[k, v, 0], s.truth.velocity[k, v, 1]
             acting[v, 0], acting[v, 1] = brake(v_x, v_y, t.bounds[v, 1], w.dt)

@@ -4,7 +4,7 @@
 what.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from gymnasium.error import ResetNeeded
 from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
 from bus.layout import state_names
-from bus.messages import Briefing, Detection
+from bus.messages import Briefing, Detection, MotionPlan
 from sim.engine.briefing import briefing
 from sim.engine.run_keys import check_secret
 from sim.env.actions import take_actions
@@ -156,6 +156,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self.secret = check_secret(secret)
         """Of all random numbers, with the seed. For whoever made the environment, not for policies."""
         self._seeds = Seeds(self.scenario.seed)
+        self._carried: dict[str, Sequence[MotionPlan]] = {}
         self._commands: FloatArray = np.zeros((len(vehicles), 2))
         self._world: World | None = None
         self._view = (
@@ -194,6 +195,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self.degraded = self._world.links.degraded
         self._maps = OwnMaps(self._world, needed=self._patch is not None)
         self.agents = list(self.possible_agents)
+        self._carried.clear()
         self._episode.begin(self._world)
         self._follow()
         return self._observations(), self._infos()
@@ -223,8 +225,9 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         if not self.agents:
             raise ResetNeeded("step() after the end of the episode: call reset() first")
         take_actions(actions, self.possible_agents, self._commands)
-        for k, command in enumerate(self._commands.tolist()):
-            world.send(k, world.tick, command)
+        for k, (name, command) in enumerate(zip(world.names, self._commands.tolist(), strict=True)):
+            world.send(k, world.tick, command, self._carried.get(name, ()))
+        self._carried.clear()
         world.advance()
         self._episode.advance(
             world,
@@ -311,6 +314,26 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         return tuple(
             Detection(time=look.tick * dt, relative_position=(look.x, look.y)) for look in looks
         )
+
+    def flown(self, agent: str) -> int | None:
+        """The motion that a UAV's receiver flew in the tick before, as it would be told on the bus; None: none.
+
+        Raises:
+            ValueError: If there is no such UAV.
+        """
+        self.received(agent)
+        return self.world.flown(self.world.names.index(agent))
+
+    def carry(self, agent: str, motions: Sequence[MotionPlan]) -> None:
+        """Let a UAV's next action carry motions, as its safety filter plans them.
+
+        Its receiver flies them where the scenario declares `certificate.outage`; else the action acts.
+
+        Raises:
+            ValueError: If there is no such UAV.
+        """
+        self.received(agent)
+        self._carried[agent] = motions
 
     def briefing(self, agent: str) -> Briefing:
         """Returns the vehicle's briefing of this episode, as on the bus: its limits, area, law, own goals.

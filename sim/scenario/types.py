@@ -108,7 +108,10 @@ class Certificate(_Table, frozen=True, kw_only=True):
     delay: NonNegative | None = None
     """From the tick that a command answers to the one in which it acts [s]; by default the longest of its link."""
     margin: NonNegative = 0.0
-    """Taken off r_v [m], for what the theorem does not cover: jitter and loss of commands."""
+    """Taken off r_v [m], for what the theorem does not cover: jitter and loss of commands that carry no motions."""
+    outage: NonNegative | None = None
+    """From the beginning of a motion to that of the next at most, B [s]. Where it is given, the UAVs' commands carry motions,
+    which their receivers fly on while commands are lost; by default they carry none."""
 
 
 class Custom(_Table, frozen=True, kw_only=True):

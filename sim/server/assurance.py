@@ -43,6 +43,9 @@ class Assumptions:
         self._error = math.inf if certificate.error is None else certificate.error + _ROUNDING
         self._age = math.floor(certificate.age / dt + DUST)
         self._delay = in_ticks(certificate.delay, dt)
+        outage = certificate.outage
+        self._outage = None if outage is None else math.floor(outage / dt + DUST)
+        self._begun = self._delay - 1  # that of the motion that is flown; at first of the rest
         size = self._delay + 1
         nothing: list[tuple[int, Vector]] = [(tick - size, (0.0, 0.0)) for tick in range(size)]
         self._sent = nothing  # a ring: the tick that each answers, and the command
@@ -64,15 +67,19 @@ class Assumptions:
             self._newest = max(self._newest, taken)
             self._exact = self._exact and error <= self._error
 
-    def act(self, tick: int, acceleration: Vector) -> None:
-        """A command [m/s²] acts in this tick."""
+    def act(self, tick: int, acceleration: Vector, flown: int | None = None) -> None:
+        """A command [m/s²] acts in this tick, or a motion that began in the tick `flown`."""
+        if self._outage is not None:
+            self._begun = self._begun if flown is None else flown
+            self._obeyed = tick - self._begun < self._outage
+            return
         due = tick - self._delay
         self._obeyed = self._sent[due % len(self._sent)] == (due, acceleration)
 
     def hold(self, tick: int) -> bool:
         """True if they hold at this tick.
 
-        The newest detection's age, all detections' errors, the command that acted just before.
+        The newest detection's age, all detections' errors, the command or motion that acted just before.
         """
         return self._exact and self._obeyed and tick - self._newest <= self._age
 
@@ -142,6 +149,7 @@ class Assurance:
         distance: float,
         arrivals: Sequence[Arrival] = (),
         acts: Vector = (0.0, 0.0),
+        flown: int | None = None,
         current: bool = True,
     ) -> None:
         """Count a tick in which a UAV flies a law that a filter watches over.
@@ -153,6 +161,7 @@ class Assurance:
             distance: The true one at the tick that is reported of [m].
             arrivals: What has reached it at this tick.
             acts: The command that acts in this tick [m/s²].
+            flown: The tick in which the motion began that is flown in this tick; None: none is.
             current: Whether the report is of this tick; with a clock that waits for nobody it may be of an earlier one.
         """
         if self._disregarded[uav] and (report is None or report.certified is None):
@@ -178,7 +187,7 @@ class Assurance:
                     current and self._promised[uav] and assumptions.hold(tick)
                 )
         self._promised[uav] = certified and current
-        assumptions.act(tick, acts)
+        assumptions.act(tick, acts, flown)
 
     def status(self) -> CertificateStatus | None:
         """All of it as a message; None where no filter has watched over anything."""

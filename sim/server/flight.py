@@ -65,6 +65,8 @@ class _Unchecked(NamedTuple):
     """The detections that had reached each."""
     acted: list[list[float]]
     """What each vehicle has acted on [m/s²]."""
+    flown: list[int | None]
+    """The motion that each UAV flew in it."""
 
 
 class Exchange(Protocol):
@@ -291,6 +293,7 @@ class Flight:
         looks: tuple[Detection, ...],
         radio: tuple[RelativeInformation, ...],
         *,
+        flown: int | None = None,
         known: bool = True,
         over: bool = False,
     ) -> Observation:
@@ -302,6 +305,7 @@ class Flight:
             state: Its position [m] and velocity [m/s].
             looks: What a UAV has detected.
             radio: What a UGV has heard.
+            flown: The motion that a UAV's receiver flew in the tick before; None: none.
             known: Whether its process was there to hear: otherwise its own motion, law and driver and nothing else.
             over: Whether no command is awaited.
         """
@@ -315,6 +319,7 @@ class Flight:
                 position=(x, y),
                 velocity=(v_x, v_y),
                 detections=looks if known else (),
+                flown=flown,
                 law=news.law,
                 over=over,
                 episode=self.episode,
@@ -343,7 +348,10 @@ class Flight:
             received = world.received[row] if row is not None else ()
             looks = [Detection(time=t * dt, relative_position=(x, y)) for t, x, y in received]
             radio, state = self._radio.get(name, ()), positions[k] + velocities[k]
-            seen[name] = self._observation(name, tick, state, tuple(looks), radio, over=over)
+            flown = world.flown(k)
+            seen[name] = self._observation(
+                name, tick, state, tuple(looks), radio, flown=flown, over=over
+            )
         return seen
 
     def past(
@@ -444,7 +452,8 @@ class Flight:
             command = commands.get(name)
             self._count(name, command)
             if command is not None:
-                world.send(k, command.tick, command.acceleration)
+                motions = command.motions if isinstance(command, UavCommand) else ()
+                world.send(k, command.tick, command.acceleration, motions)
             uav = self._uav_row.get(name)
             if uav is not None:
                 self.reports[uav] = None
@@ -459,13 +468,14 @@ class Flight:
         world.advance()
         if watched:
             asked = [commands.get(world.names[a]) for a, _ in self._pairs]
-            self._unchecked = _Unchecked(tick, asked, received, world.commands.tolist())
+            flown = [world.flown(a) for a, _ in self._pairs]
+            self._unchecked = _Unchecked(tick, asked, received, world.commands.tolist(), flown)
 
     def _check_reports(self) -> None:
         """Hold what the UAVs have said of the last tick against the truth, once; best while the vehicles think."""
         if self._unchecked is None:
             return
-        (tick, commands, received, acted), self._unchecked = self._unchecked, None
+        (tick, commands, received, acted, flown), self._unchecked = self._unchecked, None
         states, escorts = self.recorder.states, self.recorder.escorts
         for uav, (a, g) in enumerate(self._pairs):
             command, arrivals = commands[uav], []
@@ -482,6 +492,7 @@ class Flight:
                 distance=escorts.item(said, uav, 0),
                 arrivals=arrivals,
                 acts=(acted[a][0], acted[a][1]),
+                flown=flown[uav],
                 current=said == tick,
             )
 

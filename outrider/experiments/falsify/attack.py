@@ -32,9 +32,13 @@ from agents.control.promise import Declared, Promise
 from agents.control.tracking import tracking_output, tracking_step
 from agents.control.visibility import raw_switching_radius
 from bus.messages import Area, LinkKind, LinkSettings, Sensor
+from outrider.experiments.falsify.draws import next_share
+from outrider.experiments.falsify.lost_motions import ALIVE, LOSSES, Pending, loses
 from sim.engine.batch import Batch
 from sim.engine.world_state import (
     ANSWERED,
+    CARRIED,
+    LAST,
     LOOK_X,
     LOOK_Y,
     TAKEN,
@@ -51,9 +55,11 @@ from sim.engine.world_tick import (
     truth_of,
 )
 from sim.kernels.compile import FloatArray, borrowing, compiled, released
+from sim.models.motion import keep_motion
 from sim.models.randomness import draw
 from sim.models.vehicles import Motion, brake, clip_norm, norm
 from sim.scenario.types import (
+    Certificate,
     Coverage,
     Detections,
     LinkTable,
@@ -121,11 +127,6 @@ Of an inner control or a UGV also now and then within the run.
 RESULTS = 9
 
 _ATTACK = 1001  # purpose of the draws
-_GOLDEN, _MIX_1, _MIX_2 = (
-    np.uint64(0x9E3779B97F4A7C15),
-    np.uint64(0xBF58476D1CE4E5B9),
-    np.uint64(0x94D049BB133111EB),
-)
 _RING = 256
 """Commands that are remembered, to see whether they act when they should."""
 _A_C, _B_C, _C_C, _D_C = -3.0, -3.0, -8.0 / 3.0, -3.0  # (15) with the paper's closed loop (s + 1)^3
@@ -161,6 +162,10 @@ class Conditions(NamedTuple):
     """Largest acceleration of the UGV [m/s²]; infinite: it turns on the spot, which the theorem allows."""
     error_share: float = 1.0
     """The errors' norm as a share of eps; above 1 breaks an assumption."""
+    outage: float = 0.0
+    """Longest time from the beginning of a motion to that of the next, B; 0: commands carry no motions."""
+    losses: int = 0
+    """Which motions are lost, an index of `LOSSES`; never more than B allows."""
     radius: float = 0.0
     """Of the laws that switch [m]."""
     r_v: float = 4.75
@@ -170,18 +175,8 @@ class Conditions(NamedTuple):
 
 
 @compiled
-def _next(state: npt.NDArray[np.uint64]) -> float:
-    """A number in [0, 1) by splitmix64 (Steele, Lea, Flood 2014); a draw of Philox for each would take most of the time."""
-    state[0] += _GOLDEN
-    z = state[0]
-    z = (z ^ (z >> np.uint64(30))) * _MIX_1
-    z = (z ^ (z >> np.uint64(27))) * _MIX_2
-    return float((z ^ (z >> np.uint64(31))) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
-
-
-@compiled
 def _choose(state: npt.NDArray[np.uint64], wanted: int, count: int) -> int:
-    return wanted if wanted >= 0 else int(_next(state) * count)
+    return wanted if wanted >= 0 else int(next_share(state) * count)
 
 
 @compiled
@@ -277,8 +272,8 @@ def _error(
     if kind == 5:
         return 0.0, 0.0
     if kind <= 1:
-        angle = 2.0 * math.pi * _next(random)
-        radius = size * (math.sqrt(_next(random)) if kind == 0 else 1.0)
+        angle = 2.0 * math.pi * next_share(random)
+        radius = size * (math.sqrt(next_share(random)) if kind == 0 else 1.0)
         return radius * math.cos(angle), radius * math.sin(angle)
     e_x, e_y = _direction(x, y)
     if kind == 2:
@@ -291,9 +286,9 @@ def _error(
 
 @compiled
 def _redraw(random: npt.NDArray[np.uint64], held: FloatArray, u: float) -> None:
-    angle, strength = 2.0 * math.pi * _next(random), u * min(1.0, 2.0 * _next(random))
+    angle, strength = 2.0 * math.pi * next_share(random), u * min(1.0, 2.0 * next_share(random))
     held[0], held[1] = strength * math.cos(angle), strength * math.sin(angle)
-    held[2] = 1.0 if _next(random) < 0.5 else -1.0
+    held[2] = 1.0 if next_share(random) < 0.5 else -1.0
 
 
 @compiled
@@ -422,20 +417,23 @@ def fly_one(
     work[:] = 0.0
     _redraw(random, a, u_a)
     _redraw(random, g, u_g)
-    angle = 2.0 * math.pi * _next(random)
+    angle = 2.0 * math.pi * next_share(random)
     g[3], g[4] = math.cos(angle), math.sin(angle)
-    angle = 2.0 * math.pi * _next(random)
+    angle = 2.0 * math.pi * next_share(random)
     g[5], g[6] = math.cos(angle), math.sin(angle)
-    rate = 0.05 + 1.5 * _next(random)  # of the phase [rad/s]
+    rate = 0.05 + 1.5 * next_share(random)  # of the phase [rad/s]
     xc_x, xc_y = 0.0, 0.0
     position = s.truth.position[0]
     if c.area == 0:
         position[1, 0], position[1, 1] = 0.5 * w.width, 0.5 * w.height
     elif c.area == 1:
-        position[1, 0], position[1, 1] = c.r_v * _next(random), c.r_v * _next(random)
+        position[1, 0], position[1, 1] = c.r_v * next_share(random), c.r_v * next_share(random)
     else:
-        position[1, 0], position[1, 1] = w.width * _next(random), w.height * _next(random)
-    angle, far = 2.0 * math.pi * _next(random), c.r_v * (0.1 if _next(random) < 0.5 else 0.5)
+        position[1, 0], position[1, 1] = w.width * next_share(random), w.height * next_share(random)
+    angle, far = (
+        2.0 * math.pi * next_share(random),
+        c.r_v * (0.1 if next_share(random) < 0.5 else 0.5),
+    )
     for i, away in ((0, far * math.cos(angle)), (1, far * math.sin(angle))):
         position[0, i] = min(max(position[1, i] + away, 0.0), w.width if i == 0 else w.height)
     begin_guard(memory)
@@ -454,6 +452,8 @@ def fly_one(
     result[:] = 0.0
     result[MAX_EXCESS] = -math.inf
     _keep_states(s, now)
+    losses = _choose(random, c.losses, len(LOSSES))
+    a[7] = ALIVE
     for tick in range(ticks + 1):
         t = tick * dt
         p_x, p_y, v_x, v_y = now[0, 0], now[0, 1], now[0, 2], now[0, 3]
@@ -479,9 +479,9 @@ def fly_one(
             first_seen = tick if first_seen < 0 else first_seen
         total += d
         # the adversary in the UAV
-        if _next(random) < 0.01:
+        if next_share(random) < 0.01:
             _redraw(random, a, u_a)
-            if c.inner < 0 and _next(random) < 0.3:
+            if c.inner < 0 and next_share(random) < 0.3:
                 inner = _choose(random, c.inner, len(INNERS))
         z_x, z_y = (p_x - detections[new].x, p_y - detections[new].y) if new >= 0 else (0.0, 0.0)
         if inner == 5 or c.law >= SWITCH_TRACKING:
@@ -489,25 +489,26 @@ def fly_one(
             xc_x, xc_y = tracking_step(xc_x, xc_y, z_x, z_y, _A_C, _B_C, dt)
         u_x, u_y = _inner(inner, x, y, v_x, v_y, z_x, z_y, rate * t, a, u_a)
         u_x, u_y = clip_norm(u_x, u_y, u_a)
-        certified = False
+        certified = carrying = False
         if c.law == FILTER:
-            if c.disturbance == 4 and _next(random) < 0.01:
+            if c.disturbance == 4 and next_share(random) < 0.01:
                 filtering = not filtering
                 if filtering:
                     begin_guard(memory)
                     note_position(memory, tick, p_x, p_y)
                 last_break = tick
-            if c.disturbance == 5 and away_ticks == 0 and _next(random) < 0.005:
-                away_ticks = 1 + int(_next(random) * 20)
+            if c.disturbance == 5 and away_ticks == 0 and next_share(random) < 0.005:
+                away_ticks = 1 + int(next_share(random) * 20)
             if away_ticks > 0:
                 away_ticks -= 1
                 u_x, u_y, last_break = math.nan, math.nan, tick
                 if away_ticks == 0:
                     forget_commands(memory)
             elif filtering:
-                u_x, u_y, acts, code, _ = guard(
-                    p, memory, tick, Motion(p_x, p_y, v_x, v_y), u_x, u_y
-                )
+                flown = s.flown[0, 0, 0].begins
+                here = Motion(p_x, p_y, v_x, v_y)
+                u_x, u_y, acts, code, _ = guard(p, memory, tick, here, u_x, u_y, flown)
+                carrying = p.carries
                 certified = code == CERTIFIED
                 intervened += acts != INNER
         elif new >= 0 and _guard(c, x, y, bound, norm(z_x, z_y)):
@@ -541,27 +542,39 @@ def fly_one(
         # what becomes of the command
         place = tick % _RING
         ring[place, 0], ring[place, 1] = u_x, u_y
-        if c.disturbance == 1 and _next(random) < 0.02:
+        if c.disturbance == 1 and next_share(random) < 0.02:
             u_x = math.nan
         if c.disturbance == 2:
-            if silent == 0 and _next(random) < 0.02:
-                silent = 1 + int(_next(random) * silence_ticks)
+            if silent == 0 and next_share(random) < 0.02:
+                silent = 1 + int(next_share(random) * silence_ticks)
             if silent > 0:
                 silent -= 1
                 u_x = math.nan
         if c.disturbance == 3:
-            if _next(random) < 0.01:
-                late = int(_next(random) * 6)
-            if late > 0 and tick >= late:
+            if next_share(random) < 0.01:
+                late = int(next_share(random) * 6)
+            if late > 0 and carrying:
+                u_x = math.nan
+            elif late > 0 and tick >= late:
                 u_x, u_y = ring[(tick - late) % _RING, 0], ring[(tick - late) % _RING, 1]
-        if math.isnan(u_x) or late > 0:
+        if (math.isnan(u_x) or late > 0) and not p.carries:
             last_break = tick + d_ticks
+        sent[0, LAST], sent[0, CARRIED] = -1.0, 0.0
+        if carrying:
+            held, under = memory.plan[0], memory.underway.sent
+            left = held.turn + held.cruise + held.brake
+            pending = Pending(tick, d_ticks, p.outage_ticks, d / c.r_v, left)
+            lost, a[7] = loses(losses, random, a[7], pending)
+            keep_motion(s.motions[0, 0], under[(tick + d_ticks) % under.shape[0]], tick)
+            sent[0, LAST], sent[0, CARRIED] = tick + d_ticks, 1.0
+            if lost:
+                u_x = math.nan
         sent[0, ANSWERED] = -1.0 if math.isnan(u_x) else tick
         sent[0, U_X], sent[0, U_Y] = u_x, u_y
         # the UGV
-        if _next(random) < 0.01:
+        if next_share(random) < 0.01:
             _redraw(random, g, u_g)
-            if c.ugv < 0 and _next(random) < 0.2:
+            if c.ugv < 0 and next_share(random) < 0.2:
                 ugv = _choose(random, c.ugv, len(UGVS))
         sent[1, ANSWERED] = tick
         sent[1, U_X], sent[1, U_Y] = _ugv(ugv, x, y, v_x, v_y, w_x, w_y, g, u_g)
@@ -578,9 +591,9 @@ def fly_one(
         if dark == 0 and since_seen > 0 and tick > 20 and b_ticks > 0:
             if c.blackout == 1:
                 dark = b_ticks
-            elif c.blackout == 2 and _next(random) < 0.02:
-                dark = 1 + int(_next(random) * b_ticks)
-            elif c.blackout == 3 and norm(x, y) > 0.6 * c.r_v and _next(random) < 0.2:
+            elif c.blackout == 2 and next_share(random) < 0.02:
+                dark = 1 + int(next_share(random) * b_ticks)
+            elif c.blackout == 3 and norm(x, y) > 0.6 * c.r_v and next_share(random) < 0.2:
                 dark = b_ticks
         n_x, n_y = _error(error, random, tick, p.eps * c.error_share, x, y, g)
         since_seen = 1
@@ -597,7 +610,11 @@ def fly_one(
             (ring[should, 0], ring[should, 1]) if tick >= d_ticks else (0.0, 0.0)
         )
         acted = truth.commands[0, 0] == expected_x and truth.commands[0, 1] == expected_y
-        if not acted:
+        if p.carries:
+            begins = s.flown[0, 0, 0].begins
+            acted = tick - (begins if begins >= 0 else d_ticks - 1) < p.outage_ticks
+            last_break = last_break if acted else tick
+        elif not acted:
             last_break = max(last_break, tick + d_ticks)
         if certified and acted:
             most = _within_tick(before, now, 0, 1, dt)
@@ -634,6 +651,7 @@ def scenario_of(promise: Promise, conditions: Conditions) -> Scenario:
     return Scenario(
         dt=p.dt,
         hold=c.hold,
+        certificate=Certificate(delay=delay, outage=c.outage or None),
         area=Area(width=width, height=height, cell=0.5 * min(width, height)),
         visibility=Visibility(radius=c.r_v),
         sensor=Sensor(range=1.2 * c.r_v),
@@ -723,6 +741,7 @@ def declared(
             width=width,
             height=height,
             hold=c.hold,
+            outage=c.outage or None,
         )
     )
 
@@ -792,10 +811,38 @@ def _disturbed() -> Iterator[Conditions]:
             yield conditions._replace(disturbance=2, silence=2.0, hold=5.0)
 
 
+def _lossy() -> Iterator[Conditions]:
+    """Networks that lose motions, as often and for as long as B allows."""
+    for outage, delay, kind, dark, area in itertools.product(
+        (0.3, 1.0, 2.0, 5.0, 8.0),
+        (0.0, 0.3, 1.0),
+        range(1, len(LOSSES)),
+        (0.0, 5.0),
+        range(len(AREAS)),
+    ):
+        conditions = Conditions(
+            outage=outage,
+            delay=delay,
+            losses=kind,
+            blackout=3 if dark else 0,
+            blackout_time=dark,
+            area=area,
+            u_g=math.inf if kind % 2 else 0.1,
+        )
+        yield conditions
+        if delay and area == 0:
+            yield conditions._replace(jitter=True, duplicates=0.5)
+            yield conditions._replace(latency=1.0, scattered=True)
+    for outage, kind in itertools.product((1.0, 5.0), range(1, len(DISTURBANCES))):
+        for delay in (0.0, 0.4):
+            yield Conditions(outage=outage, delay=delay, losses=ANY, disturbance=kind, silence=2.0)
+
+
 def grid() -> Iterator[tuple[Promise, Conditions]]:
     """All combinations of network, place, error, vehicles and broken assumptions for which there is a certificate."""
-    for conditions in itertools.chain(_networks(), _places(), _disturbed()):
-        for eps in EPS if not (conditions.area or conditions.disturbance) else EPS[::2]:
+    for conditions in itertools.chain(_networks(), _places(), _disturbed(), _lossy()):
+        plain = not (conditions.area or conditions.disturbance or conditions.outage)
+        for eps in EPS if plain else EPS[::2]:
             promise = declared(conditions, eps)
             if not math.isnan(promise.handover):
                 yield promise, conditions

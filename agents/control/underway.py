@@ -1,0 +1,251 @@
+"""Commands that carry a motion: what is under way from a pilot to its vehicle, and what the vehicle will fly.
+
+The vehicle's receiver begins each motion in its own tick, and only if its parent is flown then; else it flies on what it
+flies (`sim.models.motion`). Each observation tells what it flew. So the pilot knows the one course from here to the tick in
+which its next motion begins: along those under way as long as the vehicle flies what was sent, along the rest of what it
+flies where one was lost, which voids all that is under way. The proof is in docs/explanation/certificate.md.
+
+Positions [m], speeds [m/s], accelerations [m/s²], times in ticks.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from sim.models.motion import NO_MOTION, follow_on, keep_motion, motion_command, no_motions
+
+from agents.control.certificate import BEST_EFFORT, may_rest, step_in_area
+from agents.control.promise import Promise
+from bus.messages import MOST_CARRIED
+from sim.kernels.compile import borrowing
+from sim.kernels.records import RecordArray, record_type
+from sim.models.vehicles import Motion
+
+_NOW, _END = 0, 1
+"""Rows of `Underway.flown`: what is flown now, and at the end of the course."""
+
+_BEGUN, _LOST = 0, 1
+"""Rows of `Underway.expected`: the next state if the motion that is due in this tick begins, and if it does not."""
+
+_AS_EXPECTED = 1e-10
+"""A state nearer than this [m, m/s] to the expected one is that; what is less has no consequence (`MARGIN`)."""
+
+
+class ExpectedState(NamedTuple):
+    """A state that the UAV may be in when the next tick begins."""
+
+    p_x: float
+    p_y: float
+    v_x: float
+    v_y: float
+
+
+class Underway(NamedTuple):
+    """What a pilot remembers of its motions; arrays that change in place."""
+
+    sent: RecordArray
+    """`MotionRecord` of those that were sent: of the one that begins in tick k in row k % rows. (tau_c + 2,)"""
+    flown: RecordArray
+    """`MotionRecord` of what is flown now, and at the end of the course. (2,)"""
+    expected: RecordArray
+    """`ExpectedState` at the next tick. (2,)"""
+
+
+def underway(promise: Promise) -> Underway:
+    """Nothing has been sent yet."""
+    return Underway(
+        sent=no_motions(promise.delay_ticks + 2),
+        flown=no_motions(2),
+        expected=np.zeros(2, dtype=record_type(ExpectedState)),
+    )
+
+
+@borrowing
+def begin_underway(state: Underway) -> None:
+    """Nothing has been sent yet: an episode or a filter begins."""
+    for k in range(state.sent.shape[0]):
+        _clear(state.sent, k)
+    for k in (_NOW, _END):
+        _clear(state.flown, k)
+        due = state.expected[k]
+        due.p_x, due.p_y, due.v_x, due.v_y = 0.0, 0.0, 0.0, 0.0
+
+
+@borrowing
+def _clear(rows: RecordArray, k: int) -> None:
+    """Let a row be that of no motion."""
+    row = rows[k]
+    row.begins, row.parent, row.age = NO_MOTION, NO_MOTION, 0
+    row.turn, row.cruise, row.brake = 0, 0, 0
+    row.first_x, row.first_y = 0.0, 0.0
+    row.turn_x, row.turn_y, row.brake_x, row.brake_y = 0.0, 0.0, 0.0, 0.0
+    row.arrived, row.plain, row.checked = False, False, False
+
+
+@borrowing
+def doubt(state: Underway) -> None:
+    """The UAV is not where it was expected: none of the plans was checked from where it is."""
+    for k in range(state.sent.shape[0]):
+        state.sent[k].checked = False
+    state.flown[_NOW].checked = False
+
+
+@borrowing
+def _take_flown(state: Underway, tick: int, flown: int) -> None:
+    """Take in what the vehicle flew in the tick before; one that was not sent by this pilot has no checked plan."""
+    if state.flown[_NOW].begins != flown:
+        row = flown % state.sent.shape[0]
+        if flown >= 0 and state.sent[row].begins == flown:
+            state.flown[_NOW] = state.sent[row]
+        else:
+            _clear(state.flown, _NOW)
+            state.flown[_NOW].begins = flown
+    if flown >= 0:
+        state.flown[_NOW].age = tick - flown
+
+
+@borrowing
+def is_expected(state: Underway, tick: int, here: Motion, flown: int) -> bool:
+    """True if the UAV is in the state in which what it tells that it has flown has brought it from the tick before."""
+    due = state.expected[_BEGUN if flown == tick - 1 else _LOST]
+    off = max(abs(here.p_x - due.p_x), abs(here.p_y - due.p_y))
+    off = max(off, abs(here.v_x - due.v_x), abs(here.v_y - due.v_y))
+    return bool(off <= _AS_EXPECTED)
+
+
+@borrowing
+def take_observation(
+    promise: Promise, state: Underway, tick: int, here: Motion, flown: int, last_tick: int
+) -> bool:
+    """Take in what the vehicle has flown; true if it is where this pilot expected it.
+
+    Args:
+        promise: The declared numbers.
+        state: Is changed.
+        tick: Now.
+        here: Where the UAV is now.
+        flown: The tick in which the motion began that it flew in the tick before; NO_MOTION: it flew none.
+        last_tick: The tick that this pilot answered last; negative: none yet.
+    """
+    first = last_tick < 0
+    expected = first or (last_tick == tick - 1 and is_expected(state, tick, here, flown))
+    if not expected:
+        doubt(state)
+    _take_flown(state, tick, flown)
+    return expected
+
+
+@borrowing
+def due_end(promise: Promise, state: Underway, tick: int, here: Motion) -> tuple[Motion, bool]:
+    """Where the UAV will be when the next motion begins, and whether all that it may fly until then was checked.
+
+    `state.flown` then has what it flies there. What is under way is in a chain from what is flown now, or void.
+    """
+    c, checked = promise, bool(state.flown[_NOW].checked)
+    ahead = state.flown[_END : _END + 1]
+    ahead[0] = state.flown[_NOW]
+    for k in range(c.delay_ticks):
+        if follow_on(state.sent, ahead, tick + k):
+            checked = checked and bool(ahead[0].checked)
+        u_x, u_y = motion_command(ahead[0], here.v_x, here.v_y, c.u_a, c.dt)
+        here, _ = step_in_area(c, here, u_x, u_y)
+        ahead[0].age += 1
+    return here, checked
+
+
+@borrowing
+def take_rest(state: Underway, plan: RecordArray) -> None:
+    """Let the plan that is held be the rest of the motion that is flown at the end of the course."""
+    m, held = state.flown[_END], plan[0]
+    held.valid = 1 if m.checked else 0
+    behind = max(0, m.age - 1)
+    held.turn, behind = max(0, m.turn - behind), max(0, behind - m.turn)
+    held.cruise, behind = max(0, m.cruise - behind), max(0, behind - m.cruise)
+    held.brake = max(0, m.brake - behind)
+    held.turn_x, held.turn_y, held.brake_x, held.brake_y = m.turn_x, m.turn_y, m.brake_x, m.brake_y
+
+
+@borrowing
+def check_start(
+    promise: Promise, state: Underway, detections: RecordArray, plan: RecordArray, here: Motion
+) -> None:
+    """At tick 0, while nothing has been sent: the rest until a motion begins is a plan, if it can be checked as one."""
+    if may_rest(promise, detections, plan, 0, here, promise.delay_ticks):
+        state.flown[_NOW].checked = True
+
+
+@borrowing
+def send_motion(
+    promise: Promise,
+    state: Underway,
+    plan: RecordArray,
+    tick: int,
+    here: Motion,
+    u_x: float,
+    u_y: float,
+    acts: int,
+) -> None:
+    """Take the motion of this command among those under way, and note where the UAV will be at the next tick.
+
+    Args:
+        promise: The declared numbers.
+        state: Is changed.
+        plan: What is flown after the first tick.
+        tick: Now.
+        here: Where the UAV is now.
+        u_x, u_y: The first tick's acceleration [m/s²].
+        acts: As from `safe_control`; without a plan the vehicle rests after the first tick.
+    """
+    c, held = promise, plan[0]
+    begins = tick + c.delay_ticks
+    place = begins % state.sent.shape[0]
+    _clear(state.sent, place)
+    row = state.sent[place]
+    row.begins, row.parent = begins, state.flown[_END].begins
+    row.first_x, row.first_y = u_x, u_y
+    if acts != BEST_EFFORT:
+        row.checked = True
+        row.turn, row.cruise, row.brake = held.turn, held.cruise, held.brake
+        row.turn_x, row.turn_y = held.turn_x, held.turn_y
+        row.brake_x, row.brake_y = held.brake_x, held.brake_y
+    ahead = state.flown[_END : _END + 1]
+    for k in (_LOST, _BEGUN):
+        ahead[0] = state.flown[_NOW]
+        if k == _BEGUN:
+            follow_on(state.sent, ahead, tick)
+        w_x, w_y = motion_command(ahead[0], here.v_x, here.v_y, c.u_a, c.dt)
+        there, _ = step_in_area(c, here, w_x, w_y)
+        due = state.expected[k]
+        due.p_x, due.p_y, due.v_x, due.v_y = there.p_x, there.p_y, there.v_x, there.v_y
+
+
+@borrowing
+def flown_for(promise: Promise, state: Underway, tick: int) -> int:
+    """How long ago the motion began that is flown [ticks]; the rest at the start counts from just before one may begin."""
+    begins = int(state.flown[_NOW].begins)
+    return tick - (begins if begins >= 0 else promise.delay_ticks - 1)
+
+
+@borrowing
+def carried(promise: Promise, state: Underway, tick: int) -> int:
+    """How many motions the command of this tick carries: its own, and those just before it that have not begun."""
+    last, n = tick + promise.delay_ticks, 0
+    while n < MOST_CARRIED and last - n >= tick:
+        if state.sent[(last - n) % state.sent.shape[0]].begins != last - n:
+            break
+        n += 1
+    return n
+
+
+@borrowing
+def hand_over(
+    promise: Promise, state: Underway, tick: int, motions: RecordArray
+) -> tuple[int, int]:
+    """Put the motions that the command of this tick carries among those that set out.
+
+    Returns:
+        The tick in which the last of them begins, and how many they are.
+    """
+    last, n = tick + promise.delay_ticks, carried(promise, state, tick)
+    for begins in range(last - n + 1, last + 1):
+        keep_motion(motions, state.sent[begins % state.sent.shape[0]], tick)
+    return last, n

@@ -1,0 +1,22 @@
+"""The adversary's own draws: compiled, fast, the same for one seed."""
+
+import numpy as np
+import numpy.typing as npt
+
+from sim.kernels.compile import compiled
+
+_GOLDEN, _MIX_1, _MIX_2 = (
+    np.uint64(0x9E3779B97F4A7C15),
+    np.uint64(0xBF58476D1CE4E5B9),
+    np.uint64(0x94D049BB133111EB),
+)
+
+
+@compiled
+def next_share(state: npt.NDArray[np.uint64]) -> float:
+    """A number in [0, 1) by splitmix64 (Steele, Lea, Flood 2014); a draw of Philox for each would take most of the time."""
+    state[0] += _GOLDEN
+    z = state[0]
+    z = (z ^ (z >> np.uint64(30))) * _MIX_1
+    z = (z ^ (z >> np.uint64(27))) * _MIX_2
+    return float((z ^ (z >> np.uint64(31))) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
