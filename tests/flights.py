@@ -1,8 +1,10 @@
 """Scenarios for the tests of laws and worlds, and a UAV's law without its pilot."""
 
+import hashlib
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from agents.control.laws import LawParameters, law_parameters
 from bus.messages import (
@@ -77,3 +79,19 @@ BAD = LinkTable(detections=POOR, commands=PROFILES["jammed"], operator=POOR, rad
 def degraded(ticks: int, links: LinkTable = BAD) -> Scenario:
     scenario = load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}"])
     return msgspec.structs.replace(scenario, links=links)
+
+
+def record(env, policies, observations):
+    """Fly to the end; position, velocity and applied acceleration of each tick, in the order of the trajectory's hash."""
+    world, rows = env.unwrapped.world, []
+    while env.agents:
+        before = (world.position.copy(), world.velocity.copy())
+        observations, *_ = env.step(
+            {name: policies[name](observations[name]) for name in env.agents}
+        )
+        rows.append(np.hstack((*before, world.acceleration)))
+    return np.array(rows)
+
+
+def sha256(states):
+    return hashlib.sha256((states + 0.0).astype("<f8").tobytes()).hexdigest()

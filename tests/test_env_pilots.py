@@ -1,7 +1,6 @@
 """The paper's pilots drive the environment, and the filter fits into its rows."""
 
 import copy
-import hashlib
 import math
 import runpy
 from pathlib import Path
@@ -9,6 +8,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from flights import record, sha256
 
 from agents.env_wrappers import EstimateWrapper
 from agents.estimation.estimator import RelativeEstimator
@@ -39,22 +39,6 @@ ABOVE = Scenario(
     uav=(Uav(position=(10.0, 10.0)),),
     ugv=(Ugv(position=(10.0, 10.0), goals=((20.0, 10.0),)),),
 )
-
-
-def record(env, policies, observations):
-    """Fly to the end; position, velocity and applied acceleration of each tick, in the order of the trajectory's hash."""
-    world, rows = env.unwrapped.world, []
-    while env.agents:
-        before = (world.position.copy(), world.velocity.copy())
-        observations, *_ = env.step(
-            {name: policies[name](observations[name]) for name in env.agents}
-        )
-        rows.append(np.hstack((*before, world.acceleration)))
-    return np.array(rows)
-
-
-def sha256(states):
-    return hashlib.sha256((states + 0.0).astype("<f8").tobytes()).hexdigest()
 
 
 @pytest.mark.parametrize("seed", [1, 2])

@@ -17,6 +17,17 @@ LATE = msgspec.structs.replace(
     WIFI_POOR, delay=0.4, jitter=0.3, duplicates=0.2, reorder=0.2, reorder_delay=0.3
 )
 
+LOSSY = msgspec.structs.replace(
+    PROFILES["perfect"],
+    delay=0.1,
+    jitter=0.1,
+    loss=0.3,
+    duplicates=0.2,
+    blackout_interval=5.0,
+    blackout_length=1.0,
+)
+"""Commands come late, twice, out of order, or not at all."""
+
 SMALL = Area(width=16.0, height=12.0, cell=0.5)
 
 NOISY = Detections(noise=0.2, dropout=0.2)
@@ -70,6 +81,12 @@ SCENARIOS: dict[str, Scenario] = {
     "delayed commands": small(
         "certified",
         links=LinkTable(commands=msgspec.structs.replace(PROFILES["perfect"], delay=0.2)),
+    ),
+    "lost commands": small(
+        "certified",
+        "evade",
+        links=LinkTable(commands=LOSSY),
+        certificate=Certificate(delay=0.4, outage=2.0),
     ),
     "uncertifiable": small("certified", certificate=Certificate(error=0.01)),
     "several": SEVERAL,

@@ -27,7 +27,7 @@ from agents.control.guard import (
     note_detection,
     note_position,
 )
-from agents.control.handover import certificate
+from agents.control.handover import DUST, certificate
 from agents.control.promise import Declared, Promise
 from agents.control.tracking import tracking_output, tracking_step
 from agents.control.visibility import raw_switching_radius
@@ -452,7 +452,7 @@ def fly_one(
     result[:] = 0.0
     result[MAX_EXCESS] = -math.inf
     _keep_states(s, now)
-    losses = _choose(random, c.losses, len(LOSSES))
+    losses, allowed = _choose(random, c.losses, len(LOSSES)), int(c.outage / dt + DUST)
     a[7] = ALIVE
     for tick in range(ticks + 1):
         t = tick * dt
@@ -563,7 +563,7 @@ def fly_one(
         if carrying:
             held, under = memory.plan[0], memory.underway.sent
             left = held.turn + held.cruise + held.brake
-            pending = Pending(tick, d_ticks, p.outage_ticks, d / c.r_v, left)
+            pending = Pending(tick, d_ticks, allowed, d / c.r_v, left)
             lost, a[7] = loses(losses, random, a[7], pending)
             keep_motion(s.motions[0, 0], under[(tick + d_ticks) % under.shape[0]], tick)
             sent[0, LAST], sent[0, CARRIED] = tick + d_ticks, 1.0

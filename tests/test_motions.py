@@ -1,0 +1,287 @@
+"""Commands that carry a motion: the vehicle flies on what was checked while commands are lost."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from flights import record, sha256, told
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from processes import run_json
+from worlds import LOSSY, SCENARIOS, small
+
+from agents.control.certificate import OUTAGE, UNCERTIFIED, UNCHECKED_MOTION
+from agents.control.handover import certificate, largest_outage
+from agents.control.promise import Declared
+from agents.control.visibility import SafetyFilter
+from agents.env_wrappers import SafetyFilterWrapper
+from bus.messages import MOST_CARRIED, Detection, MotionPlan, UavCommand, UavObservation
+from outrider.envs.env_pilots import pilots
+from outrider.experiments.falsify import attack as a
+from outrider.experiments.falsify.lost_motions import LOSSES
+from outrider.running.flying import fly
+from sim.env.parallel import parallel_env
+from sim.models.motion import motion_plan, motion_row
+from sim.scenario.types import Certificate, LinkTable, Uav
+from sim.world import World
+
+LOST = SCENARIOS["lost commands"]
+PAPER = {"r_v": 4.75, "v_a": 0.6, "u_a": 0.3, "v_g": 0.2, "dt": 0.05, "eps": 0.3}
+
+
+def rest(begins: int, parent: int = -1, **fields) -> MotionPlan:
+    return MotionPlan(begins, parent, (0.0, 0.0), **fields)
+
+
+def still(outage: float | None = 1.0, delay: float = 0.2) -> World:
+    """A UAV at rest, with perfect links."""
+    scenario = small("certified", certificate=Certificate(delay=delay, outage=outage))
+    return World(scenario, 1)
+
+
+def flown(world: World, commands: dict[int, tuple[MotionPlan, ...]], ticks: int) -> list:
+    """The motion that is flown in each tick; `commands` by the tick in which they set out."""
+    told = []
+    for tick in range(ticks):
+        if tick in commands:
+            world.send(0, tick, (0.0, 0.0), commands[tick])
+        world.advance()
+        told.append(world.flown(0))
+    return told
+
+
+# -- the receiver
+
+
+def test_a_motion_that_comes_early_begins_in_its_own_tick() -> None:
+    assert flown(still(), {0: (rest(4),)}, 6) == [None, None, None, None, 4, 4]
+
+
+def test_a_motion_that_comes_late_never_begins() -> None:
+    assert flown(still(), {3: (rest(2),)}, 8) == [None] * 8
+
+
+def test_a_motion_begins_only_if_its_parent_is_flown() -> None:
+    world = still()
+    chain = {0: (rest(0),), 1: (rest(1, 0),), 2: (rest(2, 0),), 3: (rest(3, 1),)}
+    assert flown(world, chain, 5) == [0, 1, 1, 3, 3]  # 2 goes on from 0, which is no longer flown
+
+
+def test_a_command_brings_the_motions_that_the_ones_before_it_should_have_brought() -> None:
+    world = still()
+    assert flown(world, {3: (rest(3), rest(4, 3), rest(5, 4))}, 7) == [None, None, None, 3, 4, 5, 5]
+
+
+def test_a_motion_is_flown_to_its_end_and_then_the_vehicle_rests() -> None:
+    world = still()
+    plan = MotionPlan(0, -1, (0.2, 0.0), 2, 3, 4, (0.0, 0.1), (-0.05, -0.05))
+    world.send(0, 0, (9.0, 9.0), (plan,))
+    acted = []
+    for _ in range(16):
+        world.advance()
+        acted.append(tuple(world.commands[0]))
+    assert acted[:10] == [(0.2, 0.0), *[(0.0, 0.1)] * 2, *[(0.0, 0.0)] * 3, *[(-0.05, -0.05)] * 4]
+    assert np.all(world.velocity[0] == 0.0)
+
+
+def test_where_no_outage_is_declared_the_acceleration_acts_and_no_motion_is_flown() -> None:
+    world = still(outage=None)
+    world.send(0, 0, (0.1, 0.0), (MotionPlan(0, -1, (0.2, 0.0)),))
+    world.advance()
+    assert world.flown(0) is None
+    assert world.commands[0].tolist() == [0.1, 0.0]
+
+
+def test_a_command_without_a_motion_takes_over_and_one_with_takes_over_again() -> None:
+    world = still()
+    world.send(0, 0, (0.0, 0.0), (rest(0),))
+    world.advance()
+    world.send(0, 1, (0.1, 0.0))
+    world.advance()
+    assert (world.flown(0), world.commands[0].tolist()) == (None, [0.1, 0.0])
+    world.send(0, 2, (0.0, 0.0), (MotionPlan(2, -1, (0.3, 0.0)),))
+    world.advance()
+    assert (world.flown(0), world.commands[0].tolist()) == (2, [0.3, 0.0])
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.tuples(st.integers(-2, 12), st.integers(-1, 12)), max_size=6))
+def test_whatever_motions_come_the_receiver_flies_one_that_came_or_rests(sent) -> None:
+    motions = [MotionPlan(max(0, begins), parent, (0.1, 0.0)) for begins, parent in sent]
+    world = still()
+    told_flown = flown(
+        world, {tick: (motion,) for tick, motion in enumerate(motions)}, len(motions)
+    )
+    names = {motion.begins for motion in motions}
+    assert all(one is None or one in names for one in told_flown)
+    assert np.linalg.norm(world.velocity[0]) <= 0.6
+
+
+def test_a_motion_survives_its_message() -> None:
+    motion = MotionPlan(7, 6, (0.1, -0.2), 1, 2, 3, (0.25, 0.5), (-0.125, 1e-9))
+    assert motion_plan(motion_row(motion)) == motion
+
+
+# -- the pilot
+
+
+def test_a_command_with_all_its_motions_is_at_most_a_kilobyte() -> None:
+    env, taken = parallel_env(LOST), []
+    observations, _ = env.reset(seed=1)
+    env.carry = lambda _, motions: taken.append(motions)
+    record(env, pilots(env), observations)
+    for motions in taken:
+        begins = [motion.begins for motion in motions]
+        assert begins == list(range(begins[0], begins[0] + len(begins)))
+    assert max(len(motions) for motions in taken) == MOST_CARRIED
+    assert max(len(msgspec.json.encode(motions)) for motions in taken) <= 1024
+
+
+def test_more_motions_than_a_command_may_carry_are_refused() -> None:
+    command = UavCommand(tick=0, acceleration=(0.0, 0.0), motions=(rest(0),) * (MOST_CARRIED + 1))
+    with pytest.raises(msgspec.ValidationError, match="length"):
+        msgspec.json.decode(msgspec.json.encode(command), type=UavCommand)
+
+
+# -- one trajectory
+
+
+def test_lost_commands_fly_one_trajectory_in_the_environment_and_in_a_run() -> None:
+    env = parallel_env(LOST)
+    observations, _ = env.reset(seed=3)
+    states = record(env, pilots(env), observations)
+    _, summary = fly(LOST, 3)
+    assert sha256(states) == summary.trajectory_sha256
+    assert summary.certified_share == 1.0
+
+
+def test_lost_commands_fly_one_trajectory_over_three_processes(tmp_path) -> None:
+    arguments = [
+        "escort",
+        *("--law", "certified", "--driver", "evade", "--duration", "10", "--seed", "3"),
+        *("--set", "links.commands.loss=0.4", "--set", "links.commands.jitter=0.1"),
+        *("--set", "links.commands.delay=0.1", "--set", "certificate.outage=3.0"),
+    ]
+    over_the_bus, alone = run_json(*arguments), run_json(*arguments, "--in-process")
+    assert over_the_bus["trajectory_sha256"] == alone["trajectory_sha256"]
+    assert over_the_bus["certified_share"] == alone["certified_share"] == 1.0
+
+
+# -- the theorem
+
+COMBINATIONS = [
+    (outage, delay, kind) for outage in (1.0, 5.0) for delay in (0.0, 0.3) for kind in LOSSES[1:]
+]
+
+
+@pytest.mark.parametrize(("outage", "delay", "kind"), COMBINATIONS)
+def test_no_certified_run_loses_sight_whatever_motions_are_lost(outage, delay, kind) -> None:
+    conditions = a.Conditions(
+        outage=outage,
+        delay=delay,
+        losses=LOSSES.index(kind),
+        jitter=delay > 0.0,
+        blackout=3,
+        blackout_time=4.0,
+        u_g=math.inf,
+    )
+    rows = a.attack(a.declared(conditions, 0.3), conditions, 5, 0, 4, 100.0)
+    assert rows[:, a.MAX_DISTANCE].max() < conditions.r_v
+    assert rows[:, a.CERTIFIED_LOST].sum() == rows[:, a.BROKEN].sum() == 0
+    assert rows[:, a.UNCERTIFIED].max() == 0.0
+
+
+def test_longer_outages_than_declared_lose_sight_and_are_told() -> None:
+    conditions = a.Conditions(
+        outage=8.0, inner=0, ugv=0, losses=LOSSES.index("whenever_it_may"), u_g=math.inf
+    )
+    promise = a.declared(conditions._replace(outage=0.5), 0.3)
+    rows = a.attack(promise, conditions, 5, 0, 20, 200.0)
+    assert rows[:, a.MAX_DISTANCE].max() > conditions.r_v
+    assert rows[:, a.UNCERTIFIED].min() > 0.1
+    assert rows[:, a.CERTIFIED_LOST].sum() == rows[:, a.BROKEN].sum() == 0
+
+
+def test_motions_that_were_checked_for_less_than_the_outage_are_caught_by_the_attack() -> None:
+    """The numbers of a short outage with the claim of a long one: what the certificate would be without its wait."""
+    conditions = a.Conditions(
+        outage=8.0, losses=LOSSES.index("whenever_it_may"), inner=0, ugv=0, u_g=math.inf
+    )
+    short = a.declared(conditions._replace(outage=0.05), 0.3)
+    wait = 8.0 * short.v_g  # which the checks take off again
+    wrong = short._replace(
+        handover=short.handover + wait, reach=short.reach + wait, outage_ticks=160
+    )
+    rows = a.attack(wrong, conditions, 5, 0, 20, 200.0)
+    assert rows[:, a.MAX_DISTANCE].max() > conditions.r_v
+    assert rows[:, a.BROKEN].sum() > 0
+
+
+def test_an_outage_costs_radius_and_age() -> None:
+    numbers = [certificate(Declared(**PAPER, age=5.0, outage=b)) for b in (0.05, 1.0, 4.0)]
+    assert [c.reach for c in numbers] == sorted((c.reach for c in numbers), reverse=True)
+    assert all(c.handover <= numbers[0].handover for c in numbers)
+    most = largest_outage(numbers[0])
+    assert math.isnan(certificate(Declared(**PAPER, age=5.0, outage=most + 0.1)).handover)
+    assert not math.isnan(certificate(Declared(**PAPER, age=5.0, outage=most - 0.1)).handover)
+
+
+def test_a_policy_keeps_sight_through_the_filter_while_its_commands_are_lost() -> None:
+    scenario = small(
+        "certified",
+        links=LinkTable(commands=LOSSY),
+        certificate=Certificate(delay=0.4, outage=2.0),
+        duration=40.0,
+    )
+    env = SafetyFilterWrapper(parallel_env(scenario))
+    env.reset(seed=2)
+    certified = []
+    while env.agents:
+        away = np.array([0.3, 0.1])
+        _, _, _, _, infos = env.step({"uav_0": away, "ugv_0": -away})
+        certified.append(infos["uav_0"]["certified"])
+    assert env.unwrapped.world.tick == scenario.ticks
+    assert all(certified)
+    assert env.filters["uav_0"].interventions > 0
+
+
+def test_a_silence_that_is_longer_than_declared_is_told_by_its_name() -> None:
+    scenario = small(
+        "certified",
+        links=LinkTable(commands=msgspec.structs.replace(LOSSY, blackouts=((5.0, 3.0),))),
+        certificate=Certificate(delay=0.4, outage=2.0),
+    )
+    _, summary = fly(scenario, 1)
+    assert summary.uncertified[UNCERTIFIED[OUTAGE]] >= 15
+    assert summary.certified_while_lost == summary.certificate_broken == 0
+    assert summary.certified_share > 0.8
+
+
+def test_a_vehicle_that_is_pushed_off_its_motion_is_told_and_certified_again() -> None:
+    """A filter that is told another state than it has predicted trusts no plan that was made before."""
+    pilot = SafetyFilter(told(small("certified", certificate=Certificate(delay=0.1, outage=1.0))))
+    seen = UavObservation(tick=0, time=0.0, position=(8.0, 7.0), velocity=(0.0, 0.0))
+    reasons = []
+    for tick in range(12):
+        found = msgspec.structs.replace(
+            seen, tick=tick, time=tick * 0.05, flown=None if tick < 3 else tick - 1
+        )
+        if tick == 0:
+            found = msgspec.structs.replace(
+                found, detections=(Detection(time=0.0, relative_position=(0.0, 1.0)),)
+            )
+        if tick >= 6:
+            found = msgspec.structs.replace(found, position=(8.1, 7.0))
+        pilot.see(found)
+        reasons.append(pilot.filter(found, (0.0, 0.0)).reason)
+    assert reasons[:6] == [""] * 6
+    assert reasons[6].startswith("the UAV is not where")
+    assert UNCERTIFIED[UNCHECKED_MOTION] in reasons[7:]
+    assert reasons[-1] == ""
+
+
+def test_uavs_alone_have_receivers() -> None:
+    world = still()
+    tables, _ = world.arrays
+    assert tables.receivers.tolist() == [isinstance(v, Uav) for v in world.scenario.vehicles]
