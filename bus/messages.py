@@ -582,6 +582,10 @@ class CertificateStatus(Message, frozen=True, kw_only=True):
     """Those that were certified although the UGV was out of sight: the certificate is wrong if there is one."""
     certificate_broken: Tick = 0
     """Those that were not certified although the one before was and all assumptions hold: likewise."""
+    outage: NonNegative | None = None
+    """From the beginning of a motion to that of the next at most, as it is declared, B [s]; None: commands carry none."""
+    longest_outage: NonNegative | None = None
+    """And the longest so far [s]."""
 
 
 class Status(Message, frozen=True, kw_only=True):

@@ -40,8 +40,10 @@ from agents.control.guard import (
 )
 from agents.control.handover import certificate
 from agents.control.promise import Declared, Promise
+from agents.control.underway import Underway
 from agents.control.visibility import SafetyFilter, promise_of
 from bus.messages import DeclaredBounds, Detection, UavBriefing, UavObservation
+from sim.engine.batch import arrays_of
 from sim.kernels.compile import FloatArray
 from sim.kernels.records import RecordArray, records
 from sim.models.vehicles import Motion, step_vehicle
@@ -153,6 +155,9 @@ def fly_all(
             states.course[i],
             states.track[i],
             states.flags[i],
+            Underway(
+                states.underway.sent[i], states.underway.flown[i], states.underway.expected[i]
+            ),
         )
         begin_guard(state)
         n = 0
@@ -189,9 +194,10 @@ def test_many_worlds_in_a_compiled_loop_give_what_the_filter_gives(delay: float)
     flights = [flown(seed, delay) for seed in range(WORLDS)]
     rows = records(Promise, [watch.promise for watch, *_ in flights])
     one = guard_state(flights[0][0].promise, DEPTH)
-    states = GuardState(
-        *(np.full((WORLDS, *part.shape), np.array(7).astype(part.dtype)) for part in one)
-    )  # `begin_guard` must clear them
+    parts = [
+        np.full((WORLDS, *part.shape), np.array(7).astype(part.dtype)) for part in arrays_of(one)
+    ]
+    states = GuardState(*parts[:-3], Underway(*parts[-3:]))  # `begin_guard` must clear them
     counts = np.array([len(arrived) for _, _, arrived, _ in flights])
     arrived = np.zeros((WORLDS, counts.max(), 4))
     for i, flight in enumerate(flights):
@@ -203,7 +209,7 @@ def test_many_worlds_in_a_compiled_loop_give_what_the_filter_gives(delay: float)
     assert len(np.unique(wanted[:, :, 3])) >= 3  # certified, without a detection, contradicted
     assert 0 < wanted[:, :, 2].sum() < wanted[:, :, 2].size
     for i, (watch, *_) in enumerate(flights):
-        for part, own in zip(states, watch.state, strict=True):
+        for part, own in zip(arrays_of(states), arrays_of(watch.state), strict=True):
             assert part[i].tobytes() == own.tobytes()
 
 
@@ -276,11 +282,12 @@ def test_a_memory_that_begins_again_is_as_fresh_as_a_new_one(delay: float) -> No
         NO_DETECTION,
         math.inf,
     )
-    for part in used:
+    parts = arrays_of(used)
+    for part in parts:
         part[:] = np.array(-5).astype(part.dtype)
     begin_guard(used)
-    assert [part.tobytes() for part in used] == [part.tobytes() for part in fresh]
-    assert [part.dtype for part in used] == [part.dtype for part in fresh]
+    assert [part.tobytes() for part in parts] == [part.tobytes() for part in arrays_of(fresh)]
+    assert [part.dtype for part in parts] == [part.dtype for part in arrays_of(fresh)]
 
 
 def test_a_track_has_room_for_a_tick() -> None:
@@ -295,9 +302,9 @@ def test_a_detection_of_a_tick_that_was_not_noted_is_ignored(taken: int) -> None
     state = guard_state(promise, 8)
     for tick in (0, 1, 2, 3, 5, 6, 7, 8, 11):  # 8 and 11 take the places of 0 and 3
         note_position(state, tick, 20.0 + tick, 20.0)
-    before = [part.tobytes() for part in state]
+    before = [part.tobytes() for part in arrays_of(state)]
     note_detection(promise, state, taken, 11, 0.5, 0.0, 31.0, 20.0)
-    assert [part.tobytes() for part in state] == before
+    assert [part.tobytes() for part in arrays_of(state)] == before
     note_detection(promise, state, 7, 11, 0.5, 0.0, 31.0, 20.0)
     assert kept_by(state) == [(26.5, 20.0, 7)]
 

@@ -13,7 +13,6 @@ All positions in the world's frame [m], speeds [m/s], accelerations [m/s²], tim
 from typing import NamedTuple
 
 import numpy as np
-from sim.models.motion import NO_MOTION
 
 from agents.control.certificate import (
     BEST_EFFORT,
@@ -57,6 +56,7 @@ from agents.control.underway import (
 )
 from sim.kernels.compile import FloatArray, borrowing
 from sim.kernels.records import RecordArray, record_type
+from sim.models.motion import NO_MOTION
 from sim.models.vehicles import Motion, within_walls
 
 _ON_COURSE = 1e-10

@@ -11,13 +11,13 @@ Positions [m], speeds [m/s], accelerations [m/s²], times in ticks.
 from typing import NamedTuple
 
 import numpy as np
-from sim.models.motion import NO_MOTION, follow_on, keep_motion, motion_command, no_motions
 
 from agents.control.certificate import BEST_EFFORT, may_rest, step_in_area
 from agents.control.promise import Promise
 from bus.messages import MOST_CARRIED
 from sim.kernels.compile import borrowing
 from sim.kernels.records import RecordArray, record_type
+from sim.models.motion import NO_MOTION, follow_on, keep_motion, motion_command, no_motions
 from sim.models.vehicles import Motion
 
 _NOW, _END = 0, 1

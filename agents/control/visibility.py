@@ -6,7 +6,6 @@ from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
-from sim.models.motion import NO_MOTION, motion_plan
 
 from agents.control.certificate import CERTIFIED, INNER, UNCERTIFIED
 from agents.control.guard import (
@@ -24,6 +23,7 @@ from bus.errors import ScenarioError
 from bus.messages import MotionPlan, UavBriefing, UavObservation, Vector
 from bus.ticks import looks_of
 from sim.kernels.compile import compiled
+from sim.models.motion import NO_MOTION, motion_plan
 from sim.models.vehicles import Motion, norm, stopping_distance
 
 _TRACK = 120.0

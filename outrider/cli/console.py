@@ -148,6 +148,11 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
                 ),
             )
         )
+    if summary.longest_outage is not None and summary.declared_outage is not None:
+        longest, most = summary.longest_outage, summary.declared_outage
+        colour = "green" if longest <= most else "yellow"
+        waited = Text.assemble((f"{longest:.2f} s", colour), f", declared {most:g} s")
+        rows.append(("longest wait for a motion", waited))
     if summary.certified_while_lost:
         rows.append(
             (

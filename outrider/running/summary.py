@@ -76,6 +76,10 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """Ticks that were certified although the UGV was out of sight; any is a fault of the certificate."""
     certificate_broken: int = 0
     """Ticks that were not certified although the one before was and all assumptions held; likewise."""
+    declared_outage: float | None = None
+    """From the beginning of a motion to that of the next at most, B [s]; None where commands carry none."""
+    longest_outage: float | None = None
+    """And the longest in this flight [s]."""
     links: dict[str, LinkStatus] = {}
     """Counts of each link's messages, by `vehicle/kind`."""
     realtime: float | None = None
@@ -148,6 +152,8 @@ def certificate_fields(told: CertificateStatus | None) -> dict[str, Any]:
         "uncertified": told.uncertified,
         "certified_while_lost": told.certified_while_lost,
         "certificate_broken": told.certificate_broken,
+        "declared_outage": told.outage,
+        "longest_outage": told.longest_outage,
     }
 
 

@@ -46,6 +46,8 @@ class Assumptions:
         outage = certificate.outage
         self._outage = None if outage is None else math.floor(outage / dt + DUST)
         self._begun = self._delay - 1  # that of the motion that is flown; at first of the rest
+        self.longest_outage = 0
+        """The longest time from the beginning of a motion to that of the next so far [ticks]."""
         size = self._delay + 1
         nothing: list[tuple[int, Vector]] = [(tick - size, (0.0, 0.0)) for tick in range(size)]
         self._sent = nothing  # a ring: the tick that each answers, and the command
@@ -71,7 +73,9 @@ class Assumptions:
         """A command [m/s²] acts in this tick, or a motion that began in the tick `flown`."""
         if self._outage is not None:
             self._begun = self._begun if flown is None else flown
-            self._obeyed = tick - self._begun < self._outage
+            waited = tick - self._begun + 1  # so long at least until the next one begins
+            self.longest_outage = max(self.longest_outage, waited)
+            self._obeyed = waited <= self._outage
             return
         due = tick - self._delay
         self._obeyed = self._sent[due % len(self._sent)] == (due, acceleration)
@@ -110,7 +114,8 @@ class Assurance:
         uavs = [
             one.name for one in scenario.vehicles if isinstance(one, Uav)
         ]  # rows as the world's
-        self._radius = scenario.visibility.radius
+        self._radius, self._dt = scenario.visibility.radius, scenario.dt
+        self._outage = scenario.certificate.outage
         self._assumptions = [Assumptions(declared(scenario, uav), scenario.dt) for uav in uavs]
         self._promised = [False] * len(uavs)
         """True where the tick before was certified, and nothing excuses that this one is not."""
@@ -193,6 +198,7 @@ class Assurance:
         """All of it as a message; None where no filter has watched over anything."""
         if not self.ticks:
             return None
+        longest = max(assumptions.longest_outage for assumptions in self._assumptions)
         return CertificateStatus(
             ticks=self.ticks,
             certified=self.certified,
@@ -200,4 +206,6 @@ class Assurance:
             uncertified=dict(self.reasons),
             certified_while_lost=self.certified_while_lost,
             certificate_broken=self.certificate_broken,
+            outage=self._outage,
+            longest_outage=None if self._outage is None else longest * self._dt,
         )
