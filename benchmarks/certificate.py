@@ -4,6 +4,8 @@ About a minute each.
 
 radius: R_h, E and r_cert over eps, A and tau_c; and the largest A.
 guards: how often guards that are known to be wrong lose sight, and the filter beside them.
+outage: what a longest time B without a motion costs: R_h, E, r_cert and the largest A.
+motions: the same commands as in `commands`, where they carry motions and B is declared.
 commands: what becomes of sight and certificate where commands are early, late or lost.
 profiles: whole flights over each shipped network profile: share of ticks certified, mean e(t), what must be zero.
 """
@@ -15,7 +17,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 
 from agents.control.handover import certificate, certified_radius, largest_age
-from agents.control.promise import Declared
+from agents.control.promise import Declared, Promise
 from bus.profiles import PROFILES
 from outrider.experiments.falsify import attack as a
 from outrider.running.flying import InProcess, make_pilots
@@ -141,8 +143,42 @@ def guards() -> Iterator[str]:
         yield f"| {name} | {lost} | {told[0]} | {told[1]} | {far:.4f} | {rows[:, a.MEAN_DISTANCE].mean():.2f} |"
 
 
-def commands() -> Iterator[str]:
-    """Commands that are early, late or lost: with margins in units of (v_a + v_g) times the longest such time."""
+def outage() -> Iterator[str]:
+    """What B costs."""
+    numbers = {name: a.PAPER_BOUNDS[name] for name in ("r_v", "v_a", "u_a", "v_g", "dt")}
+    waits = (0.05, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0)
+    yield f"| B [s] | {' | '.join(f'{wait:g}' for wait in waits)} |"
+    yield f"|---|{'---|' * len(waits)}"
+    for eps, age, delay in ((0.3, 1.0, 0.0), (0.3, 5.0, 0.0), (0.3, 1.0, 0.5), (0.9, 1.0, 0.0)):
+        found = [
+            certificate(Declared(**numbers, eps=eps, age=age, delay=delay, outage=wait))
+            for wait in waits
+        ]
+        told = f"ε {eps:g} m, A {age:g} s, τ_c {delay:g} s"
+        for name, row in (
+            ("R_h [m]", [f"{c.handover:.3f}" for c in found]),
+            ("E [m]", [f"{c.reach:.2f}" for c in found]),
+            ("r_cert [m]", [f"{_r_cert(c):.2f}" for c in found]),
+        ):
+            yield f"| {name} at {told} | {' | '.join(row).replace('nan', '–')} |"
+    for eps, delay in ((0.0, 0.0), (0.3, 0.0), (0.9, 0.0), (0.3, 1.0)):
+        ages = [
+            largest_age(
+                certificate(Declared(**numbers, eps=eps, age=0.05, delay=delay, outage=wait))
+            )
+            for wait in waits
+        ]
+        row = " | ".join("–" if math.isnan(age) else f"{age:.1f}" for age in ages)
+        yield f"| largest A [s] at ε {eps:g} m, τ_c {delay:g} s | {row} |"
+
+
+def _r_cert(c: Promise) -> float:
+    wait = c.outage_ticks * c.dt
+    return certified_radius(c.handover, c.v_a, c.u_a, c.v_g, c.dt, c.delay_ticks * c.dt, wait)
+
+
+def _unreliable() -> dict[str, tuple[a.Conditions, float]]:
+    """Commands that are early, late or lost, and the longest time for which they are."""
     silences = a.DISTURBANCES.index("silences")
     cases = {
         f"0 to {late:g} s late": (a.Conditions(delay=late, jitter=True), late)
@@ -160,6 +196,31 @@ def commands() -> Iterator[str]:
         )
         for out in (0.2, 0.5, 1.0, 2.0)
     }
+    return cases
+
+
+def motions() -> Iterator[str]:
+    """The same, with commands that carry motions: an outage of n ticks needs B of n + 1, late ones a delay."""
+    tasks = []
+    for name, (conditions, longest) in _unreliable().items():
+        late = conditions.delay if conditions.jitter else 0.0
+        kept = conditions._replace(delay=late, outage=longest + 0.05 if not late else 0.05)
+        if conditions.disturbance == a.DISTURBANCES.index("late"):
+            kept = kept._replace(outage=1.0)
+        tasks.append((name, kept, 0.3, 0.0))
+    columns = "B [s] | lose sight | certified while lost | certificate broken | ticks not certified | mean d [m]"
+    yield f"| commands that carry motions, {RUNS:,} runs | {columns} |"
+    yield "|---|---|---|---|---|---|---|"
+    for (name, rows), (_, conditions, _, _) in zip(_fly(tasks), tasks, strict=True):
+        counts = [int((rows[:, k] > 0).sum()) for k in (a.CERTIFIED_LOST, a.BROKEN)]
+        lost = int((rows[:, a.MAX_DISTANCE] >= 4.75).sum())
+        share, mean = rows[:, a.UNCERTIFIED].mean(), rows[:, a.MEAN_DISTANCE].mean()
+        yield f"| {name} | {conditions.outage:g} | {lost} | {counts[0]} | {counts[1]} | {share:.1%} | {mean:.2f} |"
+
+
+def commands() -> Iterator[str]:
+    """Commands that are early, late or lost: with margins in units of (v_a + v_g) times the longest such time."""
+    cases = _unreliable()
     margins = (0.0, 1.0, 1.5, 2.0)
     tasks = [
         (name, conditions, 0.3, share * 0.8 * longest)
@@ -223,6 +284,8 @@ def profiles() -> Iterator[str]:
 
 
 TABLES: dict[str, Callable[[], Iterator[str]]] = {
+    "outage": outage,
+    "motions": motions,
     "radius": radius,
     "guards": guards,
     "commands": commands,

@@ -78,15 +78,15 @@ def _clear(rows: RecordArray, k: int) -> None:
     row.turn, row.cruise, row.brake = 0, 0, 0
     row.first_x, row.first_y = 0.0, 0.0
     row.turn_x, row.turn_y, row.brake_x, row.brake_y = 0.0, 0.0, 0.0, 0.0
-    row.arrived, row.plain, row.checked = False, False, False
+    row.arrived, row.plain, row.checked = 0, 0, 0
 
 
 @borrowing
 def doubt(state: Underway) -> None:
     """The UAV is not where it was expected: none of the plans was checked from where it is."""
     for k in range(state.sent.shape[0]):
-        state.sent[k].checked = False
-    state.flown[_NOW].checked = False
+        state.sent[k].checked = 0
+    state.flown[_NOW].checked = 0
 
 
 @borrowing
@@ -140,12 +140,12 @@ def due_end(promise: Promise, state: Underway, tick: int, here: Motion) -> tuple
 
     `state.flown` then has what it flies there. What is under way is in a chain from what is flown now, or void.
     """
-    c, checked = promise, bool(state.flown[_NOW].checked)
+    c, checked = promise, state.flown[_NOW].checked == 1
     ahead = state.flown[_END : _END + 1]
     ahead[0] = state.flown[_NOW]
     for k in range(c.delay_ticks):
         if follow_on(state.sent, ahead, tick + k):
-            checked = checked and bool(ahead[0].checked)
+            checked = checked and ahead[0].checked == 1
         u_x, u_y = motion_command(ahead[0], here.v_x, here.v_y, c.u_a, c.dt)
         here, _ = step_in_area(c, here, u_x, u_y)
         ahead[0].age += 1
@@ -156,7 +156,7 @@ def due_end(promise: Promise, state: Underway, tick: int, here: Motion) -> tuple
 def take_rest(state: Underway, plan: RecordArray) -> None:
     """Let the plan that is held be the rest of the motion that is flown at the end of the course."""
     m, held = state.flown[_END], plan[0]
-    held.valid = 1 if m.checked else 0
+    held.valid = m.checked
     behind = max(0, m.age - 1)
     held.turn, behind = max(0, m.turn - behind), max(0, behind - m.turn)
     held.cruise, behind = max(0, m.cruise - behind), max(0, behind - m.cruise)
@@ -170,7 +170,7 @@ def check_start(
 ) -> None:
     """At tick 0, while nothing has been sent: the rest until a motion begins is a plan, if it can be checked as one."""
     if may_rest(promise, detections, plan, 0, here, promise.delay_ticks):
-        state.flown[_NOW].checked = True
+        state.flown[_NOW].checked = 1
 
 
 @borrowing
@@ -203,7 +203,7 @@ def send_motion(
     row.begins, row.parent = begins, state.flown[_END].begins
     row.first_x, row.first_y = u_x, u_y
     if acts != BEST_EFFORT:
-        row.checked = True
+        row.checked = 1
         row.turn, row.cruise, row.brake = held.turn, held.cruise, held.brake
         row.turn_x, row.turn_y = held.turn_x, held.turn_y
         row.brake_x, row.brake_y = held.brake_x, held.brake_y

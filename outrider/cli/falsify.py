@@ -393,7 +393,8 @@ def _lines(found: "Found") -> "Iterator[str]":
             yield "    nothing certifies here"
     if found.attack_again is not None and attacks.worst is not None:
         c = attacks.worst.conditions
-        dark = f"blackouts up to {c.blackout_time:g} s, detections up to {c.latency:g} s and commands {c.delay:g} s late"
+        dark = f"motions lost for up to {c.outage:g} s, " if c.outage else ""
+        dark += f"blackouts up to {c.blackout_time:g} s, detections up to {c.latency:g} s and commands {c.delay:g} s late"
         yield f"  The worst attack: errors up to {attacks.worst.eps:g} m, {dark}. Again:"
         yield "    import math; from outrider import attack as a"
         yield f"    {found.attack_again}"

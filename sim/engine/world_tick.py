@@ -163,7 +163,7 @@ def _note_arrival(motions: RecordArray, last: int, carried: int) -> None:
     rows = motions.shape[0]
     for begins in range(max(0, last - min(carried, rows) + 1), last + 1):
         if motions[begins % rows].begins == begins:
-            motions[begins % rows].arrived = True
+            motions[begins % rows].arrived = 1
 
 
 @borrowing
@@ -180,9 +180,9 @@ def _fly_motion(
 
     False where commands act that carry none.
     """
-    if motions[tick % motions.shape[0]].arrived:
+    if motions[tick % motions.shape[0]].arrived == 1:
         follow_on(motions, flown, tick)
-    if flown[0].plain:
+    if flown[0].plain == 1:
         return False
     acting[0], acting[1] = motion_command(flown[0], velocity[0], velocity[1], u_max, w.dt)
     flown[0].age += 1
@@ -215,7 +215,7 @@ def receive_commands(t: BatchTables, s: BatchState, k: int) -> None:
                 acting[v, 0], acting[v, 1] = inbox[n, U_X], inbox[n, U_Y]
                 if t.receivers[v] and last < 0:
                     flown = s.flown[k, v, 0]
-                    flown.begins, flown.plain = NO_MOTION, True
+                    flown.begins, flown.plain = NO_MOTION, 1
         if t.receivers[v]:
             motions, flying, u_max = s.motions[k, v], s.flown[k, v], t.bounds[v, 1]
             moving = s.truth.velocity[k, v]

@@ -39,12 +39,12 @@ class MotionRecord(NamedTuple):
     """Accelerations of its turn and its brake [m/s²]."""
     age: int
     """Of one that is flown: ticks since it began."""
-    arrived: bool
-    """By the receiver: a command that carries it has arrived."""
-    plain: bool
-    """By the receiver, of what it flies: commands that carry no motion act."""
-    checked: bool
-    """By the pilot: sight is kept on it, as long as the next one begins in time."""
+    arrived: int
+    """By the receiver: 1 once a command that carries it has arrived."""
+    plain: int
+    """By the receiver, of what it flies: 1 where commands that carry no motion act."""
+    checked: int
+    """By the pilot: 1 if sight is kept on it, as long as the next one begins in time."""
 
 
 def no_motions(*shape: int) -> RecordArray:
@@ -110,7 +110,7 @@ def keep_motion(motions: RecordArray, motion: MotionRecord, tick: int) -> None:
     begins, rows = motion.begins, motions.shape[0]
     if tick <= begins < tick + rows and motions[begins % rows].begins != begins:
         motions[begins % rows] = motion
-        motions[begins % rows].arrived = False
+        motions[begins % rows].arrived = 0
 
 
 def motion_row(motion: MotionPlan) -> RecordArray:

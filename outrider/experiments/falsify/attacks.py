@@ -65,8 +65,11 @@ class Attacked:
 
 
 def kind(conditions: Conditions) -> str:
-    """Names the place and the disturbance that breaks A5."""
+    """Names the place and the disturbance that breaks A5, or A5' where commands carry motions."""
     breaks = attack.DISTURBANCES[conditions.disturbance].replace("_", " ")
+    if conditions.outage:
+        what = "A5' kept" if breaks == "none" else breaks
+        return f"{attack.AREAS[conditions.area]}, motions lost, {what}"
     if conditions.jitter:
         breaks = "jitter and duplicates" if conditions.duplicates else "jitter"
     elif conditions.duplicates:
