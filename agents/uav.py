@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 
@@ -53,19 +54,33 @@ _LONGEST = 500
 """Letters of a text on the bus."""
 
 
+class _Seen(NamedTuple):
+    """What an observation brings, as compiled code takes it."""
+
+    looked: int
+    """Ticks for which the ground below has been looked at since the last one."""
+    tick: int
+    here: Motion
+    looks: FloatArray
+    """Detections. Shape (rows, 3)."""
+    flown: int
+    """As in `agents.control.guard.guard`."""
+
+
+_NOTHING_SEEN = _Seen(0, 0, _NOWHERE, _NO_LOOKS, 0)
+
+
 @borrowing
 def _perceive(
     laws: RecordArray,
     promises: RecordArray,
     guarded: bool,
     memory: UavMemory,
-    looked: int,
-    tick: int,
-    here: Motion,
-    looks: FloatArray,
+    seen: _Seen,
 ) -> None:
-    arrived = looks.shape[0]
-    uav_perceive(laws[0], promises[0], guarded, memory, looked, tick, here, looks, arrived)
+    law, promise, arrived = laws[0], promises[0], seen.looks.shape[0]
+    looked, tick, here, looks = seen.looked, seen.tick, seen.here, seen.looks
+    uav_perceive(law, promise, guarded, memory, looked, tick, here, looks, arrived)
 
 
 @borrowing
@@ -74,18 +89,15 @@ def _act(
     promises: RecordArray,
     guarded: bool,
     memory: UavMemory,
-    looked: int,
-    tick: int,
-    here: Motion,
-    looks: FloatArray,
+    seen: _Seen,
     own: OwnTerms,
     target: tuple[bool, float, float],
-    flown: int,
 ) -> tuple[float, float, int, int, float]:
     """Both parts of the tick in one call: handing over the memory costs as much as either of them."""
-    law, promise, arrived = laws[0], promises[0], looks.shape[0]
-    uav_perceive(law, promise, guarded, memory, looked, tick, here, looks, arrived)
-    return uav_tick(law, promise, guarded, memory, own, tick, here, target, flown)
+    law, promise, arrived = laws[0], promises[0], seen.looks.shape[0]
+    tick, here, looks = seen.tick, seen.here, seen.looks
+    uav_perceive(law, promise, guarded, memory, seen.looked, tick, here, looks, arrived)
+    return uav_tick(law, promise, guarded, memory, own, tick, here, target, seen.flown)
 
 
 def radio_ticks(dt: float) -> int:
@@ -159,9 +171,9 @@ class UavPilot:
         self._tick: int | None = None
         self._radio_ticks = radio_ticks(briefing.dt)
         self._take_on()
-        seen, target = (0, 0, _NOWHERE, _NO_LOOKS), (False, 0.0, 0.0)
-        self._perceive = entry_point(_perceive, *self._fixed, *seen)
-        self._act = entry_point(_act, *self._fixed, *seen, _NOTHING_OWN, target, 0)
+        seen, target = _NOTHING_SEEN, (False, 0.0, 0.0)
+        self._perceive = entry_point(_perceive, *self._fixed, seen)
+        self._act = entry_point(_act, *self._fixed, seen, _NOTHING_OWN, target)
 
     def _take_on(self) -> None:
         """The law and the filter that there are now, as compiled code takes them."""
@@ -217,8 +229,7 @@ class UavPilot:
         estimate = self._estimate(observation, looks)
         target = (False, 0.0, 0.0) if estimate is None else (True, *estimate.position)
         own = self._own_terms(observation, estimate)
-        seen, flown = self._seen(observation, looks), flown_in(observation)
-        acted = self._act(*self._fixed, *seen, own, target, flown)
+        acted = self._act(*self._fixed, self._seen(observation, looks), own, target)
         (u_x, u_y), verdict = acted[:2], None
         if self.filter is not None:
             verdict = self.filter.verdict(observation.tick, *acted)
@@ -237,23 +248,22 @@ class UavPilot:
         """Take an observation into the map and the filters that comes too late to be answered."""
         looks = looks_of(observation.detections, self._briefing.dt)
         self._estimate(observation, looks)
-        self._perceive(*self._fixed, *self._seen(observation, looks))
+        self._perceive(*self._fixed, self._seen(observation, looks))
 
     def _estimate(self, observation: UavObservation, looks: tuple[Look, ...]) -> Estimate | None:
         return self.estimator.update(
             tick=observation.tick, own_position=observation.position, looks=looks
         )
 
-    def _seen(
-        self, observation: UavObservation, looks: tuple[Look, ...]
-    ) -> tuple[int, int, Motion, FloatArray]:
-        """What compiled code takes of an observation: ticks since the last one, tick, motion and detections."""
+    def _seen(self, observation: UavObservation, looks: tuple[Look, ...]) -> _Seen:
+        """An observation as compiled code takes it."""
         tick, before, rows = observation.tick, self._tick, _NO_LOOKS
         self._tick = tick
         if looks and self.filter is not None:
             rows = np.array(looks, dtype=np.float64)
         here = Motion(*observation.position, *observation.velocity)
-        return 0 if before is None else tick - before, tick, here, rows
+        looked = 0 if before is None else tick - before
+        return _Seen(looked, tick, here, rows, flown_in(observation))
 
     def _fly(self, law: Law) -> None:
         """Take another law; map, filter and the state of the law before stay."""
