@@ -28,6 +28,7 @@ def test_the_uav_is_told_these_fields_and_no_others() -> None:
         "velocity",
         "detections",
         "relative_position",
+        "flown",  # which of its own motions its own vehicle flies
         "over",
         "episode",
     }
@@ -64,6 +65,7 @@ def test_the_uav_is_told_these_fields_and_no_others() -> None:
         "delay",
         "margin",
         "hold",
+        "outage",
     }  # of its own detections and commands, and its own actuators
     run = {"vehicle", "dt", "visibility_radius", "law", "key", "past", "more"}
     assert (

@@ -281,6 +281,28 @@ def test_a_vehicle_that_is_pushed_off_its_motion_is_told_and_certified_again() -
     assert reasons[-1] == ""
 
 
+def test_what_the_vehicle_tells_that_it_flies_does_not_depend_on_the_ugv() -> None:
+    """Its own links and motions lead to it, and nothing else: two UGVs that move differently, one answer."""
+    scenario = small(
+        "certified", links=LinkTable(commands=LOSSY), certificate=Certificate(delay=0.4, outage=2.0)
+    )
+    told = []
+    for push in ((0.1, 0.0), (-0.05, 0.08)):
+        world = World(scenario, 4)
+        answers = []
+        for tick in range(200):
+            last = world.flown(0)
+            parent = -1 if last is None else last
+            world.send(0, tick, (0.0, 0.0), (rest(tick + 8, parent),))
+            world.send(1, tick, push)
+            world.advance()
+            answers.append(world.flown(0))
+        told.append(answers)
+        assert {one for one in answers if one is not None} <= set(range(8, 208))
+    assert told[0] == told[1]
+    assert len(set(told[0])) > 10
+
+
 def test_uavs_alone_have_receivers() -> None:
     world = still()
     tables, _ = world.arrays
