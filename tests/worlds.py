@@ -78,6 +78,13 @@ SCENARIOS: dict[str, Scenario] = {
     **{driver: small("certified", driver) for driver in ("wander", "script", "evade")},
     "raw detections": small("logarithmic", estimator=Estimator(enabled=False)),
     "network": small("certified", "evade", links=POOR, duration=30.0),
+    "narrow network": small(
+        "certified",
+        "evade",
+        links=LinkTable(detections=PROFILES["narrowband"], commands=PROFILES["narrowband"]),
+        certificate=Certificate(age=6.0, delay=1.0, outage=5.0),
+        duration=30.0,
+    ),
     "delayed commands": small(
         "certified",
         links=LinkTable(commands=msgspec.structs.replace(PROFILES["perfect"], delay=0.2)),

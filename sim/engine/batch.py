@@ -229,7 +229,7 @@ class Batch:
         return not self._links.perfect
 
     def longest_delay(self, kind: LinkKind) -> int:
-        """The longest delay of a link of this kind [ticks]."""
+        """The longest time from a sending to an arrival by a link of this kind, with the wait in its queue [ticks]."""
         return self._links.longest(kind)
 
     def link_status(self, world: int) -> dict[str, LinkStatus]:

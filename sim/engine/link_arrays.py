@@ -3,6 +3,7 @@
 What each link does in one table, what it remembers with axes for worlds and links.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -74,9 +75,10 @@ class LinkArrays:
         return all(p.perfect for p in self._parameters)
 
     def longest(self, kind: LinkKind) -> int:
-        """The longest delay of a link of this kind [ticks]."""
+        """The longest time from a sending to an arrival by a link of this kind, with the wait in its queue [ticks]."""
         links = zip(self.names, self._parameters, strict=True)
-        return max((p.longest for (one, _), p in links if one is kind), default=0)
+        waits = (p.longest + math.ceil(p.queue * p.spacing) for (one, _), p in links if one is kind)
+        return max(waits, default=0)
 
     def change(self, kind: LinkKind, vehicle: str, settings: LinkSettings) -> None:
         """Go on with other settings of one link from the next tick on, in new arrays; see `relink`."""
