@@ -1,0 +1,165 @@
+"""The table of docs/explanation/chances.md: `python benchmarks/chances.py [FLIGHTS]`, by default 100,000; some minutes.
+
+Chances that declared numbers are exceeded, as computed from the links' settings, beside how often they are in flights over the
+compiled link itself. Detections and packets are sent as a flight sends them; the protocol of the motions is played
+literally, packet by packet, and knows nothing of windows or chains of states.
+"""
+
+import math
+import sys
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from bus.messages import LinkSettings
+from bus.profiles import PROFILES
+from sim.channel.chances import Chance, chance_of_age, chance_of_outage
+from sim.channel.description import link_parameters, link_table
+from sim.channel.link import LinkNumbers, LinkState, exchange, link_state
+from sim.kernels.compile import FloatArray, IntArray, compiled
+from sim.models.randomness import DETECTION_CHANCE, uniform
+
+DT, TICKS = 0.05, 3200
+REPEATS = 6
+SURE = 2.5758293035489004
+"""Standard deviations of an interval that holds 99 % of a normal distribution."""
+
+
+@compiled
+def _copied(empty: LinkState) -> LinkState:
+    """A link on which nothing was ever sent."""
+    return LinkState(
+        empty.slots.copy(),
+        empty.payload.copy(),
+        empty.buckets.copy(),
+        empty.counts.copy(),
+        empty.numbers.copy(),
+    )
+
+
+@compiled
+def _too_old(
+    table: LinkNumbers,
+    empty: LinkState,
+    out: FloatArray,
+    seed: int,
+    flights: int,
+    ticks: int,
+    period: int,
+    dropout: float,
+    age: int,
+) -> int:
+    """In how many flights the newest detection that has arrived is older than `age` [ticks] at some tick."""
+    count = 0
+    for flight in range(flights):
+        state, newest = _copied(empty), -1
+        key, looks = (np.uint64(seed), np.uint64(flight)), (np.uint64(~seed), np.uint64(flight))
+        message = np.zeros((1, 1))
+        for tick in range(ticks):
+            found = tick % period == 0 and uniform(looks, DETECTION_CHANCE, tick, 0) >= dropout
+            message[0, 0] = tick
+            for k in range(exchange(table, state, key, tick, message[: int(found)], out)):
+                newest = max(newest, int(out[k, 0]))
+            if newest >= 0 and tick - newest > age:
+                count += 1
+                break
+    return count
+
+
+@compiled
+def _interrupted(
+    table: LinkNumbers,
+    empty: LinkState,
+    out: FloatArray,
+    seed: int,
+    flights: int,
+    ticks: int,
+    delay: int,
+    repeats: int,
+    outage: int,
+) -> int:
+    """In how many flights no motion begins within `outage` [ticks] after one has."""
+    count = 0
+    parents, lowest = np.zeros(ticks, dtype=np.int64), np.zeros(ticks, dtype=np.int64)
+    known = np.zeros(ticks, dtype=np.bool_)
+    message = np.zeros((1, 1))
+    for flight in range(flights):
+        state, key = _copied(empty), (np.uint64(seed), np.uint64(flight))
+        known[:] = False
+        chain, flown, begun = 0, -1, 0
+        for tick in range(ticks):
+            due = tick - 1 - delay
+            if due >= chain and flown != due:  # it should have begun in the tick before
+                chain = tick
+            parents[tick] = flown if tick == chain else tick - 1
+            lowest[tick] = max(chain, tick - repeats + 1)
+            message[0, 0] = tick
+            for k in range(exchange(table, state, key, tick, message, out)):
+                packet = int(out[k, 0])
+                for motion in range(lowest[packet], packet + 1):
+                    known[motion] = True
+            due = tick - delay
+            if due >= 0 and known[due] and parents[due] == flown:
+                flown, begun = due, tick
+            elif tick - begun >= outage:
+                count += 1
+                break
+    return count
+
+
+def _link(settings: LinkSettings, dt: float) -> tuple[LinkNumbers, LinkState, FloatArray]:
+    p = link_parameters(settings, dt)
+    state = link_state(p, 1)
+    return link_table([p]), state, np.empty_like(state.payload)
+
+
+def ages_exceeded(
+    settings: LinkSettings,
+    *,
+    dt: float,
+    period_ticks: int,
+    dropout: float,
+    ticks: int,
+    age: float,
+    flights: int,
+    seed: int = 1,
+) -> int:
+    """In how many of so many flights the age is exceeded; arguments as of `chance_of_age`."""
+    limit = math.floor(age / dt + 1e-6)
+    link = _link(settings, dt)
+    return int(_too_old(*link, seed, flights, ticks, period_ticks, dropout, limit))
+
+
+def outages_exceeded(
+    settings: LinkSettings,
+    *,
+    dt: float,
+    delay_ticks: int,
+    repeats: int,
+    ticks: int,
+    outage: float,
+    flights: int,
+    seed: int = 1,
+) -> int:
+    """In how many of so many flights the outage is exceeded; arguments as of `chance_of_outage`."""
+    limit = math.floor(outage / dt + 1e-6)
+    link = _link(settings, dt)
+    return int(_interrupted(*link, seed, flights, ticks, delay_ticks, repeats, limit))
+
+
+def interval(count: int, flights: int) -> tuple[float, float]:
+    """Wilson's interval that holds the chance in 99 % of all cases."""
+    share, spread = count / flights, SURE * SURE / flights
+    middle = share + 0.5 * spread
+    half = SURE * math.sqrt((share * (1.0 - share) + 0.25 * spread) / flights)
+    low, high = (middle - half) / (1.0 + spread), (middle + half) / (1.0 + spread)
+    return (0.0 if count == 0 else low), (1.0 if count == flights else high)
+
+
+def agrees(chance: Chance, count: int, flights: int) -> bool:
+    """Whether an exact chance is within the interval, a bound not below it."""
+    low, high = interval(count, flights)
+    return chance.value is None or (
+        low <= chance.value <= high if chance.exact else low <= chance.value
+    )
