@@ -14,14 +14,21 @@ import numpy as np
 
 from bus.messages import LinkSettings
 from bus.profiles import PROFILES
-from sim.channel.chances import Chance, chance_of_age, chance_of_outage
+from sim.channel.chances import (
+    Chance,
+    chance_of_age,
+    chance_of_outage,
+    smallest_age,
+    smallest_outage,
+)
 from sim.channel.description import link_parameters, link_table
 from sim.channel.link import LinkNumbers, LinkState, exchange, link_state
-from sim.kernels.compile import FloatArray, IntArray, compiled
+from sim.kernels.compile import FloatArray, compiled
 from sim.models.randomness import DETECTION_CHANCE, uniform
 
 DT, TICKS = 0.05, 3200
 REPEATS = 6
+RISK = 0.01
 SURE = 2.5758293035489004
 """Standard deviations of an interval that holds 99 % of a normal distribution."""
 
@@ -163,3 +170,75 @@ def agrees(chance: Chance, count: int, flights: int) -> bool:
     return chance.value is None or (
         low <= chance.value <= high if chance.exact else low <= chance.value
     )
+
+
+class Row(NamedTuple):
+    """A row of the table."""
+
+    what: str
+    number: float
+    chance: Chance
+    count: int
+    flights: int
+
+    def line(self) -> str:
+        """As the page has it."""
+        low, high = interval(self.count, self.flights)
+        value = "–" if self.chance.value is None else f"{self.chance.value:.5f}"
+        kind = "exact" if self.chance.exact else "bound"
+        frequency = f"{self.count / self.flights:.5f} | {low:.5f} to {high:.5f}"
+        held = "yes" if agrees(self.chance, self.count, self.flights) else "**no**"
+        return f"| {self.what} | {self.number:g} | {value} | {kind} | {frequency} | {held} |"
+
+
+OWN = {
+    "30 % lost": LinkSettings(loss=0.3),
+    "10 % lost, bursts of 0.5 s": LinkSettings(
+        delay=0.1, loss=0.1, burst_length=0.5, burst_interval=10.0, burst_loss=0.9
+    ),
+    "5 % lost, planned blackouts": LinkSettings(
+        delay=0.1, loss=0.05, blackouts=((20.0, 1.0), (60.0, 0.5))
+    ),
+    "10 % lost, random blackouts": LinkSettings(
+        loss=0.1, blackout_interval=30.0, blackout_length=0.52
+    ),
+    "10 % lost, jitter to 0.4 s": LinkSettings(
+        delay=0.1, loss=0.1, jitter=0.1, jitter_shape="exponential", jitter_cut=0.3
+    ),
+}
+
+
+def rows(flights: int) -> Iterator[Row]:
+    """Each link with numbers that are exceeded in about one flight of a hundred."""
+    for name, settings in {**PROFILES, **OWN}.items():
+        looks = {"dt": DT, "period_ticks": 1, "dropout": 0.1, "ticks": TICKS}
+        age = smallest_age(settings, **looks, risk=RISK).value
+        if age is not None:
+            count = ages_exceeded(settings, **looks, age=age, flights=flights)
+            yield Row(
+                f"{name}: age", age, chance_of_age(settings, **looks, age=age), count, flights
+            )
+        delay = max(2, link_parameters(settings, DT).longest)
+        packets = {"dt": DT, "delay_ticks": delay, "repeats": REPEATS, "ticks": TICKS}
+        outage = smallest_outage(settings, **packets, risk=RISK).value
+        if outage is not None:
+            count = outages_exceeded(settings, **packets, outage=outage, flights=flights)
+            chance = chance_of_outage(settings, **packets, outage=outage)
+            what = f"{name}: outage, τ_c {delay * DT:g} s"
+            yield Row(what, outage, chance, count, flights)
+
+
+def main() -> None:
+    """Print the table."""
+    flights = int(sys.argv[1]) if len(sys.argv) > 1 else 100_000
+    sys.stdout.write(
+        "| link, declared number | [s] | chance | | frequency | 99 % interval | agrees |\n"
+    )
+    sys.stdout.write("|---|--:|--:|---|--:|--:|---|\n")
+    for row in rows(flights):
+        sys.stdout.write(f"{row.line()}\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

@@ -21,12 +21,12 @@ def command(
     """Validate a scenario: exit code 0 if it can be flown, 2 and one line naming file, field and value if not.
 
     For the law certified it warns of each declared assumption that links or detector cannot keep, and says whether
-    sight can be certified always, not always or hardly ever.
+    sight can be certified always, not always or hardly ever, and how seldom it is lost by proof.
 
     Example: outrider check my-scenario.toml
     """
     from outrider.cli.console import OUT, print_json, print_warnings
-    from outrider.running.promise import how_certifiable, promise_warnings
+    from outrider.running.promise import how_certifiable, odds, promise_warnings
     from outrider.running.user_code import foreign_code
     from sim.scenario.checks import scenario_warnings
     from sim.scenario.loading import load_scenario
@@ -37,13 +37,15 @@ def command(
         *promise_warnings(scenario),
         *foreign_code(scenario, changes or ()),
     ]
-    certifiable = how_certifiable(scenario)
+    certifiable, chances = how_certifiable(scenario), odds(scenario)
     if json:
         print_json(
             {
                 "scenario": scenario.name,
                 "valid": True,
                 "certifiable": certifiable,
+                "exceeded_chance": chances.exceeded if chances else {},
+                "lost_chance": chances.lost if chances else None,
                 "warnings": warnings,
             }
         )
@@ -58,3 +60,5 @@ def command(
     OUT.print(
         f"{scenario.name}: can be flown ({vehicles}; law {law}; {scenario.duration:g} s, {scenario.ticks} ticks)"
     )
+    if chances is not None and chances.line:
+        OUT.print(chances.line)

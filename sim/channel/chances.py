@@ -87,6 +87,8 @@ class _Channel(NamedTuple):
 
     def push(self, mass: FloatArray, ticks: int = 1) -> FloatArray:
         """The distribution so many ticks later. Shape (states, any)."""
+        if len(mass) == 1:
+            return mass
         turn = np.linalg.matrix_power(self.turn, ticks)
         return np.stack(
             [sum(turn[i, j] * mass[i] for i in range(len(mass))) for j in range(len(mass))]
@@ -94,6 +96,8 @@ class _Channel(NamedTuple):
 
     def pull(self, value: FloatArray, ticks: int = 1) -> FloatArray:
         """The mean of what will be so many ticks later, by the state now. Shape (states, any)."""
+        if len(value) == 1:
+            return value
         turn = np.linalg.matrix_power(self.turn, ticks)
         return np.stack(
             [sum(turn[i, j] * value[j] for j in range(len(value))) for i in range(len(value))]
@@ -495,6 +499,7 @@ def _whole(time: float, dt: float) -> int:
     return math.floor(time / dt + DUST)
 
 
+@functools.lru_cache(maxsize=256)
 def chance_of_age(
     settings: LinkSettings, *, dt: float, period_ticks: int, dropout: float, ticks: int, age: float
 ) -> Chance:
@@ -517,6 +522,7 @@ def chance_of_age(
     return counted.chance(_whole(age, dt))
 
 
+@functools.lru_cache(maxsize=256)
 def chance_of_outage(
     settings: LinkSettings, *, dt: float, delay_ticks: int, repeats: int, ticks: int, outage: float
 ) -> Chance:
@@ -550,7 +556,7 @@ def _seconds(counted: _Counted | str, what: str, risk: float, dt: float) -> Smal
         return Smallest(
             None, f"no {what} shorter than the flight of {length} is exceeded so seldom"
         )
-    return Smallest(found * dt, counted.why)
+    return Smallest(round(found * dt, 9), counted.why)
 
 
 @functools.lru_cache(maxsize=64)
