@@ -26,7 +26,7 @@ from sim.channel.link import LinkNumbers, LinkState, exchange, link_state
 from sim.kernels.compile import FloatArray, compiled
 from sim.models.randomness import DETECTION_CHANCE, uniform
 
-DT, TICKS = 0.05, 3200
+DT, TICKS = 0.05, 1200
 REPEATS = 6
 RISK = 0.01
 SURE = 2.5758293035489004
@@ -197,7 +197,7 @@ OWN = {
         delay=0.1, loss=0.1, burst_length=0.5, burst_interval=10.0, burst_loss=0.9
     ),
     "5 % lost, planned blackouts": LinkSettings(
-        delay=0.1, loss=0.05, blackouts=((20.0, 1.0), (60.0, 0.5))
+        delay=0.1, loss=0.05, blackouts=((20.0, 1.0), (40.0, 0.5))
     ),
     "10 % lost, random blackouts": LinkSettings(
         loss=0.1, blackout_interval=30.0, blackout_length=0.52

@@ -447,6 +447,9 @@ def _queued(
     """
     ticks = len(left)
     for misses in range(math.floor(p.spacing + DUST) // period):
+        extra = math.ceil(ticks / period) * dropout ** (misses + 1)
+        if extra >= 1.0:
+            continue
         waited = p.queue * (misses + 1) * period if p.newest else math.ceil(p.queue * p.spacing)
         begins = range(misses + 1) if dropout > 0.0 and not left.all() else (0,)
         schedules = tuple(
@@ -456,7 +459,6 @@ def _queued(
             )
             for look in begins
         )
-        extra = math.ceil(ticks / period) * dropout ** (misses + 1)
         yield plan._replace(
             window=functools.partial(_age_window, in_time, waited),
             schedules=schedules,
