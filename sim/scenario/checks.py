@@ -7,7 +7,7 @@ from itertools import pairwise
 from bus.registry import DRIVERS, LAWS, POLICY_FORMS, SAVED_POLICIES, SENSORS
 from sim.input.faults import Fault, near, one_line
 from sim.input.reading import as_raw, typed
-from sim.scenario.risk import risk_fault
+from sim.scenario.risk import risk_fault, risk_warnings
 from sim.scenario.types import Scenario, switching_radius
 from sim.scenario.world_checks import WORLD_CHECKS, Check, escorts
 
@@ -202,7 +202,7 @@ def scenario_warnings(scenario: Scenario) -> tuple[str, ...]:
     """
     return tuple(
         line
-        for warnings in (_law_warnings, _circle_warnings, _task_warnings)
+        for warnings in (_law_warnings, _circle_warnings, _task_warnings, risk_warnings)
         for line in warnings(scenario)
     )
 

@@ -1,5 +1,6 @@
 """The certificate's bounds that follow from a risk: the smallest that are exceeded in a flight with at most this chance."""
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 from bus.messages import LinkKind
@@ -43,6 +44,12 @@ def risk_bounds(s: Scenario, uav: str) -> RiskBounds:
     if wanted[1]:
         error = largest_error(s.detections.noise, s.noise_cut, -(-s.ticks // period), share)
     return RiskBounds(age, error)
+
+
+def risk_warnings(s: Scenario) -> Iterator[str]:
+    """A risk from which nothing follows."""
+    if s.certificate.risk is not None and risk_bounds(s, s.uav[0].name) == RiskBounds(None, None):
+        yield f"certificate.risk = {s.certificate.risk:g}: nothing follows from it, as certificate.age is given"
 
 
 def risk_fault(s: Scenario, uav: str) -> Fault | None:
