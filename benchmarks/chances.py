@@ -14,6 +14,7 @@ import numpy as np
 
 from bus.messages import LinkSettings
 from bus.profiles import PROFILES
+from bus.ticks import ticks_within
 from sim.channel.chances import (
     Chance,
     chance_of_age,
@@ -57,7 +58,7 @@ def _too_old(
     dropout: float,
     age: int,
 ) -> int:
-    """In how many flights the newest detection that has arrived is older than `age` [ticks] at some tick."""
+    """Counts the flights in which the newest detection that has arrived is older than `age` [ticks] at some tick."""
     count = 0
     for flight in range(flights):
         state, newest = _copied(empty), -1
@@ -86,7 +87,7 @@ def _interrupted(
     repeats: int,
     outage: int,
 ) -> int:
-    """In how many flights no motion begins within `outage` [ticks] after one has."""
+    """Counts the flights in which no motion begins within `outage` [ticks] after one has."""
     count = 0
     parents, lowest = np.zeros(ticks, dtype=np.int64), np.zeros(ticks, dtype=np.int64)
     known = np.zeros(ticks, dtype=np.bool_)
@@ -132,8 +133,8 @@ def ages_exceeded(
     flights: int,
     seed: int = 1,
 ) -> int:
-    """In how many of so many flights the age is exceeded; arguments as of `chance_of_age`."""
-    limit = math.floor(age / dt + 1e-6)
+    """Counts those of so many flights in which the age is exceeded; arguments as of `chance_of_age`."""
+    limit = ticks_within(age, dt)
     link = _link(settings, dt)
     return int(_too_old(*link, seed, flights, ticks, period_ticks, dropout, limit))
 
@@ -149,8 +150,8 @@ def outages_exceeded(
     flights: int,
     seed: int = 1,
 ) -> int:
-    """In how many of so many flights the outage is exceeded; arguments as of `chance_of_outage`."""
-    limit = math.floor(outage / dt + 1e-6)
+    """Counts those of so many flights in which the outage is exceeded; arguments as of `chance_of_outage`."""
+    limit = ticks_within(outage, dt)
     link = _link(settings, dt)
     return int(_interrupted(*link, seed, flights, ticks, delay_ticks, repeats, limit))
 
@@ -165,7 +166,7 @@ def interval(count: int, flights: int) -> tuple[float, float]:
 
 
 def agrees(chance: Chance, count: int, flights: int) -> bool:
-    """Whether an exact chance is within the interval, a bound not below it."""
+    """True if an exact chance is within the interval, or a bound is not below it."""
     low, high = interval(count, flights)
     return chance.value is None or (
         low <= chance.value <= high if chance.exact else low <= chance.value

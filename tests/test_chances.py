@@ -60,7 +60,7 @@ def outcomes(link: LinkSettings, ticks: int, dropout: float = 0.0) -> Iterator[t
 
 
 def grows_old(got: tuple[bool, ...], period: int, flies: int, age: int) -> bool:
-    """Whether the newest detection is ever older than `age`."""
+    """True if the newest detection is ever older than `age`."""
     for tick in range(len(got)):
         arrived = [k for k in range(0, tick - flies + 1, period) if got[k]]
         if arrived and tick - arrived[-1] > age:
@@ -71,7 +71,7 @@ def grows_old(got: tuple[bool, ...], period: int, flies: int, age: int) -> bool:
 def is_interrupted(
     got: tuple[bool, ...], flies: int, delay: int, repeats: int, outage: int
 ) -> bool:
-    """Whether some motion is followed too late, by the protocol as a pilot and a receiver play it."""
+    """True if some motion is followed too late, by the protocol as a pilot and a receiver play it."""
     chain, flown, begun = 0, -1, 0
     packets: list[dict[int, int]] = []  # motion: its parent
     parents: dict[int, int] = {}

@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 
 from agents.control.handover import check_assumptions
+from agents.control.promise import Promise
 from agents.control.visibility import promise_of
 from bus.messages import LinkKind, LinkSettings, UavBriefing
 from bus.registry import LAWS
@@ -27,7 +28,7 @@ from sim.engine.briefing import declared as declared_bounds
 from sim.scenario.types import LinkTable, Scenario
 
 _RARE = 1e-6
-"""What is expected less often than this in a whole flight is not told."""
+"""Events that are expected less often than this in a whole flight is not told."""
 
 
 class How(StrEnum):
@@ -51,7 +52,7 @@ class Shortfall(NamedTuple):
     what: str
     """The fields as the scenario writes them, and what follows."""
     by_chance: bool = False
-    """Whether the chance that it comes about is reckoned with in `odds`."""
+    """True if the chance that it comes about is reckoned with in `odds`."""
 
     @property
     def line(self) -> str:
@@ -72,7 +73,7 @@ def promise_warnings(scenario: Scenario, links: LinkTable | None = None) -> tupl
 
 
 class Odds(NamedTuple):
-    """What the declared numbers are worth."""
+    """The worth of the declared numbers: chances within a flight."""
 
     exceeded: dict[str, float | None]
     """By `vehicle/number`, the chance that this number is exceeded in a flight, or a bound; None: nothing can be stated."""
@@ -150,15 +151,14 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
                 Shortfall(uav.name, "A1", how, what, by_chance=True)
                 for how, what in _errors(scenario, promise.eps)
             ]
-        for kind, check, declared in (
-            (LinkKind.DETECTIONS, _ages, promise.age),
-            (LinkKind.COMMANDS, _delays, promise.delay),
+        for kind, name, check in (
+            (LinkKind.DETECTIONS, "A2", _ages),
+            (LinkKind.COMMANDS, "A5", _delays),
         ):
             link = _Link(scenario, table.of(uav.name, kind), table.path_of(uav.name, kind))
-            name = "A2" if kind is LinkKind.DETECTIONS else "A5"
             found += [
                 Shortfall(uav.name, name, how, what, name == "A2" and how is not How.CERTAIN)
-                for how, what in check(link, declared)
+                for how, what in check(link, promise)
             ]
     return tuple(found)
 
@@ -225,11 +225,11 @@ def _errors(s: Scenario, eps: float) -> Iterator[tuple[How, str]]:
 # A2: the age of the newest detection
 
 
-def _ages(link: _Link, declared: float) -> Iterator[tuple[How, str]]:
+def _ages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
     """Looks are at multiples of the detector's period; each that gets through arrives after `least` to `most` ticks."""
     s, p = link.scenario, link.parameters
-    period, age = s.detection_period, math.floor(declared / s.dt + DUST)
-    limit = f"certificate.age = {declared:g} s"
+    period, age = s.detection_period, promise.age_ticks
+    limit = f"certificate.age = {promise.age:g} s"
     waits, dark = _queue_ticks(p, period), list(_dark_ages(link, age, limit))
     if waits is not None and s.detections.dropout == 0.0 and link.least + waits > age:
         what = f"{link.named('bandwidth', 'queue')}: fewer than the detector's looks, {1.0 / (period * s.dt):g} /s"
@@ -243,7 +243,7 @@ def _ages(link: _Link, declared: float) -> Iterator[tuple[How, str]]:
             f"{why}: the newest detection is {oldest} old before the next one arrives, {limit}",
         )
     else:
-        yield from _unlucky_ages(link, declared, planned=not dark)
+        yield from _unlucky_ages(link, promise, planned=not dark)
     yield from dark
 
 
@@ -255,15 +255,15 @@ def _queue_ticks(p: LinkParameters, period: int) -> int | None:
     return waits + math.floor(p.spacing) - 1
 
 
-def _unlucky_ages(link: _Link, declared: float, *, planned: bool) -> Iterator[tuple[How, str]]:
+def _unlucky_ages(link: _Link, promise: Promise, *, planned: bool) -> Iterator[tuple[How, str]]:
     """Ages that chance causes now and then; `planned`: with planned blackouts, which alone do not."""
     s, p = link.scenario, link.parameters
     settings = link.settings if planned else msgspec.structs.replace(link.settings, blackouts=())
-    chance = _chance_of_age(s, settings, declared)
+    chance = _chance_of_age(s, settings, promise.age)
     if chance.value is not None and chance.value <= _RARE:
         return
     missed = 1.0 - (1.0 - p.loss) * (1.0 - s.detections.dropout)
-    period, age = s.detection_period, math.floor(declared / s.dt + DUST)
+    period, age = s.detection_period, promise.age_ticks
     shares = np.array([1.0 - (1.0 - missed) * arrival_share(p, ticks) for ticks in range(age + 1)])
     old = sum(float(np.prod(shares[phase::period])) for phase in range(period)) / period
     dropout = s.detections.dropout
@@ -272,7 +272,7 @@ def _unlucky_ages(link: _Link, declared: float, *, planned: bool) -> Iterator[tu
         link.named("burst_length", "burst_interval", "blackout_length", "blackout_interval"),
         f"detections.dropout = {dropout:g}" if dropout else "",
     )
-    limit = f"certificate.age = {declared:g} s"
+    limit = f"certificate.age = {promise.age:g} s"
     often = in_flights(chance.value) if chance.value is not None else chance.why
     yield (
         _often(old),
@@ -320,15 +320,15 @@ def _dark_ages(link: _Link, age: int, limit: str) -> Iterator[tuple[How, str]]:
 # A5: a command acts exactly tau_c after its tick
 
 
-def _delays(link: _Link, declared: float) -> Iterator[tuple[How, str]]:
+def _delays(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
     """The newest command that has arrived acts: that of tick k has to act at k + tau_c, and no later one before.
 
     A copy of a command changes nothing: of two, the first acts, which is no earlier than `least`, and no more is lost.
     """
     s, p = link.scenario, link.parameters
-    exact = round(declared / s.dt)
-    # of its link, unless the scenario declares it
-    tau = f"tau_c = {declared:g} s ({'certificate.delay' if s.certificate.delay is not None else 'the longest of its link'})"
+    exact = promise.delay_ticks
+    source = "the longest of its link" if s.certificate.delay is None else "certificate.delay"
+    tau = f"tau_c = {link.seconds(exact)} ({source})"
     if p.spacing > 1.0 + DUST:
         fewer = f"fewer than one message a tick, {1.0 / s.dt:g} /s, so that commands wait and are dropped"
         yield How.THROUGHOUT, f"{link.named('bandwidth', 'queue')}: {fewer}"

@@ -31,6 +31,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.messages import LinkSettings
+from bus.ticks import ticks_within
 from sim.channel.description import arrival_share, extra_delays, link_parameters
 from sim.channel.link import DUST, LinkParameters, in_ticks
 from sim.kernels.compile import FloatArray
@@ -130,7 +131,7 @@ class _Window(NamedTuple):
 
 
 class _Plan(NamedTuple):
-    """How messages leave, and what is useful."""
+    """A schedule by which messages leave, with the windows after them."""
 
     window: Callable[[int], _Window]
     """After each base, by the number [ticks] that must not be exceeded."""
@@ -271,7 +272,7 @@ class _Counted(NamedTuple):
     """Each of them gives a bound."""
     ticks: int
     regular: bool
-    """Whether messages leave at equal intervals all the time: no planned blackouts, no queue."""
+    """True if messages leave at equal intervals all the time: no planned blackouts, no queue."""
     why: str
     """Why it is a bound; empty: it is exact."""
 
@@ -496,11 +497,6 @@ def _outages(
     return _Counted(_channel(p, 0.0), (plan,), ticks, bool(left.all()), why)
 
 
-def _whole(time: float, dt: float) -> int:
-    """Whole ticks within a time [s]."""
-    return math.floor(time / dt + DUST)
-
-
 @functools.lru_cache(maxsize=256)
 def chance_of_age(
     settings: LinkSettings, *, dt: float, period_ticks: int, dropout: float, ticks: int, age: float
@@ -521,7 +517,7 @@ def chance_of_age(
     counted = _ages(settings, dt, period_ticks, dropout, ticks)
     if isinstance(counted, str):
         return Chance(None, False, counted)
-    return counted.chance(_whole(age, dt))
+    return counted.chance(ticks_within(age, dt))
 
 
 @functools.lru_cache(maxsize=256)
@@ -546,7 +542,7 @@ def chance_of_outage(
     counted = _outages(settings, dt, delay_ticks, repeats, ticks)
     if isinstance(counted, str):
         return Chance(None, False, counted)
-    return counted.chance(_whole(outage, dt))
+    return counted.chance(ticks_within(outage, dt))
 
 
 def _seconds(counted: _Counted | str, what: str, risk: float, dt: float) -> Smallest:

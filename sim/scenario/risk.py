@@ -10,7 +10,7 @@ from sim.scenario.types import Scenario
 
 
 class RiskBounds(NamedTuple):
-    """What follows from `certificate.risk` for one UAV; None: it is given, or no risk is, or chance has no hand in it."""
+    """Bounds that follow from `certificate.risk` for one UAV; None: it is given, or no risk is, or it is not random."""
 
     age: Smallest | None
     """[s]"""
@@ -53,7 +53,7 @@ def risk_warnings(s: Scenario) -> Iterator[str]:
 
 
 def risk_fault(s: Scenario, uav: str) -> Fault | None:
-    """Why no bound meets the risk; None: there is one, or no risk is given."""
+    """The reason why no bound meets the risk; None: there is one, or no risk is given."""
     age = risk_bounds(s, uav).age
     if age is None or age.value is not None:
         return None
