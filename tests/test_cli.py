@@ -138,7 +138,11 @@ def test_a_run_leaves_its_files_and_prints_one_json_object(tmp_path: Path) -> No
 def test_json_of_the_lists(tmp_path: Path) -> None:
     scenarios = json.loads(outrider("scenarios", "--json").stdout)["scenarios"]
     assert scenarios[0]["name"] == "escort"
-    assert json.loads(outrider("check", "escort", "--json").stdout) == {
+    checked = json.loads(outrider("check", "escort", "--json").stdout)
+    exceeded = checked.pop("exceeded_chance")
+    assert sorted(exceeded) == ["uav_0/age", "uav_0/error"]
+    assert 0.0 < checked.pop("lost_chance") == sum(exceeded.values()) < 1e-12
+    assert checked == {
         "scenario": "escort",
         "valid": True,
         "certifiable": "always",

@@ -7,7 +7,9 @@ from processes import outrider
 
 from bus.errors import ScenarioError
 from bus.messages import LinkKind, LinkSettings
-from outrider.running.promise import How, how_certifiable, promise_warnings, shortfalls
+from outrider.running.flying import run
+from outrider.running.promise import How, how_certifiable, odds, promise_warnings, shortfalls
+from outrider.running.summary import in_flights
 from sim.channel.description import Link, arrival_share, least_ticks, link_parameters
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
@@ -271,3 +273,54 @@ def test_check_says_that_nothing_can_be_certified() -> None:
     assert "A5 is broken for certain and throughout: links.commands.jitter = 0.1" in " ".join(
         done.stderr.split()
     )
+
+
+def test_where_chance_alone_breaks_what_is_declared_it_is_told_how_seldom_sight_is_lost() -> None:
+    unlucky = certified("links.detections.profile=jammed", "certificate.age=1.0", "duration=4.0")
+    told = odds(unlucky)
+    assert told is not None
+    assert told.lost == told.exceeded["uav_0/age"] == sum(told.exceeded.values()) > 0.0
+    assert promise_warnings(unlucky)[-1] == told.line
+    assert "once certified, sight is lost in at most" in told.line
+    summary = run(unlucky)
+    assert (summary.lost_chance, summary.exceeded_chance) == (told.lost, told.exceeded)
+    calm = odds(certified())
+    assert calm is not None
+    assert calm.line == "once certified, sight is lost in none of such flights, by proof"
+    noisy = odds(
+        certified("detections.cut=0", "certificate.error=0.5", "links.detections.loss=0.3")
+    )
+    assert noisy is not None
+    assert noisy.lost == sum(noisy.exceeded.values()) > noisy.exceeded["uav_0/age"] > 0.0
+    assert odds(certified("law.name=linear")) is None
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        "links.commands.loss=0.1",
+        "links.detections.blackouts=[[30.0,20.0]]",
+        "certificate.age=60.0",
+        "detections.cut=0",
+    ],
+)
+def test_where_anything_else_is_broken_nothing_is_promised_by_proof(broken: str) -> None:
+    told = odds(certified("links.detections.loss=0.5", broken))
+    assert told is not None
+    assert told.lost is None
+    assert not any("by proof" in line for line in promise_warnings(certified(broken)))
+
+
+@pytest.mark.parametrize(
+    ("chance", "words"),
+    [
+        (0.0, "in none of such flights"),
+        (1e-13, "in less than 1 of 10^12 such flights"),
+        (3.1e-4, "in at most 1 of 3,200 such flights"),
+        (0.01, "in at most 1 of 100 such flights"),
+        (0.0371, "in at most 38 of 1,000 such flights"),
+        (1.0, "perhaps in every such flight"),
+    ],
+)
+def test_a_chance_in_words_is_never_less_than_it_is(chance: float, words: str) -> None:
+    assert in_flights(chance) == words

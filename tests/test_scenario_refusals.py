@@ -274,6 +274,12 @@ BROKEN = [
         "0 < D A - B C < A D",
     ),
     (
+        checks.risk_can_be_met,
+        ["certificate.risk=1e-3", "links.detections.bandwidth=15.0"],
+        "certificate.risk = 0.001",
+        "a greater risk, or a certificate.age",
+    ),
+    (
         checks.circle_is_within_sight,
         ["law.name=circle", "law.circle_radius=4.75"],
         "law.circle_radius = 4.75",

@@ -40,14 +40,14 @@ def command(
 
     It takes the options of `run` that change the scenario, and warns of all that `run` warns of. For the law
     certified that is each declared assumption that links or detector cannot keep, and whether sight can be certified
-    always, not always or hardly ever. Functions of your own are loaded and tried; those that the file names with
-    --allow-code alone.
+    always, not always or hardly ever, and how seldom it is lost by proof. Functions of your own are loaded and tried;
+    those that the file names with --allow-code alone.
 
     Example: outrider check my-scenario.toml --network wifi-poor
     """
     from outrider.cli.console import OUT, print_json, print_warnings
     from outrider.cli.options import scenario_of
-    from outrider.running.promise import how_certifiable, promise_warnings
+    from outrider.running.promise import how_certifiable, odds, promise_warnings
     from outrider.running.user_code import check_own_functions, foreign_code
     from sim.scenario.checks import scenario_warnings
 
@@ -70,13 +70,15 @@ def command(
         *(() if foreign else check_own_functions(scenario)),
         *promise_warnings(scenario),
     ]
-    certifiable = how_certifiable(scenario)
+    certifiable, chances = how_certifiable(scenario), odds(scenario)
     if json:
         print_json(
             {
                 "scenario": scenario.name,
                 "valid": True,
                 "certifiable": certifiable,
+                "exceeded_chance": chances.exceeded if chances else {},
+                "lost_chance": chances.lost if chances else None,
                 "warnings": warnings,
             }
         )
@@ -92,3 +94,5 @@ def command(
         f"{scenario.name}: can be flown ({vehicles}; law {law_told}; {scenario.duration:g} s, {scenario.ticks} ticks)",
         soft_wrap=True,
     )
+    if chances is not None and chances.line:
+        OUT.print(chances.line, soft_wrap=True)

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bus.messages import LinkStatus
-from outrider.running.summary import Summary
+from outrider.running.summary import Summary, in_flights
 from sim.scenario.types import Scenario
 
 # Nothing that comes from outside (paths, names, errors of the user's own code) is markup or an emoji.
@@ -153,6 +153,8 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
         colour = "green" if longest <= most else "yellow"
         waited = Text.assemble((f"{longest:.2f} s", colour), f", declared {most:g} s")
         rows.append(("longest wait for a motion", waited))
+    if summary.lost_chance is not None:
+        rows.append(("by proof", f"once certified, lost {in_flights(summary.lost_chance)}"))
     if summary.certified_while_lost:
         rows.append(
             (

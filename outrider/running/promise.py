@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from enum import StrEnum
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from agents.control.handover import check_assumptions
@@ -18,9 +19,12 @@ from agents.control.promise import Promise
 from agents.control.visibility import promise_of
 from bus.messages import LinkKind, LinkSettings, UavBriefing
 from bus.registry import LAWS
+from outrider.running.summary import in_flights
+from sim.channel.chances import Chance, chance_of_age, chance_of_error
 from sim.channel.description import arrival_share, extra_delays, link_parameters
 from sim.channel.link import DUST, LinkParameters, in_ticks
 from sim.engine.briefing import briefing
+from sim.engine.briefing import declared as declared_bounds
 from sim.scenario.types import LinkTable, Scenario
 
 _RARE = 1e-6
@@ -47,6 +51,8 @@ class Shortfall(NamedTuple):
     how: How
     what: str
     """The fields as the scenario writes them, and what follows."""
+    by_chance: bool = False
+    """True if the chance that it comes about is reckoned with in `odds`."""
 
     @property
     def line(self) -> str:
@@ -62,7 +68,49 @@ def promise_warnings(scenario: Scenario, links: LinkTable | None = None) -> tupl
 
     Arguments as in `shortfalls`.
     """
-    return tuple(found.line for found in shortfalls(scenario, links))
+    told, lines = odds(scenario, links), [found.line for found in shortfalls(scenario, links)]
+    return (*lines, told.line) if lines and told is not None and told.line else tuple(lines)
+
+
+class Odds(NamedTuple):
+    """The worth of the declared numbers: chances within a flight."""
+
+    exceeded: dict[str, float | None]
+    """By `vehicle/number`, the chance that this number is exceeded in a flight, or a bound; None: nothing can be stated."""
+    lost: float | None
+    """Once certified, sight is lost in at most this share of the flights, by proof; None: nothing can be promised."""
+
+    @property
+    def line(self) -> str:
+        """For a person; empty where nothing can be promised."""
+        if self.lost is None:
+            return ""
+        return f"once certified, sight is lost {in_flights(self.lost)}, by proof"
+
+
+@functools.lru_cache(maxsize=256)
+def odds(scenario: Scenario, links: LinkTable | None = None) -> Odds | None:
+    """The chances that the numbers are exceeded which the law `certified` relies on; None for other laws.
+
+    Arguments as in `shortfalls`. Sight is lost by proof in no more flights than the sum of these chances, where all else
+    that the theorem assumes holds for certain.
+    """
+    if not LAWS[scenario.law.name].watched:
+        return None
+    table, exceeded = links or scenario.links, dict[str, float | None]()
+    looks = -(-scenario.ticks // scenario.detection_period)
+    for uav in scenario.uav:
+        bounds = declared_bounds(scenario, uav.name)
+        age = _chance_of_age(scenario, table.of(uav.name, LinkKind.DETECTIONS), bounds.age)
+        exceeded[f"{uav.name}/age"] = age.value
+        if bounds.error is not None:
+            sigma, cut = scenario.detections.noise, scenario.noise_cut
+            error = chance_of_error(sigma, cut, looks, bounds.error)
+            exceeded[f"{uav.name}/error"] = error.value
+    known = [value for value in exceeded.values() if value is not None]
+    kept = all(found.by_chance for found in shortfalls(scenario, links))
+    lost = min(1.0, sum(known)) if kept and len(known) == len(exceeded) else None
+    return Odds(exceeded, lost)
 
 
 def how_certifiable(scenario: Scenario) -> str | None:
@@ -100,14 +148,18 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
         ]
         if math.isfinite(promise.eps):
             found += [
-                Shortfall(uav.name, "A1", how, what) for how, what in _errors(scenario, promise.eps)
+                Shortfall(uav.name, "A1", how, what, by_chance=True)
+                for how, what in _errors(scenario, promise.eps)
             ]
         for kind, name, check in (
             (LinkKind.DETECTIONS, "A2", _ages),
             (LinkKind.COMMANDS, "A5", _delays),
         ):
             link = _Link(scenario, table.of(uav.name, kind), table.path_of(uav.name, kind))
-            found += [Shortfall(uav.name, name, how, what) for how, what in check(link, promise)]
+            found += [
+                Shortfall(uav.name, name, how, what, name == "A2" and how is not How.CERTAIN)
+                for how, what in check(link, promise)
+            ]
     return tuple(found)
 
 
@@ -178,25 +230,11 @@ def _ages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
     s, p = link.scenario, link.parameters
     period, age = s.detection_period, promise.age_ticks
     limit = f"certificate.age = {promise.age:g} s"
-    waits = _queue_ticks(p, period)
-    if waits is not None:
-        certain = s.detections.dropout == 0.0 and link.least + waits > age
+    waits, dark = _queue_ticks(p, period), list(_dark_ages(link, age, limit))
+    if waits is not None and s.detections.dropout == 0.0 and link.least + waits > age:
         what = f"{link.named('bandwidth', 'queue')}: fewer than the detector's looks, {1.0 / (period * s.dt):g} /s"
-        if link.most + waits > age:
-            how = How.CERTAIN if certain else How.SOMETIMES
-            yield how, f"{what}: they are up to {link.seconds(link.most + waits)} old, {limit}"
-        else:
-            in_a_row = math.floor((age - link.most - waits) / p.spacing) + 1
-            chance = -math.expm1(
-                s.ticks / p.spacing * math.log1p(-min(p.loss**in_a_row, 1.0 - DUST))
-            )
-            if chance > _RARE:
-                lost = f"{link.named('loss')}, {in_a_row} lost in a row"
-                yield (
-                    How.SOMETIMES,
-                    f"{what}: {lost} outlast {limit}, in {_percent(chance)} of such flights",
-                )
-    elif link.least + period - 1 > age:
+        yield How.CERTAIN, f"{what}: they are up to {link.seconds(link.most + waits)} old, {limit}"
+    elif waits is None and link.least + period - 1 > age:
         how = How.THROUGHOUT if link.least > age else How.CERTAIN
         why = link.named("delay", "jitter") or f"detections.rate = {s.detections.rate:g} /s"
         oldest = link.seconds(link.least + period - 1)
@@ -205,8 +243,8 @@ def _ages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
             f"{why}: the newest detection is {oldest} old before the next one arrives, {limit}",
         )
     else:
-        yield from _unlucky_ages(link, age, limit)
-    yield from _dark_ages(link, age, limit)
+        yield from _unlucky_ages(link, promise, planned=not dark)
+    yield from dark
 
 
 def _queue_ticks(p: LinkParameters, period: int) -> int | None:
@@ -217,58 +255,39 @@ def _queue_ticks(p: LinkParameters, period: int) -> int | None:
     return waits + math.floor(p.spacing) - 1
 
 
-def _unlucky_ages(link: _Link, age: int, limit: str) -> Iterator[tuple[How, str]]:
-    """Ages that jitter, held back or lost looks, bursts and random blackouts cause now and then."""
+def _unlucky_ages(link: _Link, promise: Promise, *, planned: bool) -> Iterator[tuple[How, str]]:
+    """Ages that chance causes now and then; `planned`: with planned blackouts, which alone do not."""
     s, p = link.scenario, link.parameters
-    period, missed = s.detection_period, 1.0 - (1.0 - p.loss) * (1.0 - s.detections.dropout)
+    settings = link.settings if planned else msgspec.structs.replace(link.settings, blackouts=())
+    chance = _chance_of_age(s, settings, promise.age)
+    if chance.value is not None and chance.value <= _RARE:
+        return
+    missed = 1.0 - (1.0 - p.loss) * (1.0 - s.detections.dropout)
+    period, age = s.detection_period, promise.age_ticks
     shares = np.array([1.0 - (1.0 - missed) * arrival_share(p, ticks) for ticks in range(age + 1)])
     old = sum(float(np.prod(shares[phase::period])) for phase in range(period)) / period
-    fields = ", ".join(
-        text
-        for text in (
-            link.named("jitter", "reorder", "loss"),
-            f"detections.dropout = {s.detections.dropout:g}" if s.detections.dropout else "",
-        )
-        if text
+    dropout = s.detections.dropout
+    fields = (
+        link.named("jitter", "reorder", "loss", "bandwidth"),
+        link.named("burst_length", "burst_interval", "blackout_length", "blackout_interval"),
+        f"detections.dropout = {dropout:g}" if dropout else "",
     )
-    if old * s.ticks > _RARE:
-        yield (
-            _often(old),
-            f"{fields}: the newest detection is older than {limit} in {_percent(old)} of the ticks",
-        )
-    looks = max(0, (age - link.most + 1) // period)
-    if p.bursts:
-        lost = 1.0 - (1.0 - p.burst_loss) * (1.0 - missed)
-        longer = math.exp(-looks * period * s.dt / link.settings.burst_length) * lost**looks
-        count = s.duration / (link.settings.burst_length + link.settings.burst_interval) * longer
-        if count > _RARE:
-            fields = link.named("burst_length", "burst_interval")
-            yield (
-                How.SOMETIMES,
-                f"{fields}: {_percent(longer)} of the bursts outlast {limit}, {_times(count)}",
-            )
-    if p.up > 0.0:
-        dark = math.ceil(p.down / period)
-        count = s.duration / (link.settings.blackout_interval + link.settings.blackout_length)
-        # two that follow each other without a look between count as one
-        merged = 1.0 if missed >= 1.0 else -math.expm1(-period / (p.up * (1.0 - missed)))
-        chance = 1.0 if dark >= looks else merged if 2 * dark >= looks else 0.0
-        if chance * count > _RARE:
-            fields = link.named("blackout_length", "blackout_interval")
-            which = (
-                "each outlasts"
-                if chance == 1.0
-                else f"{_percent(chance)} outlast with the next one"
-            )
-            yield How.SOMETIMES, f"{fields}: {which} {limit}, {_times(chance * count)}"
+    limit = f"certificate.age = {promise.age:g} s"
+    often = in_flights(chance.value) if chance.value is not None else chance.why
+    yield (
+        _often(old),
+        f"{', '.join(filter(None, fields))}: the newest detection becomes older than {limit} {often}",
+    )
 
 
-def _times(count: float) -> str:
-    """An expected number in a flight."""
-    return (
-        f"about {count:.2g} times in this flight"
-        if count >= 1.0
-        else f"in {_percent(count)} of such flights"
+def _chance_of_age(s: Scenario, settings: LinkSettings, age: float) -> Chance:
+    return chance_of_age(
+        settings,
+        dt=s.dt,
+        period_ticks=s.detection_period,
+        dropout=s.detections.dropout,
+        ticks=s.ticks,
+        age=age,
     )
 
 

@@ -80,6 +80,13 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """From the beginning of a motion to that of the next at most, B [s]; None where commands carry none."""
     longest_outage: float | None = None
     """And the longest in this flight [s]."""
+    exceeded_chance: dict[str, float | None] = {}
+    """By `vehicle/number`, the chance that a declared number is exceeded in such a flight, or a bound; None: unknown."""
+    lost_chance: float | None = None
+    """Once certified, sight is lost in at most this share of such flights, by proof; None: nothing can be promised.
+
+    Nor is it where an operator has changed something while it flew.
+    """
     links: dict[str, LinkStatus] = {}
     """Counts of each link's messages, by `vehicle/kind`."""
     realtime: float | None = None
@@ -142,6 +149,21 @@ def _faults(
     return found
 
 
+def in_flights(chance: float) -> str:
+    """An upper bound of a chance within a flight, in words."""
+    if chance == 0.0:
+        return "in none of such flights"
+    if chance < 1e-12:
+        return "in less than 1 of 10^12 such flights"
+    if chance <= 0.01:
+        flights = math.floor(1.0 / chance)
+        digits = 10 ** max(0, len(str(flights)) - 2)
+        return f"in at most 1 of {flights // digits * digits:,} such flights"
+    if chance < 0.999:
+        return f"in at most {math.ceil(1000.0 * chance)} of 1,000 such flights"
+    return "perhaps in every such flight"
+
+
 def certificate_fields(told: CertificateStatus | None) -> dict[str, Any]:
     """The summary's fields on what safety filters have certified, from their counts; None where none has watched."""
     if told is None:
@@ -176,6 +198,7 @@ def summarize(
         late_ticks: Ticks that it could not keep.
         changes: What operators have changed.
     """
+    from outrider.running.promise import odds  # noqa: PLC0415 - likewise
     from sim.server.recorder import platform_row  # noqa: PLC0415 - likewise
 
     scenario, recorder, world = flight.scenario, flight.recorder, flight.world
@@ -185,6 +208,8 @@ def summarize(
         recorder.states[:, world.escorts[:, 1], :2],
     )
     radii = [switching_radius_of(flight, k) for k in range(len(world.uavs))]
+    steered = any(change.control.action in _FLOWN for change in changes)
+    chances = None if steered else odds(scenario)
     beyond = distance >= np.array([math.inf if r_s is None else r_s for r_s in radii])
     return Summary(
         scenario=scenario.name,
@@ -210,13 +235,14 @@ def summarize(
         missing_commands=dict(flight.missing),
         faults=_faults(vehicles or {}, flight.shortened),
         **certificate_fields(flight.assurance.status()),
+        exceeded_chance=chances.exceeded if chances is not None else {},
+        lost_chance=chances.lost if chances is not None else None,
         links=world.links.status(),
         realtime=realtime,
         realtime_factor=recorder.ticks * scenario.dt / seconds if seconds > 0.0 else 0.0,
         late_ticks=late_ticks,
         changes=list(changes),
-        deterministic=flight.first_missing is None
-        and not any(change.control.action in _FLOWN for change in changes),
+        deterministic=flight.first_missing is None and not steered,
         first_missing_tick=flight.first_missing,
         trajectory_sha256=recorder.sha256(),
         platform=platform_row(),

@@ -14,7 +14,8 @@ from bus.messages import (
 from sim.channel.description import extra_delays
 from sim.engine.run_keys import derive_key
 from sim.models.randomness import PILOT
-from sim.scenario.types import Scenario, Uav, Ugv
+from sim.scenario.risk import risk_bounds, risk_fault
+from sim.scenario.types import DEFAULT_AGE, Scenario, Uav, Ugv
 
 
 def _bound(value: float) -> float | None:
@@ -35,9 +36,19 @@ def _error(scenario: Scenario) -> float | None:
 
 
 def declared(scenario: Scenario, uav: str) -> DeclaredBounds:
-    """The certificate's numbers that a UAV may rely on."""
+    """The certificate's numbers that a UAV may rely on.
+
+    Raises:
+        ScenarioError: If no bound meets the scenario's risk.
+    """
     given, commands = scenario.certificate, scenario.links.of(uav, LinkKind.COMMANDS)
-    error = given.error if given.error is not None else _error(scenario)
+    fault, from_risk = risk_fault(scenario, uav), risk_bounds(scenario, uav)
+    if fault is not None:
+        raise fault.error(scenario.name)
+    error = given.error if given.error is not None else from_risk.error
+    if error is None:
+        error = _error(scenario)
+    age = given.age or (from_risk.age.value if from_risk.age is not None else None) or DEFAULT_AGE
     longest = (
         commands.delay
         + extra_delays(commands)[1]
@@ -46,7 +57,7 @@ def declared(scenario: Scenario, uav: str) -> DeclaredBounds:
     delay = given.delay if given.delay is not None else longest
     return DeclaredBounds(
         error=error,
-        age=given.age,
+        age=age,
         delay=delay,
         margin=given.margin,
         hold=scenario.hold,

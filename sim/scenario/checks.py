@@ -7,6 +7,7 @@ from itertools import pairwise
 from bus.registry import DRIVERS, LAWS, POLICY_FORMS, SAVED_POLICIES, SENSORS
 from sim.input.faults import Fault, near, one_line
 from sim.input.reading import as_raw, typed
+from sim.scenario.risk import risk_fault, risk_warnings
 from sim.scenario.types import Scenario, switching_radius
 from sim.scenario.world_checks import WORLD_CHECKS, Check, escorts
 
@@ -147,6 +148,14 @@ def circle_is_within_sight(s: Scenario) -> Iterator[Fault]:
             yield Fault("law.circle_radius", None, wrong, f"less than r_v = {r_v:g} m")
 
 
+def risk_can_be_met(s: Scenario) -> Iterator[Fault]:
+    """There are bounds that are exceeded as seldom as the risk asks for."""
+    for uav in s.uav:
+        fault = risk_fault(s, uav.name)
+        if fault is not None:
+            yield fault
+
+
 CHECKS: tuple[Check, ...] = (
     *WORLD_CHECKS,
     names_are_known,
@@ -156,6 +165,7 @@ CHECKS: tuple[Check, ...] = (
     reference_speed_is_possible,
     controller_is_stable,
     circle_is_within_sight,
+    risk_can_be_met,
 )
 """In the order in which they are made: a later one may rely on those before it."""
 
@@ -192,7 +202,7 @@ def scenario_warnings(scenario: Scenario) -> tuple[str, ...]:
     """
     return tuple(
         line
-        for warnings in (_law_warnings, _circle_warnings, _task_warnings)
+        for warnings in (_law_warnings, _circle_warnings, _task_warnings, risk_warnings)
         for line in warnings(scenario)
     )
 

@@ -95,6 +95,10 @@ class Ugv(_Table, frozen=True, kw_only=True):
     """Instead of a script: the trajectory.csv of an earlier run, whose track of this UGV is driven again."""
 
 
+DEFAULT_AGE = 1.0
+"""Largest age of the newest detection where neither it nor a risk is given [s]."""
+
+
 class Certificate(_Table, frozen=True, kw_only=True):
     """The bounds that are declared to the UAVs for the law `certified`.
 
@@ -102,9 +106,15 @@ class Certificate(_Table, frozen=True, kw_only=True):
     """
 
     error: NonNegative | None = None
-    """Largest error of a detection [m]; by default the noise at its cut, and without a cut none."""
-    age: Positive = 1.0
-    """Largest age of the newest detection that has arrived [s]."""
+    """Largest error of a detection [m]; by default the noise at its cut, and without a cut what `risk` allows, or none."""
+    age: Positive | None = None
+    """Largest age of the newest detection that has arrived [s]; by default what `risk` allows, or 1 s."""
+    risk: Annotated[float, Meta(gt=0.0, lt=1.0)] | None = None
+    """Chance that what is declared may be exceeded in a flight.
+
+    From it and from the links follow the bounds that are not given, where chance has a hand in them: the age, and the
+    error if the noise is not cut. Each of them for each UAV gets an equal share of it.
+    """
     delay: NonNegative | None = None
     """From the tick that a command answers to the one in which it acts [s]; by default the longest of its link."""
     margin: NonNegative = 0.0

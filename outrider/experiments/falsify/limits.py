@@ -10,8 +10,8 @@ from agents.control.visibility import promise_of
 from bus.errors import ScenarioError
 from bus.messages import LinkSettings, UavBriefing
 from bus.registry import LAWS
-from sim.engine.briefing import briefing
-from sim.scenario.types import Certificate, LinkTable, Scenario, Uav, Ugv
+from sim.engine.briefing import briefing, declared
+from sim.scenario.types import DEFAULT_AGE, Certificate, LinkTable, Scenario, Uav, Ugv
 
 _NEVER = 1e-9
 """Losses in a row that are rarer than this share of all looks are not reckoned with."""
@@ -95,10 +95,13 @@ def base_of(scenario: Scenario, limits: SearchLimits) -> Scenario:
     detections = msgspec.structs.replace(scenario.detections, noise=limits.noise, dropout=0.0)
     given = scenario.certificate
     worst = limits.noise * scenario.noise_cut if limits.noise else 0.0
+    told = declared(scenario, scenario.uav[0].name)
+    as_usual = given in (Certificate(), Certificate(age=DEFAULT_AGE))
     certificate = msgspec.structs.replace(
         given,
         error=given.error if given.error is not None or math.isinf(worst) else worst,
-        age=given.age if given != Certificate() else max(given.age, needed_age(limits, scenario)),
+        age=max(told.age, needed_age(limits, scenario)) if as_usual else told.age,
+        risk=None,  # of the scenario's own links, which are not searched
     )
     base = msgspec.structs.replace(
         scenario,
@@ -133,13 +136,13 @@ def beyond_declared(base: Scenario, limits: SearchLimits) -> tuple[str, ...]:
     given = base.certificate
     error = limits.noise * base.noise_cut if limits.noise else 0.0
     rows = (
-        ("age", needed_age(limits, base), given.age, "s"),
+        ("age", needed_age(limits, base), declared(base, base.uav[0].name).age, "s"),
         ("error", error, math.inf if given.error is None else given.error, "m"),
         ("delay", limits.command_delay, math.inf if given.delay is None else given.delay, "s"),
     )
     return tuple(
-        f"certificate.{name} = {declared:g} {unit}, but the limits of the search allow {most:g} {unit}: "
+        f"certificate.{name} = {bound:g} {unit}, but the limits of the search allow {most:g} {unit}: "
         "runs that go beyond it break an assumption and count as not certified"
-        for name, most, declared, unit in rows
-        if most > declared + 1e-9
+        for name, most, bound, unit in rows
+        if most > bound + 1e-9
     )

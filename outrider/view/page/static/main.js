@@ -104,7 +104,7 @@ function showWarnings(status) {
   const lines = (status && status.warnings) || [];
   const details = $("promise");
   details.hidden = !lines.length;
-  setText(details.querySelector("summary"), `What the certificate assumes and the links do not keep (${lines.length})`);
+  setText(details.querySelector("summary"), `What the certificate assumes, and what the links make of it (${lines.length})`);
   setHtml(details.querySelector("div"), lines.map((line) => `<p>${escapeText(line)}</p>`).join(""));
 }
 

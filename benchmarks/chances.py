@@ -1,0 +1,245 @@
+"""The table of docs/explanation/chances.md: `python benchmarks/chances.py [FLIGHTS]`, by default 100,000; some minutes.
+
+Chances that declared numbers are exceeded, as computed from the links' settings, beside how often they are in flights over the
+compiled link itself. Detections and packets are sent as a flight sends them; the protocol of the motions is played
+literally, packet by packet, and knows nothing of windows or chains of states.
+"""
+
+import math
+import sys
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from bus.messages import LinkSettings
+from bus.profiles import PROFILES
+from bus.ticks import ticks_within
+from sim.channel.chances import (
+    Chance,
+    chance_of_age,
+    chance_of_outage,
+    smallest_age,
+    smallest_outage,
+)
+from sim.channel.description import link_parameters, link_table
+from sim.channel.link import LinkNumbers, LinkState, exchange, link_state
+from sim.kernels.compile import FloatArray, compiled
+from sim.models.randomness import DETECTION_CHANCE, uniform
+
+DT, TICKS = 0.05, 1200
+REPEATS = 6
+RISK = 0.01
+SURE = 2.5758293035489004
+"""Standard deviations of an interval that holds 99 % of a normal distribution."""
+
+
+@compiled
+def _copied(empty: LinkState) -> LinkState:
+    """A link on which nothing was ever sent."""
+    return LinkState(
+        empty.slots.copy(),
+        empty.payload.copy(),
+        empty.buckets.copy(),
+        empty.counts.copy(),
+        empty.numbers.copy(),
+    )
+
+
+@compiled
+def _too_old(
+    table: LinkNumbers,
+    empty: LinkState,
+    out: FloatArray,
+    seed: int,
+    flights: int,
+    ticks: int,
+    period: int,
+    dropout: float,
+    age: int,
+) -> int:
+    """Counts the flights in which the newest detection that has arrived is older than `age` [ticks] at some tick."""
+    count = 0
+    for flight in range(flights):
+        state, newest = _copied(empty), -1
+        key, looks = (np.uint64(seed), np.uint64(flight)), (np.uint64(~seed), np.uint64(flight))
+        message = np.zeros((1, 1))
+        for tick in range(ticks):
+            found = tick % period == 0 and uniform(looks, DETECTION_CHANCE, tick, 0) >= dropout
+            message[0, 0] = tick
+            for k in range(exchange(table, state, key, tick, message[: int(found)], out)):
+                newest = max(newest, int(out[k, 0]))
+            if newest >= 0 and tick - newest > age:
+                count += 1
+                break
+    return count
+
+
+@compiled
+def _interrupted(
+    table: LinkNumbers,
+    empty: LinkState,
+    out: FloatArray,
+    seed: int,
+    flights: int,
+    ticks: int,
+    delay: int,
+    repeats: int,
+    outage: int,
+) -> int:
+    """Counts the flights in which no motion begins within `outage` [ticks] after one has."""
+    count = 0
+    parents, lowest = np.zeros(ticks, dtype=np.int64), np.zeros(ticks, dtype=np.int64)
+    known = np.zeros(ticks, dtype=np.bool_)
+    message = np.zeros((1, 1))
+    for flight in range(flights):
+        state, key = _copied(empty), (np.uint64(seed), np.uint64(flight))
+        known[:] = False
+        chain, flown, begun = 0, -1, 0
+        for tick in range(ticks):
+            due = tick - 1 - delay
+            if due >= chain and flown != due:  # it should have begun in the tick before
+                chain = tick
+            parents[tick] = flown if tick == chain else tick - 1
+            lowest[tick] = max(chain, tick - repeats + 1)
+            message[0, 0] = tick
+            for k in range(exchange(table, state, key, tick, message, out)):
+                packet = int(out[k, 0])
+                for motion in range(lowest[packet], packet + 1):
+                    known[motion] = True
+            due = tick - delay
+            if due >= 0 and known[due] and parents[due] == flown:
+                flown, begun = due, tick
+            elif tick - begun >= outage:
+                count += 1
+                break
+    return count
+
+
+def _link(settings: LinkSettings, dt: float) -> tuple[LinkNumbers, LinkState, FloatArray]:
+    p = link_parameters(settings, dt)
+    state = link_state(p, 1)
+    return link_table([p]), state, np.empty_like(state.payload)
+
+
+def ages_exceeded(
+    settings: LinkSettings,
+    *,
+    dt: float,
+    period_ticks: int,
+    dropout: float,
+    ticks: int,
+    age: float,
+    flights: int,
+    seed: int = 1,
+) -> int:
+    """Counts those of so many flights in which the age is exceeded; arguments as of `chance_of_age`."""
+    limit = ticks_within(age, dt)
+    link = _link(settings, dt)
+    return int(_too_old(*link, seed, flights, ticks, period_ticks, dropout, limit))
+
+
+def outages_exceeded(
+    settings: LinkSettings,
+    *,
+    dt: float,
+    delay_ticks: int,
+    repeats: int,
+    ticks: int,
+    outage: float,
+    flights: int,
+    seed: int = 1,
+) -> int:
+    """Counts those of so many flights in which the outage is exceeded; arguments as of `chance_of_outage`."""
+    limit = ticks_within(outage, dt)
+    link = _link(settings, dt)
+    return int(_interrupted(*link, seed, flights, ticks, delay_ticks, repeats, limit))
+
+
+def interval(count: int, flights: int) -> tuple[float, float]:
+    """Wilson's interval that holds the chance in 99 % of all cases."""
+    share, spread = count / flights, SURE * SURE / flights
+    middle = share + 0.5 * spread
+    half = SURE * math.sqrt((share * (1.0 - share) + 0.25 * spread) / flights)
+    low, high = (middle - half) / (1.0 + spread), (middle + half) / (1.0 + spread)
+    return (0.0 if count == 0 else low), (1.0 if count == flights else high)
+
+
+def agrees(chance: Chance, count: int, flights: int) -> bool:
+    """True if an exact chance is within the interval, or a bound is not below it."""
+    low, high = interval(count, flights)
+    return chance.value is None or (
+        low <= chance.value <= high if chance.exact else low <= chance.value
+    )
+
+
+class Row(NamedTuple):
+    """A row of the table."""
+
+    what: str
+    number: float
+    chance: Chance
+    count: int
+    flights: int
+
+    def line(self) -> str:
+        """As the page has it."""
+        low, high = interval(self.count, self.flights)
+        value = "–" if self.chance.value is None else f"{self.chance.value:.5f}"
+        kind = "exact" if self.chance.exact else "bound"
+        frequency = f"{self.count / self.flights:.5f} | {low:.5f} to {high:.5f}"
+        held = "yes" if agrees(self.chance, self.count, self.flights) else "**no**"
+        return f"| {self.what} | {self.number:g} | {value} | {kind} | {frequency} | {held} |"
+
+
+OWN = {
+    "30 % lost": LinkSettings(loss=0.3),
+    "10 % lost, bursts of 0.5 s": LinkSettings(
+        delay=0.1, loss=0.1, burst_length=0.5, burst_interval=10.0, burst_loss=0.9
+    ),
+    "5 % lost, planned blackouts": LinkSettings(
+        delay=0.1, loss=0.05, blackouts=((20.0, 1.0), (40.0, 0.5))
+    ),
+    "10 % lost, random blackouts": LinkSettings(
+        loss=0.1, blackout_interval=30.0, blackout_length=0.52
+    ),
+    "10 % lost, jitter to 0.4 s": LinkSettings(
+        delay=0.1, loss=0.1, jitter=0.1, jitter_shape="exponential", jitter_cut=0.3
+    ),
+}
+
+
+def rows(flights: int) -> Iterator[Row]:
+    """Each link with numbers that are exceeded in about one flight of a hundred."""
+    for name, settings in {**PROFILES, **OWN}.items():
+        looks = {"dt": DT, "period_ticks": 1, "dropout": 0.1, "ticks": TICKS}
+        age = smallest_age(settings, **looks, risk=RISK).value
+        if age is not None:
+            count = ages_exceeded(settings, **looks, age=age, flights=flights)
+            yield Row(
+                f"{name}: age", age, chance_of_age(settings, **looks, age=age), count, flights
+            )
+        delay = max(2, link_parameters(settings, DT).longest)
+        packets = {"dt": DT, "delay_ticks": delay, "repeats": REPEATS, "ticks": TICKS}
+        outage = smallest_outage(settings, **packets, risk=RISK).value
+        if outage is not None:
+            count = outages_exceeded(settings, **packets, outage=outage, flights=flights)
+            chance = chance_of_outage(settings, **packets, outage=outage)
+            what = f"{name}: outage, τ_c {delay * DT:g} s"
+            yield Row(what, outage, chance, count, flights)
+
+
+def main() -> None:
+    """Print the table."""
+    flights = int(sys.argv[1]) if len(sys.argv) > 1 else 100_000
+    sys.stdout.write(
+        "| link, declared number | [s] | chance | | frequency | 99 % interval | agrees |\n"
+    )
+    sys.stdout.write("|---|--:|--:|---|--:|--:|---|\n")
+    for row in rows(flights):
+        sys.stdout.write(f"{row.line()}\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

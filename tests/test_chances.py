@@ -1,0 +1,311 @@
+"""Chances that links exceed declared numbers: against all outcomes of tiny flights, and frequencies over the link itself."""
+
+import importlib
+import itertools
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from properties import PROPERTY
+
+from bus.errors import ScenarioError
+from bus.messages import LinkSettings
+from sim.channel.chances import (
+    chance_of_age,
+    chance_of_error,
+    chance_of_outage,
+    largest_error,
+    smallest_age,
+    smallest_outage,
+)
+from sim.channel.description import link_parameters
+from sim.engine.briefing import declared
+from sim.scenario.checks import scenario_warnings
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Certificate, LinkTable, Scenario
+
+DT = 0.05
+FLIGHTS = 10_000
+FEW = settings(PROPERTY, max_examples=20)
+BURSTS = {"burst_length": 0.2, "burst_interval": 0.5, "burst_loss": 0.8}
+DARK = {"blackout_interval": 5.0, "blackout_length": 0.52}
+SLOW = LinkSettings(bandwidth=15.0)
+LATE = {"jitter": 0.1, "jitter_shape": "exponential", "jitter_cut": 0.4}
+
+
+@pytest.fixture
+def flown(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parent.parent / "benchmarks"))
+    return importlib.import_module("chances")
+
+
+def outcomes(link: LinkSettings, ticks: int, dropout: float = 0.0) -> Iterator[tuple[Any, float]]:
+    """Every pattern of messages that get through, one a tick, with its chance: bursts are summed over by hand."""
+    p = link_parameters(link, DT)
+    turn = np.array([[1.0 - p.bad_enter, p.bad_enter], [1.0 - p.bad_stay, p.bad_stay]])
+    through = (1.0 - dropout) * (1.0 - p.loss) * np.array([1.0, 1.0 - p.burst_loss])
+    for pattern in itertools.product((False, True), repeat=ticks):
+        states = np.array([1.0 - p.bad_share, p.bad_share])
+        for tick, got in enumerate(pattern):
+            states = states @ turn if tick else states
+            states = states * (through if got else 1.0 - through)
+        yield pattern, float(states.sum())
+
+
+def grows_old(got: tuple[bool, ...], period: int, flies: int, age: int) -> bool:
+    """True if the newest detection is ever older than `age`."""
+    for tick in range(len(got)):
+        arrived = [k for k in range(0, tick - flies + 1, period) if got[k]]
+        if arrived and tick - arrived[-1] > age:
+            return True
+    return False
+
+
+def is_interrupted(
+    got: tuple[bool, ...], flies: int, delay: int, repeats: int, outage: int
+) -> bool:
+    """True if some motion is followed too late, by the protocol as a pilot and a receiver play it."""
+    chain, flown, begun = 0, -1, 0
+    packets: list[dict[int, int]] = []  # motion: its parent
+    parents: dict[int, int] = {}
+    for tick in range(len(got)):
+        if tick - 1 - delay >= chain and flown != tick - 1 - delay:
+            chain = tick
+        parents[tick] = flown if tick == chain else tick - 1
+        packets.append({j: parents[j] for j in range(max(chain, tick - repeats + 1), tick + 1)})
+        known = [packets[k] for k in range(tick - flies + 1) if got[k]]
+        due = tick - delay
+        if any(packet.get(due, -2) == flown for packet in known):
+            flown, begun = due, tick
+        elif tick - begun >= outage:
+            return True
+    return False
+
+
+@pytest.mark.parametrize("link", [{"loss": 0.3}, {"loss": 0.1, **BURSTS}])
+@pytest.mark.parametrize(
+    ("period", "flies", "age"), [(1, 0, 2), (1, 1, 3), (2, 0, 2), (3, 1, 4), (2, 2, 1), (1, 0, 0)]
+)
+def test_the_chance_of_an_age_is_that_of_all_outcomes(
+    link: dict[str, Any], period: int, flies: int, age: int
+) -> None:
+    told = LinkSettings(delay=flies * DT, **link)
+    chance = chance_of_age(told, dt=DT, period_ticks=period, dropout=0.1, ticks=10, age=age * DT)
+    found = sum(p for got, p in outcomes(told, 10, 0.1) if grows_old(got, period, flies, age))
+    assert chance.exact
+    assert chance.value == pytest.approx(found, rel=1e-9)
+
+
+@pytest.mark.parametrize("link", [{"loss": 0.3}, {"loss": 0.1, **BURSTS}])
+@pytest.mark.parametrize(
+    ("flies", "delay", "repeats", "outage"),
+    [
+        (0, 0, 6, 2),
+        (0, 1, 6, 1),
+        (0, 2, 2, 4),
+        (1, 2, 6, 5),
+        (1, 3, 2, 4),
+        (2, 2, 1, 3),
+        (0, 3, 6, 2),
+        (2, 1, 6, 4),
+    ],
+)
+def test_the_chance_of_an_outage_is_that_of_all_outcomes(
+    link: dict[str, Any], flies: int, delay: int, repeats: int, outage: int
+) -> None:
+    told = LinkSettings(delay=flies * DT, **link)
+    chance = chance_of_outage(
+        told, dt=DT, delay_ticks=delay, repeats=repeats, ticks=11, outage=outage * DT
+    )
+    numbers = (flies, delay, repeats, outage)
+    found = sum(p for got, p in outcomes(told, 11) if is_interrupted(got, *numbers))
+    assert chance.exact
+    assert chance.value == pytest.approx(found, rel=1e-9)
+
+
+AGES: list[tuple[dict[str, Any], int, float]] = [
+    ({"loss": 0.3}, 1, 0.3),
+    ({"loss": 0.02, "delay": 0.1, **BURSTS}, 2, 1.0),
+    ({"loss": 0.1, "blackouts": ((0.0, 1.5), (5.0, 0.3))}, 2, 0.5),
+    ({"loss": 0.1, **DARK}, 2, 1.0),
+    ({"loss": 0.1, **DARK, **BURSTS, "blackouts": ((3.0, 0.5),)}, 1, 1.3),
+    ({"loss": 0.1, "delay": 0.1, **LATE, "duplicates": 0.1}, 2, 0.5),
+    ({"loss": 0.1, "delay": 0.1, "reorder": 0.2, "reorder_delay": 0.3}, 2, 0.8),
+    ({"loss": 0.2, "delay": 0.1, "bandwidth": 3.0, "queue": 2}, 1, 1.6),
+    ({"loss": 0.2, "bandwidth": 2.4, "queue": 1, "keep": "oldest"}, 1, 2.2),
+]
+OUTAGES: list[tuple[dict[str, Any], int, int, float]] = [
+    ({"loss": 0.3}, 2, 6, 0.2),
+    ({"loss": 0.5, "delay": 0.1}, 4, 6, 0.8),
+    ({"loss": 0.5, "delay": 0.1}, 9, 2, 0.8),
+    ({"loss": 0.05, "delay": 0.1, **BURSTS}, 3, 6, 1.2),
+    ({"loss": 0.05, "blackouts": ((0.0, 0.5), (5.0, 0.3))}, 3, 6, 0.6),
+    ({"loss": 0.05, **DARK}, 3, 6, 1.0),
+    ({"loss": 0.05, "delay": 0.1, **LATE}, 6, 6, 0.5),
+    ({"loss": 0.05, "delay": 0.1, **LATE, **DARK, "blackouts": ((6.0, 0.4),)}, 8, 6, 1.0),
+]
+
+
+@pytest.mark.parametrize(("link", "period", "age"), AGES)
+def test_the_chance_of_an_age_agrees_with_its_frequency(
+    flown: ModuleType, link: dict[str, Any], period: int, age: float
+) -> None:
+    told = LinkSettings(**link)
+    numbers = {"dt": DT, "period_ticks": period, "dropout": 0.1, "ticks": 200, "age": age}
+    chance = chance_of_age(told, **numbers)
+    count = flown.ages_exceeded(told, **numbers, flights=FLIGHTS)
+    assert 0 < count < FLIGHTS
+    assert flown.agrees(chance, count, FLIGHTS), (chance, count)
+
+
+@pytest.mark.parametrize(("link", "delay", "repeats", "outage"), OUTAGES)
+def test_the_chance_of_an_outage_agrees_with_its_frequency(
+    flown: ModuleType, link: dict[str, Any], delay: int, repeats: int, outage: float
+) -> None:
+    told = LinkSettings(**link)
+    numbers = {"dt": DT, "delay_ticks": delay, "repeats": repeats, "ticks": 200, "outage": outage}
+    chance = chance_of_outage(told, **numbers)
+    count = flown.outages_exceeded(told, **numbers, flights=FLIGHTS)
+    assert 0 < count < FLIGHTS
+    assert flown.agrees(chance, count, FLIGHTS), (chance, count)
+
+
+KINDS = st.sampled_from([{}, BURSTS, DARK, LATE, {**BURSTS, **DARK, "blackouts": ((2.0, 0.3),)}])
+
+
+def rises(chance: Callable[..., Any], less: dict[str, Any], **more: Any) -> bool:
+    low, high = chance(**less).value, chance(**{**less, **more}).value
+    return bool(low <= high + 1e-12)
+
+
+@FEW
+@given(KINDS, st.floats(0.0, 0.5), st.integers(4, 30), st.integers(1, 3))
+def test_the_chance_of_an_age_rises_with_all_that_is_worse(
+    kind: dict[str, Any], loss: float, age: int, period: int
+) -> None:
+    link = LinkSettings(delay=0.1, loss=loss, **kind)
+    numbers = {"settings": link, "dt": DT, "period_ticks": period, "dropout": 0.1, "ticks": 200}
+    numbers["age"] = age * DT
+    assert rises(chance_of_age, numbers, age=(age - 1) * DT)
+    assert rises(chance_of_age, numbers, ticks=230)
+    assert rises(chance_of_age, numbers, dropout=0.2)
+    assert rises(chance_of_age, numbers, settings=msgspec.structs.replace(link, delay=0.15))
+    assert rises(chance_of_age, numbers, settings=msgspec.structs.replace(link, loss=loss + 0.1))
+
+
+@FEW
+@given(KINDS, st.floats(0.0, 0.5), st.integers(10, 40), st.integers(2, 10), st.integers(1, 6))
+def test_the_chance_of_an_outage_rises_with_all_that_is_worse(
+    kind: dict[str, Any], loss: float, outage: int, delay: int, repeats: int
+) -> None:
+    link = LinkSettings(delay=0.1, loss=loss, **kind)
+    numbers: dict[str, Any] = {"settings": link, "dt": DT, "delay_ticks": delay, "ticks": 200}
+    numbers.update(outage=outage * DT, repeats=repeats)
+    assert rises(chance_of_outage, numbers, outage=(outage - 1) * DT)
+    assert rises(chance_of_outage, numbers, ticks=230)
+    assert rises(chance_of_outage, {**numbers, "repeats": repeats + 1}, repeats=repeats)
+    assert rises(chance_of_outage, numbers, settings=msgspec.structs.replace(link, loss=loss + 0.1))
+
+
+@pytest.mark.parametrize("risk", [0.3, 1e-2, 1e-6])
+@pytest.mark.parametrize("kind", [{}, BURSTS, DARK, {"blackouts": ((2.0, 0.4),)}, LATE])
+def test_the_smallest_number_is_the_smallest(kind: dict[str, Any], risk: float) -> None:
+    link = LinkSettings(delay=0.1, loss=0.1, **kind)
+    looks = {"dt": DT, "period_ticks": 2, "dropout": 0.1, "ticks": 400}
+    packets = {"dt": DT, "delay_ticks": 4, "repeats": 6, "ticks": 400}
+    age = smallest_age(link, **looks, risk=risk).value
+    outage = smallest_outage(link, **packets, risk=risk).value
+    assert age is not None
+    assert outage is not None
+    kept = (
+        chance_of_age(link, **looks, age=age).value,
+        chance_of_outage(link, **packets, outage=outage).value,
+    )
+    exceeded = (
+        chance_of_age(link, **looks, age=age - DT).value,
+        chance_of_outage(link, **packets, outage=outage - DT).value,
+    )
+    assert max(kept) <= risk < min(exceeded)
+
+
+def test_what_cannot_be_bounded_is_said_and_is_no_number() -> None:
+    looks = {"dt": DT, "period_ticks": 1, "dropout": 0.1, "ticks": 200}
+    packets = {"dt": DT, "delay_ticks": 4, "repeats": 6, "ticks": 200}
+    for told in (
+        chance_of_age(SLOW, **looks, age=1.0),
+        chance_of_outage(SLOW, **packets, outage=1.0),
+        smallest_age(SLOW, **looks, risk=0.1),
+        smallest_outage(SLOW, **packets, risk=0.1),
+        smallest_outage(LinkSettings(loss=1.0), **packets, risk=0.1),
+    ):
+        assert told.value is None
+        assert told.why
+
+
+def test_packets_that_are_always_too_late_begin_nothing() -> None:
+    late = LinkSettings(delay=0.5)
+    chance = chance_of_outage(late, dt=DT, delay_ticks=4, repeats=6, ticks=200, outage=5.0)
+    assert chance == (1.0, True, "")
+
+
+def test_a_flight_too_long_to_be_gone_through_has_a_bound() -> None:
+    link, numbers = LinkSettings(loss=0.3), {"dt": DT, "period_ticks": 1, "dropout": 0.0}
+    long = chance_of_age(link, **numbers, ticks=2_000_000, age=1.0)
+    short = chance_of_age(link, **numbers, ticks=2_000, age=1.0)
+    assert short.exact
+    assert not long.exact
+    assert long.value == pytest.approx(1000.0 * short.value, rel=0.02)
+    planned = msgspec.structs.replace(link, blackouts=((1.0, 1.0),))
+    assert chance_of_age(planned, **numbers, ticks=2_000_000, age=1.0).value is None
+
+
+def test_the_largest_error_is_exceeded_with_the_chance_of_the_risk() -> None:
+    eps = largest_error(0.1, math.inf, 4000, 1e-3)
+    assert chance_of_error(0.1, math.inf, 4000, eps).value == pytest.approx(1e-3, rel=1e-9)
+    assert largest_error(0.1, 3.0, 4000, 1e-3) == pytest.approx(0.3)
+    assert chance_of_error(0.1, 3.0, 4000, 0.3).value == 0.0
+    errors = np.linalg.norm(np.random.default_rng(3).normal(0.0, 0.1, (2000, 50, 2)), axis=2)
+    share = np.mean(errors.max(axis=1) > 0.33)
+    assert chance_of_error(0.1, math.inf, 50, 0.33).value == pytest.approx(share, abs=0.03)
+
+
+# In a scenario
+
+
+def scenario(*overrides: str, **certificate: Any) -> Scenario:
+    """The default one; of the certificate nothing is given but these fields."""
+    base = load_scenario("escort", overrides=[*overrides, "links.detections.profile=jammed"])
+    return msgspec.structs.replace(base, certificate=Certificate(**certificate))
+
+
+def test_a_risk_gives_the_bounds_that_are_not_given() -> None:
+    one = scenario(risk=1e-3)
+    looks = {"dt": one.dt, "period_ticks": 1, "dropout": 0.1, "ticks": one.ticks}
+    link = one.links.detections
+    assert declared(one, "uav_0").age == smallest_age(link, **looks, risk=1e-3).value
+    assert declared(scenario(risk=1e-3, age=2.0), "uav_0").age == 2.0
+    assert declared(scenario(), "uav_0").age == 1.0
+    uncut = scenario("detections.cut=0", risk=1e-3)
+    both = declared(uncut, "uav_0")
+    assert both.age == smallest_age(link, **looks, risk=5e-4).value
+    assert both.error == largest_error(0.1, math.inf, one.ticks, 5e-4)
+    assert declared(scenario("detections.cut=0"), "uav_0").error is None
+
+
+def test_a_risk_with_an_age_beside_it_is_told_to_do_nothing() -> None:
+    given = ["certificate.risk=1e-3", "certificate.age=2.0"]
+    (line,) = scenario_warnings(load_scenario("escort", overrides=given))
+    assert line == "certificate.risk = 0.001: nothing follows from it, as certificate.age is given"
+    assert scenario_warnings(load_scenario("escort", overrides=given[:1])) == ()
+    assert scenario_warnings(load_scenario("escort", overrides=[*given, "detections.cut=0"])) == ()
+    slow = msgspec.structs.replace(scenario(risk=1e-3), links=LinkTable(detections=SLOW))
+    told = "let the queue run empty: with links.detections nothing can be promised of uav_0"
+    with pytest.raises(ScenarioError, match=told):
+        declared(slow, "uav_0")  # made in Python, and not checked
