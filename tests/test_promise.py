@@ -295,6 +295,22 @@ def test_where_chance_alone_breaks_what_is_declared_it_is_told_how_seldom_sight_
     assert odds(certified("law.name=linear")) is None
 
 
+def test_lost_motions_are_told_with_the_chance_that_the_outage_is_exceeded() -> None:
+    lossy = certified("links.commands.loss=0.1", "certificate.outage=0.2")
+    told = odds(lossy)
+    assert told is not None
+    assert told.lost == sum(v or 0.0 for v in told.exceeded.values()) > 0.0
+    (found,) = shortfalls(lossy)
+    assert (found.assumption, found.how) == ("A5", SOMETIMES)
+    assert "later than certificate.outage = 0.2 s in at most" in found.line
+    calm = odds(certified("links.commands.loss=0.1", "certificate.outage=1.0"))
+    assert calm is not None
+    assert calm.lost is not None
+    assert calm.lost < 1e-12
+    dark = certified("links.commands.blackouts=[[5.0,3.0]]", "certificate.outage=1.0")
+    assert [fault.how for fault in shortfalls(dark)] == [CERTAIN]
+
+
 @pytest.mark.parametrize(
     "broken",
     [

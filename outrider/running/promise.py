@@ -17,10 +17,11 @@ import numpy as np
 from agents.control.handover import check_assumptions
 from agents.control.promise import Promise
 from agents.control.visibility import promise_of
-from bus.messages import LinkKind, LinkSettings, UavBriefing
+from bus.messages import MOST_CARRIED, LinkKind, LinkSettings, UavBriefing
 from bus.registry import LAWS
+from bus.ticks import first_tick_from
 from outrider.running.summary import in_flights
-from sim.channel.chances import Chance, chance_of_age, chance_of_error
+from sim.channel.chances import Chance, chance_of_age, chance_of_error, chance_of_outage
 from sim.channel.description import arrival_share, extra_delays, link_parameters
 from sim.channel.link import DUST, LinkParameters, in_ticks
 from sim.engine.briefing import briefing
@@ -103,6 +104,11 @@ def odds(scenario: Scenario, links: LinkTable | None = None) -> Odds | None:
         bounds = declared_bounds(scenario, uav.name)
         age = _chance_of_age(scenario, table.of(uav.name, LinkKind.DETECTIONS), bounds.age)
         exceeded[f"{uav.name}/age"] = age.value
+        if bounds.outage is not None:
+            link = table.of(uav.name, LinkKind.COMMANDS)
+            delay = first_tick_from(bounds.delay, scenario.dt)
+            outage = _chance_of_outage(scenario, link, delay, bounds.outage)
+            exceeded[f"{uav.name}/outage"] = outage.value
         if bounds.error is not None:
             sigma, cut = scenario.detections.noise, scenario.noise_cut
             error = chance_of_error(sigma, cut, looks, bounds.error)
@@ -153,11 +159,12 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
             ]
         for kind, name, check in (
             (LinkKind.DETECTIONS, "A2", _ages),
-            (LinkKind.COMMANDS, "A5", _delays),
+            (LinkKind.COMMANDS, "A5", _outages if promise.carries else _delays),
         ):
             link = _Link(scenario, table.of(uav.name, kind), table.path_of(uav.name, kind))
+            reckoned = kind is LinkKind.DETECTIONS or promise.carries
             found += [
-                Shortfall(uav.name, name, how, what, name == "A2" and how is not How.CERTAIN)
+                Shortfall(uav.name, name, how, what, reckoned and how is not How.CERTAIN)
                 for how, what in check(link, promise)
             ]
     return tuple(found)
@@ -346,6 +353,36 @@ def _delays(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
             what = f"{link.named('jitter', 'reorder')}: commands overtake each other or take other times than {tau}"
             yield _often(1.0 - kept), f"{what}, in {_percent(1.0 - kept)} of the ticks"
     yield from _lost_commands(link)
+
+
+def _outages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
+    """Motions begin at most `outage` after one another: the packets of one link are lost or late for longer."""
+    s, outage = link.scenario, promise.outage_ticks * promise.dt
+    chance = _chance_of_outage(s, link.settings, promise.delay_ticks, outage)
+    if chance.value is not None and chance.value <= _RARE:
+        return
+    fields = (
+        link.named("delay", "jitter", "reorder", "loss", "bandwidth"),
+        link.named("burst_length", "burst_interval", "blackout_length", "blackout_interval"),
+        f"{link.path}.blackouts" if any(link.dark()) else "",
+        f"tau_c = {link.seconds(promise.delay_ticks)}",
+    )
+    often = in_flights(chance.value) if chance.value is not None else chance.why
+    yield (
+        How.CERTAIN if chance == (1.0, True, "") else How.SOMETIMES,
+        f"{', '.join(filter(None, fields))}: the next motion begins later than certificate.outage = {outage:g} s {often}",
+    )
+
+
+def _chance_of_outage(s: Scenario, settings: LinkSettings, delay: int, outage: float) -> Chance:
+    return chance_of_outage(
+        settings,
+        dt=s.dt,
+        delay_ticks=delay,
+        repeats=MOST_CARRIED,
+        ticks=s.ticks,
+        outage=outage,
+    )
 
 
 def _lost_commands(link: _Link) -> Iterator[tuple[How, str]]:

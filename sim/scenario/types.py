@@ -112,8 +112,8 @@ class Certificate(_Table, frozen=True, kw_only=True):
     risk: Annotated[float, Meta(gt=0.0, lt=1.0)] | None = None
     """Chance that what is declared may be exceeded in a flight.
 
-    From it and from the links follow the bounds that are not given, where chance has a hand in them: the age, and the
-    error if the noise is not cut. Each of them for each UAV gets an equal share of it.
+    From it and from the links follow the bounds that are not given, where chance has a hand in them: the age, the
+    outage, and the error if the noise is not cut. Each of them for each UAV gets an equal share of it.
     """
     delay: NonNegative | None = None
     """From the tick that a command answers to the one in which it acts [s]; by default the longest of its link."""
@@ -121,7 +121,7 @@ class Certificate(_Table, frozen=True, kw_only=True):
     """Taken off r_v [m], for what the theorem does not cover: jitter and loss of commands that carry no motions."""
     outage: NonNegative | None = None
     """From the beginning of a motion to that of the next at most, B [s]. Where it is given, the UAVs' commands carry motions,
-    which their receivers fly on while commands are lost; by default they carry none."""
+    which their receivers fly on while commands are lost; by default they carry none, but where a `risk` is given."""
 
 
 class Custom(_Table, frozen=True, kw_only=True):

@@ -115,8 +115,9 @@ class Assurance:
             one.name for one in scenario.vehicles if isinstance(one, Uav)
         ]  # rows as the world's
         self._radius, self._dt = scenario.visibility.radius, scenario.dt
-        self._outage = scenario.certificate.outage
-        self._assumptions = [Assumptions(declared(scenario, uav), scenario.dt) for uav in uavs]
+        bounds = [declared(scenario, uav) for uav in uavs]
+        self._outage = max((b.outage for b in bounds if b.outage is not None), default=None)
+        self._assumptions = [Assumptions(one, scenario.dt) for one in bounds]
         self._promised = [False] * len(uavs)
         """True where the tick before was certified, and nothing excuses that this one is not."""
         self._last = [_NOBODY] * len(uavs)
