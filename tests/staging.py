@@ -6,7 +6,7 @@ The real loop and the real pilots.
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -38,16 +38,22 @@ class Vehicle:
         endpoint: Of the router.
         name: The vehicle.
         until: It is gone once this tick has been answered.
+        heir: Called once it is gone.
         on_tick: Called with each tick before it acts.
     """
 
     def __init__(
-        self, endpoint: str, name: str, until: int | None, on_tick: Callable[[int], None]
+        self,
+        endpoint: str,
+        name: str,
+        until: int | None = None,
+        on_tick: Callable[[int], None] = lambda _tick: None,
+        heir: Callable[[], object] = lambda: None,
     ) -> None:
         self.name = name
         self.seen: list[Any] = []
         """All it has acted on, its past first."""
-        self._endpoint, self._until, self._on_tick = endpoint, until, on_tick
+        self._endpoint, self._until, self._on_tick, self._heir = endpoint, until, on_tick, heir
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
@@ -57,7 +63,7 @@ class Vehicle:
 
     def _run(self) -> None:
         credential = GIVEN.of(self.name)
-        with suppress(Gone):
+        try:
             process.fly(
                 credential.party,
                 self._make,
@@ -65,6 +71,8 @@ class Vehicle:
                 run="run",
                 credential=credential,
             )
+        except Gone:
+            self._heir()
 
     def _make(self, told: Any) -> "Vehicle":
         self._pilot = PILOT[self.name](told)
@@ -100,10 +108,20 @@ class Stage:
         name: str,
         *,
         until: int | None = None,
+        again: bool = False,
         on_tick: Callable[[int], None] = lambda _tick: None,
     ) -> Vehicle:
-        self.vehicles.append(Vehicle(self.endpoint, name, until, on_tick))
+        """Start a vehicle; one that is gone `again` has another in its place at once."""
+
+        def heir() -> None:
+            if again:
+                self.start(name)
+
+        self.vehicles.append(Vehicle(self.endpoint, name, until, on_tick, heir))
         return self.vehicles[-1]
+
+    def start_both(self) -> list[Vehicle]:
+        return [self.start("uav_0"), self.start("ugv_0")]
 
     def client(self, name: str) -> Session:
         credential = GIVEN.of(name)

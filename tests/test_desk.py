@@ -204,14 +204,8 @@ def test_a_vehicle_that_comes_back_knows_what_was_changed_and_said(
     expected = fly(load_scenario("escort", overrides=["duration=20.0"]), 7, on_tick=change)[0]
     with stage(tmp_path, 400, respawn=True) as run:
         run.start("uav_0" if victim == "ugv_0" else "ugv_0")
-        run.start(victim, until=205)
-
-        def on_tick() -> None:
-            change(run.server.flight)
-            if run.server.flight.world.tick == 206:
-                run.start(victim)
-
-        flight = run.fly(on_tick)
+        run.start(victim, until=205, again=True)
+        flight = run.fly(lambda: change(run.server.flight))
     assert flight.first_missing is None
     assert flight.recorder.sha256() == expected.recorder.sha256()
     assert flight.recorder.sha256() != whole(400).recorder.sha256()

@@ -30,19 +30,8 @@ def test_a_vehicle_that_comes_back_with_its_past_flies_the_same_bits(
     """More ticks than one part of a briefing holds; the newcomer knows nothing but what it is told."""
     with stage(tmp_path, 1500, respawn=True) as run:
         run.start("uav_0" if victim == "ugv_0" else "ugv_0")
-        gone = run.start(victim, until=1233)
-        second = threading.Event()
-
-        def take_its_place() -> None:
-            gone.join()  # else two would be there for a moment
-            run.start(victim)
-
-        def come_back() -> None:
-            if run.server.flight.world.tick == 1234 and not second.is_set():
-                second.set()
-                threading.Thread(target=take_its_place).start()
-
-        flight = run.fly(come_back)
+        run.start(victim, until=1233, again=True)
+        flight = run.fly()
         statuses = run.server.vehicles()
     first, later = (vehicle for vehicle in run.vehicles if vehicle.name == victim)
     assert [seen.tick for seen in first.seen] == list(range(1234))

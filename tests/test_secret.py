@@ -108,7 +108,7 @@ def test_over_the_bus_with_a_process_that_joins_again_and_after_a_reset_too(tmp_
     scenario = degraded(300)
     with stage(tmp_path, 300, scenario=scenario, secret=SECRET, respawn=True) as going:
         going.start("ugv_0")
-        first = going.start("uav_0", until=100)
+        going.start("uav_0", until=100, again=True)
         operator = going.client("operator").outbox(
             next(key for key in KEYS if key.message is Control)
         )
@@ -116,11 +116,7 @@ def test_over_the_bus_with_a_process_that_joins_again_and_after_a_reset_too(tmp_
 
         def on_tick() -> None:
             nonlocal asked
-            tick, episode = going.server.flight.world.tick, going.server.flight.episode
-            if tick == 102 and episode == 0 and len(going.vehicles) == 2:
-                first.join()
-                going.start("uav_0")
-            if tick == 200 and not asked:
+            if going.server.flight.world.tick == 200 and not asked:
                 asked = True
                 operator.send(Control(action=Action.RESET))
                 controls = going.server._operators._controls
