@@ -264,9 +264,7 @@ def splice(payload: bytes, other: bytes, rng: random.Random) -> bytes:
     return payload[: rng.randrange(len(payload))] + other[rng.randrange(len(other)) :]
 
 
-def replaced(
-    pattern: re.Pattern[bytes], payload: bytes, rng: random.Random, new: Callable[[bytes], bytes]
-) -> bytes:
+def replaced(pattern, payload, rng, new):
     found = list(pattern.finditer(payload))
     if not found:
         return payload

@@ -4,7 +4,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
@@ -16,9 +16,7 @@ from bus.session import Session, open_session
 OUTRIDER = [sys.executable, "-m", "outrider"]
 
 
-def outrider(
-    *arguments: str, timeout: float = 120.0, cwd: Path | None = None
-) -> "subprocess.CompletedProcess[str]":
+def outrider(*arguments, timeout=120.0, cwd=None):
     return subprocess.run(
         [*OUTRIDER, *arguments],
         capture_output=True,
@@ -66,11 +64,7 @@ def alive(pid: int) -> bool:
         return False
 
 
-def wait_until(
-    condition: Callable[[], bool],
-    seconds: float = 30.0,
-    told: Callable[[], str] = lambda: "waited in vain",
-) -> None:
+def wait_until(condition, seconds=30.0, told=lambda: "waited in vain"):
     limit = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < limit, told()
@@ -97,9 +91,7 @@ def observing(run: "subprocess.Popen[str]") -> AbstractContextManager[Session]:
     return joined(run, Role.OBSERVER)
 
 
-def await_status(
-    session: Session, wanted: Callable[[Status], bool], seconds: float = 60.0
-) -> Status:
+def await_status(session, wanted, seconds=60.0):
     """The first status that is as wanted."""
     inbox = session.inbox(STATUS)
     limit = time.monotonic() + seconds

@@ -5,7 +5,7 @@ The real loop and the real pilots.
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -42,14 +42,7 @@ class Vehicle:
         on_tick: Called with each tick before it acts.
     """
 
-    def __init__(
-        self,
-        endpoint: str,
-        name: str,
-        until: int | None = None,
-        on_tick: Callable[[int], None] = lambda _tick: None,
-        heir: Callable[[], object] = lambda: None,
-    ) -> None:
+    def __init__(self, endpoint, name, until=None, on_tick=lambda _tick: None, heir=lambda: None):
         self.name = name
         self.seen: list[Any] = []
         """All it has acted on, its past first."""
@@ -103,14 +96,7 @@ class Stage:
         self.vehicles: list[Vehicle] = []
         self._stack = stack
 
-    def start(
-        self,
-        name: str,
-        *,
-        until: int | None = None,
-        again: bool = False,
-        on_tick: Callable[[int], None] = lambda _tick: None,
-    ) -> Vehicle:
+    def start(self, name, *, until=None, again=False, on_tick=lambda _tick: None):
         """Start a vehicle; one that is gone `again` has another in its place at once."""
 
         def heir() -> None:
@@ -137,9 +123,7 @@ class Stage:
 
 
 @contextmanager
-def stage(
-    folder: Path, ticks: int, *, scenario: Scenario | None = None, **options: Any
-) -> Iterator[Stage]:
+def stage(folder, ticks, *, scenario=None, **options):
     scenario = scenario or load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}"])
     with ExitStack() as stack:
         yield Stage(stack, folder, scenario, **options)

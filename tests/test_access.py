@@ -196,9 +196,7 @@ def declared(owner: str, name: str) -> list[str]:
     ]
 
 
-def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulators_alone(
-    known_by: str,
-) -> None:
+def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulators_alone(known_by):
     """Each declares the place of its number in everybody's name, places that nobody has, and sessions."""
     seen: dict[str, set[str]] = {name: set() for name in NAMES}
     assert len(NAMES) <= PLACES
@@ -431,9 +429,7 @@ def test_a_password_is_never_shown() -> None:
     assert secret.password not in repr(GIVEN)
 
 
-def test_the_routers_list_of_passwords_is_gone_once_it_is_open(
-    endpoint: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_the_routers_list_of_passwords_is_gone_once_it_is_open(endpoint, monkeypatch, tmp_path):
     private = tmp_path / "private"
     private.mkdir()
     monkeypatch.setattr(access.tempfile, "tempdir", str(private))

@@ -187,9 +187,7 @@ def test_every_lie_of_a_flight_is_in_its_summary(lied: tuple[Flight, Summary, Pa
     assert truth.certified
 
 
-def test_the_trajectory_s_file_tells_each_tick_what_was_certified(
-    lied: tuple[Flight, Summary, Path], tmp_path: Path
-) -> None:
+def test_the_trajectory_s_file_tells_each_tick_what_was_certified(lied, tmp_path):
     flight, summary, _ = lied
     flight.recorder.write(tmp_path / "trajectory.csv")
     with (tmp_path / "trajectory.csv").open(newline="", encoding="utf-8") as file:
@@ -208,9 +206,7 @@ def test_the_trajectory_s_file_tells_each_tick_what_was_certified(
     assert len(lies) == summary.certified_while_lost
 
 
-def test_a_recording_tells_the_same_counts_and_each_tick_s_claim(
-    lied: tuple[Flight, Summary, Path],
-) -> None:
+def test_a_recording_tells_the_same_counts_and_each_tick_s_claim(lied):
     from outrider.recording.reader import flight_of
 
     _, summary, path = lied
@@ -240,9 +236,7 @@ def test_a_recording_tells_the_same_counts_and_each_tick_s_claim(
             assert told[field] == getattr(summary, field), (arguments, field)
 
 
-def test_the_table_has_a_line_for_each_fault_of_the_certificate_and_none_without(
-    lied: tuple[Flight, Summary, Path],
-) -> None:
+def test_the_table_has_a_line_for_each_fault_of_the_certificate_and_none_without(lied):
     _, summary, _ = lied
     broken = msgspec.structs.replace(summary, certified_while_lost=0, certificate_broken=3)
     clean = msgspec.structs.replace(summary, certified_while_lost=0)
@@ -353,9 +347,7 @@ Flights in which a filter that looks only at the state when its command acts cer
 
 
 @pytest.mark.parametrize("name", HARSH)
-def test_nothing_is_certified_out_of_sight_where_the_network_breaks_what_is_declared(
-    name: str,
-) -> None:
+def test_nothing_is_certified_out_of_sight_where_the_network_breaks_what_is_declared(name):
     quiet = ["detections.noise=0", "detections.dropout=0", "duration=160"]
     flown = ["law.name=certified", "ugv.0.driver=evade", "area.cell=0.5", *quiet, *HARSH[name]]
     summary = fly(load_scenario("escort", overrides=flown), HARSH_SEEDS.get(name, 7))[1]

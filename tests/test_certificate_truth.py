@@ -1,7 +1,5 @@
 """Whole flights over networks that break what the certificate assumes: no tick is certified while sight is lost."""
 
-from typing import Any
-
 import pytest
 
 from bus.messages import Law, LinkKind, LinkSettings
@@ -26,9 +24,7 @@ BROKEN = {
 }
 
 
-def told(
-    changes: tuple[str, ...], seed: int, on_tick: Any = None
-) -> list[tuple[bool | None, float]]:
+def told(changes, seed, on_tick=None):
     """Whether each tick was certified, and the true distance then [m]."""
     base = ("law.name=certified", "ugv.0.driver=evade", "area.cell=0.5", "duration=160.0")
     scenario = load_scenario("escort", overrides=[*base, *changes])
@@ -51,9 +47,7 @@ def test_no_tick_is_certified_beyond_r_v_where_commands_do_not_act_as_declared(n
     assert any(certified is False for certified, _ in ticks)
 
 
-def test_a_law_that_is_changed_in_flight_is_not_certified_before_its_own_commands_are_under_way() -> (
-    None
-):
+def test_a_law_that_is_changed_in_flight_is_not_certified_before_its_own_commands_are_under_way():
     """The filter once believed that nothing was under way."""
 
     def change(flight: Flight) -> None:

@@ -4,7 +4,6 @@ import json
 import stat
 import threading
 import time
-from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -58,9 +57,7 @@ def endpoint() -> str:
     return f"tls/127.0.0.1:{free_port()}"
 
 
-def identity(
-    name: str = "uav_0", *, days: float = 365.0, authority=AUTHORITY, hosts=()
-) -> Identity:
+def identity(name="uav_0", *, days=365.0, authority=AUTHORITY, hosts=()):
     return issue(authority, name, days=days, hosts=hosts)
 
 
@@ -139,9 +136,7 @@ def mixed(**parts: str) -> Identity:
         "garbage for a key",
     ],
 )
-def test_a_certificate_that_would_be_refused_is_named_before_anything_is_sent(
-    made: Callable[[], Identity], told: str
-) -> None:
+def test_a_certificate_that_would_be_refused_is_named_before_anything_is_sent(made, told):
     with pytest.raises(AccessDenied, match=told):
         check_identity(made(), "uav_0")
     assert told in refusal("tls/127.0.0.1:1", known_as(made()))
@@ -185,9 +180,7 @@ def test_who_is_not_of_the_run_is_refused_by_the_router_and_told_why(
         assert told in refusal(endpoint, credential)
 
 
-def test_a_client_trusts_nobody_but_its_router(
-    endpoint: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_client_trusts_nobody_but_its_router(endpoint, monkeypatch):
     """Neither a router under a name that its certificate has not, nor another party that listens."""
     elsewhere = endpoint.replace("127.0.0.1", "127.0.0.2")
     with open_session(SIMULATOR, RUN, listen=(elsewhere,), given=GIVEN):
@@ -223,9 +216,7 @@ def passes(router: session.Session, client: session.Session) -> bool:
     return False
 
 
-def test_a_name_that_the_router_does_not_know_gets_nothing_and_is_named(
-    endpoint: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_name_that_the_router_does_not_know_gets_nothing_and_is_named(endpoint, caplog):
     stranger = known_as(identity("nobody"))
     with open_session(SIMULATOR, RUN, listen=(endpoint,), given=GIVEN) as router:
         hears = router._zenoh.declare_subscriber("**", zenoh.handlers.RingChannel(10))
@@ -250,9 +241,7 @@ def test_a_name_that_the_router_does_not_know_gets_nothing_and_is_named(
     )
 
 
-def test_certificates_are_renewed_while_the_router_goes_on(
-    endpoint: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_certificates_are_renewed_while_the_router_goes_on(endpoint, monkeypatch):
     """Whoever is there stays also where its certificate ends meanwhile.
 
     The old one is refused then, a new one is let in.
@@ -302,9 +291,7 @@ def test_renewed_credentials_stay_private(tmp_path: Path) -> None:
     assert not [left for left in path.parent.iterdir() if left.name.startswith(".")]
 
 
-def test_the_command_makes_checks_and_renews(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_makes_checks_and_renews(tmp_path, capsys):
     folder = str(tmp_path / "made")
 
     def command(*arguments: str) -> tuple[int, Any]:

@@ -19,9 +19,7 @@ def here(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_has_help_with_an_example(
-    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_command_has_help_with_an_example(name, monkeypatch, capsys):
     assert here(monkeypatch, name, "--help") == 0
     assert f"Example: outrider {name}" in " ".join(capsys.readouterr().out.split())
 
@@ -73,9 +71,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_input_gets_one_line_exit_code_2_and_no_traceback(
-    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_gets_one_line_exit_code_2_and_no_traceback(case, tmp_path, monkeypatch, capsys):
     arguments, told = BAD[case]
     monkeypatch.chdir(tmp_path)
     code = here(monkeypatch, *arguments)
@@ -96,9 +92,7 @@ def test_bad_input_ends_the_process_with_the_same_line_and_code(tmp_path: Path) 
     assert not list(tmp_path.iterdir())
 
 
-def test_no_router_is_one_line_and_exit_code_1(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_router_is_one_line_and_exit_code_1(monkeypatch, capsys):
     monkeypatch.setitem(session._CLIENT, "connect/timeout_ms", 300)
     assert here(monkeypatch, "uav", "--connect", "tcp/127.0.0.1:1") == 1
     line = capsys.readouterr().err
@@ -217,9 +211,7 @@ def test_credentials_are_made_once_and_each_party_gets_its_own(tmp_path: Path) -
     assert "for the run night" in another.stderr
 
 
-def test_a_password_may_come_from_the_environment(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_password_may_come_from_the_environment(tmp_path, monkeypatch):
     from bus.access import read_credential
     from bus.errors import ScenarioError
     from bus.keys import Role

@@ -51,9 +51,7 @@ def test_another_law_is_flown_from_its_tick_on(tmp_path: Path) -> None:
         (Control(action=Action.DRIVER), "driver"),
     ],
 )
-def test_what_cannot_be_done_is_refused_named_and_changes_nothing(
-    control: Control, told: str, tmp_path: Path
-) -> None:
+def test_what_cannot_be_done_is_refused_named_and_changes_nothing(control, told, tmp_path):
     with stage(tmp_path, 300) as run:
         run.start("uav_0")
         run.start("ugv_0")
@@ -195,9 +193,7 @@ def change(flight: Any) -> None:
 
 
 @pytest.mark.parametrize("victim", ["uav_0", "ugv_0"])
-def test_a_vehicle_that_comes_back_knows_what_was_changed_and_said(
-    victim: str, tmp_path: Path
-) -> None:
+def test_a_vehicle_that_comes_back_knows_what_was_changed_and_said(victim, tmp_path):
     from outrider.running.flying import fly
     from sim.scenario.loading import load_scenario
 

@@ -307,9 +307,7 @@ def arguments(endpoint: str, *more: str) -> tuple[str, ...]:
     return ("--connect", endpoint, "--run", "mine", *more)
 
 
-def test_keys_take_the_wheel_drive_brake_and_give_it_back_and_the_terminal_is_as_before(
-    endpoint: str,
-) -> None:
+def test_keys_take_the_wheel_drive_brake_and_give_it_back_and_the_terminal_is_as_before(endpoint):
     with scripted(endpoint) as simulator, seat(*arguments(endpoint)) as one:
         one.until_shown(
             "script drives ugv_0",

@@ -13,6 +13,7 @@ from flights import DT, R_V, U_G, V_A, V_G, distances
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
+from refusals import refused
 
 from agents.drivers.compiled import (
     EvadeDriver,
@@ -97,9 +98,7 @@ def _nothing(tick: int, place: Point) -> dict[str, Any]:
     return {}
 
 
-def _observe(
-    tick: int, state: tuple[float, ...], heard: dict[str, Any], dt: float = DT
-) -> UgvObservation:
+def _observe(tick, state, heard, dt=DT):
     return UgvObservation(
         tick=tick,
         time=tick * dt,
@@ -109,16 +108,7 @@ def _observe(
     )
 
 
-def _drive(
-    driver: Driver,
-    count: int,
-    *,
-    start: Point = MIDDLE,
-    velocity: Point = (0.0, 0.0),
-    begin: int = 0,
-    dt: float = DT,
-    hears: Hears = _nothing,
-) -> tuple[np.ndarray, list[UgvObservation]]:
+def _drive(driver, count, *, start=MIDDLE, velocity=(0.0, 0.0), begin=0, dt=DT, hears=_nothing):
     """Position, velocity and command at each tick, with no bound but the driver's own, and what it was shown."""
     state, rows, seen = (*start, *velocity), [], []
     for tick in range(begin, begin + count):
@@ -201,9 +191,7 @@ def test_whatever_it_hears_and_whenever_it_takes_the_wheel_a_driver_keeps_the_bo
 @pytest.mark.parametrize("name", [name for name in DRIVERS if name != "waypoints"])
 @given(hearings, st.sampled_from((V_G, math.inf)))
 @settings(PROPERTY, max_examples=30)
-def test_a_ugv_without_bounds_is_still_asked_for_what_a_message_can_hold(
-    name: str, heard: dict[int, dict[str, Any]], v_max: float
-) -> None:
+def test_a_ugv_without_bounds_is_still_asked_for_what_a_message_can_hold(name, heard, v_max):
     driver = DRIVERS[name](_told(v_max=v_max, u_max=math.inf))
     for tick in range(60):
         command = UgvCommand(
@@ -215,9 +203,7 @@ def test_a_ugv_without_bounds_is_still_asked_for_what_a_message_can_hold(
 
 @given(st.lists(st.sampled_from(sorted(DRIVERS)), min_size=2, max_size=5), hearings)
 @settings(PROPERTY, max_examples=40)
-def test_drivers_that_take_turns_in_one_flight_jump_no_further_than_the_bounds_allow(
-    names: list[str], heard: dict[int, dict[str, Any]]
-) -> None:
+def test_drivers_that_take_turns_in_one_flight_jump_no_further_than_the_bounds_allow(names, heard):
     at, velocity = MIDDLE, (0.0, 0.0)
     for turn, name in enumerate(names):
         rows, _ = _drive(
@@ -236,9 +222,7 @@ def test_drivers_that_take_turns_in_one_flight_jump_no_further_than_the_bounds_a
 @pytest.mark.parametrize("name", DRIVERS)
 @given(hearings, st.integers(0, 1000))
 @settings(PROPERTY, max_examples=20)
-def test_a_driver_that_is_told_its_past_again_gives_the_same_bits(
-    name: str, heard: dict[int, dict[str, Any]], begin: int
-) -> None:
+def test_a_driver_that_is_told_its_past_again_gives_the_same_bits(name, heard, begin):
     told = _told(v_max=1.0, u_max=0.5)
     first, other, again = (DRIVERS[name](told) for _ in range(3))
     rows, seen = _drive(
@@ -391,9 +375,7 @@ def test_a_step_begins_at_the_first_tick_of_its_time(dt: float) -> None:
 
 @given(st.lists(st.tuples(st.floats(0.0, 10.0), anything), max_size=5), st.integers(0, 300))
 @settings(PROPERTY)
-def test_a_script_taken_up_late_is_where_it_would_have_been(
-    steps: list[tuple[float, Point]], tick: int
-) -> None:
+def test_a_script_taken_up_late_is_where_it_would_have_been(steps, tick):
     late, whole = _script(*steps), _script(*steps)
     for k in range(tick):
         whole.drive(_observe(k, (*MIDDLE, 0.0, 0.0), {}))
@@ -401,9 +383,7 @@ def test_a_script_taken_up_late_is_where_it_would_have_been(
     assert late.drive(now) == whole.drive(now)
 
 
-def test_of_a_scripts_steps_the_last_whose_time_has_come_counts_also_when_they_are_not_in_order() -> (
-    None
-):
+def test_of_a_scripts_steps_the_last_whose_time_has_come_counts_also_when_they_are_not_in_order():
     driver = _script((2.0, (0.0, V_G)), (2.0, (0.0, -V_G)), (1.0, (V_G, 0.0)))
     u = [driver.drive(_observe(tick, (*MIDDLE, 0.0, 0.0), {})) for tick in (10, 30, 50)]
     assert u == [(0.0, 0.0), pytest.approx((U_G, 0.0)), pytest.approx((0.0, -U_G))]
@@ -419,9 +399,7 @@ def test_an_empty_script_stands() -> None:
 
 @given(st.integers(0, 2**53 - 1), speeds, accelerations, steps, st.sampled_from((2.0, 20.0)))
 @settings(PROPERTY, max_examples=40)
-def test_a_wanderer_never_comes_to_the_border(
-    key: int, v_max: float, u_max: float, dt: float, side: float
-) -> None:
+def test_a_wanderer_never_comes_to_the_border(key, v_max, u_max, dt, side):
     driver = WanderDriver(_told(key=key, v_max=v_max, u_max=u_max, dt=dt, side=side))
     rows, _ = _drive(driver, 1500, start=(side / 2, side / 2), dt=dt)
     assert rows[:, :2].min() > 0.0
@@ -673,12 +651,10 @@ NONSENSE = [
 
 @pytest.mark.parametrize("answer", NONSENSE, ids=range(len(NONSENSE)))
 def test_a_policys_nonsense_is_named_in_one_line(answer: object) -> None:
-    with pytest.raises(
-        ScenarioError,
-        match=r"^policy = 'mine:drive': tick 12: returned .+; allowed: two finite numbers",
+    with refused(
+        ScenarioError, r"^policy = 'mine:drive': tick 12: returned .+; allowed: two finite numbers"
     ) as caught:
         _asked(answer)
-    assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 250
     if isinstance(answer, tuple) and len(answer) == 3:
         assert "(0.1, 0.2, 0.3)" in str(caught.value)
@@ -689,11 +665,10 @@ def test_a_policy_that_raises_is_named_in_one_line() -> None:
         raise KeyError("no\nsuch weights")
 
     driver = PolicyDriver(_told(), policy=broken, name="mine:broken")
-    with pytest.raises(
-        ScenarioError, match=r"^policy = 'mine:broken': tick 3: raised KeyError: .*weights"
+    with refused(
+        ScenarioError, r"^policy = 'mine:broken': tick 3: raised KeyError: .*weights"
     ) as caught:
         driver.drive(_observe(3, (*MIDDLE, 0.0, 0.0), {}))
-    assert "\n" not in str(caught.value)
     assert isinstance(caught.value.__cause__, KeyError)
 
 

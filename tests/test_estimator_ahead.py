@@ -41,7 +41,5 @@ def _fly(course: list[tuple[int, str, bool]], *, ahead: bool) -> list[Estimate |
 
 @given(steps)
 @PROPERTY
-def test_an_estimator_that_works_ahead_estimates_the_same_bits(
-    course: list[tuple[int, str, bool]],
-) -> None:
+def test_an_estimator_that_works_ahead_estimates_the_same_bits(course):
     assert _fly(course, ahead=True) == _fly(course, ahead=False)

@@ -249,9 +249,7 @@ def test_check_and_reader_know_it(extended: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("name", ["cautious", "zigzag", "cone", "alarm", "smoke"])
-def test_a_name_that_is_nearly_one_of_the_new_ones_is_refused_with_it(
-    extended: dict[str, Any], name: str
-) -> None:
+def test_a_name_that_is_nearly_one_of_the_new_ones_is_refused_with_it(extended, name):
     (told,) = [
         (code, line) for code, line in extended["unlike"] if f"did you mean '{name}'?" in line
     ]
@@ -293,9 +291,7 @@ def test_law_and_sensor_compile_to_the_same_numbers(root: Path, extended: dict[s
     ],
     ids=["driver", "law"],
 )
-def test_a_row_whose_code_is_missing_is_refused(
-    tmp_path: Path, file: str, name: str, code: str, wrong: str
-) -> None:
+def test_a_row_whose_code_is_missing_is_refused(tmp_path, file, name, code, wrong):
     blocks = [block for block in BLOCKS if (block[0], block[2]) != (file, name)]
     assert len(blocks) == len(BLOCKS) - 1
     apply(copied(tmp_path), blocks)

@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -74,9 +73,7 @@ def candidates(count: int) -> list[Candidate]:
 # What is found, and what is not
 
 
-def test_the_switching_law_is_broken_undegraded_and_the_find_flies_again_to_the_last_bit(
-    tmp_path: Path,
-) -> None:
+def test_the_switching_law_is_broken_undegraded_and_the_find_flies_again_to_the_last_bit(tmp_path):
     path = tmp_path / "broken.toml"
     result = found("switching", 3, out=path, changes={"duration": 60.0})
     assert result.violations
@@ -132,9 +129,7 @@ def test_a_promise_counts_from_the_first_certified_tick_and_again_some_time_afte
     assert not promised(np.zeros(3, dtype=np.bool_), 0).any()
 
 
-def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a_gap(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a_gap(monkeypatch):
     class Away(InProcess):
         """The UAV flies off, and claims now and then, too short for a promise, that sight is kept."""
 
@@ -148,9 +143,7 @@ def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a
                 "uav_0": msgspec.structs.replace(said, acceleration=(0.3, 0.3), report=report)
             }
 
-    def fly_off(
-        scenario: Scenario, seed: int, *, on_tick: Callable[[Flight], None]
-    ) -> tuple[Flight, None]:
+    def fly_off(scenario, seed, *, on_tick):
         flight = Flight(scenario, seed)
         flight.fly(Away(make_pilots(scenario, seed)), on_tick=lambda: on_tick(flight))
         return flight, None
@@ -282,9 +275,7 @@ def test_a_worker_that_dies_is_told_in_one_line() -> None:
 # The attack
 
 
-def attacked(
-    control: str | None, runs: int, *, duration: float = 40.0, **wanted: Any
-) -> attacks.AttackTally:
+def attacked(control, runs, *, duration=40.0, **wanted):
     tally = attacks.AttackTally()
     with Workers(1, attacks.warm) as workers:
         attacks.run_attack(
@@ -353,9 +344,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_input_gets_one_line(
-    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_gets_one_line(case, tmp_path, monkeypatch, capsys):
     from outrider.bench.pairs import pairs_toml
     from outrider.cli import main
 
@@ -377,9 +366,7 @@ def test_a_missing_extra_is_one_line_with_the_remedy(monkeypatch: pytest.MonkeyP
         search.check_extra()
 
 
-def test_the_command_saves_and_tells_and_its_exit_code_says_what_was_expected(
-    tmp_path: Path,
-) -> None:
+def test_the_command_saves_and_tells_and_its_exit_code_says_what_was_expected(tmp_path):
     quick = ["--undegraded", "--duration", "25", "--jobs", "1", "--runs", "3"]
     run = outrider(
         "falsify", "--law", "switching", *quick, "--json", "--expect", "none", cwd=tmp_path
@@ -401,9 +388,7 @@ def test_the_command_saves_and_tells_and_its_exit_code_says_what_was_expected(
     assert flown_again["trajectory_sha256"] == told["trajectory_sha256"]
 
 
-def test_nothing_found_is_no_file_and_exit_code_0(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
-) -> None:
+def test_nothing_found_is_no_file_and_exit_code_0(tmp_path, monkeypatch, capsys):
     from outrider.cli import main
 
     monkeypatch.chdir(tmp_path)

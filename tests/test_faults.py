@@ -53,9 +53,7 @@ def finished(run: "subprocess.Popen[str]", seconds: float = 90.0) -> tuple[dict[
 
 
 @pytest.mark.parametrize(("victim", "blow"), [("uav", "SIGKILL"), ("ugv", "SIGTERM")])
-def test_with_respawn_a_killed_vehicle_changes_no_bit(
-    victim: str, blow: str, undisturbed: str
-) -> None:
+def test_with_respawn_a_killed_vehicle_changes_no_bit(victim, blow, undisturbed):
     with flying("escort", "--duration", str(SECONDS), "--respawn", "--no-files", "--json") as run:
         before = child_of(run, victim)
         os.kill(before, getattr(signal, blow))
@@ -86,9 +84,7 @@ def answered(status: Status) -> int:
     return status.tick - status.vehicles["uav_0"].missing_commands
 
 
-def test_in_real_time_a_vehicle_brakes_while_its_process_is_away_and_flies_on_when_it_is_back() -> (
-    None
-):
+def test_in_real_time_a_vehicle_brakes_while_its_process_is_away_and_flies_on_when_it_is_back():
     with flying(
         "escort", "--duration", "150", "--realtime", "20", "--respawn", "--no-files", "--json"
     ) as run:
@@ -151,9 +147,7 @@ def test_a_vehicle_that_cannot_live_is_not_started_for_ever(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("respawn", [True, False])
-def test_a_vehicle_killed_before_the_first_tick_is_started_again(
-    respawn: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_vehicle_killed_before_the_first_tick_is_started_again(respawn, monkeypatch):
     class Doomed(launch.Child):
         started: ClassVar[list[str]] = []
 
@@ -187,9 +181,7 @@ def test_a_router_for_one_run_ends_with_it(tmp_path: Path) -> None:
         assert [process.wait(30.0) for process in (*vehicles, router)] == [0, 0, 0]
 
 
-def test_a_router_that_dies_and_comes_back_changes_no_bit(
-    tmp_path: Path, undisturbed_with_a_secret: str
-) -> None:
+def test_a_router_that_dies_and_comes_back_changes_no_bit(tmp_path, undisturbed_with_a_secret):
     with scattered(tmp_path) as run:
         router = run.router()
         simulator = run.simulator()

@@ -126,28 +126,14 @@ def test_gradient_points_where_the_error_falls_fastest(sensor: int) -> None:
 
 @pytest.mark.parametrize("sensor", [row.code for row in SENSORS.values()], ids=SENSORS.keys())
 @pytest.mark.parametrize("p", [(20.0, 20.0), (20.125, 20.125), (20.0, 20.125), (6.5, 20.0)])
-def test_gradient_vanishes_in_symmetric_states_and_only_there(
-    sensor: int, p: tuple[float, float]
-) -> None:
+def test_gradient_vanishes_in_symmetric_states_and_only_there(sensor, p):
     coverage = empty_coverage(40.0, 40.0, 0.25)
     rest = (*p, R_O, DESIRED, sensor, 1.0, R, 0.25)
     assert is_zero_gradient(*coverage_gradient(coverage, *p, *rest))
     assert not is_zero_gradient(*coverage_gradient(coverage, p[0] + 1e-6, p[1], *rest))
 
 
-def error_decrease(
-    coverage: FloatGrid,
-    p_ax: float,
-    p_ay: float,
-    p_gx: float,
-    p_gy: float,
-    r_o: float,
-    desired: float,
-    sensor: int,
-    peak: float,
-    reach: float,
-    cell: float,
-) -> float:
+def error_decrease(coverage, p_ax, p_ay, p_gx, p_gy, r_o, desired, sensor, peak, reach, cell):
     r"""$-\dot e$ while the UGV stands: $\int h'(C^* - C)\, S_a(p_a, q)\, \phi\, dq$.
 
     Arguments as in `coverage_gradient`.
@@ -305,9 +291,7 @@ def test_covered_ground_keeps_the_larger_value() -> None:
 
 @pytest.mark.parametrize("sensor", [row.code for row in SENSORS.values()])
 @pytest.mark.parametrize("place", [(20.0, 20.0), (0.4, 39.7)])
-def test_the_gain_of_a_look_is_the_fall_of_the_error(
-    sensor: int, place: tuple[float, float]
-) -> None:
+def test_the_gain_of_a_look_is_the_fall_of_the_error(sensor, place):
     ground = np.random.default_rng(3).uniform(0.0, 2.5, (160, 160))
     (p_x, p_y), (g_x, g_y), dt = place, (place[0] + 1.5, place[1] - 2.0), 0.05
     plain, seen = ground.copy(), ground.copy()

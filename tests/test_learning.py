@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import SyncVectorEnv
 from gymnasium.vector.utils import batch_space
+from refusals import refused
 
 import outrider
 from outrider.envs.env_pilots import pilots
@@ -217,10 +218,9 @@ def _bad_files(folder: Path) -> dict[str, str]:
 
 def test_a_bad_file_is_refused_in_one_line(tmp_path: Path) -> None:
     for name, reason in _bad_files(tmp_path).items():
-        with pytest.raises(ValueError, match=reason) as refused:
+        with refused(ValueError, reason) as caught:
             LearnedPolicy.load(tmp_path / f"{name}.npz")
-        assert "\n" not in str(refused.value)
-        assert f"{name}.npz" in str(refused.value)
+        assert f"{name}.npz" in str(caught.value)
 
 
 def test_a_policy_asks_for_the_observations_that_it_needs(evaluation: ModuleType) -> None:

@@ -16,6 +16,7 @@ from gymnasium.wrappers import FrameStackObservation
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pettingzoo.utils.conversions import parallel_to_aec
+from refusals import refused
 
 from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from bus.layout import UavRow, UgvRow, table
@@ -435,9 +436,8 @@ def test_a_bad_action_is_refused_by_the_environment_and_nothing_happens(bad):
         one.reset(seed=1)
         for _ in range(10):
             one.step(still(one) | {"uav_0": [0.1, 0.2]})
-    with pytest.raises(ValueError, match="uav_0") as caught:
+    with refused(ValueError, "uav_0"):
         env.step(still(env) | {"uav_0": bad})
-    assert "\n" not in str(caught.value)
     with pytest.raises(ValueError, match="needed"):
         env.step({"uav_0": [0.0, 0.0]})
     assert same(env.step(still(env))[0]["uav_0"], twin.step(still(twin))[0]["uav_0"])
@@ -754,9 +754,8 @@ def test_what_does_not_fit_is_refused_in_one_line(wrap, words):
     if words is None:
         wrap(parallel_env(ONE))
         return
-    with pytest.raises(ValueError, match=words) as caught:
+    with refused(ValueError, words):
         wrap(parallel_env(ONE))
-    assert "\n" not in str(caught.value)
 
 
 def test_pictures_that_are_no_longer_the_environments_own_are_refused_in_one_line():
@@ -765,9 +764,8 @@ def test_pictures_that_are_no_longer_the_environments_own_are_refused_in_one_lin
         lambda env: coverage_image(coverage_image(env)),
         lambda env: coverage_image(history(env, 2)),
     ):
-        with pytest.raises(ValueError, match="own coverage") as caught:
+        with refused(ValueError, "own coverage"):
             wrap(parallel_env(ONE, coverage_patch=PATCH))
-        assert "\n" not in str(caught.value)
 
 
 def test_what_is_no_environment_of_these_kinds_is_refused_in_one_line():

@@ -91,9 +91,7 @@ def test_a_step_of_every_world_counts_one(load: Any, monkeypatch: pytest.MonkeyP
     assert clock.measure(made, 1.0, 3)["steps_per_second"] == pytest.approx(100.0 * 4 * 3)
 
 
-def test_our_own_work_is_not_taken_for_that_of_others(
-    load: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_our_own_work_is_not_taken_for_that_of_others(load, monkeypatch):
     clock = load("runners.clock")
     hertz = clock.os.sysconf("SC_CLK_TCK")
     now = iter([(0.0, 0.0), (7.0 * hertz, 10.0 * hertz)])  # 7 s of 10 s busy
@@ -186,9 +184,7 @@ def test_what_takes_too_long_is_ended_with_all_it_has_started(load: Any, tmp_pat
     )  # the child holds our pipe: while it lives, nothing comes back
 
 
-def test_only_a_whole_environment_with_the_same_requirements_is_used_again(
-    load: Any, tmp_path: Path
-) -> None:
+def test_only_a_whole_environment_with_the_same_requirements_is_used_again(load, tmp_path):
     venvs = load("peer_venvs")
     (tmp_path / "bin").mkdir()
     (tmp_path / "bin" / "python").touch()
@@ -198,9 +194,7 @@ def test_only_a_whole_environment_with_the_same_requirements_is_used_again(
     assert not venvs.is_whole(tmp_path, ("a>=2,<3",))
 
 
-def test_torch_for_cuda_is_refused_unless_asked_for(
-    load: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_torch_for_cuda_is_refused_unless_asked_for(load, tmp_path, monkeypatch):
     venvs = load("peer_venvs")
     installed: list[tuple[str, ...]] = []
 

@@ -39,14 +39,7 @@ accelerations = st.sampled_from((0.05, U_G, 1.0, 10.0, math.inf))
 ticks = st.sampled_from((0.02, DT, 0.2))
 
 
-def _driver(
-    goals: tuple[Point, ...],
-    *,
-    v_max: float = V_G,
-    u_max: float = U_G,
-    dt: float = DT,
-    tolerance: float = 0.05,
-) -> WaypointDriver:
+def _driver(goals, *, v_max=V_G, u_max=U_G, dt=DT, tolerance=0.05):
     limits = Limits(max_speed=v_max, max_acceleration=None if math.isinf(u_max) else u_max)
     area = Area(width=20.0, height=20.0, cell=0.5)
     return WaypointDriver(
@@ -63,15 +56,7 @@ def _driver(
     )
 
 
-def _drive(
-    driver: WaypointDriver,
-    start: Point,
-    count: int,
-    *,
-    v_max: float = V_G,
-    u_max: float = U_G,
-    dt: float = DT,
-) -> np.ndarray:
+def _drive(driver, start, count, *, v_max=V_G, u_max=U_G, dt=DT):
     """p, v and the command before its bound at each tick, from rest."""
     state, rows = (*start, 0.0, 0.0), []
     for tick in range(count):
@@ -98,9 +83,7 @@ def _ticks_for(way: float, v_max: float, u_max: float, dt: float) -> int:
 
 @given(points, points, speeds, accelerations, ticks)
 @settings(PROPERTY, max_examples=60)
-def test_the_ugv_drives_straight_to_its_goal_and_stands_there(
-    start: Point, goal: Point, v_max: float, u_max: float, dt: float
-) -> None:
+def test_the_ugv_drives_straight_to_its_goal_and_stands_there(start, goal, v_max, u_max, dt):
     count = min(_ticks_for(math.dist(start, goal), v_max, u_max, dt), 20000)
     rows = _drive(
         _driver((goal,), v_max=v_max, u_max=u_max, dt=dt),
@@ -119,9 +102,7 @@ def test_the_ugv_drives_straight_to_its_goal_and_stands_there(
 
 @given(st.floats(0.01, 20.0), speeds, accelerations, ticks)
 @settings(PROPERTY, max_examples=60)
-def test_the_ugv_never_overshoots_its_last_goal(
-    way: float, v_max: float, u_max: float, dt: float
-) -> None:
+def test_the_ugv_never_overshoots_its_last_goal(way, v_max, u_max, dt):
     goal = (way, 3.0)
     count = min(_ticks_for(way, v_max, u_max, dt), 5000)
     rows = _drive(
@@ -143,9 +124,7 @@ def test_the_papers_ugv_drives_at_its_largest_speed_and_stands_on_its_goal() -> 
 
 @given(st.lists(points, min_size=2, max_size=4), st.sampled_from((0.05, 0.5)))
 @settings(PROPERTY, max_examples=20)
-def test_a_goal_stays_until_it_is_nearer_than_the_tolerance(
-    goals: list[Point], tolerance: float
-) -> None:
+def test_a_goal_stays_until_it_is_nearer_than_the_tolerance(goals, tolerance):
     rows = _drive(
         _driver(tuple(goals), v_max=1.0, u_max=0.5, tolerance=tolerance),
         (1.0, 1.0),

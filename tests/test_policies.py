@@ -434,9 +434,7 @@ def test_an_unknown_algorithm_is_told_which_there_are(here: Path) -> None:
         ("onnx:model.onnx", {"inputs": 2}),
     ],
 )
-def test_a_policy_of_another_agent_is_refused_before_it_flies(
-    here: Path, name: str, changes: dict[str, Any]
-) -> None:
+def test_a_policy_of_another_agent_is_refused_before_it_flies(here, name, changes):
     tell(here, name.rpartition(":")[2], **changes)
     assert "allowed: " in refused(name)
 

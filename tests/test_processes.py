@@ -97,9 +97,7 @@ def test_ctrl_c_ends_all_processes_and_keeps_what_was_flown(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("victim", ["uav", "ugv"])
-def test_a_vehicle_that_dies_brakes_and_the_run_ends_with_its_name(
-    victim: str, tmp_path: Path
-) -> None:
+def test_a_vehicle_that_dies_brakes_and_the_run_ends_with_its_name(victim, tmp_path):
     with flying(
         "escort", "--duration", "100", "--no-picture", "--out", str(tmp_path), "--json"
     ) as run:
@@ -158,9 +156,7 @@ def test_a_frozen_child_ends_too_when_the_parent_is_killed() -> None:
 
 
 @pytest.mark.parametrize("closed", ["stdin", "stdout"])
-def test_a_child_that_hears_of_the_end_before_its_watchdog_leaves_nothing_either(
-    closed: str,
-) -> None:
+def test_a_child_that_hears_of_the_end_before_its_watchdog_leaves_nothing_either(closed):
     hears_first = (
         "import pathlib, select, sys; from outrider.running.watchdog import start_watchdog;"
         "start_watchdog(pathlib.Path(sys.argv[1])); print(flush=True); ends = select.poll();"

@@ -99,9 +99,7 @@ def test_no_schema_refers_to_another(message: type[Any]) -> None:
     assert set(schema["properties"]) == set(message.__struct_fields__)
 
 
-def test_a_closed_file_opens_in_the_plain_reader_with_every_message_in_time_order(
-    flown: tuple[Path, Flight],
-) -> None:
+def test_a_closed_file_opens_in_the_plain_reader_with_every_message_in_time_order(flown):
     path, flight = flown
     found = plain(path)
     viewers = {"/tf", "/scene", "/grid", "/log", "/pose/uav_0", "/pose/ugv_0"}
@@ -193,9 +191,7 @@ def test_a_command_is_what_was_asked_for_before_the_bounds(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(("tick", "vehicle"), [(0, "uav_0"), (300, "ugv_0"), (799, "uav_0")])
-def test_a_changed_command_is_found_at_its_tick(
-    flown: tuple[Path, Flight], tick: int, vehicle: str
-) -> None:
+def test_a_changed_command_is_found_at_its_tick(flown, tick, vehicle):
     recording = flight_of(flown[0])
     asked = recording.commands[tick]
     changed = {**asked.accelerations, vehicle: (asked.accelerations[vehicle][0] * 0.5 + 1e-9, 0.0)}
@@ -349,9 +345,7 @@ def killed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[i
     return path, reached, now
 
 
-def test_a_kill_costs_half_a_second_at_most(
-    killed: tuple[Path, list[tuple[int, float]], float],
-) -> None:
+def test_a_kill_costs_half_a_second_at_most(killed):
     path, reached, now = killed
     recording = flight_of(path)
     assert recording.damage.reason
@@ -361,9 +355,7 @@ def test_a_kill_costs_half_a_second_at_most(
     assert last >= safe > 30
 
 
-def test_a_killed_file_is_flown_again_as_far_as_it_goes(
-    killed: tuple[Path, list[tuple[int, float]], float],
-) -> None:
+def test_a_killed_file_is_flown_again_as_far_as_it_goes(killed):
     recording = flight_of(killed[0])
     found = refly(recording)
     assert found.difference is None
@@ -376,9 +368,7 @@ def test_a_killed_file_is_flown_again_as_far_as_it_goes(
     assert flight.recorder.sha256() == found.trajectory_sha256
 
 
-def test_a_repaired_file_opens_in_the_plain_reader(
-    killed: tuple[Path, list[tuple[int, float]], float], tmp_path: Path
-) -> None:
+def test_a_repaired_file_opens_in_the_plain_reader(killed, tmp_path):
     path, out = killed[0], tmp_path / "saved.mcap"
     saved = repair(path, out)
     assert saved.reason
@@ -493,9 +483,7 @@ def test_replay_tells_the_runs_numbers(flown: tuple[Path, Flight]) -> None:
     assert call("replay", str(path), "--speed", "1000000").exit_code == 0
 
 
-def test_replay_refly_says_same_or_where_it_differs(
-    flown: tuple[Path, Flight], tmp_path: Path
-) -> None:
+def test_replay_refly_says_same_or_where_it_differs(flown, tmp_path):
     path, flight = flown
     same = call("replay", str(path), "--refly", "--json")
     assert same.exit_code == 0
@@ -531,9 +519,7 @@ def _rewrite(path: Path, out: Path, *, tick: int) -> None:
     "arguments",
     [("replay",), ("replay", "--refly"), ("render", "-o", "x.gif"), ("record", "--repair")],
 )
-def test_what_is_no_recording_gives_one_line(
-    tmp_path: Path, content: bytes, arguments: tuple[str, ...]
-) -> None:
+def test_what_is_no_recording_gives_one_line(tmp_path, content, arguments):
     path = tmp_path / "no.mcap"
     path.write_bytes(content)
     found = call(*arguments, str(path))
@@ -653,9 +639,7 @@ def test_a_picture_and_a_film_are_drawn(flown: tuple[Path, Flight], tmp_path: Pa
     assert green > 20_000
 
 
-def test_a_film_as_mp4_needs_ffmpeg_and_gives_it_every_frame(
-    flown: tuple[Path, Flight], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_film_as_mp4_needs_ffmpeg_and_gives_it_every_frame(flown, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     refused = call("render", str(flown[0]), "-o", str(tmp_path / "run.mp4"))
     assert isinstance(refused.exception, ScenarioError)

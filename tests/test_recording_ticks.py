@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 from flights import HERE, escort
+from refusals import refused
 
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
 pytest.importorskip("mcap", reason="the extra [record] is not installed")
@@ -146,9 +147,7 @@ def test_every_float_keeps_its_text(number: float) -> None:
     assert found.truth == ENCODE(_truth(flight, 0, asked[0], (report,)))
 
 
-def test_viewers_are_shown_no_more_than_five_poses_a_second_and_every_tick_is_there(
-    tmp_path: Path,
-) -> None:
+def test_viewers_are_shown_no_more_than_five_poses_a_second_and_every_tick_is_there(tmp_path):
     path = tmp_path / "run.mcap"
     _fly(path, ONE)
     topics = [entry.topic for entry in entries(path)]
@@ -214,9 +213,7 @@ class Operated(InProcess):
         super().publish(observations)
 
 
-def _fly(
-    path: Path, scenario: Scenario, spoken: dict[int, Any] | None = None
-) -> tuple[Flight, list[UgvObservation]]:
+def _fly(path, scenario, spoken=None):
     recorder, flight = FlightRecorder(path, scenario, 3), Flight(scenario, 3)
     exchange = Operated(flight, spoken or {})
     flight.fly(exchange, on_tick=lambda: recorder.tick(flight))
@@ -342,6 +339,5 @@ def test_a_word_that_does_not_decode_is_one_line(tmp_path: Path) -> None:
         ):
             writer.add_message(writer.register_channel(topic, "json", 0), 0, data, 0)
         writer.finish()
-    with pytest.raises(ScenarioError, match=r"bad\.mcap: /ugv_0/operator at 0 s") as caught:
+    with refused(ScenarioError, r"bad\.mcap: /ugv_0/operator at 0 s"):
         load(path)
-    assert "\n" not in str(caught.value)

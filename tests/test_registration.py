@@ -14,6 +14,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
+from refusals import refused
 
 from outrider.envs.single import SingleEnv
 from outrider.envs.vector import OutriderVectorEnv
@@ -94,11 +95,10 @@ def test_a_limit_of_steps_is_gymnasiums_own() -> None:
     many = gymnasium.make_vec(ESCORT, num_envs=2, vectorization_mode="sync", max_episode_steps=3)
     many.reset(seed=1)
     assert [many.step(np.zeros((2, 2)))[3].tolist() for _ in range(3)][-1] == [True, True]
-    with pytest.raises(
-        ValueError, match="max_episode_steps = 3: not for many worlds at once; allowed: duration"
-    ) as caught:
+    with refused(
+        ValueError, "max_episode_steps = 3: not for many worlds at once; allowed: duration"
+    ):
         gymnasium.make_vec(ESCORT, num_envs=2, max_episode_steps=3)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("env_id", [ESCORT, "outrider/Suite-Evade-v0"])
@@ -127,9 +127,7 @@ def test_settings_go_through() -> None:
     assert env.observation_space.dtype == np.float32
 
 
-def test_names_alone_load_nothing_heavy_and_a_name_with_its_module_in_front_needs_no_import() -> (
-    None
-):
+def test_names_alone_load_nothing_heavy_and_a_name_with_its_module_in_front_needs_no_import():
     heavy = "sorted({'numba', 'sim', 'agents', 'zenoh', 'pettingzoo'} & set(sys.modules))"
     name = "outrider.registration:outrider/Suite-Noise-v0"
     for code, told in (

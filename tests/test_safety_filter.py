@@ -123,9 +123,7 @@ def test_a_broken_assumption_is_told_with_its_name(changes: list[str], reason: s
         (["certificate.delay=30.0"], "too much for r_v"),
     ],
 )
-def test_what_cannot_be_certified_is_told_before_it_is_flown_and_at_every_tick(
-    changes: list[str], reason: str
-) -> None:
+def test_what_cannot_be_certified_is_told_before_it_is_flown_and_at_every_tick(changes, reason):
     scenario = watched(*changes, duration=5.0)
     assert any(reason in line for line in promise_warnings(scenario))
     _, summary = fly(scenario, 7)

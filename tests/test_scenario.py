@@ -221,9 +221,7 @@ def test_numbers_survive_exactly(number: float, seed: int, point: tuple[float, f
 
 
 @given(st.floats(0.01, 5.0), st.floats(0.01, 3.0), st.floats(0.0, 1.0), st.floats(0.05, 2.0))
-def test_the_room_of_18_is_the_paper_s_formula_in_two_phases(
-    r_v: float, v_a: float, share: float, u_a: float
-) -> None:
+def test_the_room_of_18_is_the_paper_s_formula_in_two_phases(r_v, v_a, share, u_a):
     v_g = 0.99 * share * v_a + 1e-6
     r_s = r_v - (v_g * (v_a + v_g) + 0.5 * (v_a**2 - v_g**2)) / u_a
     uav = Uav(position=(7.0, 8.0), max_speed=v_a, max_acceleration=u_a)
@@ -246,9 +244,7 @@ def test_the_acceleration_that_the_refusal_names_is_enough() -> None:
 
 
 @given(*[st.floats(-6.0, 6.0)] * 4)
-def test_the_controller_is_refused_exactly_where_a_root_is_not_in_the_left_half_plane(
-    a, b, c, d
-) -> None:
+def test_the_controller_is_refused_exactly_where_a_root_is_not_in_the_left_half_plane(a, b, c, d):
     largest = np.roots([1.0, -a, -d, d * a - b * c]).real.max()
     s = msgspec.structs.replace(ESCORT, law=Law(a_c=a, b_c=b, c_c=c, d_c=d))
     if abs(largest) > 1e-6:

@@ -24,9 +24,7 @@ from sim.server.flight import Flight
 
 
 @pytest.mark.parametrize("victim", ["uav_0", "ugv_0"])
-def test_a_vehicle_that_comes_back_with_its_past_flies_the_same_bits(
-    victim: str, tmp_path: Path
-) -> None:
+def test_a_vehicle_that_comes_back_with_its_past_flies_the_same_bits(victim, tmp_path):
     """More ticks than one part of a briefing holds; the newcomer knows nothing but what it is told."""
     with stage(tmp_path, 1500, respawn=True) as run:
         run.start("uav_0" if victim == "ugv_0" else "ugv_0")
@@ -82,9 +80,7 @@ def _briefings(scenario: Scenario) -> dict[str, Any]:
     }
 
 
-def test_a_lost_vehicle_brakes_and_one_that_returns_is_told_nothing_it_has_missed(
-    tmp_path: Path,
-) -> None:
+def test_a_lost_vehicle_brakes_and_one_that_returns_is_told_nothing_it_has_missed(tmp_path):
     """Without respawn the clock does not wait; what was detected while nobody was there stays unknown."""
     with stage(tmp_path, 20_000) as run:
         run.start("ugv_0")
@@ -126,9 +122,7 @@ def test_a_vehicle_that_does_not_come_back_is_given_up_once(tmp_path: Path) -> N
     assert len(run.events) == 2
 
 
-def test_the_first_session_keeps_the_seat_and_a_second_one_is_counted_named_and_ignored(
-    tmp_path: Path,
-) -> None:
+def test_the_first_session_keeps_the_seat_and_a_second_one_is_counted_named_and_ignored(tmp_path):
     with stage(tmp_path, 400) as run:
         first = run.start("uav_0")
         run.start("ugv_0")
@@ -172,9 +166,7 @@ def test_the_second_session_takes_the_seat_when_the_first_has_gone(tmp_path: Pat
     assert [seen.tick for seen in run.vehicles[2].seen] == list(range(300))
 
 
-def test_real_time_keeps_the_clock_and_flies_the_lockstep_bits_if_all_are_in_time(
-    tmp_path: Path,
-) -> None:
+def test_real_time_keeps_the_clock_and_flies_the_lockstep_bits_if_all_are_in_time(tmp_path):
     with stage(tmp_path, 100, realtime=2.0) as run:
         run.start("uav_0")
         run.start("ugv_0")
@@ -274,9 +266,7 @@ def test_an_observer_cannot_pause(tmp_path: Path) -> None:
     [b'{"tick":999999,"acceleration":[0,0]}', b'{"tick":-1}'],
     ids=["readable", "unreadable"],
 )
-def test_a_flood_of_letters_neither_stops_the_clock_nor_the_end(
-    payload: bytes, tmp_path: Path
-) -> None:
+def test_a_flood_of_letters_neither_stops_the_clock_nor_the_end(payload, tmp_path):
     """The UGV answers nothing and never stops talking.
 
     It is late like any other, and the session closes while it goes on.

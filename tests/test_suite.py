@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 from worlds import SCENARIOS
 
 from bus.messages import Command
@@ -165,9 +166,7 @@ def test_sight_that_is_found_again_stays_lost() -> None:
     assert scores(turns_back=True) == scores(turns_back=False)
 
 
-def test_what_is_certified_out_of_sight_is_told_with_the_score(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_is_certified_out_of_sight_is_told_with_the_score(monkeypatch):
     class Near(ClosedLoop):
         """Sight ends at two metres, and the filter was told another r_v."""
 
@@ -289,12 +288,9 @@ def test_the_board_has_the_best_first_and_says_who_lost_sight() -> None:
     ],
     ids=["law", "setting of a law", "setting of the task", "no action"],
 )
-def test_what_cannot_be_scored_is_refused_in_one_line(
-    entry: Any, settings: dict[str, Any], message: str
-) -> None:
-    with pytest.raises(ValueError, match=message) as caught:
+def test_what_cannot_be_scored_is_refused_in_one_line(entry, settings, message):
+    with refused(ValueError, message):
         TASK.evaluate(entry, seeds=[1, 2], **settings)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -325,9 +321,7 @@ def test_a_scenario_of_ones_own_is_scored_alike() -> None:
 
 
 @pytest.fixture
-def outrider(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., Any]:
+def outrider(tmp_path, monkeypatch, capsys):
     """The command in this process, in an empty folder: its exit code, and what it wrote to stdout and stderr."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
@@ -409,9 +403,7 @@ def test_the_command_tells_what_the_tasks_are(outrider: Callable[..., Any]) -> N
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_bad_input_gets_one_line_and_its_exit_code(
-    arguments: list[str], code: int, told: str, outrider: Callable[..., Any]
-) -> None:
+def test_bad_input_gets_one_line_and_its_exit_code(arguments, code, told, outrider):
     found, _, err = outrider(*arguments)
     assert found == code
     assert told in err

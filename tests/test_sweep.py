@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from processes import OUTRIDER, blocks, command_line, outrider
+from refusals import refused
 
 from bus.errors import PeerLost, ScenarioError
 from outrider.experiments.sweep.definition import describe_sweep, shipped_sweeps
@@ -577,11 +578,8 @@ def test_a_damaged_part_is_named_with_what_to_do(tmp_path, content):
         part.write_bytes(content)
     else:
         pq.write_table(pa.table({"run": [1]}), part)
-    with pytest.raises(
-        ScenarioError, match=r"00000001\.parquet: .*; delete it and its runs are flown again"
-    ) as caught:
+    with refused(ScenarioError, r"00000001\.parquet: .*; delete it and its runs are flown again"):
         SweepFolder(tmp_path / "sweep", plan, command="")
-    assert len(str(caught.value).splitlines()) == 1
     part.unlink()
     SweepFolder(tmp_path / "sweep", plan, command="").close()
 
