@@ -230,6 +230,7 @@ def real_flights(request):
     return errors, nees, nis, np.array(seen) - np.array(truths)[:, :, :2], refused
 
 
+@pytest.mark.xdist_group("real flights")
 def test_is_not_too_sure_of_a_real_ugv(real_flights):
     _, nees, nis, _, _ = real_flights
     flights, count = nis.shape
@@ -240,6 +241,7 @@ def test_is_not_too_sure_of_a_real_ugv(real_flights):
     assert nis.mean() <= upper_nis
 
 
+@pytest.mark.xdist_group("real flights")
 def test_estimate_is_nearer_to_a_real_ugv_than_its_detections(real_flights):
     errors, _, _, noise, _ = real_flights
     ratio = math.sqrt(np.mean(errors[:, :, :2] ** 2) / np.mean(noise**2))
@@ -247,6 +249,7 @@ def test_estimate_is_nearer_to_a_real_ugv_than_its_detections(real_flights):
     assert ratio < 0.8
 
 
+@pytest.mark.xdist_group("real flights")
 def test_gate_lets_a_real_ugv_through(real_flights):
     assert real_flights[4] <= 2  # of 100,000; 1 in 10,000 were allowed to uncut noise
 
