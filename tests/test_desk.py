@@ -16,8 +16,7 @@ from outrider.running.promise import promise_warnings
 
 def test_another_law_is_flown_from_its_tick_on(tmp_path: Path) -> None:
     with stage(tmp_path, 100_000) as run:
-        run.start("uav_0")
-        run.start("ugv_0")
+        run.start_both()
 
         def work(send: Any, status: Any) -> None:
             status(lambda s: s.tick > 50)
@@ -53,8 +52,7 @@ def test_another_law_is_flown_from_its_tick_on(tmp_path: Path) -> None:
 )
 def test_what_cannot_be_done_is_refused_named_and_changes_nothing(control, told, tmp_path):
     with stage(tmp_path, 300) as run:
-        run.start("uav_0")
-        run.start("ugv_0")
+        run.start_both()
         refused = threading.Event()
 
         def work(send: Any, status: Any) -> None:
@@ -90,7 +88,7 @@ def test_observers_are_told_which_assumption_a_changed_link_breaks(tmp_path: Pat
 
 def test_a_reset_begins_a_new_flight_with_its_own_seed_and_new_pilots(tmp_path: Path) -> None:
     with stage(tmp_path, 400) as run:
-        vehicles = [run.start("uav_0"), run.start("ugv_0")]
+        vehicles = run.start_both()
         resets = iter((7, 8))
 
         def work(send: Any, status: Any) -> None:
@@ -119,8 +117,7 @@ def test_a_reset_begins_a_new_flight_with_its_own_seed_and_new_pilots(tmp_path: 
 
 def test_the_speed_can_be_changed_while_flying_and_changes_no_bit(tmp_path: Path) -> None:
     with stage(tmp_path, 600) as run:
-        run.start("uav_0")
-        run.start("ugv_0")
+        run.start_both()
         slow: list[float | None] = []
 
         def work(send: Any, status: Any) -> None:
@@ -141,8 +138,7 @@ def test_the_speed_can_be_changed_while_flying_and_changes_no_bit(tmp_path: Path
 def test_an_operator_takes_the_wheel_drives_is_silent_and_hands_back(tmp_path: Path) -> None:
     """Through the bus, the simulator and the UGV's own driver: bounded, braking in silence, without a jump."""
     with stage(tmp_path, 100_000, realtime=4.0) as run:
-        run.start("uav_0")
-        run.start("ugv_0")
+        run.start_both()
         seen: dict[str, int] = {}
 
         def work(send: Any, status: Any) -> None:

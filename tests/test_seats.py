@@ -124,8 +124,7 @@ def test_a_vehicle_that_does_not_come_back_is_given_up_once(tmp_path: Path) -> N
 
 def test_the_first_session_keeps_the_seat_and_a_second_one_is_counted_named_and_ignored(tmp_path):
     with stage(tmp_path, 400) as run:
-        first = run.start("uav_0")
-        run.start("ugv_0")
+        first, _ = run.start_both()
         intruder: dict[str, Any] = {}
 
         def intrude() -> None:
@@ -168,8 +167,7 @@ def test_the_second_session_takes_the_seat_when_the_first_has_gone(tmp_path: Pat
 
 def test_real_time_keeps_the_clock_and_flies_the_lockstep_bits_if_all_are_in_time(tmp_path):
     with stage(tmp_path, 100, realtime=2.0) as run:
-        run.start("uav_0")
-        run.start("ugv_0")
+        run.start_both()
         started: list[float] = []
         flight = run.fly(lambda: started.append(time.monotonic()))
     seconds = started[-1] - started[0]
@@ -226,8 +224,7 @@ def test_in_real_time_a_command_is_used_by_its_age_and_then_the_vehicle_brakes()
 def test_a_flight_can_be_paused_stepped_and_resumed(tmp_path: Path) -> None:
     seen: list[Status] = []
     with stage(tmp_path, 300) as run:
-        run.start("uav_0")
-        run.start("ugv_0")
+        run.start_both()
         operator = run.client("operator")
         controls, statuses = operator.outbox(CONTROL), operator.inbox(STATUS)
 

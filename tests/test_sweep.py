@@ -528,18 +528,18 @@ def test_a_damaged_part_is_named_with_what_to_do(tmp_path, content):
     SweepFolder(tmp_path / "sweep", plan, command="").close()
 
 
-def test_bad_input_on_the_command_line_is_one_line_and_writes_nothing(tmp_path):
-    (tmp_path / "taken").write_text("a file", encoding="utf-8")
+def test_bad_input_on_the_command_line_is_one_line_and_writes_nothing(here, command):
+    (here / "taken").write_text("a file", encoding="utf-8")
     for arguments, told, code in (
-        (["--law", "fancy"], 'law.name = "fancy"', 2),
-        (["--seeds", "0"], "--seeds", 2),
-        (["--set", "duration=5", "--out", "taken"], "taken", 1),
+        ("--law fancy", 'law.name = "fancy"', 2),
+        ("--seeds 0", "--seeds", 2),
+        ("--set duration=5 --out taken", "taken", 1),
     ):
-        swept = outrider("sweep", "escort", *arguments, cwd=tmp_path)
+        swept = command("sweep", "escort", *words(arguments))
         assert swept.returncode == code, swept.stderr
         assert told in swept.stderr
         assert len(swept.stderr.strip().splitlines()) == 1
-        assert [path.name for path in tmp_path.iterdir()] == ["taken"]
+        assert [path.name for path in here.iterdir()] == ["taken"]
 
 
 def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(monkeypatch):
