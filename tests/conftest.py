@@ -47,3 +47,11 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty folder, in which the test works."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A refused client shows it by trying in vain; here not for long."""
+    from bus import session
+
+    monkeypatch.setitem(session._CLIENT, "connect/timeout_ms", 600)

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from typing import Any
 
 from bus.access import read_credential
 from bus.keys import CONTROL, STATUS, Party, Role
@@ -24,6 +25,13 @@ def outrider(*arguments, timeout=120.0, cwd=None):
         check=False,
         timeout=timeout,
         cwd=cwd,
+    )
+
+
+def python(code: str, *, check: bool = True, **settings: Any) -> "subprocess.CompletedProcess[str]":
+    """What an interpreter of its own makes of this code."""
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=check, **settings
     )
 
 

@@ -16,6 +16,7 @@ from processes import (
 from bus.access import new_credentials, read_credential, write_credentials
 from bus.keys import CONTROL
 from bus.session import Session, open_session
+from outrider.running.launch import free_port
 
 SECONDS = 100.0
 """Simulated time of a run that is disturbed while it is flown: 2,000 ticks, about a second."""
@@ -23,13 +24,6 @@ SECONDS = 100.0
 
 SECRET = bytes(range(16)).hex()
 """Of the runs whose processes are started by hand; their simulator would make one."""
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
 
 
 def answers(port: int) -> bool:

@@ -10,10 +10,14 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+import zenoh
+from processes import wait_until
+
 from agents import process
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
-from bus.access import new_credentials
+from bus import session
+from bus.access import Credential, client_settings, new_credentials
 from bus.keys import CONTROL, STATUS
 from bus.messages import Status
 from bus.session import Session, open_session
@@ -129,16 +133,16 @@ def stage(folder, ticks, *, scenario=None, **options):
         yield Stage(stack, folder, scenario, **options)
 
 
+def raw_session(endpoint: str, credential: Credential | None, **settings: Any) -> zenoh.Session:
+    """A session that asks nobody's leave and does not say whose it is."""
+    own = {name.replace("__", "/"): value for name, value in settings.items()}
+    known = session._COMMON | session._CLIENT | client_settings(credential)
+    return zenoh.open(session._config(known | {"connect/endpoints": [endpoint]} | own))
+
+
 def whole(ticks: int) -> Flight:
     scenario = load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}"])
     return fly(scenario, scenario.seed)[0]
-
-
-def wait_until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
-    limit = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < limit, "waited in vain"
-        time.sleep(0.005)
 
 
 def await_status(statuses: Any, wanted: Callable[[Status], bool]) -> Status:

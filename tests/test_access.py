@@ -12,13 +12,13 @@ from typing import Any
 
 import pytest
 import zenoh
+from staging import raw_session
 
-from bus import access, session
+from bus import access
 from bus.access import (
     Credential,
     CredentialSet,
     access_control,
-    client_settings,
     grants,
     new_certificates,
     new_credentials,
@@ -50,10 +50,7 @@ VEHICLES = {Role.UAV: ["uav_0", "uav_1"], Role.UGV: ["ugv_0", "ugv_1"]}
 REMOTE = zenoh.Locality.REMOTE
 
 
-@pytest.fixture(autouse=True)
-def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A refused client shows it by trying in vain; here not for long."""
-    monkeypatch.setitem(session._CLIENT, "connect/timeout_ms", 700)
+pytestmark = pytest.mark.usefixtures("impatient")
 
 
 @pytest.fixture
@@ -79,15 +76,6 @@ def router(endpoint: str) -> AbstractContextManager[Session]:
 def host(endpoint: str) -> AbstractContextManager[Session]:
     """A router that is the simulator."""
     return open_session(GIVEN.of("simulator").party, RUN, listen=(endpoint,), given=GIVEN)
-
-
-def raw(endpoint: str, credential: Credential | None, **settings: Any) -> zenoh.Session:
-    """A session that asks nobody's leave."""
-    own = {"connect/endpoints": [endpoint]} | {
-        name.replace("__", "/"): value for name, value in settings.items()
-    }
-    wanted = session._COMMON | session._CLIENT | client_settings(credential) | own
-    return zenoh.open(session._config(wanted))
 
 
 def concrete() -> list[tuple[Any, str, str]]:
@@ -147,7 +135,7 @@ def everybody(endpoint: str) -> Iterator[dict[str, zenoh.Session]]:
     with ExitStack() as stack:
         stack.enter_context(router(endpoint))
         yield {
-            credential.name: stack.enter_context(raw(endpoint, credential))
+            credential.name: stack.enter_context(raw_session(endpoint, credential))
             for credential in given(endpoint).parties
         }
 
@@ -263,7 +251,7 @@ def test_a_stranger_gets_nothing(endpoint: str, kind: str, mode: str) -> None:
         commands = hears(hosted, "outrider/**", 100)
         told = {"mode": mode, "scouting__gossip__enabled": True, "listen__endpoints": []}
         try:
-            opened = stack.enter_context(raw(endpoint, STRANGERS[kind], **told))
+            opened = stack.enter_context(raw_session(endpoint, STRANGERS[kind], **told))
         except zenoh.ZError:
             return  # it was not even let in
         inbox = hears(opened, "outrider/**", 100)
@@ -280,9 +268,9 @@ def test_a_stranger_gets_nothing(endpoint: str, kind: str, mode: str) -> None:
 def test_a_known_peer_with_gossip_gets_no_more_than_a_client(endpoint: str) -> None:
     with ExitStack() as stack:
         hosted = stack.enter_context(host(endpoint))._zenoh
-        stack.enter_context(raw(endpoint, GIVEN.of("ugv_0")))
+        stack.enter_context(raw_session(endpoint, GIVEN.of("ugv_0")))
         told = {"mode": "peer", "scouting__gossip__enabled": True}
-        peer = stack.enter_context(raw(endpoint, GIVEN.of("uav_0"), **told))
+        peer = stack.enter_context(raw_session(endpoint, GIVEN.of("uav_0"), **told))
         expressions = [row[2] for row in concrete()]
         inboxes = {"uav_0": [hears(peer, expression) for expression in (*expressions, "**")]}
         publishers = [speaks(hosted, expression) for expression in expressions]
@@ -398,7 +386,7 @@ def test_the_routers_list_of_passwords_is_gone_once_it_is_open(endpoint, monkeyp
     with router(endpoint):
         assert seen == [0o600]
         assert not list(private.iterdir())
-        with raw(endpoint, GIVEN.of("uav_0")):
+        with raw_session(endpoint, GIVEN.of("uav_0")):
             pass
 
 

@@ -11,12 +11,12 @@ from typing import Any
 import msgspec
 import pytest
 import zenoh
+from staging import raw_session
 
 from bus import session
 from bus.access import (
     Credential,
     CredentialSet,
-    client_settings,
     new_certificates,
     new_credentials,
     read_credential,
@@ -46,10 +46,7 @@ SIMULATOR = GIVEN.of("simulator").party
 UAV = GIVEN.of("uav_0")
 
 
-@pytest.fixture(autouse=True)
-def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A refused client shows it by trying in vain; here not for long."""
-    monkeypatch.setitem(session._CLIENT, "connect/timeout_ms", 500)
+pytestmark = pytest.mark.usefixtures("impatient")
 
 
 @pytest.fixture
@@ -74,17 +71,6 @@ def refusal(endpoint: str, credential: Credential | None) -> str:
         pass
     assert len(str(caught.value).splitlines()) == 1
     return str(caught.value)
-
-
-def raw(endpoint: str, credential: Credential | None) -> zenoh.Session:
-    """A session that asks nobody's leave."""
-    wanted = (
-        session._COMMON
-        | session._CLIENT
-        | client_settings(credential)
-        | {"connect/endpoints": [endpoint]}
-    )
-    return zenoh.open(session._config(wanted))
 
 
 def test_each_party_has_a_name_of_its_own_and_no_file_has_anothers_key(tmp_path: Path) -> None:
@@ -176,7 +162,7 @@ def test_who_is_not_of_the_run_is_refused_by_the_router_and_told_why(
     monkeypatch.setattr(session, "_check_certificate", lambda *_: None)  # here the router is asked
     with open_session(SIMULATOR, RUN, listen=(endpoint,), given=GIVEN):
         with pytest.raises(zenoh.ZError):
-            raw(endpoint, credential)
+            raw_session(endpoint, credential)
         assert told in refusal(endpoint, credential)
 
 
@@ -220,7 +206,7 @@ def test_a_name_that_the_router_does_not_know_gets_nothing_and_is_named(endpoint
     stranger = known_as(identity("nobody"))
     with open_session(SIMULATOR, RUN, listen=(endpoint,), given=GIVEN) as router:
         hears = router._zenoh.declare_subscriber("**", zenoh.handlers.RingChannel(10))
-        with raw(endpoint, stranger) as opened:
+        with raw_session(endpoint, stranger) as opened:
             heard = opened.declare_subscriber("outrider/**", zenoh.handlers.RingChannel(10))
             told, there = (
                 threading.Event(),

@@ -8,6 +8,7 @@ from typing import Any, get_args, get_type_hints
 import msgspec
 import pytest
 from fields import fields_within
+from processes import python
 from tabular import words
 
 from bus import keys, messages
@@ -167,7 +168,7 @@ def test_a_vehicles_process_never_loads_the_world_nor_a_scenario(command: str) -
         "import agents.process, agents.uav, agents.ugv, outrider.running.user_code, outrider.running.watchdog;"
         "print(sorted(n for n in sys.modules if n.split('.')[0] in ('sim', 'outrider')))"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    run = python(code)
     loaded = set(eval(run.stdout))  # noqa: S307 - a list of names that we have printed
     assert "sim.models.field" in loaded
     of_sim = {name for name in loaded if name.startswith("sim.")}

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from staging import operating, stage, wait_until, whole
+from processes import wait_until
+from staging import operating, stage, whole
 
 from bus.keys import OPERATOR
 from bus.messages import Action, Control, Drive, Law, LinkKind, LinkSettings

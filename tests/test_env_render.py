@@ -1,11 +1,11 @@
 """The environment's pictures, and the window."""
 
-import subprocess
 import sys
 
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
+from processes import python
 from refusals import refused
 
 from bus.errors import OutriderError
@@ -37,12 +37,7 @@ def test_the_environment_loads_nothing_that_draws():
         "import sys, sim.env.parallel, outrider.envs.env_pilots;"
         "print([m for m in ('matplotlib', 'pygame') if m in sys.modules])"
     )
-    assert (
-        subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=True
-        ).stdout.strip()
-        == "[]"
-    )
+    assert python(code).stdout.strip() == "[]"
 
 
 def test_picture_is_an_array_of_bytes_in_the_areas_proportion():

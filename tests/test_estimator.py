@@ -1,11 +1,6 @@
 """The Kalman filter on relative detections: its equations, its consistency, and what it does when detections fail."""
 
-import hashlib
 import math
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -447,42 +442,3 @@ def test_a_ugv_that_turns_within_a_tick_is_followed_where_its_acceleration_has_n
         errors.append((estimate.position[0] - x, estimate.position[1] - 20.0))
     assert estimate.refused == 0
     assert np.std(errors) < 0.6 * SIGMA
-
-
-# The same bits
-
-_FLIGHT = """
-import hashlib, math, struct
-from agents.estimation.estimator import RelativeEstimator
-from bus.messages import Detection, Detector, Estimator, Limits
-digest = hashlib.sha256()
-estimator = RelativeEstimator(detector=Detector(noise=0.1, period=0.05), dt=0.05, settings=Estimator(),
-                              target=Limits(max_speed=0.2, max_acceleration=0.1))
-for k in range(1500):
-    seen = (math.sin(0.37 * k * k) * 0.1 - 0.01 * k, math.sin(0.73 * k * k) * 0.1 + (5.0 if k % 97 == 96 else 0.0))
-    detections = (Detection(time=k * 0.05, relative_position=seen),) if k % 5 else ()
-    e = estimator.update(time=k * 0.05, own_position=(0.001 * k, 0.0), detections=detections)
-    if e:
-        digest.update(struct.pack("<9d", *e.position, *e.velocity, *e.covariance, e.age, e.refused))
-        digest.update(estimator.covariance.tobytes())
-result = digest.hexdigest()
-"""
-
-
-def fly_here():
-    names: dict[str, str] = {}
-    exec(_FLIGHT, names)  # noqa: S102
-    return names["result"]
-
-
-def test_same_bits_in_two_runs_and_in_another_process():
-    here = fly_here()
-    assert len(here) == len(hashlib.sha256().hexdigest())
-    assert fly_here() == here
-    root = Path(__file__).resolve().parent.parent
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": "7"}
-    there = subprocess.run(
-        [sys.executable, "-c", _FLIGHT + "print(result)"],
-        capture_output=True, text=True, check=True, cwd=root, env=environment,
-    )  # fmt: skip
-    assert there.stdout.strip() == here

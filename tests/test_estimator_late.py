@@ -119,6 +119,7 @@ def test_whatever_the_network_does_to_detections_the_bits_are_those_of_what_has_
         assert bits(late) == bits(in_order)
         if works_ahead[k]:
             late.prepare()
+            late.prepare()  # once more changes nothing
     assert arrived == set(taken)
     assert late.duplicates == copies - len(taken)
     assert late.too_old == 0

@@ -5,12 +5,11 @@ import json
 import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from processes import python
 
 # on one worker: its copy is made and flown once
 pytestmark = pytest.mark.xdist_group("extending")
@@ -183,14 +182,7 @@ def copied(root: Path) -> Path:
 def answer(root: Path, code: str, **environment: str) -> dict[str, Any]:
     """What a program that prints one JSON object says, run with the copy."""
     own = {"PYTHONPATH": str(root), "OUTRIDER_CACHE": str(root / "cache"), "COLUMNS": "250"}
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=root,
-        env=os.environ | own | environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = python(code, cwd=root, env=os.environ | own | environment, check=False)
     assert done.returncode == 0, done.stderr
     found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     assert Path(found["where"]).is_relative_to(root)

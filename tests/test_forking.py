@@ -3,7 +3,6 @@
 import os
 import queue
 import signal
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
@@ -16,6 +15,7 @@ from processes import (
     children_of,
     command_line,
     flying,
+    python,
     wait_until,
 )
 
@@ -52,7 +52,7 @@ def test_what_is_loaded_before_a_fork_is_no_world_no_scenario_no_session_and_no_
         "import sys, threading; from outrider.cli.forkserver import preload; preload();"
         "print(threading.active_count(), sorted(n for n in sys.modules if n.startswith('sim.')))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = python(code)
     threads, _, loaded = done.stdout.partition(" ")
     assert threads == "1"
     names = set(eval(loaded))  # noqa: S307 - a list of names that we have printed

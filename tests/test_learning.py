@@ -2,8 +2,6 @@
 
 import importlib
 import json
-import subprocess
-import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -14,6 +12,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import SyncVectorEnv
 from gymnasium.vector.utils import batch_space
+from processes import python
 from refusals import refused
 
 import outrider
@@ -47,7 +46,7 @@ def test_importing_it_imports_no_learning_library() -> None:
         "import sys, outrider.learning.one_world;"
         "print({'torch', 'stable_baselines3'} & set(sys.modules))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = python(code)
     assert done.stdout.strip() == "set()"
 
 

@@ -9,7 +9,6 @@ import importlib
 import json
 import logging
 import math
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -21,6 +20,7 @@ import numpy as np
 import pytest
 from draws import a_told_key
 from flights import DT, U_G, V_G
+from processes import python
 
 import outrider
 from agents.drivers.policy import PolicyDriver, UgvRows
@@ -456,6 +456,6 @@ def test_a_module_that_breaks_while_it_is_imported_is_named_in_one_line(here: Pa
 
 def test_only_what_is_flown_is_imported() -> None:
     body = f"import sys, outrider.running.user_code, outrider.running.flying; print([m for m in {LIBRARIES} if m in sys.modules])"
-    found = subprocess.run([sys.executable, "-c", body], capture_output=True, text=True, check=True)
+    found = python(body)
     assert found.stdout.strip() == "[]"
     assert set(SAVED_POLICIES) == {"sb3", "torch", "onnx"}

@@ -20,6 +20,7 @@ import msgspec
 import pytest
 import typer
 from flights import HERE, escort
+from processes import python
 from typer.testing import CliRunner
 
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
@@ -672,7 +673,7 @@ def test_without_the_extra_there_is_one_clear_line() -> None:
         "    try: __import__(f'outrider.recording.{name}')\n"
         "    except ScenarioError as error: print(error)\n"
     )
-    found = subprocess.run([sys.executable, "-c", body], capture_output=True, text=True, check=True)
+    found = python(body)
     assert (
         found.stdout.splitlines() == ["recording needs the extra: pip install -e '.[record]'"] * 2
     )
@@ -681,5 +682,5 @@ def test_without_the_extra_there_is_one_clear_line() -> None:
 def test_the_commands_do_not_load_what_they_do_not_use() -> None:
     body = "import sys, outrider.cli.record, outrider.cli.replay, outrider.cli.render; print([m for m in "
     body += "('foxglove', 'mcap', 'matplotlib', 'numpy', 'zenoh') if m in sys.modules])"
-    found = subprocess.run([sys.executable, "-c", body], capture_output=True, text=True, check=True)
+    found = python(body)
     assert found.stdout.strip() == "[]"

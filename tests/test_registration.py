@@ -2,8 +2,6 @@
 
 import copy
 import pickle
-import subprocess
-import sys
 from typing import Any
 
 import gymnasium
@@ -14,6 +12,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
+from processes import python
 from refusals import refused
 
 from outrider.envs.single import SingleEnv
@@ -45,7 +44,7 @@ def test_registering_again_does_nothing() -> None:
 
 def test_pettingzoo_has_the_same_names_with_all_vehicles_as_agents() -> None:
     code = "import pettingzoo, outrider; print(*(n for n in pettingzoo.parallel_registry if n.startswith('outrider')))"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    run = python(code)
     assert run.stdout.split() == list(env_ids())
     register()
     env = pettingzoo.make("parallel", ESCORT, duration=1.0)
@@ -137,14 +136,12 @@ def test_names_alone_load_nothing_heavy_and_a_name_with_its_module_in_front_need
             "noise",
         ),
     ):
-        run = subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=True
-        )
+        run = python(code)
         assert run.stdout == f"{told}\n"
 
 
 def test_every_name_of_the_front_door_is_the_same_thing_twice() -> None:
     """A module of the same name would take its place once it is loaded."""
     code = "import outrider as o; print(all(getattr(o, n) is getattr(o, n) and callable(getattr(o, n)) for n in o.__all__))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = python(code)
     assert done.stdout.strip() == "True"

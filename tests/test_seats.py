@@ -12,7 +12,8 @@ from typing import Any
 import msgspec
 import pytest
 import zenoh
-from staging import GIVEN, PILOT, Vehicle, await_status, stage, wait_until, whole
+from processes import wait_until
+from staging import GIVEN, PILOT, Vehicle, await_status, stage, whole
 
 from agents import process
 from bus.keys import BRIEFING, COMMAND, CONTROL, OBSERVATION, STATUS, Party, Role

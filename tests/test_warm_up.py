@@ -1,9 +1,7 @@
 """What an operator can switch on is compiled or loaded before the first tick: no tick of a live flight waits for it."""
 
-import subprocess
-import sys
-
 import pytest
+from processes import python
 
 PREPARE = """
 import msgspec
@@ -69,7 +67,5 @@ print(not steps, flight.world.tick, heard.names[:before], len(heard.names) - bef
 
 @pytest.mark.timeout(300)
 def test_no_control_of_an_operator_makes_anybody_compile():
-    run = subprocess.run(
-        [sys.executable, "-c", PREPARE + FLY], capture_output=True, text=True, check=False
-    )
+    run = python(PREPARE + FLY, check=False)
     assert run.stdout.split() == ["True", "240", "[]", "1"], run.stdout + run.stderr
