@@ -109,14 +109,8 @@ class InferenceSession:
 """,
 }
 WEIGHTS = [
-    [0.0, 0.0],
-    [0.1, -0.02],
-    [-0.1, 0.03],
-    [0.5, 0.1],
-    [0.1, -0.7],
-    [0.2, 0.2],
-    [0.01, 0.0],
-    [0.0, -0.02],
+    *([0.0, 0.0], [0.1, -0.02], [-0.1, 0.03], [0.5, 0.1]),
+    *([0.1, -0.7], [0.2, 0.2], [0.01, 0.0], [0.0, -0.02]),
 ]
 TOLD = {"row": [8], "action": [2], "dtype": "float64", "weights": WEIGHTS, "batch": [], "inputs": 1}
 
@@ -253,15 +247,13 @@ def test_a_saved_policy_flies_the_same_bits_as_in_the_environment(here: Path, na
             action, state = model.predict(row, state=state, episode_start=[False])
         else:
             action = model.predict(row)
-        observations, *_ = env.step(
-            {"uav_0": fleet["uav_0"](observations["uav_0"]), "ugv_0": action}
-        )
+        theirs = fleet["uav_0"](observations["uav_0"])
+        observations, *_ = env.step({"uav_0": theirs, "ugv_0": action})
         k += 1
     assert k == flight.recorder.ticks == scenario.ticks
     pace = np.hypot(*flight.recorder.states[:, 1, 2:4].T)
-    assert pace.max() == pytest.approx(
-        0.5
-    )  # the bounds of the world were met, and nothing else bent the action
+    # the bounds of the world were met, and nothing else bent the action
+    assert pace.max() == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
@@ -288,16 +280,8 @@ def test_ugvs_that_share_a_policy_reach_goals_of_their_own() -> None:
 
 
 def test_a_ugv_without_goals_has_a_row_too() -> None:
-    assert UgvRows(_told(goals=())).row(_seen(4)).tolist() == [
-        0.2,
-        10.0,
-        10.0,
-        0.1,
-        -0.1,
-        0.0,
-        0.0,
-        0.0,
-    ]
+    row = UgvRows(_told(goals=())).row(_seen(4)).tolist()
+    assert row == [0.2, 10.0, 10.0, 0.1, -0.1, 0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize(
@@ -311,16 +295,8 @@ def test_what_was_predicted_is_passed_on_as_it_is_with_or_without_a_state(answer
 @pytest.mark.parametrize(
     "answer",
     [
-        None,
-        0.1,
-        (0.1,),
-        [[0.1, 0.2]],
-        (math.nan, 0.0),
-        (0.0, math.inf),
-        ("a", "b"),
-        (None, None),
-        ((0.1,), None),
-        (2e6, 0.0),
+        *(None, 0.1, (0.1,), [[0.1, 0.2]], (math.nan, 0.0), (0.0, math.inf)),
+        *(("a", "b"), (None, None), ((0.1,), None), (2e6, 0.0)),
     ],
     ids=str,
 )

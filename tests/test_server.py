@@ -89,22 +89,15 @@ class Run:
 @contextmanager
 def flying(folder, ticks, *, deadline=10.0, uav=honest, ugv=honest):
     with ExitStack() as stack:
-        yield Run(
-            stack,
-            f"unixsock-stream/{folder / 'bus.sock'}",
-            ticks,
-            {"uav_0": uav, "ugv_0": ugv},
-            deadline,
-        )
+        endpoint = f"unixsock-stream/{folder / 'bus.sock'}"
+        yield Run(stack, endpoint, ticks, {"uav_0": uav, "ugv_0": ugv}, deadline)
 
 
 def test_each_vehicle_is_told_its_own_briefing(tmp_path: Path) -> None:
     with flying(tmp_path, 3) as run:
         run.fly()
-    assert [type(told) for told in (*run.told["uav_0"], *run.told["ugv_0"])] == [
-        UavBriefing,
-        UgvBriefing,
-    ]
+    told = (*run.told["uav_0"], *run.told["ugv_0"])
+    assert [type(briefing) for briefing in told] == [UavBriefing, UgvBriefing]
 
 
 def test_honest_vehicles_miss_nothing(tmp_path: Path) -> None:
