@@ -28,11 +28,12 @@ def outrider(*arguments, timeout=120.0, cwd=None):
     )
 
 
-def python(code: str, *, check: bool = True, **settings: Any) -> "subprocess.CompletedProcess[str]":
+def python(
+    code: str, *arguments: str, check: bool = True, **settings: Any
+) -> "subprocess.CompletedProcess[str]":
     """What an interpreter of its own makes of this code."""
-    return subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=check, **settings
-    )
+    command = [sys.executable, "-c", code, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=check, **settings)
 
 
 def run_json(*arguments: str) -> dict[str, object]:
