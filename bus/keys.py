@@ -30,7 +30,7 @@ _SMALL, _LARGE = 1 << 16, 1 << 20
 
 
 class Role(StrEnum):
-    """Who a process is."""
+    """The role of a process."""
 
     SIMULATOR = "simulator"
     UAV = "uav"
@@ -79,7 +79,7 @@ class Key:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Party:
-    """Who a process is, by role and name: `uav_0` is not `uav_1`."""
+    """The identity of a process, by role and name: `uav_0` is not `uav_1`."""
 
     role: Role
     name: str
@@ -169,7 +169,7 @@ def _telemetry(topic: str, message: type[Message]) -> Key:
 
 
 TRUTH = _telemetry("truth", Truth)
-GLANCE = _telemetry("glance", Truth)
+SAMPLED_TRUTH = _telemetry("sampled-truth", Truth)
 """The truth for people's eyes: some ticks of it, as often as an eye can see."""
 COVERAGE = _telemetry("coverage", CoverageMap)
 STATUS = _telemetry("status", Status)
@@ -184,7 +184,7 @@ KEYS: tuple[Key, ...] = (
     OPERATOR,
     CONTROL,
     TRUTH,
-    GLANCE,
+    SAMPLED_TRUTH,
     COVERAGE,
     STATUS,
 )

@@ -14,7 +14,11 @@ import agents.control
 from bus.registry import SENSORS
 
 MODULES = (
-    *(f"agents.control.{module.name}" for module in pkgutil.iter_modules(agents.control.__path__)),
+    *(
+        f"agents.control.{module.name}"
+        for module in pkgutil.iter_modules(agents.control.__path__)
+        if module.name != "promise"  # which holds no function
+    ),
     *(f"agents.estimation.{name}" for name in ("motion_model", "twin")),
     *(f"sim.models.{name}" for name in ("vehicles", "detection", "field", "randomness")),
     "sim.kernels.lanes",

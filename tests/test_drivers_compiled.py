@@ -16,8 +16,8 @@ from agents.drivers.compiled import (
 )
 from agents.drivers.parameters import COMPILED_DRIVERS, WAYPOINTS
 from bus.errors import ScenarioError
-from bus.messages import Area, Limits, ScriptStep, UgvBriefing, UgvObservation
-from bus.registry import DRIVERS
+from bus.messages import Area, Limits, RelativeInformation, ScriptStep, UgvBriefing, UgvObservation
+from bus.registry import DRIVERS, resolve
 
 CALM, PAPERS = (0.2, 0.02), (V_G, U_G)
 
@@ -99,8 +99,21 @@ def test_goals_and_script_are_arrays_that_compiled_code_takes(change: dict[str, 
 
 def test_a_script_is_put_in_order_and_of_two_steps_at_one_time_the_later_stays_last() -> None:
     assert told_route(BRIEFING).script.tolist() == [
-        [1.0, 1e6, -1e6],
-        [30.0, -0.1, 0.05],
-        [30.0, 0.1, 0.2],
-        [77.05, -1.0, 0.0],
+        [20, 1e6, -1e6],
+        [600, -0.1, 0.05],
+        [600, 0.1, 0.2],
+        [1541, -1.0, 0.0],
     ]
+
+
+def test_a_radio_message_of_no_tick_is_not_used() -> None:
+    drivers = [resolve(DRIVERS["evade"].make)(BRIEFING) for _ in range(2)]
+    for tick in range(40):
+        said = [0.05 * (tick + 0.4)] if tick == 20 else []
+        radio = tuple(
+            RelativeInformation(time=time, relative_position=(1.0, 0.5), coverage_error=1.0)
+            for time in said
+        )
+        seen = UgvObservation(tick=tick, time=tick * DT, position=(6.0, 4.0), velocity=(0.0, 0.0))
+        heard = msgspec.structs.replace(seen, radio=radio)
+        assert drivers[0].drive(seen) == drivers[1].drive(heard)

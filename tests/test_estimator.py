@@ -32,7 +32,8 @@ from agents.estimation.estimator import (
     cut_variance,
     motion,
 )
-from bus.messages import Detection, Estimator, Limits
+from bus.messages import Estimator, Limits
+from bus.ticks import Look
 
 H = np.eye(2, 4)
 
@@ -354,19 +355,19 @@ def test_a_detection_after_a_long_gap_is_let_in_again():
 
 def test_detections_of_another_time_are_refused():
     used, unused = settled(), settled()
-    late = Detection(time=390 * DT, relative_position=(-22.0, -20.0))
-    estimate = used.update(time=400 * DT, own_position=(0.0, 0.0), detections=(late, late))
+    late = Look(390, -22.0, -20.0)
+    estimate = used.update(tick=400, own_position=(0.0, 0.0), looks=(late, late))
     assert estimate.refused == 2
     assert estimate.position == look(unused, 400).position
-    assert make().update(time=1.0, own_position=(0.0, 0.0), detections=(late,)) is None
+    assert make().update(tick=20, own_position=(0.0, 0.0), looks=(late,)) is None
 
 
 def test_duplicates_count_once_and_the_same_time_is_predicted_once():
     once, twice = settled(), settled()
-    first, second = (Detection(time=400 * DT, relative_position=(x, -20.0)) for x in (-22.0, -22.1))
+    first, second = Look(400, -22.0, -20.0), Look(400, -22.1, -20.0)
 
-    def told(estimator, *detections):
-        return estimator.update(time=400 * DT, own_position=(0.0, 0.0), detections=detections)
+    def told(estimator, *looks):
+        return estimator.update(tick=400, own_position=(0.0, 0.0), looks=looks)
 
     expected = told(once, first)
     told(twice)
@@ -374,11 +375,9 @@ def test_duplicates_count_once_and_the_same_time_is_predicted_once():
     np.testing.assert_array_equal(once.covariance, twice.covariance)
 
 
-def test_time_that_goes_back_or_falls_between_ticks_is_an_error():
-    estimator = settled()
-    for time in (398 * DT, 399.5 * DT):
-        with pytest.raises(ValueError, match="whole number of ticks"):
-            estimator.update(time=time, own_position=(0.0, 0.0), detections=())
+def test_time_that_goes_back_is_an_error():
+    with pytest.raises(ValueError, match="tick = 398: is before the last one, 399"):
+        settled().update(tick=398, own_position=(0.0, 0.0), looks=())
     with pytest.raises(ValueError, match="dt"):
         make(dt=math.inf)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from properties import PROPERTY
 from refusals import SHIPPED, SMALL, refusal, written
 
 from agents.drivers.compiled import WaypointDriver
@@ -168,6 +169,7 @@ def test_a_scenario_made_in_python_is_held_to_the_same() -> None:
     seed=st.integers(0, 2**53 - 1),
     point=st.tuples(st.floats(0.0, 40.0), st.floats(0.0, 40.0)),
 )
+@PROPERTY
 def test_numbers_survive_exactly(number: float, seed: int, point: tuple[float, float]) -> None:
     changes = [f"law.speed_gain={number!r}", f"seed={seed}", f"ugv.0.goals.0={list(point)!r}"]
     s = load_scenario("escort", overrides=changes)
@@ -178,6 +180,7 @@ def test_numbers_survive_exactly(number: float, seed: int, point: tuple[float, f
 
 
 @given(st.floats(0.01, 5.0), st.floats(0.01, 3.0), st.floats(0.0, 1.0), st.floats(0.05, 2.0))
+@PROPERTY
 def test_the_room_of_18_is_the_paper_s_formula_in_two_phases(r_v, v_a, share, u_a):
     v_g = 0.99 * share * v_a + 1e-6
     r_s = r_v - (v_g * (v_a + v_g) + 0.5 * (v_a**2 - v_g**2)) / u_a
@@ -197,6 +200,7 @@ def test_the_acceleration_that_the_refusal_names_is_enough() -> None:
 
 
 @given(*[st.floats(-6.0, 6.0)] * 4)
+@PROPERTY
 def test_the_controller_is_refused_exactly_where_a_root_is_not_in_the_left_half_plane(a, b, c, d):
     largest = np.roots([1.0, -a, -d, d * a - b * c]).real.max()
     s = msgspec.structs.replace(ESCORT, law=Law(a_c=a, b_c=b, c_c=c, d_c=d))

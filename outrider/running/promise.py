@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.control.handover import check_assumptions
+from agents.control.promise import Promise
 from agents.control.visibility import promise_of
 from bus.messages import LinkKind, LinkSettings, UavBriefing
 from bus.registry import LAWS
@@ -23,7 +24,7 @@ from sim.engine.briefing import briefing
 from sim.scenario.types import LinkTable, Scenario
 
 _RARE = 1e-6
-"""What is expected less often than this in a whole flight is not told."""
+"""Events that are expected less often than this in a whole flight is not told."""
 
 
 class How(StrEnum):
@@ -101,13 +102,12 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
             found += [
                 Shortfall(uav.name, "A1", how, what) for how, what in _errors(scenario, promise.eps)
             ]
-        for kind, check, declared in (
-            (LinkKind.DETECTIONS, _ages, promise.age),
-            (LinkKind.COMMANDS, _delays, promise.delay),
+        for kind, name, check in (
+            (LinkKind.DETECTIONS, "A2", _ages),
+            (LinkKind.COMMANDS, "A5", _delays),
         ):
             link = _Link(scenario, table.of(uav.name, kind), table.path_of(uav.name, kind))
-            name = "A2" if kind is LinkKind.DETECTIONS else "A5"
-            found += [Shortfall(uav.name, name, how, what) for how, what in check(link, declared)]
+            found += [Shortfall(uav.name, name, how, what) for how, what in check(link, promise)]
     return tuple(found)
 
 
@@ -173,11 +173,11 @@ def _errors(s: Scenario, eps: float) -> Iterator[tuple[How, str]]:
 # A2: the age of the newest detection
 
 
-def _ages(link: _Link, declared: float) -> Iterator[tuple[How, str]]:
+def _ages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
     """Looks are at multiples of the detector's period; each that gets through arrives after `least` to `most` ticks."""
     s, p = link.scenario, link.parameters
-    period, age = s.detection_period, math.floor(declared / s.dt + DUST)
-    limit = f"certificate.age = {declared:g} s"
+    period, age = s.detection_period, promise.age_ticks
+    limit = f"certificate.age = {promise.age:g} s"
     waits = _queue_ticks(p, period)
     if waits is not None:
         certain = s.detections.dropout == 0.0 and link.least + waits > age
@@ -301,15 +301,15 @@ def _dark_ages(link: _Link, age: int, limit: str) -> Iterator[tuple[How, str]]:
 # A5: a command acts exactly tau_c after its tick
 
 
-def _delays(link: _Link, declared: float) -> Iterator[tuple[How, str]]:
+def _delays(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
     """The newest command that has arrived acts: that of tick k has to act at k + tau_c, and no later one before.
 
     A copy of a command changes nothing: of two, the first acts, which is no earlier than `least`, and no more is lost.
     """
     s, p = link.scenario, link.parameters
-    exact = round(declared / s.dt)
-    # of its link, unless the scenario declares it
-    tau = f"tau_c = {declared:g} s ({'certificate.delay' if s.certificate.delay is not None else 'the longest of its link'})"
+    exact = promise.delay_ticks
+    source = "the longest of its link" if s.certificate.delay is None else "certificate.delay"
+    tau = f"tau_c = {link.seconds(exact)} ({source})"
     if p.spacing > 1.0 + DUST:
         fewer = f"fewer than one message a tick, {1.0 / s.dt:g} /s, so that commands wait and are dropped"
         yield How.THROUGHOUT, f"{link.named('bandwidth', 'queue')}: {fewer}"
