@@ -303,9 +303,8 @@ def test_the_command_scores_laws_and_policies(here, command, monkeypatch) -> Non
     monkeypatch.setattr(sys, "path", [*sys.path])
     source = "import numpy as np\n\n\ndef away(seen):\n    return np.full((len(seen), 2), 0.3)\n"
     (here / "mine_for_the_suite.py").write_text(source, encoding="utf-8")
-    own = words("--policy mine_for_the_suite:away --safety-filter --only short-sight --secret")
-    rest = words("--markdown board.md --json")
-    run = command("suite", "tracking", *own, SECRET, *rest)
+    own = words("--uav-policy mine_for_the_suite:away --safety-filter --only short-sight --secret")
+    run = command("suite", "--law", "tracking", *own, SECRET, "--json")
     assert (run.returncode, run.stderr) == (0, "")
     told = json.loads(run.stdout)
     assert told["tasks"] == ["short-sight"]
@@ -318,7 +317,6 @@ def test_the_command_scores_laws_and_policies(here, command, monkeypatch) -> Non
     assert result["episodes"] == len(result["scores"]) == 20
     assert all(standing["lost"] == 0 for standing in told["standings"])  # the filter was asked
     assert all(standing[count] == 0 for standing in told["standings"] for count in CERTIFICATES)
-    assert (here / "board.md").read_text(encoding="utf-8").startswith("| task | ")
 
 
 def test_the_command_tells_what_the_tasks_are(command) -> None:
@@ -331,15 +329,15 @@ def test_the_command_tells_what_the_tasks_are(command) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "told"),
     rows("""
-lograithmic | 2 | law 'lograithmic': unknown
+--law lograithmic | 2 | law 'lograithmic': unknown
 --only nosie | 2 | --only nosie: no such task, did you mean 'noise'?; allowed: paper,
---policy nowhere:f | 2 | --policy = 'nowhere:f'
-linear --secret 1234 | 2 | --secret: 4 characters that are no secret; allowed:
---estimate | 2 | --estimate: for a --policy alone
---list --markdown nowhere/board.md linear | 0 | late-commands
-linear --markdown nowhere/board.md | 2 | no such folder: nowhere
---policy json:loads --only paper | 1 | --policy json:loads: TypeError
---policy math:fsum --only paper | 1 | --policy math:fsum:
+--uav-policy nowhere:f | 2 | --uav-policy = 'nowhere:f'
+--law linear --secret 1234 | 2 | --secret: 4 characters that are no secret; allowed:
+--estimate | 2 | --estimate: for a --uav-policy alone
+--list --markdown --law linear | 0 | late-commands
+--law linear --markdown --json | 2 | both want stdout
+--uav-policy json:loads --only paper | 1 | --uav-policy json:loads: TypeError
+--uav-policy math:fsum --only paper | 1 | --uav-policy math:fsum:
 """),
 )
 def test_bad_input_gets_one_line_and_its_exit_code(arguments, code, told, here, command):
