@@ -17,13 +17,21 @@ from agents.control.handover import check_assumptions
 from agents.control.visibility import promise_of
 from bus.messages import LinkKind, LinkSettings, UavBriefing
 from bus.registry import LAWS
-from sim.channel.description import arrival_share, extra_delays, link_parameters
-from sim.channel.link import DUST, LinkParameters, in_ticks
+from sim.channel.description import (
+    arrival_share,
+    arrivals_of,
+    extra_delays,
+    link_parameters,
+)
+from sim.channel.link import DUST, FATES, LinkParameters, in_ticks
 from sim.engine.briefing import briefing
+from sim.kernels.compile import IntArray
 from sim.scenario.types import LinkTable, Scenario
 
 _RARE = 1e-6
 """What is expected less often than this in a whole flight is not told."""
+_MOST_PLAYED = 200_000
+"""Ticks of a recorded link that are looked at."""
 
 
 class How(StrEnum):
@@ -105,7 +113,7 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
             (LinkKind.DETECTIONS, _ages, promise.age),
             (LinkKind.COMMANDS, _delays, promise.delay),
         ):
-            link = _Link(scenario, table.of(uav.name, kind), table.path_of(uav.name, kind))
+            link = _Link(scenario, table.of(uav.name, kind), table.path_of(uav.name, kind), table)
             name = "A2" if kind is LinkKind.DETECTIONS else "A5"
             found += [Shortfall(uav.name, name, how, what) for how, what in check(link, declared)]
     return tuple(found)
@@ -114,9 +122,13 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
 class _Link:
     """One link with what follows from its settings."""
 
-    def __init__(self, scenario: Scenario, settings: LinkSettings, path: str) -> None:
+    def __init__(
+        self, scenario: Scenario, settings: LinkSettings, path: str, table: LinkTable
+    ) -> None:
         self.scenario, self.settings, self.path = scenario, settings, path
-        self.parameters: LinkParameters = link_parameters(settings, scenario.dt)
+        self.parameters: LinkParameters = link_parameters(
+            settings, scenario.dt, traces=table.traces
+        )
         p, held = self.parameters, settings.reorder_delay if settings.reorder else 0.0
         self.least = in_ticks(p.delay + (p.least if p.jitter > 0.0 else 0.0), p.dt)
         self.most = in_ticks(p.delay + extra_delays(settings)[1] + held, p.dt)
@@ -133,6 +145,25 @@ class _Link:
         for first, after in self.parameters.blackouts.tolist():
             if first < min(after, self.scenario.ticks):
                 yield first, min(after, self.scenario.ticks)
+
+    def played(self, every: int) -> IntArray:
+        """Age of the newest message at each tick of a round of the recorded link [ticks], without planned blackouts.
+
+        Args:
+            every: Ticks between two messages.
+        """
+        p, none = self.parameters, np.zeros((0, 2), dtype=np.int64)
+        rounds = p.period if p.replay == FATES else math.ceil(p.period / (1000.0 * p.dt))
+        ticks = min(rounds, _MOST_PLAYED)
+        settled = p.longest + p.queue * every  # before that it has only begun
+        messages = (settled + ticks) // every + 1
+        key = np.uint64(0), np.uint64(0)
+        arrived = arrivals_of(p._replace(blackouts=none), key, messages, every=every)
+        newest = np.full(messages * every, -1, dtype=np.int64)
+        there = arrived >= 0
+        np.maximum.at(newest, arrived[there], np.arange(messages)[there] * every)
+        newest = np.maximum.accumulate(newest)
+        return (np.arange(len(newest)) - newest)[settled : settled + ticks]
 
     def seconds(self, ticks: float) -> str:
         """As a time."""
@@ -178,6 +209,14 @@ def _ages(link: _Link, declared: float) -> Iterator[tuple[How, str]]:
     s, p = link.scenario, link.parameters
     period, age = s.detection_period, math.floor(declared / s.dt + DUST)
     limit = f"certificate.age = {declared:g} s"
+    if link.settings.trace:
+        old = link.played(period)
+        share = float(np.mean(old > age))
+        if share > 0.0:
+            what = f"older than {limit} in {_percent(share)} of the ticks of a round"
+            yield _often(share), f"{link.path}.trace: the newest detection is {what}"
+        yield from _dark_ages(link, age, limit)
+        return
     waits = _queue_ticks(p, period)
     if waits is not None:
         certain = s.detections.dropout == 0.0 and link.least + waits > age
@@ -310,6 +349,13 @@ def _delays(link: _Link, declared: float) -> Iterator[tuple[How, str]]:
     exact = round(declared / s.dt)
     # of its link, unless the scenario declares it
     tau = f"tau_c = {declared:g} s ({'certificate.delay' if s.certificate.delay is not None else 'the longest of its link'})"
+    if link.settings.trace:
+        share = float(np.mean(link.played(1) != exact))
+        if share > 0.0:
+            what = f"another command than that of {tau} before acts in {_percent(share)} of the ticks of a round"
+            yield _often(share), f"{link.path}.trace: {what}"
+        yield from _lost_commands(link)
+        return
     if p.spacing > 1.0 + DUST:
         fewer = f"fewer than one message a tick, {1.0 / s.dt:g} /s, so that commands wait and are dropped"
         yield How.THROUGHOUT, f"{link.named('bandwidth', 'queue')}: {fewer}"

@@ -77,6 +77,8 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """Ticks that were not certified although the one before was and all assumptions held; likewise."""
     links: dict[str, LinkStatus] = {}
     """Counts of each link's messages, by `vehicle/kind`."""
+    traces: dict[str, str] = {}
+    """Recorded links that were played: SHA-256 of the file, by the name in the scenario."""
     realtime: float | None = None
     """The factor that the clock was to keep; None in lockstep."""
     realtime_factor: float
@@ -204,6 +206,7 @@ def summarize(
         faults=_faults(vehicles or {}, flight.shortened),
         **certificate_fields(flight.assurance.status()),
         links=world.links.status(),
+        traces={one.name: one.sha256 for one in world.links.table.traces},
         realtime=realtime,
         realtime_factor=recorder.ticks * scenario.dt / seconds if seconds > 0.0 else 0.0,
         late_ticks=late_ticks,

@@ -11,7 +11,7 @@ from bus.messages import (
     UavBriefing,
     UgvBriefing,
 )
-from sim.channel.description import extra_delays
+from sim.channel.description import longest_delay
 from sim.engine.run_keys import derive_key
 from sim.models.randomness import PILOT
 from sim.scenario.types import Scenario, Uav, Ugv
@@ -38,11 +38,7 @@ def declared(scenario: Scenario, uav: str) -> DeclaredBounds:
     """The certificate's numbers that a UAV may rely on."""
     given, commands = scenario.certificate, scenario.links.of(uav, LinkKind.COMMANDS)
     error = given.error if given.error is not None else _error(scenario)
-    longest = (
-        commands.delay
-        + extra_delays(commands)[1]
-        + (commands.reorder_delay if commands.reorder else 0.0)
-    )
+    longest = longest_delay(commands, scenario.links.traces)
     delay = given.delay if given.delay is not None else longest
     return DeclaredBounds(
         error=error, age=given.age, delay=delay, margin=given.margin, hold=scenario.hold
