@@ -1,7 +1,7 @@
 """The settings of a drawn link that come nearest to a recorded one, and the nearest of the shipped profiles.
 
-Delay: for each shape of the jitter the delay and scale whose quantiles differ least from those recorded (Wasserstein-1),
-then the best shape. Loss: runs of nearly one length are random blackouts; the rest is a chain of Gilbert and Elliott by
+Delay: for each shape of the jitter the delay and scale whose quantiles differ least from those recorded, in their
+logarithms, then the best shape. Loss: runs of nearly one length are random blackouts; the rest is a chain of Gilbert and Elliott by
 maximum likelihood, of which a part is only taken where it pays by Schwarz's criterion (BIC).
 """
 
@@ -21,8 +21,8 @@ from sim.channel.link import SHAPES, jitter_quantile, jitter_share
 from sim.channel.recorded import Fates, RecordedLink, recording_of
 from sim.kernels.compile import FloatArray, compiled
 
-_LEVELS: FloatArray = (np.arange(400, dtype=np.float64) + 0.5) / 400.0
-"""Shares at which quantiles are compared."""
+_LEVELS: FloatArray = 1.0 - 10.0 ** (-3.0 * (np.arange(400, dtype=np.float64) + 0.5) / 400.0)
+"""Shares at which quantiles are compared: from the least to the longest but one in a thousand, each power of ten alike."""
 _SHORTEST = 1e-3
 """Waits that are shorter count as this long [s]: no tick notices them."""
 _STEADY = 1e-6
@@ -103,10 +103,11 @@ def fit_link(
 
 
 def wait_factor(one: Sample, other: Sample) -> float:
-    """By which factor the waits over two links differ, as the geometric mean over their quantiles; 1: not at all."""
-    logs = [
-        np.log(np.maximum(np.quantile(sample.waits, _LEVELS), _SHORTEST)) for sample in (one, other)
-    ]
+    """By which factor the waits over two links differ, as the geometric mean over their quantiles; 1: not at all.
+
+    In the picture of the waits, both axes logarithmic, it is the mean distance of the curves to the right.
+    """
+    logs = [_logs(np.quantile(sample.waits, _LEVELS)) for sample in (one, other)]
     return float(np.exp(np.abs(logs[0] - logs[1]).mean()))
 
 
@@ -173,7 +174,7 @@ def _delay(arrived: FloatArray) -> dict[str, Any]:
     least, most = float(arrived[0]), float(arrived[-1])
     if most - least < _STEADY:
         return {"delay": float(np.median(arrived))}
-    wanted = np.quantile(arrived, _LEVELS)
+    wanted = _logs(np.quantile(arrived, _LEVELS))
     mean, deviation = float(arrived.mean()), float(arrived.std())
     starts = {
         "exponential": (least, mean - least),
@@ -186,19 +187,26 @@ def _delay(arrived: FloatArray) -> dict[str, Any]:
         settings = partial(_jittered, shape, most)
 
         def off(x: FloatArray, settings: Callable[[FloatArray], LinkSettings] = settings) -> float:
-            return float(np.abs(_quantiles(settings(x)) - wanted).mean())
+            return float(np.abs(_logs(_quantiles(settings(x))) - wanted).mean())
 
         found = minimize(
             off,
             np.array([delay, math.log(max(scale, _STEADY))]),
             method="Nelder-Mead",
-            options={"xatol": 1e-6, "fatol": 1e-9, "maxiter": 300},
+            options={"xatol": 1e-6, "fatol": 1e-7, "maxiter": 300},
         )
         if found.fun < best[0]:
             one = settings(found.x)
             fields = ("delay", "jitter", "jitter_shape", "jitter_cut")
             best = found.fun, {field: getattr(one, field) for field in fields}
+    if best[1]["jitter"] < _STEADY:
+        return {"delay": float(np.median(arrived))}
     return best[1]
+
+
+def _logs(times: FloatArray) -> FloatArray:
+    found: FloatArray = np.log(np.maximum(times, _SHORTEST))
+    return found
 
 
 def _jittered(shape: str, most: float, x: FloatArray) -> LinkSettings:

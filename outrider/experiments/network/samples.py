@@ -14,7 +14,7 @@ from sim.kernels.compile import FloatArray, IntArray
 from sim.models.randomness import Key
 
 MILLISECOND = 0.001
-_FINEST = 0.0005
+_FINEST = 0.0002
 """Resolution at which a link is played [s]."""
 _TICKS = 100
 """Of the played link between two messages, at most."""
