@@ -1,1 +1,1 @@
-"""Who decides, knowing only what it may."""
+"""The vehicles' pilots: each decides, and knows only what it may."""

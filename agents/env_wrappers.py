@@ -12,6 +12,7 @@ from agents.control.visibility import SafetyFilter
 from agents.estimation.estimator import RelativeEstimator
 from bus.layout import Row, UavRow, uav_observation
 from bus.messages import UavBriefing, UavObservation
+from bus.ticks import looks_of
 
 _RELATIVE = [UavRow._fields.index("relative_x"), UavRow._fields.index("relative_y")]
 
@@ -90,11 +91,15 @@ class EstimateWrapper(BaseParallelWrapper):  # type: ignore[misc]
     def _replace(self, agent: str, row: Row) -> Row:
         """The row with the estimate in it, once there is one."""
         observation = uav_observation(row, dt=self._briefings[agent].dt)
-        (p_x, p_y), time, world = observation.position, observation.time, self.env.unwrapped
-        looks = (
+        (p_x, p_y), world = observation.position, self.env.unwrapped
+        found = (
             world.received(agent) if world.degraded else observation.detections
         )  # the row has room for one
-        estimate = self._filters[agent].update(time=time, own_position=(p_x, p_y), detections=looks)
+        estimate = self._filters[agent].update(
+            tick=observation.tick,
+            own_position=(p_x, p_y),
+            looks=looks_of(found, self._briefings[agent].dt),
+        )
         if estimate is None:
             return row
         (g_x, g_y), age = estimate.position, estimate.age

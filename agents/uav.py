@@ -7,7 +7,6 @@ import msgspec
 import numpy as np
 
 from agents.control.guard import guard_state
-from agents.control.handover import Promise
 from agents.control.laws import (
     PATH,
     WATCHED,
@@ -19,7 +18,8 @@ from agents.control.laws import (
     number,
 )
 from agents.control.orbit import Path, check_path
-from agents.control.uav_tick import Motion, UavMemory, uav_perceive, uav_tick
+from agents.control.promise import Promise
+from agents.control.uav_tick import UavMemory, uav_perceive, uav_tick
 from agents.control.visibility import SafetyFilter, Verdict, promise_of
 from agents.control.weighting import Weighting, check_weighting
 from agents.estimation.estimator import Estimate, RelativeEstimator
@@ -33,12 +33,13 @@ from bus.messages import (
     UavReport,
     Vector,
 )
+from bus.ticks import looks_of
 from sim.kernels.compile import FloatArray, borrowing, entry_point
 from sim.kernels.records import RecordArray, records
 from sim.models.field import cover, coverage_error, empty_coverage
-from sim.models.vehicles import norm
+from sim.models.vehicles import Motion, norm
 
-RADIO_PERIOD = 0.2
+_RADIO_PERIOD = 0.2
 """Time between two radio messages to the UGV [s]."""
 
 _PATH_HORIZON = 600.0
@@ -80,6 +81,11 @@ def _act(
     target: tuple[bool, float, float],
 ) -> tuple[float, float, int, int, float]:
     return uav_tick(laws[0], promises[0], guarded, memory, own, tick, here, target)
+
+
+def radio_ticks(dt: float) -> int:
+    """Every how many ticks of this length [s] a UAV radios to its UGV."""
+    return max(1, round(_RADIO_PERIOD / dt))
 
 
 def _report(estimate: Estimate, verdict: Verdict | None) -> UavReport:
@@ -140,13 +146,11 @@ class UavPilot:
         promise = promise_of(briefing)
         self._promises = records(Promise, [promise])
         self._law_state, self._no_guard = initial_state(), guard_state(promise, depth=1)
-        self._sent: deque[Vector] = deque(
-            maxlen=math.ceil(briefing.certificate.delay / briefing.dt)
-        )  # that may be under way
+        self._sent: deque[Vector] = deque(maxlen=promise.delay_ticks)  # that may be under way
         self.filter: SafetyFilter | None = self._make_filter()
         """The safety filter of the law `certified`."""
         self._tick: int | None = None
-        self._radio_ticks = max(1, round(RADIO_PERIOD / briefing.dt))
+        self._radio_ticks = radio_ticks(briefing.dt)
         self._take_on()
         target = (False, 0.0, 0.0)
         self._perceive = entry_point(_perceive, *self._fixed, 0, 0, _NOWHERE, _NO_LOOKS)
@@ -223,16 +227,12 @@ class UavPilot:
         """Take an observation into the map and the filter, also one that comes too late to be answered."""
         elapsed = 0 if self._tick is None else observation.tick - self._tick
         tick = self._tick = observation.tick
-        looks = _NO_LOOKS
-        if self.filter is not None and observation.detections:
-            looks = self.filter.looks(observation)
+        looks, rows = looks_of(observation.detections, self._briefing.dt), _NO_LOOKS
+        if looks and self.filter is not None:
+            rows = np.array(looks, dtype=np.float64)
         here = Motion(*observation.position, *observation.velocity)
-        self._perceive(*self._fixed, elapsed, tick, here, looks)
-        return self.estimator.update(
-            time=observation.time,
-            own_position=observation.position,
-            detections=observation.detections,
-        )
+        self._perceive(*self._fixed, elapsed, tick, here, rows)
+        return self.estimator.update(tick=tick, own_position=observation.position, looks=looks)
 
     def _fly(self, law: Law) -> None:
         """Take another law; map, filter and the state of the law before stay."""

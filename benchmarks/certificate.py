@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 
 from agents.control.handover import certificate, certified_radius, largest_age
+from agents.control.promise import Declared
 from bus.profiles import PROFILES
 from outrider.experiments.falsify import attack as a
 from outrider.running.flying import InProcess, make_pilots
@@ -47,8 +48,8 @@ def radius() -> Iterator[str]:
         (0.3, 15.0, 1.0),
     ]
     for eps, age, delay in rows:
-        c = certificate(**numbers, eps=eps, age=age, delay=delay)
-        r_cert = certified_radius(c.handover, c.v_a, c.u_a, c.v_g, c.dt, c.delay)
+        c = certificate(Declared(**numbers, eps=eps, age=age, delay=delay))
+        r_cert = certified_radius(c.handover, c.v_a, c.u_a, c.v_g, c.dt, delay)
         yield f"| {eps:g} | {age:g} | {delay:g} | {c.handover:.3f} | {c.reach:.2f} | {r_cert:.2f} |"
     yield ""
     errors = (0.0, 0.3, 0.6, 0.9, 1.2, 1.5)
@@ -56,7 +57,8 @@ def radius() -> Iterator[str]:
     yield f"|---|{'---|' * len(errors)}"
     for delay in (0.0, 1.0):
         ages = [
-            largest_age(certificate(**numbers, eps=eps, age=0.05, delay=delay)) for eps in errors
+            largest_age(certificate(Declared(**numbers, eps=eps, age=0.05, delay=delay)))
+            for eps in errors
         ]
         yield f"| τ_c = {delay:g} s | {' | '.join(f'{age:.1f}' for age in ages)} |"
 

@@ -61,7 +61,7 @@ class Credential(
 
     @property
     def party(self) -> Party:
-        """Who it is for."""
+        """The party that it is for."""
         return Party(role=self.role, name=self.name)
 
     def __repr__(self) -> str:

@@ -1,4 +1,4 @@
-"""What a session reads with and writes with: one key each, typed, checked and counted."""
+"""Inboxes and outboxes of a session: one key each, typed, checked and counted."""
 
 import logging
 import threading
@@ -42,7 +42,7 @@ class Outbox:
         self._topic = key.topic
         self.take_place(0)
         self.wanted = False
-        """Whether anybody reads it now."""
+        """True if anybody reads it now."""
         self._listener = publisher.declare_matching_listener(self._see)
 
     def take_place(self, place: int) -> None:
@@ -139,7 +139,7 @@ class Inbox:
         return None
 
     def holds_any(self) -> bool:
-        """Whether a message is there already; it stays."""
+        """True if a message is there already; it stays."""
         self._peeked = self.next_waiting()
         return self._peeked is not None
 

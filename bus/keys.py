@@ -30,7 +30,7 @@ _SMALL, _LARGE = 1 << 16, 1 << 20
 
 
 class Role(StrEnum):
-    """Who a process is."""
+    """The role of a process."""
 
     SIMULATOR = "simulator"
     UAV = "uav"
@@ -79,7 +79,7 @@ class Key:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Party:
-    """Who a process is, by role and name: `uav_0` is not `uav_1`."""
+    """The identity of a process, by role and name: `uav_0` is not `uav_1`."""
 
     role: Role
     name: str
@@ -162,8 +162,8 @@ TRUTH = Key(
     delivery=Delivery.NEWEST,
     largest=_LARGE,
 )
-GLANCE = Key(
-    topic="glance",
+SAMPLED_TRUTH = Key(
+    topic="sampled-truth",
     vehicle=None,
     message=Truth,
     writer=Role.SIMULATOR,
@@ -201,7 +201,7 @@ KEYS: tuple[Key, ...] = (
     OPERATOR,
     CONTROL,
     TRUTH,
-    GLANCE,
+    SAMPLED_TRUTH,
     COVERAGE,
     STATUS,
 )

@@ -41,11 +41,11 @@ SYMBOLS = {
     "D": "diagonal of the area [m]",
     "E": "2 C*^2 W H, more than e(t) can ever be [m^2]",
 }
-"""What the names in the ranges stand for. A bound that a scenario leaves open is infinite."""
+"""The meaning of the names in the ranges. A bound that a scenario leaves open is infinite."""
 
 
 class UavRow(NamedTuple):
-    """What a UAV observes: its own state, and its detector's last look at the UGV."""
+    """A UAV's observation: its own state, and its detector's last look at the UGV."""
 
     time: Annotated[float, Field("time since the start of the episode", "s", "0", "T")]
     x: Annotated[float, Field("own position, x", "m", "0", "W")]
@@ -90,7 +90,7 @@ class GradientCue(NamedTuple):
 
 
 class UgvRow(NamedTuple):
-    """What a UGV observes: its own state, and its own goal."""
+    """A UGV's observation: its own state, and its own goal."""
 
     time: Annotated[float, Field("time since the start of the episode", "s", "0", "T")]
     x: Annotated[float, Field("own position, x", "m", "0", "W")]
@@ -133,7 +133,7 @@ class UgvState(NamedTuple):
 
 
 class CommonState(NamedTuple):
-    """What no single vehicle has, at the head of the state."""
+    """Facts of no single vehicle, at the head of the state."""
 
     time: Annotated[float, Field("time since the start of the episode", "s", "0", "T")]
     covered: Annotated[float, Field("share of the area with C >= C*", "", "0", "1")]

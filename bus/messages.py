@@ -94,7 +94,7 @@ class Law(Message, frozen=True, kw_only=True):
 
 
 class LinkKind(StrEnum):
-    """What crosses the ether."""
+    """The kinds of messages that cross a link."""
 
     DETECTIONS = "detections"
     """From a UAV's detector to its computer."""
@@ -111,7 +111,7 @@ Seconds = Annotated[float, Meta(ge=0.0, le=1e6)]
 
 
 class LinkSettings(Message, frozen=True, kw_only=True):
-    """What one radio link does to messages; the default is a perfect one."""
+    """The settings of one link, all that it does to messages; the default is a perfect one."""
 
     delay: Annotated[float, Meta(ge=0.0, le=30.0)] = 0.0
     """[s]"""
@@ -157,7 +157,7 @@ class LinkSettings(Message, frozen=True, kw_only=True):
 
 
 class LinkStatus(Message, frozen=True, kw_only=True):
-    """What a link has done so far: sent + duplicated = delivered + lost + waiting + flying."""
+    """The counters of a link: sent + duplicated = delivered + lost + waiting + flying."""
 
     sent: Tick
     delivered: Tick
@@ -177,12 +177,12 @@ class LinkStatus(Message, frozen=True, kw_only=True):
     """Over the ticks since then."""
     max_age: NonNegative | None = None
     degraded: bool = False
-    """Whether its settings do anything to a message."""
+    """True if its settings do anything to a message."""
     settings: LinkSettings | None = None
 
 
 class Detector(Message, frozen=True, kw_only=True):
-    """What the UAV knows of its own detector of the UGV."""
+    """The UAV's knowledge of its own detector of the UGV."""
 
     noise: NonNegative = 0.0
     """Standard deviation per axis [m]."""
@@ -193,7 +193,7 @@ class Detector(Message, frozen=True, kw_only=True):
 
 
 class DeclaredBounds(Message, frozen=True, kw_only=True):
-    """What a UAV may rely on of its detections and commands to certify that it keeps sight (docs/explanation/certificate.md)."""
+    """The bounds by which a UAV certifies that it keeps sight (docs/explanation/certificate.md)."""
 
     error: NonNegative | None
     """Largest error of a detection, as a vector's norm [m]; None: it has no bound, and nothing can be certified."""
@@ -250,15 +250,15 @@ class UavBriefing(Message, frozen=True, kw_only=True):
     Where the run has a secret it leads to nothing else: not to the seed, nor to any other
     draw. Where it has none, whoever tries all seeds finds the run's: there the seed is the secret."""
     past: "tuple[UavObservation, ...]" = ()
-    """What it has perceived so far in this run, tick by tick; where its process was away, without detections."""
+    """Its observations so far in this run, tick by tick; where its process was away, without detections."""
     more: bool = False
-    """Whether another part of the past follows."""
+    """True if another part of the past follows."""
     episode: Tick = 0
     """Which flight of the run this is for."""
 
 
 class ScriptStep(Message, frozen=True, kw_only=True):
-    """What a scripted UGV wants from a time on."""
+    """The velocity that a scripted UGV wants from a time on."""
 
     time: NonNegative
     """[s]"""
@@ -280,7 +280,7 @@ class UgvBriefing(Message, frozen=True, kw_only=True):
     goal_tolerance: Positive
     """epsilon: a goal counts as reached nearer than this [m]."""
     script: tuple[ScriptStep, ...] = ()
-    """What the driver `script` wants, in the order of time."""
+    """The steps of the driver `script`, in the order of time."""
     hold: NonNegative = 0.5
     """How long an operator's last word counts [s]; then the driver `teleop` brakes."""
     key: PilotKey
@@ -293,15 +293,16 @@ class Detection(Message, frozen=True, kw_only=True):
     """One noisy look of the UAV at the UGV."""
 
     time: NonNegative
-    """When it was taken [s]."""
+    """When it was taken [s]: a tick times dt. One between two ticks is refused by the filter, and counted."""
     relative_position: Vector
     """p_a - p_g with noise [m]."""
 
 
 class RelativeInformation(Message, frozen=True, kw_only=True):
-    """What a UAV radios to its UGV: relative information, and how much it has seen."""
+    """The radio message of a UAV to its UGV: relative information, and how much it has seen."""
 
     time: NonNegative
+    """When it was estimated [s]: a tick times dt. One between two ticks is used for nothing."""
     relative_position: Vector
     """The estimate of p_a - p_g [m]."""
     coverage_error: NonNegative
@@ -309,7 +310,7 @@ class RelativeInformation(Message, frozen=True, kw_only=True):
 
 
 class UavObservation(Message, frozen=True, kw_only=True):
-    """What a UAV perceives at a tick."""
+    """The perception of a UAV at a tick."""
 
     tick: Tick
     time: NonNegative
@@ -325,10 +326,10 @@ class UavObservation(Message, frozen=True, kw_only=True):
 
 
 class Drive(Message, frozen=True, kw_only=True):
-    """What an operator at a UGV's wheel wants: a velocity, or a goal; neither means to brake."""
+    """The wish of an operator at a UGV's wheel: a velocity, or a goal; neither means to brake."""
 
     driver: Text
-    """Who is at the wheel."""
+    """The operator's name."""
     velocity: Vector | None = None
     """Desired velocity [m/s]."""
     goal: Vector | None = None
@@ -336,7 +337,7 @@ class Drive(Message, frozen=True, kw_only=True):
 
 
 class UgvObservation(Message, frozen=True, kw_only=True):
-    """What a UGV perceives at a tick."""
+    """The perception of a UGV at a tick."""
 
     tick: Tick
     time: NonNegative
@@ -344,15 +345,15 @@ class UgvObservation(Message, frozen=True, kw_only=True):
     velocity: Vector
     radio: tuple[RelativeInformation, ...] = ()
     operator: tuple[Drive, ...] = ()
-    """What operators have said that has come to the vehicle at this tick, the oldest first."""
+    """The operators' messages that have come to the vehicle at this tick, the oldest first."""
     driver: Name | None = None
-    """Who sits at the wheel from this tick on, a row of `bus.registry.DRIVERS`; None: who sat there before."""
+    """The driver from this tick on, a row of `bus.registry.DRIVERS`; None: the one before."""
     over: bool = False
     episode: Tick = 0
 
 
 class UavReport(Message, frozen=True, kw_only=True):
-    """What a UAV tells observers of itself; no vehicle reads it."""
+    """The report of a UAV to observers; no vehicle reads it."""
 
     estimate: Vector
     """Where it believes the UGV to be [m]."""
@@ -363,11 +364,11 @@ class UavReport(Message, frozen=True, kw_only=True):
     refused: Tick
     """Detections refused by the gate so far."""
     certified: bool | None = None
-    """Whether sight is certified to be kept from here on; None: no filter watches over this law."""
+    """True if sight is certified to be kept from here on; None: no filter watches over this law."""
     uncertified: Text = ""
     """Why not."""
     intervened: bool = False
-    """Whether the safety filter acted instead of the law."""
+    """True if the safety filter acted instead of the law."""
     certified_distance: NonNegative | None = None
     """The UGV is surely no farther than this [m]."""
 
@@ -389,7 +390,7 @@ class UgvCommand(Message, frozen=True, kw_only=True):
 
 
 class Action(StrEnum):
-    """What a `Control` does."""
+    """The actions of a `Control`."""
 
     PAUSE = "pause"
     RESUME = "resume"
@@ -402,7 +403,7 @@ class Action(StrEnum):
 
 
 class Control(Message, frozen=True, kw_only=True):
-    """What an operator wants of the simulator; takes effect at the next tick. Only the fields of its action count."""
+    """An operator's request to the simulator; takes effect at the next tick. Only the fields of its action count."""
 
     action: Action
     ticks: Annotated[int, Meta(ge=1, le=1_000_000)] = 1
@@ -461,7 +462,7 @@ class VehicleTruth(Message, frozen=True, kw_only=True):
     acceleration: Vector
     """Applied since the last tick, after the bounds."""
     command: Vector
-    """What it was asked for since the last tick, before the bounds [m/s²].
+    """The command that it was asked for since the last tick, before the bounds [m/s²].
 
     Where it was silent, what stood in for it.
     """
@@ -479,7 +480,7 @@ class EscortTruth(Message, frozen=True, kw_only=True):
     detection: Vector | None
     """The relative position detected at this tick [m], if any."""
     report: UavReport | None
-    """What the UAV said of itself at the last tick."""
+    """The UAV's report at the last tick."""
 
 
 class Truth(Message, frozen=True, kw_only=True):
@@ -522,7 +523,7 @@ class VehicleStatus(Message, frozen=True, kw_only=True):
 
 
 class Geometry(Message, frozen=True, kw_only=True):
-    """What a picture of the run needs, and does not change."""
+    """The facts that a picture of the run needs and that do not change."""
 
     area: Area
     visibility_radius: Positive
@@ -540,7 +541,7 @@ class Geometry(Message, frozen=True, kw_only=True):
 
 
 class CertificateStatus(Message, frozen=True, kw_only=True):
-    """What the safety filters of all UAVs have said so far, held against the truth."""
+    """The words of all UAVs' safety filters so far, held against the truth."""
 
     ticks: Tick
     """Ticks that a filter watched over, of each UAV."""
@@ -568,25 +569,25 @@ class Status(Message, frozen=True, kw_only=True):
     realtime_factor: NonNegative
     """Simulated seconds per second of wall time, lately."""
     wanted_factor: NonNegative | None = None
-    """What the clock is to keep; None: lockstep, as fast as it goes."""
+    """The pace that the clock is to keep; None: lockstep, as fast as it goes."""
     late_ticks: Tick = 0
     """Ticks that the clock could not keep."""
     paused: bool = False
     law: Name = DEFAULT_LAW
-    """What the UAVs fly now."""
+    """The law that the UAVs fly now."""
     drivers: dict[Name, Name] = {}
-    """Who drives each UGV now."""
+    """The driver of each UGV now."""
     changes: tuple[Change, ...] = ()
     """The last controls that have taken effect, the newest last; not more than 20."""
     refusals: tuple[Text, ...] = ()
     """The last wishes of operators that were refused, and why; not more than 5."""
     geometry: Geometry | None = None
     certified: dict[Name, bool] = {}
-    """Whether sight is certified to be kept, by UAV; only those that a safety filter watches over."""
+    """True if sight is certified to be kept, by UAV; only those that a safety filter watches over."""
     uncertified: dict[Name, Text] = {}
     """Why not, by UAV."""
     certificates: CertificateStatus | None = None
-    """What has been certified so far; None where no safety filter has watched over anything."""
+    """Counts of what has been certified so far; None where no safety filter has watched over anything."""
     warnings: tuple[Text, ...] = ()
     """Which assumptions of the certificate the links cannot keep as they are now, a line each."""
     links: dict[Text, LinkStatus] = {}

@@ -56,15 +56,15 @@ class LawRow:
     about: str
     """One line, for help texts."""
     covers: bool = False
-    """Whether it steers by the coverage gradient, and so by v_ref of (10)."""
+    """True if it steers by the coverage gradient, and so by v_ref of (10)."""
     needs_radius: bool = True
-    """Whether it needs a positive switching radius r_s (18)."""
+    """True if it needs a positive switching radius r_s (18)."""
     keeps_sight: bool = True
-    """Whether it ever turns back to the UGV."""
+    """True if it ever turns back to the UGV."""
     own: str = ""
     """The field of `[custom]` that names the function of the user's own which it needs."""
     watched: bool = False
-    """Whether the safety filter stands behind it."""
+    """True if the safety filter stands behind it."""
     color: str
     """Of its lines in pictures and tables."""
     mark: str = "o"
@@ -72,7 +72,7 @@ class LawRow:
 
     @property
     def compared(self) -> bool:
-        """Whether it flies in every comparison: it keeps sight and needs nothing of the user's own."""
+        """True if it flies in every comparison: it keeps sight and needs nothing of the user's own."""
         return self.keeps_sight and not self.own
 
 
@@ -166,15 +166,15 @@ class DriverRow:
     wants: str = ""
     """The field of `[[ugv]]` without which it stands still."""
     listens: bool = False
-    """Whether it uses what the UAV radios."""
+    """True if it uses what the UAV radios."""
     unbounded: bool = False
-    """Whether it drives without a bound where the UGV has none; the others assume a large one."""
+    """True if it drives without a bound where the UGV has none; the others assume a large one."""
     operated: bool = False
-    """Whether it does what an operator says."""
+    """True if it does what an operator says."""
     own: str = ""
     """The field of `[custom]` that names what drives."""
     outside: bool = False
-    """Whether it is a process of the user's own, from start to end."""
+    """True if it is a process of the user's own, from start to end."""
 
 
 TELEOP = "teleop"
@@ -262,7 +262,7 @@ SAVED_POLICIES = _table(
 """The libraries by name."""
 _FORMS = [f"{row.name}:{row.form}" for row in SAVED_POLICIES.values()]
 POLICY_FORMS = f"module:function, {', '.join(_FORMS[:-1])} or {_FORMS[-1]}"
-"""What a policy may be, for help texts and errors."""
+"""The forms of a policy, for help texts and errors."""
 
 
 def described(rows: Mapping[str, LawRow] | Mapping[str, DriverRow]) -> str:

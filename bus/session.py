@@ -44,7 +44,7 @@ _ROOM = 256
 _LOOK = 2.0
 """How long a session looks at most which places of its party are taken [s]."""
 _HEADER = 4096
-"""What a message may have beside its payload [bytes]."""
+"""Room for a message's frame beside its payload [bytes]."""
 
 _COMMON: dict[str, Any] = {
     "scouting/multicast/enabled": False,
@@ -124,7 +124,7 @@ class Session:
 
     @property
     def connected(self) -> bool:
-        """Whether it has a router now."""
+        """True if it has a router now."""
         return bool(self.routers)
 
     def outbox(self, key: Key, vehicle: str = "") -> Outbox:
@@ -322,7 +322,7 @@ def _address(endpoint: str) -> tuple[str, int]:
 def _explained(
     endpoint: str, credential: Credential, identity: Identity, error: BusError
 ) -> BusError:
-    """What stands between a certificate and a router; all that Zenoh says is that it could not connect."""
+    """Names the fault that keeps a certificate from a router; all that Zenoh says is that it could not connect."""
     try:
         fault = find_fault(*_address(endpoint), identity)
     except (OSError, ValueError):
@@ -356,7 +356,7 @@ def _check_certificate(identity: Identity, name: str) -> None:
 
 
 def _answers(endpoint: str) -> bool:
-    """Whether somebody listens there: then it was not the way that failed."""
+    """True if somebody listens there: then it was not the way that failed."""
     protocol, _, address = endpoint.partition("/")
     try:
         if protocol == "unixsock-stream":

@@ -23,14 +23,14 @@ ESCORT = "outrider/Escort-v0"
 
 
 def single(*, task: str = "", **settings: Any) -> "SingleEnv":  # noqa: ANN401 - those of the environment
-    """What `gymnasium.make` calls: `outrider.single_env`, of a task of the suite if one is named."""
+    """Makes what `gymnasium.make` returns: `outrider.single_env`, of a task of the suite if one is named."""
     from outrider.envs.single import SingleEnv  # noqa: PLC0415 - compiled code stands behind it
 
     return suite()[task].make_single(**settings) if task else SingleEnv(**settings)
 
 
 def vector(*, num_envs: int, task: str = "", **settings: Any) -> "OutriderVectorEnv":  # noqa: ANN401
-    """What `gymnasium.make_vec` calls: `outrider.vector_env`, of a task of the suite if one is named.
+    """Makes what `gymnasium.make_vec` returns: `outrider.vector_env`, of a task of the suite if one is named.
 
     Raises:
         ValueError: If it is given a limit of steps, which Gymnasium can put around single environments only.

@@ -1,1 +1,1 @@
-"""What is true: the vehicles, the ground, the detections and the clock."""
+"""The truth of a run: the vehicles, the ground, the detections and the clock."""

@@ -13,6 +13,7 @@ from agents.estimation.estimator import (
     cut_variance,
 )
 from bus.messages import Detection, Detector, Estimator, Limits
+from bus.ticks import looks_of
 from sim.models.randomness import DETECTION_NOISE, cut_normal_vector
 
 DT = 0.05
@@ -47,7 +48,7 @@ def look(estimator, tick, seen=None, own=(0.0, 0.0), dt=DT) -> Estimate | None:
         detections = (
             Detection(time=tick * dt, relative_position=(own[0] - seen[0], own[1] - seen[1])),
         )
-    return estimator.update(time=tick * dt, own_position=own, detections=detections)
+    return estimator.update(tick=tick, own_position=own, looks=looks_of(detections, dt))
 
 
 def cut_noise(seed, count, sigma=SIGMA, cut=3.0):

@@ -12,7 +12,7 @@ from properties import PROPERTY
 from agents.control.coverage import border_distance, coverage_control, keep_off_border
 from bus.messages import Area, Law, Sensor
 from outrider.running.flying import fly
-from sim.models.vehicles import norm, step_vehicle
+from sim.models.vehicles import Motion, norm, step_vehicle
 from sim.scenario.types import Detections, Uav, Ugv, Visibility
 
 WIDTH, HEIGHT = 16.0, 12.0
@@ -28,7 +28,7 @@ def test_the_safety_distance_is_the_papers_and_at_most_two_ticks_more() -> None:
 def _kept(
     u: tuple[float, float], p: tuple[float, float], v: tuple[float, float]
 ) -> tuple[float, float]:
-    return keep_off_border(*u, *p, *v, 10.0, WIDTH, HEIGHT, MARGIN, DT)
+    return keep_off_border(*u, Motion(*p, *v), 10.0, WIDTH, HEIGHT, MARGIN, DT)
 
 
 @given(
@@ -60,7 +60,9 @@ def test_at_a_side_nothing_of_the_law_points_out(
         assert a_y == u_y
     mirrored = _kept((-u_x, u_y), (WIDTH - p[0], p[1]), (-v_x, v_y))
     assert mirrored == pytest.approx((-a_x, a_y), abs=1e-12)
-    turned = keep_off_border(u_y, u_x, p[1], p[0], v_y, v_x, 10.0, HEIGHT, WIDTH, MARGIN, DT)
+    turned = keep_off_border(
+        u_y, u_x, Motion(p[1], p[0], v_y, v_x), 10.0, HEIGHT, WIDTH, MARGIN, DT
+    )
     assert turned == pytest.approx((a_y, a_x), abs=1e-12)
 
 
@@ -78,7 +80,7 @@ def test_whatever_the_law_wants_it_never_crosses_the_border(
             wanted = rng.normal(course, 1.0)
         w_x, w_y = V_A * math.cos(wanted), V_A * math.sin(wanted)
         u = coverage_control(w_x - state[2], w_y - state[3], k_v)
-        u = keep_off_border(*u, *state, k_v, WIDTH, HEIGHT, MARGIN, DT)
+        u = keep_off_border(*u, Motion(*state), k_v, WIDTH, HEIGHT, MARGIN, DT)
         *state, _, _ = step_vehicle(*state, *u, V_A, U_A, DT)
         assert 0.0 < state[0] < WIDTH
         assert 0.0 < state[1] < HEIGHT
@@ -90,7 +92,7 @@ def test_a_uav_that_stops_within_a_tick_never_crosses_the_border(u_max: float) -
     state = (1.01 * margin, 0.5 * HEIGHT, -V_A, 0.0)
     for _ in range(20):
         u = coverage_control(-V_A - state[2], -state[3], 10.0)
-        u = keep_off_border(*u, *state, 10.0, WIDTH, HEIGHT, margin, DT)
+        u = keep_off_border(*u, Motion(*state), 10.0, WIDTH, HEIGHT, margin, DT)
         *state, _, _ = step_vehicle(*state, *u, V_A, u_max, DT)
         assert state[0] > 0.0
 

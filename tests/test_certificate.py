@@ -15,8 +15,10 @@ from properties import PROPERTY
 
 from agents.control import certificate as c
 from agents.control import discs, handover
+from agents.control.promise import Declared, Promise
 from sim.kernels.compile import FloatArray
-from sim.models.vehicles import norm, step_vehicle
+from sim.kernels.records import RecordArray
+from sim.models.vehicles import Motion, norm, step_vehicle
 
 NUMBERS: dict[str, Any] = {
     "r_v": R_V,
@@ -36,14 +38,18 @@ shares = st.floats(0.0, 1.0)
 
 
 @functools.cache
-def promise(**numbers: float) -> handover.Promise:
-    return handover.certificate(**{**NUMBERS, **numbers})
+def promise(**numbers: float) -> Promise:
+    return handover.certificate(Declared(**{**NUMBERS, **numbers}))
 
 
-def seen(*detections: tuple[float, float, float]) -> FloatArray:
+NOW = 400
+"""A tick with some past."""
+
+
+def seen(*detections: tuple[float, float, int]) -> RecordArray:
     """These detections and no others."""
     kept = discs.no_detections()
-    kept[: len(detections)] = detections
+    kept[: len(detections)] = list(detections)
     return kept
 
 
@@ -65,23 +71,20 @@ def away(p: FloatArray, g: FloatArray) -> FloatArray:
 def test_the_certified_distance_is_never_less_than_the_distance(seed: int, eps: float) -> None:
     """Any UGV within its speed, any error within eps, late and overtaking detections, and gaps."""
     rng = np.random.default_rng(seed)
-    kept, g, p = discs.no_detections(), rng.normal(size=2), rng.normal(size=2)
-    underway: list[tuple[float, float, float]] = []
-    newest = -math.inf
+    q, kept, g, p = promise(eps=eps), discs.no_detections(), rng.normal(size=2), rng.normal(size=2)
+    underway: list[tuple[float, float, int]] = []
+    newest = -1
     for tick in range(400):
-        t = tick * DT
         if rng.random() < 0.7:
             z = g + in_disc(rng, eps)
-            underway.append((z[0], z[1], t))
-        for z_x, z_y, t_z in [one for one in underway if rng.random() < 0.3]:
-            underway.remove((z_x, z_y, t_z))
-            assert discs.keep_detection(kept, z_x, z_y, t_z, t, p[0], p[1], eps, V_G)
-            newest = max(newest, t_z)
-            assert kept[:, 2].max() == newest
-            assert kept[discs.newest_detection(kept), 2] == newest
-        assert (
-            np.linalg.norm(p - g) <= discs.certified_distance(p[0], p[1], t, kept, eps, V_G) + 1e-9
-        )
+            underway.append((z[0], z[1], tick))
+        for z_x, z_y, taken in [one for one in underway if rng.random() < 0.3]:
+            underway.remove((z_x, z_y, taken))
+            assert discs.keep_detection(q, kept, z_x, z_y, taken, tick, p[0], p[1])
+            newest = max(newest, taken)
+            assert kept["taken"].max() == newest
+            assert kept["taken"][discs.newest_detection(kept)] == newest
+        assert np.linalg.norm(p - g) <= discs.certified_distance(q, kept, tick, *p) + 1e-9
         course = in_disc(rng, V_G) if rng.random() < 0.2 else V_G * away(p, g)
         g = g + DT * course
         p = p + DT * in_disc(rng, V_A)
@@ -91,33 +94,32 @@ def test_the_certified_distance_is_never_less_than_the_distance(seed: int, eps: 
 @settings(PROPERTY, max_examples=60)
 def test_what_is_dropped_can_only_raise_the_bound(seed: int, eps: float) -> None:
     rng = np.random.default_rng(seed)
-    kept, g = discs.no_detections(), np.zeros(2)
-    every: list[tuple[float, float, float]] = []
+    q, kept, g = promise(eps=eps), discs.no_detections(), np.zeros(2)
+    every: list[tuple[float, float, int]] = []
     for tick in range(60):
-        t = tick * DT
         g = g + DT * in_disc(rng, V_G)
         z, p = g + in_disc(rng, eps), rng.normal(size=2)
-        discs.keep_detection(kept, z[0], z[1], t, t, p[0], p[1], eps, V_G)
-        every.append((z[0], z[1], t))
-        full = np.array(every)
-        bound, least = (
-            discs.certified_distance(p[0], p[1], t, rows, eps, V_G) for rows in (kept, full)
-        )
+        discs.keep_detection(q, kept, z[0], z[1], tick, tick, p[0], p[1])
+        every.append((z[0], z[1], tick))
+        full = np.array(every, dtype=kept.dtype)
+        bound, least = (discs.certified_distance(q, rows, tick, *p) for rows in (kept, full))
         assert bound >= least
         if tick < discs.KEPT:  # only what another makes superfluous has gone
             assert bound == pytest.approx(least, abs=1e-12)
 
 
 def test_the_bound_without_a_detection_is_infinite() -> None:
-    assert discs.certified_distance(0.0, 0.0, 1.0, discs.no_detections(), 0.3, V_G) == math.inf
+    kept = discs.no_detections()
+    assert discs.certified_distance(promise(), kept, 20, 0.0, 0.0) == math.inf
     assert discs.newest_detection(discs.no_detections()) == -1
 
 
 def test_detections_that_cannot_both_be_right_are_noticed() -> None:
     for apart, agrees in ((0.6 + 0.2, True), (0.6 + 0.2 + 1e-3, False)):
-        for stamp in (1.0, -1.0):
-            kept = seen((0.0, 0.0, 0.0))
-            assert discs.keep_detection(kept, apart, 0.0, stamp, 2.0, 0.0, 0.0, 0.3, V_G) is agrees
+        for stamp in (40, 0):
+            kept = seen((0.0, 0.0, 20))
+            found = discs.keep_detection(promise(), kept, apart, 0.0, stamp, 60, 0.0, 0.0)
+            assert found is agrees
 
 
 points = st.floats(-4.0, 4.0)
@@ -171,7 +173,7 @@ def test_from_rest_to_rest_the_bounds_are_kept_and_the_way_is_exact(way: float, 
 def ways_down(**numbers: float) -> list[float]:
     """R_h and r_cert of a certificate; a radius that there is not counts as none."""
     q = promise(**numbers)
-    radius = handover.certified_radius(q.handover, q.v_a, q.u_a, q.v_g, q.dt, q.delay)
+    radius = handover.certified_radius(q.handover, q.v_a, q.u_a, q.v_g, q.dt, q.delay_ticks * q.dt)
     return [-1.0 if math.isnan(x) else x for x in (q.handover, radius)]
 
 
@@ -236,22 +238,38 @@ def test_the_servo_keeps_the_bound_and_stops_at_its_point(
     assert norm(p_x - z_x, p_y - z_y) < 0.05
 
 
-def fly_plan(
-    q: handover.Promise, plan: FloatArray, state: list[float], g: FloatArray
-) -> list[float]:
+def holding(plan: c.Plan) -> RecordArray:
+    """A memory in which this plan is held."""
+    memory = c.no_plan()
+    c._hold(memory, plan)
+    return memory
+
+
+def ticks_left(memory: RecordArray) -> int:
+    """How long the plan that is held still takes."""
+    return sum(int(memory[0][part]) for part in ("turn", "cruise", "brake"))
+
+
+def last_seen_in(x: float, y: float, radius: float, tick: int) -> RecordArray:
+    """A memory without a plan, but of the disc that held the UGV when the last was checked."""
+    memory = holding(c.Plan(0, 0, 0, 0.0, 0.0, 0.0, 0.0, discs.Disc(x, y, radius, tick)))
+    c.drop_plan(memory)
+    return memory
+
+
+def fly_plan(q: Promise, plan: c.Plan, state: list[float], g: FloatArray) -> list[float]:
     """Let a plan act to its end while a UGV at g flees as fast as it may; the distances."""
-    plan = plan.copy()
-    p_x, p_y, v_x, v_y = state
+    held, (p_x, p_y, v_x, v_y) = holding(plan), state
     distances = [norm(p_x - g[0], p_y - g[1])]
-    while plan[1:4].sum() > 0.0:
-        u_x, u_y = c._follow(plan, v_x, v_y, q.u_a, q.dt)
+    while ticks_left(held):
+        u_x, u_y = c.follow(q, held, v_x, v_y)
         assert norm(u_x, u_y) <= q.u_a * (1.0 + 1e-9)
         g = g + q.v_g * q.dt * away(np.array([p_x, p_y]), g)
         p_x, p_y, v_x, v_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, u_x, u_y, q.v_a, q.u_a, q.dt)
         assert 0.0 - 1e-6 <= p_x <= q.width + 1e-6 or q.width == math.inf
         distances.append(norm(p_x - g[0], p_y - g[1]))
     assert norm(v_x, v_y) <= 2e-9
-    assert norm(p_x - plan[8], p_y - plan[9]) <= 1e-8
+    assert norm(p_x - plan.end.x, p_y - plan.end.y) <= 1e-8
     return distances
 
 
@@ -274,20 +292,20 @@ def test_a_plan_keeps_in_sight_whatever_agrees_with_the_detections(
     width = 20.0 if seed % 2 else math.inf
     q = q._replace(width=width, height=width)
     g = np.array([10.0, 10.0])
-    older = rng.uniform(0.0, 6.0)
-    first, second = g + in_disc(rng, V_G * older) + in_disc(rng, eps), g + in_disc(rng, eps)
-    detections = seen((first[0], first[1], -older), (second[0], second[1], 0.0))
+    older = int(rng.integers(0, 120))
+    first, second = g + in_disc(rng, V_G * older * DT) + in_disc(rng, eps), g + in_disc(rng, eps)
+    detections = seen((first[0], first[1], NOW - older), (second[0], second[1], NOW))
     centre = rng.uniform(1.0, 19.0, 2) if seed % 3 else g
     state = [g[0] + far * math.cos(where), g[1] + far * math.sin(where), 0.0, 0.0]
     state[2:] = [share * V_A * math.cos(angle), share * V_A * math.sin(angle)]
-    plan = c.no_plan()
     last = in_disc(rng, 1.0)
-    plan[8:12] = (
-        (*(g + last), norm(last[0], last[1]), 0.0) if seed % 5 else (*centre, math.inf, 0.0)
+    memory = last_seen_in(
+        *((*(g + last), norm(last[0], last[1])) if seed % 5 else (*centre, math.inf)), NOW
     )
-    make = c.plan_stop if kind == "stop" else c.plan_return
-    near = discs.nearest(state[0], state[1], 0.0, detections, eps, V_G)
-    if not make(q, detections, plan, 1, near, 0.0, *state):
+    make = c.stop_from if kind == "stop" else c.return_from
+    known = c.known_from(q, detections, memory, 1, NOW, state[0], state[1])
+    plan = make(q, known, NOW, Motion(*state))
+    if not c.exists(plan):
         return
     distances = fly_plan(q, plan, state, g)
     assert max(distances) < R_V
@@ -302,13 +320,14 @@ def test_from_rest_within_the_handover_radius_there_is_a_plan_to_every_later_det
     """The hand-over: the only step of the proof that looks beyond what a plan was checked against."""
     q = promise(eps=eps, age=age)
     assume(not math.isnan(q.handover))
-    rho = eps + young * V_G * age
+    young_ticks = math.floor(young * age / DT)
+    rho = eps + young_ticks * V_G * DT
     radius = max(rho, q.handover * (1.0 - 0.3 * slack))
     way = far * min(q.reach + 2.0 * eps - rho, radius + rho)
-    plan = c.no_plan()
-    plan[8:12] = (7.0, 7.0, radius, 0.0)
-    detections = seen((7.0 + way * math.cos(where), 7.0 + way * math.sin(where), -young * age))
-    assert c.plan_return(q, detections, plan, 0, 0, 0.0, 7.0, 7.0, 0.0, 0.0)
+    memory = last_seen_in(7.0, 7.0, radius, NOW)
+    z = (7.0 + way * math.cos(where), 7.0 + way * math.sin(where), NOW - young_ticks)
+    known = c.known_from(q, seen(z), memory, 0, NOW, 7.0, 7.0)
+    assert c.exists(c.return_from(q, known, NOW, Motion(7.0, 7.0, 0.0, 0.0)))
 
 
 @given(shares, angles, shares, angles, angles, errors)
@@ -321,31 +340,28 @@ def test_within_the_certified_radius_every_inner_control_acts(
     x, y = far * room * math.cos(where), far * room * math.sin(where)
     v_x, v_y = share * V_A * math.cos(angle), share * V_A * math.sin(angle)
     u = (U_A * math.cos(wanted), U_A * math.sin(wanted))
-    answer = c.safe_control(q, seen((0.0, 0.0, 0.0)), c.no_plan(), 0.0, x, y, v_x, v_y, *u)
+    answer = c.safe_control(q, seen((0.0, 0.0, 0)), c.no_plan(), 0, Motion(x, y, v_x, v_y), *u)
     assert answer == pytest.approx((*u, c.INNER))
 
 
 def test_beyond_it_outward_flight_is_stopped_and_return_is_left_alone() -> None:
     q = promise(age=1.0)
     for v, acts in ((V_A, c.PLAN), (-V_A, c.INNER)):
-        assert (
-            c.safe_control(q, seen((0.0, 0.0, 0.0)), c.no_plan(), 0.0, 3.36, 0.0, v, 0.0, U_A, 0.0)[
-                2
-            ]
-            == acts
-        )
+        here = Motion(3.36, 0.0, v, 0.0)
+        found = c.safe_control(q, seen((0.0, 0.0, 0)), c.no_plan(), 0, here, U_A, 0.0)
+        assert found[2] == acts
 
 
 def test_out_of_reach_the_filter_says_so_and_flies_back() -> None:
     u_x, _, acts = c.safe_control(
-        promise(), seen((0.0, 0.0, 0.0)), c.no_plan(), 0.0, 6.0, 0.0, 0.0, 0.0, U_A, 0.0
+        promise(), seen((0.0, 0.0, 0)), c.no_plan(), 0, Motion(6.0, 0.0, 0.0, 0.0), U_A, 0.0
     )
     assert (u_x, acts) == (-U_A, c.BEST_EFFORT)
 
 
 def test_without_a_detection_the_uav_brakes() -> None:
     u_x, u_y, acts = c.safe_control(
-        promise(), discs.no_detections(), c.no_plan(), 0.0, 1.0, 1.0, 0.3, 0.0, U_A, U_A
+        promise(), discs.no_detections(), c.no_plan(), 0, Motion(1.0, 1.0, 0.3, 0.0), U_A, U_A
     )
     assert (u_x, u_y, acts) == (-U_A, 0.0, c.BEST_EFFORT)
 
@@ -384,16 +400,14 @@ ROOM = {"age": 1.0, "width": 10.0, "height": 10.0}
 
 def test_a_vehicle_that_is_driven_into_a_wall_keeps_a_plan_there() -> None:
     q = promise(**ROOM)
-    detections, plan = seen((2.0, 5.0, 0.0)), c.no_plan()
-    p_x, p_y, v_x, v_y, least = 2.0, 5.0, 0.0, 0.0, 2.0
+    detections, plan = seen((2.0, 5.0, 0)), c.no_plan()
+    here, least = Motion(2.0, 5.0, 0.0, 0.0), 2.0
     for tick in range(400):
-        detections[0, 2] = tick * DT
-        u_x, u_y, acts = c.safe_control(
-            q, detections, plan, tick * DT, p_x, p_y, v_x, v_y, -U_A, 0.0
-        )
+        detections["taken"][0] = tick
+        u_x, u_y, acts = c.safe_control(q, detections, plan, tick, here, -U_A, 0.0)
         assert acts != c.BEST_EFFORT
-        p_x, p_y, v_x, v_y, _ = c.step_in_area(q, p_x, p_y, v_x, v_y, u_x, u_y)
-        least = min(least, p_x)
+        here, _ = c.step_in_area(q, here, u_x, u_y)
+        least = min(least, here.p_x)
     assert least < 0.05
 
 
@@ -404,7 +418,7 @@ def test_a_plan_never_touches_a_wall_that_it_does_not_start_at(
 ) -> None:
     """A wall would take the UAV off its plan; one that began 10 cm outside was accepted once."""
     rng = np.random.default_rng(seed)
-    q, plan = promise(**ROOM), c.no_plan()
+    q = promise(**ROOM)
     x, y = (float(rng.choice([one, 0.0, 10.0, max(0.0, min(one, 10.0))])) for one in (x, y))
     v_x, v_y = share * V_A * math.cos(angle), share * V_A * math.sin(angle)
     z = rng.choice([0.0, 10.0, rng.uniform(0.0, 10.0)], 2)
@@ -412,19 +426,21 @@ def test_a_plan_never_touches_a_wall_that_it_does_not_start_at(
         (
             min(max(x + rng.uniform(-2, 2), 0.0), 10.0),
             z[1] if abs(z[1] - y) < 3.0 else min(max(y, 0.0), 10.0),
-            0.0,
+            0,
         )
     )
-    for make in (c.plan_stop, c.plan_return):
-        if not make(q, detections, plan, 0, 0, 0.0, x, y, v_x, v_y):
+    known = c.known_from(q, detections, c.no_plan(), 0, 0, x, y)
+    for make in (c.stop_from, c.return_from):
+        plan = make(q, known, 0, Motion(x, y, v_x, v_y))
+        if not c.exists(plan):
             continue
         assert 0.0 <= x <= 10.0
         assert 0.0 <= y <= 10.0
-        state = (x, y, v_x, v_y)
-        while plan[1:4].sum() > 0.0:
-            u_x, u_y = c._follow(plan, state[2], state[3], q.u_a, q.dt)
+        state, held = Motion(x, y, v_x, v_y), holding(plan)
+        while ticks_left(held):
+            u_x, u_y = c.follow(q, held, state.v_x, state.v_y)
             free = step_vehicle(*state, u_x, u_y, q.v_a, q.u_a, q.dt)[:4]
-            *state, _ = c.step_in_area(q, *state, u_x, u_y)
+            state, _ = c.step_in_area(q, state, u_x, u_y)
             assert np.allclose(
                 state, free, rtol=0.0, atol=1e-9
             )  # a velocity that counts as rest may lead into a wall

@@ -14,12 +14,13 @@ from draws import a_key
 from flights import HERE, escort, parameters
 
 import agents.control
-from agents.control.certificate import no_plan
-from agents.control.discs import no_detections
+from agents.control.certificate import Known, Plan, no_plan
+from agents.control.discs import Disc, no_detections
 from agents.control.guard import guard_state, note_position
 from agents.control.handover import certificate
 from agents.control.laws import OwnTerms, initial_state
-from agents.control.uav_tick import Motion, UavMemory
+from agents.control.promise import Declared
+from agents.control.uav_tick import UavMemory
 from agents.drivers.compiled import driver_parameters, driver_state
 from agents.drivers.parameters import COMPILED_DRIVERS, Route
 from agents.estimation.twin import COLUMNS, NUMBERS, KalmanState, kalman_parameters
@@ -27,9 +28,14 @@ from bus.messages import Detector, Estimator, Limits
 from bus.registry import LAWS, SENSORS
 from sim.engine.briefing import briefing
 from sim.engine.run_keys import derive_keys
+from sim.models.vehicles import Motion
 
 MODULES = (
-    *(f"agents.control.{module.name}" for module in pkgutil.iter_modules(agents.control.__path__)),
+    *(
+        f"agents.control.{module.name}"
+        for module in pkgutil.iter_modules(agents.control.__path__)
+        if module.name != "promise"  # which holds no function
+    ),
     "agents.estimation.motion_model",
     "agents.estimation.twin",
     "sim.models.vehicles",
@@ -58,7 +64,10 @@ _GROUND = _RNG.uniform(0.0, 3.0, (160, 160))
 _WORDS = [np.uint64(word) for word in _RNG.integers(0, 2**63, 6)]
 
 _DETECTIONS = no_detections()
-_DETECTIONS[:2] = (20.1, 20.2, 0.3), (19.4, 20.9, 0.1)
+_DETECTIONS[:2] = [(20.1, 20.2, 6), (19.4, 20.9, 2)]
+_DISC = Disc(20.3, 20.7, 0.4, 11)
+_PLAN = no_plan()
+_PLAN["turn"], _PLAN["turn_x"], _PLAN["end_radius"] = 2, 0.1, 1.5
 
 _NUMBERS = {
     "r_v": 4.75,
@@ -71,11 +80,12 @@ _NUMBERS = {
     "width": 40.0,
     "height": 40.0,
 }
-_PROMISE = certificate(**_NUMBERS)
+_PROMISE = certificate(Declared(**_NUMBERS))
 
-_GUARD = guard_state(certificate(**_NUMBERS, delay=0.15), depth=50)
+_GUARD = guard_state(certificate(Declared(**_NUMBERS, delay=0.15)), depth=50)
 note_position(_GUARD, 39, 20.6, 21.2)
-_GUARD.detections[:], _GUARD.course[:3, 4:] = _DETECTIONS, ((0.2, -0.1), (-0.3, 0.0), (0.1, 0.25))
+_GUARD.detections[:] = _DETECTIONS
+_GUARD.course["u_x"][:3], _GUARD.course["u_y"][:3] = (0.2, -0.3, 0.1), (-0.1, 0.0, 0.25)
 
 _KALMAN = kalman_parameters(
     detector=Detector(noise=0.1, period=0.05),
@@ -91,7 +101,7 @@ _DRIVERS = [
 ]
 _ROUTE = Route(
     goals=np.array([[20.7, 21.3], [3.0, 4.0], [18.0, 1.0]]),
-    script=np.array([[0.5, 0.1, 0.2], [1.5, -0.1, 0.3], [60.0, 3.0, 4.0]]),
+    script=np.array([[10.0, 0.1, 0.2], [30.0, -0.1, 0.3], [1200.0, 3.0, 4.0]]),
 )
 _STATE = np.array([0.4, -1.0, 20.3, 21.1, 1.0, 0.05, 0.3, -0.2, 0.1, 0.0, -1.0, -0.5])
 """Of a law, and of a driver: which has heard the UAV and is out of its corner."""
@@ -100,10 +110,16 @@ _CORNERED = np.array([*_STATE[:-1], 1e3])
 BY_NAME: dict[str, object] = {
     "promise": _PROMISE,
     "detections": _DETECTIONS,
-    "plan": no_plan(),
+    "plan": _PLAN,
+    "course": _GUARD.course,
+    "known": Known(Disc(20.1, 20.2, 0.3, 39), Disc(19.4, 20.9, 0.3, 36), _DISC, False),
+    "disc": _DISC,
+    "found": Plan(2, 3, 4, 0.1, -0.2, 0.2, 0.1, _DISC),
+    "k": 1,
+    "then": Motion(20.8, 21.2, 0.1, 0.0),
+    "row": 1,
+    "newest": 0,
     "pending": _RNG.normal(size=(3, 2)),
-    "new": 0,
-    "near": 1,
     "turn": 3,
     "cruise": 4,
     "brake_ticks": 5,
@@ -125,7 +141,7 @@ BY_NAME: dict[str, object] = {
     "looks": np.array([[40.0, 0.5, 2.5], [39.0, 1.0, 1.0]]),
     "arrived": 2,
     "target": (True, 20.1, 20.4),
-    "radio": np.array([[0.2, 0.7, -0.4], [0.3, 0.9, -0.3], [0.3, 8.0, 9.0]]),
+    "radio": np.array([[4.0, 0.7, -0.4], [6.0, 0.9, -0.3], [6.0, 8.0, 9.0]]),
     "received": 2,
     "reached": 1,
     "lead": 4.0,
@@ -236,7 +252,7 @@ EXTRA: dict[str, dict[str, list[object]]] = {
     "agents.drivers.evade.turned": {"time": [0.1 * k for k in range(300)]},
     "agents.drivers.evade.border_side": {"at": [0.1, 0.5, 39.9]},
     "agents.drivers.script.script_control": {
-        "time": [0.0, 0.5, 2.0, 1e12],
+        "tick": [0, 10, 40, 2 * 10**13],
         "script": [np.zeros((0, 3))],
     },
     "agents.drivers.waypoints.waypoint_control": {"goals": [np.zeros((0, 2))]},

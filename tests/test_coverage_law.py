@@ -22,7 +22,7 @@ from agents.uav import UavPilot
 from bus.messages import Area, Detection, Law, Sensor, UavObservation
 from bus.registry import SENSORS
 from outrider.running.flying import fly
-from sim.models.vehicles import clip_norm, norm, step_vehicle
+from sim.models.vehicles import Motion, clip_norm, norm, step_vehicle
 from sim.scenario.types import Scenario, Uav, Ugv, Visibility
 
 numbers = st.floats(-100.0, 100.0)
@@ -139,7 +139,7 @@ def test_coverage_around_a_standing_ugv_ends_with_nothing_uncovered(
 def test_over_covered_ground_the_law_brakes_with_its_gain() -> None:
     c = parameters(escort("coverage"))
     coverage = np.full((160, 160), DESIRED)
-    found = coverage_term(c, coverage, initial_state(), 0, *HERE, 0.3, -0.2, 21.0, 20.0)
+    found = coverage_term(c, coverage, initial_state(), 0, Motion(*HERE, 0.3, -0.2), 21.0, 20.0)
     assert found == pytest.approx((-c.k_v * 0.3, c.k_v * 0.2), rel=1e-15)
 
 
@@ -148,7 +148,7 @@ def test_the_gain_of_the_gradient_drops_out() -> None:
     c = parameters(escort("coverage"))
     one, ten = (
         coverage_term(
-            c._replace(peak=peak), coverage, initial_state(), 0, 21.0, 22.0, 0.1, 0.0, *HERE
+            c._replace(peak=peak), coverage, initial_state(), 0, Motion(21.0, 22.0, 0.1, 0.0), *HERE
         )
         for peak in (1.0, 10.0)
     )

@@ -26,7 +26,7 @@ from processes import await_status, wait_until
 from scattered import scattered
 
 from bus.access import read_credential
-from bus.keys import CONTROL, GLANCE, OPERATOR, STATUS, Party, Role
+from bus.keys import CONTROL, OPERATOR, SAMPLED_TRUTH, STATUS, Party, Role
 from bus.messages import (
     Action,
     Area,
@@ -248,7 +248,7 @@ class Scripted:
         self.drivers = {"ugv_0": "script"}
         self.tick = 100
         self._over = threading.Event()
-        self._statuses, self._truths = session.outbox(STATUS), session.outbox(GLANCE)
+        self._statuses, self._truths = session.outbox(STATUS), session.outbox(SAMPLED_TRUTH)
         self._controls, self._drives = (
             session.inbox(CONTROL),
             session.inbox_of_all({"ugv_0": OPERATOR}),
@@ -475,7 +475,7 @@ def test_an_operator_drives_a_flight_in_real_time_and_nothing_jumps(tmp_path: Pa
             ) as session,
             seat(*own) as one,
         ):
-            truths = session.inbox(GLANCE)
+            truths = session.inbox(SAMPLED_TRUTH)
             seen: list[VehicleTruth] = []
 
             def heads_west() -> bool:

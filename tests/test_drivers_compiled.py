@@ -54,7 +54,7 @@ def _told(bounds: tuple[float | None, float | None] = PAPERS, **fields: Any) -> 
 
 
 def _said(area: Area) -> tuple[FloatArray, np.ndarray]:
-    """Time and place of a UAV that circles, as its messages tell them tick by tick, and how many come.
+    """Tick and place of a UAV that circles, as its messages tell them tick by tick, and how many come.
 
     One at each fourth tick,
     now and then the same one again, and for a while none."""
@@ -66,7 +66,7 @@ def _said(area: Area) -> tuple[FloatArray, np.ndarray]:
             area.height * (0.6 + 0.3 * math.sin(0.17 * time)),
         )
         if k > 200 and k % 4 == 1 and not 1500 < k < 1800:
-            said[k], counts[k] = (time, x, y), 2 if k % 20 == 1 else 1
+            said[k], counts[k] = (k - 1, x, y), 2 if k % 20 == 1 else 1
     return said, counts
 
 
@@ -110,8 +110,10 @@ def _alone(name: str, told: UgvBriefing) -> FloatArray:
     p_x, p_y, v_x, v_y = *START, 0.03, -0.02
     for k in range(TICKS):
         radio = tuple(
-            RelativeInformation(time=time, relative_position=(x - p_x, y - p_y), coverage_error=1.0)
-            for time, x, y in said[k, : counts[k]].tolist()
+            RelativeInformation(
+                time=at * told.dt, relative_position=(x - p_x, y - p_y), coverage_error=1.0
+            )
+            for at, x, y in said[k, : counts[k]].tolist()
         )
         seen = UgvObservation(
             tick=k, time=k * told.dt, position=(p_x, p_y), velocity=(v_x, v_y), radio=radio
@@ -198,8 +200,21 @@ def test_goals_and_script_are_arrays_that_compiled_code_takes(change: dict[str, 
 
 def test_a_script_is_put_in_order_and_of_two_steps_at_one_time_the_later_stays_last() -> None:
     assert told_route(BRIEFING).script.tolist() == [
-        [1.0, 1e6, -1e6],
-        [30.0, -0.1, 0.05],
-        [30.0, 0.1, 0.2],
-        [77.05, -1.0, 0.0],
+        [20, 1e6, -1e6],
+        [600, -0.1, 0.05],
+        [600, 0.1, 0.2],
+        [1541, -1.0, 0.0],
     ]
+
+
+def test_a_radio_message_of_no_tick_is_not_used() -> None:
+    drivers = [resolve(DRIVERS["evade"].make)(BRIEFING) for _ in range(2)]
+    for tick in range(40):
+        said = [0.05 * (tick + 0.4)] if tick == 20 else []
+        radio = tuple(
+            RelativeInformation(time=time, relative_position=(1.0, 0.5), coverage_error=1.0)
+            for time in said
+        )
+        seen = UgvObservation(tick=tick, time=tick * DT, position=START, velocity=(0.0, 0.0))
+        heard = msgspec.structs.replace(seen, radio=radio)
+        assert drivers[0].drive(seen) == drivers[1].drive(heard)

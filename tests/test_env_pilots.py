@@ -14,6 +14,7 @@ from agents.env_wrappers import EstimateWrapper
 from agents.estimation.estimator import RelativeEstimator
 from bus.layout import UavRow, uav_observation
 from bus.messages import Law
+from bus.ticks import looks_of
 from outrider.envs.env_pilots import pilots
 from outrider.running.flying import fly
 from sim.env.parallel import parallel_env
@@ -148,7 +149,7 @@ def test_wrapped_rows_hold_the_filters_estimate_and_leave_the_rest():
     for plain, estimated in zip(rows_of(raw, 300), rows_of(wrapped, 300), strict=True):
         seen = uav_observation(plain["uav_0"], dt=told.dt)
         estimate = own.update(
-            time=seen.time, own_position=seen.position, detections=seen.detections
+            tick=seen.tick, own_position=seen.position, looks=looks_of(seen.detections, told.dt)
         )
         before, after = UavRow(*plain["uav_0"]), UavRow(*estimated["uav_0"])
         silent += not before.detected

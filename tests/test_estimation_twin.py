@@ -35,7 +35,8 @@ from agents.estimation.twin import (
     kalman_state,
     kalman_step,
 )
-from bus.messages import Detection, Detector, Estimator, Limits
+from bus.messages import Detector, Estimator, Limits
+from bus.ticks import Look
 from sim.kernels.compile import compiled
 from sim.kernels.records import records
 
@@ -159,10 +160,6 @@ def _table(arrived):
     return looks
 
 
-def _detections(arrived, dt):
-    return tuple(Detection(time=k * dt, relative_position=(x, y)) for k, x, y in arrived)
-
-
 def _pair(case):
     parameters = kalman_parameters(
         detector=case.detector, target=case.target, dt=case.dt, settings=case.settings
@@ -205,7 +202,7 @@ def test_at_every_tick_it_is_the_pilots_filter(name, works_ahead, fuses):
         arrived = at[k]
         kalman_step(parameters, state, k, p_x, p_y, _table(arrived), len(arrived))
         estimate = pilots.update(
-            time=k * case.dt, own_position=(p_x, p_y), detections=_detections(arrived, case.dt)
+            tick=k, own_position=(p_x, p_y), looks=[Look(*one) for one in arrived]
         )
         _compare_filters(state, pilots, estimate, case, fuses, f"{name}, tick {k}")
         if works_ahead and rng.random() < 0.7:
@@ -269,10 +266,8 @@ def test_the_gate_closes_at_the_same_bit(fuses):
     for last in range(1, len(ugv)):
         _, _, pilots = _pair(wide)
         for k in range(last + 1):
-            look = Detection(
-                time=k * wide.dt, relative_position=(own[0] - ugv[k, 0], own[1] - ugv[k, 1])
-            )
-            pilots.update(time=k * wide.dt, own_position=own, detections=(look,))
+            look = Look(k, own[0] - ugv[k, 0], own[1] - ugv[k, 1])
+            pilots.update(tick=k, own_position=own, looks=(look,))
         squared = pilots.innovation_squared
         below = np.nextafter(squared, 0.0) if fuses else squared * (1.0 - 1e-9)
         for gate, refused in ((squared if fuses else squared * (1.0 + 1e-9), 0), (below, 1)):

@@ -35,7 +35,8 @@ from agents.estimation.estimator import (
     cut_variance,
     motion,
 )
-from bus.messages import Detection, Estimator, Limits
+from bus.messages import Estimator, Limits
+from bus.ticks import Look
 
 H = np.eye(2, 4)
 
@@ -371,33 +372,26 @@ def test_a_detection_after_a_long_gap_is_let_in_again():
 
 def test_detections_of_another_time_are_refused():
     used, unused = settled(), settled()
-    late = Detection(time=390 * DT, relative_position=(-22.0, -20.0))
-    estimate = used.update(time=400 * DT, own_position=(0.0, 0.0), detections=(late, late))
+    late = Look(390, -22.0, -20.0)
+    estimate = used.update(tick=400, own_position=(0.0, 0.0), looks=(late, late))
     assert estimate.refused == 2
     assert estimate.position == look(unused, 400).position
-    assert make().update(time=1.0, own_position=(0.0, 0.0), detections=(late,)) is None
+    assert make().update(tick=20, own_position=(0.0, 0.0), looks=(late,)) is None
 
 
 def test_duplicates_count_once_and_the_same_time_is_predicted_once():
     once, twice = settled(), settled()
-    first, second = (
-        Detection(time=400 * DT, relative_position=(-22.0, -20.0)),
-        Detection(time=400 * DT, relative_position=(-22.1, -20.0)),
-    )
-    expected = once.update(time=400 * DT, own_position=(0.0, 0.0), detections=(first,))
-    twice.update(time=400 * DT, own_position=(0.0, 0.0), detections=())
-    assert (
-        twice.update(time=400 * DT, own_position=(0.0, 0.0), detections=(first, second)) == expected
-    )
-    assert twice.update(time=400 * DT, own_position=(0.0, 0.0), detections=(first,)) == expected
+    first, second = Look(400, -22.0, -20.0), Look(400, -22.1, -20.0)
+    expected = once.update(tick=400, own_position=(0.0, 0.0), looks=(first,))
+    twice.update(tick=400, own_position=(0.0, 0.0), looks=())
+    assert twice.update(tick=400, own_position=(0.0, 0.0), looks=(first, second)) == expected
+    assert twice.update(tick=400, own_position=(0.0, 0.0), looks=(first,)) == expected
     np.testing.assert_array_equal(once.covariance, twice.covariance)
 
 
-def test_time_that_goes_back_or_falls_between_ticks_is_an_error():
-    estimator = settled()
-    for time in (398 * DT, 399.5 * DT):
-        with pytest.raises(ValueError, match="whole number of ticks"):
-            estimator.update(time=time, own_position=(0.0, 0.0), detections=())
+def test_time_that_goes_back_is_an_error():
+    with pytest.raises(ValueError, match="tick = 398: is before the last one, 399"):
+        settled().update(tick=398, own_position=(0.0, 0.0), looks=())
     with pytest.raises(ValueError, match="dt"):
         make(dt=math.inf)
 
@@ -451,14 +445,15 @@ def test_a_ugv_that_turns_within_a_tick_is_followed_where_its_acceleration_has_n
 _FLIGHT = """
 import hashlib, math, struct
 from agents.estimation.estimator import RelativeEstimator
-from bus.messages import Detection, Detector, Estimator, Limits
+from bus.messages import Detector, Estimator, Limits
+from bus.ticks import Look
 digest = hashlib.sha256()
 estimator = RelativeEstimator(detector=Detector(noise=0.1, period=0.05), dt=0.05, settings=Estimator(),
                               target=Limits(max_speed=0.2, max_acceleration=0.1))
 for k in range(1500):
     seen = (math.sin(0.37 * k * k) * 0.1 - 0.01 * k, math.sin(0.73 * k * k) * 0.1 + (5.0 if k % 97 == 96 else 0.0))
-    detections = (Detection(time=k * 0.05, relative_position=seen),) if k % 5 else ()
-    e = estimator.update(time=k * 0.05, own_position=(0.001 * k, 0.0), detections=detections)
+    looks = (Look(k, *seen),) if k % 5 else ()
+    e = estimator.update(tick=k, own_position=(0.001 * k, 0.0), looks=looks)
     if e:
         digest.update(struct.pack("<9d", *e.position, *e.velocity, *e.covariance, e.age, e.refused))
         digest.update(estimator.covariance.tobytes())

@@ -5,7 +5,8 @@ from hypothesis import strategies as st
 from properties import PROPERTY
 
 from agents.estimation.estimator import Estimate, RelativeEstimator
-from bus.messages import Detection, Detector, Estimator, Limits
+from bus.messages import Detector, Estimator, Limits
+from bus.ticks import Look
 
 DT = 0.05
 steps = st.lists(
@@ -29,10 +30,8 @@ def _fly(course: list[tuple[int, str, bool]], *, ahead: bool) -> list[Estimate |
     for elapsed, what, works_ahead in course:
         tick += elapsed
         place = (1.0 + 0.01 * tick, 0.1 * (tick % 3)) if what == "seen" else (30.0, 30.0)
-        looks = () if what == "missed" else (Detection(time=tick * DT, relative_position=place),)
-        estimates.append(
-            estimator.update(time=tick * DT, own_position=(20.0, 20.0), detections=looks)
-        )
+        looks = () if what == "missed" else (Look(tick, *place),)
+        estimates.append(estimator.update(tick=tick, own_position=(20.0, 20.0), looks=looks))
         if ahead and works_ahead:
             estimator.prepare()
             estimator.prepare()

@@ -30,6 +30,7 @@ from agents.estimation.estimator import RelativeEstimator
 from agents.estimation.motion_model import acceleration_deviation, straying
 from agents.estimation.past import SPAN, FilterHistory
 from bus.messages import Detection, Detector, Estimator, Limits
+from bus.ticks import looks_of
 
 EVERY = 4  # ticks between two looks: 0.2 s
 AGILE = Limits(max_speed=0.2, max_acceleration=None)
@@ -47,7 +48,7 @@ def detection(tick, seen):
 
 
 def call(estimator, tick, *detections):
-    return estimator.update(time=tick * DT, own_position=own(tick), detections=detections)
+    return estimator.update(tick=tick, own_position=own(tick), looks=looks_of(detections, DT))
 
 
 def bits(estimator):
@@ -269,8 +270,8 @@ def test_the_past_that_is_kept_is_bounded():
     for k in range(1500):
         call(estimator, k)
     history = estimator._history
-    assert history.find(tick=298, time=298 * DT) is None
-    oldest = history.find(tick=299, time=299 * DT)
+    assert history.find(298) is None
+    oldest = history.find(299)
     assert len(history.after(oldest)) == 1200
 
 

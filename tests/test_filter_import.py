@@ -1,4 +1,4 @@
-"""filterpy's filter comes without the rest of filterpy, and the rest is there for whoever wants it."""
+"""What a process loads: filterpy's filter without the rest of filterpy, and no compiler where nothing is flown."""
 
 import subprocess
 import sys
@@ -15,6 +15,16 @@ def _printed(code: str) -> str:
 def test_a_uav_pilot_loads_none_of_the_packages_that_its_filter_does_without():
     heavy = "{'scipy.linalg', 'scipy.stats', 'filterpy.kalman.EKF', 'matplotlib'}"
     assert _printed(f"import sys, agents.uav; print(len({heavy} & set(sys.modules)))") == "0"
+
+
+def test_checking_a_scenario_loads_no_compiler():
+    told = _printed(
+        "import sys; sys.argv = ['outrider', 'check', 'escort', '--set', 'law.name=certified']\n"
+        "from outrider.cli.main import main\n"
+        "try:\n    main()\nexcept SystemExit as ended:\n    print(ended.code, 'numba' in sys.modules)"
+    )
+    assert told.endswith("0 False")
+    assert "can be flown" in told
 
 
 def test_filterpy_is_whole_for_whoever_imports_it_after_a_pilot_or_before():

@@ -1,4 +1,4 @@
-"""The safety filter as compiled functions over plain arrays: in a compiled loop they give what `SafetyFilter` gives."""
+"""The safety filter as compiled functions over records: in a compiled loop they give what `SafetyFilter` gives."""
 
 import math
 from typing import Any
@@ -38,12 +38,13 @@ from agents.control.guard import (
     note_detection,
     note_position,
 )
-from agents.control.handover import Promise, certificate
+from agents.control.handover import certificate
+from agents.control.promise import Declared, Promise
 from agents.control.visibility import SafetyFilter, promise_of
 from bus.messages import DeclaredBounds, Detection, UavBriefing, UavObservation
 from sim.kernels.compile import FloatArray
 from sim.kernels.records import RecordArray, records
-from sim.models.vehicles import step_vehicle
+from sim.models.vehicles import Motion, step_vehicle
 
 TICKS, WORLDS, DEPTH = 600, 2, 2400
 LATEST = 40  # ticks that a detection is on its way at most
@@ -67,6 +68,11 @@ def observed(
         velocity=(0.0, 0.0),
         detections=tuple(Detection(time=t, relative_position=(x, y)) for t, x, y in found),
     )
+
+
+def kept_by(state: GuardState) -> list[tuple[float, float, int]]:
+    """The detections that a filter has kept: where [m], and in which tick."""
+    return state.detections[state.detections["taken"] >= 0].tolist()
 
 
 def flown(seed: int, delay: float) -> tuple[SafetyFilter, FloatArray, FloatArray, FloatArray]:
@@ -146,7 +152,6 @@ def fly_all(
             states.plan[i],
             states.course[i],
             states.track[i],
-            states.track_ticks[i],
             states.flags[i],
         )
         begin_guard(state)
@@ -167,7 +172,9 @@ def fly_all(
                     p_y,
                 )
                 n += 1
-            u_x, u_y, acts, code, distance = guard(c, state, tick, p_x, p_y, v_x, v_y, u_x, u_y)
+            u_x, u_y, acts, code, distance = guard(
+                c, state, tick, Motion(p_x, p_y, v_x, v_y), u_x, u_y
+            )
             out[i, k, 0], out[i, k, 1], out[i, k, 2], out[i, k, 3], out[i, k, 4] = (
                 u_x,
                 u_y,
@@ -183,7 +190,7 @@ def test_many_worlds_in_a_compiled_loop_give_what_the_filter_gives(delay: float)
     rows = records(Promise, [watch.promise for watch, *_ in flights])
     one = guard_state(flights[0][0].promise, DEPTH)
     states = GuardState(
-        *(np.full((WORLDS, *part.shape), 7, part.dtype) for part in one)
+        *(np.full((WORLDS, *part.shape), np.array(7).astype(part.dtype)) for part in one)
     )  # `begin_guard` must clear them
     counts = np.array([len(arrived) for _, _, arrived, _ in flights])
     arrived = np.zeros((WORLDS, counts.max(), 4))
@@ -211,17 +218,16 @@ def test_the_filter_is_what_its_parts_are_one_after_the_other(delay: float) -> N
     kept, plan, contradicted = no_detections(), no_plan(), False
     positions: dict[int, tuple[float, float]] = {}
     pending, known, safe, last, expected = [(0.0, 0.0)] * round(delay / DT), 100, False, -1, None
-    for k, (tick, p_x, p_y, v_x, v_y, u_x, u_y) in enumerate(inputs.tolist()):
-        positions[tick], t = (p_x, p_y), tick * DT
+    for k, (at, p_x, p_y, v_x, v_y, u_x, u_y) in enumerate(inputs.tolist()):
+        tick = int(at)
+        positions[tick] = (p_x, p_y)
         for _, taken, x, y in arrived[arrived[:, 0] == k].tolist():
             if taken in positions:
                 z_x, z_y = (
                     min(max(own - far, 0.0), 40.0)
                     for own, far in zip(positions[taken], (x, y), strict=True)
                 )
-                contradicted |= not keep_detection(
-                    kept, z_x, z_y, taken * DT, t, p_x, p_y, c.eps, c.v_g
-                )
+                contradicted |= not keep_detection(c, kept, z_x, z_y, int(taken), tick, p_x, p_y)
         on_course = True
         if tick != last + 1:
             pending, known, safe = (
@@ -233,21 +239,20 @@ def test_the_filter_is_what_its_parts_are_one_after_the_other(delay: float) -> N
         elif expected is not None and expected != (p_x, p_y, v_x, v_y):
             on_course, known, safe = False, 0, False
             drop_plan(plan)
-        course = [(p_x, p_y, v_x, v_y)]
+        course = [Motion(p_x, p_y, v_x, v_y)]
         for command in pending:
-            course.append(step_in_area(c, *course[-1], *command)[:4])
-        a_x, a_y, acts = safe_control(c, kept, plan, t + c.delay, *course[-1], u_x, u_y)
+            course.append(step_in_area(c, course[-1], *command)[0])
+        a_x, a_y, acts = safe_control(c, kept, plan, tick + len(pending), course[-1], u_x, u_y)
         if acts == BEST_EFFORT:
             safe = False
         elif not safe:
             safe = all(
-                is_within(c, kept, plan, (tick + j) * DT, x, y, 0.0)
-                for j, (x, y, *_) in enumerate(course)
+                is_within(c, kept, plan, tick + j, x, y, 0.0) for j, (x, y, *_) in enumerate(course)
             )
         newest = newest_detection(kept)
         checks = {
             NO_DETECTION: newest < 0,
-            TOO_OLD: newest >= 0 and t - kept[newest, 2] > c.age + 1e-9,
+            TOO_OLD: newest >= 0 and (tick - kept["taken"][newest]) * DT > c.age + 1e-9,
             CONTRADICTED: contradicted,
             NO_PLAN: acts == BEST_EFFORT,
             OFF_COURSE: not on_course,
@@ -255,9 +260,9 @@ def test_the_filter_is_what_its_parts_are_one_after_the_other(delay: float) -> N
             UNSAFE_COURSE: not safe,
         }
         code = next((code for code, fails in checks.items() if fails), CERTIFIED)
-        expected = step_in_area(c, *course[0], *[*pending, (a_x, a_y)][0])[:4]
+        expected = step_in_area(c, course[0], *[*pending, (a_x, a_y)][0])[0]
         pending, known, last = [*pending, (a_x, a_y)][1:] if pending else [], known + 1, tick
-        distance = certified_distance(p_x, p_y, t, kept, c.eps, c.v_g)
+        distance = certified_distance(c, kept, tick, p_x, p_y)
         assert wanted[k].tolist() == [a_x, a_y, acts != INNER, code, distance]
 
 
@@ -265,14 +270,14 @@ def test_the_filter_is_what_its_parts_are_one_after_the_other(delay: float) -> N
 def test_a_memory_that_begins_again_is_as_fresh_as_a_new_one(delay: float) -> None:
     promise = promise_of(declared(delay))
     fresh, used = guard_state(promise, 8), guard_state(promise, 8)
-    assert used.course.shape == (round(delay / DT) + 1, 6)
-    assert guard(promise, used, 0, 20.0, 20.0, 0.1, 0.0, 0.1, 0.0)[2:] == (
+    assert used.course.shape == (round(delay / DT) + 1,)
+    assert guard(promise, used, 0, Motion(20.0, 20.0, 0.1, 0.0), 0.1, 0.0)[2:] == (
         BEST_EFFORT,
         NO_DETECTION,
         math.inf,
     )
     for part in used:
-        part.fill(-5)
+        part[:] = np.array(-5).astype(part.dtype)
     begin_guard(used)
     assert [part.tobytes() for part in used] == [part.tobytes() for part in fresh]
     assert [part.dtype for part in used] == [part.dtype for part in fresh]
@@ -294,7 +299,7 @@ def test_a_detection_of_a_tick_that_was_not_noted_is_ignored(taken: int) -> None
     note_detection(promise, state, taken, 11, 0.5, 0.0, 31.0, 20.0)
     assert [part.tobytes() for part in state] == before
     note_detection(promise, state, 7, 11, 0.5, 0.0, 31.0, 20.0)
-    assert state.detections[np.isfinite(state.detections[:, 2])].tolist() == [[26.5, 20.0, 7 * DT]]
+    assert kept_by(state) == [(26.5, 20.0, 7)]
 
 
 def test_a_process_that_was_away_ignores_what_was_taken_meanwhile() -> None:
@@ -302,19 +307,19 @@ def test_a_process_that_was_away_ignores_what_was_taken_meanwhile() -> None:
     for tick in (0, 1, 2, 7, 8):
         watch.see(observed(tick))
     watch.see(observed(9, *((tick * DT, 0.0, 1.0) for tick in (3, 4, 5, 6))))
-    assert np.isinf(watch.state.detections[:, 2]).all()
+    assert kept_by(watch.state) == []
     watch.see(observed(10, (2 * DT, 0.0, 1.0)))
-    assert watch.state.detections[:, 2].max() == 2 * DT
+    assert watch.state.detections["taken"].max() == 2
 
 
-def test_a_detection_that_claims_another_moment_counts_for_the_nearest_tick() -> None:
+def test_a_detection_of_no_tick_or_of_the_future_is_not_used() -> None:
     watch = SafetyFilter(declared())
     for tick in range(6):
         watch.see(observed(tick))
     watch.see(observed(6, (3.4 * DT, 0.0, 1.0), (1e12, 0.0, 1.0), (7 * DT, 0.0, 1.0)))
-    assert watch.state.detections[np.isfinite(watch.state.detections[:, 2])].tolist() == [
-        [20.03, 19.0, 3 * DT]
-    ]
+    assert kept_by(watch.state) == []
+    watch.see(observed(7, (sum([DT] * 3), 0.0, 1.0)))  # a sum of ticks, 0.15000000000000002 s
+    assert kept_by(watch.state) == [(20.03, 19.0, 3)]
 
 
 def test_where_the_ugv_was_detected_is_clipped_into_the_area() -> None:
@@ -322,9 +327,7 @@ def test_where_the_ugv_was_detected_is_clipped_into_the_area() -> None:
     state = guard_state(promise, 8)
     note_position(state, 0, 0.2, promise.height - 0.1)
     note_detection(promise, state, 0, 0, 0.3, -0.3, 0.2, promise.height - 0.1)
-    assert state.detections[np.isfinite(state.detections[:, 2])].tolist() == [
-        [0.0, promise.height, 0.0]
-    ]
+    assert kept_by(state) == [(0.0, promise.height, 0)]
 
 
 def test_a_contradiction_is_remembered_until_the_filter_begins_again() -> None:
@@ -333,19 +336,19 @@ def test_a_contradiction_is_remembered_until_the_filter_begins_again() -> None:
     for tick in range(2):
         note_position(state, tick, 20.0, 20.0)
         note_detection(promise, state, tick, tick, 2.0 * tick, 0.0, 20.0, 20.0)
-        assert state.flags[0] == tick
+        assert state.flags["contradicted"] == tick
     note_detection(promise, state, 1, 1, 2.0, 0.0, 20.0, 20.0)
-    assert state.flags[0] == 1
+    assert state.flags["contradicted"] == 1
     begin_guard(state)
-    assert state.flags[0] == 0
+    assert state.flags["contradicted"] == 0
 
 
 def test_where_there_are_no_walls_a_detection_stays_where_it_is() -> None:
-    promise = certificate(r_v=4.75, v_a=V_A, u_a=U_A, v_g=V_G, dt=DT, eps=0.3, age=1.0)
+    promise = certificate(Declared(r_v=4.75, v_a=V_A, u_a=U_A, v_g=V_G, dt=DT, eps=0.3, age=1.0))
     state = guard_state(promise, 8)
     note_position(state, 0, -7.0, 3.0)
     note_detection(promise, state, 0, 0, 1.0, 5.0, -7.0, 3.0)
-    assert state.detections[np.isfinite(state.detections[:, 2])].tolist() == [[-8.0, -2.0, 0.0]]
+    assert kept_by(state) == [(-8.0, -2.0, 0)]
 
 
 class Vehicle:
@@ -361,15 +364,15 @@ class Vehicle:
             "eps": 0.0,
             "age": 1.0,
         }
-        self.promise = certificate(**numbers, delay=delay, width=width, height=width)
+        self.promise = certificate(Declared(**numbers, delay=delay, width=width, height=width))
         self.memory = guard_state(self.promise, 8)
-        self.state, self.tick = (20.0, 20.0, 0.0, 0.0), begin
+        self.state, self.tick = Motion(20.0, 20.0, 0.0, 0.0), begin
         self.pending = [(0.0, 0.0)] * round(delay / DT)
         self.g = (20.0, 20.0)
 
     def fly(self, wanted: tuple[float, float], *, lose: bool = False, filtered: bool = True) -> int:
         """One tick; whether its command is lost; the code."""
-        p_x, p_y, v_x, v_y = self.state
+        p_x, p_y, _, _ = self.state
         note_position(self.memory, self.tick, p_x, p_y)
         note_detection(
             self.promise,
@@ -383,15 +386,13 @@ class Vehicle:
         )
         code = CERTIFIED
         if filtered:
-            *command, _, code, _ = guard(
-                self.promise, self.memory, self.tick, p_x, p_y, v_x, v_y, *wanted
-            )
+            *command, _, code, _ = guard(self.promise, self.memory, self.tick, self.state, *wanted)
         else:
             command = wanted
         self.pending.append(
             self.pending[-1] if lose and self.pending else (0.0, 0.0) if lose else tuple(command)
         )
-        *self.state, _ = step_in_area(self.promise, *self.state, *self.pending.pop(0))
+        self.state, _ = step_in_area(self.promise, self.state, *self.pending.pop(0))
         self.tick += 1
         return code
 
@@ -459,7 +460,7 @@ def test_commands_that_may_not_have_been_sent_are_not_relied_on() -> None:
 def test_a_course_that_leads_out_of_sight_says_so() -> None:
     """At rest 4.7 m away and certified as nothing moves; a UGV that was 0.1 m nearer all along leaves no such room."""
     uav = Vehicle(0.5)
-    uav.state = (24.6, 20.0, 0.3, 0.0)
+    uav.state = Motion(24.6, 20.0, 0.3, 0.0)
     uav.pending = [OUT] * 4 + [BACK] * 6
     begin_guard(uav.memory)
     note_commands(uav.memory, np.array(uav.pending))

@@ -1,4 +1,4 @@
-"""The ether in a flight: what crosses it, when it arrives, and that every way to fly meets the same network."""
+"""The channel in a flight: what crosses it, when it arrives, and that every way to fly meets the same network."""
 
 from pathlib import Path
 from typing import Any

@@ -161,8 +161,8 @@ def test_a_detection_counts_for_where_the_uav_was_when_it_was_taken() -> None:
                 detections=found,
             )
         )
-    newest = watch.state.detections[watch.state.detections[:, 2] > -np.inf]
-    assert newest.tolist() == [[5.0, 5.0, 0.1]]  # it was at 6 m at tick 2
+    newest = watch.state.detections[watch.state.detections["taken"] >= 0]
+    assert newest.tolist() == [(5.0, 5.0, 2)]  # it was at 6 m at tick 2
 
 
 def outward(env: Any, agent: str) -> Any:

@@ -8,7 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from bus.keys import BRIEFING, COMMAND, COVERAGE, GLANCE, OBSERVATION, STATUS, TRUTH, Party, Role
+from bus.keys import (
+    BRIEFING,
+    COMMAND,
+    COVERAGE,
+    OBSERVATION,
+    SAMPLED_TRUTH,
+    STATUS,
+    TRUTH,
+    Party,
+    Role,
+)
 from bus.messages import (
     Command,
     CoverageMap,
@@ -191,7 +201,9 @@ def test_a_vehicle_that_leaves_is_named_and_the_run_goes_on(tmp_path: Path) -> N
 
 def test_observers_get_truth_status_and_map(tmp_path: Path) -> None:
     with flying(tmp_path, 400) as run:
-        inboxes = {key.topic: run.observer.inbox(key) for key in (TRUTH, GLANCE, STATUS, COVERAGE)}
+        inboxes = {
+            key.topic: run.observer.inbox(key) for key in (TRUTH, SAMPLED_TRUTH, STATUS, COVERAGE)
+        }
         got: dict[str, object] = {}
 
         def look() -> None:
@@ -205,7 +217,7 @@ def test_observers_get_truth_status_and_map(tmp_path: Path) -> None:
         flight = run.fly(on_tick=look)
     truth, status, ground = got["truth"], got["status"], got["coverage"]
     assert isinstance(truth, Truth)
-    assert isinstance(got["glance"], Truth)
+    assert isinstance(got["sampled-truth"], Truth)
     assert isinstance(status, Status)
     assert isinstance(ground, CoverageMap)
     row = flight.recorder.states[truth.tick]

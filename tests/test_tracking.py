@@ -26,7 +26,7 @@ from bus.messages import Law
 from outrider.bench.reference import FloatGrid
 from outrider.running.flying import fly
 from sim.models.field import cover, empty_coverage
-from sim.models.vehicles import norm, step_vehicle
+from sim.models.vehicles import Motion, norm, step_vehicle
 from sim.scenario.types import Uav, Ugv
 
 A_C, B_C, C_C, D_C = -3.0, -3.0, -8.0 / 3.0, -3.0
@@ -156,7 +156,9 @@ def _state_after(law: str, positions: FloatGrid, coverage: FloatGrid) -> FloatGr
     """The law's x_c after it has seen these relative positions, one a tick."""
     c, state = parameters(escort(law)), initial_state()
     for tick, (x, y) in enumerate(positions.tolist()):
-        uav_control(c, OwnTerms(), coverage, state, tick, HERE[0] + x, HERE[1] + y, 0.1, 0.0, *HERE)
+        uav_control(
+            c, OwnTerms(), coverage, state, tick, Motion(HERE[0] + x, HERE[1] + y, 0.1, 0.0), *HERE
+        )
     return state[:2]
 
 
@@ -187,7 +189,7 @@ def _farthest(stale: bool) -> float:
     uav, ugv, farthest = (20.0, 20.0, 0.0, V_A), (20.0, 20.0, 0.0, -V_G), 0.0
     for tick in range(400):
         before, distance = state[:2].copy(), norm(uav[0] - ugv[0], uav[1] - ugv[1])
-        u = uav_control(c, OwnTerms(), coverage, state, tick, *uav, *ugv[:2])
+        u = uav_control(c, OwnTerms(), coverage, state, tick, Motion(*uav), *ugv[:2])
         if stale and distance < c.r_s:
             state[:2] = before
         *uav, _, _ = step_vehicle(*uav, *u, V_A, U_A, DT)

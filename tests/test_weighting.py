@@ -25,7 +25,7 @@ from agents.control.weighting import (
 from bus.errors import ScenarioError
 from bus.messages import Law
 from outrider.running.flying import fly
-from sim.models.vehicles import norm
+from sim.models.vehicles import Motion, norm
 from sim.scenario.types import Ugv
 
 K_BETA, LIMIT = 20.0, 100.0
@@ -116,11 +116,11 @@ def test_every_law_weighs_the_same_two_terms(law: str, place: tuple[float, float
     state[:2] = 0.4, -1.0
     x, y = place[0] - HERE[0], place[1] - HERE[1]
     tracking = tracking_output(0.4, -1.0, x, y, c.c_c, c.d_c)
-    covering = coverage_term(c, coverage, state.copy(), 3, *place, 0.2, 0.1, *HERE)
+    covering = coverage_term(c, coverage, state.copy(), 3, Motion(*place, 0.2, 0.1), *HERE)
     wanted = combine(*weights(c, own, norm(x, y)), *tracking, *covering)
-    assert uav_control(c, own, coverage, state, 3, *place, 0.2, 0.1, *HERE) == pytest.approx(
-        wanted, rel=1e-12
-    )
+    assert uav_control(
+        c, own, coverage, state, 3, Motion(*place, 0.2, 0.1), *HERE
+    ) == pytest.approx(wanted, rel=1e-12)
 
 
 def _linear(distance: float, r_s: float) -> tuple[float, float]:

@@ -6,17 +6,30 @@ The filter always holds a **plan**: a motion of the UAV that ends at rest and is
 end. A command of the inner control acts only if a plan still exists after it; else the plan acts. At a plan's end the
 hand-over inequality says that the next plan exists, whatever has been detected meanwhile.
 
-All positions in the world's frame [m], times [s], speeds [m/s], accelerations [m/s²].
+All positions in the world's frame [m], times in ticks, speeds [m/s], accelerations [m/s²].
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from agents.control.discs import MARGIN, lens_distance, nearest, newest_detection
-from agents.control.handover import ROUNDING, Promise, rest_to_rest
-from sim.kernels.compile import FloatArray, compiled
+from agents.control.discs import (
+    MARGIN,
+    Disc,
+    disc_of,
+    drift,
+    lens_distance,
+    nearest,
+    newest_detection,
+    radius_at,
+)
+from agents.control.handover import ROUNDING, rest_to_rest
+from agents.control.promise import Promise
+from sim.kernels.compile import compiled
+from sim.kernels.records import RecordArray, record_type
 from sim.models.vehicles import (
+    Motion,
     brake,
     clip_norm,
     norm,
@@ -24,10 +37,6 @@ from sim.models.vehicles import (
     step_vehicle,
     within_walls,
 )
-
-(_VALID, _TURN, _CRUISE, _BRAKE, _TURN_X, _TURN_Y, _BRAKE_X, _BRAKE_Y) = range(8)
-(_END_X, _END_Y, _END_RADIUS, _END_TIME) = range(8, 12)
-PLAN_SIZE = 12
 
 _REST = 1e-9
 """A vehicle slower than this [m/s] is at rest."""
@@ -43,7 +52,7 @@ _SPEEDS = (1.0, 0.6, 0.35, 0.2)
 """Shares of v_a at which a plan may return; a fast one runs too far where the way is short."""
 
 INNER, PLAN, BEST_EFFORT = 0, 1, 2
-"""Who acts: the inner control; the plan (certified); nobody certified, the filter does what it can."""
+"""Codes of who acts: the inner control; the plan (certified); nobody certified, the filter does what it can."""
 
 (
     CERTIFIED,
@@ -65,6 +74,54 @@ UNCERTIFIED = {
     UNSAFE_COURSE: "commands under way may take the UGV out of sight before the next one acts",
 }
 """Why a tick is not certified, by the code that `agents.control.guard.guard` gives."""
+
+
+class Plan(NamedTuple):
+    """A motion that ends at rest: a turn and a stop of constant acceleration, and between them a straight way."""
+
+    turn: int
+    cruise: int
+    brake: int
+    """Ticks of each part."""
+    turn_x: float
+    turn_y: float
+    """Acceleration of the turn [m/s²]."""
+    brake_x: float
+    brake_y: float
+    """Of the stop."""
+    end: Disc
+    """Around the place where it ends: what surely held the UGV when the plan was checked."""
+
+
+class HeldPlan(NamedTuple):
+    """The memory of `safe_control`: the plan that is held, a row of an array of one; the fields are those of `Plan`."""
+
+    valid: int
+    """1 where the UAV is where the plan has it."""
+    turn: int
+    cruise: int
+    brake: int
+    turn_x: float
+    turn_y: float
+    brake_x: float
+    brake_y: float
+    end_x: float
+    end_y: float
+    end_radius: float
+    end_tick: int
+
+
+class Known(NamedTuple):
+    """Where the UGV surely is: in each of these discs."""
+
+    newest: Disc
+    """Of the newest detection."""
+    nearest: Disc
+    """Of the one with the least bound."""
+    end: Disc
+    """Of the last plan; its radius is infinite before the first."""
+    single: bool
+    """True if the newest detection is also the nearest."""
 
 
 @compiled
@@ -91,96 +148,113 @@ def servo(
 
 
 @compiled
-def step_in_area(
-    promise: Promise, p_x: float, p_y: float, v_x: float, v_y: float, u_x: float, u_y: float
-) -> tuple[float, float, float, float, float]:
+def step_in_area(promise: Promise, here: Motion, u_x: float, u_y: float) -> tuple[Motion, float]:
     """The UAV one tick on, as the world moves it: (1), and the walls.
 
     Returns:
-        Position [m] and velocity [m/s], x before y, and how far a wall has kept it from where (1) alone leads [m].
+        Where it is then, and how far a wall has kept it from where (1) alone leads [m].
     """
     c = promise
-    q_x, q_y, w_x, w_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, u_x, u_y, c.v_a, c.u_a, c.dt)
+    q_x, q_y, w_x, w_y, _, _ = step_vehicle(
+        here.p_x, here.p_y, here.v_x, here.v_y, u_x, u_y, c.v_a, c.u_a, c.dt
+    )
     x, w_x = within_walls(q_x, w_x, c.width)
     y, w_y = within_walls(q_y, w_y, c.height)
-    return x, y, w_x, w_y, norm(q_x - x, q_y - y)
+    return Motion(x, y, w_x, w_y), norm(q_x - x, q_y - y)
 
 
-@compiled
-def no_plan() -> FloatArray:
-    """The filter's memory before its first plan. Shape (PLAN_SIZE,)."""
-    plan = np.zeros(PLAN_SIZE)
-    plan[_END_RADIUS] = math.inf
+def no_plan() -> RecordArray:
+    """The filter's memory before its first plan: a row of `HeldPlan`. Shape (1,)."""
+    plan = np.zeros(1, dtype=record_type(HeldPlan))
+    clear_plan(plan)
     return plan
 
 
 @compiled
-def farthest(
-    promise: Promise,
-    detections: FloatArray,
-    plan: FloatArray,
-    new: int,
-    near: int,
-    t: float,
-    x: float,
-    y: float,
-    enough: float,
-) -> float:
-    """Upper bound of the distance from (x, y) to the UGV at time t [m], from the newest disc, the nearest and the last plan's.
-
-    Args:
-        promise: The declared numbers.
-        detections: As kept. (KEPT, 3)
-        plan: The filter's memory, whose last plan left a disc that surely held the UGV. (PLAN_SIZE,)
-        new: Row of the newest detection.
-        near: Row of the one with the least bound.
-        t: Time of the bound [s].
-        x, y: From where [m].
-        enough: A bound that is not more than this need not be made tighter [m].
-    """
-    c = promise
-    n_x, n_y, n_r = detections[new, 0], detections[new, 1], c.eps + c.v_g * (t - detections[new, 2])
-    bound: float = norm(x - n_x, y - n_y) + n_r
-    if bound <= enough:
-        return bound
-    e_r = plan[_END_RADIUS] + c.v_g * abs(
-        t - plan[_END_TIME]
-    )  # also of a time before, which commands under way ask for
-    bound = min(bound, lens_distance(x, y, n_x, n_y, n_r, plan[_END_X], plan[_END_Y], e_r))
-    if bound <= enough or near == new:
-        return bound
-    b_x, b_y, b_r = (
-        detections[near, 0],
-        detections[near, 1],
-        c.eps + c.v_g * (t - detections[near, 2]),
-    )
-    bound = min(bound, lens_distance(x, y, n_x, n_y, n_r, b_x, b_y, b_r))
-    return min(bound, lens_distance(x, y, b_x, b_y, b_r, plan[_END_X], plan[_END_Y], e_r))
+def clear_plan(plan: RecordArray) -> None:
+    """Let the memory be as before its first plan."""
+    _hold(plan, _nothing())
+    drop_plan(plan)
 
 
 @compiled
-def _adopt(
-    plan: FloatArray,
-    turn: int,
-    cruise: int,
-    brake_ticks: int,
-    turn_x: float,
-    turn_y: float,
-    brake_x: float,
-    brake_y: float,
-    end_x: float,
-    end_y: float,
-    end_radius: float,
-    t: float,
-) -> None:
-    plan[_VALID], plan[_TURN], plan[_CRUISE], plan[_BRAKE] = 1.0, turn, cruise, brake_ticks
-    plan[_TURN_X], plan[_TURN_Y], plan[_BRAKE_X], plan[_BRAKE_Y] = turn_x, turn_y, brake_x, brake_y
-    plan[_END_X], plan[_END_Y], plan[_END_RADIUS], plan[_END_TIME] = end_x, end_y, end_radius, t
+def end_disc(plan: RecordArray) -> Disc:
+    """The disc that surely held the UGV when the last plan was checked; infinite before the first."""
+    held = plan[0]
+    return Disc(held.end_x, held.end_y, held.end_radius, held.end_tick)
+
+
+@compiled
+def known_from(
+    promise: Promise,
+    detections: RecordArray,
+    plan: RecordArray,
+    newest: int,
+    tick: int,
+    x: float,
+    y: float,
+) -> Known:
+    """The discs that bound the distance from (x, y) at this tick best; `newest` is the newest detection's row."""
+    near = nearest(promise, detections, tick, x, y)
+    return Known(
+        disc_of(promise, detections, newest),
+        disc_of(promise, detections, near),
+        end_disc(plan),
+        near == newest,
+    )
+
+
+@compiled
+def farthest(promise: Promise, known: Known, tick: int, x: float, y: float, enough: float) -> float:
+    """Upper bound of the distance from (x, y) to the UGV at a tick [m], from all that is known.
+
+    Args:
+        promise: The declared numbers.
+        known: The discs that hold the UGV.
+        tick: Of the bound.
+        x, y: From where [m].
+        enough: A bound that is not more than this need not be made tighter [m].
+    """
+    n, e, b = known.newest, known.end, known.nearest
+    n_r = radius_at(promise, n, tick)
+    bound: float = norm(x - n.x, y - n.y) + n_r
+    if bound <= enough:
+        return bound
+    e_r = radius_at(promise, e, tick)
+    bound = min(bound, lens_distance(x, y, n.x, n.y, n_r, e.x, e.y, e_r))
+    if bound <= enough or known.single:
+        return bound
+    b_r = radius_at(promise, b, tick)
+    bound = min(bound, lens_distance(x, y, n.x, n.y, n_r, b.x, b.y, b_r))
+    return min(bound, lens_distance(x, y, b.x, b.y, b_r, e.x, e.y, e_r))
+
+
+@compiled
+def _nothing() -> Plan:
+    """No plan."""
+    return Plan(0, 0, 0, 0.0, 0.0, 0.0, 0.0, Disc(0.0, 0.0, math.inf, 0))
+
+
+@compiled
+def exists(found: Plan) -> bool:
+    """True if there is a plan: the UGV is within a finite radius of its end."""
+    return found.end.radius < math.inf
+
+
+@compiled
+def _hold(plan: RecordArray, found: Plan) -> None:
+    """Let this plan be the one that is held."""
+    held = plan[0]
+    held.valid, held.turn, held.cruise, held.brake = 1, found.turn, found.cruise, found.brake
+    held.turn_x, held.turn_y = found.turn_x, found.turn_y
+    held.brake_x, held.brake_y = found.brake_x, found.brake_y
+    held.end_x, held.end_y = found.end.x, found.end.y
+    held.end_radius, held.end_tick = found.end.radius, found.end.tick
 
 
 @compiled
 def _is_off_wall(p: float, v: float, a: float, duration: float, size: float) -> bool:
-    """Whether p + v s + a s²/2 stays within the walls of one axis for the duration, clear of them where it moves.
+    """True if p + v s + a s²/2 stays within the walls of one axis for the duration, clear of them where it moves.
 
     Only where nothing moves along the axis, or at the start, may the vehicle be at the wall.
     """
@@ -207,108 +281,59 @@ def _is_in_area(promise: Promise, x: float, y: float) -> bool:
 
 
 @compiled
-def _stays_in_area(
-    promise: Promise,
-    p_x: float,
-    p_y: float,
-    v_x: float,
-    v_y: float,
-    a_x: float,
-    a_y: float,
-    duration: float,
-) -> bool:
-    """Whether a motion with constant acceleration stays within the walls.
+def _stays_in_area(promise: Promise, here: Motion, a_x: float, a_y: float, duration: float) -> bool:
+    """True if a motion with constant acceleration stays within the walls.
 
     One that it touched would take the UAV off its plan.
     """
     c = promise
-    return _is_off_wall(p_x, v_x, a_x, duration, c.width) and _is_off_wall(
-        p_y, v_y, a_y, duration, c.height
+    return _is_off_wall(here.p_x, here.v_x, a_x, duration, c.width) and _is_off_wall(
+        here.p_y, here.v_y, a_y, duration, c.height
     )
 
 
 @compiled
-def _end_radius(
-    promise: Promise,
-    detections: FloatArray,
-    plan: FloatArray,
-    new: int,
-    near: int,
-    t: float,
-    x: float,
-    y: float,
-    duration: float,
-) -> float:
-    """How far the UGV is at most from a plan's end, now [m], if the plan may end there; else infinite."""
-    c = promise
-    single = (
-        norm(x - detections[new, 0], y - detections[new, 1])
-        + c.eps
-        + c.v_g * (t - detections[new, 2])
-    )
-    growth = c.v_g * duration
+def _end_radius(promise: Promise, known: Known, tick: int, x: float, y: float, ticks: int) -> float:
+    """How far the UGV is at most from a plan's end, now [m], if a plan of so many ticks may end there; else infinite."""
+    c, n, growth = promise, known.newest, drift(promise, ticks)
+    single = norm(x - n.x, y - n.y) + radius_at(promise, n, tick)
     if not single + growth <= c.reach:
         return math.inf
-    bound = farthest(promise, detections, plan, new, near, t, x, y, c.handover - growth)
+    bound = farthest(promise, known, tick, x, y, c.handover - growth)
     return bound if bound + growth <= c.handover else math.inf
 
 
 @compiled
-def plan_stop(
-    promise: Promise,
-    detections: FloatArray,
-    plan: FloatArray,
-    new: int,
-    near: int,
-    t: float,
-    p_x: float,
-    p_y: float,
-    v_x: float,
-    v_y: float,
-) -> bool:
-    """Whether the UAV may brake to a stop from this state at time t; if so, that is the plan.
+def stop_from(promise: Promise, known: Known, tick: int, here: Motion) -> Plan:
+    """The plan to brake to a stop from this state at a tick; its disc is infinite if the UAV may not.
 
     Along a straight line on which it only slows down, the bound is largest at one of the ends: the distance to a
     fixed point is convex in the way, and the way concave in time.
     """
     c = promise
-    speed = norm(v_x, v_y)
+    speed = norm(here.v_x, here.v_y)
     ticks = 0 if speed <= _REST else max(1, math.ceil(speed / (c.u_a * c.dt) - ROUNDING))
     duration = ticks * c.dt
     share = -1.0 / duration if ticks else 0.0
-    if not _is_in_area(promise, p_x, p_y):
-        return False
-    if ticks and not _stays_in_area(
-        promise, p_x, p_y, v_x, v_y, share * v_x, share * v_y, duration
-    ):
-        return False
-    end_x, end_y = p_x + 0.5 * v_x * duration, p_y + 0.5 * v_y * duration
-    end_radius = _end_radius(promise, detections, plan, new, near, t, end_x, end_y, duration)
-    if end_radius == math.inf:
-        return False
-    if not farthest(promise, detections, plan, new, near, t, p_x, p_y, c.r_v) <= c.r_v:
-        return False
-    _adopt(plan, 0, 0, ticks, 0.0, 0.0, share * v_x, share * v_y, end_x, end_y, end_radius, t)
-    return True
+    a_x, a_y = share * here.v_x, share * here.v_y
+    x, y = here.p_x + 0.5 * here.v_x * duration, here.p_y + 0.5 * here.v_y * duration
+    if not _is_in_area(c, here.p_x, here.p_y):
+        return _nothing()
+    if ticks and not _stays_in_area(c, here, a_x, a_y, duration):
+        return _nothing()
+    radius = _end_radius(c, known, tick, x, y, ticks)
+    if radius == math.inf:
+        return _nothing()
+    if not farthest(c, known, tick, here.p_x, here.p_y, c.r_v) <= c.r_v:
+        return _nothing()
+    return Plan(0, 0, ticks, 0.0, 0.0, a_x, a_y, Disc(x, y, radius, tick))
 
 
 @compiled
 def _turn_is_safe(
-    promise: Promise,
-    detections: FloatArray,
-    plan: FloatArray,
-    new: int,
-    near: int,
-    t: float,
-    p_x: float,
-    p_y: float,
-    v_x: float,
-    v_y: float,
-    a_x: float,
-    a_y: float,
-    ticks: int,
+    promise: Promise, known: Known, tick: int, here: Motion, a_x: float, a_y: float, ticks: int
 ) -> bool:
-    """Whether the bound stays within r_v in a turn with constant acceleration.
+    """True if the bound stays within r_v in a turn with constant acceleration.
 
     Ticks that the bound cannot reach r_v by, as it grows by no more than v_a + v_g, are not looked at.
     """
@@ -316,12 +341,10 @@ def _turn_is_safe(
     k = 0
     while k <= ticks:
         s = k * c.dt
-        x, y = p_x + (v_x + 0.5 * a_x * s) * s, p_y + (v_y + 0.5 * a_y * s) * s
-        room = (
-            c.r_v
-            - c.v_g * s
-            - farthest(promise, detections, plan, new, near, t, x, y, c.r_v - c.v_g * s)
-        )
+        x = here.p_x + (here.v_x + 0.5 * a_x * s) * s
+        y = here.p_y + (here.v_y + 0.5 * a_y * s) * s
+        most = c.r_v - c.v_g * s
+        room = most - farthest(c, known, tick, x, y, most)
         if not room >= 0.0:
             return False
         k += max(1, int(room / ((c.v_a + c.v_g) * c.dt)))
@@ -329,150 +352,142 @@ def _turn_is_safe(
 
 
 @compiled
-def _plan_at_speed(
-    promise: Promise,
-    detections: FloatArray,
-    plan: FloatArray,
-    new: int,
-    near: int,
-    t: float,
-    p_x: float,
-    p_y: float,
-    v_x: float,
-    v_y: float,
-    speed: float,
-) -> bool:
-    c = promise
-    z_x, z_y = detections[new, 0], detections[new, 1]
-    at_rest = norm(v_x, v_y) <= _REST
+def _return_at(promise: Promise, known: Known, tick: int, here: Motion, speed: float) -> Plan:
+    """`return_from` at one speed [m/s]."""
+    c, z = promise, known.newest
+    at_rest = norm(here.v_x, here.v_y) <= _REST
     if at_rest:
-        if not (_is_in_area(promise, p_x, p_y) and _is_in_area(promise, z_x, z_y)):
-            return False
-        x, y = z_x - p_x, z_y - p_y
+        if not (_is_in_area(c, here.p_x, here.p_y) and _is_in_area(c, z.x, z.y)):
+            return _nothing()
+        x, y = z.x - here.p_x, z.y - here.p_y
         way = norm(x, y)
         turn, cruise, speed = rest_to_rest(way, speed, c.u_a, c.dt)
-        v_x, v_y, stop = 0.0, 0.0, turn
+        here, stop = Motion(here.p_x, here.p_y, 0.0, 0.0), turn
         w_x, w_y = (speed * x / way, speed * y / way) if turn else (0.0, 0.0)
     else:
         stop = max(1, math.ceil(speed / (c.u_a * c.dt) - ROUNDING))
-        q_x, q_y = p_x, p_y  # where the turn ends: found with the heading by iteration
+        q_x, q_y = here.p_x, here.p_y  # where the turn ends: found with the heading by iteration
         w_x, w_y, turn = 0.0, 0.0, 0
         for _ in range(4):
-            way = norm(z_x - q_x, z_y - q_y)
+            way = norm(z.x - q_x, z.y - q_y)
             if way <= _REST:
-                return False
-            w_x, w_y = speed * (z_x - q_x) / way, speed * (z_y - q_y) / way
-            turn = max(1, math.ceil(norm(w_x - v_x, w_y - v_y) / (c.u_a * c.dt) - ROUNDING))
-            q_x, q_y = p_x + 0.5 * (v_x + w_x) * turn * c.dt, p_y + 0.5 * (v_y + w_y) * turn * c.dt
-        left = ((z_x - q_x) * w_x + (z_y - q_y) * w_y) / (
+                return _nothing()
+            w_x, w_y = speed * (z.x - q_x) / way, speed * (z.y - q_y) / way
+            change = norm(w_x - here.v_x, w_y - here.v_y)
+            turn = max(1, math.ceil(change / (c.u_a * c.dt) - ROUNDING))
+            q_x = here.p_x + 0.5 * (here.v_x + w_x) * turn * c.dt
+            q_y = here.p_y + 0.5 * (here.v_y + w_y) * turn * c.dt
+        left = ((z.x - q_x) * w_x + (z.y - q_y) * w_y) / (
             speed * speed * c.dt
         ) - 0.5 * stop  # ticks at constant speed
         if not left >= 0.0:
-            return False
+            return _nothing()
         cruise = int(left)
-    duration = (turn + cruise + stop) * c.dt
     level = (0.5 * turn + cruise + 0.5 * stop) * c.dt
-    end_x, end_y = (
-        p_x + 0.5 * v_x * turn * c.dt + w_x * level,
-        p_y + 0.5 * v_y * turn * c.dt + w_y * level,
-    )
-    end_radius = _end_radius(promise, detections, plan, new, near, t, end_x, end_y, duration)
-    if end_radius == math.inf:
-        return False
-    a_x, a_y = ((w_x - v_x) / (turn * c.dt), (w_y - v_y) / (turn * c.dt)) if turn else (0.0, 0.0)
+    end_x = here.p_x + 0.5 * here.v_x * turn * c.dt + w_x * level
+    end_y = here.p_y + 0.5 * here.v_y * turn * c.dt + w_y * level
+    radius = _end_radius(c, known, tick, end_x, end_y, turn + cruise + stop)
+    if radius == math.inf:
+        return _nothing()
+    a_x, a_y = 0.0, 0.0
+    if turn:
+        a_x, a_y = (w_x - here.v_x) / (turn * c.dt), (w_y - here.v_y) / (turn * c.dt)
     if not at_rest:  # from rest the way is a chord of the area
-        q_x, q_y = p_x + 0.5 * (v_x + w_x) * turn * c.dt, p_y + 0.5 * (v_y + w_y) * turn * c.dt
-        if not (
-            _stays_in_area(promise, p_x, p_y, v_x, v_y, a_x, a_y, turn * c.dt)
-            and _stays_in_area(promise, q_x, q_y, end_x - q_x, end_y - q_y, 0.0, 0.0, 1.0)
-        ):
-            return False
-    if not _turn_is_safe(
-        promise, detections, plan, new, near, t, p_x, p_y, v_x, v_y, a_x, a_y, turn
-    ):
-        return False
+        q_x = here.p_x + 0.5 * (here.v_x + w_x) * turn * c.dt
+        q_y = here.p_y + 0.5 * (here.v_y + w_y) * turn * c.dt
+        way_on = Motion(q_x, q_y, end_x - q_x, end_y - q_y)
+        if not _stays_in_area(c, here, a_x, a_y, turn * c.dt):
+            return _nothing()
+        if not _stays_in_area(c, way_on, 0.0, 0.0, 1.0):
+            return _nothing()
+    if not _turn_is_safe(c, known, tick, here, a_x, a_y, turn):
+        return _nothing()
     b_x, b_y = (-w_x / (stop * c.dt), -w_y / (stop * c.dt)) if stop else (0.0, 0.0)
-    _adopt(plan, turn, cruise, stop, a_x, a_y, b_x, b_y, end_x, end_y, end_radius, t)
-    return True
+    return Plan(turn, cruise, stop, a_x, a_y, b_x, b_y, Disc(end_x, end_y, radius, tick))
 
 
 @compiled
-def plan_return(
-    promise: Promise,
-    detections: FloatArray,
-    plan: FloatArray,
-    new: int,
-    near: int,
-    t: float,
-    p_x: float,
-    p_y: float,
-    v_x: float,
-    v_y: float,
-) -> bool:
-    """Whether the UAV may turn to the newest detection, fly there and stop, from this state at time t.
+def return_from(promise: Promise, known: Known, tick: int, here: Motion) -> Plan:
+    """The plan to turn to the newest detection, fly there and stop, from this state at a tick.
 
-    If so, that is the plan.
-
-    The turn takes the velocity along a straight line to the one that leads from the turn's end to the detection;
-    bounds are kept,
-    since both ends keep them. After it the way is straight, and the bound is largest at one of its ends.
+    Its disc is infinite if the UAV may not. The turn takes the velocity along a straight line to the one that leads
+    from the turn's end to the detection; bounds are kept, since both ends keep them. After it the way is straight,
+    and the bound is largest at one of its ends.
     """
     for share in _SPEEDS:
-        if _plan_at_speed(
-            promise, detections, plan, new, near, t, p_x, p_y, v_x, v_y, share * promise.v_a
-        ):
-            return True
-    return False
+        plan = _return_at(promise, known, tick, here, share * promise.v_a)
+        if exists(plan):
+            return plan
+    return _nothing()
 
 
 @compiled
-def _follow(plan: FloatArray, v_x: float, v_y: float, u_a: float, dt: float) -> tuple[float, float]:
-    """The plan's command for this tick, which it then has behind it; at its end the UAV stays where it is."""
-    if plan[_TURN] > 0.0:
-        plan[_TURN] -= 1.0
-        return plan[_TURN_X], plan[_TURN_Y]
-    if plan[_CRUISE] > 0.0:
-        plan[_CRUISE] -= 1.0
+def follow(promise: Promise, plan: RecordArray, v_x: float, v_y: float) -> tuple[float, float]:
+    """The command of the plan that is held for this tick, which it then has behind it.
+
+    At its end the UAV stays where it is.
+    """
+    held = plan[0]
+    if held.turn > 0:
+        held.turn -= 1
+        return held.turn_x, held.turn_y
+    if held.cruise > 0:
+        held.cruise -= 1
         return 0.0, 0.0
-    if plan[_BRAKE] > 0.0:
-        plan[_BRAKE] -= 1.0
-        return plan[_BRAKE_X], plan[_BRAKE_Y]
-    return brake(v_x, v_y, u_a, dt)
+    if held.brake > 0:
+        held.brake -= 1
+        return held.brake_x, held.brake_y
+    return brake(v_x, v_y, promise.u_a, promise.dt)
 
 
 @compiled
-def drop_plan(plan: FloatArray) -> None:
+def drop_plan(plan: RecordArray) -> None:
     """The UAV is not where the plan in this memory has it: no plan is held."""
-    plan[_VALID] = 0.0
+    plan[0].valid = 0
+
+
+@compiled
+def _may_go_on(
+    promise: Promise,
+    known: Known,
+    plan: RecordArray,
+    tick: int,
+    here: Motion,
+    then: Motion,
+    over: float,
+) -> bool:
+    """True if the UGV is surely within r_v now, and until the next tick where a wall keeps the UAV `over` [m] back."""
+    c = promise
+    within = plan[0].valid != 0 or farthest(c, known, tick, here.p_x, here.p_y, c.r_v) <= c.r_v
+    if (
+        within and over > 0.0
+    ):  # within the tick the bound is at most that of the point beyond the wall
+        room = c.r_v - over
+        within = farthest(c, known, tick + 1, then.p_x, then.p_y, room) <= room
+    return within
 
 
 @compiled
 def safe_control(
     promise: Promise,
-    detections: FloatArray,
-    plan: FloatArray,
-    t: float,
-    p_x: float,
-    p_y: float,
-    v_x: float,
-    v_y: float,
+    detections: RecordArray,
+    plan: RecordArray,
+    tick: int,
+    here: Motion,
     u_x: float,
     u_y: float,
 ) -> tuple[float, float, int]:
-    """The command that acts in the tick from t on.
+    """The command that acts in a tick: the inner control's if a plan still exists after it, else the plan's.
 
-    The inner control's if a plan still exists after it, else the plan's.
-
-    With delayed commands t, p and v are those of the tick in which this command will act. The plan that is held
+    With delayed commands the tick and the state are those in which this command will act. The plan that is held
     begins in this state; where the vehicle has come to another one, `drop_plan` is to be called first.
 
     Args:
         promise: The declared numbers.
-        detections: All that have arrived, as kept by `keep_detection`. (KEPT, 3)
-        plan: The filter's memory, changed in place. (PLAN_SIZE,)
-        t: When the command acts [s].
-        p_x, p_y: Position of the UAV then [m].
-        v_x, v_y: Its velocity then [m/s].
+        detections: All that have arrived, as kept by `keep_detection`. (KEPT,)
+        plan: The filter's memory, changed in place. (1,)
+        tick: In which the command acts.
+        here: Where the UAV is then.
         u_x, u_y: What the inner control wants [m/s²].
 
     Returns:
@@ -481,69 +496,61 @@ def safe_control(
     c = promise
     new = newest_detection(detections)
     if new < 0:
-        u_x, u_y = brake(v_x, v_y, c.u_a, c.dt)
+        u_x, u_y = brake(here.v_x, here.v_y, c.u_a, c.dt)
         return u_x, u_y, BEST_EFFORT
-    going = plan[_VALID] != 0.0 and plan[_TURN] + plan[_CRUISE] + plan[_BRAKE] > 0.0
-    near = nearest(p_x, p_y, t, detections, c.eps, c.v_g)
+    held = plan[0]
+    going = held.valid != 0 and held.turn + held.cruise + held.brake > 0
+    known = known_from(c, detections, plan, new, tick, here.p_x, here.p_y)
     w_x, w_y = clip_norm(u_x, u_y, c.u_a)
-    x, y, s_x, s_y, over = step_in_area(promise, p_x, p_y, v_x, v_y, w_x, w_y)
-    within = (
-        plan[_VALID] != 0.0
-        or farthest(promise, detections, plan, new, near, t, p_x, p_y, c.r_v) <= c.r_v
-    )
-    if over > 0.0:  # within the tick the bound is at most that of the point beyond the wall
-        room = c.r_v - over
-        within = (
-            within and farthest(promise, detections, plan, new, near, t + c.dt, x, y, room) <= room
-        )
-    if within and (
-        plan_stop(promise, detections, plan, new, near, t + c.dt, x, y, s_x, s_y)
-        or plan_return(promise, detections, plan, new, near, t + c.dt, x, y, s_x, s_y)
-    ):
-        return w_x, w_y, INNER
-    if (
-        plan_return(promise, detections, plan, new, near, t, p_x, p_y, v_x, v_y)
-        or going
-        or plan_stop(promise, detections, plan, new, near, t, p_x, p_y, v_x, v_y)
-    ):
-        w_x, w_y = _follow(plan, v_x, v_y, c.u_a, c.dt)
+    then, over = step_in_area(c, here, w_x, w_y)
+    if _may_go_on(c, known, plan, tick, here, then, over):
+        after = stop_from(c, known, tick + 1, then)
+        if not exists(after):
+            after = return_from(c, known, tick + 1, then)
+        if exists(after):
+            _hold(plan, after)
+            return w_x, w_y, INNER
+    now = return_from(c, known, tick, here)
+    if not exists(now) and not going:
+        now = stop_from(c, known, tick, here)
+    if exists(now):
+        _hold(plan, now)
+    if exists(now) or going:
+        w_x, w_y = follow(c, plan, here.v_x, here.v_y)
         return w_x, w_y, PLAN
-    w_x, w_y = servo(p_x, p_y, v_x, v_y, detections[new, 0], detections[new, 1], c.v_a, c.u_a, c.dt)
-    plan[_VALID] = 0.0
+    z = known.newest
+    w_x, w_y = servo(here.p_x, here.p_y, here.v_x, here.v_y, z.x, z.y, c.v_a, c.u_a, c.dt)
+    drop_plan(plan)
     return w_x, w_y, BEST_EFFORT
 
 
 @compiled
 def is_within(
     promise: Promise,
-    detections: FloatArray,
-    plan: FloatArray,
-    t: float,
+    detections: RecordArray,
+    plan: RecordArray,
+    tick: int,
     p_x: float,
     p_y: float,
     over: float,
 ) -> bool:
-    """Whether the UGV is surely within r_v of this point at time t, also if a wall has kept the UAV `over` [m] from beyond it."""
-    c = promise
+    """True if the UGV is surely within r_v of this point at a tick, also if a wall has kept the UAV `over` [m] from beyond it."""
     new = newest_detection(detections)
     if new < 0:
         return False
-    near, room = nearest(p_x, p_y, t, detections, c.eps, c.v_g), c.r_v - over
-    return bool(farthest(promise, detections, plan, new, near, t, p_x, p_y, room) <= room)
+    known, room = known_from(promise, detections, plan, new, tick, p_x, p_y), promise.r_v - over
+    return bool(farthest(promise, known, tick, p_x, p_y, room) <= room)
 
 
 @compiled
-def contradicts_plan(promise: Promise, detections: FloatArray, plan: FloatArray) -> bool:
-    """Whether the newest detection cannot be true if the UGV was where the last plan's check has it.
+def contradicts_plan(promise: Promise, detections: RecordArray, plan: RecordArray) -> bool:
+    """True if the newest detection cannot be true if the UGV was where the last plan's check has it.
 
     An assumption is broken.
     """
-    c = promise
-    new = newest_detection(detections)
-    if new < 0 or math.isinf(plan[_END_RADIUS]):
+    c, end, new = promise, end_disc(plan), newest_detection(detections)
+    if new < 0 or math.isinf(end.radius):
         return False
-    apart = norm(detections[new, 0] - plan[_END_X], detections[new, 1] - plan[_END_Y])
-    return bool(
-        apart
-        > plan[_END_RADIUS] + c.eps + c.v_g * abs(plan[_END_TIME] - detections[new, 2]) + MARGIN
-    )
+    z = detections[new]
+    apart = norm(z.x - end.x, z.y - end.y)
+    return bool(apart > radius_at(c, end, z.taken) + c.eps + MARGIN)

@@ -1,7 +1,7 @@
 """Dynamic coverage for a double integrator, section III of the paper: (7), (8), (10) to (12), and the border of Q."""
 
 from sim.kernels.compile import compiled
-from sim.models.vehicles import norm, stopping_distance
+from sim.models.vehicles import Motion, norm, stopping_distance
 
 ZERO_GRADIENT = 1e-9
 """u_cov counts as zero below this share of its integrand's size: on a grid a symmetric sum is never exactly zero."""
@@ -20,7 +20,7 @@ def symmetry_breaker(
 
 @compiled
 def is_zero_gradient(u_cov_x: float, u_cov_y: float, size: float) -> bool:
-    """Whether u_cov = 0 in the sense of (8), relative to the size of its integrand."""
+    """True if u_cov = 0 in the sense of (8), relative to the size of its integrand."""
     return norm(u_cov_x, u_cov_y) <= ZERO_GRADIENT * size
 
 
@@ -128,10 +128,7 @@ def _outward(p: float, size: float, margin: float) -> float:
 def keep_off_border(
     u_x: float,
     u_y: float,
-    p_ax: float,
-    p_ay: float,
-    v_ax: float,
-    v_ay: float,
+    here: Motion,
     k_v: float,
     width: float,
     height: float,
@@ -145,13 +142,13 @@ def keep_off_border(
 
     Args:
         u_x, u_y: u_a,cov of (11) [m/s²].
-        p_ax, p_ay: Position of the UAV [m].
-        v_ax, v_ay: Its velocity [m/s].
+        here: Where the UAV is.
         k_v: Gain of (11) [1/s]; u + k_v v is k_v times the desired velocity, whose outward part is dropped.
         width, height: Q [m].
         margin: `border_distance` [m].
         dt: Length of a tick [s].
     """
+    p_ax, p_ay, v_ax, v_ay = here
     out_x, out_y = _outward(p_ax, width, margin), _outward(p_ay, height, margin)
     fast_x, fast_y = out_x * v_ax > 0.0, out_y * v_ay > 0.0
     if fast_x or fast_y:

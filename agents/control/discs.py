@@ -1,14 +1,20 @@
-"""What detections tell of the UGV: each puts it into a disc that grows with time. World frame [m], times [s]."""
+"""The UGV's place as detections tell it: each puts it into a disc that grows with time. World frame [m], times in ticks."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from sim.kernels.compile import FloatArray, compiled
+from agents.control.promise import Promise
+from sim.kernels.compile import compiled
+from sim.kernels.records import RecordArray, record_type
 from sim.models.vehicles import norm
 
 KEPT = 16
 """Detections that are kept: the newest, and those that bound the distance best."""
+
+NEVER = -1
+"""The tick of what has not been: of an empty row of detections, of a place in a track where nothing was noted."""
 
 MARGIN = 1e-5
 """Taken off every radius [m], so that rounding changes no answer of the proof: more than all of its errors together."""
@@ -20,128 +26,163 @@ _TOUCHING = 1e-9
 """Discs that are no farther apart than this [m] touch: whether they meet would be decided by rounding."""
 
 
-@compiled
-def no_detections() -> FloatArray:
-    """Room for the detections that are kept, none yet. Shape (KEPT, 3): where [m], and when taken [s]."""
-    kept = np.zeros((KEPT, 3))
-    kept[:, 2] = -math.inf
+class KeptDetection(NamedTuple):
+    """A row of the detections that are kept."""
+
+    x: float
+    y: float
+    """Where the UGV was detected [m]."""
+    taken: int
+    """In which tick; NEVER: the row is empty."""
+
+
+class Disc(NamedTuple):
+    """The UGV was surely in here at that tick; from then on, and before, the disc grows at v_g."""
+
+    x: float
+    y: float
+    """Centre [m]."""
+    radius: float
+    """At the tick [m]."""
+    tick: int
+
+
+def no_detections() -> RecordArray:
+    """Room for the detections that are kept, none yet: rows of `KeptDetection`. Shape (KEPT,)."""
+    kept = np.zeros(KEPT, dtype=record_type(KeptDetection))
+    kept["taken"] = NEVER
     return kept
 
 
 @compiled
+def drift(promise: Promise, ticks: int) -> float:
+    """How far the UGV drives at most in so many ticks [m]."""
+    return promise.v_g * (ticks * promise.dt)
+
+
+@compiled
+def disc_of(promise: Promise, detections: RecordArray, row: int) -> Disc:
+    """The disc that a detection puts the UGV into."""
+    found = detections[row]
+    return Disc(found.x, found.y, promise.eps, found.taken)
+
+
+@compiled
+def radius_at(promise: Promise, disc: Disc, tick: int) -> float:
+    """Radius of a disc that holds the UGV at this tick [m]; also at one before the disc's own."""
+    return disc.radius + drift(promise, abs(tick - disc.tick))
+
+
+@compiled
+def bound_of(
+    promise: Promise, detections: RecordArray, row: int, tick: int, x: float, y: float
+) -> float:
+    """Upper bound of the distance from (x, y) to the UGV at a tick [m], by one detection."""
+    disc = disc_of(promise, detections, row)
+    return norm(x - disc.x, y - disc.y) + radius_at(promise, disc, tick)
+
+
+@compiled
 def certified_distance(
-    p_x: float, p_y: float, t: float, detections: FloatArray, eps: float, v_g: float
+    promise: Promise, detections: RecordArray, tick: int, x: float, y: float
 ) -> float:
     r"""Upper bound of the true distance [m], $d_{cert} = \min_i \|p_a - z_i\| + \epsilon + v_g (t - t_i)$.
 
     Infinite without any.
 
     Args:
-        p_x, p_y: Position of the UAV [m].
-        t: Time at which it is there [s].
-        detections: Detected positions of the UGV [m] and when they were taken [s], -inf where there is none. (rows, 3)
-        eps: Largest error [m].
-        v_g: Largest speed of the UGV [m/s].
+        promise: The declared numbers.
+        detections: As kept. (rows,)
+        tick: Now.
+        x, y: Position of the UAV [m].
     """
-    k = nearest(p_x, p_y, t, detections, eps, v_g)
+    k = nearest(promise, detections, tick, x, y)
     if k < 0:
         return math.inf
-    bound: float = (
-        norm(p_x - detections[k, 0], p_y - detections[k, 1]) + eps + v_g * (t - detections[k, 2])
-    )
-    return bound
+    return bound_of(promise, detections, k, tick, x, y)
 
 
 @compiled
-def nearest(
-    p_x: float, p_y: float, t: float, detections: FloatArray, eps: float, v_g: float
-) -> int:
+def nearest(promise: Promise, detections: RecordArray, tick: int, x: float, y: float) -> int:
     """The row whose bound is least; -1 if there is no detection."""
     least, found = math.inf, -1
     for k in range(detections.shape[0]):
-        if detections[k, 2] > -math.inf:
-            bound = (
-                norm(p_x - detections[k, 0], p_y - detections[k, 1])
-                + eps
-                + v_g * (t - detections[k, 2])
-            )
+        if detections[k].taken != NEVER:
+            bound = bound_of(promise, detections, k, tick, x, y)
             if bound < least:
                 least, found = bound, k
     return found
 
 
 @compiled
-def newest_detection(detections: FloatArray) -> int:
+def newest_detection(detections: RecordArray) -> int:
     """The row of the detection that was taken last; -1 if there is none."""
-    last, found = -math.inf, -1
+    last, found = NEVER, -1
     for k in range(detections.shape[0]):
-        if detections[k, 2] > last:
-            last, found = detections[k, 2], k
+        if detections[k].taken > last:
+            last, found = detections[k].taken, k
     return found
 
 
 @compiled
 def keep_detection(
-    detections: FloatArray,
+    promise: Promise,
+    detections: RecordArray,
     z_x: float,
     z_y: float,
-    t_z: float,
-    t: float,
+    taken: int,
+    tick: int,
     p_x: float,
     p_y: float,
-    eps: float,
-    v_g: float,
 ) -> bool:
     r"""Take a detection that has arrived into the ones that are kept, in any order of arrival.
 
-    One whose disc holds another's is dropped: it can never again give the least bound. If there is no room, the
-    one with the
-    largest bound at the UAV's position goes, but never the newest. A subset of detections bounds the distance as well.
+    One whose disc holds another's is dropped: it can never again give the least bound. If there is no room, the one
+    with the largest bound at the UAV's position goes, but never the newest. A subset of detections bounds the
+    distance as well.
 
     Args:
-        detections: Kept so far, changed in place. (rows, 3)
+        promise: The declared numbers.
+        detections: Kept so far, changed in place. (rows,)
         z_x, z_y: Where the UGV was detected [m]: own position when it was taken less the measured p_a - p_g; where
-        there are
-            walls, clipped to the area, which brings it nearer to every point in it.
-        t_z: When it was taken [s].
-        t: Now [s].
+            there are walls, clipped to the area, which brings it nearer to every point in it.
+        taken: The tick in which it was taken.
+        tick: Now.
         p_x, p_y: Position of the UAV now [m].
-        eps: Largest error [m].
-        v_g: Largest speed of the UGV [m/s].
 
     Returns:
-        Whether it agrees with the others: no two may be farther apart than $2\epsilon + v_g |t_i - t_j|$. If it
+        True if it agrees with the others: no two may be farther apart than $2\epsilon + v_g |t_i - t_j|$. If it
         does not, eps or v_g is not what was declared.
     """
     agrees, place, worst, largest = True, -1, -1, -math.inf
     newest = newest_detection(detections)
     dominated = False
     for k in range(detections.shape[0]):
-        t_k = detections[k, 2]
-        if t_k == -math.inf:
+        kept = detections[k]
+        if kept.taken == NEVER:
             place = k
             continue
-        apart, drift = norm(detections[k, 0] - z_x, detections[k, 1] - z_y), v_g * (t_z - t_k)
-        if apart > 2.0 * eps + abs(drift) + MARGIN:
+        apart, driven = norm(kept.x - z_x, kept.y - z_y), drift(promise, taken - kept.taken)
+        if apart > 2.0 * promise.eps + abs(driven) + MARGIN:
             agrees = False
-        if apart <= drift:  # its disc holds the new one
-            detections[k, 2] = -math.inf
+        if apart <= driven:  # its disc holds the new one
+            detections[k].taken = NEVER
             place = k
-        elif apart <= -drift:
+        elif apart <= -driven:
             dominated = True
         else:
-            bound = norm(p_x - detections[k, 0], p_y - detections[k, 1]) + eps + v_g * (t - t_k)
-            if bound > largest and (k != newest or t_z > t_k):
+            bound = bound_of(promise, detections, k, tick, p_x, p_y)
+            if bound > largest and (k != newest or taken > kept.taken):
                 worst, largest = k, bound
     if dominated:
         return agrees
     if place < 0:
-        own = norm(p_x - z_x, p_y - z_y) + eps + v_g * (t - t_z)
-        last = detections[newest, 2]
-        if worst < 0 or (own >= largest and t_z <= last):
+        own = norm(p_x - z_x, p_y - z_y) + promise.eps + drift(promise, tick - taken)
+        if worst < 0 or (own >= largest and taken <= detections[newest].taken):
             return agrees
         place = worst
-    detections[place, 0], detections[place, 1], detections[place, 2] = z_x, z_y, t_z
+    row = detections[place]
+    row.x, row.y, row.taken = z_x, z_y, taken
     return agrees
 
 

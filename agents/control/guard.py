@@ -1,4 +1,4 @@
-"""One UAV's safety filter over plain arrays: what it remembers, and what it does in a tick. See docs/explanation/certificate.md.
+"""One UAV's safety filter over records: what it remembers, and what it does in a tick. See docs/explanation/certificate.md.
 
 `SafetyFilter` calls these functions for one UAV, compiled loops call them for many worlds. In a tick:
 `note_position`, then
@@ -7,7 +7,7 @@
 The filter keeps a **course**: the states in which the ticks until the next command acts will begin, and the
 commands under way that lead there. The UAV is on course if its state is the one that the course has for this tick.
 
-All positions in the world's frame [m], speeds [m/s], accelerations [m/s²]; a tick k is the time k dt [s].
+All positions in the world's frame [m], speeds [m/s], accelerations [m/s²], times in ticks.
 """
 
 from typing import NamedTuple
@@ -21,10 +21,10 @@ from agents.control.certificate import (
     NO_DETECTION,
     NO_PLAN,
     OFF_COURSE,
-    PLAN_SIZE,
     TOO_OLD,
     UNKNOWN_COMMANDS,
     UNSAFE_COURSE,
+    clear_plan,
     contradicts_plan,
     drop_plan,
     is_within,
@@ -33,56 +33,75 @@ from agents.control.certificate import (
     step_in_area,
 )
 from agents.control.discs import (
-    KEPT,
+    NEVER,
     certified_distance,
     keep_detection,
     newest_detection,
     no_detections,
 )
-from agents.control.handover import Promise
-from sim.kernels.compile import FloatArray, IntArray, borrowing, compiled
-from sim.models.vehicles import within_walls
-
-_NEVER = -1
-"""The tick of a place in the track where no position has been noted, and of a filter that has not been asked yet."""
+from agents.control.promise import Promise
+from sim.kernels.compile import FloatArray, borrowing
+from sim.kernels.records import RecordArray, record_type
+from sim.models.vehicles import Motion, within_walls
 
 _ON_COURSE = 1e-10
 """A state nearer than this [m, m/s] to that of the course is on it. The course goes on from the state, so that a lost
 command is seen at once or has no consequence; a thousand ticks of this are less than `MARGIN`."""
 
-_DUST = 1e-9
-"""Seconds by which an age may exceed what is declared, for rounding."""
 
-_CONTRADICTED, _TICK, _KNOWN, _SAFE = range(4)
-_FLAGS = 4
-"""Whether detections have ever contradicted each other; the tick of the last call.
+class CourseTick(NamedTuple):
+    """A row of the course: the state in which a tick will begin, and the command under way that acts in it."""
 
-How many of the last commands are known to be
-under way, as they were sent since the UAV was last found off its course; whether the course is safe up to the plan."""
+    p_x: float
+    p_y: float
+    v_x: float
+    v_y: float
+    """[m], [m/s]."""
+    u_x: float
+    u_y: float
+    """[m/s²]; in the last row the command is yet to be chosen."""
 
-_P_X, _P_Y, _V_X, _V_Y, _U_X, _U_Y = range(6)
-_COURSE = 6
+
+class TrackTick(NamedTuple):
+    """A row of the track: where the UAV was."""
+
+    x: float
+    y: float
+    """[m]"""
+    tick: int
+    """In which tick; NEVER: the row is empty."""
+
+
+class GuardFlags(NamedTuple):
+    """The filter's whole numbers, a row of an array of one."""
+
+    contradicted: int
+    """1 once detections have contradicted each other."""
+    tick: int
+    """Of the last call; NEVER before the first."""
+    known: int
+    """How many of the last commands are known to be under way, as they were sent since the UAV was last found off its
+    course."""
+    safe: int
+    """1 if the course is safe up to the plan."""
 
 
 class GuardState(NamedTuple):
-    """What the filter of one UAV remembers; from `guard_state`.
+    """The memory of one UAV's filter; from `guard_state`.
 
     Arrays with an axis in front are the memories of many worlds.
     """
 
-    detections: FloatArray
-    """Where the UGV was detected [m] and when [s], as `keep_detection` keeps them. (KEPT, 3)"""
-    plan: FloatArray
-    """The memory of `safe_control`. (PLAN_SIZE,)"""
-    course: FloatArray
-    """Position [m] and velocity [m/s] in which each tick from this one on will begin, and the command under way that acts in it
-    [m/s²]; in the last row that command is yet to be chosen. (tau_c / dt + 1, 6)"""
-    track: FloatArray
-    """The UAV's own positions [m]: that of tick k in row k % depth, until a later tick needs the row. (depth, 2)"""
-    track_ticks: IntArray
-    """Which tick each row of `track` is of. (depth,)"""
-    flags: IntArray
-    """Whole numbers, see above. (4,)"""
+    detections: RecordArray
+    """Where and when the UGV was detected: `KeptDetection`, as `keep_detection` keeps them. (KEPT,)"""
+    plan: RecordArray
+    """The memory of `safe_control`: `HeldPlan`. (1,)"""
+    course: RecordArray
+    """`CourseTick` of each tick from this one on until the next command acts. (tau_c + 1,)"""
+    track: RecordArray
+    """`TrackTick` of the UAV's own ticks: k in row k % depth, until a later tick needs the row. (depth,)"""
+    flags: RecordArray
+    """`GuardFlags`. (1,)"""
 
 
 def guard_state(promise: Promise, depth: int) -> GuardState:
@@ -95,34 +114,38 @@ def guard_state(promise: Promise, depth: int) -> GuardState:
     if depth < 1:
         raise ValueError(f"depth must be at least 1, not {depth}")
     state = GuardState(
-        detections=np.empty((KEPT, 3)),
-        plan=np.empty(PLAN_SIZE),
-        course=np.empty((round(promise.delay / promise.dt) + 1, _COURSE)),
-        track=np.empty((depth, 2)),
-        track_ticks=np.empty(depth, dtype=np.int64),
-        flags=np.empty(_FLAGS, dtype=np.int64),
+        detections=no_detections(),
+        plan=no_plan(),
+        course=np.zeros(promise.delay_ticks + 1, dtype=record_type(CourseTick)),
+        track=np.zeros(depth, dtype=record_type(TrackTick)),
+        flags=np.zeros(1, dtype=record_type(GuardFlags)),
     )
     begin_guard(state)
     return state
 
 
-@compiled
+@borrowing
 def begin_guard(state: GuardState) -> None:
     """Make a memory as fresh as one from `guard_state`, in place: an episode begins."""
-    state.detections[:] = no_detections()
-    state.plan[:] = no_plan()
-    state.course[:] = 0.0
-    state.track[:] = 0.0
-    state.track_ticks[:] = _NEVER
-    state.flags[:] = 0
-    state.flags[_TICK] = _NEVER
+    for k in range(state.detections.shape[0]):
+        found = state.detections[k]
+        found.x, found.y, found.taken = 0.0, 0.0, NEVER
+    clear_plan(state.plan)
+    for k in range(state.course.shape[0]):
+        row = state.course[k]
+        row.p_x, row.p_y, row.v_x, row.v_y, row.u_x, row.u_y = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(state.track.shape[0]):
+        place = state.track[k]
+        place.x, place.y, place.tick = 0.0, 0.0, NEVER
+    flags = state.flags[0]
+    flags.contradicted, flags.tick, flags.known, flags.safe = 0, NEVER, 0, 0
 
 
 @borrowing
 def note_position(state: GuardState, tick: int, p_x: float, p_y: float) -> None:
     """Remember where the UAV is at this tick [m]: detections that were taken here may arrive later."""
-    place = tick % state.track_ticks.shape[0]
-    state.track[place, 0], state.track[place, 1], state.track_ticks[place] = p_x, p_y, tick
+    place = state.track[tick % state.track.shape[0]]
+    place.x, place.y, place.tick = p_x, p_y, tick
 
 
 @borrowing
@@ -146,16 +169,14 @@ def note_detection(
         p_delta_x, p_delta_y: What was measured, p_a - p_g then [m].
         p_x, p_y: Position of the UAV now [m].
     """
-    place = taken % state.track_ticks.shape[0]
-    if taken < 0 or state.track_ticks[place] != taken:
+    was = state.track[taken % state.track.shape[0]]
+    if taken < 0 or was.tick != taken:
         return
     c = promise
-    z_x, _ = within_walls(state.track[place, 0] - p_delta_x, 0.0, c.width)  # the UGV is in the area
-    z_y, _ = within_walls(state.track[place, 1] - p_delta_y, 0.0, c.height)
-    if not keep_detection(
-        state.detections, z_x, z_y, taken * c.dt, tick * c.dt, p_x, p_y, c.eps, c.v_g
-    ):
-        state.flags[_CONTRADICTED] = 1
+    z_x, _ = within_walls(was.x - p_delta_x, 0.0, c.width)  # the UGV is in the area
+    z_y, _ = within_walls(was.y - p_delta_y, 0.0, c.height)
+    if not keep_detection(c, state.detections, z_x, z_y, taken, tick, p_x, p_y):
+        state.flags[0].contradicted = 1
 
 
 @borrowing
@@ -164,7 +185,7 @@ def forget_commands(state: GuardState) -> None:
 
     Until those under way are known again, nothing is certified.
     """
-    state.flags[_KNOWN] = 0
+    state.flags[0].known = 0
 
 
 @borrowing
@@ -178,109 +199,87 @@ def note_commands(state: GuardState, commands: FloatArray) -> None:
     """
     last, given = state.course.shape[0] - 1, commands.shape[0]
     for k in range(min(last, given)):
-        state.course[last - 1 - k, _U_X] = commands[given - 1 - k, 0]
-        state.course[last - 1 - k, _U_Y] = commands[given - 1 - k, 1]
+        row = state.course[last - 1 - k]
+        row.u_x, row.u_y = commands[given - 1 - k, 0], commands[given - 1 - k, 1]
 
 
 @borrowing
-def _predict(promise: Promise, state: GuardState) -> None:
-    """Work the course out from its first state, under the commands in it."""
-    course = state.course
-    for k in range(course.shape[0] - 1):
-        p_x, p_y, v_x, v_y = course[k, _P_X], course[k, _P_Y], course[k, _V_X], course[k, _V_Y]
-        p_x, p_y, v_x, v_y, _ = step_in_area(
-            promise, p_x, p_y, v_x, v_y, course[k, _U_X], course[k, _U_Y]
-        )
-        course[k + 1, _P_X], course[k + 1, _P_Y], course[k + 1, _V_X], course[k + 1, _V_Y] = (
-            p_x,
-            p_y,
-            v_x,
-            v_y,
-        )
+def _motion_in(course: RecordArray, k: int) -> Motion:
+    """The state in which the tick of a row of the course begins."""
+    row = course[k]
+    return Motion(row.p_x, row.p_y, row.v_x, row.v_y)
 
 
 @borrowing
-def _set_out(
-    promise: Promise, state: GuardState, tick: int, p_x: float, p_y: float, v_x: float, v_y: float
-) -> bool:
-    """Bring the course to this tick; whether the UAV is on it, as far as there was one.
+def _set_motion(course: RecordArray, k: int, here: Motion) -> None:
+    row = course[k]
+    row.p_x, row.p_y, row.v_x, row.v_y = here.p_x, here.p_y, here.v_x, here.v_y
+
+
+@borrowing
+def _begin_course(promise: Promise, course: RecordArray, here: Motion) -> None:
+    """Work the course out from this state on, under the commands in it."""
+    for k in range(course.shape[0]):
+        _set_motion(course, k, here)
+        here, _ = step_in_area(promise, here, course[k].u_x, course[k].u_y)
+
+
+@borrowing
+def _set_out(promise: Promise, state: GuardState, tick: int, here: Motion) -> bool:
+    """Bring the course to this tick; true if the UAV is on it, as far as there was one.
 
     If not, it begins anew from here.
     """
-    course, flags, on_course = state.course, state.flags, True
-    if flags[_TICK] == _NEVER and tick == 0:
-        flags[_KNOWN] = course.shape[
-            0
-        ]  # a vehicle that has had no command yet does nothing: that is known
-    elif flags[_TICK] != tick - 1:
-        last = course.shape[0] - 1
-        for _ in range(min(last, tick - 1 - flags[_TICK]) if flags[_TICK] != _NEVER else 0):
+    course, flags, on_course = state.course, state.flags[0], True
+    last = course.shape[0] - 1
+    if flags.tick == NEVER and tick == 0:
+        flags.known = last + 1  # a vehicle that has had no command yet does nothing: that is known
+    elif flags.tick != tick - 1:
+        for _ in range(min(last, tick - 1 - flags.tick) if flags.tick != NEVER else 0):
             for k in range(last - 1):  # nothing was sent meanwhile: the last command is held
-                course[k, _U_X], course[k, _U_Y] = course[k + 1, _U_X], course[k + 1, _U_Y]
-        flags[_KNOWN] = 0
+                course[k].u_x, course[k].u_y = course[k + 1].u_x, course[k + 1].u_y
+        flags.known = 0
     else:
-        off = max(abs(p_x - course[0, _P_X]), abs(p_y - course[0, _P_Y]))
-        off = max(off, abs(v_x - course[0, _V_X]), abs(v_y - course[0, _V_Y]))
+        due = _motion_in(course, 0)
+        off = max(abs(here.p_x - due.p_x), abs(here.p_y - due.p_y))
+        off = max(off, abs(here.v_x - due.v_x), abs(here.v_y - due.v_y))
         if off == 0.0:
             return True
-        course[0, _P_X], course[0, _P_Y], course[0, _V_X], course[0, _V_Y] = p_x, p_y, v_x, v_y
-        _predict(promise, state)
         if off <= _ON_COURSE:
+            _begin_course(promise, course, here)
             return True
-        flags[_KNOWN], on_course = 0, False
-    course[0, _P_X], course[0, _P_Y], course[0, _V_X], course[0, _V_Y] = p_x, p_y, v_x, v_y
-    _predict(promise, state)
+        flags.known, on_course = 0, False
+    _begin_course(promise, course, here)
     drop_plan(state.plan)
-    flags[_SAFE] = 0
+    flags.safe = 0
     return on_course
 
 
 @borrowing
 def _course_is_safe(promise: Promise, state: GuardState, tick: int) -> bool:
-    """Whether the UGV is surely in sight from now until the next command acts, if the commands under way act."""
+    """True if the UGV is surely in sight from now until the next command acts, if the commands under way act."""
     course, over = state.course, 0.0
     for k in range(course.shape[0]):
-        if not is_within(
-            promise,
-            state.detections,
-            state.plan,
-            (tick + k) * promise.dt,
-            course[k, _P_X],
-            course[k, _P_Y],
-            over,
-        ):
+        here = _motion_in(course, k)
+        if not is_within(promise, state.detections, state.plan, tick + k, here.p_x, here.p_y, over):
             return False
         if k + 1 < course.shape[0]:
-            p_x, p_y, v_x, v_y = course[k, _P_X], course[k, _P_Y], course[k, _V_X], course[k, _V_Y]
-            _, _, _, _, over = step_in_area(
-                promise, p_x, p_y, v_x, v_y, course[k, _U_X], course[k, _U_Y]
-            )
+            _, over = step_in_area(promise, here, course[k].u_x, course[k].u_y)
     return True
 
 
 @borrowing
 def _send(promise: Promise, state: GuardState, tick: int, u_x: float, u_y: float) -> None:
     """Take a command among those under way; the course moves on by a tick."""
-    course, flags = state.course, state.flags
+    course, flags = state.course, state.flags[0]
     last = course.shape[0] - 1
-    course[last, _U_X], course[last, _U_Y] = u_x, u_y
-    p_x, p_y, v_x, v_y = (
-        course[last, _P_X],
-        course[last, _P_Y],
-        course[last, _V_X],
-        course[last, _V_Y],
-    )
-    p_x, p_y, v_x, v_y, _ = step_in_area(promise, p_x, p_y, v_x, v_y, u_x, u_y)
+    after, _ = step_in_area(promise, _motion_in(course, last), u_x, u_y)
+    course[last].u_x, course[last].u_y = u_x, u_y
     for k in range(last):
-        for i in range(_COURSE):
-            course[k, i] = course[k + 1, i]
-    course[last, _P_X], course[last, _P_Y], course[last, _V_X], course[last, _V_Y] = (
-        p_x,
-        p_y,
-        v_x,
-        v_y,
-    )
-    flags[_TICK], flags[_KNOWN] = tick, min(flags[_KNOWN] + 1, course.shape[0])
+        _set_motion(course, k, _motion_in(course, k + 1))
+        course[k].u_x, course[k].u_y = course[k + 1].u_x, course[k + 1].u_y
+    _set_motion(course, last, after)
+    flags.tick, flags.known = tick, min(flags.known + 1, last + 1)
 
 
 @borrowing
@@ -288,12 +287,12 @@ def _reason(
     promise: Promise, state: GuardState, tick: int, acts: int, on_course: bool, known: bool
 ) -> int:
     """Why this tick is not certified, a code of `UNCERTIFIED`; CERTIFIED if it is."""
-    new = newest_detection(state.detections)
+    new, flags = newest_detection(state.detections), state.flags[0]
     if new < 0:
         return NO_DETECTION
-    if tick * promise.dt - state.detections[new, 2] > promise.age + _DUST:
+    if tick - state.detections[new].taken > promise.age_ticks:
         return TOO_OLD
-    if state.flags[_CONTRADICTED] != 0:
+    if flags.contradicted != 0:
         return CONTRADICTED
     if acts == BEST_EFFORT:
         return NO_PLAN
@@ -301,20 +300,12 @@ def _reason(
         return OFF_COURSE
     if not known:
         return UNKNOWN_COMMANDS
-    return CERTIFIED if state.flags[_SAFE] != 0 else UNSAFE_COURSE
+    return CERTIFIED if flags.safe != 0 else UNSAFE_COURSE
 
 
 @borrowing
 def guard(
-    promise: Promise,
-    state: GuardState,
-    tick: int,
-    p_x: float,
-    p_y: float,
-    v_x: float,
-    v_y: float,
-    u_x: float,
-    u_y: float,
+    promise: Promise, state: GuardState, tick: int, here: Motion, u_x: float, u_y: float
 ) -> tuple[float, float, int, int, float]:
     """Let a command through if sight is kept after it, else give the one that keeps it.
 
@@ -323,45 +314,27 @@ def guard(
     Args:
         promise: The declared numbers.
         state: The filter's memory, changed in place.
-        tick: The tick now.
-        p_x, p_y: Position of the UAV now [m].
-        v_x, v_y: Its velocity now [m/s].
+        tick: Now.
+        here: Where the UAV is now.
         u_x, u_y: What the inner control wants [m/s²].
 
     Returns:
         The command [m/s²]; who acts: INNER, PLAN or BEST_EFFORT; why this tick is not certified, a code of
-        `UNCERTIFIED`, or
-        CERTIFIED, which holds only if `check_assumptions` finds nothing in the promise; and the certified distance
-        now [m].
+        `UNCERTIFIED`, or CERTIFIED, which holds only if `check_assumptions` finds nothing in the promise; and the
+        certified distance now [m].
     """
-    c, flags = promise, state.flags
-    on_course = _set_out(c, state, tick, p_x, p_y, v_x, v_y)
+    c, flags = promise, state.flags[0]
+    on_course = _set_out(c, state, tick, here)
     if contradicts_plan(c, state.detections, state.plan):
-        flags[_CONTRADICTED] = 1
-    ahead = state.course[state.course.shape[0] - 1]
-    u_x, u_y, acts = safe_control(
-        c,
-        state.detections,
-        state.plan,
-        tick * c.dt + c.delay,
-        ahead[_P_X],
-        ahead[_P_Y],
-        ahead[_V_X],
-        ahead[_V_Y],
-        u_x,
-        u_y,
-    )
+        flags.contradicted = 1
+    last = state.course.shape[0] - 1
+    ahead = _motion_in(state.course, last)
+    u_x, u_y, acts = safe_control(c, state.detections, state.plan, tick + last, ahead, u_x, u_y)
     if acts == BEST_EFFORT:
-        flags[_SAFE] = 0
-    elif flags[_SAFE] == 0 and _course_is_safe(c, state, tick):
-        flags[_SAFE] = 1
-    known = flags[_KNOWN] >= state.course.shape[0] - 1
-    code = _reason(c, state, tick, acts, on_course, known)
+        flags.safe = 0
+    elif flags.safe == 0 and _course_is_safe(c, state, tick):
+        flags.safe = 1
+    code = _reason(c, state, tick, acts, on_course, flags.known >= last)
     _send(c, state, tick, u_x, u_y)
-    return (
-        u_x,
-        u_y,
-        acts,
-        code,
-        certified_distance(p_x, p_y, tick * c.dt, state.detections, c.eps, c.v_g),
-    )
+    bound = certified_distance(c, state.detections, tick, here.p_x, here.p_y)
+    return u_x, u_y, acts, code, bound

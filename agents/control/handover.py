@@ -7,50 +7,25 @@ The proof is in docs/explanation/certificate.md. SI units.
 
 import functools
 import math
-from typing import NamedTuple
 
 from agents.control.discs import MARGIN, lens_distance
+from agents.control.promise import Declared, Promise
 from sim.kernels.compile import compiled
 
 ROUNDING = 1e-12
 """Ticks by which a quotient may exceed a whole number and still be that number."""
+
+DUST = 1e-6
+"""And the share of a tick by which a declared time may fall short of whole ticks and still be them."""
+
+_FOREVER = float(2**53)
+"""Ticks of a time without a bound."""
 
 _GRID, _STEPS = 0.005, 950
 """Step of the distances [m] over which the hand-over is checked when a scenario loads, and its margin.
 
 But no more steps than
 these to r_v, or a large radius would take minutes."""
-
-
-class Promise(NamedTuple):
-    """The declared numbers of one certificate, and the two that follow from them; from `certificate`."""
-
-    dt: float
-    """Length of a tick [s]."""
-    eps: float
-    """Largest error of a detection, as a vector's norm [m]."""
-    age: float
-    """Largest age of the newest arrived detection, A [s]."""
-    delay: float
-    """From the tick that a command answers to the one in which it acts, tau_c [s], a whole number of ticks."""
-    r_v: float
-    """Visibility radius [m], less the margin that was asked for, the sagitta of a tick and `MARGIN`."""
-    v_a: float
-    """Largest speed of the UAV [m/s]."""
-    u_a: float
-    """Largest acceleration of the UAV [m/s²]."""
-    v_g: float
-    """Largest speed of the UGV [m/s]."""
-    width: float
-    """Of the area with its walls, from 0 [m]; infinite: there are none on this axis."""
-    height: float
-    """Likewise."""
-    handover: float
-    """R_h: a plan may end where the UGV is surely within this [m]; NaN if there is none."""
-    reach: float
-    """E: and where the newest detection's own bound is at most this [m]; NaN if there is none."""
-    hold: float
-    """For how long the vehicle goes on with its last command when none comes [s]."""
 
 
 @compiled
@@ -75,26 +50,41 @@ def rest_to_rest(way: float, v_a: float, u_a: float, dt: float) -> tuple[int, in
 
 
 @compiled
-def handover_peak(
-    radius: float, rho: float, way: float, turn: int, cruise: int, v_g: float, dt: float
-) -> float:
-    """The largest distance [m] while the UAV flies from rest to a new detection, given that two discs hold the UGV at the start.
+def motion_stays_within(
+    limit: float, radius: float, rho: float, way: float, turn: int, cruise: int, drift: float
+) -> bool:
+    """True if the UGV stays within a distance while the UAV flies from rest to a new detection.
+
+    Two discs hold the UGV at the start.
 
     Args:
+        limit: The distance [m].
         radius: Of the disc around the UAV, at rest [m].
         rho: Of the disc around the new detection [m].
         way: To that detection [m].
         turn, cruise: Ticks of the motion, as from `rest_to_rest`.
-        v_g: Largest speed of the UGV [m/s].
-        dt: Length of a tick [s].
+        drift: How far the UGV drives at most in a tick, v_g dt [m].
     """
+    if radius > limit:
+        return False
+    ticks = 2 * turn + cruise
+    if 0.5 * (radius + way + rho) <= limit - drift * ticks:
+        return (
+            True  # the less of two bounds is no more than their mean, which is the same all the way
+        )
     speed = way / max(1, turn + cruise)  # metres in a tick
-    peak, x, v = radius, 0.0, 0.0
-    for k in range(1, 2 * turn + cruise + 1):
-        w = speed * min(1.0, k / turn, (2 * turn + cruise - k) / turn)
+    x, v = 0.0, 0.0
+    for k in range(1, ticks + 1):
+        w = speed * min(1.0, k / turn, (ticks - k) / turn)
         x, v = x + 0.5 * (v + w), w
-        peak = max(peak, lens_distance(x, 0.0, 0.0, 0.0, radius, way, 0.0, rho) + v_g * k * dt)
-    return peak
+        room = limit - drift * k
+        if (  # one disc alone is mostly enough, and the lens costs most
+            x + radius > room
+            and abs(way - x) + rho > room
+            and lens_distance(x, 0.0, 0.0, 0.0, radius, way, 0.0, rho) > room
+        ):
+            return False
+    return True
 
 
 @compiled
@@ -117,32 +107,63 @@ def handover_reach(
 
 
 @compiled
-def handover_fits(
-    radius: float, r_v: float, eps: float, rho: float, v_a: float, u_a: float, v_g: float, dt: float
+def _way_fits(
+    k: int,
+    radius: float,
+    r_v: float,
+    eps: float,
+    rho: float,
+    v_a: float,
+    u_a: float,
+    v_g: float,
+    dt: float,
 ) -> bool:
-    """Whether every motion from rest to a newer detection stays within r_v, if the UGV is within `radius` [m] at its start.
-
-    Over all ways in steps of half a centimetre, more where r_v is large: between two of them the motion with the
-    same ticks
-    scales with the way, so that no point of it and no disc moves by more than a step. The farther a detection, the
-    younger it
-    is: way + rho <= E + 2 eps.
-    Arguments as in `handover_radius`.
-    """
+    """True if every motion of a way of k steps stays within r_v, or no detection is so far. Arguments as in `unfit_way`."""
     step = max(_GRID, r_v / _STEPS)
-    reach = handover_reach(radius, eps, rho, v_a, u_a, v_g, dt)
-    turn, cruise = 0, 0
-    for k in range(1, int((radius + rho) / step) + 2):
-        last_turn, last_cruise, way = turn, cruise, k * step
-        turn, cruise, _ = rest_to_rest(way, v_a, u_a, dt)
-        rest = min(rho, reach + 2.0 * eps - way + step)
-        if rest < 0.0 or radius + rest < way - step:
-            break
-        for i in range(max(1, last_turn), turn + 1):
-            for j in range(last_cruise, cruise + 1):
-                if handover_peak(radius, rest + step, way, i, j, v_g, dt) > r_v - step:
-                    return False
+    way, reach = k * step, handover_reach(radius, eps, rho, v_a, u_a, v_g, dt)
+    rest = min(rho, reach + 2.0 * eps - way + step)
+    if rest < 0.0 or radius + rest < way - step:
+        return True
+    last_turn, last_cruise, _ = rest_to_rest((k - 1) * step, v_a, u_a, dt)
+    turn, cruise, _ = rest_to_rest(way, v_a, u_a, dt)
+    for i in range(max(1, last_turn), turn + 1):
+        for j in range(last_cruise, cruise + 1):
+            if not motion_stays_within(r_v - step, radius, rest + step, way, i, j, v_g * dt):
+                return False
     return True
+
+
+@compiled
+def unfit_way(
+    likely: int,
+    radius: float,
+    r_v: float,
+    eps: float,
+    rho: float,
+    v_a: float,
+    u_a: float,
+    v_g: float,
+    dt: float,
+) -> int:
+    """Steps of a way to a newer detection on which a motion from rest leaves r_v, if the UGV is within `radius` [m] at its start.
+
+    Over all ways in steps of half a centimetre, more where r_v is large: between two of them the motion with the same
+    ticks scales with the way, so that no point of it and no disc moves by more than a step. The farther a detection,
+    the younger it is: way + rho <= E + 2 eps.
+
+    Args:
+        likely: A way that is tried first, in steps; 0: none.
+        radius, r_v, eps, rho, v_a, u_a, v_g, dt: As in `handover_radius`.
+
+    Returns:
+        Such a way, in steps; 0 if there is none.
+    """
+    if likely > 0 and not _way_fits(likely, radius, r_v, eps, rho, v_a, u_a, v_g, dt):
+        return likely
+    for k in range(1, int((radius + rho) / max(_GRID, r_v / _STEPS)) + 2):
+        if not _way_fits(k, radius, r_v, eps, rho, v_a, u_a, v_g, dt):
+            return k
+    return 0
 
 
 @compiled
@@ -163,12 +184,13 @@ def handover_radius(
         v_a, u_a, v_g: Bounds [m/s], [m/s²], [m/s].
         dt: Length of a tick [s].
     """
-    radius, step = r_v, max(_GRID, r_v / _STEPS)
+    radius, step, unfit = r_v, max(_GRID, r_v / _STEPS), 0
     while radius > rho:
         radius -= step
         if not handover_reach(radius, eps, rho, v_a, u_a, v_g, dt) >= radius:
             return math.nan
-        if handover_fits(radius, r_v, eps, rho, v_a, u_a, v_g, dt):
+        unfit = unfit_way(unfit, radius, r_v, eps, rho, v_a, u_a, v_g, dt)
+        if unfit == 0:
             return radius
     return math.nan
 
@@ -186,58 +208,33 @@ def tick_sagitta(v_a: float, u_a: float, dt: float) -> float:
 
 
 @functools.lru_cache(maxsize=1024)
-def certificate(
-    *,
-    r_v: float,
-    v_a: float,
-    u_a: float,
-    v_g: float,
-    dt: float,
-    eps: float,
-    age: float,
-    delay: float = 0.0,
-    margin: float = 0.0,
-    width: float = math.inf,
-    height: float = math.inf,
-    hold: float = math.inf,
-) -> Promise:
-    r"""The certificate of one UAV. What fails is NaN in it and named by `check_assumptions`.
-
-    Args:
-        r_v: Visibility radius [m].
-        v_a: Largest speed of the UAV [m/s].
-        u_a: Its largest acceleration [m/s²].
-        v_g: Largest speed of the UGV [m/s].
-        dt: Length of a tick [s].
-        eps: Largest error of a detection [m].
-        age: Largest age of the newest arrived detection, A [s].
-        delay: From the tick that a command answers to the one in which it acts [s]; rounded up to whole ticks.
-        margin: Taken off r_v [m], for what the theorem does not cover (jitter and loss of commands).
-        width, height: Of an area with walls [m]: plans stay in it, and `keep_detection` is given what is clipped to it.
-        hold: For how long the vehicle goes on with its last command when none comes [s]; then it brakes.
-    """
-    delay = math.ceil(delay / dt - ROUNDING) * dt
-    v_a, u_a, v_g, eps = float(v_a), float(u_a), float(v_g), float(eps)
-    r_v = float(r_v - margin) - tick_sagitta(v_a, u_a, dt)
+def certificate(declared: Declared) -> Promise:
+    """The certificate of one UAV. What fails is NaN in it and named by `check_assumptions`."""
+    c = declared
+    dt, v_a, u_a, v_g = float(c.dt), float(c.v_a), float(c.u_a), float(c.v_g)
+    eps, age = float(c.eps), float(c.age)
+    delay_ticks = math.ceil(c.delay / dt - ROUNDING)
+    r_v = float(c.r_v - c.margin) - tick_sagitta(v_a, u_a, dt)
     radius = reach = math.nan
     if all(math.isfinite(x) for x in (r_v, v_a, v_g, eps, age)) and 0.0 <= v_g < v_a and u_a > 0.0:
-        rho = eps + v_g * (age + delay)
+        rho = eps + v_g * (age + delay_ticks * dt)
         radius = float(handover_radius(r_v, eps, rho, v_a, u_a, v_g, dt))
         reach = float(handover_reach(radius, eps, rho, v_a, u_a, v_g, dt))
     return Promise(
-        dt,
-        eps,
-        float(age),
-        delay,
-        r_v - MARGIN,
-        v_a,
-        u_a,
-        v_g,
-        float(width),
-        float(height),
-        radius,
-        reach,
-        float(hold),
+        dt=dt,
+        eps=eps,
+        age=age,
+        age_ticks=math.floor(min(age / dt + DUST, _FOREVER)),
+        delay_ticks=delay_ticks,
+        r_v=r_v - MARGIN,
+        v_a=v_a,
+        u_a=u_a,
+        v_g=v_g,
+        width=float(c.width),
+        height=float(c.height),
+        handover=radius,
+        reach=reach,
+        hold=float(c.hold),
     )
 
 
@@ -270,7 +267,7 @@ def largest_age(promise: Promise) -> float:
     c = promise
 
     def fits(age: float) -> bool:
-        rho = c.eps + c.v_g * (age + c.delay)
+        rho = c.eps + c.v_g * (age + c.delay_ticks * c.dt)
         return not math.isnan(
             handover_radius(c.r_v + MARGIN, c.eps, rho, c.v_a, c.u_a, c.v_g, c.dt)
         )
@@ -290,7 +287,7 @@ def check_assumptions(promise: Promise) -> tuple[str, ...]:
     Empty if all hold that are known when a run is loaded.
     """
     c = promise
-    faults = []
+    delay, faults = c.delay_ticks * c.dt, list[str]()
     if not math.isfinite(c.eps):
         faults.append(
             f"eps = {c.eps:g} m: the noise of the detections is not cut, so none of them bounds the distance"
@@ -306,14 +303,14 @@ def check_assumptions(promise: Promise) -> tuple[str, ...]:
     if not c.u_a > 0.0:
         faults.append(f"u_a = {c.u_a:g} m/s²: must be positive")
     if not faults and math.isnan(c.handover):
-        rho, most = c.eps + c.v_g * (c.age + c.delay), largest_age(c)
+        rho, most = c.eps + c.v_g * (c.age + delay), largest_age(c)
         limit = "for no A" if math.isnan(most) else f"for A up to {most:.2f} s"
         faults.append(
-            f"eps + v_g (A + tau_c) = {rho:.4g} m (eps {c.eps:g} m, A {c.age:g} s, tau_c {c.delay:g} s): "
+            f"eps + v_g (A + tau_c) = {rho:.4g} m (eps {c.eps:g} m, A {c.age:g} s, tau_c {delay:g} s): "
             f"too much for r_v = {c.r_v:.4g} m; with these numbers the hand-over holds {limit}"
         )
-    if c.hold < c.delay - 0.5 * c.dt:
+    if c.hold < delay - 0.5 * c.dt:
         faults.append(
-            f"hold = {c.hold:g} s: shorter than tau_c = {c.delay:g} s, so that the UAV brakes before a command acts"
+            f"hold = {c.hold:g} s: shorter than tau_c = {delay:g} s, so that the UAV brakes before a command acts"
         )
     return tuple(faults)

@@ -29,7 +29,7 @@ from bus.registry import LAWS, SENSORS, LawRow, SensorRow
 from sim.kernels.compile import FloatArray, compiled
 from sim.models.field import coverage_gradient, is_uncovered, nearest_uncovered
 from sim.models.randomness import START_DIRECTION, uniform, words_of
-from sim.models.vehicles import clip_norm, norm
+from sim.models.vehicles import Motion, clip_norm, norm
 
 TRACKING = LAWS["tracking"].code
 COVERAGE = LAWS["coverage"].code
@@ -205,15 +205,13 @@ def coverage_term(
     coverage: FloatArray,
     state: FloatArray,
     tick: int,
-    p_ax: float,
-    p_ay: float,
-    v_ax: float,
-    v_ay: float,
+    here: Motion,
     p_gx: float,
     p_gy: float,
 ) -> tuple[float, float]:
     """Section III as a whole, u_a,cov [m/s²]: (6), (7) where that is zero, (8), (10), (11), the border of Q."""
     c = parameters
+    p_ax, p_ay, v_ax, v_ay = here
     u_cov_x, u_cov_y, size = coverage_gradient(
         coverage, p_ax, p_ay, p_gx, p_gy, c.r_o, c.desired, c.sensor, c.peak, c.reach, c.cell
     )
@@ -225,9 +223,7 @@ def coverage_term(
     u_si_x, u_si_y = single_integrator_command(u_cov_x, u_cov_y, size, other_x, other_y)
     e_x, e_y = velocity_error(u_si_x, u_si_y, c.v_ref, v_ax, v_ay, uncovered)
     u_x, u_y = coverage_control(e_x, e_y, c.k_v)
-    return keep_off_border(
-        u_x, u_y, p_ax, p_ay, v_ax, v_ay, c.k_v, c.width, c.height, c.margin, c.dt
-    )
+    return keep_off_border(u_x, u_y, here, c.k_v, c.width, c.height, c.margin, c.dt)
 
 
 @compiled
@@ -256,10 +252,7 @@ def uav_control(
     coverage: FloatArray,
     state: FloatArray,
     tick: int,
-    p_ax: float,
-    p_ay: float,
-    v_ax: float,
-    v_ay: float,
+    here: Motion,
     p_gx: float,
     p_gy: float,
 ) -> tuple[float, float]:
@@ -271,12 +264,11 @@ def uav_control(
         coverage: The UAV's own map, up to now.
         state: The law's state, changed in place.
         tick: Now.
-        p_ax, p_ay: Position of the UAV [m].
-        v_ax, v_ay: Its velocity [m/s].
+        here: Where the UAV is.
         p_gx, p_gy: Where it believes the UGV to be [m].
     """
     c = parameters
-    x, y = p_ax - p_gx, p_ay - p_gy
+    x, y = here.p_x - p_gx, here.p_y - p_gy
     distance = norm(x, y)
     orbiting = c.law == CIRCLE or c.law == PATH
     p_vx, p_vy, a_vx, a_vy = own.p_vx, own.p_vy, own.a_vx, own.a_vy
@@ -292,9 +284,7 @@ def uav_control(
         return orbit_control(u_tr_x, u_tr_y, a_vx, a_vy)
     if c.law == TRACKING:
         return u_tr_x, u_tr_y
-    u_cov_x, u_cov_y = coverage_term(
-        parameters, coverage, state, tick, p_ax, p_ay, v_ax, v_ay, p_gx, p_gy
-    )
+    u_cov_x, u_cov_y = coverage_term(parameters, coverage, state, tick, here, p_gx, p_gy)
     alpha, beta = weights(parameters, own, distance)
     return combine(alpha, beta, u_tr_x, u_tr_y, u_cov_x, u_cov_y)
 
@@ -306,15 +296,10 @@ def bounded_uav_control(
     coverage: FloatArray,
     state: FloatArray,
     tick: int,
-    p_ax: float,
-    p_ay: float,
-    v_ax: float,
-    v_ay: float,
+    here: Motion,
     p_gx: float,
     p_gy: float,
 ) -> tuple[float, float]:
     """`uav_control` within the bound of (1) [m/s²]; the same arguments."""
-    u_x, u_y = uav_control(
-        parameters, own, coverage, state, tick, p_ax, p_ay, v_ax, v_ay, p_gx, p_gy
-    )
+    u_x, u_y = uav_control(parameters, own, coverage, state, tick, here, p_gx, p_gy)
     return clip_norm(u_x, u_y, parameters.u_max)

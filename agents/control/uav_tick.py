@@ -8,29 +8,18 @@ from typing import NamedTuple
 
 from agents.control.certificate import INNER, NO_DETECTION
 from agents.control.guard import GuardState, guard, note_detection, note_position
-from agents.control.handover import Promise
 from agents.control.laws import LawParameters, OwnTerms, bounded_uav_control
+from agents.control.promise import Promise
 from sim.kernels.compile import FloatArray, borrowing
 from sim.models.field import accumulate
-from sim.models.vehicles import brake
+from sim.models.vehicles import Motion, brake
 
 TAKEN, LOOK_X, LOOK_Y = range(3)
 """Columns of detections: the tick at which one was taken, and the noisy p_a - p_g [m]."""
 
 
-class Motion(NamedTuple):
-    """Where a vehicle is and how it moves."""
-
-    p_x: float
-    p_y: float
-    """Position [m]."""
-    v_x: float
-    v_y: float
-    """Velocity [m/s]."""
-
-
 class UavMemory(NamedTuple):
-    """What a UAV remembers; its arrays change in place."""
+    """The memory of a UAV; its arrays change in place."""
 
     coverage: FloatArray
     """Its own map C of (3). Shape (rows, columns)."""
@@ -101,21 +90,9 @@ def uav_tick(
     """
     known, g_x, g_y = target
     if known:
-        u_x, u_y = bounded_uav_control(
-            law,
-            own,
-            memory.coverage,
-            memory.law,
-            tick,
-            here.p_x,
-            here.p_y,
-            here.v_x,
-            here.v_y,
-            g_x,
-            g_y,
-        )
+        u_x, u_y = bounded_uav_control(law, own, memory.coverage, memory.law, tick, here, g_x, g_y)
     else:
         u_x, u_y = brake(here.v_x, here.v_y, law.u_max, law.dt)
     if not guarded:
         return u_x, u_y, INNER, NO_DETECTION, 0.0
-    return guard(promise, memory.guard, tick, here.p_x, here.p_y, here.v_x, here.v_y, u_x, u_y)
+    return guard(promise, memory.guard, tick, here, u_x, u_y)

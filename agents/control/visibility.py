@@ -16,11 +16,13 @@ from agents.control.guard import (
     note_detection,
     note_position,
 )
-from agents.control.handover import Promise, certificate, check_assumptions
+from agents.control.handover import certificate, check_assumptions
+from agents.control.promise import Declared, Promise
 from bus.errors import ScenarioError
 from bus.messages import UavBriefing, UavObservation, Vector
-from sim.kernels.compile import FloatArray, compiled
-from sim.models.vehicles import norm, stopping_distance
+from bus.ticks import looks_of
+from sim.kernels.compile import compiled
+from sim.models.vehicles import Motion, norm, stopping_distance
 
 _TRACK = 120.0
 """The UAV's own positions are kept for so long [s]; detections that are older are of no use."""
@@ -31,7 +33,7 @@ _MOST_TICKS = 1_000_000
 
 @compiled
 def is_visible(p_ax: float, p_ay: float, p_gx: float, p_gy: float, r_v: float) -> bool:
-    r"""Whether the UAV surely sees the UGV, Klodt 2015, eq. (5): $\|p_a - p_g\| < r_v$. Positions and r_v in [m]."""
+    r"""True if the UAV surely sees the UGV, Klodt 2015, eq. (5): $\|p_a - p_g\| < r_v$. Positions and r_v in [m]."""
     return norm(p_ax - p_gx, p_ay - p_gy) < r_v
 
 
@@ -75,30 +77,32 @@ def promise_of(briefing: UavBriefing) -> Promise:
         for bound in (own.max_speed, own.max_acceleration, target.max_speed)
     ]
     return certificate(
-        r_v=briefing.visibility_radius,
-        v_a=bounds[0],
-        u_a=bounds[1],
-        v_g=bounds[2],
-        dt=briefing.dt,
-        eps=math.inf if declared.error is None else declared.error,
-        age=declared.age,
-        delay=declared.delay,
-        margin=declared.margin,
-        width=briefing.area.width,
-        height=briefing.area.height,
-        hold=math.inf if declared.hold is None else declared.hold,
+        Declared(
+            r_v=briefing.visibility_radius,
+            v_a=bounds[0],
+            u_a=bounds[1],
+            v_g=bounds[2],
+            dt=briefing.dt,
+            eps=math.inf if declared.error is None else declared.error,
+            age=declared.age,
+            delay=declared.delay,
+            margin=declared.margin,
+            width=briefing.area.width,
+            height=briefing.area.height,
+            hold=math.inf if declared.hold is None else declared.hold,
+        )
     )
 
 
 class Verdict(NamedTuple):
-    """What the filter made of a command."""
+    """The filter's answer to a command."""
 
     acceleration: Vector
-    """What is to act [m/s²]."""
+    """The command that is to act [m/s²]."""
     intervened: bool
-    """Whether that is not what was asked for."""
+    """True if that is not what was asked for."""
     certified: bool
-    """Whether sight is kept from here on, whatever the UGV does within its bounds."""
+    """True if sight is kept from here on, whatever the UGV does within its bounds."""
     reason: str
     """Why not."""
     distance: float
@@ -145,21 +149,8 @@ class SafetyFilter:
         """Take in where the UAV is, and the detections that have arrived, in any order."""
         state, tick, (p_x, p_y) = self.state, observation.tick, observation.position
         note_position(state, tick, p_x, p_y)
-        for taken, x, y in self.looks(observation).tolist():
-            note_detection(self.promise, state, int(taken), tick, x, y, p_x, p_y)
-
-    def looks(self, observation: UavObservation) -> FloatArray:
-        """The tick and p_a - p_g [m] of each detection that has arrived, but for those of no tick that was seen.
-
-        Shape (rows, 3).
-        """
-        dt, tick = self.promise.dt, observation.tick
-        looks = [
-            (taken, *found.relative_position)
-            for found in observation.detections
-            if (taken := round(found.time / dt)) <= tick
-        ]
-        return np.array(looks, dtype=np.float64).reshape(-1, 3)
+        for taken, x, y in looks_of(observation.detections, self.promise.dt):
+            note_detection(self.promise, state, taken, tick, x, y, p_x, p_y)
 
     def filter(self, observation: UavObservation, acceleration: Vector) -> Verdict:
         """Let a command through if sight is kept after it; else give the one that keeps it.
@@ -173,10 +164,10 @@ class SafetyFilter:
             observation.velocity,
             acceleration,
         )
-        u_x, u_y, acts, code, distance = guard(
-            self.promise, self.state, observation.tick, p_x, p_y, v_x, v_y, float(u_x), float(u_y)
+        here = Motion(p_x, p_y, v_x, v_y)
+        return self.verdict(
+            *guard(self.promise, self.state, observation.tick, here, float(u_x), float(u_y))
         )
-        return self.verdict(u_x, u_y, acts, code, distance)
 
     def verdict(self, u_x: float, u_y: float, acts: int, code: int, distance: float) -> Verdict:
         """Count what `guard` has made of a command, and say it in words."""

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from agents.drivers.evade import EVADE_STATE, begin_evade, evade_lead
+from agents.drivers.evade import EVADE_STATE, begin_evade, evade_lead, evade_ticks
 from agents.drivers.parameters import COMPILED_DRIVERS, DriverParameters, Route
 from agents.drivers.steering import Steering
 from agents.drivers.ugv_tick import ugv_tick
@@ -16,6 +16,7 @@ from agents.drivers.waypoints import WAYPOINT_STATE
 from bus.errors import ScenarioError
 from bus.messages import UgvBriefing, UgvObservation
 from bus.registry import DRIVERS
+from bus.ticks import NO_TICK, first_tick_from, tick_of
 from sim.kernels.compile import FloatArray, compiled, entry_point
 from sim.kernels.records import RecordArray, records
 from sim.models.randomness import words_of
@@ -41,6 +42,8 @@ def driver_parameters(briefing: UgvBriefing, driver: str) -> DriverParameters:
     speed, margin = wander_pace(width, height, wheel.v_max, wheel.u_max, wheel.dt)
     unbounded = DRIVERS[driver].unbounded
     key_0, key_1 = words_of(briefing.key)
+    lead = float(evade_lead(speed, wheel.u_max))
+    forgotten, dash = evade_ticks(lead, wheel.dt)
     return DriverParameters(
         driver=COMPILED_DRIVERS[driver],
         dt=wheel.dt,
@@ -51,7 +54,9 @@ def driver_parameters(briefing: UgvBriefing, driver: str) -> DriverParameters:
         tolerance=float(briefing.goal_tolerance),
         speed=float(speed),
         margin=float(margin),
-        lead=float(evade_lead(speed, wheel.u_max)),
+        lead=lead,
+        forgotten=forgotten,
+        dash=dash,
         key_0=key_0,
         key_1=key_1,
     )
@@ -60,7 +65,7 @@ def driver_parameters(briefing: UgvBriefing, driver: str) -> DriverParameters:
 def told_route(briefing: UgvBriefing) -> Route:
     """The goals and the script of a briefing; of two steps at one time the later in the list counts."""
     steps = sorted(briefing.script, key=lambda step: step.time)
-    script = [(step.time, *step.velocity) for step in steps]
+    script = [(first_tick_from(step.time, briefing.dt), *step.velocity) for step in steps]
     return Route(
         goals=np.array(briefing.goals, dtype=np.float64).reshape(-1, 2),
         script=np.array(script, dtype=np.float64).reshape(-1, 3),
@@ -112,8 +117,10 @@ class CompiledDriver:
         """The acceleration [m/s²] for this observation."""
         (p_x, p_y), (v_x, v_y), radio = observation.position, observation.velocity, _NO_RADIO
         if observation.radio:
-            told = [(message.time, *message.relative_position) for message in observation.radio]
-            radio = np.array(told, dtype=np.float64)
+            dt = self.parameters.dt
+            told = [(tick_of(one.time, dt), *one.relative_position) for one in observation.radio]
+            of_ticks = [row for row in told if row[0] != NO_TICK]
+            radio = np.array(of_ticks, dtype=np.float64).reshape(-1, 3)
         return self._drive(*self._fixed, radio, observation.tick, p_x, p_y, v_x, v_y)
 
     @property

@@ -19,6 +19,7 @@ import math
 from agents.drivers.parameters import DriverParameters
 from agents.drivers.steering import velocity_control
 from agents.drivers.wander import WANDER_STATE, wander_control
+from bus.ticks import first_tick_from, ticks_within
 from sim.kernels.compile import FloatArray, compiled
 from sim.models.randomness import WANDER, Key, uniform
 from sim.models.vehicles import norm
@@ -32,8 +33,8 @@ _BEGIN, _SIDE, _ANGLE, _WALL, _SPOT = range(
     2, 7
 )  # indices of the draws of a slot; 0 and 1 are the wanderer's
 
-# Rows of the state, after the wanderer's: the UAV's place [m] (2) at a time [s], its smoothed velocity [m/s] (2),
-# when the newest message came [s], the direction out of a corner (2) and until when it counts [s].
+# Rows of the state, after the wanderer's: the UAV's place [m] (2) at a tick, its smoothed velocity [m/s] (2), the tick
+# at which the newest message came, the direction out of a corner (2) and the first tick for which it counts no more.
 _PLACE, _AT, _VELOCITY, _RECEIVED, _OUT, _OUT_END = (
     WANDER_STATE + row for row in (0, 2, 3, 5, 6, 8)
 )
@@ -49,52 +50,40 @@ def begin_evade(state: FloatArray) -> None:
 
 
 @compiled
-def is_known(state: FloatArray, time: float) -> bool:
-    """Whether there has been a message of the UAV, and not too long ago."""
-    return bool(time - state[_RECEIVED] <= _FORGOTTEN)
+def is_known(p: DriverParameters, state: FloatArray, tick: int) -> bool:
+    """True if there has been a message of the UAV, and not too long ago."""
+    return bool(tick - state[_RECEIVED] <= p.forgotten)
 
 
 @compiled
 def receive_radio(
+    p: DriverParameters,
     state: FloatArray,
     radio: FloatArray,
     received: int,
-    time: float,
+    tick: int,
     p_x: float,
     p_y: float,
     v_x: float,
     v_y: float,
-    dt: float,
 ) -> None:
     """Take in what has come at this tick: place and smoothed velocity of the UAV.
 
-    Of several, that which came last.
-
-    Args:
-        state: Of the driver, changed in place.
-        radio: Time [s] and p_a - p_g [m] of each message, shape (rows, 3).
-        received: How many rows count.
-        time: Now [s].
-        p_x, p_y: Position of the UGV [m].
-        v_x, v_y: Its velocity [m/s].
-        dt: Length of a tick [s].
+    Of several, that which came last. Arguments as in `evade_control`.
     """
     for row in range(received):
-        age = min(max(time - radio[row, 0], 0.0), _FORGOTTEN)
-        x, y = (
-            p_x - age * v_x + radio[row, 1],
-            p_y - age * v_y + radio[row, 2],
-        )  # the UGV has driven on since
-        at = time - age
-        gap = at - state[_AT]
-        if not is_known(state, time):
+        at = min(max(radio[row, 0], tick - p.forgotten), tick)
+        age, gap = tick * p.dt - at * p.dt, at * p.dt - state[_AT] * p.dt
+        x = p_x - age * v_x + radio[row, 1]  # the UGV has driven on since
+        y = p_y - age * v_y + radio[row, 2]
+        if not is_known(p, state, tick):
             state[_VELOCITY], state[_VELOCITY + 1] = 0.0, 0.0
-        elif gap > 0.5 * dt:  # of two messages of one time the difference says nothing
+        elif at > state[_AT]:  # of two messages of one tick the difference says nothing
             share = gap / (_SMOOTHING + gap)
             w_x, w_y = state[_VELOCITY], state[_VELOCITY + 1]
             state[_VELOCITY] = w_x + share * ((x - state[_PLACE]) / gap - w_x)
             state[_VELOCITY + 1] = w_y + share * ((y - state[_PLACE + 1]) / gap - w_y)
-        state[_PLACE], state[_PLACE + 1], state[_AT], state[_RECEIVED] = x, y, at, time
+        state[_PLACE], state[_PLACE + 1], state[_AT], state[_RECEIVED] = x, y, at, tick
 
 
 @compiled
@@ -105,10 +94,11 @@ def slot_draw(time: float, lead: float, index: int, key: Key) -> float:
 
 @compiled
 def away(
-    state: FloatArray, time: float, p_x: float, p_y: float, lead: float, key: Key
+    p: DriverParameters, state: FloatArray, tick: int, p_x: float, p_y: float
 ) -> tuple[float, float]:
-    """Away from where the UAV will be after the lead [s] if it flies on as it does; a unit vector."""
-    gap = time + lead - state[_AT]
+    """Away from where the UAV will be after the lead if it flies on as it does; a unit vector."""
+    time, lead, key = tick * p.dt, p.lead, (p.key_0, p.key_1)
+    gap = time + lead - state[_AT] * p.dt
     x, y = (
         p_x - (state[_PLACE] + gap * state[_VELOCITY]),
         p_y - (state[_PLACE + 1] + gap * state[_VELOCITY + 1]),
@@ -144,17 +134,17 @@ def border_side(at: float, size: float, margin: float) -> float:
 
 @compiled
 def leave_wall(
-    state: FloatArray, out_x: float, out_y: float, time: float, lead: float, key: Key
+    p: DriverParameters, state: FloatArray, out_x: float, out_y: float, tick: int
 ) -> tuple[float, float]:
     """Off a wall that it stands square to, or out of a corner: along a wall, and it stays with that for a while.
 
     Args:
+        p: Of the driver.
         state: Of the driver, changed in place.
         out_x, out_y: The sides it is near to, of `border_side`.
-        time: Now [s].
-        lead: [s]
-        key: Of the UGV's own random numbers.
+        tick: Now.
     """
+    time, lead, key = tick * p.dt, p.lead, (p.key_0, p.key_1)
     side = 1.0 if slot_draw(time, lead, _WALL, key) < 0.5 else -1.0
     if out_x == 0.0 or out_y == 0.0:
         x, y = side * out_y, side * out_x
@@ -162,7 +152,7 @@ def leave_wall(
         x, y = -out_x, 0.0
     else:
         x, y = 0.0, -out_y
-    state[_OUT], state[_OUT + 1], state[_OUT_END] = x, y, time + _DASH * lead
+    state[_OUT], state[_OUT + 1], state[_OUT_END] = x, y, tick + p.dash
     return x, y
 
 
@@ -203,7 +193,7 @@ def flee(
     state: FloatArray,
     x: float,
     y: float,
-    time: float,
+    tick: int,
     p_x: float,
     p_y: float,
     v_x: float,
@@ -213,7 +203,7 @@ def flee(
 
     The other arguments are those of `evade_control`.
     """
-    if time < state[_OUT_END]:
+    if tick < state[_OUT_END]:
         x, y = state[_OUT], state[_OUT + 1]
     out_x, out_y = border_side(p_x, p.width, p.margin), border_side(p_y, p.height, p.margin)
     x, y = (0.0 if out_x * x > 0.0 else x), (0.0 if out_y * y > 0.0 else y)
@@ -221,7 +211,7 @@ def flee(
     if length > 0.0:
         x, y = x / length, y / length
     else:
-        x, y = leave_wall(state, out_x, out_y, time, p.lead, (p.key_0, p.key_1))
+        x, y = leave_wall(p, state, out_x, out_y, tick)
     w_x, w_y = off_walls(
         x * p.speed, y * p.speed, p_x, p_y, v_x, v_y, p.width, p.height, p.u_max, p.dt
     )
@@ -245,21 +235,25 @@ def evade_control(
     Args:
         p: Of the driver.
         state: Of the driver, changed in place; begins as `begin_evade` makes it.
-        radio: Time [s] and p_a - p_g [m] of each message of this tick, shape (rows, 3).
+        radio: The tick and p_a - p_g [m] of each message that has come at this tick, shape (rows, 3).
         received: How many rows count.
         tick: Now.
         p_x, p_y: Position [m].
         v_x, v_y: Velocity [m/s].
     """
-    time, key = tick * p.dt, (p.key_0, p.key_1)
-    receive_radio(state, radio, received, time, p_x, p_y, v_x, v_y, p.dt)
-    if not is_known(state, time):
+    receive_radio(p, state, radio, received, tick, p_x, p_y, v_x, v_y)
+    if not is_known(p, state, tick):
         return wander_control(p, state, tick, p_x, p_y, v_x, v_y)
-    x, y = away(state, time, p_x, p_y, p.lead, key)
-    x, y = turned(x, y, time, p.lead, key)
-    return flee(p, state, x, y, time, p_x, p_y, v_x, v_y)
+    x, y = away(p, state, tick, p_x, p_y)
+    x, y = turned(x, y, tick * p.dt, p.lead, (p.key_0, p.key_1))
+    return flee(p, state, x, y, tick, p_x, p_y, v_x, v_y)
 
 
 def evade_lead(speed: float, u_max: float) -> float:
     """How far it looks ahead [s]: its own time to reverse from its speed [m/s] at its bound [m/s²], within limits."""
     return min(max(2.0 * speed / u_max, _LEAD[0]), _LEAD[1])
+
+
+def evade_ticks(lead: float, dt: float) -> tuple[int, int]:
+    """Ticks after which the last message says nothing any more, and for which it drives along a wall out of a corner."""
+    return ticks_within(_FORGOTTEN, dt), first_tick_from(_DASH * lead, dt)

@@ -31,7 +31,10 @@ class DriverParameters(NamedTuple):
     margin: float
     """Of the wanderer: its largest speed [m/s], and how near to the border its goals may be [m]."""
     lead: float
-    """Of the evader [s]."""
+    """Of the evader: how far it looks ahead [s]."""
+    forgotten: int
+    dash: int
+    """Of the evader: `agents.drivers.evade.evade_ticks`."""
     key_0: np.uint64
     key_1: np.uint64
     """The UGV's own random numbers."""
@@ -43,4 +46,4 @@ class Route(NamedTuple):
     goals: FloatArray
     """Waypoints [m], in order. Shape (goals, 2)."""
     script: FloatArray
-    """Time [s], v_x and v_y [m/s] of each step, in the order of time. Shape (steps, 3)."""
+    """First tick, v_x and v_y [m/s] of each step, in the order of time. Shape (steps, 3)."""

@@ -10,9 +10,6 @@ from sim.models.vehicles import brake, clip_norm, norm
 LARGEST = 1e6
 """No message carries a larger component [m/s], [m/s²]: the bound of a UGV that has none."""
 
-EARLY = 1e-6
-"""A time counts as come this share of a tick before it: tick times dt may round below it."""
-
 
 @compiled
 def velocity_control(

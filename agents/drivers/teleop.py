@@ -1,7 +1,8 @@
 """A person at the wheel, over a link that may fall silent."""
 
-from agents.drivers.steering import EARLY, Steering
+from agents.drivers.steering import Steering
 from bus.messages import Drive, UgvBriefing, UgvObservation
+from bus.ticks import ticks_within
 
 
 class TeleopDriver:
@@ -19,16 +20,16 @@ class TeleopDriver:
 
     def __init__(self, briefing: UgvBriefing) -> None:
         self._steering = Steering(briefing)
-        self._hold = float(briefing.hold) + EARLY * self._steering.dt
+        self._hold = ticks_within(briefing.hold, briefing.dt)
         self._word: Drive | None = None
-        self._heard = 0.0  # when that came [s]
+        self._received = 0  # the tick at which that came
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """The acceleration [m/s²] for this observation."""
         if observation.operator:
-            self._word, self._heard = observation.operator[-1], observation.time
+            self._word, self._received = observation.operator[-1], observation.tick
         word = self._word
-        if word is None or observation.time - self._heard > self._hold:
+        if word is None or observation.tick - self._received > self._hold:
             return self._steering.to_rest(observation)
         if word.velocity is not None:
             return self._steering.to_velocity(observation, word.velocity)

@@ -27,7 +27,7 @@ def ugv_tick(
         p: Of the driver.
         route: Its goals and its script.
         state: The driver's, from `agents.drivers.compiled.driver_state`; changed in place.
-        radio: Time [s] and p_a - p_g [m] of the messages that have come at this tick, shape (rows, 3).
+        radio: The tick and p_a - p_g [m] of the messages that have come at this tick, shape (rows, 3).
         received: How many of its rows count.
         tick: Now.
         p_x, p_y: Position of the UGV [m].
@@ -38,5 +38,5 @@ def ugv_tick(
     if p.driver == WANDER:
         return wander_control(p, state, tick, p_x, p_y, v_x, v_y)
     if p.driver == SCRIPT:
-        return script_control(p, route.script, tick * p.dt, v_x, v_y)
+        return script_control(p, route.script, tick, v_x, v_y)
     return evade_control(p, state, radio, received, tick, p_x, p_y, v_x, v_y)

@@ -13,6 +13,7 @@ Deviation: the paper's laws see the true $p_\Delta$. Ours see this estimate, nev
 """
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import msgspec
@@ -20,8 +21,9 @@ import numpy as np
 
 from agents.estimation.kalman import KalmanFilter
 from agents.estimation.motion_model import acceleration_deviation, cut_variance, motion, straying
-from agents.estimation.past import SAME_TIME, SPAN, FilterHistory, PastTick
-from bus.messages import Detection, Detector, Estimator, Limits
+from agents.estimation.past import SPAN, FilterHistory, PastTick
+from bus.messages import Detector, Estimator, Limits
+from bus.ticks import NO_TICK, Look
 from sim.kernels.compile import FloatArray
 from sim.models.vehicles import clip_norm
 
@@ -142,7 +144,7 @@ class RelativeEstimator:
 
     @property
     def duplicates(self) -> int:
-        """Detections ignored so far because that of their time was there."""
+        """Detections ignored so far because that of their tick was there."""
         return self._duplicates
 
     @property
@@ -151,34 +153,32 @@ class RelativeEstimator:
         return self._too_old
 
     def update(
-        self, *, time: float, own_position: tuple[float, float], detections: tuple[Detection, ...]
+        self, *, tick: int, own_position: tuple[float, float], looks: Iterable[Look]
     ) -> Estimate | None:
-        """Move on to `time` and take up what has arrived, each detection at its own time.
+        """Move on to a tick and take up what has arrived, each detection at its own tick.
 
-        Of several detections of one time only the first is used, also over several calls. What cannot be placed
-        counts as
-        refused: a detection of the future, or of a time at which the filter was not called, so that p_a is not
-            known, or
-        one that comes late and contradicts that of its time.
+        Of several detections of one tick only the first is used, also over several calls. What cannot be placed
+        counts as refused: a detection of the future, or of a time at which the filter was not called, so that p_a is
+        not known, or whose time is that of no tick, or one that comes late and contradicts that of its tick.
 
         Args:
-            time: Now [s]; a whole number of ticks after the last call, or the same.
+            tick: Now, the same as in the last call or later.
             own_position: p_a now [m].
-            detections: What has arrived since the last call, in any order.
+            looks: What has arrived since the last call, in any order.
 
         Returns:
             The estimate, or None where nothing was ever detected.
 
         Raises:
-            ValueError: If the time goes back or is between two ticks.
+            ValueError: If the tick is before that of the last call.
         """
-        now = self._advance(time, own_position)
+        now = self._advance(tick, own_position)
         first: PastTick | None = None  # the earliest at which something is new
-        for detection in detections:
-            moment = now if abs(detection.time - time) <= SAME_TIME else self._past(now, detection)
+        for look in looks:
+            moment = now if look.taken == tick else self._past(tick, look.taken)
             if (
                 moment is not None
-                and self._is_new(now, moment, detection)
+                and self._is_new(now, moment, look)
                 and (first is None or moment.tick < first.tick)
             ):
                 first = moment
@@ -188,24 +188,18 @@ class RelativeEstimator:
             self._run_again(first)
         return self._estimate()
 
-    def _advance(self, time: float, own_position: tuple[float, float]) -> PastTick:
+    def _advance(self, tick: int, own_position: tuple[float, float]) -> PastTick:
         """Predict over the ticks since the last call."""
         last = self._now
-        elapsed = 0.0 if last is None else time - last.time
-        ticks = round(elapsed / self._dt)
-        if elapsed < -SAME_TIME or abs(elapsed - ticks * self._dt) > max(
-            1e-6 * self._dt, SAME_TIME
-        ):
-            raise ValueError(
-                f"time {time} s is not a whole number of ticks of {self._dt} s after {last and last.time} s"
-            )
-        if last is not None and not ticks:
+        elapsed = 0 if last is None else tick - last.tick
+        if elapsed < 0:
+            raise ValueError(f"tick = {tick}: is before the last one, {tick - elapsed}")
+        if last is not None and not elapsed:
             last.own_position = own_position
             return last
-        self._coast(ticks)
+        self._coast(elapsed)
         now = self._now = PastTick(
-            tick=ticks if last is None else last.tick + ticks,
-            time=time,
+            tick=tick,
             own_position=own_position,
             x=self._filter.x,
             P=self._filter.P,
@@ -223,23 +217,20 @@ class RelativeEstimator:
             if ticks and self._settings.enabled:
                 self._predict(ticks, self._age)
 
-    def _past(self, now: PastTick, detection: Detection) -> PastTick | None:
+    def _past(self, tick: int, taken: int) -> PastTick | None:
         """The moment at which a detection was taken; None, and counted, where there is none to be had."""
-        moment = None
-        if detection.time < now.time:
-            late = round((now.time - detection.time) / self._dt)
-            if late > self._history.ticks:
-                self._too_old += 1
-                return None
-            moment = self._history.find(tick=now.tick - late, time=detection.time)
+        if taken != NO_TICK and tick - taken > self._history.ticks:
+            self._too_old += 1
+            return None
+        moment = self._history.find(taken)
         if moment is None:
             self._misdated += 1
         return moment
 
-    def _is_new(self, now: PastTick, moment: PastTick, detection: Detection) -> bool:
+    def _is_new(self, now: PastTick, moment: PastTick, look: Look) -> bool:
         """Put a detection into its moment, unless there is one."""
-        (p_x, p_y), (p_delta_x, p_delta_y) = moment.own_position, detection.relative_position
-        seen = (p_x - p_delta_x, p_y - p_delta_y)
+        p_x, p_y = moment.own_position
+        seen = (p_x - look.x, p_y - look.y)
         if moment.seen is None:
             moment.seen = seen
             return True
@@ -349,7 +340,7 @@ class RelativeEstimator:
         self._refused_in_a_row = 0
 
     def _is_believable(self, x: float, y: float) -> bool:
-        r"""Whether $\nu^T S^{-1} \nu$ is within the gate, $\nu = z - H\hat x$, $S = H P H^T + R$."""
+        r"""True if $\nu^T S^{-1} \nu$ is within the gate, $\nu = z - H\hat x$, $S = H P H^T + R$."""
         state, P = self._filter.x, self._filter.P
         nu_x, nu_y = x - state.item(0), y - state.item(1)
         s_xx, s_xy, s_yy = P.item(0) + self._variance, P.item(1), P.item(5) + self._variance

@@ -6,10 +6,8 @@ from operator import attrgetter
 
 import msgspec
 
+from bus.ticks import ticks_within
 from sim.kernels.compile import FloatArray
-
-SAME_TIME = 1e-9
-"""Two times nearer than this are one [s]."""
 
 SPAN = 60.0
 """How late a detection may come by default and still be used [s]."""
@@ -25,8 +23,7 @@ class PastTick(msgspec.Struct, gc=False, kw_only=True):
     The arrays are the filter's own, not copies: it replaces its arrays and never writes into them.
     """
 
-    tick: int  # since the first call
-    time: float  # [s]
+    tick: int
     own_position: tuple[float, float]  # p_a [m]
     seen: tuple[float, float] | None = None  # where the UGV was detected, in the world frame [m]
     x: FloatArray
@@ -50,19 +47,19 @@ class FilterHistory:
     def __init__(self, *, span: float, dt: float) -> None:
         if not span >= 0.0:
             raise ValueError(f"span must not be negative, but is {span}")
-        self.ticks = round(min(span / dt, _MOST_TICKS))
+        self.ticks = _MOST_TICKS if span / dt > _MOST_TICKS else ticks_within(span, dt)
         """How far back it reaches."""
         self._moments: deque[PastTick] = deque(maxlen=self.ticks + 1)
         self.add = self._moments.append
         """Add the newest moment. The method is the queue's own: it is called at every tick."""
 
-    def find(self, *, tick: int, time: float) -> PastTick | None:
-        """The moment of this tick, if the filter was called then and at this time [s]."""
+    def find(self, tick: int) -> PastTick | None:
+        """The moment of this tick, if the filter was called then."""
         k = bisect_left(self._moments, tick, key=_tick_of)
         if k == len(self._moments):
             return None
         moment = self._moments[k]
-        return moment if moment.tick == tick and abs(moment.time - time) <= SAME_TIME else None
+        return moment if moment.tick == tick else None
 
     def after(self, moment: PastTick) -> list[PastTick]:
         """All moments later than this one, in order."""

@@ -156,7 +156,7 @@ def kalman_state(depth: int) -> KalmanState:
 
 @borrowing
 def kalman_estimate(state: KalmanState) -> tuple[bool, float, float]:
-    """Whether the UGV was ever detected, and where it is believed to be [m]."""
+    """Tells if the UGV was ever detected, and where it is believed to be [m]."""
     numbers = state.numbers
     return numbers[KNOWN] != 0.0, numbers[X], numbers[Y]
 

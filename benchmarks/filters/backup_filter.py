@@ -25,24 +25,40 @@ to be safe, and the backup policy acts; such ticks are counted as not feasible.
 
 import math
 
+from agents.control.certificate import Known
 from agents.control.discs import (
+    Disc,
+    disc_of,
+    drift,
     keep_detection,
     lens_distance,
     nearest,
     newest_detection,
     no_detections,
+    radius_at,
 )
-from agents.control.handover import Promise
+from agents.control.promise import Promise
 from agents.control.visibility import Verdict, promise_of
 from bus.messages import UavBriefing, UavObservation, Vector
-from sim.kernels.compile import FloatArray, compiled
-from sim.models.vehicles import clip_norm, norm, speed_to_stop_within, step_vehicle, within_walls
+from bus.ticks import tick_of
+from sim.kernels.compile import compiled
+from sim.kernels.records import RecordArray
+from sim.models.vehicles import (
+    Motion,
+    clip_norm,
+    norm,
+    speed_to_stop_within,
+    step_vehicle,
+    within_walls,
+)
 
 _REST = 0.02
 """The backup policy has arrived where it is slower than this [m/s], and nearer to its goal than `_NEAR` [m]."""
 _NEAR = 0.05
 _LONGEST = 25.0
 """A flow that takes longer [s] ends nowhere."""
+_TRACK = 60.0
+"""Own positions are kept for so long [s]."""
 _DIRECTIONS = 16
 """In which a better input is looked for."""
 _HALVINGS = 8
@@ -70,58 +86,41 @@ def backup_policy(
 
 
 @compiled
-def worst_distance(
-    promise: Promise, discs: FloatArray, new: int, near: int, t: float, x: float, y: float
-) -> float:
-    """The largest distance of the UGV from (x, y) [m] at time t [s], by the newest disc and the one of least bound."""
-    c = promise
-    new_radius, near_radius = (
-        c.eps + c.v_g * (t - discs[new, 2]),
-        c.eps + c.v_g * (t - discs[near, 2]),
-    )
-    if new == near:
-        bound: float = norm(x - discs[new, 0], y - discs[new, 1]) + new_radius
-        return bound
-    lens: float = lens_distance(
-        x, y, discs[new, 0], discs[new, 1], new_radius, discs[near, 0], discs[near, 1], near_radius
-    )
+def worst_distance(promise: Promise, known: Known, tick: int, x: float, y: float) -> float:
+    """The largest distance of the UGV from (x, y) [m] at a tick, by the newest disc and the one of least bound."""
+    a, b = known.newest, known.nearest
+    a_r, b_r = radius_at(promise, a, tick), radius_at(promise, b, tick)
+    if known.single:
+        return norm(x - a.x, y - a.y) + a_r
+    lens: float = lens_distance(x, y, a.x, a.y, a_r, b.x, b.y, b_r)
     return lens
 
 
 @compiled
 def flow_value(
-    promise: Promise,
-    discs: FloatArray,
-    new: int,
-    near: int,
-    t: float,
-    spent: float,
-    p_x: float,
-    p_y: float,
-    v_x: float,
-    v_y: float,
-    enough: float,
+    promise: Promise, known: Known, tick: int, spent: int, here: Motion, enough: float
 ) -> float:
-    """h_I [m] of the state in which the UAV is `spent` seconds after t.
+    """h_I [m] of the state in which the UAV is `spent` ticks after this one.
 
     With a finite `enough` only whether it is at least that.
 
-    What is known of the UGV at t grows by v_g. A tick is looked at only where the worst distance can have come
+    What is known of the UGV now grows by v_g. A tick is looked at only where the worst distance can have come
     near: it grows by at most v_a + v_g.
 
     Returns:
         h_I; with a finite `enough` a number below it if h_I is less, and else one that is not.
     """
     c = promise
-    z_x, z_y = discs[new, 0], discs[new, 1]
+    p_x, p_y, v_x, v_y = here
+    z_x, z_y = known.newest.x, known.newest.y
     value, wait = math.inf, 0.0
     for k in range(math.ceil(_LONGEST / c.dt)):
-        s = spent + k * c.dt
+        driven = drift(c, spent + k)
         if not (-_WALL <= p_x <= c.width + _WALL and -_WALL <= p_y <= c.height + _WALL):
             return -math.inf
         arrived = norm(v_x, v_y) < _REST and norm(p_x - z_x, p_y - z_y) < _NEAR
         if wait <= 0.0 or arrived:
-            room = c.r_v - worst_distance(c, discs, new, near, t, p_x, p_y) - c.v_g * s
+            room = c.r_v - worst_distance(c, known, tick, p_x, p_y) - driven
             value = min(value, room)
             if value < enough:
                 return value
@@ -129,8 +128,8 @@ def flow_value(
                 value if enough == -math.inf else enough
             )  # until it can be the least, or too small
         if arrived:
-            end = worst_distance(c, discs, new, near, t, p_x, p_y) + c.v_g * s + _NEAR
-            reach = norm(p_x - z_x, p_y - z_y) + c.eps + c.v_g * (t - discs[new, 2] + s) + _NEAR
+            end = worst_distance(c, known, tick, p_x, p_y) + driven + _NEAR
+            reach = norm(p_x - z_x, p_y - z_y) + radius_at(c, known.newest, tick) + driven + _NEAR
             return min(value, c.handover - end, c.reach - reach)
         u_x, u_y = backup_policy(p_x, p_y, v_x, v_y, z_x, z_y, c.v_a, c.u_a, c.dt)
         p_x, p_y, v_x, v_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, u_x, u_y, c.v_a, c.u_a, c.dt)
@@ -141,36 +140,28 @@ def flow_value(
 @compiled
 def value_after(
     promise: Promise,
-    discs: FloatArray,
-    new: int,
-    near: int,
-    t: float,
-    p_x: float,
-    p_y: float,
-    v_x: float,
-    v_y: float,
+    known: Known,
+    tick: int,
+    here: Motion,
     u_x: float,
     u_y: float,
     enough: float,
 ) -> float:
     """h_I [m] one tick later, under the input u [m/s²].
 
-    Arguments else as in `flow_value`, at the time `promise.delay`.
+    Arguments else as in `flow_value`, from the tick on in which a command acts.
     """
-    c = promise
+    c, (p_x, p_y, v_x, v_y) = promise, here
     x, y, w_x, w_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, u_x, u_y, c.v_a, c.u_a, c.dt)
-    return flow_value(c, discs, new, near, t, c.delay + c.dt, x, y, w_x, w_y, enough)
+    return flow_value(c, known, tick, c.delay_ticks + 1, Motion(x, y, w_x, w_y), enough)
 
 
 @compiled
 def filtered(
     promise: Promise,
-    discs: FloatArray,
-    t: float,
-    p_x: float,
-    p_y: float,
-    v_x: float,
-    v_y: float,
+    discs: RecordArray,
+    tick: int,
+    here: Motion,
     u_x: float,
     u_y: float,
     gamma: float,
@@ -182,9 +173,9 @@ def filtered(
 
     Args:
         promise: The declared numbers.
-        discs: Detections as kept. (KEPT, 3)
-        t: Time now [s].
-        p_x, p_y, v_x, v_y: State when the input will act [m], [m/s].
+        discs: Detections as kept. (KEPT,)
+        tick: Now.
+        here: State when the input will act.
         u_x, u_y: What is wanted [m/s²].
         gamma: How much of h_I may be used up in a tick, 0 to 1.
 
@@ -192,23 +183,28 @@ def filtered(
         The input [m/s²], whether it is another one than was wanted, and whether h_I >= 0 before.
     """
     c = promise
+    p_x, p_y, v_x, v_y = here
     new = newest_detection(discs)
-    near = nearest(p_x, p_y, t, discs, c.eps, c.v_g)
-    b_x, b_y = backup_policy(p_x, p_y, v_x, v_y, discs[new, 0], discs[new, 1], c.v_a, c.u_a, c.dt)
-    before = flow_value(c, discs, new, near, t, c.delay, p_x, p_y, v_x, v_y, 0.0)
+    near = nearest(c, discs, tick, p_x, p_y)
+    known = Known(
+        disc_of(c, discs, new), disc_of(c, discs, near), Disc(0.0, 0.0, math.inf, 0), new == near
+    )
+    z = known.newest
+    b_x, b_y = backup_policy(p_x, p_y, v_x, v_y, z.x, z.y, c.v_a, c.u_a, c.dt)
+    before = flow_value(c, known, tick, c.delay_ticks, here, 0.0)
     if not before >= 0.0:
         return b_x, b_y, True, False
     if gamma < 1.0:
-        before = flow_value(c, discs, new, near, t, c.delay, p_x, p_y, v_x, v_y, -math.inf)
+        before = flow_value(c, known, tick, c.delay_ticks, here, -math.inf)
     least = (1.0 - gamma) * before
     u_x, u_y = clip_norm(u_x, u_y, c.u_a)
-    if value_after(c, discs, new, near, t, p_x, p_y, v_x, v_y, u_x, u_y, least) >= least:
+    if value_after(c, known, tick, here, u_x, u_y, least) >= least:
         return u_x, u_y, False, True
     low, high = 0.0, 1.0  # of the way from u to the backup's input
     for _ in range(_HALVINGS):
         share = 0.5 * (low + high)
         x, y = u_x + share * (b_x - u_x), u_y + share * (b_y - u_y)
-        if value_after(c, discs, new, near, t, p_x, p_y, v_x, v_y, x, y, least) >= least:
+        if value_after(c, known, tick, here, x, y, least) >= least:
             high = share
         else:
             low = share
@@ -221,18 +217,12 @@ def filtered(
         )
         near_by, far = 0.0, 0.98 * best
         x, y = u_x + far * e_x, u_y + far * e_y
-        if (
-            norm(x, y) > c.u_a
-            or not value_after(c, discs, new, near, t, p_x, p_y, v_x, v_y, x, y, least) >= least
-        ):
+        if norm(x, y) > c.u_a or not value_after(c, known, tick, here, x, y, least) >= least:
             continue
         for _ in range(_HALVINGS):
             middle = 0.5 * (near_by + far)
             x, y = u_x + middle * e_x, u_y + middle * e_y
-            if (
-                norm(x, y) <= c.u_a
-                and value_after(c, discs, new, near, t, p_x, p_y, v_x, v_y, x, y, least) >= least
-            ):
+            if norm(x, y) <= c.u_a and value_after(c, known, tick, here, x, y, least) >= least:
                 far = middle
             else:
                 near_by = middle
@@ -253,36 +243,27 @@ class BackupFilter:
         self.gamma = gamma
         self._discs = no_detections()
         self._track: dict[int, Vector] = {}
-        self._pending: list[Vector] = [(0.0, 0.0)] * round(self.promise.delay / self.promise.dt)
+        self._pending: list[Vector] = [(0.0, 0.0)] * self.promise.delay_ticks
 
     def see(self, observation: UavObservation) -> None:
         """Take in where the UAV is, and the detections that have arrived."""
-        c, t, (p_x, p_y) = self.promise, observation.tick * self.promise.dt, observation.position
+        c, tick, (p_x, p_y) = self.promise, observation.tick, observation.position
         self._track[observation.tick] = observation.position
-        self._track.pop(observation.tick - round(60.0 / c.dt), None)
+        self._track.pop(tick - math.ceil(_TRACK / c.dt), None)
         for found in observation.detections:
-            was = self._track.get(round(found.time / c.dt))
+            taken = tick_of(found.time, c.dt)
+            was = self._track.get(taken)
             if was is not None:
                 z_x = min(max(was[0] - found.relative_position[0], 0.0), c.width)
                 z_y = min(max(was[1] - found.relative_position[1], 0.0), c.height)
-                keep_detection(
-                    self._discs,
-                    z_x,
-                    z_y,
-                    round(found.time / c.dt) * c.dt,
-                    t,
-                    p_x,
-                    p_y,
-                    c.eps,
-                    c.v_g,
-                )
+                keep_detection(c, self._discs, z_x, z_y, taken, tick, p_x, p_y)
 
     def filter(self, observation: UavObservation, acceleration: Vector) -> Verdict:
         """The nearest input [m/s²] that keeps the barrier.
 
         `certified` says whether there is one that is known to be safe.
         """
-        c, t = self.promise, observation.tick * self.promise.dt
+        c, tick = self.promise, observation.tick
         (p_x, p_y), (v_x, v_y) = observation.position, observation.velocity
         for x, y in self._pending:
             p_x, p_y, v_x, v_y, _, _ = step_vehicle(p_x, p_y, v_x, v_y, x, y, c.v_a, c.u_a, c.dt)
@@ -291,16 +272,16 @@ class BackupFilter:
         new = newest_detection(self._discs)
         if new < 0:
             u_x, u_y = clip_norm(-v_x / c.dt, -v_y / c.dt, c.u_a)
-            acts, feasible, age = True, False, math.inf
+            acts, feasible, fresh = True, False, False
         else:
-            age = t - float(self._discs[new, 2])
+            fresh = tick - int(self._discs[new]["taken"]) <= c.age_ticks
             wanted = (float(acceleration[0]), float(acceleration[1]))
             u_x, u_y, acts, feasible = filtered(
-                c, self._discs, t, p_x, p_y, v_x, v_y, *wanted, self.gamma
+                c, self._discs, tick, Motion(p_x, p_y, v_x, v_y), *wanted, self.gamma
             )
         if self._pending:
             self._pending = [*self._pending[1:], (u_x, u_y)]
-        known = bool(feasible and age <= c.age + 1e-9)
+        known = bool(feasible and fresh)
         return Verdict(
             (u_x, u_y),
             bool(acts),

@@ -152,7 +152,7 @@ class CKernels:
         return total
 
     def check(self, places: int = 50) -> None:
-        """Whether they compute what ours do: a benchmark that computes something else is no reference.
+        """True if they compute what ours do: a benchmark that computes something else is no reference.
 
         Args:
             places: How many random grids, sensors and positions, inside Q and outside, are compared.

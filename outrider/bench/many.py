@@ -16,7 +16,7 @@ import numpy as np
 from outrider.bench.timing import Pair, rate
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.vector import vector_env
-from sim.engine.world_state import WorldParameters
+from sim.engine.world_state import Precision, WorldParameters
 from sim.env.rewards import RewardWeights
 from sim.kernels.compile import FloatArray, IntArray, released
 from sim.kernels.prefetch import fetch_disc
@@ -100,6 +100,7 @@ def stepped(
     worlds: int = WORLDS,
     steps: int = _STEPS,
     limit: bool = True,
+    precision: Precision = "double",
 ) -> Pair:
     """World-steps a second of `vector_env` with estimate and gradient, and beside it of the kernels alone.
 
@@ -109,9 +110,16 @@ def stepped(
         worlds: How many.
         steps: Of all worlds, that are timed.
         limit: Whether the kernels alone are measured, too; only for one pair of vehicles.
+        precision: Of the coverage grids.
     """
     env = vector_env(
-        scenario, num_envs=worlds, agent="uav_0", estimate=True, gradient=True, rewards=rewards
+        scenario,
+        num_envs=worlds,
+        agent="uav_0",
+        estimate=True,
+        gradient=True,
+        rewards=rewards,
+        precision=precision,
     )
     try:
         env.reset(seed=1)
@@ -132,6 +140,13 @@ def stepped(
         ) if limit else None
     finally:
         env.close()
+
+
+def in_single(rewards: RewardWeights | None = None) -> Pair:
+    """`stepped` with coverage grids in single precision, beside the same in double."""
+    single, _ = stepped(rewards=rewards, limit=False, precision="single")
+    double, _ = stepped(rewards=rewards, limit=False)
+    return single, double
 
 
 def pilots(*, worlds: int = WORLDS, ticks: int = 40) -> Pair:

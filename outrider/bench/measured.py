@@ -34,11 +34,11 @@ class Layer(NamedTuple):
     unit: str
     """Of both numbers."""
     reference: str
-    """What the second number is."""
+    """The meaning of the second number."""
     most: int = 1_000
     """It is measured no more often than this: what takes minutes is measured once."""
     missing: str = ""
-    """What is said in the place of `reference` where there is no second number."""
+    """The words in the place of `reference` where there is no second number."""
     needs: tuple[str, ...] = ()
     """Packages of an extra without which the row is left out, unless it is asked for."""
     extra: str = ""
@@ -82,6 +82,7 @@ ROWS: dict[str, Layer] = {
         missing=NO_COMPILER,
     ),
     "batch_1024": Layer(many.stepped, "steps/s", ALONE),
+    "batch_1024_single": Layer(many.in_single, "steps/s", "batch_1024, grids in double precision"),
     "batch_1024_rate": Layer(partial(many.stepped, rewards=many.RATE), "steps/s", ALONE),
     "batch_1024_pilots": Layer(many.pilots, "steps/s", ALONE),
     "batch_memory": Layer(many.memory, "B", "growth of a process by 1,024 worlds, each", 2),

@@ -30,7 +30,7 @@ class ScalingPoint(msgspec.Struct, frozen=True, kw_only=True):
     """One measurement."""
 
     panel: str
-    """What is varied: worlds, cells or pairs."""
+    """The varied quantity: worlds, cells or pairs."""
     value: float
     """Its value: a number, or the width of a cell [m]."""
     mode: str

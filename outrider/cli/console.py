@@ -1,4 +1,4 @@
-"""What the terminal shows: results on stdout, everything on the way on stderr."""
+"""Output on the terminal: results on stdout, everything on the way on stderr."""
 
 import re
 import sys
@@ -28,7 +28,7 @@ def print_json(value: object) -> None:
 
 
 def print_warnings(lines: Iterable[str]) -> None:
-    """What can be flown but will not do what one may expect.
+    """Prints warnings of what can be flown but will not do what one may expect.
 
     Lines that differ in numbers alone are one, with their count.
     """

@@ -31,7 +31,7 @@ EXTRAS = {
     "rllib": ("ray",),
     "supersuit": ("supersuit",),
 }
-"""What each extra brings, by the names under which it is imported."""
+"""The packages of each extra, by the names under which it is imported."""
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "firefox", "microsoft-edge", "open")
 
 

@@ -29,7 +29,7 @@ _LINE = 10.0
 
 
 class Expect(StrEnum):
-    """What the exit code is to say."""
+    """The outcome that the exit code is to tell."""
 
     NONE = "none"
     SOME = "some"
@@ -275,7 +275,7 @@ def _check_eps(eps: float | None) -> None:
 
 
 def _check_out(out: Path | None) -> None:
-    """What stands in the way of the file shows before the search, not after it."""
+    """Raises if the file cannot be written: before the search, not after it."""
     if out is None:
         return
     if out.is_dir():

@@ -221,13 +221,13 @@ def _tell(recording: "Recording", *, json: bool) -> None:
 
 
 def _wall_time(recording: "Recording") -> float:
-    """What the flight took [s], from the speeds that its status told; 0: not known."""
+    """Returns the time that the flight took [s], from the speeds that its status told; 0: not known."""
     factors, flown = recording.factors, recording.truths[-1].time - recording.truths[0].time
     return flown * sum(1.0 / factor for factor in factors) / len(factors) if factors else 0.0
 
 
 def _facts(recording: "Recording") -> dict[str, Any]:
-    """What can be told of any recording."""
+    """Returns the facts that any recording tells."""
     truths, damage = recording.truths, recording.damage
     distances = [escort.distance for truth in truths for escort in truth.escorts]
     minutes = (truths[-1].time - truths[0].time) / 60.0

@@ -12,23 +12,25 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.control.guard import GuardState, guard_state
-from agents.control.handover import Promise, check_assumptions
+from agents.control.handover import check_assumptions
 from agents.control.laws import (
     STATE_SIZE,
     WATCHED,
     LawParameters,
     law_parameters,
 )
+from agents.control.promise import Promise
 from agents.control.visibility import promise_of
 from agents.drivers.compiled import driver_parameters, driver_state, told_route
 from agents.drivers.parameters import COMPILED_DRIVERS, DriverParameters
 from agents.estimation.past import SPAN
 from agents.estimation.twin import KalmanParameters, KalmanState, kalman_parameters, kalman_state
-from agents.uav import RADIO_PERIOD
+from agents.uav import radio_ticks
 from bus.errors import ScenarioError
 from bus.layout import GradientCue
 from bus.messages import LinkKind, LinkStatus, UavBriefing, UgvBriefing
 from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
+from bus.ticks import ticks_within
 from outrider.envs.closed_loop_state import (
     GUARD_METRICS,
     LoopParameters,
@@ -36,11 +38,10 @@ from outrider.envs.closed_loop_state import (
     LoopTables,
 )
 from outrider.envs.closed_loop_tick import run_worlds
-from sim.channel.link import DUST
 from sim.engine.batch import Batch, Fresh, arrays_of
 from sim.engine.briefing import briefing
 from sim.engine.link_arrays import LinkArrays
-from sim.engine.world_state import first_state
+from sim.engine.world_state import Precision
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights
 from sim.env.rows import UAV_METRICS, joined, row_state, row_tables
@@ -92,13 +93,14 @@ class ClosedLoop:
         end_on_goals_reached: Whether it terminates when every UGV with goals has reached them all.
         threads: Processor cores that share the worlds; by default all that this process may use.
         secret: Of all random numbers, with each world's seed, as `sim.engine.run_keys.check_secret` returns it; empty: none.
+        precision: Of the coverage grids.
 
     Raises:
         ScenarioError: If a vehicle has a law or a driver that cannot be flown in here.
         ValueError: If another argument is not allowed.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - options, each by keyword
         self,
         scenario: Scenario,
         worlds: int,
@@ -115,6 +117,7 @@ class ClosedLoop:
         end_on_goals_reached: bool = False,
         threads: int | None = None,
         secret: str = "",
+        precision: Precision = "double",
     ) -> None:
         self.scenario = scenario
         self.worlds = worlds
@@ -135,7 +138,12 @@ class ClosedLoop:
             scenario, self.uavs, self.ugvs, set(self.external), chosen, shield=safety_filter
         )
         self.batch = Batch(
-            scenario, worlds, gains=weights.seen > 0.0, threads=threads, secret=secret
+            scenario,
+            worlds,
+            gains=weights.seen > 0.0,
+            threads=threads,
+            secret=secret,
+            precision=precision,
         )
         radio = self._radio = LinkArrays(scenario, (LinkKind.RADIO,), 3, worlds)
         receiving = numbers.radio
@@ -147,7 +155,7 @@ class ClosedLoop:
             gradient=gradient,
             own_maps=len(self.uavs) > 1,
             radio=receiving,
-            radio_ticks=max(1, round(RADIO_PERIOD / dt)),
+            radio_ticks=radio_ticks(dt),
             meters_per_pixel=float(patch.meters_per_pixel) if patch else 1.0,
         )
         scripts, script_rows = joined(numbers.scripts, 3)
@@ -185,7 +193,7 @@ class ClosedLoop:
             ),
         )
         late = self.batch.longest_delay(LinkKind.DETECTIONS)
-        kalman = kalman_state(min(late, round(SPAN / dt)) + 1)
+        kalman = kalman_state(min(late, ticks_within(SPAN, dt)) + 1)
         guards = guard_state(numbers.slowest, min(late + 1, max(1, math.ceil(_TRACK / dt))))
         uavs, ugvs = len(self.uavs), len(self.ugvs)
         room = radio.room * uavs if receiving else 1
@@ -199,7 +207,10 @@ class ClosedLoop:
                 uav_metrics=len(GUARD_METRICS),
                 uav_columns=len(GradientCue._fields),
             ),
-            maps=np.zeros((worlds, uavs if self.parameters.own_maps else 0, *coverage.shape[1:])),
+            maps=np.zeros(
+                (worlds, uavs if self.parameters.own_maps else 0, *coverage.shape[1:]),
+                dtype=coverage.dtype,
+            ),
             sent=np.zeros((worlds, uavs, int(numbers.delays.max()) + 1, 2)),
             laws=np.repeat(numbers.laws[None], worlds, axis=0),
             drivers=np.repeat(numbers.drivers[None], worlds, axis=0),
@@ -215,7 +226,7 @@ class ClosedLoop:
             patches=np.zeros((worlds, uavs if patch else 0, pixels, pixels)),
         )
         if self.parameters.own_maps:
-            self.state.maps[:] = first_state(scenario).coverage
+            self.state.maps[:] = coverage[0]
         self._fresh = Fresh(self.state[1:])  # all but the batch, which knows its own
         self._all = np.arange(worlds)
         with compiling():  # one process does, the others wait
@@ -223,7 +234,7 @@ class ClosedLoop:
 
     @property
     def degraded(self) -> bool:
-        """Whether any link does anything to a message."""
+        """True if any link does anything to a message."""
         return self.batch.degraded or not self._radio.perfect
 
     def begin(
@@ -312,7 +323,7 @@ class ClosedLoop:
 
 
 def _is_bounded(told: UavBriefing) -> bool:
-    """Whether no detection can have a larger error than is declared."""
+    """True if no detection can have a larger error than is declared."""
     detector, declared = told.detector, told.certificate.error
     if declared is None or detector.noise == 0.0:
         return declared is not None
@@ -341,13 +352,9 @@ class _PilotNumbers:
         ]
         promises = [promise_of(one) for one in told_uavs]
         self.laws = records(LawParameters, laws)
-        self.slowest = max(promises, key=lambda promise: promise.delay)
-        self.delays = np.array(
-            [round(promise.delay / promise.dt) for promise in promises], dtype=np.int64
-        )
-        self.ages = np.array(
-            [math.floor(one.certificate.age / one.dt + DUST) for one in told_uavs], dtype=np.int64
-        )
+        self.slowest = max(promises, key=lambda promise: promise.delay_ticks)
+        self.delays = np.array([promise.delay_ticks for promise in promises], dtype=np.int64)
+        self.ages = np.array([promise.age_ticks for promise in promises], dtype=np.int64)
         self.bounded = np.array([_is_bounded(one) for one in told_uavs])
         self.promises = records(Promise, promises)
         self.faults = np.array([bool(check_assumptions(promise)) for promise in promises])

@@ -24,7 +24,7 @@ class GuardMetrics(NamedTuple):
     bound: float
     """The distance that it bounds [m]."""
     obeyed: float
-    """Whether the command that acted in the last tick was the one that was due."""
+    """True if the command that acted in the last tick was the one that was due."""
     asked: float
     intervened: float
     certified: float
@@ -43,15 +43,15 @@ class LoopParameters(NamedTuple):
     """The switches and numbers of the loop."""
 
     error: bool
-    """Whether e(t) is needed at every tick."""
+    """True if e(t) is needed at every tick."""
     estimate: bool
-    """Whether the rows have the filter's estimate in the place of the raw detection."""
+    """True if the rows have the filter's estimate in the place of the raw detection."""
     gradient: bool
-    """Whether the rows have the gradient."""
+    """True if the rows have the gradient."""
     own_maps: bool
-    """Whether each UAV has a map of its own; else all that is seen is its own."""
+    """True if each UAV has a map of its own; else all that is seen is its own."""
     radio: bool
-    """Whether any UGV uses the radio."""
+    """True if any UGV uses the radio."""
     radio_ticks: int
     meters_per_pixel: float
 
@@ -119,7 +119,7 @@ class LoopState(NamedTuple):
     inbox: FloatArray
     """Room for the messages that arrive by one radio link: tick, p_delta [m]. Shape (worlds, room, 3)."""
     inboxes: FloatArray
-    """The radio messages that have reached each UGV at this tick: time [s], p_delta [m]. Shape (worlds, UGVs, room, 3)."""
+    """The radio messages that have reached each UGV at this tick: the tick, p_delta [m]. Shape (worlds, UGVs, room, 3)."""
     arrived: IntArray
     """How many. Shape (worlds, UGVs)."""
     patches: FloatArray

@@ -8,7 +8,7 @@ from agents.control.certificate import CERTIFIED as NOTHING_AGAINST
 from agents.control.certificate import INNER
 from agents.control.guard import GuardState, guard
 from agents.control.laws import OwnTerms
-from agents.control.uav_tick import Motion, UavMemory, uav_perceive, uav_tick
+from agents.control.uav_tick import UavMemory, uav_perceive, uav_tick
 from agents.drivers.parameters import Route
 from agents.drivers.ugv_tick import ugv_tick
 from agents.estimation.twin import AGE, KalmanState, kalman_estimate, kalman_step
@@ -31,6 +31,7 @@ from sim.kernels.compile import FloatArray, IntArray, inlined, released
 from sim.kernels.prefetch import fetch_disc, fetch_rows
 from sim.models.field import coverage_gradient
 from sim.models.randomness import key_of
+from sim.models.vehicles import Motion
 
 _SAID, _SENT_X, _SENT_Y = range(3)
 
@@ -38,9 +39,7 @@ _SAID, _SENT_X, _SENT_Y = range(3)
 @inlined
 def _guard_of(t: LoopTables, s: GuardState, k: int, u: int) -> GuardState:
     course = s.course[k, u, : t.delays[u] + 1]
-    return GuardState(
-        s.detections[k, u], s.plan[k, u], course, s.track[k, u], s.track_ticks[k, u], s.flags[k, u]
-    )
+    return GuardState(s.detections[k, u], s.plan[k, u], course, s.track[k, u], s.flags[k, u])
 
 
 @inlined
@@ -81,9 +80,7 @@ def _fly(
         u_x, u_y = actions[t.hand[v], 0], actions[t.hand[v], 1]
         acts, code, bound = INNER, NOTHING_AGAINST, 0.0
         if guarded:
-            u_x, u_y, acts, code, bound = guard(
-                t.promises[u], memory.guard, tick, here.p_x, here.p_y, here.v_x, here.v_y, u_x, u_y
-            )
+            u_x, u_y, acts, code, bound = guard(t.promises[u], memory.guard, tick, here, u_x, u_y)
     if guarded:
         row[GUARD_METRICS.bound] = bound
         row[GUARD_METRICS.acted] = 1.0 if acts != INNER else 0.0
@@ -146,7 +143,7 @@ def _drive(
 @inlined
 def _radio(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
     """Send out the radio messages of the tick before, and receive those that arrive."""
-    dt, tick, arrived = t.batch.world[0].dt, s.batch.ticks[k], s.arrived[k]
+    tick, arrived = s.batch.ticks[k], s.arrived[k]
     arrived[:] = 0
     for u in range(t.receivers.shape[0]):
         g, outbox, inbox = t.receivers[u], s.outbox[k, u], s.inbox[k]
@@ -158,7 +155,7 @@ def _radio(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
             outbox[_SAID] = -1.0
         for i in range(receive(link, inbox)):
             n = arrived[g]
-            come[n, 0], come[n, 1], come[n, 2] = inbox[i, 0] * dt, inbox[i, 1], inbox[i, 2]
+            come[n, 0], come[n, 1], come[n, 2] = inbox[i, 0], inbox[i, 1], inbox[i, 2]
             arrived[g] = n + 1
 
 
@@ -241,7 +238,7 @@ def _observe(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
 
 @inlined
 def _note_obedience(t: LoopTables, s: LoopState, k: int, u: int, tick: int) -> None:
-    """Whether UAV u acted in this tick, which has just been flown, on the command that was due.
+    """True if UAV u acted in this tick, which has just been flown, on the command that was due.
 
     That is the one of as many ticks ago as is declared; before the first there is none, and nothing acts.
     """

@@ -11,10 +11,11 @@ import numpy.typing as npt
 from agents.control.orbit import Path as VirtualPath
 from agents.control.weighting import Weighting
 from agents.estimation.estimator import RelativeEstimator
-from agents.uav import RADIO_PERIOD, UavPilot
+from agents.uav import UavPilot, radio_ticks
 from bus.layout import uav_observation, ugv_observation
 from bus.messages import LinkKind, RelativeInformation, UavBriefing
 from bus.registry import DRIVERS
+from bus.ticks import looks_of
 from outrider.running.flying import Pilot, make_pilots
 from sim.kernels.compile import FloatArray
 
@@ -65,16 +66,20 @@ class _Radio:
                 self._speak(uav)
 
     def _speak(self, uav: str) -> None:
-        world, time = self._env.world, self._tick * self._dt
+        world = self._env.world
         p_x, p_y = world.position[self._rows[uav]].tolist()
         estimate = self._filters[uav].update(
-            time=time, own_position=(p_x, p_y), detections=self._env.received(uav)
+            tick=self._tick,
+            own_position=(p_x, p_y),
+            looks=looks_of(self._env.received(uav), self._dt),
         )
-        if estimate is None or self._tick % max(1, round(RADIO_PERIOD / self._dt)):
+        if estimate is None or self._tick % radio_ticks(self._dt):
             return
         (g_x, g_y), no_error = estimate.position, 0.0  # drivers make nothing of the error
         self._said[uav] = RelativeInformation(
-            time=time, relative_position=(p_x - g_x, p_y - g_y), coverage_error=no_error
+            time=self._tick * self._dt,
+            relative_position=(p_x - g_x, p_y - g_y),
+            coverage_error=no_error,
         )
 
 

@@ -24,6 +24,7 @@ from bus.messages import LinkStatus
 from outrider.envs.closed_loop import ClosedLoop, pilot_names
 from outrider.envs.closed_loop_state import GUARD_METRICS
 from sim.engine.run_keys import check_secret
+from sim.engine.world_state import Precision
 from sim.env.actions import take_batch
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights
@@ -73,9 +74,11 @@ class Worlds:
         dtype: Of the observations.
         threads: Processor cores that share the worlds.
         secret: As in `outrider.parallel_env`.
+        precision: `double`, or `single`: the coverage grids take half the memory, and the bits are no longer those
+            of `outrider.parallel_env`.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - options, each by keyword
         self,
         scenario: str | Path | Scenario,
         num_envs: int,
@@ -93,6 +96,7 @@ class Worlds:
         dtype: type[np.floating] = np.float64,
         threads: int | None = None,
         secret: str = "",
+        precision: Precision = "double",
     ) -> None:
         self.num_envs = _checked_count(num_envs)
         if dtype not in {np.float32, np.float64}:
@@ -132,6 +136,7 @@ class Worlds:
             end_on_goals_reached=end_on_goals_reached,
             threads=threads,
             secret=check_secret(secret),
+            precision=precision,
         )
         """The worlds themselves."""
         self._shielded = safety_filter
@@ -142,7 +147,7 @@ class Worlds:
         self._actions: FloatArray = np.zeros((self.num_envs, len(self._hands), 2))
         self._returns: FloatArray = np.zeros((self.num_envs, len(names)))
         self.begun = False
-        """Whether there is an episode to step."""
+        """True if there is an episode to step."""
 
     def _check_others(
         self, given: Mapping[str, object], named: Mapping[str, str], names: list[str]

@@ -46,7 +46,7 @@ class Claim(msgspec.Struct, frozen=True, kw_only=True):
     """Of the paper, with its sub-figure; `anchor` where a number is known from elsewhere."""
     claim: str
     value: str
-    """What was found, with its unit."""
+    """The value that was found, with its unit."""
     number: float
     """The same as one number, in SI units."""
     holds: bool

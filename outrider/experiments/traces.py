@@ -12,6 +12,7 @@ from outrider.running.summary import switching_radius_of
 from sim.engine.briefing import briefing
 from sim.kernels.compile import FloatArray
 from sim.models.field import accumulate, cover, empty_coverage
+from sim.models.vehicles import Motion
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 
@@ -83,12 +84,10 @@ def velocity_errors(flight: Flight) -> tuple[FloatArray, FloatArray]:
     )
     errors = np.empty((flight.recorder.ticks, 2))
     for tick in range(flight.recorder.ticks):
-        p_x, p_y, v_x, v_y = states[tick, :4].tolist()
+        here = Motion(*states[tick, :4].tolist())
         if tick > 0:
-            accumulate(coverage, p_x, p_y, c.sensor, c.peak, c.reach, c.cell, c.dt)
-        errors[tick] = coverage_term(
-            c, coverage, state, tick, p_x, p_y, v_x, v_y, *estimates[tick].tolist()
-        )
+            accumulate(coverage, here.p_x, here.p_y, c.sensor, c.peak, c.reach, c.cell, c.dt)
+        errors[tick] = coverage_term(c, coverage, state, tick, here, *estimates[tick].tolist())
     return errors, errors + states[: flight.recorder.ticks, 2:4]
 
 

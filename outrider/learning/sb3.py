@@ -137,7 +137,7 @@ class VecEnvAdapter(VecEnv):  # type: ignore[misc]  # it has no types where it i
         )
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:  # noqa: ANN401
-        """Whether a layer is of this class; and yes for `Monitor`, whose work the adapter does."""
+        """True if a layer is of this class; also for `Monitor`, whose work the adapter does."""
         found = wrapper_class is Monitor or any(
             isinstance(layer, wrapper_class) for layer in self._layers()
         )

@@ -65,7 +65,7 @@ class RunRecorder:
 
     @property
     def over(self) -> bool:
-        """Whether the run is."""
+        """True if the run is."""
         return (
             not self._busy
             and self._over_since is not None

@@ -73,7 +73,7 @@ _BROKEN = (
     RuntimeError,
     MemoryError,
 )
-"""What the libraries raise on bytes that are no record."""
+"""The errors that the libraries raise on bytes that are no record."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -303,13 +303,13 @@ class Recording:
     words: list[tuple[str, OperatorWord]] = field(default_factory=list)
     """UGV and message of each operator's command, in the order in which they were received."""
     changes: list[Change] = field(default_factory=list)
-    """What operators changed; of a run that an observer recorded, pauses and speeds too."""
+    """The operators' changes; of a run that an observer recorded, pauses and speeds too."""
     factors: list[float] = field(default_factory=list)
     """Simulated seconds per second of wall time, as the run's status told now and then."""
     links: dict[str, LinkStatus] = field(default_factory=dict)
-    """What each link had done by the last status: nothing else of a recording tells."""
+    """The counters of each link by the last status: nothing else of a recording tells."""
     certificates: CertificateStatus | None = None
-    """What the safety filters had said by then, held against the truth; None where none watched."""
+    """The words of the safety filters by then, held against the truth; None where none watched."""
     damage: Damage = field(default_factory=Damage)
 
     @property
@@ -410,7 +410,7 @@ class Repair:
     messages: int
     lost_bytes: int
     reason: str
-    """What was wrong; empty: nothing."""
+    """The fault; empty: none."""
 
 
 def repair(path: Path, out: Path) -> Repair:

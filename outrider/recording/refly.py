@@ -50,7 +50,7 @@ class Reflight:
 
 
 def from_the_start(recording: Recording) -> bool:
-    """Whether it holds the flight from its first tick."""
+    """True if it holds the flight from its first tick."""
     return bool(recording.truths) and recording.truths[0].tick == 0
 
 

@@ -54,7 +54,7 @@ class Head(Message, frozen=True, kw_only=True):
     secret: str = ""
     """Of the run. Empty: none, or whoever recorded was not told it."""
     platform: dict[str, str]
-    """What the bits depend on besides scenario and seed."""
+    """The platform that the bits depend on besides scenario and seed."""
     scenario: dict[str, Any] | None = None
     """All of it; None: whoever recorded did not know it."""
     infinite: tuple[str, ...] = ()
@@ -91,7 +91,7 @@ COVERAGE = Topic(name="/coverage", message=CoverageMap)
 TOPICS = (SCENARIO, TRUTH, COMMANDS, STATUS, COVERAGE)
 """Those that every recording has."""
 CHANGES = Topic(name="/changes", message=Change)
-"""What operators have changed, where they have: law and driver, each with its tick.
+"""The operators' changes, where there are any: law and driver, each with its tick.
 
 An observer is told of the clock too.
 """

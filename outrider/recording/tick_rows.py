@@ -17,7 +17,7 @@ from sim.kernels.compile import FloatArray
 from sim.server.flight import Flight
 
 Reports = Sequence[UavReport | None]
-"""What each UAV said of itself; None: nothing."""
+"""The report of each UAV; None: it said nothing."""
 
 _TICK, _MARK = 700_000, 700_001
 """Stand in a sample for the tick, and from there on for its numbers."""

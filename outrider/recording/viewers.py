@@ -119,7 +119,7 @@ class Viewers:
         self._next_view = self._next_scene = -math.inf
 
     def due(self, time: float) -> bool:
-        """Whether they want to be shown this simulated time [s]."""
+        """True if they want to be shown this simulated time [s]."""
         return time >= self._next_view
 
     def show(self, time: float, places: Places, escorts: Mapping[str, str], time_ns: int) -> None:

@@ -44,7 +44,7 @@ Python's own 5 ms are many ticks.
 _CROWD = 128
 """For each of so many that wait it writes one block more before that."""
 _ROOM = 1024
-"""What waits for the thread before the flight must."""
+"""Ticks that wait for the thread before the flight must wait."""
 _MAP_PERIOD = 1.0
 """Simulated time between two maps [s], for a grid of up to `_MAP_CELLS`; larger ones come less often."""
 _MAP_CELLS = 50_000
@@ -60,7 +60,7 @@ class _Said(NamedTuple):
 
 
 _Flown = tuple[bytes, tuple[UavReport | None, ...]]
-"""What the flight's own record does not keep of a tick: what was asked for, as float64, and what the UAVs said."""
+"""The part of a tick that the flight's own record does not keep: what was asked for, as float64, and what the UAVs said."""
 _Other = _Said | Change | CoverageMap | Status | str
 """A text is a line for a person."""
 _Item = tuple[Flight, int, _Flown | None, _Other | None]

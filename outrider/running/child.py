@@ -18,7 +18,7 @@ _TAIL = 200
 _TOLD = 12
 """Of them so many are told in one line."""
 _NOTICE = "outrider.policy: "
-"""What a pilot's log says of the user's own code begins so."""
+"""The beginning of a line in a pilot's log that tells of the user's own code."""
 _TRACEBACK = "Traceback (most recent call last):"
 _SECRET = "OUTRIDER_SECRET"  # noqa: S105 - a variable's name
 """Where the simulator's process finds the run's secret."""

@@ -109,7 +109,7 @@ NOBODY = Watcher(
 )
 
 
-def launch(
+def launch(  # noqa: PLR0913 - options, each by keyword
     scenario: Scenario,
     source: str,
     overrides: Sequence[str],

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.control.handover import check_assumptions
+from agents.control.promise import Promise
 from agents.control.visibility import promise_of
 from bus.messages import LinkKind, LinkSettings, UavBriefing
 from bus.registry import LAWS
@@ -29,9 +30,9 @@ from sim.kernels.compile import IntArray
 from sim.scenario.types import LinkTable, Scenario
 
 _RARE = 1e-6
-"""What is expected less often than this in a whole flight is not told."""
-_MOST_PLAYED = 200_000
-"""Ticks of a recorded link that are looked at."""
+"""Events that are expected less often than this in a whole flight is not told."""
+_MOST_PLAYED = 5_000
+"""Ticks of Mahimahi's opportunities that are looked at; a process that does not compile plays them too."""
 
 
 class How(StrEnum):
@@ -109,13 +110,12 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
             found += [
                 Shortfall(uav.name, "A1", how, what) for how, what in _errors(scenario, promise.eps)
             ]
-        for kind, check, declared in (
-            (LinkKind.DETECTIONS, _ages, promise.age),
-            (LinkKind.COMMANDS, _delays, promise.delay),
+        for kind, name, check in (
+            (LinkKind.DETECTIONS, "A2", _ages),
+            (LinkKind.COMMANDS, "A5", _delays),
         ):
             link = _Link(scenario, table.of(uav.name, kind), table.path_of(uav.name, kind), table)
-            name = "A2" if kind is LinkKind.DETECTIONS else "A5"
-            found += [Shortfall(uav.name, name, how, what) for how, what in check(link, declared)]
+            found += [Shortfall(uav.name, name, how, what) for how, what in check(link, promise)]
     return tuple(found)
 
 
@@ -152,18 +152,23 @@ class _Link:
         Args:
             every: Ticks between two messages.
         """
-        p, none = self.parameters, np.zeros((0, 2), dtype=np.int64)
-        rounds = p.period if p.replay == FATES else math.ceil(p.period / (1000.0 * p.dt))
-        ticks = min(rounds, _MOST_PLAYED)
+        p = self.parameters
+        table = p.replay == FATES
+        ticks = p.period if table else min(math.ceil(p.period / (1000.0 * p.dt)), _MOST_PLAYED)
         settled = p.longest + p.queue * every  # before that it has only begun
-        messages = (settled + ticks) // every + 1
-        key = np.uint64(0), np.uint64(0)
-        arrived = arrivals_of(p._replace(blackouts=none), key, messages, every=every)
-        newest = np.full(messages * every, -1, dtype=np.int64)
-        there = arrived >= 0
-        np.maximum.at(newest, arrived[there], np.arange(messages)[there] * every)
+        sent = np.arange(0, settled + ticks + every, every)
+        if table:
+            took = p.trace[np.searchsorted(p.trace[:, 0], sent % p.period, side="right") - 1, 1]
+            arrived = np.where(took < 0, -1, sent + took)
+        else:
+            bare = p._replace(blackouts=np.zeros((0, 2), dtype=np.int64))
+            with np.errstate(over="ignore"):  # of its draws, where it is not compiled
+                arrived = arrivals_of(bare, (np.uint64(0), np.uint64(0)), len(sent), every=every)
+        newest = np.full(settled + ticks, -1, dtype=np.int64)
+        there = (arrived >= 0) & (arrived < len(newest))
+        np.maximum.at(newest, arrived[there], sent[there])
         newest = np.maximum.accumulate(newest)
-        return (np.arange(len(newest)) - newest)[settled : settled + ticks]
+        return (np.arange(len(newest)) - newest)[settled:]
 
     def seconds(self, ticks: float) -> str:
         """As a time."""
@@ -204,14 +209,13 @@ def _errors(s: Scenario, eps: float) -> Iterator[tuple[How, str]]:
 # A2: the age of the newest detection
 
 
-def _ages(link: _Link, declared: float) -> Iterator[tuple[How, str]]:
+def _ages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
     """Looks are at multiples of the detector's period; each that gets through arrives after `least` to `most` ticks."""
     s, p = link.scenario, link.parameters
-    period, age = s.detection_period, math.floor(declared / s.dt + DUST)
-    limit = f"certificate.age = {declared:g} s"
+    period, age = s.detection_period, promise.age_ticks
+    limit = f"certificate.age = {promise.age:g} s"
     if link.settings.trace:
-        old = link.played(period)
-        share = float(np.mean(old > age))
+        share = float(np.mean(link.played(period) > age))
         if share > 0.0:
             what = f"older than {limit} in {_percent(share)} of the ticks of a round"
             yield _often(share), f"{link.path}.trace: the newest detection is {what}"
@@ -340,15 +344,15 @@ def _dark_ages(link: _Link, age: int, limit: str) -> Iterator[tuple[How, str]]:
 # A5: a command acts exactly tau_c after its tick
 
 
-def _delays(link: _Link, declared: float) -> Iterator[tuple[How, str]]:
+def _delays(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
     """The newest command that has arrived acts: that of tick k has to act at k + tau_c, and no later one before.
 
     A copy of a command changes nothing: of two, the first acts, which is no earlier than `least`, and no more is lost.
     """
     s, p = link.scenario, link.parameters
-    exact = round(declared / s.dt)
-    # of its link, unless the scenario declares it
-    tau = f"tau_c = {declared:g} s ({'certificate.delay' if s.certificate.delay is not None else 'the longest of its link'})"
+    exact = promise.delay_ticks
+    source = "the longest of its link" if s.certificate.delay is None else "certificate.delay"
+    tau = f"tau_c = {link.seconds(exact)} ({source})"
     if link.settings.trace:
         share = float(np.mean(link.played(1) != exact))
         if share > 0.0:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 from bus.boxes import Outbox
 from bus.errors import BusError
-from bus.keys import CONTROL, COVERAGE, GLANCE, OPERATOR, SIMULATOR_NAME, STATUS, Role
+from bus.keys import CONTROL, COVERAGE, OPERATOR, SAMPLED_TRUTH, SIMULATOR_NAME, STATUS, Role
 from bus.messages import Action, Control, CoverageMap, Drive, Message, Status, Truth, Vector
 from bus.registry import TELEOP
 from bus.session import Session
@@ -30,7 +30,7 @@ class RunClient:
 
     def __init__(self, session: Session, status: Status | None = None) -> None:
         self._session = session
-        self._inboxes = [session.inbox(key, newest=1) for key in (STATUS, GLANCE, COVERAGE)]
+        self._inboxes = [session.inbox(key, newest=1) for key in (STATUS, SAMPLED_TRUTH, COVERAGE)]
         self._simulators: set[int] = set()
         self._clock: deque[tuple[float, float]] = deque(maxlen=_PACE)
         self._outboxes: dict[str, Outbox] = {}
@@ -64,12 +64,12 @@ class RunClient:
 
     @property
     def connected(self) -> bool:
-        """Whether there is a router."""
+        """True if there is a router."""
         return self._session.connected
 
     @property
     def present(self) -> bool:
-        """Whether the simulator is there."""
+        """True if the simulator is there."""
         return bool(self._simulators)
 
     @property

@@ -539,7 +539,7 @@ class Link:
 
     @property
     def perfect(self) -> bool:
-        """Whether its settings do nothing to a message."""
+        """True if its settings do nothing to a message."""
         return self._parameters.perfect
 
     def send(self, tick: int, message: Any, stamp: float) -> None:  # noqa: ANN401 - handed out as it came

@@ -146,7 +146,7 @@ class LinkParameters(NamedTuple):
     """The numbers of one link. Made by `sim.channel.description.link_parameters`."""
 
     perfect: bool
-    """Whether it does nothing at all."""
+    """True if it does nothing at all."""
     dt: float
     """[s]"""
     delay: float
@@ -181,7 +181,7 @@ class LinkParameters(NamedTuple):
     """Between two messages that leave [ticks]; 0: no limit."""
     queue: int
     newest: bool
-    """Whether a full queue keeps the newest."""
+    """True if a full queue keeps the newest."""
     longest: int
     """The longest delay [ticks]."""
     room: int
@@ -489,7 +489,7 @@ def _settle(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None
 
 @borrowing
 def _is_free(spacing: float, counts: IntArray, numbers: FloatArray) -> bool:
-    """Whether the sender may let a message go at this tick.
+    """True if the sender may let a message go at this tick.
 
     Number m of a busy time leaves m spacings after the first.
     """

@@ -18,11 +18,13 @@ from sim.engine.world_state import (
     ANSWERED,
     BatchState,
     BatchTables,
+    Precision,
     WorldParameters,
     WorldState,
     bounds_of,
     escorts_of,
     first_state,
+    grid_in,
     world_parameters,
 )
 from sim.engine.world_tick import begin_world, measure, truth_of, world_tick
@@ -80,9 +82,10 @@ class Batch:
         gains: Whether the fall of e(t) by each look is counted.
         threads: Processor cores that share the worlds; by default all that this process may use.
         secret: Of all their random numbers, with each one's seed; empty: none.
+        precision: Of the coverage grids.
 
     Raises:
-        ValueError: If there are no worlds.
+        ValueError: If there are no worlds, or no such precision.
     """
 
     def __init__(
@@ -93,6 +96,7 @@ class Batch:
         gains: bool = False,
         threads: int | None = None,
         secret: str = "",
+        precision: Precision = "double",
     ) -> None:
         if worlds < 1:
             raise ValueError(f"worlds = {worlds}: must be 1 or more")
@@ -108,6 +112,7 @@ class Batch:
             escorts_of(scenario),
             len(scenario.vehicles),
         )
+        first = first._replace(coverage=grid_in(first.coverage, precision))
         self.tables = BatchTables(
             world=records(WorldParameters, [self.parameters]),
             bounds=bounds_of(scenario),
@@ -198,7 +203,7 @@ class Batch:
 
     @property
     def degraded(self) -> bool:
-        """Whether any link does anything to a message."""
+        """True if any link does anything to a message."""
         return not self._links.perfect
 
     def longest_delay(self, kind: LinkKind) -> int:

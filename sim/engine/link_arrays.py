@@ -72,7 +72,7 @@ class LinkArrays:
 
     @property
     def perfect(self) -> bool:
-        """Whether none of them does anything to a message."""
+        """True if none of them does anything to a message."""
         return all(p.perfect for p in self._parameters)
 
     def longest(self, kind: LinkKind) -> int:

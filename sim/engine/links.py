@@ -52,7 +52,7 @@ class Links:
 
     @property
     def degraded(self) -> bool:
-        """Whether any of them does anything to a message."""
+        """True if any of them does anything to a message."""
         carried = all(link.perfect for links in self._of.values() for link in links.values())
         return self._batch.degraded or not carried
 

@@ -3,7 +3,7 @@
 Arrays have an axis for vehicles, or for UAVs with the UGVs they escort, in name order.
 """
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple, cast, get_args
 
 import numpy as np
 
@@ -20,6 +20,10 @@ TAKEN, LOOK_X, LOOK_Y = range(3)
 
 ANSWERED, U_X, U_Y = range(3)
 """Columns of `BatchState.sent`: the tick that a command answers, -1 where there is none, and the acceleration [m/s²]."""
+
+
+Precision = Literal["double", "single"]
+"""How a coverage grid is kept: in 8 or in 4 bytes a cell. What is computed from it is in double precision."""
 
 
 class WorldParameters(NamedTuple):
@@ -42,7 +46,7 @@ class WorldParameters(NamedTuple):
     hold_ticks: int
     """For how long a vehicle goes on with its last command when none comes."""
     gains: bool
-    """Whether the fall of e(t) by each look is counted."""
+    """True if the fall of e(t) by each look is counted."""
 
 
 class WorldState(NamedTuple):
@@ -104,6 +108,23 @@ def first_state(scenario: Scenario) -> WorldState:
         gains=np.zeros(uavs),
         measures=np.zeros((uavs, 2)),
     )
+
+
+def grid_in(coverage: FloatArray, precision: Precision) -> FloatArray:
+    """A copy of a coverage grid in a precision; no cell has less than before, so that what was covered is.
+
+    Raises:
+        ValueError: If there is no such precision.
+    """
+    if precision not in get_args(Precision):
+        allowed = ", ".join(map(repr, get_args(Precision)))
+        raise ValueError(f"precision = {precision!r}; allowed: {allowed}")
+    if precision == "double":
+        return coverage.copy()
+    grid = coverage.astype(np.float32)
+    less = grid < coverage
+    grid[less] = np.nextafter(grid[less], np.float32(np.inf))
+    return cast("FloatArray", grid)  # kernels take either
 
 
 def bounds_of(scenario: Scenario) -> FloatArray:

@@ -77,12 +77,12 @@ class Episode:
 
     @property
     def terminated(self) -> bool:
-        """Whether it is over by what has happened."""
+        """True if it is over by what has happened."""
         return bool(self._state.terminated[0])
 
     @property
     def truncated(self) -> bool:
-        """Whether it is over by its length."""
+        """True if it is over by its length."""
         return bool(self._state.truncated[0])
 
     def _place(self, name: str) -> int:

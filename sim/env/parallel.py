@@ -150,7 +150,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self.state_names = state_names(self._episode.state_rows.items())
         """Names of the state's entries, but for the cells."""
         self.degraded = False
-        """Whether any link does anything to a message."""
+        """True if any link does anything to a message."""
         self.episode = 0
         """Number of the episode, from 1 with the first reset."""
         self.secret = check_secret(secret)
@@ -313,7 +313,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         )
 
     def briefing(self, agent: str) -> Briefing:
-        """What this vehicle would be told on the bus when it joins this episode: its limits, area, law, own goals.
+        """Returns the vehicle's briefing of this episode, as on the bus: its limits, area, law, own goals.
 
         Raises:
             ValueError: If there is no such agent.

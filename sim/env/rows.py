@@ -25,7 +25,7 @@ class UavMetrics(NamedTuple):
     """Tick of the newest detection that has reached it; -1: none."""
     was_lost: float
     lost: float
-    """Whether the distance was and is r_v or more."""
+    """True if the distance was and is r_v or more."""
     distance: float
     max_distance: float
     """Now and at most [m]."""
@@ -235,7 +235,7 @@ def _measure_ugv(
 
 @inlined
 def _end(t: RowTables, s: RowState, k: int, left: int) -> int:
-    """Whether the episode is over; for how many ticks a UAV out of sight pays."""
+    """Tells if the episode is over, and for how many ticks a UAV out of sight pays."""
     lost, goals = False, 0
     for u in range(s.uavs.shape[1]):
         lost = lost or s.uavs[k, u, UAV_METRICS.lost] != 0.0

@@ -35,7 +35,7 @@ class Window:
         self._screen: Any = None
         self._clock = self._pygame.time.Clock()
         self.closed = False
-        """Whether it was closed."""
+        """True if it was closed."""
 
     def _open(self, size: tuple[int, int]) -> None:
         pygame = self._pygame

@@ -17,8 +17,8 @@ from numba.np.arrayobj import make_array
 
 from sim.kernels.compile import FloatArray, IntArray, borrowing
 
-_LINE = 8
-"""Numbers in a cache line."""
+_LINE = 64
+"""Bytes in a cache line."""
 
 
 def _prefetch(builder: Any, place: Any) -> None:  # noqa: ANN401 - llvmlite's own types
@@ -58,7 +58,7 @@ def fetch_rows(typingctx: Any, arrays: Any, k: Any) -> Any:  # noqa: ANN401 - nu
             length = cgutils.unpack_tuple(builder, array.strides)[0]  # type: ignore[no-untyped-call]
             first = builder.bitcast(array.data, ir.IntType(8).as_pointer())
             row = builder.gep(first, [builder.mul(length, arguments[1])])
-            zero, line = length.type(0), length.type(8 * _LINE)
+            zero, line = length.type(0), length.type(_LINE)
             with cgutils.for_range_slice(builder, zero, length, line, length.type) as (offset, _):
                 _prefetch(builder, builder.gep(row, [offset]))
         return context.get_dummy_value()
@@ -102,9 +102,9 @@ def fetch_disc(
         from its own.
     """
     rows, columns = coverage.shape
-    size = widths.shape[0]
+    size, line = widths.shape[0], _LINE // coverage.itemsize
     x, lowest = int(p_x / cell), int(p_y / cell) - size // 2
     for n in range(size * part // parts, size * (part + 1) // parts):
         j, width = min(max(lowest + n, 0), rows - 1), widths[n]
-        for i in range(x - width, x + width + _LINE, _LINE):
+        for i in range(x - width, x + width + line, line):
             _hint(coverage, j, min(max(i, 0), columns - 1))  # type: ignore[call-arg]

@@ -335,7 +335,7 @@ def is_uncovered(
     desired: float,
     cell: float,
 ) -> bool:
-    """Whether the cell around q lacks coverage and lies in the support of the density: conditions 1 and 2 of (7)."""
+    """True if the cell around q lacks coverage and lies in the support of the density: conditions 1 and 2 of (7)."""
     rows, columns = coverage.shape
     i = min(max(int(q_x / cell), 0), columns - 1)
     j = min(max(int(q_y / cell), 0), rows - 1)

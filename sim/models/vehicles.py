@@ -1,8 +1,20 @@
 """The vehicles: double integrators with bounds (1), and what every driver of one needs."""
 
 import math
+from typing import NamedTuple
 
 from sim.kernels.compile import FloatArray, compiled
+
+
+class Motion(NamedTuple):
+    """Where a vehicle is and how it moves."""
+
+    p_x: float
+    p_y: float
+    """Position [m]."""
+    v_x: float
+    v_y: float
+    """Velocity [m/s]."""
 
 
 @compiled
@@ -94,7 +106,7 @@ def speed_to_stop_within(distance: float, u_max: float, dt: float) -> float:
 
 @compiled
 def goal_reached(p_x: float, p_y: float, goal_x: float, goal_y: float, tolerance: float) -> bool:
-    r"""Whether a goal counts as reached: $\|p_g - \bar p\| < \epsilon$ (section II of the paper)."""
+    r"""True if a goal counts as reached: $\|p_g - \bar p\| < \epsilon$ (section II of the paper)."""
     return norm(p_x - goal_x, p_y - goal_y) < tolerance
 
 

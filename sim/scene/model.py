@@ -12,7 +12,7 @@ from bus.messages import Geometry
 from sim.scene.colors import LIMIT, UAV, UGV, color
 
 LABELS = {"r_v": "limit of sight", "r_s": "only tracking", "r": "range of the sensor"}
-"""What the circles mean, by the symbol of their radius."""
+"""The meaning of the circles, by the symbol of their radius."""
 Point = tuple[float, float]
 """x and y [m]."""
 

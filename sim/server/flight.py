@@ -217,7 +217,7 @@ class Flight:
         self.degradations.append(Change(tick=self.world.tick, control=control))
 
     def _listen(self) -> None:
-        """Take in what has crossed the ether for this tick, once."""
+        """Take in what has crossed the links for this tick, once."""
         tick = self.world.tick
         if self._listened == tick:
             return

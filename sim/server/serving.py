@@ -32,7 +32,7 @@ class Server:
         warn: What cannot be promised of a scenario whose links are now these, a line each: observers are told.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - options, each by keyword
         self,
         session: Session,
         scenario: Scenario,

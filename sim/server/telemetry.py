@@ -6,7 +6,7 @@ The truth, the map and the status, to whoever listens, and never in the tick's w
 import time
 from collections.abc import Callable
 
-from bus.keys import COVERAGE, GLANCE, STATUS, TRUTH
+from bus.keys import COVERAGE, SAMPLED_TRUTH, STATUS, TRUTH
 from bus.messages import CoverageMap, Status
 from bus.session import Session
 from sim.scenario.types import LinkTable, Scenario
@@ -18,7 +18,7 @@ from sim.server.sessions import Slots
 _PERIOD = 0.2
 """Wall time between two status messages, and between two maps [s]."""
 _TRUTH_PERIOD = 0.025
-"""Wall time between two glances [s]: twice as often as pages draw."""
+"""Wall time between two ticks of the sampled truth [s]: twice as often as pages draw."""
 
 
 _SHOWN = 20
@@ -56,7 +56,7 @@ class Telemetry:
         self._warn = warn
         self._flight, self._slots, self._operators = flight, slots, operators
         self._geometry = geometry_of(flight.scenario)
-        self._truth, self._glance = session.outbox(TRUTH), session.outbox(GLANCE)
+        self._truth, self._sampled = session.outbox(TRUTH), session.outbox(SAMPLED_TRUTH)
         self._map, self._status = session.outbox(COVERAGE), session.outbox(STATUS)
         self._due = self._truth_due = 0.0
         self._last = (0.0, 0)
@@ -80,8 +80,8 @@ class Telemetry:
         now = time.monotonic()
         if now >= self._truth_due or at_once:
             self._truth_due = now + _TRUTH_PERIOD
-            if self._glance.wanted:
-                self._glance.send(self._flight.truth())
+            if self._sampled.wanted:
+                self._sampled.send(self._flight.truth())
         if now < self._due and not at_once:
             return
         self._due = now + _PERIOD

@@ -21,7 +21,7 @@ from outrider.envs.observations.transformation import (
 from sim.env.actions import LARGEST
 
 BODY_SYMBOLS = SYMBOLS | {"R": "half the diagonal of the area [m]"}
-"""What the names in the ranges of the rows below stand for."""
+"""The meaning of the names in the ranges of the rows below."""
 
 
 class UavBodyRow(NamedTuple):

@@ -1,4 +1,4 @@
-"""What a transformation of observations is.
+"""Transformations of observations.
 
 An observation is a row of `bus.layout`, or a dictionary of `row` and `coverage`; in a batch the worlds are leading
 axes of every
@@ -24,7 +24,7 @@ ROW, COVERAGE = "row", "coverage"
 
 
 class Transformation(ABC):
-    """What is done to one vehicle's observations, in one world or in each of a batch.
+    """The change to one vehicle's observations, in one world or in each of a batch.
 
     One object serves one environment.
     """
@@ -92,7 +92,7 @@ def inside_box(values: Array, box: spaces.Box) -> Array:
 
 
 class Part(ABC):
-    """What is done to one array of an observation."""
+    """The change to one array of an observation."""
 
     box: spaces.Box
     """Of what comes out."""
@@ -114,7 +114,7 @@ class EachArray(Transformation):
 
     @abstractmethod
     def _part(self, box: spaces.Box, *, picture: bool) -> Part:
-        """What is to be done to an array of this space."""
+        """Returns the change to an array of this space."""
 
     def space(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
         """The space of what comes out, array by array."""

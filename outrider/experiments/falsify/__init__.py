@@ -4,4 +4,4 @@ A UGV's motion, start states, noise and network events within declared limits.
 """
 
 EXTRA = "outrider[falsify]"
-"""What has to be installed."""
+"""The packages that have to be installed."""

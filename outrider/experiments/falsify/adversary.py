@@ -49,7 +49,7 @@ class Adversary:
         self._tactics, self._world = tactics, flight.world
         self._steering = Steering(told)
         self.script: list[ScriptStep] = []
-        """What it has wanted so far."""
+        """Its commands so far."""
 
     def _wanted(self) -> Vector:
         c, ((a, g),) = self._tactics, self._world.escorts.tolist()

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.control.certificate import CERTIFIED, INNER, NO_DETECTION
-from agents.control.discs import KEPT, certified_distance, newest_detection
+from agents.control.discs import KEPT, NEVER, bound_of, certified_distance, newest_detection
 from agents.control.guard import (
     GuardState,
     begin_guard,
@@ -27,7 +27,8 @@ from agents.control.guard import (
     note_detection,
     note_position,
 )
-from agents.control.handover import Promise, certificate
+from agents.control.handover import certificate
+from agents.control.promise import Declared, Promise
 from agents.control.tracking import tracking_output, tracking_step
 from agents.control.visibility import raw_switching_radius
 from bus.messages import Area, LinkKind, LinkSettings, Sensor
@@ -51,7 +52,7 @@ from sim.engine.world_tick import (
 )
 from sim.kernels.compile import FloatArray, borrowing, compiled, released
 from sim.models.randomness import draw
-from sim.models.vehicles import brake, clip_norm, norm
+from sim.models.vehicles import Motion, brake, clip_norm, norm
 from sim.scenario.types import (
     Coverage,
     Detections,
@@ -71,7 +72,7 @@ LAWS = {
     "switch_tracking": SWITCH_TRACKING,
     "paper": PAPER,
 }
-"""Who guards the promise: the filter.
+"""The laws that guard the promise: the filter.
 
 Beyond a radius of d_cert full speed to the newest detection, full speed to the one with
 the least bound, or tracking (15); beyond (18) of the newest detection's distance tracking (15)."""
@@ -95,7 +96,7 @@ AREAS = ("open", "corner", "small")
 In a room of 9 m by 7 m, at the paper's radius.
 """
 DISTURBANCES = ("none", "single_losses", "silences", "late", "law_changes", "rejoins")
-"""What breaks A5 now and then: a command that is lost; none for up to `silence`.
+"""The disturbances that break A5 now and then: a command that is lost; none for up to `silence`.
 
 All later than declared for a while; the
 filter switched off for a while and begun anew; a process that is away for a while and joins again."""
@@ -131,7 +132,7 @@ _A_C, _B_C, _C_C, _D_C = -3.0, -3.0, -8.0 / 3.0, -3.0  # (15) with the paper's c
 
 
 class Conditions(NamedTuple):
-    """What one attack flies: who guards, who attacks, and over which network. Times in s, lengths in m."""
+    """The conditions of one attack: who guards, who attacks, and over which network. Times in s, lengths in m."""
 
     law: int = FILTER
     inner: int = ANY
@@ -151,7 +152,7 @@ class Conditions(NamedTuple):
     duplicates: float = 0.0
     """Share of commands that come twice."""
     disturbance: int = 0
-    """What breaks A5 now and then, an index of `DISTURBANCES`."""
+    """The disturbance that breaks A5 now and then, an index of `DISTURBANCES`."""
     silence: float = 0.5
     """Longest time without a command, where that is the disturbance."""
     hold: float = 2.0
@@ -204,7 +205,7 @@ def _inner(
     held: FloatArray,
     u: float,
 ) -> tuple[float, float]:
-    """What the inner control wants.
+    """The command that the inner control wants.
 
     (x, y) is the true p_a - p_g, (zx, zy) that of the newest detection, `held` its memory.
     """
@@ -241,7 +242,7 @@ def _ugv(
     held: FloatArray,
     u: float,
 ) -> tuple[float, float]:
-    """What the UGV does; (x, y) is p_a - p_g, v the UAV's velocity, w its own."""
+    """The UGV's command; (x, y) is p_a - p_g, v the UAV's velocity, w its own."""
     e_x, e_y = _direction(x, y)
     side = held[2]
     if kind == 0:
@@ -297,7 +298,7 @@ def _redraw(random: npt.NDArray[np.uint64], held: FloatArray, u: float) -> None:
 
 @compiled
 def _guard(c: Conditions, x: float, y: float, d: float, r: float) -> bool:
-    """Whether a law that switches takes over: at a distance d certified, r to the newest detection."""
+    """True if a law that switches takes over: at a distance d certified, r to the newest detection."""
     return r >= c.radius if c.law == PAPER else d >= c.radius
 
 
@@ -409,7 +410,7 @@ def fly_one(
     """
     c, p, w, sent = conditions, promise, tables.world[0], s.sent[0]
     dt, u_a, v_a, v_g = p.dt, p.u_a, p.v_a, p.v_g
-    d_ticks = round(p.delay / dt)
+    d_ticks = p.delay_ticks
     b_ticks, silence_ticks = round(c.blackout_time / dt), max(1, round(c.silence / dt))
     u_g = c.u_g if math.isfinite(c.u_g) else 2.0 * v_g / dt
     inner, ugv, error = (
@@ -469,12 +470,12 @@ def fly_one(
                 )
         detections = memory.detections
         new = newest_detection(detections)
-        bound = certified_distance(p_x, p_y, t, detections, p.eps, v_g)
-        age = t - detections[new, 2] if new >= 0 else math.inf
+        bound = certified_distance(p, detections, tick, p_x, p_y)
+        age = tick - detections[new].taken  # if there is any
         result[MAX_DISTANCE] = max(result[MAX_DISTANCE], d)
         if new >= 0:
             result[MAX_EXCESS] = max(result[MAX_EXCESS], d - bound)
-            result[MAX_AGE] = max(result[MAX_AGE], age)
+            result[MAX_AGE] = max(result[MAX_AGE], age * dt)
             first_seen = tick if first_seen < 0 else first_seen
         total += d
         # the adversary in the UAV
@@ -482,7 +483,7 @@ def fly_one(
             _redraw(random, a, u_a)
             if c.inner < 0 and _next(random) < 0.3:
                 inner = _choose(random, c.inner, len(INNERS))
-        z_x, z_y = (p_x - detections[new, 0], p_y - detections[new, 1]) if new >= 0 else (0.0, 0.0)
+        z_x, z_y = (p_x - detections[new].x, p_y - detections[new].y) if new >= 0 else (0.0, 0.0)
         if inner == 5 or c.law >= SWITCH_TRACKING:
             a[3], a[4] = tracking_output(xc_x, xc_y, z_x, z_y, _C_C, _D_C)
             xc_x, xc_y = tracking_step(xc_x, xc_y, z_x, z_y, _A_C, _B_C, dt)
@@ -504,7 +505,9 @@ def fly_one(
                 if away_ticks == 0:
                     forget_commands(memory)
             elif filtering:
-                u_x, u_y, acts, code, _ = guard(p, memory, tick, p_x, p_y, v_x, v_y, u_x, u_y)
+                u_x, u_y, acts, code, _ = guard(
+                    p, memory, tick, Motion(p_x, p_y, v_x, v_y), u_x, u_y
+                )
                 certified = code == CERTIFIED
                 intervened += acts != INNER
         elif new >= 0 and _guard(c, x, y, bound, norm(z_x, z_y)):
@@ -515,11 +518,11 @@ def fly_one(
                 if c.law == SWITCH_BEST:
                     least = math.inf
                     for k in range(KEPT):
-                        r = norm(p_x - detections[k, 0], p_y - detections[k, 1]) + v_g * (
-                            t - detections[k, 2]
-                        )
+                        if detections[k].taken == NEVER:
+                            continue
+                        r = bound_of(p, detections, k, tick, p_x, p_y)
                         if r < least:
-                            least, z_x, z_y = r, p_x - detections[k, 0], p_y - detections[k, 1]
+                            least, z_x, z_y = r, p_x - detections[k].x, p_y - detections[k].y
                 e_x, e_y = _direction(z_x, z_y)
                 u_x, u_y = clip_norm((-v_a * e_x - v_x) / dt, (-v_a * e_y - v_y) / dt, u_a)
         if first_seen >= 0:
@@ -528,7 +531,9 @@ def fly_one(
         if certified:
             result[MAX_CERTIFIED] = max(result[MAX_CERTIFIED], d)
             result[CERTIFIED_LOST] += d >= c.r_v
-        elif certified_before and tick - last_break > d_ticks + 1 and age <= p.age + 1e-9:
+        elif (
+            certified_before and tick - last_break > d_ticks + 1 and new >= 0 and age <= p.age_ticks
+        ):
             result[BROKEN] += 1.0
         certified_before = certified
         if tick == ticks:
@@ -622,9 +627,10 @@ def scenario_of(promise: Promise, conditions: Conditions) -> Scenario:
     looks = LinkSettings(delay=c.latency)
     if c.scattered:
         looks = LinkSettings(delay=0.5 * c.latency, jitter=0.5 * c.latency)
-    commands = LinkSettings(delay=p.delay, duplicates=c.duplicates)
+    delay = p.delay_ticks * p.dt
+    commands = LinkSettings(delay=delay, duplicates=c.duplicates)
     if c.jitter:
-        commands = LinkSettings(delay=0.5 * p.delay, jitter=0.5 * p.delay, duplicates=c.duplicates)
+        commands = LinkSettings(delay=0.5 * delay, jitter=0.5 * delay, duplicates=c.duplicates)
     return Scenario(
         dt=p.dt,
         hold=c.hold,
@@ -690,7 +696,7 @@ def attack(
 def spec_radius(promise: Promise, *, with_latency: bool = True) -> float:
     """The radius of the specification without its angle, r_v - (v_a + v_g)(dt + tau_c) - (v_a + v_g)²/(2 u_a) [m]."""
     c = promise
-    late = (c.v_a + c.v_g) * (c.dt + c.delay) if with_latency else 0.0
+    late = (c.v_a + c.v_g) * (1 + c.delay_ticks) * c.dt if with_latency else 0.0
     radius: float = raw_switching_radius(c.r_v, c.v_a, c.v_g, c.u_a) - late
     return radius
 
@@ -708,14 +714,16 @@ def declared(
     age = c.latency + c.blackout_time + numbers["dt"]
     width, height = area_of(c)
     return certificate(
-        **numbers,
-        eps=eps,
-        age=age,
-        delay=c.delay,
-        margin=margin,
-        width=width,
-        height=height,
-        hold=c.hold,
+        Declared(
+            **numbers,
+            eps=eps,
+            age=age,
+            delay=c.delay,
+            margin=margin,
+            width=width,
+            height=height,
+            hold=c.hold,
+        )
     )
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from agents.control.handover import Promise
+from agents.control.promise import Promise
 from agents.control.visibility import raw_switching_radius
 from outrider.experiments.falsify import attack
 from outrider.experiments.falsify.attack import Conditions

@@ -25,11 +25,11 @@ class CandidateResult:
     max_distance: float
     """Largest distance of the whole run [m]."""
     violated: bool
-    """Whether the UGV was lost while the promise stood."""
+    """True if the UGV was lost while the promise stood."""
     lost: bool
-    """Whether it was lost at all."""
+    """True if it was lost at all."""
     uncertified: bool
-    """Whether the law certifies, and did not certify every tick from the first certified one on."""
+    """True if the law certifies, and did not certify every tick from the first certified one on."""
     certified_while_lost: int = 0
     """Ticks that were certified although the UGV was out of sight then; any is a violation."""
     certificate_broken: int = 0

@@ -31,9 +31,9 @@ class Wanted:
     base: Scenario
     limits: SearchLimits
     flies: bool
-    """Whether scenarios are searched."""
+    """True if scenarios are searched."""
     attacks: bool
-    """Whether the compiled attack is flown."""
+    """True if the compiled attack is flown."""
     runs: int | None = None
     minutes: float | None = None
     attack_duration: float = 200.0
@@ -41,7 +41,7 @@ class Wanted:
     seed: int = 1
     jobs: int = 1
     first: bool = False
-    """Whether the first violation is enough."""
+    """True if the first violation is enough."""
     control: str | None = None
     """A guard that is to be caught, a row of `CONTROLS`."""
     eps: float | None = None

@@ -36,7 +36,7 @@ class SearchLimits:
 
     @property
     def degraded(self) -> bool:
-        """Whether anything is allowed."""
+        """True if anything is allowed."""
         return any((self.delay, self.loss, self.blackout, self.noise, self.command_delay))
 
 

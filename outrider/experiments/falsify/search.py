@@ -80,7 +80,7 @@ class Budget:
         return max(of_runs, self.elapsed / self._seconds if self._seconds else 0.0)
 
     def ends(self) -> bool:
-        """Whether to stop at once: the time is over, or somebody wants the end."""
+        """True if it is to stop at once: the time is over, or somebody wants the end."""
         return self._asked() or (self._seconds is not None and self.elapsed >= self._seconds)
 
     def left(self, runs: int) -> int | None:
@@ -155,7 +155,7 @@ class _Island:
 
     @property
     def over(self) -> bool:
-        """Whether it finds nothing better any more."""
+        """True if it finds nothing better any more."""
         return bool(self._strategy.stop())
 
     def ask(self) -> list[tuple[str, tuple[float, ...], int]]:

@@ -64,7 +64,7 @@ class Panel:
 
     title: str
     field: str
-    """What is varied; empty where nothing is."""
+    """The varied field; empty where there is none."""
     values: list[Any]
     """Of the field, rising."""
     laws: list[str]
@@ -105,7 +105,7 @@ class _Block:
     folder: Path
     """The first of them."""
     apart: str = ""
-    """What tells it from others of the same name."""
+    """The mark that tells it from others of the same name."""
 
 
 def _ordered_laws(laws: set[str]) -> list[str]:

@@ -21,10 +21,10 @@ from sim.kernels.compile import FloatArray
 from sim.models.field import coverage_error
 
 Entry = str | Policy
-"""Who flies the UAVs: a law by name, or a policy for all worlds at once."""
+"""The pilot of the UAVs: a law by name, or a policy for all worlds at once."""
 
 SETTINGS = ("estimate", "gradient", "safety_filter", "coverage_patch", "dtype", "threads")
-"""What may be set for a policy: how it sees and acts. All else belongs to the task."""
+"""The settings of a policy: how it sees and acts. All else belongs to the task."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,7 +72,7 @@ class _Meter:
         self.ticks: npt.NDArray[np.int64] = np.zeros(loop.worlds, dtype=np.int64)
         """In sight."""
         self.certified_while_lost = self.certificate_broken = 0
-        """What the safety filters said that was not so [ticks]."""
+        """Ticks that the safety filters certified wrongly."""
 
     def note(self) -> None:
         """Take in the tick that all worlds are at."""

@@ -27,13 +27,13 @@ class Task:
     name: str
     """Lower-case letters and '-'."""
     hard: str
-    """What is hard, in a line."""
+    """The difficulty, in a line."""
     changes: Mapping[str, object]
     """Fields of the shipped escort and their values, as in `load_scenario(overrides=...)`."""
 
     @property
     def scenario(self) -> "Scenario":
-        """What is flown.
+        """The scenario that is flown.
 
         Raises:
             ScenarioError: If the changes make it impossible.

@@ -4,6 +4,6 @@ Laws, degradations and seeds, flown on all cores, each run one row of a table.
 """
 
 EXTRA = "outrider[sweep]"
-"""What has to be installed."""
+"""The packages that have to be installed."""
 DASK_EXTRA = "outrider[dask]"
 """The same, for a cluster."""

@@ -32,7 +32,7 @@ class Block(_Table, frozen=True, kw_only=True):
     """One experiment of a sweep: the product of what it varies."""
 
     name: Text = ""
-    """What it is called in tables and pictures; the varied fields by default."""
+    """The name in tables and pictures; the varied fields by default."""
     vary: dict[str, Any] = {}
     """Fields of the scenario, each with a list of values."""
     set: dict[str, Any] = {}

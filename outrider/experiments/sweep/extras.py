@@ -1,4 +1,4 @@
-"""Whether what a sweep needs is installed, said in one line before anything begins."""
+"""Tests before anything begins if a sweep's packages are installed, and says so in one line."""
 
 from importlib.util import find_spec
 

@@ -27,7 +27,7 @@ class SweepPoint:
     block: str
     law: str
     fields: dict[str, Any]
-    """What each field that the sweep varies anywhere is here; None where the scenario has no such value."""
+    """The value here of each field that the sweep varies anywhere; None where the scenario has no such value."""
     scenario: Scenario
 
 

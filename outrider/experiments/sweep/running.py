@@ -130,7 +130,7 @@ def _silence() -> Iterator[None]:
 
 
 def _is_a_death(error: Exception) -> bool:
-    """Whether a worker process has died: of loky's pool, or one too many of a cluster's."""
+    """True if a worker process has died: of loky's pool, or one too many of a cluster's."""
     return type(error).__name__ in ("TerminatedWorkerError", "BrokenProcessPool", "KilledWorker")
 
 

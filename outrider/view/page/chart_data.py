@@ -38,7 +38,7 @@ class Losses:
         return min(1.0, lost / sent) if sent else None
 
     def dark(self, at: float, *vehicles: str) -> bool:
-        """Whether a blackout is on for one of these vehicles at a time [s].
+        """True if a blackout is on for one of these vehicles at a time [s].
 
         A planned one, or one that has taken something.
         """

@@ -46,7 +46,7 @@ class Browser:
         self.generation, self.rows = -1, 0
 
     def is_due(self, now: float, news: bool) -> bool:
-        """Whether it can take a frame now."""
+        """True if it can take a frame now."""
         return self.in_hand < _AHEAD and now >= self.due and (news or now - self.told >= _ALIVE)
 
 

@@ -34,7 +34,7 @@ HEADINGS = {
     "right": Heading.EAST,
     "d": Heading.EAST,
 }
-"""What keys mean; with caps lock too."""
+"""The meaning of the keys; with caps lock too."""
 
 
 class TopView(Widget):

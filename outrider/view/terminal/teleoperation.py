@@ -38,11 +38,11 @@ class DriveView:
     """Simulated seconds per second of wall time, lately."""
     connected: bool = True
     present: bool = True
-    """Whether the simulator is there."""
+    """True if the simulator is there."""
     driver: str = ""
-    """Who drives the UGV."""
+    """The UGV's driver."""
     asked: bool = False
-    """Whether the wheel has been asked for and not been given yet."""
+    """True if the wheel has been asked for and not been given yet."""
     wanted: tuple[float, float] | None = None
     """The velocity that is wanted [m/s]."""
     speed: float = 0.0
@@ -51,7 +51,7 @@ class DriveView:
 
     @property
     def mine(self) -> bool:
-        """Whether the operator drives."""
+        """True if the operator drives."""
         return self.driver == TELEOP
 
     @property
@@ -106,7 +106,7 @@ class Teleoperation:
         self._asked = self._sent = -math.inf  # when the wheel was asked for, a message sent [s]
         self._error: Exception | None = None
         self.handed_to = ""
-        """Who is known to have got the wheel back."""
+        """Returns the driver that is known to have got the wheel back."""
         self._follow()
         session.announce()
         self._thread = threading.Thread(target=self._run, name="outrider-drive", daemon=True)
@@ -121,12 +121,12 @@ class Teleoperation:
 
     @property
     def leaving(self) -> bool:
-        """Whether the end has been asked for."""
+        """True if the end has been asked for."""
         return self._leaving
 
     @property
     def over(self) -> bool:
-        """Whether all is handed back and nothing more is sent."""
+        """True if all is handed back and nothing more is sent."""
         return self._over.is_set()
 
     def wait(self, patience: float | None = None) -> bool:

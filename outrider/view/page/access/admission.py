@@ -27,7 +27,7 @@ _ORIGIN = re.compile(rf"https?://(?P<authority>{_AUTHORITY})")
 _OPAQUE = "null"
 """Origin of a page that has none: a file, or a frame without rights."""
 _TRUSTED_SITES = ("same-origin", "none")
-"""What `Sec-Fetch-Site` may say: the page itself asks, or the browser's user.
+"""The values of `Sec-Fetch-Site` that are let in: the page itself asks, or the browser's user.
 
 Clients that are no browsers do not say it.
 """
@@ -64,7 +64,7 @@ class Guard:
 
     def __init__(self, app: ASGIApp, admission: Admission) -> None:
         self.app = app
-        """What it guards."""
+        """The application that it guards."""
         self._attempts = Attempts(admission.token) if admission.token else None
         self._ticket = admission.ticket
         # Not made from the token: else a guess could be tried as a cookie, as fast as one likes.
@@ -134,7 +134,7 @@ class Guard:
         return busy
 
     def _takes(self, ticket: str) -> bool:
-        """Whether it is the one that has not been used yet. It is too long to be guessed, so that no try need wait."""
+        """True if it is the one that has not been used yet. It is too long to be guessed, so that no try need wait."""
         if not self._ticket or not hmac.compare_digest(ticket.encode(), self._ticket.encode()):
             return False
         self._ticket = ""

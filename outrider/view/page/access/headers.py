@@ -60,7 +60,7 @@ class SecureHeaders:
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
-        """What responds."""
+        """The application that responds."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Respond, with the headers."""
@@ -85,7 +85,7 @@ class Nonces:
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
-        """What builds the page."""
+        """The function that builds the page."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass all on; a page is held until it is whole."""

@@ -109,7 +109,7 @@ class SharedWheel:
             self.release()
 
     def can_be_handed_back(self, drivers: Mapping[str, str]) -> bool:
-        """Whether a driver from before waits for the wheel."""
+        """True if a driver from before waits for the wheel."""
         return bool(self._helm.waiting(drivers))
 
     def strangers(self, drivers: Mapping[str, str]) -> list[str]:

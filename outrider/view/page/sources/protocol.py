@@ -16,12 +16,12 @@ class Playing(msgspec.Struct, frozen=True, kw_only=True):
     """Of the recording [s]."""
     end: float
     at: float
-    """What is shown [s]."""
+    """The simulated time that is shown [s]."""
     playing: bool
     speed: float
     """Simulated seconds per second of wall time."""
     note: str = ""
-    """What is wrong with the file; empty: nothing."""
+    """The fault of the file; empty: none."""
 
 
 class SourceState(msgspec.Struct, frozen=True, kw_only=True):
@@ -39,7 +39,7 @@ class Source(Protocol):
     """The hub's side of either."""
 
     may_steer: bool
-    """Whether anybody receives what is sent."""
+    """True if anybody receives what is sent."""
 
     def news(self) -> Iterator[Message]:
         """Status, Truth and CoverageMap that have come since the last call, in this order of kinds."""

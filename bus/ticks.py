@@ -1,0 +1,59 @@
+"""Seconds and ticks: messages and scenarios carry seconds, everything inside counts ticks.
+
+A time stamp is a tick times dt, never a sum. It becomes a tick again once, where a message is received.
+"""
+
+import math
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from bus.messages import Detection
+
+NO_TICK = -1
+"""In place of a tick: a time stamp that is none of a tick."""
+
+_SHARE = 1e-6
+"""A time may be off by this share of a tick, by rounding in whoever made it."""
+
+
+class Look(NamedTuple):
+    """A detection, as everything inside takes it."""
+
+    taken: int
+    """In which tick; NO_TICK: its time stamp is none of a tick."""
+    x: float
+    y: float
+    """p_a - p_g with noise [m]."""
+
+
+def tick_of(time: float, dt: float) -> int:
+    """The tick of a time stamp.
+
+    Args:
+        time: As a message carries it [s].
+        dt: Length of a tick [s].
+
+    Returns:
+        The tick; NO_TICK where the time is between two ticks, or not finite. Whoever receives such a message uses
+        it for nothing.
+    """
+    ticks = time / dt
+    if not -_SHARE <= ticks < 2.0**53:
+        return NO_TICK
+    tick = round(ticks)
+    return tick if abs(ticks - tick) <= _SHARE else NO_TICK
+
+
+def looks_of(detections: Iterable[Detection], dt: float) -> tuple[Look, ...]:
+    """The detections of a message; dt [s] is the length of a tick."""
+    return tuple(Look(tick_of(one.time, dt), *one.relative_position) for one in detections)
+
+
+def ticks_within(duration: float, dt: float) -> int:
+    """How many whole ticks a duration [s] has."""
+    return math.floor(duration / dt + _SHARE)
+
+
+def first_tick_from(time: float, dt: float) -> int:
+    """The first tick that is not before a time [s]."""
+    return math.ceil(time / dt - _SHARE)
