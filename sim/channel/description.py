@@ -319,7 +319,7 @@ def link_table(
     """
     edges = np.cumsum([0, *(len(p.blackouts) for p in links)]).tolist()
     traces = {id(p.trace): p.trace for p in links}  # one that several links play stands there once
-    ends = np.cumsum([len(trace) for trace in traces.values()]).tolist()
+    ends = (edges[-1] + np.cumsum([len(trace) for trace in traces.values()])).tolist()
     places = {
         one: (end - len(trace), end) for (one, trace), end in zip(traces.items(), ends, strict=True)
     }
@@ -335,8 +335,7 @@ def link_table(
     none: IntArray = np.zeros((0, 2), dtype=np.int64)
     return LinkNumbers(
         rows=records(LinkParameters, rows),
-        blackouts=np.concatenate([none, *(p.blackouts for p in links)]),
-        traces=np.concatenate([none, *traces.values()]),
+        pairs=np.concatenate([none, *(p.blackouts for p in links), *traces.values()]),
         owners=np.array(owners or [(0, 0)] * len(links), dtype=np.int64).reshape(-1, 2),
     )
 
@@ -382,7 +381,9 @@ def arrivals_of(p: LinkParameters, key: Key, messages: int, *, every: int = 1) -
         every: Ticks between two.
     """
     state, arrived = link_state(p, 2), np.empty(messages, dtype=np.int64)
-    fly_all(link_table([p]), state, key, every, np.empty_like(state.payload), arrived)
+    table = link_table([p])
+    named = table._replace(rows=table.rows.view(np.recarray))  # as an interpreter reads them too
+    fly_all(named, state, key, every, np.empty_like(state.payload), arrived)
     return arrived
 
 

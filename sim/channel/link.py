@@ -197,7 +197,7 @@ class LinkParameters(NamedTuple):
     """Bytes that may leave at each."""
     first_blackout: int = 0
     end_blackout: int = 0
-    """Where its rows of `blackouts` stand in those of a `LinkNumbers`."""
+    """Where its rows of `blackouts` stand among the pairs of a `LinkNumbers`."""
     first_row: int = 0
     end_row: int = 0
     """Likewise its rows of `trace`."""
@@ -208,10 +208,11 @@ class LinkNumbers(NamedTuple):
 
     rows: RecordArray
     """The numbers of `LinkParameters`. Shape (links,)."""
-    blackouts: IntArray
-    """The planned blackouts of all links, one after the other. Shape (any, 2)."""
-    traces: IntArray
-    """The recorded links, each once. Shape (any, 2)."""
+    pairs: IntArray
+    """The planned blackouts of all links, one after the other, then what is played, each once. Shape (any, 2).
+
+    In one array, since each that is handed on costs every link time.
+    """
     owners: IntArray
     """Purpose and vehicle of each link's key. Shape (links, 2)."""
 
@@ -423,20 +424,15 @@ def _transmit(p: LinkParameters, s: LinkState, key: Key, slot: int, later: float
             to_uniform(word_1),
             to_uniform(word_2) < p.reorder,
         )
-    due = _flight_time(p, share, held, later)
-    if later > 0.0:
-        due = max(due, 1)
-    fly(slots, buckets, counts, slot, counts[TICK] + due)
+    fly(slots, buckets, counts, slot, counts[TICK] + _flight_time(p, share, held, later))
     other = take(slots, counts) if twice else -1
     if other >= 0:
         counts[DUPLICATED] += 1
         slots[other, COPY] = 1
         for k in range(payload.shape[1]):
             payload[other, k] = payload[slot, k]
-        due = _flight_time(p, share_too, held_too, later)
-        if later > 0.0:
-            due = max(due, 1)
-        fly(slots, buckets, counts, other, counts[TICK] + due)
+        due = counts[TICK] + _flight_time(p, share_too, held_too, later)
+        fly(slots, buckets, counts, other, due)
 
 
 @borrowing
@@ -481,7 +477,7 @@ def _settle(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None
         if counts[CHAIN] < 0:
             chance = p.bad_share
         counts[CHAIN] = 1 if uniform(key, LINK_STATE, tick, 0) < chance else 0
-    dark = _dark_by_plan(t.blackouts, p.first_blackout, p.end_blackout, tick)
+    dark = _dark_by_plan(t.pairs, p.first_blackout, p.end_blackout, tick)
     if p.up > 0.0:
         dark = _dark_by_chance(p.up, p.down, counts, numbers, key, tick) or dark
     counts[DARK] = 1 if dark else 0
@@ -522,15 +518,6 @@ def make_up(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None
         _note_age(counts, s.numbers)
 
 
-@borrowing
-def _leave(t: LinkNumbers, p: LinkParameters, s: LinkState, key: Key, slot: int) -> None:
-    """The message leaves at the link's tick: as it was recorded, or as it is drawn."""
-    if p.replay == FATES:
-        _play(t.traces, p, s, key, slot)
-    else:
-        _transmit(p, s, key, slot, 0.0)
-
-
 @compiled
 def in_milliseconds(tick: int, dt: float) -> int:
     """The last whole millisecond up to this tick."""
@@ -540,7 +527,7 @@ def in_milliseconds(tick: int, dt: float) -> int:
 @borrowing
 def _grant(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None:
     """Let what waits leave at the recorded opportunities since the link's tick, up to this one, which is the next."""
-    p, counts, traces = t.rows[row], s.counts, t.traces
+    p, counts, traces = t.rows[row], s.counts, t.pairs
     offset = trace_offset(key, p.period)
     begin, end = in_milliseconds(tick - 1, p.dt) + offset, in_milliseconds(tick, p.dt) + offset
     start, place = begin - begin % p.period, begin % p.period
@@ -556,7 +543,8 @@ def _grant(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None:
             counts[GRANTED] += used
             if counts[GRANTED] == p.message_bytes:
                 counts[GRANTED] = 0
-                later = 0.001 * (now - offset) - (tick - 1) * p.dt
+                # a moment past the tick at least, so that what leaves after a tick arrives after it
+                later = max(0.001 * (now - offset) - (tick - 1) * p.dt, 2.0 * DUST * p.dt)
                 _transmit(p, s, key, leave_queue(s.slots, s.buckets, counts), later)
         k += 1
         if k == p.end_row:
@@ -574,13 +562,18 @@ def advance(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None
     """
     p, counts = t.rows[row], s.counts
     make_up(t, row, s, key, tick - 1)
-    granted = p.replay == OPPORTUNITIES
-    if granted and counts[WAITING] > 0:
+    if counts[WAITING] > 0 and p.replay == OPPORTUNITIES:
         _grant(t, row, s, key, tick)
     _settle(t, row, s, key, tick)
-    while counts[WAITING] > 0 and not granted and _is_free(p.spacing, counts, s.numbers):
+    while (
+        counts[WAITING] > 0 and p.replay != OPPORTUNITIES and _is_free(p.spacing, counts, s.numbers)
+    ):
         counts[SERVED] += 1
-        _leave(t, p, s, key, leave_queue(s.slots, s.buckets, counts))
+        slot = leave_queue(s.slots, s.buckets, counts)
+        if p.replay == FATES:
+            _play(t.pairs, p, s, key, slot)
+        else:
+            _transmit(p, s, key, slot, 0.0)
 
 
 @borrowing
@@ -607,7 +600,7 @@ def send(t: LinkNumbers, row: int, s: LinkState, key: Key, payload: FloatArray) 
     busy = (
         counts[WAITING] > 0 or p.replay == OPPORTUNITIES or not _is_free(p.spacing, counts, numbers)
     )
-    begun = 1 if counts[GRANTED] > 0 else 0  # the first that waits is leaving: it is not dropped
+    begun = 1 if busy and counts[GRANTED] > 0 else 0  # the first that waits is leaving already
     if busy and counts[WAITING] - begun >= p.queue:
         counts[LOST + QUEUE] += 1
         if not p.newest:
@@ -629,8 +622,10 @@ def send(t: LinkNumbers, row: int, s: LinkState, key: Key, payload: FloatArray) 
     numbers[BEGAN], counts[SERVED] = counts[TICK], 1
     if p.perfect:
         fly(slots, buckets, counts, slot, counts[TICK])
+    elif p.replay == FATES:
+        _play(t.pairs, p, s, key, slot)
     else:
-        _leave(t, p, s, key, slot)
+        _transmit(p, s, key, slot, 0.0)
 
 
 @borrowing

@@ -1,8 +1,8 @@
 """The settings of a drawn link that come nearest to a recorded one, and the nearest of the shipped profiles.
 
 Delay: for each shape of the jitter the delay and scale whose quantiles differ least from those recorded, in their
-logarithms, then the best shape. Loss: runs of nearly one length are random blackouts; the rest is a chain of Gilbert and Elliott by
-maximum likelihood, of which a part is only taken where it pays by Schwarz's criterion (BIC).
+logarithms, then the best shape. Loss: runs of nearly one length are random blackouts; the rest is a chain of Gilbert
+and Elliott by maximum likelihood, of which a part is only taken where it pays by Schwarz's criterion (BIC).
 """
 
 import math
