@@ -3,7 +3,6 @@
 import math
 from collections import deque
 
-import msgspec
 import numpy as np
 
 from agents.control.guard import guard_state
@@ -33,7 +32,7 @@ from bus.messages import (
     UavReport,
     Vector,
 )
-from bus.ticks import looks_of
+from bus.ticks import Look, looks_of
 from sim.kernels.compile import FloatArray, borrowing, entry_point
 from sim.kernels.records import RecordArray, records
 from sim.models.field import cover, coverage_error, empty_coverage
@@ -75,12 +74,17 @@ def _act(
     promises: RecordArray,
     guarded: bool,
     memory: UavMemory,
-    own: OwnTerms,
+    looked: int,
     tick: int,
     here: Motion,
+    looks: FloatArray,
+    own: OwnTerms,
     target: tuple[bool, float, float],
 ) -> tuple[float, float, int, int, float]:
-    return uav_tick(laws[0], promises[0], guarded, memory, own, tick, here, target)
+    """Both parts of the tick in one call: handing over the memory costs as much as either of them."""
+    law, promise, arrived = laws[0], promises[0], looks.shape[0]
+    uav_perceive(law, promise, guarded, memory, looked, tick, here, looks, arrived)
+    return uav_tick(law, promise, guarded, memory, own, tick, here, target)
 
 
 def radio_ticks(dt: float) -> int:
@@ -89,16 +93,18 @@ def radio_ticks(dt: float) -> int:
 
 
 def _report(estimate: Estimate, verdict: Verdict | None) -> UavReport:
-    report = UavReport(
+    if verdict is None:
+        return UavReport(
+            estimate=estimate.position,
+            covariance=estimate.covariance,
+            age=estimate.age,
+            refused=estimate.refused,
+        )
+    return UavReport(
         estimate=estimate.position,
         covariance=estimate.covariance,
         age=estimate.age,
         refused=estimate.refused,
-    )
-    if verdict is None:
-        return report
-    return msgspec.structs.replace(
-        report,
         certified=verdict.certified,
         uncertified=verdict.reason[:_LONGEST],
         intervened=verdict.intervened,
@@ -152,9 +158,9 @@ class UavPilot:
         self._tick: int | None = None
         self._radio_ticks = radio_ticks(briefing.dt)
         self._take_on()
-        target = (False, 0.0, 0.0)
-        self._perceive = entry_point(_perceive, *self._fixed, 0, 0, _NOWHERE, _NO_LOOKS)
-        self._act = entry_point(_act, *self._fixed, _NOTHING_OWN, 0, _NOWHERE, target)
+        seen, target = (0, 0, _NOWHERE, _NO_LOOKS), (False, 0.0, 0.0)
+        self._perceive = entry_point(_perceive, *self._fixed, *seen)
+        self._act = entry_point(_act, *self._fixed, *seen, _NOTHING_OWN, target)
 
     def _take_on(self) -> None:
         """The law and the filter that there are now, as compiled code takes them."""
@@ -206,11 +212,11 @@ class UavPilot:
     def _answer(self, observation: UavObservation) -> UavCommand:
         if observation.law is not None:
             self._fly(observation.law)
-        estimate = self.perceive(observation)
+        looks = looks_of(observation.detections, self._briefing.dt)
+        estimate = self._estimate(observation, looks)
         target = (False, 0.0, 0.0) if estimate is None else (True, *estimate.position)
         own = self._own_terms(observation, estimate)
-        here = Motion(*observation.position, *observation.velocity)
-        acted = self._act(*self._fixed, own, observation.tick, here, target)
+        acted = self._act(*self._fixed, *self._seen(observation, looks), own, target)
         (u_x, u_y), verdict = acted[:2], None
         if self.filter is not None:
             verdict = self.filter.verdict(*acted)
@@ -223,16 +229,27 @@ class UavPilot:
             report=_report(estimate, verdict),
         )
 
-    def perceive(self, observation: UavObservation) -> Estimate | None:
-        """Take an observation into the map and the filter, also one that comes too late to be answered."""
-        elapsed = 0 if self._tick is None else observation.tick - self._tick
-        tick = self._tick = observation.tick
-        looks, rows = looks_of(observation.detections, self._briefing.dt), _NO_LOOKS
+    def perceive(self, observation: UavObservation) -> None:
+        """Take an observation into the map and the filters that comes too late to be answered."""
+        looks = looks_of(observation.detections, self._briefing.dt)
+        self._estimate(observation, looks)
+        self._perceive(*self._fixed, *self._seen(observation, looks))
+
+    def _estimate(self, observation: UavObservation, looks: tuple[Look, ...]) -> Estimate | None:
+        return self.estimator.update(
+            tick=observation.tick, own_position=observation.position, looks=looks
+        )
+
+    def _seen(
+        self, observation: UavObservation, looks: tuple[Look, ...]
+    ) -> tuple[int, int, Motion, FloatArray]:
+        """What compiled code takes of an observation: ticks since the last one, tick, motion and detections."""
+        tick, before, rows = observation.tick, self._tick, _NO_LOOKS
+        self._tick = tick
         if looks and self.filter is not None:
             rows = np.array(looks, dtype=np.float64)
         here = Motion(*observation.position, *observation.velocity)
-        self._perceive(*self._fixed, elapsed, tick, here, rows)
-        return self.estimator.update(tick=tick, own_position=observation.position, looks=looks)
+        return 0 if before is None else tick - before, tick, here, rows
 
     def _fly(self, law: Law) -> None:
         """Take another law; map, filter and the state of the law before stay."""

@@ -112,11 +112,13 @@ class World:
         return self._batch.tables, self._batch.state
 
     def _received(self) -> list[list[Look]]:
-        state = self._batch.state
-        return [
-            [Look(int(taken), x, y) for taken, x, y in state.received[0, k, :count].tolist()]
-            for k, count in enumerate(state.arrived[0].tolist())
-        ]
+        received, arrived = self._batch.state.received, self._batch.state.arrived[0].tolist()
+        looks: list[list[Look]] = [[] for _ in arrived]
+        for k, count in enumerate(arrived):
+            if count:
+                for taken, x, y in received[0, k, :count].tolist():
+                    looks[k].append(Look(int(taken), x, y))
+        return looks
 
     def send(self, k: int, answered: int, acceleration: tuple[float, float]) -> None:
         """A vehicle's command sets out to its actuators in the coming tick; one a tick.

@@ -311,7 +311,7 @@ def test_the_command_makes_checks_and_renews(
         code = make_app()(["credentials", folder, *arguments, "--json"], standalone_mode=False)
         return int(code or 0), json.loads(capsys.readouterr().out)
 
-    assert command("--tls", "--run", RUN, "--host", "10.0.0.7")[0] == 0
+    assert command("--tls", "--run", RUN, "--router", "10.0.0.7")[0] == 0
     code, told = command("--check")
     days = {Path(row["file"]).stem: row["days"] for row in told["credentials"]}
     assert (code, days.pop("router"), set(days.values())) == (0, 3649, {364})

@@ -104,7 +104,7 @@ def test_a_page_opens_with_the_run_shows_all_of_it_and_ends_with_it() -> None:
     words = (
         "run",
         "--dashboard",
-        "--dashboard-port",
+        "--port",
         "0",
         "--realtime",
         "20",
@@ -137,7 +137,7 @@ def test_a_page_opens_with_the_run_shows_all_of_it_and_ends_with_it() -> None:
 
 
 def test_a_run_with_a_page_keeps_the_wall_clock_unless_told_otherwise_and_ctrl_c_ends_all() -> None:
-    with started("run", "--dashboard", "--dashboard-port", "0", "--no-files", "--json") as run:
+    with started("run", "--dashboard", "--port", "0", "--no-files", "--json") as run:
         page = page_of(run)
         with browser(page) as channel:
             assert await_truth(channel, 20)["kind"] == "frame"
@@ -160,7 +160,7 @@ def test_a_page_that_dies_is_told_once_and_the_run_goes_on_in_lockstep_to_its_en
         "run",
         "--dashboard",
         "--lockstep",
-        "--dashboard-port",
+        "--port",
         "0",
         "--duration",
         "500",
@@ -182,7 +182,7 @@ def test_a_page_that_dies_is_told_once_and_the_run_goes_on_in_lockstep_to_its_en
 
 
 def test_the_page_ends_when_its_run_is_killed() -> None:
-    with started("run", "--dashboard", "--dashboard-port", "0", "--no-files") as run:
+    with started("run", "--dashboard", "--port", "0", "--no-files") as run:
         page = page_of(run)
         children = family(run.pid)
         assert child_of(run, "dashboard") in children
@@ -195,13 +195,11 @@ def test_the_page_ends_when_its_run_is_killed() -> None:
 def test_a_busy_port_is_refused_before_anything_flies(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
-        run = outrider(
-            "run", "--dashboard", "--dashboard-port", port, "--out", str(tmp_path / "flight")
-        )
+        run = outrider("run", "--dashboard", "--port", port, "--out", str(tmp_path / "flight"))
     assert run.returncode == 2
     assert len(run.stderr.strip().splitlines()) == 1
     assert f"port {port}" in run.stderr
-    assert "--dashboard-port" in run.stderr
+    assert "--port" in run.stderr
     assert not list((tmp_path / "flight").glob("*"))
 
 
@@ -239,7 +237,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_recording_is_played_into_the_page_and_nobody_can_steer(recording: Path) -> None:
-    words = ("replay", str(recording), "--dashboard", "--dashboard-port", "0", "--speed", "10")
+    words = ("replay", str(recording), "--dashboard", "--port", "0", "--realtime", "10")
     with started(*words) as replay:
         page = page_of(replay)
         assert "this is a recording" in page.text()

@@ -3,6 +3,7 @@
 What keys become on the bus, what the screen says, and how it is left.
 """
 
+import asyncio
 import codecs
 import fcntl
 import math
@@ -435,9 +436,9 @@ def test_a_wheel_taken_before_any_news_came_is_given_back_too(endpoint: str) -> 
 
 
 def test_an_unknown_vehicle_is_refused_with_those_that_there_are(endpoint: str) -> None:
-    with scripted(endpoint), seat(*arguments(endpoint, "--vehicle", "ugv_7")) as one:
+    with scripted(endpoint), seat(*arguments(endpoint, "--name", "ugv_7")) as one:
         assert one.ends() == 2
-        assert "--vehicle ugv_7: no UGV of this run; there is ugv_0" in one.told
+        assert "--name ugv_7: no UGV of this run; there is ugv_0" in one.told
         assert "1049" not in one.screen.modes
 
 
@@ -603,3 +604,47 @@ def test_dots_are_where_braille_has_them() -> None:
     for x, y in ((0, 0), (1, 3), (2, 2), (-1, 0), (0, 4), (4, 0)):
         canvas.dot(x, y, "#ffffff")
     assert characters(canvas) == ["⢁⠄"]
+
+
+class Watching:
+    """A link that only looks on."""
+
+    vehicle, over, leaving = "ugv_0", False, False
+
+    def view(self) -> DriveView:
+        return DriveView(status=a_status(), truth=a_truth(), driver="script", speed=0.2)
+
+
+@pytest.mark.parametrize("columns", [44, 80, 120])
+def test_every_key_and_the_time_are_on_the_screen_however_narrow_it_is(columns: int) -> None:
+    from textual.widgets import Static
+
+    from outrider.view.terminal.screen import DriveApp
+
+    async def shown() -> dict[str, list[str]]:
+        app = DriveApp(Watching(), "flight")  # type: ignore[arg-type]
+        async with app.run_test(size=(columns, 24)) as pilot:
+            await pilot.pause()
+            parts = {
+                name: app.query_one(f"#{name}", Static) for name in ("title", "banner", "keys")
+            }
+            return {
+                name: [
+                    "".join(piece.text for piece in part.render_line(y))
+                    for y in range(part.size.height)
+                ]
+                for name, part in parts.items()
+            }
+
+    lines = asyncio.run(shown())
+    for key in (
+        "WASD ←↑↓→ drive",
+        "space brake",
+        "+- 0.20 m/s",
+        "h hand back",
+        "z zoom",
+        "q leave",
+    ):
+        assert any(key in line for line in lines["keys"]), lines
+    assert "t = 5.0 s of 200 s" in lines["title"][0]
+    assert "takes the wheel" in " ".join(" ".join(lines["banner"]).split())

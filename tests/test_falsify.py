@@ -345,7 +345,7 @@ BAD = {
     ),
     "several pairs": (["pairs.toml"], "2 UAVs and 2 UGVs"),
     "control of another law": (["--control", "tracking", "--law", "linear"], "--control"),
-    "engine of another law": (["--law", "linear", "--only", "attack"], "--only"),
+    "engine of another law": (["--law", "linear", "--engine", "attack"], "--engine"),
     "error that is not in the grid": (["--law", "certified", "--eps", "0.4"], "allowed: 0, 0.3"),
     "no whole tick": (["--duration", "0.07"], "duration = 0.07"),
     "a folder": (["--out", "."], "is a folder"),
@@ -373,7 +373,7 @@ def test_bad_input_gets_one_line(
 
 def test_a_missing_extra_is_one_line_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cma", None)
-    with pytest.raises(ScenarioError, match=r"pip install 'outrider\[falsify\]'"):
+    with pytest.raises(ScenarioError, match=r"pip install -e '\.\[falsify\]'"):
         search.check_extra()
 
 

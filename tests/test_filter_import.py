@@ -1,7 +1,15 @@
-"""What a process loads: filterpy's filter without the rest of filterpy, and no compiler where nothing is flown."""
+"""What a process loads: filterpy's filter without its rest, whose bits stay, and no compiler where nothing is flown."""
 
 import subprocess
 import sys
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import PROPERTY
+
+from agents.estimation.kalman import BareFilter, KalmanFilter
+from agents.estimation.motion_model import motion
 
 
 def _printed(code: str) -> str:
@@ -53,3 +61,29 @@ def test_the_filter_has_its_likelihood_as_filterpy_computes_it():
     ours = _printed(likelihood.format("agents.estimation.kalman"))
     assert ours == _printed(likelihood.format("filterpy.kalman"))
     assert ours.endswith("True")
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=30), st.integers(0, 2**32 - 1))
+@PROPERTY
+def test_the_filter_without_bookkeeping_has_the_bits_of_filterpys_own(
+    seen: list[bool], seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    F, Q = motion(ticks=1, dt=0.05, deviation=rng.uniform(0.0, 2.0))
+    ours, theirs = BareFilter(dim_x=4, dim_z=2), KalmanFilter(dim_x=4, dim_z=2)
+    theirs.inv = lambda S: (
+        np.array([[S[1, 1], -S[0, 1]], [-S[1, 0], S[0, 0]]])
+        * (1.0 / (S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]))
+    )
+    spread, variance = rng.normal(size=(4, 4)), rng.uniform(1e-6, 1.0)
+    for one in (ours, theirs):
+        one.x, one.P = np.array([7.0, 8.0, 0.1, -0.1]), spread @ spread.T
+        one.H, one.R = np.eye(2, 4), variance * np.eye(2)
+    for detected in seen:
+        ours.predict(F, Q)
+        theirs.predict(F=F, Q=Q)
+        if detected:
+            K, ours.P = ours.weigh()
+            theirs.update(theirs.H.dot(theirs.x))  # none, so that x stays
+            assert theirs.K.ravel().tolist() == K
+        assert (ours.x.tobytes(), ours.P.tobytes()) == (theirs.x.tobytes(), theirs.P.tobytes())

@@ -10,16 +10,23 @@ from pathlib import Path
 import jsonschema
 import msgspec
 import pytest
+import typer
 
 from bus.errors import ScenarioError
-from bus.messages import Action, Control, LinkKind, LinkSettings
+from bus.messages import Action, Control, LinkKind, LinkSettings, UavCommand
 from bus.registry import LAWS
-from outrider.cli.main import main
+from outrider.cli.main import main, make_app
 from outrider.cli.options import scenario_of
-from outrider.running.flying import fly
+from outrider.recording.reader import flight_of
+from outrider.recording.refly import external_uavs, restore
+from outrider.recording.writer import FlightRecorder
+from outrider.running.flying import InProcess, fly, make_pilots
+from outrider.running.summary import summarize
+from outrider.view.flight_picture import flight_figure
 from sim.scenario.loading import load_scenario, scenario_names, shipped_text
 from sim.scenario.schema import field_docs, scenario_schema
 from sim.scenario.types import Custom, Scenario, Visibility
+from sim.server.flight import Flight
 
 
 def command(monkeypatch, *words) -> int:
@@ -117,6 +124,50 @@ def test_debug_shows_the_traceback_of_a_vehicles_process_and_its_log_keeps_it(
         assert "Traceback (most recent call last):" in text
         assert "in inner" in text
         assert "ZeroDivisionError: division by zero (deep.py:6, in inner)" in text
+
+
+TOO_FAST = """from math import cos, sin
+
+def spin(t):
+    return (4.0 * cos(t), 4.0 * sin(t)), (-4.0 * cos(t), -4.0 * sin(t))
+"""
+
+
+@pytest.mark.parametrize("named_by", ["the command", "the file"])
+def test_check_tries_a_function_of_ones_own_as_run_does_and_says_where_it_does_not(
+    tmp_path, monkeypatch, capsys, named_by
+):
+    (tmp_path / "spinning.py").write_text(TOO_FAST)
+    monkeypatch.chdir(tmp_path)
+    words = ["escort", "--duration", "1", "--path", "spinning:spin"]
+    if named_by == "the file":
+        text = shipped_text("escort").replace('name = "certified"', 'name = "path"')
+        (tmp_path / "mine.toml").write_text(f'{text}\n[custom]\npath = "spinning:spin"\n')
+        assert command(monkeypatch, "check", "mine.toml") == 0
+        assert "loaded with --allow-code alone" in capsys.readouterr().err
+        words = ["mine.toml", "--duration", "1", "--allow-code"]
+    assert command(monkeypatch, "check", *words) == 0
+    checked = capsys.readouterr().err
+    flown = ("run", *words, "--in-process", "--no-files")
+    assert command(monkeypatch, *flown) == 0
+    warned = [line for line in capsys.readouterr().err.splitlines() if "warning" in line]
+    assert warned
+    assert [line for line in checked.splitlines() if "warning" in line] == warned
+
+
+def test_an_option_means_the_same_in_every_command():
+    kinds = {}
+    waiting = [typer.main.get_command(make_app())]
+    while waiting:
+        found = waiting.pop()
+        waiting += getattr(found, "commands", {}).values()
+        for option in found.params:
+            for name in option.opts:
+                if name.startswith("--"):
+                    kind = (option.is_flag, option.multiple, option.metavar)
+                    kinds.setdefault(name, {}).setdefault(kind, []).append(found.name)
+    assert set(kinds.pop("--out")) == {(False, False, "FOLDER"), (False, False, "FILE")}
+    assert {name: seen for name, seen in kinds.items() if len(seen) > 1} == {}
 
 
 def test_an_error_in_a_weighting_of_ones_own_names_its_line(tmp_path, monkeypatch, capsys):
@@ -271,3 +322,72 @@ def test_what_an_operator_changed_is_told_in_words():
     assert Control(action=Action.SPEED, factor=2.0).in_words() == "2 times real time"
     assert Control(action=Action.STEP, ticks=3).in_words() == "step 3"
     assert Control(action=Action.PAUSE).in_words() == "pause"
+
+
+class Hover:
+    """The pilot of docs/how-to/own-pilot.md: it reports nothing."""
+
+    def act(self, observation):
+        (look, *_) = observation.detections or [None]
+        x, y = look.relative_position if look else (0.0, 0.0)
+        v_x, v_y = observation.velocity
+        return UavCommand(tick=observation.tick, acceleration=(-0.2 * x - v_x, -0.2 * y - v_y))
+
+
+class OwnExchange(InProcess):
+    """Flies the scenario's UGV and a UAV of the user's own."""
+
+    def collect(self, tick):
+        commands = super().collect(tick)
+        return commands | {"uav_0": Hover().act(self._observations["uav_0"])}
+
+
+def test_a_uav_of_ones_own_is_not_titled_with_the_law_that_it_does_not_fly(tmp_path):
+    told = []
+    scenario = load_scenario("escort", overrides={"duration": 5.0})
+    flight = Flight(scenario, 7, on_notice=told.append)
+    recorder = FlightRecorder(tmp_path / "own.mcap", scenario, 7)
+    flight.fly(OwnExchange(make_pilots(scenario, 7)), on_tick=lambda: recorder.tick(flight))
+    recorder.close()
+    summary = summarize(flight, seconds=1.0)
+    assert (summary.law, summary.certified_share, summary.uncertified) == ("external", None, {})
+    (line,) = told
+    assert line.startswith("uav_0 sees its UGV and reports no estimate: a program of your own")
+    recording = flight_of(tmp_path / "own.mcap")
+    assert external_uavs(recording) == {"uav_0"}
+    for drawn in (flight_figure(flight), flight_figure(restore(recording))):
+        titles = " ".join(text.get_text() for text in drawn.texts)
+        assert "law external" in titles
+        assert "certified" not in titles
+
+
+def test_a_pilot_of_ours_that_sees_nothing_is_not_taken_for_one_of_the_users():
+    dark = {"duration": 3.0, "links.detections.blackouts": [[0.0, 10.0]]}
+    _, summary = fly(load_scenario("escort", overrides=dark), 7)
+    assert summary.law == "certified"
+    assert summary.uncertified == {"the UAV has no estimate yet, or its command did not come": 60}
+
+
+def test_ctrl_c_is_told_in_one_line_however_early_it_comes(monkeypatch, capsys):
+    from outrider.cli import main as module
+
+    def early():
+        raise KeyboardInterrupt
+
+    left = []
+    monkeypatch.setattr("os._exit", left.append)
+    monkeypatch.setattr("atexit._run_exitfuncs", lambda: None)
+    monkeypatch.setitem(module.COMMANDS, "doctor", early)
+    for words in (("doctor",), ("scenarios",)):
+        with monkeypatch.context() as m:
+            if words == ("scenarios",):  # before the command's own code
+                m.setattr(module, "make_app", early)
+            assert command(monkeypatch, *words) == 130
+    assert left == [130, 130]
+    assert capsys.readouterr().err == "outrider: interrupted\n" * 2
+
+
+def test_what_is_to_be_typed_next_can_be_copied(tmp_path, monkeypatch, capsys):
+    file = tmp_path / "Käfig 1.toml"
+    assert command(monkeypatch, "scenarios", "new", file) == 0
+    assert f"outrider check '{file}' says" in capsys.readouterr().out

@@ -490,7 +490,7 @@ def test_replay_tells_the_runs_numbers(flown: tuple[Path, Flight]) -> None:
     assert told["ticks"] == flight.recorder.ticks
     assert told["whole"] is True
     assert 0 < told["bytes_per_minute"] < 2e6
-    assert call("replay", str(path), "--speed", "1000000").exit_code == 0
+    assert call("replay", str(path), "--realtime", "1000000").exit_code == 0
 
 
 def test_replay_refly_says_same_or_where_it_differs(
@@ -636,7 +636,7 @@ with open_session(Party(role=Role.OBSERVER, name=OBSERVER_NAME), "recorded", con
 def test_a_picture_and_a_film_are_drawn(flown: tuple[Path, Flight], tmp_path: Path) -> None:
     from PIL import Image
 
-    for name, arguments in (("run.png", ()), ("run.gif", ("--speed", "100", "--fps", "10"))):
+    for name, arguments in (("run.png", ()), ("run.gif", ("--realtime", "100", "--fps", "10"))):
         found = call("render", str(flown[0]), "-o", str(tmp_path / name), *arguments)
         assert found.exit_code == 0, found.exception
     with Image.open(tmp_path / "run.png") as picture:
@@ -669,7 +669,9 @@ def test_a_film_as_mp4_needs_ffmpeg_and_gives_it_every_frame(
     )
     program.chmod(0o755)
     assert (
-        call("render", str(flown[0]), "-o", str(tmp_path / "run.mp4"), "--speed", "200").exit_code
+        call(
+            "render", str(flown[0]), "-o", str(tmp_path / "run.mp4"), "--realtime", "200"
+        ).exit_code
         == 0
     )
     width, height = 800, (tmp_path / "run.mp4").stat().st_size // (800 * 4 * 5)

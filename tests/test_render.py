@@ -14,7 +14,9 @@ from matplotlib.text import Text
 from bus.messages import Area, Law
 from outrider.running.flying import fly
 from outrider.view.flight_picture import SIZE, draw_flight, flight_figure
+from sim.scenario.loading import load_scenario
 from sim.scenario.types import Detections, Scenario, Uav, Ugv
+from sim.scene.frames import Frames
 from sim.scene.known import geometry_of, scene_of
 from sim.scene.model import observed_scene
 from sim.server.flight import Flight
@@ -255,3 +257,18 @@ def test_a_name_is_no_formula(tmp_path):
 def test_a_folder_that_is_not_there_is_an_oserror(flight, tmp_path):
     with pytest.raises(OSError, match="nowhere"):
         draw_flight(flight, tmp_path / "nowhere" / "flight.png")
+
+
+def test_the_scenarios_title_and_the_axis_name_are_whole_in_picture_and_film():
+    scenario = load_scenario(
+        "escort",
+        overrides={"duration": 1.0, "area.width": 200.0, "area.height": 200.0, "area.cell": 1.0},
+    )
+    flight, _ = fly(scenario, 7)
+    texts = [text.get_text() for text in flight_figure(flight).texts]
+    assert scenario.title in texts
+    assert any(text.startswith("escort   ·   law certified") for text in texts)
+    film = Frames(scene_of(scenario), width=800)
+    assert film._figure.texts[0].get_text().startswith("A UGV on its way")
+    (axes,) = film._figure.axes
+    assert axes.yaxis.label.get_window_extent().x0 >= 0.0

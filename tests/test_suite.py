@@ -345,8 +345,9 @@ def test_the_command_scores_laws_and_policies(outrider: Callable[..., Any], tmp_
     source = "import numpy as np\n\n\ndef away(seen):\n    return np.full((len(seen), 2), 0.3)\n"
     (tmp_path / "mine_for_the_suite.py").write_text(source, encoding="utf-8")
     arguments = (
+        "--law",
         "tracking",
-        "--policy",
+        "--uav-policy",
         "mine_for_the_suite:away",
         "--safety-filter",
         "--only",
@@ -354,7 +355,7 @@ def test_the_command_scores_laws_and_policies(outrider: Callable[..., Any], tmp_
         "--secret",
         SECRET,
     )
-    code, out, err = outrider(*arguments, "--markdown", "board.md", "--json")
+    code, out, err = outrider(*arguments, "--json")
     assert (code, err) == (0, "")
     told = json.loads(out)
     assert told["tasks"] == ["short-sight"]
@@ -380,7 +381,6 @@ def test_the_command_scores_laws_and_policies(outrider: Callable[..., Any], tmp_
     assert result["episodes"] == len(result["scores"]) == 20
     assert all(standing["lost"] == 0 for standing in told["standings"])  # the filter was asked
     assert all(standing[count] == 0 for standing in told["standings"] for count in CERTIFICATES)
-    assert (tmp_path / "board.md").read_text(encoding="utf-8").startswith("| task | ")
 
 
 def test_the_command_tells_what_the_tasks_are(outrider: Callable[..., Any]) -> None:
@@ -393,19 +393,27 @@ def test_the_command_tells_what_the_tasks_are(outrider: Callable[..., Any]) -> N
 @pytest.mark.parametrize(
     ("arguments", "code", "told"),
     [
-        (["lograithmic"], 2, "law 'lograithmic': unknown"),
+        (["--law", "lograithmic"], 2, "law 'lograithmic': unknown"),
         (
             ["--only", "nosie"],
             2,
             "--only nosie: no such task, did you mean 'noise'?; allowed: paper,",
         ),
-        (["--policy", "nowhere:f"], 2, "--policy = 'nowhere:f'"),
-        (["linear", "--secret", "1234"], 2, "--secret: 4 characters that are no secret; allowed: "),
-        (["--estimate"], 2, "--estimate: for a --policy alone"),
-        (["--list", "--markdown", "nowhere/board.md", "linear"], 0, ""),
-        (["linear", "--markdown", "nowhere/board.md"], 2, "no such folder: nowhere"),
-        (["--policy", "json:loads", "--only", "paper"], 1, "--policy json:loads: TypeError"),
-        (["--policy", "math:fsum", "--only", "paper"], 1, "--policy math:fsum: "),
+        (["--uav-policy", "nowhere:f"], 2, "--uav-policy = 'nowhere:f'"),
+        (
+            ["--law", "linear", "--secret", "1234"],
+            2,
+            "--secret: 4 characters that are no secret; allowed: ",
+        ),
+        (["--estimate"], 2, "--estimate: for a --uav-policy alone"),
+        (["--list", "--markdown", "--law", "linear"], 0, ""),
+        (["--law", "linear", "--markdown", "--json"], 2, "both want stdout"),
+        (
+            ["--uav-policy", "json:loads", "--only", "paper"],
+            1,
+            "--uav-policy json:loads: TypeError",
+        ),
+        (["--uav-policy", "math:fsum", "--only", "paper"], 1, "--uav-policy math:fsum: "),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

@@ -607,7 +607,5 @@ def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(monkeypat
         extras, "find_spec", lambda module: None if module == "distributed" else object()
     )
     extras.check_extras("joblib", "pyarrow")
-    with pytest.raises(
-        ScenarioError, match=r"distributed is missing: pip install 'outrider\[dask\]'"
-    ):
+    with pytest.raises(ScenarioError, match=r"distributed is missing: pip install -e '\.\[dask\]'"):
         extras.check_extras("joblib", "pyarrow", "distributed")

@@ -1,9 +1,28 @@
 """What an operator can switch on is compiled or loaded before the first tick: no tick of a live flight waits for it."""
 
+import json
+import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+from processes import (
+    OUTRIDER,
+    await_status,
+    child_of,
+    command_line,
+    family,
+    joined,
+    kind_of,
+    wait_until,
+)
+from scattered import end_all
+
+from bus.keys import CONTROL, Role
+from bus.messages import Action, Control, Law, LinkKind, LinkSettings
+from bus.registry import DRIVERS, LAWS
 
 PREPARE = """
 import msgspec
@@ -73,3 +92,61 @@ def test_no_control_of_an_operator_makes_anybody_compile():
         [sys.executable, "-c", PREPARE + FLY], capture_output=True, text=True, check=False
     )
     assert run.stdout.split() == ["True", "240", "[]", "1"], run.stdout + run.stderr
+
+
+def every_control() -> Iterator[Control]:
+    """Each control that an operator has, once: links, laws, drivers, and the clock."""
+    for kind in LinkKind:
+        for settings in (
+            LinkSettings(
+                delay=0.4, jitter=0.3, loss=0.2, duplicates=0.1, reorder=0.1, reorder_delay=0.1
+            ),
+            LinkSettings(bandwidth=5.0, queue=2, burst_length=0.3, burst_interval=2.0),
+            LinkSettings(blackouts=((0.0, 1e4),)),
+            LinkSettings(),
+        ):
+            yield Control(action=Action.LINK, link=kind, settings=settings)
+    for law in LAWS.values():
+        if not law.own:
+            yield Control(action=Action.LAW, law=Law(name=law.name))
+    for driver in DRIVERS.values():
+        if not (driver.own or driver.outside or driver.needs):
+            yield Control(action=Action.DRIVER, driver=driver.name)
+    yield Control(action=Action.PAUSE)
+    yield Control(action=Action.STEP, ticks=3)
+    yield Control(action=Action.RESUME)
+    yield Control(action=Action.SPEED, factor=2.0)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_no_control_makes_a_tick_late_in_real_time_on_a_cold_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OUTRIDER_CACHE", str(tmp_path / "cache"))
+    words = ("escort", "--realtime", "1", "--duration", "20000", "--no-files", "--json")
+    run = subprocess.Popen(
+        [*OUTRIDER, "run", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        wait_until(lambda: "simulator" in map(kind_of, family(run.pid)), 300.0)
+        words_of = command_line(child_of(run, "simulator")).split()
+        socket = words_of[words_of.index("--listen") + 1].removeprefix("unixsock-stream/")
+        wait_until(lambda: Path(socket).exists(), 300.0)  # it compiles before it listens
+        with joined(run, Role.OPERATOR) as operator:
+            await_status(operator, lambda status: status.tick > 5, 300.0)
+            controls = operator.outbox(CONTROL)
+            for control in every_control():
+                controls.send(control)
+                await_status(
+                    operator, lambda s, c=control: bool(s.changes) and s.changes[-1].control == c
+                )
+            controls.send(Control(action=Action.RESET, seed=3))
+            await_status(operator, lambda status: status.seed == 3 and 20 < status.tick < 400)
+        run.send_signal(signal.SIGINT)
+        told, warned = run.communicate(timeout=60.0)
+    finally:
+        end_all([run])
+    steered = warned.partition("an operator:")[2]  # a start may wait for a busy machine
+    assert "behind" not in steered, warned  # a clock that is late by more than a second says so
+    assert json.loads(told)["seed"] == 3

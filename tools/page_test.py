@@ -30,6 +30,8 @@ RUN = "page"
 OBSERVERS = "dashboard_observer"
 TOKEN = "a-token-for-the-test"  # noqa: S105 - of this test alone
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+_PHONE = 664
+"""Height that a phone 844 pixels high leaves to a page [px]."""
 _INSTALLING = 300
 """So long a package manager may take [s]."""
 _OFFLINE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
@@ -164,7 +166,7 @@ class Processes:
         path, port = str(self._folder / "run.mcap"), free_port()
         if self._running.pop("recording").wait(60.0):
             raise Failed("nothing was recorded")
-        words = ["replay", path, "--dashboard", "--dashboard-port", str(port), "--speed", "0.5"]
+        words = ["replay", path, "--dashboard", "--port", str(port), "--realtime", "0.5"]
         with (self._folder / "replay.log").open("ab") as log:
             self._running["replay"] = subprocess.Popen(
                 [*OUTRIDER, *words], stdin=subprocess.DEVNULL, stdout=log, stderr=log
@@ -410,6 +412,92 @@ def check_pad(first: Page) -> str:
     return "a stubbed pad"
 
 
+def _box(page: Page, selector: str) -> dict[str, float]:
+    """Edges of an element in the viewport [px]."""
+    found: dict[str, float] = page.run(
+        f"document.querySelector('{selector}').getBoundingClientRect().toJSON()"
+    )
+    return found
+
+
+def _check_width(page: Page) -> None:
+    """Nothing sticks out of the page, or out of its tile, and a button has one line."""
+    if page.run("document.documentElement.scrollWidth > innerWidth"):
+        raise Failed("the page is wider than its window")
+    cut = page.run(
+        "[...document.querySelectorAll('.tile')].filter((t) => t.scrollWidth > t.clientWidth).map((t) => t.innerText)"
+    )
+    if cut:
+        raise Failed(f"cut off in their tiles: {cut}")
+
+
+def check_tablet(context: Any, address: str, pictures: Path | None, complaints: list[str]) -> str:  # noqa: ANN401
+    """At 820 pixels no half of the page is empty."""
+    page = Page(context, address, complaints)
+    _check_width(page)
+    ground, charts, side = (_box(page, what) for what in (".map-card", ".charts", ".side"))
+    gap = max(charts["top"] - ground["bottom"], abs(charts["bottom"] - side["bottom"]))
+    if gap > 24.0:
+        raise Failed(f"{gap:.0f} pixels are empty below the map or the charts")
+    if pictures is not None:
+        page.page.screenshot(path=pictures / "tablet.png", full_page=True)
+    page.page.close()
+    return f"map over charts, as long as the controls beside them ({side['bottom']:.0f} pixels)"
+
+
+def check_phone(page: Page) -> str:
+    """Map and wheel fit one screen of a phone, with a browser's own bars above and below."""
+    _check_width(page)
+    places = {what: _box(page, what) for what in ("#map", "#stick", "#take")}
+    lowest = max(box["bottom"] for box in places.values())
+    if min(box["top"] for box in places.values()) < 0.0 or lowest > _PHONE:
+        raise Failed(f"map and wheel do not fit {_PHONE} pixels: {places}")
+    if page.page.locator(".legend").is_visible():
+        raise Failed("the legend takes the wheel's room")
+    page.page.locator("#map-legend").tap()
+    wait_until(page.page.locator(".legend").is_visible, "a tap on ? explains the map")
+    page.page.locator("#map-legend").tap()
+    return f"both end {lowest:.0f} pixels from the top"
+
+
+def check_zoom(page: Page, context: Any) -> str:  # noqa: ANN401 - Playwright's own
+    """Buttons, two fingers and a drag change what the map shows; it follows the UGV, and shows all again."""
+    shown = "[outrider.ground.view.left, outrider.ground.view.bottom, outrider.ground.view.width]"
+    page.page.locator("#map-follow").tap()
+    for _ in range(3):
+        page.page.locator("#map-closer").tap()
+    wait_until(lambda: page.run(shown)[2] < 7.0, "three steps closer show less than 7 m")
+    width = page.run(shown)[2]
+
+    def in_the_middle() -> bool:
+        x, y = page.position()
+        left, bottom, wide = page.run(shown)
+        return max(abs(x - left - wide / 2), abs(y - bottom - wide / 2)) < 0.5
+
+    wait_until(in_the_middle, "the map follows the UGV")
+    box = _box(page, "#map")
+    x, y = (box["left"] + box["right"]) / 2, (box["top"] + box["bottom"]) / 2
+    touch = context.new_cdp_session(page.page)
+
+    def fingers(kind: str, *places: float) -> None:
+        points = [{"x": at, "y": y, "id": k} for k, at in enumerate(places)]
+        touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    fingers("touchStart", x - 80.0, x + 80.0)
+    for apart in (70.0, 55.0, 40.0):
+        fingers("touchMove", x - apart, x + apart)
+    fingers("touchEnd")
+    wait_until(lambda: page.run(shown)[2] > 1.5 * width, "two fingers show more")
+    fingers("touchStart", x)
+    for moved in (10.0, 30.0, 60.0):
+        fingers("touchMove", x - moved)
+    fingers("touchEnd")
+    wait_until(lambda: not page.run("outrider.ground.follows"), "whoever drags follows nobody")
+    page.page.locator("#map-all").click()  # a tap within milliseconds of a drag is none to Chromium
+    wait_until(lambda: page.run(shown) == [0, 0, 40], "the whole ground is shown again")
+    return f"{width:.1f} m around the UGV, two fingers, a drag, all"
+
+
 def check_one_wheel(first: Page, second: Page) -> str:
     """One browser drives; the other cannot, until the first has gone."""
     wait_until(lambda: second.wheel() == "other", "the other browser sees that somebody drives")
@@ -457,6 +545,10 @@ def check_controls(page: Page) -> str:
     """All that is not the wheel."""
     page.click("Pause")
     wait_until(lambda: page.status["paused"], "the run pauses")
+    resume, step = (page.page.get_by_role("button", name=name) for name in ("Resume", "Step"))
+    wait_until(resume.is_visible, "the button says that it resumes")
+    if resume.bounding_box()["height"] > step.bounding_box()["height"]:
+        raise Failed("Resume takes more than a line")
     tick = page.status["tick"]
     page.page.get_by_label("ticks").fill("5")
     page.page.get_by_label("ticks").blur()
@@ -764,6 +856,11 @@ def perform(playwright: Any, chromium: str, pictures: Path | None) -> None:  # n
             for name, page in (("desk", first), ("phone", second)):
                 if pictures is not None:
                     page.page.screenshot(path=pictures / f"{name}.png")
+            report("on a phone", check_phone(second))
+            report("zoom", check_zoom(second, phone))
+            tablet = browser.new_context(viewport={"width": 820, "height": 1180})
+            tablet.add_cookies(phone.cookies())
+            report("on a tablet", check_tablet(tablet, address, pictures, complaints))
             report("several browsers", check_one_wheel(first, second))
             report("touch", check_touch(second, phone))
             doors = Doors(processes, port)
@@ -821,7 +918,7 @@ def install_browser() -> None:
 
 def missing() -> str:
     """A line about what this test needs and does not find; empty: nothing."""
-    for module, extra in (("playwright", "playwright"), ("nicegui", "'outrider[dashboard]'")):
+    for module, extra in (("playwright", "playwright"), ("nicegui", "-e '.[dashboard]'")):
         try:
             __import__(module)
         except ModuleNotFoundError:

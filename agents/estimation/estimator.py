@@ -19,8 +19,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from agents.estimation.kalman import KalmanFilter
-from agents.estimation.motion_model import acceleration_deviation, cut_variance, motion, straying
+from agents.estimation.kalman import BareFilter
+from agents.estimation.motion_model import (
+    acceleration_deviation,
+    cut_variance,
+    motion,
+    strayed_distance,
+    supposed_acceleration,
+)
 from agents.estimation.past import SPAN, FilterHistory, PastTick
 from bus.messages import Detector, Estimator, Limits
 from bus.ticks import NO_TICK, Look
@@ -46,13 +52,6 @@ class Estimate(msgspec.Struct, frozen=True, kw_only=True):
     refused: (
         int  # detections refused, by the gate (as if all had come in order) or for the wrong time
     )
-
-
-def _inverse(S: FloatArray) -> FloatArray:
-    """Inverse of a 2 x 2 matrix."""
-    a, b, c, d = S.ravel().tolist()
-    scale = 1.0 / (a * d - b * c)
-    return np.array([[d * scale, -b * scale], [-c * scale, a * scale]])
 
 
 class RelativeEstimator:
@@ -97,20 +96,21 @@ class RelativeEstimator:
             raise ValueError(f"dt must be positive and finite, not {dt}")
         self._settings = settings
         self._dt = dt
-        self._target = target
-        self._speed = math.inf if target.max_speed is None else target.max_speed
+        self._speed = math.inf if target.max_speed is None else float(target.max_speed)
         self._deviation = acceleration_deviation(target=target, manoeuvre=settings.manoeuvre, dt=dt)
+        self._acceleration = float(
+            supposed_acceleration(target=target, manoeuvre=settings.manoeuvre, dt=dt)
+        )
         self._motions: dict[int, tuple[FloatArray, FloatArray]] = {}
         self._variance = max(cut_variance(sigma=detector.noise, cut=detector.cut), _VARIANCE_FLOOR)
         # A vehicle at full speed in a direction unknown: v²/2 per axis.
         first = _FREE_SPEED**2 if target.max_speed is None else 0.5 * target.max_speed**2
         self._first_covariance = np.diag([self._variance, self._variance, first, first])
-        self._filter: Any = KalmanFilter(dim_x=4, dim_z=2)
+        self._filter: Any = BareFilter(dim_x=4, dim_z=2)
         self._filter.x = np.zeros(4)
         self._filter.P = self._first_covariance.copy()
         self._filter.H = np.eye(2, 4)
         self._filter.R = self._variance * np.eye(2)
-        self._filter.inv = _inverse  # filterpy's own hook; LAPACK on 2 x 2 costs half of its update
         self._ahead: tuple[FloatArray, FloatArray, tuple[list[float], FloatArray]] | None = (
             None  # x, P and gain at the next tick
         )
@@ -271,21 +271,8 @@ class RelativeEstimator:
             return
         posterior = (self._filter.x, self._filter.P)
         self._predict(1, self._age + 1)
-        self._ahead = (self._filter.x, self._filter.P, self._weigh())
+        self._ahead = (self._filter.x, self._filter.P, self._filter.weigh())
         self._filter.x, self._filter.P = posterior
-
-    def _weigh(self) -> tuple[list[float], FloatArray]:
-        """Gain K, row by row, for a detection at this tick, and the covariance after it.
-
-        Filterpy's update without innovation.
-        """
-        prior = (self._filter.x, self._filter.P)
-        self._filter.update(
-            0.0, H=self._filter.H
-        )  # any z does; H is passed so that filterpy takes it as it is
-        weighed = (self._filter.K.ravel().tolist(), self._filter.P)
-        self._filter.x, self._filter.P = prior
-        return weighed
 
     def _predict(self, ticks: int, age: int) -> None:
         """Go on by so many ticks; then the newest believed detection is `age` ticks old."""
@@ -299,14 +286,9 @@ class RelativeEstimator:
                 ticks=ticks, dt=self._dt, deviation=self._deviation
             )
         before = self._filter.P.item(0)
-        self._filter.predict(F=matrices[0], Q=matrices[1])
+        self._filter.predict(*matrices)
         if self._speed < math.inf:
-            strayed = straying(
-                elapsed=age * self._dt,
-                target=self._target,
-                manoeuvre=self._settings.manoeuvre,
-                dt=self._dt,
-            )
+            strayed = strayed_distance(age * self._dt, self._speed, self._acceleration)
             self._bound(
                 least=_SURE * strayed, most=math.sqrt(before) + self._speed * ticks * self._dt
             )
@@ -352,7 +334,7 @@ class RelativeEstimator:
         return squared <= self._settings.gate
 
     def _correct(self, x: float, y: float) -> None:
-        K, covariance = self._weighed or self._weigh()
+        K, covariance = self._weighed or self._filter.weigh()
         p_x, p_y, v_x, v_y = self._filter.x.tolist()
         nu_x, nu_y = x - p_x, y - p_y
         v_x, v_y = clip_norm(

@@ -1,5 +1,7 @@
 """One world: its kernels alone, in C and in NumPy, the step that calls them, and the environment around it."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from outrider.bench import reference
@@ -60,8 +62,8 @@ def kernel_vs_c(*, lanes: bool) -> Pair:
         return ours, rate(lambda: kernels.passes(coverage, _PASSES, lanes=lanes), 1) * _PASSES
 
 
-def world_step() -> Pair:
-    """`World.step` with coverage, detections, error (4) and gradient (6), beside the three kernels alone."""
+def world_stepper() -> Callable[[], None]:
+    """Each call is a `World.step` with coverage, detections, error (4) and gradient (6)."""
     world = World(load_scenario("escort"), 1)
     world.coverage[:] = ground()
     commands = np.zeros((2, 2))
@@ -85,6 +87,12 @@ def world_step() -> Pair:
             w.cell,
         )
 
+    return step
+
+
+def world_step() -> Pair:
+    """The world's step beside the three kernels alone."""
+    step = world_stepper()
     rate(step, 200)
     return rate(step, 20_000), kernel_rate(ground())
 

@@ -2,6 +2,7 @@
 
 import statistics
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from functools import partial
 from importlib.util import find_spec
 from typing import NamedTuple
@@ -30,7 +31,8 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
 class Layer(NamedTuple):
     """The measurement of one layer."""
 
-    work: Callable[[], Pair]
+    work: Callable[..., Pair]
+    """Takes the bench's forkserver where `forked`, and nothing else."""
     unit: str
     """Of both numbers."""
     reference: str
@@ -43,20 +45,25 @@ class Layer(NamedTuple):
     """Packages of an extra without which the row is left out, unless it is asked for."""
     extra: str = ""
     """That extra."""
+    forked: bool = False
+    """Whether it flies over several processes, forked from one for all repeats."""
 
 
 BARE = "bare exchange among as many processes"
 NO_COMPILER = "no C compiler found that builds it (cc, gcc, clang)"
 ALONE = "its kernels alone, compiled, as many grids and threads"
 ROWS: dict[str, Layer] = {
-    "lockstep": Layer(runs.lockstep, "ticks/s", "bare three-process exchange"),
-    "access_control": Layer(runs.access_control, "ticks/s", "lockstep without credentials"),
+    "lockstep": Layer(runs.lockstep, "ticks/s", "bare three-process exchange", forked=True),
+    "access_control": Layer(
+        runs.access_control, "ticks/s", "lockstep without credentials", forked=True
+    ),
     "tls": Layer(
         runs.tls,
         "ticks/s",
         "lockstep over TCP with passwords",
         needs=("cryptography",),
         extra="tls",
+        forked=True,
     ),
     "run_in_process": Layer(runs.run_in_process, "ticks/s", "world_step"),
     "sweep": Layer(
@@ -87,11 +94,11 @@ ROWS: dict[str, Layer] = {
     "batch_1024_pilots": Layer(many.pilots, "steps/s", ALONE),
     "batch_memory": Layer(many.memory, "B", "growth of a process by 1,024 worlds, each", 2),
     "memory_bandwidth": Layer(many.bandwidth, "GB/s", "one core"),
-    "first_tick": Layer(runs.first_tick, "s", "with an empty compile cache"),
-    "pairs_1": Layer(partial(runs.pairs, 1), "ticks/s", BARE),
-    "pairs_5": Layer(partial(runs.pairs, 5), "ticks/s", BARE),
-    "pairs_10": Layer(partial(runs.pairs, 10), "ticks/s", BARE, 2),
-    "pairs_50": Layer(partial(runs.pairs, 50), "ticks/s", BARE, 1),
+    "first_tick": Layer(runs.first_tick, "s", "with an empty compile cache", 2),
+    "pairs_1": Layer(partial(runs.pairs, 1), "ticks/s", BARE, forked=True),
+    "pairs_5": Layer(partial(runs.pairs, 5), "ticks/s", BARE, forked=True),
+    "pairs_10": Layer(partial(runs.pairs, 10), "ticks/s", BARE, 2, forked=True),
+    "pairs_50": Layer(partial(runs.pairs, 50), "ticks/s", BARE, 1, forked=True),
 }
 
 
@@ -101,8 +108,9 @@ def _can(layer: Layer) -> bool:
 
 def _measure(name: str, repeats: int) -> Iterator[Pair]:
     layer = ROWS[name]
-    for _ in range(min(repeats, layer.most)):
-        yield layer.work()
+    with runs.forks() if layer.forked else nullcontext() as server:
+        for _ in range(min(repeats, layer.most)):
+            yield layer.work(server) if layer.forked else layer.work()
 
 
 def measure(only: list[str], repeats: int, *, on_progress: Progress | None = None) -> list[Row]:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,17 @@ from outrider.bench.kernels import world_step
 from outrider.bench.pairs import pairs_toml
 from outrider.bench.raw_lockstep import ticks_per_second
 from outrider.bench.timing import Pair
+from outrider.running.child import environment_of
 from outrider.running.flying import InProcess, fly, make_pilots
+from outrider.running.forking import Forkserver, forkserver
 from outrider.running.launch import NOBODY, Outcome, launch
 from sim.kernels.threads import cores
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
+
+_SECONDS = 100.0
+"""Length of a flight over three processes [s]: 2,000 ticks."""
 
 
 def _payloads(scenario: Scenario) -> tuple[bytes, bytes]:
@@ -50,31 +56,36 @@ def _flown(outcome: Outcome) -> float:
     return outcome.summary.ticks_per_second
 
 
-def lockstep() -> Pair:
+def forks() -> AbstractContextManager[Forkserver | None]:
+    """A forkserver for all flights of a bench: to load everything for each takes longer than to fly."""
+    return forkserver(environment_of(""))
+
+
+def _launched(server: Forkserver | None, **settings: Any) -> float:  # noqa: ANN401 - those of `launch`
+    """Ticks a second of `escort` over three processes, as long as it takes to be sure and no longer."""
+    scenario = load_scenario("escort", overrides={"duration": _SECONDS})
+    overrides = (f"duration={_SECONDS}",)
+    shared: dict[str, Any] = {"forks": server, "keep_forks": server is not None}
+    return _flown(launch(scenario, "escort", overrides, NOBODY, out=None, **shared, **settings))
+
+
+def lockstep(server: Forkserver | None) -> Pair:
     """Three processes with everything computed, beside a bare exchange of the same payloads."""
-    scenario = load_scenario("escort")
-    rate = _flown(launch(scenario, "escort", (), NOBODY, out=None))
-    return rate, ticks_per_second(*_payloads(scenario), scenario.ticks)
+    scenario = load_scenario("escort", overrides={"duration": _SECONDS})
+    return _launched(server), ticks_per_second(*_payloads(scenario), scenario.ticks)
 
 
-def access_control() -> Pair:
+def access_control(server: Forkserver | None) -> Pair:
     """Lockstep with credentials and access control, beside the same without."""
-    scenario = load_scenario("escort")
-    closed, opened = (
-        _flown(launch(scenario, "escort", (), NOBODY, out=None, secured=secured))
-        for secured in (True, False)
-    )
-    return closed, opened
+    return _launched(server, secured=True), _launched(server, secured=False)
 
 
-def tls() -> Pair:
+def tls(server: Forkserver | None) -> Pair:
     """Lockstep over mutual TLS, beside the same over TCP with passwords."""
-    scenario = load_scenario("escort")
-    closed = _flown(launch(scenario, "escort", (), NOBODY, out=None, transport="tls"))
-    return closed, _flown(launch(scenario, "escort", (), NOBODY, out=None, transport="tcp"))
+    return _launched(server, transport="tls"), _launched(server, transport="tcp")
 
 
-def pairs(count: int) -> Pair:
+def pairs(count: int, server: Forkserver | None) -> Pair:
     """So many pairs in lockstep, each vehicle in a process of its own, beside a bare exchange among as many peers."""
     with tempfile.TemporaryDirectory(prefix="outrider-pairs-") as folder:
         path = Path(folder) / f"pairs-{count}.toml"
@@ -83,7 +94,15 @@ def pairs(count: int) -> Pair:
         )
         scenario = load_scenario(path)
         outcome = launch(
-            scenario, str(path), (), NOBODY, out=None, deadline=120.0, join_timeout=900.0
+            scenario,
+            str(path),
+            (),
+            NOBODY,
+            out=None,
+            deadline=120.0,
+            join_timeout=900.0,
+            forks=server,
+            keep_forks=server is not None,
         )
     escort = load_scenario("escort")
     return _flown(outcome), ticks_per_second(*_payloads(escort), scenario.ticks, peers=2 * count)
@@ -92,6 +111,7 @@ def pairs(count: int) -> Pair:
 def run_in_process() -> Pair:
     """Both pilots, the filter and the world in one process, beside the world alone."""
     scenario = load_scenario("escort")
+    fly(msgspec.structs.replace(scenario, duration=1.0), scenario.seed)  # loads what is compiled
     summary = fly(scenario, scenario.seed)[1]
     return summary.ticks_per_second, world_step()[0]
 

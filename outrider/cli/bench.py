@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from outrider.cli.options import Json
+
 
 def command(
     only: Annotated[list[str] | None, typer.Option(help="Only this row; may be repeated.")] = None,
@@ -19,7 +21,7 @@ def command(
             "it the numbers as FILE.json. Some minutes, and 2 GB of memory.",
         ),
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    json: Json = False,
 ) -> None:
     """Measure each layer, and in the same run the limit that it stands beside.
 

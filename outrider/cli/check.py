@@ -4,38 +4,71 @@ from typing import Annotated
 
 import typer
 
+from outrider.cli.options import (
+    AllowCode,
+    DriverName,
+    Duration,
+    Json,
+    LawName,
+    NetworkName,
+    PolicyName,
+    Seed,
+    Set,
+    VirtualPath,
+    Weighting,
+)
+
 _LISTED = 12
 """Vehicles are named up to so many."""
 
 
 def command(
     file: Annotated[str, typer.Argument(help="A TOML file, or a shipped scenario's name.")],
-    changes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="KEY=VALUE", help="Any field of the scenario; may be repeated."
-        ),
-    ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    seed: Seed = None,
+    duration: Duration = None,
+    law: LawName = None,
+    driver: DriverName = None,
+    changes: Set = None,
+    weighting: Weighting = "",
+    path: VirtualPath = "",
+    policy: PolicyName = "",
+    network: NetworkName = "",
+    allow_code: AllowCode = False,
+    json: Json = False,
 ) -> None:
-    """Validate a scenario: exit code 0 if it can be flown, 2 and one line naming file, field and value if not.
+    """Validate what `outrider run` would fly: exit code 0 if it can be, 2 and one line naming file, field and value if not.
 
-    For the law certified it warns of each declared assumption that links or detector cannot keep, and says whether
-    sight can be certified always, not always or hardly ever.
+    It takes the options of `run` that change the scenario, and warns of all that `run` warns of. For the law
+    certified that is each declared assumption that links or detector cannot keep, and whether sight can be certified
+    always, not always or hardly ever. Functions of your own are loaded and tried; those that the file names with
+    --allow-code alone.
 
-    Example: outrider check my-scenario.toml
+    Example: outrider check my-scenario.toml --network wifi-poor
     """
     from outrider.cli.console import OUT, print_json, print_warnings
+    from outrider.cli.options import scenario_of
     from outrider.running.promise import how_certifiable, promise_warnings
-    from outrider.running.user_code import foreign_code
+    from outrider.running.user_code import check_own_functions, foreign_code
     from sim.scenario.checks import scenario_warnings
-    from sim.scenario.loading import load_scenario
 
-    scenario = load_scenario(file, overrides=changes or ())
+    scenario, overrides = scenario_of(
+        file,
+        seed=seed,
+        duration=duration,
+        law=law,
+        driver=driver,
+        changes=changes,
+        weighting=weighting,
+        path=path,
+        policy=policy,
+        network=network,
+    )
+    foreign = () if allow_code else foreign_code(scenario, overrides)
     warnings = [
         *scenario_warnings(scenario),
+        *foreign,
+        *(() if foreign else check_own_functions(scenario)),
         *promise_warnings(scenario),
-        *foreign_code(scenario, changes or ()),
     ]
     certifiable = how_certifiable(scenario)
     if json:
@@ -52,9 +85,10 @@ def command(
     names = [vehicle.name for vehicle in scenario.vehicles]
     many = f"{len(scenario.uav):,} UAVs and {len(scenario.ugv):,} UGVs"
     vehicles = ", ".join(names) if len(names) <= _LISTED else many
-    law = scenario.law.name + (
+    law_told = scenario.law.name + (
         "" if certifiable in (None, "always") else f", but sight is certified {certifiable}"
     )
     OUT.print(
-        f"{scenario.name}: can be flown ({vehicles}; law {law}; {scenario.duration:g} s, {scenario.ticks} ticks)"
+        f"{scenario.name}: can be flown ({vehicles}; law {law_told}; {scenario.duration:g} s, {scenario.ticks} ticks)",
+        soft_wrap=True,
     )

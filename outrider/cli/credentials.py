@@ -35,10 +35,11 @@ def command(
             help="Certificates instead of passwords, for endpoints that begin with tls/ instead of tcp/; needs the extra [tls].",
         ),
     ] = False,
-    host: Annotated[
+    router: Annotated[
         list[str] | None,
         typer.Option(
-            help="With --tls: a name or address under which the router is found, beside localhost and `router`; may be repeated."
+            metavar="HOST",
+            help="With --tls: a name or address under which the router is found, beside localhost and `router`; may be repeated.",
         ),
     ] = None,
     days: Annotated[
@@ -89,7 +90,7 @@ def command(
         {
             "--tls and --renew or --check": tls and (renew or check),
             "--renew and --check": renew and check,
-            "--host without --tls or --renew --party router": bool(host)
+            "--router without --tls or --renew --party router": bool(router)
             and not tls
             and "router" not in (party or ()),
             "--days without --tls or --renew": days is not None and not (tls or renew),
@@ -100,14 +101,14 @@ def command(
         raise typer.Exit(_check(folder, json=json))
     user = _owner(owner)
     if renew:
-        run, files = _renew(folder, party or (), host or (), days)
+        run, files = _renew(folder, party or (), router or (), days)
     else:
         from sim.scenario.loading import load_scenario
 
         flown = load_scenario(scenario)
         names = ([uav.name for uav in flown.uav], [ugv.name for ugv in flown.ugv])
         given, authority = (
-            _certificates(run, *names, host or (), days)
+            _certificates(run, *names, router or (), days)
             if tls
             else (new_credentials(run, *names), None)
         )

@@ -11,6 +11,7 @@ from outrider.cli.options import (
     Connect,
     CredentialFile,
     NoPageToken,
+    PagePort,
     PageToken,
     RunName,
     Watchdog,
@@ -33,10 +34,7 @@ def command(
     host: Annotated[
         str, typer.Option(help="Address to serve the page on.", envvar="OUTRIDER_HOST")
     ] = "127.0.0.1",
-    port: Annotated[
-        int,
-        typer.Option(help="0 takes any that is free.", min=0, max=65535, envvar="OUTRIDER_PORT"),
-    ] = 8080,
+    port: PagePort = 8080,
     token: PageToken = "",
     no_token: NoPageToken = False,
     law: Annotated[

@@ -1,9 +1,11 @@
 """`outrider doctor`: what this machine has of what Outrider can use."""
 
 from collections.abc import Callable, Iterator
-from typing import Annotated, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import typer
+
+from outrider.cli.options import Json
 
 State = Literal["ok", "missing", "wrong"]
 
@@ -120,7 +122,7 @@ def _docker() -> Iterator[Finding]:
     if engine and compose:
         yield Finding("Docker", "ok", f"engine {engine}, compose {compose}")
     else:
-        lacking = "compose" if engine else "a running engine"
+        lacking = "compose" if engine else "running engine"
         yield Finding("Docker", "missing", f"no {lacking}; for the containers alone")
 
 
@@ -161,7 +163,7 @@ CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
 
 
 def command(
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    json: Json = False,
 ) -> None:
     """Tell what this machine has of what Outrider can use, and how to get the rest.
 

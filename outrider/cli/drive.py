@@ -25,7 +25,7 @@ def command(
     connect: Connect = DEFAULT_ENDPOINT,
     run: RunName = DEFAULT_RUN,
     credentials: CredentialFile = None,
-    vehicle: Annotated[str, typer.Option(help="Which UGV to drive.")] = "ugv_0",
+    name: Annotated[str, typer.Option(help="The UGV's name in the scenario.")] = "ugv_0",
     speed: Annotated[
         float, typer.Option(help="How fast a pressed key drives, in m/s.", min=0.05, max=20.0)
     ] = 0.2,
@@ -69,10 +69,10 @@ def command(
     operator = Party(role=Role.OPERATOR, name=OPERATOR_NAME)
     with open_session(operator, run, connect=connect, credential=credential) as session:
         with stop_on_signals() as stop:
-            first = _await_run(session, vehicle, stop)
+            first = _await_run(session, name, stop)
         if first is None:
             raise typer.Exit(stop.exit_code)
-        code = _drive(session, vehicle, first, speed=speed, back=back)
+        code = _drive(session, name, first, speed=speed, back=back)
     if code:
         raise typer.Exit(code)
 
@@ -102,7 +102,7 @@ def _await_run(session: "Session", vehicle: str, stop: "Stop") -> "Status | None
         return None
     known = ugvs_of(letter.message)
     if known and vehicle not in known:
-        raise ScenarioError(f"--vehicle {vehicle}: no UGV of this run; there {_are(known)}")
+        raise ScenarioError(f"--name {vehicle}: no UGV of this run; there {_are(known)}")
     return letter.message
 
 

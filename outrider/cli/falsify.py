@@ -35,7 +35,7 @@ class Expect(StrEnum):
     SOME = "some"
 
 
-class Only(StrEnum):
+class Engine(StrEnum):
     """One engine alone."""
 
     FLIGHTS = "flights"
@@ -118,8 +118,8 @@ def command(
         Expect | None,
         typer.Option(help="Exit with 1 if violations are found (none), or if none is (some)."),
     ] = None,
-    only: Annotated[
-        Only | None,
+    engine: Annotated[
+        Engine | None,
         typer.Option(
             help="For the law certified: whole flights alone, or the compiled attack alone."
         ),
@@ -182,9 +182,9 @@ def command(
         raise typer.BadParameter(
             "--undegraded allows no --noise and no --max-...: leave one of them out"
         )
-    if control is not None and (law not in (None, "certified") or only is Only.FLIGHTS):
+    if control is not None and (law not in (None, "certified") or engine is Engine.FLIGHTS):
         raise typer.BadParameter(
-            "--control stands in the place of the law certified in the attack; leave --law and --only out"
+            "--control stands in the place of the law certified in the attack; leave --law and --engine out"
         )
     flown = _scenario(
         scenario,
@@ -194,10 +194,10 @@ def command(
         allow_code=allow_code,
     )
     certified = LAWS[flown.law.name].watched
-    if (only is not None or eps is not None) and not certified:
-        raise typer.BadParameter("--only and --eps are for the law certified")
-    flies = control is None and only is not Only.ATTACK
-    attacks = certified and (control is not None or only is not Only.FLIGHTS)
+    if (engine is not None or eps is not None) and not certified:
+        raise typer.BadParameter("--engine and --eps are for the law certified")
+    flies = control is None and engine is not Engine.ATTACK
+    attacks = certified and (control is not None or engine is not Engine.FLIGHTS)
     limits = (
         SearchLimits()
         if undegraded

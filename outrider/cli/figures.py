@@ -5,10 +5,14 @@ from typing import Annotated
 
 import typer
 
+from outrider.cli.options import Json
+
 
 def command(
-    out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("figures"),
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the pictures.")] = Path(
+        "figures"
+    ),
+    json: Json = False,
 ) -> None:
     """Draw figures 1 to 5 of the paper and print the table of their claims, each with its number.
 

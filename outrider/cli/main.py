@@ -1,6 +1,7 @@
 """The command line's table, and what becomes of its errors: one clear line, and an exit code."""
 
 import atexit
+import functools
 import logging
 import os
 import signal
@@ -8,6 +9,7 @@ import sys
 import traceback
 from collections.abc import Callable
 from types import FrameType
+from typing import Any
 
 import typer
 
@@ -105,7 +107,7 @@ def make_app() -> typer.Typer:
         pass
 
     for name, command in COMMANDS.items():
-        app.command(name)(command)
+        app.command(name)(_telling(command))
     app.add_typer(scenarios.app, name="scenarios")
     app.add_typer(network.app, name="network")
     return app
@@ -113,6 +115,23 @@ def make_app() -> typer.Typer:
 
 def _end(_signal: int, _frame: FrameType | None) -> None:
     raise SystemExit(128 + signal.SIGTERM)
+
+
+class _Interrupted(Exception):
+    """Ctrl-C in a command; typer would end it without a word."""
+
+
+def _telling(command: Callable[..., None]) -> Callable[..., None]:
+    """The same command, whose Ctrl-C is told."""
+
+    @functools.wraps(command)
+    def call(*arguments: Any, **options: Any) -> None:  # noqa: ANN401 - the command's own
+        try:
+            command(*arguments, **options)
+        except KeyboardInterrupt as error:
+            raise _Interrupted from error
+
+    return call
 
 
 def _fail(line: str, code: int) -> int:
@@ -127,6 +146,10 @@ def _show_traceback() -> None:
 
 def _run() -> int:
     try:
+        if not _computes(sys.argv[1:]):
+            from sim.kernels.compile import interpret
+
+            interpret()
         return int(make_app()(standalone_mode=False) or 0)
     except (ScenarioError, AccessDenied) as error:
         _show_traceback()
@@ -138,7 +161,7 @@ def _run() -> int:
         return 1
     except OSError as error:
         return _fail(f"{error.filename or 'output'}: {error.strerror or error}", 1)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, _Interrupted):
         return _fail("interrupted", _INTERRUPTED)
     except Exception as error:
         told = getattr(
@@ -164,10 +187,6 @@ def main() -> None:
     if "--debug" in sys.argv[1:]:  # before or after the command's name; children find the variable
         sys.argv.remove("--debug")
         os.environ[_DEBUG] = "1"
-    if not _computes(sys.argv[1:]):
-        from sim.kernels.compile import interpret
-
-        interpret()
     # Pools start their workers by themselves: none of them is to import what lies in the folder where the user stands.
     os.environ["PYTHONSAFEPATH"] = "1"
     logging.basicConfig(format="%(name)s: %(message)s", level=logging.WARNING)

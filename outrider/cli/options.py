@@ -154,9 +154,11 @@ RealTime = Annotated[
 PagePort = Annotated[
     int,
     typer.Option(
-        help="Where the page is served, on this machine alone; 0 takes any that is free.",
+        "--port",
+        help="Where the page is served; 0 takes any that is free.",
         min=0,
         max=65535,
+        envvar="OUTRIDER_PORT",
     ),
 ]
 
@@ -180,6 +182,12 @@ NoPageToken = Annotated[
         envvar="OUTRIDER_NO_TOKEN",
     ),
 ]
+
+
+def names_in(text: str) -> list[str]:
+    """Names between commas."""
+    return [name.strip() for name in text.split(",") if name.strip()]
+
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:17447"
 DEFAULT_RUN = "flight"

@@ -11,12 +11,22 @@ def command(
     out: Annotated[
         Path,
         typer.Option(
-            "--out", "-o", help="What to make, by its ending: .png, .gif, or .mp4 (needs ffmpeg)."
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="What to make, by its ending: .png, .gif, or .mp4 (needs ffmpeg).",
         ),
     ],
     fps: Annotated[int, typer.Option(help="Frames per second of a film.", min=1, max=50)] = 20,
-    speed: Annotated[
-        float, typer.Option(help="Simulated seconds per second of a film.", min=0.01, max=10_000.0)
+    realtime: Annotated[
+        float,
+        typer.Option(
+            "--realtime",
+            metavar="F",
+            help="F simulated seconds a second of a film.",
+            min=0.01,
+            max=10_000.0,
+        ),
     ] = 10.0,
     flight: Annotated[
         int | None,
@@ -25,7 +35,7 @@ def command(
 ) -> None:
     """Draw a recorded flight: the picture of a whole run as PNG, or a film from above as GIF or MP4.
 
-    Example: outrider render run.mcap -o run.gif --speed 20
+    Example: outrider render run.mcap -o run.gif --realtime 20
     """
     from rich.progress import Progress
 
@@ -41,7 +51,7 @@ def command(
             recording,
             out,
             fps=fps,
-            speed=speed,
+            speed=realtime,
             on_frame=lambda done, total: progress.update(task, completed=done, total=total),
         )
     ERR.print(f"{out}: {out.stat().st_size / 1e6:.2f} MB", soft_wrap=True)

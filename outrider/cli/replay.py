@@ -21,21 +21,25 @@ def command(
             help="Fly the recorded commands through the simulator again and compare every tick.",
         ),
     ] = False,
-    speed: Annotated[
+    realtime: Annotated[
         float | None,
         typer.Option(
-            help="Play it, this many simulated seconds a second; Ctrl-C ends it.", min=0.01, max=1e6
+            "--realtime",
+            metavar="F",
+            help="Play it, F simulated seconds a second; Ctrl-C ends it.",
+            min=0.01,
+            max=1e6,
         ),
     ] = None,
     dashboard: Annotated[
         bool,
         typer.Option(
             "--dashboard",
-            help="Play it in the browser, at --speed (1 by default), with pause and a slider over time; Ctrl-C ends it. "
-            "Needs the extra [dashboard].",
+            help="Play it in the browser, at --realtime (1 by default), with pause and a slider over time; "
+            "Ctrl-C ends it. Needs the extra [dashboard].",
         ),
     ] = False,
-    dashboard_port: PagePort = 8080,
+    port: PagePort = 8080,
     token: PageToken = "",
     no_token: NoPageToken = False,
     flight: Annotated[
@@ -60,12 +64,10 @@ def command(
         _refly(recording, json=json)
         return
     if dashboard:
-        _show(
-            recording, 1.0 if speed is None else speed, dashboard_port, token, wanted=not no_token
-        )
+        _show(recording, 1.0 if realtime is None else realtime, port, token, wanted=not no_token)
         return
-    if speed is not None:
-        _play(recording, speed)
+    if realtime is not None:
+        _play(recording, realtime)
     _tell(recording, json=json)
 
 
@@ -126,7 +128,7 @@ def _show(recording: "Recording", speed: float, port: int, token: str, *, wanted
 
     admission = choose_admission("127.0.0.1", token, wanted=wanted)
     check_extra()
-    with open_socket("127.0.0.1", port, "--dashboard-port") as opened:
+    with open_socket("127.0.0.1", port) as opened:
         from outrider.view.page.app import serve
         from outrider.view.page.controls.player import Player
         from outrider.view.page.hub import Hub

@@ -18,7 +18,8 @@ def command(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for page and pictures; FOLDER/report by default, of several folders ./report."
+            metavar="FOLDER",
+            help="Folder for page and pictures; FOLDER/report by default, of several folders ./report.",
         ),
     ] = None,
     markdown: Annotated[

@@ -75,7 +75,7 @@ def command(
             "--realtime or --lockstep says otherwise. Needs the extra [dashboard].",
         ),
     ] = False,
-    dashboard_port: PagePort = 8080,
+    port: PagePort = 8080,
     respawn: Annotated[
         bool,
         typer.Option(
@@ -89,7 +89,8 @@ def command(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for trajectory, picture and summary; a new one in runs/ by default."
+            metavar="FOLDER",
+            help="Folder for trajectory, picture and summary; a new one in runs/ by default.",
         ),
     ] = None,
     files: Annotated[bool, typer.Option(help="Write files at all.")] = True,
@@ -140,7 +141,7 @@ def command(
             folder.mkdir(
                 parents=True, exist_ok=True
             )  # a folder that cannot be made shows before the flight, not after it
-        with stop_on_signals() as stop, _page(dashboard, dashboard_port) as page:
+        with stop_on_signals() as stop, _page(dashboard, port) as page:
             if in_process:
                 outcome = _fly_here(flown, kept, folder, picture, record, stop)
             else:
@@ -197,7 +198,7 @@ def _page(wanted: bool, port: int) -> "AbstractContextManager[socket.socket | No
     from outrider.view.page.access.door import check_extra, open_socket
 
     check_extra()
-    return open_socket("127.0.0.1", port, "--dashboard-port")
+    return open_socket("127.0.0.1", port)
 
 
 def _fly_here(

@@ -1,9 +1,12 @@
 """`outrider scenarios`: what is shipped, what it says, and a file of one's own to begin with."""
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from outrider.cli.options import Json
 
 Name = Annotated[str, typer.Argument(help="A shipped scenario's name.")]
 SCHEMA_FILE = "scenario.schema.json"
@@ -15,7 +18,7 @@ app = typer.Typer(invoke_without_command=True)
 @app.callback()
 def command(
     context: typer.Context,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+    json: Json = False,
 ) -> None:
     """List the shipped scenarios; show one, begin a file of one's own, or print the schema for an editor.
 
@@ -98,7 +101,8 @@ def new(
         file.with_name(SCHEMA_FILE).write_text(schema_text(), encoding="utf-8")
     file.write_text(text, encoding="utf-8")
     OUT.print(
-        f"{file}: written; outrider check {file} says whether it can be flown", soft_wrap=True
+        f"{file}: written; outrider check {shlex.quote(str(file))} says whether it can be flown",
+        soft_wrap=True,
     )
 
 

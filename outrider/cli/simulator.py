@@ -93,7 +93,9 @@ def command(
     record: Record = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for trajectory, picture and summary; none by default."),
+        typer.Option(
+            metavar="FOLDER", help="Folder for trajectory, picture and summary; none by default."
+        ),
     ] = None,
     picture: Annotated[bool, typer.Option(help="Draw the picture too.")] = True,
     json: Json = False,

@@ -1,11 +1,11 @@
 """`outrider suite`: the benchmark suite, and the leaderboard of who has flown it."""
 
-from pathlib import Path
+import sys
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from outrider.cli.options import Json, Secret
+from outrider.cli.options import Json, Secret, names_in
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -18,15 +18,17 @@ if TYPE_CHECKING:
 
 
 def command(
-    laws: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help="Laws by name; by default the paper's and certified, or none beside a --policy."
+    law: Annotated[
+        str,
+        typer.Option(
+            "--law",
+            help="Laws, between commas; by default the paper's and certified, or none beside a --uav-policy.",
         ),
-    ] = None,
-    policy: Annotated[
+    ] = "",
+    uav_policy: Annotated[
         list[str] | None,
         typer.Option(
+            "--uav-policy",
             metavar="MODULE:FUNCTION",
             help="A policy of your own: a UAV's observations in all worlds in, its accelerations out, shape (worlds, 2); "
             "may be repeated.",
@@ -49,8 +51,8 @@ def command(
     ] = False,
     secret: Secret = "",
     markdown: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the table into this file.")
-    ] = None,
+        bool, typer.Option("--markdown", help="Print the table as Markdown on stdout.")
+    ] = False,
     list_tasks: Annotated[
         bool, typer.Option("--list", help="Tell what the tasks are, and fly nothing.")
     ] = False,
@@ -61,9 +63,9 @@ def command(
     The score is the share of the ground around the UGV that was seen, averaged over the flight, in percent; from
     the tick at which sight is lost on, nothing counts as seen.
 
-    Example: outrider suite logarithmic certified --only noise --only bursts
+    Example: outrider suite --law logarithmic,certified --only noise --only bursts
     """
-    from outrider.cli.console import OUT, print_json
+    from outrider.cli.console import ERR, OUT, print_json
     from outrider.experiments.suite.tasks import suite
 
     tasks = _tasks(suite(), only or [])
@@ -72,25 +74,25 @@ def command(
         return
     chosen = {"estimate": estimate, "gradient": gradient, "safety_filter": safety_filter}
     settings = {name: True for name, wanted in chosen.items() if wanted}
-    entries = _entries(laws or [], policy or [], tasks)
-    if settings and not policy:
+    entries = _entries(names_in(law), uav_policy or [], tasks)
+    if settings and not uav_policy:
         raise typer.BadParameter(
-            f"--{'/'.join(settings).replace('_', '-')}: for a --policy alone; the laws are as they are"
+            f"--{'/'.join(settings).replace('_', '-')}: for a --uav-policy alone; the laws are as they are"
         )
-    if markdown is not None and not markdown.parent.is_dir():
-        raise typer.BadParameter(f"--markdown {markdown}: no such folder: {markdown.parent}")
+    if markdown and json:
+        raise typer.BadParameter("--markdown and --json both want stdout; choose one")
     from outrider.cli.options import secret_of
 
     board = _fly(entries, tasks, settings, secret_of(secret, wanted=True))
-    if markdown is not None:
-        markdown.write_text(board.markdown(), encoding="utf-8")
     if json:
         print_json(board)
         return
-    OUT.print(_table(board))
-    OUT.print(f"  secret {board.secret}: with --secret the same scores again", soft_wrap=True)
-    if markdown is not None:
-        OUT.print(f"  {markdown}", soft_wrap=True)
+    if markdown:
+        sys.stdout.write(board.markdown())
+    else:
+        OUT.print(_table(board))
+    told = ERR if markdown else OUT
+    told.print(f"  secret {board.secret}: with --secret the same scores again", soft_wrap=True)
 
 
 def _tasks(whole: "Suite", only: list[str]) -> "Suite":
@@ -117,13 +119,13 @@ def _entries(laws: list[str], policies: list[str], tasks: "Suite") -> "dict[str,
     for law in laws:
         if law not in allowed:
             raise ScenarioError(
-                f"law {law!r}: unknown; allowed: {', '.join(allowed)}, or --policy module:function"
+                f"law {law!r}: unknown; allowed: {', '.join(allowed)}, or --uav-policy module:function"
             )
     entries: dict[str, Entry] = {law: law for law in laws or ([] if policies else BASELINES)}
     for name in policies:
-        found = load_function(name, what="--policy")
+        found = load_function(name, what="--uav-policy")
         if found is None:
-            raise ScenarioError("--policy '': names no function; allowed: module:function")
+            raise ScenarioError("--uav-policy '': names no function; allowed: module:function")
         entries[name] = _Own(name, found)
     return entries
 
@@ -140,7 +142,7 @@ class _Own:
         try:
             return self._policy(seen)
         except Exception as error:
-            raise OutriderError(f"--policy {self._name}: {told_with_place(error)}") from error
+            raise OutriderError(f"--uav-policy {self._name}: {told_with_place(error)}") from error
 
 
 def _fly(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from outrider.cli.options import AllowCode, Json, Set
+from outrider.cli.options import AllowCode, Duration, Json, Set
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -38,6 +38,7 @@ def command(
             help="A field of the scenario and its values; repeated: the product.",
         ),
     ] = None,
+    duration: Duration = None,
     changes: Set = None,
     allow_code: AllowCode = False,
     seeds: Annotated[
@@ -50,7 +51,8 @@ def command(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for the results, sweeps/NAME by default; a sweep that was cut short goes on there."
+            metavar="FOLDER",
+            help="Folder for the results, sweeps/NAME by default; a sweep that was cut short goes on there.",
         ),
     ] = None,
     jobs: Annotated[
@@ -84,6 +86,8 @@ def command(
     from outrider.experiments.sweep.definition import describe_sweep
     from outrider.experiments.sweep.folder import SweepFolder
 
+    if duration is not None:
+        changes = [*(changes or ()), f"duration={duration!r}"]
     described, text = describe_sweep(
         sweep, laws=law, vary=vary or (), changes=changes or (), seeds=seeds, first_seed=first_seed
     )

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bus.errors import ScenarioError
-from bus.messages import Action, Control, Truth
+from bus.messages import Action, Control, LinkKind, Truth
 from outrider.recording.reader import Recording
 from sim.server.flight import Flight
 from sim.server.recorder import platform_row
@@ -93,6 +93,18 @@ def _put(flight: Flight, truth: Truth) -> None:
     flight.recorder.record([escorts[uav.name].report for uav in world.uavs])
 
 
+def external_uavs(recording: Recording) -> set[str]:
+    """UAVs that a program of the user's own has flown: detections have reached it, and it reports no estimate."""
+    reported = {e.uav for truth in recording.truths for e in truth.escorts if e.report is not None}
+    seen = {e.uav for truth in recording.truths for e in truth.escorts if e.detection is not None}
+    dark = {
+        name.partition("/")[0]
+        for name, link in recording.links.items()
+        if name.endswith(f"/{LinkKind.DETECTIONS}") and not link.delivered
+    }
+    return seen - reported - dark
+
+
 def restore(recording: Recording) -> Flight:
     """The recorded flight, with its record and its ground, as if it had just been flown.
 
@@ -114,6 +126,7 @@ def restore(recording: Recording) -> Flight:
         _put(flight, truth)
     for change in recording.changes:
         _repeat(flight, change.control)
+    flight.external = external_uavs(recording)
     return flight
 
 

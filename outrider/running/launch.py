@@ -128,6 +128,7 @@ def launch(  # noqa: PLR0913 - options, each by keyword
     page: socket.socket | None = None,
     secret: str = "",
     forks: Forkserver | None = None,
+    keep_forks: bool = False,
 ) -> Outcome:
     """Fly a scenario as one process for the simulator and one for each vehicle, over Zenoh on a private socket.
 
@@ -154,6 +155,7 @@ def launch(  # noqa: PLR0913 - options, each by keyword
             is no part of the flight: where it fails, that is told, and the flight goes on.
         secret: Of the run, for the simulator's process alone; empty: none.
         forks: A forkserver that the caller has started; None: one is started here.
+        keep_forks: Whether it serves other runs after this one; else it ends once nothing more is forked.
 
     Returns:
         The summary of what was flown, if anything was; and the fault that ended it early.
@@ -191,7 +193,7 @@ def launch(  # noqa: PLR0913 - options, each by keyword
             processes.show_on(page, pages, watcher)
         if not watcher.stop():
             processes.start_vehicles(watcher)
-        if server is not None and not respawn:
+        if server is not None and not respawn and not keep_forks:
             server.close()  # nothing more is forked
         outcome = _follow(processes, watcher, respawn=respawn)
         if any(shown.ended is None for shown in pages):
@@ -199,6 +201,9 @@ def launch(  # noqa: PLR0913 - options, each by keyword
         if outcome.summary is not None:
             for child in children:
                 child.wait(2.0 if outcome.summary.complete else 0.5)
+            if not watcher.stop() and not respawn:  # one may have failed just before the end
+                failed = [child.exit_report() for child in children[1:] if child.ended]
+                outcome.fault = outcome.fault or next(iter(failed), "")
             who = [Process(name=child.name, pid=child.pid) for child in children]
             outcome.summary = msgspec.structs.replace(outcome.summary, processes=who)
         return outcome

@@ -31,6 +31,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     Empty: none, and the seed alone does.
     """
     law: str
+    """The scenario's; `external` where a program of the user's own flew, which reports no estimate."""
     dt: float
     """[s]"""
     ticks: int
@@ -185,7 +186,7 @@ def summarize(
         scenario=scenario.name,
         seed=flight.seed,
         secret=flight.secret,
-        law=scenario.law.name,
+        law=flight.law_name,
         dt=scenario.dt,
         ticks=recorder.ticks,
         complete=flight.complete,

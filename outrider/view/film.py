@@ -12,12 +12,13 @@ from PIL import Image
 
 from bus.errors import ScenarioError
 from outrider.recording.reader import Recording, coverages
-from outrider.recording.refly import from_the_start, restore
+from outrider.recording.refly import external_uavs, from_the_start, restore
 from sim.kernels.compile import FloatArray
 from sim.scene.colors import COVERED, INK, LIMIT, MUTED, UAV, UGV, covered, mixed, rgb
 from sim.scene.frames import Frames
 from sim.scene.known import scene_of
 from sim.scene.model import observed_scene
+from sim.server.flight import law_title
 
 WIDTH = 800
 """Of a film [px]."""
@@ -178,7 +179,8 @@ class Film:
         if head.scenario is not None:
             scenario = recording.scenario
             scene = scene_of(scenario)
-            facts = f"law {scenario.law.name}   ·   {facts}"
+            law = law_title(scenario, external_uavs(recording))
+            facts = f"law {law}   ·   {facts}"
             self._r_v = scenario.visibility.radius
         else:
             escorts = {escort.uav: escort.ugv for escort in first.escorts}

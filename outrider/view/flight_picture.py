@@ -162,7 +162,7 @@ def _draw_estimate(axes: Axes, flight: Flight) -> None:
             estimated,
             color=style.color(style.UAV, k),
             linewidth=1.2,
-            label="filter" if k == 0 else "",
+            label="filter" if k == 0 and not np.isnan(estimated).all() else "",
         )
     style.over_time(axes, _end(flight), "error [m]")
     axes.set_title("Estimate of the UGV's place")
@@ -176,12 +176,13 @@ def _draw_header(figure: Figure, flight: Flight) -> None:
     verdict, color = f"UGV in sight all the time, margin {r_v - farthest:.2f} m", style.GOOD
     if lost:
         verdict, color = f"UGV out of sight for {lost * scenario.dt:.2f} s", style.LIMIT
+    named = f"{scenario.name}   ·   " if scenario.title else ""
     facts = (
-        f"law {scenario.law.name}   ·   seed {flight.seed}   ·   {flight.recorder.ticks * scenario.dt:g} s   ·   "
+        f"{named}law {flight.law_name}   ·   seed {flight.seed}   ·   {flight.recorder.ticks * scenario.dt:g} s   ·   "
         f"largest distance {farthest:.2f} m of $r_v$ = {r_v:g} m"
     )
-    name = textwrap.shorten(scenario.name, 48) or "scenario"
-    figure.text(0.014, 0.968, name, fontsize=15, fontweight="bold", va="top", parse_math=False)
+    title = textwrap.shorten(scenario.title or scenario.name, 50) or "scenario"
+    figure.text(0.014, 0.968, title, fontsize=15, fontweight="bold", va="top", parse_math=False)
     figure.text(0.014, 0.908, facts, color=style.MUTED, va="top")
     figure.text(
         0.986, 0.962, verdict, fontsize=11, fontweight="bold", color=color, va="top", ha="right"

@@ -5,7 +5,7 @@ What happens to a message, and in which order, is told in `sim.channel.link`.
 
 import functools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -69,7 +69,7 @@ from sim.channel.recorded import (
 )
 from sim.input.faults import Fault, near
 from sim.input.reading import as_raw, typed
-from sim.kernels.compile import IntArray
+from sim.kernels.compile import IntArray, entry_point
 from sim.kernels.records import records
 from sim.models.randomness import Key
 
@@ -566,10 +566,19 @@ class Link:
             return []
         payloads = np.array(self._pending, dtype=np.float64) if self._pending else self._out[:0]
         self._pending.clear()
-        arrived = exchange(self._table, self._state, self._key, tick, payloads, self._out)
+        arrived = self._exchange(self._table, self._state, self._key, tick, payloads, self._out)
         messages = [self._objects[number] for number in self._out[:arrived, 1].tolist()]
         self._forget()
         return messages
+
+    @functools.cached_property
+    def _exchange(self) -> Callable[..., int]:
+        return entry_point(
+            exchange, self._table, self._state, self._key, 0, self._out[:0], self._out
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_exchange"}
 
     def change(self, settings: LinkSettings) -> None:
         """Go on with other settings from the next tick on; see `relink`."""
@@ -596,9 +605,13 @@ class Link:
 
     def _forget(self) -> None:
         """Drop the objects that nobody will get any more."""
-        count = self._state.counts
+        count = self._state.counts.tolist()
         copies = count[DUPLICATED] - (count[DELIVERED] - count[ORIGINALS])
-        if copies == 0 and len(self._objects) == count[WAITING] + count[FLYING]:
+        left = count[WAITING] + count[FLYING]
+        if copies == 0 and len(self._objects) == left:
+            return
+        if not left:
+            self._objects = {}
             return
         left = underway(self._state, self._out)
         self._objects = {int(number): self._objects[int(number)] for number in self._out[:left, 1]}

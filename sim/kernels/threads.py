@@ -46,10 +46,10 @@ class WorkerThreads:
         Raises:
             Exception: The first that any of them raised.
         """
-        parts = min(self.threads, max(1, count // _LEAST))
-        if parts == 1:
+        if count < 2 * _LEAST or self.threads == 1:
             work(*arguments, 0, count)
             return
+        parts = min(self.threads, count // _LEAST)
         edges = [count * part // parts for part in range(parts + 1)]
         others = [
             self._executor().submit(work, *arguments, begin, end)

@@ -17,6 +17,8 @@ from sim.scene.model import Scene
 
 _HEADER, _FOOTER, _SIDE = 92, 116, 68
 """Room above, below and beside the ground [px]."""
+_LABELS = 10
+"""So much further right the ground lies, for labels of three digits and the axis' name [px]."""
 _TALLEST = 1000
 """Of the ground [px]."""
 
@@ -42,7 +44,13 @@ class Frames:
             self._figure = Figure(figsize=(width / DPI, total / DPI), dpi=DPI, facecolor="white")
             self._canvas = FigureCanvasAgg(self._figure)
             axes = self._figure.add_axes(
-                (0.5 - across / 2 / width, _FOOTER / total, across / width, tall / total), zorder=1
+                (
+                    0.5 + (_LABELS - across / 2) / width,
+                    _FOOTER / total,
+                    across / width,
+                    tall / total,
+                ),
+                zorder=1,
             )
             self._map = Map(axes, scene, estimates=estimates)
             self._write(scene.title, facts, width)

@@ -37,7 +37,7 @@ def scene_of(scenario: Scenario) -> Scene:
     """The scene of a scenario that is known."""
     ugvs = sorted(ugv.name for ugv in scenario.ugv)
     return assembled(
-        scenario.name,
+        scenario.title or scenario.name,
         (scenario.area.width, scenario.area.height),
         {uav.name: uav.escorts for uav in scenario.uav},
         ugvs,

@@ -108,6 +108,8 @@ class Assurance:
         self._promised = [False] * len(uavs)
         """True where the tick before was certified, and nothing excuses that this one is not."""
         self._last = [_NOBODY] * len(uavs)
+        self._silent = [0] * len(uavs)  # ticks of which nothing was said
+        self._disregarded = [False] * len(uavs)
 
     def send(self, uav: int, answered: int, acceleration: Vector) -> None:
         """A command has set out: whatever the law, the next one may be watched.
@@ -122,6 +124,14 @@ class Assurance:
     def excuse(self, uav: int) -> None:
         """This UAV's certificate may end at the coming tick: its law has changed, or its process has joined again."""
         self._promised[uav] = False
+
+    def disregard(self, uav: int) -> None:
+        """A program that knows no certificate flies this UAV: what it does not say is no fault of a filter."""
+        self.ticks -= self._silent[uav]
+        self.reasons[_SILENT] -= self._silent[uav]
+        self.reasons += Counter()  # drops what is zero
+        self._silent[uav] = 0
+        self._disregarded[uav] = True
 
     def take(
         self,
@@ -145,6 +155,8 @@ class Assurance:
             acts: The command that acts in this tick [m/s²].
             current: Whether the report is of this tick; with a clock that waits for nobody it may be of an earlier one.
         """
+        if self._disregarded[uav] and (report is None or report.certified is None):
+            return
         assumptions = self._assumptions[uav]
         if self._last[uav] != tick - 1:  # not watched just before: the filter is new
             assumptions.begin()
@@ -155,6 +167,7 @@ class Assurance:
         certified = report is not None and bool(report.certified)
         if report is None or report.certified is None:
             self.reasons[_SILENT] += 1
+            self._silent[uav] += 1
         else:
             self.certified += certified
             self.interventions += report.intervened

@@ -9,7 +9,7 @@ from array import array
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import msgspec
 import numpy as np
@@ -55,6 +55,18 @@ class News:
 _NO_NEWS = News()
 
 
+class _Unchecked(NamedTuple):
+    """A tick whose reports have yet to be held against the truth, as it was then."""
+
+    tick: int
+    commands: list[Command | None]
+    """Of each UAV."""
+    received: list[list[Look]]
+    """The detections that had reached each."""
+    acted: list[list[float]]
+    """What each vehicle has acted on [m/s²]."""
+
+
 class Exchange(Protocol):
     """Takes observations to the vehicles and brings commands back."""
 
@@ -69,11 +81,26 @@ class Exchange(Protocol):
 
 
 _LOG = logging.getLogger("outrider.sim")
+EXTERNAL = "external"
+"""The law of a UAV, and the driver of a UGV, that is a program of the user's own."""
 _ROUNDING = 1e-9
 """So much longer, as a share, a command may be by rounding alone."""
 _RADIO = 5
 _LOOK = 4
 """Numbers that are kept of a radio message and of a detection that have arrived."""
+
+
+def law_title(scenario: Scenario, external: Collection[str]) -> str:
+    """The scenario's law for a person: `external` where programs of the user's own fly instead.
+
+    Args:
+        scenario: What is flown.
+        external: The UAVs that such programs fly.
+    """
+    if len(external) == len(scenario.uav):
+        return EXTERNAL
+    own = " and ".join(sorted(external))
+    return f"{scenario.law.name}, {own} {EXTERNAL}" if own else scenario.law.name
 
 
 class Flight:
@@ -113,13 +140,19 @@ class Flight:
         """Commands of a vehicle that were used after the tick they answer."""
         self.shortened: dict[str, int] = dict.fromkeys(self.world.names, 0)
         """Commands of a vehicle that were longer than its bound."""
+        self.external: set[str] = set()
+        """UAVs that a program of the user's own flies: it has seen its UGV and never reported an estimate.
+
+        The scenario's law, and its certificate, tell nothing of them.
+        """
         self.on_notice = on_notice
         self.first_missing: int | None = None
         """The first tick at which a vehicle's command was missing or stale."""
         self.reports: list[UavReport | None] = [None] * len(self.world.uavs)
         """The last report of each UAV."""
-        self.assurance = Assurance(scenario)
-        """Checks the reports of the safety filters."""
+        self._reporting = [False] * len(self.world.uavs)
+        self._assurance = Assurance(scenario)
+        self._unchecked: _Unchecked | None = None
         self.degradations: list[Change] = []
         """Changes of links in flight, with their ticks."""
         self._stopped = self._abandoned = False
@@ -148,9 +181,20 @@ class Flight:
         return self.world.commands
 
     @property
+    def assurance(self) -> Assurance:
+        """Checks the reports of the safety filters; up to the last tick."""
+        self._check_reports()
+        return self._assurance
+
+    @property
     def flown(self) -> Scenario:
         """The scenario with the law that the UAVs fly now."""
         return msgspec.structs.replace(self.scenario, law=self.law)
+
+    @property
+    def law_name(self) -> str:
+        """The law for a person, as `law_title` gives it."""
+        return law_title(self.scenario, self.external)
 
     @property
     def complete(self) -> bool:
@@ -231,9 +275,9 @@ class Flight:
                 self._arrived[name].extend((tick, *look))
         self._radio = {}
         for uav in self.world.uavs:
-            messages = tuple(self._radios[uav.name].arrivals(tick))
+            messages = self._radios[uav.name].arrivals(tick)
             if messages:
-                self._radio[uav.escorts] = self._radio.get(uav.escorts, ()) + messages
+                self._radio[uav.escorts] = (*self._radio.get(uav.escorts, ()), *messages)
                 for message in messages:
                     self._arrived[uav.escorts].extend(
                         (tick, message.time, *message.relative_position, message.coverage_error)
@@ -291,23 +335,15 @@ class Flight:
         """The observation of each vehicle at this tick: its own row and nothing else."""
         self._listen()
         world = self.world
-        over, dt = self.over, world.parameters.dt
+        tick, over, dt = world.tick, self.over, world.parameters.dt
         positions, velocities = world.position.tolist(), world.velocity.tolist()
         seen: dict[str, Observation] = {}
         for k, name in enumerate(world.names):
             row = self._uav_row.get(name)
-            looks = (
-                ()
-                if row is None
-                else tuple(
-                    Detection(time=t * dt, relative_position=(x, y))
-                    for t, x, y in world.received[row]
-                )
-            )
-            radio = self._radio.get(name, ())
-            seen[name] = self._observation(
-                name, world.tick, positions[k] + velocities[k], looks, radio, over=over
-            )
+            received = world.received[row] if row is not None else ()
+            looks = [Detection(time=t * dt, relative_position=(x, y)) for t, x, y in received]
+            radio, state = self._radio.get(name, ()), positions[k] + velocities[k]
+            seen[name] = self._observation(name, tick, state, tuple(looks), radio, over=over)
         return seen
 
     def past(
@@ -378,12 +414,29 @@ class Flight:
                 f"bound {bound:.4g} m/s² and is shortened to it; more of these are only counted"
             )
 
+    def _judge_report(self, uav: int, command: UavCommand, watched: bool) -> None:
+        """Take a UAV's report; a pilot of ours that has seen its UGV cannot lack it, so it tells whose pilot it is."""
+        report = self.reports[uav] = command.report
+        if report is not None and not (watched and report.certified is None):
+            self._reporting[uav] = True
+        if self._reporting[uav] or command.tick != self.world.tick or not self.world.received[uav]:
+            return
+        name = self.world.uavs[uav].name
+        if name not in self.external:
+            self.external.add(name)
+            self._assurance.disregard(uav)
+            self.on_notice(
+                f"{name} sees its UGV and reports no estimate: a program of your own flies it, "
+                f"of which the law {self.law.name} tells nothing"
+            )
+
     def apply(self, commands: Mapping[str, Command]) -> None:
         """Let these commands set out, and what has arrived act for one tick.
 
         What the UAVs radio arrives at the next one.
         """
         self._listen()
+        self._check_reports()
         world, watched = self.world, LAWS[self.law.name].watched
         if watched:
             self.recorder.record(self.reports)  # what is said of this tick is held against it
@@ -396,8 +449,8 @@ class Flight:
             if uav is not None:
                 self.reports[uav] = None
                 if isinstance(command, UavCommand):
-                    self.reports[uav] = command.report
-                    self.assurance.send(uav, command.tick, command.acceleration)
+                    self._judge_report(uav, command, watched)
+                    self._assurance.send(uav, command.tick, command.acceleration)
                     for message in command.radio:
                         self._radios[name].send(
                             world.tick + 1, message, world.tick
@@ -405,47 +458,32 @@ class Flight:
         tick, received = world.tick, world.received
         world.advance()
         if watched:
-            for uav, (a, g) in enumerate(self._pairs):
-                command, acted = commands.get(world.names[a]), world.commands[a]
-                self._assure(tick, uav, a, g, command, received[uav], acted)
+            asked = [commands.get(world.names[a]) for a, _ in self._pairs]
+            self._unchecked = _Unchecked(tick, asked, received, world.commands.tolist())
 
-    def _assure(
-        self,
-        tick: int,
-        uav: int,
-        a: int,
-        g: int,
-        command: Command | None,
-        received: list[Look],
-        acting: FloatArray,
-    ) -> None:
-        """Hold what a UAV says of a tick against the truth.
-
-        Args:
-            tick: Which.
-            uav: Its row among the UAVs.
-            a, g: Its row and its UGV's among the vehicles.
-            command: What it has answered; without one it has seen nothing of this tick.
-            received: The detections that had reached it.
-            acting: What it has acted on in this tick [m/s²], shape (2,).
-        """
-        states, arrivals = self.recorder.states, []
-        said = tick if command is None else command.tick
-        for taken, x, y in received if command is not None else ():
-            there = states[taken].tolist()
-            p_a, p_g = there[a], there[g]
-            arrivals.append(
-                Arrival(taken, math.hypot(x - (p_a[0] - p_g[0]), y - (p_a[1] - p_g[1])))
+    def _check_reports(self) -> None:
+        """Hold what the UAVs have said of the last tick against the truth, once; best while the vehicles think."""
+        if self._unchecked is None:
+            return
+        (tick, commands, received, acted), self._unchecked = self._unchecked, None
+        states, escorts = self.recorder.states, self.recorder.escorts
+        for uav, (a, g) in enumerate(self._pairs):
+            command, arrivals = commands[uav], []
+            said = tick if command is None else command.tick
+            for taken, x, y in received[uav] if command is not None else ():
+                there = states[taken].tolist()  # without a command it has seen nothing of this tick
+                p_a, p_g = there[a], there[g]
+                error = math.hypot(x - (p_a[0] - p_g[0]), y - (p_a[1] - p_g[1]))
+                arrivals.append(Arrival(taken, error))
+            self._assurance.take(
+                uav,
+                tick,
+                self.reports[uav],
+                distance=escorts.item(said, uav, 0),
+                arrivals=arrivals,
+                acts=(acted[a][0], acted[a][1]),
+                current=said == tick,
             )
-        self.assurance.take(
-            uav,
-            tick,
-            self.reports[uav],
-            distance=self.recorder.escorts.item(said, uav, 0),
-            arrivals=arrivals,
-            acts=tuple(acting.tolist()),
-            current=said == tick,
-        )
 
     def _goes_on(self) -> bool:
         """True if nobody has stopped it meanwhile."""
@@ -463,7 +501,8 @@ class Flight:
             if not self._goes_on():
                 break
             exchange.publish(self.observations())
-            self.recorder.record(self.reports)  # while the vehicles think
+            self.recorder.record(self.reports)  # this and the next while the vehicles think
+            self._check_reports()
             commands = exchange.collect(self.world.tick)
             if not self._goes_on():
                 break
@@ -515,3 +554,6 @@ def warm_up(scenario: Scenario) -> None:
     flight.recorder.record(flight.reports)
     flight.apply({})
     flight.observations()
+    for link in flight.world.links.of(LinkKind.RADIO).values():
+        link.send(flight.world.tick + 1, None, flight.world.tick)
+        link.arrivals(flight.world.tick + 1)

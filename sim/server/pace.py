@@ -1,9 +1,8 @@
 """Decides when a tick is over: in lockstep, when all have answered; in real time, when the clock says so."""
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Callable, Collection, Mapping
+from typing import NamedTuple, Protocol
 
 from bus.errors import PeerLost
 from bus.messages import Command, Observation
@@ -54,8 +53,7 @@ class Pace(Protocol):
         """The clock has stood still: count from now."""
 
 
-@dataclass(slots=True)
-class _Wait:
+class _Wait(NamedTuple):
     """Since when a vehicle is awaited, and how long it may take [s]."""
 
     since: float
@@ -114,15 +112,20 @@ class Lockstep:
         given = self._slots.send(observations)
         now = time.monotonic()
         self._given_up -= given
-        self._awaited = {name: _Wait(now, self._deadline, patient=False) for name in given}
-        for name in observations.keys() - given - self._given_up:
+        self._awaited = dict.fromkeys(given, _Wait(now, self._deadline, patient=False))
+        if len(given) < len(observations):
+            self._await_absent(observations.keys() - given - self._given_up, now)
+        self._flying = set(self._awaited)
+
+    def _await_absent(self, names: Collection[str], now: float) -> None:
+        """Wait for those who could not be given this tick's observation, if they may come back."""
+        for name in names:
             if self._respawn:
                 self._awaited[name] = _Wait(now, self._patience, patient=True)
             elif name in self._cut_off:
                 self._awaited[name] = _Wait(now, self._cut_off[name] - now, patient=True)
             elif name in self._flying:
                 self._awaited[name] = _Wait(now, self._grace, patient=True)
-        self._flying = set(self._awaited)
 
     def collect(self, tick: int, idle: Idle) -> dict[str, Command]:
         """Wait for the commands of all who were given this tick's observation, each no longer than it may take."""

@@ -49,7 +49,8 @@ class Server:
     ) -> None:
         self.flight = Flight(scenario, seed, secret=secret, on_notice=on_event)
         self.started = 0.0
-        """Wall clock at the first tick [s]."""
+        """Wall clock at the first tick [s]; in lockstep once all have answered in it, as pilots are made in there."""
+        self._begun = False
         self._join_timeout = join_timeout
         self._stop = stop
         self._slots = Slots(session, self.flight, on_event)
@@ -123,7 +124,12 @@ class Server:
         """The commands for this tick, once it is over."""
         if self._stop():
             self.flight.stop()
-        return self._operators.pace.collect(tick, self._idle)
+        commands = self._operators.pace.collect(tick, self._idle)
+        if not self._begun:
+            self._begun = True
+            if self._operators.pace.factor is None:
+                self.started = time.perf_counter()
+        return commands
 
     def status(self, now: float) -> Status:
         """The status of the run at `now` on the monotonic clock [s]."""
@@ -165,6 +171,6 @@ class Server:
                 self._slots.fly(again)
                 self._telemetry.fly(again)
                 self._operators.pace.restart()
-                self.started = time.perf_counter()
+                self.started, self._begun = time.perf_counter(), False
         self._telemetry.refresh(at_once=True)
         return self.flight

@@ -3,5 +3,5 @@
 A UGV's motion, start states, noise and network events within declared limits.
 """
 
-EXTRA = "outrider[falsify]"
+EXTRA = ".[falsify]"
 """The packages that have to be installed."""

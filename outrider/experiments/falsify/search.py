@@ -43,7 +43,7 @@ def check_extra() -> None:
         ScenarioError: With the command that installs it.
     """
     if find_spec("cma") is None:
-        raise ScenarioError(f"cma is missing: pip install '{EXTRA}'")
+        raise ScenarioError(f"cma is missing: pip install -e '{EXTRA}'")
 
 
 def warm() -> None:

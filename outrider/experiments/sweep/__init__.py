@@ -3,7 +3,7 @@
 Laws, degradations and seeds, flown on all cores, each run one row of a table.
 """
 
-EXTRA = "outrider[sweep]"
+EXTRA = ".[sweep]"
 """The packages that have to be installed."""
-DASK_EXTRA = "outrider[dask]"
+DASK_EXTRA = ".[dask]"
 """The same, for a cluster."""

@@ -18,5 +18,5 @@ def check_extras(*modules: str) -> None:
     for module in modules:
         if find_spec(module) is None:
             raise ScenarioError(
-                f"{module} is missing: pip install '{DASK_EXTRA if module == 'distributed' else EXTRA}'"
+                f"{module} is missing: pip install -e '{DASK_EXTRA if module == 'distributed' else EXTRA}'"
             )

@@ -30,7 +30,13 @@ _TILES = "".join(
         ("factor", "real-time factor", "×"),
     )
 )
-_MAP = f"""<canvas id="map" role="img" aria-label="map of the run"></canvas>
+_MAP = f"""<div class="map-place"><canvas id="map" role="img" aria-label="map of the run"></canvas>
+<div class="map-tools" role="group" aria-label="what the map shows">
+<button type="button" id="map-closer" title="closer (or turn the mouse wheel, or spread two fingers)">+</button>
+<button type="button" id="map-wider" title="wider">&minus;</button>
+<button type="button" id="map-all" title="the whole ground">all</button>
+<button type="button" id="map-follow" aria-pressed="false" title="keep the UGV in the middle">follow</button>
+<button type="button" id="map-legend" aria-pressed="false" title="what the lines mean">?</button></div></div>
 <div class="legend"><span><i class="dot uav"></i>UAV</span><span><i class="square ugv"></i>UGV</span>
 <span><i class="line limit"></i><em>{LABELS["r_v"]} r<sub>v</sub></em></span>
 <span id="legend-rs"><i class="line limit dashed"></i><em>{LABELS["r_s"]} r<sub>s</sub></em></span>

@@ -97,14 +97,15 @@ def _trouble(view: DriveView) -> str:
     return view.fault and f"TROUBLE: {view.fault}"
 
 
-def title(view: DriveView, run: str) -> Text:
-    """The run's name and its time."""
+def title(view: DriveView, run: str, *, wide: bool = True) -> Text:
+    """The run's name and its time; where it is not wide the time alone."""
     text = Text(" OUTRIDER ", style=f"bold {UAV[0]}", no_wrap=True)
     status = view.status
     if status is None:
         return text
-    text.append(f"{status.scenario}, seed {status.seed}, run {run}", style=FAINT)
-    text.append(f"   t = {_time(view):.1f} s", style=f"bold {INK}")
+    if wide:
+        text.append(f"{status.scenario}, seed {status.seed}, run {run}   ", style=FAINT)
+    text.append(f"t = {_time(view):.1f} s", style=f"bold {INK}")
     text.append(f" of {_total(status)}", style=FAINT)
     return text
 

@@ -60,8 +60,9 @@ class DriveApp(App[int]):
     ENABLE_COMMAND_PALETTE = False
     CSS = f"""
     Screen {{ background: {BACKGROUND}; color: {INK}; layout: vertical; overflow: hidden; }}
-    #title, #keys {{ height: 1; background: {PANEL}; }}
-    #banner {{ height: 1; text-align: center; text-style: bold; }}
+    #title {{ height: 1; background: {PANEL}; }}
+    #keys {{ height: auto; background: {PANEL}; }}
+    #banner {{ height: auto; text-align: center; text-style: bold; }}
     #body {{ height: 1fr; }}
     #numbers {{ width: {WIDTH}; height: 100%; padding: 1 2 0 2; background: {PANEL}; }}
     #map {{ width: 1fr; height: 100%; }}
@@ -121,11 +122,13 @@ class DriveApp(App[int]):
         self._remember(view)
         told = banner(view, self._link.vehicle, leaving=self._link.leaving)
         line = self.query_one("#banner", Static)
-        line.update(Text(told.text, no_wrap=True, overflow="ellipsis"))
+        line.update(Text(told.text))
         line.styles.background, line.styles.color = told.ground, told.color
-        self.query_one("#title", Static).update(title(view, self._run_name))
+        self.query_one("#title", Static).update(
+            title(view, self._run_name, wide=self.size.width >= _NARROW)
+        )
         self.query_one("#numbers", Static).update(numbers(view, self._link.vehicle, self._history))
-        self.query_one("#keys", Static).update(_keys(view))
+        self.query_one("#keys", Static).update(_keys(view, self.size.width))
         if self._pictures % 2 == 0:
             self._draw_map(view)
         self._pictures += 1
@@ -173,16 +176,23 @@ class DriveApp(App[int]):
         self._link.leave()
 
 
-def _keys(view: DriveView) -> Text:
-    text = Text(no_wrap=True, overflow="ellipsis")
+def _keys(view: DriveView, width: int) -> Text:
+    """The keys and what they do, in as many lines as it takes: none is lost where it is narrow."""
     words = (
         ("WASD ←↑↓→", "drive"),
         ("space", "brake"),
         ("+-", f"{view.speed:.2f} m/s"),
         ("h", "hand back"),
         ("z", "zoom"),
+        ("q", "leave"),
     )
-    for key, word in (*words, ("q", "leave")):
-        text.append(f" {key}", style=f"bold {INK}")
-        text.append(f" {word} ", style=FAINT)
+    text, used = Text(), 0
+    for key, word in words:
+        entry = Text.assemble(f" {key}", f" {word} ", style=FAINT)
+        entry.stylize(f"bold {INK}", 1, 1 + len(key))
+        if used and used + len(entry) > width:
+            text.append("\n")
+            used = 0
+        text.append_text(entry)
+        used += len(entry)
     return text

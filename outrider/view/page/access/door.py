@@ -61,13 +61,12 @@ def choose_admission(host: str, token: str, *, wanted: bool = True) -> Admission
     return Admission(token=token)
 
 
-def open_socket(host: str, port: int, option: str = "--port") -> socket.socket:
+def open_socket(host: str, port: int) -> socket.socket:
     """The socket to listen on.
 
     Args:
         host: An address of this machine.
         port: 0 takes any that is free.
-        option: What another port is asked for with.
 
     Raises:
         ScenarioError: If the address is none of this machine's, or the port is taken.
@@ -86,7 +85,7 @@ def open_socket(host: str, port: int, option: str = "--port") -> socket.socket:
     except OSError as error:
         opened.close()
         raise ScenarioError(
-            f"cannot listen on {host}, port {port}: {error.strerror or error}; try another {option}"
+            f"cannot listen on {host}, port {port}: {error.strerror or error}; try another --port"
         ) from error
     return opened
 

@@ -3,13 +3,68 @@
 import { FONT, colorOf, fit, ticks } from "./canvas.js";
 
 const KEPT_DETECTIONS = 40;
+const CLOSEST = 4; // so much ground is shown at least [m]
+const FOLLOWED = 4.4; // how many r_v are shown around a UGV that is followed
 
 export class Ground {
   constructor(canvas, store) {
     this.canvas = canvas;
     this.store = store;
     this.image = document.createElement("canvas");
-    this.corner = 1;
+    this.corner = 0;
+    this.zoom = 1; // of the ground's whole width
+    this.middle = null; // of what is shown [m]; null: of the ground
+    this.follows = false;
+  }
+
+  // Show more or less of the ground; what is at this place of the picture stays there.
+  magnify(factor, at = null) {
+    const area = this.area();
+    const most = Math.max(1, Math.min(area.width, area.height) / CLOSEST);
+    const before = this.zoom;
+    this.zoom = Math.min(Math.max(before * factor, 1), most);
+    const view = this.view;
+    if (at && view && !this.follows) {
+      const [x, y] = [view.left + (at[0] - view.x0) / view.scale, view.bottom + (view.y0 - at[1]) / view.scale];
+      const share = before / this.zoom;
+      const [cx, cy] = [view.left + view.w / view.scale / 2, view.bottom + view.h / view.scale / 2];
+      this.middle = [x + (cx - x) * share, y + (cy - y) * share];
+    }
+    if (this.zoom === 1) this.middle = null;
+  }
+
+  // Move what is shown by so many pixels; whoever does so follows nobody.
+  drag(dx, dy) {
+    const view = this.view;
+    if (!view || this.zoom === 1) return;
+    this.follows = false;
+    const [cx, cy] = [view.left + view.w / view.scale / 2, view.bottom + view.h / view.scale / 2];
+    this.middle = [cx - dx / view.scale, cy + dy / view.scale];
+  }
+
+  // Keep the UGV in the middle, near enough to see the limit of sight around it.
+  follow(wanted) {
+    const { geometry } = this.store;
+    this.follows = wanted;
+    const area = this.area();
+    if (wanted && this.zoom === 1 && geometry)
+      this.magnify(Math.max(1, Math.min(area.width, area.height) / (FOLLOWED * geometry.visibility_radius)));
+  }
+
+  showAll() {
+    [this.zoom, this.middle, this.follows] = [1, null, false];
+  }
+
+  // Left and lower edge of what is shown [m], and how much that is; nothing beyond the ground while that can be helped.
+  window(area) {
+    const { truth, ugvs } = this.store;
+    const [width, height] = [area.width / this.zoom, area.height / this.zoom];
+    const chosen = document.getElementById("wheel-vehicle");
+    const vehicle = truth && (truth.vehicles[chosen && chosen.value] || truth.vehicles[ugvs[0]]);
+    if (this.follows && vehicle) this.middle = vehicle.position;
+    const [x, y] = this.middle || [area.width / 2, area.height / 2];
+    const within = (low, most) => Math.min(Math.max(low, 0), most);
+    return { left: within(x - width / 2, area.width - width), bottom: within(y - height / 2, area.height - height), width, height };
   }
 
   // Turn the bytes of a coverage map into a picture; row 0 is y = 0.
@@ -41,33 +96,37 @@ export class Ground {
     const { context: c, width, height } = fit(this.canvas);
     const { colors } = this.store;
     const area = this.area();
-    const [left, right, top, bottom] = [46, 10, 8, 40];
+    const small = width < 400; // a phone: no room for the axes' names
+    const [left, right, top, bottom] = small ? [28, 8, 6, 20] : [46, 10, 8, 40];
     this.shape((width / (((width - left - right) * area.height) / area.width + top + bottom)).toFixed(3));
     if (width < 80 || height < 80) return;
-    const scale = Math.min((width - left - right) / area.width, (height - top - bottom) / area.height);
-    const [w, h] = [area.width * scale, area.height * scale];
+    const fits = Math.min((width - left - right) / area.width, (height - top - bottom) / area.height);
+    const [w, h] = [area.width * fits, area.height * fits];
     const x0 = left + (width - left - right - w) / 2;
     const y0 = top + h;
-    const view = { X: (x) => x0 + x * scale, Y: (y) => y0 - y * scale, scale, x0, y0, w, h };
+    const shown = this.window(area);
+    const scale = fits * this.zoom;
+    const view = { X: (x) => x0 + (x - shown.left) * scale, Y: (y) => y0 - (y - shown.bottom) * scale, scale, x0, y0, w, h, ...shown };
+    this.view = view;
 
+    c.save();
+    c.beginPath();
+    c.rect(x0, y0 - h, w, h);
+    c.clip();
     c.fillStyle = colors.covered[0];
     c.fillRect(x0, y0 - h, w, h);
     if (this.size) {
       c.imageSmoothingEnabled = true;
       c.imageSmoothingQuality = "high";
-      c.drawImage(this.image, x0, y0 - this.size.height * scale, this.size.width * scale, this.size.height * scale);
+      c.drawImage(this.image, view.X(0), view.Y(this.size.height), this.size.width * scale, this.size.height * scale);
     }
-    this.drawAxes(c, view, area);
-    c.save();
-    c.beginPath();
-    c.rect(x0, y0 - h, w, h);
-    c.clip();
     this.drawTracks(c, view);
     this.drawRings(c, view);
     this.drawDetections(c, view, 1.6);
     this.drawEstimates(c, view, 5);
     this.drawVehicles(c, view);
     c.restore();
+    this.drawAxes(c, view, small);
     this.drawCloseUp(c, view);
   }
 
@@ -78,7 +137,7 @@ export class Ground {
     this.canvas.style.setProperty("--aspect", aspect);
   }
 
-  drawAxes(c, { X, Y, x0, y0, w, h }, area) {
+  drawAxes(c, { X, Y, x0, y0, w, h, left, bottom, width, height }, small) {
     const { colors } = this.store;
     c.strokeStyle = "#b9bec6";
     c.lineWidth = 1;
@@ -87,16 +146,17 @@ export class Ground {
     c.font = `11px ${FONT}`;
     c.textAlign = "center";
     c.textBaseline = "top";
-    for (const x of ticks(0, area.width, w / 70)) {
+    for (const x of ticks(left, left + width, w / 70)) {
       c.fillRect(X(x) - 0.5, y0, 1, 4);
       c.fillText(String(x), X(x), y0 + 6);
     }
     c.textAlign = "right";
     c.textBaseline = "middle";
-    for (const y of ticks(0, area.height, h / 55)) {
+    for (const y of ticks(bottom, bottom + height, h / 55)) {
       c.fillRect(x0 - 4, Y(y) - 0.5, 4, 1);
       c.fillText(String(y), x0 - 7, Math.min(Math.max(Y(y), y0 - h + 5), y0 - 3));
     }
+    if (small) return;
     c.fillStyle = colors.ink;
     c.font = `12px ${FONT}`;
     c.textAlign = "center";
@@ -168,7 +228,8 @@ export class Ground {
         c.font = `10px ${FONT}`;
         c.textAlign = "left";
         c.fillStyle = this.store.colors.ink;
-        c.fillText(name, X(position[0]) + 8, Y(position[1]) - 6);
+        const below = this.store.uavs.includes(name) ? -6 : 14; // a UAV over its UGV leaves both legible
+        c.fillText(name, X(position[0]) + 8, Y(position[1]) + below);
       }
     }
   }
@@ -215,7 +276,7 @@ export class Ground {
     }
   }
 
-  // The first UGV with its estimate, in whichever corner is free.
+  // The first UGV with its estimate, in whichever corner is free; the upper left one has the buttons.
   drawCloseUp(c, view) {
     const { truth, colors, now, vehicles } = this.store;
     const escort = truth && truth.escorts[0];
@@ -223,7 +284,6 @@ export class Ground {
     if (!ugv || !escort.report) return;
     const side = Math.max(84, Math.min(150, Math.min(view.w, view.h) * 0.3));
     const corners = [
-      [view.x0 + 8, view.y0 - view.h + 8],
       [view.x0 + view.w - side - 8, view.y0 - view.h + 8],
       [view.x0 + view.w - side - 8, view.y0 - side - 8],
       [view.x0 + 8, view.y0 - side - 8],

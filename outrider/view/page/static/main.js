@@ -3,6 +3,7 @@
 import { Charts, PER_ESCORT } from "./charts.js";
 import { Ground, keepDetections } from "./ground.js";
 import { openLink } from "./link.js";
+import { MapTools } from "./map_tools.js";
 import { Wheel } from "./wheel.js";
 
 const CHART_PERIOD = 150;
@@ -347,6 +348,7 @@ whenBuilt(() => {
     },
   });
   wheel = new Wheel(link.say);
+  new MapTools(ground, ask);
   window.addEventListener("resize", ask);
   $("links").addEventListener("click", (event) => {
     const row = event.target.closest("[data-link]");
@@ -362,6 +364,7 @@ whenBuilt(() => {
   window.outrider = {
     store,
     stats,
+    ground,
     take: () => link.say({ kind: "take", vehicle: $("wheel-vehicle").value || store.ugvs[0] || "" }),
     back: () => link.say({ kind: "back" }),
   };
