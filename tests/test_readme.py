@@ -84,7 +84,13 @@ def test_the_many_worlds_shown_fly(tmp_path: Path) -> None:
 
 def test_the_commands_and_options_shown_exist() -> None:
     known = {
-        name: {"--help"} | {opt for p in one.params for opt in (*p.opts, *p.secondary_opts)}
+        name: {"--help"}
+        | {
+            opt
+            for command in (one, *getattr(one, "commands", {}).values())
+            for p in command.params
+            for opt in (*p.opts, *p.secondary_opts)
+        }
         for name, one in typer.main.get_command(make_app()).commands.items()
     }
     shown = set()

@@ -320,6 +320,8 @@ class _Counted(NamedTuple):
         return None if self.regular and self.why else _first(kept, guess or 0, most)
 
 
+_RECORDED = "it plays a recorded link, of which nothing is drawn but where it begins"
+
 _SUMMED = "the expected number of times bounds the chance"
 
 
@@ -401,6 +403,8 @@ def _ages(
     settings: LinkSettings, dt: float, period: int, dropout: float, ticks: int
 ) -> _Counted | str:
     """The ages of detections, one look every `period` ticks; a string: why nothing can be stated."""
+    if settings.trace:
+        return _RECORDED
     p = link_parameters(settings, dt)
     left, in_time = _left(p, ticks), _in_time(settings, p)
     reasons = _reasons(p, in_time)
@@ -480,6 +484,8 @@ def _outages(
     settings: LinkSettings, dt: float, delay: int, repeats: int, ticks: int
 ) -> _Counted | str:
     """The outages of motions, one packet a tick; a string: why nothing can be stated."""
+    if settings.trace:
+        return _RECORDED
     p = link_parameters(settings, dt)
     if p.spacing > 1.0 + DUST:
         return "fewer packets leave than are sent, so that motions wait and are dropped"

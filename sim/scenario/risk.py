@@ -6,7 +6,7 @@ from typing import NamedTuple
 from bus.messages import MOST_CARRIED, LinkKind
 from bus.ticks import first_tick_from
 from sim.channel.chances import Smallest, largest_error, smallest_age, smallest_outage
-from sim.channel.description import extra_delays
+from sim.channel.description import longest_delay
 from sim.input.faults import Fault
 from sim.scenario.types import Scenario
 
@@ -31,8 +31,7 @@ def command_delay(s: Scenario, uav: str) -> float:
     """From the tick that a command answers to the one in which it acts [s]: as given, or the longest of its link."""
     if s.certificate.delay is not None:
         return s.certificate.delay
-    link = s.links.of(uav, LinkKind.COMMANDS)
-    return link.delay + extra_delays(link)[1] + (link.reorder_delay if link.reorder else 0.0)
+    return longest_delay(s.links.of(uav, LinkKind.COMMANDS), s.links.traces)
 
 
 def risk_bounds(s: Scenario, uav: str) -> RiskBounds:

@@ -26,6 +26,7 @@ from bus.messages import (
     Vector,
 )
 from bus.registry import DEFAULT_DRIVER
+from sim.channel.recorded import RecordedLink
 from sim.models.vehicles import stopping_distance
 
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
@@ -165,6 +166,8 @@ class LinkTable(_Links, frozen=True, kw_only=True):
 
     only: tuple[VehicleLinks, ...] = ()
     """Vehicles whose links are other ones; what is not given is as everybody's."""
+    traces: tuple[RecordedLink, ...] = ()
+    """The files that any `trace` names, with their content: filled in where the scenario is read, and not to be written."""
 
     def of(self, vehicle: str, kind: LinkKind) -> LinkSettings:
         """The settings of this vehicle's link of this kind."""
