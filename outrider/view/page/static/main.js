@@ -152,6 +152,14 @@ function faultsOf(vehicle) {
   return found.filter(([count]) => count).map(([count, cause]) => `${cause} ${count}`);
 }
 
+// Where commands carry motions: how long the UAVs have waited for one at most, of what is declared.
+function motionsOf(status, row) {
+  const told = status && status.certificates;
+  if (!told || told.longest_outage === null || told.longest_outage === undefined) return [];
+  const kept = told.longest_outage <= told.outage + 1e-9;
+  return [row("motions", kept ? "good" : "bad", `longest wait ${told.longest_outage.toFixed(2)} s of ${told.outage} s`)];
+}
+
 function showState(state, wheel) {
   const { status } = store;
   const banner = $("banner");
@@ -195,6 +203,7 @@ function showState(state, wheel) {
       if (!known) return row(name, "unknown", ended ? "has left" : "not known now", notes);
       return row(name, vehicle.present ? "good" : "bad", (vehicle.present ? "joined" : "lost") + seat, notes);
     }),
+    ...motionsOf(status, row),
     row("this page", state.gone ? "unknown" : "good", state.gone ? "no longer served" : `${stats.rate.toFixed(0)} frames/s`, state.browsers > 1 ? `${state.browsers} browsers look on` : ""),
   ];
   setHtml($("processes"), rows.join(""));
