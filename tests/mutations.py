@@ -28,6 +28,8 @@ def edge_or_between(kind: Any, low: float, high: float, rng: random.Random) -> f
 def valid(kind: Any, rng: random.Random) -> Any:
     """A plain value that a type allows, now and then at the edge of what it allows."""
     match kind:
+        case kinds.StructType(array_like=True):
+            return [valid(part.type, rng) for part in kind.fields]
         case kinds.StructType():
             wanted = [part for part in kind.fields if part.required or rng.random() < 0.7]
             return {part.encode_name: valid(part.type, rng) for part in wanted}
@@ -117,6 +119,8 @@ def says(value: Any, told: Any) -> bool:
 
     A field that is not told is free.
     """
+    if isinstance(value, msgspec.Struct) and isinstance(told, list):
+        return all(map(says, msgspec.structs.astuple(value), told))
     if isinstance(value, msgspec.Struct):
         known = told.keys() <= set(value.__struct_fields__)
         return known and all(says(getattr(value, name), part) for name, part in told.items())

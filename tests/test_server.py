@@ -110,12 +110,18 @@ def test_each_vehicle_is_told_its_own_briefing(tmp_path: Path) -> None:
     assert [type(briefing) for briefing in told] == [UavBriefing, UgvBriefing]
 
 
+STRANGER = (
+    "uav_0 sees its UGV and reports no estimate: a program of your own flies it, of which the law "
+    "certified tells nothing"
+)
+
+
 def test_honest_vehicles_miss_nothing(tmp_path: Path) -> None:
     with flying(tmp_path, 20) as run:
         flight = run.fly()
     assert flight.missing == {"uav_0": 0, "ugv_0": 0}
     assert flight.first_missing is None
-    assert not run.events
+    assert run.events == [STRANGER]
 
 
 def test_an_answer_to_another_tick_or_a_second_one_is_counted_and_changes_nothing(tmp_path):
@@ -178,7 +184,7 @@ def test_a_vehicle_that_leaves_is_named_and_the_run_goes_on(tmp_path: Path) -> N
         flight = run.fly()
     assert flight.complete
     assert flight.missing == {"uav_0": 25, "ugv_0": 0}
-    assert run.events == ["uav_0 is lost at tick 5"]
+    assert run.events == [STRANGER, "uav_0 is lost at tick 5"]
 
 
 def test_observers_get_truth_status_and_map(tmp_path: Path) -> None:

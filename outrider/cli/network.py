@@ -29,9 +29,7 @@ def fit(
             help="A Mahimahi file, or a CSV table with the columns sent [s] and delay [s]."
         ),
     ],
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Draw how well it fits.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw how well it fits.")] = None,
     rate: Annotated[
         float,
         typer.Option(

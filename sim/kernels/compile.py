@@ -92,10 +92,10 @@ def interpret() -> None:
     """Leave all functions to the interpreter: for a process that computes next to nothing, and must start at once.
 
     It loads no numba then. To be called before anything that is compiled is imported: compiled functions cannot call
-    others.
+    others. Where numba is loaded already, it changes nothing.
     """
     global _interpreted  # noqa: PLW0603 - a process is the one or the other, from its start
-    _interpreted = True
+    _interpreted = "numba" not in sys.modules
 
 
 def _compile(function: _F, **options: Any) -> _F:  # noqa: ANN401 - numba's
