@@ -40,7 +40,7 @@ STREAM = 20_000
 TICKS, GARBAGE_PER_TICK = 200, 5
 
 LARGEST = UAV_COMMAND.largest
-SENTINEL = UgvCommand(tick=2**53, acceleration=(1e6, -1e6))
+SENTINEL = UgvCommand(tick=123_456_789, acceleration=(0.015625, -0.0078125))
 COMMANDS = {"uav_0": UAV_COMMAND, "ugv_0": UGV_COMMAND}
 SIMULATOR, UGV = Party(role=Role.SIMULATOR, name="simulator"), Party(role=Role.UGV, name="ugv_0")
 
