@@ -155,6 +155,12 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
         rows.append(("longest wait for a motion", waited))
     if summary.lost_chance is not None:
         rows.append(("by proof", f"once certified, lost {in_flights(summary.lost_chance)}"))
+    if summary.tracking_error is not None:
+        off, most = f"{summary.tracking_error:.3f} m", summary.declared_tracking
+        told = Text.assemble(off, " from where it is told" if most is None else f", declared {most:.3f} m")
+        if most is not None:
+            told.stylize("green" if summary.tracking_error <= most else "yellow", 0, len(off))
+        rows.append(("farthest off by the wind", told))
     if summary.certified_while_lost:
         rows.append(
             (
