@@ -356,7 +356,8 @@ def _disturb(
     row = s.tracking[0, 0]
     off[0], off[1] = row.v_x, row.v_y
     w_x, w_y = _push(kind, dark, x, y, off, held, s.truth.commands[0, 0])
-    row.wind_x, row.wind_y = c.wind * w_x, c.wind * w_y
+    strength = 1.0 if c.jumps > 0.0 else c.wind
+    row.wind_x, row.wind_y = strength * w_x, strength * w_y
     row.own_x, row.own_y = -c.own_error * w_x, -c.own_error * w_y
     return kind
 
