@@ -91,7 +91,9 @@ def _same(batch: Batch, worlds: list[World]) -> None:
     for k, world in enumerate(worlds):
         assert s.ticks[k] == world.tick
         for u, looks in enumerate(world.received):
-            assert s.received[k, u, : s.arrived[k, u], :3].tolist() == [list(look) for look in looks]
+            assert s.received[k, u, : s.arrived[k, u], :3].tolist() == [
+                list(look) for look in looks
+            ]
         for single, many in zip(world.state, s.truth, strict=True):
             assert single.tobytes() == many[k].tobytes()
 

@@ -283,7 +283,14 @@ def certified_radius(
         tracking: w [m], which d_cert holds, but R_h, around where the UAV is told that it is, does not.
     """
     stop = 0.5 * v_a * v_a / u_a + v_a * v_g / u_a
-    return handover - stop - (1.5 * v_a + 2.0 * v_g) * dt - (v_a + v_g) * delay - v_g * outage + tracking
+    return (
+        handover
+        - stop
+        - (1.5 * v_a + 2.0 * v_g) * dt
+        - (v_a + v_g) * delay
+        - v_g * outage
+        + tracking
+    )
 
 
 def _largest(promise: Promise, fits: Callable[[float], bool]) -> float:

@@ -156,11 +156,12 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
     if summary.lost_chance is not None:
         rows.append(("by proof", f"once certified, lost {in_flights(summary.lost_chance)}"))
     if summary.tracking_error is not None:
-        off, most = f"{summary.tracking_error:.3f} m", summary.declared_tracking
-        told = Text.assemble(off, " from where it is told" if most is None else f", declared {most:.3f} m")
-        if most is not None:
-            told.stylize("green" if summary.tracking_error <= most else "yellow", 0, len(off))
-        rows.append(("farthest off by the wind", told))
+        off, bound = f"{summary.tracking_error:.3f} m", summary.declared_tracking
+        farthest = Text(f"{off} from where it is told")
+        if bound is not None:
+            colour = "green" if summary.tracking_error <= bound else "yellow"
+            farthest = Text.assemble((off, colour), f", declared {bound:.3f} m")
+        rows.append(("farthest off by the wind", farthest))
     if summary.certified_while_lost:
         rows.append(
             (

@@ -1,8 +1,8 @@
 """Tests before a flight, and when links change in it, whether a scenario's UAVs can certify that they keep sight.
 
 The declared assumptions are those of docs/explanation/certificate.md: A1 the error of a detection, A2 the age of the newest
-one, A5 a
-command that acts exactly tau_c after its tick, A6' where the UAV is. Wind, links and detector say which of them they cannot keep, and how often.
+one, A5 a command that acts exactly tau_c after its tick, A6' where the UAV is. Wind, links and detector say which of them they
+cannot keep, and how often.
 """
 
 import functools
@@ -151,7 +151,9 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
                 Shortfall(uav.name, "A1", how, what, by_chance=True)
                 for how, what in _errors(scenario, promise.error)
             ]
-            found += [Shortfall(uav.name, "A6'", how, what) for how, what in _off(scenario, uav, promise)]
+            found += [
+                Shortfall(uav.name, "A6'", how, what) for how, what in _off(scenario, uav, promise)
+            ]
         for kind, name, check in (
             (LinkKind.DETECTIONS, "A2", _ages),
             (LinkKind.COMMANDS, "A5", _delays),

@@ -239,7 +239,7 @@ def draw_disturbances(t: BatchTables, s: BatchState, k: int) -> None:
     """Draw what acts on each UAV beside its commands in the coming tick."""
     for u in range(t.disturbances.shape[0]):
         key = key_of(s.keys[k], DISTURBANCE, t.escorts[u, 0])
-        draw_disturbance(t.disturbances[u], s.tracking[k, u], key, s.ticks[k])
+        draw_disturbance(t.disturbances, s.tracking[k], u, key, s.ticks[k])
 
 
 @borrowing
@@ -277,7 +277,7 @@ def move(t: BatchTables, s: BatchState, k: int) -> None:
     if t.disturbances.shape[0] > 0:
         for u in range(t.disturbances.shape[0]):
             row = t.disturbances[u]
-            step_error(row.position_gain, row.velocity_gain, row.reserve, s.tracking[k, u], w.dt)
+            step_error(row.position_gain, row.velocity_gain, row.reserve, s.tracking[k], u, w.dt)
         put_off(truth.position, truth.velocity, there, moving, t.escorts, s.tracking[k])
     _see(w, truth.position, t.escorts, truth.coverage, truth.gains)
     detect_all(w, s.keys[k], s.ticks[k], truth.position, t.escorts, truth.detections)

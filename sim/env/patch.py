@@ -57,8 +57,9 @@ def sample(
 
 
 class OwnMaps:
-    """The ground that each UAV has seen itself. One UAV's map is the world's, if it truly is
-    where it is told that it is; each of several has one of its own.
+    """The ground that each UAV has seen itself.
+
+    One UAV's map is the world's, if it truly is where it is told that it is; each of several has one of its own.
 
     Args:
         world: At its start.

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.kernels.compile import FloatArray, borrowing
+from sim.kernels.records import RecordArray
 from sim.models.vehicles import clip_norm
 
 _ENOUGH = 1e-6
@@ -70,7 +71,12 @@ class Responses(NamedTuple):
 
 @borrowing
 def step_error(
-    position_gain: float, velocity_gain: float, reserve: float, row: TrackingRecord, dt: float
+    position_gain: float,
+    velocity_gain: float,
+    reserve: float,
+    tracking: RecordArray,
+    u: int,
+    dt: float,
 ) -> None:
     """Move the error on by a tick, exactly, as the accelerations are held over it.
 
@@ -78,9 +84,11 @@ def step_error(
         position_gain: k_p [1/s²].
         velocity_gain: k_d [1/s].
         reserve: u_r [m/s²].
-        row: A row of a table, changed.
+        tracking: A table of `TrackingRecord`.
+        u: Its row that is changed.
         dt: Length of the tick [s].
     """
+    row = tracking[u]
     u_x, u_y = clip_norm(
         -position_gain * (row.x + row.own_x) - velocity_gain * row.v_x,
         -position_gain * (row.y + row.own_y) - velocity_gain * row.v_y,

@@ -9,7 +9,7 @@ import math
 from typing import NamedTuple
 
 from sim.kernels.compile import borrowing, compiled
-from sim.models.inner_loop import TrackingRecord
+from sim.kernels.records import RecordArray
 from sim.models.randomness import GUST, OWN_POSITION, Key, cut_normal_vector
 from sim.models.vehicles import clip_norm
 
@@ -51,8 +51,19 @@ def _drifted(
 
 
 @borrowing
-def draw_disturbance(row: DisturbanceRow, state: TrackingRecord, key: Key, tick: int) -> None:
-    """Draw the wind of the coming tick, and the error of the own position in it, into `state`."""
+def draw_disturbance(
+    disturbances: RecordArray, tracking: RecordArray, u: int, key: Key, tick: int
+) -> None:
+    """Draw the wind of the coming tick, and the error of the own position in it.
+
+    Args:
+        disturbances: A table of `DisturbanceRow`.
+        tracking: A table of `TrackingRecord`, changed.
+        u: The row in both.
+        key: Of the draws.
+        tick: The coming one.
+    """
+    row, state = disturbances[u], tracking[u]
     state.gust_x, state.gust_y = _drifted(
         state.gust_x, state.gust_y, row.gust, row.gust_kept, key, GUST, tick
     )

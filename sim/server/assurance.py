@@ -132,9 +132,7 @@ class Assurance:
         self._outage, self._disturbed = scenario.certificate.outage, scenario.disturbed
         told = [declared(scenario, uav) for uav in uavs]
         self._assumptions = [Assumptions(one, scenario.dt) for one in told]
-        self._tracking = max(
-            math.inf if one.tracking is None else one.tracking for one in told
-        )
+        self._tracking = max(math.inf if one.tracking is None else one.tracking for one in told)
         self._promised = [False] * len(uavs)
         """True where the tick before was certified, and nothing excuses that this one is not."""
         self._last = [_NOBODY] * len(uavs)

@@ -996,9 +996,7 @@ def _windy() -> Iterator[Conditions]:
 
 def grid() -> Iterator[tuple[Promise, Conditions]]:
     """All combinations of network, place, error, vehicles and broken assumptions for which there is a certificate."""
-    for conditions in itertools.chain(
-        _networks(), _places(), _disturbed(), _lossy(), _windy()
-    ):
+    for conditions in itertools.chain(_networks(), _places(), _disturbed(), _lossy(), _windy()):
         pushed = conditions.wind or conditions.own_error or conditions.jumps
         plain = not (conditions.area or conditions.disturbance or conditions.outage or pushed)
         for eps in EPS if plain else EPS[::2]:
