@@ -339,7 +339,9 @@ class UavObservation(Message, frozen=True, kw_only=True):
     tick: Tick
     time: NonNegative
     position: Vector
+    """Where its inner loop believes and steers it to be [m]: in wind or with a wrong own position not quite where it is."""
     velocity: Vector
+    """Likewise [m/s]."""
     detections: tuple[Detection, ...] = ()
     flown: Tick | None = None
     """The motion that the vehicle flew in the tick before: that in which it began; None: it flew none."""
