@@ -95,7 +95,7 @@ def _interrupted(
     for flight in range(flights):
         state, key = _copied(empty), (np.uint64(seed), np.uint64(flight))
         known[:] = False
-        chain, flown, begun = 0, -1, 0
+        chain, flown, begun = 0, -1, delay - 1
         for tick in range(ticks):
             due = tick - 1 - delay
             if due >= chain and flown != due:  # it should have begun in the tick before

@@ -153,43 +153,26 @@ CONTROL = Key(
     readers=(Role.SIMULATOR,),
     delivery=Delivery.EVERY,
 )
-TRUTH = Key(
-    topic="truth",
-    vehicle=None,
-    message=Truth,
-    writer=Role.SIMULATOR,
-    readers=(Role.OBSERVER, Role.OPERATOR),
-    delivery=Delivery.NEWEST,
-    largest=_LARGE,
-)
-SAMPLED_TRUTH = Key(
-    topic="sampled-truth",
-    vehicle=None,
-    message=Truth,
-    writer=Role.SIMULATOR,
-    readers=(Role.OBSERVER, Role.OPERATOR),
-    delivery=Delivery.NEWEST,
-    largest=_LARGE,
-)
+
+
+def _telemetry(topic: str, message: type[Message]) -> Key:
+    """What the simulator tells observers and operators: the newest counts, and it may be large."""
+    return Key(
+        topic=topic,
+        vehicle=None,
+        message=message,
+        writer=Role.SIMULATOR,
+        readers=(Role.OBSERVER, Role.OPERATOR),
+        delivery=Delivery.NEWEST,
+        largest=_LARGE,
+    )
+
+
+TRUTH = _telemetry("truth", Truth)
+SAMPLED_TRUTH = _telemetry("sampled-truth", Truth)
 """The truth for people's eyes: some ticks of it, as often as an eye can see."""
-COVERAGE = Key(
-    topic="coverage",
-    vehicle=None,
-    message=CoverageMap,
-    writer=Role.SIMULATOR,
-    readers=(Role.OBSERVER, Role.OPERATOR),
-    delivery=Delivery.NEWEST,
-    largest=_LARGE,
-)
-STATUS = Key(
-    topic="status",
-    vehicle=None,
-    message=Status,
-    writer=Role.SIMULATOR,
-    readers=(Role.OBSERVER, Role.OPERATOR),
-    delivery=Delivery.NEWEST,
-    largest=_LARGE,
-)
+COVERAGE = _telemetry("coverage", CoverageMap)
+STATUS = _telemetry("status", Status)
 
 KEYS: tuple[Key, ...] = (
     UAV_BRIEFING,

@@ -147,6 +147,13 @@ class LinkSettings(Message, frozen=True, kw_only=True):
     """Messages that can wait at the sender."""
     keep: Name = "newest"
     """Which messages a full queue keeps, of `KEEPS`."""
+    trace: Text = ""
+    """A recorded link that is played in a loop instead of drawing: a Mahimahi file, or a CSV table of sent and delay.
+
+    The file lies beside the scenario's or below. Beside a Mahimahi file, which says when bytes may leave, stands all
+    but bandwidth; beside a table, which says what became of each message, stand delay and blackouts alone."""
+    message_bytes: Annotated[int, Meta(ge=1, le=1_000_000)] = 1000
+    """Size of a message where a Mahimahi file is played [bytes]: each of its lines lets 1,500 bytes leave."""
 
 
 class LinkStatus(Message, frozen=True, kw_only=True):

@@ -75,7 +75,7 @@ class World:
         state, tables = self._batch.state, self._batch.tables
         self._sent, self._motions = state.sent[0], state.motions[0]
         self._begun = state.flown["begins"][0, :, 0]
-        self._carries = self.scenario.certificate.outage is not None
+        self._carries = bool(tables.receivers.any())
         self.keys = state.keys[0]
         """Of all random numbers. Shape (RUN_PURPOSES, vehicles, 2)."""
         self.escorts = tables.escorts

@@ -3,7 +3,7 @@
 import numpy as np
 
 from sim.kernels.compile import compiled, inlined, released
-from sim.models.randomness import Key, WordArray
+from sim.models.randomness import WordArray
 
 _IV = np.array(
     [
@@ -40,9 +40,7 @@ def _rotated(word: np.uint64, by: int) -> np.uint64:
 
 
 @inlined
-def _mixed(
-    a: np.uint64, b: np.uint64, c: np.uint64, d: np.uint64, x: np.uint64, y: np.uint64
-) -> tuple[np.uint64, np.uint64, np.uint64, np.uint64]:
+def _mixed(a, b, c, d, x, y):
     a = a + b + x
     d = _rotated(d ^ a, 32)
     c = c + d
@@ -55,9 +53,7 @@ def _mixed(
 
 
 @inlined
-def _compress(
-    h: WordArray, m: WordArray, count: np.uint64, last: np.uint64, out: WordArray
-) -> None:
+def _compress(h, m, count, last, out):
     """One block: the state h and the message m, shape (16,), after `count` bytes, into `out`, shape (8,)."""
     v_0, v_1, v_2, v_3, v_4, v_5, v_6, v_7 = h[0], h[1], h[2], h[3], h[4], h[5], h[6], h[7]
     v_8, v_9, v_10, v_11, v_12, v_13 = _IV[0], _IV[1], _IV[2], _IV[3], _IV[4] ^ count, _IV[5]
@@ -106,9 +102,7 @@ def begun(secret: str) -> tuple[WordArray, int]:
 
 
 @inlined
-def key_for(
-    h: WordArray, count: int, seed: int, purpose: int, vehicle: int, m: WordArray, out: WordArray
-) -> Key:
+def key_for(h, count, seed, purpose, vehicle, m, out):
     """The key of one seed, purpose and vehicle; `m`, shape (16,), of zeros, and `out`, shape (8,), are for its sums."""
     m[0], m[1] = np.uint64(seed), np.uint64(purpose) | np.uint64(vehicle) << np.uint64(32)
     _compress(h, m, np.uint64(count), _ALL, out)
@@ -116,14 +110,6 @@ def key_for(
 
 
 @released
-def one_key(
-    state: WordArray,
-    count: int,
-    seed: int,
-    purpose: int,
-    vehicle: int,
-    m: WordArray,
-    out: WordArray,
-) -> Key:
+def one_key(state, count, seed, purpose, vehicle, m, out):
     """`key_for`, for Python."""
     return key_for(state, count, seed, purpose, vehicle, m, out)

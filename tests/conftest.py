@@ -1,9 +1,11 @@
 """Fixtures that several test modules use."""
 
 import os
+import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import pytest
 from processes import wait_until
@@ -22,3 +24,34 @@ def nothing_left_behind(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
             lambda: not os.listdir(folder),
             told=lambda: f"left behind: {[str(path) for path in Path(folder).rglob('*')]}",
         )
+
+
+@pytest.fixture
+def command(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., "CompletedProcess[str]"]:
+    """A command of ours in this process, which need not start: its exit code and what it wrote."""
+    from outrider.cli import main
+
+    def call(*arguments: str) -> "CompletedProcess[str]":
+        monkeypatch.setattr(sys, "argv", ["outrider", *arguments])
+        code = main._run()
+        written = capsys.readouterr()
+        return CompletedProcess(arguments, code, written.out, written.err)
+
+    return call
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder, in which the test works."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A refused client shows it by trying in vain; here not for long."""
+    from bus import session
+
+    monkeypatch.setitem(session._CLIENT, "connect/timeout_ms", 600)

@@ -1,7 +1,6 @@
 """Scenarios for the tests of laws and worlds, and a UAV's law without its pilot."""
 
 import hashlib
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -29,13 +28,7 @@ UAV, UGV = Uav(position=HERE), Ugv(position=HERE)
 """The paper's vehicles, at rest in the middle of the paper's area."""
 
 
-def escort(
-    law: str | Law = "logarithmic",
-    *,
-    uav: Uav = UAV,
-    ugv: Ugv = UGV,
-    **fields: Any,
-) -> Scenario:
+def escort(law="logarithmic", *, uav=UAV, ugv=UGV, **fields):
     """One UAV that escorts one UGV; `fields` are the scenario's."""
     return Scenario(
         law=Law(name=law) if isinstance(law, str) else law, uav=(uav,), ugv=(ugv,), **fields

@@ -13,11 +13,9 @@ from typing import Any
 
 import msgspec
 from msgspec import inspect as kinds
+from tabular import words
 
-from bus.keys import (
-    KEYS,
-    Key,
-)
+from bus.keys import KEYS, Key
 
 REFUSALS = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 """What `Inbox` takes for a refusal; a decoder that raises anything else stops its reader."""
@@ -37,10 +35,8 @@ def valid(kind: Any, rng: random.Random) -> Any:
             low = kind.ge if kind.ge is not None else math.nextafter(kind.gt, math.inf)
             return edge_or_between(kind, low, rng.choice([1.0, kind.le]), rng)
         case kinds.IntType():
-            low, high = (
-                (-(2**70) if kind.ge is None else kind.ge),
-                (2**70 if kind.le is None else kind.le),
-            )
+            low = -(2**70) if kind.ge is None else kind.ge
+            high = 2**70 if kind.le is None else kind.le
             return rng.choice([low, high, rng.randint(low, high), rng.randint(low, low + 1000)])
         case kinds.StrType(pattern=None):
             return "".join(rng.choices('aZ0 _/"\\\n\0∞𝄞', k=rng.choice([0, 1, 8, kind.max_length])))
@@ -71,13 +67,8 @@ def valid(kind: Any, rng: random.Random) -> Any:
 
 
 def between(value: float, kind: Any) -> bool:
-    return (
-        (kind.ge is None or value >= kind.ge)
-        and (kind.gt is None or value > kind.gt)
-        and (kind.le is None or value <= kind.le)
-        and kind.lt is None
-        and kind.multiple_of is None
-    )
+    within = (kind.ge is None or value >= kind.ge) and (kind.gt is None or value > kind.gt)
+    return within and (kind.le is None or value <= kind.le) and kind.lt is kind.multiple_of is None
 
 
 def allowed(value: Any, kind: Any) -> bool:
@@ -88,20 +79,14 @@ def allowed(value: Any, kind: Any) -> bool:
                 allowed(getattr(value, part.name), part.type) for part in kind.fields
             )
         case kinds.FloatType():
-            return (
-                type(value) is float
-                and math.isfinite(value)
-                and abs(value) <= 1e12
-                and between(value, kind)
-            )
+            bounded = type(value) is float and math.isfinite(value) and abs(value) <= 1e12
+            return bounded and between(value, kind)
         case kinds.IntType():
             return type(value) is int and between(value, kind)
         case kinds.StrType():
-            whole = (
-                kind.pattern.removesuffix(r"(?!\n)").strip("^$")
-                if kind.pattern
-                else rf"(?s:.){{0,{kind.max_length}}}"
-            )
+            whole = rf"(?s:.){{0,{kind.max_length}}}"
+            if kind.pattern:
+                whole = kind.pattern.removesuffix(r"(?!\n)").strip("^$")
             fits = re.compile(whole).fullmatch
             return type(value) is str and fits(value) is not None
         case kinds.VarTupleType():
@@ -149,76 +134,20 @@ def says(value: Any, told: Any) -> bool:
 NUMBER = re.compile(rb"(?<=[:\[,])-?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?(?=[,\]}])")
 STRING = re.compile(rb'"[^"\\]*"')
 ODD = [
-    *(
-        b"NaN",
-        b"Infinity",
-        b"-Infinity",
-        b"1e308",
-        b"-1e308",
-        b"1e999",
-        b"-1e999",
-        b"5e-324",
-        b"1e-999",
-        b"-1",
-        b"0",
-        b"-0",
-    ),
-    *(
-        b"-0.0",
-        b"0.1",
-        b"1.0",
-        b"1e2",
-        b"01",
-        b"+1",
-        b".5",
-        b"1.",
-        b"0x10",
-        b"1_0",
-        b"true",
-        b"null",
-        b'""',
-        b'"1"',
-        b'"NaN"',
-    ),
-    *(
-        b"[]",
-        b"{}",
-        b"[1]",
-        b"9007199254740993",
-        b"18446744073709551616",
-        b"-9223372036854775809",
-        b"1e6",
-        b"1000000.0000000001",
-    ),
-    *(
-        b"9" * 400,
-        b"9" * 4300,
-        b"9" * 5000,
-        b"-" + b"9" * 5000,
-        b"0." + b"9" * 2000,
-        b"1" + b"0" * 400 + b"e-400",
-    ),
+    *(word.encode() for word in words("NaN Infinity -Infinity 1e308 -1e308 1e999 -1e999 5e-324")),
+    *(word.encode() for word in words("1e-999 -1 0 -0 -0.0 0.1 1.0 1e2 01 +1 .5 1. 0x10 1_0 true")),
+    *(word.encode() for word in words('null "" "1" "NaN" [] {} [1] 9007199254740993 1e6')),
+    *(b"18446744073709551616", b"-9223372036854775809", b"1000000.0000000001"),
+    *(b"9" * 400, b"9" * 4300, b"9" * 5000, b"-" + b"9" * 5000, b"0." + b"9" * 2000),
+    b"1" + b"0" * 400 + b"e-400",
 ]
 NOT_TEXT = [
-    b"\xff",
-    b"\xc3",
-    b"\xed\xa0\x80",
-    b"\xc0\x80",
-    b"\xf5\x80\x80\x80",
-    b"\\ud800",
-    b"\\udc00\\ud800",
-    b"\\x41",
-    b"\x00",
+    *(b"\xff", b"\xc3", b"\xed\xa0\x80", b"\xc0\x80", b"\xf5\x80\x80\x80", b"\\ud800"),
+    *(b"\\udc00\\ud800", b"\\x41", b"\x00"),
 ]
 LONG_TEXT = [
-    b"x" * 501,
-    b"x" * 5000,
-    "∞".encode() * 500,
-    b"\\u221e" * 500,
-    b"a" * 33,
-    b"\\n",
-    b"\xc3\xa9",
-    b"",
+    *(b"x" * 501, b"x" * 5000, "∞".encode() * 500, b"\\u221e" * 500, b"a" * 33, b"\\n"),
+    *(b"\xc3\xa9", b""),
 ]
 
 Mutation = Callable[[bytes, bytes, random.Random], bytes]
@@ -244,11 +173,8 @@ def delete(payload: bytes, _other: bytes, rng: random.Random) -> bytes:
 
 def insert(payload: bytes, _other: bytes, rng: random.Random) -> bytes:
     begin, _ = place(payload, rng)
-    return (
-        payload[:begin]
-        + rng.choice([rng.randbytes(3), b" ", b"\n", b",", b"]", b'"', b"0", b"9", b"\\"])
-        + payload[begin:]
-    )
+    noise = [rng.randbytes(3), *(b" ", b"\n", b",", b"]", b'"', b"0", b"9", b"\\")]
+    return payload[:begin] + rng.choice(noise) + payload[begin:]
 
 
 def duplicate(payload: bytes, _other: bytes, rng: random.Random) -> bytes:
@@ -264,9 +190,7 @@ def splice(payload: bytes, other: bytes, rng: random.Random) -> bytes:
     return payload[: rng.randrange(len(payload))] + other[rng.randrange(len(other)) :]
 
 
-def replaced(
-    pattern: re.Pattern[bytes], payload: bytes, rng: random.Random, new: Callable[[bytes], bytes]
-) -> bytes:
+def replaced(pattern, payload, rng, new):
     found = list(pattern.finditer(payload))
     if not found:
         return payload
@@ -295,15 +219,15 @@ def nest(payload: bytes, _other: bytes, rng: random.Random) -> bytes:
     )
 
 
+def parts_of(branch: Any) -> Any:
+    return branch.values() if isinstance(branch, dict) else branch
+
+
 def fields(payload: bytes, other: bytes, rng: random.Random) -> bytes:
     """One field of one object removed, renamed, doubled, added, or one of another message put in its place."""
     tree = msgspec.json.decode(payload)
     branch = tree
-    while below := [
-        part
-        for part in (branch.values() if isinstance(branch, dict) else branch)
-        if part and type(part) in HOLDERS
-    ]:
+    while below := [part for part in parts_of(branch) if part and type(part) in HOLDERS]:
         if rng.random() < 0.4:
             break
         branch = rng.choice(below)

@@ -4,9 +4,10 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from typing import Any
 
 from bus.access import read_credential
 from bus.keys import CONTROL, STATUS, Party, Role
@@ -16,9 +17,7 @@ from bus.session import Session, open_session
 OUTRIDER = [sys.executable, "-m", "outrider"]
 
 
-def outrider(
-    *arguments: str, timeout: float = 120.0, cwd: Path | None = None
-) -> "subprocess.CompletedProcess[str]":
+def outrider(*arguments, timeout=120.0, cwd=None):
     return subprocess.run(
         [*OUTRIDER, *arguments],
         capture_output=True,
@@ -27,6 +26,14 @@ def outrider(
         timeout=timeout,
         cwd=cwd,
     )
+
+
+def python(
+    code: str, *arguments: str, check: bool = True, **settings: Any
+) -> "subprocess.CompletedProcess[str]":
+    """What an interpreter of its own makes of this code."""
+    command = [sys.executable, "-c", code, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=check, **settings)
 
 
 def run_json(*arguments: str) -> dict[str, object]:
@@ -66,11 +73,7 @@ def alive(pid: int) -> bool:
         return False
 
 
-def wait_until(
-    condition: Callable[[], bool],
-    seconds: float = 30.0,
-    told: Callable[[], str] = lambda: "waited in vain",
-) -> None:
+def wait_until(condition, seconds=30.0, told=lambda: "waited in vain"):
     limit = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < limit, told()
@@ -97,9 +100,7 @@ def observing(run: "subprocess.Popen[str]") -> AbstractContextManager[Session]:
     return joined(run, Role.OBSERVER)
 
 
-def await_status(
-    session: Session, wanted: Callable[[Status], bool], seconds: float = 60.0
-) -> Status:
+def await_status(session, wanted, seconds=60.0):
     """The first status that is as wanted."""
     inbox = session.inbox(STATUS)
     limit = time.monotonic() + seconds

@@ -1,24 +1,20 @@
-"""How tests see a scenario refused."""
+"""How tests see a scenario, or whatever else, refused in one line."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from tabular import words
 
 from bus.errors import ScenarioError
 from sim.scenario.loading import load_scenario
 
-SHIPPED = (
-    "escort",
-    "circle",
-    "circle-too-fast",
-    "figure-1-bounded",
-    "figure-1-high-gain",
-    "figure-1-low-gain",
-    "figure-3-linear",
-    "figure-3-logarithmic",
-    "figure-3-switching",
-    "scenario-1",
-    "scenario-2",
+SHIPPED = tuple(
+    words("""
+escort circle circle-too-fast figure-1-bounded figure-1-high-gain figure-1-low-gain
+figure-3-linear figure-3-logarithmic figure-3-switching scenario-1 scenario-2
+""")
 )
 SMALL = "[[uav]]\nposition = [6.0, 21.0]\n[[ugv]]\nposition = [6.0, 20.0]\ngoals = [[34.0, 20.0]]\n"
 """As little as a scenario needs."""
@@ -38,3 +34,11 @@ def written(folder: Path, content: bytes) -> Path:
     path = folder / "mine.toml"
     path.write_bytes(content)
     return path
+
+
+@contextmanager
+def refused(kind: type[Exception], words: str) -> Iterator["pytest.ExceptionInfo[Exception]"]:
+    """What is done in here raises such an error, whose one line has a match of these words."""
+    with pytest.raises(kind, match=words) as caught:
+        yield caught
+    assert "\n" not in str(caught.value)

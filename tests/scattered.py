@@ -1,6 +1,5 @@
 """The processes of a run, each started by hand around a router of its own, for the tests."""
 
-import json
 import socket
 import subprocess
 from collections.abc import Iterator
@@ -11,13 +10,13 @@ from pathlib import Path
 from processes import (
     OUTRIDER,
     fly_to,
-    outrider,
     wait_until,
 )
 
-from bus.access import read_credential
+from bus.access import new_credentials, read_credential, write_credentials
 from bus.keys import CONTROL
 from bus.session import Session, open_session
+from outrider.running.launch import free_port
 
 SECONDS = 100.0
 """Simulated time of a run that is disturbed while it is flown: 2,000 ticks, about a second."""
@@ -25,13 +24,6 @@ SECONDS = 100.0
 
 SECRET = bytes(range(16)).hex()
 """Of the runs whose processes are started by hand; their simulator would make one."""
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
 
 
 def answers(port: int) -> bool:
@@ -45,9 +37,9 @@ class Scattered:
     def __init__(self, folder: Path, stack: ExitStack) -> None:
         self._stack = stack
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
-        made = outrider("credentials", str(folder / "credentials"), "--run", "mine", "--json")
-        assert made.returncode == 0, made.stderr
-        self._files = json.loads(made.stdout)["files"]
+        made = new_credentials("mine", ["uav_0"], ["ugv_0"])
+        paths = write_credentials(made, folder / "credentials")
+        self._files = {name: str(path) for name, path in paths.items()}
         self.processes: list[subprocess.Popen[str]] = []
 
     def start(self, kind: str, *arguments: str, name: str = "") -> "subprocess.Popen[str]":

@@ -5,15 +5,19 @@ The real loop and the real pilots.
 
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
+
+import zenoh
+from processes import wait_until
 
 from agents import process
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
-from bus.access import new_credentials
+from bus import session
+from bus.access import Credential, client_settings, new_credentials
 from bus.keys import CONTROL, STATUS
 from bus.messages import Status
 from bus.session import Session, open_session
@@ -38,16 +42,15 @@ class Vehicle:
         endpoint: Of the router.
         name: The vehicle.
         until: It is gone once this tick has been answered.
+        heir: Called once it is gone.
         on_tick: Called with each tick before it acts.
     """
 
-    def __init__(
-        self, endpoint: str, name: str, until: int | None, on_tick: Callable[[int], None]
-    ) -> None:
+    def __init__(self, endpoint, name, until=None, on_tick=lambda _tick: None, heir=lambda: None):
         self.name = name
         self.seen: list[Any] = []
         """All it has acted on, its past first."""
-        self._endpoint, self._until, self._on_tick = endpoint, until, on_tick
+        self._endpoint, self._until, self._on_tick, self._heir = endpoint, until, on_tick, heir
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
@@ -57,7 +60,7 @@ class Vehicle:
 
     def _run(self) -> None:
         credential = GIVEN.of(self.name)
-        with suppress(Gone):
+        try:
             process.fly(
                 credential.party,
                 self._make,
@@ -65,6 +68,8 @@ class Vehicle:
                 run="run",
                 credential=credential,
             )
+        except Gone:
+            self._heir()
 
     def _make(self, told: Any) -> "Vehicle":
         self._pilot = PILOT[self.name](told)
@@ -95,15 +100,18 @@ class Stage:
         self.vehicles: list[Vehicle] = []
         self._stack = stack
 
-    def start(
-        self,
-        name: str,
-        *,
-        until: int | None = None,
-        on_tick: Callable[[int], None] = lambda _tick: None,
-    ) -> Vehicle:
-        self.vehicles.append(Vehicle(self.endpoint, name, until, on_tick))
+    def start(self, name, *, until=None, again=False, on_tick=lambda _tick: None):
+        """Start a vehicle; one that is gone `again` has another in its place at once."""
+
+        def heir() -> None:
+            if again:
+                self.start(name)
+
+        self.vehicles.append(Vehicle(self.endpoint, name, until, on_tick, heir))
         return self.vehicles[-1]
+
+    def start_both(self) -> list[Vehicle]:
+        return [self.start("uav_0"), self.start("ugv_0")]
 
     def client(self, name: str) -> Session:
         credential = GIVEN.of(name)
@@ -119,24 +127,22 @@ class Stage:
 
 
 @contextmanager
-def stage(
-    folder: Path, ticks: int, *, scenario: Scenario | None = None, **options: Any
-) -> Iterator[Stage]:
+def stage(folder, ticks, *, scenario=None, **options):
     scenario = scenario or load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}"])
     with ExitStack() as stack:
         yield Stage(stack, folder, scenario, **options)
 
 
+def raw_session(endpoint: str, credential: Credential | None, **settings: Any) -> zenoh.Session:
+    """A session that asks nobody's leave and does not say whose it is."""
+    own = {name.replace("__", "/"): value for name, value in settings.items()}
+    known = session._COMMON | session._CLIENT | client_settings(credential)
+    return zenoh.open(session._config(known | {"connect/endpoints": [endpoint]} | own))
+
+
 def whole(ticks: int) -> Flight:
     scenario = load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}"])
     return fly(scenario, scenario.seed)[0]
-
-
-def wait_until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
-    limit = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < limit, "waited in vain"
-        time.sleep(0.005)
 
 
 def await_status(statuses: Any, wanted: Callable[[Status], bool]) -> Status:

@@ -12,13 +12,13 @@ from typing import Any
 
 import pytest
 import zenoh
+from staging import raw_session
 
-from bus import access, session
+from bus import access
 from bus.access import (
     Credential,
     CredentialSet,
     access_control,
-    client_settings,
     grants,
     new_certificates,
     new_credentials,
@@ -47,12 +47,10 @@ GIVEN = new_credentials(RUN, ["uav_0", "uav_1"], ["ugv_0", "ugv_1"])
 CERTIFIED = new_certificates(new_authority(RUN), ["uav_0", "uav_1"], ["ugv_0", "ugv_1"])
 NAMES = [credential.name for credential in GIVEN.parties]
 VEHICLES = {Role.UAV: ["uav_0", "uav_1"], Role.UGV: ["ugv_0", "ugv_1"]}
+REMOTE = zenoh.Locality.REMOTE
 
 
-@pytest.fixture(autouse=True)
-def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A refused client shows it by trying in vain; here not for long."""
-    monkeypatch.setitem(session._CLIENT, "connect/timeout_ms", 700)
+pytestmark = pytest.mark.usefixtures("impatient")
 
 
 @pytest.fixture
@@ -75,28 +73,23 @@ def router(endpoint: str) -> AbstractContextManager[Session]:
     return open_session(GIVEN.of("observer").party, RUN, listen=(endpoint,), given=given(endpoint))
 
 
-def raw(endpoint: str, credential: Credential | None, **settings: Any) -> zenoh.Session:
-    """A session that asks nobody's leave."""
-    wanted = (
-        session._COMMON
-        | session._CLIENT
-        | client_settings(credential)
-        | {"connect/endpoints": [endpoint]}
-    )
-    return zenoh.open(
-        session._config(
-            wanted | {name.replace("__", "/"): value for name, value in settings.items()}
-        )
-    )
+def host(endpoint: str) -> AbstractContextManager[Session]:
+    """A router that is the simulator."""
+    return open_session(GIVEN.of("simulator").party, RUN, listen=(endpoint,), given=GIVEN)
 
 
 def concrete() -> list[tuple[Any, str, str]]:
     """Every row of the table for every vehicle: row, vehicle, key."""
-    found = []
-    for key in KEYS:
-        for vehicle in VEHICLES[key.vehicle] if key.vehicle else [""]:
-            found.append((key, vehicle, key.expression(RUN, vehicle)))
-    return found
+    pairs = [(key, vehicle) for key in KEYS for vehicle in VEHICLES.get(key.vehicle, [""])]
+    return [(key, vehicle, key.expression(RUN, vehicle)) for key, vehicle in pairs]
+
+
+def hears(session: zenoh.Session, expression: str, room: int = 1000) -> Any:
+    return session.declare_subscriber(expression, zenoh.handlers.FifoChannel(room))
+
+
+def speaks(session: zenoh.Session, expression: str) -> Any:
+    return session.declare_publisher(expression, allowed_destination=REMOTE)
 
 
 def may(check: Any, key: Any, name: str, vehicle: str) -> bool:
@@ -142,7 +135,7 @@ def everybody(endpoint: str) -> Iterator[dict[str, zenoh.Session]]:
     with ExitStack() as stack:
         stack.enter_context(router(endpoint))
         yield {
-            credential.name: stack.enter_context(raw(endpoint, credential))
+            credential.name: stack.enter_context(raw_session(endpoint, credential))
             for credential in given(endpoint).parties
         }
 
@@ -161,19 +154,13 @@ def test_every_row_reaches_its_readers_from_its_writer_and_nobody_else(known_by:
     assert len(wanted) >= 20
     with everybody(known_by) as sessions:
         expressions = [row[2] for row in concrete()]
+        widest = ("**", "outrider/**", f"outrider/{RUN}/*/command")
         inboxes = {
-            name: [
-                opened.declare_subscriber(expression, zenoh.handlers.FifoChannel(10_000))
-                for expression in (*expressions, "**", "outrider/**", f"outrider/{RUN}/*/command")
-            ]
+            name: [hears(opened, expression, 10_000) for expression in (*expressions, *widest)]
             for name, opened in sessions.items()
         }
-        remote = zenoh.Locality.REMOTE
         publishers = {
-            name: [
-                opened.declare_publisher(expression, allowed_destination=remote)
-                for expression in expressions
-            ]
+            name: [speaks(opened, expression) for expression in expressions]
             for name, opened in sessions.items()
         }
 
@@ -182,7 +169,7 @@ def test_every_row_reaches_its_readers_from_its_writer_and_nobody_else(known_by:
                 for publisher in publishers[name]:
                     publisher.put(name.encode())
                 for expression in expressions:  # and without a declaration
-                    opened.put(expression, name.encode(), allowed_destination=remote)
+                    opened.put(expression, name.encode(), allowed_destination=REMOTE)
 
         assert gather(inboxes, wanted, say) == wanted
 
@@ -196,9 +183,7 @@ def declared(owner: str, name: str) -> list[str]:
     ]
 
 
-def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulators_alone(
-    known_by: str,
-) -> None:
+def test_tokens_can_be_declared_for_oneself_alone_and_vehicles_see_the_simulators_alone(known_by):
     """Each declares the place of its number in everybody's name, places that nobody has, and sessions."""
     seen: dict[str, set[str]] = {name: set() for name in NAMES}
     assert len(NAMES) <= PLACES
@@ -239,93 +224,56 @@ def test_nobody_can_ask_the_router_or_another_for_anything(known_by: str) -> Non
         for name in set(NAMES) - {"ugv_0"}:
             own = str(sessions[name].zid())
             for selector in ("outrider/**", "@/**", "**"):
-                replies = [
-                    reply.ok
-                    for reply in sessions[name].get(selector, timeout=0.3)
-                    if reply.ok is not None
-                ]
-                assert all(
-                    own in str(reply.key_expr) for reply in replies
-                )  # of itself it knows anyway
+                asked = sessions[name].get(selector, timeout=0.3)
+                keys = [str(reply.ok.key_expr) for reply in asked if reply.ok is not None]
+                assert all(own in key for key in keys)
         answered.undeclare()
 
 
-def stranger(kind: str) -> Credential | None:
-    fake = "x" * 32
-    if kind == "no password":
-        return None
-    if kind == "a wrong password":
-        return Credential(name="uav_0", role=Role.UAV, password=fake)
-    if kind == "another's name with its own password":
-        return Credential(name="ugv_0", role=Role.UGV, password=GIVEN.of("uav_0").password)
-    return Credential(name="nobody", role=Role.UAV, password=fake)
+def named(name: str, role: Role, password: str = "x" * 32) -> Credential:
+    return Credential(name=name, role=role, password=password)
 
 
-STRANGERS = [
-    "no password",
-    "a wrong password",
-    "another's name with its own password",
-    "an unknown name",
-]
+STRANGERS: dict[str, Credential | None] = {
+    "no password": None,
+    "a wrong password": named("uav_0", Role.UAV),
+    "another's name with its own password": named("ugv_0", Role.UGV, GIVEN.of("uav_0").password),
+    "an unknown name": named("nobody", Role.UAV),
+}
 
 
 @pytest.mark.parametrize("kind", STRANGERS)
 @pytest.mark.parametrize("mode", ["client", "peer", "router"])
 def test_a_stranger_gets_nothing(endpoint: str, kind: str, mode: str) -> None:
-    simulator = GIVEN.of("simulator")
     with ExitStack() as stack:
-        hosted = stack.enter_context(
-            open_session(simulator.party, RUN, listen=(endpoint,), given=GIVEN)
-        )
-        remote = zenoh.Locality.REMOTE
-        publishers = [
-            hosted._zenoh.declare_publisher(e, allowed_destination=remote) for _, _, e in concrete()
-        ]
-        commands = hosted._zenoh.declare_subscriber("outrider/**", zenoh.handlers.FifoChannel(100))
+        hosted = stack.enter_context(host(endpoint))._zenoh
+        publishers = [speaks(hosted, expression) for _, _, expression in concrete()]
+        commands = hears(hosted, "outrider/**", 100)
+        told = {"mode": mode, "scouting__gossip__enabled": True, "listen__endpoints": []}
         try:
-            opened = stack.enter_context(
-                raw(
-                    endpoint,
-                    stranger(kind),
-                    mode=mode,
-                    scouting__gossip__enabled=True,
-                    listen__endpoints=[],
-                )
-            )
+            opened = stack.enter_context(raw_session(endpoint, STRANGERS[kind], **told))
         except zenoh.ZError:
             return  # it was not even let in
-        inbox = opened.declare_subscriber("outrider/**", zenoh.handlers.FifoChannel(100))
+        inbox = hears(opened, "outrider/**", 100)
         limit = time.monotonic() + 1.0
         while time.monotonic() < limit:
             for publisher in publishers:
                 publisher.put(b"secret")
             for _, _, expression in concrete():
-                opened.put(expression, b"evil", allowed_destination=remote)
+                opened.put(expression, b"evil", allowed_destination=REMOTE)
         assert inbox.try_recv() is None
         assert commands.try_recv() is None
 
 
 def test_a_known_peer_with_gossip_gets_no_more_than_a_client(endpoint: str) -> None:
-    simulator = GIVEN.of("simulator")
     with ExitStack() as stack:
-        hosted = stack.enter_context(
-            open_session(simulator.party, RUN, listen=(endpoint,), given=GIVEN)
-        )
-        stack.enter_context(raw(endpoint, GIVEN.of("ugv_0")))
-        peer = stack.enter_context(
-            raw(endpoint, GIVEN.of("uav_0"), mode="peer", scouting__gossip__enabled=True)
-        )
+        hosted = stack.enter_context(host(endpoint))._zenoh
+        stack.enter_context(raw_session(endpoint, GIVEN.of("ugv_0")))
+        told = {"mode": "peer", "scouting__gossip__enabled": True}
+        peer = stack.enter_context(raw_session(endpoint, GIVEN.of("uav_0"), **told))
         expressions = [row[2] for row in concrete()]
-        inboxes = {
-            "uav_0": [
-                peer.declare_subscriber(e, zenoh.handlers.FifoChannel(1000))
-                for e in (*expressions, "**")
-            ]
-        }
-        publishers = [
-            hosted._zenoh.declare_publisher(e, allowed_destination=zenoh.Locality.REMOTE)
-            for e in expressions
-        ]
+        inboxes = {"uav_0": [hears(peer, expression) for expression in (*expressions, "**")]}
+        publishers = [speaks(hosted, expression) for expression in expressions]
 
         def say() -> None:
             for publisher in publishers:
@@ -340,23 +288,22 @@ def test_a_known_peer_with_gossip_gets_no_more_than_a_client(endpoint: str) -> N
 
 
 def test_a_refused_client_is_told_why(endpoint: str) -> None:
-    uav = GIVEN.of("uav_0")
-    wrong = Credential(name="uav_0", role=Role.UAV, password="x" * 32)
-    with router(endpoint):
-        for credential, told in (
-            (None, "without credentials"),
-            (wrong, "as uav_0: is the password the run's"),
-        ):
-            with (
-                pytest.raises(AccessDenied, match=told),
-                open_session(uav.party, RUN, connect=endpoint, credential=credential),
-            ):
-                pass
+    uav, ugv = GIVEN.of("uav_0"), GIVEN.of("ugv_0")
+    for party, credential, told in (
+        (uav.party, None, "without credentials"),
+        (uav.party, named("uav_0", Role.UAV), "as uav_0: is the password the run's"),
+        (ugv.party, uav, "cannot use the credentials of uav_0"),
+    ):
         with (
-            pytest.raises(AccessDenied, match="cannot use the credentials of uav_0"),
-            open_session(GIVEN.of("ugv_0").party, RUN, connect=endpoint, credential=uav),
+            router(endpoint),
+            pytest.raises(AccessDenied, match=told),
+            open_session(party, RUN, connect=endpoint, credential=credential),
         ):
             pass
+
+
+def includes(wide: str, expression: str) -> bool:
+    return bool(zenoh.KeyExpr(wide).includes(zenoh.KeyExpr(expression)))
 
 
 def test_the_grants_are_the_table_and_nothing_more() -> None:
@@ -368,20 +315,13 @@ def test_the_grants_are_the_table_and_nothing_more() -> None:
             if may(check_reads, key, party.name, vehicle):
                 own.add(("put", "egress", expression))
         given = [grant for grant in grants(party, RUN) if grant.message == "put"]
-        for message, flow, expression in own:
-            assert any(
-                (grant.message, grant.flow) == (message, flow)
-                and any(
-                    zenoh.KeyExpr(wide).includes(zenoh.KeyExpr(expression)) for wide in grant.keys
-                )
-                for grant in given
-            )
-        for grant in given:
-            for key, _, expression in concrete():
-                if any(
-                    zenoh.KeyExpr(wide).includes(zenoh.KeyExpr(expression)) for wide in grant.keys
-                ):
-                    assert (grant.message, grant.flow, expression) in own, (party, key)
+        allowed = {
+            ("put", grant.flow, expression)
+            for grant in given
+            for _, _, expression in concrete()
+            if any(includes(wide, expression) for wide in grant.keys)
+        }
+        assert allowed == own, party
 
 
 def test_nothing_is_allowed_by_default_and_no_grant_is_wider_than_its_run() -> None:
@@ -431,9 +371,7 @@ def test_a_password_is_never_shown() -> None:
     assert secret.password not in repr(GIVEN)
 
 
-def test_the_routers_list_of_passwords_is_gone_once_it_is_open(
-    endpoint: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_the_routers_list_of_passwords_is_gone_once_it_is_open(endpoint, monkeypatch, tmp_path):
     private = tmp_path / "private"
     private.mkdir()
     monkeypatch.setattr(access.tempfile, "tempdir", str(private))
@@ -448,7 +386,7 @@ def test_the_routers_list_of_passwords_is_gone_once_it_is_open(
     with router(endpoint):
         assert seen == [0o600]
         assert not list(private.iterdir())
-        with raw(endpoint, GIVEN.of("uav_0")):
+        with raw_session(endpoint, GIVEN.of("uav_0")):
             pass
 
 

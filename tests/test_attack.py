@@ -12,51 +12,33 @@ from flights import R_S, R_V
 from outrider.experiments.falsify import attack as a
 from sim.kernels.compile import FloatArray
 
+OUTWARD, SPHERE = a.INNERS.index("outward"), a.ERRORS.index("sphere")
+FLEES, STRAIGHT = a.UGVS.index("flees"), a.UGVS.index("straight")
+PERIODIC, WHEN_FAR, RANDOM = map(a.BLACKOUTS.index, ("periodic", "when_far", "random"))
+SMALL, CORNER = a.AREAS.index("small"), a.AREAS.index("corner")
 CONDITIONS = {
     "undegraded": (a.Conditions(), 0.3),
-    "turns on the spot": (
-        a.Conditions(inner=a.INNERS.index("outward"), ugv=a.UGVS.index("flees"), u_g=math.inf),
-        0.0,
-    ),
-    "errors of 1.5 m": (a.Conditions(error=a.ERRORS.index("sphere")), 1.5),
+    "turns on the spot": (a.Conditions(inner=OUTWARD, ugv=FLEES, u_g=math.inf), 0.0),
+    "errors of 1.5 m": (a.Conditions(error=SPHERE), 1.5),
     "alternating errors": (a.Conditions(error=a.ERRORS.index("alternating")), 0.9),
-    "blackouts of 15 s": (
-        a.Conditions(blackout=a.BLACKOUTS.index("periodic"), blackout_time=15.0),
-        0.3,
-    ),
-    "blackouts when it is far": (
-        a.Conditions(blackout=a.BLACKOUTS.index("when_far"), blackout_time=8.0),
-        0.9,
-    ),
+    "blackouts of 15 s": (a.Conditions(blackout=PERIODIC, blackout_time=15.0), 0.3),
+    "blackouts when it is far": (a.Conditions(blackout=WHEN_FAR, blackout_time=8.0), 0.9),
     "overtaking detections": (a.Conditions(latency=3.0, scattered=True), 0.3),
     "late commands": (a.Conditions(delay=1.0), 0.3),
     "all at once": (
-        a.Conditions(
-            blackout=a.BLACKOUTS.index("random"),
-            blackout_time=5.0,
-            latency=1.0,
-            scattered=True,
-            delay=0.5,
-        ),
+        a.Conditions(blackout=RANDOM, blackout_time=5.0, latency=1.0, scattered=True, delay=0.5),
         0.6,
     ),
+    "errors of norm eps, straight at v_g": (
+        a.Conditions(inner=0, ugv=STRAIGHT, error=SPHERE, u_g=math.inf),
+        0.3,
+    ),
+    "a corner": (a.Conditions(area=CORNER, blackout=3, blackout_time=5.0), 0.3),
+    "a small room": (a.Conditions(area=SMALL, delay=0.3), 0.3),
+    "commands that come twice": (a.Conditions(area=SMALL, delay=0.3, duplicates=0.5), 0.0),
 }
 """Within the assumptions: conditions, and eps [m]."""
 
-CONDITIONS |= {
-    "errors of norm eps, straight at v_g": (
-        a.Conditions(
-            inner=0, ugv=a.UGVS.index("straight"), error=a.ERRORS.index("sphere"), u_g=math.inf
-        ),
-        0.3,
-    ),
-    "a corner": (a.Conditions(area=a.AREAS.index("corner"), blackout=3, blackout_time=5.0), 0.3),
-    "a small room": (a.Conditions(area=a.AREAS.index("small"), delay=0.3), 0.3),
-    "commands that come twice": (
-        a.Conditions(area=a.AREAS.index("small"), delay=0.3, duplicates=0.5),
-        0.0,
-    ),
-}
 
 RUNS, DURATION = 60, 100.0
 
@@ -66,24 +48,17 @@ def flown(conditions: a.Conditions, eps: float, **numbers: float) -> FloatArray:
 
 
 @pytest.mark.parametrize("name", CONDITIONS)
-def test_where_the_assumptions_hold_nobody_is_lost(name: str) -> None:
+def test_where_the_assumptions_hold_nobody_is_lost_and_the_certificate_is_approached(name) -> None:
+    """One that nobody comes near would be worth little."""
     conditions, eps = CONDITIONS[name]
     promise = a.declared(conditions, eps)
     assert not math.isnan(promise.handover)
     rows = flown(conditions, eps)
-    assert rows[:, a.MAX_DISTANCE].max() < R_V
+    assert 0.98 * R_V < rows[:, a.MAX_DISTANCE].max() < R_V
     assert rows[:, a.MAX_CERTIFIED].max() < R_V  # between ticks too
     assert rows[:, a.MAX_EXCESS].max() <= 1e-9
     assert not rows[:, [a.UNCERTIFIED, a.CERTIFIED_LOST, a.BROKEN]].any()
     assert rows[:, a.MAX_AGE].max() <= promise.age + 1e-9
-
-
-@pytest.mark.parametrize("name", CONDITIONS)
-def test_the_certificate_is_approached(name: str) -> None:
-    """One that nobody comes near would be worth little."""
-    conditions, eps = CONDITIONS[name]
-    rows = flown(conditions, eps)
-    assert rows[:, a.MAX_DISTANCE].max() > 0.98 * R_V
     assert 0.0 < rows[:, a.INTERVENED].mean() < 0.6
 
 
@@ -117,15 +92,13 @@ def test_the_radius_needs_its_term_for_late_commands() -> None:
 def test_errors_larger_than_declared_break_the_bound_and_are_noticed() -> None:
     conditions = a.Conditions(error=a.ERRORS.index("hides"), error_share=2.0)
     assert flown(conditions, 0.3)[:, a.MAX_EXCESS].max() > 0.25
-    conditions = a.Conditions(error=a.ERRORS.index("sphere"), error_share=2.0)
+    conditions = a.Conditions(error=SPHERE, error_share=2.0)
     assert flown(conditions, 0.3)[:, a.UNCERTIFIED].min() > 0.9
 
 
 DISTURBED = {
     "jitter": a.Conditions(delay=0.5, jitter=True),
-    "jitter and duplicates": a.Conditions(
-        delay=0.3, jitter=True, duplicates=0.5, area=a.AREAS.index("small")
-    ),
+    "jitter and duplicates": a.Conditions(delay=0.3, jitter=True, duplicates=0.5, area=SMALL),
     **{
         f"{name}, {delay:g} s late": a.Conditions(
             disturbance=k, delay=delay, blackout=3, blackout_time=4.0
@@ -135,7 +108,7 @@ DISTURBED = {
         if k
     },
     "silences in a corner": a.Conditions(
-        disturbance=2, silence=2.0, hold=4.0, delay=0.3, area=a.AREAS.index("corner")
+        disturbance=2, silence=2.0, hold=4.0, delay=0.3, area=CORNER
     ),
 }
 """What breaks A5, and the rest within the assumptions."""

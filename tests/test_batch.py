@@ -1,7 +1,6 @@
 """Many worlds at once: world k is, bit for bit, the single world of its seed."""
 
 import threading
-from typing import Any
 
 import numpy as np
 import pytest
@@ -66,9 +65,7 @@ SCENARIOS: dict[str, Scenario] = {
 }
 
 
-def _fly_both(
-    scenario: Scenario, seeds: list[int], ticks: int, **settings: Any
-) -> tuple[Batch, list[World]]:
+def _fly_both(scenario, seeds, ticks, **settings):
     batch = Batch(scenario, len(seeds), gains=True, **settings)
     batch.begin(seeds)
     worlds = [World(scenario, seed, gains=True) for seed in seeds]

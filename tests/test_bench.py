@@ -41,9 +41,7 @@ def test_the_c_kernels_compute_what_ours_do(built: CKernels) -> None:
 
 
 @pytest.mark.parametrize("name", ["accumulate", "coverage_error", "coverage_gradient"])
-def test_c_kernels_that_compute_something_else_are_no_reference(
-    built: CKernels, name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_c_kernels_that_compute_something_else_are_no_reference(built, name, monkeypatch):
     from outrider.bench import c_kernels
 
     def wrong(coverage: np.ndarray, *place: Any) -> Any:
@@ -63,9 +61,7 @@ def test_c_kernels_that_compute_something_else_are_no_reference(
 
 
 @pytest.mark.parametrize("name", ["kernel_vs_c", "kernel_vs_c_lanes"])
-def test_without_a_compiler_the_row_still_comes(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_compiler_the_row_still_comes(name, tmp_path, monkeypatch):
     monkeypatch.setattr(kernels, "_PASSES", 10)
     monkeypatch.setenv("PATH", str(tmp_path))
     row = measure([name], 1)[0]
@@ -78,9 +74,7 @@ def test_without_a_compiler_the_row_still_comes(
     assert measure([name], 1)[0].reference_value is None
 
 
-def test_with_a_compiler_the_row_stands_beside_it(
-    built: CKernels, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_with_a_compiler_the_row_stands_beside_it(built, monkeypatch):
     monkeypatch.setattr(kernels, "_PASSES", 10)
     row = measure(["kernel_vs_c"], 2)[0]
     assert row.reference == ROWS["kernel_vs_c"].reference
@@ -110,9 +104,7 @@ def test_a_sweep_has_a_rate() -> None:
     assert limit is not None
 
 
-def test_a_row_whose_extra_is_missing_is_left_out_unless_it_is_asked_for(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_row_whose_extra_is_missing_is_left_out_unless_it_is_asked_for(monkeypatch):
     layer = rows.Layer(lambda: (2.0, 1.0), "1", "one")
     monkeypatch.setattr(
         rows, "ROWS", {"can": layer, "cannot": layer._replace(needs=("joblib", "no_such_package"))}

@@ -25,9 +25,7 @@ def test_the_safety_distance_is_the_papers_and_at_most_two_ticks_more() -> None:
     assert border_distance(V_A, math.inf, DT) <= 2.0 * V_A * DT
 
 
-def _kept(
-    u: tuple[float, float], p: tuple[float, float], v: tuple[float, float]
-) -> tuple[float, float]:
+def _kept(u, p, v):
     return keep_off_border(*u, Motion(*p, *v), 10.0, WIDTH, HEIGHT, MARGIN, DT)
 
 
@@ -39,17 +37,13 @@ def _kept(
     speeds,
 )
 @settings(PROPERTY)
-def test_away_from_the_border_the_law_is_left_alone(
-    x: float, y: float, u: float, v_x: float, v_y: float
-) -> None:
+def test_away_from_the_border_the_law_is_left_alone(x, y, u, v_x, v_y):
     assert _kept((u, -u), (x, y), (v_x, v_y)) == (u, -u)
 
 
 @given(st.floats(0.0, 1.0), st.floats(-9.0, 9.0), st.floats(-9.0, 9.0), speeds, speeds)
 @settings(PROPERTY, max_examples=300)
-def test_at_a_side_nothing_of_the_law_points_out(
-    depth: float, u_x: float, u_y: float, v_x: float, v_y: float
-) -> None:
+def test_at_a_side_nothing_of_the_law_points_out(depth, u_x, u_y, v_x, v_y):
     """At x near 0; the other sides are the same by reflection."""
     p = (0.999 * depth * MARGIN, 0.5 * HEIGHT)
     a_x, a_y = _kept((u_x, u_y), p, (v_x, v_y))
@@ -68,9 +62,7 @@ def test_at_a_side_nothing_of_the_law_points_out(
 
 @given(st.integers(0, 2**32), st.floats(0.0, math.tau), st.sampled_from((1.0, 10.0, 39.0)))
 @settings(PROPERTY, max_examples=150)
-def test_whatever_the_law_wants_it_never_crosses_the_border(
-    seed: int, course: float, k_v: float
-) -> None:
+def test_whatever_the_law_wants_it_never_crosses_the_border(seed, course, k_v):
     """At full speed from anywhere outside the margin, wanting another direction every few ticks, most of them outward."""
     rng = np.random.default_rng(seed)
     start = (rng.uniform(MARGIN, WIDTH - MARGIN), rng.uniform(MARGIN, HEIGHT - MARGIN))
@@ -138,14 +130,7 @@ def _between(share: float, center: float, way: float, size: float) -> float:
     st.lists(places, max_size=2),
 )
 @settings(PROPERTY, max_examples=40)
-def test_the_coverage_law_never_reaches_the_border(
-    ugv: tuple[float, float],
-    share: tuple[float, float],
-    speed: float,
-    course: float,
-    k_v: float,
-    goals: list[tuple[float, float]],
-) -> None:
+def test_the_coverage_law_never_reaches_the_border(ugv, share, speed, course, k_v, goals):
     velocity = (speed * math.cos(course), speed * math.sin(course))
     stop = speed / (2.0 * U_A) + 2.0 * DT  # a UAV that could not stop in time is not asked to
     start = tuple(

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from bus.access import read_credential
 from bus.errors import AccessDenied, ScenarioError
@@ -80,12 +81,9 @@ def bomb(folder: Path, name: str) -> Path:
 
 
 @pytest.mark.parametrize("name", BOMBS)
-def test_a_recording_that_unpacks_to_more_than_a_flight_is_one_line(
-    name: str, tmp_path: Path
-) -> None:
-    with pytest.raises(ScenarioError, match=BOMBS[name][1]) as caught:
+def test_a_recording_that_unpacks_to_more_than_a_flight_is_one_line(name, tmp_path):
+    with refused(ScenarioError, BOMBS[name][1]):
         load(bomb(tmp_path, name))
-    assert len(str(caught.value).splitlines()) == 1
 
 
 _PEAK = """
@@ -167,9 +165,7 @@ def test_other_files_are_bounded_too(tmp_path: Path) -> None:
         )
 
 
-def test_warnings_that_differ_in_numbers_alone_are_one_line(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_warnings_that_differ_in_numbers_alone_are_one_line(capsys):
     print_warnings(
         [*(f"ugv.{k}.goals = []: ugv_{k} will stand still" for k in range(1000)), "x [/y]"]
     )
@@ -220,9 +216,7 @@ def test_code_that_a_file_names_is_loaded_on_demand_alone(foreign: Path) -> None
 
 
 @pytest.mark.parametrize("command", ["run", "falsify"])
-def test_commands_ask_before_they_load_code_of_a_file(
-    command: str, foreign: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_commands_ask_before_they_load_code_of_a_file(command, foreign, monkeypatch, capsys):
     from outrider.cli.main import _run
 
     monkeypatch.setattr(sys, "argv", ["outrider", command, str(foreign)])

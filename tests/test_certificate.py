@@ -128,9 +128,7 @@ radii = st.floats(0.05, 4.0)
 
 @given(points, points, points, points, radii, radii, seeds)
 @settings(PROPERTY, max_examples=300)
-def test_the_farthest_point_of_a_lens_is_farthest_and_in_it(
-    p_x: float, p_y: float, b_x: float, b_y: float, r_a: float, r_b: float, seed: int
-) -> None:
+def test_the_farthest_point_of_a_lens_is_farthest_and_in_it(p_x, p_y, b_x, b_y, r_a, r_b, seed):
     rng = np.random.default_rng(seed)
     assume(norm(b_x, b_y) < r_a + r_b - 1e-3)
     found = discs.lens_distance(p_x, p_y, 0.0, 0.0, r_a, b_x, b_y, r_b)
@@ -190,9 +188,7 @@ def ways_down(**numbers: float) -> list[float]:
         ("margin", (0.0, 0.3, 1.0), -1),
     ],
 )
-def test_the_radii_move_with_each_number_in_one_direction(
-    name: str, values: tuple[float, ...], sign: int
-) -> None:
+def test_the_radii_move_with_each_number_in_one_direction(name, values, sign):
     rows = [ways_down(**{name: value}) for value in values]
     for less, more in itertools.pairwise(rows):
         assert all(sign * (b - a) >= -1e-9 for a, b in zip(less, more, strict=True))
@@ -227,9 +223,7 @@ def test_the_shipped_numbers() -> None:
 
 @given(points, points, shares, angles, points, points)
 @settings(PROPERTY, max_examples=300)
-def test_the_servo_keeps_the_bound_and_stops_at_its_point(
-    p_x: float, p_y: float, share: float, angle: float, z_x: float, z_y: float
-) -> None:
+def test_the_servo_keeps_the_bound_and_stops_at_its_point(p_x, p_y, share, angle, z_x, z_y):
     v_x, v_y = share * V_A * math.cos(angle), share * V_A * math.sin(angle)
     for _ in range(800):
         u_x, u_y = c.servo(p_x, p_y, v_x, v_y, z_x, z_y, V_A, U_A, DT)
@@ -381,9 +375,7 @@ def test_without_a_detection_the_uav_brakes() -> None:
         ({"eps": 4.0}, r"= 5 m .* for no A"),
     ],
 )
-def test_an_assumption_that_fails_names_itself_with_its_numbers(
-    numbers: dict[str, float], text: str
-) -> None:
+def test_an_assumption_that_fails_names_itself_with_its_numbers(numbers, text):
     (reason,) = handover.check_assumptions(promise(**numbers))
     assert re.search(text, reason), reason
     assert math.isnan(promise(**numbers).handover)
@@ -413,9 +405,7 @@ def test_a_vehicle_that_is_driven_into_a_wall_keeps_a_plan_there() -> None:
 
 @given(st.floats(-0.2, 10.2), st.floats(-0.2, 10.2), shares, angles, seeds)
 @settings(PROPERTY, max_examples=300)
-def test_a_plan_never_touches_a_wall_that_it_does_not_start_at(
-    x: float, y: float, share: float, angle: float, seed: int
-) -> None:
+def test_a_plan_never_touches_a_wall_that_it_does_not_start_at(x, y, share, angle, seed):
     """A wall would take the UAV off its plan; one that began 10 cm outside was accepted once."""
     rng = np.random.default_rng(seed)
     q = promise(**ROOM)
@@ -462,9 +452,7 @@ def test_discs_that_touch_but_for_rounding_give_the_point_where_they_do(steps: i
 
 @given(points, points, angles, shares, angles, shares)
 @settings(PROPERTY, max_examples=200)
-def test_between_ticks_the_vehicle_is_near_the_chord_of_its_way(
-    x: float, y: float, angle: float, share: float, wanted: float, s: float
-) -> None:
+def test_between_ticks_the_vehicle_is_near_the_chord_of_its_way(x, y, angle, share, wanted, s):
     v_x, v_y = share * V_A * math.cos(angle), share * V_A * math.sin(angle)
     for dt in (0.05, 0.2, 3.0):
         p_x, p_y, w_x, w_y, _, _ = step_vehicle(

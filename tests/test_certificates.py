@@ -4,7 +4,6 @@ import json
 import stat
 import threading
 import time
-from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -12,12 +11,12 @@ from typing import Any
 import msgspec
 import pytest
 import zenoh
+from staging import raw_session
 
 from bus import session
 from bus.access import (
     Credential,
     CredentialSet,
-    client_settings,
     new_certificates,
     new_credentials,
     read_credential,
@@ -47,10 +46,7 @@ SIMULATOR = GIVEN.of("simulator").party
 UAV = GIVEN.of("uav_0")
 
 
-@pytest.fixture(autouse=True)
-def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A refused client shows it by trying in vain; here not for long."""
-    monkeypatch.setitem(session._CLIENT, "connect/timeout_ms", 500)
+pytestmark = pytest.mark.usefixtures("impatient")
 
 
 @pytest.fixture
@@ -58,9 +54,7 @@ def endpoint() -> str:
     return f"tls/127.0.0.1:{free_port()}"
 
 
-def identity(
-    name: str = "uav_0", *, days: float = 365.0, authority=AUTHORITY, hosts=()
-) -> Identity:
+def identity(name="uav_0", *, days=365.0, authority=AUTHORITY, hosts=()):
     return issue(authority, name, days=days, hosts=hosts)
 
 
@@ -79,17 +73,6 @@ def refusal(endpoint: str, credential: Credential | None) -> str:
     return str(caught.value)
 
 
-def raw(endpoint: str, credential: Credential | None) -> zenoh.Session:
-    """A session that asks nobody's leave."""
-    wanted = (
-        session._COMMON
-        | session._CLIENT
-        | client_settings(credential)
-        | {"connect/endpoints": [endpoint]}
-    )
-    return zenoh.open(session._config(wanted))
-
-
 def test_each_party_has_a_name_of_its_own_and_no_file_has_anothers_key(tmp_path: Path) -> None:
     files = write_credentials(GIVEN, tmp_path / "made", AUTHORITY)
     assert {stat.S_IMODE(path.stat().st_mode) for path in files.values()} == {0o600}
@@ -102,14 +85,8 @@ def test_each_party_has_a_name_of_its_own_and_no_file_has_anothers_key(tmp_path:
         ] == [credential.name]
         assert "PRIVATE" not in repr(credential) + repr(credential.tls)
     assert "PRIVATE" not in repr(GIVEN) + repr(AUTHORITY)
-    assert hosts_of(GIVEN.tls) == (
-        "localhost",
-        "127.0.0.1",
-        "::1",
-        "router",
-        "10.0.0.7",
-        "base.example",
-    )  # type: ignore[arg-type]
+    hosts = ("localhost", "127.0.0.1", "::1", "router", "10.0.0.7", "base.example")
+    assert hosts_of(GIVEN.tls) == hosts  # type: ignore[arg-type]
     assert hosts_of(UAV.tls) == ()  # type: ignore[arg-type]
 
 
@@ -123,25 +100,13 @@ def mixed(**parts: str) -> Identity:
         (lambda: identity("ugv_0"), "the certificate of uav_0 is for ugv_0"),
         (lambda: identity(days=-0.5), "the certificate of uav_0 has expired on"),
         (lambda: mixed(key=identity().key), "and its key do not belong together"),
-        (
-            lambda: mixed(authority=FOREIGN.certificate),
-            "of another authority than the one beside it",
-        ),
+        (lambda: mixed(authority=FOREIGN.certificate), "of another authority than the one"),
         (lambda: mixed(certificate="garbage"), "not a certificate in PEM"),
         (lambda: mixed(key="garbage"), "not a private key in PEM"),
     ],
-    ids=[
-        "another's",
-        "expired",
-        "another key",
-        "another authority",
-        "garbage",
-        "garbage for a key",
-    ],
+    ids=["another's", "expired", "another key", "another authority", "garbage", "garbage key"],
 )
-def test_a_certificate_that_would_be_refused_is_named_before_anything_is_sent(
-    made: Callable[[], Identity], told: str
-) -> None:
+def test_a_certificate_that_would_be_refused_is_named_before_anything_is_sent(made, told):
     with pytest.raises(AccessDenied, match=told):
         check_identity(made(), "uav_0")
     assert told in refusal("tls/127.0.0.1:1", known_as(made()))
@@ -181,13 +146,11 @@ def test_who_is_not_of_the_run_is_refused_by_the_router_and_told_why(
     monkeypatch.setattr(session, "_check_certificate", lambda *_: None)  # here the router is asked
     with open_session(SIMULATOR, RUN, listen=(endpoint,), given=GIVEN):
         with pytest.raises(zenoh.ZError):
-            raw(endpoint, credential)
+            raw_session(endpoint, credential)
         assert told in refusal(endpoint, credential)
 
 
-def test_a_client_trusts_nobody_but_its_router(
-    endpoint: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_client_trusts_nobody_but_its_router(endpoint, monkeypatch):
     """Neither a router under a name that its certificate has not, nor another party that listens."""
     elsewhere = endpoint.replace("127.0.0.1", "127.0.0.2")
     with open_session(SIMULATOR, RUN, listen=(elsewhere,), given=GIVEN):
@@ -223,36 +186,27 @@ def passes(router: session.Session, client: session.Session) -> bool:
     return False
 
 
-def test_a_name_that_the_router_does_not_know_gets_nothing_and_is_named(
-    endpoint: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_name_that_the_router_does_not_know_gets_nothing_and_is_named(endpoint, caplog):
     stranger = known_as(identity("nobody"))
     with open_session(SIMULATOR, RUN, listen=(endpoint,), given=GIVEN) as router:
         hears = router._zenoh.declare_subscriber("**", zenoh.handlers.RingChannel(10))
-        with raw(endpoint, stranger) as opened:
+        with raw_session(endpoint, stranger) as opened:
             heard = opened.declare_subscriber("outrider/**", zenoh.handlers.RingChannel(10))
-            told, there = (
-                threading.Event(),
-                zenoh.Locality.REMOTE,
-            )  # its own subscriber hears nothing of what it puts
+            # its own subscriber hears nothing of what it puts
+            told, there = threading.Event(), {"allowed_destination": zenoh.Locality.REMOTE}
             for k in range(250):
-                opened.put(f"outrider/{RUN}/uav_0/command", b"{}", allowed_destination=there)
-                router._zenoh.put(
-                    f"outrider/{RUN}/uav_0/observation", b"{}", allowed_destination=there
-                )
+                opened.put(f"outrider/{RUN}/uav_0/command", b"{}", **there)
+                router._zenoh.put(f"outrider/{RUN}/uav_0/observation", b"{}", **there)
                 if k >= 20 and caplog.records:
                     break
                 told.wait(0.02)
             assert hears.try_recv() is None
             assert heard.try_recv() is None
-    assert (
-        "'nobody' has a certificate of this run's authority, but is no party of it" in caplog.text
-    )
+    told = "'nobody' has a certificate of this run's authority, but is no party of it"
+    assert told in caplog.text
 
 
-def test_certificates_are_renewed_while_the_router_goes_on(
-    endpoint: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_certificates_are_renewed_while_the_router_goes_on(endpoint, monkeypatch):
     """Whoever is there stays also where its certificate ends meanwhile.
 
     The old one is refused then, a new one is let in.
@@ -269,9 +223,8 @@ def test_certificates_are_renewed_while_the_router_goes_on(
         while time.monotonic() < ends + 1.5:  # X.509 counts whole seconds
             time.sleep(0.1)
         assert "has expired" in refusal(endpoint, old)
-        with open_session(
-            UAV.party, RUN, connect=endpoint, credential=known_as(identity())
-        ) as late:
+        new = known_as(identity())
+        with open_session(UAV.party, RUN, connect=endpoint, credential=new) as late:
             assert passes(router, late)
         assert passes(router, early)
 
@@ -280,9 +233,8 @@ def test_an_end_is_told_a_month_ahead(endpoint: str, caplog: pytest.LogCaptureFi
     now = datetime.now(UTC)
     assert expiry_warning("uav_0", now + timedelta(days=30, hours=1)) == ""
     assert "uav_0 ends in 30 days" in expiry_warning("uav_0", now + timedelta(days=29, hours=23))
-    ending = msgspec.structs.replace(
-        GIVEN, tls=issue(AUTHORITY, "router", days=20, hosts=("127.0.0.1",))
-    )
+    theirs = issue(AUTHORITY, "router", days=20, hosts=("127.0.0.1",))
+    ending = msgspec.structs.replace(GIVEN, tls=theirs)
     with (
         open_session(SIMULATOR, RUN, listen=(endpoint,), given=ending),
         open_session(UAV.party, RUN, connect=endpoint, credential=known_as(identity(days=10))),
@@ -302,9 +254,7 @@ def test_renewed_credentials_stay_private(tmp_path: Path) -> None:
     assert not [left for left in path.parent.iterdir() if left.name.startswith(".")]
 
 
-def test_the_command_makes_checks_and_renews(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_makes_checks_and_renews(tmp_path, capsys):
     folder = str(tmp_path / "made")
 
     def command(*arguments: str) -> tuple[int, Any]:
@@ -327,8 +277,7 @@ def test_the_command_makes_checks_and_renews(
     (tmp_path / "made" / "ugv_0.json").write_bytes((tmp_path / "made" / "uav_0.json").read_bytes())
     code, told = command("--check")
     assert code == 1
-    assert [row["note"] for row in told["credentials"] if not row["good"]] == [
-        "the certificate of ugv_0 is for uav_0"
-    ]
+    bad = [row["note"] for row in told["credentials"] if not row["good"]]
+    assert bad == ["the certificate of ugv_0 is for uav_0"]
     with pytest.raises(AccessDenied, match="no party of the run"):
         command("--renew", "--party", "uav_7")

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from properties import PROPERTY
 
 from bus.errors import ScenarioError
-from bus.messages import LinkSettings
+from bus.messages import MOST_CARRIED, LinkSettings
 from sim.channel.chances import (
     chance_of_age,
     chance_of_error,
@@ -72,7 +72,7 @@ def is_interrupted(
     got: tuple[bool, ...], flies: int, delay: int, repeats: int, outage: int
 ) -> bool:
     """True if some motion is followed too late, by the protocol as a pilot and a receiver play it."""
-    chain, flown, begun = 0, -1, 0
+    chain, flown, begun = 0, -1, delay - 1
     packets: list[dict[int, int]] = []  # motion: its parent
     parents: dict[int, int] = {}
     for tick in range(len(got)):
@@ -286,23 +286,26 @@ def scenario(*overrides: str, **certificate: Any) -> Scenario:
 
 
 def test_a_risk_gives_the_bounds_that_are_not_given() -> None:
-    one = scenario(risk=1e-3)
+    one = scenario("links.commands.profile=wifi-poor", "hold=2.0", risk=1e-3)
     looks = {"dt": one.dt, "period_ticks": 1, "dropout": 0.1, "ticks": one.ticks}
-    link = one.links.detections
-    assert declared(one, "uav_0").age == smallest_age(link, **looks, risk=1e-3).value
+    packets = {"dt": one.dt, "delay_ticks": 12, "repeats": MOST_CARRIED, "ticks": one.ticks}
+    seen, commands = one.links.detections, one.links.commands
+    both = declared(one, "uav_0")
+    assert both.age == smallest_age(seen, **looks, risk=5e-4).value
+    assert both.outage == smallest_outage(commands, **packets, risk=5e-4).value
     assert declared(scenario(risk=1e-3, age=2.0), "uav_0").age == 2.0
-    assert declared(scenario(), "uav_0").age == 1.0
-    uncut = scenario("detections.cut=0", risk=1e-3)
-    both = declared(uncut, "uav_0")
-    assert both.age == smallest_age(link, **looks, risk=5e-4).value
-    assert both.error == largest_error(0.1, math.inf, one.ticks, 5e-4)
+    assert declared(scenario(risk=1e-3, outage=2.0), "uav_0").outage == 2.0
+    assert (declared(scenario(), "uav_0").age, declared(scenario(), "uav_0").outage) == (1.0, None)
+    uncut = declared(scenario("detections.cut=0", risk=1e-3, outage=2.0), "uav_0")
+    assert uncut.age == both.age
+    assert uncut.error == largest_error(0.1, math.inf, one.ticks, 5e-4)
     assert declared(scenario("detections.cut=0"), "uav_0").error is None
 
 
 def test_a_risk_with_an_age_beside_it_is_told_to_do_nothing() -> None:
-    given = ["certificate.risk=1e-3", "certificate.age=2.0"]
+    given = ["certificate.risk=1e-3", "certificate.age=2.0", "certificate.outage=1.0"]
     (line,) = scenario_warnings(load_scenario("escort", overrides=given))
-    assert line == "certificate.risk = 0.001: nothing follows from it, as certificate.age is given"
+    assert line == "certificate.risk = 0.001: nothing follows from it, as age and outage are given"
     assert scenario_warnings(load_scenario("escort", overrides=given[:1])) == ()
     assert scenario_warnings(load_scenario("escort", overrides=[*given, "detections.cut=0"])) == ()
     slow = msgspec.structs.replace(scenario(risk=1e-3), links=LinkTable(detections=SLOW))

@@ -36,7 +36,6 @@ from sim.channel.link import (
     DARK,
     LOST,
     SHAPES,
-    LinkNumbers,
     LinkParameters,
     LinkState,
     advance,
@@ -49,7 +48,6 @@ from sim.channel.link import (
     send,
 )
 from sim.kernels.compile import compiled
-from sim.models.randomness import Key
 
 MILLION = 1_000_000
 DT = 0.05
@@ -58,17 +56,7 @@ KS = 1.95
 
 
 @compiled
-def _drive(
-    t: LinkNumbers,
-    s: LinkState,
-    key: Key,
-    first: int,
-    ticks: int,
-    each: int,
-    out: Any,
-    log: Any,
-    dark: Any,
-) -> int:
+def _drive(t, s, key, first, ticks, each, out, log, dark):
     """Send `each` messages in every tick; a row (arrival tick, sent tick, number) in `log` for each that arrives."""
     payload = np.zeros(2)
     n = 0
@@ -87,16 +75,7 @@ def _drive(
 class Flown:
     """A link over which something was sent in every tick."""
 
-    def __init__(
-        self,
-        wanted: LinkSettings,
-        ticks: int,
-        *,
-        dt: float = DT,
-        each: int = 1,
-        seed: int = 1,
-        link: int = 2,
-    ) -> None:
+    def __init__(self, wanted, ticks, *, dt=DT, each=1, seed=1, link=2):
         self.parameters = link_parameters(check_link(wanted, "test"), dt, per_tick=each)
         self.state = link_state(self.parameters, 2)
         self.key, self.each, self.tick = a_key(seed, link), each, 0
@@ -107,17 +86,8 @@ class Flown:
         rows = 2 * self.each * ticks + len(self.state.slots)
         log, self.dark = np.zeros((rows, 3), dtype=np.int64), np.zeros(ticks, dtype=np.int64)
         out = np.zeros_like(self.state.payload)
-        n = _drive(
-            link_table([self.parameters]),
-            self.state,
-            self.key,
-            self.tick,
-            ticks,
-            self.each,
-            out,
-            log,
-            self.dark,
-        )
+        numbers = link_table([self.parameters])
+        n = _drive(numbers, self.state, self.key, self.tick, ticks, self.each, out, log, self.dark)
         self.tick += ticks
         self.arrived = np.concatenate([self.arrived, log[:n]])
 
@@ -179,20 +149,12 @@ def test_a_perfect_link_is_the_identity_and_draws_nothing() -> None:
 @pytest.mark.parametrize(
     ("delay", "dt", "ticks"),
     [
-        *(
-            (0.5, 0.05, 10),
-            (0.35, 0.05, 7),
-            (0.7, 0.1, 7),
-            (1.1, 0.1, 11),
-            (30.0, 0.01, 3000),
-            (0.0, 0.05, 0),
-        ),
-        *((0.001, 0.05, 1), (0.05, 0.05, 1), (0.0501, 0.05, 2), (0.28, 0.05, 6), (0.07, 0.01, 7)),
+        *((0.5, 0.05, 10), (0.35, 0.05, 7), (0.0, 0.05, 0), (0.001, 0.05, 1), (0.05, 0.05, 1)),
+        *((0.0501, 0.05, 2), (0.28, 0.05, 6), (0.7, 0.1, 7), (1.1, 0.1, 11), (0.07, 0.01, 7)),
+        (30.0, 0.01, 3000),
     ],
 )
-def test_a_message_arrives_at_the_first_tick_that_is_not_before_its_delay(
-    delay: float, dt: float, ticks: int
-) -> None:
+def test_a_message_arrives_at_the_first_tick_that_is_not_before_its_delay(delay, dt, ticks):
     flown = Flown(LinkSettings(delay=delay), 4000, dt=dt)
     assert set(flown.delays.tolist()) == {ticks}
     assert len(flown.arrived) == 4000 - ticks
@@ -230,25 +192,20 @@ def _runs(flags: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(("length", "interval"), [(0.5, 2.0), (0.02, 0.03), (2.0, 1.0)])
 def test_bursts_are_a_gilbert_elliott_chain_sampled_exactly(length: float, interval: float) -> None:
     flown = Flown(LinkSettings(burst_length=length, burst_interval=interval), MILLION)
-    bad, share, decay = (
-        flown.missing,
-        length / (length + interval),
-        math.exp(-DT * (1.0 / length + 1.0 / interval)),
-    )
+    bad, share = flown.missing, length / (length + interval)
+    decay = math.exp(-DT * (1.0 / length + 1.0 / interval))
     effective = MILLION * (1.0 - decay) / (1.0 + decay)
     assert bad.mean() == pytest.approx(share, abs=_spread(share, effective))
     assert flown.status.lost["burst"] == bad.sum()
     assert _only(flown.status, "burst")
     leave = (1.0 - share) * (1.0 - decay)
     runs = _runs(bad)
-    assert runs.mean() == pytest.approx(
-        1.0 / leave, abs=4.0 * math.sqrt((1.0 - leave) / leave**2 / len(runs))
-    )
+    error = math.sqrt((1.0 - leave) / leave**2 / len(runs))
+    assert runs.mean() == pytest.approx(1.0 / leave, abs=4.0 * error)
     top = max(2, int(math.log(100.0 / len(runs)) / math.log(1.0 - leave)))
     found = np.bincount(np.minimum(runs, top), minlength=top + 1)[1:]
-    wanted = len(runs) * np.array(
-        [*(leave * (1.0 - leave) ** np.arange(top - 1)), (1.0 - leave) ** (top - 1)]
-    )
+    shares = [*(leave * (1.0 - leave) ** np.arange(top - 1)), (1.0 - leave) ** (top - 1)]
+    wanted = len(runs) * np.array(shares)
     assert stats.chisquare(found, wanted).pvalue > 1e-3
 
 
@@ -270,17 +227,11 @@ def test_a_burst_takes_its_own_share_beside_the_independent_losses() -> None:
     )
 
 
-def test_the_channel_starts_in_its_stationary_state() -> None:
-    bad = [
-        Flown(LinkSettings(burst_length=0.9, burst_interval=2.1), 1, seed=seed).status.lost["burst"]
-        for seed in range(2000)
-    ]
-    dark = [
-        Flown(LinkSettings(blackout_length=0.9, blackout_interval=2.1), 1, seed=seed).dark[0]
-        for seed in range(2000)
-    ]
-    assert np.mean(bad) == pytest.approx(0.3, abs=_spread(0.3, 2000))
-    assert np.mean(dark) == pytest.approx(0.3, abs=_spread(0.3, 2000))
+@pytest.mark.parametrize("kind", ["burst", "blackout"])
+def test_the_channel_starts_in_its_stationary_state(kind: str) -> None:
+    settings = LinkSettings(**{f"{kind}_length": 0.9, f"{kind}_interval": 2.1})
+    gone = [Flown(settings, 1, seed=seed).status.lost[kind] for seed in range(2000)]
+    assert np.mean(gone) == pytest.approx(0.3, abs=_spread(0.3, 2000))
 
 
 # --- blackouts
@@ -370,9 +321,7 @@ def test_delays_follow_the_cut_distribution_in_ticks(shape: str, delay: float, c
     assert flown.status.lost == dict.fromkeys(CAUSES, 0)
 
 
-def test_one_message_arrives_after_another_that_was_sent_later_only_if_its_delay_is_longer() -> (
-    None
-):
+def test_one_message_arrives_after_another_that_was_sent_later_only_if_its_delay_is_longer():
     flown = Flown(LinkSettings(delay=0.2, jitter=0.2), 20_000, each=2)
     order = np.lexsort((flown.arrived[:, 2], flown.arrived[:, 1], flown.arrived[:, 0]))
     assert order.tolist() == list(range(len(order)))
@@ -410,9 +359,7 @@ def test_a_copy_has_a_delay_of_its_own() -> None:
 
 @pytest.mark.parametrize("bandwidth", [0.37, 2.0, 7.0, 19.999, 20.0, 33.3, 50.0])
 @pytest.mark.parametrize("keep", KEEPS)
-def test_a_link_carries_the_smaller_of_its_bandwidth_and_what_is_offered(
-    bandwidth: float, keep: str
-) -> None:
+def test_a_link_carries_the_smaller_of_its_bandwidth_and_what_is_offered(bandwidth, keep):
     ticks = 40_000
     for each in (1, 3):
         flown = Flown(LinkSettings(bandwidth=bandwidth, queue=4, keep=keep), ticks, each=each)
@@ -483,9 +430,7 @@ def links(draw: st.DrawFn) -> LinkSettings:
 
 @given(links(), links(), st.integers(1, 3), st.integers(0, 2**53 - 1))
 @settings(PROPERTY)
-def test_no_message_appears_or_vanishes_and_none_lacks_room(
-    first: LinkSettings, then: LinkSettings, each: int, seed: int
-) -> None:
+def test_no_message_appears_or_vanishes_and_none_lacks_room(first, then, each, seed):
     flown = Flown(first, 200, each=each, seed=seed)
     for wanted in (then, first, LinkSettings()):
         assert _conserved(flown.status)
@@ -514,10 +459,9 @@ def test_the_same_settings_on_the_way_change_nothing(wanted: LinkSettings, seed:
 def test_more_messages_than_the_room_holds_are_counted_and_break_nothing() -> None:
     parameters = link_parameters(LinkSettings(delay=0.2), DT)
     state, out = link_state(parameters, 2), np.zeros((parameters.room, 2))
+    numbers, key = link_table([parameters]), a_key(1, 1)
     for tick in range(100):
-        exchange(
-            link_table([parameters]), state, a_key(1, 1), tick, np.full((5, 2), float(tick)), out
-        )
+        exchange(numbers, state, key, tick, np.full((5, 2), float(tick)), out)
     status = link_status(parameters, state)
     assert status.lost["full"] == status.sent - status.delivered - status.flying == 400
     assert _conserved(status)
@@ -525,15 +469,9 @@ def test_more_messages_than_the_room_holds_are_counted_and_break_nothing() -> No
 
 def test_too_few_rows_for_what_arrives_is_an_error() -> None:
     parameters = link_parameters(LinkSettings(), DT, per_tick=2)
+    numbers, state, two = link_table([parameters]), link_state(parameters, 2), np.zeros((2, 2))
     with pytest.raises(ValueError, match="fewer rows"):
-        exchange(
-            link_table([parameters]),
-            link_state(parameters, 2),
-            a_key(1, 1),
-            0,
-            np.zeros((2, 2)),
-            np.zeros((1, 2)),
-        )
+        exchange(numbers, state, a_key(1, 1), 0, two, np.zeros((1, 2)))
 
 
 # --- the same bits
@@ -544,15 +482,15 @@ BUSY = LinkSettings(
     jitter=0.1,
     jitter_shape="pareto",
     loss=0.1,
+    bandwidth=15.0,
     burst_length=0.3,
     burst_interval=1.0,
     burst_loss=0.8,
+    duplicates=0.1,
     blackout_interval=5.0,
     blackout_length=0.5,
-    duplicates=0.1,
     reorder=0.1,
     reorder_delay=0.1,
-    bandwidth=15.0,
 )
 
 
@@ -572,60 +510,32 @@ def test_a_link_does_the_same_twice_and_whatever_other_links_do() -> None:
     assert Flown(BUSY, 2000, seed=5, link=3).bits == alone
     parameters = link_parameters(BUSY, DT)
     worlds, others = _many(parameters, 3), _many(parameters, 4)
-    out, log, rows = (
-        np.zeros((parameters.room, 2)),
-        np.zeros((9000, 3), dtype=np.int64),
-        np.zeros(1, dtype=np.int64),
-    )
-    arrived = []
+    out, log = np.zeros((parameters.room, 2)), np.zeros((9000, 3), dtype=np.int64)
+    numbers, dark, arrived = link_table([parameters]), np.zeros(1, dtype=np.int64), []
+
+    def drive(state: LinkState, key: Any, tick: int) -> list[list[int]]:
+        return log[: _drive(numbers, state, key, tick, 1, 1, out, log, dark)].tolist()
+
     for tick in range(2000):
         for k in range(4):
-            _drive(
-                link_table([parameters]),
-                _of_world(others, k),
-                a_key(5, 10 + k),
-                tick,
-                1,
-                1,
-                out,
-                log,
-                rows,
-            )
+            drive(_of_world(others, k), a_key(5, 10 + k), tick)
         for world in (2, 0, 1):
-            n = _drive(
-                link_table([parameters]),
-                _of_world(worlds, world),
-                a_key(5 + world, 3),
-                tick,
-                1,
-                1,
-                out,
-                log,
-                rows,
-            )
-            arrived += log[:n].tolist() if world == 0 else []
+            found = drive(_of_world(worlds, world), a_key(5 + world, 3), tick)
+            arrived += found if world == 0 else []
     state = b"".join(array[0].tobytes() for array in worlds)
     assert state + np.array(arrived, dtype=np.int64).tobytes() == alone
 
 
 def test_each_link_and_each_seed_has_a_fate_of_its_own() -> None:
-    assert (
-        len({Flown(BUSY, 300, seed=seed, link=link).bits for seed in range(4) for link in range(4)})
-        == 16
-    )
+    fates = [Flown(BUSY, 300, seed=seed, link=link) for seed in range(4) for link in range(4)]
+    assert len({flown.bits for flown in fates}) == 16
 
 
 def test_neighbours_in_number_link_and_seed_share_no_luck() -> None:
     def table(number: int, seed: int, link: int) -> np.ndarray:
         """The delay of each message of this number within its tick; -1: lost."""
-        flown = Flown(
-            LinkSettings(delay=0.5, jitter=0.5, loss=0.3),
-            20_000,
-            dt=0.01,
-            each=2,
-            seed=seed,
-            link=link,
-        )
+        settings = LinkSettings(delay=0.5, jitter=0.5, loss=0.3)
+        flown = Flown(settings, 20_000, dt=0.01, each=2, seed=seed, link=link)
         delays, chosen = np.full(20_000, -1), flown.arrived[:, 2] == number
         delays[flown.arrived[chosen, 1]] = flown.delays[chosen]
         return delays[:-200]
@@ -648,16 +558,11 @@ def test_a_greater_share_takes_the_same_messages_and_more(field: str) -> None:
         for share in (0.1, 0.4)
     )
     seen = [{(int(sent), int(tick - sent)) for tick, sent, _ in rows} for rows in (less, more)]
-    if field in {"loss", "burst_loss"}:
-        assert seen[1] < seen[0]
-    elif field == "reorder":
-        late = [{sent for sent, delay in each if delay > 2} for each in seen]
-        assert late[0] < late[1]
-    else:
-        doubled = [
-            {int(k) for k in np.flatnonzero(np.bincount(rows[:, 1]) == 2)} for rows in (less, more)
-        ]
-        assert doubled[0] < doubled[1]
+    if field == "reorder":
+        seen = [{sent for sent, delay in each if delay > 2} for each in seen][::-1]
+    elif field == "duplicates":
+        seen = [set(np.flatnonzero(np.bincount(rows[:, 1]) == 2)) for rows in (more, less)]
+    assert seen[1] < seen[0]
 
 
 # --- going on under other settings
@@ -695,17 +600,11 @@ def test_a_shorter_queue_drops_what_it_would_not_keep(keep: str) -> None:
 
 
 def test_a_burst_and_a_blackout_go_on_under_other_settings() -> None:
-    for before, after in (
-        (
-            LinkSettings(burst_length=1e5, burst_interval=1.0),
-            LinkSettings(burst_length=2e5, burst_interval=1.0, delay=0.1),
-        ),
-        (
-            LinkSettings(blackout_length=1e5, blackout_interval=1.0),
-            LinkSettings(blackout_length=0.1, blackout_interval=1.0),
-        ),
+    for kind, after in (
+        ("burst", LinkSettings(burst_length=2e5, burst_interval=1.0, delay=0.1)),
+        ("blackout", LinkSettings(blackout_length=0.1, blackout_interval=1.0)),
     ):
-        flown = Flown(before, 50)
+        flown = Flown(LinkSettings(**{f"{kind}_length": 1e5, f"{kind}_interval": 1.0}), 50)
         flown.change(after)
         flown.go_on(50)
         assert len(flown.arrived) == 0
@@ -775,14 +674,8 @@ def test_a_perfect_link_counts_what_the_compiled_path_counts(every: int) -> None
         for stamp in stamps:
             link.send(tick, stamp, stamp)
         assert link.arrivals(tick) == stamps
-        exchange(
-            link_table([parameters]),
-            state,
-            a_key(1, 1),
-            tick,
-            np.array([[stamp, 0.0] for stamp in stamps]).reshape(-1, 2),
-            out,
-        )
+        rows = np.array([[stamp, 0.0] for stamp in stamps]).reshape(-1, 2)
+        exchange(link_table([parameters]), state, a_key(1, 1), tick, rows, out)
         if tick % 13 == 0:
             assert link.counters() == link_status(parameters, state, LinkSettings())
     assert link.counters() == link_status(parameters, state, LinkSettings())
@@ -812,13 +705,8 @@ def test_ticks_come_once_and_in_order() -> None:
 
 WRONG: dict[str, dict[str, Any]] = {
     "delay": {"delay": -0.1},
-    "delay = 30.0": {
-        "delay": 30.0,
-        "jitter": 5.0,
-        "jitter_shape": "normal",
-        "reorder": 0.1,
-        "reorder_delay": 6.0,
-    },
+    "delay = 30.0": {"delay": 30.0, "jitter": 5.0, "jitter_shape": "normal"}
+    | {"reorder": 0.1, "reorder_delay": 6.0},
     "jitter_cut = -1.0": {"jitter_cut": -1.0},
     "jitter = nan": {"jitter": math.nan},
     "jitter_shape": {"jitter_shape": "gaussian"},
@@ -841,9 +729,8 @@ def test_an_impossible_link_is_refused_in_one_line(field: str) -> None:
     with pytest.raises(ScenarioError) as caught:
         check_link(LinkSettings(**WRONG[field]), "escort.toml: link.radio")
     line = str(caught.value)
-    assert re.fullmatch(
-        rf"escort\.toml: link\.radio: {re.escape(field)}\b.*: .+; allowed: .+", line
-    ), line
+    wanted = rf"escort\.toml: link\.radio: {re.escape(field)}\b.*: .+; allowed: .+"
+    assert re.fullmatch(wanted, line), line
     with pytest.raises(ScenarioError):
         Link(LinkSettings(**WRONG[field]), dt=DT, key=a_key(1, 1))
 
@@ -851,9 +738,8 @@ def test_an_impossible_link_is_refused_in_one_line(field: str) -> None:
 def test_checked_settings_are_equal_and_have_their_types() -> None:
     checked = check_link(LinkSettings(delay=1, loss=np.float64(0.5), blackouts=((1, 2),)), "test")
     assert checked == LinkSettings(delay=1.0, loss=0.5, blackouts=((1.0, 2.0),))
-    assert [type(value) for value in (checked.delay, checked.loss, checked.blackouts[0][0])] == [
-        float
-    ] * 3
+    values = (checked.delay, checked.loss, checked.blackouts[0][0])
+    assert {type(value) for value in values} == {float}
 
 
 @pytest.mark.parametrize("name", PROFILES)
@@ -865,13 +751,8 @@ def test_each_profile_is_a_link_that_does_what_it_says(name: str) -> None:
     assert status.lost["full"] == 0
     assert (status.delivery_ratio == 1.0) == (name == "perfect")
     assert extra_delays(profile)[1] + profile.delay < 1.0
-    ranges = {
-        "wifi": (0.98, 0.999),
-        "wifi-poor": (0.8, 0.95),
-        "lte": (0.99, 0.999),
-        "satellite": (0.98, 0.999),
-    }
-    low, high = ranges.get(name, (0.05, 1.0))
+    ranges = {"wifi": (0.98, 0.999), "wifi-poor": (0.8, 0.95), "lte": (0.99, 0.999)}
+    low, high = (ranges | {"satellite": (0.98, 0.999)}).get(name, (0.05, 1.0))
     assert low <= (status.delivery_ratio or 0.0) <= high
     assert status.lost["queue"] == 0 or name == "narrowband"
 

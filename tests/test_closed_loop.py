@@ -203,9 +203,7 @@ def test_pilots_are_chosen_by_name() -> None:
         ({"pilots": {"uav_0": "nonsense"}}, ScenarioError, "unknown; allowed"),
     ],
 )
-def test_who_cannot_fly_in_here_is_refused(
-    settings: dict[str, Any], error: type[Exception], message: str
-) -> None:
+def test_who_cannot_fly_in_here_is_refused(settings, error, message):
     with pytest.raises(error, match=message):
         ClosedLoop(small("tracking"), 1, **settings)
 

@@ -31,9 +31,7 @@ UNBOUNDED = {"max_speed": math.inf, "max_acceleration": math.inf}
 
 @given(numbers, numbers, st.floats(1e-6, 1e6))
 @settings(PROPERTY)
-def test_the_gradient_counts_unless_it_is_zero_beside_its_integrand(
-    x: float, y: float, size: float
-) -> None:
+def test_the_gradient_counts_unless_it_is_zero_beside_its_integrand(x, y, size):
     chosen = single_integrator_command(x, y, size, 7.0, 8.0)
     zero = math.hypot(x, y) / size < 1e-9
     assert is_zero_gradient(x, y, size) == zero
@@ -46,9 +44,7 @@ def test_no_integrand_is_a_zero_gradient() -> None:
 
 @given(numbers, numbers, numbers, numbers, st.floats(0.01, 5.0))
 @settings(PROPERTY)
-def test_the_velocity_error_leads_to_the_nominal_speed_along_the_command(
-    x: float, y: float, v_x: float, v_y: float, v_ref: float
-) -> None:
+def test_the_velocity_error_leads_to_the_nominal_speed_along_the_command(x, y, v_x, v_y, v_ref):
     e_x, e_y = velocity_error(x, y, v_ref, v_x, v_y, True)
     wanted = (e_x + v_x, e_y + v_y)
     assert wanted == pytest.approx(desired_velocity(x, y, v_ref), abs=1e-12)
@@ -59,9 +55,7 @@ def test_the_velocity_error_leads_to_the_nominal_speed_along_the_command(
 
 @given(numbers, numbers, numbers, numbers)
 @settings(PROPERTY)
-def test_where_all_is_covered_the_velocity_error_brakes(
-    x: float, y: float, v_x: float, v_y: float
-) -> None:
+def test_where_all_is_covered_the_velocity_error_brakes(x, y, v_x, v_y):
     assert velocity_error(x, y, 0.6, v_x, v_y, False) == (-v_x, -v_y)
 
 
@@ -75,9 +69,7 @@ def test_the_coverage_law_is_the_gain_times_the_velocity_error() -> None:
 
 @given(*[numbers] * 6, st.floats(0.1, 30.0), st.floats(0.1, 2.0))
 @settings(PROPERTY)
-def test_the_approach_is_the_printed_one(
-    q_x: float, q_y: float, p_x: float, p_y: float, v_x: float, v_y: float, k_v: float, v_ref: float
-) -> None:
+def test_the_approach_is_the_printed_one(q_x, q_y, p_x, p_y, v_x, v_y, k_v, v_ref):
     distance = math.hypot(q_x - p_x, q_y - p_y)
     if distance > 1e-9:
         pull = k_v * v_ref / distance
@@ -89,9 +81,7 @@ def test_the_approach_is_the_printed_one(
 
 @pytest.mark.parametrize(("v_max", "u_max"), [(V_A, U_A), (math.inf, math.inf)])
 @pytest.mark.parametrize("k_v", [0.5, 2.0, 10.0, 20.0, 30.0])
-def test_the_approach_reaches_its_point_and_stays_near_it(
-    v_max: float, u_max: float, k_v: float
-) -> None:
+def test_the_approach_reaches_its_point_and_stays_near_it(v_max, u_max, k_v):
     rng = np.random.default_rng(5)
     for _ in range(5):
         (q_x, q_y), start = rng.uniform(0.0, 15.0, (2, 2)).tolist()
@@ -125,9 +115,7 @@ def _standing(k_v: float, sensor: str, **limits: float) -> Scenario:
 @pytest.mark.parametrize("limits", [{}, UNBOUNDED], ids=["bounded", "unbounded"])
 @pytest.mark.parametrize("sensor", SENSORS)
 @pytest.mark.parametrize("k_v", [1.0, 10.0])
-def test_coverage_around_a_standing_ugv_ends_with_nothing_uncovered(
-    k_v: float, sensor: str, limits: dict[str, float]
-) -> None:
+def test_coverage_around_a_standing_ugv_ends_with_nothing_uncovered(k_v, sensor, limits):
     """Proposition 1; and then, (10), the UAV brakes."""
     flight, summary = fly(_standing(k_v, sensor, **limits), 0)
     assert summary.initial_error > 90.0
@@ -170,9 +158,7 @@ def _first_command(law: str, place: tuple[float, float], seed: int) -> tuple[flo
 
 @pytest.mark.parametrize("place", PLACES.values(), ids=PLACES.keys())
 @pytest.mark.parametrize("law", LAWS)
-def test_right_above_the_ugv_the_uav_sets_off_at_full_size_in_a_direction_of_its_keys(
-    law: str, place: tuple[float, float]
-) -> None:
+def test_right_above_the_ugv_the_uav_sets_off_at_full_size_in_a_direction_of_its_keys(law, place):
     commands = [_first_command(law, place, seed) for seed in range(40)]
     for u_x, u_y in commands:
         assert norm(u_x, u_y) == pytest.approx(U_A, rel=1e-12)
@@ -182,9 +168,7 @@ def test_right_above_the_ugv_the_uav_sets_off_at_full_size_in_a_direction_of_its
 
 @pytest.mark.parametrize("place", PLACES.values(), ids=PLACES.keys())
 @pytest.mark.parametrize("law", LAWS)
-def test_right_above_the_ugv_the_uav_leaves_and_lowers_the_error(
-    law: str, place: tuple[float, float]
-) -> None:
+def test_right_above_the_ugv_the_uav_leaves_and_lowers_the_error(law, place):
     scenario = escort(law, uav=Uav(position=place), ugv=Ugv(position=place), duration=10.0)
     flight, summary = fly(scenario, 3)
     assert summary.max_distance > 1.0

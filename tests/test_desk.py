@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from staging import operating, stage, wait_until, whole
+from processes import wait_until
+from staging import operating, stage, whole
 
 from bus.keys import OPERATOR
 from bus.messages import Action, Control, Drive, Law, LinkKind, LinkSettings
@@ -16,8 +17,7 @@ from outrider.running.promise import promise_warnings
 
 def test_another_law_is_flown_from_its_tick_on(tmp_path: Path) -> None:
     with stage(tmp_path, 100_000) as run:
-        run.start("uav_0")
-        run.start("ugv_0")
+        run.start_both()
 
         def work(send: Any, status: Any) -> None:
             status(lambda s: s.tick > 50)
@@ -51,12 +51,9 @@ def test_another_law_is_flown_from_its_tick_on(tmp_path: Path) -> None:
         (Control(action=Action.DRIVER), "driver"),
     ],
 )
-def test_what_cannot_be_done_is_refused_named_and_changes_nothing(
-    control: Control, told: str, tmp_path: Path
-) -> None:
+def test_what_cannot_be_done_is_refused_named_and_changes_nothing(control, told, tmp_path):
     with stage(tmp_path, 300) as run:
-        run.start("uav_0")
-        run.start("ugv_0")
+        run.start_both()
         refused = threading.Event()
 
         def work(send: Any, status: Any) -> None:
@@ -92,7 +89,7 @@ def test_observers_are_told_which_assumption_a_changed_link_breaks(tmp_path: Pat
 
 def test_a_reset_begins_a_new_flight_with_its_own_seed_and_new_pilots(tmp_path: Path) -> None:
     with stage(tmp_path, 400) as run:
-        vehicles = [run.start("uav_0"), run.start("ugv_0")]
+        vehicles = run.start_both()
         resets = iter((7, 8))
 
         def work(send: Any, status: Any) -> None:
@@ -121,8 +118,7 @@ def test_a_reset_begins_a_new_flight_with_its_own_seed_and_new_pilots(tmp_path: 
 
 def test_the_speed_can_be_changed_while_flying_and_changes_no_bit(tmp_path: Path) -> None:
     with stage(tmp_path, 600) as run:
-        run.start("uav_0")
-        run.start("ugv_0")
+        run.start_both()
         slow: list[float | None] = []
 
         def work(send: Any, status: Any) -> None:
@@ -143,8 +139,7 @@ def test_the_speed_can_be_changed_while_flying_and_changes_no_bit(tmp_path: Path
 def test_an_operator_takes_the_wheel_drives_is_silent_and_hands_back(tmp_path: Path) -> None:
     """Through the bus, the simulator and the UGV's own driver: bounded, braking in silence, without a jump."""
     with stage(tmp_path, 100_000, realtime=4.0) as run:
-        run.start("uav_0")
-        run.start("ugv_0")
+        run.start_both()
         seen: dict[str, int] = {}
 
         def work(send: Any, status: Any) -> None:
@@ -195,23 +190,15 @@ def change(flight: Any) -> None:
 
 
 @pytest.mark.parametrize("victim", ["uav_0", "ugv_0"])
-def test_a_vehicle_that_comes_back_knows_what_was_changed_and_said(
-    victim: str, tmp_path: Path
-) -> None:
+def test_a_vehicle_that_comes_back_knows_what_was_changed_and_said(victim, tmp_path):
     from outrider.running.flying import fly
     from sim.scenario.loading import load_scenario
 
     expected = fly(load_scenario("escort", overrides=["duration=20.0"]), 7, on_tick=change)[0]
     with stage(tmp_path, 400, respawn=True) as run:
         run.start("uav_0" if victim == "ugv_0" else "ugv_0")
-        run.start(victim, until=205)
-
-        def on_tick() -> None:
-            change(run.server.flight)
-            if run.server.flight.world.tick == 206:
-                run.start(victim)
-
-        flight = run.fly(on_tick)
+        run.start(victim, until=205, again=True)
+        flight = run.fly(lambda: change(run.server.flight))
     assert flight.first_missing is None
     assert flight.recorder.sha256() == expected.recorder.sha256()
     assert flight.recorder.sha256() != whole(400).recorder.sha256()

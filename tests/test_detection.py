@@ -15,9 +15,7 @@ R_V, R = 4.75, 5.0
 LOOKS = 4000
 
 
-def _looks(
-    distance: float, dropout: float, sigma: float = 0.0, cut: float = 3.0, seed: int = 1
-) -> list[tuple[bool, float, float]]:
+def _looks(distance, dropout, sigma=0.0, cut=3.0, seed=1):
     return [
         detect(
             0.6 * distance,
@@ -66,9 +64,7 @@ def test_dropouts_have_their_share(dropout: float) -> None:
 
 @given(st.floats(0.0, 10.0), st.floats(0.0, 1.0))
 @settings(PROPERTY)
-def test_the_chance_is_a_probability_that_never_grows_with_the_distance(
-    distance: float, dropout: float
-) -> None:
+def test_the_chance_is_a_probability_that_never_grows_with_the_distance(distance, dropout):
     near, far = (
         detection_chance(distance, R_V, R, dropout),
         detection_chance(distance + 0.1, R_V, R, dropout),

@@ -23,7 +23,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
-from processes import await_status, wait_until
+from processes import await_status, python, wait_until
 from scattered import scattered
 
 from bus.access import read_credential
@@ -308,9 +308,7 @@ def arguments(endpoint: str, *more: str) -> tuple[str, ...]:
     return ("--connect", endpoint, "--run", "mine", *more)
 
 
-def test_keys_take_the_wheel_drive_brake_and_give_it_back_and_the_terminal_is_as_before(
-    endpoint: str,
-) -> None:
+def test_keys_take_the_wheel_drive_brake_and_give_it_back_and_the_terminal_is_as_before(endpoint):
     with scripted(endpoint) as simulator, seat(*arguments(endpoint)) as one:
         one.until_shown(
             "script drives ugv_0",
@@ -443,14 +441,7 @@ def test_an_unknown_vehicle_is_refused_with_those_that_there_are(endpoint: str) 
 
 
 def test_without_a_terminal_there_is_one_clear_line() -> None:
-    run = subprocess.run(
-        [sys.executable, "-c", CHILD, "drive"],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    run = python(CHILD, "drive", stdin=subprocess.DEVNULL, timeout=60, check=False)
     assert run.returncode == 2
     assert (
         run.stderr

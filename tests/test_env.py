@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from pettingzoo.utils.conversions import aec_to_parallel, parallel_to_aec
+from refusals import refused
 
 from bus.errors import ScenarioError
 from bus.messages import Area, Law, UavBriefing, UgvBriefing
@@ -250,9 +251,8 @@ def test_bad_actions_are_refused_in_one_line_and_nothing_happens(actions, words)
     env.reset(seed=5)
     twin.reset(seed=5)
     assert same(env.step(GOOD), twin.step(GOOD))
-    with pytest.raises(ValueError, match=words) as caught:
+    with refused(ValueError, words):
         env.step(actions)
-    assert "\n" not in str(caught.value)
     assert same(env.step(GOOD), twin.step(GOOD))
     assert same(env.state(), twin.state())
 
@@ -285,16 +285,14 @@ def test_nothing_works_before_the_first_reset_or_after_the_end():
     ],
 )
 def test_bad_arguments_are_refused_in_one_line(options, words):
-    with pytest.raises(ValueError, match=words) as caught:
+    with refused(ValueError, words):
         parallel_env(ONE, **options)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, 0.12, math.nan, math.inf])
 def test_bad_durations_are_refused_in_one_line(duration):
-    with pytest.raises(ScenarioError, match="duration") as caught:
+    with refused(ScenarioError, "duration"):
         parallel_env(ONE, duration=duration)
-    assert "\n" not in str(caught.value)
 
 
 def test_a_scenario_that_cannot_be_flown_is_refused():

@@ -27,20 +27,13 @@ from sim.world import World
 PAGE = Path(__file__).parent.parent / "docs" / "reference" / "environment.md"
 
 
-def scenario(
-    *,
-    uav=(12.0, 10.0),
-    ugv=(10.0, 10.0),
-    goals=((14.0, 10.0), (14.0, 16.0)),
-    velocity=(0.0, 0.0),
-    **detections,
-):
-    return Scenario(
-        duration=60.0,
-        detections=Detections(**detections),
-        uav=(Uav(position=uav),),
-        ugv=(Ugv(position=ugv, goals=goals, velocity=velocity),),
-    )
+GOALS = ((14.0, 10.0), (14.0, 16.0))
+
+
+def scenario(*, uav=(12.0, 10.0), ugv=(10.0, 10.0), goals=GOALS, velocity=(0.0, 0.0), **looks):
+    driven = Ugv(position=ugv, goals=goals, velocity=velocity)
+    seen = Detections(**looks)
+    return Scenario(duration=60.0, detections=seen, uav=(Uav(position=uav),), ugv=(driven,))
 
 
 TWO = Scenario(
@@ -232,9 +225,8 @@ def test_of_several_uavs_each_sees_its_own_map_alone():
         alone.step(np.array([[0.1, 0.1], [0.0, 0.0]]))
     assert rows[0]["uav_0"]["coverage"].tobytes() == rows[1]["uav_0"]["coverage"].tobytes()
     x, y = alone.position[0]
-    np.testing.assert_array_equal(
-        rows[0]["uav_0"]["coverage"], brute_patch(alone.coverage, x, y, 2.0, 0.25, 21, 1.0)
-    )
+    wanted = brute_patch(alone.coverage, x, y, 2.0, 0.25, 21, 1.0)
+    np.testing.assert_array_equal(rows[0]["uav_0"]["coverage"], wanted)
     assert (envs[0].world.coverage > alone.coverage + 0.1).any()
 
 
@@ -252,17 +244,13 @@ def test_state_is_the_whole_truth_under_its_names(dtype):
         "time": 1.65,
         "covered": (world.coverage >= 2.0).mean(),
         "seen": np.minimum(world.coverage / 2.0, 1.0).mean(),
-        "uav_0.x": world.position[0, 0],
-        "uav_0.y": world.position[0, 1],
-        "uav_0.vx": world.velocity[0, 0],
-        "uav_0.vy": world.velocity[0, 1],
+        **dict(zip(("uav_0.x", "uav_0.y"), world.position[0], strict=True)),
+        **dict(zip(("uav_0.vx", "uav_0.vy"), world.velocity[0], strict=True)),
         "uav_0.distance": distance,
         "uav_0.coverage_error": error,
         "uav_0.age": 3 * 0.05,
-        "ugv_0.x": world.position[1, 0],
-        "ugv_0.y": world.position[1, 1],
-        "ugv_0.vx": world.velocity[1, 0],
-        "ugv_0.vy": world.velocity[1, 1],
+        **dict(zip(("ugv_0.x", "ugv_0.y"), world.position[1], strict=True)),
+        **dict(zip(("ugv_0.vx", "ugv_0.vy"), world.velocity[1], strict=True)),
         "ugv_0.underway": 1.0,
         "ugv_0.goal_x": 14.0,
         "ugv_0.goal_y": 10.0,
@@ -270,11 +258,9 @@ def test_state_is_the_whole_truth_under_its_names(dtype):
     assert list(truth) == env.state_names
     assert state.dtype == dtype
     assert distance > 1.0
-    np.testing.assert_allclose(
-        [named[name] for name in truth],
-        list(truth.values()),
-        rtol=1e-12 if dtype is np.float64 else 1e-6,
-    )
+    found = [named[name] for name in truth]
+    rtol = 1e-12 if dtype is np.float64 else 1e-6
+    np.testing.assert_allclose(found, list(truth.values()), rtol=rtol)
 
 
 def test_state_ends_with_the_map_where_it_is_asked_for():

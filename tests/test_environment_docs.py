@@ -40,16 +40,12 @@ def between(text: str, mark: str) -> list[list[str]]:
     python_blocks("vector-environment"),
     ids=lambda block: re.search(r"outrider\.\w+|make", block)[0],
 )
-def test_the_environments_shown_can_be_flown(
-    block: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_environments_shown_can_be_flown(block, capsys):
     exec(compile(block, "vector-environment.md", "exec"), {})  # noqa: S102 - our own page
     assert capsys.readouterr().out
 
 
-def test_the_entry_shown_is_scored(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_entry_shown_is_scored(monkeypatch, capsys):
     (block,) = python_blocks("suite")
     short = Task(name="short", hard="", changes={**suite()["short-sight"].changes, "duration": 5.0})
     monkeypatch.setattr(outrider, "suite", lambda: {"short-sight": short}, raising=False)

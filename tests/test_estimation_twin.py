@@ -13,11 +13,9 @@ from agents.estimation.estimator import RelativeEstimator
 from agents.estimation.motion_model import acceleration_deviation, cut_variance, motion, straying
 from agents.estimation.twin import (
     AGE,
-    COLUMNS,
     DUPLICATES,
     KNOWN,
     MISDATED,
-    NUMBERS,
     P_PP,
     P_PV,
     P_VP,
@@ -26,8 +24,6 @@ from agents.estimation.twin import (
     TOO_OLD,
     V_X,
     V_Y,
-    KalmanParameters,
-    KalmanState,
     X,
     Y,
     kalman_estimate,
@@ -37,8 +33,6 @@ from agents.estimation.twin import (
 )
 from bus.messages import Detector, Estimator, Limits
 from bus.ticks import Look
-from sim.kernels.compile import compiled
-from sim.kernels.records import records
 
 UGV = Limits(max_speed=0.2, max_acceleration=0.1)
 FREE = Limits(max_speed=None, max_acceleration=0.1)
@@ -161,16 +155,9 @@ def _table(arrived):
 
 
 def _pair(case):
-    parameters = kalman_parameters(
-        detector=case.detector, target=case.target, dt=case.dt, settings=case.settings
-    )
-    pilots = RelativeEstimator(
-        detector=case.detector,
-        target=case.target,
-        dt=case.dt,
-        settings=case.settings,
-        span=(case.depth - 1) * case.dt,
-    )
+    told = {"detector": case.detector, "target": case.target, "settings": case.settings}
+    parameters = kalman_parameters(**told, dt=case.dt)
+    pilots = RelativeEstimator(**told, dt=case.dt, span=(case.depth - 1) * case.dt)
     return parameters, kalman_state(case.depth), pilots
 
 
@@ -214,17 +201,9 @@ def test_at_every_tick_it_is_the_pilots_filter(name, works_ahead, fuses):
 
 
 def test_it_is_filterpys_filter_where_nothing_is_capped():
-    dt, looks = (
-        0.1,
-        {
-            0: (1.0, 2.0),
-            1: (1.05, 2.0),
-            2: (1.12, 1.97),
-            5: (1.2, 1.9),
-            9: (1.5, 1.7),
-            10: (1.3, 1.75),
-        },
-    )
+    dt, times = 0.1, (0, 1, 2, 5, 9, 10)
+    places = ((1.0, 2.0), (1.05, 2.0), (1.12, 1.97), (1.2, 1.9), (1.5, 1.7), (1.3, 1.75))
+    looks = dict(zip(times, places, strict=True))
     settings, detector = Estimator(gate=1e9), Detector(noise=0.1, cut=None, period=dt)
     parameters = kalman_parameters(detector=detector, target=FREE, dt=dt, settings=settings)
     state = kalman_state(1)
@@ -274,14 +253,8 @@ def test_the_gate_closes_at_the_same_bit(fuses):
             parameters, state, _ = _pair(wide)
             for k in range(last + 1):
                 judged = parameters._replace(gate=float(gate)) if k == last else parameters
-                kalman_step(
-                    judged,
-                    state,
-                    k,
-                    *own,
-                    np.array([[k, own[0] - ugv[k, 0], own[1] - ugv[k, 1]]]),
-                    1,
-                )
+                look = np.array([[k, own[0] - ugv[k, 0], own[1] - ugv[k, 1]]])
+                kalman_step(judged, state, k, *own, look, 1)
             assert state.numbers[REFUSED] == refused
 
 
@@ -304,41 +277,3 @@ def test_a_tick_without_length_is_refused(dt):
 def test_a_filter_without_a_tick_to_remember_is_refused():
     with pytest.raises(ValueError, match="depth"):
         kalman_state(0)
-
-
-@compiled
-def _fly_worlds(rows, numbers, history, own, looks, counts):
-    for world in range(len(rows)):
-        parameters = rows[world]
-        state = KalmanState(numbers=numbers[world], history=history[world])
-        for tick in range(len(own)):
-            kalman_step(
-                parameters=parameters,
-                state=state,
-                tick=tick,
-                p_ax=own[tick, 0],
-                p_ay=own[tick, 1],
-                looks=looks[tick],
-                count=counts[tick],
-            )
-
-
-def test_many_worlds_in_compiled_code_are_as_each_alone():
-    names = ("late", "late at unknown speed", "late, switched off")
-    rng = np.random.default_rng(5)
-    own, ugv = _places(CASES["late"], rng)
-    at = _arrivals(CASES["late"], own, ugv, rng)
-    counts = np.array([len(at[k]) for k in range(len(own))])
-    looks = np.full((len(own), counts.max(), 3), math.nan)
-    for k, count in enumerate(counts):
-        looks[k, :count] = np.reshape(at[k], (count, 3))
-    parameters = [_pair(CASES[name])[0] for name in names]
-    depth = CASES["late"].depth
-    numbers, history = np.zeros((3, NUMBERS)), np.zeros((3, depth, COLUMNS))
-    _fly_worlds(records(KalmanParameters, parameters), numbers, history, own, looks, counts)
-    for world, chosen in enumerate(parameters):
-        alone = kalman_state(depth)
-        for k in range(len(own)):
-            kalman_step(chosen, alone, k, *own[k].tolist(), looks[k], int(counts[k]))
-        assert alone.numbers.tobytes() == numbers[world].tobytes()
-        assert alone.history.tobytes() == history[world].tobytes()

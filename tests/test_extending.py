@@ -5,12 +5,14 @@ import json
 import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from processes import python
+
+# on one worker: its copy is made and flown once
+pytestmark = pytest.mark.xdist_group("extending")
 
 ROOT = Path(__file__).resolve().parent.parent
 GUIDE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -180,14 +182,7 @@ def copied(root: Path) -> Path:
 def answer(root: Path, code: str, **environment: str) -> dict[str, Any]:
     """What a program that prints one JSON object says, run with the copy."""
     own = {"PYTHONPATH": str(root), "OUTRIDER_CACHE": str(root / "cache"), "COLUMNS": "250"}
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=root,
-        env=os.environ | own | environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = python(code, cwd=root, env=os.environ | own | environment, check=False)
     assert done.returncode == 0, done.stderr
     found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     assert Path(found["where"]).is_relative_to(root)
@@ -249,9 +244,7 @@ def test_check_and_reader_know_it(extended: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("name", ["cautious", "zigzag", "cone", "alarm", "smoke"])
-def test_a_name_that_is_nearly_one_of_the_new_ones_is_refused_with_it(
-    extended: dict[str, Any], name: str
-) -> None:
+def test_a_name_that_is_nearly_one_of_the_new_ones_is_refused_with_it(extended, name):
     (told,) = [
         (code, line) for code, line in extended["unlike"] if f"did you mean '{name}'?" in line
     ]
@@ -293,9 +286,7 @@ def test_law_and_sensor_compile_to_the_same_numbers(root: Path, extended: dict[s
     ],
     ids=["driver", "law"],
 )
-def test_a_row_whose_code_is_missing_is_refused(
-    tmp_path: Path, file: str, name: str, code: str, wrong: str
-) -> None:
+def test_a_row_whose_code_is_missing_is_refused(tmp_path, file, name, code, wrong):
     blocks = [block for block in BLOCKS if (block[0], block[2]) != (file, name)]
     assert len(blocks) == len(BLOCKS) - 1
     apply(copied(tmp_path), blocks)

@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -19,10 +18,12 @@ import msgspec
 import numpy as np
 import pytest
 from flights import R_S, R_V, distances
-from processes import OUTRIDER, outrider
+from processes import OUTRIDER
+from tabular import words
 
 from bus.errors import PeerLost, ScenarioError
 from bus.messages import Command, LinkKind, UavCommand
+from outrider.bench.pairs import pairs_toml
 from outrider.experiments.falsify import attack, attacks, search
 from outrider.experiments.falsify import candidate as flying
 from outrider.experiments.falsify.candidate import flown, promised
@@ -49,16 +50,8 @@ def base(law: str, limits: SearchLimits = UNDEGRADED, **changes: Any) -> Scenari
 
 def found(law: str, runs: int, limits: SearchLimits = UNDEGRADED, **wanted: Any) -> Found:
     changes = wanted.pop("changes", {})
-    result = Found(
-        Wanted(
-            base=base(law, limits, **changes),
-            limits=limits,
-            flies=True,
-            attacks=False,
-            runs=runs,
-            **wanted,
-        )
-    )
+    budget = {"flies": True, "attacks": False, "runs": runs} | wanted
+    result = Found(Wanted(base=base(law, limits, **changes), limits=limits, **budget))
     search_both(result, asked=lambda: False, on_run=lambda *_: None)
     return result
 
@@ -74,9 +67,7 @@ def candidates(count: int) -> list[Candidate]:
 # What is found, and what is not
 
 
-def test_the_switching_law_is_broken_undegraded_and_the_find_flies_again_to_the_last_bit(
-    tmp_path: Path,
-) -> None:
+def test_the_switching_law_is_broken_undegraded_and_the_find_flies_again_to_the_last_bit(tmp_path):
     path = tmp_path / "broken.toml"
     result = found("switching", 3, out=path, changes={"duration": 60.0})
     assert result.violations
@@ -132,9 +123,7 @@ def test_a_promise_counts_from_the_first_certified_tick_and_again_some_time_afte
     assert not promised(np.zeros(3, dtype=np.bool_), 0).any()
 
 
-def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a_gap(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a_gap(monkeypatch):
     class Away(InProcess):
         """The UAV flies off, and claims now and then, too short for a promise, that sight is kept."""
 
@@ -148,9 +137,7 @@ def test_a_tick_that_is_certified_out_of_sight_is_a_violation_also_right_after_a
                 "uav_0": msgspec.structs.replace(said, acceleration=(0.3, 0.3), report=report)
             }
 
-    def fly_off(
-        scenario: Scenario, seed: int, *, on_tick: Callable[[Flight], None]
-    ) -> tuple[Flight, None]:
+    def fly_off(scenario, seed, *, on_tick):
         flight = Flight(scenario, seed)
         flight.fly(Away(make_pilots(scenario, seed)), on_tick=lambda: on_tick(flight))
         return flight, None
@@ -282,9 +269,7 @@ def test_a_worker_that_dies_is_told_in_one_line() -> None:
 # The attack
 
 
-def attacked(
-    control: str | None, runs: int, *, duration: float = 40.0, **wanted: Any
-) -> attacks.AttackTally:
+def attacked(control, runs, *, duration=40.0, **wanted):
     tally = attacks.AttackTally()
     with Workers(1, attacks.warm) as workers:
         attacks.run_attack(
@@ -353,22 +338,15 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_input_gets_one_line(
-    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from outrider.bench.pairs import pairs_toml
-    from outrider.cli import main
-
-    monkeypatch.chdir(tmp_path)
+def test_bad_input_gets_one_line(case, here, command):
     Path("pairs.toml").write_text(pairs_toml(2, seconds=10), encoding="utf-8")
     arguments, told = BAD[case]
-    monkeypatch.setattr(sys, "argv", ["outrider", "falsify", *arguments])
-    assert main._run() == 2
-    output = capsys.readouterr()
-    assert told in output.err
-    assert len(output.err.strip().splitlines()) == 1
-    assert output.out == ""
-    assert [path.name for path in tmp_path.iterdir()] == ["pairs.toml"]
+    run = command("falsify", *arguments)
+    assert run.returncode == 2
+    assert told in run.stderr
+    assert len(run.stderr.strip().splitlines()) == 1
+    assert run.stdout == ""
+    assert [path.name for path in here.iterdir()] == ["pairs.toml"]
 
 
 def test_a_missing_extra_is_one_line_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -377,76 +355,35 @@ def test_a_missing_extra_is_one_line_with_the_remedy(monkeypatch: pytest.MonkeyP
         search.check_extra()
 
 
-def test_the_command_saves_and_tells_and_its_exit_code_says_what_was_expected(
-    tmp_path: Path,
-) -> None:
-    quick = ["--undegraded", "--duration", "25", "--jobs", "1", "--runs", "3"]
-    run = outrider(
-        "falsify", "--law", "switching", *quick, "--json", "--expect", "none", cwd=tmp_path
-    )
+def test_the_command_saves_and_tells_and_its_exit_code_says_what_was_expected(here, command):
+    quick = words("--undegraded --duration 25 --jobs 1 --runs 3 --json --expect none")
+    run = command("falsify", "--law", "switching", *quick)
     assert run.returncode == 1
     told = json.loads(run.stdout)
-    assert {"law", "runs", "violations", "worst_distance", "scenario", "seconds", "seed"} <= set(
-        told
-    )
-    assert (told["law"], told["runs"], told["scenario"]) == (
-        "switching",
-        3,
-        "counterexample-switching.toml",
-    )
+    assert set(words("law runs violations worst_distance scenario seconds seed")) <= set(told)
+    found = (told["law"], told["runs"], told["scenario"])
+    assert found == ("switching", 3, "counterexample-switching.toml")
     assert "--expect none" in run.stderr
-    again = outrider("run", told["scenario"], "--in-process", "--no-files", "--json", cwd=tmp_path)
+    again = command("run", told["scenario"], "--in-process", "--no-files", "--json")
     flown_again = json.loads(again.stdout)
     assert flown_again["max_distance"] == told["worst_distance"]
     assert flown_again["trajectory_sha256"] == told["trajectory_sha256"]
 
 
-def test_nothing_found_is_no_file_and_exit_code_0(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
-) -> None:
-    from outrider.cli import main
-
-    monkeypatch.chdir(tmp_path)
-    arguments = [
-        "--law",
-        "linear",
-        "--undegraded",
-        "--duration",
-        "5",
-        "--jobs",
-        "1",
-        "--runs",
-        "2",
-        "--json",
-    ]
-    monkeypatch.setattr(sys, "argv", ["outrider", "falsify", *arguments, "--expect", "none"])
-    assert main._run() == 0
-    told = json.loads(capsys.readouterr().out)
+def test_nothing_found_is_no_file_and_exit_code_0(here, command):
+    quick = words("falsify --law linear --undegraded --duration 5 --jobs 1 --runs 2 --json")
+    run = command(*quick, "--expect", "none")
+    assert run.returncode == 0
+    told = json.loads(run.stdout)
     assert (told["violations"], told["scenario"]) == (0, None)
-    monkeypatch.setattr(sys, "argv", ["outrider", "falsify", *arguments, "--expect", "some"])
-    assert main._run() == 1
-    assert not list(tmp_path.iterdir())
+    assert command(*quick, "--expect", "some").returncode == 1
+    assert not list(here.iterdir())
 
 
 def test_ctrl_c_keeps_the_best(tmp_path: Path) -> None:
-    arguments = [
-        "falsify",
-        "--law",
-        "switching",
-        "--undegraded",
-        "--minutes",
-        "5",
-        "--jobs",
-        "2",
-        "--json",
-    ]
-    process = subprocess.Popen(
-        [*OUTRIDER, *arguments],
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    arguments = words("falsify --law switching --undegraded --minutes 5 --jobs 2 --json")
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen([*OUTRIDER, *arguments], cwd=tmp_path, **pipes)
     assert process.stderr is not None
     while "runs" not in process.stderr.readline():  # the first line of progress
         assert process.poll() is None

@@ -3,7 +3,6 @@
 import os
 import queue
 import signal
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
@@ -16,6 +15,7 @@ from processes import (
     children_of,
     command_line,
     flying,
+    python,
     wait_until,
 )
 
@@ -52,7 +52,7 @@ def test_what_is_loaded_before_a_fork_is_no_world_no_scenario_no_session_and_no_
         "import sys, threading; from outrider.cli.forkserver import preload; preload();"
         "print(threading.active_count(), sorted(n for n in sys.modules if n.startswith('sim.')))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = python(code)
     threads, _, loaded = done.stdout.partition(" ")
     assert threads == "1"
     names = set(eval(loaded))  # noqa: S307 - a list of names that we have printed
@@ -61,9 +61,7 @@ def test_what_is_loaded_before_a_fork_is_no_world_no_scenario_no_session_and_no_
     assert rooms <= {"kernels", "models", "input"}
 
 
-def test_a_forked_process_is_our_child_in_its_own_session_with_its_own_command_line(
-    forks: Forkserver,
-) -> None:
+def test_a_forked_process_is_our_child_in_its_own_session_with_its_own_command_line(forks):
     child = _waiting(forks, cores=cores_for(is_uav=True))
     try:
         wait_until(lambda: " outrider uav " in command_line(child.pid))
@@ -95,9 +93,7 @@ def test_a_forked_process_ends_when_asked_and_when_nobody_holds_its_standard_inp
     child.close()
 
 
-def test_a_forked_process_that_fails_has_exit_code_and_standard_error_of_its_own(
-    forks: Forkserver,
-) -> None:
+def test_a_forked_process_that_fails_has_exit_code_and_standard_error_of_its_own(forks):
     lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
     child = Child("uav_0", ["uav", "--run", "a/b"], lines, forkserver=forks)
     try:
@@ -109,9 +105,7 @@ def test_a_forked_process_that_fails_has_exit_code_and_standard_error_of_its_own
         child.close()
 
 
-def test_forked_processes_draw_numbers_of_their_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_forked_processes_draw_numbers_of_their_own(tmp_path, monkeypatch):
     drawing = (
         "import random, numpy\nraise SystemExit(f'{random.random()} {numpy.random.random()}')\n"
     )
@@ -136,9 +130,7 @@ def test_a_forkserver_that_has_ended_is_one_line() -> None:
             _waiting(server)
 
 
-def test_where_orphans_find_no_parent_each_process_is_started_by_itself(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_where_orphans_find_no_parent_each_process_is_started_by_itself(monkeypatch):
     monkeypatch.setattr(forking, "_adopting", lambda: nullcontext(False))
     monkeypatch.setattr(forking, "Forkserver", None)  # nobody starts one
     scenario, changes = load_scenario("escort", overrides=["duration=1.0"]), ["duration=1.0"]
@@ -148,9 +140,7 @@ def test_where_orphans_find_no_parent_each_process_is_started_by_itself(
 
 
 @pytest.mark.usefixtures("nothing_left_behind")
-def test_it_stays_for_respawns_alone_knows_no_secret_and_goes_with_its_run(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_it_stays_for_respawns_alone_knows_no_secret_and_goes_with_its_run(monkeypatch):
     monkeypatch.setenv("OUTRIDER_SECRET", SECRET)
     with flying("escort", "--set", "duration=100000.0", "--no-files", "--respawn") as run:
         everybody = children_of(run.pid)

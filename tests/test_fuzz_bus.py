@@ -116,9 +116,8 @@ def wire(tmp_path: Path) -> Iterator[Wire]:
 
 
 def test_an_inbox_gives_exactly_what_decodes_and_counts_exactly_what_does_not(wire: Wire) -> None:
-    sent = [
-        (name, payload) for name, payload in stream() if 0 < len(payload) <= LARGEST
-    ]  # the router drops what is larger
+    # the router drops what is larger
+    sent = [(name, payload) for name, payload in stream() if 0 < len(payload) <= LARGEST]
     refused = [name for name, payload in sent if refuses(COMMANDS[name], payload)]
     taken = [
         (name, msgspec.json.decode(payload, type=COMMANDS[name].message))
@@ -150,12 +149,8 @@ def test_garbage_leaves_nothing_behind(wire: Wire) -> None:
     assert after[2] - warm[2] < 10e6, measured  # of 5 MB
 
 
-FOREIGN: tuple[tuple[Key, str], ...] = (
-    (UAV_COMMAND, "uav_0"),
-    (UAV_OBSERVATION, "uav_0"),
-    (OPERATOR, "ugv_0"),
-    (CONTROL, ""),
-)
+OTHERS = ((UAV_COMMAND, "uav_0"), (UAV_OBSERVATION, "uav_0"), (OPERATOR, "ugv_0"))
+FOREIGN: tuple[tuple[Key, str], ...] = (*OTHERS, (CONTROL, ""))
 UNHEARD: tuple[tuple[Key, str], ...] = ((UGV_COMMAND, "nobody"), (TRUTH, ""), (STATUS, ""))
 """Keys that nobody reads in this run."""
 
@@ -215,10 +210,8 @@ def flown(folder: Path, *, flooded: bool) -> Iterator[tuple[Flight, Server, Vehi
             open_session(Party(role=Role.UAV, name="uav_0"), "run", connect=endpoint)
         )
         theirs = stack.enter_context(open_session(UGV, "run", connect=endpoint))
-        uav, ugv = (
-            Vehicle(ours, lambda: None),
-            Vehicle(theirs, Flood(theirs) if flooded else lambda: None),
-        )
+        uav = Vehicle(ours, lambda: None)
+        ugv = Vehicle(theirs, Flood(theirs) if flooded else lambda: None)
         for vehicle in (uav, ugv):
             vehicle.start()
         flight = server.fly()

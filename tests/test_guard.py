@@ -1,10 +1,8 @@
-"""The safety filter as compiled functions over records: in a compiled loop they give what `SafetyFilter` gives."""
+"""The safety filter: what it is by its parts, and what it does about detections and commands that go astray."""
 
 import math
-from typing import Any
 
 import msgspec
-import numba
 import numpy as np
 import pytest
 from flights import DT, U_A, V_A, V_G, escort, told
@@ -39,16 +37,14 @@ from agents.control.guard import (
     note_position,
 )
 from agents.control.handover import certificate
-from agents.control.promise import Declared, Promise
-from agents.control.underway import Underway
+from agents.control.promise import Declared
 from agents.control.visibility import SafetyFilter, promise_of
 from bus.messages import DeclaredBounds, Detection, UavBriefing, UavObservation
 from sim.engine.batch import arrays_of
 from sim.kernels.compile import FloatArray
-from sim.kernels.records import RecordArray, records
 from sim.models.vehicles import Motion, step_vehicle
 
-TICKS, WORLDS, DEPTH = 600, 2, 2400
+TICKS = 600
 LATEST = 40  # ticks that a detection is on its way at most
 
 
@@ -59,9 +55,7 @@ def declared(delay: float = 0.0, error: float | None = 0.3) -> UavBriefing:
     )
 
 
-def observed(
-    tick: int, *found: tuple[float, float, float], time: float | None = None
-) -> UavObservation:
+def observed(tick, *found, time=None):
     """An observation from (20 + tick / 100, 20) at rest, with detections: when [s], and p_a - p_g [m]."""
     return UavObservation(
         tick=tick,
@@ -90,27 +84,19 @@ def flown(seed: int, delay: float) -> tuple[SafetyFilter, FloatArray, FloatArray
     rng = np.random.default_rng(seed)
     watch = SafetyFilter(declared(delay))
     pending = [(0.0, 0.0)] * round(delay / DT)
-    p, v, g, wanted, course = (
-        (20.0, 20.0),
-        (0.0, 0.0),
-        np.array([20.5, 20.0]),
-        (0.0, 0.0),
-        np.zeros(2),
-    )
+    p, v, g = (20.0, 20.0), (0.0, 0.0), np.array([20.5, 20.0])
+    wanted, course = (0.0, 0.0), np.zeros(2)
     underway: list[tuple[int, int, float, float]] = []
     inputs, arrived, outputs = [], [], []
     command = (0.0, 0.0)
     for tick in range(TICKS):
         if tick % 50 == 0:
             a, b = rng.uniform(0.0, 2.0 * math.pi, 2)
-            wanted, course = (
-                (0.3 * math.cos(a), 0.3 * math.sin(a)),
-                V_G * np.array([math.cos(b), math.sin(b)]),
-            )
+            wanted = (0.3 * math.cos(a), 0.3 * math.sin(a))
+            course = V_G * np.array([math.cos(b), math.sin(b)])
         if rng.random() < 0.8:
-            x, y = (
-                np.array(p) - g + rng.uniform(-0.2, 0.2, 2) * (1.0 if tick < TICKS // 2 else 3.0)
-            ).tolist()
+            error = rng.uniform(-0.2, 0.2, 2) * (1.0 if tick < TICKS // 2 else 3.0)
+            x, y = (np.array(p) - g + error).tolist()
             underway.append((tick + int(rng.integers(0, LATEST)), tick, x, y))
         if not 150 <= tick < 155:
             now = [one for one in underway if one[0] <= tick]
@@ -119,98 +105,19 @@ def flown(seed: int, delay: float) -> tuple[SafetyFilter, FloatArray, FloatArray
                 Detection(time=taken * DT, relative_position=(x, y)) for _, taken, x, y in now
             )
             arrived += [(len(inputs), taken, x, y) for _, taken, x, y in now]
-            seen = UavObservation(
-                tick=tick, time=tick * DT, position=p, velocity=v, detections=looks
-            )
+            state = {"tick": tick, "time": tick * DT, "position": p, "velocity": v}
+            seen = UavObservation(**state, detections=looks)
             inputs.append((tick, *p, *v, *wanted))
             watch.see(seen)
             verdict = watch.filter(seen, wanted)
             command = verdict.acceleration
-            code = next(
-                (code for code, reason in UNCERTIFIED.items() if reason == verdict.reason),
-                CERTIFIED,
-            )
+            codes = {reason: code for code, reason in UNCERTIFIED.items()}
+            code = codes.get(verdict.reason, CERTIFIED)
             outputs.append((*command, verdict.intervened, code, verdict.distance))
         pending.append(command)
         p_x, p_y, v_x, v_y, _, _ = step_vehicle(*p, *v, *pending.pop(0), V_A, U_A, DT)
         p, v, g = (p_x, p_y), (v_x, v_y), g + DT * course
     return watch, np.array(inputs), np.array(arrived), np.array(outputs)
-
-
-@numba.njit(error_model="numpy")  # type: ignore[untyped-decorator]
-def fly_all(
-    rows: RecordArray,
-    states: GuardState,
-    inputs: FloatArray,
-    arrived: FloatArray,
-    counts: Any,
-    out: FloatArray,
-) -> None:
-    """All worlds' filters in one compiled loop: each with its row of numbers and its slice of the arrays."""
-    for i in range(rows.shape[0]):
-        c = rows[i]
-        state = GuardState(
-            states.detections[i],
-            states.plan[i],
-            states.course[i],
-            states.track[i],
-            states.flags[i],
-            Underway(
-                states.underway.sent[i], states.underway.flown[i], states.underway.expected[i]
-            ),
-        )
-        begin_guard(state)
-        n = 0
-        for k in range(inputs.shape[1]):
-            tick = int(inputs[i, k, 0])
-            _, p_x, p_y, v_x, v_y, u_x, u_y = inputs[i, k]
-            note_position(state, tick, p_x, p_y)
-            while n < counts[i] and arrived[i, n, 0] == k:
-                note_detection(
-                    c,
-                    state,
-                    int(arrived[i, n, 1]),
-                    tick,
-                    arrived[i, n, 2],
-                    arrived[i, n, 3],
-                    p_x,
-                    p_y,
-                )
-                n += 1
-            u_x, u_y, acts, code, distance = guard(
-                c, state, tick, Motion(p_x, p_y, v_x, v_y), u_x, u_y
-            )
-            out[i, k, 0], out[i, k, 1], out[i, k, 2], out[i, k, 3], out[i, k, 4] = (
-                u_x,
-                u_y,
-                acts != INNER,
-                code,
-                distance,
-            )
-
-
-@pytest.mark.parametrize("delay", [0.0, 3 * DT])
-def test_many_worlds_in_a_compiled_loop_give_what_the_filter_gives(delay: float) -> None:
-    flights = [flown(seed, delay) for seed in range(WORLDS)]
-    rows = records(Promise, [watch.promise for watch, *_ in flights])
-    one = guard_state(flights[0][0].promise, DEPTH)
-    parts = [
-        np.full((WORLDS, *part.shape), np.array(7).astype(part.dtype)) for part in arrays_of(one)
-    ]
-    states = GuardState(*parts[:-3], Underway(*parts[-3:]))  # `begin_guard` must clear them
-    counts = np.array([len(arrived) for _, _, arrived, _ in flights])
-    arrived = np.zeros((WORLDS, counts.max(), 4))
-    for i, flight in enumerate(flights):
-        arrived[i, : counts[i]] = flight[2]
-    inputs, wanted = (np.array([flight[k] for flight in flights]) for k in (1, 3))
-    out = np.empty_like(wanted)
-    fly_all(rows, states, inputs, arrived, counts, out)
-    assert out.tobytes() == wanted.tobytes()
-    assert len(np.unique(wanted[:, :, 3])) >= 3  # certified, without a detection, contradicted
-    assert 0 < wanted[:, :, 2].sum() < wanted[:, :, 2].size
-    for i, (watch, *_) in enumerate(flights):
-        for part, own in zip(arrays_of(states), arrays_of(watch.state), strict=True):
-            assert part[i].tobytes() == own.tobytes()
 
 
 @pytest.mark.parametrize("delay", [0.0, 3 * DT])
@@ -220,6 +127,8 @@ def test_the_filter_is_what_its_parts_are_one_after_the_other(delay: float) -> N
     A dictionary of own positions, a list of commands under way, the whole course each time.
     """
     watch, inputs, arrived, wanted = flown(seed=5, delay=delay)
+    assert len(np.unique(wanted[:, 3])) >= 3  # certified, without a detection, contradicted
+    assert 0 < wanted[:, 2].sum() < len(wanted)
     c = watch.promise
     kept, plan, contradicted = no_detections(), no_plan(), False
     positions: dict[int, tuple[float, float]] = {}
@@ -229,18 +138,13 @@ def test_the_filter_is_what_its_parts_are_one_after_the_other(delay: float) -> N
         positions[tick] = (p_x, p_y)
         for _, taken, x, y in arrived[arrived[:, 0] == k].tolist():
             if taken in positions:
-                z_x, z_y = (
-                    min(max(own - far, 0.0), 40.0)
-                    for own, far in zip(positions[taken], (x, y), strict=True)
-                )
+                here = zip(positions[taken], (x, y), strict=True)
+                z_x, z_y = (min(max(own - far, 0.0), 40.0) for own, far in here)
                 contradicted |= not keep_detection(c, kept, z_x, z_y, int(taken), tick, p_x, p_y)
         on_course = True
         if tick != last + 1:
-            pending, known, safe = (
-                (pending + pending[-1:] * int(tick - last - 1))[-len(pending) :] if pending else [],
-                0,
-                False,
-            )
+            missed = pending[-1:] * int(tick - last - 1)
+            pending, known, safe = (pending + missed)[-len(pending) :] if pending else [], 0, False
             drop_plan(plan)
         elif expected is not None and expected != (p_x, p_y, v_x, v_y):
             on_course, known, safe = False, 0, False
@@ -277,11 +181,8 @@ def test_a_memory_that_begins_again_is_as_fresh_as_a_new_one(delay: float) -> No
     promise = promise_of(declared(delay))
     fresh, used = guard_state(promise, 8), guard_state(promise, 8)
     assert used.course.shape == (round(delay / DT) + 1,)
-    assert guard(promise, used, 0, Motion(20.0, 20.0, 0.1, 0.0), 0.1, 0.0)[2:] == (
-        BEST_EFFORT,
-        NO_DETECTION,
-        math.inf,
-    )
+    verdict = guard(promise, used, 0, Motion(20.0, 20.0, 0.1, 0.0), 0.1, 0.0)
+    assert verdict[2:] == (BEST_EFFORT, NO_DETECTION, math.inf)
     parts = arrays_of(used)
     for part in parts:
         part[:] = np.array(-5).astype(part.dtype)
@@ -381,16 +282,8 @@ class Vehicle:
         """One tick; whether its command is lost; the code."""
         p_x, p_y, _, _ = self.state
         note_position(self.memory, self.tick, p_x, p_y)
-        note_detection(
-            self.promise,
-            self.memory,
-            self.tick,
-            self.tick,
-            p_x - self.g[0],
-            p_y - self.g[1],
-            p_x,
-            p_y,
-        )
+        seen = (p_x - self.g[0], p_y - self.g[1])
+        note_detection(self.promise, self.memory, self.tick, self.tick, *seen, p_x, p_y)
         code = CERTIFIED
         if filtered:
             *command, _, code, _ = guard(self.promise, self.memory, self.tick, self.state, *wanted)
@@ -408,9 +301,7 @@ OUT, BACK = (U_A, 0.0), (-U_A, 0.0)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.5])
-def test_after_a_lost_command_nothing_is_certified_until_all_under_way_were_sent_since(
-    delay: float,
-) -> None:
+def test_after_a_lost_command_nothing_is_certified_until_all_under_way_were_sent_since(delay):
     uav, d = Vehicle(delay), round(delay / DT)
     for _ in range(10):
         assert uav.fly(OUT) == CERTIFIED
@@ -422,9 +313,7 @@ def test_after_a_lost_command_nothing_is_certified_until_all_under_way_were_sent
     assert set(codes[told + max(1, d) :]) == {CERTIFIED}
 
 
-def test_commands_under_way_that_lead_out_of_sight_are_not_certified_though_a_plan_brings_back() -> (
-    None
-):
+def test_commands_under_way_that_lead_out_of_sight_are_not_certified_though_a_plan_brings_back():
     """Only the state at t + tau_c was looked at once, and 4.895 m were certified."""
     uav, seen = Vehicle(1.0), set()
     for k in range(400):

@@ -43,9 +43,7 @@ def _searches(draw: st.DrawFn) -> tuple[np.ndarray, float, float, float, float, 
 
 @given(_searches(), st.integers(0, 2**53 - 1))
 @settings(PROPERTY, max_examples=300)
-def test_no_uncovered_point_is_nearer(
-    search: tuple[np.ndarray, float, float, float, float, float, float], key: int
-) -> None:
+def test_no_uncovered_point_is_nearer(search, key):
     coverage, p_ax, p_ay, p_gx, p_gy, r_o, cell = search
     found, q_x, q_y = nearest_uncovered(
         coverage, p_ax, p_ay, p_gx, p_gy, r_o, DESIRED, cell, a_key(key), 0

@@ -4,6 +4,7 @@ import copy
 import itertools
 import math
 import warnings
+from functools import partial
 from pathlib import Path
 
 import gymnasium
@@ -16,6 +17,8 @@ from gymnasium.wrappers import FrameStackObservation
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pettingzoo.utils.conversions import parallel_to_aec
+from refusals import refused
+from worlds import row_of
 
 from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from bus.layout import UavRow, UgvRow, table
@@ -117,18 +120,14 @@ def compositions(draw):
     only = draw(st.booleans())
     middle = []
     if second:
-        middle.append(
-            lambda env, pictures: (
-                coverage_image(env, channels=channels, only=only) if pictures else env
-            )
-        )
+        image = partial(coverage_image, channels=channels, only=only)
+        middle.append(lambda env, pictures: image(env) if pictures else env)
     if third:
         middle.append(lambda env, _: normalized(env, scale=scale, dtype=dtype))
     layers += draw(st.permutations(middle))
     if twice:
-        layers.append(
-            lambda env, _: history(env, length, stride=stride, new_axis=new_axis, channels=channels)
-        )
+        stacked = {"stride": stride, "new_axis": new_axis, "channels": channels}
+        layers.append(lambda env, _: history(env, length, **stacked))
     if late:
         layers.append(lambda env, _: normalized(env, dtype=dtype, scale=scale))
     return layers
@@ -185,26 +184,20 @@ def test_what_is_done_to_a_returned_observation_changes_nothing_later():
     (one, _), (other, _) = touched.reset(seed=1), twin.reset(seed=1)
     for _ in range(10):
         assert all(same(one[name], other[name]) for name in one)
-        for array in itertools.chain(
-            *(arrays(observation).values() for observation in one.values())
-        ):
-            array[...] = 77
-        one, other = (
-            env.step({name: np.array([0.05, 0.05]) for name in env.agents})[0]
-            for env in (touched, twin)
-        )
+        for observation in one.values():
+            for array in arrays(observation).values():
+                array[...] = 77
+        push = {name: np.array([0.05, 0.05]) for name in touched.agents}
+        one, other = (env.step(push)[0] for env in (touched, twin))
 
 
-@pytest.mark.parametrize(
-    "one",
-    [
-        Normalized(dtype=np.float64),
-        Egocentric(),
-        CoverageImage(),
-        CoverageImage(only=True),
-        History(1),
-    ],
-)
+TRANSFORMATIONS = [
+    *(Normalized(dtype=np.float64), Egocentric(), History(1)),
+    *(CoverageImage(), CoverageImage(only=True)),
+]
+
+
+@pytest.mark.parametrize("one", TRANSFORMATIONS)
 def test_nothing_that_is_returned_shares_memory_with_what_was_given(one):
     space = parallel_env(ONE, coverage_patch=PATCH).observation_space("uav_0")
     space = gymnasium.spaces.Dict({**space.spaces, "more": space["coverage"]})
@@ -218,18 +211,11 @@ def test_nothing_that_is_returned_shares_memory_with_what_was_given(one):
 @pytest.mark.parametrize("scenario", SCENARIOS)
 @pytest.mark.parametrize(
     "wrap",
-    [
-        normalized,
-        egocentric,
-        lambda env: history(env, 3, new_axis=True),
-        coverage_image,
-        everything,
-    ],
+    [normalized, egocentric, partial(history, length=3, new_axis=True), coverage_image, everything],
 )
 def test_passes_pettingzoos_parallel_test(scenario, wrap):
-    parallel_api_test(
-        wrap(parallel_env(SCENARIOS[scenario], coverage_patch=PATCH, duration=2.0)), num_cycles=60
-    )
+    env = parallel_env(SCENARIOS[scenario], coverage_patch=PATCH, duration=2.0)
+    parallel_api_test(wrap(env), num_cycles=60)
 
 
 def test_passes_pettingzoos_test_as_a_turn_based_environment():
@@ -262,35 +248,28 @@ def test_normalized_entries_are_where_their_bounds_put_them():
     raw, _ = parallel_env(ONE).reset(seed=3)
     seen, _ = env.reset(seed=3)
     space = env.unwrapped.observation_space("uav_0")
-    np.testing.assert_allclose(
-        seen["uav_0"],
-        2.0 * (raw["uav_0"] - space.low) / (space.high - space.low) - 1.0,
-        rtol=0,
-        atol=1e-6,
-    )
+    wanted = 2.0 * (raw["uav_0"] - space.low) / (space.high - space.low) - 1.0
+    np.testing.assert_allclose(seen["uav_0"], wanted, rtol=0, atol=1e-6)
     one = Normalized()
     one.space(space)
-    np.testing.assert_array_equal(
-        one.apply(np.stack([space.low, space.high])), [[-1.0] * 9, [1.0] * 9]
-    )
+    edges = one.apply(np.stack([space.low, space.high]))
+    np.testing.assert_array_equal(edges, [[-1.0] * 9, [1.0] * 9])
 
 
 def test_normalized_takes_what_has_no_bounds():
     low = np.array([-np.inf, 2.0, -np.inf, 3.0])
     high = np.array([np.inf, np.inf, 2.0, 3.0])
     one = Normalized(scale=4.0, dtype=np.float64)
-    assert one.space(gymnasium.spaces.Box(low, high, dtype=np.float64)) == gymnasium.spaces.Box(
-        -1.0, 1.0, (4,), np.float64
-    )
-    np.testing.assert_allclose(one.apply(np.array([0.0, 2.0, 2.0, 3.0])), [0.0, -1.0, 1.0, 0.0])
-    np.testing.assert_allclose(one.apply(np.array([4.0, 6.0, -2.0, 3.0])), [0.5, 0.0, 0.0, 0.0])
-    np.testing.assert_allclose(one.apply(np.array([-4.0, 6.0, -2.0, 3.0])), [-0.5, 0.0, 0.0, 0.0])
-    np.testing.assert_array_equal(
-        one.apply(np.array([-np.inf, np.inf, -np.inf, 3.0])), [-1.0, 1.0, -1.0, 0.0]
-    )
-    np.testing.assert_array_equal(
-        one.apply(np.array([1.7e308, 1.7e308, -1.7e308, 3.0])), [1.0, 1.0, -1.0, 0.0]
-    )
+    box = one.space(gymnasium.spaces.Box(low, high, dtype=np.float64))
+    assert box == gymnasium.spaces.Box(-1.0, 1.0, (4,), np.float64)
+    for given_, wanted in (
+        ([0.0, 2.0, 2.0, 3.0], [0.0, -1.0, 1.0, 0.0]),
+        ([4.0, 6.0, -2.0, 3.0], [0.5, 0.0, 0.0, 0.0]),
+        ([-4.0, 6.0, -2.0, 3.0], [-0.5, 0.0, 0.0, 0.0]),
+        ([-np.inf, np.inf, -np.inf, 3.0], [-1.0, 1.0, -1.0, 0.0]),
+        ([1.7e308, 1.7e308, -1.7e308, 3.0], [1.0, 1.0, -1.0, 0.0]),
+    ):
+        np.testing.assert_array_equal(one.apply(np.array(given_)), wanted)
 
 
 def test_normalized_brings_what_rounding_has_put_outside_back_into_the_box():
@@ -305,11 +284,9 @@ def test_normalized_brings_what_rounding_has_put_outside_back_into_the_box():
 @pytest.mark.parametrize(("channels", "axis"), [("last", -1), ("first", -3)])
 @pytest.mark.parametrize("pixels", [1, 8, 13])
 def test_the_image_has_the_bytes_of_the_coverage(channels, axis, pixels):
-    plain = parallel_env(ONE, coverage_patch=(pixels, 1.1))
-    env = coverage_image(parallel_env(ONE, coverage_patch=(pixels, 1.1)), channels=channels)
-    only = coverage_image(
-        parallel_env(ONE, coverage_patch=(pixels, 1.1)), channels=channels, only=True
-    )
+    plain, inner, other = (parallel_env(ONE, coverage_patch=(pixels, 1.1)) for _ in range(3))
+    env = coverage_image(inner, channels=channels)
+    only = coverage_image(other, channels=channels, only=True)
     space = env.observation_space("uav_0")["coverage"]
     assert space.shape == tuple(np.expand_dims(np.empty((pixels, pixels)), axis).shape)
     assert (space.dtype, space.low.min(), space.high.max()) == (np.uint8, 0, 255)
@@ -327,16 +304,11 @@ def test_the_image_has_the_bytes_of_the_coverage(channels, axis, pixels):
 def test_a_byte_is_the_nearest_and_halves_go_up():
     one = CoverageImage(only=True)
     share = gymnasium.spaces.Box(0.0, 1.0, (2, 2), np.float64)
-    one.space(
-        gymnasium.spaces.Dict(
-            {"row": gymnasium.spaces.Box(0.0, 1.0, (9,), np.float64), "coverage": share}
-        )
-    )
+    row = gymnasium.spaces.Box(0.0, 1.0, (9,), np.float64)
+    one.space(gymnasium.spaces.Dict({"row": row, "coverage": share}))
     picture = np.array([[0.0, 0.5], [1.0, 0.49 / 255.0]])
-    assert one.apply({"row": np.zeros(9), "coverage": picture})[..., 0].tolist() == [
-        [0, 128],
-        [255, 0],
-    ]
+    seen = one.apply({"row": np.zeros(9), "coverage": picture})
+    assert seen[..., 0].tolist() == [[0, 128], [255, 0]]
 
 
 # The vehicle's frame.
@@ -348,31 +320,24 @@ def turned(heading, x, y):
 
 
 def test_the_rows_of_the_vehicles_frame_say_the_same_as_the_worlds():
-    plain, env = (
-        parallel_env(MANY, end_on_sight_lost=False),
-        egocentric(parallel_env(MANY, end_on_sight_lost=False)),
-    )
+    plain, inner = (parallel_env(MANY, end_on_sight_lost=False) for _ in range(2))
+    env = egocentric(inner)
     raw, seen = plain.reset(seed=4)[0], env.reset(seed=4)[0]
     rng = np.random.default_rng(4)
     for _ in range(200):
         for name, row in raw.items():
             uav = name.startswith("uav")
-            was, now = (
-                (UavRow(*row), UavBodyRow(*seen[name]))
-                if uav
-                else (UgvRow(*row), UgvBodyRow(*seen[name]))
-            )
+            kinds = (UavRow, UavBodyRow) if uav else (UgvRow, UgvBodyRow)
+            was, now = kinds[0](*row), kinds[1](*seen[name])
             heading = now.heading_x, now.heading_y
             assert now.time == was.time
             assert math.hypot(*heading) == pytest.approx(1.0)
             assert now.speed == pytest.approx(math.hypot(was.vx, was.vy))
             if now.speed >= 0.01:
-                np.testing.assert_allclose(
-                    turned(heading, now.speed, 0.0), (was.vx, was.vy), atol=1e-12
-                )
-            np.testing.assert_allclose(
-                turned(heading, now.centre_x, now.centre_y), (20.0 - was.x, 20.0 - was.y), atol=1e-9
-            )
+                ahead = turned(heading, now.speed, 0.0)
+                np.testing.assert_allclose(ahead, (was.vx, was.vy), atol=1e-12)
+            centre = turned(heading, now.centre_x, now.centre_y)
+            np.testing.assert_allclose(centre, (20.0 - was.x, 20.0 - was.y), atol=1e-9)
             if uav:
                 assert (now.detected, now.age) == (was.detected, was.age)
                 relative = turned(heading, now.relative_x, now.relative_y)
@@ -435,9 +400,8 @@ def test_a_bad_action_is_refused_by_the_environment_and_nothing_happens(bad):
         one.reset(seed=1)
         for _ in range(10):
             one.step(still(one) | {"uav_0": [0.1, 0.2]})
-    with pytest.raises(ValueError, match="uav_0") as caught:
+    with refused(ValueError, "uav_0"):
         env.step(still(env) | {"uav_0": bad})
-    assert "\n" not in str(caught.value)
     with pytest.raises(ValueError, match="needed"):
         env.step({"uav_0": [0.0, 0.0]})
     assert same(env.step(still(env))[0]["uav_0"], twin.step(still(twin))[0]["uav_0"])
@@ -446,13 +410,11 @@ def test_a_bad_action_is_refused_by_the_environment_and_nothing_happens(bad):
 def test_the_gradient_behind_a_row_is_turned_too():
     one = Egocentric()
     row = parallel_env(ONE).observation_space("uav_0")
-    space = gymnasium.spaces.Box(
-        np.append(row.low, [-1.0, -1.0]), np.append(row.high, [1.0, 1.0]), dtype=np.float64
-    )
+    low, high = np.append(row.low, [-1.0, -1.0]), np.append(row.high, [1.0, 1.0])
+    space = gymnasium.spaces.Box(low, high, dtype=np.float64)
     assert one.space(space).shape == (12,)
-    seen = one.begin(
-        np.array([*UavRow(0.0, 1.0, 1.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0), 0.6, 0.8]), np.array(True)
-    )
+    north = UavRow(0.0, 1.0, 1.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0)
+    seen = one.begin(np.array([*north, 0.6, 0.8]), np.array(True))
     np.testing.assert_allclose(seen[-2:], [0.8, -0.6])
 
 
@@ -506,13 +468,8 @@ class Rows(gymnasium.Env):
 
     def step(self, action):
         observations, rewards, *_ = self.env.step({"uav_0": action, "ugv_0": np.zeros(2)})
-        return (
-            observations["uav_0"],
-            rewards["uav_0"],
-            False,
-            self.env.unwrapped.world.tick >= self.ticks,
-            {},
-        )
+        over = self.env.unwrapped.world.tick >= self.ticks
+        return observations["uav_0"], rewards["uav_0"], False, over, {}
 
 
 @pytest.mark.parametrize("patch", [None, PATCH])
@@ -563,10 +520,8 @@ class Vector(VectorEnv):
     def __init__(self, worlds):
         self.worlds, self.num_envs = worlds, len(worlds)
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
-        self.single_observation_space, self.single_action_space = (
-            worlds[0].observation_space,
-            worlds[0].action_space,
-        )
+        self.single_observation_space = worlds[0].observation_space
+        self.single_action_space = worlds[0].action_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
 
@@ -577,28 +532,20 @@ class Vector(VectorEnv):
         return np.stack(observations)
 
     def reset(self, *, seed=None, options=None):
-        return self.together(
-            [world.reset(seed=seed + k)[0] for k, world in enumerate(self.worlds)]
-        ), {}
+        first = [world.reset(seed=seed + k)[0] for k, world in enumerate(self.worlds)]
+        return self.together(first), {}
 
     def step(self, actions):
-        last, rewards, terminations, truncations, _ = zip(
-            *(world.step(action) for world, action in zip(self.worlds, actions, strict=True)),
-            strict=True,
-        )
-        ended = np.logical_or(terminations, truncations)
+        steps = [world.step(action) for world, action in zip(self.worlds, actions, strict=True)]
+        last, *told, _ = zip(*steps, strict=True)
+        rewards, terminations, truncations = map(np.array, told)
+        ended = terminations | truncations
         now = [
             world.reset()[0] if end else one
             for world, one, end in zip(self.worlds, last, ended, strict=True)
         ]
         infos = {"final_obs": self.together(last), "_final_obs": ended} if ended.any() else {}
-        return (
-            self.together(now),
-            np.array(rewards),
-            np.array(terminations),
-            np.array(truncations),
-            infos,
-        )
+        return self.together(now), rewards, terminations, truncations, infos
 
 
 def sync(mode):
@@ -632,19 +579,6 @@ def pick(env):
     return None if isinstance(env, VectorEnv) else ["uav_0"]
 
 
-def final_of(infos, k):
-    final = infos["final_obs"]
-    return {key: array[k] for key, array in final.items()} if isinstance(final, dict) else final[k]
-
-
-def world_of(observations, k):
-    return (
-        {key: array[k] for key, array in observations.items()}
-        if isinstance(observations, dict)
-        else observations[k]
-    )
-
-
 @pytest.mark.parametrize(
     "make", [Vector, sync("SameStep"), sync("NextStep")], ids=["arrays", "same_step", "next_step"]
 )
@@ -662,7 +596,7 @@ def test_each_world_of_a_batch_is_as_it_is_alone_across_the_ends_of_episodes(mak
     rng = np.random.default_rng(5)
     seen, _ = env.reset(seed=3)
     for k, one in enumerate(alone):
-        assert same(world_of(seen, k), one.reset(seed=3 + k)[0])
+        assert same(row_of(seen, k), one.reset(seed=3 + k)[0])
     same_step = env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     to_begin, finals = [False] * len(alone), 0
     for _ in range(25):
@@ -677,12 +611,12 @@ def test_each_world_of_a_batch_is_as_it_is_alone_across_the_ends_of_episodes(mak
             assert end == (terminations[k] or truncations[k])
             if end and same_step:
                 assert infos["_final_obs"][k]
-                assert same(final_of(infos, k), now)
+                assert same(row_of(infos["final_obs"], k), now)
                 now, _ = one.reset()
                 finals += 1
             else:
                 to_begin[k] = end
-            assert same(world_of(seen, k), now)
+            assert same(row_of(seen, k), now)
     assert finals == (sum(25 // ticks for ticks in TICKS) if same_step else 0)
 
 
@@ -712,6 +646,10 @@ def test_bad_rows_of_a_batch_of_actions_pass_as_they_are():
 # What does not fit.
 
 
+def stacked(env):
+    return history(env, 2, new_axis=True)
+
+
 @pytest.mark.parametrize(
     ("wrap", "words"),
     [
@@ -721,21 +659,8 @@ def test_bad_rows_of_a_batch_of_actions_pass_as_they_are():
         (lambda env: egocentric(egocentric(env)), r"uav_0: Egocentric needs"),
         (lambda env: egocentric(egocentric(env), agents=["ugv_0"]), r"ugv_0: Egocentric needs"),
         (lambda env: egocentric(history(env, 1, new_axis=True)), r"uav_0: Egocentric needs"),
-        (
-            lambda env: history(
-                history(history(env, 2, new_axis=True), 2, new_axis=True), 2, new_axis=True
-            ),
-            None,
-        ),
-        (
-            lambda env: history(
-                history(
-                    history(history(env, 2, new_axis=True), 2, new_axis=True), 2, new_axis=True
-                ),
-                2,
-            ),
-            "new_axis",
-        ),
+        (lambda env: stacked(stacked(stacked(env))), None),
+        (lambda env: history(stacked(stacked(stacked(env))), 2), "new_axis"),
         (lambda env: history(env, 0), "length = 0"),
         (lambda env: history(env, 2.5), "length = 2.5"),
         (lambda env: history(env, True), "length = True"),
@@ -754,9 +679,8 @@ def test_what_does_not_fit_is_refused_in_one_line(wrap, words):
     if words is None:
         wrap(parallel_env(ONE))
         return
-    with pytest.raises(ValueError, match=words) as caught:
+    with refused(ValueError, words):
         wrap(parallel_env(ONE))
-    assert "\n" not in str(caught.value)
 
 
 def test_pictures_that_are_no_longer_the_environments_own_are_refused_in_one_line():
@@ -765,9 +689,8 @@ def test_pictures_that_are_no_longer_the_environments_own_are_refused_in_one_lin
         lambda env: coverage_image(coverage_image(env)),
         lambda env: coverage_image(history(env, 2)),
     ):
-        with pytest.raises(ValueError, match="own coverage") as caught:
+        with refused(ValueError, "own coverage"):
             wrap(parallel_env(ONE, coverage_patch=PATCH))
-        assert "\n" not in str(caught.value)
 
 
 def test_what_is_no_environment_of_these_kinds_is_refused_in_one_line():
@@ -810,9 +733,8 @@ def test_a_transformation_of_ones_own_takes_its_place():
 
 
 def test_the_documentation_has_the_tables_and_its_example_runs():
-    text = (
-        Path(__file__).parent.parent / "docs" / "how-to" / "learning-observations.md"
-    ).read_text("utf-8")
+    page = Path(__file__).parent.parent / "docs" / "how-to" / "learning-observations.md"
+    text = page.read_text("utf-8")
     assert table(UavBodyRow) in text
     assert table(UgvBodyRow) in text
     assert BODY_SYMBOLS["R"] in text

@@ -40,9 +40,7 @@ def _after_a_second(a_x: float, a_y: float) -> tuple[float, float]:
 
 @given(*[numbers] * 6)
 @settings(PROPERTY)
-def test_the_path_error_accelerates_as_the_paper_derives(
-    u_x: float, u_y: float, g_x: float, g_y: float, v_x: float, v_y: float
-) -> None:
+def test_the_path_error_accelerates_as_the_paper_derives(u_x, u_y, g_x, g_y, v_x, v_y):
     (a_x, a_y), (d_x, d_y) = (
         _after_a_second(u_x, u_y),
         desired_position(*_after_a_second(g_x, g_y), *_after_a_second(v_x, v_y)),
@@ -57,9 +55,7 @@ def test_the_path_error_accelerates_as_the_paper_derives(
 
 @given(*[numbers] * 4)
 @settings(PROPERTY)
-def test_under_the_orbit_law_the_tracking_law_alone_drives_the_path_error(
-    u_x: float, u_y: float, v_x: float, v_y: float
-) -> None:
+def test_under_the_orbit_law_the_tracking_law_alone_drives_the_path_error(u_x, u_y, v_x, v_y):
     a_x, a_y = _after_a_second(*orbit_control(u_x, u_y, v_x, v_y))
     d_x, d_y = _after_a_second(v_x, v_y)
     assert (a_x - d_x, a_y - d_y) == pytest.approx((u_x, u_y), abs=1e-11)
@@ -68,9 +64,7 @@ def test_under_the_orbit_law_the_tracking_law_alone_drives_the_path_error(
 
 @given(st.floats(0.0, 500.0), st.floats(0.1, 10.0), st.floats(-2.0, 2.0))
 @settings(PROPERTY)
-def test_the_circle_has_its_radius_its_rate_and_its_second_derivative(
-    t: float, r_pv: float, omega: float
-) -> None:
+def test_the_circle_has_its_radius_its_rate_and_its_second_derivative(t, r_pv, omega):
     x, y, a_x, a_y = circle(t, r_pv, omega)
     assert (x, y) == pytest.approx(
         (r_pv * math.cos(omega * t), r_pv * math.sin(omega * t)), rel=1e-12, abs=1e-12
@@ -96,9 +90,7 @@ def test_the_papers_vehicles_can_fly_the_circle_up_to_this_rate() -> None:
     st.floats(0.01, 5.0) | st.just(math.inf),
 )
 @settings(PROPERTY)
-def test_the_largest_rate_exhausts_the_speed_or_the_acceleration(
-    r_pv: float, v_a: float, v_g: float, u_a: float
-) -> None:
+def test_the_largest_rate_exhausts_the_speed_or_the_acceleration(r_pv, v_a, v_g, u_a):
     omega = largest_circle_rate(r_pv, v_a, v_g, u_a)
     speed, acceleration = (r_pv * omega + v_g) / v_a, r_pv * omega**2 / u_a
     assert max(speed, acceleration) == pytest.approx(1.0, rel=1e-12)

@@ -67,9 +67,7 @@ class Bus:
         time.sleep(min(patience, 0.01))
         return None
 
-    def take(
-        self, letter: Any, _tick: int, commands: dict[str, Any], *, oldest: int | None = None
-    ) -> bool:
+    def take(self, letter, _tick, commands, *, oldest=None):
         commands[letter.sender] = letter
         return True
 

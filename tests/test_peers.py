@@ -37,32 +37,14 @@ def runner(folder: Path, text: str) -> Path:
 
 
 def row(module: ModuleType, peer: str, worlds: int, rate: float, **other: Any) -> Any:
-    told = {
-        "name": peer.title(),
-        "variant": "task",
-        "agents": 2,
-        "field": True,
-        "version": "1.0",
-    } | other
-    return module.Row(
-        peer=peer,
-        worlds=worlds,
-        steps_per_second=rate,
-        slowest=0.9 * rate,
-        fastest=1.1 * rate,
-        **told,
-    )
+    told = {"name": peer.title(), "variant": "task", "agents": 2, "field": True, "version": "1.0"}
+    rates = {"steps_per_second": rate, "slowest": 0.9 * rate, "fastest": 1.1 * rate}
+    return module.Row(peer=peer, worlds=worlds, **rates, **(told | other))
 
 
 def made_up(module: ModuleType, *rows: Any, failures: tuple[Any, ...] = ()) -> Any:
-    on = {
-        "date": "2026-01-01",
-        "cpu": "a CPU",
-        "cores": 2,
-        "python": "3.11.0",
-        "seconds": 3.0,
-        "repeats": 3,
-    }
+    on = {"date": "2026-01-01", "cpu": "a CPU", "cores": 2, "python": "3.11.0"}
+    on |= {"seconds": 3.0, "repeats": 3}
     return module.Report(rows=list(rows), failures=list(failures), **on)
 
 
@@ -91,9 +73,7 @@ def test_a_step_of_every_world_counts_one(load: Any, monkeypatch: pytest.MonkeyP
     assert clock.measure(made, 1.0, 3)["steps_per_second"] == pytest.approx(100.0 * 4 * 3)
 
 
-def test_our_own_work_is_not_taken_for_that_of_others(
-    load: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_our_own_work_is_not_taken_for_that_of_others(load, monkeypatch):
     clock = load("runners.clock")
     hertz = clock.os.sysconf("SC_CLK_TCK")
     now = iter([(0.0, 0.0), (7.0 * hertz, 10.0 * hertz)])  # 7 s of 10 s busy
@@ -105,18 +85,10 @@ def test_our_own_work_is_not_taken_for_that_of_others(
 
 def test_words_say_where_a_peer_is_faster(load: Any) -> None:
     report = load("peer_report")
-    words = report.where_faster(
-        made_up(
-            report,
-            row(report, "outrider", 1, 1000.0),
-            row(report, "fast", 1, 2500.0, field=False),
-            row(report, "near", 1, 1050.0),
-            row(report, "slow", 1, 999.0),
-            row(report, "fast", 32, 5000.0),
-            row(report, "outrider", 1024, 9000.0),
-            row(report, "slow", 1024, 10.0),
-        )
-    )
+    rates = [("outrider", 1, 1000.0), ("near", 1, 1050.0), ("slow", 1, 999.0)]
+    rates += [("fast", 32, 5000.0), ("outrider", 1024, 9000.0), ("slow", 1024, 10.0)]
+    fast = row(report, "fast", 1, 2500.0, field=False)
+    words = report.where_faster(made_up(report, fast, *(row(report, *told) for told in rates)))
     assert words == [
         "At 1 world Fast task, 2 agents, without a field, is 2.5 times as fast as Outrider task.",
         "At 1 world Near task, 2 agents, is 1.05 times as fast as Outrider task, within the spread of the repeats.",
@@ -127,35 +99,27 @@ def test_words_say_where_a_peer_is_faster(load: Any) -> None:
 
 def test_results_are_written_with_both_groups_failures_and_noise(load: Any, tmp_path: Path) -> None:
     report = load("peer_report")
-    ours, peer = (
-        row(report, "outrider", 1, 1000.0, others=0.5),
-        row(report, "fast", 1, 2500.0, field=False),
-    )
+    ours = row(report, "outrider", 1, 1000.0, others=0.5)
+    peer = row(report, "fast", 1, 2500.0, field=False)
     failure = report.Failure(what="gone", reason="No matching distribution | found")
     report.write(made_up(report, ours, peer, failures=(failure,)), tmp_path)
     text = (tmp_path / "peers.md").read_text(encoding="utf-8")
-    assert (
-        text.index("## With a field")
-        < text.index("| Outrider ")
-        < text.index("## Without a field")
-        < text.index("| Fast ")
-    )
+    parts = ("## With a field", "| Outrider ", "## Without a field", "| Fast ")
+    places = [text.index(part) for part in parts]
+    assert places == sorted(places)
     assert "| gone | No matching distribution \\| found |" in text
     assert "Not quiet" in text
     assert "up to 50% of the cores" in text
-    assert (
-        json.loads((tmp_path / "peers.json").read_bytes())["rows"][1]["steps_per_second"] == 2500.0
-    )
+    rows = json.loads((tmp_path / "peers.json").read_bytes())["rows"]
+    assert rows[1]["steps_per_second"] == 2500.0
     assert (tmp_path / "peers.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_runner_that_fails_becomes_a_row_with_its_reason(load: Any, tmp_path: Path) -> None:
-    rows, failures = load("peers").measure(
-        "fake", Path(sys.executable), GIVEN, cwd=runner(tmp_path, FAKE)
-    )
-    assert [(found.label, found.steps_per_second) for found in rows] == [
-        ("Fake task, 2 agents", 5.0)
-    ]
+    folder = runner(tmp_path, FAKE)
+    rows, failures = load("peers").measure("fake", Path(sys.executable), GIVEN, cwd=folder)
+    (found,) = rows
+    assert (found.label, found.steps_per_second) == ("Fake task, 2 agents", 5.0)
     assert [(failure.what, failure.reason) for failure in failures] == [
         ("Fake task, 32 worlds", "MemoryError: too much"),
         ("fake", "OSError: no libfake.so at (address)"),
@@ -186,9 +150,7 @@ def test_what_takes_too_long_is_ended_with_all_it_has_started(load: Any, tmp_pat
     )  # the child holds our pipe: while it lives, nothing comes back
 
 
-def test_only_a_whole_environment_with_the_same_requirements_is_used_again(
-    load: Any, tmp_path: Path
-) -> None:
+def test_only_a_whole_environment_with_the_same_requirements_is_used_again(load, tmp_path):
     venvs = load("peer_venvs")
     (tmp_path / "bin").mkdir()
     (tmp_path / "bin" / "python").touch()
@@ -198,20 +160,14 @@ def test_only_a_whole_environment_with_the_same_requirements_is_used_again(
     assert not venvs.is_whole(tmp_path, ("a>=2,<3",))
 
 
-def test_torch_for_cuda_is_refused_unless_asked_for(
-    load: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_torch_for_cuda_is_refused_unless_asked_for(load, tmp_path, monkeypatch):
     venvs = load("peer_venvs")
     installed: list[tuple[str, ...]] = []
 
     def pip(folder: Path, *arguments: str) -> None:
         if "--report" in arguments:
-            plan = {
-                "install": [
-                    {"metadata": {"name": "torch"}},
-                    {"metadata": {"name": "nvidia-cublas"}},
-                ]
-            }
+            wanted = ("torch", "nvidia-cublas")
+            plan = {"install": [{"metadata": {"name": name}} for name in wanted]}
             (folder / "plan.json").write_text(json.dumps(plan), encoding="utf-8")
         else:
             installed.append(arguments)

@@ -18,7 +18,6 @@ from bus.errors import ScenarioError
 from bus.messages import (
     Area,
     Detection,
-    Law,
     Limits,
     Sensor,
     UavCommand,
@@ -39,47 +38,19 @@ accelerations = st.sampled_from((0.05, U_G, 1.0, 10.0, math.inf))
 ticks = st.sampled_from((0.02, DT, 0.2))
 
 
-def _driver(
-    goals: tuple[Point, ...],
-    *,
-    v_max: float = V_G,
-    u_max: float = U_G,
-    dt: float = DT,
-    tolerance: float = 0.05,
-) -> WaypointDriver:
+def _driver(goals, *, v_max=V_G, u_max=U_G, dt=DT, tolerance=0.05):
     limits = Limits(max_speed=v_max, max_acceleration=None if math.isinf(u_max) else u_max)
     area = Area(width=20.0, height=20.0, cell=0.5)
-    return WaypointDriver(
-        UgvBriefing(
-            vehicle="ugv_0",
-            dt=dt,
-            area=area,
-            limits=limits,
-            driver="waypoints",
-            goals=goals,
-            goal_tolerance=tolerance,
-            key="0" * 32,
-        )
-    )
+    task = {"driver": "waypoints", "goals": goals, "goal_tolerance": tolerance, "key": "0" * 32}
+    return WaypointDriver(UgvBriefing(vehicle="ugv_0", dt=dt, area=area, limits=limits, **task))
 
 
-def _drive(
-    driver: WaypointDriver,
-    start: Point,
-    count: int,
-    *,
-    v_max: float = V_G,
-    u_max: float = U_G,
-    dt: float = DT,
-) -> np.ndarray:
+def _drive(driver, start, count, *, v_max=V_G, u_max=U_G, dt=DT):
     """p, v and the command before its bound at each tick, from rest."""
     state, rows = (*start, 0.0, 0.0), []
     for tick in range(count):
-        u = driver.drive(
-            UgvObservation(
-                tick=tick, time=tick * dt, position=tuple(state[:2]), velocity=tuple(state[2:])
-            )
-        )
+        own = {"position": tuple(state[:2]), "velocity": tuple(state[2:])}
+        u = driver.drive(UgvObservation(tick=tick, time=tick * dt, **own))
         rows.append((*state, *u))
         *state, _, _ = step_vehicle(*state, *u, v_max, u_max, dt)
     return np.array(rows)
@@ -98,18 +69,10 @@ def _ticks_for(way: float, v_max: float, u_max: float, dt: float) -> int:
 
 @given(points, points, speeds, accelerations, ticks)
 @settings(PROPERTY, max_examples=60)
-def test_the_ugv_drives_straight_to_its_goal_and_stands_there(
-    start: Point, goal: Point, v_max: float, u_max: float, dt: float
-) -> None:
+def test_the_ugv_drives_straight_to_its_goal_and_stands_there(start, goal, v_max, u_max, dt):
     count = min(_ticks_for(math.dist(start, goal), v_max, u_max, dt), 20000)
-    rows = _drive(
-        _driver((goal,), v_max=v_max, u_max=u_max, dt=dt),
-        start,
-        count,
-        v_max=v_max,
-        u_max=u_max,
-        dt=dt,
-    )
+    bounds = {"v_max": v_max, "u_max": u_max, "dt": dt}
+    rows = _drive(_driver((goal,), **bounds), start, count, **bounds)
     assert _along(rows, start, goal)[1].max() < 1e-9
     if count < 20000:
         assert rows[-1, :2] == pytest.approx(goal, abs=1e-3)
@@ -119,19 +82,11 @@ def test_the_ugv_drives_straight_to_its_goal_and_stands_there(
 
 @given(st.floats(0.01, 20.0), speeds, accelerations, ticks)
 @settings(PROPERTY, max_examples=60)
-def test_the_ugv_never_overshoots_its_last_goal(
-    way: float, v_max: float, u_max: float, dt: float
-) -> None:
+def test_the_ugv_never_overshoots_its_last_goal(way, v_max, u_max, dt):
     goal = (way, 3.0)
     count = min(_ticks_for(way, v_max, u_max, dt), 5000)
-    rows = _drive(
-        _driver((goal,), v_max=v_max, u_max=u_max, dt=dt),
-        (0.0, 3.0),
-        count,
-        v_max=v_max,
-        u_max=u_max,
-        dt=dt,
-    )
+    bounds = {"v_max": v_max, "u_max": u_max, "dt": dt}
+    rows = _drive(_driver((goal,), **bounds), (0.0, 3.0), count, **bounds)
     assert _along(rows, (0.0, 3.0), goal)[0].min() > -1e-9
 
 
@@ -143,16 +98,10 @@ def test_the_papers_ugv_drives_at_its_largest_speed_and_stands_on_its_goal() -> 
 
 @given(st.lists(points, min_size=2, max_size=4), st.sampled_from((0.05, 0.5)))
 @settings(PROPERTY, max_examples=20)
-def test_a_goal_stays_until_it_is_nearer_than_the_tolerance(
-    goals: list[Point], tolerance: float
-) -> None:
-    rows = _drive(
-        _driver(tuple(goals), v_max=1.0, u_max=0.5, tolerance=tolerance),
-        (1.0, 1.0),
-        1500,
-        v_max=1.0,
-        u_max=0.5,
-    )
+def test_a_goal_stays_until_it_is_nearer_than_the_tolerance(goals, tolerance):
+    bounds = {"v_max": 1.0, "u_max": 0.5}
+    driver = _driver(tuple(goals), **bounds, tolerance=tolerance)
+    rows = _drive(driver, (1.0, 1.0), 1500, **bounds)
     at = 0
     for p_x, p_y, v_x, v_y, u_x, u_y in rows.tolist():
         while at < len(goals) - 1 and goal_reached(p_x, p_y, *goals[at], tolerance):
@@ -164,11 +113,8 @@ def test_a_goal_stays_until_it_is_nearer_than_the_tolerance(
 @settings(PROPERTY, max_examples=20)
 def test_the_papers_ugv_keeps_to_the_lines_between_its_goals(goals: list[Point]) -> None:
     rows = _drive(_driver(tuple(goals)), (10.0, 10.0), 4000)
-    lines = [
-        _along(rows, *ends)[1]
-        for ends in pairwise([(10.0, 10.0), *goals])
-        if math.dist(*ends) > 0.1
-    ]
+    ways = pairwise([(10.0, 10.0), *goals])
+    lines = [_along(rows, *ends)[1] for ends in ways if math.dist(*ends) > 0.1]
     corners = [np.hypot(*(rows[:, :2] - goal).T) for goal in goals]
     assert np.min([*lines, *corners], axis=0).max() < 0.1
 
@@ -176,9 +122,8 @@ def test_the_papers_ugv_keeps_to_the_lines_between_its_goals(goals: list[Point])
 def test_a_ugv_without_goals_brakes_and_stays() -> None:
     rows = _drive(_driver(()), HERE, 5)
     assert (rows[:, 2:] == 0.0).all()
-    command = _driver(()).drive(
-        UgvObservation(tick=0, time=0.0, position=HERE, velocity=(0.2, 0.0))
-    )
+    moving = UgvObservation(tick=0, time=0.0, position=HERE, velocity=(0.2, 0.0))
+    command = _driver(()).drive(moving)
     assert command == pytest.approx((-U_G, 0.0), abs=1e-15)
 
 
@@ -215,11 +160,8 @@ def test_before_the_first_detection_the_uav_brakes() -> None:
 
 
 def test_a_uav_that_never_sees_its_ugv_stands_still() -> None:
-    far = escort(
-        uav=Uav(position=(5.0, 5.0), velocity=(0.3, 0.0)),
-        ugv=Ugv(position=(30.0, 30.0)),
-        duration=20.0,
-    )
+    uav, ugv = Uav(position=(5.0, 5.0), velocity=(0.3, 0.0)), Ugv(position=(30.0, 30.0))
+    far = escort(uav=uav, ugv=ugv, duration=20.0)
     uav, _ = tracks(fly(far, 0)[0])
     assert (uav[-100:, 2:4] == 0.0).all()
     assert uav[-1, 0] == pytest.approx(5.0 + 0.3**2 / (2.0 * U_A), abs=0.3 * DT)
@@ -251,13 +193,8 @@ def test_the_same_observations_get_the_same_commands() -> None:
 def test_the_uavs_own_map_is_the_worlds(sensor: str) -> None:
     ugv = Ugv(position=HERE, goals=((25.0, 23.0),))
     noisy = Detections(noise=0.1, dropout=0.2)
-    scenario = escort(
-        Law(name="logarithmic"),
-        ugv=ugv,
-        sensor=Sensor(model=sensor),
-        detections=noisy,
-        duration=30.0,
-    )
+    told = {"sensor": Sensor(model=sensor), "detections": noisy, "duration": 30.0}
+    scenario = escort("logarithmic", ugv=ugv, **told)
     flight, pilots = Flight(scenario, 1), make_pilots(scenario, 1)
     flight.fly(InProcess(pilots))
     pilot = pilots["uav_0"]

@@ -9,7 +9,6 @@ import importlib
 import json
 import logging
 import math
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -21,6 +20,7 @@ import numpy as np
 import pytest
 from draws import a_told_key
 from flights import DT, U_G, V_G
+from processes import python
 
 import outrider
 from agents.drivers.policy import PolicyDriver, UgvRows
@@ -109,14 +109,8 @@ class InferenceSession:
 """,
 }
 WEIGHTS = [
-    [0.0, 0.0],
-    [0.1, -0.02],
-    [-0.1, 0.03],
-    [0.5, 0.1],
-    [0.1, -0.7],
-    [0.2, 0.2],
-    [0.01, 0.0],
-    [0.0, -0.02],
+    *([0.0, 0.0], [0.1, -0.02], [-0.1, 0.03], [0.5, 0.1]),
+    *([0.1, -0.7], [0.2, 0.2], [0.01, 0.0], [0.0, -0.02]),
 ]
 TOLD = {"row": [8], "action": [2], "dtype": "float64", "weights": WEIGHTS, "batch": [], "inputs": 1}
 
@@ -253,15 +247,13 @@ def test_a_saved_policy_flies_the_same_bits_as_in_the_environment(here: Path, na
             action, state = model.predict(row, state=state, episode_start=[False])
         else:
             action = model.predict(row)
-        observations, *_ = env.step(
-            {"uav_0": fleet["uav_0"](observations["uav_0"]), "ugv_0": action}
-        )
+        theirs = fleet["uav_0"](observations["uav_0"])
+        observations, *_ = env.step({"uav_0": theirs, "ugv_0": action})
         k += 1
     assert k == flight.recorder.ticks == scenario.ticks
     pace = np.hypot(*flight.recorder.states[:, 1, 2:4].T)
-    assert pace.max() == pytest.approx(
-        0.5
-    )  # the bounds of the world were met, and nothing else bent the action
+    # the bounds of the world were met, and nothing else bent the action
+    assert pace.max() == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
@@ -288,16 +280,8 @@ def test_ugvs_that_share_a_policy_reach_goals_of_their_own() -> None:
 
 
 def test_a_ugv_without_goals_has_a_row_too() -> None:
-    assert UgvRows(_told(goals=())).row(_seen(4)).tolist() == [
-        0.2,
-        10.0,
-        10.0,
-        0.1,
-        -0.1,
-        0.0,
-        0.0,
-        0.0,
-    ]
+    row = UgvRows(_told(goals=())).row(_seen(4)).tolist()
+    assert row == [0.2, 10.0, 10.0, 0.1, -0.1, 0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize(
@@ -311,16 +295,8 @@ def test_what_was_predicted_is_passed_on_as_it_is_with_or_without_a_state(answer
 @pytest.mark.parametrize(
     "answer",
     [
-        None,
-        0.1,
-        (0.1,),
-        [[0.1, 0.2]],
-        (math.nan, 0.0),
-        (0.0, math.inf),
-        ("a", "b"),
-        (None, None),
-        ((0.1,), None),
-        (2e6, 0.0),
+        *(None, 0.1, (0.1,), [[0.1, 0.2]], (math.nan, 0.0), (0.0, math.inf)),
+        *(("a", "b"), (None, None), ((0.1,), None), (2e6, 0.0)),
     ],
     ids=str,
 )
@@ -434,9 +410,7 @@ def test_an_unknown_algorithm_is_told_which_there_are(here: Path) -> None:
         ("onnx:model.onnx", {"inputs": 2}),
     ],
 )
-def test_a_policy_of_another_agent_is_refused_before_it_flies(
-    here: Path, name: str, changes: dict[str, Any]
-) -> None:
+def test_a_policy_of_another_agent_is_refused_before_it_flies(here, name, changes):
     tell(here, name.rpartition(":")[2], **changes)
     assert "allowed: " in refused(name)
 
@@ -458,6 +432,6 @@ def test_a_module_that_breaks_while_it_is_imported_is_named_in_one_line(here: Pa
 
 def test_only_what_is_flown_is_imported() -> None:
     body = f"import sys, outrider.running.user_code, outrider.running.flying; print([m for m in {LIBRARIES} if m in sys.modules])"
-    found = subprocess.run([sys.executable, "-c", body], capture_output=True, text=True, check=True)
+    found = python(body)
     assert found.stdout.strip() == "[]"
     assert set(SAVED_POLICIES) == {"sb3", "torch", "onnx"}

@@ -19,9 +19,7 @@ ROWS, COLUMNS = 90, 110
     cell=st.sampled_from([0.1, 0.2, 0.25, 0.3, 1.0]),
 )
 @settings(PROPERTY)
-def test_a_disc_lies_within_its_widths_and_they_are_not_much_wider(
-    x: float, y: float, radius: float, cell: float
-) -> None:
+def test_a_disc_lies_within_its_widths_and_they_are_not_much_wider(x, y, radius, cell):
     widths = disc_widths(radius, cell)
     column, lowest = int(x / cell), int(y / cell) - len(widths) // 2
     first_row, chords = disc_chords(x, y, radius, cell, ROWS, COLUMNS)

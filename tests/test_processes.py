@@ -19,9 +19,11 @@ from processes import (
     run_json,
     wait_until,
 )
+from tabular import words
 
 from outrider.running.child import Child
 from outrider.running.flying import fly
+from outrider.running.launch import free_port
 from sim.scenario.loading import load_scenario, scenario_names
 
 pytestmark = pytest.mark.usefixtures("nothing_left_behind")
@@ -61,14 +63,9 @@ def test_another_seed_of_a_noisy_scenario_is_another_trajectory() -> None:
 
 
 def test_two_runs_at_once_do_not_meet() -> None:
-    runs = [
-        subprocess.Popen(
-            [*OUTRIDER, "run", "escort", "--duration", "40", "--json", "--no-files"],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-        )
-        for _ in range(2)
-    ]
+    command = [*OUTRIDER, *words("run escort --duration 40 --json --no-files")]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    runs = [subprocess.Popen(command, **pipes) for _ in range(2)]
     hashes = [json.loads(run.communicate(timeout=120)[0])["trajectory_sha256"] for run in runs]
     assert hashes[0] == hashes[1]
 
@@ -84,12 +81,8 @@ def test_ctrl_c_ends_all_processes_and_keeps_what_was_flown(tmp_path: Path) -> N
     assert summary["complete"] is False
     rows = (tmp_path / "trajectory.csv").read_text(encoding="utf-8").splitlines()
     assert len(rows) == 1 + summary["ticks"] + 1
-    assert {path.name for path in tmp_path.iterdir()} == {
-        "trajectory.csv",
-        "flight.png",
-        "coverage.npy",
-        "summary.json",
-    }
+    files = words("coverage.npy flight.png summary.json trajectory.csv")
+    assert sorted(path.name for path in tmp_path.iterdir()) == files
     assert not any(alive(child) for child in children)
     # what was flown is the beginning of the whole flight
     _, whole = fly(load_scenario("escort", overrides=[f"duration={summary['ticks'] * 0.05!r}"]), 7)
@@ -97,9 +90,7 @@ def test_ctrl_c_ends_all_processes_and_keeps_what_was_flown(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("victim", ["uav", "ugv"])
-def test_a_vehicle_that_dies_brakes_and_the_run_ends_with_its_name(
-    victim: str, tmp_path: Path
-) -> None:
+def test_a_vehicle_that_dies_brakes_and_the_run_ends_with_its_name(victim, tmp_path):
     with flying(
         "escort", "--duration", "100", "--no-picture", "--out", str(tmp_path), "--json"
     ) as run:
@@ -158,9 +149,7 @@ def test_a_frozen_child_ends_too_when_the_parent_is_killed() -> None:
 
 
 @pytest.mark.parametrize("closed", ["stdin", "stdout"])
-def test_a_child_that_hears_of_the_end_before_its_watchdog_leaves_nothing_either(
-    closed: str,
-) -> None:
+def test_a_child_that_hears_of_the_end_before_its_watchdog_leaves_nothing_either(closed):
     hears_first = (
         "import pathlib, select, sys; from outrider.running.watchdog import start_watchdog;"
         "start_watchdog(pathlib.Path(sys.argv[1])); print(flush=True); ends = select.poll();"
@@ -182,15 +171,6 @@ def test_a_child_that_hears_of_the_end_before_its_watchdog_leaves_nothing_either
             getattr(child, closed).close()
             child.wait(30)
         assert not folder.exists()
-
-
-def free_port() -> int:
-    import socket
-
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
 
 
 def test_processes_started_one_by_one_fly_the_same_bits() -> None:
@@ -227,14 +207,7 @@ def test_what_lies_in_the_working_folder_takes_no_modules_place(tmp_path: Path) 
     hostile = 'raise SystemExit(f"hijacked by {__name__}")\n'
     mine = "def policy(observation, briefing):\n    return (0.05, 0.0)\n"
     (tmp_path / "mine.py").write_text(mine, encoding="utf-8")
-    checked = subprocess.run(
-        [*OUTRIDER, "check", "escort"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
+    checked = outrider("check", "escort", cwd=tmp_path)
     assert checked.returncode == 0, checked.stderr
     for name in ("agents", "sim", "bus", "outrider"):
         (tmp_path / name).mkdir()
@@ -242,17 +215,7 @@ def test_what_lies_in_the_working_folder_takes_no_modules_place(tmp_path: Path) 
     script = Path(sys.executable).with_name(
         "outrider"
     )  # `python -m outrider` is the folder's own outrider, if it has one
-    arguments = [
-        "run",
-        "--driver",
-        "policy",
-        "--policy",
-        "mine:policy",
-        "--duration",
-        "1",
-        "--no-files",
-        "--json",
-    ]
+    arguments = words("run --driver policy --policy mine:policy --duration 1 --no-files --json")
     run = subprocess.run(
         [script, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120
     )

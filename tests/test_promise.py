@@ -1,9 +1,12 @@
 """What the certificate assumes and links or detector cannot keep is told before the flight, each with its field."""
 
+import re
+
 import numpy as np
 import pytest
 from draws import a_key
-from processes import outrider
+from refusals import refused
+from tabular import rows
 
 from bus.errors import ScenarioError
 from bus.messages import LinkKind, LinkSettings
@@ -23,128 +26,56 @@ def certified(*overrides: str) -> Scenario:
     return load_scenario("escort", overrides=["law.name=certified", *QUIET, *overrides])
 
 
-THROUGHOUT, CERTAIN, SOMETIMES = How.THROUGHOUT, How.CERTAIN, How.SOMETIMES
-BROKEN = [
-    (
-        "A1",
-        SOMETIMES,
-        ["detections.noise=0.5", "certificate.error=1.2"],
-        "certificate.error = 1.2 m",
-    ),
-    ("A1", THROUGHOUT, ["detections.noise=0.5", "certificate.error=0.2"], "92.2 % are larger"),
-    ("A1", SOMETIMES, ["detections.cut=0", "certificate.error=0.4"], "detections.cut = 0"),
-    ("", THROUGHOUT, ["detections.cut=0"], "the noise of the detections is not cut"),
-    ("A2", CERTAIN, ["detections.rate=1.0", "certificate.age=0.5"], "detections.rate = 1 /s"),
-    ("A2", THROUGHOUT, ["links.detections.delay=1.05"], "links.detections.delay = 1.05"),
-    (
-        "A2",
-        SOMETIMES,
-        ["links.detections.delay=0.95", "links.detections.jitter=0.3"],
-        "links.detections.jitter = 0.3",
-    ),
-    ("A2", SOMETIMES, ["links.detections.loss=0.5"], "links.detections.loss = 0.5"),
-    ("A2", SOMETIMES, ["detections.dropout=0.7"], "detections.dropout = 0.7"),
-    (
-        "A2",
-        SOMETIMES,
-        ["links.detections.reorder=0.5", "links.detections.reorder_delay=2.0"],
-        "links.detections.reorder = 0.5",
-    ),
-    (
-        "A2",
-        SOMETIMES,
-        ["links.detections.burst_length=2.0", "links.detections.burst_interval=9.0"],
-        "links.detections.burst_length = 2",
-    ),
-    (
-        "A2",
-        SOMETIMES,
-        ["links.detections.blackout_length=2.0", "links.detections.blackout_interval=9.0"],
-        "links.detections.blackout_length = 2",
-    ),
-    (
-        "A2",
-        CERTAIN,
-        ["links.detections.blackouts=[[30.0,20.0]]"],
-        "becomes 20 s old, certificate.age = 1 s, from 31 s to 50 s",
-    ),
-    ("A2", CERTAIN, ["links.detections.blackouts=[[30.0,1.05]]"], "from 31 s to 31.05 s"),
-    ("A2", CERTAIN, ["links.detections.blackouts=[[0.0,0.5]]"], "nothing is detected before 0.5 s"),
-    ("A2", CERTAIN, ["links.detections.bandwidth=1.0"], "links.detections.bandwidth = 1"),
-    (
-        "A5",
-        THROUGHOUT,
-        ["links.commands.delay=0.5", "certificate.delay=0.0"],
-        "links.commands.delay = 0.5",
-    ),
-    ("A5", THROUGHOUT, ["certificate.delay=0.3"], "links.commands.delay = 0"),
-    (
-        "",
-        THROUGHOUT,
-        ["links.commands.delay=0.3", "links.commands.jitter=0.4"],
-        "hold = 0.5 s: shorter than tau_c",
-    ),
-    (
-        "A5",
-        THROUGHOUT,
-        ["links.commands.delay=0.3", "links.commands.jitter=0.1"],
-        "links.commands.jitter = 0.1",
-    ),
-    (
-        "A5",
-        THROUGHOUT,
-        ["links.commands.reorder=0.1", "links.commands.reorder_delay=0.2"],
-        "links.commands.reorder = 0.1",
-    ),
-    (
-        "A5",
-        SOMETIMES,
-        ["links.commands.reorder=0.1", "links.commands.reorder_delay=0.2", "certificate.delay=0.0"],
-        "in 10 % of the ticks",
-    ),
-    ("A5", THROUGHOUT, ["links.commands.bandwidth=5"], "links.commands.bandwidth = 5"),
-    ("A5", SOMETIMES, ["links.commands.loss=0.1"], "links.commands.loss = 0.1"),
-    (
-        "A5",
-        SOMETIMES,
-        ["links.commands.burst_length=0.5", "links.commands.burst_interval=9.0"],
-        "links.commands.burst_length = 0.5",
-    ),
-    (
-        "A5",
-        SOMETIMES,
-        ["links.commands.blackout_length=0.5", "links.commands.blackout_interval=9.0"],
-        "links.commands.blackout_length = 0.5",
-    ),
-    (
-        "A5",
-        CERTAIN,
-        ["links.commands.blackouts=[[30.0,20.0]]"],
-        "links.commands.blackouts, 30 s to 50 s",
-    ),
-    (
-        "A5",
-        SOMETIMES,
-        ['links.only=[{vehicle="uav_0",commands={loss=0.1}}]'],
-        "links.only.0.commands.loss = 0.1",
-    ),
-]
+BROKEN = rows("""
+A1 | SOMETIMES | detections.noise=0.5 & certificate.error=1.2 | certificate.error = 1.2 m
+A1 | THROUGHOUT | detections.noise=0.5 & certificate.error=0.2 | 92.2 % are larger
+A1 | SOMETIMES | detections.cut=0 & certificate.error=0.4 | detections.cut = 0
+none | THROUGHOUT | detections.cut=0 | the noise of the detections is not cut
+A2 | CERTAIN | detections.rate=1.0 & certificate.age=0.5 | detections.rate = 1 /s
+A2 | THROUGHOUT | links.detections.delay=1.05 | links.detections.delay = 1.05
+A2 | SOMETIMES | links.detections.delay=0.95 & links.detections.jitter=0.3 | links.detections.jitter = 0.3
+A2 | SOMETIMES | links.detections.loss=0.5 | links.detections.loss = 0.5
+A2 | SOMETIMES | detections.dropout=0.7 | detections.dropout = 0.7
+A2 | SOMETIMES | links.detections.reorder=0.5 & links.detections.reorder_delay=2.0 | links.detections.reorder = 0.5
+A2 | SOMETIMES | links.detections.burst_length=2.0 & links.detections.burst_interval=9.0
+| links.detections.burst_length = 2
+A2 | SOMETIMES | links.detections.blackout_length=2.0 & links.detections.blackout_interval=9.0
+| links.detections.blackout_length = 2
+A2 | CERTAIN | links.detections.blackouts=[[30.0,20.0]] | becomes 20 s old, certificate.age = 1 s, from 31 s to 50 s
+A2 | CERTAIN | links.detections.blackouts=[[30.0,1.05]] | from 31 s to 31.05 s
+A2 | CERTAIN | links.detections.blackouts=[[0.0,0.5]] | nothing is detected before 0.5 s
+A2 | CERTAIN | links.detections.bandwidth=1.0 | links.detections.bandwidth = 1
+A5 | THROUGHOUT | links.commands.delay=0.5 & certificate.delay=0.0 | links.commands.delay = 0.5
+A5 | THROUGHOUT | certificate.delay=0.3 | links.commands.delay = 0
+none | THROUGHOUT | links.commands.delay=0.3 & links.commands.jitter=0.4 | hold = 0.5 s: shorter than tau_c
+A5 | THROUGHOUT | links.commands.delay=0.3 & links.commands.jitter=0.1 | links.commands.jitter = 0.1
+A5 | THROUGHOUT | links.commands.reorder=0.1 & links.commands.reorder_delay=0.2 | links.commands.reorder = 0.1
+A5 | SOMETIMES | links.commands.reorder=0.1 & links.commands.reorder_delay=0.2 & certificate.delay=0.0
+| in 10 % of the ticks
+A5 | THROUGHOUT | links.commands.bandwidth=5 | links.commands.bandwidth = 5
+A5 | SOMETIMES | links.commands.loss=0.1 | links.commands.loss = 0.1
+A5 | SOMETIMES | links.commands.burst_length=0.5 & links.commands.burst_interval=9.0 | links.commands.burst_length = 0.5
+A5 | SOMETIMES | links.commands.blackout_length=0.5 & links.commands.blackout_interval=9.0
+| links.commands.blackout_length = 0.5
+A5 | CERTAIN | links.commands.blackouts=[[30.0,20.0]] | links.commands.blackouts, 30 s to 50 s
+A5 | SOMETIMES | links.only=[{vehicle="uav_0",commands={loss=0.1}}] | links.only.0.commands.loss = 0.1
+""")
 
 
 @pytest.mark.parametrize(("assumption", "how", "changes", "told"), BROKEN)
 def test_each_cause_is_told_with_its_assumption_its_field_and_how_often(
-    assumption: str, how: How, changes: list[str], told: str
-) -> None:
+    assumption, how, changes, told
+):
+    scenario = certified(*changes.split(" & "))
     found = [
         fault
-        for fault in shortfalls(certified(*changes))
-        if fault.assumption == assumption and told in fault.what
+        for fault in shortfalls(scenario)
+        if fault.assumption == assumption.removeprefix("none") and told in fault.what
     ]
-    assert [fault.how for fault in found] == [how]
-    assert found[0].line in promise_warnings(certified(*changes))
-    assert how_certifiable(certified(*changes)) == (
-        "hardly ever" if how is THROUGHOUT else "not always"
-    )
+    assert [fault.how for fault in found] == [How[how]]
+    assert found[0].line in promise_warnings(scenario)
+    certifiable = "hardly ever" if how == "THROUGHOUT" else "not always"
+    assert how_certifiable(scenario) == certifiable
 
 
 KEPT = [
@@ -227,52 +158,36 @@ def test_what_is_said_of_a_link_is_what_the_link_does(settings: LinkSettings) ->
 
 @pytest.mark.parametrize(
     ("changes", "told"),
-    [
-        (
-            ["hold=0.2", "links.commands.delay=0.25"],
-            "hold = 0.2: commands are 0.25 s old or more when they arrive (links.commands of uav_0)",
-        ),
-        (["hold=0.0", "links.commands.delay=0.01"], "allowed: 0.05 s or more"),
-        (
-            ["dt=0.2", "detections.rate=5.0", "links.commands.delay=0.5"],
-            "allowed: 0.6 s or more",
-        ),  # hold is two ticks
-        (
-            ['links.only=[{vehicle="uav_0",commands={delay=0.8,jitter=0.2}}]'],
-            "0.6 s old or more when they arrive (links.only.0.commands of uav_0)",
-        ),
-        (["links.commands.bandwidth=10.0", "links.commands.queue=20"], "allowed: 1 s or more"),
-    ],
+    rows("""
+hold=0.2 & links.commands.delay=0.25
+| hold = 0.2: commands are 0.25 s old or more when they arrive (links.commands of uav_0)
+hold=0.0 & links.commands.delay=0.01 | allowed: 0.05 s or more
+dt=0.2 & detections.rate=5.0 & links.commands.delay=0.5 | allowed: 0.6 s or more
+links.only=[{vehicle="uav_0",commands={delay=0.8,jitter=0.2}}]
+| 0.6 s old or more when they arrive (links.only.0.commands of uav_0)
+links.commands.bandwidth=10.0 & links.commands.queue=20 | allowed: 1 s or more
+"""),
 )
-def test_commands_that_are_always_too_old_to_act_are_refused_under_every_law(
-    changes: list[str], told: str
-) -> None:
+def test_commands_that_are_always_too_old_to_act_are_refused_under_every_law(changes, told):
+    """The third: hold is two ticks."""
     for law in ("linear", "certified"):
-        with pytest.raises(ScenarioError) as refused:
-            load_scenario("escort", overrides=[f"law.name={law}", *changes])
-        assert told in str(refused.value)
-        assert "\n" not in str(refused.value)
+        with refused(ScenarioError, re.escape(told)):
+            load_scenario("escort", overrides=[f"law.name={law}", *changes.split(" & ")])
 
 
 def test_a_delay_that_hold_allows_is_flown() -> None:
     for hold, delay in ((0.5, 0.5), (0.0, 0.0), (0.35, 0.35)):
-        assert (
-            load_scenario(
-                "escort", overrides=[f"hold={hold}", f"links.commands.delay={delay}"]
-            ).hold
-            == hold
-        )
+        changes = [f"hold={hold}", f"links.commands.delay={delay}"]
+        assert load_scenario("escort", overrides=changes).hold == hold
 
 
-def test_check_says_that_nothing_can_be_certified() -> None:
-    done = outrider(
-        "check", "escort", "--set", "links.commands.delay=0.3", "--set", "links.commands.jitter=0.1"
-    )
+def test_check_says_that_nothing_can_be_certified(command) -> None:
+    changes = ("--set", "links.commands.delay=0.3", "--set", "links.commands.jitter=0.1")
+    done = command("check", "escort", *changes)
     assert done.returncode == 0
     assert "certified hardly ever" in " ".join(done.stdout.split())
-    assert "A5 is broken for certain and throughout: links.commands.jitter = 0.1" in " ".join(
-        done.stderr.split()
-    )
+    told = " ".join(done.stderr.split())
+    assert "A5 is broken for certain and throughout: links.commands.jitter = 0.1" in told
 
 
 def test_where_chance_alone_breaks_what_is_declared_it_is_told_how_seldom_sight_is_lost() -> None:
@@ -293,6 +208,22 @@ def test_where_chance_alone_breaks_what_is_declared_it_is_told_how_seldom_sight_
     assert noisy is not None
     assert noisy.lost == sum(noisy.exceeded.values()) > noisy.exceeded["uav_0/age"] > 0.0
     assert odds(certified("law.name=linear")) is None
+
+
+def test_lost_motions_are_told_with_the_chance_that_the_outage_is_exceeded() -> None:
+    lossy = certified("links.commands.loss=0.1", "certificate.outage=0.2")
+    told = odds(lossy)
+    assert told is not None
+    assert told.lost == sum(v or 0.0 for v in told.exceeded.values()) > 0.0
+    (found,) = shortfalls(lossy)
+    assert (found.assumption, found.how) == ("A5", How.SOMETIMES)
+    assert "later than certificate.outage = 0.2 s in at most" in found.line
+    calm = odds(certified("links.commands.loss=0.1", "certificate.outage=1.0"))
+    assert calm is not None
+    assert calm.lost is not None
+    assert calm.lost < 1e-12
+    dark = certified("links.commands.blackouts=[[5.0,3.0]]", "certificate.outage=1.0")
+    assert [fault.how for fault in shortfalls(dark)] == [How.CERTAIN]
 
 
 @pytest.mark.parametrize(

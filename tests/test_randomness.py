@@ -56,9 +56,7 @@ def test_philox_is_numpys(key_0: int, key_1: int, c_0: int, c_1: int, c_2: int, 
 
 @given(words, words, small, seeds, seeds)
 @settings(PROPERTY)
-def test_a_draw_is_the_block_of_its_key_purpose_tick_and_index(
-    key_0: int, key_1: int, purpose: int, tick: int, index: int
-) -> None:
+def test_a_draw_is_the_block_of_its_key_purpose_tick_and_index(key_0, key_1, purpose, tick, index):
     key, wanted = a_key(key_0, key_1), _numpy_philox((key_0, key_1), (index, tick, purpose, 0))
     assert tuple(map(int, draw(key, purpose, tick, index))) == wanted
     assert uniform(key, purpose, tick, index) == to_uniform(np.uint64(wanted[0]))
@@ -116,9 +114,7 @@ def test_noise_without_a_cut_is_gaussian_on_each_axis() -> None:
 
 @given(st.floats(1e-6, 1e3), st.floats(1e-3, 9.0), seeds, small)
 @settings(PROPERTY, max_examples=500)
-def test_cut_noise_never_goes_beyond_its_cut(
-    sigma: float, cut: float, seed: int, tick: int
-) -> None:
+def test_cut_noise_never_goes_beyond_its_cut(sigma, cut, seed, tick):
     assert math.hypot(*cut_normal_vector(sigma, cut, a_key(seed), 1, tick, 0)) <= cut * sigma * (
         1.0 + 1e-15
     )

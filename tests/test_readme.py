@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from processes import python
 
 import outrider
 from bus.messages import LinkKind
@@ -68,9 +69,7 @@ def test_the_links_shown_can_be_flown(tmp_path: Path) -> None:
 
 def test_the_filter_shown_keeps_sight(tmp_path: Path) -> None:
     (shown,) = blocks("python", "docs/how-to/keep-sight.md")
-    run = subprocess.run(
-        [sys.executable, "-c", shown], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
+    run = python(shown, cwd=tmp_path)
     count, said = run.stdout.split(" ", 1)
     assert int(count) > 100
     assert said == "commands were not let through; certified: True\n"
@@ -79,15 +78,19 @@ def test_the_filter_shown_keeps_sight(tmp_path: Path) -> None:
 @pytest.mark.xdist_group("many worlds")
 def test_the_many_worlds_shown_fly(tmp_path: Path) -> None:
     (shown,) = blocks("python", "docs/how-to/environments.md")
-    run = subprocess.run(
-        [sys.executable, "-c", shown], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
+    run = python(shown, cwd=tmp_path)
     assert float(run.stdout) > 100.0
 
 
 def test_the_commands_and_options_shown_exist() -> None:
     known = {
-        name: {"--help"} | {opt for p in one.params for opt in (*p.opts, *p.secondary_opts)}
+        name: {"--help"}
+        | {
+            opt
+            for command in (one, *getattr(one, "commands", {}).values())
+            for p in command.params
+            for opt in (*p.opts, *p.secondary_opts)
+        }
         for name, one in typer.main.get_command(make_app()).commands.items()
     }
     shown = set()

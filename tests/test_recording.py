@@ -20,6 +20,7 @@ import msgspec
 import pytest
 import typer
 from flights import HERE, escort
+from processes import python
 from typer.testing import CliRunner
 
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
@@ -62,6 +63,7 @@ SCENARIO = escort(
     duration=40.0,
     name="recorded",
 )
+SHORT = escort(ugv=Ugv(position=(20.0, 21.0), goals=((26.0, 21.0),)), duration=3.0, name="short")
 SEED = 5
 
 
@@ -99,9 +101,7 @@ def test_no_schema_refers_to_another(message: type[Any]) -> None:
     assert set(schema["properties"]) == set(message.__struct_fields__)
 
 
-def test_a_closed_file_opens_in_the_plain_reader_with_every_message_in_time_order(
-    flown: tuple[Path, Flight],
-) -> None:
+def test_a_closed_file_opens_in_the_plain_reader_with_every_message_in_time_order(flown):
     path, flight = flown
     found = plain(path)
     viewers = {"/tf", "/scene", "/grid", "/log", "/pose/uav_0", "/pose/ugv_0"}
@@ -136,10 +136,8 @@ def test_every_float_comes_back_exactly(flown: tuple[Path, Flight]) -> None:
         assert truth.time == k * SCENARIO.dt
         for n, name in enumerate(flight.world.names):
             vehicle = truth.vehicles[name]
-            assert (
-                struct.pack("<4d", *vehicle.position, *vehicle.velocity)
-                == states[k, n, :4].tobytes()
-            )  # -0.0 too
+            packed = struct.pack("<4d", *vehicle.position, *vehicle.velocity)
+            assert packed == states[k, n, :4].tobytes()  # -0.0 too
             if k:
                 assert vehicle.acceleration == tuple(states[k - 1, n, 4:6])
         seen = truth.escorts[0]
@@ -150,14 +148,9 @@ def test_every_float_comes_back_exactly(flown: tuple[Path, Flight]) -> None:
         assert seen.report is None or seen.report.estimate == tuple(escorts[k - 1, 0, 4:6])
     for before, after in pairwise(rows):
         for name in flight.world.names:
-            numbers = (
-                *before.vehicles[name].position,
-                *before.vehicles[name].velocity,
-                *after.vehicles[name].acceleration,
-            )
-            digest.update(
-                struct.pack("<6d", *(0.0 if number == 0.0 else number for number in numbers))
-            )
+            now = before.vehicles[name]
+            numbers = (*now.position, *now.velocity, *after.vehicles[name].acceleration)
+            digest.update(struct.pack("<6d", *(number + 0.0 for number in numbers)))
     assert digest.hexdigest() == flight.recorder.sha256()
 
 
@@ -185,17 +178,13 @@ def test_a_command_is_what_was_asked_for_before_the_bounds(tmp_path: Path) -> No
     recording = flight_of(path)
     assert [recording.commands[k].accelerations["uav_0"] for k in range(30)] == asked
     assert [truth.vehicles["uav_0"].command for truth in recording.truths[1:]] == asked
-    assert all(
-        math.hypot(*truth.vehicles["uav_0"].acceleration) < 0.3 + 1e-12
-        for truth in recording.truths
-    )
+    applied = [truth.vehicles["uav_0"].acceleration for truth in recording.truths]
+    assert all(math.hypot(*u) < 0.3 + 1e-12 for u in applied)
     assert refly(recording).trajectory_sha256 == flight.recorder.sha256()
 
 
 @pytest.mark.parametrize(("tick", "vehicle"), [(0, "uav_0"), (300, "ugv_0"), (799, "uav_0")])
-def test_a_changed_command_is_found_at_its_tick(
-    flown: tuple[Path, Flight], tick: int, vehicle: str
-) -> None:
+def test_a_changed_command_is_found_at_its_tick(flown, tick, vehicle):
     recording = flight_of(flown[0])
     asked = recording.commands[tick]
     changed = {**asked.accelerations, vehicle: (asked.accelerations[vehicle][0] * 0.5 + 1e-9, 0.0)}
@@ -272,9 +261,8 @@ def test_status_and_log_tell_how_it_went(tmp_path: Path) -> None:
     assert any(b"somebody coughed" in data and time == 5_000_000_000 for time, data in log)
     assert (flight.recorder.escorts[:, 0, 0] >= blind.visibility.radius).any()
     first = int((flight.recorder.escorts[:, 0, 0] >= blind.visibility.radius).argmax())
-    assert any(
-        b"lost sight" in data and time == round(first * blind.dt * 1e9) for time, data in log
-    )
+    when = round(first * blind.dt * 1e9)
+    assert any(b"lost sight" in data and time == when for time, data in log)
 
 
 def test_a_run_that_is_reset_has_several_flights_in_one_file(tmp_path: Path) -> None:
@@ -282,13 +270,13 @@ def test_a_run_that_is_reset_has_several_flights_in_one_file(tmp_path: Path) -> 
     recorder = FlightRecorder(path, SCENARIO, SEED)
     flights = [Flight(SCENARIO, SEED), Flight(SCENARIO, 9, episode=1)]
     for flight in flights:
-        flight.fly(
-            InProcess(make_pilots(flight.scenario, flight.seed)),
-            on_tick=lambda flight=flight: (
-                recorder.tick(flight),
-                flight.world.tick == 60 and flight.stop(),
-            ),  # type: ignore[misc]
-        )
+
+        def on_tick(flight: Flight = flight) -> None:
+            recorder.tick(flight)
+            if flight.world.tick == 60:
+                flight.stop()
+
+        flight.fly(InProcess(make_pilots(flight.scenario, flight.seed)), on_tick=on_tick)
     recorder.close()
     found = load(path)
     assert [flight.head.seed for flight in found] == [SEED, 9]
@@ -349,9 +337,7 @@ def killed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[i
     return path, reached, now
 
 
-def test_a_kill_costs_half_a_second_at_most(
-    killed: tuple[Path, list[tuple[int, float]], float],
-) -> None:
+def test_a_kill_costs_half_a_second_at_most(killed):
     path, reached, now = killed
     recording = flight_of(path)
     assert recording.damage.reason
@@ -361,24 +347,21 @@ def test_a_kill_costs_half_a_second_at_most(
     assert last >= safe > 30
 
 
-def test_a_killed_file_is_flown_again_as_far_as_it_goes(
-    killed: tuple[Path, list[tuple[int, float]], float],
-) -> None:
+def test_a_killed_file_is_flown_again_as_far_as_it_goes(killed):
     recording = flight_of(killed[0])
     found = refly(recording)
     assert found.difference is None
     assert found.ticks == recording.truths[-1].tick
-    flight, _ = fly(
-        recording.scenario,
-        3,
-        on_tick=lambda flight: flight.stop() if flight.world.tick == found.ticks else None,
-    )
+
+    def stop(flight: Flight) -> None:
+        if flight.world.tick == found.ticks:
+            flight.stop()
+
+    flight, _ = fly(recording.scenario, 3, on_tick=stop)
     assert flight.recorder.sha256() == found.trajectory_sha256
 
 
-def test_a_repaired_file_opens_in_the_plain_reader(
-    killed: tuple[Path, list[tuple[int, float]], float], tmp_path: Path
-) -> None:
+def test_a_repaired_file_opens_in_the_plain_reader(killed, tmp_path):
     path, out = killed[0], tmp_path / "saved.mcap"
     saved = repair(path, out)
     assert saved.reason
@@ -407,10 +390,7 @@ def _boundaries(path: Path) -> Iterator[tuple[int, int]]:
 
 def test_a_file_cut_anywhere_gives_a_prefix_or_one_line(tmp_path: Path) -> None:
     path, cut = tmp_path / "run.mcap", tmp_path / "cut.mcap"
-    recorded(
-        path,
-        escort(ugv=Ugv(position=(20.0, 21.0), goals=((26.0, 21.0),)), duration=3.0, name="short"),
-    )
+    recorded(path, SHORT)
     data, whole = path.read_bytes(), list(truths(path))
     starts = [at for at, _ in _boundaries(path)]
     places = {0, 1, 7, 8, 9, len(data) - 1, len(data) - 8, len(data) - 9}
@@ -440,10 +420,7 @@ def _read_or_one_line(path: Path) -> Recording | None:
 
 def test_damaged_bytes_end_the_reading_and_nothing_false_comes_out(tmp_path: Path) -> None:
     path, hurt = tmp_path / "run.mcap", tmp_path / "hurt.mcap"
-    recorded(
-        path,
-        escort(ugv=Ugv(position=(20.0, 21.0), goals=((26.0, 21.0),)), duration=3.0, name="short"),
-    )
+    recorded(path, SHORT)
     data, whole = bytearray(path.read_bytes()), list(truths(path))
     for place in range(8, len(data), max(1, len(data) // 150)):
         data[place] ^= 0xFF
@@ -456,11 +433,9 @@ def test_damaged_bytes_end_the_reading_and_nothing_false_comes_out(tmp_path: Pat
 def test_a_file_of_another_version_is_refused() -> None:
     head = msgspec.json.encode(head_of(SCENARIO, 1))
     assert read_head(head, file="x").seed == 1
+    old = head.replace(b'"format":1', b'"format":7').replace(b'"seed"', b'"corn"')
     with pytest.raises(ScenarioError, match=r"old\.mcap: a recording of format 7; allowed: 1"):
-        read_head(
-            head.replace(b'"format":1', b'"format":7').replace(b'"seed"', b'"corn"'),
-            file="old.mcap",
-        )
+        read_head(old, file="old.mcap")
     for other in (b"", b"{}", b"[]", b'{"format":-1}', b"\xff", b'{"format":1,"seed":1}'):
         with pytest.raises(ScenarioError, match=r"old\.mcap"):
             read_head(other, file="old.mcap")
@@ -468,12 +443,8 @@ def test_a_file_of_another_version_is_refused() -> None:
 
 def _app() -> typer.Typer:
     app = typer.Typer()
-    for name, command in (
-        ("record", record.command),
-        ("replay", replay.command),
-        ("render", render.command),
-    ):
-        app.command(name)(command)
+    for name, module in (("record", record), ("replay", replay), ("render", render)):
+        app.command(name)(module.command)
     return app
 
 
@@ -493,9 +464,7 @@ def test_replay_tells_the_runs_numbers(flown: tuple[Path, Flight]) -> None:
     assert call("replay", str(path), "--realtime", "1000000").exit_code == 0
 
 
-def test_replay_refly_says_same_or_where_it_differs(
-    flown: tuple[Path, Flight], tmp_path: Path
-) -> None:
+def test_replay_refly_says_same_or_where_it_differs(flown, tmp_path):
     path, flight = flown
     same = call("replay", str(path), "--refly", "--json")
     assert same.exit_code == 0
@@ -531,9 +500,7 @@ def _rewrite(path: Path, out: Path, *, tick: int) -> None:
     "arguments",
     [("replay",), ("replay", "--refly"), ("render", "-o", "x.gif"), ("record", "--repair")],
 )
-def test_what_is_no_recording_gives_one_line(
-    tmp_path: Path, content: bytes, arguments: tuple[str, ...]
-) -> None:
+def test_what_is_no_recording_gives_one_line(tmp_path, content, arguments):
     path = tmp_path / "no.mcap"
     path.write_bytes(content)
     found = call(*arguments, str(path))
@@ -653,27 +620,20 @@ def test_a_picture_and_a_film_are_drawn(flown: tuple[Path, Flight], tmp_path: Pa
     assert green > 20_000
 
 
-def test_a_film_as_mp4_needs_ffmpeg_and_gives_it_every_frame(
-    flown: tuple[Path, Flight], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_film_as_mp4_needs_ffmpeg_and_gives_it_every_frame(flown, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     refused = call("render", str(flown[0]), "-o", str(tmp_path / "run.mp4"))
     assert isinstance(refused.exception, ScenarioError)
     assert "ffmpeg" in str(refused.exception)
-    assert isinstance(
-        call("render", str(flown[0]), "-o", str(tmp_path / "run.avi")).exception, ScenarioError
-    )
+    other = call("render", str(flown[0]), "-o", str(tmp_path / "run.avi"))
+    assert isinstance(other.exception, ScenarioError)
     program = tmp_path / "ffmpeg"
     program.write_text(
         f"#!{sys.executable}\nimport sys\nopen(sys.argv[-1], 'wb').write(sys.stdin.buffer.read())\n"
     )
     program.chmod(0o755)
-    assert (
-        call(
-            "render", str(flown[0]), "-o", str(tmp_path / "run.mp4"), "--realtime", "200"
-        ).exit_code
-        == 0
-    )
+    made = call("render", str(flown[0]), "-o", str(tmp_path / "run.mp4"), "--realtime", "200")
+    assert made.exit_code == 0
     width, height = 800, (tmp_path / "run.mp4").stat().st_size // (800 * 4 * 5)
     assert (tmp_path / "run.mp4").stat().st_size == width * height * 4 * 5
     program.write_text(f"#!{sys.executable}\nimport sys\nsys.exit('no such codec')\n")
@@ -690,7 +650,7 @@ def test_without_the_extra_there_is_one_clear_line() -> None:
         "    try: __import__(f'outrider.recording.{name}')\n"
         "    except ScenarioError as error: print(error)\n"
     )
-    found = subprocess.run([sys.executable, "-c", body], capture_output=True, text=True, check=True)
+    found = python(body)
     assert (
         found.stdout.splitlines() == ["recording needs the extra: pip install -e '.[record]'"] * 2
     )
@@ -699,5 +659,5 @@ def test_without_the_extra_there_is_one_clear_line() -> None:
 def test_the_commands_do_not_load_what_they_do_not_use() -> None:
     body = "import sys, outrider.cli.record, outrider.cli.replay, outrider.cli.render; print([m for m in "
     body += "('foxglove', 'mcap', 'matplotlib', 'numpy', 'zenoh') if m in sys.modules])"
-    found = subprocess.run([sys.executable, "-c", body], capture_output=True, text=True, check=True)
+    found = python(body)
     assert found.stdout.strip() == "[]"

@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 from flights import HERE, escort
+from refusals import refused
 
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
 pytest.importorskip("mcap", reason="the extra [record] is not installed")
@@ -73,20 +74,11 @@ def _truth(flight: Flight, tick: int, commands: Any, reports: Any) -> Truth:
     """The message, made from the flight's record one by one."""
     world, recorder, dt = flight.world, flight.recorder, flight.scenario.dt
     applied = recorder.states[tick - 1, :, 4:6] if tick else np.zeros((len(world.names), 2))
+    states = recorder.states[tick, :, :4].reshape(-1, 2, 2)
+    rows = np.concatenate([states, applied[:, None], commands[:, None]], axis=1).tolist()
     vehicles = {
-        name: VehicleTruth(
-            position=tuple(row[:2]),
-            velocity=tuple(row[2:4]),
-            acceleration=tuple(u),
-            command=tuple(asked),
-        )
-        for name, row, u, asked in zip(
-            world.names,
-            recorder.states[tick].tolist(),
-            applied.tolist(),
-            commands.tolist(),
-            strict=True,
-        )
+        name: VehicleTruth(position=(*p,), velocity=(*v,), acceleration=(*u,), command=(*asked,))
+        for name, (p, v, u, asked) in zip(world.names, rows, strict=True)
     }
     escorts = tuple(
         EscortTruth(
@@ -112,9 +104,8 @@ def test_the_texts_of_ticks_are_the_bytes_of_their_messages(scenario: Scenario, 
 
     def follow() -> None:
         asked.append(flight.commands.copy())
-        said.append(
-            tuple(None if flight.world.tick % 5 == 0 else report for report in flight.reports)
-        )
+        silent = flight.world.tick % 5 == 0
+        said.append(tuple(None if silent else report for report in flight.reports))
 
     flight.fly(InProcess(make_pilots(scenario, 3)), on_tick=follow)
     texts, missed = TickTexts(flight), 0
@@ -125,9 +116,8 @@ def test_the_texts_of_ticks_are_the_bytes_of_their_messages(scenario: Scenario, 
             assert found.truth == ENCODE(truth)
             missed += truth.escorts[0].detection is None
             accelerations = {name: vehicle.command for name, vehicle in truth.vehicles.items()}
-            assert found.commands == (
-                ENCODE(Commands(tick=k - 1, accelerations=accelerations)) if k else b""
-            )
+            commands = ENCODE(Commands(tick=k - 1, accelerations=accelerations))
+            assert found.commands == (commands if k else b"")
             assert (found.time, found.begun) == (truth.time, (k - 1) * scenario.dt)
             assert found.distances == [seen.distance for seen in truth.escorts]
     assert 0 < missed < len(asked)
@@ -146,9 +136,7 @@ def test_every_float_keeps_its_text(number: float) -> None:
     assert found.truth == ENCODE(_truth(flight, 0, asked[0], (report,)))
 
 
-def test_viewers_are_shown_no_more_than_five_poses_a_second_and_every_tick_is_there(
-    tmp_path: Path,
-) -> None:
+def test_viewers_are_shown_no_more_than_five_poses_a_second_and_every_tick_is_there(tmp_path):
     path = tmp_path / "run.mcap"
     _fly(path, ONE)
     topics = [entry.topic for entry in entries(path)]
@@ -214,9 +202,7 @@ class Operated(InProcess):
         super().publish(observations)
 
 
-def _fly(
-    path: Path, scenario: Scenario, spoken: dict[int, Any] | None = None
-) -> tuple[Flight, list[UgvObservation]]:
+def _fly(path, scenario, spoken=None):
     recorder, flight = FlightRecorder(path, scenario, 3), Flight(scenario, 3)
     exchange = Operated(flight, spoken or {})
     flight.fly(exchange, on_tick=lambda: recorder.tick(flight))
@@ -234,17 +220,10 @@ def test_what_operators_said_and_changed_is_in_the_file_with_its_tick(tmp_path: 
     assert [
         Drive(driver=w.driver, velocity=w.velocity, goal=w.goal) for _, w in recording.words
     ] == words
+    radio = {"link": LinkKind.RADIO, "vehicle": "uav_0", "settings": LinkSettings(loss=0.5)}
     assert recording.changes == [
         Change(tick=7, control=Control(action=Action.DRIVER, vehicle="ugv_0", driver="teleop")),
-        Change(
-            tick=20,
-            control=Control(
-                action=Action.LINK,
-                link=LinkKind.RADIO,
-                vehicle="uav_0",
-                settings=LinkSettings(loss=0.5),
-            ),
-        ),
+        Change(tick=20, control=Control(action=Action.LINK, **radio)),
         Change(tick=40, control=Control(action=Action.LAW, law=Law(name="switching"))),
         Change(tick=41, control=Control(action=Action.DRIVER, vehicle="ugv_0", driver="teleop")),
     ]
@@ -259,12 +238,9 @@ def test_what_operators_said_and_changed_is_in_the_file_with_its_tick(tmp_path: 
 def test_the_restored_flight_has_the_last_law_and_drivers(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     flight, _ = _fly(path, ONE, SPOKEN)
-    restored = restore(flight_of(path))
-    assert (
-        (restored.law, restored.drivers)
-        == (flight.law, flight.drivers)
-        == (Law(name="switching"), {"ugv_0": "teleop"})
-    )
+    last = (Law(name="switching"), {"ugv_0": "teleop"})
+    for known in (flight, restore(flight_of(path))):
+        assert (known.law, known.drivers) == last
 
 
 def test_a_flight_that_nobody_operated_has_no_such_channels(tmp_path: Path) -> None:
@@ -307,18 +283,8 @@ def test_an_observer_writes_each_change_once(tmp_path: Path) -> None:
     for told in (0, 0, 1, 3, 3, 18, 22, 41, 60, 60):  # a status holds the last 20
         boxes[0].messages.append(flight.truth())
         shown = tuple(changes[max(0, told - 20) : told])
-        boxes[2].messages.append(
-            Status(
-                scenario="said",
-                seed=3,
-                tick=0,
-                ticks=1,
-                time=0.0,
-                realtime_factor=1.0,
-                vehicles={},
-                changes=shown,
-            )
-        )
+        flying = {"scenario": "said", "seed": 3, "tick": 0, "ticks": 1, "vehicles": {}}
+        boxes[2].messages.append(Status(**flying, time=0.0, realtime_factor=1.0, changes=shown))
         recorder.take(0.0)
         recorder.take(0.0)
         flight.apply({})
@@ -336,12 +302,9 @@ def test_a_word_that_does_not_decode_is_one_line(tmp_path: Path) -> None:
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
-        for topic, data in (
-            ("/scenario", ENCODE(head_of(ONE, 3))),
-            ("/ugv_0/operator", b'{"tick":-1}'),
-        ):
+        told = (("/scenario", ENCODE(head_of(ONE, 3))), ("/ugv_0/operator", b'{"tick":-1}'))
+        for topic, data in told:
             writer.add_message(writer.register_channel(topic, "json", 0), 0, data, 0)
         writer.finish()
-    with pytest.raises(ScenarioError, match=r"bad\.mcap: /ugv_0/operator at 0 s") as caught:
+    with refused(ScenarioError, r"bad\.mcap: /ugv_0/operator at 0 s"):
         load(path)
-    assert "\n" not in str(caught.value)

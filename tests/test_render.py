@@ -2,14 +2,13 @@
 
 import math
 import struct
-import subprocess
-import sys
 
 import matplotlib as mpl
 import msgspec
 import numpy as np
 import pytest
 from matplotlib.text import Text
+from processes import python
 
 from bus.messages import Area, Law
 from outrider.running.flying import fly
@@ -80,9 +79,7 @@ def test_a_run_loads_no_matplotlib_and_drawing_no_pyplot():
         "print('matplotlib' in sys.modules); import outrider.experiments.paper_figures;"
         "print('matplotlib' in sys.modules, 'matplotlib.pyplot' in sys.modules)"
     )
-    told = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    ).stdout
+    told = python(code).stdout
     assert told.split() == ["False", "True", "False"]
 
 

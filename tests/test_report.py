@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 
 import pytest
-from processes import outrider
 from scipy import stats
 
 from bus.errors import ScenarioError
@@ -37,9 +36,8 @@ def test_shares_that_cannot_be_are_refused(hits, trials):
 
 def test_the_interval_of_a_mean_is_student_s():
     mean, low, high = mean_interval([4.0, 5.0, 6.0])  # t(2) = 4.303, spread 1
-    assert (mean, low, high) == pytest.approx(
-        (5.0, 5.0 - 4.3027 / 3**0.5, 5.0 + 4.3027 / 3**0.5), abs=1e-4
-    )
+    half = 4.3027 / 3**0.5
+    assert (mean, low, high) == pytest.approx((5.0, 5.0 - half, 5.0 + half), abs=1e-4)
     assert mean_interval([3.0, 3.0]) == (3.0, 3.0, 3.0)
     assert mean_interval([2.0]) == (2.0, 2.0, 2.0)
     with pytest.raises(ValueError, match="no values"):
@@ -62,34 +60,32 @@ def made_up(plan: Plan, run: int) -> dict[str, object]:
     delay, seed = head.get("links.detections.delay") or 0.0, head["seed"]
     if (head["law"], delay, seed) == ("linear", 2.0, 0):
         return {**dict.fromkeys(RESULTS), "run": run, "error": "RuntimeError: made up <b>"}
-    lost = (head["law"] == "switching" and delay >= 1.0 and seed > 0) or (
-        head["law"],
-        delay,
-        seed,
-    ) == ("linear", 2.0, 4)
+    lost = head["law"] == "switching" and delay >= 1.0 and seed > 0
+    lost = lost or (head["law"], delay, seed) == ("linear", 2.0, 4)
     found = {
         "max_distance": 4.0 + lost + 0.01 * seed,
         "margin": 0.75 - lost - 0.01 * seed,
         "violated": lost,
-    }
-    age = {
         "detections_mean_age": delay,
         "detections_max_age": delay + 0.05,
         "detections_delivery_ratio": 0.9,
-    }
-    rest = {
         "mean_error": 100.0 + 10.0 * delay + seed,
         "trajectory_sha256": f"{head['law']}{delay}{seed}",
     }
-    return {**dict.fromkeys(RESULTS), **found, **age, **rest, "run": run}
+    return {**dict.fromkeys(RESULTS), **found, "run": run}
 
 
-def swept(path: Path, plan: Plan, runs: range | None = None, **given) -> Path:
-    with SweepFolder(path, plan, command=f"outrider sweep --out {path.name}", **given) as folder:
-        folder.add(made_up(plan, run) for run in runs or range(plan.runs))
-        if runs is None:
+def kept(path: Path, plan: Plan, rows, *, whole: bool = True) -> Path:
+    with SweepFolder(path, plan, command=f"outrider sweep --out {path.name}") as folder:
+        folder.add(iter(rows))
+        if whole:
             folder.finish()
     return path
+
+
+def swept(path: Path, plan: Plan, runs: range | None = None) -> Path:
+    rows = (made_up(plan, run) for run in runs or range(plan.runs))
+    return kept(path, plan, rows, whole=runs is None)
 
 
 @pytest.fixture(scope="module")
@@ -100,11 +96,8 @@ def material(tmp_path_factory) -> Material:
 def test_runs_are_counted_where_they_belong(material):
     (panel,) = material.panels
     assert (panel.title, panel.label) == ("delay of the detections", "delay of the detections [s]")
-    assert (panel.values, panel.laws, material.law) == (
-        [0.0, 0.5, 1.0, 2.0],
-        ["linear", "switching"],
-        ("linear", "switching"),
-    )
+    assert panel.values == [0.0, 0.5, 1.0, 2.0]
+    assert panel.laws == list(material.law) == ["linear", "switching"]
     assert (material.rows, material.failed, material.missing) == (40, 1, 0)
     cell = panel.cell("switching", 1.0)
     assert (len(cell.flown), cell.violated, cell.failed) == (5, 4, 0)
@@ -131,10 +124,7 @@ def test_where_nothing_was_certified_a_lost_run_breaks_no_certificate(tmp_path):
             row |= {"certified_while_lost": 0, "certificate_broken": 0}
             if late and head["seed"] == 1:
                 row |= {"certified_while_lost": 4, "certificate_broken": 1200}
-    with SweepFolder(tmp_path / "sweep", plan, command="outrider sweep") as folder:
-        folder.add(iter(rows))
-        folder.finish()
-    material = read_material([tmp_path / "sweep"])
+    material = read_material([kept(tmp_path / "sweep", plan, rows)])
     assert holds(material.panels[0], "certified") == (
         "to 1 s, broken at 2 s, where it is not certified",
         False,
@@ -150,10 +140,7 @@ def test_where_nothing_was_certified_a_lost_run_breaks_no_certificate(tmp_path):
     for row in rows[:]:
         if row["certified_share"] == 0.5:
             row["certified_share"] = 1.0
-    with SweepFolder(tmp_path / "broken", plan, command="outrider sweep") as folder:
-        folder.add(iter(rows))
-        folder.finish()
-    material = read_material([tmp_path / "broken"])
+    material = read_material([kept(tmp_path / "broken", plan, rows)])
     assert holds(material.panels[0], "certified") == ("to 1 s, broken at 2 s", False)
     assert (
         certified_runs(material) == "20 runs were certified at every tick; 1 of them lost the UGV."
@@ -181,12 +168,8 @@ def test_the_page_needs_nothing_beside_itself(material, tmp_path):
     text = page(material, pictures, "outrider report sweeps/delay")
     assert text.count('src="data:image/png;base64,') == 4
     assert not re.search(r"<script|<link|(src|href)=\"(?!data:)|url\(|@import", text)
-    for wanted in (
-        "outrider sweep --out delay",
-        "outrider report sweeps/delay",
-        material.heads[0].outrider,
-        "4 (80 %)",
-    ):
+    told = ("outrider sweep --out delay", "outrider report sweeps/delay", "4 (80 %)")
+    for wanted in (*told, material.heads[0].outrider):
         assert wanted in text
     assert "made up <b>" not in text
 
@@ -216,19 +199,15 @@ def test_a_run_that_two_folders_have_counts_once_and_others_are_told_apart(tmp_p
     assert len(panel.cell("switching", 0.0).flown) == 7
     other = swept(tmp_path / "other", plan_of(changes=["detections.noise=0.4"]))
     panels = read_material([one, other]).panels
-    assert [panel.title for panel in panels] == [
-        f"delay of the detections ({one})",
-        f"delay of the detections ({other})",
-    ]
+    titles = [f"delay of the detections ({folder})" for folder in (one, other)]
+    assert [panel.title for panel in panels] == titles
 
 
 def test_a_product_has_a_panel_for_each_value_of_the_smaller_field(tmp_path):
     plan = plan_of(vary=["links.detections.loss=0,0.5", "links.detections.delay=0,0.5,1"], seeds=2)
     panels = read_material([swept(tmp_path / "sweep", plan)]).panels
-    assert [panel.title for panel in panels] == [
-        "loss of the detections 0 %",
-        "loss of the detections 50 %",
-    ]
+    titles = [f"loss of the detections {share} %" for share in (0, 50)]
+    assert [panel.title for panel in panels] == titles
     assert all(panel.values == [0.0, 0.5, 1.0] for panel in panels)
     assert sum(len(cell.rows) for panel in panels for cell in panel.cells.values()) == plan.runs
 
@@ -260,11 +239,8 @@ def test_an_unfinished_sweep_is_reported_as_such_and_an_empty_one_refused(tmp_pa
 
 def test_a_sweep_of_nothing_but_failures_can_be_reported(tmp_path):
     plan = plan_of(vary=["dt=0.05,0.1"], changes=["detections.rate=10"], seeds=1)
-    with SweepFolder(tmp_path / "sweep", plan, command="") as folder:
-        folder.add(
-            {**dict.fromkeys(RESULTS), "run": run, "error": "no"} for run in range(plan.runs)
-        )
-    material = read_material([folder.path])
+    rows = [{**dict.fromkeys(RESULTS), "run": run, "error": "no"} for run in range(plan.runs)]
+    material = read_material([kept(tmp_path / "sweep", plan, rows, whole=False)])
     pictures = draw_all(material, tmp_path)
     assert "No run was flown to its end" in page(material, pictures, "")
 
@@ -289,24 +265,15 @@ def test_fields_have_words_and_units():
     assert label_of("uav.0.max_speed") == "largest speed, uav.0 [m/s]"
     assert label_of("law.a_c") == "law.a_c"
     assert (tick_of("links.radio.loss", 0.05), value_of("links.radio.loss", 0.05)) == ("5", "5 %")
-    assert (tick_of("x", None), tick_of("x", True), tick_of("x", "word")) == (
-        "none",
-        "true",
-        "word",
-    )
-    assert [number(value) for value in (0.0, 0.05, 1.0, 12.345, 1234.5, math.inf)] == [
-        "0",
-        "0.05",
-        "1",
-        "12.3",
-        "1234",
-        "inf",
-    ]
+    ticks = [tick_of("x", value) for value in (None, True, "word")]
+    assert ticks == ["none", "true", "word"]
+    told = [number(value) for value in (0.0, 0.05, 1.0, 12.345, 1234.5, math.inf)]
+    assert told == ["0", "0.05", "1", "12.3", "1234", "inf"]
 
 
-def test_the_command_writes_page_and_pictures_and_prints_one_object(tmp_path):
+def test_the_command_writes_page_and_pictures_and_prints_one_object(tmp_path, command):
     folder = swept(tmp_path / "delay", plan_of(seeds=2))
-    told = outrider("report", str(folder), "--json")
+    told = command("report", str(folder), "--json")
     assert told.returncode == 0, told.stderr
     found = json.loads(told.stdout)
     assert (found["rows"], found["failed"], found["missing"]) == (16, 1, 0)
@@ -314,9 +281,9 @@ def test_the_command_writes_page_and_pictures_and_prints_one_object(tmp_path):
     assert all(
         Path(path).read_bytes().startswith(b"\x89PNG") for path in found["pictures"].values()
     )
-    again = outrider("report", str(folder), "--markdown", "--out", str(tmp_path / "elsewhere"))
+    again = command("report", str(folder), "--markdown", "--out", str(tmp_path / "elsewhere"))
     assert again.stdout.startswith("| experiment | linear | switching |")
     assert (tmp_path / "elsewhere" / "report.html").exists()
-    refused = outrider("report", str(tmp_path))
+    refused = command("report", str(tmp_path))
     assert refused.returncode == 2
     assert len(refused.stderr.strip().splitlines()) == 1

@@ -24,14 +24,8 @@ R_V = 4.75
 
 
 def watched(*overrides: str, driver: str = "evade", duration: float = 120.0) -> Scenario:
-    changes = [
-        "law.name=certified",
-        f"ugv.0.driver={driver}",
-        f"duration={duration}",
-        "area.cell=0.5",
-        *overrides,
-    ]
-    return load_scenario("escort", overrides=changes)
+    flown = ["law.name=certified", f"ugv.0.driver={driver}", f"duration={duration}"]
+    return load_scenario("escort", overrides=[*flown, "area.cell=0.5", *overrides])
 
 
 def told(scenario: Scenario) -> UavBriefing:
@@ -40,14 +34,14 @@ def told(scenario: Scenario) -> UavBriefing:
     return message
 
 
+DARK = [
+    *(f"links.detections.blackout_{what}" for what in ("interval=12.0", "length=8.0")),
+    "certificate.age=9.0",
+]
 NETWORKS = {
     "perfect": [],
     "late detections": ["links.detections.delay=1.0", "certificate.age=1.5"],
-    "blackouts": [
-        "links.detections.blackout_interval=12.0",
-        "links.detections.blackout_length=8.0",
-        "certificate.age=9.0",
-    ],
+    "blackouts": DARK,
     "late commands": ["links.commands.delay=0.5"],
     "loss": ["links.detections.loss=0.5"],
 }
@@ -64,11 +58,7 @@ def test_sight_is_kept_and_certified_in_every_tick(network: list[str], seed: int
     ]  # what chance may do is told
     flight, summary = fly(scenario, seed)
     assert summary.max_distance < R_V
-    until = next(
-        tick
-        for tick in range(flight.recorder.ticks)
-        if not np.isnan(flight.recorder.escorts[tick, 0, 4])
-    )
+    until = int(np.flatnonzero(~np.isnan(flight.recorder.escorts[:, 0, 4]))[0])
     silent = {"the UAV has no estimate yet, or its command did not come": until}
     assert summary.uncertified == {cause: count for cause, count in silent.items() if count}
     assert flight.assurance.certified == flight.assurance.ticks - until
@@ -76,15 +66,10 @@ def test_sight_is_kept_and_certified_in_every_tick(network: list[str], seed: int
 
 
 def test_the_paper_s_law_loses_sight_where_the_filter_keeps_it() -> None:
-    network = (
-        "links.detections.blackout_interval=12.0",
-        "links.detections.blackout_length=8.0",
-        "certificate.age=9.0",
+    kept, worst = (
+        max(fly(watched(*DARK, *law), seed)[1].max_distance for seed in range(7, 11))
+        for law in ([], ["law.name=switching"])
     )
-    worst = max(
-        fly(watched(*network, "law.name=switching"), seed)[1].max_distance for seed in range(7, 11)
-    )
-    kept = max(fly(watched(*network), seed)[1].max_distance for seed in range(7, 11))
     assert worst > R_V > kept
 
 
@@ -125,9 +110,7 @@ def test_a_broken_assumption_is_told_with_its_name(changes: list[str], reason: s
         (["certificate.delay=30.0"], "too much for r_v"),
     ],
 )
-def test_what_cannot_be_certified_is_told_before_it_is_flown_and_at_every_tick(
-    changes: list[str], reason: str
-) -> None:
+def test_what_cannot_be_certified_is_told_before_it_is_flown_and_at_every_tick(changes, reason):
     scenario = watched(*changes, duration=5.0)
     assert any(reason in line for line in promise_warnings(scenario))
     _, summary = fly(scenario, 7)
@@ -141,12 +124,8 @@ def test_what_is_declared_follows_from_the_scenario() -> None:
     declared = told(scenario).certificate
     assert declared.error == pytest.approx(0.3)
     assert declared.delay == pytest.approx(0.35)
-    assert (
-        told(
-            msgspec.structs.replace(scenario, certificate=Certificate(delay=0.1, error=0.5))
-        ).certificate.error
-        == 0.5
-    )
+    own = msgspec.structs.replace(scenario, certificate=Certificate(delay=0.1, error=0.5))
+    assert told(own).certificate.error == 0.5
 
 
 def test_a_detection_counts_for_where_the_uav_was_when_it_was_taken() -> None:
@@ -154,15 +133,8 @@ def test_a_detection_counts_for_where_the_uav_was_when_it_was_taken() -> None:
     for tick in range(10):
         found = (Detection(time=0.1, relative_position=(1.0, 0.0)),) if tick == 9 else ()
         position = (5.0 + 0.5 * tick, 5.0)
-        watch.see(
-            UavObservation(
-                tick=tick,
-                time=tick * 0.05,
-                position=position,
-                velocity=(0.0, 0.0),
-                detections=found,
-            )
-        )
+        own = {"position": position, "velocity": (0.0, 0.0)}
+        watch.see(UavObservation(tick=tick, time=tick * 0.05, **own, detections=found))
     newest = watch.state.detections[watch.state.detections["taken"] >= 0]
     assert newest.tolist() == [(5.0, 5.0, 2)]  # it was at 6 m at tick 2
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from properties import PROPERTY
 from refusals import SHIPPED, SMALL, refusal, written
 
 from agents.drivers.compiled import WaypointDriver
@@ -38,19 +39,14 @@ def test_a_shipped_scenario_has_the_paper_s_parameters_and_its_file_s_name(name:
     s = load_scenario(name)
     assert (s.name, s.dt, s.title != "") == (name, 0.05, True)
     assert (s.area.width, s.area.height, s.area.cell) == (40.0, 40.0, 0.25)
-    assert (s.sensor.model, s.sensor.peak, s.sensor.range, s.visibility.radius) == (
-        "hill",
-        1.0,
-        5.0,
-        4.75,
-    )
+    sight = (s.sensor.model, s.sensor.peak, s.sensor.range, s.visibility.radius)
+    assert sight == ("hill", 1.0, 5.0, 4.75)
     assert (s.coverage.desired, s.law.weight_gain) == (2.0, 20.0)
     assert (s.law.a_c, s.law.b_c, s.law.c_c, s.law.d_c) == (-3.0, -3.0, -8.0 / 3.0, -3.0)
     (uav,), (ugv,) = s.uav, s.ugv
     unbounded = name in {"figure-1-low-gain", "figure-1-high-gain"}
-    assert (uav.max_speed, uav.max_acceleration) == (
-        (math.inf, math.inf) if unbounded else (0.6, 0.3)
-    )
+    bounds = (math.inf, math.inf) if unbounded else (0.6, 0.3)
+    assert (uav.max_speed, uav.max_acceleration) == bounds
     assert (ugv.max_speed, ugv.max_acceleration) == (0.2, 0.1)
     assert s.law.speed_gain == (1.0 if name == "figure-1-low-gain" else 10.0)
 
@@ -58,15 +54,11 @@ def test_a_shipped_scenario_has_the_paper_s_parameters_and_its_file_s_name(name:
 @pytest.mark.parametrize("name", STRAIGHT_LINE)
 def test_figures_1_and_3_and_the_circles_fly_the_line_of_the_independent_check(name: str) -> None:
     s = load_scenario(name)
-    assert (s.uav[0].position, s.ugv[0].position, s.ugv[0].goals) == (
-        (6.0, 21.0),
-        (6.0, 20.0),
-        ((34.0, 20.0),),
-    )
+    line = (s.uav[0].position, s.ugv[0].position, s.ugv[0].goals)
+    assert line == ((6.0, 21.0), (6.0, 20.0), ((34.0, 20.0),))
     assert (s.detections.noise, s.detections.dropout) == (0.0, 0.0)
-    assert s.estimator.enabled == name.startswith(
-        "figure-1"
-    )  # coverage alone loses sight, and only the filter goes on predicting
+    # coverage alone loses sight, and only the filter goes on predicting
+    assert s.estimator.enabled == name.startswith("figure-1")
     assert s.duration == (240.0 if name.startswith("figure-1") else 160.0)
 
 
@@ -78,23 +70,17 @@ def test_a_shipped_ugv_stands_at_its_last_goal_for_the_last_2_seconds(name: str)
     p_x, p_y, v_x, v_y = *s.ugv[0].position, 0.0, 0.0
     for tick in range(s.ticks - round(2.0 / s.dt)):
         seen = UgvObservation(tick=tick, time=tick * s.dt, position=(p_x, p_y), velocity=(v_x, v_y))
-        p_x, p_y, v_x, v_y, _, _ = step_vehicle(
-            p_x, p_y, v_x, v_y, *driver.drive(seen), 0.2, 0.1, s.dt
-        )
+        state = (p_x, p_y, v_x, v_y, *driver.drive(seen))
+        p_x, p_y, v_x, v_y, _, _ = step_vehicle(*state, 0.2, 0.1, s.dt)
     assert math.dist((p_x, p_y), s.ugv[0].goals[-1]) < s.ugv[0].goal_tolerance
     assert math.hypot(v_x, v_y) < 1e-3
 
 
 def test_the_escort_is_noisy_and_turns_both_ways() -> None:
-    assert (ESCORT.seed, ESCORT.duration, ESCORT.law.name, ESCORT.estimator.enabled) == (
-        7,
-        200.0,
-        "certified",
-        True,
-    )
-    assert ESCORT.detections == msgspec.structs.replace(
-        ESCORT.detections, noise=0.1, cut=3.0, rate=20.0, dropout=0.1
-    )
+    told = (ESCORT.seed, ESCORT.duration, ESCORT.law.name, ESCORT.estimator.enabled)
+    assert told == (7, 200.0, "certified", True)
+    looks = ESCORT.detections
+    assert (looks.noise, looks.cut, looks.rate, looks.dropout) == (0.1, 3.0, 20.0, 0.1)
     corners = np.diff(np.array([ESCORT.ugv[0].position, *ESCORT.ugv[0].goals]), axis=0)
     turns = np.sign(corners[:-1, 0] * corners[1:, 1] - corners[:-1, 1] * corners[1:, 0])
     assert len(corners) == 5
@@ -116,41 +102,26 @@ def test_scenario_2_is_scenario_1_with_ground_covered_along_the_first_40_seconds
 
 def test_a_file_is_named_after_its_stem_and_its_own_name_goes_first(tmp_path: Path) -> None:
     assert load_scenario(written(tmp_path, SMALL.encode())).name == "mine"
-    assert (
-        load_scenario(str(written(tmp_path, f"name = 'other'\n{SMALL}".encode("utf-8-sig")))).name
-        == "other"
-    )
+    other = written(tmp_path, f"name = 'other'\n{SMALL}".encode("utf-8-sig"))
+    assert load_scenario(str(other)).name == "other"
     odd = tmp_path / "a\nb.toml"
     odd.write_text(SMALL, encoding="utf-8")
     assert load_scenario(odd).name == "a\\nb"
 
 
 def test_overrides_are_toml_values_or_plain_text() -> None:
-    s = load_scenario(
-        "escort",
-        overrides=[
-            "law.circle_rate=0.2",
-            "uav.0.max_speed=0.5",
-            "detections.noise = 0.2 ",
-            "duration=30",
-            "law.name=circle",
-            "title=",
-        ],
-    )
+    changes = ["law.circle_rate=0.2", "uav.0.max_speed=0.5", "detections.noise = 0.2 "]
+    changes += ["duration=30", "law.name=circle", "title="]
+    s = load_scenario("escort", overrides=changes)
     assert (s.law.circle_rate, s.uav[0].max_speed, s.detections.noise) == (0.2, 0.5, 0.2)
     assert (s.duration, s.law.name, s.title) == (30.0, "circle", "")
     assert load_scenario("escort", overrides=['title="a = b"']).title == "a = b"
-    assert (
-        load_scenario("escort", overrides=["title=1\nseed = 3"]).title == "1\nseed = 3"
-    )  # one change, not two
+    two = "1\nseed = 3"  # one change, not two
+    assert load_scenario("escort", overrides=[f"title={two}"]).title == two
     assert load_scenario("escort", overrides="duration=30").duration == 30.0
-    assert (
-        load_scenario("circle", overrides=["area.cell=0.5"]).area.cell == 0.5
-    )  # the rest of the table stays
-    assert load_scenario("escort", overrides=["ugv.0.goals.0=[9, 9]"]).ugv[0].goals[:2] == (
-        (9.0, 9.0),
-        (20.0, 13.0),
-    )
+    assert load_scenario("circle", overrides=["area.cell=0.5"]).area.cell == 0.5  # the rest stays
+    goals = load_scenario("escort", overrides=["ugv.0.goals.0=[9, 9]"]).ugv[0].goals
+    assert goals[:2] == ((9.0, 9.0), (20.0, 13.0))
 
 
 def test_overrides_may_be_python_values_and_the_caller_s_stay_untouched() -> None:
@@ -163,13 +134,8 @@ def test_overrides_may_be_python_values_and_the_caller_s_stay_untouched() -> Non
         "uav.0.position": np.array([7, 9]),
     }
     s = load_scenario("escort", overrides=changes)
-    assert (s.duration, s.law.name, s.law.circle_rate, s.title, s.uav[0].position) == (
-        30.0,
-        "circle",
-        0.05,
-        "5",
-        (7.0, 9.0),
-    )
+    found = (s.duration, s.law.name, s.law.circle_rate, s.title, s.uav[0].position)
+    assert found == (30.0, "circle", 0.05, "5", (7.0, 9.0))
     assert law == {"name": "circle"}
     assert load_scenario("escort", overrides={"law": Law(name="linear")}).law.name == "linear"
     assert "object" in refusal(overrides={"dt": object()})
@@ -179,18 +145,12 @@ def test_overrides_may_be_python_values_and_the_caller_s_stay_untouched() -> Non
 
 
 def test_a_scenario_made_in_python_is_held_to_the_same() -> None:
-    made = msgspec.structs.replace(
-        ESCORT,
-        name="",
-        uav=(Uav(position=np.array([7, 9]), max_speed=1),),
-        duration=30,
-        seed=np.int64(3),
-    )
-    checked = check_scenario(made)
+    uav = Uav(position=np.array([7, 9]), max_speed=1)
+    changed = {"name": "", "uav": (uav,), "duration": 30, "seed": np.int64(3)}
+    checked = check_scenario(msgspec.structs.replace(ESCORT, **changed))
     assert checked.uav[0].position == (7.0, 9.0)
-    assert [
-        type(number) for number in (checked.uav[0].max_speed, checked.duration, checked.seed)
-    ] == [float, float, int]
+    numbers = (checked.uav[0].max_speed, checked.duration, checked.seed)
+    assert [type(number) for number in numbers] == [float, float, int]
     for broken, line in (
         ({"dt": None}, "here: dt: not a number; allowed: a number"),
         ({"uav": ()}, "here: uav = []: out of bounds; allowed: a list of length >= 1"),
@@ -209,11 +169,10 @@ def test_a_scenario_made_in_python_is_held_to_the_same() -> None:
     seed=st.integers(0, 2**53 - 1),
     point=st.tuples(st.floats(0.0, 40.0), st.floats(0.0, 40.0)),
 )
+@PROPERTY
 def test_numbers_survive_exactly(number: float, seed: int, point: tuple[float, float]) -> None:
-    s = load_scenario(
-        "escort",
-        overrides=[f"law.speed_gain={number!r}", f"seed={seed}", f"ugv.0.goals.0={list(point)!r}"],
-    )
+    changes = [f"law.speed_gain={number!r}", f"seed={seed}", f"ugv.0.goals.0={list(point)!r}"]
+    s = load_scenario("escort", overrides=changes)
     assert (s.law.speed_gain, s.seed, s.ugv[0].goals[0]) == (number, seed, point)
 
 
@@ -221,19 +180,14 @@ def test_numbers_survive_exactly(number: float, seed: int, point: tuple[float, f
 
 
 @given(st.floats(0.01, 5.0), st.floats(0.01, 3.0), st.floats(0.0, 1.0), st.floats(0.05, 2.0))
-def test_the_room_of_18_is_the_paper_s_formula_in_two_phases(
-    r_v: float, v_a: float, share: float, u_a: float
-) -> None:
+@PROPERTY
+def test_the_room_of_18_is_the_paper_s_formula_in_two_phases(r_v, v_a, share, u_a):
     v_g = 0.99 * share * v_a + 1e-6
     r_s = r_v - (v_g * (v_a + v_g) + 0.5 * (v_a**2 - v_g**2)) / u_a
     uav = Uav(position=(7.0, 8.0), max_speed=v_a, max_acceleration=u_a)
     ugv = msgspec.structs.replace(ESCORT.ugv[0], max_speed=v_g)
-    s = msgspec.structs.replace(
-        ESCORT,
-        uav=(uav,),
-        ugv=(ugv,),
-        visibility=msgspec.structs.replace(ESCORT.visibility, radius=r_v),
-    )
+    seen = msgspec.structs.replace(ESCORT.visibility, radius=r_v)
+    s = msgspec.structs.replace(ESCORT, uav=(uav,), ugv=(ugv,), visibility=seen)
     if abs(r_s) > 1e-9:
         assert (not list(checks.switching_radius_is_positive(s))) == (r_s > 0.0)
 
@@ -246,9 +200,8 @@ def test_the_acceleration_that_the_refusal_names_is_enough() -> None:
 
 
 @given(*[st.floats(-6.0, 6.0)] * 4)
-def test_the_controller_is_refused_exactly_where_a_root_is_not_in_the_left_half_plane(
-    a, b, c, d
-) -> None:
+@PROPERTY
+def test_the_controller_is_refused_exactly_where_a_root_is_not_in_the_left_half_plane(a, b, c, d):
     largest = np.roots([1.0, -a, -d, d * a - b * c]).real.max()
     s = msgspec.structs.replace(ESCORT, law=Law(a_c=a, b_c=b, c_c=c, d_c=d))
     if abs(largest) > 1e-6:
@@ -276,17 +229,13 @@ def test_the_paper_s_circle_is_warned_of_with_its_bound() -> None:
     ],
 )
 def test_a_circle_is_warned_of_just_above_the_bound(overrides: list[str], bound: float) -> None:
+    def warned(rate: float) -> tuple[str, ...]:
+        changes = [*overrides, f"law.circle_rate={rate}"]
+        return scenario_warnings(load_scenario("circle", overrides=changes))
+
     for sign in (1.0, -1.0):
-        assert (
-            scenario_warnings(
-                load_scenario("circle", overrides=[*overrides, f"law.circle_rate={sign * bound}"])
-            )
-            == ()
-        )
-        above = load_scenario(
-            "circle", overrides=[*overrides, f"law.circle_rate={sign * bound * 1.0001}"]
-        )
-        (line,) = scenario_warnings(above)
+        assert warned(sign * bound) == ()
+        (line,) = warned(sign * bound * 1.0001)
         assert f"allowed up to {bound:.4f} rad/s" in line
 
 

@@ -109,9 +109,7 @@ def test_garbage_is_never_anything_but_a_scenario_error(tmp_path: Path, garbage:
     st.integers(0, 12),
     st.binary(max_size=12) | st.sampled_from([b"nan", b"1e999", b"[["]),
 )
-def test_a_mutated_file_is_never_anything_but_a_scenario_error(
-    tmp_path: Path, text: bytes, at: int, cut: int, put: bytes
-) -> None:
+def test_a_mutated_file_is_never_anything_but_a_scenario_error(tmp_path, text, at, cut, put):
     at = min(at, len(text))
     must_load_or_be_refused_in_one_line(written(tmp_path, text[:at] + put + text[at + cut :]))
 

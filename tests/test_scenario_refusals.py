@@ -9,10 +9,11 @@ from pathlib import Path
 import msgspec
 import pytest
 from refusals import SHIPPED, SMALL, refusal, written
+from tabular import rows
 
 from bus.messages import Law
 from bus.registry import LAWS
-from sim.scenario import checks, world_checks
+from sim.scenario import world_checks
 from sim.scenario.checks import CHECKS
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Uav
@@ -22,275 +23,69 @@ ESCORT = load_scenario("escort")
 
 # What is refused: every check has a row, with the field, its value and what is allowed
 
+CHECK = {check.__name__: check for check in CHECKS}
 BROKEN = [
-    (
-        world_checks.numbers_are_finite,
-        ["uav.0.max_speed=1e13"],
-        "uav.0.max_speed = 10000000000000.0",
-        "up to 1e+12, or inf",
-    ),
-    (
-        world_checks.names_are_different,
-        ["uav.0.name=ugv_0"],
-        'ugv.0.name = "ugv_0"',
-        "simulator, operator, observer, ugv_0",
-    ),
-    (
-        world_checks.names_are_different,
-        ["uav.0.name=simulator"],
-        'uav.0.name = "simulator"',
-        "any other than simulator",
-    ),
-    (
-        world_checks.names_are_different,
-        ['uav.0.name="a\\n"'],
-        'uav.0.name = "a\\n"',
-        "lower-case letters",
-    ),
-    (world_checks.escorts_are_there, ["uav.0.escorts=ugv_1"], 'uav.0.escorts = "ugv_1"', "ugv_0"),
-    (
-        world_checks.grid_divides_area,
-        ["area.cell=0.3"],
-        "area.cell = 0.3",
-        "a whole part of both sides",
-    ),
-    (
-        world_checks.grid_divides_area,
-        ["area.cell=80.0"],
-        "area.cell = 80.0",
-        "a whole part of both sides",
-    ),
-    (
-        world_checks.grid_divides_area,
-        ["area.cell=5e-324"],
-        "area.cell = 5e-324",
-        "a whole part of both sides",
-    ),
-    (
-        world_checks.grid_divides_area,
-        ["area.height=40.1"],
-        "area.cell = 0.25",
-        "a whole part of both sides",
-    ),
-    (world_checks.grid_divides_area, ["area.cell=0.01"], "area.cell = 0.01", "0.02 m or more"),
-    (
-        world_checks.grid_divides_area,
-        ["area.width=1e7"],
-        "area.width = 10000000.0",
-        "up to 1e+06 m",
-    ),
-    (world_checks.time_is_whole, ["dt=1.5"], "dt = 1.5", "1e-06 to 1 s"),
-    (world_checks.time_is_whole, ["dt=1e-9"], "dt = 1e-09", "1e-06 to 1 s"),
-    (
-        world_checks.time_is_whole,
-        ["duration=30.02"],
-        "duration = 30.02",
-        "multiples of dt = 0.05 s, such as 30",
-    ),
-    (world_checks.time_is_whole, ["duration=0.01"], "duration = 0.01", "such as 0.05"),
-    (
-        world_checks.time_is_whole,
-        ["duration=500000.05"],
-        "duration = 500000.05",
-        "10,000,000 ticks at most, 500000 s",
-    ),
-    (
-        world_checks.looks_fit_ticks,
-        ["detections.rate=7"],
-        "detections.rate = 7.0",
-        "20, 10, 6.667, ... 1/s",
-    ),
-    (
-        world_checks.looks_fit_ticks,
-        ["detections.rate=40"],
-        "detections.rate = 40.0",
-        "20, 10, 6.667, ... 1/s",
-    ),
-    (
-        world_checks.looks_fit_ticks,
-        ["detections.rate=1e-6"],
-        "detections.rate = 1e-06",
-        "20, 10, 6.667, ... 1/s",
-    ),
-    (
-        world_checks.looks_fit_ticks,
-        ["detections.rate=5e-324"],
-        "detections.rate = 5e-324",
-        "20, 10, 6.667, ... 1/s",
-    ),
-    (
-        world_checks.sight_is_within_range,
-        ["visibility.radius=5"],
-        "visibility.radius = 5.0",
-        "less than sensor.range = 5 m",
-    ),
-    (
-        world_checks.points_are_inside,
-        ["uav.0.position=[40.5, 9]"],
-        "uav.0.position = [40.5, 9.0]",
-        "[0, 40] x [0, 40] m",
-    ),
-    (
-        world_checks.points_are_inside,
-        ["ugv.0.position=[7, -1]"],
-        "ugv.0.position = [7.0, -1.0]",
-        "[0, 40] x [0, 40] m",
-    ),
-    (
-        world_checks.points_are_inside,
-        ["ugv.0.goals.1=[1, 41]"],
-        "ugv.0.goals.1 = [1.0, 41.0]",
-        "[0, 40] x [0, 40] m",
-    ),
-    (
-        world_checks.covered_is_inside,
-        ["coverage.covered=[{lower=[1, 5], upper=[2, 5]}]"],
-        "coverage.covered.0.upper.1 = 5.0",
-        "more than 5 m",
-    ),
-    (
-        world_checks.covered_is_inside,
-        ["coverage.covered=[{lower=[1, -5], upper=[2, 5]}]"],
-        "coverage.covered.0.lower.1 = -5.0",
-        "y from 0 to 40 m",
-    ),
-    (
-        world_checks.covered_is_inside,
-        ["coverage.covered=[{lower=[1, 1], upper=[2, 5]}, {lower=[1, 1], upper=[41, 5]}]"],
-        "coverage.covered.1.upper.0 = 41.0",
-        "x from 0 to 40 m",
-    ),
-    (
-        world_checks.starts_are_within_bounds,
-        ["ugv.0.velocity=[0.2, 0.1]"],
-        "ugv.0.velocity = [0.2, 0.1]",
-        "up to ugv.0.max_speed",
-    ),
-    (
-        world_checks.uav_is_stronger,
-        ["uav.0.max_speed=0.2"],
-        "uav.0.max_speed = 0.2",
-        "above 0.2 m/s",
-    ),
-    (
-        world_checks.uav_is_stronger,
-        ["uav.0.max_acceleration=0.1"],
-        "uav.0.max_acceleration = 0.1",
-        "above 0.1 m/s²",
-    ),
-    (
-        world_checks.ugv_is_seen_at_start,
-        ["uav.0.position=[7, 12.75]"],
-        "uav.0.position = [7.0, 12.75]",
-        "visibility.radius = 4.75 m",
-    ),
-    (
-        checks.names_are_known,
-        ["law.name=circel"],
-        'law.name = "circel"',
-        ", ".join(LAWS),
-    ),
-    (checks.names_are_known, ["sensor.model=cone"], 'sensor.model = "cone"', "hill, plateau"),
-    (checks.names_are_known, ["ugv.0.driver=ghost"], 'ugv.0.driver = "ghost"', "waypoints"),
-    (
-        world_checks.links_are_possible,
-        ["links.radio.burst_length=1.0"],
-        "links.radio.burst_interval = 0.0",
-        "above 0 s",
-    ),
-    (
-        world_checks.links_are_possible,
-        ['links.only=[{vehicle="uav_7"}]'],
-        'links.only.0.vehicle = "uav_7"',
-        "uav_0",
-    ),
-    (world_checks.commands_act, ["links.commands.delay=0.6"], "hold = 0.5", "0.6 s or more"),
-    (
-        checks.own_functions_are_named,
-        ["ugv.0.driver=policy"],
-        'custom.policy = ""',
-        "module:function",
-    ),
-    (
-        checks.own_functions_are_named,
-        ["custom.policy=mine"],
-        'custom.policy = "mine"',
-        "module:function",
-    ),
-    (checks.drivers_have_their_task, ["ugv.0.driver=script"], "ugv.0.script = []", "velocity"),
-    (
-        checks.drivers_have_their_task,
-        ["ugv.0.script=[{time=1.0,velocity=[0.0,0.1]},{time=1.0,velocity=[0.0,0.0]}]"],
-        "ugv.0.script.1.time = 1.0",
-        "times that rise",
-    ),
-    (
-        checks.own_functions_are_named,
-        ["law.name=weighted"],
-        'custom.weighting = ""',
-        "module:function",
-    ),
-    (checks.own_functions_are_named, ["law.name=path"], 'custom.path = ""', "module:function"),
-    (
-        checks.own_functions_are_named,
-        ["custom.path=mine.path"],
-        'custom.path = "mine.path"',
-        "module:function",
-    ),
-    (
-        checks.own_functions_are_named,
-        ["custom.path=a..b:c"],
-        'custom.path = "a..b:c"',
-        "module:function",
-    ),
-    (
-        checks.switching_radius_is_positive,
-        ["visibility.radius=1.05"],
-        "uav.0.max_acceleration = 0.3",
-        "above 0.3048 m/s²",
-    ),
-    (
-        checks.switching_radius_is_positive,
-        ["uav.0.max_speed=inf"],
-        "uav.0.max_speed = inf",
-        "finite speeds",
-    ),
-    (
-        checks.reference_speed_is_possible,
-        ["law.reference_speed=0.7"],
-        "law.reference_speed = 0.7",
-        "up to uav.0.max_speed = 0.6 m/s",
-    ),
-    (
-        checks.reference_speed_is_possible,
-        ["uav.0.max_speed=inf", "uav.0.max_acceleration=inf"],
-        "law.reference_speed",
-        "a number > 0, in m/s",
-    ),
-    (
-        checks.controller_is_stable,
-        ["law.b_c=-4.0"],
-        "law = {a_c = -3.0, b_c = -4.0",
-        "0 < D A - B C < A D",
-    ),
-    (
-        checks.risk_can_be_met,
-        ["certificate.risk=1e-3", "links.detections.bandwidth=15.0"],
-        "certificate.risk = 0.001",
-        "a greater risk, or a certificate.age",
-    ),
-    (
-        checks.circle_is_within_sight,
-        ["law.name=circle", "law.circle_radius=4.75"],
-        "law.circle_radius = 4.75",
-        "less than r_v = 4.75 m",
-    ),
-    (
-        checks.circle_is_within_sight,
-        ["law.name=circle", "uav.0.max_acceleration=inf"],
-        "law.circle_radius",
-        "less than r_v = 4.75 m",
-    ),
+    (CHECK[check], overrides.split(" & "), field, allowed.replace("{LAWS}", ", ".join(LAWS)))
+    for check, overrides, field, allowed in rows(r"""
+numbers_are_finite | uav.0.max_speed=1e13 | uav.0.max_speed = 10000000000000.0 | up to 1e+12, or inf
+names_are_different | uav.0.name=ugv_0 | ugv.0.name = "ugv_0" | simulator, operator, observer, ugv_0
+names_are_different | uav.0.name=simulator | uav.0.name = "simulator" | any other than simulator
+names_are_different | uav.0.name="a\n" | uav.0.name = "a\n" | lower-case letters
+escorts_are_there | uav.0.escorts=ugv_1 | uav.0.escorts = "ugv_1" | ugv_0
+grid_divides_area | area.cell=0.3 | area.cell = 0.3 | a whole part of both sides
+grid_divides_area | area.cell=80.0 | area.cell = 80.0 | a whole part of both sides
+grid_divides_area | area.cell=5e-324 | area.cell = 5e-324 | a whole part of both sides
+grid_divides_area | area.height=40.1 | area.cell = 0.25 | a whole part of both sides
+grid_divides_area | area.cell=0.01 | area.cell = 0.01 | 0.02 m or more
+grid_divides_area | area.width=1e7 | area.width = 10000000.0 | up to 1e+06 m
+time_is_whole | dt=1.5 | dt = 1.5 | 1e-06 to 1 s
+time_is_whole | dt=1e-9 | dt = 1e-09 | 1e-06 to 1 s
+time_is_whole | duration=30.02 | duration = 30.02 | multiples of dt = 0.05 s, such as 30
+time_is_whole | duration=0.01 | duration = 0.01 | such as 0.05
+time_is_whole | duration=500000.05 | duration = 500000.05 | 10,000,000 ticks at most, 500000 s
+looks_fit_ticks | detections.rate=7 | detections.rate = 7.0 | 20, 10, 6.667, ... 1/s
+looks_fit_ticks | detections.rate=40 | detections.rate = 40.0 | 20, 10, 6.667, ... 1/s
+looks_fit_ticks | detections.rate=1e-6 | detections.rate = 1e-06 | 20, 10, 6.667, ... 1/s
+looks_fit_ticks | detections.rate=5e-324 | detections.rate = 5e-324 | 20, 10, 6.667, ... 1/s
+sight_is_within_range | visibility.radius=5 | visibility.radius = 5.0 | less than sensor.range = 5 m
+points_are_inside | uav.0.position=[40.5, 9] | uav.0.position = [40.5, 9.0] | [0, 40] x [0, 40] m
+points_are_inside | ugv.0.position=[7, -1] | ugv.0.position = [7.0, -1.0] | [0, 40] x [0, 40] m
+points_are_inside | ugv.0.goals.1=[1, 41] | ugv.0.goals.1 = [1.0, 41.0] | [0, 40] x [0, 40] m
+covered_is_inside | coverage.covered=[{lower=[1, 5], upper=[2, 5]}] | coverage.covered.0.upper.1 = 5.0 | more than 5 m
+covered_is_inside | coverage.covered=[{lower=[1, -5], upper=[2, 5]}] | coverage.covered.0.lower.1 = -5.0
+| y from 0 to 40 m
+covered_is_inside | coverage.covered=[{lower=[1, 1], upper=[2, 5]}, {lower=[1, 1], upper=[41, 5]}]
+| coverage.covered.1.upper.0 = 41.0 | x from 0 to 40 m
+starts_are_within_bounds | ugv.0.velocity=[0.2, 0.1] | ugv.0.velocity = [0.2, 0.1] | up to ugv.0.max_speed
+uav_is_stronger | uav.0.max_speed=0.2 | uav.0.max_speed = 0.2 | above 0.2 m/s
+uav_is_stronger | uav.0.max_acceleration=0.1 | uav.0.max_acceleration = 0.1 | above 0.1 m/s²
+ugv_is_seen_at_start | uav.0.position=[7, 12.75] | uav.0.position = [7.0, 12.75] | visibility.radius = 4.75 m
+names_are_known | law.name=circel | law.name = "circel" | {LAWS}
+names_are_known | sensor.model=cone | sensor.model = "cone" | hill, plateau
+names_are_known | ugv.0.driver=ghost | ugv.0.driver = "ghost" | waypoints
+links_are_possible | links.radio.burst_length=1.0 | links.radio.burst_interval = 0.0 | above 0 s
+links_are_possible | links.only=[{vehicle="uav_7"}] | links.only.0.vehicle = "uav_7" | uav_0
+commands_act | links.commands.delay=0.6 | hold = 0.5 | 0.6 s or more
+own_functions_are_named | ugv.0.driver=policy | custom.policy = "" | module:function
+own_functions_are_named | custom.policy=mine | custom.policy = "mine" | module:function
+drivers_have_their_task | ugv.0.driver=script | ugv.0.script = [] | velocity
+drivers_have_their_task | ugv.0.script=[{time=1.0,velocity=[0.0,0.1]},{time=1.0,velocity=[0.0,0.0]}] | ugv.0.script.1.time = 1.0
+| times that rise
+own_functions_are_named | law.name=weighted | custom.weighting = "" | module:function
+own_functions_are_named | law.name=path | custom.path = "" | module:function
+own_functions_are_named | custom.path=mine.path | custom.path = "mine.path" | module:function
+own_functions_are_named | custom.path=a..b:c | custom.path = "a..b:c" | module:function
+switching_radius_is_positive | visibility.radius=1.05 | uav.0.max_acceleration = 0.3 | above 0.3048 m/s²
+switching_radius_is_positive | uav.0.max_speed=inf | uav.0.max_speed = inf | finite speeds
+reference_speed_is_possible | law.reference_speed=0.7 | law.reference_speed = 0.7 | up to uav.0.max_speed = 0.6 m/s
+reference_speed_is_possible | uav.0.max_speed=inf & uav.0.max_acceleration=inf | law.reference_speed
+| a number > 0, in m/s
+controller_is_stable | law.b_c=-4.0 | law = {a_c = -3.0, b_c = -4.0 | 0 < D A - B C < A D
+risk_can_be_met | certificate.risk=1e-3 & links.detections.bandwidth=15.0 | certificate.risk = 0.001
+| a greater risk, or a certificate.age
+circle_is_within_sight | law.name=circle & law.circle_radius=4.75 | law.circle_radius = 4.75 | less than r_v = 4.75 m
+circle_is_within_sight | law.name=circle & uav.0.max_acceleration=inf | law.circle_radius | less than r_v = 4.75 m
+""")
 ]
 
 
@@ -434,9 +229,7 @@ def test_an_unknown_key_is_named_with_the_nearest_and_all_that_are_known(
         (b"[[uav]]\n", "uav.0.position: missing; allowed: [x, y] in m"),
     ],
 )
-def test_a_broken_file_is_refused_with_its_name_and_the_place(
-    content: bytes, rest: str, tmp_path: Path
-) -> None:
+def test_a_broken_file_is_refused_with_its_name_and_the_place(content, rest, tmp_path):
     path = written(tmp_path, content)
     assert refusal(path).startswith(f"{path}: {rest}")
 

@@ -12,7 +12,8 @@ from typing import Any
 import msgspec
 import pytest
 import zenoh
-from staging import GIVEN, PILOT, Vehicle, await_status, stage, wait_until, whole
+from processes import wait_until
+from staging import GIVEN, PILOT, Vehicle, await_status, stage, whole
 
 from agents import process
 from bus.keys import BRIEFING, COMMAND, CONTROL, OBSERVATION, STATUS, Party, Role
@@ -24,25 +25,12 @@ from sim.server.flight import Flight
 
 
 @pytest.mark.parametrize("victim", ["uav_0", "ugv_0"])
-def test_a_vehicle_that_comes_back_with_its_past_flies_the_same_bits(
-    victim: str, tmp_path: Path
-) -> None:
+def test_a_vehicle_that_comes_back_with_its_past_flies_the_same_bits(victim, tmp_path):
     """More ticks than one part of a briefing holds; the newcomer knows nothing but what it is told."""
     with stage(tmp_path, 1500, respawn=True) as run:
         run.start("uav_0" if victim == "ugv_0" else "ugv_0")
-        gone = run.start(victim, until=1233)
-        second = threading.Event()
-
-        def take_its_place() -> None:
-            gone.join()  # else two would be there for a moment
-            run.start(victim)
-
-        def come_back() -> None:
-            if run.server.flight.world.tick == 1234 and not second.is_set():
-                second.set()
-                threading.Thread(target=take_its_place).start()
-
-        flight = run.fly(come_back)
+        run.start(victim, until=1233, again=True)
+        flight = run.fly()
         statuses = run.server.vehicles()
     first, later = (vehicle for vehicle in run.vehicles if vehicle.name == victim)
     assert [seen.tick for seen in first.seen] == list(range(1234))
@@ -93,9 +81,7 @@ def _briefings(scenario: Scenario) -> dict[str, Any]:
     }
 
 
-def test_a_lost_vehicle_brakes_and_one_that_returns_is_told_nothing_it_has_missed(
-    tmp_path: Path,
-) -> None:
+def test_a_lost_vehicle_brakes_and_one_that_returns_is_told_nothing_it_has_missed(tmp_path):
     """Without respawn the clock does not wait; what was detected while nobody was there stays unknown."""
     with stage(tmp_path, 20_000) as run:
         run.start("ugv_0")
@@ -137,12 +123,9 @@ def test_a_vehicle_that_does_not_come_back_is_given_up_once(tmp_path: Path) -> N
     assert len(run.events) == 2
 
 
-def test_the_first_session_keeps_the_seat_and_a_second_one_is_counted_named_and_ignored(
-    tmp_path: Path,
-) -> None:
+def test_the_first_session_keeps_the_seat_and_a_second_one_is_counted_named_and_ignored(tmp_path):
     with stage(tmp_path, 400) as run:
-        first = run.start("uav_0")
-        run.start("ugv_0")
+        first, _ = run.start_both()
         intruder: dict[str, Any] = {}
 
         def intrude() -> None:
@@ -183,12 +166,9 @@ def test_the_second_session_takes_the_seat_when_the_first_has_gone(tmp_path: Pat
     assert [seen.tick for seen in run.vehicles[2].seen] == list(range(300))
 
 
-def test_real_time_keeps_the_clock_and_flies_the_lockstep_bits_if_all_are_in_time(
-    tmp_path: Path,
-) -> None:
+def test_real_time_keeps_the_clock_and_flies_the_lockstep_bits_if_all_are_in_time(tmp_path):
     with stage(tmp_path, 100, realtime=2.0) as run:
-        run.start("uav_0")
-        run.start("ugv_0")
+        run.start_both()
         started: list[float] = []
         flight = run.fly(lambda: started.append(time.monotonic()))
     seconds = started[-1] - started[0]
@@ -245,8 +225,7 @@ def test_in_real_time_a_command_is_used_by_its_age_and_then_the_vehicle_brakes()
 def test_a_flight_can_be_paused_stepped_and_resumed(tmp_path: Path) -> None:
     seen: list[Status] = []
     with stage(tmp_path, 300) as run:
-        run.start("uav_0")
-        run.start("ugv_0")
+        run.start_both()
         operator = run.client("operator")
         controls, statuses = operator.outbox(CONTROL), operator.inbox(STATUS)
 
@@ -285,9 +264,7 @@ def test_an_observer_cannot_pause(tmp_path: Path) -> None:
     [b'{"tick":999999,"acceleration":[0,0]}', b'{"tick":-1}'],
     ids=["readable", "unreadable"],
 )
-def test_a_flood_of_letters_neither_stops_the_clock_nor_the_end(
-    payload: bytes, tmp_path: Path
-) -> None:
+def test_a_flood_of_letters_neither_stops_the_clock_nor_the_end(payload, tmp_path):
     """The UGV answers nothing and never stops talking.
 
     It is late like any other, and the session closes while it goes on.

@@ -2,7 +2,7 @@
 
 import re
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -68,14 +68,7 @@ def _fly(session: Session, party: Party, answer: Answer, told: list[object]) -> 
 class Run:
     """A flight with its sessions, in threads of this process."""
 
-    def __init__(
-        self,
-        stack: ExitStack,
-        endpoint: str,
-        ticks: int,
-        answers: dict[str, Answer],
-        deadline: float,
-    ) -> None:
+    def __init__(self, stack, endpoint, ticks, answers, deadline):
         scenario = load_scenario("escort", overrides=[f"duration={ticks * 0.05!r}", "hold=0.1"])
         simulator = Party(role=Role.SIMULATOR, name="simulator")
         self.events: list[str] = []
@@ -104,26 +97,17 @@ class Run:
 
 
 @contextmanager
-def flying(
-    folder: Path, ticks: int, *, deadline: float = 10.0, uav: Answer = honest, ugv: Answer = honest
-) -> Iterator[Run]:
+def flying(folder, ticks, *, deadline=10.0, uav=honest, ugv=honest):
     with ExitStack() as stack:
-        yield Run(
-            stack,
-            f"unixsock-stream/{folder / 'bus.sock'}",
-            ticks,
-            {"uav_0": uav, "ugv_0": ugv},
-            deadline,
-        )
+        endpoint = f"unixsock-stream/{folder / 'bus.sock'}"
+        yield Run(stack, endpoint, ticks, {"uav_0": uav, "ugv_0": ugv}, deadline)
 
 
 def test_each_vehicle_is_told_its_own_briefing(tmp_path: Path) -> None:
     with flying(tmp_path, 3) as run:
         run.fly()
-    assert [type(told) for told in (*run.told["uav_0"], *run.told["ugv_0"])] == [
-        UavBriefing,
-        UgvBriefing,
-    ]
+    told = (*run.told["uav_0"], *run.told["ugv_0"])
+    assert [type(briefing) for briefing in told] == [UavBriefing, UgvBriefing]
 
 
 def test_honest_vehicles_miss_nothing(tmp_path: Path) -> None:
@@ -134,9 +118,7 @@ def test_honest_vehicles_miss_nothing(tmp_path: Path) -> None:
     assert not run.events
 
 
-def test_an_answer_to_another_tick_or_a_second_one_is_counted_and_changes_nothing(
-    tmp_path: Path,
-) -> None:
+def test_an_answer_to_another_tick_or_a_second_one_is_counted_and_changes_nothing(tmp_path):
     with flying(tmp_path, 20, ugv=confused) as run:
         confused_flight = run.fly()
         status = run.server.status(1.0).vehicles["ugv_0"]

@@ -1,15 +1,15 @@
 """Sessions of one party that are too many are ended, and nobody else's."""
 
 import logging
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 import pytest
-import zenoh
+from processes import wait_until
+from staging import raw_session
 
-from bus import session, session_limit
-from bus.access import Credential, client_settings, new_certificates, new_credentials
+from bus import session_limit
+from bus.access import new_certificates, new_credentials
 from bus.certificates import new_authority
 from bus.keys import PLACES, session_token
 from bus.session import Session, open_session
@@ -74,24 +74,11 @@ def test_connections_are_found_however_their_addresses_are_written() -> None:
         )
         assert sorted(ended) == sorted(there)
         gone = {link.dst for link in there}
-        await_that(lambda: not gone & addresses(router))
+        wait_until(lambda: not gone & addresses(router))
 
 
 def addresses(router: Session) -> set[str]:
     return {link.dst for link in router._zenoh.info.links()}
-
-
-def await_that(holds: Callable[[], bool], seconds: float = 20.0) -> None:
-    limit = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < limit
-        time.sleep(0.01)
-
-
-def raw(endpoint: str, credential: Credential) -> zenoh.Session:
-    """A session that does not say whose it is; as all of Zenoh's it connects again when its connection is ended."""
-    wanted = session._COMMON | session._CLIENT | client_settings(credential)
-    return zenoh.open(session._config(wanted | {"connect/endpoints": [endpoint]}))
 
 
 @contextmanager
@@ -109,7 +96,7 @@ def flooded(protocol: str, count: int, *, claimed: bool = False) -> Iterator[tup
         honest.announce()
         (first,) = router._zenoh.info.links()
         for _ in range(count):
-            opened = stack.enter_context(raw(endpoint, rogue))
+            opened = stack.enter_context(raw_session(endpoint, rogue))
             if claimed:
                 own = session_token(RUN, "ugv_0", str(opened.zid()))
                 stack.enter_context(opened.liveliness().declare_token(own))
@@ -143,7 +130,7 @@ def test_one_vehicle_with_hundreds_of_sessions_keeps_no_other_out(
         with open_session(uav.party, RUN, connect=endpoint, credential=uav) as late:
             late.announce()
             (mine,) = [x.dst for x in router._zenoh.info.links() if str(x.zid) == late.id]
-            await_that(lambda: len(there & addresses(router)) <= 1 + left)
+            wait_until(lambda: len(there & addresses(router)) <= 1 + left)
             assert {first, mine} <= addresses(router)
     told = [r.getMessage() for r in caplog.records if r.levelno == logging.WARNING]
     assert 1 <= len(told) <= 2  # a line for the party, and one for nobody's
@@ -155,13 +142,13 @@ def test_a_party_claims_sessions_in_its_own_name_alone() -> None:
     heard: list[str] = []
     with (
         open_session(SIMULATOR, RUN, listen=(endpoint,), given=given) as router,
-        raw(endpoint, given.of("ugv_0")) as rogue,
+        raw_session(endpoint, given.of("ugv_0")) as rogue,
     ):
         router._zenoh.liveliness().declare_subscriber(
             session_token(RUN, "*", "*"), lambda sample: heard.append(str(sample.key_expr))
         )
         claims = [session_token(RUN, name, "a") for name in ("uav_0", "simulator", "ugv_0")]
         kept = [rogue.liveliness().declare_token(claim) for claim in claims]
-        await_that(lambda: bool(heard))
+        wait_until(lambda: bool(heard))
         assert heard == [claims[-1]]
         assert kept

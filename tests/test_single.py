@@ -8,6 +8,7 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordEpisodeStatistics
+from refusals import refused
 from worlds import CASES, SCENARIOS, equal, random_actions, row_of
 
 from outrider.envs.single import SingleEnv, single_env
@@ -136,9 +137,8 @@ def test_a_bad_action_is_refused_in_one_line_and_nothing_has_happened(action: An
     env, other = single_env(SCENARIO), single_env(SCENARIO)
     for one in (env, other):
         one.reset(seed=1)
-    with pytest.raises(ValueError, match="action of uav_0") as caught:
+    with refused(ValueError, "action of uav_0"):
         env.step(action)
-    assert "\n" not in str(caught.value)
     assert equal(env.step([0.1, 0.2])[0], other.step([0.1, 0.2])[0])
 
 
@@ -153,9 +153,8 @@ def test_a_bad_action_is_refused_in_one_line_and_nothing_has_happened(action: An
     ids=str,
 )
 def test_a_bad_argument_is_refused_in_one_line(options: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message) as caught:
+    with refused(ValueError, message):
         SingleEnv(SCENARIO, **options)
-    assert "\n" not in str(caught.value)
 
 
 def test_metrics_are_plain_numbers() -> None:

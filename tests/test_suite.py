@@ -2,16 +2,15 @@
 
 import json
 import sys
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
+from tabular import rows, words
 from worlds import SCENARIOS
 
 from bus.messages import Command
-from outrider.cli import main
 from outrider.envs.closed_loop import ClosedLoop, pilot_names
 from outrider.envs.vector import OutriderVectorEnv
 from outrider.experiments.suite import scoring
@@ -30,12 +29,7 @@ pytestmark = pytest.mark.xdist_group(
     "many worlds"
 )  # on one worker: what they compile takes a minute, once
 
-SHORT: dict[str, object] = {
-    "duration": 4.0,
-    "area.width": 16.0,
-    "area.height": 12.0,
-    "ugv.0.goals": [[12.0, 9.0]],
-}
+SHORT = {"duration": 4.0, "area.width": 16.0, "area.height": 12.0, "ugv.0.goals": [[12.0, 9.0]]}
 CERTIFICATES = ("certified_while_lost", "certificate_broken")
 TASK = Task(name="short", hard="it is over soon", changes=SHORT)
 SLOW = Task(name="slow", hard="", changes={**SHORT, "duration": 30.0})
@@ -85,11 +79,8 @@ def test_the_seeds_are_twenty_and_no_training_run_begins_with_them() -> None:
 
 def test_the_score_is_the_mean_share_of_what_there_was_to_see() -> None:
     """Against a single flight over the bus' own loop, tick by tick."""
-    task = Task(
-        name="half",
-        hard="",
-        changes={**SHORT, "coverage.covered": [{"lower": [0.0, 0.0], "upper": [8.0, 12.0]}]},
-    )
+    half = {"coverage.covered": [{"lower": [0.0, 0.0], "upper": [8.0, 12.0]}]}
+    task = Task(name="half", hard="", changes=SHORT | half)
     scenario = task.scenario
     flight = Flight(scenario, 9001, secret=SECRET)
     flight.fly(InProcess(make_pilots(scenario, 9001, secret=SECRET)))
@@ -99,12 +90,8 @@ def test_the_score_is_the_mean_share_of_what_there_was_to_see() -> None:
         scenario.visibility.radius + scenario.sensor.range,
         first_state(scenario).coverage,
     )
-    most = np.array(
-        [
-            coverage_error(nothing, x, y, r_o, scenario.coverage.desired, scenario.area.cell)
-            for x, y in places
-        ]
-    )
+    desired, cell = scenario.coverage.desired, scenario.area.cell
+    most = np.array([coverage_error(nothing, x, y, r_o, desired, cell) for x, y in places])
     result = evaluate(task, "certified", seeds=[9000, 9001], secret=SECRET)
     assert result.scores[1] == pytest.approx(100.0 * np.mean(1.0 - errors / most), rel=1e-12)
     assert 0.0 < result.scores[1] < 100.0
@@ -135,14 +122,11 @@ def test_a_law_and_the_same_flight_from_outside_have_the_same_score() -> None:
 
 
 def test_from_the_tick_at_which_sight_is_lost_nothing_counts_as_seen() -> None:
-    lost, kept = (
-        SLOW.evaluate(entry, seeds=[9000, 9001], secret=SECRET, **settings)
-        for entry, settings in ((away, {}), ("tracking", {}))
-    )
+    twins = {"seeds": [9000, 9001]}
+    lost, kept = (SLOW.evaluate(entry, **twins, secret=SECRET) for entry in (away, "tracking"))
     assert (lost.lost, kept.lost) == (2, 0)
-    shorter = Task(name="shorter", hard="", changes={**SHORT, "duration": 60.0}).evaluate(
-        away, seeds=[9000, 9001], secret=SECRET
-    )
+    longer = Task(name="longer", hard="", changes={**SHORT, "duration": 60.0})
+    shorter = longer.evaluate(away, **twins, secret=SECRET)
     # Twice the time with the same flight: what was seen counts half.
     assert np.array(shorter.scores) * 1201 == pytest.approx(np.array(lost.scores) * 601, rel=1e-12)
     assert lost.score < kept.score
@@ -165,9 +149,7 @@ def test_sight_that_is_found_again_stays_lost() -> None:
     assert scores(turns_back=True) == scores(turns_back=False)
 
 
-def test_what_is_certified_out_of_sight_is_told_with_the_score(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_is_certified_out_of_sight_is_told_with_the_score(monkeypatch):
     class Near(ClosedLoop):
         """Sight ends at two metres, and the filter was told another r_v."""
 
@@ -178,10 +160,8 @@ def test_what_is_certified_out_of_sight_is_told_with_the_score(
     assert SLOW.evaluate("certified", seeds=[9000], secret=SECRET).certified_while_lost == 0
     monkeypatch.setattr(scoring, "ClosedLoop", Near)
     result = SLOW.evaluate("certified", seeds=[9000], secret=SECRET)
-    assert (result.lost, result.certified_while_lost) == (
-        1,
-        1,
-    )  # at the tick at which sight is lost; then the task is over
+    # at the tick at which sight is lost; then the task is over
+    assert (result.lost, result.certified_while_lost) == (1, 1)
     result = SLOW.evaluate("certified", seeds=[9000, 9001], secret=SECRET)
     board = leaderboard(["certified", "linear"], tasks=[SLOW], seeds=[9000, 9001], secret=SECRET)
     told = {standing.entry: standing.certified_while_lost for standing in board.standings}
@@ -243,19 +223,17 @@ def test_both_pairs_count() -> None:
 def test_an_evaluation_is_the_same_again_and_from_another_thread() -> None:
     tasks = [TASK, SLOW]
     entries: dict[str, Any] = {"tracking": "tracking", "mine": hover}
-    board = leaderboard(entries, tasks=tasks, seeds=[5, 6], estimate=True)  # its secret is told
-    assert board == leaderboard(
-        entries, tasks=tasks, seeds=[5, 6], secret=board.secret, estimate=True
-    )
+    told = {"tasks": tasks, "seeds": [5, 6], "estimate": True}
+    board = leaderboard(entries, **told)  # its secret is told
+    assert board == leaderboard(entries, **told, secret=board.secret)
     for standing in board.standings:
-        entry = hover if standing.entry == "mine" else "tracking"
-        settings: dict[str, Any] = {"estimate": True} if standing.entry == "mine" else {}
-        assert standing.results[1] == SLOW.evaluate(
-            entry, name=standing.entry, seeds=[5, 6], secret=board.secret, **settings
-        )
-        assert standing.score == pytest.approx(
-            np.mean([result.score for result in standing.results])
-        )
+        mine = standing.entry == "mine"
+        settings = {"seeds": [5, 6], "secret": board.secret, "name": standing.entry}
+        settings |= {"estimate": True} if mine else {}
+        entry = hover if mine else "tracking"
+        assert standing.results[1] == SLOW.evaluate(entry, **settings)
+        mean = np.mean([result.score for result in standing.results])
+        assert standing.score == pytest.approx(mean)
 
 
 def test_the_board_has_the_best_first_and_says_who_lost_sight() -> None:
@@ -289,12 +267,9 @@ def test_the_board_has_the_best_first_and_says_who_lost_sight() -> None:
     ],
     ids=["law", "setting of a law", "setting of the task", "no action"],
 )
-def test_what_cannot_be_scored_is_refused_in_one_line(
-    entry: Any, settings: dict[str, Any], message: str
-) -> None:
-    with pytest.raises(ValueError, match=message) as caught:
+def test_what_cannot_be_scored_is_refused_in_one_line(entry, settings, message):
+    with refused(ValueError, message):
         TASK.evaluate(entry, seeds=[1, 2], **settings)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -324,103 +299,49 @@ def test_a_scenario_of_ones_own_is_scored_alike() -> None:
     assert Suite([TASK]).names == ("short",)
 
 
-@pytest.fixture
-def outrider(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., Any]:
-    """The command in this process, in an empty folder: its exit code, and what it wrote to stdout and stderr."""
-    monkeypatch.chdir(tmp_path)
+def test_the_command_scores_laws_and_policies(here, command, monkeypatch) -> None:
     monkeypatch.setattr(sys, "path", [*sys.path])
-
-    def call(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["outrider", "suite", *arguments])
-        code = main._run()
-        written = capsys.readouterr()
-        return code, written.out, written.err
-
-    return call
-
-
-def test_the_command_scores_laws_and_policies(outrider: Callable[..., Any], tmp_path: Path) -> None:
     source = "import numpy as np\n\n\ndef away(seen):\n    return np.full((len(seen), 2), 0.3)\n"
-    (tmp_path / "mine_for_the_suite.py").write_text(source, encoding="utf-8")
-    arguments = (
-        "--law",
-        "tracking",
-        "--uav-policy",
-        "mine_for_the_suite:away",
-        "--safety-filter",
-        "--only",
-        "short-sight",
-        "--secret",
-        SECRET,
-    )
-    code, out, err = outrider(*arguments, "--json")
-    assert (code, err) == (0, "")
-    told = json.loads(out)
+    (here / "mine_for_the_suite.py").write_text(source, encoding="utf-8")
+    own = words("--uav-policy mine_for_the_suite:away --safety-filter --only short-sight --secret")
+    run = command("suite", "--law", "tracking", *own, SECRET, "--json")
+    assert (run.returncode, run.stderr) == (0, "")
+    told = json.loads(run.stdout)
     assert told["tasks"] == ["short-sight"]
     assert told["secret"] == SECRET
-    assert {standing["entry"] for standing in told["standings"]} == {
-        "tracking",
-        "mine_for_the_suite:away",
-    }
+    entries = {standing["entry"] for standing in told["standings"]}
+    assert entries == {"tracking", "mine_for_the_suite:away"}
     result = told["standings"][0]["results"][0]
-    assert set(result) == {
-        "task",
-        "entry",
-        "score",
-        "low",
-        "high",
-        "scores",
-        "mean_error",
-        "lost",
-        "episodes",
-        "secret",
-        *CERTIFICATES,
-    }
+    names = words("task entry score low high scores mean_error lost episodes secret")
+    assert set(result) == {*names, *CERTIFICATES}
     assert result["episodes"] == len(result["scores"]) == 20
     assert all(standing["lost"] == 0 for standing in told["standings"])  # the filter was asked
     assert all(standing[count] == 0 for standing in told["standings"] for count in CERTIFICATES)
 
 
-def test_the_command_tells_what_the_tasks_are(outrider: Callable[..., Any]) -> None:
-    told = json.loads(outrider("--list", "--json")[1])["tasks"]
+def test_the_command_tells_what_the_tasks_are(command) -> None:
+    told = json.loads(command("suite", "--list", "--json").stdout)["tasks"]
     assert [task["name"] for task in told] == list(suite().names)
     assert told[0]["env_id"] == "outrider/Suite-Paper-v0"
-    assert "late-commands" in outrider("--list")[1]
+    assert "late-commands" in command("suite", "--list").stdout
 
 
 @pytest.mark.parametrize(
     ("arguments", "code", "told"),
-    [
-        (["--law", "lograithmic"], 2, "law 'lograithmic': unknown"),
-        (
-            ["--only", "nosie"],
-            2,
-            "--only nosie: no such task, did you mean 'noise'?; allowed: paper,",
-        ),
-        (["--uav-policy", "nowhere:f"], 2, "--uav-policy = 'nowhere:f'"),
-        (
-            ["--law", "linear", "--secret", "1234"],
-            2,
-            "--secret: 4 characters that are no secret; allowed: ",
-        ),
-        (["--estimate"], 2, "--estimate: for a --uav-policy alone"),
-        (["--list", "--markdown", "--law", "linear"], 0, ""),
-        (["--law", "linear", "--markdown", "--json"], 2, "both want stdout"),
-        (
-            ["--uav-policy", "json:loads", "--only", "paper"],
-            1,
-            "--uav-policy json:loads: TypeError",
-        ),
-        (["--uav-policy", "math:fsum", "--only", "paper"], 1, "--uav-policy math:fsum: "),
-    ],
-    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+    rows("""
+--law lograithmic | 2 | law 'lograithmic': unknown
+--only nosie | 2 | --only nosie: no such task, did you mean 'noise'?; allowed: paper,
+--uav-policy nowhere:f | 2 | --uav-policy = 'nowhere:f'
+--law linear --secret 1234 | 2 | --secret: 4 characters that are no secret; allowed:
+--estimate | 2 | --estimate: for a --uav-policy alone
+--list --markdown --law linear | 0 | late-commands
+--law linear --markdown --json | 2 | both want stdout
+--uav-policy json:loads --only paper | 1 | --uav-policy json:loads: TypeError
+--uav-policy math:fsum --only paper | 1 | --uav-policy math:fsum:
+"""),
 )
-def test_bad_input_gets_one_line_and_its_exit_code(
-    arguments: list[str], code: int, told: str, outrider: Callable[..., Any]
-) -> None:
-    found, _, err = outrider(*arguments)
-    assert found == code
-    assert told in err
-    assert len(err.strip().splitlines()) == (1 if code else 0)
+def test_bad_input_gets_one_line_and_its_exit_code(arguments, code, told, here, command):
+    run = command("suite", *words(arguments))
+    assert run.returncode == int(code)
+    assert told in (run.stderr if run.returncode else run.stdout)
+    assert len(run.stderr.strip().splitlines()) == bool(run.returncode)

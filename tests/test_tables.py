@@ -182,7 +182,7 @@ def test_every_key_is_in_the_table_of_keys() -> None:
 
 def test_every_kind_of_link_has_its_field_in_a_scenario() -> None:
     kinds = {str(kind) for kind in LinkKind}
-    assert kinds | {"only"} == set(LinkTable.__struct_fields__)
+    assert kinds | {"only", "traces"} == set(LinkTable.__struct_fields__)
     assert kinds | {"vehicle"} == set(VehicleLinks.__struct_fields__)
 
 

@@ -13,6 +13,7 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from properties import PROPERTY
+from refusals import refused
 from worlds import CASES, LATE_LOOKS, SCENARIO, SCENARIOS, SEVERAL, equal, random_actions, row_of
 
 import outrider
@@ -208,17 +209,14 @@ def test_what_was_returned_is_never_changed_later() -> None:
     ],
     ids=str,
 )
-def test_a_bad_action_is_refused_in_one_line_and_nothing_has_happened(
-    actions: Any, message: str
-) -> None:
+def test_a_bad_action_is_refused_in_one_line_and_nothing_has_happened(actions, message):
     env = outrider.vector_env(SCENARIO, num_envs=2, agent="uav_0")
     env.reset(seed=1)
     good = random_actions(2, 6)
     for action in good[:3]:
         env.step(action)
-    with pytest.raises(ValueError, match=message) as caught:
+    with refused(ValueError, message):
         env.step(actions)
-    assert "\n" not in str(caught.value)
     other = outrider.vector_env(SCENARIO, num_envs=2, agent="uav_0")
     other.reset(seed=1)
     for action in good[:3]:
@@ -255,9 +253,7 @@ EXTREMES = st.sampled_from([0.0, 1e-300, -1e-9, 0.3, -0.3, 1e6, -1e6])
     ),
     held=st.lists(st.tuples(EXTREMES, EXTREMES), min_size=1, max_size=8),
 )
-def test_the_spaces_contain_whatever_is_returned(
-    name: str, agent: str, options: dict[str, Any], held: list[tuple[float, float]]
-) -> None:
+def test_the_spaces_contain_whatever_is_returned(name, agent, options, held):
     env = outrider.vector_env(
         SCENARIOS[name], num_envs=2, agent=agent, duration=4.0, threads=1, **options
     )
@@ -294,9 +290,8 @@ def test_there_must_be_worlds(num_envs: Any) -> None:
     ids=str,
 )
 def test_a_bad_argument_is_refused_in_one_line(options: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message) as caught:
+    with refused(ValueError, message):
         outrider.vector_env(SCENARIO, num_envs=1, **options)
-    assert "\n" not in str(caught.value)
 
 
 def test_it_must_be_reset_first() -> None:

@@ -62,9 +62,7 @@ def test_commands_held_over_the_ticks_are_flown_as_an_ode_solver_flies_them() ->
 
 @given(st.floats(0.05, 2.0), st.floats(0.05, 2.0), ticks)
 @settings(PROPERTY)
-def test_gathering_speed_up_to_the_bound_is_the_closed_form_within_one_tick(
-    v_max: float, u_max: float, dt: float
-) -> None:
+def test_gathering_speed_up_to_the_bound_is_the_closed_form_within_one_tick(v_max, u_max, dt):
     state = (0.0, 0.0, 0.0, 0.0)
     for k in range(1, 61):
         *state, _, _ = step_vehicle(*state, u_max, 0.0, v_max, u_max, dt)
@@ -106,9 +104,7 @@ def test_bounds_are_on_the_norm_and_not_on_each_axis() -> None:
 
 @given(numbers, numbers, bounds)
 @settings(PROPERTY)
-def test_clipping_shortens_what_is_too_long_and_turns_nothing(
-    x: float, y: float, limit: float
-) -> None:
+def test_clipping_shortens_what_is_too_long_and_turns_nothing(x, y, limit):
     c_x, c_y = clip_norm(x, y, limit)
     if norm(x, y) <= limit:
         assert (c_x, c_y) == (x, y)
@@ -121,9 +117,7 @@ def test_clipping_shortens_what_is_too_long_and_turns_nothing(
 
 @given(numbers, numbers, st.floats(0.05, 5.0) | st.just(math.inf), ticks)
 @settings(PROPERTY)
-def test_braking_stops_on_a_straight_line_without_turning_back(
-    v_x: float, v_y: float, u_max: float, dt: float
-) -> None:
+def test_braking_stops_on_a_straight_line_without_turning_back(v_x, v_y, u_max, dt):
     state, speeds = (0.0, 0.0, v_x, v_y), [norm(v_x, v_y)]
     needed = 1 if math.isinf(u_max) else math.ceil(speeds[0] / (u_max * dt)) + 1
     for _ in range(min(needed, 2000)):
@@ -143,9 +137,7 @@ def test_braking_stops_on_a_straight_line_without_turning_back(
 
 @given(st.floats(0.0, 100.0), st.floats(0.01, 10.0) | st.just(math.inf), ticks)
 @settings(PROPERTY)
-def test_the_speed_to_stop_within_a_distance_leaves_room_for_one_more_tick(
-    distance: float, u_max: float, dt: float
-) -> None:
+def test_the_speed_to_stop_within_a_distance_leaves_room_for_one_more_tick(distance, u_max, dt):
     speed = speed_to_stop_within(distance, u_max, dt)
     assert speed >= 0.0
     assert speed * dt + stopping_distance(speed, u_max) == pytest.approx(

@@ -27,9 +27,7 @@ def test_the_ugv_is_visible_nearer_than_the_visibility_radius() -> None:
 
 @given(st.floats(1.0, 50.0), speeds, speeds, st.floats(0.01, 10.0))
 @settings(PROPERTY, max_examples=300)
-def test_the_switching_radius_is_the_papers_two_phases(
-    r_v: float, v_a: float, v_g: float, u_a: float
-) -> None:
+def test_the_switching_radius_is_the_papers_two_phases(r_v, v_a, v_g, u_a):
     printed = r_v - (v_g * (v_a + v_g) + 0.5 * (v_a**2 - v_g**2)) / u_a
     assert raw_switching_radius(r_v, v_a, v_g, u_a) == pytest.approx(
         printed, rel=1e-12, abs=1e-12 * (r_v - printed)

@@ -3,7 +3,6 @@
 import json
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from processes import (
     family,
     joined,
     kind_of,
+    python,
     wait_until,
 )
 from scattered import end_all
@@ -88,9 +88,7 @@ print(not steps, flight.world.tick, heard.names[:before], len(heard.names) - bef
 
 @pytest.mark.timeout(300)
 def test_no_control_of_an_operator_makes_anybody_compile():
-    run = subprocess.run(
-        [sys.executable, "-c", PREPARE + FLY], capture_output=True, text=True, check=False
-    )
+    run = python(PREPARE + FLY, check=False)
     assert run.stdout.split() == ["True", "240", "[]", "1"], run.stdout + run.stderr
 
 

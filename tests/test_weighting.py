@@ -37,9 +37,7 @@ shares = st.floats(0.0, 0.999999)
 
 @given(*[numbers] * 6)
 @settings(PROPERTY)
-def test_the_combined_law_is_the_weighted_sum(
-    a: float, b: float, t_x: float, t_y: float, c_x: float, c_y: float
-) -> None:
+def test_the_combined_law_is_the_weighted_sum(a, b, t_x, t_y, c_x, c_y):
     assert combine(a, b, t_x, t_y, c_x, c_y) == pytest.approx(
         (a * t_x + b * c_x, a * t_y + b * c_y), rel=1e-14, abs=1e-11
     )
@@ -63,9 +61,7 @@ def test_switching_weights_are_all_or_nothing(r_s: float, share: float) -> None:
 
 @given(radii, st.floats(1e-9, 0.999999), st.floats(0.1, 50.0))
 @settings(PROPERTY)
-def test_logarithmic_weights_follow_the_logarithm_up_to_their_limit(
-    r_s: float, share: float, k_beta: float
-) -> None:
+def test_logarithmic_weights_follow_the_logarithm_up_to_their_limit(r_s, share, k_beta):
     alpha, beta = logarithmic_weights(share * r_s, r_s, k_beta, LIMIT)
     assert alpha == 1.0
     assert beta == pytest.approx(
@@ -161,9 +157,7 @@ BAD: dict[str, tuple[float, object]] = {
 
 
 @pytest.mark.parametrize(("distance", "bad"), BAD.values(), ids=BAD.keys())
-def test_a_weighting_against_proposition_2_is_refused_at_its_distance(
-    distance: float, bad: object
-) -> None:
+def test_a_weighting_against_proposition_2_is_refused_at_its_distance(distance, bad):
     with pytest.raises(ScenarioError, match=r"^weighting at a distance of [\d.]+ m") as refused:
         check_weighting(_from(distance, bad), R_S)
     named = float(str(refused.value).split("distance of ")[1].split(" m")[0])

@@ -124,9 +124,7 @@ def test_noise_and_dropouts_in_flight_are_those_of_the_scenario() -> None:
     )
 
 
-def test_the_ugv_is_seen_at_every_look_within_the_visibility_radius_and_at_none_beyond_the_range() -> (
-    None
-):
+def test_the_ugv_is_seen_at_every_look_within_the_visibility_radius_and_at_none_beyond_the_range():
     """Coverage alone drifts away from its UGV."""
     covered = Coverage(covered=(Region(lower=(0.0, 0.0), upper=(40.0, 24.0)),))
     ugv = Ugv(position=HERE, goals=((20.0, 2.0),))

@@ -29,6 +29,7 @@ from outrider.cli import (
     drive,
     falsify,
     figures,
+    network,
     pilots,
     record,
     render,
@@ -108,6 +109,7 @@ def make_app() -> typer.Typer:
     for name, command in COMMANDS.items():
         app.command(name)(_telling(command))
     app.add_typer(scenarios.app, name="scenarios")
+    app.add_typer(network.app, name="network")
     return app
 
 

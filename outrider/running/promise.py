@@ -17,18 +17,22 @@ import numpy as np
 from agents.control.handover import check_assumptions
 from agents.control.promise import Promise
 from agents.control.visibility import promise_of
-from bus.messages import LinkKind, LinkSettings, UavBriefing
+from bus.messages import MOST_CARRIED, LinkKind, LinkSettings, UavBriefing
 from bus.registry import LAWS
+from bus.ticks import first_tick_from
 from outrider.running.summary import in_flights
-from sim.channel.chances import Chance, chance_of_age, chance_of_error
-from sim.channel.description import arrival_share, extra_delays, link_parameters
-from sim.channel.link import DUST, LinkParameters, in_ticks
+from sim.channel.chances import Chance, chance_of_age, chance_of_error, chance_of_outage
+from sim.channel.description import arrival_share, arrivals_of, extra_delays, link_parameters
+from sim.channel.link import DUST, FATES, LinkParameters, in_ticks
 from sim.engine.briefing import briefing, largest_tracking_error
 from sim.engine.briefing import declared as declared_bounds
+from sim.kernels.compile import IntArray
 from sim.scenario.types import LinkTable, Scenario, Uav
 
 _RARE = 1e-6
 """Events that are expected less often than this in a whole flight is not told."""
+_MOST_PLAYED = 5_000
+"""Ticks of Mahimahi's opportunities that are looked at; a process that does not compile plays them too."""
 
 
 class How(StrEnum):
@@ -103,6 +107,11 @@ def odds(scenario: Scenario, links: LinkTable | None = None) -> Odds | None:
         bounds = declared_bounds(scenario, uav.name)
         age = _chance_of_age(scenario, table.of(uav.name, LinkKind.DETECTIONS), bounds.age)
         exceeded[f"{uav.name}/age"] = age.value
+        if bounds.outage is not None:
+            link = table.of(uav.name, LinkKind.COMMANDS)
+            delay = first_tick_from(bounds.delay, scenario.dt)
+            outage = _chance_of_outage(scenario, link, delay, bounds.outage)
+            exceeded[f"{uav.name}/outage"] = outage.value
         if bounds.error is not None:
             sigma, cut = scenario.detections.noise, scenario.noise_cut
             error = chance_of_error(sigma, cut, looks, bounds.error)
@@ -156,11 +165,12 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
             ]
         for kind, name, check in (
             (LinkKind.DETECTIONS, "A2", _ages),
-            (LinkKind.COMMANDS, "A5", _delays),
+            (LinkKind.COMMANDS, "A5", _outages if promise.carries else _delays),
         ):
-            link = _Link(scenario, table.of(uav.name, kind), table.path_of(uav.name, kind))
+            link = _Link(scenario, table.of(uav.name, kind), table.path_of(uav.name, kind), table)
+            reckoned = kind is LinkKind.DETECTIONS or promise.carries
             found += [
-                Shortfall(uav.name, name, how, what, name == "A2" and how is not How.CERTAIN)
+                Shortfall(uav.name, name, how, what, reckoned and how is not How.CERTAIN)
                 for how, what in check(link, promise)
             ]
     return tuple(found)
@@ -169,9 +179,13 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
 class _Link:
     """One link with what follows from its settings."""
 
-    def __init__(self, scenario: Scenario, settings: LinkSettings, path: str) -> None:
+    def __init__(
+        self, scenario: Scenario, settings: LinkSettings, path: str, table: LinkTable
+    ) -> None:
         self.scenario, self.settings, self.path = scenario, settings, path
-        self.parameters: LinkParameters = link_parameters(settings, scenario.dt)
+        self.parameters: LinkParameters = link_parameters(
+            settings, scenario.dt, traces=table.traces
+        )
         p, held = self.parameters, settings.reorder_delay if settings.reorder else 0.0
         self.least = in_ticks(p.delay + (p.least if p.jitter > 0.0 else 0.0), p.dt)
         self.most = in_ticks(p.delay + extra_delays(settings)[1] + held, p.dt)
@@ -188,6 +202,30 @@ class _Link:
         for first, after in self.parameters.blackouts.tolist():
             if first < min(after, self.scenario.ticks):
                 yield first, min(after, self.scenario.ticks)
+
+    def played(self, every: int) -> IntArray:
+        """Age of the newest message at each tick of a round of the recorded link [ticks], without planned blackouts.
+
+        Args:
+            every: Ticks between two messages.
+        """
+        p = self.parameters
+        table = p.replay == FATES
+        ticks = p.period if table else min(math.ceil(p.period / (1000.0 * p.dt)), _MOST_PLAYED)
+        settled = p.longest + p.queue * every  # before that it has only begun
+        sent = np.arange(0, settled + ticks + every, every)
+        if table:
+            took = p.trace[np.searchsorted(p.trace[:, 0], sent % p.period, side="right") - 1, 1]
+            arrived = np.where(took < 0, -1, sent + took)
+        else:
+            bare = p._replace(blackouts=np.zeros((0, 2), dtype=np.int64))
+            with np.errstate(over="ignore"):  # of its draws, where it is not compiled
+                arrived = arrivals_of(bare, (np.uint64(0), np.uint64(0)), len(sent), every=every)
+        newest = np.full(settled + ticks, -1, dtype=np.int64)
+        there = (arrived >= 0) & (arrived < len(newest))
+        np.maximum.at(newest, arrived[there], sent[there])
+        newest = np.maximum.accumulate(newest)
+        return (np.arange(len(newest)) - newest)[settled:]
 
     def seconds(self, ticks: float) -> str:
         """As a time."""
@@ -244,6 +282,13 @@ def _ages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
     s, p = link.scenario, link.parameters
     period, age = s.detection_period, promise.age_ticks
     limit = f"certificate.age = {promise.age:g} s"
+    if link.settings.trace:
+        share = float(np.mean(link.played(period) > age))
+        if share > 0.0:
+            what = f"older than {limit} in {_percent(share)} of the ticks of a round"
+            yield _often(share), f"{link.path}.trace: the newest detection is {what}"
+        yield from _dark_ages(link, age, limit)
+        return
     waits, dark = _queue_ticks(p, period), list(_dark_ages(link, age, limit))
     if waits is not None and s.detections.dropout == 0.0 and link.least + waits > age:
         what = f"{link.named('bandwidth', 'queue')}: fewer than the detector's looks, {1.0 / (period * s.dt):g} /s"
@@ -343,6 +388,13 @@ def _delays(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
     exact = promise.delay_ticks
     source = "the longest of its link" if s.certificate.delay is None else "certificate.delay"
     tau = f"tau_c = {link.seconds(exact)} ({source})"
+    if link.settings.trace:
+        share = float(np.mean(link.played(1) != exact))
+        if share > 0.0:
+            what = f"another command than that of {tau} before acts in {_percent(share)} of the ticks of a round"
+            yield _often(share), f"{link.path}.trace: {what}"
+        yield from _lost_commands(link)
+        return
     if p.spacing > 1.0 + DUST:
         fewer = f"fewer than one message a tick, {1.0 / s.dt:g} /s, so that commands wait and are dropped"
         yield How.THROUGHOUT, f"{link.named('bandwidth', 'queue')}: {fewer}"
@@ -360,6 +412,40 @@ def _delays(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
             what = f"{link.named('jitter', 'reorder')}: commands overtake each other or take other times than {tau}"
             yield _often(1.0 - kept), f"{what}, in {_percent(1.0 - kept)} of the ticks"
     yield from _lost_commands(link)
+
+
+def _outages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
+    """Motions begin at most `outage` after one another: the packets of one link are lost or late for longer."""
+    s, outage = link.scenario, promise.outage_ticks * promise.dt
+    chance = _chance_of_outage(s, link.settings, promise.delay_ticks, outage)
+    if chance.value is not None and chance.value <= _RARE:
+        return
+    fields = (
+        link.named("delay", "jitter", "reorder", "loss", "bandwidth"),
+        link.named("burst_length", "burst_interval", "blackout_length", "blackout_interval"),
+        f"{link.path}.blackouts" if any(link.dark()) else "",
+        f"tau_c = {link.seconds(promise.delay_ticks)}",
+    )
+    told, late = ", ".join(filter(None, fields)), f"later than certificate.outage = {outage:g} s"
+    if chance.value is None:
+        yield (
+            How.SOMETIMES,
+            f"{told}: how seldom the next motion begins {late} is unknown, as {chance.why}",
+        )
+        return
+    how = How.CERTAIN if chance == (1.0, True, "") else How.SOMETIMES
+    yield how, f"{told}: the next motion begins {late} {in_flights(chance.value)}"
+
+
+def _chance_of_outage(s: Scenario, settings: LinkSettings, delay: int, outage: float) -> Chance:
+    return chance_of_outage(
+        settings,
+        dt=s.dt,
+        delay_ticks=delay,
+        repeats=MOST_CARRIED,
+        ticks=s.ticks,
+        outage=outage,
+    )
 
 
 def _lost_commands(link: _Link) -> Iterator[tuple[How, str]]:

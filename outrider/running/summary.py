@@ -94,6 +94,8 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """And the farthest in this flight [m], whatever the law; None where nothing takes it from there."""
     links: dict[str, LinkStatus] = {}
     """Counts of each link's messages, by `vehicle/kind`."""
+    traces: dict[str, str] = {}
+    """Recorded links that were played: SHA-256 of the file, by the name in the scenario."""
     realtime: float | None = None
     """The factor that the clock was to keep; None in lockstep."""
     realtime_factor: float
@@ -245,6 +247,7 @@ def summarize(
         lost_chance=chances.lost if chances is not None else None,
         tracking_error=recorder.tracking_error,
         links=world.links.status(),
+        traces={one.name: one.sha256 for one in world.links.table.traces},
         realtime=realtime,
         realtime_factor=recorder.ticks * scenario.dt / seconds if seconds > 0.0 else 0.0,
         late_ticks=late_ticks,

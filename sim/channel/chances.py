@@ -275,6 +275,8 @@ class _Counted(NamedTuple):
     """True if messages leave at equal intervals all the time: no planned blackouts, no queue."""
     why: str
     """Why it is a bound; empty: it is exact."""
+    longest: int
+    """What is longer says nothing: the flight is over before it is exceeded [ticks]."""
 
     def summed(self, plan: _Plan, number: int, *, regular: bool) -> float:
         """The expected number of times; `regular`: as if there were neither planned blackouts nor a queue."""
@@ -309,7 +311,7 @@ class _Counted(NamedTuple):
         def seems_kept(number: int) -> bool:
             return min(self.summed(plan, number, regular=True) for plan in self.plans) <= risk
 
-        most = min(self.ticks - 1, _MOST_TICKS)
+        most = min(self.longest, _MOST_TICKS)
         guess = _first(seems_kept, 0, most)
         if guess is not None and kept(guess):
             while guess > 0 and kept(guess - 1):
@@ -317,6 +319,8 @@ class _Counted(NamedTuple):
             return guess
         return None if self.regular and self.why else _first(kept, guess or 0, most)
 
+
+_RECORDED = "it plays a recorded link, of which nothing is drawn but where it begins"
 
 _SUMMED = "the expected number of times bounds the chance"
 
@@ -394,17 +398,13 @@ def _outage_window(in_time: FloatArray, delay: int, repeats: int, outage: int) -
     return _Window(_tries(in_time, delay, repeats, chains), delay + outage)
 
 
-def _first_outage_window(in_time: FloatArray, delay: int, repeats: int, outage: int) -> _Window:
-    """The rest at the beginning counts as a motion that begins at tick 0; the first packet's begins at tick d."""
-    chains = (outage - delay) // (delay + 1) + 1
-    return _Window(_tries(in_time, delay, repeats, chains), outage + 1)
-
-
 @functools.lru_cache(maxsize=64)
 def _ages(
     settings: LinkSettings, dt: float, period: int, dropout: float, ticks: int
 ) -> _Counted | str:
     """The ages of detections, one look every `period` ticks; a string: why nothing can be stated."""
+    if settings.trace:
+        return _RECORDED
     p = link_parameters(settings, dt)
     left, in_time = _left(p, ticks), _in_time(settings, p)
     reasons = _reasons(p, in_time)
@@ -423,7 +423,8 @@ def _ages(
         if not plans:
             return "looks that find nothing let the queue run empty"
     channel = _channel(p, 0.0 if queued else dropout)
-    return _Counted(channel, plans, ticks, bool(left.all()) and not queued, _because(reasons))
+    regular = bool(left.all()) and not queued
+    return _Counted(channel, plans, ticks, regular, _because(reasons), ticks - 1)
 
 
 def _because(reasons: list[str]) -> str:
@@ -483,18 +484,20 @@ def _outages(
     settings: LinkSettings, dt: float, delay: int, repeats: int, ticks: int
 ) -> _Counted | str:
     """The outages of motions, one packet a tick; a string: why nothing can be stated."""
+    if settings.trace:
+        return _RECORDED
     p = link_parameters(settings, dt)
     if p.spacing > 1.0 + DUST:
         return "fewer packets leave than are sent, so that motions wait and are dropped"
     left, in_time = _left(p, ticks), _in_time(settings, p)
     plan = _Plan(
         functools.partial(_outage_window, in_time, delay, repeats),
-        functools.partial(_first_outage_window, in_time, delay, repeats),
+        functools.partial(_outage_window, in_time, delay, repeats),
         ((1.0, left),),
         np.ones(ticks, dtype=bool),
     )
     why = _because(_reasons(p, in_time[: delay + 1]))
-    return _Counted(_channel(p, 0.0), (plan,), ticks, bool(left.all()), why)
+    return _Counted(_channel(p, 0.0), (plan,), ticks, bool(left.all()), why, ticks - delay)
 
 
 @functools.lru_cache(maxsize=256)
@@ -528,7 +531,7 @@ def chance_of_outage(
 
     Packet k carries the motions k - repeats + 1 to k; motion j begins at tick j + delay_ticks if one of its packets has
     arrived and the motion before began. If motion s does not, the pilot sees it at tick s + d + 1 and begins a new
-    chain with the motion of that number. The rest at the beginning counts as a motion that begins at tick 0. Exact for
+    chain with the motion of that number. The rest at the beginning counts as a motion that begins at tick d - 1. Exact for
     a fixed delay with independent loss, Gilbert-Elliott and planned blackouts; else a bound.
 
     Args:

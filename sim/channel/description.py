@@ -25,11 +25,15 @@ from sim.channel.link import (
     DUE,
     DUPLICATED,
     DUST,
+    FATES,
     FLYING,
     FREE,
+    GRANTED,
     LOST,
     NEWEST,
     NORMAL,
+    NOTHING,
+    OPPORTUNITIES,
     ORIGINALS,
     QUEUE,
     SENT,
@@ -43,6 +47,7 @@ from sim.channel.link import (
     LinkState,
     exchange,
     fly,
+    fly_all,
     in_ticks,
     jitter_share,
     leave_queue,
@@ -51,6 +56,16 @@ from sim.channel.link import (
     take,
     underway,
     wait,
+)
+from sim.channel.recorded import (
+    OPPORTUNITY,
+    Opportunities,
+    RecordedLink,
+    first_ticks,
+    found,
+    longest_recorded,
+    recording_of,
+    trace_faults,
 )
 from sim.input.faults import Fault, near
 from sim.input.reading import as_raw, typed
@@ -80,8 +95,22 @@ def extra_delays(settings: LinkSettings) -> tuple[float, float]:
     return -settings.delay if shape == NORMAL and j > 0.0 else 0.0, most if j > 0.0 else 0.0
 
 
-def link_faults(settings: LinkSettings, path: str = "") -> Iterator[Fault]:
-    """Find why a link is impossible whose fields are within their bounds; the path goes before the fields' names."""
+def longest_delay(settings: LinkSettings, traces: Sequence[RecordedLink] = ()) -> float:
+    """The longest delay of a message that does not wait at the sender [s]."""
+    held = settings.reorder_delay if settings.reorder > 0.0 else 0.0
+    return settings.delay + extra_delays(settings)[1] + held + longest_recorded(settings, traces)
+
+
+def link_faults(
+    settings: LinkSettings, path: str = "", traces: Sequence[RecordedLink] = ()
+) -> Iterator[Fault]:
+    """Find why a link is impossible whose fields are within their bounds.
+
+    Args:
+        settings: Of the link.
+        path: Goes before the fields' names.
+        traces: The recorded links that it may play.
+    """
     yield from _number_faults(settings, path)
     if settings.jitter_shape not in SHAPES:
         wrong = f"no such shape{near(settings.jitter_shape, tuple(SHAPES))}"
@@ -125,9 +154,15 @@ def link_faults(settings: LinkSettings, path: str = "") -> Iterator[Fault]:
             "too small",
             f"0 for no limit, or {_SLOWEST:g} /s or more",
         )
+    faults = list(trace_faults(settings, path, traces))
+    yield from faults
+    if faults:
+        return
     longest = settings.delay + extra_delays(settings)[1] + settings.reorder_delay
+    longest += longest_recorded(settings, traces)
     if longest > _LONGEST:
-        wrong = f"the delay can be {longest:.4g} s with jitter and reordering"
+        with_what = "what is recorded" if settings.trace else "jitter and reordering"
+        wrong = f"the delay can be {longest:.4g} s with {with_what}"
         yield Fault(f"{path}delay", settings.delay, wrong, f"{_LONGEST:g} s in all at most")
 
 
@@ -150,12 +185,15 @@ def _number_faults(settings: LinkSettings, path: str) -> Iterator[Fault]:
             )
 
 
-def check_link(settings: LinkSettings, where: str) -> LinkSettings:
+def check_link(
+    settings: LinkSettings, where: str, traces: Sequence[RecordedLink] = ()
+) -> LinkSettings:
     """The settings, if there can be such a link.
 
     Args:
         settings: Read from a file or made in Python; NumPy's numbers and whole numbers in it become floats.
         where: Begins the error: the file, or what the link is called.
+        traces: The recorded links that it may play.
 
     Returns:
         Equal settings in which every value has its type.
@@ -164,7 +202,7 @@ def check_link(settings: LinkSettings, where: str) -> LinkSettings:
         ScenarioError: One line with field, value, what is wrong and what is allowed.
     """
     checked = typed(as_raw(settings, file=where), LinkSettings, file=where)
-    for fault in link_faults(checked):
+    for fault in link_faults(checked, traces=traces):
         raise fault.error(where)
     return checked
 
@@ -183,7 +221,22 @@ def _dark_ticks(
     return np.array(rows, dtype=np.int64).reshape(-1, 2)
 
 
-def link_parameters(settings: LinkSettings, dt: float, *, per_tick: int = 1) -> LinkParameters:
+@functools.lru_cache(maxsize=64)
+def _played(recorded: RecordedLink | None, delay: float, dt: float) -> tuple[int, IntArray, int]:
+    """What is played, its rows, and the length of a round, as in `LinkParameters`."""
+    if recorded is None:
+        return NOTHING, np.zeros((0, 2), dtype=np.int64), 0
+    recording = recording_of(recorded)
+    if isinstance(recording, Opportunities):
+        rows = np.stack([recording.times, np.zeros_like(recording.times)], axis=1)
+        return OPPORTUNITIES, rows, int(recording.times[-1])
+    rows = first_ticks(recording, delay, dt, DUST)
+    return FATES, rows, max(in_ticks(recording.duration, dt), 1)
+
+
+def link_parameters(
+    settings: LinkSettings, dt: float, *, per_tick: int = 1, traces: Sequence[RecordedLink] = ()
+) -> LinkParameters:
     r"""Turn checked settings into the compiled link's numbers.
 
     The two states of Gilbert and Elliott are exact at the ticks: with the mean lengths L and I, $\pi = L/(L + I)$ and
@@ -194,7 +247,9 @@ def link_parameters(settings: LinkSettings, dt: float, *, per_tick: int = 1) -> 
         settings: As `check_link` has returned them.
         dt: Length of a tick [s].
         per_tick: Messages that may be sent in every tick without any being lost for want of room.
+        traces: The recorded links that it may play.
     """
+    replay, trace, period = _played(found(traces, settings.trace), settings.delay, dt)
     least, most = extra_delays(settings)
     shape, j = SHAPES[settings.jitter_shape], settings.jitter
     bursts = settings.burst_length > 0.0
@@ -202,10 +257,13 @@ def link_parameters(settings: LinkSettings, dt: float, *, per_tick: int = 1) -> 
     if bursts:
         share = settings.burst_length / (settings.burst_length + settings.burst_interval)
         decay = -math.expm1(-dt / settings.burst_length - dt / settings.burst_interval)
-    longest = in_ticks(
-        settings.delay + most + (settings.reorder_delay if settings.reorder > 0.0 else 0.0), dt
-    )
-    room = per_tick * (longest + 1) + (settings.queue if settings.bandwidth > 0.0 else 0)
+    held = settings.reorder_delay if settings.reorder > 0.0 else 0.0
+    within_tick = dt if replay == OPPORTUNITIES else 0.0
+    longest = in_ticks(settings.delay + most + held + within_tick, dt)
+    if replay == FATES:
+        longest = max(int(trace[:, 1].max()), 0)
+    waits = settings.queue if settings.bandwidth > 0.0 else 0
+    room = per_tick * (longest + 1) + (settings.queue + 1 if replay == OPPORTUNITIES else waits)
     blackouts = _dark_ticks(settings, dt)
     harmless = (
         settings.loss,
@@ -216,7 +274,7 @@ def link_parameters(settings: LinkSettings, dt: float, *, per_tick: int = 1) -> 
         len(blackouts),
     )
     return LinkParameters(
-        perfect=not bursts and not any(harmless),
+        perfect=not bursts and not any(harmless) and replay == NOTHING,
         dt=dt,
         delay=settings.delay,
         jitter=j,
@@ -242,6 +300,11 @@ def link_parameters(settings: LinkSettings, dt: float, *, per_tick: int = 1) -> 
         newest=settings.keep == "newest",
         longest=longest,
         room=2 * room if settings.duplicates > 0.0 else room,
+        replay=replay,
+        trace=trace,
+        period=period,
+        message_bytes=settings.message_bytes,
+        opportunity=OPPORTUNITY,
     )
 
 
@@ -255,14 +318,24 @@ def link_table(
         owners: Purpose and vehicle of each one's key, where the table is asked for them.
     """
     edges = np.cumsum([0, *(len(p.blackouts) for p in links)]).tolist()
+    traces = {id(p.trace): p.trace for p in links}  # one that several links play stands there once
+    ends = (edges[-1] + np.cumsum([len(trace) for trace in traces.values()])).tolist()
+    places = {
+        one: (end - len(trace), end) for (one, trace), end in zip(traces.items(), ends, strict=True)
+    }
     rows = [
-        p._replace(first_blackout=first, end_blackout=end)
+        p._replace(
+            first_blackout=first,
+            end_blackout=end,
+            first_row=places[id(p.trace)][0],
+            end_row=places[id(p.trace)][1],
+        )
         for p, first, end in zip(links, edges, edges[1:], strict=False)
     ]
     none: IntArray = np.zeros((0, 2), dtype=np.int64)
     return LinkNumbers(
         rows=records(LinkParameters, rows),
-        blackouts=np.concatenate([none, *(p.blackouts for p in links)]),
+        pairs=np.concatenate([none, *(p.blackouts for p in links), *traces.values()]),
         owners=np.array(owners or [(0, 0)] * len(links), dtype=np.int64).reshape(-1, 2),
     )
 
@@ -273,10 +346,14 @@ def least_ticks(p: LinkParameters) -> int:
     Where the bandwidth is less than one message a tick the queue fills and stays full. From then on each message
     that leaves has waited `queue` ticks if the newest are kept, and `queue` spacings if the oldest are.
     """
+    if p.replay == FATES:
+        arrives = p.trace[p.trace[:, 1] >= 0, 1]
+        return int(arrives.min()) if arrives.size else 0
     waits = 0
     if p.spacing > 1.0 + DUST:
         waits = p.queue if p.newest else math.floor(p.queue * p.spacing)
-    return waits + in_ticks(p.delay + (p.least if p.jitter > 0.0 else 0.0), p.dt)
+    least = waits + in_ticks(p.delay + (p.least if p.jitter > 0.0 else 0.0), p.dt)
+    return max(least, 1) if p.replay == OPPORTUNITIES else least
 
 
 def arrival_share(p: LinkParameters, ticks: int) -> float:
@@ -292,6 +369,24 @@ def arrival_share(p: LinkParameters, ticks: int) -> float:
     return (1.0 - p.reorder) * within(room) + p.reorder * within(room - p.reorder_delay)
 
 
+def arrivals_of(p: LinkParameters, key: Key, messages: int, *, every: int = 1) -> IntArray:
+    """The tick at which each message arrives first that is sent at the ticks 0, every, 2 every, ...
+
+    -1: it is lost, or still on its way at the end.
+
+    Args:
+        p: The link.
+        key: Of its random numbers.
+        messages: How many are sent.
+        every: Ticks between two.
+    """
+    state, arrived = link_state(p, 2), np.empty(messages, dtype=np.int64)
+    table = link_table([p])
+    named = table._replace(rows=table.rows.view(np.recarray))  # as an interpreter reads them too
+    fly_all(named, state, key, every, np.empty_like(state.payload), arrived)
+    return arrived
+
+
 def relink(
     old: LinkParameters,
     state: LinkState,
@@ -304,7 +399,8 @@ def relink(
 
     What flies arrives when it would have; what waits goes on waiting, but for what a shorter queue drops; the
     message that left
-    last keeps the new spacing to the next. Counters stay. A burst or random blackout goes on where there still are
+    last keeps the new spacing to the next; one that is half granted to an opportunity begins anew, unless it goes on
+    in messages of the same size. Counters stay. A burst or random blackout goes on where there still are
     any; the time to the next random blackout is drawn anew, from now on, if its law has changed.
 
     Args:
@@ -324,9 +420,16 @@ def relink(
     )
     kept = [k for k in range(len(state.counts)) if k not in (FREE, WAITING, FLYING)]
     fresh.counts[kept], fresh.numbers[:] = state.counts[kept], state.numbers
-    for k in range(waiting):
+    granted = new.replay == OPPORTUNITIES
+    goes_on = granted and old.replay == OPPORTUNITIES and old.message_bytes == new.message_bytes
+    if not goes_on:
+        fresh.counts[GRANTED] = 0
+    begun = 1 if fresh.counts[GRANTED] > 0 else 0
+    for k in range(-begun, waiting - begun):
         slot = leave_queue(before.slots, before.buckets, before.counts)
-        surplus = new.spacing > 0.0 and (k < waiting - new.queue if new.newest else k >= new.queue)
+        surplus = (new.spacing > 0.0 or granted) and (
+            0 <= k < waiting - begun - new.queue if new.newest else k >= new.queue
+        )
         if surplus:
             fresh.counts[LOST + QUEUE] += 1
         else:
@@ -405,6 +508,7 @@ class Link:
 
     Args:
         settings: What it does; refused with a ScenarioError where there can be no such link.
+        traces: The recorded links that it may play, now or after a change.
         dt: Length of a tick [s].
         key: Of its random numbers.
         label: Names it in errors.
@@ -412,12 +516,20 @@ class Link:
     """
 
     def __init__(
-        self, settings: LinkSettings, *, dt: float, key: Key, label: str = "link", per_tick: int = 1
+        self,
+        settings: LinkSettings,
+        *,
+        dt: float,
+        key: Key,
+        label: str = "link",
+        per_tick: int = 1,
+        traces: Sequence[RecordedLink] = (),
     ) -> None:
-        self.settings = check_link(settings, label)
+        self.settings = check_link(settings, label, traces)
         """Its settings now."""
         self._dt, self._key, self._label, self._per_tick = dt, key, label, per_tick
-        self._parameters = link_parameters(self.settings, dt, per_tick=per_tick)
+        self._traces = traces
+        self._parameters = link_parameters(self.settings, dt, per_tick=per_tick, traces=traces)
         self._table = link_table([self._parameters])
         self._state = link_state(self._parameters, 2)
         self._out = np.empty_like(self._state.payload)
@@ -470,8 +582,8 @@ class Link:
 
     def change(self, settings: LinkSettings) -> None:
         """Go on with other settings from the next tick on; see `relink`."""
-        checked = check_link(settings, self._label)
-        new = link_parameters(checked, self._dt, per_tick=self._per_tick)
+        checked = check_link(settings, self._label, self._traces)
+        new = link_parameters(checked, self._dt, per_tick=self._per_tick, traces=self._traces)
         self._make_up()
         self._state = relink(self._parameters, self._state, new)
         self.settings, self._parameters, self._table = checked, new, link_table([new])

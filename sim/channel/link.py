@@ -18,6 +18,11 @@ back more.
    One that leaves at tick k with the delay d arrives at the first tick n with n dt >= k dt + d; among those of one
    tick the first sent comes first.
 
+A recorded link (`LinkParameters.replay`) is played in a loop from an offset on that is drawn once from the link's key:
+of a table of fates, the row that is nearest before the message tells its delay or its loss, in the place of the draws
+in 2 and 3; with delivery opportunities, messages wait at the sender until their bytes have been granted, 1,500 at each
+opportunity after they were sent, and meet 2 and 3 as at the tick before they leave.
+
 Draws are pure functions of (the link's key, purpose, tick, index): those of a message by the tick at which it was
 sent and its number within that tick; those of the channel by the tick, or by the number of the random blackout.
 """
@@ -29,7 +34,16 @@ import numpy as np
 
 from sim.kernels.compile import FloatArray, IntArray, borrowing, compiled
 from sim.kernels.records import RecordArray
-from sim.models.randomness import LINK_DELAY, LINK_LOSS, LINK_STATE, Key, draw, to_uniform, uniform
+from sim.models.randomness import (
+    LINK_DELAY,
+    LINK_LOSS,
+    LINK_STATE,
+    LINK_TRACE,
+    Key,
+    draw,
+    to_uniform,
+    uniform,
+)
 
 UNIFORM = 0
 NORMAL = 1
@@ -41,21 +55,24 @@ SHAPES = {"uniform": UNIFORM, "normal": NORMAL, "exponential": EXPONENTIAL, "par
 Exponential with mean j; Pareto's law
 of the second kind (from 0 on) with mean j and the tail index 2.5, whose variance is finite and whose skew is not."""
 
-CAUSES = ("loss", "burst", "blackout", "queue", "full")
+CAUSES = ("loss", "burst", "blackout", "queue", "full", "trace")
 """Why messages are lost, as counted from `LOST` on; `full`.
 
-The link had no room, which one message a tick never meets.
+The link had no room, which one message a tick never meets; `trace`: it was lost in the recorded link.
 """
 
-LOSS, BURST, BLACKOUT, QUEUE, FULL = range(5)
+LOSS, BURST, BLACKOUT, QUEUE, FULL, TRACE = range(6)
 
-TICK, INDEX, FREE, WAITING, FLYING, CHAIN, DARK, SERVED, RENEWALS = range(9)
-SENT, DELIVERED, DUPLICATED, ORIGINALS, AGES, LOST = range(9, 15)
+NOTHING, FATES, OPPORTUNITIES = range(3)
+"""What is played: nothing, a table of fates, or delivery opportunities."""
+
+TICK, INDEX, FREE, WAITING, FLYING, CHAIN, DARK, SERVED, RENEWALS, GRANTED = range(10)
+SENT, DELIVERED, DUPLICATED, ORIGINALS, AGES, LOST = range(10, 16)
 """Places in `LinkState.counts`: the tick and the messages sent in it; the first free slot; how many wait and fly.
 
 The channel's
 state (-1: not drawn yet, 1: bad) and whether it is dark; messages served since the sender was last idle; random
-blackouts drawn;
+blackouts drawn; bytes granted to the message that waits first;
 the counters, ORIGINALS for what was delivered without copies, AGES for the ticks in AGE_SUM; the losses by cause."""
 
 BEGAN, DARK_FROM, DARK_TO, NEWEST, AGE_SUM, AGE_MAX = range(6)
@@ -169,9 +186,21 @@ class LinkParameters(NamedTuple):
     """The longest delay [ticks]."""
     room: int
     """Messages that may wait or fly at once."""
+    replay: int
+    """`FATES` or `OPPORTUNITIES` where a recorded link is played."""
+    trace: IntArray
+    """Rows in order of time. Of fates (first tick, delay in ticks or -1); of opportunities (time in ms, 0)."""
+    period: int
+    """Length of a round [ticks or ms]; of opportunities the last is at its end."""
+    message_bytes: int
+    opportunity: int
+    """Bytes that may leave at each."""
     first_blackout: int = 0
     end_blackout: int = 0
-    """Where its rows of `blackouts` stand in those of a `LinkNumbers`."""
+    """Where its rows of `blackouts` stand among the pairs of a `LinkNumbers`."""
+    first_row: int = 0
+    end_row: int = 0
+    """Likewise its rows of `trace`."""
 
 
 class LinkNumbers(NamedTuple):
@@ -179,8 +208,11 @@ class LinkNumbers(NamedTuple):
 
     rows: RecordArray
     """The numbers of `LinkParameters`. Shape (links,)."""
-    blackouts: IntArray
-    """The planned blackouts of all links, one after the other. Shape (any, 2)."""
+    pairs: IntArray
+    """The planned blackouts of all links, one after the other, then what is played, each once. Shape (any, 2).
+
+    In one array, since each that is handed on costs every link time.
+    """
     owners: IntArray
     """Purpose and vehicle of each link's key. Shape (links, 2)."""
 
@@ -265,6 +297,17 @@ def wait(slots: IntArray, buckets: IntArray, counts: IntArray, slot: int) -> Non
 
 
 @borrowing
+def wait_first(slots: IntArray, buckets: IntArray, counts: IntArray, slot: int) -> None:
+    """The message joins the sender's queue in front of all others."""
+    queue = buckets.shape[0] - 1
+    slots[slot, NEXT] = buckets[queue, 0]
+    if buckets[queue, 0] < 0:
+        buckets[queue, 1] = slot
+    buckets[queue, 0] = slot
+    counts[WAITING] += 1
+
+
+@borrowing
 def fly(slots: IntArray, buckets: IntArray, counts: IntArray, slot: int, due: int) -> None:
     """The message is on its way."""
     slots[slot, DUE] = due
@@ -289,13 +332,20 @@ def in_ticks(duration: float, dt: float) -> int:
 
 
 @compiled
-def _flight_time(p: LinkParameters, share: float, held: bool) -> int:
-    """How many ticks a message flies; share: of the extra delays that are shorter than its own."""
+def _flight_time(p: LinkParameters, share: float, held: bool, later: float) -> int:
+    """How many ticks a message flies.
+
+    Args:
+        p: Of the link.
+        share: Of the extra delays that are shorter than its own.
+        held: Whether it is held back.
+        later: Time after the tick at which it leaves [s].
+    """
     extra = 0.0
     if p.jitter > 0.0:
         extra = jitter_quantile(p.shape, p.jitter, p.low + share * (p.high - p.low))
         extra = min(max(extra, p.least), p.most)
-    return in_ticks(p.delay + extra + (p.reorder_delay if held else 0.0), p.dt)
+    return in_ticks(p.delay + extra + (p.reorder_delay if held else 0.0) + later, p.dt)
 
 
 @compiled
@@ -318,9 +368,47 @@ def _fate(
     return -1, to_uniform(word_2) < p.duplicates, to_uniform(word_3) < p.reorder
 
 
+@compiled
+def trace_offset(key: Key, period: int) -> int:
+    """Where in a recorded link a run begins, of so many places."""
+    return int(draw(key, LINK_TRACE, 0, 0)[0] % np.uint64(period))
+
+
 @borrowing
-def _transmit(p: LinkParameters, s: LinkState, key: Key, slot: int) -> None:
-    """The message leaves the sender: the channel takes it, or it flies, perhaps twice."""
+def _first_after(traces: IntArray, first: int, end: int, time: int) -> int:
+    """The first of these rows that is later than a time; `end`: none."""
+    below, above = first, end
+    while below < above:
+        middle = (below + above) // 2
+        if traces[middle, 0] <= time:
+            below = middle + 1
+        else:
+            above = middle
+    return below
+
+
+@borrowing
+def _play(traces: IntArray, p: LinkParameters, s: LinkState, key: Key, slot: int) -> None:
+    """The message leaves the sender, and has the fate of the recorded row that is nearest before it."""
+    slots, counts = s.slots, s.counts
+    place = (slots[slot, SENT_AT] + trace_offset(key, p.period)) % p.period
+    ticks = traces[_first_after(traces, p.first_row, p.end_row, place) - 1, 1]
+    if counts[DARK] == 1 or ticks < 0:
+        counts[LOST + (BLACKOUT if counts[DARK] == 1 else TRACE)] += 1
+        release(slots, counts, slot)
+    else:
+        fly(slots, s.buckets, counts, slot, counts[TICK] + ticks)
+
+
+@borrowing
+def _transmit(p: LinkParameters, s: LinkState, key: Key, slot: int, later: float) -> None:
+    """The message leaves the sender: the channel takes it, or it flies, perhaps twice.
+
+    Args:
+        p, s, key: The link; its state is changed.
+        slot: Of the message.
+        later: Time after the link's tick at which it leaves [s].
+    """
     slots, payload, buckets, counts = s.slots, s.payload, s.buckets, s.counts
     tick, index = slots[slot, SENT_AT], slots[slot, NUMBER]
     lost, twice, held = _fate(p, counts[DARK] == 1, counts[CHAIN] == 1, key, tick, index)
@@ -336,14 +424,15 @@ def _transmit(p: LinkParameters, s: LinkState, key: Key, slot: int) -> None:
             to_uniform(word_1),
             to_uniform(word_2) < p.reorder,
         )
-    fly(slots, buckets, counts, slot, counts[TICK] + _flight_time(p, share, held))
+    fly(slots, buckets, counts, slot, counts[TICK] + _flight_time(p, share, held, later))
     other = take(slots, counts) if twice else -1
     if other >= 0:
         counts[DUPLICATED] += 1
         slots[other, COPY] = 1
         for k in range(payload.shape[1]):
             payload[other, k] = payload[slot, k]
-        fly(slots, buckets, counts, other, counts[TICK] + _flight_time(p, share_too, held_too))
+        due = counts[TICK] + _flight_time(p, share_too, held_too, later)
+        fly(slots, buckets, counts, other, due)
 
 
 @borrowing
@@ -388,7 +477,7 @@ def _settle(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None
         if counts[CHAIN] < 0:
             chance = p.bad_share
         counts[CHAIN] = 1 if uniform(key, LINK_STATE, tick, 0) < chance else 0
-    dark = _dark_by_plan(t.blackouts, p.first_blackout, p.end_blackout, tick)
+    dark = _dark_by_plan(t.pairs, p.first_blackout, p.end_blackout, tick)
     if p.up > 0.0:
         dark = _dark_by_chance(p.up, p.down, counts, numbers, key, tick) or dark
     counts[DARK] = 1 if dark else 0
@@ -429,6 +518,39 @@ def make_up(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None
         _note_age(counts, s.numbers)
 
 
+@compiled
+def in_milliseconds(tick: int, dt: float) -> int:
+    """The last whole millisecond up to this tick."""
+    return math.floor(tick * dt * 1000.0 + DUST)
+
+
+@borrowing
+def _grant(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None:
+    """Let what waits leave at the recorded opportunities since the link's tick, up to this one, which is the next."""
+    p, counts, traces = t.rows[row], s.counts, t.pairs
+    offset = trace_offset(key, p.period)
+    begin, end = in_milliseconds(tick - 1, p.dt) + offset, in_milliseconds(tick, p.dt) + offset
+    start, place = begin - begin % p.period, begin % p.period
+    k = _first_after(traces, p.first_row, p.end_row, place)
+    while counts[WAITING] > 0:
+        now = start + traces[k, 0]
+        if now > end:
+            return
+        bytes_left = p.opportunity
+        while bytes_left > 0 and counts[WAITING] > 0:
+            used = min(bytes_left, p.message_bytes - counts[GRANTED])
+            bytes_left -= used
+            counts[GRANTED] += used
+            if counts[GRANTED] == p.message_bytes:
+                counts[GRANTED] = 0
+                # a moment past the tick at least, so that what leaves after a tick arrives after it
+                later = max(0.001 * (now - offset) - (tick - 1) * p.dt, 2.0 * DUST * p.dt)
+                _transmit(p, s, key, leave_queue(s.slots, s.buckets, counts), later)
+        k += 1
+        if k == p.end_row:
+            k, start = p.first_row, start + p.period
+
+
 @borrowing
 def advance(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None:
     """Begin a tick: the channel's state, then whatever may leave the queue. Once a tick, in order.
@@ -440,10 +562,18 @@ def advance(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None
     """
     p, counts = t.rows[row], s.counts
     make_up(t, row, s, key, tick - 1)
+    if counts[WAITING] > 0 and p.replay == OPPORTUNITIES:
+        _grant(t, row, s, key, tick)
     _settle(t, row, s, key, tick)
-    while counts[WAITING] > 0 and _is_free(p.spacing, counts, s.numbers):
+    while (
+        counts[WAITING] > 0 and p.replay != OPPORTUNITIES and _is_free(p.spacing, counts, s.numbers)
+    ):
         counts[SERVED] += 1
-        _transmit(p, s, key, leave_queue(s.slots, s.buckets, counts))
+        slot = leave_queue(s.slots, s.buckets, counts)
+        if p.replay == FATES:
+            _play(t.pairs, p, s, key, slot)
+        else:
+            _transmit(p, s, key, slot, 0.0)
 
 
 @borrowing
@@ -467,12 +597,18 @@ def send(t: LinkNumbers, row: int, s: LinkState, key: Key, payload: FloatArray) 
     index = counts[INDEX]
     counts[INDEX] += 1
     counts[SENT] += 1
-    busy = counts[WAITING] > 0 or not _is_free(p.spacing, counts, numbers)
-    if busy and counts[WAITING] >= p.queue:
+    busy = (
+        counts[WAITING] > 0 or p.replay == OPPORTUNITIES or not _is_free(p.spacing, counts, numbers)
+    )
+    begun = 1 if busy and counts[GRANTED] > 0 else 0  # the first that waits is leaving already
+    if busy and counts[WAITING] - begun >= p.queue:
         counts[LOST + QUEUE] += 1
         if not p.newest:
             return
-        release(slots, counts, leave_queue(slots, buckets, counts))
+        first = leave_queue(slots, buckets, counts)
+        release(slots, counts, leave_queue(slots, buckets, counts) if begun else first)
+        if begun:
+            wait_first(slots, buckets, counts, first)
     slot = take(slots, counts)
     if slot < 0:
         counts[LOST + FULL] += 1
@@ -486,8 +622,10 @@ def send(t: LinkNumbers, row: int, s: LinkState, key: Key, payload: FloatArray) 
     numbers[BEGAN], counts[SERVED] = counts[TICK], 1
     if p.perfect:
         fly(slots, buckets, counts, slot, counts[TICK])
+    elif p.replay == FATES:
+        _play(t.pairs, p, s, key, slot)
     else:
-        _transmit(p, s, key, slot)
+        _transmit(p, s, key, slot, 0.0)
 
 
 @borrowing
@@ -552,3 +690,29 @@ def underway(s: LinkState, out: FloatArray) -> int:
             slot = s.slots[slot, NEXT]
             n += 1
     return n
+
+
+@borrowing
+def fly_all(
+    t: LinkNumbers, s: LinkState, key: Key, every: int, out: FloatArray, arrived: IntArray
+) -> None:
+    """Send message m of a table's only link at tick m * every, from its first tick on, and note when each arrives.
+
+    Args:
+        t, s, key: The link; its state is changed.
+        every: Ticks between two messages.
+        out: As in `receive`, for payloads of two numbers.
+        arrived: Gets the tick at which each arrives first, -1 where it is lost or still on its way at the end. Shape
+            (messages,).
+    """
+    arrived[:] = -1
+    payload = out[0]  # is copied when it is sent
+    for tick in range(arrived.shape[0] * every):
+        advance(t, 0, s, key, tick)
+        if tick % every == 0:
+            payload[0], payload[1] = tick, tick // every
+            send(t, 0, s, key, payload)
+        for k in range(receive(s, out)):
+            message = int(out[k, 1])
+            if arrived[message] < 0:
+                arrived[message] = tick

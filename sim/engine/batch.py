@@ -44,6 +44,7 @@ from sim.kernels.records import records
 from sim.kernels.threads import WorkerThreads
 from sim.models.motion import no_motions
 from sim.models.randomness import RUN_PURPOSES
+from sim.scenario.risk import carries_motions
 from sim.scenario.types import Scenario
 
 
@@ -158,7 +159,7 @@ class Batch:
 
     def _motion_rows(self) -> int:
         """How many motions each receiver has room for: those that may be under way at once; one where there are none."""
-        if self.scenario.certificate.outage is None:
+        if not carries_motions(self.scenario):
             return 1
         told = (declared(self.scenario, uav.name) for uav in self.scenario.uav)
         return 2 + max(in_ticks(one.delay, self.scenario.dt) for one in told)

@@ -7,15 +7,13 @@ from bus.messages import (
     DeclaredBounds,
     Detector,
     Limits,
-    LinkKind,
     UavBriefing,
     UgvBriefing,
 )
-from sim.channel.description import extra_delays
 from sim.engine.run_keys import derive_key
 from sim.models.inner_loop import tracking_error
 from sim.models.randomness import PILOT
-from sim.scenario.risk import risk_bounds, risk_fault
+from sim.scenario.risk import command_delay, risk_bounds, risk_fault
 from sim.scenario.types import DEFAULT_AGE, Scenario, Uav, Ugv
 
 
@@ -50,7 +48,7 @@ def declared(scenario: Scenario, uav: str) -> DeclaredBounds:
     Raises:
         ScenarioError: If no bound meets the scenario's risk.
     """
-    given, commands = scenario.certificate, scenario.links.of(uav, LinkKind.COMMANDS)
+    given = scenario.certificate
     fault, from_risk = risk_fault(scenario, uav), risk_bounds(scenario, uav)
     if fault is not None:
         raise fault.error(scenario.name)
@@ -58,12 +56,9 @@ def declared(scenario: Scenario, uav: str) -> DeclaredBounds:
     if error is None:
         error = _error(scenario)
     age = given.age or (from_risk.age.value if from_risk.age is not None else None) or DEFAULT_AGE
-    longest = (
-        commands.delay
-        + extra_delays(commands)[1]
-        + (commands.reorder_delay if commands.reorder else 0.0)
-    )
-    delay = given.delay if given.delay is not None else longest
+    outage = given.outage
+    if outage is None and from_risk.outage is not None:
+        outage = from_risk.outage.value
     tracking = given.tracking
     if tracking is None:
         (vehicle,) = (one for one in scenario.uav if one.name == uav)
@@ -71,10 +66,10 @@ def declared(scenario: Scenario, uav: str) -> DeclaredBounds:
     return DeclaredBounds(
         error=error,
         age=age,
-        delay=delay,
+        delay=command_delay(scenario, uav),
         margin=given.margin,
         hold=scenario.hold,
-        outage=given.outage,
+        outage=outage,
         tracking=tracking,
     )
 

@@ -53,11 +53,13 @@ class LinkArrays:
         """Kind and vehicle of each row."""
         self._dt = scenario.dt
         self._owners = [(PURPOSES[kind], vehicles[name]) for kind, name in self.names]
+        self._traces = scenario.links.traces
         self._settings = [
-            check_link(scenario.links.of(name, kind), f"{name}/{kind}") for kind, name in self.names
+            check_link(scenario.links.of(name, kind), f"{name}/{kind}", self._traces)
+            for kind, name in self.names
         ]
         self._parameters = [
-            link_parameters(one, scenario.dt, per_tick=PER_TICK[kind])
+            link_parameters(one, scenario.dt, per_tick=PER_TICK[kind], traces=self._traces)
             for (kind, _), one in zip(self.names, self._settings, strict=True)
         ]
         self.table = link_table(self._parameters, self._owners)
@@ -83,8 +85,11 @@ class LinkArrays:
     def change(self, kind: LinkKind, vehicle: str, settings: LinkSettings) -> None:
         """Go on with other settings of one link from the next tick on, in new arrays; see `relink`."""
         row, old = self.names.index((kind, vehicle)), list(self._parameters)
-        self._settings[row] = checked = check_link(settings, f"{vehicle}/{kind}")
-        self._parameters[row] = link_parameters(checked, self._dt, per_tick=PER_TICK[kind])
+        checked = check_link(settings, f"{vehicle}/{kind}", self._traces)
+        self._settings[row] = checked
+        self._parameters[row] = link_parameters(
+            checked, self._dt, per_tick=PER_TICK[kind], traces=self._traces
+        )
         room = wheel = 1
         for _ in range(2):  # once to see how much room they need, once with the same for all
             states = [

@@ -39,6 +39,7 @@ class Links:
                     key=_key(keys[PURPOSES[kind], rows[name]]),
                     label=f"{name}/{kind}",
                     per_tick=PER_TICK[kind],
+                    traces=scenario.links.traces,
                 )
                 for name in owners(scenario, kind)
             }
@@ -71,7 +72,7 @@ class Links:
             raise ScenarioError(
                 f"vehicle = {vehicle!r}: has no link for its {kind}; allowed: {', '.join(names)}"
             )
-        check_link(settings, str(kind))
+        check_link(settings, str(kind), self.table.traces)
         for name in names if vehicle is None else (vehicle,):
             if kind in self._of:
                 self._of[kind][name].change(settings)

@@ -16,6 +16,7 @@ from sim.models.field import cover, empty_coverage
 from sim.models.inner_loop import TrackingRecord
 from sim.models.randomness import WordArray
 from sim.models.wind import DisturbanceRow
+from sim.scenario.risk import carries_motions
 from sim.scenario.types import Scenario, Uav
 
 TAKEN, LOOK_X, LOOK_Y = range(3)
@@ -155,7 +156,7 @@ def escorts_of(scenario: Scenario) -> IntArray:
 
 def receivers_of(scenario: Scenario) -> IntArray:
     """1 for each vehicle whose receiver flies motions: the UAVs, where an outage is declared. Shape (vehicles,)."""
-    carries = scenario.certificate.outage is not None
+    carries = carries_motions(scenario)
     return np.array([carries and isinstance(v, Uav) for v in scenario.vehicles], dtype=np.int64)
 
 

@@ -14,6 +14,7 @@ from sim.input.faults import near, one_line
 from sim.input.reading import apply_override, as_raw, parse_override, parse_toml, typed
 from sim.scenario.checks import check_scenario
 from sim.scenario.link_tables import with_profiles
+from sim.scenario.recordings import traces_in, with_recordings
 from sim.scenario.tracks import with_tracks
 from sim.scenario.types import DEFAULT_AREA, Scenario
 
@@ -115,6 +116,7 @@ def load_scenario(
     """
     file = one_line(str(source)) or "."
     raw = parse_toml(_read(source, file), file=file)
+    named = traces_in(raw)
     for key, value in _changes(overrides, file):
         apply_override(raw, key, value, file=file)
     if isinstance(raw.get("area"), dict):
@@ -124,4 +126,7 @@ def load_scenario(
     scenario = typed(raw, Scenario, file=file)
     if not scenario.name:
         scenario = msgspec.structs.replace(scenario, name=one_line(Path(source).stem))
-    return check_scenario(with_tracks(scenario, file=file), source=file)
+    scenario = with_recordings(
+        with_tracks(scenario, file=file), file=file, folder=Path(source).parent, inside=named
+    )
+    return check_scenario(scenario, source=file)

@@ -3,8 +3,10 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from bus.messages import LinkKind
-from sim.channel.chances import Smallest, largest_error, smallest_age
+from bus.messages import MOST_CARRIED, LinkKind
+from bus.ticks import first_tick_from
+from sim.channel.chances import Smallest, largest_error, smallest_age, smallest_outage
+from sim.channel.description import longest_delay
 from sim.input.faults import Fault
 from sim.scenario.types import Scenario
 
@@ -14,8 +16,22 @@ class RiskBounds(NamedTuple):
 
     age: Smallest | None
     """[s]"""
+    outage: Smallest | None
+    """[s]"""
     error: float | None
     """[m]"""
+
+
+def carries_motions(s: Scenario) -> bool:
+    """True if the UAVs' commands carry motions: an outage is given, or follows from a risk."""
+    return s.certificate.outage is not None or s.certificate.risk is not None
+
+
+def command_delay(s: Scenario, uav: str) -> float:
+    """From the tick that a command answers to the one in which it acts [s]: as given, or the longest of its link."""
+    if s.certificate.delay is not None:
+        return s.certificate.delay
+    return longest_delay(s.links.of(uav, LinkKind.COMMANDS), s.links.traces)
 
 
 def risk_bounds(s: Scenario, uav: str) -> RiskBounds:
@@ -25,11 +41,11 @@ def risk_bounds(s: Scenario, uav: str) -> RiskBounds:
     """
     given = s.certificate
     if given.risk is None:
-        return RiskBounds(None, None)
+        return RiskBounds(None, None, None)
     uncut = s.detections.noise > 0.0 and not s.detections.cut
-    wanted = (given.age is None, given.error is None and uncut)
+    wanted = (given.age is None, given.outage is None, given.error is None and uncut)
     share = given.risk / max(1, sum(wanted) * len(s.uav))
-    period, age, error = s.detection_period, None, None
+    period, age, outage, error = s.detection_period, None, None, None
     if wanted[0]:
         age = smallest_age(
             s.links.of(uav, LinkKind.DETECTIONS),
@@ -42,23 +58,39 @@ def risk_bounds(s: Scenario, uav: str) -> RiskBounds:
         if age.value is not None:
             age = age._replace(value=max(age.value, s.dt))
     if wanted[1]:
+        outage = smallest_outage(
+            s.links.of(uav, LinkKind.COMMANDS),
+            dt=s.dt,
+            delay_ticks=first_tick_from(command_delay(s, uav), s.dt),
+            repeats=MOST_CARRIED,
+            ticks=s.ticks,
+            risk=share,
+        )
+        if outage.value is not None:
+            outage = outage._replace(value=max(outage.value, s.dt))
+    if wanted[2]:
         error = largest_error(s.detections.noise, s.noise_cut, -(-s.ticks // period), share)
-    return RiskBounds(age, error)
+    return RiskBounds(age, outage, error)
 
 
 def risk_warnings(s: Scenario) -> Iterator[str]:
     """A risk from which nothing follows."""
-    if s.certificate.risk is not None and risk_bounds(s, s.uav[0].name) == RiskBounds(None, None):
-        yield f"certificate.risk = {s.certificate.risk:g}: nothing follows from it, as certificate.age is given"
+    if s.certificate.risk is not None and risk_bounds(s, s.uav[0].name) == RiskBounds(
+        None, None, None
+    ):
+        yield f"certificate.risk = {s.certificate.risk:g}: nothing follows from it, as age and outage are given"
 
 
 def risk_fault(s: Scenario, uav: str) -> Fault | None:
     """The reason why no bound meets the risk; None: there is one, or no risk is given."""
-    age = risk_bounds(s, uav).age
-    if age is None or age.value is not None:
-        return None
-    link = s.links.path_of(uav, LinkKind.DETECTIONS)
-    wrong = f"{age.why}: with {link} nothing can be promised of {uav}"
-    return Fault(
-        "certificate.risk", s.certificate.risk, wrong, "a greater risk, or a certificate.age"
-    )
+    bounds = risk_bounds(s, uav)
+    for name, kind, found in (
+        ("age", LinkKind.DETECTIONS, bounds.age),
+        ("outage", LinkKind.COMMANDS, bounds.outage),
+    ):
+        if found is not None and found.value is None:
+            link = s.links.path_of(uav, kind)
+            wrong = f"{found.why}: with {link} nothing can be promised of {uav}"
+            allowed = f"a greater risk, or a certificate.{name}"
+            return Fault("certificate.risk", s.certificate.risk, wrong, allowed)
+    return None

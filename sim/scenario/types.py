@@ -26,6 +26,7 @@ from bus.messages import (
     Vector,
 )
 from bus.registry import DEFAULT_DRIVER
+from sim.channel.recorded import RecordedLink
 from sim.models.inner_loop import InnerLoop
 from sim.models.vehicles import stopping_distance
 
@@ -153,8 +154,8 @@ class Certificate(_Table, frozen=True, kw_only=True):
     risk: Annotated[float, Meta(gt=0.0, lt=1.0)] | None = None
     """Chance that what is declared may be exceeded in a flight.
 
-    From it and from the links follow the bounds that are not given, where chance has a hand in them: the age, and the
-    error if the noise is not cut. Each of them for each UAV gets an equal share of it.
+    From it and from the links follow the bounds that are not given, where chance has a hand in them: the age, the
+    outage, and the error if the noise is not cut. Each of them for each UAV gets an equal share of it.
     """
     delay: NonNegative | None = None
     """From the tick that a command answers to the one in which it acts [s]; by default the longest of its link."""
@@ -162,7 +163,7 @@ class Certificate(_Table, frozen=True, kw_only=True):
     """Taken off r_v [m], for what the theorem does not cover: jitter and loss of commands that carry no motions."""
     outage: NonNegative | None = None
     """From the beginning of a motion to that of the next at most, B [s]. Where it is given, the UAVs' commands carry motions,
-    which their receivers fly on while commands are lost; by default they carry none."""
+    which their receivers fly on while commands are lost; by default they carry none, but where a `risk` is given."""
     tracking: NonNegative | None = None
     """How far a UAV truly is at most from where it is told that it is, w [m]; by default what wind, own_error and tracking
     can bring about: 0 without wind and own_error."""
@@ -209,6 +210,8 @@ class LinkTable(_Links, frozen=True, kw_only=True):
 
     only: tuple[VehicleLinks, ...] = ()
     """Vehicles whose links are other ones; what is not given is as everybody's."""
+    traces: tuple[RecordedLink, ...] = ()
+    """The files that any `trace` names, with their content: filled in where the scenario is read, and not to be written."""
 
     def of(self, vehicle: str, kind: LinkKind) -> LinkSettings:
         """The settings of this vehicle's link of this kind."""

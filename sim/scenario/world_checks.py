@@ -272,22 +272,23 @@ def inner_loops_hold(s: Scenario) -> Iterator[Fault]:
 
 def links_are_possible(s: Scenario) -> Iterator[Fault]:
     """Each link can be what it says, and belongs to a vehicle."""
-    names = [vehicle.name for _, vehicle in vehicles(s)]
+    names, traces = [vehicle.name for _, vehicle in vehicles(s)], s.links.traces
     for kind in LinkKind:
-        yield from link_faults(getattr(s.links, kind), f"links.{kind}.")
+        yield from link_faults(getattr(s.links, kind), f"links.{kind}.", traces)
     for k, own in enumerate(s.links.only):
         if own.vehicle not in names:
             yield Fault(
                 f"links.only.{k}.vehicle", own.vehicle, "no vehicle has this name", ", ".join(names)
             )
         for kind in LinkKind:
-            yield from link_faults(getattr(own, kind), f"links.only.{k}.{kind}.")
+            yield from link_faults(getattr(own, kind), f"links.only.{k}.{kind}.", traces)
 
 
 def commands_act(s: Scenario) -> Iterator[Fault]:
     """A command that arrives is not yet too old to act: else the vehicle brakes for ever, whoever flies it."""
     for _, vehicle in vehicles(s):
-        least = least_ticks(link_parameters(s.links.of(vehicle.name, LinkKind.COMMANDS), s.dt))
+        commands = s.links.of(vehicle.name, LinkKind.COMMANDS)
+        least = least_ticks(link_parameters(commands, s.dt, traces=s.links.traces))
         if least > round(s.hold / s.dt):
             path = f"{s.links.path_of(vehicle.name, LinkKind.COMMANDS)} of {vehicle.name}"
             age = f"{least * s.dt:g} s"

@@ -129,10 +129,11 @@ class Assurance:
         self._radius, self._dt = scenario.visibility.radius, scenario.dt
         self.tracking_error = 0.0
         """The farthest that a UAV was from where it was told that it is [m]."""
-        self._outage, self._disturbed = scenario.certificate.outage, scenario.disturbed
-        told = [declared(scenario, uav) for uav in uavs]
-        self._assumptions = [Assumptions(one, scenario.dt) for one in told]
-        self._tracking = max(math.inf if one.tracking is None else one.tracking for one in told)
+        self._disturbed = scenario.disturbed
+        bounds = [declared(scenario, uav) for uav in uavs]
+        self._outage = max((b.outage for b in bounds if b.outage is not None), default=None)
+        self._assumptions = [Assumptions(one, scenario.dt) for one in bounds]
+        self._tracking = max(math.inf if b.tracking is None else b.tracking for b in bounds)
         self._promised = [False] * len(uavs)
         """True where the tick before was certified, and nothing excuses that this one is not."""
         self._last = [_NOBODY] * len(uavs)

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from bus.messages import LinkSettings
+from bus.messages import LinkKind, LinkSettings
 from sim.scenario.types import LinkTable, Scenario
 
 _WIDTH = 120
@@ -44,7 +44,7 @@ def _changed(settings: LinkSettings) -> dict[str, Any]:
 
 
 def _links(links: LinkTable) -> Iterator[str]:
-    kinds = [name for name in links.__struct_fields__ if name != "only"]
+    kinds = [str(kind) for kind in LinkKind]
     for kind in kinds:
         settings = _changed(getattr(links, kind))
         if settings:

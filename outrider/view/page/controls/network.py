@@ -46,6 +46,7 @@ _PHRASES: tuple[tuple[tuple[str, ...], _Say], ...] = (
         ("bandwidth", "queue", "keep"),
         lambda s: f"{s.bandwidth:g} messages/s" if s.bandwidth else "any rate",
     ),
+    (("trace", "message_bytes"), lambda s: f"plays {s.trace}" if s.trace else "nothing played"),
 )
 """Fields that belong together, of which the first says whether the others count, and what is said of them."""
 

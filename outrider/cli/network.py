@@ -1,0 +1,105 @@
+"""`outrider network`: recorded links."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from outrider.cli.options import Json
+
+if TYPE_CHECKING:
+    from outrider.experiments.network.fitting import Fit
+
+app = typer.Typer(no_args_is_help=True)
+
+
+@app.callback()
+def command() -> None:
+    """Recorded links: what comes nearest to one.
+
+    Example: outrider network fit drive.csv --out fit.png
+    """
+
+
+@app.command()
+def fit(
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help="A Mahimahi file, or a CSV table with the columns sent [s] and delay [s]."
+        ),
+    ],
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Draw how well it fits.")
+    ] = None,
+    rate: Annotated[
+        float,
+        typer.Option(
+            help="Messages a second that are sent over a Mahimahi file.", min=0.1, max=1000
+        ),
+    ] = 20.0,
+    message_bytes: Annotated[
+        int, typer.Option(help="Their size, in bytes.", min=1, max=1_000_000)
+    ] = 1000,
+    json: Json = False,
+) -> None:
+    """Find the settings and the shipped profile that come nearest to a recorded link.
+
+    Fitted are delay, jitter and its shape, loss, bursts and random blackouts; the lines that a scenario needs are
+    printed. A link's waits are the times until a message or a later one is there: the factor tells by how much those
+    of two links differ, on average over their quantiles. Duplicates cannot be seen in such a file.
+
+    Example: outrider network fit drive.csv --out fit.png
+    """
+    from bus.errors import ScenarioError
+    from bus.files import read_regular
+    from outrider.cli.console import ERR, OUT, print_json
+    from outrider.experiments.network.fitting import fit_link
+    from sim.channel.recorded import MOST_BYTES, TRACE_RULE, pack, read_recording
+    from sim.input.faults import one_line
+
+    if out is not None and out.suffix.lower() != ".png":
+        raise ScenarioError(f"--out {out}: needs a file that ends in .png")
+    where = one_line(str(file))
+    try:
+        data = read_regular(file, MOST_BYTES)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ScenarioError(f"{where}: cannot be read: {reason}; allowed: {TRACE_RULE}") from error
+    read_recording(data, where=where)
+    recorded = pack(file.name, data)
+    with ERR.status("fitting"):
+        found, samples = fit_link(recorded, rate=rate, message_bytes=message_bytes)
+    if out is not None:
+        from outrider.experiments.network.picture import draw_fit
+
+        draw_fit(found, samples, out)
+    if json:
+        print_json(found)
+        return
+    _print(found)
+    if out is not None:
+        OUT.print(str(out), soft_wrap=True)
+
+
+def _print(found: "Fit") -> None:
+    from rich.table import Table
+
+    from outrider.cli.console import OUT, print_warnings
+
+    told = ", ".join(f"{name} {1000.0 * value:.3g} ms" for name, value in found.delay.items())
+    OUT.print(
+        f"{found.file}: {found.messages:,} messages, one every {found.interval:g} s\n"
+        f"delay: {told}\n"
+        f"lost: {100.0 * found.lost:.3g} %, at most {found.longest_burst:g} s in a row\n",
+        soft_wrap=True,
+    )
+    table = Table(title="Waits differ by this factor", title_justify="left")
+    table.add_column("link")
+    table.add_column("factor", justify="right")
+    table.add_row("fitted", f"{found.factor:.2f}", style="bold")
+    for name, factor in found.profiles.items():
+        table.add_row(f"profile {name}", f"{factor:.2f}")
+    OUT.print(table)
+    OUT.print(f"\n{found.toml}", soft_wrap=True)
+    print_warnings(found.notes)

@@ -1,0 +1,280 @@
+"""Recorded links: Mahimahi's files of delivery opportunities, and tables of when each message was sent and how long it took.
+
+A scenario keeps the file itself, so that whoever has the scenario plays the same link. It is read into whole ticks and
+milliseconds, without a draw but that of where in the recording a run begins.
+"""
+
+import csv
+import functools
+import hashlib
+import io
+import math
+import zlib
+from array import array
+from collections.abc import Iterator, Sequence
+from typing import Annotated, NamedTuple
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from bus.errors import ScenarioError
+from bus.messages import LinkSettings, Text
+from sim.input.faults import Fault, shown
+from sim.kernels.compile import FloatArray, IntArray
+
+MOST_BYTES = 50 << 20
+"""Of a recorded link's file."""
+MOST_LINES = 10_000_000
+TRACE_RULE = "a Mahimahi file (a whole number of ms a line) or a CSV table with the columns sent [s] and delay [s]"
+OPPORTUNITY = 1500
+"""Bytes that may leave at each line of a Mahimahi file."""
+
+_DRAWN = ("jitter", "loss", "burst_length", "blackout_interval", "duplicates", "reorder")
+_LONGEST_TIME = 1e12
+"""Of a recording [s], and for Mahimahi [ms]: whole numbers of nanoseconds stay exact."""
+
+
+class RecordedLink(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The file of a recorded link, as it was when the scenario was read."""
+
+    name: Text
+    """As `links.<kind>.trace` writes it."""
+    sha256: Annotated[str, Meta(pattern=r"^[0-9a-f]{64}$(?!\n)")]
+    """Of the file."""
+    content: bytes
+    """The file, compressed by zlib; in TOML and JSON as base64."""
+
+
+class Fates(NamedTuple):
+    """A table of messages: when each was sent, and how long it took. Shapes (rows,)."""
+
+    sent: FloatArray
+    """Since the first [s], rising."""
+    delay: FloatArray
+    """[s]; NaN: lost."""
+
+    @property
+    def duration(self) -> float:
+        """From the first row to the start of the next round [s]: the last row lasts as long as the gap before it."""
+        gaps = np.diff(self.sent)
+        last = gaps[gaps > 0.0][-1:]
+        return float(self.sent[-1] + last.sum())
+
+
+class Opportunities(NamedTuple):
+    """A Mahimahi file."""
+
+    times: IntArray
+    """At each of which 1,500 bytes may leave [ms], rising; the last is the length of a round. Shape (lines,)."""
+
+
+LinkRecording = Fates | Opportunities
+
+
+def pack(name: str, data: bytes) -> RecordedLink:
+    """The recorded link that a scenario keeps of a file's content."""
+    digest = hashlib.sha256(data).hexdigest()
+    return RecordedLink(name=name, sha256=digest, content=zlib.compress(data, 9))
+
+
+def unpack(recorded: RecordedLink, *, where: str) -> bytes:
+    """The file's content.
+
+    Raises:
+        ScenarioError: If it is not what was packed.
+    """
+    inflater = zlib.decompressobj()
+    try:
+        data = inflater.decompress(recorded.content, MOST_BYTES + 1)
+    except zlib.error as error:
+        raise ScenarioError(f"{where}: damaged: {error}; allowed: {TRACE_RULE}") from error
+    if hashlib.sha256(data).hexdigest() != recorded.sha256:
+        raise ScenarioError(
+            f"{where}: damaged: not the content with SHA-256 {recorded.sha256}; allowed: {TRACE_RULE}"
+        )
+    return data
+
+
+@functools.lru_cache(maxsize=16)
+def recording_of(recorded: RecordedLink) -> LinkRecording:
+    """A recorded link, read.
+
+    Raises:
+        ScenarioError: If it is none.
+    """
+    where = f"recorded link {recorded.name}"
+    return read_recording(unpack(recorded, where=where), where=where)
+
+
+def read_recording(data: bytes, *, where: str) -> LinkRecording:
+    """Read a recorded link, of whichever of the two forms.
+
+    Args:
+        data: The file's content.
+        where: Begins the error.
+
+    Raises:
+        ScenarioError: One line with the line, its value, what is wrong and what is allowed.
+    """
+    if len(data) > MOST_BYTES:
+        raise ScenarioError(f"{where}: larger than {MOST_BYTES >> 20} MiB; allowed: {TRACE_RULE}")
+    if b"\0" in data:
+        raise ScenarioError(f"{where}: not text but binary; allowed: {TRACE_RULE}")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ScenarioError(
+            f"{where}: byte {error.start}: not text in UTF-8; allowed: {TRACE_RULE}"
+        ) from error
+    first = next((line for _, line in _lines(text)), None)
+    if first is None:
+        raise ScenarioError(f"{where}: empty; allowed: {TRACE_RULE}")
+    try:
+        return _opportunities(text) if first.isdecimal() else _fates(text)
+    except _Wrong as error:
+        raise error.fault.error(where) from None
+
+
+class _Wrong(Exception):
+    def __init__(self, line: int, value: object, wrong: str, allowed: str) -> None:
+        self.fault = Fault(f"line {line}", value, wrong, allowed)
+
+
+def _lines(text: str) -> Iterator[tuple[int, str]]:
+    """The lines with their numbers, but for empty ones and comments."""
+    for number, line in enumerate(io.StringIO(text), 1):
+        told = line.strip()
+        if told and not told.startswith("#"):
+            if number > MOST_LINES:
+                raise _Wrong(number, None, "too many lines", f"{MOST_LINES:,} at most")
+            yield number, told
+
+
+def _opportunities(text: str) -> Opportunities:
+    times, before = array("q"), 0
+    for number, line in _lines(text):
+        if not (line.isascii() and line.isdecimal() and len(line) <= 12):
+            raise _Wrong(number, line, "not a whole number of ms", TRACE_RULE)
+        time = int(line)
+        if time < before:
+            raise _Wrong(number, time, f"before {before}", "times that do not go back, in ms")
+        times.append(time)
+        before = time
+    if before == 0:
+        raise _Wrong(1, 0, "the recording lasts 0 ms", "a last line above 0 ms")
+    found: IntArray = np.array(times, dtype=np.int64)
+    at_start = int(np.searchsorted(found, 1))  # the start of a round is the end of the one before
+    return Opportunities(np.concatenate([found[at_start:], np.full(at_start, before)]))
+
+
+def _fates(text: str) -> Fates:
+    sent, delay, columns, before = array("d"), array("d"), dict[str, int](), -math.inf
+    numbered = _lines(text)
+    numbers: list[int] = []
+
+    def told() -> Iterator[str]:
+        for number, line in numbered:
+            numbers[:] = [number]
+            yield line
+
+    try:
+        for cells in csv.reader(told()):
+            number = numbers[0]
+            if not columns:
+                columns = _columns(cells, number)
+                continue
+            if len(cells) <= max(columns.values()):
+                raise _Wrong(number, ",".join(cells), "too few cells", "as many as in the header")
+            time, took = _seconds(cells[columns["sent"]], number, "sent"), math.nan
+            if time < before:
+                raise _Wrong(number, time, f"sent before {before:g} s", "times that do not go back")
+            if cells[columns["delay"]].strip().lower() not in ("", "lost"):
+                took = _seconds(cells[columns["delay"]], number, "delay")
+                if took < 0.0:
+                    raise _Wrong(number, took, "a negative delay", "0 s or more, or lost")
+            sent.append(time)
+            delay.append(took)
+            before = time
+    except csv.Error as error:
+        raise _Wrong(numbers[0], None, f"not CSV: {error}", TRACE_RULE) from error
+    if not sent:
+        raise _Wrong(numbers[0], None, "a header without rows", "one row or more")
+    times: FloatArray = np.array(sent)
+    return Fates(times - times[0], np.array(delay))
+
+
+def _columns(cells: list[str], number: int) -> dict[str, int]:
+    """Places of the columns sent and delay; their unit may stand behind them."""
+    found = {cell.strip().lower().removesuffix("[s]").strip(): k for k, cell in enumerate(cells)}
+    if not {"sent", "delay"} <= found.keys():
+        raise _Wrong(number, ",".join(cells), "not a recorded link", TRACE_RULE)
+    return {name: found[name] for name in ("sent", "delay")}
+
+
+def _seconds(cell: str, number: int, name: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not abs(value) <= _LONGEST_TIME:
+        rule = "a time in s" + (", empty or lost" if name == "delay" else "")
+        raise _Wrong(number, cell, f"{name} is no time", rule)
+    return value
+
+
+def found(traces: Sequence[RecordedLink], name: str) -> RecordedLink | None:
+    """The recorded link of this name, if it is among these."""
+    return next((one for one in traces if one.name == name), None) if name else None
+
+
+def longest_recorded(settings: LinkSettings, traces: Sequence[RecordedLink]) -> float:
+    """The longest delay of the recorded table that a link plays, beside its own `delay` [s]; 0 where it plays none."""
+    recorded = found(traces, settings.trace)
+    recording = None if recorded is None else recording_of(recorded)
+    if not isinstance(recording, Fates) or np.isnan(recording.delay).all():
+        return 0.0
+    return float(np.nanmax(recording.delay))
+
+
+def trace_faults(
+    settings: LinkSettings, path: str, traces: Sequence[RecordedLink]
+) -> Iterator[Fault]:
+    """Find why a link cannot play the recorded link that it names, or not with its other fields."""
+    if not settings.trace:
+        return
+    recorded = found(traces, settings.trace)
+    if recorded is None:
+        known = ", ".join(shown(one.name) for one in traces) or "none"
+        wrong = "not among the recorded links that were read with the scenario"
+        yield Fault(f"{path}trace", settings.trace, wrong, known)
+        return
+    table = isinstance(recording_of(recorded), Fates)
+    refused = (*_DRAWN, "bandwidth") if table else ("bandwidth",)
+    what = "a recorded table of delays" if table else "a Mahimahi file"
+    allowed = "delay and blackouts" if table else "all but bandwidth"
+    for field in refused:
+        if getattr(settings, field):
+            yield Fault(
+                f"{path}{field}",
+                getattr(settings, field),
+                f"cannot stand beside {what}",
+                f"0; {allowed} may",
+            )
+
+
+def first_ticks(recording: Fates, delay: float, dt: float, dust: float) -> IntArray:
+    """The table in ticks: rows (first tick that it is for, delay in ticks; -1: lost). Shape (rows, 2).
+
+    Args:
+        recording: The table.
+        delay: Added to each [s].
+        dt: Length of a tick [s].
+        dust: A time that is this much of a tick past a tick counts as on it.
+    """
+    start = np.ceil(recording.sent / dt - dust).astype(np.int64)
+    took = np.ceil((recording.delay + delay) / dt - dust)
+    rows = np.stack([start, np.where(np.isnan(took), -1.0, took).astype(np.int64)], axis=1)
+    last = np.append(start[1:] != start[:-1], True)
+    kept: IntArray = rows[last]  # of those for the same tick the last is the nearest before it
+    return kept

@@ -1,0 +1,95 @@
+"""The recorded links that a scenario plays: their files, read once and kept in it."""
+
+import os
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from bus.errors import ScenarioError
+from bus.files import read_regular
+from bus.messages import LinkKind
+from sim.channel.recorded import MOST_BYTES, TRACE_RULE, RecordedLink, pack, read_recording
+from sim.input.faults import one_line
+from sim.scenario.types import LinkTable, Scenario
+
+
+def traces_in(raw: dict[str, Any]) -> frozenset[str]:
+    """The recorded links that a raw scenario names, as TOML gives it, whatever else may be wrong with it."""
+    links = raw.get("links")
+    if not isinstance(links, dict):
+        return frozenset()
+    only = links.get("only")
+    tables = [links, *(only if isinstance(only, list) else [])]
+    kinds = [
+        table.get(str(kind)) for table in tables if isinstance(table, dict) for kind in LinkKind
+    ]
+    names = [kind.get("trace") for kind in kinds if isinstance(kind, dict)]
+    return frozenset(name for name in names if isinstance(name, str))
+
+
+def _named(table: LinkTable) -> dict[str, str]:
+    """The recorded links that are named, and the field that names each first."""
+    fields = {f"links.{kind}": getattr(table, kind) for kind in LinkKind}
+    for k, own in enumerate(table.only):
+        fields |= {f"links.only.{k}.{kind}": getattr(own, kind) for kind in LinkKind}
+    found: dict[str, str] = {}
+    for path, settings in fields.items():
+        if settings.trace:
+            found.setdefault(settings.trace, f"{path}.trace")
+    return found
+
+
+def with_recordings(
+    scenario: Scenario, *, file: str, folder: Path, inside: Collection[str] = ()
+) -> Scenario:
+    """The scenario with the files of all recorded links that its links name.
+
+    Args:
+        scenario: Typed.
+        file: For the error.
+        folder: Where the scenario's file lies.
+        inside: Names that stand in that file: they are looked for there or below, and nowhere else. The others come
+            from whoever reads it, and are paths from the current folder.
+
+    Raises:
+        ScenarioError: If one cannot be read, or is no recorded link.
+    """
+    kept = {one.name for one in scenario.links.traces}
+    read = tuple(
+        _read(name, f"{file}: {field}", folder if name in inside else None)
+        for name, field in _named(scenario.links).items()
+        if name not in kept
+    )
+    if not read:
+        return scenario
+    links = msgspec.structs.replace(scenario.links, traces=(*scenario.links.traces, *read))
+    return msgspec.structs.replace(scenario, links=links)
+
+
+def _read(name: str, where: str, folder: Path | None) -> RecordedLink:
+    where = f"{where} = {one_line(name)!r}"
+    try:
+        path = Path(name) if folder is None else _below(folder, name, where)
+        data = read_regular(path, MOST_BYTES)
+    except (OSError, ValueError) as error:  # a ValueError: a NUL in the path
+        reason = one_line(str(getattr(error, "strerror", None) or error))
+        raise ScenarioError(f"{where}: cannot be read: {reason}; allowed: {TRACE_RULE}") from error
+    read_recording(data, where=where)
+    return pack(name, data)
+
+
+def _below(folder: Path, name: str, where: str) -> Path:
+    """The path of a file in this folder or below.
+
+    Raises:
+        ScenarioError: If it leads out.
+    """
+    path = Path(os.path.realpath(folder / name))
+    if Path(name).is_absolute() or not path.is_relative_to(os.path.realpath(folder)):
+        raise ScenarioError(
+            f"{where}: outside the scenario's folder; allowed: a file beside the scenario or below, "
+            "or any with --set"
+        )
+    return path

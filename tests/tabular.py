@@ -1,0 +1,12 @@
+"""Long tables of cases as text: one row a line, its cells between bars, for the tests of many refusals."""
+
+
+def rows(text: str) -> list[list[str]]:
+    """The cells of each row; a line that begins with a bar goes on with the row before."""
+    lines = text.replace("\n|", " |").strip().splitlines()
+    return [[cell.strip() for cell in line.split(" | ")] for line in lines]
+
+
+def words(text: str) -> list[str]:
+    """Words with blanks or line ends between them."""
+    return text.split()

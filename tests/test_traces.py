@@ -1,0 +1,478 @@
+"""Recorded links: what becomes of each message, against plain Python; the same bits everywhere; bad files; the fit."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from draws import a_key
+from flights import degraded
+from processes import outrider, run_json
+from refusals import SMALL, refusal
+
+from bus.errors import ScenarioError
+from bus.messages import LinkKind, LinkSettings
+from bus.profiles import PROFILES
+from outrider.envs.env_pilots import pilots
+from outrider.experiments.network.fitting import fit_link
+from outrider.experiments.network.samples import drawn_sample
+from outrider.running.flying import fly
+from outrider.running.promise import promise_warnings
+from sim.channel.description import Link, arrivals_of, check_link, link_parameters
+from sim.channel.recorded import MOST_BYTES, RecordedLink, pack
+from sim.engine.batch import Batch
+from sim.env.parallel import parallel_env
+from sim.models.randomness import LINK_TRACE, Key, draw
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import LinkTable
+from sim.server.flight import Flight
+from sim.world import World
+
+DT = 0.05
+TABLE = "# by hand\nsent [s],delay [s]\n5.0,0.1\n5.2,lost\n5.3,0\n5.3,0.24\n5.5,\n5.51,0.05\n"
+"""The round is 0.52 s long, eleven ticks: the last row lasts 10 ms, as the gap before it."""
+HAND = [0.1] * 4 + [None] * 2 + [0.24] * 4 + [None]
+"""Its delays at each tick of 0.05 s."""
+MAHIMAHI = "0\n3\n3\n20\n20\n47\n120\n121\n260\n"
+
+
+def a_trace(text: str, name: str = "trace") -> RecordedLink:
+    return pack(name, text.encode())
+
+
+def offset_of(key: Key, period: int) -> int:
+    """The place of the recording at which a run with this key begins."""
+    return int(draw(key, LINK_TRACE, 0, 0)[0]) % period
+
+
+def arrivals(link: Link, ticks: int, each: int = 1) -> list[list[int]]:
+    """The numbers of the messages that arrive at each tick; `each` are sent in every tick."""
+    found = []
+    for tick in range(ticks):
+        for k in range(each):
+            link.send(tick, tick * each + k, tick)
+        found.append(link.arrivals(tick))
+    return found
+
+
+def conserved(link: Link) -> bool:
+    status = link.counters()
+    left = status.delivered + sum(status.lost.values()) + status.waiting + status.flying
+    return status.sent + status.duplicated == left
+
+
+# --- what becomes of each message
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+@pytest.mark.parametrize("delay", [0.0, 0.12])
+def test_a_message_has_the_fate_of_the_row_nearest_before_it(number: int, delay: float) -> None:
+    key, ticks = a_key(number, 5), 100
+    link = Link(LinkSettings(trace="trace", delay=delay), dt=DT, key=key, traces=(a_trace(TABLE),))
+    wanted: list[list[int]] = [[] for _ in range(ticks + 20)]
+    lost = 0
+    for tick in range(ticks):
+        took = HAND[(tick + offset_of(key, len(HAND))) % len(HAND)]
+        if took is None:
+            lost += 1
+        else:
+            wanted[tick + math.ceil(round((took + delay) / DT, 9))].append(tick)
+    assert arrivals(link, ticks) == wanted[:ticks]
+    status = link.counters()
+    assert status.lost == {**dict.fromkeys(status.lost, 0), "trace": lost}
+    assert conserved(link)
+
+
+def granted(
+    times: list[int], size: int, queue: int, newest: bool, dt: float, offset: int, ticks: int
+) -> tuple[dict[int, int], int]:
+    """When each message leaves [ms], and how many the queue has cost: a millisecond after the other, in plain Python."""
+    period, left, lost, now = times[-1], dict[int, int](), 0, 0
+    waiting: list[tuple[int, int]] = []  # message, bytes that are missing
+    for tick in range(ticks):
+        begun = 1 if waiting and waiting[0][1] < size else 0
+        if len(waiting) - begun >= queue:
+            lost += 1
+            if newest:
+                del waiting[begun]
+        if len(waiting) - begun < queue:
+            waiting.append((tick, size))
+        until = math.floor(round((tick + 1) * dt * 1000.0, 6))
+        while now < until:
+            now += 1
+            place = (now + offset) % period or period
+            for _ in range(times.count(place) + (times.count(0) if place == period else 0)):
+                budget = 1500
+                while budget and waiting:
+                    message, missing = waiting.pop(0)
+                    used = min(budget, missing)
+                    budget -= used
+                    if missing > used:
+                        waiting.insert(0, (message, missing - used))
+                    else:
+                        left[message] = now
+    return left, lost
+
+
+@pytest.mark.parametrize("dt", [0.05, 1.0 / 30.0, 0.004])
+@pytest.mark.parametrize("size", [400, 1500, 5000])
+@pytest.mark.parametrize(("queue", "keep"), [(3, "newest"), (1, "newest"), (2, "oldest")])
+def test_a_message_leaves_when_its_bytes_have_been_granted(
+    dt: float, size: int, queue: int, keep: str
+) -> None:
+    key, ticks, delay = a_key(7, size), 300, 0.06
+    settings = LinkSettings(trace="trace", message_bytes=size, queue=queue, keep=keep, delay=delay)
+    times = [int(line) for line in MAHIMAHI.split()]
+    left, lost = granted(times, size, queue, keep == "newest", dt, offset_of(key, times[-1]), ticks)
+    wanted: list[list[int]] = [[] for _ in range(ticks + 1000)]
+    for message, at in left.items():
+        wanted[math.ceil(round((at * 0.001 + delay) / dt, 6))].append(message)
+    link = Link(settings, dt=dt, key=key, traces=(a_trace(MAHIMAHI),))
+    assert arrivals(link, ticks) == wanted[:ticks]
+    assert link.counters().lost["queue"] == lost
+    assert conserved(link)
+    assert left
+
+
+def test_a_recording_is_looped_and_begins_where_the_key_says() -> None:
+    traces, settings = (a_trace(TABLE),), LinkSettings(trace="trace")
+    p = link_parameters(settings, DT, traces=traces)
+    came = [arrivals_of(p, a_key(k), 60) for k in range(40)]
+    fates = [np.where(ticks < 0, -1, ticks - np.arange(60)) for ticks in came]
+    for ticks in fates:
+        assert np.array_equal(ticks[11:44], ticks[:33])
+    assert len({ticks[:11].tobytes() for ticks in fates}) == 11
+
+
+def test_planned_blackouts_and_what_is_drawn_stand_beside_a_mahimahi_file() -> None:
+    traces = (a_trace("1\n"),)
+    dark = LinkSettings(trace="trace", blackouts=((1.0, 1.0),), delay=0.02)
+    link = Link(dark, dt=DT, key=a_key(1), traces=traces)
+    got = arrivals(link, 60)
+    assert got[20:41] == [[19], *([] for _ in range(20))]
+    assert link.counters().lost["blackout"] == 20
+    drawn = LinkSettings(trace="trace", loss=0.5, jitter=0.01, delay=0.02, duplicates=0.5)
+    link = Link(drawn, dt=DT, key=a_key(1), traces=traces)
+    arrivals(link, 400)
+    assert 150 < link.counters().lost["loss"] < 250
+    assert link.counters().duplicated > 50
+    assert conserved(link)
+
+
+def test_planned_blackouts_stand_beside_a_table() -> None:
+    settings = LinkSettings(trace="trace", blackouts=((0.5, 0.5),))
+    link = Link(settings, dt=DT, key=a_key(1), traces=(a_trace("sent,delay\n0,0\n"),))
+    assert arrivals(link, 30) == [[k] if not 10 <= k < 20 else [] for k in range(30)]
+
+
+# --- going on under other settings
+
+BOTH = (a_trace(TABLE, "table"), a_trace(MAHIMAHI, "mahimahi"))
+CHANGES = {
+    "table": LinkSettings(trace="table", delay=0.1),
+    "mahimahi": LinkSettings(trace="mahimahi", message_bytes=4000, queue=2),
+    "narrowband": PROFILES["narrowband"],
+    "perfect": LinkSettings(),
+}
+
+
+@pytest.mark.parametrize("then", CHANGES)
+@pytest.mark.parametrize("first", CHANGES)
+def test_links_change_from_and_to_recorded_ones(first: str, then: str) -> None:
+    def flown(*changes: str) -> tuple[list[list[int]], Link]:
+        link = Link(CHANGES[first], dt=DT, key=a_key(3), traces=BOTH)
+        got = []
+        for tick in range(200):
+            link.send(tick, tick, tick)
+            got.append(link.arrivals(tick))
+            if tick % 7 == 6 and changes:
+                link.change(CHANGES[changes[tick % len(changes)]])
+        return got, link
+
+    got, link = flown(then, first, then)
+    assert conserved(link)
+    assert sum(map(len, got)) == link.counters().delivered
+    if first == then:
+        assert got == flown()[0]
+
+
+def test_an_operator_gives_a_link_a_recorded_one_that_was_read_and_no_other(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "wifi.csv").write_text(TABLE)
+    scenario = load_scenario(
+        "escort", overrides=[f"links.radio.trace={tmp_path}/wifi.csv", "duration=10.0"]
+    )
+    flight = Flight(scenario, 1)
+    name = scenario.links.traces[0].name
+    flight.degrade(LinkKind.COMMANDS, None, LinkSettings(trace=name))
+    assert flight.world.links.status()["uav_0/commands"].settings == LinkSettings(trace=name)
+    flight.degrade(LinkKind.RADIO, None, LinkSettings())
+    with pytest.raises(ScenarioError, match="not among the recorded links that were read"):
+        flight.degrade(LinkKind.COMMANDS, None, LinkSettings(trace="/etc/hostname"))
+
+
+# --- the same bits everywhere
+
+
+def recorded_scenario(ticks: int = 300) -> Any:
+    table = LinkTable(
+        detections=LinkSettings(trace="table", delay=0.05),
+        commands=LinkSettings(trace="mahimahi", message_bytes=3000),
+        radio=LinkSettings(trace="table"),
+        operator=LinkSettings(trace="mahimahi"),
+        traces=BOTH,
+    )
+    return msgspec.structs.replace(degraded(ticks, table), hold=1.0)
+
+
+def test_world_batch_and_environment_play_the_same() -> None:
+    scenario = recorded_scenario()
+    flight, summary = fly(scenario, 7)
+    assert summary.links["uav_0/detections"].lost["trace"] > 20
+    assert summary.traces == {one.name: one.sha256 for one in BOTH}
+    env = parallel_env(scenario, end_on_sight_lost=False)
+    observations, infos = env.reset(seed=7)
+    policies = pilots(env)
+    while env.agents:
+        observations, _, _, _, infos = env.step(
+            {name: policies[name](observations[name]) for name in env.agents}
+        )
+    assert np.array_equal(env.world.position, flight.world.position)
+    assert infos["uav_0"]["links"]["uav_0/detections"] == summary.links["uav_0/detections"]
+    seeds = [7, 8, 9]
+    batch, worlds = Batch(scenario, 3), [World(scenario, seed) for seed in seeds]
+    batch.begin(seeds)
+    commands = np.random.default_rng(1).uniform(-0.2, 0.2, (200, 3, 2, 2))
+    for row in commands:
+        batch.step(row)
+        for world, own in zip(worlds, row.tolist(), strict=True):
+            for v, command in enumerate(own):
+                world.send(v, world.tick, tuple(command))
+            world.advance()
+    for k, world in enumerate(worlds):
+        assert batch.state.truth.position[k].tobytes() == world.position.tobytes()
+        status = batch.link_status(k)
+        assert status == {name: world.links.status()[name] for name in status}
+    ages = {batch.link_status(k)["uav_0/detections"].mean_age for k in range(3)}
+    assert len(ages) == 3  # each seed begins at another place
+
+
+def test_the_secret_shifts_a_recording_too() -> None:
+    scenario = recorded_scenario()
+    ages = {
+        World(scenario, 7, secret=secret).links._batch.state.keys.tobytes()
+        for secret in ("", "0" * 32)
+    }
+    assert len(ages) == 2
+
+
+def test_three_processes_play_it_and_it_is_flown_again_without_its_file(tmp_path: Path) -> None:
+    (tmp_path / "recorded").mkdir()
+    (tmp_path / "recorded" / "wifi.csv").write_text(TABLE)
+    (tmp_path / "mine.toml").write_text(
+        'duration = 5.0\nhold = 1.0\n[law]\nname = "logarithmic"\n'
+        '[links.detections]\ntrace = "recorded/wifi.csv"\n[links.commands]\ntrace = "recorded/wifi.csv"\ndelay = 0.1\n'
+        + SMALL
+    )
+    scenario = load_scenario(tmp_path / "mine.toml")
+    _, here = fly(scenario, scenario.seed)
+    there = run_json(str(tmp_path / "mine.toml"), "--record", str(tmp_path / "run.mcap"))
+    assert there["trajectory_sha256"] == here.trajectory_sha256
+    assert there["traces"] == {"recorded/wifi.csv": scenario.links.traces[0].sha256}
+    (tmp_path / "recorded" / "wifi.csv").unlink()
+    again = outrider("replay", str(tmp_path / "run.mcap"), "--refly", "--json")
+    assert again.returncode == 0, again.stderr
+    assert json.loads(again.stdout)["trajectory_sha256"] == here.trajectory_sha256
+
+
+# --- bad files
+
+BAD = {
+    "empty": (b"", "empty"),
+    "only comments": (b"# nothing\n\n", "empty"),
+    "binary": (b"1\n2\0\n", "not text but binary"),
+    "not UTF-8": (b"sent,delay\n0,\xff\n", "byte 13: not text in UTF-8"),
+    "prose": (b"A drive through the city\n", "line 1 = "),
+    "another unit": (b"sent [ms],delay [ms]\n0,1\n", "not a recorded link"),
+    "no rows": (b"sent,delay\n", "line 1: a header without rows"),
+    "too few cells": (b"sent,delay\n0,1\n1\n", "line 3 = 1: too few cells"),
+    "no number": (b"sent,delay\n0,fast\n", "line 2 = fast: delay is no time"),
+    "no time": (b"sent,delay\nnan,0.1\n", "line 2 = nan: sent is no time"),
+    "negative": (b"sent,delay\n0,-0.1\n", "line 2 = -0.1: a negative delay"),
+    "back in time": (b"sent,delay\n1,0.1\n0.5,0.1\n", "line 3 = 0.5: sent before 1 s"),
+    "too late": (b"sent,delay\n0,61\n", "the delay can be 61 s"),
+    "Mahimahi back in time": (b"5\n7\n6\n", "line 3 = 6: before 7"),
+    "Mahimahi with a word": (b"5\nseven\n", "line 2 = "),
+    "Mahimahi with a fraction": (b"5\n7.5\n", "not a whole number of ms"),
+    "Mahimahi of no time": (b"0\n0\n", "lasts 0 ms"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_bad_file_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
+    content, told = BAD[name]
+    (tmp_path / "trace").write_bytes(content)
+    (tmp_path / "mine.toml").write_text('[links.radio]\ntrace = "trace"\n' + SMALL)
+    line = refusal(tmp_path / "mine.toml")
+    assert "mine.toml: links.radio" in line
+    assert told in line.replace('"', "")
+    assert "allowed:" in line
+
+
+def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    with (tmp_path / "trace").open("wb") as file:
+        file.truncate(MOST_BYTES + 1)
+    assert "larger than 50 MiB" in refusal(overrides=[f"links.radio.trace={tmp_path}/trace"])
+
+
+def test_too_many_lines_are_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("sim.channel.recorded.MOST_LINES", 5)
+    (tmp_path / "trace").write_text("1\n2\n3\n4\n5\n6\n")
+    assert "line 6: too many lines" in refusal(overrides=[f"links.radio.trace={tmp_path}/trace"])
+
+
+@pytest.mark.parametrize(
+    ("trace", "told"),
+    [
+        ("none.csv", "cannot be read: No such file"),
+        (".", "cannot be read: Is a directory"),
+        ("../outside.csv", "outside the scenario's folder"),
+        ("/etc/hostname", "outside the scenario's folder"),
+        ("leads-out.csv", "outside the scenario's folder"),
+        ("a\\u0000b", "cannot be read"),
+    ],
+)
+def test_a_scenario_names_recordings_beside_it_or_below(
+    trace: str, told: str, tmp_path: Path
+) -> None:
+    (tmp_path / "outside.csv").write_text(TABLE)
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    (folder / "leads-out.csv").symlink_to(tmp_path / "outside.csv")
+    (folder / "mine.toml").write_text(f'[links.radio]\ntrace = "{trace}"\n' + SMALL)
+    assert told in refusal(folder / "mine.toml")
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        (("links.radio.loss=0.1",), "links.radio.loss = 0.1: cannot stand beside a recorded table"),
+        (("links.radio.profile=wifi",), "links.radio.jitter = 0.003: cannot stand beside"),
+        (("links.radio.bandwidth=5",), "links.radio.bandwidth = 5.0: cannot stand beside"),
+        (("links.radio.duplicates=0.5",), "allowed: 0; delay and blackouts may"),
+    ],
+)
+def test_what_cannot_stand_beside_a_recording_is_refused(
+    changes: tuple[str, ...], told: str, tmp_path: Path
+) -> None:
+    (tmp_path / "t.csv").write_text(TABLE)
+    assert told in refusal(overrides=[f"links.radio.trace={tmp_path}/t.csv", *changes])
+    (tmp_path / "t.csv").write_text(MAHIMAHI)
+    if "bandwidth" in told:
+        assert told in refusal(overrides=[f"links.radio.trace={tmp_path}/t.csv", *changes])
+    else:
+        load_scenario(overrides=[f"links.radio.trace={tmp_path}/t.csv", *changes])
+
+
+def test_content_that_is_not_the_files_is_refused() -> None:
+    other = msgspec.structs.replace(BOTH[0], content=BOTH[1].content)
+    broken = msgspec.structs.replace(BOTH[0], content=b"no zlib")
+    for one in (other, broken):
+        with pytest.raises(ScenarioError, match="recorded link table: damaged"):
+            check_link(LinkSettings(trace="table"), "radio", (one,))
+
+
+# --- what may be promised, and what comes nearest
+
+
+def test_it_is_told_how_often_a_recording_breaks_the_declared_assumptions(tmp_path: Path) -> None:
+    rows = [f"{k * DT:.2f},{'lost' if 20 <= k < 50 else 0.05}" for k in range(200)]
+    (tmp_path / "t.csv").write_text("sent,delay\n" + "\n".join(rows))
+    for kind, share in (("detections", "5.5 %"), ("commands", "15 %")):
+        told = promise_warnings(
+            load_scenario("escort", overrides=[f"links.{kind}.trace={tmp_path}/t.csv"])
+        )
+        assert len(told) == 1
+        assert f"links.{kind}.trace: " in told[0]
+        assert f"in {share} of the ticks of a round" in told[0]
+
+
+def written(settings: LinkSettings, interval: float) -> RecordedLink:
+    """Messages over a drawn link, as a table."""
+    sample = drawn_sample(settings, interval)
+    rows = [
+        f"{k * interval:.4f},{'lost' if math.isnan(took) else f'{took:.5f}'}"
+        for k, took in enumerate(sample.delay.tolist())
+    ]
+    return a_trace("sent,delay\n" + "\n".join(rows))
+
+
+def test_the_fit_finds_the_settings_of_a_drawn_link_and_its_profile() -> None:
+    poor = PROFILES["wifi-poor"]
+    fit, _ = fit_link(written(poor, 0.05))
+    assert fit.nearest == "wifi-poor"
+    assert fit.factor < 1.1 < fit.profiles["lte"]
+    found = fit.settings
+    assert found.jitter_shape == "pareto"
+    for field, within in (
+        ("delay", 0.1),
+        ("jitter", 0.1),
+        ("loss", 0.2),
+        ("burst_length", 0.2),
+        ("burst_interval", 0.2),
+        ("burst_loss", 0.1),
+    ):
+        assert getattr(found, field) == pytest.approx(getattr(poor, field), rel=within), field
+    assert check_link(found, "fit") == found
+    assert 'jitter_shape = "pareto"' in fit.toml
+
+
+def test_the_fit_tells_blackouts_and_lonely_losses_apart() -> None:
+    wanted = LinkSettings(
+        delay=0.1, jitter=0.02, jitter_shape="normal", jitter_cut=0.1, loss=0.02,
+        blackout_length=0.4, blackout_interval=20.0,
+    )  # fmt: skip
+    found = fit_link(written(wanted, 0.04))[0].settings
+    assert found.jitter_shape == "normal"
+    assert found.burst_length == 0.0
+    for field, within in (
+        ("delay", 0.05),
+        ("jitter", 0.1),
+        ("loss", 0.2),
+        ("blackout_length", 0.05),
+        ("blackout_interval", 0.5),  # three standard deviations: there are only some forty
+    ):
+        assert getattr(found, field) == pytest.approx(getattr(wanted, field), rel=within), field
+    steady = fit_link(a_trace("sent,delay\n0,0.25\n0.1,0.25\n0.2,0.25\n"))[0]
+    assert steady.settings == LinkSettings(delay=0.25)
+
+
+def test_the_command_fits_a_mahimahi_file_and_draws_it(tmp_path: Path) -> None:
+    (tmp_path / "drive").write_text("\n".join(str(k * k) for k in range(1, 60)))
+    told = outrider(
+        "network",
+        "fit",
+        "drive",
+        "--message-bytes",
+        "90",
+        "--out",
+        "fit.png",
+        "--json",
+        cwd=tmp_path,
+    )
+    assert told.returncode == 0, told.stderr
+    fit = json.loads(told.stdout)
+    assert fit["lost"] == 0.0
+    assert fit["delay"]["most"] < 0.119
+    assert "Mbit/s on average; longest time without an opportunity 117 ms" in fit["notes"][-1]
+    assert (tmp_path / "fit.png").read_bytes().startswith(b"\x89PNG")
+    (tmp_path / "drive").write_text("sent,delay\n0,lost\n")
+    told = outrider("network", "fit", "drive", cwd=tmp_path)
+    assert told.returncode == 2
+    assert told.stderr == (
+        "outrider: drive: no message arrives; allowed: a recording with one that does\n"
+    )
