@@ -5,6 +5,7 @@ About a minute each.
 radius: R_h, E and r_cert over eps, A and tau_c; and the largest A.
 guards: how often guards that are known to be wrong lose sight, and the filter beside them.
 outage: what a longest time B without a motion costs: R_h, E, r_cert and the largest A.
+wind: what w costs, how far the UAV may truly be from where it is told that it is: likewise; and w of some inner loops.
 motions: the same commands as in `commands`, where they carry motions and B is declared.
 commands: what becomes of sight and certificate where commands are early, late or lost.
 profiles: whole flights over each shipped network profile: share of ticks certified, mean e(t), what must be zero.
@@ -22,6 +23,7 @@ from bus.profiles import PROFILES
 from outrider.experiments.falsify import attack as a
 from outrider.running.flying import InProcess, make_pilots
 from sim.kernels.compile import FloatArray
+from sim.models.inner_loop import InnerLoop, needed_reserve, tracking_error
 from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
 
@@ -172,9 +174,50 @@ def outage() -> Iterator[str]:
         yield f"| largest A [s] at ε {eps:g} m, τ_c {delay:g} s | {row} |"
 
 
+def wind() -> Iterator[str]:
+    """What w costs, and what it is."""
+    numbers = {name: a.PAPER_BOUNDS[name] for name in ("r_v", "v_a", "u_a", "v_g", "dt")}
+    offs = (0.0, 0.1, 0.2, 0.3, 0.5, 0.8, 1.2)
+    yield f"| w [m] | {' | '.join(f'{off:g}' for off in offs)} |"
+    yield f"|---|{'---|' * len(offs)}"
+    for eps, age, outage in ((0.3, 1.0, None), (0.3, 5.0, None), (0.3, 1.0, 2.0)):
+        found = [
+            certificate(Declared(**numbers, eps=eps, age=age, outage=outage, tracking=off))
+            for off in offs
+        ]
+        told = f"ε {eps:g} m, A {age:g} s" + ("" if outage is None else f", B {outage:g} s")
+        for name, row in (
+            ("R_h [m]", [f"{c.handover:.3f}" for c in found]),
+            ("E [m]", [f"{c.reach:.2f}" for c in found]),
+            ("r_cert [m]", [f"{_r_cert(c):.2f}" for c in found]),
+        ):
+            yield f"| {name} at {told} | {' | '.join(row).replace('nan', '–')} |"
+    for eps, outage in ((0.0, None), (0.3, None), (0.9, None), (0.3, 2.0)):
+        ages = [
+            largest_age(
+                certificate(Declared(**numbers, eps=eps, age=0.05, outage=outage, tracking=off))
+            )
+            for off in offs
+        ]
+        row = " | ".join("–" if math.isnan(age) else f"{age:.1f}" for age in ages)
+        told = f"ε {eps:g} m" + ("" if outage is None else f", B {outage:g} s")
+        yield f"| largest A [s] at {told} | {row} |"
+    yield ""
+    pushes = ((0.1, 0.0), (0.2, 0.0), (0.0, 0.2), (0.1, 0.2))
+    heads = " | ".join(f"W {most:g} m/s², ε_a {own:g} m" for most, own in pushes)
+    yield f"| k_p [1/s²], k_d [1/s]; w [m] (reserve [m/s²]) at | {heads} |"
+    yield f"|---|{'---|' * len(pushes)}"
+    for gains in ((1.0, 2.0), (2.25, 3.0), (4.0, 4.0), (1.0, 1.0), (1.0, 0.4)):
+        loop, cells = InnerLoop(*gains, math.inf), []
+        for push in pushes:
+            off, least = (of(loop, *push, numbers["dt"]) for of in (tracking_error, needed_reserve))
+            cells.append(f"{off:.3f} ({least:.3f})")
+        yield f"| {gains[0]:g}, {gains[1]:g} | {' | '.join(cells)} |"
+
+
 def _r_cert(c: Promise) -> float:
-    wait = c.outage_ticks * c.dt
-    return certified_radius(c.handover, c.v_a, c.u_a, c.v_g, c.dt, c.delay_ticks * c.dt, wait)
+    wait, off = c.outage_ticks * c.dt, c.tracking
+    return certified_radius(c.handover, c.v_a, c.u_a, c.v_g, c.dt, c.delay_ticks * c.dt, wait, off)
 
 
 def _unreliable() -> dict[str, tuple[a.Conditions, float]]:
@@ -294,6 +337,7 @@ def profiles() -> Iterator[str]:
 
 TABLES: dict[str, Callable[[], Iterator[str]]] = {
     "outage": outage,
+    "wind": wind,
     "motions": motions,
     "radius": radius,
     "guards": guards,

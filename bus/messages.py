@@ -234,6 +234,8 @@ class DeclaredBounds(Message, frozen=True, kw_only=True):
     """For how long the vehicle goes on with its last command when none comes [s]; None: not told."""
     outage: NonNegative | None = None
     """From the beginning of a motion to that of the next at most, B [s]; None: commands carry no motions."""
+    tracking: NonNegative | None = 0.0
+    """How far the UAV truly is at most from where it is told that it is, w [m]; None: it has no bound."""
 
 
 class Estimator(Message, frozen=True, kw_only=True):
@@ -344,7 +346,9 @@ class UavObservation(Message, frozen=True, kw_only=True):
     tick: Tick
     time: NonNegative
     position: Vector
+    """Where its inner loop believes and steers it to be [m]: in wind or with a wrong own position not quite where it is."""
     velocity: Vector
+    """Likewise [m/s]."""
     detections: tuple[Detection, ...] = ()
     flown: Tick | None = None
     """The motion that the vehicle flew in the tick before: that in which it began; None: it flew none."""
@@ -593,6 +597,11 @@ class CertificateStatus(Message, frozen=True, kw_only=True):
     """From the beginning of a motion to that of the next at most, as it is declared, B [s]; None: commands carry none."""
     longest_outage: NonNegative | None = None
     """And the longest so far [s]."""
+    tracking: NonNegative | None = None
+    """How far a UAV truly is at most from where it is told that it is, as it is declared, w [m]; None: nothing takes it from
+    there, or w has no bound."""
+    tracking_error: NonNegative | None = None
+    """And the farthest so far [m]; None: nothing takes it from there."""
 
 
 class Status(Message, frozen=True, kw_only=True):

@@ -17,6 +17,7 @@ from sim.engine.world_state import (
     U_Y,
     BatchState,
     BatchTables,
+    Told,
     WorldState,
 )
 from sim.engine.world_tick import measure, truth_of
@@ -89,6 +90,8 @@ class World:
         """Velocities [m/s], shape (vehicles, 2)."""
         self.acceleration = self.state.acceleration
         """Accelerations that were applied in the last tick, after their bounds [m/s²], shape (vehicles, 2)."""
+        self.told = Told(state.told.position[0], state.told.velocity[0])
+        """Where the vehicles are told that they are: where their commands lead. Without wind and own_error, the truth."""
         self.coverage = self.state.coverage
         """C of (3) on the grid, all UAVs together. Shape (rows, columns)."""
         self.detections = self.state.detections

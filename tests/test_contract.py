@@ -26,13 +26,13 @@ def told(messages_to: list[type]) -> set[str]:
 
 
 def test_the_uav_is_told_these_fields_and_no_others() -> None:
-    """The certificate is of its own detections, commands and actuators."""
+    """The certificate is of its own detections, commands, actuators and inner loop."""
     known = """
         tick time position velocity detections relative_position over episode flown
         limits target_limits max_speed max_acceleration
         area width height cell sensor model peak range desired_coverage covered lower upper
         detector noise cut period estimator enabled gate patience manoeuvre
-        certificate error age delay margin hold outage
+        certificate error age delay margin hold outage tracking
         vehicle dt visibility_radius law key past more"""
     assert told(TO_UAV) == {*words(known), *fields_within(messages.Law)}
 

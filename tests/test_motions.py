@@ -192,6 +192,14 @@ def test_no_certified_run_loses_sight_whatever_motions_are_lost(outage, delay, k
     assert rows[:, a.UNCERTIFIED].max() == 0.0
 
 
+def test_the_hand_over_knows_where_the_motion_that_is_flown_ends_not_one_that_was_lost() -> None:
+    conditions = a.Conditions(
+        blackout=3, blackout_time=5.0, outage=2.0, losses=-1, ugv=-1, inner=-1, error=-1
+    )
+    found = a.attack(a.declared(conditions, 0.9), conditions, 1, 0, 400, 100.0)
+    assert not found[:, a.BROKEN].any()
+
+
 def test_longer_outages_than_declared_lose_sight_and_are_told() -> None:
     conditions = a.Conditions(
         outage=8.0, inner=0, ugv=0, losses=LOSSES.index("whenever_it_may"), u_g=math.inf

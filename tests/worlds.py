@@ -9,7 +9,7 @@ from flights import escort
 from bus.messages import Estimator, Law, ScriptStep
 from bus.profiles import PROFILES
 from sim.env.rewards import RewardWeights
-from sim.scenario.types import Area, Certificate, Detections, LinkTable, Scenario, Uav, Ugv
+from sim.scenario.types import Area, Certificate, Detections, LinkTable, Scenario, Uav, Ugv, Wind
 
 WIFI_POOR = PROFILES["wifi-poor"]
 
@@ -41,7 +41,7 @@ def small(law: str, driver: str = "waypoints", **fields: Any) -> Scenario:
     script = (ScriptStep(time=1.0, velocity=(0.2, 0.0)), ScriptStep(time=4.0, velocity=(-0.1, 0.3)))
     ugv = Ugv(position=HERE, driver=driver, goals=GOALS, goal_tolerance=0.3, script=script)
     given = {"area": SMALL, "detections": NOISY, "duration": 20.0} | fields
-    return escort(law, uav=Uav(position=(8.0, 7.0)), ugv=ugv, **given)
+    return escort(law, **{"uav": Uav(position=(8.0, 7.0)), "ugv": ugv} | given)
 
 
 SEVERAL = Scenario(
@@ -94,6 +94,12 @@ SCENARIOS: dict[str, Scenario] = {
         "evade",
         links=LinkTable(commands=LOSSY),
         certificate=Certificate(delay=0.4, outage=2.0),
+    ),
+    "wind": small(
+        "certified",
+        "evade",
+        wind=Wind(mean=(0.05, 0.02), gust=0.03),
+        uav=Uav(position=(8.0, 7.0), own_error=0.1),
     ),
     "uncertifiable": small("certified", certificate=Certificate(error=0.01)),
     "several": SEVERAL,

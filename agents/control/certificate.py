@@ -532,20 +532,23 @@ def safe_control(
 
 
 @compiled
-def may_rest(
+def rest_radius(
     promise: Promise,
     detections: RecordArray,
     plan: RecordArray,
     tick: int,
     here: Motion,
     ticks: int,
-) -> bool:
-    """True if the UAV is at rest and may rest there for so many ticks, and then until the next motion begins."""
+) -> float:
+    """How far the UGV is at most from a UAV at rest [m]; infinite if it is not, or may not rest there.
+
+    That is for so many ticks, and then until the next motion begins.
+    """
     c, newest = promise, newest_detection(detections)
     if newest < 0 or norm(here.v_x, here.v_y) > _REST or not _is_in_area(c, here.p_x, here.p_y):
-        return False
+        return math.inf
     known = known_from(c, detections, plan, newest, tick, here.p_x, here.p_y)
-    return _end_radius(c, known, tick, here.p_x, here.p_y, ticks) < math.inf
+    return _end_radius(c, known, tick, here.p_x, here.p_y, ticks)
 
 
 @compiled

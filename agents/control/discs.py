@@ -86,20 +86,20 @@ def bound_of(
 def certified_distance(
     promise: Promise, detections: RecordArray, tick: int, x: float, y: float
 ) -> float:
-    r"""Upper bound of the true distance [m], $d_{cert} = \min_i \|p_a - z_i\| + \epsilon + v_g (t - t_i)$.
+    r"""Upper bound of the true distance [m], $d_{cert} = \min_i \|p_a - z_i\| + \epsilon + 2 w + v_g (t - t_i)$.
 
-    Infinite without any.
+    One w is that of where the UAV is now, one of where it was at the detection. Infinite without any.
 
     Args:
         promise: The declared numbers.
         detections: As kept. (rows,)
         tick: Now.
-        x, y: Position of the UAV [m].
+        x, y: Position of the UAV, as it is told [m].
     """
     k = nearest(promise, detections, tick, x, y)
     if k < 0:
         return math.inf
-    return bound_of(promise, detections, k, tick, x, y)
+    return promise.tracking + bound_of(promise, detections, k, tick, x, y)
 
 
 @compiled

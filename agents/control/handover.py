@@ -223,9 +223,10 @@ def certificate(declared: Declared) -> Promise:
     """The certificate of one UAV. What fails is NaN in it and named by `check_assumptions`."""
     c = declared
     dt, v_a, u_a, v_g = float(c.dt), float(c.v_a), float(c.u_a), float(c.v_g)
-    eps, age = float(c.eps), float(c.age)
+    tracking, age = float(c.tracking), float(c.age)
+    eps = float(c.eps) + tracking
     delay_ticks = math.ceil(c.delay / dt - ROUNDING)
-    r_v = float(c.r_v - c.margin) - tick_sagitta(v_a, u_a, dt)
+    r_v = float(c.r_v - c.margin) - tracking - tick_sagitta(v_a, u_a, dt)
     outage_ticks = 0 if c.outage is None else math.floor(min(c.outage / dt + DUST, _FOREVER))
     wait = outage_ticks * dt
     radius = reach = math.nan
@@ -235,7 +236,9 @@ def certificate(declared: Declared) -> Promise:
         reach = float(handover_reach(radius, eps, rho, v_a, u_a, v_g, dt, wait))
     return Promise(
         dt=dt,
+        error=float(c.eps),
         eps=eps,
+        tracking=tracking,
         age=age,
         age_ticks=math.floor(min(age / dt + DUST, _FOREVER)),
         delay_ticks=delay_ticks,
@@ -262,10 +265,11 @@ def certified_radius(
     dt: float,
     delay: float,
     outage: float = 0.0,
+    tracking: float = 0.0,
 ) -> float:
     r"""r_cert [m]: while d_cert is less, every inner control acts, whatever the velocity.
 
-    $$ r_{cert} = R_h - \frac{v_a^2}{2 u_a} - \frac{v_a v_g}{u_a} - (\tfrac32 v_a + 2 v_g) dt - (v_a + v_g) \tau_c - v_g B $$
+    $$ r_{cert} = R_h + w - \frac{v_a^2}{2 u_a} - \frac{v_a v_g}{u_a} - (\tfrac32 v_a + 2 v_g) dt - (v_a + v_g) \tau_c - v_g B $$
 
     With $R_h \to r_v - v_g^2 / (2 u_a)$ this is (18) as dt and tau_c go to 0. Beyond it the filter decides by the
     velocity that the UAV really has: r_cert is for display, for tuning and for tests.
@@ -276,9 +280,17 @@ def certified_radius(
         dt: Length of a tick [s].
         delay: tau_c [s].
         outage: B [s]; 0 where commands carry no motions.
+        tracking: w [m], which d_cert holds, but R_h, around where the UAV is told that it is, does not.
     """
     stop = 0.5 * v_a * v_a / u_a + v_a * v_g / u_a
-    return handover - stop - (1.5 * v_a + 2.0 * v_g) * dt - (v_a + v_g) * delay - v_g * outage
+    return (
+        handover
+        - stop
+        - (1.5 * v_a + 2.0 * v_g) * dt
+        - (v_a + v_g) * delay
+        - v_g * outage
+        + tracking
+    )
 
 
 def _largest(promise: Promise, fits: Callable[[float], bool]) -> float:
@@ -324,7 +336,11 @@ def check_assumptions(promise: Promise) -> tuple[str, ...]:
     """
     c = promise
     delay, faults = c.delay_ticks * c.dt, list[str]()
-    if not math.isfinite(c.eps):
+    if not math.isfinite(c.tracking):
+        faults.append(
+            f"w = {c.tracking:g} m: how far the UAV is from where it is told that it is has no bound"
+        )
+    elif not math.isfinite(c.eps):
         faults.append(
             f"eps = {c.eps:g} m: the noise of the detections is not cut, so none of them bounds the distance"
         )
@@ -340,13 +356,16 @@ def check_assumptions(promise: Promise) -> tuple[str, ...]:
         faults.append(f"u_a = {c.u_a:g} m/s²: must be positive")
     if not faults and math.isnan(c.handover):
         rho, most = c.eps + c.v_g * (c.age + delay), largest_age(c)
+        terms, sizes = "eps", f"eps {c.eps:g} m"
+        if c.tracking > 0.0:
+            terms, sizes = "eps + w", f"eps {c.error:g} m, w {c.tracking:g} m"
         limit = "for no A" if math.isnan(most) else f"for A up to {most:.2f} s"
         if c.carries:
             most = largest_outage(c)
             limit += ", or for no B" if math.isnan(most) else f", or for B up to {most:.2f} s"
             limit += f", not {c.outage_ticks * c.dt:g} s"
         faults.append(
-            f"eps + v_g (A + tau_c) = {rho:.4g} m (eps {c.eps:g} m, A {c.age:g} s, tau_c {delay:g} s): "
+            f"{terms} + v_g (A + tau_c) = {rho:.4g} m ({sizes}, A {c.age:g} s, tau_c {delay:g} s): "
             f"too much for r_v = {c.r_v:.4g} m; with these numbers the hand-over holds {limit}"
         )
     if c.carries and c.outage_ticks < 1:

@@ -37,6 +37,8 @@ class Declared(NamedTuple):
     """For how long the vehicle goes on with its last command when none comes [s]; then it brakes."""
     outage: float | None = None
     """From the beginning of a motion to that of the next at most, B [s]; None: commands carry no motions."""
+    tracking: float = 0.0
+    """How far the UAV truly is at most from where it is told that it is, w [m]; infinite: that has no bound."""
 
 
 class Promise(NamedTuple):
@@ -44,8 +46,12 @@ class Promise(NamedTuple):
 
     dt: float
     """Length of a tick [s]."""
-    eps: float
+    error: float
     """Largest error of a detection, as a vector's norm [m]."""
+    eps: float
+    """Largest error of where a detection puts the UGV [m]: that, and w, as it is seen from where the UAV is told that it is."""
+    tracking: float
+    """How far the UAV truly is at most from where it is told that it is, w [m]."""
     age: float
     """Largest age of the newest arrived detection as it was declared, A [s]."""
     age_ticks: int
@@ -53,7 +59,7 @@ class Promise(NamedTuple):
     delay_ticks: int
     """From the tick that a command answers to the one in which it acts, tau_c."""
     r_v: float
-    """Visibility radius [m], less the margin that was asked for, the sagitta of a tick and `MARGIN`."""
+    """Visibility radius [m], less the margin that was asked for, w, the sagitta of a tick and `MARGIN`."""
     v_a: float
     """Largest speed of the UAV [m/s]."""
     u_a: float

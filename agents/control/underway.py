@@ -8,11 +8,12 @@ flies where one was lost, which voids all that is under way. The proof is in doc
 Positions [m], speeds [m/s], accelerations [m/s²], times in ticks.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from agents.control.certificate import BEST_EFFORT, may_rest, step_in_area
+from agents.control.certificate import BEST_EFFORT, rest_radius, step_in_area
 from agents.control.promise import Promise
 from bus.messages import MOST_CARRIED
 from sim.kernels.compile import borrowing
@@ -79,6 +80,7 @@ def _clear(rows: RecordArray, k: int) -> None:
     row.first_x, row.first_y = 0.0, 0.0
     row.turn_x, row.turn_y, row.brake_x, row.brake_y = 0.0, 0.0, 0.0, 0.0
     row.arrived, row.plain, row.checked = 0, 0, 0
+    row.end_x, row.end_y, row.end_radius, row.end_tick = 0.0, 0.0, math.inf, 0
 
 
 @borrowing
@@ -154,7 +156,10 @@ def due_end(promise: Promise, state: Underway, tick: int, here: Motion) -> tuple
 
 @borrowing
 def take_rest(state: Underway, plan: RecordArray) -> None:
-    """Let the plan that is held be the rest of the motion that is flown at the end of the course."""
+    """Let the plan that is held be the rest of the motion that is flown at the end of the course.
+
+    With the disc around its end: the hand-over needs that one, and not that of a plan that was lost.
+    """
     m, held = state.flown[_END], plan[0]
     held.valid = m.checked
     behind = max(0, m.age - 1)
@@ -162,6 +167,9 @@ def take_rest(state: Underway, plan: RecordArray) -> None:
     held.cruise, behind = max(0, m.cruise - behind), max(0, behind - m.cruise)
     held.brake = max(0, m.brake - behind)
     held.turn_x, held.turn_y, held.brake_x, held.brake_y = m.turn_x, m.turn_y, m.brake_x, m.brake_y
+    if m.end_radius < math.inf:
+        held.end_x, held.end_y = m.end_x, m.end_y
+        held.end_radius, held.end_tick = m.end_radius, m.end_tick
 
 
 @borrowing
@@ -169,8 +177,11 @@ def check_start(
     promise: Promise, state: Underway, detections: RecordArray, plan: RecordArray, here: Motion
 ) -> None:
     """At tick 0, while nothing has been sent: the rest until a motion begins is a plan, if it can be checked as one."""
-    if may_rest(promise, detections, plan, 0, here, promise.delay_ticks):
-        state.flown[_NOW].checked = 1
+    radius = rest_radius(promise, detections, plan, 0, here, promise.delay_ticks)
+    if radius < math.inf:
+        row = state.flown[_NOW]
+        row.checked, row.end_x, row.end_y = 1, here.p_x, here.p_y
+        row.end_radius, row.end_tick = radius, 0
 
 
 @borrowing
@@ -207,6 +218,8 @@ def send_motion(
         row.turn, row.cruise, row.brake = held.turn, held.cruise, held.brake
         row.turn_x, row.turn_y = held.turn_x, held.turn_y
         row.brake_x, row.brake_y = held.brake_x, held.brake_y
+        row.end_x, row.end_y = held.end_x, held.end_y
+        row.end_radius, row.end_tick = held.end_radius, held.end_tick
     ahead = state.flown[_END : _END + 1]
     for k in (_LOST, _BEGUN):
         ahead[0] = state.flown[_NOW]

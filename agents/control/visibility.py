@@ -93,6 +93,7 @@ def promise_of(briefing: UavBriefing) -> Promise:
             height=briefing.area.height,
             hold=math.inf if declared.hold is None else declared.hold,
             outage=declared.outage,
+            tracking=math.inf if declared.tracking is None else declared.tracking,
         )
     )
 

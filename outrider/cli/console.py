@@ -155,6 +155,13 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
         rows.append(("longest wait for a motion", waited))
     if summary.lost_chance is not None:
         rows.append(("by proof", f"once certified, lost {in_flights(summary.lost_chance)}"))
+    if summary.tracking_error is not None:
+        off, bound = f"{summary.tracking_error:.3f} m", summary.declared_tracking
+        farthest = Text(f"{off} from where it is told")
+        if bound is not None:
+            colour = "green" if summary.tracking_error <= bound else "yellow"
+            farthest = Text.assemble((off, colour), f", declared {bound:.3f} m")
+        rows.append(("farthest off by the wind", farthest))
     if summary.certified_while_lost:
         rows.append(
             (

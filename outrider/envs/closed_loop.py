@@ -40,7 +40,7 @@ from outrider.envs.closed_loop_state import (
 )
 from outrider.envs.closed_loop_tick import run_worlds
 from sim.engine.batch import Batch, Fresh, arrays_of
-from sim.engine.briefing import briefing
+from sim.engine.briefing import briefing, largest_tracking_error
 from sim.engine.link_arrays import LinkArrays
 from sim.engine.world_state import Precision
 from sim.env.patch import CoveragePatch
@@ -161,7 +161,7 @@ class ClosedLoop:
             error=error or weights.uncovered > 0.0,
             estimate=estimate,
             gradient=gradient,
-            own_maps=len(self.uavs) > 1,
+            own_maps=len(self.uavs) > 1 or scenario.disturbed,
             radio=receiving,
             radio_ticks=radio_ticks(dt),
             meters_per_pixel=float(patch.meters_per_pixel) if patch else 1.0,
@@ -331,9 +331,12 @@ class ClosedLoop:
         self.batch.workers.close()
 
 
-def _is_bounded(told: UavBriefing) -> bool:
-    """True if no detection can have a larger error than is declared."""
-    detector, declared = told.detector, told.certificate.error
+def _is_bounded(scenario: Scenario, told: UavBriefing) -> bool:
+    """True if no detection can have a larger error than is declared, and no own position either."""
+    detector, declared, off = told.detector, told.certificate.error, told.certificate.tracking
+    (uav,) = (one for one in scenario.uav if one.name == told.vehicle)
+    if off is not None and off < largest_tracking_error(scenario, uav):
+        return False
     if declared is None or detector.noise == 0.0:
         return declared is not None
     return detector.cut is not None and detector.noise * detector.cut <= declared
@@ -364,7 +367,7 @@ class _PilotNumbers:
         self.slowest = max(promises, key=lambda promise: promise.delay_ticks)
         self.delays = np.array([promise.delay_ticks for promise in promises], dtype=np.int64)
         self.ages = np.array([promise.age_ticks for promise in promises], dtype=np.int64)
-        self.bounded = np.array([_is_bounded(one) for one in told_uavs])
+        self.bounded = np.array([_is_bounded(scenario, one) for one in told_uavs])
         self.promises = records(Promise, promises)
         self.faults = np.array([bool(check_assumptions(promise)) for promise in promises])
         self.kalman = records(

@@ -49,7 +49,7 @@ class LoopParameters(NamedTuple):
     gradient: bool
     """True if the rows have the gradient."""
     own_maps: bool
-    """True if each UAV has a map of its own; else all that is seen is its own."""
+    """True if each UAV has a map of its own; else all that is truly seen is its own."""
     radio: bool
     """True if any UGV uses the radio."""
     radio_ticks: int
@@ -74,7 +74,7 @@ class LoopTables(NamedTuple):
     ages: IntArray
     """For each UAV the declared age of the newest detection [ticks]. Shape (UAVs,)."""
     bounded: IntArray
-    """For each UAV whether no detection can have a larger error than is declared. Shape (UAVs,)."""
+    """For each UAV whether no detection and no own position can have a larger error than is declared. Shape (UAVs,)."""
     receivers: IntArray
     """For each UAV the row among the UGVs of the one that receives its radio. Shape (UAVs,)."""
     kalman: RecordArray

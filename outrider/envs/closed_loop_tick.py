@@ -24,7 +24,7 @@ from outrider.envs.closed_loop_state import (
 from sim.channel.link import advance as begin_tick
 from sim.channel.link import receive, send
 from sim.engine.link_arrays import link_of
-from sim.engine.world_state import ANSWERED, CARRIED, LAST, U_X, U_Y, WorldState
+from sim.engine.world_state import ANSWERED, CARRIED, LAST, U_X, U_Y, Told
 from sim.engine.world_tick import begin_world, measure, truth_of, world_tick
 from sim.env.patch import sample
 from sim.env.rows import UAV, UAV_METRICS, advance_rows, observe_rows
@@ -57,12 +57,12 @@ def _memory_of(p: LoopParameters, t: LoopTables, s: LoopState, k: int, u: int) -
 
 
 @inlined
-def _motion_of(truth: WorldState, k: int, v: int) -> Motion:
+def _motion_of(told: Told, k: int, v: int) -> Motion:
     return Motion(
-        truth.position[k, v, 0],
-        truth.position[k, v, 1],
-        truth.velocity[k, v, 0],
-        truth.velocity[k, v, 1],
+        told.position[k, v, 0],
+        told.position[k, v, 1],
+        told.velocity[k, v, 0],
+        told.velocity[k, v, 1],
     )
 
 
@@ -72,7 +72,7 @@ def _fly(
 ) -> None:
     """The command of UAV u, vehicle v, and what it radios."""
     tick, row = s.batch.ticks[k], s.rows.uavs[k, u]
-    here, law, guarded = _motion_of(s.batch.truth, k, v), s.laws[k, u], t.guarded[u] != 0
+    here, law, guarded = _motion_of(s.batch.told, k, v), s.laws[k, u], t.guarded[u] != 0
     memory, target = _memory_of(p, t, s, k, u), kalman_estimate(_kalman_of(s.kalman, k, u))
     flown = s.batch.flown[k, v, 0].begins
     if t.hand[v] < 0:
@@ -132,7 +132,7 @@ def _drive(
     if t.hand[v] >= 0:
         sent[U_X], sent[U_Y] = actions[t.hand[v], 0], actions[t.hand[v], 1]
         return
-    here = _motion_of(s.batch.truth, k, v)
+    here = _motion_of(s.batch.told, k, v)
     route = Route(
         t.rows.goals[t.rows.goal_rows[g] : t.rows.goal_rows[g + 1]],
         t.scripts[t.script_rows[g] : t.script_rows[g + 1]],
@@ -177,7 +177,7 @@ def _perceive(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
     looks, arrived = s.batch.received[k], s.batch.arrived[k]
     looked = 1 if p.own_maps and tick > 0 else 0  # else the world has done it
     for u in range(escorts.shape[0]):
-        here = _motion_of(s.batch.truth, k, escorts[u, 0])
+        here = _motion_of(s.batch.told, k, escorts[u, 0])
         uav_perceive(
             s.laws[k, u],
             t.promises[u],
@@ -229,7 +229,7 @@ def _add_cues(p: LoopParameters, t: LoopTables, s: LoopState, k: int, u: int) ->
 @inlined
 def _observe(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
     """Everybody's row, and the UAVs' pictures."""
-    w, position, escorts = t.batch.world[0], s.batch.truth.position[k], t.batch.escorts
+    w, position, escorts = t.batch.world[0], s.batch.told.position[k], t.batch.escorts
     observe_rows(t.batch, s.batch, t.rows, s.rows, k)
     if p.estimate or p.gradient:
         for u in range(escorts.shape[0]):

@@ -67,7 +67,7 @@ class _Radio:
 
     def _speak(self, uav: str) -> None:
         world = self._env.world
-        p_x, p_y = world.position[self._rows[uav]].tolist()
+        p_x, p_y = world.told.position[self._rows[uav]].tolist()
         estimate = self._filters[uav].update(
             tick=self._tick,
             own_position=(p_x, p_y),

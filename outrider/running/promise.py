@@ -1,8 +1,8 @@
 """Tests before a flight, and when links change in it, whether a scenario's UAVs can certify that they keep sight.
 
 The declared assumptions are those of docs/explanation/certificate.md: A1 the error of a detection, A2 the age of the newest
-one, A5 a
-command that acts exactly tau_c after its tick. Links and detector say which of them they cannot keep, and how often.
+one, A5 a command that acts exactly tau_c after its tick, A6' where the UAV is. Wind, links and detector say which of them they
+cannot keep, and how often.
 """
 
 import functools
@@ -24,10 +24,10 @@ from outrider.running.summary import in_flights
 from sim.channel.chances import Chance, chance_of_age, chance_of_error, chance_of_outage
 from sim.channel.description import arrival_share, arrivals_of, extra_delays, link_parameters
 from sim.channel.link import DUST, FATES, LinkParameters, in_ticks
-from sim.engine.briefing import briefing
+from sim.engine.briefing import briefing, largest_tracking_error
 from sim.engine.briefing import declared as declared_bounds
 from sim.kernels.compile import IntArray
-from sim.scenario.types import LinkTable, Scenario
+from sim.scenario.types import LinkTable, Scenario, Uav
 
 _RARE = 1e-6
 """Events that are expected less often than this in a whole flight is not told."""
@@ -158,7 +158,10 @@ def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shor
         if math.isfinite(promise.eps):
             found += [
                 Shortfall(uav.name, "A1", how, what, by_chance=True)
-                for how, what in _errors(scenario, promise.eps)
+                for how, what in _errors(scenario, promise.error)
+            ]
+            found += [
+                Shortfall(uav.name, "A6'", how, what) for how, what in _off(scenario, uav, promise)
             ]
         for kind, name, check in (
             (LinkKind.DETECTIONS, "A2", _ages),
@@ -258,6 +261,17 @@ def _errors(s: Scenario, eps: float) -> Iterator[tuple[How, str]]:
             f"certificate.error = {eps:g} m, but the errors {errors} at detections.noise = {sigma:g} m: "
             f"{_percent(share)} are larger",
         )
+
+
+# A6': where the UAV is
+
+
+def _off(s: Scenario, uav: Uav, promise: Promise) -> Iterator[tuple[How, str]]:
+    """Wind and own position may take it farther from where it is told that it is than is declared, but need not."""
+    most = largest_tracking_error(s, uav)
+    if most > promise.tracking * (1.0 + DUST):
+        what = f"certificate.tracking = {promise.tracking:g} m, but wind and own_error may take it {most:.3g} m off"
+        yield How.SOMETIMES, what
 
 
 # A2: the age of the newest detection

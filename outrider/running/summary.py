@@ -87,6 +87,11 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
 
     Nor is it where an operator has changed something while it flew.
     """
+    declared_tracking: float | None = None
+    """How far a UAV truly is at most from where it is told that it is, w [m]; None where no filter watches or nothing takes it
+    from there."""
+    tracking_error: float | None = None
+    """And the farthest in this flight [m], whatever the law; None where nothing takes it from there."""
     links: dict[str, LinkStatus] = {}
     """Counts of each link's messages, by `vehicle/kind`."""
     traces: dict[str, str] = {}
@@ -178,6 +183,7 @@ def certificate_fields(told: CertificateStatus | None) -> dict[str, Any]:
         "certificate_broken": told.certificate_broken,
         "declared_outage": told.outage,
         "longest_outage": told.longest_outage,
+        "declared_tracking": told.tracking,
     }
 
 
@@ -239,6 +245,7 @@ def summarize(
         **certificate_fields(flight.assurance.status()),
         exceeded_chance=chances.exceeded if chances is not None else {},
         lost_chance=chances.lost if chances is not None else None,
+        tracking_error=recorder.tracking_error,
         links=world.links.status(),
         traces={one.name: one.sha256 for one in world.links.table.traces},
         realtime=realtime,

@@ -29,10 +29,13 @@ from sim.engine.world_state import (
     WorldParameters,
     WorldState,
     bounds_of,
+    disturbances_of,
     escorts_of,
     first_state,
     grid_in,
+    no_tracking_errors,
     receivers_of,
+    told_of,
     world_parameters,
 )
 from sim.engine.world_tick import begin_world, measure, truth_of, world_tick
@@ -131,12 +134,16 @@ class Batch:
             escorts=escorts,
             links=self._links.table,
             receivers=receivers_of(scenario),
+            disturbances=disturbances_of(scenario),
         )
+        truth = WorldState._make(np.repeat(array[None], worlds, axis=0) for array in first)
         room, rows = self._links.room, self._motion_rows()
         self.state = BatchState(
             keys=np.zeros((worlds, RUN_PURPOSES, vehicles, 2), dtype=np.uint64),
             ticks=np.zeros(worlds, dtype=np.int64),
-            truth=WorldState._make(np.repeat(array[None], worlds, axis=0) for array in first),
+            truth=truth,
+            told=told_of(scenario, truth),
+            tracking=no_tracking_errors(worlds, len(self.tables.disturbances)),
             received=np.zeros((worlds, len(escorts), room, MESSAGE_SIZE)),
             arrived=np.zeros((worlds, len(escorts)), dtype=np.int64),
             sent=np.full((worlds, vehicles, MESSAGE_SIZE), -1.0),

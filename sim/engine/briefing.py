@@ -11,6 +11,7 @@ from bus.messages import (
     UgvBriefing,
 )
 from sim.engine.run_keys import derive_key
+from sim.models.inner_loop import tracking_error
 from sim.models.randomness import PILOT
 from sim.scenario.risk import command_delay, risk_bounds, risk_fault
 from sim.scenario.types import DEFAULT_AGE, Scenario, Uav, Ugv
@@ -33,6 +34,14 @@ def _error(scenario: Scenario) -> float | None:
     return _bound(noise * scenario.noise_cut) if noise > 0.0 else 0.0
 
 
+def largest_tracking_error(scenario: Scenario, uav: Uav) -> float:
+    """How far a UAV truly is at most from where it is told that it is, w [m]; infinite where that has no bound."""
+    wind = scenario.wind.largest
+    if wind == 0.0 and uav.own_error == 0.0:
+        return 0.0
+    return tracking_error(uav.tracking.loop, wind, uav.own_error, scenario.dt)
+
+
 def declared(scenario: Scenario, uav: str) -> DeclaredBounds:
     """The certificate's numbers that a UAV may rely on.
 
@@ -50,6 +59,10 @@ def declared(scenario: Scenario, uav: str) -> DeclaredBounds:
     outage = given.outage
     if outage is None and from_risk.outage is not None:
         outage = from_risk.outage.value
+    tracking = given.tracking
+    if tracking is None:
+        (vehicle,) = (one for one in scenario.uav if one.name == uav)
+        tracking = _bound(largest_tracking_error(scenario, vehicle))
     return DeclaredBounds(
         error=error,
         age=age,
@@ -57,6 +70,7 @@ def declared(scenario: Scenario, uav: str) -> DeclaredBounds:
         margin=given.margin,
         hold=scenario.hold,
         outage=outage,
+        tracking=tracking,
     )
 
 

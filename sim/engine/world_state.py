@@ -3,6 +3,7 @@
 Arrays have an axis for vehicles, or for UAVs with the UGVs they escort, in name order.
 """
 
+import math
 from typing import Literal, NamedTuple, cast, get_args
 
 import numpy as np
@@ -10,9 +11,11 @@ import numpy as np
 from bus.registry import SENSORS
 from sim.channel.link import LinkNumbers, LinkState
 from sim.kernels.compile import FloatArray, IntArray
-from sim.kernels.records import RecordArray
+from sim.kernels.records import RecordArray, record_type, records
 from sim.models.field import cover, empty_coverage
+from sim.models.inner_loop import TrackingRecord
 from sim.models.randomness import WordArray
+from sim.models.wind import DisturbanceRow
 from sim.scenario.risk import carries_motions
 from sim.scenario.types import Scenario, Uav
 
@@ -157,6 +160,50 @@ def receivers_of(scenario: Scenario) -> IntArray:
     return np.array([carries and isinstance(v, Uav) for v in scenario.vehicles], dtype=np.int64)
 
 
+class Told(NamedTuple):
+    """Where the vehicles are told that they are: where their commands lead, by (1).
+
+    Without wind and errors of the own position that is the truth, and these are its own arrays.
+    """
+
+    position: FloatArray
+    """[m]. Shape (vehicles, 2); with an axis for worlds in front, of each of many."""
+    velocity: FloatArray
+    """[m/s]. Likewise."""
+
+
+def told_of(scenario: Scenario, truth: WorldState) -> Told:
+    """Arrays for where the vehicles are told that they are, at the start the truth."""
+    if not scenario.disturbed:
+        return Told(truth.position, truth.velocity)
+    return Told(truth.position.copy(), truth.velocity.copy())
+
+
+def disturbances_of(scenario: Scenario) -> RecordArray:
+    """What acts on each UAV beside its commands: rows of `DisturbanceRow`. Shape (UAVs,), or none where nothing does."""
+    wind, dt = scenario.wind, scenario.dt
+    uavs = [one for one in scenario.vehicles if isinstance(one, Uav)] if scenario.disturbed else []
+    rows = [
+        DisturbanceRow(
+            *uav.tracking.loop,
+            mean_x=wind.mean[0],
+            mean_y=wind.mean[1],
+            gust=wind.gust,
+            gust_kept=math.exp(-dt / wind.gust_time),
+            limit=wind.largest,
+            own_error=uav.own_error,
+            own_kept=math.exp(-dt / uav.own_error_time),
+        )
+        for uav in uavs
+    ]
+    return records(DisturbanceRow, rows)
+
+
+def no_tracking_errors(*shape: int) -> RecordArray:
+    """Rows of `TrackingRecord` of UAVs that are where they are told to be."""
+    return np.zeros(shape, dtype=record_type(TrackingRecord))
+
+
 class BatchTables(NamedTuple):
     """The constants of all worlds."""
 
@@ -170,6 +217,8 @@ class BatchTables(NamedTuple):
     """Of the detections, a row for each UAV, then of the commands, a row for each vehicle."""
     receivers: IntArray
     """1 for each vehicle whose receiver flies the motions that its commands carry. Shape (vehicles,)."""
+    disturbances: RecordArray
+    """`DisturbanceRow` of each UAV. Shape (UAVs,); (0,) where nobody is disturbed."""
 
 
 class BatchState(NamedTuple):
@@ -180,6 +229,9 @@ class BatchState(NamedTuple):
     ticks: IntArray
     """Shape (worlds,)."""
     truth: WorldState
+    told: Told
+    tracking: RecordArray
+    """`TrackingRecord`: how each UAV is off what it is told. Shape (worlds, UAVs); (worlds, 0) where nobody is disturbed."""
     received: FloatArray
     """The detections that reach each UAV at this tick, in the order of arrival. Shape (worlds, UAVs, room, MESSAGE_SIZE)."""
     arrived: IntArray

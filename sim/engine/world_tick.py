@@ -25,9 +25,17 @@ from sim.kernels.compile import FloatArray, IntArray, borrowing, inlined
 from sim.kernels.records import RecordArray
 from sim.models.detection import detect
 from sim.models.field import accumulate, accumulate_with_gain, coverage_error
+from sim.models.inner_loop import step_error
 from sim.models.motion import NO_MOTION, follow_on, motion_command
-from sim.models.randomness import DETECTION_CHANCE, DETECTION_NOISE, WordArray, key_of
+from sim.models.randomness import (
+    DETECTION_CHANCE,
+    DETECTION_NOISE,
+    DISTURBANCE,
+    WordArray,
+    key_of,
+)
 from sim.models.vehicles import brake, norm, step_vehicle, within_walls
+from sim.models.wind import draw_disturbance
 
 
 @borrowing
@@ -218,21 +226,59 @@ def receive_commands(t: BatchTables, s: BatchState, k: int) -> None:
                     flown.begins, flown.plain = NO_MOTION, 1
         if t.receivers[v]:
             motions, flying, u_max = s.motions[k, v], s.flown[k, v], t.bounds[v, 1]
-            moving = s.truth.velocity[k, v]
+            moving = s.told.velocity[k, v]
             if _fly_motion(w, motions, flying, acting[v], moving, tick, u_max):
                 continue
         if tick - answered[v] > w.hold_ticks:
-            v_x, v_y = s.truth.velocity[k, v, 0], s.truth.velocity[k, v, 1]
+            v_x, v_y = s.told.velocity[k, v, 0], s.told.velocity[k, v, 1]
             acting[v, 0], acting[v, 1] = brake(v_x, v_y, t.bounds[v, 1], w.dt)
 
 
 @inlined
+def draw_disturbances(t: BatchTables, s: BatchState, k: int) -> None:
+    """Draw what acts on each UAV beside its commands in the coming tick."""
+    for u in range(t.disturbances.shape[0]):
+        key = key_of(s.keys[k], DISTURBANCE, t.escorts[u, 0])
+        draw_disturbance(t.disturbances, s.tracking[k], u, key, s.ticks[k])
+
+
+@borrowing
+def put_off(
+    position: FloatArray,
+    velocity: FloatArray,
+    told_position: FloatArray,
+    told_velocity: FloatArray,
+    escorts: IntArray,
+    tracking: RecordArray,
+) -> None:
+    """Let every vehicle truly be where it is told that it is, and every UAV off that by its error."""
+    for v in range(position.shape[0]):
+        for i in range(2):
+            position[v, i], velocity[v, i] = told_position[v, i], told_velocity[v, i]
+    for u in range(escorts.shape[0]):
+        a, off = escorts[u, 0], tracking[u]
+        position[a, 0] += off.x
+        position[a, 1] += off.y
+        velocity[a, 0] += off.v_x
+        velocity[a, 1] += off.v_y
+
+
+@inlined
 def move(t: BatchTables, s: BatchState, k: int) -> None:
-    """To the next tick: everybody moves (1), the UAVs look at the ground (3) and at their UGVs."""
+    """To the next tick: everybody moves (1), the UAVs look at the ground (3) and at their UGVs.
+
+    Commands lead to where the vehicles are told that they are; a UAV that wind or a wrong own position takes from there
+    is truly elsewhere.
+    """
     w = t.world[0]
     s.ticks[k] += 1
-    truth = truth_of(s.truth, k)
-    _move(w, truth.position, truth.velocity, truth.acceleration, t.bounds, truth.commands)
+    truth, there, moving = truth_of(s.truth, k), s.told.position[k], s.told.velocity[k]
+    _move(w, there, moving, truth.acceleration, t.bounds, truth.commands)
+    if t.disturbances.shape[0] > 0:
+        for u in range(t.disturbances.shape[0]):
+            row = t.disturbances[u]
+            step_error(row.position_gain, row.velocity_gain, row.reserve, s.tracking[k], u, w.dt)
+        put_off(truth.position, truth.velocity, there, moving, t.escorts, s.tracking[k])
     _see(w, truth.position, t.escorts, truth.coverage, truth.gains)
     detect_all(w, s.keys[k], s.ticks[k], truth.position, t.escorts, truth.detections)
 
@@ -271,5 +317,6 @@ def world_tick(t: BatchTables, s: BatchState, k: int, linked: bool) -> None:
     """
     if linked:
         receive_commands(t, s, k)
+    draw_disturbances(t, s, k)
     move(t, s, k)
     deliver_detections(t, s, k)

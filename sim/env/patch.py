@@ -57,7 +57,9 @@ def sample(
 
 
 class OwnMaps:
-    """The ground that each UAV has seen itself. One UAV's map is the world's; each of several has one of its own.
+    """The ground that each UAV has seen itself.
+
+    One UAV's map is the world's, if it truly is where it is told that it is; each of several has one of its own.
 
     Args:
         world: At its start.
@@ -65,7 +67,8 @@ class OwnMaps:
     """
 
     def __init__(self, world: World, *, needed: bool) -> None:
-        self._shared = not needed or len(world.uavs) == 1
+        own = len(world.uavs) > 1 or world.scenario.disturbed
+        self._shared = not (needed and own)
         self._maps = [] if self._shared else [world.coverage.copy() for _ in world.uavs]
 
     def look(self, world: World) -> None:
@@ -74,12 +77,12 @@ class OwnMaps:
             return
         w = world.parameters
         for own, (uav, _) in zip(self._maps, world.escorts, strict=True):
-            x, y = world.position[uav].tolist()
+            x, y = world.told.position[uav].tolist()
             accumulate(own, x, y, w.sensor, w.peak, w.reach, w.cell, w.dt)
 
     def patch(self, escort: int, world: World, patch: CoveragePatch) -> FloatArray:
         """The picture around one UAV, row 0 in the south. Shape (pixels, pixels)."""
-        x, y = world.position[world.escorts[escort, 0]].tolist()
+        x, y = world.told.position[world.escorts[escort, 0]].tolist()
         picture = np.empty((patch.pixels, patch.pixels))
         w = world.parameters
         own = world.coverage if self._shared else self._maps[escort]

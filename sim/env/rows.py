@@ -309,8 +309,8 @@ def _observe_uav(
     """Write the row of UAV u: of several detections the newest, the pilots over the bus use them all."""
     row, received, dt = s.uav_rows[k, u], bs.received[k, u], bt.world[0].dt
     position, velocity = (
-        bs.truth.position[k, bt.escorts[u, 0]],
-        bs.truth.velocity[k, bt.escorts[u, 0]],
+        bs.told.position[k, bt.escorts[u, 0]],
+        bs.told.velocity[k, bt.escorts[u, 0]],
     )
     time, newest = bs.ticks[k] * dt, s.uavs[k, u, UAV_METRICS.newest]
     row[UAV.time], row[UAV.x], row[UAV.y] = time, position[0], position[1]

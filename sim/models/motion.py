@@ -45,12 +45,18 @@ class MotionRecord(NamedTuple):
     """By the receiver, of what it flies: 1 where commands that carry no motion act."""
     checked: int
     """By the pilot: 1 if sight is kept on it, as long as the next one begins in time."""
+    end_x: float
+    end_y: float
+    end_radius: float
+    end_tick: int
+    """By the pilot: the disc around where it ends, in which the UGV surely was in that tick [m]; infinite: none is known."""
 
 
 def no_motions(*shape: int) -> RecordArray:
     """Empty rows of `MotionRecord`."""
     rows = np.zeros(shape, dtype=record_type(MotionRecord))
     rows["begins"] = rows["parent"] = NO_MOTION
+    rows["end_radius"] = np.inf
     return rows
 
 

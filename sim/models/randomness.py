@@ -29,10 +29,11 @@ DETECTION_LINK = 3
 COMMAND_LINK = 4
 OPERATOR_LINK = 5
 RADIO_LINK = 6
-RUN_PURPOSES = 7
+DISTURBANCE = 7
+RUN_PURPOSES = 8
 """How many there are."""
 
-# Purposes of draws that share a key, a pilot's or a link's. A number, once given, stays.
+# Purposes of draws that share a key: a pilot's, a link's, or that of wind and own position. A number, once given, stays.
 NEAREST_POINT = 16
 START_DIRECTION = 17
 WANDER = 18
@@ -40,6 +41,8 @@ LINK_LOSS = 19
 LINK_STATE = 20
 LINK_DELAY = 21
 LINK_TRACE = 22
+GUST = 23
+OWN_POSITION = 24
 
 _MASK = np.uint64(0xFFFFFFFF)
 _HALF = np.uint64(32)

@@ -27,6 +27,7 @@ from bus.messages import (
 )
 from bus.registry import DEFAULT_DRIVER
 from sim.channel.recorded import RecordedLink
+from sim.models.inner_loop import InnerLoop
 from sim.models.vehicles import stopping_distance
 
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
@@ -67,6 +68,41 @@ class Detections(_Table, frozen=True, kw_only=True):
     """Share of looks that fail for no reason."""
 
 
+class Wind(_Table, frozen=True, kw_only=True):
+    """The wind, as it accelerates each UAV; without a mean and gusts there is none. No vehicle is told of it."""
+
+    mean: Vector = (0.0, 0.0)
+    """[m/s²]"""
+    gust: NonNegative = 0.0
+    """Standard deviation per axis around the mean [m/s²]; each UAV has gusts of its own."""
+    gust_time: Positive = 2.0
+    """After this time a third of a gust is left [s]."""
+    limit: NonNegative | None = None
+    """Largest acceleration [m/s²], at which mean and gust together are cut; by default that of the mean and 3 gusts."""
+
+    @property
+    def largest(self) -> float:
+        """The largest acceleration [m/s²]."""
+        most = math.hypot(*self.mean) + 3.0 * self.gust
+        return most if self.limit is None or most == 0.0 else self.limit
+
+
+class Tracking(_Table, frozen=True, kw_only=True):
+    """A UAV's inner loop, which holds it to what its commands lead to, where wind or a wrong own position take it off."""
+
+    position_gain: Positive = 1.0
+    """Acceleration by the error of the position [1/s²]."""
+    velocity_gain: Positive = 2.0
+    """And by that of the velocity [1/s]."""
+    reserve: Positive = 0.5
+    """Largest acceleration for this, beyond max_acceleration [m/s²]."""
+
+    @property
+    def loop(self) -> InnerLoop:
+        """The same for the models."""
+        return InnerLoop(self.position_gain, self.velocity_gain, self.reserve)
+
+
 class Uav(_Table, frozen=True, kw_only=True):
     """A UAV at the start."""
 
@@ -76,6 +112,11 @@ class Uav(_Table, frozen=True, kw_only=True):
     velocity: Vector = (0.0, 0.0)
     max_speed: Bound = 0.6
     max_acceleration: Bound = 0.3
+    own_error: NonNegative = 0.0
+    """Largest error of its own position [m]. The error drifts; the inner loop cannot tell it from one of its own."""
+    own_error_time: Positive = 30.0
+    """After this time a third of that error is left [s]."""
+    tracking: Tracking = Tracking()
 
 
 class Ugv(_Table, frozen=True, kw_only=True):
@@ -123,6 +164,9 @@ class Certificate(_Table, frozen=True, kw_only=True):
     outage: NonNegative | None = None
     """From the beginning of a motion to that of the next at most, B [s]. Where it is given, the UAVs' commands carry motions,
     which their receivers fly on while commands are lost; by default they carry none, but where a `risk` is given."""
+    tracking: NonNegative | None = None
+    """How far a UAV truly is at most from where it is told that it is, w [m]; by default what wind, own_error and tracking
+    can bring about: 0 without wind and own_error."""
 
 
 class Custom(_Table, frozen=True, kw_only=True):
@@ -212,6 +256,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     visibility: Visibility = Visibility()
     coverage: Coverage = Coverage()
     detections: Detections = Detections()
+    wind: Wind = Wind()
     estimator: Estimator = Estimator()
     links: LinkTable = LinkTable()
     certificate: Certificate = Certificate()
@@ -229,6 +274,11 @@ class Scenario(_Table, frozen=True, kw_only=True):
     def vehicles(self) -> tuple[Uav | Ugv, ...]:
         """All vehicles in name order, which is the order of every array."""
         return tuple(sorted((*self.uav, *self.ugv), key=lambda vehicle: vehicle.name))
+
+    @property
+    def disturbed(self) -> bool:
+        """True if wind or a wrong own position takes a UAV from where it is told that it is."""
+        return self.wind.largest > 0.0 or any(uav.own_error > 0.0 for uav in self.uav)
 
     @property
     def detection_period(self) -> int:

@@ -10,6 +10,7 @@ from bus.keys import STAFF
 from bus.messages import LinkKind
 from sim.channel.description import least_ticks, link_faults, link_parameters
 from sim.input.faults import Fault, is_whole
+from sim.models.inner_loop import needed_reserve, tracking_error
 from sim.scenario.types import Scenario, Uav, Ugv
 
 Check = Callable[[Scenario], Iterator[Fault]]
@@ -235,6 +236,40 @@ def ugv_is_seen_at_start(s: Scenario) -> Iterator[Fault]:
             )
 
 
+def wind_is_possible(s: Scenario) -> Iterator[Fault]:
+    """The wind's mean is within its limit."""
+    mean, limit = math.hypot(*s.wind.mean), s.wind.limit
+    if limit is not None and mean > limit * (1.0 + _ROUNDING):
+        allowed = f"up to wind.limit = {limit:g} m/s²"
+        yield Fault("wind.mean", s.wind.mean, f"an acceleration of {mean:.4g} m/s²", allowed)
+
+
+def inner_loops_hold(s: Scenario) -> Iterator[Fault]:
+    r"""Where something acts on a UAV, its inner loop is stable at dt and has the acceleration that it needs.
+
+    $z^2 - (2 - k_d dt - k_p dt^2 / 2) z + 1 - k_d dt + k_p dt^2 / 2$ has its roots within the unit circle if
+    $k_d dt < 2$ and $k_p dt < 2 k_d$, by Jury's criterion.
+    """
+    for k, uav in enumerate(s.uav):
+        path, loop, wind = f"uav.{k}.tracking", uav.tracking.loop, s.wind.largest
+        k_p, k_d = loop.position_gain, loop.velocity_gain
+        if wind == 0.0 and uav.own_error == 0.0:
+            continue
+        unstable = f"the inner loop is unstable at dt = {s.dt:g} s"
+        needed = needed_reserve(loop, wind, uav.own_error, s.dt)
+        if k_d * s.dt >= 2.0:
+            yield Fault(f"{path}.velocity_gain", k_d, unstable, f"less than {2.0 / s.dt:g} 1/s")
+        elif k_p * s.dt >= 2.0 * k_d:
+            limit = f"less than 2 velocity_gain / dt = {2.0 * k_d / s.dt:g} 1/s²"
+            yield Fault(f"{path}.position_gain", k_p, unstable, limit)
+        elif math.isinf(needed):
+            yield Fault(f"{path}.position_gain", k_p, "the inner loop is too slow", "larger ones")
+        elif math.isinf(tracking_error(loop, wind, uav.own_error, s.dt)):
+            wrong = f"cannot hold a wind of {wind:g} m/s² and an own_error of {uav.own_error:g} m"
+            allowed = f"{needed + 5e-4:.3f} m/s² or more"
+            yield Fault(f"{path}.reserve", loop.reserve, wrong, allowed)
+
+
 def links_are_possible(s: Scenario) -> Iterator[Fault]:
     """Each link can be what it says, and belongs to a vehicle."""
     names, traces = [vehicle.name for _, vehicle in vehicles(s)], s.links.traces
@@ -277,6 +312,8 @@ WORLD_CHECKS: tuple[Check, ...] = (
     starts_are_within_bounds,
     uav_is_stronger,
     ugv_is_seen_at_start,
+    wind_is_possible,
+    inner_loops_hold,
     links_are_possible,
     commands_act,
 )

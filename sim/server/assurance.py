@@ -45,6 +45,10 @@ class Assumptions:
         self._delay = in_ticks(certificate.delay, dt)
         outage = certificate.outage
         self._outage = None if outage is None else math.floor(outage / dt + DUST)
+        self._tracking = math.inf
+        if certificate.tracking is not None:
+            self._tracking = certificate.tracking + _ROUNDING
+        self._tracked = True
         self._begun = self._delay - 1  # that of the motion that is flown; at first of the rest
         self.longest_outage = 0
         """The longest time from the beginning of a motion to that of the next so far [ticks]."""
@@ -58,6 +62,13 @@ class Assumptions:
         """A filter begins that remembers no detection."""
         self._newest = -math.inf
         self._exact = True
+
+    def track(self, off: float) -> None:
+        """The UAV truly is so far from where it is told that it is [m].
+
+        Once that is farther than declared, what is seen from there may be wrong for as long as it is remembered.
+        """
+        self._tracked = self._tracked and off <= self._tracking
 
     def send(self, answered: int, acceleration: Vector) -> None:
         """The UAV's command [m/s²] for this tick has set out."""
@@ -83,9 +94,10 @@ class Assumptions:
     def hold(self, tick: int) -> bool:
         """True if they hold at this tick.
 
-        The newest detection's age, all detections' errors, the command or motion that acted just before.
+        The newest detection's age, all detections' errors and own positions, the command or motion that acted just
+        before.
         """
-        return self._exact and self._obeyed and tick - self._newest <= self._age
+        return self._exact and self._tracked and self._obeyed and tick - self._newest <= self._age
 
 
 class Assurance:
@@ -115,9 +127,13 @@ class Assurance:
             one.name for one in scenario.vehicles if isinstance(one, Uav)
         ]  # rows as the world's
         self._radius, self._dt = scenario.visibility.radius, scenario.dt
+        self.tracking_error = 0.0
+        """The farthest that a UAV was from where it was told that it is [m]."""
+        self._disturbed = scenario.disturbed
         bounds = [declared(scenario, uav) for uav in uavs]
         self._outage = max((b.outage for b in bounds if b.outage is not None), default=None)
         self._assumptions = [Assumptions(one, scenario.dt) for one in bounds]
+        self._tracking = max(math.inf if b.tracking is None else b.tracking for b in bounds)
         self._promised = [False] * len(uavs)
         """True where the tick before was certified, and nothing excuses that this one is not."""
         self._last = [_NOBODY] * len(uavs)
@@ -133,6 +149,11 @@ class Assurance:
             acceleration: [m/s²]
         """
         self._assumptions[uav].send(answered, acceleration)
+
+    def track(self, uav: int, off: float) -> None:
+        """A UAV truly is so far from where it is told that it is at the tick that is taken next [m]."""
+        self.tracking_error = max(self.tracking_error, off)
+        self._assumptions[uav].track(off)
 
     def excuse(self, uav: int) -> None:
         """This UAV's certificate may end at the coming tick: its law has changed, or its process has joined again."""
@@ -209,4 +230,6 @@ class Assurance:
             certificate_broken=self.certificate_broken,
             outage=self._outage,
             longest_outage=None if self._outage is None else longest * self._dt,
+            tracking=self._tracking if self._disturbed and math.isfinite(self._tracking) else None,
+            tracking_error=self.tracking_error if self._disturbed else None,
         )

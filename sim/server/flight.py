@@ -302,7 +302,7 @@ class Flight:
         Args:
             name: The vehicle.
             tick: When.
-            state: Its position [m] and velocity [m/s].
+            state: Its position [m] and velocity [m/s], as it is told them.
             looks: What a UAV has detected.
             radio: What a UGV has heard.
             flown: The motion that a UAV's receiver flew in the tick before; None: none.
@@ -341,7 +341,7 @@ class Flight:
         self._listen()
         world = self.world
         tick, over, dt = world.tick, self.over, world.parameters.dt
-        positions, velocities = world.position.tolist(), world.velocity.tolist()
+        positions, velocities = (array.tolist() for array in world.told)
         seen: dict[str, Observation] = {}
         for k, name in enumerate(world.names):
             row = self._uav_row.get(name)
@@ -366,7 +366,7 @@ class Flight:
             unheard: Ticks whose observation it was not sent: of those it is told its own motion, law and driver
                 and nothing else.
         """
-        states = self.recorder.states[begin:end, self._rows[name], :4].tolist()
+        states = self.recorder.told[begin:end, self._rows[name]].tolist()
         looks: dict[int, tuple[Detection, ...]] = {}
         radio: dict[int, tuple[RelativeInformation, ...]] = {}
         if name in self._uav_row:
@@ -485,6 +485,9 @@ class Flight:
                 p_a, p_g = there[a], there[g]
                 error = math.hypot(x - (p_a[0] - p_g[0]), y - (p_a[1] - p_g[1]))
                 arrivals.append(Arrival(taken, error))
+            if self.scenario.disturbed:
+                (x, y), (t_x, t_y) = states[tick, a, :2], self.recorder.told[tick, a, :2]
+                self._assurance.track(uav, math.hypot(x - t_x, y - t_y))
             self._assurance.take(
                 uav,
                 tick,

@@ -79,11 +79,14 @@ class Recorder:
         )  # distance, e, detection, estimate, certified, bound
         self._truth = world.arrays[0].world, world.escorts, world.state
         self._take_down = entry_point(_take_down, *self._truth, self._states, self._escorts, 0)
+        told = vehicles if world.scenario.disturbed else 0
+        self._told: FloatArray = np.empty((_ROOM, told, 4))
 
     def _make_room(self, k: int) -> None:
         if k == len(self._states):
             self._states = np.concatenate((self._states, np.empty_like(self._states)))
             self._escorts = np.concatenate((self._escorts, np.empty_like(self._escorts)))
+            self._told = np.concatenate((self._told, np.empty_like(self._told)))
 
     def record(self, reports: list[UavReport | None]) -> None:
         """Take down the state at this tick and, with it, what was applied and reported during the one before.
@@ -98,6 +101,8 @@ class Recorder:
             return
         self._make_room(k)
         self._take_down(*self._truth, self._states, self._escorts, k)
+        if self._told.size:
+            self._told[k, :, 0:2], self._told[k, :, 2:4] = self._world.told
         if k:
             for uav, report in enumerate(reports):
                 if report is not None:
@@ -113,6 +118,19 @@ class Recorder:
         The last row of a flight that is over has no acceleration: NaN.
         """
         return self._states[: self.rows]
+
+    @property
+    def told(self) -> FloatArray:
+        """Position [m] and velocity [m/s] as each vehicle is told them, shape (rows, vehicles, 4): mostly the truth."""
+        return self._told[: self.rows] if self._told.size else self.states[:, :, :4]
+
+    @property
+    def tracking_error(self) -> float | None:
+        """The farthest that a UAV was from where it was told that it is [m]; None where nothing takes it from there."""
+        if not self._told.size:
+            return None
+        off = self.states[:, :, :2] - self.told[:, :, :2]
+        return float(np.hypot(off[..., 0], off[..., 1]).max())
 
     @property
     def escorts(self) -> FloatArray:

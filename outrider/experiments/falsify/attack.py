@@ -51,10 +51,12 @@ from sim.engine.world_tick import (
     begin_world,
     deliver_detections,
     move,
+    put_off,
     receive_commands,
     truth_of,
 )
-from sim.kernels.compile import FloatArray, borrowing, compiled, released
+from sim.kernels.compile import FloatArray, IntArray, borrowing, compiled, released
+from sim.models.inner_loop import InnerLoop, needed_reserve, tracking_error
 from sim.models.motion import keep_motion
 from sim.models.randomness import draw
 from sim.models.vehicles import Motion, brake, clip_norm, norm
@@ -64,10 +66,12 @@ from sim.scenario.types import (
     Detections,
     LinkTable,
     Scenario,
+    Tracking,
     Uav,
     Ugv,
     VehicleLinks,
     Visibility,
+    Wind,
 )
 
 FILTER, SWITCH_SERVO, SWITCH_BEST, SWITCH_TRACKING, PAPER = range(5)
@@ -101,6 +105,9 @@ AREAS = ("open", "corner", "small")
 
 In a room of 9 m by 7 m, at the paper's radius.
 """
+WINDS = ("outward", "constant", "random", "pumping", "turns", "flips")
+"""Where wind and own position drive the UAV: away from the UGV; one way; another way now and then; the way that it is going,
+off its reference; the way that it accelerates; towards the UGV while that is detected, and then away."""
 DISTURBANCES = ("none", "single_losses", "silences", "late", "law_changes", "rejoins")
 """The disturbances that break A5 now and then: a command that is lost; none for up to `silence`.
 
@@ -166,6 +173,16 @@ class Conditions(NamedTuple):
     """Longest time from the beginning of a motion to that of the next, B; 0: commands carry no motions."""
     losses: int = 0
     """Which motions are lost, an index of `LOSSES`; never more than B allows."""
+    wind: float = 0.0
+    """Largest acceleration of the wind, W [m/s²]."""
+    own_error: float = 0.0
+    """Largest error of the own position, eps_a [m]."""
+    gains: tuple[float, float] = (1.0, 2.0)
+    """Of the inner loop, k_p [1/s²] and k_d [1/s]; its reserve is just what it needs."""
+    jumps: float = 0.0
+    """How far the UAV is off what it is told, anywhere at any tick, without an inner loop [m]; 0: with one."""
+    blows: int = ANY
+    """How wind, own position and jumps are directed, an index of `WINDS`."""
     radius: float = 0.0
     """Of the laws that switch [m]."""
     r_v: float = 4.75
@@ -285,6 +302,82 @@ def _error(
 
 
 @compiled
+def _push(
+    kind: int,
+    dark: int,
+    x: float,
+    y: float,
+    off: FloatArray,
+    held: FloatArray,
+    acting: FloatArray,
+) -> tuple[float, float]:
+    """Where wind and own position drive the UAV, a unit vector.
+
+    Args:
+        kind: An index of `WINDS`.
+        dark: Ticks for which nothing is detected yet.
+        x, y: The true p_a - p_g [m].
+        off: The velocity at which it leaves its reference [m/s].
+        held: The adversary's memory.
+        acting: The UAV's last command [m/s²].
+    """
+    e_x, e_y = _direction(x, y)
+    if kind == 0:
+        return e_x, e_y
+    if kind <= 2:
+        return math.cos(held[7]), math.sin(held[7])
+    if kind == 3:
+        return _direction(off[0], off[1]) if norm(off[0], off[1]) > 0.0 else (e_x, e_y)
+    if kind == 4:
+        return _direction(acting[0], acting[1])
+    return (e_x, e_y) if dark > 0 else (-e_x, -e_y)
+
+
+@borrowing
+def _disturb(
+    c: Conditions,
+    s: BatchState,
+    random: npt.NDArray[np.uint64],
+    kind: int,
+    dark: int,
+    x: float,
+    y: float,
+    held: FloatArray,
+    off: FloatArray,
+) -> int:
+    """Set what acts on the UAV beside its commands in the coming tick; how the next one is directed.
+
+    Arguments as in `_push`; `off` is room for a vector.
+    """
+    if next_share(random) < 0.02:
+        held[7] = 2.0 * math.pi * next_share(random) if kind == 2 else held[7]
+        if c.blows < 0 and next_share(random) < 0.1:
+            kind = _choose(random, c.blows, len(WINDS))
+    row = s.tracking[0, 0]
+    off[0], off[1] = row.v_x, row.v_y
+    w_x, w_y = _push(kind, dark, x, y, off, held, s.truth.commands[0, 0])
+    strength = 1.0 if c.jumps > 0.0 else c.wind
+    row.wind_x, row.wind_y = strength * w_x, strength * w_y
+    row.own_x, row.own_y = -c.own_error * w_x, -c.own_error * w_y
+    return kind
+
+
+@borrowing
+def _jump(c: Conditions, s: BatchState, escorts: IntArray) -> None:
+    """Put the UAV off what it is told, the way that its wind blows."""
+    row = s.tracking[0, 0]
+    row.x, row.y, row.v_x, row.v_y = c.jumps * row.wind_x, c.jumps * row.wind_y, 0.0, 0.0
+    put_off(
+        s.truth.position[0],
+        s.truth.velocity[0],
+        s.told.position[0],
+        s.told.velocity[0],
+        escorts,
+        s.tracking[0],
+    )
+
+
+@compiled
 def _redraw(random: npt.NDArray[np.uint64], held: FloatArray, u: float) -> None:
     angle, strength = 2.0 * math.pi * next_share(random), u * min(1.0, 2.0 * next_share(random))
     held[0], held[1] = strength * math.cos(angle), strength * math.sin(angle)
@@ -392,7 +485,7 @@ def fly_one(
         memory: Of the filter.
         promise: The declared numbers; the laws that switch use its bounds only.
         conditions: Who guards and who attacks.
-        work: Room for what the adversaries remember, for two states and the commands of the last ticks. (6 + _RING, 8)
+        work: Room for what the adversaries remember, for two states and the commands of the last ticks. (6 + _RING, 10)
         random: State of the adversary's draws. (1,)
         ticks: Length of the run.
         result: Filled: largest distance [m]; largest d - d_cert [m]; share of ticks with an intervention, and of
@@ -436,6 +529,12 @@ def fly_one(
     )
     for i, away in ((0, far * math.cos(angle)), (1, far * math.sin(angle))):
         position[0, i] = min(max(position[1, i] + away, 0.0), w.width if i == 0 else w.height)
+    disturbed, blows = s.tracking.shape[1] > 0, 0
+    if disturbed:
+        for k in range(2):
+            for i in range(2):
+                s.told.position[0, k, i] = position[k, i]
+        g[7], blows = 2.0 * math.pi * next_share(random), _choose(random, c.blows, len(WINDS))
     begin_guard(memory)
     begin_world(tables, s, 0)
     dark, since_seen, last_break, certified_before, first_seen, seen_ticks = (
@@ -456,9 +555,10 @@ def fly_one(
     a[7] = ALIVE
     for tick in range(ticks + 1):
         t = tick * dt
-        p_x, p_y, v_x, v_y = now[0, 0], now[0, 1], now[0, 2], now[0, 3]
+        p_x, p_y = s.told.position[0, 0, 0], s.told.position[0, 0, 1]
+        v_x, v_y = s.told.velocity[0, 0, 0], s.told.velocity[0, 0, 1]
         q_x, q_y, w_x, w_y = now[1, 0], now[1, 1], now[1, 2], now[1, 3]
-        x, y = p_x - q_x, p_y - q_y
+        x, y = now[0, 0] - q_x, now[0, 1] - q_y
         d = norm(x, y)
         # what has reached the UAV's computer
         if away_ticks == 0:
@@ -584,7 +684,11 @@ def fly_one(
             for i in range(4):
                 before[k, i] = now[k, i]
         receive_commands(tables, s, 0)
+        if disturbed:
+            blows = _disturb(c, s, random, blows, dark, x, y, g, a[8:])
         move(tables, s, 0)
+        if c.jumps > 0.0:
+            _jump(c, s, tables.escorts)
         truth = truth_of(s.truth, 0)
         _keep_states(s, now)
         x, y = now[0, 0] - now[1, 0], now[0, 1] - now[1, 1]
@@ -595,7 +699,7 @@ def fly_one(
                 dark = 1 + int(next_share(random) * b_ticks)
             elif c.blackout == 3 and norm(x, y) > 0.6 * c.r_v and next_share(random) < 0.2:
                 dark = b_ticks
-        n_x, n_y = _error(error, random, tick, p.eps * c.error_share, x, y, g)
+        n_x, n_y = _error(error, random, tick, p.error * c.error_share, x, y, g)
         since_seen = 1
         if dark > 0:
             dark -= 1
@@ -634,6 +738,26 @@ def area_of(conditions: Conditions) -> tuple[float, float]:
     return width * conditions.r_v / 4.75, height * conditions.r_v / 4.75
 
 
+def _strength(conditions: Conditions) -> float:
+    """The wind [m/s²]; of jumps a unit, which the jumps scale."""
+    return 1.0 if conditions.jumps else conditions.wind
+
+
+def _inner_loop(conditions: Conditions, dt: float) -> Tracking:
+    """The UAV's inner loop, with just the reserve that it needs."""
+    c, (k_p, k_d) = conditions, conditions.gains
+    needed = needed_reserve(InnerLoop(k_p, k_d, math.inf), _strength(c), c.own_error, dt)
+    return Tracking(position_gain=k_p, velocity_gain=k_d, reserve=needed or 1.0)
+
+
+def farthest_off(conditions: Conditions, dt: float) -> float:
+    """How far the UAV is off what it is told at most, w [m]; at a tick of dt [s]."""
+    c = conditions
+    if c.jumps:
+        return c.jumps
+    return tracking_error(_inner_loop(c, dt).loop, c.wind, c.own_error, dt)
+
+
 def scenario_of(promise: Promise, conditions: Conditions) -> Scenario:
     """The world that is flown: no noise and no dropouts, as the adversary makes them.
 
@@ -658,7 +782,16 @@ def scenario_of(promise: Promise, conditions: Conditions) -> Scenario:
         coverage=Coverage(),
         detections=Detections(rate=1.0 / p.dt),
         links=LinkTable(only=(VehicleLinks(vehicle="uav_0", detections=looks, commands=commands),)),
-        uav=(Uav(position=(0.0, 0.0), max_speed=p.v_a, max_acceleration=p.u_a),),
+        wind=Wind(mean=(_strength(c), 0.0)),
+        uav=(
+            Uav(
+                position=(0.0, 0.0),
+                max_speed=p.v_a,
+                max_acceleration=p.u_a,
+                own_error=c.own_error,
+                tracking=_inner_loop(c, p.dt),
+            ),
+        ),
         ugv=(
             Ugv(
                 position=(0.0, 0.0),
@@ -690,7 +823,7 @@ def attack(
     memory = guard_state(promise, max(1, late))
     results, work, random = (
         np.empty((runs, RESULTS)),
-        np.zeros((6 + _RING, 8)),
+        np.zeros((6 + _RING, 10)),
         np.empty(1, np.uint64),
     )
     for k in range(runs):
@@ -742,6 +875,7 @@ def declared(
             height=height,
             hold=c.hold,
             outage=c.outage or None,
+            tracking=farthest_off(c, numbers["dt"]),
         )
     )
 
@@ -838,10 +972,33 @@ def _lossy() -> Iterator[Conditions]:
             yield Conditions(outage=outage, delay=delay, losses=ANY, disturbance=kind, silence=2.0)
 
 
+def _windy() -> Iterator[Conditions]:
+    """Wind, a wrong own position and jumps, with darkness, walls, delays and lost motions."""
+    pushes = [
+        Conditions(wind=wind, own_error=own, gains=gains)
+        for (wind, own), gains in itertools.product(
+            ((0.05, 0.0), (0.3, 0.0), (0.1, 0.2), (0.0, 0.4)), ((1.0, 2.0), (1.0, 0.4), (4.0, 3.0))
+        )
+    ]
+    pushes += [Conditions(jumps=jumps) for jumps in (0.1, 0.5)]
+    places = itertools.product(range(len(AREAS)), ((0.0, 0), (5.0, 3)), (0.0, 0.3), (0.0, 2.0))
+    for push, (area, (dark, blackout), delay, outage) in itertools.product(pushes, places):
+        yield push._replace(
+            area=area,
+            blackout=blackout,
+            blackout_time=dark,
+            delay=delay,
+            outage=outage,
+            losses=ANY if outage else 0,
+            u_g=math.inf if area else 0.1,
+        )
+
+
 def grid() -> Iterator[tuple[Promise, Conditions]]:
     """All combinations of network, place, error, vehicles and broken assumptions for which there is a certificate."""
-    for conditions in itertools.chain(_networks(), _places(), _disturbed(), _lossy()):
-        plain = not (conditions.area or conditions.disturbance or conditions.outage)
+    for conditions in itertools.chain(_networks(), _places(), _disturbed(), _lossy(), _windy()):
+        pushed = conditions.wind or conditions.own_error or conditions.jumps
+        plain = not (conditions.area or conditions.disturbance or conditions.outage or pushed)
         for eps in EPS if plain else EPS[::2]:
             promise = declared(conditions, eps)
             if not math.isnan(promise.handover):

@@ -67,6 +67,9 @@ class Attacked:
 def kind(conditions: Conditions) -> str:
     """Names the place and the disturbance that breaks A5, or A5' where commands carry motions."""
     breaks = attack.DISTURBANCES[conditions.disturbance].replace("_", " ")
+    if conditions.wind or conditions.own_error or conditions.jumps:
+        lost = ", motions lost" if conditions.outage else ""
+        return f"{attack.AREAS[conditions.area]}, wind and own position{lost}"
     if conditions.outage:
         what = "A5' kept" if breaks == "none" else breaks
         return f"{attack.AREAS[conditions.area]}, motions lost, {what}"
@@ -155,7 +158,7 @@ def fly_attack(
     violated = rows[:, attack.CERTIFIED_LOST] > 0.0 if certifies else lost
     worst = int(np.argmax(distance / conditions.r_v))
     return Attacked(
-        eps=promise.eps,
+        eps=promise.error,
         bounds={
             name: getattr(promise, name)
             for name in ("v_a", "u_a", "v_g", "dt")
@@ -188,7 +191,7 @@ def _calls(
     for promise, conditions in attack.grid():
         if left <= 0:
             return
-        if eps is None or promise.eps == eps:
+        if eps is None or promise.error == eps:
             grid.append((promise, _guarded(control, promise, conditions)))
             left -= 1
             yield *grid[-1], seed, 0, 1, length(promise)

@@ -1,0 +1,166 @@
+r"""A UAV's inner loop, which keeps it near a reference that moves by (1), against wind and a wrong own position. SI units.
+
+The commands step the reference. The error x = p - p_reference has, in each tick,
+
+$$ \ddot x = u + w_a, \qquad u = -k_p (x + b) - k_d \dot x, \qquad \|u\| \le u_r $$
+
+with the wind's acceleration w_a and the error b of the own position, which the loop cannot tell from one of its own. The
+proof is in docs/explanation/certificate.md, "Wind, tracking and a wrong own position".
+"""
+
+import functools
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from sim.kernels.compile import FloatArray, borrowing
+from sim.kernels.records import RecordArray
+from sim.models.vehicles import clip_norm
+
+_ENOUGH = 1e-6
+"""The sum over a response ends where it has fallen to this share; what is left is bounded."""
+_MOST = 2**22
+"""Ticks after which a response must have died away."""
+_DUST = 1e-9
+"""The share by which a reserve may fall short of what is needed and still be that."""
+
+
+class InnerLoop(NamedTuple):
+    """The gains of an inner loop, and what it may use."""
+
+    position_gain: float
+    """k_p [1/s²]."""
+    velocity_gain: float
+    """k_d [1/s]."""
+    reserve: float
+    """u_r, beyond the bound of (1) [m/s²]."""
+
+
+class TrackingRecord(NamedTuple):
+    """The columns of a table: how each UAV is off its reference, and what acts on it in the coming tick."""
+
+    x: float
+    y: float
+    """True position less that of the reference [m]."""
+    v_x: float
+    v_y: float
+    """True velocity less that of the reference [m/s]."""
+    wind_x: float
+    wind_y: float
+    """The wind's acceleration [m/s²]."""
+    own_x: float
+    own_y: float
+    """Error of the own position as it is measured [m]."""
+    gust_x: float
+    gust_y: float
+    """The wind less its mean, before its limit [m/s²]."""
+    drift_x: float
+    drift_y: float
+    """The own position's error before its limit [m]."""
+
+
+class Responses(NamedTuple):
+    """The sums of the error's and the feedback's answers to one tick's acceleration, and the feedback's own at once."""
+
+    error: float
+    """[s²]"""
+    feedback: float
+    """Without unit."""
+
+
+@borrowing
+def step_error(
+    position_gain: float,
+    velocity_gain: float,
+    reserve: float,
+    tracking: RecordArray,
+    u: int,
+    dt: float,
+) -> None:
+    """Move the error on by a tick, exactly, as the accelerations are held over it.
+
+    Args:
+        position_gain: k_p [1/s²].
+        velocity_gain: k_d [1/s].
+        reserve: u_r [m/s²].
+        tracking: A table of `TrackingRecord`.
+        u: Its row that is changed.
+        dt: Length of the tick [s].
+    """
+    row = tracking[u]
+    u_x, u_y = clip_norm(
+        -position_gain * (row.x + row.own_x) - velocity_gain * row.v_x,
+        -position_gain * (row.y + row.own_y) - velocity_gain * row.v_y,
+        reserve,
+    )
+    a_x, a_y = u_x + row.wind_x, u_y + row.wind_y
+    row.x, row.y = (
+        row.x + (row.v_x + 0.5 * a_x * dt) * dt,
+        row.y + (row.v_y + 0.5 * a_y * dt) * dt,
+    )
+    row.v_x, row.v_y = row.v_x + a_x * dt, row.v_y + a_y * dt
+
+
+@functools.lru_cache(maxsize=256)
+def _responses(k_p: float, k_d: float, dt: float) -> Responses:
+    r"""The sums $\sum_k |h_k|$ of the answers to an acceleration of 1 m/s² in one tick, from the tick after it on.
+
+    Never too small: what is left out after n ticks, with $\|A^n\| = q$, is at most q / (1 - q) times the sum so far of the
+    states' largest components, for each row of the answer. Infinite if the loop is unstable, or slower than `_MOST` ticks.
+    """
+    if k_d * dt >= 2.0 or k_p * dt >= 2.0 * k_d:  # Jury's criterion: the loop is unstable
+        return Responses(math.inf, math.inf)
+    half = 0.5 * dt * dt
+    step: FloatArray = np.array([[1.0 - half * k_p, dt - half * k_d], [-dt * k_p, 1.0 - dt * k_d]])
+    states, power = np.array([[half, dt]]), step
+    while not (share := float(np.abs(power).sum(axis=1).max())) <= _ENOUGH:
+        if len(states) >= _MOST:
+            return Responses(math.inf, math.inf)
+        states, power = np.concatenate((states, states @ power.T)), power @ power
+    left = share / (1.0 - share) * float(np.abs(states).max(axis=1).sum())
+    return Responses(
+        error=float(np.abs(states[:, 0]).sum()) + left,
+        feedback=float(np.abs(states @ (k_p, k_d)).sum()) + (k_p + k_d) * left,
+    )
+
+
+def needed_reserve(loop: InnerLoop, wind: float, own_error: float, dt: float) -> float:
+    """The largest acceleration that the feedback of an inner loop ever asks for [m/s²]; infinite if it is unstable.
+
+    Arguments as in `tracking_error`; the loop's reserve is not looked at.
+    """
+    pushed = wind + loop.position_gain * own_error
+    if pushed == 0.0:
+        return 0.0
+    answer = _responses(loop.position_gain, loop.velocity_gain, dt).feedback
+    return loop.position_gain * own_error + answer * pushed
+
+
+def tracking_error(loop: InnerLoop, wind: float, own_error: float, dt: float) -> float:
+    r"""How far a UAV is at most from its reference at any time [m], whatever wind and own position do within their bounds.
+
+    $$ w = (W + k_p \epsilon_a) \sum_k |h_k| + (u + W) \frac{dt^2}{8} $$
+
+    h is the error's answer to an acceleration of 1 m/s² in one tick, u the largest feedback, and the last term what lies
+    between two ticks. Without an oscillation it is $W / k_p + \epsilon_a$ but for that term.
+
+    Args:
+        loop: Gains and reserve.
+        wind: Largest acceleration of the wind, W [m/s²].
+        own_error: Largest error of the own position, eps_a [m].
+        dt: Length of a tick [s].
+
+    Returns:
+        Infinite where the loop is unstable at this tick, or asks for more than its reserve.
+    """
+    pushed, most = (
+        wind + loop.position_gain * own_error,
+        needed_reserve(loop, wind, own_error, dt),
+    )
+    if pushed == 0.0:
+        return own_error
+    if not most <= loop.reserve * (1.0 + _DUST):
+        return math.inf
+    answer = _responses(loop.position_gain, loop.velocity_gain, dt).error
+    return answer * pushed + 0.125 * (most + wind) * dt * dt

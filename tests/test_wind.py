@@ -1,0 +1,287 @@
+"""Wind, tracking and a wrong own position: the truth is off what the UAV is told, by no more than w."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from flights import record, sha256, told
+from processes import run_json
+from worlds import LOSSY, SCENARIOS, small
+
+from agents.control.handover import certificate, check_assumptions
+from agents.control.promise import Declared
+from bus.errors import ScenarioError
+from bus.messages import UavObservation
+from outrider.envs.env_pilots import pilots
+from outrider.experiments.falsify import attack as a
+from outrider.running.flying import fly
+from outrider.running.promise import shortfalls
+from sim.engine.batch import Batch
+from sim.engine.world_state import no_tracking_errors
+from sim.env.parallel import parallel_env
+from sim.models.inner_loop import InnerLoop, needed_reserve, step_error, tracking_error
+from sim.scenario.checks import check_scenario
+from sim.scenario.types import Certificate, LinkTable, Tracking, Uav, Wind
+from sim.world import World
+
+WINDY = SCENARIOS["wind"]
+DT = 0.05
+LOOPS = [(1.0, 2.0), (1.0, 0.4), (4.0, 3.0), (0.2, 1.5)]
+"""Without oscillation, with much, with some, and slow: k_p [1/s²], k_d [1/s]."""
+
+
+def errors(loop: InnerLoop, wind: np.ndarray, own: np.ndarray, dt: float) -> np.ndarray:
+    """Where the error is under these winds and own positions, by tick: x, y [m] and the feedback's size [m/s²]."""
+    table, found = no_tracking_errors(1), []
+    row = table[0]
+    for (row["wind_x"], row["wind_y"]), (row["own_x"], row["own_y"]) in zip(wind, own, strict=True):
+        before = row["v_x"], row["v_y"]
+        step_error(*loop, table, 0, dt)
+        asked = [
+            (row[f"v_{axis}"] - was) / dt - row[f"wind_{axis}"]
+            for axis, was in zip("xy", before, strict=True)
+        ]
+        found.append((row["x"], row["y"], math.hypot(*asked)))
+    return np.array(found)
+
+
+# -- the bound
+
+
+@pytest.mark.parametrize("gains", LOOPS)
+@pytest.mark.parametrize(("wind", "own", "dt"), [(0.2, 0.0, DT), (0.1, 0.3, DT), (0.1, 0.3, 0.3)])
+def test_the_worst_wind_comes_to_the_bound_and_no_other_beyond(gains, wind, own, dt) -> None:
+    loop = InnerLoop(*gains, math.inf)
+    bound, ticks = tracking_error(loop, wind, own, dt), 1500
+    silent = np.zeros((ticks, 2))
+    kick = silent.copy()
+    kick[0, 0] = 1.0
+    answer = errors(loop, kick, silent, dt)[:, 0]
+    push = np.where(answer[::-1] >= 0.0, 1.0, -1.0)  # the last is answered first
+    way = np.array([0.6, 0.8])
+    worst = errors(loop, wind * push[:, None] * way, -own * push[:, None] * way, dt)
+    reached = math.hypot(*worst[-1, :2])
+    most = needed_reserve(loop, wind, own, dt)
+    between = 0.125 * (most + wind) * dt * dt
+    assert bound - between - 1e-4 < reached <= bound - between + 1e-9
+    assert worst[:, 2].max() <= most + 1e-9
+    rng = np.random.default_rng(1)
+    for period in (1, 7, 30):
+        angle = np.repeat(rng.uniform(0.0, 2.0 * math.pi, ticks), period)[:ticks]
+        blown = np.column_stack([np.cos(angle), np.sin(angle)])
+        found = errors(loop, wind * blown, -own * blown, dt)
+        assert np.hypot(found[:, 0], found[:, 1]).max() <= bound
+        assert found[:, 2].max() <= most + 1e-9
+
+
+def test_without_oscillation_the_bound_is_the_wind_by_the_gain_and_the_own_error() -> None:
+    loop = InnerLoop(1.0, 2.0, 5.0)
+    assert tracking_error(loop, 0.2, 0.3, 0.001) == pytest.approx(0.5, abs=1e-5)
+    assert tracking_error(loop, 0.0, 0.0, DT) == 0.0
+
+
+def test_the_reserve_that_is_needed_is_enough_and_less_is_not() -> None:
+    needed = needed_reserve(InnerLoop(1.0, 2.0, math.inf), 0.2, 0.1, DT)
+    assert math.isfinite(tracking_error(InnerLoop(1.0, 2.0, needed), 0.2, 0.1, DT))
+    assert tracking_error(InnerLoop(1.0, 2.0, 0.999 * needed), 0.2, 0.1, DT) == math.inf
+
+
+@pytest.mark.parametrize("gains", [(1.0, 41.0), (90.0, 2.0), (0.5, 0.0)])
+def test_an_unstable_loop_has_no_bound(gains) -> None:
+    assert tracking_error(InnerLoop(*gains, 1e6), 0.1, 0.0, DT) == math.inf
+
+
+# -- the certificate
+
+
+def test_w_is_taken_off_the_radius_and_added_to_the_error() -> None:
+    numbers = {"v_a": 0.6, "u_a": 0.3, "v_g": 0.2, "dt": DT, "age": 5.0}
+    with_w = certificate(Declared(r_v=4.75, eps=0.3, tracking=0.4, **numbers))
+    without = certificate(Declared(r_v=4.35, eps=0.7, **numbers))
+    assert with_w.handover == pytest.approx(without.handover, abs=1e-9)
+    assert with_w.reach == pytest.approx(without.reach, abs=1e-9)
+    (fault,) = check_assumptions(
+        certificate(Declared(r_v=4.75, eps=0.3, tracking=math.inf, **numbers))
+    )
+    assert fault.startswith("w = inf m")
+    (fault,) = check_assumptions(certificate(Declared(r_v=4.75, eps=0.3, tracking=2.5, **numbers)))
+    assert "eps 0.3 m, w 2.5 m" in fault
+
+
+PUSHED = [
+    (a.Conditions(wind=0.3), {"wind": 0.1}),
+    (a.Conditions(own_error=0.4), {"own_error": 0.1}),
+    (a.Conditions(wind=0.1, gains=(1.0, 0.4), blackout=3, blackout_time=5.0), {"wind": 0.02}),
+    (a.Conditions(jumps=0.5, delay=0.3, area=2, u_g=math.inf), {"jumps": 0.2}),
+    (a.Conditions(wind=0.3, outage=2.0, losses=a.ANY, area=1), {"wind": 0.1}),
+]
+
+
+@pytest.mark.parametrize("conditions", [conditions for conditions, _ in PUSHED])
+def test_no_certified_run_loses_sight_whatever_wind_and_own_position_do(conditions) -> None:
+    found = a.attack(a.declared(conditions, 0.3), conditions, 1, 0, 40, 60.0)
+    assert not found[:, a.CERTIFIED_LOST].any()
+    assert not found[:, a.BROKEN].any()
+    assert found[:, a.MAX_EXCESS].max() <= 1e-9
+    assert found[:, a.UNCERTIFIED].mean() < 0.1
+
+
+@pytest.mark.parametrize(("conditions", "less"), PUSHED)
+def test_a_w_that_is_declared_too_small_is_caught_by_the_attack(conditions, less) -> None:
+    promise = a.declared(conditions._replace(**less), 0.0)
+    found = a.attack(promise, conditions, 1, 0, 40, 60.0)
+    assert found[:, a.MAX_EXCESS].max() > 0.01
+    assert found[:, a.CERTIFIED_LOST].any() or found[:, a.BROKEN].any()
+
+
+# -- the world
+
+
+def test_without_wind_what_is_told_is_the_truth_itself() -> None:
+    state = Batch(SCENARIOS["certified"], 2).state
+    assert state.told.position is state.truth.position
+    assert state.told.velocity is state.truth.velocity
+    assert state.tracking.size == 0
+
+
+def test_wind_takes_the_uav_from_what_it_is_told_and_nothing_else() -> None:
+    flight, summary = fly(WINDY, 1)
+    off = flight.recorder.states[:, :, :4] - flight.recorder.told
+    declared = told(WINDY).certificate.tracking
+    assert 0.05 < np.hypot(off[:, 0, 0], off[:, 0, 1]).max() == summary.tracking_error
+    assert summary.tracking_error <= summary.declared_tracking == declared
+    assert not off[:, 1].any()
+    assert summary.certified_share == 1.0
+    assert summary.certified_while_lost == summary.certificate_broken == 0
+    status = flight.assurance.status()
+    before_the_last = np.hypot(off[:-1, 0, 0], off[:-1, 0, 1]).max()
+    assert (status.tracking, status.tracking_error) == (declared, before_the_last)
+
+
+def test_wind_changes_neither_the_draws_of_others_nor_what_a_vehicle_is_told_of_itself() -> None:
+    """Under the same commands the told states are those of still air."""
+    still = msgspec.structs.replace(
+        WINDY, wind=Wind(), uav=(msgspec.structs.replace(WINDY.uav[0], own_error=0.0),)
+    )
+    worlds, push = [World(one, 3) for one in (WINDY, still)], np.array([[0.2, 0.1], [0.05, 0.0]])
+    for _ in range(100):
+        for world in worlds:
+            world.step(push)
+    one, other = worlds
+    assert np.array_equal(one.told.position, other.told.position)
+    assert np.array_equal(one.told.velocity, other.told.velocity)
+    assert np.array_equal(other.told.position, other.position)
+    assert not np.array_equal(one.position, other.position)
+
+
+def test_no_vehicle_is_told_of_the_wind() -> None:
+    declared = Certificate(tracking=0.5)
+    stormy = small("certified", wind=Wind(mean=(0.1, 0.0), gust=0.05), certificate=declared)
+    assert told(stormy) == told(small("certified", certificate=declared))
+
+
+def test_the_wind_is_never_stronger_than_its_limit_and_has_its_mean_and_spread() -> None:
+    scenario = small("certified", wind=Wind(mean=(0.1, 0.0), gust=0.1, gust_time=0.2, limit=0.4))
+    batch, found = Batch(scenario, 40), []
+    batch.begin(range(40))
+    for _ in range(60):
+        batch.step(np.zeros((40, 2, 2)))
+        row = batch.state.tracking[:, 0]
+        found.append(np.stack([row["wind_x"], row["wind_y"]], axis=-1))
+    wind = np.array(found)
+    assert np.hypot(wind[..., 0], wind[..., 1]).max() <= 0.4 * (1.0 + 1e-12)
+    assert wind.mean(axis=(0, 1)) == pytest.approx([0.1, 0.0], abs=0.02)
+    assert wind.std(axis=(0, 1)) == pytest.approx([0.1, 0.1], rel=0.1)
+    kept = (wind[1:, :, 1] * wind[:-1, :, 1]).mean() / wind[..., 1].var()
+    assert kept == pytest.approx(math.exp(-DT / 0.2), abs=0.05)
+
+
+def test_wind_flies_one_trajectory_in_the_environment_and_in_a_run() -> None:
+    env = parallel_env(WINDY)
+    observations, _ = env.reset(seed=3)
+    states = record(env, pilots(env), observations)
+    _, summary = fly(WINDY, 3)
+    assert sha256(states) == summary.trajectory_sha256
+
+
+def test_wind_flies_one_trajectory_over_three_processes() -> None:
+    arguments = [
+        "escort",
+        *("--law", "certified", "--driver", "evade", "--duration", "10", "--seed", "3"),
+        *(
+            "--set",
+            "wind.mean=[0.1, 0.0]",
+            "--set",
+            "wind.gust=0.03",
+            "--set",
+            "uav.0.own_error=0.1",
+        ),
+    ]
+    over_the_bus, alone = run_json(*arguments), run_json(*arguments, "--in-process")
+    assert over_the_bus["trajectory_sha256"] == alone["trajectory_sha256"]
+    assert 0.02 < over_the_bus["tracking_error"] <= over_the_bus["declared_tracking"]
+    assert over_the_bus["certified_share"] == 1.0
+
+
+def test_wind_and_lost_commands_leave_every_tick_certified() -> None:
+    scenario = msgspec.structs.replace(
+        WINDY, links=LinkTable(commands=LOSSY), certificate=Certificate(delay=0.4, outage=2.0)
+    )
+    _, summary = fly(scenario, 2)
+    assert summary.certified_share == 1.0
+    assert summary.certified_while_lost == summary.certificate_broken == 0
+
+
+def test_a_process_that_joins_again_is_told_what_it_was_told() -> None:
+    seen = []
+
+    def look(flight) -> None:
+        seen.append(flight.observations()["uav_0"])
+
+    flight, _ = fly(msgspec.structs.replace(WINDY, duration=3.0), 1, on_tick=look)
+    past = flight.past("uav_0", 1, 60, ())
+    assert [(one.position, one.velocity) for one in past] == [
+        (one.position, one.velocity) for one in seen[:59] if isinstance(one, UavObservation)
+    ]
+
+
+# -- what is told
+
+
+def test_a_w_that_the_wind_may_exceed_is_told_and_excuses_the_certificate() -> None:
+    scenario = msgspec.structs.replace(WINDY, certificate=Certificate(tracking=0.001))
+    (found,) = [one for one in shortfalls(scenario) if one.assumption == "A6'"]
+    assert "certificate.tracking = 0.001 m" in found.line
+    assert not [one for one in shortfalls(WINDY) if one.assumption == "A6'"]
+    _, summary = fly(scenario, 1)
+    assert summary.tracking_error > summary.declared_tracking == 0.001
+    assert summary.certificate_broken == 0
+
+
+REFUSED = {
+    "wind.mean": {"wind": Wind(mean=(0.3, 0.4), limit=0.4)},
+    "uav.0.tracking.reserve": {"wind": Wind(mean=(1.0, 0.0))},
+    "uav.0.tracking.velocity_gain": {
+        "uav": Uav(position=(8.0, 7.0), own_error=0.1, tracking=Tracking(velocity_gain=40.0))
+    },
+    "uav.0.tracking.position_gain": {
+        "uav": Uav(position=(8.0, 7.0), own_error=0.1, tracking=Tracking(position_gain=80.0))
+    },
+}
+
+
+@pytest.mark.parametrize("field", REFUSED)
+def test_a_wind_that_cannot_be_flown_is_refused_in_one_line(field) -> None:
+    with pytest.raises(ScenarioError) as refused:
+        check_scenario(small("certified", **REFUSED[field]))
+    assert f" {field} = " in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_the_reserve_that_a_refusal_names_is_enough() -> None:
+    with pytest.raises(ScenarioError) as refused:
+        check_scenario(small("certified", wind=Wind(mean=(1.0, 0.0))))
+    least = float(str(refused.value).split("allowed: ")[1].split()[0])
+    uav = Uav(position=(8.0, 7.0), tracking=Tracking(reserve=least))
+    assert check_scenario(small("certified", wind=Wind(mean=(1.0, 0.0)), uav=uav))
