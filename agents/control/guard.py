@@ -45,7 +45,7 @@ from agents.control.promise import Promise
 from agents.control.underway import (
     Underway,
     begin_underway,
-    check_start,
+    check_rest,
     doubt,
     due_end,
     flown_for,
@@ -96,7 +96,7 @@ class GuardFlags(NamedTuple):
     """Of the last call; NEVER before the first."""
     known: int
     """How many of the last commands are known to be under way, as they were sent since the UAV was last found off its
-    course."""
+    course. Where commands carry motions: 1 if all since tick 0 are this filter's."""
     safe: int
     """1 if the course is safe up to the plan."""
 
@@ -336,8 +336,9 @@ def _guard_motions(
     """`guard` for a UAV whose commands carry motions."""
     c, flags, sent, plan = promise, state.flags[0], state.underway, state.plan
     expected = take_observation(c, sent, tick, here, flown, flags.tick)
-    if tick == 0:
-        check_start(c, sent, state.detections, plan, here)
+    flags.known = 1 if tick == 0 else flags.known
+    if flags.known == 1:
+        check_rest(c, sent, state.detections, plan, tick, here)
     ahead, checked = due_end(c, sent, tick, here)
     take_rest(sent, plan)
     if contradicts_plan(c, state.detections, plan):

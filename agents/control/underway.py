@@ -100,7 +100,7 @@ def _take_flown(state: Underway, tick: int, flown: int) -> None:
             state.flown[_NOW] = state.sent[row]
         else:
             _clear(state.flown, _NOW)
-            state.flown[_NOW].begins = flown
+            state.flown[_NOW].begins, state.flown[_NOW].plain = flown, 1
     if flown >= 0:
         state.flown[_NOW].age = tick - flown
 
@@ -173,15 +173,51 @@ def take_rest(state: Underway, plan: RecordArray) -> None:
 
 
 @borrowing
-def check_start(
-    promise: Promise, state: Underway, detections: RecordArray, plan: RecordArray, here: Motion
+def _rests(rows: RecordArray, k: int) -> bool:
+    """True if a motion of this pilot's leaves a UAV that is at rest where it is."""
+    m = rows[k]
+    still = m.first_x == 0.0 and m.first_y == 0.0 and m.turn + m.cruise + m.brake == 0
+    return bool(still and m.plain == 0)
+
+
+@borrowing
+def _check_rest(rows: RecordArray, k: int, tick: int, here: Motion, radius: float) -> None:
+    row = rows[k]
+    row.checked, row.end_x, row.end_y = 1, here.p_x, here.p_y
+    row.end_radius, row.end_tick = radius, tick
+
+
+@borrowing
+def check_rest(
+    promise: Promise,
+    state: Underway,
+    detections: RecordArray,
+    plan: RecordArray,
+    tick: int,
+    here: Motion,
 ) -> None:
-    """At tick 0, while nothing has been sent: the rest until a motion begins is a plan, if it can be checked as one."""
-    radius = rest_radius(promise, detections, plan, 0, here, promise.delay_ticks)
-    if radius < math.inf:
-        row = state.flown[_NOW]
-        row.checked, row.end_x, row.end_y = 1, here.p_x, here.p_y
-        row.end_radius, row.end_tick = radius, 0
+    """Before the first motion that moves the UAV its rest is a plan, once a detection has come, if it can be checked as one.
+
+    Args:
+        promise: The declared numbers.
+        state: Of a pilot that has sent what the vehicle flies from tick 0 on. Is changed.
+        detections: As kept.
+        plan: The memory of the plan that is held.
+        tick: Now.
+        here: Where the UAV is now.
+    """
+    if state.flown[_NOW].checked == 1 or not _rests(state.flown, _NOW):
+        return
+    radius = rest_radius(promise, detections, plan, tick, here, promise.delay_ticks)
+    if radius == math.inf:
+        return
+    _check_rest(state.flown, _NOW, tick, here, radius)
+    for begins in range(tick, tick + promise.delay_ticks):
+        place = begins % state.sent.shape[0]
+        if state.sent[place].begins == begins:
+            if not _rests(state.sent, place):
+                return
+            _check_rest(state.sent, place, tick, here, radius)
 
 
 @borrowing

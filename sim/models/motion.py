@@ -42,7 +42,7 @@ class MotionRecord(NamedTuple):
     arrived: int
     """By the receiver: 1 once a command that carries it has arrived."""
     plain: int
-    """By the receiver, of what it flies: 1 where commands that carry no motion act."""
+    """Of what is flown: by the receiver 1 where commands that carry no motion act, by the pilot where it is not its own."""
     checked: int
     """By the pilot: 1 if sight is kept on it, as long as the next one begins in time."""
     end_x: float
