@@ -259,26 +259,6 @@ def test_a_w_that_the_wind_may_exceed_is_told_and_excuses_the_certificate() -> N
     assert summary.certificate_broken == 0
 
 
-REFUSED = {
-    "wind.mean": {"wind": Wind(mean=(0.3, 0.4), limit=0.4)},
-    "uav.0.tracking.reserve": {"wind": Wind(mean=(1.0, 0.0))},
-    "uav.0.tracking.velocity_gain": {
-        "uav": Uav(position=(8.0, 7.0), own_error=0.1, tracking=Tracking(velocity_gain=40.0))
-    },
-    "uav.0.tracking.position_gain": {
-        "uav": Uav(position=(8.0, 7.0), own_error=0.1, tracking=Tracking(position_gain=80.0))
-    },
-}
-
-
-@pytest.mark.parametrize("field", REFUSED)
-def test_a_wind_that_cannot_be_flown_is_refused_in_one_line(field) -> None:
-    with pytest.raises(ScenarioError) as refused:
-        check_scenario(small("certified", **REFUSED[field]))
-    assert f" {field} = " in str(refused.value)
-    assert "\n" not in str(refused.value)
-
-
 def test_the_reserve_that_a_refusal_names_is_enough() -> None:
     with pytest.raises(ScenarioError) as refused:
         check_scenario(small("certified", wind=Wind(mean=(1.0, 0.0))))

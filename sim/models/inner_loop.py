@@ -20,7 +20,7 @@ from sim.models.vehicles import clip_norm
 
 _ENOUGH = 1e-6
 """The sum over a response ends where it has fallen to this share; what is left is bounded."""
-_MOST = 2**22
+_MOST = 2**20
 """Ticks after which a response must have died away."""
 _DUST = 1e-9
 """The share by which a reserve may fall short of what is needed and still be that."""

@@ -160,6 +160,16 @@ function motionsOf(status, row) {
   return [row("motions", kept ? "good" : "bad", `longest wait ${told.longest_outage.toFixed(2)} s of ${told.outage} s`)];
 }
 
+// Where wind or a wrong own position takes the UAVs from where they are told to be: how far at most, of what is declared.
+function windOf(status, row) {
+  const told = status && status.certificates;
+  if (!told || told.tracking_error === null || told.tracking_error === undefined) return [];
+  const known = told.tracking !== null && told.tracking !== undefined;
+  const kept = known && told.tracking_error <= told.tracking + 1e-9;
+  const declared = known ? ` of ${told.tracking.toFixed(3)} m` : "";
+  return [row("wind", kept ? "good" : "bad", `farthest off ${told.tracking_error.toFixed(3)} m${declared}`)];
+}
+
 function showState(state, wheel) {
   const { status } = store;
   const banner = $("banner");
@@ -204,6 +214,7 @@ function showState(state, wheel) {
       return row(name, vehicle.present ? "good" : "bad", (vehicle.present ? "joined" : "lost") + seat, notes);
     }),
     ...motionsOf(status, row),
+    ...windOf(status, row),
     row("this page", state.gone ? "unknown" : "good", state.gone ? "no longer served" : `${stats.rate.toFixed(0)} frames/s`, state.browsers > 1 ? `${state.browsers} browsers look on` : ""),
   ];
   setHtml($("processes"), rows.join(""));
