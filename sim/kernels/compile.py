@@ -95,7 +95,7 @@ def interpret() -> None:
     others. Where numba is loaded already, it changes nothing.
     """
     global _interpreted  # noqa: PLW0603 - a process is the one or the other, from its start
-    _interpreted = "numba" not in sys.modules
+    _interpreted = _interpreted or "numba" not in sys.modules
 
 
 def _compile(function: _F, **options: Any) -> _F:  # noqa: ANN401 - numba's
