@@ -66,7 +66,7 @@ def surplus(
     Args:
         since: When each one came [s], in this order.
         claims: The parties that say that a session is their own. One that several claim stays where it is within the
-            places of any: nobody can have another's session ended.
+            places of any: nobody can have the session ended of a party that says that it is its own.
         now: The present [s].
     """
     parties: defaultdict[str, list[Connection]] = defaultdict(list)

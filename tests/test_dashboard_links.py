@@ -25,7 +25,7 @@ from outrider.recording.reader import flight_of
 from outrider.recording.writer import FlightRecorder
 from outrider.running.flying import fly
 from outrider.view.page.chart_data import ChartData
-from outrider.view.page.controls.network import (
+from outrider.view.page.controls.link_words import (
     ALL,
     chosen,
     controls_for,

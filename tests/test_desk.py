@@ -12,7 +12,7 @@ from staging import operating, stage, whole
 
 from bus.keys import OPERATOR
 from bus.messages import Action, Control, Drive, Law, LinkKind, LinkSettings
-from outrider.running.promise import promise_warnings
+from outrider.running.assumptions import promise_warnings
 
 
 def test_another_law_is_flown_from_its_tick_on(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ from tabular import rows
 
 from bus.errors import ScenarioError
 from bus.messages import LinkKind, LinkSettings
+from outrider.running.assumptions import How, how_certifiable, odds, promise_warnings, shortfalls
 from outrider.running.flying import run
-from outrider.running.promise import How, how_certifiable, odds, promise_warnings, shortfalls
 from outrider.running.summary import in_flights
 from sim.channel.description import Link, arrival_share, least_ticks, link_parameters
 from sim.scenario.loading import load_scenario

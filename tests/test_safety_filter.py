@@ -13,8 +13,8 @@ from flights import distances
 from agents.control.visibility import SafetyFilter, promise_of
 from agents.env_wrappers import SafetyFilterWrapper
 from bus.messages import Detection, LinkSettings, UavBriefing, UavObservation
+from outrider.running.assumptions import promise_warnings
 from outrider.running.flying import fly
-from outrider.running.promise import promise_warnings
 from sim.engine.briefing import briefing
 from sim.env.parallel import parallel_env
 from sim.scenario.loading import load_scenario

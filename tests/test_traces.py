@@ -19,8 +19,8 @@ from bus.profiles import PROFILES
 from outrider.envs.env_pilots import pilots
 from outrider.experiments.network.fitting import fit_link
 from outrider.experiments.network.samples import drawn_sample
+from outrider.running.assumptions import promise_warnings
 from outrider.running.flying import fly
-from outrider.running.promise import promise_warnings
 from sim.channel.description import Link, arrivals_of, check_link, link_parameters
 from sim.channel.recorded import MOST_BYTES, RecordedLink, pack
 from sim.engine.batch import Batch

@@ -33,7 +33,7 @@ from bus.keys import Role
 from bus.messages import Law, LinkKind, LinkSettings
 from bus.registry import DRIVERS, LAWS
 from outrider.running.flying import fly
-from outrider.running.promise import promise_warnings
+from outrider.running.assumptions import promise_warnings
 from sim.kernels.compile import compiling
 from sim.scenario.loading import load_scenario
 from sim.server.flight import warm_up

@@ -15,8 +15,8 @@ from bus.errors import ScenarioError
 from bus.messages import UavObservation
 from outrider.envs.env_pilots import pilots
 from outrider.experiments.falsify import attack as a
+from outrider.running.assumptions import shortfalls
 from outrider.running.flying import fly
-from outrider.running.promise import shortfalls
 from sim.engine.batch import Batch
 from sim.engine.world_state import no_tracking_errors
 from sim.env.parallel import parallel_env

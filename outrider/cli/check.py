@@ -47,7 +47,7 @@ def command(
     """
     from outrider.cli.console import OUT, print_json, print_warnings
     from outrider.cli.options import scenario_of
-    from outrider.running.promise import how_certifiable, odds, promise_warnings
+    from outrider.running.assumptions import how_certifiable, odds, promise_warnings
     from outrider.running.user_code import check_own_functions, foreign_code
     from sim.scenario.checks import scenario_warnings
 

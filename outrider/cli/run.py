@@ -212,9 +212,9 @@ def _fly_here(
     from agents.process import warm_up as warm_up_pilot
     from bus.keys import Role
     from outrider.cli.console import flight_progress, print_warnings
+    from outrider.running.assumptions import promise_warnings
     from outrider.running.flying import fly
     from outrider.running.launch import Outcome
-    from outrider.running.promise import promise_warnings
     from outrider.view.output import write_flight
     from sim.kernels.compile import compiling
     from sim.server.flight import Flight, warm_up

@@ -120,8 +120,8 @@ def command(
     from outrider.cli.console import ERR, flight_progress, print_json, print_summary, print_warnings
     from outrider.cli.options import scenario_of, secret_of
     from outrider.cli.stopping import stop_on_signals
+    from outrider.running.assumptions import promise_warnings
     from outrider.running.exit_reports import Reports
-    from outrider.running.promise import promise_warnings
     from outrider.running.summary import summarize
     from outrider.running.watchdog import start_watchdog
     from outrider.view.output import write_flight

@@ -23,7 +23,7 @@ from bus.messages import (
 from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.schemas import head_of
 from outrider.recording.tick_rows import TickTexts
-from outrider.running.promise import promise_warnings
+from outrider.running.assumptions import promise_warnings
 from sim.kernels.compile import FloatArray
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight, News

@@ -206,7 +206,7 @@ def summarize(
         late_ticks: Ticks that it could not keep.
         changes: What operators have changed.
     """
-    from outrider.running.promise import odds  # noqa: PLC0415 - likewise
+    from outrider.running.assumptions import odds  # noqa: PLC0415 - likewise
     from sim.server.recorder import platform_row  # noqa: PLC0415 - likewise
 
     scenario, recorder, world = flight.scenario, flight.recorder, flight.world

@@ -15,7 +15,7 @@ import msgspec
 from bus.messages import Action, CoverageMap, Law, Message, Status, Truth
 from outrider.view.page import LOOPBACK
 from outrider.view.page.chart_data import ChartData
-from outrider.view.page.controls.network import said_of_links
+from outrider.view.page.controls.link_words import said_of_links
 from outrider.view.page.controls.wheel import SharedWheel
 from outrider.view.page.sources.protocol import Source
 from sim.scene.model import Scene, observed_scene

@@ -9,7 +9,7 @@ from nicegui.events import GenericEventArguments
 
 from bus.messages import LinkKind, LinkSettings, Status
 from bus.profiles import PROFILES
-from outrider.view.page.controls.network import (
+from outrider.view.page.controls.link_words import (
     ALL,
     chosen,
     controls_for,
