@@ -141,6 +141,18 @@ def test_a_filter_that_begins_in_flight_answers_for_no_detection_of_before() -> 
     assert assurance.certificate_broken == 1
 
 
+@pytest.mark.parametrize(("flown_on", "broken"), [(True, 1), (False, 0)])
+def test_an_outage_that_follows_at_once_excuses_a_certificate_that_ends(flown_on, broken) -> None:
+    """Where commands carry motions: a pilot knows of it before it is too long."""
+    certificate = Certificate(delay=0.25, outage=0.3, error=0.3, age=0.5)
+    assurance = Assurance(msgspec.structs.replace(DELAYED, certificate=certificate))
+    for tick in range(20, 32):
+        flown = tick if tick <= 24 or flown_on else 24
+        take(assurance, tick, tick < 26, flown=flown)
+        assert assurance.certificate_broken in (0, broken)
+    assert assurance.certificate_broken == broken
+
+
 class Liar(InProcess):
     """The pilots, but the UAV always says that it is certified."""
 

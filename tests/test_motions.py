@@ -270,6 +270,42 @@ def test_a_silence_that_is_longer_than_declared_is_told_by_its_name() -> None:
     assert summary.certified_share > 0.8
 
 
+def test_an_outage_is_told_as_soon_as_nothing_that_is_under_way_can_end_it_in_time() -> None:
+    """And not as a plan that is missing, when it is too late: the next motion begins tau_c from now, or later."""
+    pilot = SafetyFilter(told(small("certified", certificate=Certificate(delay=0.4, outage=0.3))))
+    reasons = []
+    for tick in range(20):
+        found = (Detection(time=0.0, relative_position=(0.0, 1.0)),) if tick == 0 else ()
+        flown = None if tick < 9 else min(tick - 1, 13)  # what begins in tick 14 is lost
+        seen = UavObservation(
+            tick=tick,
+            time=tick * 0.05,
+            position=(8.0, 7.0),
+            velocity=(0.0, 0.0),
+            detections=found,
+            flown=flown,
+        )
+        pilot.see(seen)
+        reasons.append(pilot.filter(seen, (0.0, 0.0)).reason)
+    assert reasons[:15] == [""] * 15
+    assert set(reasons[15:]) == {UNCERTIFIED[OUTAGE]}
+
+
+def test_outages_that_are_yet_to_come_break_no_certificate() -> None:
+    """A motion is lost when the one that is flown began so long ago that the next chain comes too late."""
+    conditions = a.Conditions(
+        outage=0.65,
+        delay=0.5,
+        losses=LOSSES.index("random"),
+        disturbance=a.DISTURBANCES.index("single_losses"),
+        blackout=2,
+        blackout_time=4.0,
+    )
+    found = a.attack(a.declared(conditions, 0.0), conditions, 1, 0, 100, 100.0)
+    assert found[:, a.UNCERTIFIED].max() > 0.05
+    assert found[:, a.CERTIFIED_LOST].sum() == found[:, a.BROKEN].sum() == 0
+
+
 def test_a_vehicle_that_is_pushed_off_its_motion_is_told_and_certified_again() -> None:
     """A filter that is told another state than it has predicted trusts no plan that was made before."""
     pilot = SafetyFilter(told(small("certified", certificate=Certificate(delay=0.1, outage=1.0))))

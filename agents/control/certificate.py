@@ -74,7 +74,7 @@ UNCERTIFIED = {
     NO_PLAN: "outside the certified set: no plan keeps the UGV within r_v from here",
     UNKNOWN_COMMANDS: "commands are under way of which it is not known that they will act",
     UNSAFE_COURSE: "commands under way may take the UGV out of sight before the next one acts",
-    OUTAGE: "no motion has begun for longer than declared: commands are lost (outage > B)",
+    OUTAGE: "no motion can begin within what is declared of the one that is flown: commands are lost (outage > B)",
     UNCHECKED_MOTION: "the UAV flies, or may begin, a motion that was not checked from where it is",
 }
 """Why a tick is not certified, by the code that `agents.control.guard.guard` gives."""

@@ -48,7 +48,6 @@ from agents.control.underway import (
     check_rest,
     doubt,
     due_end,
-    flown_for,
     send_motion,
     take_observation,
     take_rest,
@@ -339,7 +338,7 @@ def _guard_motions(
     flags.known = 1 if tick == 0 else flags.known
     if flags.known == 1:
         check_rest(c, sent, state.detections, plan, tick, here)
-    ahead, checked = due_end(c, sent, tick, here)
+    ahead, checked, wait = due_end(c, sent, tick, here)
     take_rest(sent, plan)
     if contradicts_plan(c, state.detections, plan):
         flags.contradicted = 1
@@ -349,8 +348,10 @@ def _guard_motions(
     code = _reason(c, state, tick, acts, expected, True)
     if code == UNSAFE_COURSE:
         code = UNCHECKED_MOTION
-    if code == CERTIFIED and flown_for(c, sent, tick) > c.outage_ticks:
-        code = OUTAGE
+    if code in (CERTIFIED, NO_PLAN, UNCHECKED_MOTION) and wait > c.outage_ticks:
+        code = (
+            OUTAGE  # also if it is yet to come, but no motion that is under way can begin any more
+        )
     return u_x, u_y, acts, code
 
 

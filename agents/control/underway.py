@@ -18,7 +18,14 @@ from agents.control.promise import Promise
 from bus.messages import MOST_CARRIED
 from sim.kernels.compile import borrowing
 from sim.kernels.records import RecordArray, record_type
-from sim.models.motion import NO_MOTION, follow_on, keep_motion, motion_command, no_motions
+from sim.models.motion import (
+    NO_MOTION,
+    follow_on,
+    keep_motion,
+    motion_command,
+    no_motions,
+    waited,
+)
 from sim.models.vehicles import Motion
 
 _NOW, _END = 0, 1
@@ -137,21 +144,26 @@ def take_observation(
 
 
 @borrowing
-def due_end(promise: Promise, state: Underway, tick: int, here: Motion) -> tuple[Motion, bool]:
-    """Where the UAV will be when the next motion begins, and whether all that it may fly until then was checked.
+def due_end(promise: Promise, state: Underway, tick: int, here: Motion) -> tuple[Motion, bool, int]:
+    """Where the UAV will be when the motion of this tick's command begins.
 
     `state.flown` then has what it flies there. What is under way is in a chain from what is flown now, or void.
+
+    Returns:
+        Its state then; whether all that it may fly until then was checked; and how long it will have waited for the next
+        motion at least [ticks].
     """
-    c, checked = promise, state.flown[_NOW].checked == 1
+    c, checked, next_begins = promise, state.flown[_NOW].checked == 1, tick + promise.delay_ticks
     ahead = state.flown[_END : _END + 1]
     ahead[0] = state.flown[_NOW]
     for k in range(c.delay_ticks):
         if follow_on(state.sent, ahead, tick + k):
+            next_begins = min(next_begins, tick + k)
             checked = checked and ahead[0].checked == 1
         u_x, u_y = motion_command(ahead[0], here.v_x, here.v_y, c.u_a, c.dt)
         here, _ = step_in_area(c, here, u_x, u_y)
         ahead[0].age += 1
-    return here, checked
+    return here, checked, waited(next_begins, state.flown[_NOW].begins, c.delay_ticks)
 
 
 @borrowing
@@ -265,13 +277,6 @@ def send_motion(
         there, _ = step_in_area(c, here, w_x, w_y)
         due = state.expected[k]
         due.p_x, due.p_y, due.v_x, due.v_y = there.p_x, there.p_y, there.v_x, there.v_y
-
-
-@borrowing
-def flown_for(promise: Promise, state: Underway, tick: int) -> int:
-    """How long ago the motion began that is flown [ticks]; the rest at the start counts from just before one may begin."""
-    begins = int(state.flown[_NOW].begins)
-    return tick - (begins if begins >= 0 else promise.delay_ticks - 1)
 
 
 @borrowing

@@ -33,6 +33,9 @@ class GuardMetrics(NamedTuple):
     """Ticks that were certified out of sight."""
     broken: float
     """Ticks that were not certified although the one before was and all assumptions held."""
+    suspected: float
+    since: float
+    """How many of them are yet to be counted, and the last: as `Assumptions.suspect` of sim/server/assurance.py."""
 
 
 _FIRST = len(UAV_METRICS)

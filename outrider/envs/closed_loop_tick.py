@@ -31,6 +31,7 @@ from sim.env.rows import UAV, UAV_METRICS, advance_rows, observe_rows
 from sim.kernels.compile import FloatArray, IntArray, inlined, released
 from sim.kernels.prefetch import fetch_disc, fetch_rows
 from sim.models.field import coverage_gradient
+from sim.models.motion import waited
 from sim.models.randomness import key_of
 from sim.models.vehicles import Motion
 
@@ -101,7 +102,9 @@ def _fly(
             and row[GUARD_METRICS.obeyed] != 0.0
             and tick - row[UAV_METRICS.newest] <= t.ages[u]
         ):
-            row[GUARD_METRICS.broken] += t.bounded[u]
+            row[GUARD_METRICS.suspected] += t.bounded[u]
+            row[GUARD_METRICS.since] = tick
+            _confirm(t, row, u, tick - 1)
         row[GUARD_METRICS.asked] += 1.0
         row[GUARD_METRICS.intervened] += row[GUARD_METRICS.acted]
         row[GUARD_METRICS.certified] += row[GUARD_METRICS.sure]
@@ -248,6 +251,14 @@ def _observe(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
 
 
 @inlined
+def _confirm(t: LoopTables, row: FloatArray, u: int, tick: int) -> None:
+    """Count the certificates of UAV u that have ended, if the assumptions have held for long enough at this tick."""
+    if not t.promises[u].carries or tick >= row[GUARD_METRICS.since] + t.delays[u] - 1:
+        row[GUARD_METRICS.broken] += row[GUARD_METRICS.suspected]
+        row[GUARD_METRICS.suspected] = 0.0
+
+
+@inlined
 def _note_obedience(t: LoopTables, s: LoopState, k: int, u: int, tick: int) -> None:
     """True if UAV u acted in this tick, which has just been flown, on the command that was due.
 
@@ -256,9 +267,11 @@ def _note_obedience(t: LoopTables, s: LoopState, k: int, u: int, tick: int) -> N
     """
     v, size, sent = t.batch.escorts[u, 0], t.delays[u] + 1, s.sent[k, u]
     if t.promises[u].carries:
-        begins = s.batch.flown[k, v, 0].begins
-        in_time = tick - (begins if begins >= 0 else t.delays[u] - 1) < t.promises[u].outage_ticks
-        s.rows.uavs[k, u, GUARD_METRICS.obeyed] = 1.0 if in_time else 0.0
+        row, wait = s.rows.uavs[k, u], waited(tick, s.batch.flown[k, v, 0].begins, t.delays[u])
+        row[GUARD_METRICS.obeyed] = 1.0 if wait < t.promises[u].outage_ticks else 0.0
+        if row[GUARD_METRICS.obeyed] == 0.0:
+            row[GUARD_METRICS.suspected] = 0.0
+        _confirm(t, row, u, tick)
         return
     now, due, acting = tick % size, (tick + 1) % size, s.batch.truth.commands[k, v]
     sent[now, 0], sent[now, 1] = s.batch.sent[k, v, U_X], s.batch.sent[k, v, U_Y]

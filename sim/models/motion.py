@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bus.messages import MotionPlan
-from sim.kernels.compile import borrowing
+from sim.kernels.compile import borrowing, compiled
 from sim.kernels.records import RecordArray, record_type
 from sim.models.vehicles import brake
 
@@ -83,6 +83,18 @@ def motion_command(
         if m.age <= m.turn + m.cruise + m.brake:
             return m.brake_x, m.brake_y
     return brake(v_x, v_y, u_max, dt)
+
+
+@compiled
+def waited(tick: int, begins: int, delay_ticks: int) -> int:
+    """How long the vehicle has waited for its next motion at a tick [ticks].
+
+    Args:
+        tick: Which.
+        begins: When the motion began that is flown; NO_MOTION: the vehicle rests since just before the first may begin.
+        delay_ticks: From a command to the tick in which its motion begins.
+    """
+    return tick - (begins if begins >= 0 else delay_ticks - 1)
 
 
 @borrowing

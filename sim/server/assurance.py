@@ -12,6 +12,7 @@ from typing import NamedTuple
 from bus.messages import CertificateStatus, DeclaredBounds, UavReport, Vector
 from sim.channel.link import DUST, in_ticks
 from sim.engine.briefing import declared
+from sim.models.motion import NO_MOTION, waited
 from sim.scenario.types import Scenario, Uav
 
 _SILENT = "the UAV has no estimate yet, or its command did not come"
@@ -49,9 +50,14 @@ class Assumptions:
         if certificate.tracking is not None:
             self._tracking = certificate.tracking + _ROUNDING
         self._tracked = True
-        self._begun = self._delay - 1  # that of the motion that is flown; at first of the rest
+        self._suspected = (
+            0  # ticks at which a certificate ended, and outages later than that are yet to be seen
+        )
+        self._since = 0  # the last of them
         self.longest_outage = 0
         """The longest time from the beginning of a motion to that of the next so far [ticks]."""
+        self.broken = 0
+        """How often a certificate has ended although all assumptions held."""
         size = self._delay + 1
         nothing: list[tuple[int, Vector]] = [(tick - size, (0.0, 0.0)) for tick in range(size)]
         self._sent = nothing  # a ring: the tick that each answers, and the command
@@ -83,13 +89,29 @@ class Assumptions:
     def act(self, tick: int, acceleration: Vector, flown: int | None = None) -> None:
         """A command [m/s²] acts in this tick, or a motion that began in the tick `flown`."""
         if self._outage is not None:
-            self._begun = self._begun if flown is None else flown
-            waited = tick - self._begun + 1  # so long at least until the next one begins
-            self.longest_outage = max(self.longest_outage, waited)
-            self._obeyed = waited <= self._outage
+            wait = waited(tick, NO_MOTION if flown is None else flown, self._delay) + 1
+            self.longest_outage = max(self.longest_outage, wait)  # so long at least
+            self._obeyed = wait <= self._outage
+            if not self._obeyed:
+                self._suspected = 0
+            self._confirm(tick)
             return
         due = tick - self._delay
         self._obeyed = self._sent[due % len(self._sent)] == (due, acceleration)
+
+    def suspect(self, tick: int) -> None:
+        """A certificate has ended at this tick although the assumptions hold.
+
+        Where commands carry motions it is broken only if they hold until the motion of this tick's command may begin: a
+        pilot knows of an outage as soon as nothing that is under way can end it in time.
+        """
+        self._suspected, self._since = self._suspected + 1, tick
+        self._confirm(tick - 1)
+
+    def _confirm(self, tick: int) -> None:
+        """Count what was suspected, if the assumptions have held for long enough at this tick."""
+        if self._outage is None or tick >= self._since + self._delay - 1:
+            self.broken, self._suspected = self.broken + self._suspected, 0
 
     def hold(self, tick: int) -> bool:
         """True if they hold at this tick.
@@ -121,8 +143,6 @@ class Assurance:
 
         The certificate is wrong if there is one.
         """
-        self.certificate_broken = 0
-        """Ticks that were not certified although the one before was and all assumptions hold; likewise."""
         uavs = [
             one.name for one in scenario.vehicles if isinstance(one, Uav)
         ]  # rows as the world's
@@ -139,6 +159,11 @@ class Assurance:
         self._last = [_NOBODY] * len(uavs)
         self._silent = [0] * len(uavs)  # ticks of which nothing was said
         self._disregarded = [False] * len(uavs)
+
+    @property
+    def certificate_broken(self) -> int:
+        """Ticks that were not certified although the one before was and all assumptions hold; likewise."""
+        return sum(assumptions.broken for assumptions in self._assumptions)
 
     def send(self, uav: int, answered: int, acceleration: Vector) -> None:
         """A command has set out: whatever the law, the next one may be watched.
@@ -210,9 +235,8 @@ class Assurance:
             self.certified_while_lost += certified and distance >= self._radius
             if not certified:
                 self.reasons[report.uncertified] += 1
-                self.certificate_broken += (
-                    current and self._promised[uav] and assumptions.hold(tick)
-                )
+                if current and self._promised[uav] and assumptions.hold(tick):
+                    assumptions.suspect(tick)
         self._promised[uav] = certified and current
         assumptions.act(tick, acts, flown)
 

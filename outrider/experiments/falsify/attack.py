@@ -57,7 +57,7 @@ from sim.engine.world_tick import (
 )
 from sim.kernels.compile import FloatArray, IntArray, borrowing, compiled, released
 from sim.models.inner_loop import InnerLoop, needed_reserve, tracking_error
-from sim.models.motion import keep_motion
+from sim.models.motion import keep_motion, waited
 from sim.models.randomness import draw
 from sim.models.vehicles import Motion, brake, clip_norm, norm
 from sim.scenario.types import (
@@ -545,7 +545,7 @@ def fly_one(
         -1,
         0,
     )
-    silent, late, away_ticks, filtering = 0, 0, 0, True
+    silent, late, away_ticks, filtering, suspected, since = 0, 0, 0, True, 0, 0
     total, intervened, uncertified = 0.0, 0, 0
     acts, code = INNER, NO_DETECTION
     result[:] = 0.0
@@ -635,7 +635,13 @@ def fly_one(
         elif (
             certified_before and tick - last_break > d_ticks + 1 and new >= 0 and age <= p.age_ticks
         ):
-            result[BROKEN] += 1.0
+            suspected, since = suspected + 1, tick
+        if last_break >= tick - 1:
+            suspected = 0
+        # an outage is known as soon as nothing that is under way can end it in time
+        if not p.carries or tick > since + d_ticks - 1:
+            result[BROKEN] += suspected
+            suspected = 0
         certified_before = certified
         if tick == ticks:
             break
@@ -715,8 +721,7 @@ def fly_one(
         )
         acted = truth.commands[0, 0] == expected_x and truth.commands[0, 1] == expected_y
         if p.carries:
-            begins = s.flown[0, 0, 0].begins
-            acted = tick - (begins if begins >= 0 else d_ticks - 1) < p.outage_ticks
+            acted = waited(tick, s.flown[0, 0, 0].begins, d_ticks) < p.outage_ticks
             last_break = last_break if acted else tick
         elif not acted:
             last_break = max(last_break, tick + d_ticks)
