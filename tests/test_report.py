@@ -151,14 +151,14 @@ def test_the_markdown_table_has_every_value_and_law(material):
     text = markdown(material)
     assert "| delay of the detections | to 1 s, broken at 2 s | to 0.5 s, broken at 1 s |" in text
     assert (
-        "| 1 s | switching | 5 | 4 (80 %) | 38 % to 96 % | -0.29 | -0.27 | 112 | 1 | 90 % | - | - | - |"
+        "| 1 s | switching | 5 | 4 (80 %) | 38 % to 96 % | -0.29 | -0.27 | 112 | 1 | 90 % | - | - | - | - |"
         in text
     )
     assert "| 2 s | linear | 4 (+1 failed) | 1 (25 %) |" in text
     widths = {
         line.count("|") for line in text.splitlines() if " s | " in line and "broken" not in line
     }
-    assert widths == {14}
+    assert widths == {15}
     assert text.count(" s | linear | ") + text.count(" | 0 | linear") >= 3
 
 
@@ -265,6 +265,7 @@ def test_fields_have_words_and_units():
     assert label_of("uav.0.max_speed") == "largest speed, uav.0 [m/s]"
     assert label_of("law.a_c") == "law.a_c"
     assert (tick_of("links.radio.loss", 0.05), value_of("links.radio.loss", 0.05)) == ("5", "5 %")
+    assert tick_of("links.radio.trace", "examples/networks/lte-road.csv") == "lte-road"
     ticks = [tick_of("x", value) for value in (None, True, "word")]
     assert ticks == ["none", "true", "word"]
     told = [number(value) for value in (0.0, 0.05, 1.0, 12.345, 1234.5, math.inf)]

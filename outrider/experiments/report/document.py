@@ -22,7 +22,8 @@ COLUMNS = (
     "median margin [m]",
     "mean e(t) [m²]",
     "age of detections [s]",
-    "arrived",
+    "detections arrived",
+    "commands arrived",
     "certified",
     "certified while lost",
     "certificate broken",
@@ -54,7 +55,8 @@ def cells_of(law: str, cell: Cell) -> list[str]:
     """A row of the table: the texts under `COLUMNS`."""
     runs = f"{len(cell.flown)}" + (f" (+{cell.failed} failed)" if cell.failed else "")
     rate, found = cell.rate(), cell.numbers("margin")
-    arrived, certified = cell.numbers("detections_delivery_ratio"), cell.numbers("certified_share")
+    certified = cell.numbers("certified_share")
+    arrived = [cell.numbers(f"{kind}_delivery_ratio") for kind in ("detections", "commands")]
     return [
         law,
         runs,
@@ -64,7 +66,7 @@ def cells_of(law: str, cell: Cell) -> list[str]:
         f"{median(found):.2f}" if found else "-",
         _mean(cell.numbers("mean_error")),
         _mean(cell.numbers("detections_mean_age"), 2),
-        _percent(fmean(arrived)) if arrived else "-",
+        *(_percent(fmean(shares)) if shares else "-" for shares in arrived),
         f"{100.0 * fmean(certified):.4g} %" if certified else "-",
         *(
             _count(cell.numbers(name)) if certified else "-"
