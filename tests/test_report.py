@@ -113,6 +113,23 @@ def test_runs_are_counted_where_they_belong(material):
     assert holds(panel, "circle") == ("-", False)
 
 
+def test_values_without_an_order_are_named_where_the_promise_breaks(tmp_path):
+    plan = plan_of(laws="linear,switching,circle", vary=["links.profile=wifi,lte,jammed"])
+    rows = [made_up(plan, run) for run in range(plan.runs)]
+    for run, row in enumerate(rows):
+        head = plan.head(run)
+        hard = head["law"] == "circle" or (head["law"], head["links.profile"]) == ("linear", "lte")
+        row |= {"violated": hard, "error": None}
+    material = read_material([kept(tmp_path / "sweep", plan, rows)])
+    told = [holds(material.panels[0], law) for law in material.law]
+    assert told == [
+        ("broken over lte", False),
+        ("over each, all that was tried", True),
+        ("broken over each", False),
+    ]
+    assert len(draw_all(material, tmp_path)) == 4
+
+
 def test_where_nothing_was_certified_a_lost_run_breaks_no_certificate(tmp_path):
     plan = plan_of(laws="linear,certified")
     rows = [made_up(plan, run) for run in range(plan.runs)]

@@ -101,31 +101,29 @@ def rows_of(panel: Panel) -> Iterator[tuple[str, list[str]]]:
 
 def holds(panel: Panel, law: str) -> tuple[str, bool]:
     """Up to which value no run of a law lost the UGV, in words, and whether that is all of them."""
-    kept = None
     flown = [value for value in panel.values if panel.cell(law, value).flown]
     if not flown:
         return "-", False
-    for value in flown:
-        cell = panel.cell(law, value)
-        if cell.violated:
-            promised = (
-                ""
-                if any(row["violated"] for row in cell.certified)
-                or not cell.numbers("certified_share")
-                else _UNPROMISED
-            )
-            if kept is None:
-                return (
-                    f"broken at {value_of(panel.field, value)}" if panel.field else "broken"
-                ) + promised, False
-            return (
-                f"to {value_of(panel.field, kept)}, broken at {value_of(panel.field, value)}{promised}",
-                False,
-            )
-        kept = value
-    return (
-        f"to {value_of(panel.field, kept)}, all that was tried" if panel.field else "holds"
-    ), True
+    broken = [value for value in flown if panel.cell(law, value).violated]
+    if not broken:
+        if not panel.field:
+            return "holds", True
+        last = f"to {value_of(panel.field, flown[-1])}" if panel.ordered else "over each"
+        return f"{last}, all that was tried", True
+    cells = [panel.cell(law, value) for value in (broken[:1] if panel.ordered else broken)]
+    unpromised = all(
+        cell.numbers("certified_share") and not any(row["violated"] for row in cell.certified)
+        for cell in cells
+    )
+    promised = _UNPROMISED if unpromised else ""
+    if not panel.field:
+        return f"broken{promised}", False
+    if not panel.ordered:
+        names = ", ".join(value_of(panel.field, value) for value in broken)
+        return f"broken over {names if len(broken) < len(flown) else 'each'}{promised}", False
+    kept = flown[: flown.index(broken[0])]
+    until = f"to {value_of(panel.field, kept[-1])}, " if kept else ""
+    return f"{until}broken at {value_of(panel.field, broken[0])}{promised}", False
 
 
 def markdown(material: Material) -> str:

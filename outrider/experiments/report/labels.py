@@ -30,7 +30,7 @@ _FIELDS = {
     "coverage.desired": ("desired coverage C*", ""),
     "sensor.range": ("range of the sensor", "m"),
     "area.cell": ("cell of the grid", "m"),
-    "links.profile": ("network profile of all links", ""),
+    "links.profile": ("profile", ""),
     "wind.gust": ("gusts of the wind per axis", "m/s²"),
     "law.speed_gain": ("speed gain k_v", ""),
     "law.weight_gain": ("weight gain k_β", ""),
