@@ -1,7 +1,8 @@
 """A recorded table of delays, gone through from each place at which a run may begin in it.
 
-It is played in a loop from a place on that each run's key draws, all alike, and nothing else is drawn. So what is found here
-for every place is the whole distribution. A Mahimahi file is not gone through: what waits then depends on what was sent before.
+It is played in a loop from a place on that each run's key draws, all alike, and nothing else is drawn. So what is found
+here for every place is the whole distribution. A Mahimahi file is not gone through: what waits then depends on what was
+sent before.
 """
 
 import numpy as np
@@ -48,7 +49,9 @@ def oldest_by_place(delays: IntArray, left: _Mask, period: int) -> IntArray:
 def unseen_by_place(
     delays: IntArray, left: _Mask, period: int, dropout: float, age: int
 ) -> FloatArray:
-    """How often after a detection no other is in time, on average over a flight that begins at each place. Shape (places,).
+    """How often after a detection no other is in time, on average over a flight, by the place at which it begins.
+
+    Shape (places,).
 
     Args:
         delays, left, period: As of `oldest_by_place`.
@@ -71,7 +74,7 @@ def unseen_by_place(
 
 
 def waits_by_place(delays: IntArray, left: _Mask, delay: int, repeats: int) -> IntArray:
-    """The longest time from the beginning of one motion to that of the next [ticks], by the place at which a flight begins.
+    """The longest time from the beginning of one motion to that of the next [ticks], by where a flight begins.
 
     The protocol of the motions, packet by packet: see `sim.channel.chances.chance_of_outage`. Shape (places,).
 

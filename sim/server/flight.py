@@ -175,7 +175,9 @@ class Flight:
         self._radios = self.world.links.of(LinkKind.RADIO)
         self._listened = -1
         self._arrived: dict[str, array[float]] = {name: array("d") for name in self.world.names}
-        """Messages that have reached each vehicle. UAV: tick, tick of the look, p_delta; UGV: tick, time, p_delta, error."""
+        """Messages that have reached each vehicle. UAV: tick, tick of the look, p_delta; UGV: tick, time, p_delta,
+        error.
+        """
 
     @property
     def commands(self) -> FloatArray:
@@ -411,7 +413,7 @@ class Flight:
             self.first_missing = tick
 
     def _check_bound(self, name: str, command: Command) -> None:
-        """Count a command that the bound of (1) shortens, or a motion of it, and tell of the first: its units may be wrong."""
+        """Count a command of which the bound of (1) shortens anything, and tell of the first; units may be wrong."""
         asked, bound = [command.acceleration], self._bounds[name]
         if isinstance(command, UavCommand):
             for motion in command.motions:

@@ -165,8 +165,8 @@ class Recorder:
     def write(self, path: Path) -> None:
         """Write the trajectory as CSV with a header that carries the units.
 
-        Numbers survive exactly, none is an empty field. Only where wind or a wrong own position may take a UAV from where it
-        is told that it is, the last columns tell that.
+        Numbers survive exactly, none is an empty field. Only where wind or a wrong own position may take a UAV from
+        where it is told that it is, the last columns tell that.
         """
         header = ["tick", "time [s]"]
         for name in self._world.names:

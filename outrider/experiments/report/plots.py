@@ -302,8 +302,9 @@ def ages(material: Material) -> Figure | None:
     )
 
     def draw(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
-        del gap
-        for kind, (color, mark) in kinds.items():
+        for number, (kind, (color, mark)) in enumerate(kinds.items()):
+            aside = 0.0 if panel.ordered else 0.3 * gap * (number - 0.5)
+            places = [x + aside for x in where]
             for column, line in (("mean_age", "-"), ("max_age", ":")):
                 found = [
                     [
@@ -314,11 +315,11 @@ def ages(material: Material) -> Figure | None:
                     for value in panel.values
                 ]
                 if line == "-":
-                    _band(axes, panel, where, found, color, mark)
+                    _band(axes, panel, places, found, color, mark)
                 else:
                     points = [
                         (x, max(numbers))
-                        for x, numbers in zip(where, found, strict=True)
+                        for x, numbers in zip(places, found, strict=True)
                         if numbers
                     ]
                     axes.plot(
@@ -351,12 +352,16 @@ def ages(material: Material) -> Figure | None:
 
 
 CAPTIONS = {
-    "violations": "Share of the runs in which the distance reached r_v at least once. Marks: what was counted; bars: Wilson's "
+    "violations": "Share of the runs in which the distance reached r_v at least once. Marks: what was counted; "
+    "bars: Wilson's "
     "95 % interval. Marks stand beside their value so that none hides another.",
-    "margins": "How near each run came to r_v. Thin line: all runs; thick bar: the middle half; white dot: the median. Below the "
+    "margins": "How near each run came to r_v. Thin line: all runs; thick bar: the middle half; white dot: the "
+    "median. Below the "
     "red line the UGV was out of sight; what lies deeper than the picture goes is marked at its lower edge.",
-    "errors": "e(t) of equation (4), averaged over the flight; low is good. Band: 95 % interval of the mean over the seeds.",
-    "ages": "Age of the newest detection that has reached the UAV's computer, and of the newest command that has reached the "
+    "errors": "e(t) of equation (4), averaged over the flight; low is good. Band: 95 % interval of the mean over "
+    "the seeds.",
+    "ages": "Age of the newest detection that has reached the UAV's computer, and of the newest command that has "
+    "reached the "
     "actuators. Solid: mean over flight and runs; dotted: the oldest seen in any run. "
     "Out of sight nothing is detected: where the UGV is lost for good, the age grows to the end of the flight.",
 }

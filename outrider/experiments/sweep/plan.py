@@ -74,7 +74,7 @@ def _value_at(raw: object, path: str) -> object:
 
 
 def _value_of(raw: object, field: str, varied: dict[str, Any]) -> object:
-    """A field's value at a point; where the scenario keeps none, as of a profile, from which others follow, the varied one."""
+    """A field's value at a point; of one that no scenario keeps, as of a profile, the one that it was given."""
     found = _value_at(raw, field)
     return varied.get(field) if found is None else found
 
