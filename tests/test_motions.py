@@ -1,6 +1,7 @@
 """Commands that carry a motion: the vehicle flies on what was checked while commands are lost."""
 
 import math
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -24,9 +25,11 @@ from outrider.running.flying import fly
 from sim.env.parallel import parallel_env
 from sim.models.motion import motion_plan, motion_row
 from sim.scenario.types import Certificate, LinkTable, Uav
+from sim.server.flight import Flight
 from sim.world import World
 
 LOST = SCENARIOS["lost commands"]
+RECORDED = Path(__file__).resolve().parent.parent / "examples" / "networks" / "wifi-far.csv"
 PAPER = {"r_v": 4.75, "v_a": 0.6, "u_a": 0.3, "v_g": 0.2, "dt": 0.05, "eps": 0.3}
 
 
@@ -156,16 +159,32 @@ def test_lost_commands_fly_one_trajectory_in_the_environment_and_in_a_run() -> N
     assert summary.certified_share == 1.0
 
 
-def test_lost_commands_fly_one_trajectory_over_three_processes(tmp_path) -> None:
+def test_lost_commands_and_a_recorded_link_fly_one_trajectory_over_three_processes() -> None:
     arguments = [
         "escort",
         *("--law", "certified", "--driver", "evade", "--duration", "10", "--seed", "3"),
         *("--set", "links.commands.loss=0.4", "--set", "links.commands.jitter=0.1"),
         *("--set", "links.commands.delay=0.1", "--set", "certificate.outage=3.0"),
+        *("--set", f"links.detections.trace={RECORDED}", "--set", "certificate.age=3.0"),
     ]
     over_the_bus, alone = run_json(*arguments), run_json(*arguments, "--in-process")
     assert over_the_bus["trajectory_sha256"] == alone["trajectory_sha256"]
-    assert over_the_bus["certified_share"] == alone["certified_share"] == 1.0
+    assert (
+        over_the_bus["certified_share"] == alone["certified_share"] > 0.99
+    )  # from the first detection on
+    assert over_the_bus["links"]["uav_0/detections"]["lost"]["trace"] > 0
+
+
+def test_motions_beyond_the_vehicles_bound_are_counted_and_told_once(caplog) -> None:
+    """As a pilot of somebody else's may send them; those of ours never are."""
+    flight, _ = fly(LOST, 3)
+    assert flight.shortened == {"uav_0": 0, "ugv_0": 0}
+    too_far = msgspec.structs.replace(rest(8), turn=3, turning=(0.3, 0.4))
+    flight = Flight(LOST, 3)
+    for tick in range(2):
+        flight.apply({"uav_0": UavCommand(tick=tick, acceleration=(0.0, 0.0), motions=(too_far,))})
+    assert flight.shortened == {"uav_0": 2, "ugv_0": 0}
+    assert caplog.text.count("its command for tick 0, 0.5 m/s², is longer than its bound 0.3") == 1
 
 
 # -- the theorem
