@@ -26,13 +26,13 @@ ROUTER_HOSTS = ("localhost", "127.0.0.1", "::1", "router")
 """Names under which a router is found that has been given no others; `router` is its name among containers."""
 AUTHORITY_DAYS = 3650
 PARTY_DAYS = 365
-"""How long certificates hold; a router's does as long as its authority, so that no renewal needs it to stop."""
+"""The life of certificates; a router's holds as long as its authority, so that no renewal needs it to stop."""
 WARNED_DAYS = 30
 """An end is told so long ahead [days]."""
 _AHEAD = timedelta(days=1)
 """Certificates hold from so long before they were made: clocks differ."""
 _PATIENCE = 2.0
-"""How long a router may take to say what it has against a certificate [s]."""
+"""The time that a router may take to say what it has against a certificate [s]."""
 
 
 class Identity(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

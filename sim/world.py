@@ -91,7 +91,7 @@ class World:
         self.acceleration = self.state.acceleration
         """Accelerations that were applied in the last tick, after their bounds [m/s²], shape (vehicles, 2)."""
         self.told = Told(state.told.position[0], state.told.velocity[0])
-        """Where the vehicles are told that they are: where their commands lead. Without wind and own_error, the truth.
+        """The positions that the vehicles are told: where their commands lead. Without wind and own_error, the truth.
         """
         self.coverage = self.state.coverage
         """C of (3) on the grid, all UAVs together. Shape (rows, columns)."""

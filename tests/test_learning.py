@@ -25,10 +25,6 @@ from outrider.learning.one_world import alone
 from outrider.learning.repeat import ActionRepeat
 from sim.scenario.loading import load_scenario
 
-pytestmark = pytest.mark.xdist_group(
-    "many worlds"
-)  # on one worker: what they compile takes a minute, once
-
 EXAMPLES = Path(__file__).parents[1] / "examples"
 POLICY = EXAMPLES / "policies" / "uav_ppo.npz"
 SEEDS = [41, 42, 43]

@@ -28,10 +28,6 @@ from sim.scenario.types import Certificate, LinkTable, Uav
 from sim.server.flight import Flight
 from sim.world import World
 
-pytestmark = pytest.mark.xdist_group(
-    "attack"
-)  # on one worker: it takes half a minute to compile, once
-
 LOST = SCENARIOS["lost commands"]
 RECORDED = Path(__file__).resolve().parent.parent / "examples" / "networks" / "wifi-far.csv"
 PAPER = {"r_v": 4.75, "v_a": 0.6, "u_a": 0.3, "v_g": 0.2, "dt": 0.05, "eps": 0.3}

@@ -20,10 +20,6 @@ from outrider.envs.vector import OutriderVectorEnv
 from outrider.experiments.suite.tasks import TASKS
 from outrider.registration import ESCORT, env_ids, register
 
-pytestmark = pytest.mark.xdist_group(
-    "many worlds"
-)  # on one worker: what they compile takes a minute, once
-
 
 def test_there_is_a_name_for_the_escort_and_for_each_task() -> None:
     assert env_ids() == (ESCORT, *(task.env_id for task in TASKS))

@@ -26,10 +26,6 @@ from sim.scenario.checks import check_scenario
 from sim.scenario.types import Certificate, LinkTable, Tracking, Uav, Wind
 from sim.world import World
 
-pytestmark = pytest.mark.xdist_group(
-    "attack"
-)  # on one worker: it takes half a minute to compile, once
-
 WINDY = SCENARIOS["wind"]
 DT = 0.05
 LOOPS = [(1.0, 2.0), (1.0, 0.4), (4.0, 3.0), (0.2, 1.5)]

@@ -116,7 +116,7 @@ class HeldPlan(NamedTuple):
 
 
 class Known(NamedTuple):
-    """Where the UGV surely is: in each of these discs."""
+    """Discs, each of which surely holds the UGV."""
 
     newest: Disc
     """Of the newest detection."""
@@ -298,7 +298,7 @@ def _stays_in_area(promise: Promise, here: Motion, a_x: float, a_y: float, durat
 
 @compiled
 def _end_radius(promise: Promise, known: Known, tick: int, x: float, y: float, ticks: int) -> float:
-    """How far the UGV is at most from a plan's end, now [m], if a plan of so many ticks may end there; else infinite.
+    """A bound on the UGV's distance now from a plan's end [m], if a plan of so many ticks may end there; else infinite.
 
     It may have to rest there until the next motion begins, for the declared outage.
     """
@@ -540,7 +540,7 @@ def rest_radius(
     here: Motion,
     ticks: int,
 ) -> float:
-    """How far the UGV is at most from a UAV at rest [m]; infinite if it is not, or may not rest there.
+    """A bound on the UGV's distance from a UAV at rest [m]; infinite if it is not at rest, or may not rest there.
 
     That is for so many ticks, and then until the next motion begins.
     """

@@ -208,7 +208,7 @@ def handover_radius(
 
 @compiled
 def tick_sagitta(v_a: float, u_a: float, dt: float) -> float:
-    r"""How far a vehicle is at most from the chord of its way within a tick of constant acceleration a [m].
+    r"""The largest distance of a vehicle from the chord of its way within a tick of constant acceleration a [m].
 
     $a\,dt^2/8$.
 
@@ -331,7 +331,7 @@ def largest_outage(promise: Promise) -> float:
 
 
 def check_assumptions(promise: Promise) -> tuple[str, ...]:
-    """Which assumptions do not hold, one line each with its numbers.
+    """The assumptions that do not hold, one line each with its numbers.
 
     Empty if all hold that are known when a run is loaded.
     """

@@ -15,7 +15,7 @@ Path = Callable[[float], tuple[tuple[float, float], tuple[float, float]]]
 
 @compiled
 def desired_position(p_gx: float, p_gy: float, p_vx: float, p_vy: float) -> tuple[float, float]:
-    r"""Where the UAV ought to be [m], Klodt 2015, eq. (20): $p_d(t) = p_g(t) + p_v(t)$."""
+    r"""The UAV's place on the virtual path [m], Klodt 2015, eq. (20): $p_d(t) = p_g(t) + p_v(t)$."""
     return p_gx + p_vx, p_gy + p_vy
 
 

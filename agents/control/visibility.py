@@ -117,7 +117,7 @@ class Verdict(NamedTuple):
     distance: float
     """The UGV is surely no farther than this [m]; infinite before the first detection."""
     motions: tuple[MotionPlan, ...] = ()
-    """What the command is to carry, where the vehicle flies motions."""
+    """The motions that the command is to carry, where the vehicle flies motions."""
 
 
 class SafetyFilter:
@@ -180,7 +180,7 @@ class SafetyFilter:
         return self.verdict(tick, *done)
 
     def motions(self, tick: int) -> tuple[MotionPlan, ...]:
-        """What the command that answers this tick carries: its own motion last, before it those that may be missing."""
+        """The motions that this tick's command carries: its own last, before it those that may be missing."""
         if not self.promise.carries:
             return ()
         sent, last = self.state.underway.sent, tick + self.promise.delay_ticks

@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 _MINUTES = 1.0
 _FLIGHT, _ATTACK = 60.0, 200.0
-"""How long a run lasts by default [s]."""
+"""The length of a run by default [s]."""
 _DELAY, _COMMAND_DELAY, _LOSS, _BLACKOUT = 1.0, 0.5, 0.3, 5.0
 """The limits by default [s], [s], share, [s]."""
 _LINE = 10.0
-"""Where there is no terminal, a line of progress so often [s], and one at the first violation."""
+"""The time between two lines of progress without a terminal [s]; one more comes at the first violation."""
 
 
 class Expect(StrEnum):

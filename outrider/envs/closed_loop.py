@@ -295,7 +295,7 @@ class ClosedLoop:
         self.batch.workers.share(run_worlds, len(worlds), *told)
 
     def metrics(self, uav: str) -> dict[str, FloatArray]:
-        """How a UAV has truly done in this episode, in each world; arrays of shape (worlds,).
+        """A UAV's true standing in this episode, in each world; arrays of shape (worlds,).
 
         `mean_error` is the mean of e(t) [m²] over the ticks so far, the first included; NaN where e(t) is not computed.
         `certified_while_lost` counts the ticks that the safety filter certified with the UGV out of sight,
@@ -320,7 +320,7 @@ class ClosedLoop:
         }
 
     def links(self, world: int) -> dict[str, LinkStatus]:
-        """How each link of one world has done so far, by `vehicle/kind`."""
+        """The counters of each link of one world so far, by `vehicle/kind`."""
         return self.batch.link_status(world) | self._radio.status(world)
 
     def bytes_per_world(self) -> int:

@@ -299,7 +299,7 @@ class Worlds:
         return self.loop.state.rows.rewards[:, self._rows[name]].copy()
 
     def ends(self) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-        """Which episodes have terminated, and which were truncated."""
+        """The episodes that have terminated, and those that were truncated."""
         state = self.loop.state
         return state.rows.terminated != 0, state.rows.truncated != 0
 
@@ -334,11 +334,11 @@ class Worlds:
         self._begin(which, [None] * len(which))
 
     def metrics(self) -> dict[str, dict[str, FloatArray]]:
-        """How each UAV truly stands in its episode, in all worlds: for people and logs, not for policies."""
+        """Each UAV's true standing in its episode, in all worlds: for people and logs, not for policies."""
         return {uav: self.loop.metrics(uav) for uav in self.loop.uavs}
 
     def links(self, world: int) -> dict[str, LinkStatus]:
-        """How each link of one world has done so far, by `vehicle/kind`."""
+        """The counters of each link of one world so far, by `vehicle/kind`."""
         return self.loop.links(world)
 
 
@@ -426,7 +426,7 @@ class OutriderVectorEnv(VectorEnv):
         )
 
     def metrics(self) -> dict[str, dict[str, FloatArray]]:
-        """How each UAV truly stands in its episode, in all worlds: for people and logs, not for policies."""
+        """Each UAV's true standing in its episode, in all worlds: for people and logs, not for policies."""
         return self.worlds.metrics()
 
     def close_extras(self, **_: Any) -> None:  # noqa: ANN401 - Gymnasium's
@@ -530,7 +530,7 @@ class OutriderParallelVectorEnv:
         )
 
     def metrics(self) -> dict[str, dict[str, FloatArray]]:
-        """How each UAV truly stands in its episode, in all worlds: for people and logs, not for policies."""
+        """Each UAV's true standing in its episode, in all worlds: for people and logs, not for policies."""
         return self.worlds.metrics()
 
     def close(self) -> None:

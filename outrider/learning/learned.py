@@ -50,7 +50,7 @@ class LearnedPolicy:
 
     def __init__(self, network: Mlp, recipe: Mapping[str, Any]) -> None:
         self.recipe = dict(recipe)
-        """How it was made."""
+        """The way it was made."""
         self._network = network
         self._view = make_view(recipe)
         inputs, outputs = network.weights[0].shape[1], network.weights[-1].shape[0]

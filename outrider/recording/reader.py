@@ -295,7 +295,7 @@ class Recording:
 
     path: Path
     number: int
-    """Which flight of the file, from 0."""
+    """The flight's number in the file, from 0."""
     head: Head
     truths: list[Truth] = field(default_factory=list)
     commands: dict[int, Commands] = field(default_factory=dict)

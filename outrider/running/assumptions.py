@@ -137,7 +137,7 @@ def how_certifiable(scenario: Scenario) -> str | None:
 
 
 def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shortfall, ...]:
-    """Which declared assumptions of the law `certified` cannot be kept, and how often they are broken.
+    """The declared assumptions of the law `certified` that cannot be kept, and how often they are broken.
 
     Args:
         scenario: What is flown; what the UAVs rely on follows from it when they join.

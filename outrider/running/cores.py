@@ -1,4 +1,4 @@
-"""Which processor cores the processes of a run use.
+"""The processor cores of a run's processes.
 
 In lockstep they wait for each other thousands of times a second. A process that finds its core as it left it
 answers much sooner

@@ -280,7 +280,7 @@ class _Counted(NamedTuple):
     why: str
     """Why it is a bound; empty: it is exact."""
     longest: int
-    """What is longer says nothing: the flight is over before it is exceeded [ticks]."""
+    """The largest number that tells anything: the flight is over before a larger one is exceeded [ticks]."""
 
     def summed(self, plan: _Plan, number: int, *, regular: bool) -> float:
         """The expected number of times; `regular`: as if there were neither planned blackouts nor a queue."""

@@ -74,7 +74,7 @@ from sim.kernels.records import records
 from sim.models.randomness import Key
 
 KEEPS = ("newest", "oldest")
-"""Which messages a full queue keeps."""
+"""The messages that a full queue keeps."""
 
 _LONGEST = 60.0
 """Longest delay of all [s]: what is on its way needs room."""
@@ -223,7 +223,7 @@ def _dark_ticks(
 
 @functools.lru_cache(maxsize=64)
 def _played(recorded: RecordedLink | None, delay: float, dt: float) -> tuple[int, IntArray, int]:
-    """What is played, its rows, and the length of a round, as in `LinkParameters`."""
+    """The recording's kind, its rows, and the length of a round, as in `LinkParameters`."""
     if recorded is None:
         return NOTHING, np.zeros((0, 2), dtype=np.int64), 0
     recording = recording_of(recorded)

@@ -293,7 +293,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         )
 
     def metrics(self) -> dict[str, dict[str, float]]:
-        """How each vehicle truly stands, and the terms of its last reward: for people and logs, not for policies."""
+        """Each vehicle's true standing, and the terms of its last reward: for people and logs, not for policies."""
         _ = self.world  # there must be one
         return {name: self._episode.metrics(name) for name in self.possible_agents}
 

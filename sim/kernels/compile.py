@@ -1,4 +1,4 @@
-"""Where numba keeps its cache, and how our functions are compiled.
+"""The compile cache of numba, and the options with which our functions are compiled.
 
 Strict floating point, one cache for one source text.
 """

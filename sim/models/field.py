@@ -231,7 +231,7 @@ def accumulate_with_gain(
 def coverage_error(
     coverage: FloatArray, p_gx: float, p_gy: float, r_o: float, desired: float, cell: float
 ) -> float:
-    r"""How much of the ground around the UGV is not yet seen, Klodt 2015, eq. (4).
+    r"""The ground around the UGV that is not yet seen, Klodt 2015, eq. (4).
 
     $$ e(t) = \int_Q h(C^* - C(q, t))\, \phi(q, p_g)\, dq $$
 

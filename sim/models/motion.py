@@ -92,7 +92,7 @@ def motion_command(
 
 @compiled
 def waited(tick: int, begins: int, delay_ticks: int) -> int:
-    """How long the vehicle has waited for its next motion at a tick [ticks].
+    """The vehicle's waiting time for its next motion at a tick [ticks].
 
     Args:
         tick: Which.

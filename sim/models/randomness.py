@@ -31,7 +31,7 @@ OPERATOR_LINK = 5
 RADIO_LINK = 6
 DISTURBANCE = 7
 RUN_PURPOSES = 8
-"""How many there are."""
+"""Their number."""
 
 # Purposes of draws that share a key: a pilot's, a link's, or that of wind and own position. A number, once given,
 # stays.

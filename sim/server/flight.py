@@ -64,7 +64,7 @@ class _Unchecked(NamedTuple):
     received: list[list[Look]]
     """The detections that had reached each."""
     acted: list[list[float]]
-    """What each vehicle has acted on [m/s²]."""
+    """The acceleration that each vehicle has acted on [m/s²]."""
     flown: list[int | None]
     """The motion that each UAV flew in it."""
 

@@ -142,7 +142,7 @@ class EachArray(Transformation):
 
 
 def channel_axis(channels: Channels) -> int:
-    """Where the channel is among the last three axes."""
+    """The place of the channel among the last three axes."""
     if channels not in {"last", "first"}:
         raise ValueError(f"channels = {channels!r}; allowed: 'last', 'first'")
     return -1 if channels == "last" else -3

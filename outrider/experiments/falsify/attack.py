@@ -101,12 +101,12 @@ UGVS = ("flees", "straight", "random", "turns", "dodges", "ambush", "still")
 ERRORS = ("ball", "sphere", "alternating", "constant", "hides", "none")
 BLACKOUTS = ("none", "periodic", "random", "when_far")
 AREAS = ("open", "corner", "small")
-"""Where it is flown: so large that nobody meets a wall; from a corner of that.
+"""The area in which it is flown: so large that nobody meets a wall; from a corner of that.
 
 In a room of 9 m by 7 m, at the paper's radius.
 """
 WINDS = ("outward", "constant", "random", "pumping", "turns", "flips")
-"""Where wind and own position drive the UAV: away from the UGV; one way; another way now and then; the way that it is
+"""The way in which wind and own position drive the UAV: away from the UGV; one way; another now and then; the way it is
 going, off its reference; the way that it accelerates; towards the UGV while that is detected, and then away.
 """
 DISTURBANCES = ("none", "single_losses", "silences", "late", "law_changes", "rejoins")
@@ -173,7 +173,7 @@ class Conditions(NamedTuple):
     outage: float = 0.0
     """Longest time from the beginning of a motion to that of the next, B; 0: commands carry no motions."""
     losses: int = 0
-    """Which motions are lost, an index of `LOSSES`; never more than B allows."""
+    """The motions that are lost, an index of `LOSSES`; never more than B allows."""
     wind: float = 0.0
     """Largest acceleration of the wind, W [m/s²]."""
     own_error: float = 0.0
@@ -181,15 +181,15 @@ class Conditions(NamedTuple):
     gains: tuple[float, float] = (1.0, 2.0)
     """Of the inner loop, k_p [1/s²] and k_d [1/s]; its reserve is just what it needs."""
     jumps: float = 0.0
-    """How far the UAV is off what it is told, anywhere at any tick, without an inner loop [m]; 0: with one."""
+    """The UAV's distance from what it is told, anywhere at any tick, without an inner loop [m]; 0: with one."""
     blows: int = ANY
-    """How wind, own position and jumps are directed, an index of `WINDS`."""
+    """The direction of wind, own position and jumps, an index of `WINDS`."""
     radius: float = 0.0
     """Of the laws that switch [m]."""
     r_v: float = 4.75
     """Visibility radius [m]."""
     area: int = 0
-    """Where, an index of `AREAS`."""
+    """The area, an index of `AREAS`."""
 
 
 @compiled
@@ -312,7 +312,7 @@ def _push(
     held: FloatArray,
     acting: FloatArray,
 ) -> tuple[float, float]:
-    """Where wind and own position drive the UAV, a unit vector.
+    """The way in which wind and own position drive the UAV, a unit vector.
 
     Args:
         kind: An index of `WINDS`.
@@ -757,7 +757,7 @@ def _inner_loop(conditions: Conditions, dt: float) -> Tracking:
 
 
 def farthest_off(conditions: Conditions, dt: float) -> float:
-    """How far the UAV is off what it is told at most, w [m]; at a tick of dt [s]."""
+    """The UAV's largest distance from what it is told, w [m]; at a tick of dt [s]."""
     c = conditions
     if c.jumps:
         return c.jumps

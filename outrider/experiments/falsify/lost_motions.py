@@ -16,12 +16,12 @@ LOSSES = ("none", "random", "when_far", "at_a_plans_end", "whenever_it_may", "ev
 """When the first motion of a chain is lost, and those after it that would begin the next chain."""
 
 ALIVE = -1.0
-"""What the adversary remembers while the vehicle flies what is sent; else the tick of the first motion that was lost.
+"""The adversary's memory while the vehicle flies what is sent; else the tick of the first motion that was lost.
 """
 
 
 class Pending(NamedTuple):
-    """What the adversary sees of the motion that sets out."""
+    """The adversary's view of the motion that sets out."""
 
     tick: int
     """Now."""
@@ -32,7 +32,7 @@ class Pending(NamedTuple):
     share: float
     """The distance as a share of r_v."""
     left: int
-    """How long the plan that it carries still moves the UAV [ticks]."""
+    """The time for which the plan that it carries still moves the UAV [ticks]."""
 
 
 @compiled

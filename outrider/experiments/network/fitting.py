@@ -55,7 +55,7 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True):
     profiles: dict[str, float]
     """Factors of all profiles, the nearest first."""
     notes: list[str]
-    """Where the recorded link is of a kind that cannot be drawn."""
+    """The traits of the recorded link that cannot be drawn."""
     toml: str
     """The settings as a scenario writes them."""
 

@@ -107,7 +107,7 @@ def _beyond(axes: Axes, values: FloatArray, look: dict[str, object]) -> None:
 
 
 def _bursts(axes: Axes, sample: Sample, look: dict[str, object]) -> None:
-    """How often per hour bursts of each length or longer come."""
+    """The number of bursts per hour of each length or longer."""
     lengths = np.sort(sample.bursts) * sample.interval
     if not lengths.size:
         return

@@ -64,7 +64,7 @@ class _Meter:
         self._desired, self._cell = float(scenario.coverage.desired), float(scenario.area.cell)
         self._known: dict[tuple[float, float], float] = {}
         self.in_sight: npt.NDArray[np.bool_] = np.ones(loop.worlds, dtype=np.bool_)
-        """Where sight has never been lost."""
+        """True where sight has never been lost."""
         self.seen: FloatArray = np.zeros(loop.worlds)
         """Sum over the ticks of the share that has been seen."""
         self.errors: FloatArray = np.zeros(loop.worlds)
