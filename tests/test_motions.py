@@ -1,6 +1,7 @@
 """Commands that carry a motion: the vehicle flies on what was checked while commands are lost."""
 
 import math
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -24,9 +25,11 @@ from outrider.running.flying import fly
 from sim.env.parallel import parallel_env
 from sim.models.motion import motion_plan, motion_row
 from sim.scenario.types import Certificate, LinkTable, Uav
+from sim.server.flight import Flight
 from sim.world import World
 
 LOST = SCENARIOS["lost commands"]
+RECORDED = Path(__file__).resolve().parent.parent / "examples" / "networks" / "wifi-far.csv"
 PAPER = {"r_v": 4.75, "v_a": 0.6, "u_a": 0.3, "v_g": 0.2, "dt": 0.05, "eps": 0.3}
 
 
@@ -152,10 +155,26 @@ def test_lost_commands_fly_one_trajectory_in_the_environment_and_in_a_run() -> N
     assert summary.certified_share == 1.0
 
 
-def test_lost_commands_fly_one_trajectory_over_three_processes(tmp_path) -> None:
+def test_lost_commands_and_a_recorded_link_fly_one_trajectory_over_three_processes() -> None:
     links = ("links.commands.loss=0.4", "links.commands.jitter=0.1", "links.commands.delay=0.1")
-    there, here = flown_both_ways("escort", *EVADED, *links, "certificate.outage=3.0", seed=3)
-    assert there["certified_share"] == here.certified_share == 1.0
+    recorded = (f"links.detections.trace={RECORDED}", "certificate.age=3.0")
+    there, here = flown_both_ways(
+        "escort", *EVADED, *links, "certificate.outage=3.0", *recorded, seed=3
+    )
+    assert there["certified_share"] == here.certified_share > 0.99  # from the first detection on
+    assert there["links"]["uav_0/detections"]["lost"]["trace"] > 0
+
+
+def test_motions_beyond_the_vehicles_bound_are_counted_and_told_once(caplog) -> None:
+    """As a pilot of somebody else's may send them; those of ours never are."""
+    flight, _ = fly(LOST, 3)
+    assert flight.shortened == {"uav_0": 0, "ugv_0": 0}
+    too_far = msgspec.structs.replace(rest(8), turn=3, turning=(0.3, 0.4))
+    flight = Flight(LOST, 3)
+    for tick in range(2):
+        flight.apply({"uav_0": UavCommand(tick=tick, acceleration=(0.0, 0.0), motions=(too_far,))})
+    assert flight.shortened == {"uav_0": 2, "ugv_0": 0}
+    assert caplog.text.count("its command for tick 0, 0.5 m/s², is longer than its bound 0.3") == 1
 
 
 # -- the theorem

@@ -16,6 +16,7 @@ from refusals import refused
 from tabular import words
 
 from bus.errors import PeerLost, ScenarioError
+from bus.profiles import PROFILES
 from outrider.experiments.sweep.definition import describe_sweep, shipped_sweeps
 from outrider.experiments.sweep.folder import SweepFolder, read_head, read_results
 from outrider.experiments.sweep.plan import Plan, lay_out
@@ -146,6 +147,15 @@ def test_values_of_any_kind_can_be_varied():
     last = plan.head(plan.runs - 1)
     told = (last["ugv.0.driver"], last["estimator.enabled"], last["ugv.0.goals"])
     assert told == ("wander", False, "[[3.5,4.0]]")
+
+
+def test_profiles_can_be_varied():
+    plan = plan_of(laws="linear", vary=["links.profile=wifi,lte"], seeds=1)
+    assert [plan.head(run)["links.profile"] for run in range(2)] == ["wifi", "lte"]
+    assert [point.scenario.links.commands for point in plan.points] == [
+        PROFILES["wifi"],
+        PROFILES["lte"],
+    ]
 
 
 def test_a_scenario_beside_the_sweep_s_file_is_found(tmp_path, monkeypatch):

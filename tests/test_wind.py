@@ -1,5 +1,6 @@
 """Wind, tracking and a wrong own position: the truth is off what the UAV is told, by no more than w."""
 
+import csv
 import math
 
 import msgspec
@@ -143,7 +144,7 @@ def test_without_wind_what_is_told_is_the_truth_itself() -> None:
     assert state.tracking.size == 0
 
 
-def test_wind_takes_the_uav_from_what_it_is_told_and_nothing_else() -> None:
+def test_wind_takes_the_uav_from_what_it_is_told_and_nothing_else(tmp_path) -> None:
     flight, summary = fly(WINDY, 1)
     off = flight.recorder.states[:, :, :4] - flight.recorder.told
     declared = told(WINDY).certificate.tracking
@@ -155,6 +156,13 @@ def test_wind_takes_the_uav_from_what_it_is_told_and_nothing_else() -> None:
     status = flight.assurance.status()
     before_the_last = np.hypot(off[:-1, 0, 0], off[:-1, 0, 1]).max()
     assert (status.tracking, status.tracking_error) == (declared, before_the_last)
+    flight.recorder.write(tmp_path / "trajectory.csv")
+    with (tmp_path / "trajectory.csv").open(newline="", encoding="utf-8") as file:
+        header, *rows = csv.reader(file)
+    assert header[-2:] == ["uav_0.told_x [m]", "uav_0.told_y [m]"]
+    assert [tuple(map(float, row[-2:])) for row in rows] == [
+        tuple(place) for place in flight.recorder.told[:, 0, :2].tolist()
+    ]
 
 
 def test_wind_changes_neither_the_draws_of_others_nor_what_a_vehicle_is_told_of_itself() -> None:

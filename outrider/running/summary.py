@@ -158,6 +158,10 @@ def _faults(
     return found
 
 
+PERHAPS_EVERY = 0.999
+"""A chance within a flight that is as good as 1."""
+
+
 def in_flights(chance: float) -> str:
     """An upper bound of a chance within a flight, in words."""
     if chance == 0.0:
@@ -168,7 +172,7 @@ def in_flights(chance: float) -> str:
         flights = math.floor(1.0 / chance)
         digits = 10 ** max(0, len(str(flights)) - 2)
         return f"in at most 1 of {flights // digits * digits:,} such flights"
-    if chance < 0.999:
+    if chance < PERHAPS_EVERY:
         return f"in at most {math.ceil(1000.0 * chance)} of 1,000 such flights"
     return "perhaps in every such flight"
 

@@ -281,7 +281,8 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     def state(self) -> Array:
         """The whole truth as a flat array, for centralized critics: time, coverage, then each vehicle in name order.
 
-        `state_names` names the entries; with `coverage_in_state` the cells of the grid follow.
+        `state_names` names the entries; with `coverage_in_state` the cells of the grid follow. In wind a UAV's position
+        and velocity are those that it is told, its distance and coverage error of where it truly is.
         """
         return state_array(
             self.world,

@@ -413,8 +413,12 @@ class Flight:
             self.first_missing = tick
 
     def _check_bound(self, name: str, command: Command) -> None:
-        """Count a command that the bound of (1) shortens, and tell of the first: its units may be wrong."""
-        size, bound = math.hypot(*command.acceleration), self._bounds[name]
+        """Count a command of which the bound of (1) shortens anything, and tell of the first; units may be wrong."""
+        asked, bound = [command.acceleration], self._bounds[name]
+        if isinstance(command, UavCommand):
+            for motion in command.motions:
+                asked += (motion.acceleration, motion.turning, motion.braking)
+        size = max(math.hypot(x, y) for x, y in asked)
         if size <= bound * (1.0 + _ROUNDING):
             return
         self.shortened[name] += 1
