@@ -1,8 +1,8 @@
 """The table of docs/explanation/chances.md: `python benchmarks/chances.py [FLIGHTS]`, by default 100,000; some minutes.
 
-Chances that declared numbers are exceeded, as computed from the links' settings, beside how often they are in flights over the
-compiled link itself. Detections and packets are sent as a flight sends them; the protocol of the motions is played
-literally, packet by packet, and knows nothing of windows or chains of states.
+Chances that declared numbers are exceeded, as computed from the links' settings, beside how often they are in flights
+over the compiled link itself. Detections and packets are sent as a flight sends them; the protocol of the motions is
+played literally, packet by packet, and knows nothing of windows or chains of states.
 """
 
 import math

@@ -291,8 +291,10 @@ def expiry_warning(name: str, end: datetime) -> str:
 
 _REASONS = {
     "TLSV13_ALERT_CERTIFICATE_REQUIRED": "wants a certificate",
-    "TLSV1_ALERT_UNKNOWN_CA": "does not trust the authority of this certificate: is it of the same `outrider credentials`?",
-    "TLSV1_ALERT_DECRYPT_ERROR": "does not trust the authority of this certificate: is it of the same `outrider credentials`?",
+    "TLSV1_ALERT_UNKNOWN_CA": "does not trust the authority of this certificate: is it of the same `outrider "
+    "credentials`?",
+    "TLSV1_ALERT_DECRYPT_ERROR": "does not trust the authority of this certificate: is it of the same `outrider "
+    "credentials`?",
     "SSLV3_ALERT_CERTIFICATE_EXPIRED": f"says that this certificate has expired: {RENEW}",
     "SSLV3_ALERT_UNSUPPORTED_CERTIFICATE": "says that this certificate is not for a client",
     "WRONG_VERSION_NUMBER": "does not speak TLS",

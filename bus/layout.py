@@ -37,7 +37,8 @@ SYMBOLS = {
     "W": "width of the area [m]",
     "H": "height of the area [m]",
     "v_max": "largest speed of the vehicle [m/s]",
-    "d_max": "longest relative position that a detection can have [m]: the sensor's range, plus the noise up to its cut",
+    "d_max": "longest relative position that a detection can have [m]: the sensor's range, plus the noise up to "
+    "its cut",
     "D": "diagonal of the area [m]",
     "E": "2 C*^2 W H, more than e(t) can ever be [m^2]",
 }

@@ -75,7 +75,7 @@ def degraded(ticks: int, links: LinkTable = BAD) -> Scenario:
 
 
 def record(env, policies, observations):
-    """Fly to the end; position, velocity and applied acceleration of each tick, in the order of the trajectory's hash."""
+    """Fly to the end; position, velocity and applied acceleration of each tick, in the trajectory hash's order."""
     world, rows = env.unwrapped.world, []
     while env.agents:
         before = (world.position.copy(), world.velocity.copy())

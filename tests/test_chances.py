@@ -1,4 +1,6 @@
-"""Chances that links exceed declared numbers: against all outcomes of tiny flights, and frequencies over the link itself."""
+"""Chances that links exceed declared numbers: against all outcomes of tiny flights, and frequencies over the link
+itself.
+"""
 
 import importlib
 import itertools

@@ -92,7 +92,9 @@ def test_it_flies_a_single_environment_as_it_flies_a_batch() -> None:
 
 
 def test_it_sees_what_it_was_trained_on() -> None:
-    """The transformation around a repeated environment, as in training, and the policy alone fly the same, also over ends."""
+    """The transformation around a repeated environment, as in training, and the policy alone fly the same, also over
+    ends.
+    """
     network, recipe = load_policy(POLICY)
     policy = LearnedPolicy.load(POLICY)
 

@@ -290,7 +290,8 @@ def test_ctrl_c_keeps_what_is_done_says_how_to_go_on_and_leaves_no_process(tmp_p
     assert out == ""
     kept = len(rows_of(tmp_path / "sweep")["run"])
     assert err.strip() == (
-        f"outrider: interrupted; {kept} of 800 runs are kept in {tmp_path / 'sweep'}, and the same command goes on from there"
+        f"outrider: interrupted; {kept} of 800 runs are kept in {tmp_path / 'sweep'}, and the same command goes "
+        "on from there"
     )
     assert session_ends(process.pid)
 
@@ -321,7 +322,8 @@ def _session(number: int) -> list[str]:
 def test_a_run_that_raises_is_a_row_with_its_error_and_the_others_go_on(tmp_path):
     (tmp_path / "mine.py").write_text(
         "def policy(observation, briefing):\n"
-        "    if int(briefing.key, 16) % 2 and observation.time > 2.0:\n        raise RuntimeError('the wheel came off')\n"
+        "    if int(briefing.key, 16) % 2 and observation.time > 2.0:\n        raise RuntimeError('the wheel "
+        "came off')\n"
         "    return 0.0, 0.0\n",
         encoding="utf-8",
     )

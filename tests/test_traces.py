@@ -89,7 +89,7 @@ def test_a_message_has_the_fate_of_the_row_nearest_before_it(number: int, delay:
 def granted(
     times: list[int], size: int, queue: int, newest: bool, dt: float, offset: int, ticks: int
 ) -> tuple[dict[int, int], int]:
-    """When each message leaves [ms], and how many the queue has cost: a millisecond after the other, in plain Python."""
+    """When each message leaves [ms], and how many the queue has cost: millisecond by millisecond in plain Python."""
     period, left, lost, now = times[-1], dict[int, int](), 0, 0
     waiting: list[tuple[int, int]] = []  # message, bytes that are missing
     for tick in range(ticks):

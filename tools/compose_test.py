@@ -170,7 +170,10 @@ context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
 context.load_verify_locations(cadata=own.tls.authority)
 Path("/tmp/own.pem").write_text(own.tls.certificate + own.tls.key)
 context.load_cert_chain("/tmp/own.pem")
-with socket.create_connection((host, int(port)), 5) as plain, context.wrap_socket(plain, server_hostname=host) as opened:
+with (
+    socket.create_connection((host, int(port)), 5) as plain,
+    context.wrap_socket(plain, server_hostname=host) as opened,
+):
     found["version"] = opened.version()
 print(json.dumps(found))
 """
@@ -227,7 +230,8 @@ PILOT_IMAGE = (
 # A browser's side of the opening handshake; what the server sends is plain text in frames that need no decoding to
 # be searched.
 UPGRADE = (
-    "GET /frames HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nCookie: {cookie}\r\n"
+    "GET /frames HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nCookie: "
+    "{cookie}\r\n"
     "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
 )
 
@@ -701,7 +705,10 @@ class Checks:
                 "uav_0" in faults and "ugv_0" not in faults,
                 f"nonsense in the commands of: {list(faults)}",
             )
-        return f"{heard['uav'][own]} of its own observations, nothing else; strangers are refused; it cannot write for the UGV"
+        return (
+            f"{heard['uav'][own]} of its own observations, nothing else; strangers are refused; it cannot "
+            "write for the UGV"
+        )
 
     def tls(self) -> str:
         """With certificates: the same flight, nothing readable on the network, and others do not get in."""
@@ -786,7 +793,10 @@ class Checks:
             expect(set(found.values()) == {"unreachable"}, f"found {found}")
         finally:
             docker.down()
-        return f"{more:.0f} MB more; 127.0.0.1:{port}, no token, no page; ticks {ticks}; no way to a vehicle, nor from one"
+        return (
+            f"{more:.0f} MB more; 127.0.0.1:{port}, no token, no page; ticks {ticks}; no way to a vehicle, nor "
+            "from one"
+        )
 
     def _address_of_the_page(self, port: int) -> str:
         """Path and ticket, from the log."""

@@ -1,4 +1,4 @@
-"""The UGV's place as detections tell it: each puts it into a disc that grows with time. World frame [m], times in ticks."""
+"""The UGV's place by its detections: each puts it into a disc that grows with time. World frame [m], times in ticks."""
 
 import math
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""One UAV's safety filter over records: what it remembers, and what it does in a tick. See docs/explanation/certificate.md.
+"""One UAV's safety filter over records: its memory and its tick. See docs/explanation/certificate.md.
 
 `SafetyFilter` calls these functions for one UAV, compiled loops call them for many worlds. In a tick:
 `note_position`, then

@@ -141,6 +141,7 @@ def check_path(
         )
     if hardest[0] > u_a * (1.0 + 1e-6):
         warnings.append(
-            f"path: cannot be flown: {hardest[0]:.4g} m/s² at t = {hardest[1]:.4g} s; allowed up to u_a = {u_a:.4g} m/s²"
+            f"path: cannot be flown: {hardest[0]:.4g} m/s² at t = {hardest[1]:.4g} s; allowed up to u_a = "
+            f"{u_a:.4g} m/s²"
         )
     return tuple(warnings)

@@ -49,7 +49,9 @@ class Promise(NamedTuple):
     error: float
     """Largest error of a detection, as a vector's norm [m]."""
     eps: float
-    """Largest error of where a detection puts the UGV [m]: that, and w, as it is seen from where the UAV is told that it is."""
+    """Largest error of where a detection puts the UGV [m]: that, and w, as it is seen from where the UAV is told that
+    it is.
+    """
     tracking: float
     """How far the UAV truly is at most from where it is told that it is, w [m]."""
     age: float

@@ -1,9 +1,9 @@
 """Commands that carry a motion: what is under way from a pilot to its vehicle, and what the vehicle will fly.
 
-The vehicle's receiver begins each motion in its own tick, and only if its parent is flown then; else it flies on what it
-flies (`sim.models.motion`). Each observation tells what it flew. So the pilot knows the one course from here to the tick in
-which its next motion begins: along those under way as long as the vehicle flies what was sent, along the rest of what it
-flies where one was lost, which voids all that is under way. The proof is in docs/explanation/certificate.md.
+The vehicle's receiver begins each motion in its own tick, and only if its parent is flown then; else it flies on what
+it flies (`sim.models.motion`). Each observation tells what it flew. So the pilot knows the one course from here to the
+tick in which its next motion begins: along those under way as long as the vehicle flies what was sent, along the rest
+of what it flies where one was lost, which voids all that is under way. The proof is in docs/explanation/certificate.md.
 
 Positions [m], speeds [m/s], accelerations [m/s²], times in ticks.
 """
@@ -150,8 +150,8 @@ def due_end(promise: Promise, state: Underway, tick: int, here: Motion) -> tuple
     `state.flown` then has what it flies there. What is under way is in a chain from what is flown now, or void.
 
     Returns:
-        Its state then; whether all that it may fly until then was checked; and how long it will have waited for the next
-        motion at least [ticks].
+        Its state then; whether all that it may fly until then was checked; and how long it will have waited for the
+        next motion at least [ticks].
     """
     c, checked, next_begins = promise, state.flown[_NOW].checked == 1, tick + promise.delay_ticks
     ahead = state.flown[_END : _END + 1]
@@ -208,7 +208,7 @@ def check_rest(
     tick: int,
     here: Motion,
 ) -> None:
-    """Before the first motion that moves the UAV its rest is a plan, once a detection has come, if it can be checked as one.
+    """Take the UAV's rest as a plan once a detection has come, if it passes as one, until a motion moves the UAV.
 
     Args:
         promise: The declared numbers.

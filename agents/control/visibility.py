@@ -1,4 +1,4 @@
-"""The visibility constraint (5), the radius from which only tracking acts (18), and the filter that keeps the constraint."""
+"""The visibility constraint (5), the radius from which only tracking acts (18), and the filter that keeps sight."""
 
 import math
 from collections import Counter
@@ -121,9 +121,9 @@ class Verdict(NamedTuple):
 
 
 class SafetyFilter:
-    """Keeps sight of the UGV around any way to fly: a law, a person, a learned policy. See docs/explanation/certificate.md.
+    """Keeps sight of the UGV around any way to fly: a law, a person, a learned policy.
 
-    Call `see` with every observation, and `filter` with the command for it.
+    See docs/explanation/certificate.md. Call `see` with every observation, and `filter` with the command for it.
 
     Args:
         briefing: What the UAV is told when it joins: bounds, r_v, and what is declared of detections and commands.

@@ -1,4 +1,4 @@
-"""The assumptions of the UAV's filter: how noisy a detection is, and how a UGV moves of which only the bounds are known."""
+"""The assumptions of the UAV's filter: a detection's noise, and the motion of a UGV of which only bounds are known."""
 
 import math
 

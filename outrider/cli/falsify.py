@@ -336,7 +336,10 @@ def _progress(found: "Found") -> "Iterator[Callable[[str, float], None]]":
             nonlocal said, shown
             now = time.monotonic()
             rate = found.runs / max(now - began, 1e-9)
-            note = f"{found.runs:,} runs, {rate:.1f} runs/s, farthest {found.worst:.4f} m, {found.violations:,} violations"
+            note = (
+                f"{found.runs:,} runs, {rate:.1f} runs/s, farthest {found.worst:.4f} m, {found.violations:,} "
+                "violations"
+            )
             note += f", {found.lost:,} lost" if found.lost != found.violations else ""
             progress.update(task, description=engine, completed=min(1.0, share), note=note)
             if not ERR.is_terminal and (now - said >= _LINE or (found.violations and not shown)):
@@ -372,7 +375,10 @@ def _lines(found: "Found") -> "Iterator[str]":
         yield f"  flights: {flights.violations:,} of {flights.runs:,} lose sight; the farthest {flights.worst:.4f} m"
         if LAWS[wanted.base.law.name].watched:
             share = f"not every tick was certified in {flights.uncertified:,}"
-            yield f"    {share}; in {flights.lost - flights.violations:,} sight was lost after nothing was promised any more"
+            yield (
+                f"    {share}; in {flights.lost - flights.violations:,} sight was lost after nothing was "
+                "promised any more"
+            )
             yield f"    certified while lost: {flights.certified_while_lost:,} ticks"
             yield f"    certificate lost while all assumptions held: {flights.certificate_broken:,} times"
     if attacks.worst is not None:
@@ -381,11 +387,17 @@ def _lines(found: "Found") -> "Iterator[str]":
             f"over {attacks.combinations:,} combinations of network and error",
         )
         said = "are certified while sight is lost" if wanted.control is None else "lose sight"
-        yield f"  attack: {attacks.violations:,} of {attacks.runs:,} {over} {said}; the farthest {worst.worst_distance:.6f} m"
+        yield (
+            f"  attack: {attacks.violations:,} of {attacks.runs:,} {over} {said}; the farthest "
+            f"{worst.worst_distance:.6f} m"
+        )
         if wanted.control is None:
             yield f"    the certificate is lost although its assumptions hold in {attacks.broken:,}"
             yield f"    not every tick was certified in {attacks.uncertified:,}; sight was lost in {attacks.lost:,}"
-            yield f"    {'place, what breaks A5':32}{'runs':>8}{'lost':>8}{'certified, lost':>17}{'broken':>8}{'uncertified':>13}"
+            yield (
+                f"    {'place, what breaks A5':32}{'runs':>8}{'lost':>8}{'certified, lost':>17}"
+                f"{'broken':>8}{'uncertified':>13}"
+            )
             for name, one in sorted(attacks.kinds.items()):
                 counts = f"{one.runs:8,}{one.lost:8,}{one.violations:17,}{one.broken:8,}"
                 yield f"    {name:32}{counts}{one.uncertified / one.runs:13.1%}"
@@ -394,7 +406,10 @@ def _lines(found: "Found") -> "Iterator[str]":
     if found.attack_again is not None and attacks.worst is not None:
         c = attacks.worst.conditions
         dark = f"motions lost for up to {c.outage:g} s, " if c.outage else ""
-        dark += f"blackouts up to {c.blackout_time:g} s, detections up to {c.latency:g} s and commands {c.delay:g} s late"
+        dark += (
+            f"blackouts up to {c.blackout_time:g} s, detections up to {c.latency:g} s and commands "
+            f"{c.delay:g} s late"
+        )
         yield f"  The worst attack: errors up to {attacks.worst.eps:g} m, {dark}. Again:"
         yield "    import math; from outrider import attack as a"
         yield f"    {found.attack_again}"

@@ -71,7 +71,8 @@ def command(
         bool,
         typer.Option(
             "--dashboard",
-            help="Show the run in the browser while it is flown, and steer it there; on the wall clock (--realtime 1) unless "
+            help="Show the run in the browser while it is flown, and steer it there; on the wall clock "
+            "(--realtime 1) unless "
             "--realtime or --lockstep says otherwise. Needs the extra [dashboard].",
         ),
     ] = False,

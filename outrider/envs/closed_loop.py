@@ -100,7 +100,8 @@ class ClosedLoop:
         end_on_sight_lost: Whether an episode terminates when sight is lost.
         end_on_goals_reached: Whether it terminates when every UGV with goals has reached them all.
         threads: Processor cores that share the worlds; by default all that this process may use.
-        secret: Of all random numbers, with each world's seed, as `sim.engine.run_keys.check_secret` returns it; empty: none.
+        secret: Of all random numbers, with each world's seed, as `sim.engine.run_keys.check_secret` returns it; empty:
+            none.
         precision: Of the coverage grids.
 
     Raises:

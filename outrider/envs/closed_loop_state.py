@@ -117,12 +117,14 @@ class LoopState(NamedTuple):
     driver_states: FloatArray
     """Shape (worlds, UGVs, DRIVER_STATE)."""
     outbox: FloatArray
-    """The radio message that each UAV has just sent: the tick of it (-1: none), p_delta [m]. Shape (worlds, UAVs, 3)."""
+    """The radio message that each UAV has just sent: the tick of it (-1: none), p_delta [m]. Shape (worlds, UAVs, 3).
+    """
     radio: LinkState
     inbox: FloatArray
     """Room for the messages that arrive by one radio link: tick, p_delta [m]. Shape (worlds, room, 3)."""
     inboxes: FloatArray
-    """The radio messages that have reached each UGV at this tick: the tick, p_delta [m]. Shape (worlds, UGVs, room, 3)."""
+    """The radio messages that have reached each UGV at this tick: the tick, p_delta [m]. Shape (worlds, UGVs, room, 3).
+    """
     arrived: IntArray
     """How many. Shape (worlds, UGVs)."""
     patches: FloatArray

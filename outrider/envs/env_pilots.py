@@ -26,7 +26,7 @@ Policy = Callable[
 
 
 class _Radio:
-    """The radio from the UAVs' computers to the UGVs: each runs its filter and radios what it knows, whoever flies the UAV."""
+    """The radio from the UAVs' computers to the UGVs: each radios what its filter knows, whoever flies the UAV."""
 
     def __init__(self, env: Any) -> None:  # noqa: ANN401
         self._env, self._dt, self._tick = env, env.scenario.dt, -1

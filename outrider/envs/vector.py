@@ -304,7 +304,7 @@ class Worlds:
         return state.rows.terminated != 0, state.rows.truncated != 0
 
     def final(self, name: str, ended: npt.NDArray[np.bool_]) -> dict[str, Any]:
-        """The last observations and infos of the episodes that have ended, as Gymnasium's own vector environments give them."""
+        """The last observations and infos of the ended episodes, as Gymnasium's own vector environments give them."""
         last, told = self.observe(name), self.infos(name)
         observations = np.full(self.num_envs, None, dtype=object)
         for k in np.flatnonzero(ended).tolist():

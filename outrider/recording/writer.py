@@ -60,7 +60,9 @@ class _Said(NamedTuple):
 
 
 _Flown = tuple[bytes, tuple[UavReport | None, ...]]
-"""The part of a tick that the flight's own record does not keep: what was asked for, as float64, and what the UAVs said."""
+"""The part of a tick that the flight's own record does not keep: what was asked for, as float64, and what the UAVs
+said.
+"""
 _Other = _Said | Change | CoverageMap | Status | str
 """A text is a line for a person."""
 _Item = tuple[Flight, int, _Flown | None, _Other | None]

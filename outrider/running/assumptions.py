@@ -1,8 +1,8 @@
 """Tests before a flight, and when links change in it, whether a scenario's UAVs can certify that they keep sight.
 
-The declared assumptions are those of docs/explanation/certificate.md: A1 the error of a detection, A2 the age of the newest
-one, A5 a command that acts exactly tau_c after its tick, A6' where the UAV is. Wind, links and detector say which of them they
-cannot keep, and how often.
+The declared assumptions are those of docs/explanation/certificate.md: A1 the error of a detection, A2 the age of the
+newest one, A5 a command that acts exactly tau_c after its tick, A6' where the UAV is. Wind, links and detector say
+which of them they cannot keep, and how often.
 """
 
 import functools
@@ -68,7 +68,7 @@ class Shortfall(NamedTuple):
 
 @functools.lru_cache(maxsize=256)
 def promise_warnings(scenario: Scenario, links: LinkTable | None = None) -> tuple[str, ...]:
-    """Warnings of what stands in the way of the law `certified`, one line each; empty for other laws, and where nothing does.
+    """Warnings of what stands in the way of the law `certified`, one line each; none for other laws.
 
     Arguments as in `shortfalls`.
     """
@@ -80,7 +80,9 @@ class Odds(NamedTuple):
     """The worth of the declared numbers: chances within a flight."""
 
     exceeded: dict[str, float | None]
-    """By `vehicle/number`, the chance that this number is exceeded in a flight, or a bound; None: nothing can be stated."""
+    """By `vehicle/number`, the chance that this number is exceeded in a flight, or a bound; None: nothing can be
+    stated.
+    """
     lost: float | None
     """Once certified, sight is lost in at most this share of the flights, by proof; None: nothing can be promised."""
 
@@ -96,8 +98,8 @@ class Odds(NamedTuple):
 def odds(scenario: Scenario, links: LinkTable | None = None) -> Odds | None:
     """The chances that the numbers are exceeded which the law `certified` relies on; None for other laws.
 
-    Arguments as in `shortfalls`. Sight is lost by proof in no more flights than the sum of these chances, where all else
-    that the theorem assumes holds for certain.
+    Arguments as in `shortfalls`. Sight is lost by proof in no more flights than the sum of these chances, where all
+    else that the theorem assumes holds for certain.
     """
     if not LAWS[scenario.law.name].watched:
         return None

@@ -81,15 +81,17 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     longest_outage: float | None = None
     """And the longest in this flight [s]."""
     exceeded_chance: dict[str, float | None] = {}
-    """By `vehicle/number`, the chance that a declared number is exceeded in such a flight, or a bound; None: unknown."""
+    """By `vehicle/number`, the chance that a declared number is exceeded in such a flight, or a bound; None: unknown.
+    """
     lost_chance: float | None = None
     """Once certified, sight is lost in at most this share of such flights, by proof; None: nothing can be promised.
 
     Nor is it where an operator has changed something while it flew.
     """
     declared_tracking: float | None = None
-    """How far a UAV truly is at most from where it is told that it is, w [m]; None where no filter watches or nothing takes it
-    from there."""
+    """How far a UAV truly is at most from where it is told that it is, w [m]; None where no filter watches or nothing
+    takes it from there.
+    """
     tracking_error: float | None = None
     """And the farthest in this flight [m], whatever the law; None where nothing takes it from there."""
     links: dict[str, LinkStatus] = {}

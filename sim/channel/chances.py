@@ -5,20 +5,20 @@ detection, the longest time from the beginning of one motion to that of the next
 settings become a small Markov chain, and the chance that such a number is exceeded within a flight is the mass that an
 automaton over this chain absorbs. docs/explanation/chances.md tells it at length, with tables beside frequencies.
 
-**The chain.** A tick is good or bad (Gilbert-Elliott, with the link's own chances of change). A message that leaves then
-is lost with a chance that depends on this state alone. A planned blackout takes a message for certain, as if it did
-not exist.
+**The chain.** A tick is good or bad (Gilbert-Elliott, with the link's own chances of change). A message that leaves
+then is lost with a chance that depends on this state alone. A planned blackout takes a message for certain, as if it
+did not exist.
 
 **The automaton.** A *base* is a message that gets through. After each base a window of later messages is useful; the
 first of them that gets through in time is the next base. If none does, the number is exceeded, for good. All that is
 done is to push the distribution of chain and base through the flight, tick by tick. With a fixed delay this is exact.
 
-**Where delays vary** it is no longer the last base alone that counts. Let E_k be that message k gets through and that none
-of its window is in time, each with its own share of delays that are short enough. Wherever the number is exceeded some
-E_k holds, so the sum of their chances, the expected number of times, is a bound.
+**Where delays vary** it is no longer the last base alone that counts. Let E_k be that message k gets through and that
+none of its window is in time, each with its own share of delays that are short enough. Wherever the number is exceeded
+some E_k holds, so the sum of their chances, the expected number of times, is a bound.
 
-**Random blackouts** are exponential times of light and fixed ones of darkness, which no chain over ticks has. The sum of
-the chances of E_k needs them within one window only, from a tick on that is in the light, and there a recursion from
+**Random blackouts** are exponential times of light and fixed ones of darkness, which no chain over ticks has. The sum
+of the chances of E_k needs them within one window only, from a tick on that is in the light, and there a recursion from
 the window's end bounds them: see `_none_in_time`.
 """
 
@@ -302,7 +302,7 @@ class _Counted(NamedTuple):
         return Chance(min(1.0, value), False, self.why or _SUMMED)
 
     def smallest(self, risk: float) -> int | None:
-        """The smallest number of ticks that is exceeded with at most this chance; None: none below the flight's length."""
+        """The smallest number of ticks exceeded with at most this chance; None: none below the flight's length."""
 
         def kept(number: int) -> bool:
             value = self.chance(number).value
@@ -373,7 +373,7 @@ def _never(ticks: int) -> _Window:
 
 
 def _age_window(in_time: FloatArray, waited: int, age: int) -> _Window:
-    """Detections that arrive before the one of the base is older than this; all have waited before they left [ticks]."""
+    """Detections that arrive before the base's is older than this; all have waited before they left [ticks]."""
     rest = age - waited + 1
     room = rest - np.arange(max(rest, 0) + 1)  # ticks within which a message has to arrive
     share = in_time[np.clip(room, 0, len(in_time) - 1)]
@@ -531,8 +531,8 @@ def chance_of_outage(
 
     Packet k carries the motions k - repeats + 1 to k; motion j begins at tick j + delay_ticks if one of its packets has
     arrived and the motion before began. If motion s does not, the pilot sees it at tick s + d + 1 and begins a new
-    chain with the motion of that number. The rest at the beginning counts as a motion that begins at tick d - 1. Exact for
-    a fixed delay with independent loss, Gilbert-Elliott and planned blackouts; else a bound.
+    chain with the motion of that number. The rest at the beginning counts as a motion that begins at tick d - 1. Exact
+    for a fixed delay with independent loss, Gilbert-Elliott and planned blackouts; else a bound.
 
     Args:
         settings: Of the commands' link, as `check_link` has passed them.

@@ -357,7 +357,7 @@ def least_ticks(p: LinkParameters) -> int:
 
 
 def arrival_share(p: LinkParameters, ticks: int) -> float:
-    """The share of the messages that are neither lost nor queued which arrive within so many ticks after they were sent."""
+    """The share of the messages neither lost nor queued that arrive within so many ticks after they were sent."""
 
     def within(extra: float) -> float:
         if p.jitter == 0.0 or extra >= p.most:

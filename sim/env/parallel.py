@@ -74,8 +74,8 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     | 6 | `goal_x` | goal, x; the last one stays when reached; 0 without goals | m | 0 … W |
     | 7 | `goal_y` | goal, y; the last one stays when reached; 0 without goals | m | 0 … H |
 
-    The letters of the ranges are explained in `bus.layout.SYMBOLS`; all agents end together. `docs/reference/environment.md`
-    is the environment's page.
+    The letters of the ranges are explained in `bus.layout.SYMBOLS`; all agents end together.
+    `docs/reference/environment.md` is the environment's page.
 
     Args:
         scenario: A shipped name, a file, or a scenario.

@@ -1,4 +1,4 @@
-"""Observation rows, metrics and rewards of the vehicles, in arrays: the same compiled functions for one world and for many.
+"""Observation rows, metrics and rewards of the vehicles in arrays: the same compiled functions for one world or many.
 
 A tick of the rows, once the world's is done and measured: `advance_rows`, then `observe_rows` where somebody looks.
 """

@@ -67,7 +67,7 @@ def fetch_rows(typingctx: Any, arrays: Any, k: Any) -> Any:  # noqa: ANN401 - nu
 
 
 def disc_widths(radius: float, cell: float) -> IntArray:
-    """How far a disc reaches to either side in each row that it may meet, lowest first, wherever in its cell its centre is.
+    """A disc's reach to either side in each row that it may meet, lowest first, wherever in its cell its centre is.
 
     Args:
         radius: Of the disc [m].

@@ -33,7 +33,8 @@ DISTURBANCE = 7
 RUN_PURPOSES = 8
 """How many there are."""
 
-# Purposes of draws that share a key: a pilot's, a link's, or that of wind and own position. A number, once given, stays.
+# Purposes of draws that share a key: a pilot's, a link's, or that of wind and own position. A number, once given,
+# stays.
 NEAREST_POINT = 16
 START_DIRECTION = 17
 WANDER = 18

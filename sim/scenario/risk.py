@@ -1,4 +1,4 @@
-"""The certificate's bounds that follow from a risk: the smallest that are exceeded in a flight with at most this chance."""
+"""The certificate's bounds that follow from a risk: the smallest exceeded in a flight with at most this chance."""
 
 from collections.abc import Iterator
 from typing import NamedTuple

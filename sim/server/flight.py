@@ -175,7 +175,9 @@ class Flight:
         self._radios = self.world.links.of(LinkKind.RADIO)
         self._listened = -1
         self._arrived: dict[str, array[float]] = {name: array("d") for name in self.world.names}
-        """Messages that have reached each vehicle. UAV: tick, tick of the look, p_delta; UGV: tick, time, p_delta, error."""
+        """Messages that have reached each vehicle. UAV: tick, tick of the look, p_delta; UGV: tick, time, p_delta,
+        error.
+        """
 
     @property
     def commands(self) -> FloatArray:

@@ -106,8 +106,9 @@ AREAS = ("open", "corner", "small")
 In a room of 9 m by 7 m, at the paper's radius.
 """
 WINDS = ("outward", "constant", "random", "pumping", "turns", "flips")
-"""Where wind and own position drive the UAV: away from the UGV; one way; another way now and then; the way that it is going,
-off its reference; the way that it accelerates; towards the UGV while that is detected, and then away."""
+"""Where wind and own position drive the UAV: away from the UGV; one way; another way now and then; the way that it is
+going, off its reference; the way that it accelerates; towards the UGV while that is detected, and then away.
+"""
 DISTURBANCES = ("none", "single_losses", "silences", "late", "law_changes", "rejoins")
 """The disturbances that break A5 now and then: a command that is lost; none for up to `silence`.
 

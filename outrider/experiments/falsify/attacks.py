@@ -260,4 +260,7 @@ def again(found: Attacked, seed: int) -> str:
     )
     conditions = f"c = a.Conditions({told})"
     bounds = "".join(f", {name}={value!r}" for name, value in found.bounds.items())
-    return f"{conditions}; a.attack(a.declared(c, {found.eps!r}{bounds}), c, {seed}, {found.worst_run}, 1, {found.duration!r})[0]"
+    return (
+        f"{conditions}; a.attack(a.declared(c, {found.eps!r}{bounds}), c, {seed}, {found.worst_run}, 1, "
+        f"{found.duration!r})[0]"
+    )

@@ -1,4 +1,4 @@
-"""How well drawn links fit a recorded one, as a picture: delays, bursts of loss, and what a receiver notices of both."""
+"""The fit of drawn links to a recorded one as a picture: delays, bursts of loss, and what a receiver sees of both."""
 
 from pathlib import Path
 

@@ -232,7 +232,10 @@ def _caution(material: Material) -> str:
     if not fewest:
         return "No run was flown to its end."
     rate = _percent(wilson_interval(0, fewest)[1])
-    return f"None of {fewest} runs, the fewest at a value, still allows a rate of up to {rate} (95 %): the intervals are below."
+    return (
+        f"None of {fewest} runs, the fewest at a value, still allows a rate of up to {rate} (95 %): the "
+        "intervals are below."
+    )
 
 
 def page(material: Material, pictures: dict[str, Path], command: str) -> str:
@@ -251,7 +254,8 @@ def page(material: Material, pictures: dict[str, Path], command: str) -> str:
         f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>{escape(title)}</title><style>{look}</style>",
         f"<h1>{escape(title)}</h1>",
-        '<p class="muted">The promise: the UAV never loses sight of the UGV, ‖p_a − p_g‖ &lt; r_v. Here is what it stands.</p>',
+        '<p class="muted">The promise: the UAV never loses sight of the UGV, ‖p_a − p_g‖ &lt; r_v. Here is what '
+        "it stands.</p>",
         *_facts(material),
     ]
     if material.missing:
@@ -260,14 +264,16 @@ def page(material: Material, pictures: dict[str, Path], command: str) -> str:
         )
     parts += [
         "<h2>How far each law keeps the promise</h2>",
-        f"<p>The largest value up to which no run lost sight of the UGV. {_caution(material)} {certified_runs(material)}</p>",
+        f"<p>The largest value up to which no run lost sight of the UGV. {_caution(material)} "
+        f"{certified_runs(material)}</p>",
         *_overview(material),
     ]
     for name, path in pictures.items():
         image = base64.b64encode(path.read_bytes()).decode()
         caption = CAPTIONS[name]
         parts.append(
-            f'<figure><img alt="{name}" src="data:image/png;base64,{image}"><figcaption>{escape(caption)}</figcaption></figure>'
+            f'<figure><img alt="{name}" '
+            f'src="data:image/png;base64,{image}"><figcaption>{escape(caption)}</figcaption></figure>'
         )
     parts += [
         "<h2>All numbers</h2>",

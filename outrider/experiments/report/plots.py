@@ -333,12 +333,16 @@ def ages(material: Material) -> Figure | None:
 
 
 CAPTIONS = {
-    "violations": "Share of the runs in which the distance reached r_v at least once. Marks: what was counted; bars: Wilson's "
+    "violations": "Share of the runs in which the distance reached r_v at least once. Marks: what was counted; "
+    "bars: Wilson's "
     "95 % interval. Marks stand beside their value so that none hides another.",
-    "margins": "How near each run came to r_v. Thin line: all runs; thick bar: the middle half; white dot: the median. Below the "
+    "margins": "How near each run came to r_v. Thin line: all runs; thick bar: the middle half; white dot: the "
+    "median. Below the "
     "red line the UGV was out of sight; what lies deeper than the picture goes is marked at its lower edge.",
-    "errors": "e(t) of equation (4), averaged over the flight; low is good. Band: 95 % interval of the mean over the seeds.",
-    "ages": "Age of the newest detection that has reached the UAV's computer, and of the newest command that has reached the "
+    "errors": "e(t) of equation (4), averaged over the flight; low is good. Band: 95 % interval of the mean over "
+    "the seeds.",
+    "ages": "Age of the newest detection that has reached the UAV's computer, and of the newest command that has "
+    "reached the "
     "actuators. Solid: mean over flight and runs; dotted: the oldest seen in any run. "
     "Out of sight nothing is detected: where the UGV is lost for good, the age grows to the end of the flight.",
 }
