@@ -262,7 +262,7 @@ HAZARDS = _table(
 )
 """The kinds of hazards by name."""
 TOUCHES = ("stuck", "damage")
-"""What a blocking hazard does to a vehicle that touches it: it stays there, or it drives on and the touch is counted."""
+"""What touching a blocking hazard does to a vehicle: it stays there, or it drives on and the touch is counted."""
 CAUTIONS = ("cautious", "bold")
 """How a UGV drives on ground that nobody has seen: only as fast as it can stop before it, or on."""
 

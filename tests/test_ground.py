@@ -2,7 +2,10 @@
 
 import itertools
 import math
+import subprocess
+import sys
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -28,9 +31,12 @@ from sim.models.ground import (
     state_at,
     tiles_shape,
 )
+from sim.scenario.ground_checks import hazards_have_a_shape
 from sim.scenario.ground_tables import corners_of, hazard_rows
+from sim.scenario.loading import load_scenario
 from sim.scenario.types import Hazard
 
+ESCORT = load_scenario("escort")
 GEOMETRY = settings(PROPERTY, max_examples=60)
 SIDE, TILE = 6.0, 0.5
 places = st.floats(-0.5, SIDE + 0.5)
@@ -216,3 +222,64 @@ def test_the_last_tiles_may_stick_out_of_the_area_and_its_far_edge_lies_in_them(
     assert state_at(tiles, 1.0, 4.0, 3.0) == 11
     assert state_at(tiles, 1.0, 0.0, 0.0) == 0
     assert state_at(tiles, 1.0, 2.0, 1.0) == 6
+
+
+# What is refused
+
+
+def faults(*hazards) -> list[str]:
+    s = msgspec.structs.replace(ESCORT, hazard=hazards)
+    return [fault.wrong for fault in hazards_have_a_shape(s)]
+
+
+@given(stars(st.just("rough")))
+@GEOMETRY
+def test_a_polygon_that_does_not_cross_itself_is_taken_either_way_round(star) -> None:
+    assert faults(star) == []
+
+
+@given(st.integers(4, 40), st.integers(0, 39), st.floats(0.0, 6.0))
+@GEOMETRY
+def test_two_corners_of_a_convex_polygon_changed_over_make_it_cross_itself(count, n, turn) -> None:
+    angles = turn + 2.0 * np.pi * np.arange(count) / count
+    corners = [(3.0 + math.cos(a), 3.0 + math.sin(a)) for a in angles]
+    assert faults(Hazard(kind="rough", polygon=tuple(corners))) == []
+    n %= count - 1
+    corners[n], corners[n + 1] = corners[n + 1], corners[n]
+    (wrong,) = faults(Hazard(kind="rough", polygon=tuple(corners)))
+    assert wrong.startswith("it crosses itself: its sides from corners")
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [
+        [(1, 1), (3, 1), (3, 3), (2, 1), (1, 3)],  # a corner on another side
+        [(1, 1), (3, 1), (2, 1), (2, 3)],  # back on itself
+        [(1, 1), (3, 1), (3, 3), (1, 1), (1, 3), (0, 3)],  # one corner twice
+        [(1, 1), (3, 1), (4, 1), (3.5, 1), (2, 2)],
+    ],
+)
+def test_sides_that_meet_but_at_their_corners_are_refused(corners) -> None:
+    (wrong,) = faults(Hazard(kind="rough", polygon=tuple(corners)))
+    assert wrong.startswith("it crosses itself")
+
+
+def test_ten_thousand_hazards_of_a_file_are_read_and_checked_without_a_compiler_as_with_it() -> (
+    None
+):
+    program = """
+from sim.kernels.compile import interpret
+interpret()
+import sys
+from sim.scenario.loading import load_scenario
+discs = [{"kind": "block", "center": [k % 100 * 0.4, 30.0 + k // 100 * 0.1], "radius": 0.1}
+         for k in range(9_900)]
+fields = [{"kind": "block", "count": 40, "radius": [0.2, 0.4]}]
+s = load_scenario("escort", overrides={"hazard": discs, "hazard_field": fields})
+assert len(s.hazard) == 9_900 and s.has_ground
+assert "numba" not in sys.modules
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=100
+    )
+    assert done.stderr == ""

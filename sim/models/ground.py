@@ -61,7 +61,7 @@ def _segment_distance(a_x: float, a_y: float, b_x: float, b_y: float, x: float, 
 def _met(
     p_x: float, p_y: float, d_x: float, d_y: float, a_x: float, a_y: float, b_x: float, b_y: float
 ) -> float:
-    """Share of the way from p by d at which it meets the segment from a to b; infinite where it does not, or runs along it."""
+    """Share of the way from p by d at which it meets the segment from a to b; infinite: not at all, or along it."""
     e_x, e_y = b_x - a_x, b_y - a_y
     turn = d_x * e_y - d_y * e_x
     if turn == 0.0:
@@ -129,7 +129,7 @@ def hazard_at(hazards: RecordArray, corners: FloatArray, kind: int, x: float, y:
 
 @borrowing
 def rough_share(hazards: RecordArray, corners: FloatArray, x: float, y: float) -> float:
-    """Share of its largest speed that a vehicle keeps at a point: the least of all rough hazards there, 1 where none is.
+    """Share of its largest speed that a vehicle keeps at a point: the least of the rough hazards there, 1 without one.
 
     Args:
         hazards, corners: As in `distance_to_hazard`.
@@ -328,15 +328,24 @@ def disc_columns(
     return _span(x - half, x + half, tile, columns)
 
 
-@compiled
-def _fill_disc(
-    x: float, y: float, radius: float, state: int, tile: float, tiles: TileArray
-) -> None:
+@borrowing
+def add_disc(x: float, y: float, radius: float, state: int, tile: float, tiles: TileArray) -> None:
+    """Give the tiles that a disc touches a state; those that are BLOCK stay so.
+
+    Args:
+        x, y: Its centre [m].
+        radius: Of the disc [m].
+        state: ROUGH, BLOCK or FOUND.
+        tile: Side of a tile [m].
+        tiles: The map, changed.
+    """
     rows, columns = tiles.shape
     first, end = disc_rows(y, radius, tile, rows)
     for i in range(first, end):
         begin, behind = disc_columns(x, y, radius, tile, i, columns)
-        tiles[i, begin:behind] = state
+        for j in range(begin, behind):
+            if tiles[i, j] != BLOCK:
+                tiles[i, j] = state
 
 
 @compiled
@@ -389,7 +398,7 @@ def fill_tiles(hazards: RecordArray, corners: FloatArray, tile: float, tiles: Ti
             if row["kind"] != kind:
                 continue
             if row["corners"] == 0:
-                _fill_disc(row["x"], row["y"], row["radius"], kind, tile, tiles)
+                add_disc(row["x"], row["y"], row["radius"], kind, tile, tiles)
             else:
                 end = row["first"] + row["corners"]
                 _fill_polygon(corners[row["first"] : end], kind, tile, tiles)

@@ -2,16 +2,22 @@
 
 import math
 from collections.abc import Iterator
+from hashlib import blake2b
 from typing import NamedTuple
 
 import numpy as np
 
 from bus.messages import Vector
 from bus.registry import DRIVERS, HAZARDS
-from sim.kernels.compile import FloatArray
+from sim.kernels.compile import FloatArray, IntArray
 from sim.kernels.records import RecordArray, records
-from sim.models.ground import HazardRow, TileArray, fill_tiles, tiles_shape
-from sim.scenario.types import Hazard, Scenario, Ugv
+from sim.models.ground import HazardRow, TileArray, fill_tiles, tile_index, tiles_shape
+from sim.models.hazard_fields import HazardFieldRow, place_hazards, work_array
+from sim.models.randomness import Key
+from sim.scenario.types import Hazard, HazardField, Scenario, Ugv
+
+_WAY_BITS = 63
+"""So many ways have a bit of their own; further ones have words that add up to none but with a chance of 2^-63."""
 
 
 class GroundTables(NamedTuple):
@@ -23,6 +29,12 @@ class GroundTables(NamedTuple):
     """Of the polygons [m]. Shape (corners, 2)."""
     tiles: TileArray
     """True states with the hazards that are given, without those of fields. Shape (rows, columns)."""
+    fields: RecordArray
+    """A table of `HazardFieldRow`."""
+    stops: FloatArray
+    """Starts and goals of the UGVs [m]. Shape (stops, 2)."""
+    ways: IntArray
+    """From each start to its goals, as `sim.models.hazard_fields.place_hazards` takes them. Shape (ways, 5)."""
 
 
 def ground_tables(s: Scenario) -> GroundTables:
@@ -33,7 +45,64 @@ def ground_tables(s: Scenario) -> GroundTables:
     corners = corners_of(s.hazard)
     tiles = np.zeros(tiles_shape(s.area.width, s.area.height, s.ground.tile), dtype=np.uint8)
     fill_tiles(given, corners, s.ground.tile, tiles)
-    return GroundTables(hazards, corners, tiles)
+    points = [point for ugv in s.ugv for point in stops(ugv)]
+    return GroundTables(
+        hazards,
+        corners,
+        tiles,
+        fields=records(HazardFieldRow, [_field_row(field) for field in s.hazard_field]),
+        stops=np.array(points, dtype=np.float64),
+        ways=_ways(s, *tiles.shape),
+    )
+
+
+def place_fields(s: Scenario, tables: GroundTables, key: Key) -> int:
+    """Draw the hazards of the scenario's fields.
+
+    Args:
+        s: The scenario.
+        tables: Its tables, with no such hazards yet; `hazards` and `tiles` are changed.
+        key: Of the draws.
+
+    Returns:
+        How many hazards there are in all.
+    """
+    return place_hazards(
+        tables.fields,
+        tables.stops,
+        tables.ways,
+        (s.area.width, s.area.height),
+        s.ground.tile,
+        key,
+        tables.hazards,
+        len(s.hazard),
+        tables.tiles,
+        work_array(*tables.tiles.shape),
+    )
+
+
+def _field_row(field: HazardField) -> HazardFieldRow:
+    kind, (smallest, largest) = HAZARDS[field.kind].code, field.radius
+    return HazardFieldRow(
+        kind, field.count, smallest, largest, share=field.speed_share, clear=field.clear
+    )
+
+
+def _ways(s: Scenario, rows: int, columns: int) -> IntArray:
+    tile, ways = s.ground.tile, []
+    for ugv in s.ugv:
+        places = [(tile_index(y, tile, rows), tile_index(x, tile, columns)) for x, y in stops(ugv)]
+        start, *goals = places
+        ways += [(*start, *goal) for goal in dict.fromkeys(goals) if goal != start] or [start * 2]
+    ways = list(dict.fromkeys(ways))
+    return np.array([(*way, _way_bits(n)) for n, way in enumerate(ways)], dtype=np.int64)
+
+
+def _way_bits(way: int) -> int:
+    if way < _WAY_BITS:
+        return 1 << way
+    digest = blake2b(way.to_bytes(8, "little"), digest_size=8).digest()
+    return int.from_bytes(digest, "little", signed=True)
 
 
 def corners_of(hazards: tuple[Hazard, ...]) -> FloatArray:

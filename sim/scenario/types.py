@@ -114,7 +114,7 @@ class Hazard(_Table, frozen=True, kw_only=True):
     """A disc or a polygon of ground that a vehicle should know of; no vehicle is told of it."""
 
     kind: Name
-    """A row of `bus.registry.HAZARDS`: `block`, it is not to be touched; `rough`, to be driven slowly; `find`, to be found."""
+    """A row of `bus.registry.HAZARDS`: `block`, not to be touched; `rough`, to be driven slowly; `find`, to find."""
     center: Vector | None = None
     """Of a disc [m]."""
     radius: Positive | None = None
@@ -208,7 +208,7 @@ class Ugv(_Table, frozen=True, kw_only=True):
     track: Text = ""
     """Instead of a script: the trajectory.csv of an earlier run, whose track of this UGV is driven again."""
     caution: Name = CAUTIONS[0]
-    """On ground that nobody has seen: `cautious`, as slow as it takes to stop before it, or `bold`, as fast as on any."""
+    """Towards ground that nobody has seen: `cautious`, so slow that it can stop, or `bold`, as fast as on any."""
 
 
 DEFAULT_AGE = 1.0
@@ -343,7 +343,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     law: Law = Law()
     custom: Custom = Custom()
     ground: Ground = Ground()
-    hazard: tuple[Hazard, ...] = ()
+    hazard: Annotated[tuple[Hazard, ...], Meta(max_length=MOST_HAZARDS)] = ()
     hazard_field: tuple[HazardField, ...] = ()
     uav: Annotated[tuple[Uav, ...], Meta(min_length=1)]
     ugv: Annotated[tuple[Ugv, ...], Meta(min_length=1)]
