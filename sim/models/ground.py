@@ -48,13 +48,14 @@ class HazardRow(NamedTuple):
 
 
 @compiled
-def _segment_distance(a_x: float, a_y: float, b_x: float, b_y: float, x: float, y: float) -> float:
-    """Distance of (x, y) to the segment from a to b [m]."""
-    d_x, d_y = b_x - a_x, b_y - a_y
-    length2 = d_x * d_x + d_y * d_y
-    share = 0.0 if length2 == 0.0 else ((x - a_x) * d_x + (y - a_y) * d_y) / length2
-    share = min(max(share, 0.0), 1.0)
-    return norm(x - a_x - share * d_x, y - a_y - share * d_y)
+def _segment_distance2(a_x: float, a_y: float, b_x: float, b_y: float, x: float, y: float) -> float:
+    """Squared distance of (x, y) to the segment from a to b [m²]."""
+    d_x, d_y, e_x, e_y = b_x - a_x, b_y - a_y, x - a_x, y - a_y
+    along, length2 = e_x * d_x + e_y * d_y, d_x * d_x + d_y * d_y
+    if along > 0.0:
+        share = 1.0 if along >= length2 else along / length2
+        e_x, e_y = e_x - share * d_x, e_y - share * d_y
+    return e_x * e_x + e_y * e_y
 
 
 @compiled
@@ -95,11 +96,11 @@ def distance_to_hazard(
     a_x, a_y = corners[end - 1, 0], corners[end - 1, 1]
     for n in range(row["first"], end):
         b_x, b_y = corners[n, 0], corners[n, 1]
-        nearest = min(nearest, _segment_distance(a_x, a_y, b_x, b_y, x, y))
+        nearest = min(nearest, _segment_distance2(a_x, a_y, b_x, b_y, x, y))
         if (a_y > y) != (b_y > y) and x < a_x + (b_x - a_x) * (y - a_y) / (b_y - a_y):
             inside = not inside
         a_x, a_y = b_x, b_y
-    return 0.0 if inside else nearest
+    return 0.0 if inside else math.sqrt(nearest)
 
 
 @borrowing
@@ -192,8 +193,6 @@ def way_to_hazard(
     row = hazards[k]
     p_x, p_y = start
     d_x, d_y = end[0] - p_x, end[1] - p_y
-    if _segment_distance(p_x, p_y, end[0], end[1], row["x"], row["y"]) > row["reach"] + TOUCH:
-        return math.inf
     if point_in_hazard(hazards, corners, k, p_x, p_y):
         return 0.0
     first = 1.0 if point_in_hazard(hazards, corners, k, end[0], end[1]) else math.inf
@@ -237,8 +236,11 @@ def crosses_hazard(
         Its row, and the share from 0 to 1; -1 and infinity: the way touches none.
     """
     found, first = -1, math.inf
+    length = norm(end[0] - start[0], end[1] - start[1])
     for k in range(hazards.shape[0]):
-        if hazards[k]["kind"] == kind:
+        row = hazards[k]
+        d_x, d_y, reach = row["x"] - start[0], row["y"] - start[1], row["reach"] + length + TOUCH
+        if row["kind"] == kind and d_x * d_x + d_y * d_y <= reach * reach:
             way = way_to_hazard(hazards, corners, k, start, end)
             if way < first:
                 found, first = k, way
