@@ -1,10 +1,10 @@
-"""Laws, drivers, sensors and saved policies: one row each, with all that others need to know of them.
+"""Laws, drivers, sensors, hazards and saved policies: one row each, with all that others need to know of them.
 
-Their names are words of the messages (`Law.name`, `UgvBriefing.driver`, `Control.driver`, `Sensor.model`), so their
-tables stand here, below everybody, as the table of keys and the columns of observations do: the simulator, which may
-import no agent, checks scenarios and operators' requests by the same rows by which a vehicle chooses its code and
-by which command line, page, reports and pictures list and draw. No name is copied and none is handed through.
-Nothing is imported either: what is code, a row names as `module:name`.
+Their names are words of the messages (`Law.name`, `UgvBriefing.driver`, `Control.driver`, `Sensor.model`) and of
+scenarios, so their tables stand here, below everybody, as the table of keys and the columns of observations do: the
+simulator, which may import no agent, checks scenarios and operators' requests by the same rows by which a vehicle
+chooses its code and by which command line, page, reports and pictures list and draw. No name is copied and none is
+handed through. Nothing is imported either: what is code, a row names as `module:name`.
 
 `CONTRIBUTING.md` shows how to add a row, and `tests/test_extending.py` does what it says.
 """
@@ -238,6 +238,33 @@ SENSORS = _table(
 )
 """The sensors by name."""
 DEFAULT_SENSOR = "hill"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HazardKindRow:
+    """A kind of hazards on the ground. What is one to a vehicle is in `sim.models.ground`."""
+
+    name: str
+    code: int
+    """State of a tile that one touches: 0 is a tile that nobody has seen, 1 a clear one."""
+    about: str
+    """One line, for help texts."""
+    drivable: bool = True
+    """False if a vehicle that touches it is stuck or damaged."""
+    slows: bool = False
+    """True if a vehicle keeps only a share of its largest speed on it."""
+
+
+HAZARDS = _table(
+    HazardKindRow(name="rough", code=2, about="ground to be driven slowly", slows=True),
+    HazardKindRow(name="block", code=3, about="not to be touched", drivable=False),
+    HazardKindRow(name="find", code=4, about="a thing to be found"),
+)
+"""The kinds of hazards by name."""
+TOUCHES = ("stuck", "damage")
+"""What touching a blocking hazard does to a vehicle: it stays there, or it drives on and the touch is counted."""
+CAUTIONS = ("cautious", "bold")
+"""How a UGV drives on ground that nobody has seen: only as fast as it can stop before it, or on."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,7 +13,7 @@ from sim.scenario.loading import load_scenario
 SHIPPED = tuple(
     words("""
 escort circle circle-too-fast figure-1-bounded figure-1-high-gain figure-1-low-gain
-figure-3-linear figure-3-logarithmic figure-3-switching scenario-1 scenario-2
+figure-3-linear figure-3-logarithmic figure-3-switching minefield rescue rubble scenario-1 scenario-2
 """)
 )
 SMALL = "[[uav]]\nposition = [6.0, 21.0]\n[[ugv]]\nposition = [6.0, 20.0]\ngoals = [[34.0, 20.0]]\n"

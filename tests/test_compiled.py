@@ -20,7 +20,7 @@ MODULES = (
         if module.name != "promise"  # which holds no function
     ),
     *(f"agents.estimation.{name}" for name in ("motion_model", "twin")),
-    *(f"sim.models.{name}" for name in ("vehicles", "detection", "field", "randomness")),
+    *(f"sim.models.{name}" for name in ("vehicles", "detection", "field", "ground", "randomness")),
     "sim.kernels.lanes",
     *(
         f"agents.drivers.{name}"

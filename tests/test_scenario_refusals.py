@@ -91,6 +91,46 @@ reference_speed_is_possible | uav.0.max_speed=inf & uav.0.max_acceleration=inf |
 controller_is_stable | law.b_c=-4.0 | law = {a_c = -3.0, b_c = -4.0 | 0 < D A - B C < A D
 risk_can_be_met | certificate.risk=1e-3 & links.detections.bandwidth=15.0 | certificate.risk = 0.001
 | a greater risk, or a certificate.age
+looks_fit_ticks | ground.rate=7 & hazard=[{kind="block",center=[1,1],radius=0.2}] | ground.rate = 7.0 | 20, 10, 6.667
+hazards_are_known | hazard=[{kind="wall",center=[1,1],radius=0.2}] | hazard.0.kind = "wall" | rough, block, find
+hazards_are_known | hazard_field=[{kind="blok",count=1,radius=[1,2]}] | hazard_field.0.kind = "blok" | block
+hazards_are_known | ground.touch=explode | ground.touch = "explode" | stuck, damage
+hazards_are_known | ugv.0.caution=blind | ugv.0.caution = "blind" | cautious, bold
+tiles_fit_area | ground.tile=41 & hazard=[{kind="block",center=[1,1],radius=0.2}] | ground.tile = 41.0 | 0.25 to 40 m
+tiles_fit_area | ground.tile=0.2 & hazard=[{kind="block",center=[1,1],radius=0.2}] | ground.tile = 0.2 | 0.25 to 40 m
+tiles_fit_area | ground.tile=0.03 & area.cell=0.025 & hazard=[{kind="block",center=[1,1],radius=0.2}]
+| ground.tile = 0.03 | 0.0404 to 40 m
+hazards_have_a_shape | hazard=[{kind="block"}] | hazard.0.center | [x, y] in m, with radius
+hazards_have_a_shape | hazard=[{kind="block",radius=1}] | hazard.0.center | [x, y] in m, with radius
+hazards_have_a_shape | hazard=[{kind="block",center=[1,1]}] | hazard.0.radius | a number > 0, in m
+hazards_have_a_shape | hazard=[{kind="block",center=[1,1],radius=1,polygon=[[1,1],[2,1],[2,2]]}]
+| hazard.0.polygon = [[1.0, 1.0], [2.0, 1.0], [2.0, 2.0]] | one of the two
+hazards_have_a_shape | hazard=[{kind="block",center=[1,1],radius=1,share=0.5}] | hazard.0.share = 0.5 | kind rough
+hazards_have_a_shape | hazard=[{kind="block",polygon=[[1,1],[2,1]]}] | hazard.0.polygon = [[1.0, 1.0], [2.0, 1.0]]
+| three or more
+hazards_have_a_shape | hazard=[{kind="block",polygon=[[1,1],[2,1],[2,2],[1,1]]}]
+| hazard.0.polygon = [[1.0, 1.0], [2.0, 1.0], [2.0, 2.0], [1.0, 1.0]] | the first not again
+hazards_have_a_shape | hazard=[{kind="block",polygon=[[1,1],[2,2],[3,3]]}]
+| hazard.0.polygon = [[1.0, 1.0], [2.0, 2.0], [3.0, 3.0]] | not in one line
+hazards_have_a_shape | hazard=[{kind="rough",polygon=[[1,1],[2,2],[2,1],[1,2]]}]
+| hazard.0.polygon = [[1.0, 1.0], [2.0, 2.0], [2.0, 1.0], [1.0, 2.0]] | in order round it
+hazards_lie_in_area | hazard=[{kind="rough",center=[42,1],radius=1}] | hazard.0.center = [42.0, 1.0] | [0, 40] x
+hazards_lie_in_area | hazard=[{kind="find",center=[40.5,1],radius=1}] | hazard.0.center = [40.5, 1.0] | [0, 40] x
+hazards_lie_in_area | hazard=[{kind="rough",polygon=[[-1,1],[-2,2],[-2,1]]}]
+| hazard.0.polygon = [[-1.0, 1.0], [-2.0, 2.0], [-2.0, 1.0]] | [0, 40] x [0, 40] m
+starts_and_goals_are_free | hazard=[{kind="rough",center=[1,1],radius=1},{kind="block",center=[20,12.5],radius=1}]
+| hazard.1.center = [20.0, 12.5] | off all starts and goals
+ways_are_open | hazard=[{kind="block",polygon=[[9,0],[9.5,0],[9.5,40],[9,40]]}]
+| ugv.0.goals.0 = [14.0, 8.0] | tiles of 0.5 m
+ways_are_open | ground.tile=2 & hazard=[{kind="block",center=[20.5,13.5],radius=0.1}] | ugv.0.goals.1 = [20.0, 13.0]
+| tiles of 2 m
+fields_are_possible | hazard_field=[{kind="block",count=1,radius=[2,1]}] | hazard_field.0.radius = [2.0, 1.0] | smallest
+fields_are_possible | hazard_field=[{kind="find",count=1,radius=[1,2],share=1}] | hazard_field.0.share = 1.0 | rough
+fields_are_possible | hazard_field=[{kind="find",count=9000,radius=[0.1,0.1]},{kind="find",count=9000,radius=[0.1,0.1]}]
+| hazard_field.1.count = 9000 | up to 10,000 in all
+fields_are_possible | hazard_field=[{kind="rough",count=9000,radius=[1,1]}] | hazard_field.0.count = 9000 | up to 2037
+fields_have_room | hazard_field=[{kind="block",count=90,radius=[4,5]}] | hazard_field.0.count = 90 | up to
+fields_have_room | hazard_field=[{kind="block",count=9,radius=[1,1],clear=90}] | hazard_field.0.count = 9 | less clear
 circle_is_within_sight | law.name=circle & law.circle_radius=4.75 | law.circle_radius = 4.75 | less than r_v = 4.75 m
 circle_is_within_sight | law.name=circle & uav.0.max_acceleration=inf | law.circle_radius | less than r_v = 4.75 m
 """)

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from difflib import get_close_matches
 from typing import NamedTuple
 
@@ -74,6 +74,13 @@ class Fault(NamedTuple):
     def error(self, file: str) -> ScenarioError:
         """The exception to raise."""
         return ScenarioError(self.line(file))
+
+
+def unknown_name(field: str, name: str, known: Iterable[str]) -> Iterator[Fault]:
+    """The fault of a name that is none of those that are known."""
+    names = tuple(known)
+    if name not in names:
+        yield Fault(field, name, f"unknown{near(name, names)}", ", ".join(names))
 
 
 def is_whole(number: float, tolerance: float) -> bool:

@@ -9,6 +9,7 @@ import msgspec
 from msgspec import inspect
 
 from bus.errors import ScenarioError
+from bus.registry import HAZARDS
 from sim.input.faults import Fault, near, one_line, short, shown
 
 Typed = TypeVar("Typed", bound=msgspec.Struct)
@@ -34,7 +35,13 @@ _KINDS = {
     "array": "a list",
     "object": "a table",
 }
-_NEEDED = {"uav": "one table [[uav]] or more", "ugv": "one table [[ugv]] or more"}
+_NEEDED = {
+    "uav": "one table [[uav]] or more",
+    "ugv": "one table [[ugv]] or more",
+    "kind": ", ".join(HAZARDS),
+    "count": "a whole number",
+    "radius": "[smallest, largest] in m",
+}
 _NAME_RULE = "lower-case letters, digits and '_', a letter first, 32 at most"
 _SET_EXAMPLE = "key=value, such as detections.noise=0.2 or uav.0.max_speed=0.5"
 

@@ -29,11 +29,12 @@ COMMAND_LINK = 4
 OPERATOR_LINK = 5
 RADIO_LINK = 6
 DISTURBANCE = 7
-RUN_PURPOSES = 8
-"""Their number."""
+HAZARD_FIELDS = 8
+RUN_PURPOSES = 9
+"""How many there are."""
 
-# Purposes of draws that share a key: a pilot's, a link's, or that of wind and own position. A number, once given,
-# stays.
+# Purposes of draws that share a key: a pilot's, a link's, that of wind and own position, or that of the hazards. A
+# number, once given, stays.
 NEAREST_POINT = 16
 START_DIRECTION = 17
 WANDER = 18
@@ -43,6 +44,7 @@ LINK_DELAY = 21
 LINK_TRACE = 22
 GUST = 23
 OWN_POSITION = 24
+HAZARD_PLACE = 25
 
 _MASK = np.uint64(0xFFFFFFFF)
 _HALF = np.uint64(32)

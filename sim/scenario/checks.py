@@ -1,12 +1,13 @@
 """Refusals of scenarios that cannot be flown, and warnings of those that fly unlike what one may expect."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from itertools import pairwise
 
 from bus.registry import DRIVERS, LAWS, POLICY_FORMS, SAVED_POLICIES, SENSORS
-from sim.input.faults import Fault, near, one_line
+from sim.input.faults import Fault, one_line, unknown_name
 from sim.input.reading import as_raw, typed
+from sim.scenario.ground_checks import GROUND_CHECKS
 from sim.scenario.risk import risk_fault, risk_warnings
 from sim.scenario.types import Scenario, switching_radius
 from sim.scenario.world_checks import WORLD_CHECKS, Check, escorts
@@ -19,17 +20,12 @@ _ENTRIES = {
 _ROUNDING = 1e-9
 
 
-def _in_table(field: str, name: str, table: Mapping[str, object]) -> Iterator[Fault]:
-    if name not in table:
-        yield Fault(field, name, f"unknown{near(name, tuple(table))}", ", ".join(table))
-
-
 def names_are_known(s: Scenario) -> Iterator[Fault]:
     """Law, sensor and drivers are rows of their tables."""
-    yield from _in_table("law.name", s.law.name, LAWS)
-    yield from _in_table("sensor.model", s.sensor.model, SENSORS)
+    yield from unknown_name("law.name", s.law.name, LAWS)
+    yield from unknown_name("sensor.model", s.sensor.model, SENSORS)
     for k, ugv in enumerate(s.ugv):
-        yield from _in_table(f"ugv.{k}.driver", ugv.driver, DRIVERS)
+        yield from unknown_name(f"ugv.{k}.driver", ugv.driver, DRIVERS)
 
 
 def _names_a_function(text: str) -> bool:
@@ -166,6 +162,7 @@ CHECKS: tuple[Check, ...] = (
     controller_is_stable,
     circle_is_within_sight,
     risk_can_be_met,
+    *GROUND_CHECKS,
 )
 """In the order in which they are made: a later one may rely on those before it."""
 

@@ -25,7 +25,7 @@ from bus.messages import (
     Text,
     Vector,
 )
-from bus.registry import DEFAULT_DRIVER
+from bus.registry import CAUTIONS, DEFAULT_DRIVER, HAZARDS, TOUCHES
 from sim.channel.recorded import RecordedLink
 from sim.models.inner_loop import InnerLoop
 from sim.models.vehicles import stopping_distance
@@ -103,6 +103,78 @@ class Tracking(_Table, frozen=True, kw_only=True):
         return InnerLoop(self.position_gain, self.velocity_gain, self.reserve)
 
 
+SpeedShare = Annotated[float, Meta(gt=0.0, le=1.0)]
+DEFAULT_SHARE = 0.4
+"""Of its largest speed that a vehicle keeps on rough ground where no share is given."""
+MOST_CORNERS = 1000
+MOST_HAZARDS = 10_000
+
+
+class Hazard(_Table, frozen=True, kw_only=True):
+    """A disc or a polygon of ground that a vehicle should know of; no vehicle is told of it."""
+
+    kind: Name
+    """A row of `bus.registry.HAZARDS`: `block`, not to be touched; `rough`, to be driven slowly; `find`, to find."""
+    center: Vector | None = None
+    """Of a disc [m]."""
+    radius: Positive | None = None
+    """Of a disc [m]."""
+    polygon: Annotated[tuple[Vector, ...], Meta(max_length=MOST_CORNERS)] = ()
+    """Instead of a disc: its corners in order round it, either way [m]. Its sides do not meet but at corners."""
+    share: SpeedShare | None = None
+    """If it is rough: of its largest speed that a vehicle keeps on it; by default 0.4."""
+
+    @property
+    def speed_share(self) -> float:
+        """Of its largest speed that a vehicle keeps on it."""
+        return _speed_share(self.kind, self.share)
+
+
+class HazardField(_Table, frozen=True, kw_only=True):
+    """Discs at random places, others with each seed. They never close the last way from a UGV's start to its goals."""
+
+    kind: Name
+    """A row of `bus.registry.HAZARDS`."""
+    count: Annotated[int, Meta(ge=1, le=MOST_HAZARDS)]
+    """How many."""
+    radius: tuple[Positive, Positive]
+    """Smallest and largest [m]."""
+    share: SpeedShare | None = None
+    """If they are rough: of its largest speed that a vehicle keeps on one; by default 0.4."""
+    clear: NonNegative = 1.0
+    """So far from the starts and goals of all UGVs they stay [m]."""
+
+    @property
+    def speed_share(self) -> float:
+        """Of its largest speed that a vehicle keeps on one."""
+        return _speed_share(self.kind, self.share)
+
+
+def _speed_share(kind: str, share: float | None) -> float:
+    if not HAZARDS[kind].slows:
+        return 1.0
+    return DEFAULT_SHARE if share is None else share
+
+
+class Ground(_Table, frozen=True, kw_only=True):
+    """The tiles in which hazards are seen and told, and how well; without hazards nothing of it matters."""
+
+    tile: Positive = 0.5
+    """Side of a tile [m]."""
+    rate: Positive = 4.0
+    """Looks of each UAV at the ground per second [1/s]; a whole number of ticks must fit between two."""
+    miss: Share = 0.0
+    """Chance that a tile with a hazard is seen as clear."""
+    false_alarm: Share = 0.0
+    """Chance that a clear tile is seen as blocked."""
+    bumper: NonNegative = 0.75
+    """Range of a UGV's own sensor, which makes no errors [m]."""
+    touch: Name = TOUCHES[0]
+    """What touching a blocking hazard does to a UGV: it is `stuck`, or drives on with `damage`."""
+    telling: NonNegative = 4.0
+    """Blocks of 8 x 8 tiles that a UAV radios to its UGV per second [1/s]."""
+
+
 class Uav(_Table, frozen=True, kw_only=True):
     """A UAV at the start."""
 
@@ -135,6 +207,8 @@ class Ugv(_Table, frozen=True, kw_only=True):
     """For the driver `script`: its velocity from each time on, in the order of time."""
     track: Text = ""
     """Instead of a script: the trajectory.csv of an earlier run, whose track of this UGV is driven again."""
+    caution: Name = CAUTIONS[0]
+    """Towards ground that nobody has seen: `cautious`, so slow that it can stop, or `bold`, as fast as on any."""
 
 
 DEFAULT_AGE = 1.0
@@ -268,6 +342,9 @@ class Scenario(_Table, frozen=True, kw_only=True):
     certificate: Certificate = Certificate()
     law: Law = Law()
     custom: Custom = Custom()
+    ground: Ground = Ground()
+    hazard: Annotated[tuple[Hazard, ...], Meta(max_length=MOST_HAZARDS)] = ()
+    hazard_field: tuple[HazardField, ...] = ()
     uav: Annotated[tuple[Uav, ...], Meta(min_length=1)]
     ugv: Annotated[tuple[Ugv, ...], Meta(min_length=1)]
 
@@ -290,6 +367,16 @@ class Scenario(_Table, frozen=True, kw_only=True):
     def detection_period(self) -> int:
         """Ticks between two looks of the detector."""
         return max(1, round(1.0 / (self.detections.rate * self.dt)))
+
+    @property
+    def has_ground(self) -> bool:
+        """True if there are hazards on the ground, or there may be."""
+        return bool(self.hazard or self.hazard_field)
+
+    @property
+    def ground_period(self) -> int:
+        """Ticks between two looks of a UAV at the ground."""
+        return max(1, round(1.0 / (self.ground.rate * self.dt)))
 
     @property
     def noise_cut(self) -> float:

@@ -139,17 +139,17 @@ def time_is_whole(s: Scenario) -> Iterator[Fault]:
 
 
 def looks_fit_ticks(s: Scenario) -> Iterator[Fault]:
-    """A whole number of ticks between two looks."""
-    looks = s.detections.rate * s.dt
-    period = 1.0 / looks if looks > 0.0 else math.inf
-    if period > _MOST_TICKS or not is_whole(period, 1e-6):
-        some = ", ".join(f"{1.0 / (n * s.dt):.4g}" for n in (1, 2, 3))
-        yield Fault(
-            "detections.rate",
-            s.detections.rate,
-            "no whole number of ticks fits between two looks",
-            f"{some}, ... 1/s",
-        )
+    """A whole number of ticks between two looks, at the UGV and at the ground."""
+    rates = {"detections.rate": s.detections.rate}
+    if s.has_ground:
+        rates["ground.rate"] = s.ground.rate
+    for field, rate in rates.items():
+        looks = rate * s.dt
+        period = 1.0 / looks if looks > 0.0 else math.inf
+        if period > _MOST_TICKS or not is_whole(period, 1e-6):
+            some = ", ".join(f"{1.0 / (n * s.dt):.4g}" for n in (1, 2, 3))
+            wrong = "no whole number of ticks fits between two looks"
+            yield Fault(field, rate, wrong, f"{some}, ... 1/s")
 
 
 def sight_is_within_range(s: Scenario) -> Iterator[Fault]:

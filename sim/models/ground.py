@@ -1,0 +1,406 @@
+r"""The ground and its hazards: discs and polygons, and the square tiles in which it is seen, told and planned on.
+
+Tile (row i, column j) of the size s is $[j s, (j+1) s] \times [i s, (i+1) s]$, its edges with it. Hazards are closed
+too: a point on the edge of one touches it. All functions work on tables of `HazardRow`; rows of kind 0 are empty.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from bus.registry import HAZARDS
+from sim.kernels.compile import FloatArray, borrowing, compiled
+from sim.kernels.records import RecordArray
+from sim.models.vehicles import norm
+
+TileArray = npt.NDArray[np.uint8]
+"""A map of tiles. Shape (rows, columns)."""
+
+UNSEEN, CLEAR = 0, 1
+"""States of a tile: nobody has seen it yet, which is not clear; and nothing touches it. The truth is never UNSEEN."""
+ROUGH, BLOCK, FOUND = HAZARDS["rough"].code, HAZARDS["block"].code, HAZARDS["find"].code
+"""A hazard of the kind touches it. BLOCK goes before ROUGH, and ROUGH before FOUND."""
+
+TOUCH = 1e-9
+"""A hazard that is nearer to a tile than this touches it [m]: no rounding hides one that a vehicle runs into."""
+
+
+class HazardRow(NamedTuple):
+    """The columns of a table of hazards."""
+
+    kind: int
+    """Code of a row of `bus.registry.HAZARDS`; 0: there is no hazard in this row."""
+    share: float
+    """Of its largest speed that a vehicle keeps on it; 1 unless it is rough."""
+    x: float
+    y: float
+    """Centre of the disc, or of a circle around the polygon [m]."""
+    radius: float
+    """Of the disc; 0: it is a polygon [m]."""
+    reach: float
+    """Nothing of it is farther from (x, y) than this [m]."""
+    first: int
+    """Row of its first corner in the table of corners."""
+    corners: int
+    """How many it has; 0: it is a disc."""
+
+
+@compiled
+def _segment_distance2(a_x: float, a_y: float, b_x: float, b_y: float, x: float, y: float) -> float:
+    """Squared distance of (x, y) to the segment from a to b [m²]."""
+    d_x, d_y, e_x, e_y = b_x - a_x, b_y - a_y, x - a_x, y - a_y
+    along, length2 = e_x * d_x + e_y * d_y, d_x * d_x + d_y * d_y
+    if along > 0.0:
+        share = 1.0 if along >= length2 else along / length2
+        e_x, e_y = e_x - share * d_x, e_y - share * d_y
+    return e_x * e_x + e_y * e_y
+
+
+@compiled
+def _met(
+    p_x: float, p_y: float, d_x: float, d_y: float, a_x: float, a_y: float, b_x: float, b_y: float
+) -> float:
+    """Share of the way from p by d at which it meets the segment from a to b; infinite: not at all, or along it."""
+    e_x, e_y = b_x - a_x, b_y - a_y
+    turn = d_x * e_y - d_y * e_x
+    if turn == 0.0:
+        return math.inf
+    way = ((a_x - p_x) * e_y - (a_y - p_y) * e_x) / turn
+    along = ((a_x - p_x) * d_y - (a_y - p_y) * d_x) / turn
+    return way if 0.0 <= way <= 1.0 and 0.0 <= along <= 1.0 else math.inf
+
+
+@borrowing
+def distance_to_hazard(
+    hazards: RecordArray, corners: FloatArray, k: int, x: float, y: float
+) -> float:
+    """Distance of a point to a hazard; 0 in it and on its edge.
+
+    Args:
+        hazards: A table of `HazardRow`.
+        corners: Of all polygons, counted round each [m]. Shape (corners, 2).
+        k: Which hazard.
+        x, y: The point [m].
+
+    Returns:
+        The distance [m].
+    """
+    row = hazards[k]
+    if row["corners"] == 0:
+        away: float = norm(x - row["x"], y - row["y"]) - row["radius"]
+        return max(away, 0.0)
+    end = row["first"] + row["corners"]
+    inside, nearest = False, math.inf
+    a_x, a_y = corners[end - 1, 0], corners[end - 1, 1]
+    for n in range(row["first"], end):
+        b_x, b_y = corners[n, 0], corners[n, 1]
+        nearest = min(nearest, _segment_distance2(a_x, a_y, b_x, b_y, x, y))
+        if (a_y > y) != (b_y > y) and x < a_x + (b_x - a_x) * (y - a_y) / (b_y - a_y):
+            inside = not inside
+        a_x, a_y = b_x, b_y
+    return 0.0 if inside else math.sqrt(nearest)
+
+
+@borrowing
+def point_in_hazard(hazards: RecordArray, corners: FloatArray, k: int, x: float, y: float) -> bool:
+    """True if a point touches a hazard. Arguments as `distance_to_hazard`."""
+    row = hazards[k]
+    d_x, d_y, reach = x - row["x"], y - row["y"], row["reach"] + TOUCH
+    if d_x * d_x + d_y * d_y > reach * reach:
+        return False
+    return distance_to_hazard(hazards, corners, k, x, y) == 0.0
+
+
+@borrowing
+def hazard_at(hazards: RecordArray, corners: FloatArray, kind: int, x: float, y: float) -> int:
+    """The first hazard of a kind that a point touches; -1: none.
+
+    Args:
+        hazards, corners: As in `distance_to_hazard`.
+        kind: The code of a row of `HAZARDS`.
+        x, y: The point [m].
+    """
+    for k in range(hazards.shape[0]):
+        if hazards[k]["kind"] == kind and point_in_hazard(hazards, corners, k, x, y):
+            return k
+    return -1
+
+
+@borrowing
+def rough_share(hazards: RecordArray, corners: FloatArray, x: float, y: float) -> float:
+    """Share of its largest speed that a vehicle keeps at a point: the least of the rough hazards there, 1 without one.
+
+    Args:
+        hazards, corners: As in `distance_to_hazard`.
+        x, y: The point [m].
+    """
+    least = 1.0
+    for k in range(hazards.shape[0]):
+        row = hazards[k]
+        if (
+            row["kind"] == ROUGH
+            and row["share"] < least
+            and point_in_hazard(hazards, corners, k, x, y)
+        ):
+            least = row["share"]
+    return least
+
+
+@borrowing
+def nearest_hazard(
+    hazards: RecordArray, corners: FloatArray, kind: int, x: float, y: float
+) -> tuple[int, float]:
+    """The hazard of a kind that is nearest to a point, and its distance [m]; -1 and infinity: there is none.
+
+    Args:
+        hazards, corners: As in `distance_to_hazard`.
+        kind: The code of a row of `HAZARDS`.
+        x, y: The point [m].
+    """
+    found, nearest = -1, math.inf
+    for k in range(hazards.shape[0]):
+        row = hazards[k]
+        if row["kind"] != kind:
+            continue
+        d_x, d_y, reach = x - row["x"], y - row["y"], row["reach"] + nearest + TOUCH
+        if d_x * d_x + d_y * d_y > reach * reach:
+            continue
+        distance = distance_to_hazard(hazards, corners, k, x, y)
+        if found < 0 or distance < nearest:
+            found, nearest = k, distance
+    return found, nearest
+
+
+@borrowing
+def way_to_hazard(
+    hazards: RecordArray,
+    corners: FloatArray,
+    k: int,
+    start: tuple[float, float],
+    end: tuple[float, float],
+) -> float:
+    """Share of the straight way from start to end at which it first touches a hazard; infinite: it does not.
+
+    Args:
+        hazards, corners, k: As in `distance_to_hazard`.
+        start, end: Points [m].
+
+    Returns:
+        From 0, it starts there, to 1, it ends there.
+    """
+    row = hazards[k]
+    p_x, p_y = start
+    d_x, d_y = end[0] - p_x, end[1] - p_y
+    if point_in_hazard(hazards, corners, k, p_x, p_y):
+        return 0.0
+    first = 1.0 if point_in_hazard(hazards, corners, k, end[0], end[1]) else math.inf
+    if row["corners"] == 0:
+        # |p + t d - c| = r: the smaller root, where the way comes in
+        length2, radius = d_x * d_x + d_y * d_y, row["radius"]
+        f_x, f_y = p_x - row["x"], p_y - row["y"]
+        half = f_x * d_x + f_y * d_y
+        square = half * half - length2 * (f_x * f_x + f_y * f_y - radius * radius)
+        if square < 0.0 or length2 == 0.0:
+            return first
+        way = (-half - math.sqrt(square)) / length2
+        return min(first, way) if 0.0 <= way <= 1.0 else first
+    last = row["first"] + row["corners"] - 1
+    a_x, a_y = corners[last, 0], corners[last, 1]
+    for n in range(row["first"], last + 1):
+        b_x, b_y = corners[n, 0], corners[n, 1]
+        first = min(first, _met(p_x, p_y, d_x, d_y, a_x, a_y, b_x, b_y))
+        a_x, a_y = b_x, b_y
+    return first
+
+
+@borrowing
+def crosses_hazard(
+    hazards: RecordArray,
+    corners: FloatArray,
+    kind: int,
+    start: tuple[float, float],
+    end: tuple[float, float],
+) -> tuple[int, float]:
+    """The hazard of a kind that the straight way from start to end touches first, and the share of the way to it.
+
+    Within a tick a vehicle leaves this straight line by no more than u dt² / 8.
+
+    Args:
+        hazards, corners: As in `distance_to_hazard`.
+        kind: The code of a row of `HAZARDS`.
+        start, end: Points [m].
+
+    Returns:
+        Its row, and the share from 0 to 1; -1 and infinity: the way touches none.
+    """
+    found, first = -1, math.inf
+    length = norm(end[0] - start[0], end[1] - start[1])
+    for k in range(hazards.shape[0]):
+        row = hazards[k]
+        d_x, d_y, reach = row["x"] - start[0], row["y"] - start[1], row["reach"] + length + TOUCH
+        if row["kind"] == kind and d_x * d_x + d_y * d_y <= reach * reach:
+            way = way_to_hazard(hazards, corners, k, start, end)
+            if way < first:
+                found, first = k, way
+    return found, first
+
+
+# The tiles
+
+
+def tiles_shape(width: float, height: float, tile: float) -> tuple[int, int]:
+    """Rows and columns of the tiles of an area; the last ones may stick out.
+
+    Args:
+        width, height: Of the area [m].
+        tile: Side of a tile [m].
+    """
+    return max(1, math.ceil(height / tile - TOUCH)), max(1, math.ceil(width / tile - TOUCH))
+
+
+@compiled
+def tile_index(p: float, tile: float, count: int) -> int:
+    """The row of a y, or the column of an x; the first or the last where it is outside.
+
+    Args:
+        p: Coordinate [m].
+        tile: Side of a tile [m].
+        count: How many rows or columns there are.
+    """
+    return int(min(max(math.floor(p / tile), 0), count - 1))
+
+
+@borrowing
+def state_at(tiles: TileArray, tile: float, x: float, y: float) -> int:
+    """State of the tile that a point lies in; outside the area that of the nearest.
+
+    A point that touches a hazard lies in a tile whose true state is that of the hazard or one that goes before it:
+    where this is CLEAR no hazard needs to be looked at, where it is ROUGH none that blocks.
+
+    Args:
+        tiles: The map.
+        tile: Side of a tile [m].
+        x, y: The point [m].
+    """
+    rows, columns = tiles.shape
+    return int(tiles[tile_index(y, tile, rows), tile_index(x, tile, columns)])
+
+
+@compiled
+def _span(low: float, high: float, tile: float, count: int) -> tuple[int, int]:
+    """The rows or columns that an interval touches, from the first to behind the last [m]."""
+    first = max(math.floor(low / tile), 0.0)
+    end = min(math.floor(high / tile) + 1.0, float(count))
+    return (int(first), int(end)) if first < end else (0, 0)
+
+
+@compiled
+def disc_rows(y: float, radius: float, tile: float, rows: int) -> tuple[int, int]:
+    """The rows of tiles that a disc touches, from the first to behind the last.
+
+    Args:
+        y: Of its centre [m].
+        radius: Of the disc [m].
+        tile: Side of a tile [m].
+        rows: How many there are.
+    """
+    return _span(y - radius - TOUCH, y + radius + TOUCH, tile, rows)
+
+
+@compiled
+def disc_columns(
+    x: float, y: float, radius: float, tile: float, row: int, columns: int
+) -> tuple[int, int]:
+    """The columns of tiles that a disc touches in a row, from the first to behind the last.
+
+    Args:
+        x, y: Its centre [m].
+        radius: Of the disc [m].
+        tile: Side of a tile [m].
+        row: Which.
+        columns: How many there are.
+    """
+    reach = radius + TOUCH
+    away = max(row * tile - y, y - (row + 1) * tile, 0.0)
+    if away > reach:
+        return 0, 0
+    half = math.sqrt(reach * reach - away * away)
+    return _span(x - half, x + half, tile, columns)
+
+
+@borrowing
+def add_disc(x: float, y: float, radius: float, state: int, tile: float, tiles: TileArray) -> None:
+    """Give the tiles that a disc touches a state; those that are BLOCK stay so.
+
+    Args:
+        x, y: Its centre [m].
+        radius: Of the disc [m].
+        state: ROUGH, BLOCK or FOUND.
+        tile: Side of a tile [m].
+        tiles: The map, changed.
+    """
+    rows, columns = tiles.shape
+    first, end = disc_rows(y, radius, tile, rows)
+    for i in range(first, end):
+        begin, behind = disc_columns(x, y, radius, tile, i, columns)
+        for j in range(begin, behind):
+            if tiles[i, j] != BLOCK:
+                tiles[i, j] = state
+
+
+@compiled
+def _fill_polygon(corners: FloatArray, state: int, tile: float, tiles: TileArray) -> None:
+    """Set the tiles that a polygon touches: those its edges pass, and those whose centre line lies in it."""
+    rows, columns = tiles.shape
+    count = corners.shape[0]
+    crossings = np.empty(count)
+    lowest, highest = _span(corners[:, 1].min() - TOUCH, corners[:, 1].max() + TOUCH, tile, rows)
+    for i in range(lowest, highest):
+        low, middle, high = i * tile - TOUCH, (i + 0.5) * tile, (i + 1) * tile + TOUCH
+        met = 0
+        a_x, a_y = corners[count - 1, 0], corners[count - 1, 1]
+        for n in range(count):
+            b_x, b_y = corners[n, 0], corners[n, 1]
+            if max(a_y, b_y) >= low and min(a_y, b_y) <= high:
+                # the part of the edge within the row
+                begin, end = 0.0, 1.0
+                if a_y != b_y:
+                    one, other = (low - a_y) / (b_y - a_y), (high - a_y) / (b_y - a_y)
+                    begin, end = max(0.0, min(one, other)), min(1.0, max(one, other))
+                one, other = a_x + begin * (b_x - a_x), a_x + end * (b_x - a_x)
+                first, behind = _span(
+                    min(one, other) - TOUCH, max(one, other) + TOUCH, tile, columns
+                )
+                tiles[i, first:behind] = state
+            if (a_y > middle) != (b_y > middle):
+                crossings[met] = a_x + (b_x - a_x) * (middle - a_y) / (b_y - a_y)
+                met += 1
+            a_x, a_y = b_x, b_y
+        inside = np.sort(crossings[:met])
+        for n in range(0, met - 1, 2):
+            first, behind = _span(inside[n], inside[n + 1], tile, columns)
+            tiles[i, first:behind] = state
+
+
+@compiled
+def fill_tiles(hazards: RecordArray, corners: FloatArray, tile: float, tiles: TileArray) -> None:
+    """Give each tile its true state: BLOCK if a blocking hazard touches it, else ROUGH, else FOUND, else CLEAR.
+
+    Args:
+        hazards, corners: As in `distance_to_hazard`.
+        tile: Side of a tile [m].
+        tiles: The map, changed.
+    """
+    tiles[:, :] = CLEAR
+    for kind in (FOUND, ROUGH, BLOCK):
+        for k in range(hazards.shape[0]):
+            row = hazards[k]
+            if row["kind"] != kind:
+                continue
+            if row["corners"] == 0:
+                add_disc(row["x"], row["y"], row["radius"], kind, tile, tiles)
+            else:
+                end = row["first"] + row["corners"]
+                _fill_polygon(corners[row["first"] : end], kind, tile, tiles)

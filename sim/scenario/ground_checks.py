@@ -1,0 +1,248 @@
+"""Refusals of impossible hazards: one small check for each; without hazards most of them have nothing to do."""
+
+import math
+from collections.abc import Iterator
+from functools import lru_cache
+
+import msgspec
+import numpy as np
+
+from bus.registry import CAUTIONS, HAZARDS, TOUCHES
+from sim.input.faults import Fault, unknown_name
+from sim.kernels.compile import FloatArray, IntArray
+from sim.models.ground import BLOCK, hazard_at, tile_index
+from sim.scenario.ground_tables import corner_bounds, ground_tables, place_fields, stops
+from sim.scenario.types import MOST_HAZARDS, Hazard, HazardField, Scenario
+from sim.scenario.world_checks import Check
+
+_MOST_TILES = 1_000_000
+_MOST_GROUND = 4.0
+"""So much of the area the discs of a field may have together: with less than half of it no way would be left."""
+_LEAST_AREA = 1e-9
+"""Of a polygon [m²]."""
+_ROUNDING = 1e-9
+
+
+def hazards_are_known(s: Scenario) -> Iterator[Fault]:
+    """The kinds of hazards, what touching one does, and how a UGV drives are words that are known."""
+    for k, hazard in enumerate(s.hazard):
+        yield from unknown_name(f"hazard.{k}.kind", hazard.kind, HAZARDS)
+    for k, field in enumerate(s.hazard_field):
+        yield from unknown_name(f"hazard_field.{k}.kind", field.kind, HAZARDS)
+    yield from unknown_name("ground.touch", s.ground.touch, TOUCHES)
+    for k, ugv in enumerate(s.ugv):
+        yield from unknown_name(f"ugv.{k}.caution", ugv.caution, CAUTIONS)
+
+
+def tiles_fit_area(s: Scenario) -> Iterator[Fault]:
+    """Tiles are smaller than the area, not smaller than the cells of the grid, and not too many."""
+    if not s.has_ground:
+        return
+    tile, area = s.ground.tile, s.area
+    side, cell = min(area.width, area.height), area.cell
+    least = max(cell, math.sqrt(area.width) * math.sqrt(area.height / _MOST_TILES))
+    allowed = f"{least:.3g} to {side:g} m"
+    if tile > side:
+        yield Fault("ground.tile", tile, "wider than the area", allowed)
+    elif tile < cell * (1.0 - _ROUNDING):
+        yield Fault("ground.tile", tile, f"smaller than area.cell = {cell:g} m", allowed)
+    else:
+        tiles = math.ceil(area.width / tile) * math.ceil(area.height / tile)
+        if tiles > _MOST_TILES:
+            wrong = f"makes {tiles:.3g} tiles, {_MOST_TILES:,} are the most"
+            yield Fault("ground.tile", tile, wrong, f"{least * 1.01:.3g} to {side:g} m")
+
+
+def hazards_have_a_shape(s: Scenario) -> Iterator[Fault]:
+    """Each is a disc or a polygon, and only rough ones have a share."""
+    for k, hazard in enumerate(s.hazard):
+        path = f"hazard.{k}"
+        yield from _share_fault(path, hazard)
+        if hazard.polygon and (hazard.center is not None or hazard.radius is not None):
+            yield Fault(f"{path}.polygon", hazard.polygon, "it is a disc as well", "one of the two")
+        elif hazard.polygon:
+            yield from _polygon_faults(f"{path}.polygon", hazard)
+        elif hazard.center is None:
+            wrong = "missing" if hazard.radius is not None else "neither a disc nor a polygon"
+            allowed = "[x, y] in m, with radius, or a polygon instead"
+            yield Fault(f"{path}.center", None, wrong, allowed)
+        elif hazard.radius is None:
+            yield Fault(f"{path}.radius", None, "missing", "a number > 0, in m")
+
+
+def _share_fault(path: str, hazard: Hazard | HazardField) -> Iterator[Fault]:
+    if hazard.share is not None and not HAZARDS[hazard.kind].slows:
+        rough = ", ".join(name for name, row in HAZARDS.items() if row.slows)
+        wrong = f"the kind {hazard.kind!r} slows nobody"
+        yield Fault(f"{path}.share", hazard.share, wrong, f"kind {rough}, or no share")
+
+
+@lru_cache(maxsize=8)
+def _apart(count: int) -> tuple[IntArray, IntArray]:
+    """All pairs of sides of a polygon that have no corner in common."""
+    one, other = np.triu_indices(count, 2)
+    apart = other - one < count - 1
+    return one[apart], other[apart]
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    product: FloatArray = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    return product
+
+
+def _polygon_faults(path: str, hazard: Hazard) -> Iterator[Fault]:
+    """It has three corners or more, all different, an area, and sides that meet nowhere else."""
+    corners = np.array(hazard.polygon)
+    count = len(corners)
+    if count < 3:
+        yield Fault(path, hazard.polygon, f"{count} corners", "three or more")
+        return
+    sides = np.roll(corners, -1, axis=0) - corners
+    nothing = np.flatnonzero((sides == 0.0).all(axis=1))
+    if nothing.size:
+        n = int(nothing[0])
+        wrong = f"corners {n} and {(n + 1) % count} are the same"
+        yield Fault(path, hazard.polygon, wrong, "each corner once, the first not again at the end")
+        return
+    met = _sides_that_meet(corners, sides)
+    if met is not None:
+        wrong = f"it crosses itself: its sides from corners {met[0]} and {met[1]} meet"
+        yield Fault(path, hazard.polygon, wrong, "corners in order round it")
+    elif abs(
+        float(_cross(corners - corners[0], np.roll(corners, -1, axis=0) - corners[0]).sum())
+    ) <= (2.0 * _LEAST_AREA):
+        yield Fault(path, hazard.polygon, "it has no area", "corners that are not in one line")
+
+
+def _sides_that_meet(corners: FloatArray, sides: FloatArray) -> tuple[int, int] | None:
+    """Two sides of a polygon that meet where they should not, if there are any."""
+    one, other = _apart(len(corners))
+    a, d, b, e = corners[one], sides[one], corners[other], sides[other]
+    # each side's ends lie on both sides of the other one, or on it
+    across = np.sign(_cross(d, b - a)) * np.sign(_cross(d, b + e - a)) <= 0.0
+    across &= np.sign(_cross(e, a - b)) * np.sign(_cross(e, a + d - b)) <= 0.0
+    low, high = np.minimum(a, a + d), np.maximum(a, a + d)
+    across &= ((np.minimum(b, b + e) <= high) & (np.maximum(b, b + e) >= low)).all(axis=1)
+    found = np.flatnonzero(across)
+    if found.size:
+        return int(one[found[0]]), int(other[found[0]])
+    after = np.roll(sides, -1, axis=0)
+    back = np.flatnonzero((_cross(sides, after) == 0.0) & ((sides * after).sum(axis=1) < 0.0))
+    if back.size and len(corners) > 3:
+        return int(back[0]), (int(back[0]) + 1) % len(corners)
+    return None
+
+
+def _place(k: int, hazard: Hazard) -> tuple[str, object]:
+    """The field that says where a hazard is, and its value."""
+    if hazard.polygon:
+        return f"hazard.{k}.polygon", hazard.polygon
+    return f"hazard.{k}.center", hazard.center
+
+
+def hazards_lie_in_area(s: Scenario) -> Iterator[Fault]:
+    """Each has some ground in Q; what is to be found lies in it."""
+    width, height = s.area.width, s.area.height
+    allowed = f"[0, {width:g}] x [0, {height:g}] m"
+    for k, hazard in enumerate(s.hazard):
+        low, high = corner_bounds(hazard.polygon or (hazard.center or (0.0, 0.0),))
+        reach = hazard.radius or 0.0
+        if hazard.kind == "find":
+            if not (low[0] >= 0.0 and low[1] >= 0.0 and high[0] <= width and high[1] <= height):
+                yield Fault(*_place(k, hazard), "to be found outside Q", allowed)
+        elif (
+            max(-high[0], low[0] - width, 0.0) > reach
+            or max(-high[1], low[1] - height, 0.0) > reach
+        ):
+            yield Fault(*_place(k, hazard), "outside Q", allowed)
+
+
+def starts_and_goals_are_free(s: Scenario) -> Iterator[Fault]:
+    """No hazard that blocks lies over one."""
+    if not any(not HAZARDS[hazard.kind].drivable for hazard in s.hazard):
+        return
+    tables = ground_tables(s)
+    for path, (x, y) in _stops(s):
+        k = hazard_at(tables.hazards, tables.corners, BLOCK, x, y)
+        if k >= 0:
+            wrong = f"it lies over {path} = [{x:g}, {y:g}]"
+            yield Fault(*_place(k, s.hazard[k]), wrong, "a place off all starts and goals")
+
+
+def _stops(s: Scenario) -> Iterator[tuple[str, tuple[float, float]]]:
+    """All starts and goals of UGVs with their paths, in the order of the tables."""
+    for k, ugv in enumerate(s.ugv):
+        for n, point in enumerate(stops(ugv)):
+            yield f"ugv.{k}.goals.{n - 1}" if n else f"ugv.{k}.position", point
+
+
+def ways_are_open(s: Scenario) -> Iterator[Fault]:
+    """From each UGV's start a way of free tiles leads to all its goals."""
+    if not any(not HAZARDS[hazard.kind].drivable for hazard in s.hazard):
+        return
+    from scipy.ndimage import label  # noqa: PLC0415 - it takes long to load, and few need it
+
+    tile, tiles = s.ground.tile, ground_tables(s).tiles
+    regions, _ = label(tiles != BLOCK)
+    allowed = f"a way of tiles of {tile:g} m, side by side, that no hazard touches"
+    start = 0
+    for path, (x, y) in _stops(s):
+        region = regions[tile_index(y, tile, tiles.shape[0]), tile_index(x, tile, tiles.shape[1])]
+        start = region if path.endswith("position") else start
+        if region == 0:
+            yield Fault(path, [x, y], "a hazard that blocks touches its tile", allowed)
+        elif region != start:
+            yield Fault(path, [x, y], "hazards close every way there from the start", allowed)
+
+
+def fields_are_possible(s: Scenario) -> Iterator[Fault]:
+    """Their radii are in order, only rough ones have a share, and they are not too many."""
+    count, area = len(s.hazard), s.area.width * s.area.height
+    for k, field in enumerate(s.hazard_field):
+        path, (smallest, largest) = f"hazard_field.{k}", field.radius
+        yield from _share_fault(path, field)
+        if smallest > largest:
+            yield Fault(f"{path}.radius", field.radius, "out of order", "[smallest, largest] in m")
+        count += field.count
+        if count > MOST_HAZARDS:
+            wrong = f"makes {count:,} hazards in all"
+            yield Fault(f"{path}.count", field.count, wrong, f"up to {MOST_HAZARDS:,} in all")
+        one = math.pi * (smallest * smallest + smallest * largest + largest * largest) / 3.0
+        if one * field.count > _MOST_GROUND * area:
+            most = int(_MOST_GROUND * area / one)
+            wrong = f"makes {one * field.count:.3g} m² of hazards on {area:.3g} m² of ground"
+            allowed = f"up to {most}" if most else "smaller ones"
+            yield Fault(f"{path}.count", field.count, wrong, allowed)
+
+
+def fields_have_room(s: Scenario) -> Iterator[Fault]:
+    """All their hazards have a place, as tried once; in a flight there are as many as fit."""
+    placed = len(s.hazard)
+    for k, field in enumerate(s.hazard_field):
+        fit = _placed(s, s.hazard_field[: k + 1]) - placed
+        if fit < field.count:
+            wrong = f"only {fit} fit" if fit else "none fits"
+            allowed = f"up to {fit}, or smaller ones" if fit else "smaller ones, or less clear"
+            yield Fault(f"hazard_field.{k}.count", field.count, wrong, allowed)
+        placed += fit
+
+
+def _placed(s: Scenario, fields: tuple[HazardField, ...]) -> int:
+    """How many hazards there are in all, with those of some fields."""
+    tables = ground_tables(msgspec.structs.replace(s, hazard_field=fields))
+    key = np.uint64(s.seed), np.uint64(0)  # any will do: the flights have others
+    with np.errstate(over="ignore"):  # random words wrap round, of which an interpreter warns
+        return place_fields(s, tables, key)
+
+
+GROUND_CHECKS: tuple[Check, ...] = (
+    hazards_are_known,
+    tiles_fit_area,
+    hazards_have_a_shape,
+    hazards_lie_in_area,
+    starts_and_goals_are_free,
+    ways_are_open,
+    fields_are_possible,
+    fields_have_room,
+)
+"""In the order in which they are made: a later one may rely on those before it."""

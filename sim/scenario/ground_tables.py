@@ -1,0 +1,143 @@
+"""The hazards of a scenario as the tables that compiled code reads."""
+
+import math
+from collections.abc import Iterator
+from hashlib import blake2b
+from typing import NamedTuple
+
+import numpy as np
+
+from bus.messages import Vector
+from bus.registry import DRIVERS, HAZARDS
+from sim.kernels.compile import FloatArray, IntArray
+from sim.kernels.records import RecordArray, records
+from sim.models.ground import HazardRow, TileArray, fill_tiles, tile_index, tiles_shape
+from sim.models.hazard_fields import HazardFieldRow, place_hazards, work_array
+from sim.models.randomness import Key
+from sim.scenario.types import Hazard, HazardField, Scenario, Ugv
+
+_WAY_BITS = 63
+"""So many ways have a bit of their own; further ones have words that add up to none but with a chance of 2^-63."""
+
+
+class GroundTables(NamedTuple):
+    """What the scenario says of the ground, the same in each of its flights."""
+
+    hazards: RecordArray
+    """A table of `HazardRow`, with empty rows behind for those of its fields."""
+    corners: FloatArray
+    """Of the polygons [m]. Shape (corners, 2)."""
+    tiles: TileArray
+    """True states with the hazards that are given, without those of fields. Shape (rows, columns)."""
+    fields: RecordArray
+    """A table of `HazardFieldRow`."""
+    stops: FloatArray
+    """Starts and goals of the UGVs [m]. Shape (stops, 2)."""
+    ways: IntArray
+    """From each start to its goals, as `sim.models.hazard_fields.place_hazards` takes them. Shape (ways, 5)."""
+
+
+def ground_tables(s: Scenario) -> GroundTables:
+    """The tables of a scenario whose hazards are possible."""
+    given = hazard_rows(s.hazard)
+    room = sum(field.count for field in s.hazard_field)
+    hazards = np.concatenate([given, np.zeros(room, dtype=given.dtype)])
+    corners = corners_of(s.hazard)
+    tiles = np.zeros(tiles_shape(s.area.width, s.area.height, s.ground.tile), dtype=np.uint8)
+    fill_tiles(given, corners, s.ground.tile, tiles)
+    points = [point for ugv in s.ugv for point in stops(ugv)]
+    return GroundTables(
+        hazards,
+        corners,
+        tiles,
+        fields=records(HazardFieldRow, [_field_row(field) for field in s.hazard_field]),
+        stops=np.array(points, dtype=np.float64),
+        ways=_ways(s, *tiles.shape),
+    )
+
+
+def place_fields(s: Scenario, tables: GroundTables, key: Key) -> int:
+    """Draw the hazards of the scenario's fields.
+
+    Args:
+        s: The scenario.
+        tables: Its tables, with no such hazards yet; `hazards` and `tiles` are changed.
+        key: Of the draws.
+
+    Returns:
+        How many hazards there are in all.
+    """
+    return place_hazards(
+        tables.fields,
+        tables.stops,
+        tables.ways,
+        (s.area.width, s.area.height),
+        s.ground.tile,
+        key,
+        tables.hazards,
+        len(s.hazard),
+        tables.tiles,
+        work_array(*tables.tiles.shape),
+    )
+
+
+def _field_row(field: HazardField) -> HazardFieldRow:
+    kind, (smallest, largest) = HAZARDS[field.kind].code, field.radius
+    return HazardFieldRow(
+        kind, field.count, smallest, largest, share=field.speed_share, clear=field.clear
+    )
+
+
+def _ways(s: Scenario, rows: int, columns: int) -> IntArray:
+    tile, ways = s.ground.tile, []
+    for ugv in s.ugv:
+        places = [(tile_index(y, tile, rows), tile_index(x, tile, columns)) for x, y in stops(ugv)]
+        start, *goals = places
+        ways += [(*start, *goal) for goal in dict.fromkeys(goals) if goal != start] or [start * 2]
+    ways = list(dict.fromkeys(ways))
+    return np.array([(*way, _way_bits(n)) for n, way in enumerate(ways)], dtype=np.int64)
+
+
+def _way_bits(way: int) -> int:
+    if way < _WAY_BITS:
+        return 1 << way
+    digest = blake2b(way.to_bytes(8, "little"), digest_size=8).digest()
+    return int.from_bytes(digest, "little", signed=True)
+
+
+def corners_of(hazards: tuple[Hazard, ...]) -> FloatArray:
+    """The corners of all polygons, one after the other [m]. Shape (corners, 2)."""
+    found = [corner for hazard in hazards for corner in hazard.polygon]
+    return np.array(found, dtype=np.float64).reshape(-1, 2)
+
+
+def hazard_rows(hazards: tuple[Hazard, ...]) -> RecordArray:
+    """A table of `HazardRow`, with a row for each."""
+    return records(HazardRow, list(_rows(hazards)))
+
+
+def _rows(hazards: tuple[Hazard, ...]) -> Iterator[HazardRow]:
+    first = 0
+    for hazard in hazards:
+        kind, count, radius = HAZARDS[hazard.kind].code, len(hazard.polygon), hazard.radius or 0.0
+        if count:
+            low, high = corner_bounds(hazard.polygon)
+            x, y = 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])
+            reach = 0.5 * math.dist(low, high)
+        else:
+            (x, y), reach = hazard.center or (0.0, 0.0), radius
+        yield HazardRow(kind, hazard.speed_share, x, y, radius, reach, first, count)
+        first += count
+
+
+def corner_bounds(polygon: tuple[Vector, ...]) -> tuple[Vector, Vector]:
+    """The lower and the upper corner of the rectangle around a polygon [m]."""
+    x, y = zip(*polygon, strict=True)
+    return (min(x), min(y)), (max(x), max(y))
+
+
+def stops(ugv: Ugv) -> tuple[Vector, ...]:
+    """Where a UGV starts, and the goals of its driver if it has any [m]."""
+    driver = DRIVERS[ugv.driver]
+    roams = driver.make and driver.wants != "goals"
+    return (ugv.position, *(() if roams else ugv.goals))

@@ -1,0 +1,285 @@
+"""The ground: distances to hazards, what touches what, and the map of tiles, against geometry by brute force."""
+
+import itertools
+import math
+import subprocess
+import sys
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.path import Path
+from properties import PROPERTY
+
+from bus.registry import HAZARDS
+from sim.models.ground import (
+    BLOCK,
+    CLEAR,
+    FOUND,
+    ROUGH,
+    TOUCH,
+    UNSEEN,
+    crosses_hazard,
+    distance_to_hazard,
+    fill_tiles,
+    hazard_at,
+    nearest_hazard,
+    point_in_hazard,
+    rough_share,
+    state_at,
+    tiles_shape,
+)
+from sim.scenario.ground_checks import hazards_have_a_shape
+from sim.scenario.ground_tables import corners_of, hazard_rows
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Hazard
+
+ESCORT = load_scenario("escort")
+GEOMETRY = settings(PROPERTY, max_examples=60)
+SIDE, TILE = 6.0, 0.5
+places = st.floats(-0.5, SIDE + 0.5)
+points = st.tuples(places, places)
+kinds = st.sampled_from(tuple(HAZARDS))
+SHAPE = tiles_shape(SIDE, SIDE, TILE)
+
+
+@st.composite
+def discs(draw, kinds=kinds) -> Hazard:
+    kind = draw(kinds)
+    share = draw(st.floats(0.1, 1.0)) if kind == "rough" else None
+    return Hazard(kind=kind, center=draw(points), radius=draw(st.floats(0.01, 2.5)), share=share)
+
+
+@st.composite
+def stars(draw, kinds=kinds) -> Hazard:
+    """A polygon that does not cross itself: seen from a point in it, its corners go round; mostly not convex."""
+    x, y = draw(points)
+    radii = draw(st.lists(st.floats(0.05, 2.5), min_size=3, max_size=9))
+    turn, way = draw(st.floats(0.0, 6.28)), draw(st.sampled_from((1, -1)))
+    angles = [turn + 2.0 * math.pi * n / len(radii) for n in range(len(radii))][::way]
+    corners = tuple(
+        (x + r * math.cos(angle), y + r * math.sin(angle))
+        for r, angle in zip(radii, angles, strict=True)
+    )
+    return Hazard(kind=draw(kinds), polygon=corners)
+
+
+grounds = st.lists(st.one_of(discs(), stars()), min_size=1, max_size=5).map(tuple)
+
+
+def tables(hazards) -> tuple[np.ndarray, np.ndarray]:
+    return hazard_rows(hazards), corners_of(hazards)
+
+
+def filled(hazards, tile: float = TILE) -> np.ndarray:
+    tiles = np.full(tiles_shape(SIDE, SIDE, tile), UNSEEN, dtype=np.uint8)
+    fill_tiles(*tables(hazards), tile, tiles)
+    return tiles
+
+
+def contains(hazard: Hazard, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """True where points lie in it, by other means."""
+    if hazard.center is not None:
+        return np.hypot(x - hazard.center[0], y - hazard.center[1]) <= hazard.radius
+    return Path([*hazard.polygon, hazard.polygon[0]]).contains_points(np.stack([x, y], axis=-1))
+
+
+@given(st.one_of(discs(), stars()), points)
+@GEOMETRY
+def test_the_distance_to_a_hazard_is_that_to_the_nearest_of_many_points_on_its_edge(hazard, point):
+    found = distance_to_hazard(*tables((hazard,)), 0, *point)
+    if hazard.center is not None:
+        angle = np.linspace(0.0, 2.0 * np.pi, 4001)
+        edge = np.array(hazard.center) + hazard.radius * np.stack([np.cos(angle), np.sin(angle)], 1)
+    else:
+        corners = np.array([*hazard.polygon, hazard.polygon[0]])
+        shares = np.linspace(0.0, 1.0, 1001)[:, None]
+        edge = np.concatenate([a + shares * (b - a) for a, b in itertools.pairwise(corners)])
+    near = float(np.hypot(*(edge - point).T).min())
+    if near < 1e-6:
+        return  # on the edge nobody can tell by samples
+    if contains(hazard, *np.array(point)[:, None])[0]:
+        assert found == 0.0
+        assert point_in_hazard(*tables((hazard,)), 0, *point)
+    else:
+        assert 0.0 < found <= near + 1e-12 <= found + 0.01
+        assert not point_in_hazard(*tables((hazard,)), 0, *point)
+
+
+@given(grounds, points)
+@GEOMETRY
+def test_what_is_at_a_point_and_what_is_nearest_are_the_best_of_all(hazards, point) -> None:
+    rows, corners = tables(hazards)
+    away = [distance_to_hazard(rows, corners, k, *point) for k in range(len(hazards))]
+    shares = [h.speed_share for h, d in zip(hazards, away, strict=True) if d == 0.0]
+    assert rough_share(rows, corners, *point) == min(shares, default=1.0)
+    for name, row in HAZARDS.items():
+        mine = [(d, k) for k, d in enumerate(away) if hazards[k].kind == name]
+        nearest, found = min(mine, default=(math.inf, -1))
+        assert nearest_hazard(rows, corners, row.code, *point) == (found, nearest)
+        there = [k for d, k in mine if d == 0.0]
+        assert hazard_at(rows, corners, row.code, *point) == min(there, default=-1)
+
+
+@given(grounds, points, points)
+@GEOMETRY
+def test_a_way_meets_the_first_hazard_that_many_points_on_it_meet(hazards, start, end) -> None:
+    rows, corners = tables(hazards)
+    found, share = crosses_hazard(rows, corners, BLOCK, start, end)
+    shares = np.linspace(0.0, 1.0, 2001)
+    way = np.array(start) + shares[:, None] * (np.array(end) - np.array(start))
+    blocking = [h for h in hazards if h.kind == "block"]
+    met = np.any([contains(h, *way.T) for h in blocking], axis=0) if blocking else np.zeros(2001)
+    if met.any():
+        first = shares[met.argmax()]
+        assert share <= first + 1e-9
+        assert rows[found]["kind"] == BLOCK
+    if found >= 0:
+        at = np.array(start) + share * (np.array(end) - np.array(start))
+        assert distance_to_hazard(rows, corners, found, *at) < 1e-7
+        assert not met[shares < share - 1e-6].any()
+    else:
+        assert share == math.inf
+
+
+def test_no_hazard_is_jumped_over_however_thin_or_slanted_and_its_edge_counts() -> None:
+    thin = (Hazard(kind="block", polygon=((2.0, 0.0), (2.0001, 0.0), (2.0001, 4.0), (2.0, 4.0))),)
+    assert crosses_hazard(*tables(thin), BLOCK, (1.0, 1.0), (3.0, 1.5)) == (0, pytest.approx(0.5))
+    assert crosses_hazard(*tables(thin), BLOCK, (1.0, 4.0), (3.0, 4.0))[1] == pytest.approx(0.5)
+    assert crosses_hazard(*tables(thin), ROUGH, (1.0, 1.0), (3.0, 1.5)) == (-1, math.inf)
+    disc = (Hazard(kind="block", center=(2.0, 2.0), radius=1.0),)
+    assert crosses_hazard(*tables(disc), BLOCK, (0.0, 3.0), (4.0, 3.0))[1] == pytest.approx(0.5)
+    assert crosses_hazard(*tables(disc), BLOCK, (2.0, 2.0), (2.0, 2.0)) == (0, 0.0)
+    assert crosses_hazard(*tables(disc), BLOCK, (0.0, 2.0), (1.0, 2.0)) == (0, 1.0)
+
+
+@given(grounds, st.sampled_from((0.7, 0.5, 2.0)))
+@settings(GEOMETRY, max_examples=30)
+def test_each_tile_has_the_state_of_what_lies_on_it_and_of_nothing_that_does_not(hazards, tile):
+    tiles = filled(hazards, tile)
+    rows, corners = tables(hazards)
+    share = np.linspace(0.0, 1.0, 9)
+    rank = {CLEAR: 0, FOUND: 1, ROUGH: 2, BLOCK: 3}
+    codes = [HAZARDS[h.kind].code for h in hazards]
+    for (i, j), state in np.ndenumerate(tiles):
+        x, y = (axis.ravel() for axis in np.meshgrid((j + share) * tile, (i + share) * tile))
+        on = [code for h, code in zip(hazards, codes, strict=True) if contains(h, x, y).any()]
+        assert rank[int(state)] >= max((rank[code] for code in on), default=0)
+        if state != CLEAR:
+            middle = (j + 0.5) * tile, (i + 0.5) * tile
+            mine = [k for k, code in enumerate(codes) if code == state]
+            near = min(distance_to_hazard(rows, corners, k, *middle) for k in mine)
+            assert near <= tile * math.sqrt(0.5) + 2 * TOUCH
+            if near > tile * 0.5 - 1e-6:  # it may touch at a corner at most
+                samples = itertools.product(mine, zip(x, y, strict=True))
+                near = min(distance_to_hazard(rows, corners, k, *at) for k, at in samples)
+                assert near <= tile / 8 * math.sqrt(0.5) + 2 * TOUCH
+
+
+@given(grounds, st.lists(points, min_size=20, max_size=20))
+@GEOMETRY
+def test_where_a_tile_is_clear_no_point_touches_a_hazard(hazards, tried) -> None:
+    tiles, (rows, corners) = filled(hazards), tables(hazards)
+    for x, y in tried:
+        if 0.0 <= x <= SIDE and 0.0 <= y <= SIDE:
+            state = state_at(tiles, TILE, x, y)
+            if state != BLOCK:
+                assert hazard_at(rows, corners, BLOCK, x, y) < 0
+            if state in (CLEAR, FOUND):
+                assert rough_share(rows, corners, x, y) == 1.0
+            if state == CLEAR:
+                assert hazard_at(rows, corners, FOUND, x, y) < 0
+
+
+def test_tiles_are_closed_and_a_hazard_that_reaches_their_edge_touches_them() -> None:
+    tiles = filled((Hazard(kind="block", center=(1.25, 1.25), radius=0.25),))
+    assert sorted(zip(*np.nonzero(tiles == BLOCK), strict=True)) == [
+        (1, 2), (2, 1), (2, 2), (2, 3), (3, 2)
+    ]  # fmt: skip
+    square = ((1.0, 1.0), (1.5, 1.0), (1.5, 1.5), (1.0, 1.5))
+    tiles = filled((Hazard(kind="rough", polygon=square),))
+    assert (tiles[1:4, 1:4] == ROUGH).all()
+    assert (tiles == ROUGH).sum() == 9
+    assert set(np.unique(filled(()))) == {CLEAR}
+
+
+def test_what_blocks_goes_before_what_is_rough_and_that_before_what_is_to_be_found() -> None:
+    def disc(kind: str) -> Hazard:
+        return Hazard(kind=kind, center=(3.2, 3.2), radius=0.1)
+
+    block, rough, find = disc("block"), disc("rough"), disc("find")
+    assert filled((block, rough, find)).max() == filled((find, rough, block)).max() == BLOCK
+    assert filled((rough, find)).max() == filled((find, rough)).max() == ROUGH
+    assert filled((find,)).max() == FOUND
+
+
+def test_the_last_tiles_may_stick_out_of_the_area_and_its_far_edge_lies_in_them() -> None:
+    assert tiles_shape(6.0, 3.1, 0.5) == (7, 12)
+    assert tiles_shape(0.3 * 3, 0.1 * 3, 0.1) == (3, 9)  # 0.1 * 3 is more than 0.3
+    tiles = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    assert state_at(tiles, 1.0, 4.0, 3.0) == 11
+    assert state_at(tiles, 1.0, 0.0, 0.0) == 0
+    assert state_at(tiles, 1.0, 2.0, 1.0) == 6
+
+
+# What is refused
+
+
+def faults(*hazards) -> list[str]:
+    s = msgspec.structs.replace(ESCORT, hazard=hazards)
+    return [fault.wrong for fault in hazards_have_a_shape(s)]
+
+
+@given(stars(st.just("rough")))
+@GEOMETRY
+def test_a_polygon_that_does_not_cross_itself_is_taken_either_way_round(star) -> None:
+    assert faults(star) == []
+
+
+@given(st.integers(4, 40), st.integers(0, 39), st.floats(0.0, 6.0))
+@GEOMETRY
+def test_two_corners_of_a_convex_polygon_changed_over_make_it_cross_itself(count, n, turn) -> None:
+    angles = turn + 2.0 * np.pi * np.arange(count) / count
+    corners = [(3.0 + math.cos(a), 3.0 + math.sin(a)) for a in angles]
+    assert faults(Hazard(kind="rough", polygon=tuple(corners))) == []
+    n %= count - 1
+    corners[n], corners[n + 1] = corners[n + 1], corners[n]
+    (wrong,) = faults(Hazard(kind="rough", polygon=tuple(corners)))
+    assert wrong.startswith("it crosses itself: its sides from corners")
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [
+        [(1, 1), (3, 1), (3, 3), (2, 1), (1, 3)],  # a corner on another side
+        [(1, 1), (3, 1), (2, 1), (2, 3)],  # back on itself
+        [(1, 1), (3, 1), (3, 3), (1, 1), (1, 3), (0, 3)],  # one corner twice
+        [(1, 1), (3, 1), (4, 1), (3.5, 1), (2, 2)],
+    ],
+)
+def test_sides_that_meet_but_at_their_corners_are_refused(corners) -> None:
+    (wrong,) = faults(Hazard(kind="rough", polygon=tuple(corners)))
+    assert wrong.startswith("it crosses itself")
+
+
+def test_ten_thousand_hazards_of_a_file_are_read_and_checked_without_a_compiler_as_with_it() -> (
+    None
+):
+    program = """
+from sim.kernels.compile import interpret
+interpret()
+import sys
+from sim.scenario.loading import load_scenario
+discs = [{"kind": "block", "center": [k % 100 * 0.4, 30.0 + k // 100 * 0.1], "radius": 0.1}
+         for k in range(9_900)]
+fields = [{"kind": "block", "count": 40, "radius": [0.2, 0.4]}]
+s = load_scenario("escort", overrides={"hazard": discs, "hazard_field": fields})
+assert len(s.hazard) == 9_900 and s.has_ground
+assert "numba" not in sys.modules
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=100
+    )
+    assert done.stderr == ""

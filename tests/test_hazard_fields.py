@@ -1,0 +1,200 @@
+"""Hazards at random places: where they are allowed, as many as fit, and never in the last way."""
+
+import itertools
+
+import numpy as np
+import pytest
+from draws import a_key
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from properties import PROPERTY
+from scipy.ndimage import label
+
+from sim.engine.run_keys import derive_keys
+from sim.kernels.records import records
+from sim.models.ground import (
+    BLOCK,
+    CLEAR,
+    FOUND,
+    ROUGH,
+    HazardRow,
+    fill_tiles,
+    tile_index,
+    tiles_shape,
+)
+from sim.models.hazard_fields import MOST_MISSES, HazardFieldRow, place_hazards, work_array
+from sim.models.randomness import HAZARD_FIELDS, HAZARD_PLACE, draw, key_of
+from sim.scenario.ground_tables import ground_tables, place_fields
+from sim.scenario.loading import load_scenario
+
+TILE = 0.5
+AREA = (7.0, 5.0)
+SHAPE = tiles_shape(*AREA, TILE)
+NO_CORNERS = np.zeros((0, 2))
+places = st.tuples(st.floats(0.0, AREA[0]), st.floats(0.0, AREA[1]))
+
+
+def tile_of(point) -> tuple[int, int]:
+    return tile_index(point[1], TILE, SHAPE[0]), tile_index(point[0], TILE, SHAPE[1])
+
+
+def ways_of(*routes) -> np.ndarray:
+    tiles = [(tile_of(start), tile_of(goal)) for start, *goals in routes for goal in goals]
+    return np.array([(*a, *b, 1 << n) for n, (a, b) in enumerate(tiles)], dtype=np.int64)
+
+
+def field(kind: int, count: int, radius=(0.2, 0.7), clear: float = 0.0) -> HazardFieldRow:
+    return HazardFieldRow(kind, count, *radius, share=0.5 if kind == ROUGH else 1.0, clear=clear)
+
+
+def place(fields, routes, key, given=()) -> tuple[np.ndarray, np.ndarray, int]:
+    """The table, the tiles, and the first row that is empty."""
+    room = sum(one.discs for one in fields)
+    hazards = records(HazardRow, [*given, *[HazardRow(9, *[0.0] * 5, 0, 0)] * room])
+    tiles = np.zeros(SHAPE, dtype=np.uint8)
+    fill_tiles(hazards[: len(given)], NO_CORNERS, TILE, tiles)
+    behind = place_hazards(
+        records(HazardFieldRow, fields),
+        np.array([point for route in routes for point in route]),
+        ways_of(*routes),
+        AREA,
+        TILE,
+        key,
+        hazards,
+        len(given),
+        tiles,
+        work_array(*SHAPE),
+    )
+    return hazards, tiles, behind
+
+
+def is_open(tiles: np.ndarray, routes) -> bool:
+    """True if each way can be gone from tile to tile beside it, found by filling the free ground."""
+    regions, _ = label(tiles != BLOCK)
+    return all(
+        regions[tile_of(route[0])] == regions[tile_of(point)] > 0
+        for route in routes
+        for point in route
+    )
+
+
+def one_by_one(fields, routes, key) -> list[tuple[float, ...]]:
+    """The same discs, each tried by filling the free ground with all of them on it."""
+    kept: list[HazardRow] = []
+    tiles = np.full(SHAPE, CLEAR, dtype=np.uint8)
+    for f, one in enumerate(fields):
+        placed = last = 0
+        for attempt in itertools.count():
+            if placed == one.discs or attempt - last == MOST_MISSES:
+                break
+            u, v, w = (
+                (int(word) >> 11) * 2.0**-53 for word in draw(key, HAZARD_PLACE, f, attempt)[:3]
+            )
+            radius = one.smallest + w * (one.largest - one.smallest)
+            x, y = u * AREA[0], v * AREA[1]
+            near = min(np.hypot(x - p[0], y - p[1]) for route in routes for p in route)
+            if near < radius + one.clear:
+                continue
+            if tiles[tile_of((x, y))] in (BLOCK, one.kind):
+                continue
+            new = HazardRow(one.kind, one.share, x, y, radius, radius, 0, 0)
+            alone, after = np.zeros(SHAPE, np.uint8), np.zeros(SHAPE, np.uint8)
+            fill_tiles(records(HazardRow, [new]), NO_CORNERS, TILE, alone)
+            fill_tiles(records(HazardRow, [*kept, new]), NO_CORNERS, TILE, after)
+            hidden = tiles[alone != CLEAR]
+            if FOUND in hidden or (one.kind == FOUND and (hidden != CLEAR).any()):
+                continue
+            if is_open(after, routes):
+                kept, tiles, placed, last = [*kept, new], after, placed + 1, attempt + 1
+    return [tuple(row) for row in kept]
+
+
+@given(st.integers(0, 2**32), places, places, places, places)
+@settings(PROPERTY, max_examples=6)
+def test_the_discs_are_those_that_filling_the_ground_for_each_of_them_would_keep(seed, a, b, c, d):
+    fields, routes = [field(BLOCK, 30)], [[a, b, c], [d, a]]
+    hazards, tiles, behind = place(fields, routes, a_key(seed))
+    assert [tuple(row) for row in hazards[:behind].tolist()] == one_by_one(
+        fields, routes, a_key(seed)
+    )
+    assert is_open(tiles, routes) or behind == 0
+
+
+def test_of_every_kind_the_discs_are_those_that_one_by_one_are_kept() -> None:
+    routes = [[(0.6, 0.6), (6.2, 4.4)]]
+    fields = [field(BLOCK, 12, clear=0.4), field(FOUND, 5), field(ROUGH, 8), field(BLOCK, 9)]
+    hazards, tiles, behind = place(fields, routes, a_key(3))
+    assert [tuple(row) for row in hazards[:behind].tolist()] == one_by_one(fields, routes, a_key(3))
+    assert {kind for kind, *_ in hazards[:behind].tolist()} == {BLOCK, FOUND, ROUGH}
+    again = np.zeros(SHAPE, dtype=np.uint8)
+    fill_tiles(hazards, NO_CORNERS, TILE, again)
+    assert (tiles == again).all()
+
+
+@given(
+    st.integers(0, 2**32),
+    st.lists(st.lists(places, min_size=2, max_size=4), min_size=1, max_size=3),
+    st.floats(0.0, 1.0),
+)
+@settings(PROPERTY, max_examples=60)
+def test_the_ways_stay_open_however_many_are_wanted_and_clear_is_kept(seed, routes, clear):
+    hazards, tiles, behind = place([field(BLOCK, 80, clear=clear)], routes, a_key(seed))
+    assert is_open(tiles, routes)
+    assert (hazards["kind"] == np.where(np.arange(80) < behind, BLOCK, 0)).all()
+    for point in itertools.chain(*routes):
+        away = np.hypot(hazards["x"] - point[0], hazards["y"] - point[1]) - hazards["radius"]
+        assert (away[:behind] >= clear - 1e-12).all()
+    assert ((hazards["radius"] >= 0.2) & (hazards["radius"] <= 0.7))[:behind].all()
+
+
+def test_a_wall_with_one_gap_keeps_its_gap() -> None:
+    wall = [HazardRow(BLOCK, 1.0, 3.7, y, 0.1, 0.1, 0, 0) for y in np.arange(0.0, 5.0, 0.4)]
+    wall = [row for row in wall if not 2.0 < row.y < 3.0]
+    routes = [[(0.6, 2.5), (6.2, 2.5)]]
+    for seed in range(30):
+        _, tiles, behind = place([field(BLOCK, 60)], routes, a_key(seed), given=wall)
+        assert is_open(tiles, routes)
+        assert behind > len(wall) + 10
+
+
+def test_as_many_as_fit_are_placed_and_the_other_rows_are_empty() -> None:
+    hazards, _, behind = place([field(BLOCK, 30, (3.0, 4.0))], [[(0.6, 2.5), (6.2, 2.5)]], a_key(1))
+    assert 0 < behind < 10
+    assert not hazards["kind"][behind:].any()
+
+
+def test_each_seed_has_other_hazards_and_the_same_seed_the_same() -> None:
+    def placed(seed: int) -> list[tuple[float, ...]]:
+        key = key_of.py_func(derive_keys((seed,), 1)[0], HAZARD_FIELDS, 0)
+        return place([field(BLOCK, 20)], [[(0.6, 0.6), (6.2, 4.4)]], key)[0].tolist()
+
+    assert placed(1) == placed(1)
+    assert not set(placed(1)) & set(placed(2))
+
+
+def test_ten_thousand_hazards_leave_the_ways_open_on_a_large_map() -> None:
+    s = load_scenario(
+        "escort",
+        overrides={
+            "area": {"width": 160.0, "height": 160.0, "cell": 0.5},
+            "hazard_field": [{"kind": "block", "count": 10_000, "radius": [0.2, 0.6]}],
+        },
+    )
+    t = ground_tables(s)
+    behind = place_fields(s, t, a_key(5))
+    assert behind == 10_000
+    regions, _ = label(t.tiles != BLOCK)
+    ends = {regions[way[0], way[1]] for way in t.ways} | {regions[way[2], way[3]] for way in t.ways}
+    assert len(ends) == 1
+    assert 0 not in ends
+    assert len(t.stops) == 1 + len(s.ugv[0].goals)
+
+
+@pytest.mark.parametrize(("driver", "goals"), [("waypoints", 5), ("wander", 0), ("policy", 5)])
+def test_the_ways_lead_to_the_goals_that_the_driver_has(driver: str, goals: int) -> None:
+    s = load_scenario("escort", overrides={"ugv.0.driver": driver, "custom.policy": "a:b"})
+    t = ground_tables(s)
+    assert len(t.stops) == 1 + goals
+    assert t.ways.shape == (max(goals, 1), 5)
+    if not goals:
+        assert t.ways[0, :2].tolist() == t.ways[0, 2:4].tolist()
