@@ -424,14 +424,15 @@ def broken(runs: int = 500) -> Iterator[str]:
     yield "| filter | flights that enter a tile not known to be drivable |"
     yield "|---|---|"
     for name, check in {"none": is_safe, **BROKEN}.items():
-        caught = sum(fly(_pushed(k), k, check).entered > 0 for k in range(runs))
+        caught = sum(fly(pushed_trial(k), k, check).entered > 0 for k in range(runs))
         yield f"| {name} | {caught} of {runs} |"
-    late = [seed for seed in range(3 * runs) if _pushed(seed).delay][:runs]
-    caught = sum(fly(_pushed(k), k, is_safe, believed=0).entered > 0 for k in late)
+    late = [seed for seed in range(3 * runs) if pushed_trial(seed).delay][:runs]
+    caught = sum(fly(pushed_trial(k), k, is_safe, believed=0).entered > 0 for k in late)
     yield f"| commands act at once, believed of late ones | {caught} of {len(late)} |"
 
 
-def _pushed(seed: int) -> Trial:
+def pushed_trial(seed: int) -> Trial:
+    """A trial of a seed with an adversary at the wheel."""
     return draw_trial(seed, wheel=WHEELS[1 + seed % 3])
 
 

@@ -179,7 +179,7 @@ def look_ahead(
 def _way_out(
     p: NavigateParameters, memory: GroundMemory, x: float, y: float
 ) -> tuple[float, float]:
-    """The centre of the nearest open tile beside the blocked one that the UGV stands in [m]; if none is, where it stands."""
+    """The centre of the nearest open tile around a blocked one that the UGV stands in [m]; else where it stands."""
     rows, columns = memory.tiles.shape
     i, j = tile_index(y, p.tile, rows), tile_index(x, p.tile, columns)
     out_x, out_y, least = x, y, math.inf
