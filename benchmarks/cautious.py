@@ -13,18 +13,19 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from agents.drivers.cautious import Bounds, Open, braking_way, is_safe, open_to, way_is_open
 from agents.drivers.navigate import (
-    NavigateParameters,
     kept_open,
     navigate_control,
     note_sent,
     state_ahead,
 )
+from agents.drivers.parameters import NAVIGATE, DriverParameters
 from agents.drivers.planning import Prices, plan
 from agents.drivers.tile_map import GroundMemory, ground_memory, note_block, note_tiles
 from sim.kernels.compile import FloatArray, entry_point
@@ -38,6 +39,15 @@ _SAMPLES = np.linspace(0.0, 1.0, 17)
 TELLERS = ("bumper", "nothing for long", "all but some", "at rest only", "any order", "all")
 WHEELS = ("plan", "dash", "swerve", "noise")
 
+OF_OTHERS: dict[str, Any] = {
+    "driver": NAVIGATE,
+    "key_0": np.uint64(0),
+    "key_1": np.uint64(0),
+    **dict.fromkeys(("speed", "margin", "lead"), 0.0),
+    **dict.fromkeys(("forgotten", "dash"), 0),
+}
+"""Parameters that the driver does not read."""
+
 Check = Callable[[Bounds, TileArray, Open, Motion, float, float], bool]
 
 
@@ -45,7 +55,7 @@ Check = Callable[[Bounds, TileArray, Open, Motion, float, float], bool]
 class Trial:
     """Ground, a UGV on it, and an adversary."""
 
-    p: NavigateParameters
+    p: DriverParameters
     truth: TileArray
     """Shape (rows, columns)."""
     start: tuple[float, float]
@@ -136,7 +146,8 @@ def draw_trial(seed: int, *, wheel: str | None = None, calm: bool = False) -> Tr
     cells = rng.integers(0, [rows, columns], size=(int(rng.integers(1, 4)), 2))
     goals = (cells[:, ::-1] + rng.random(cells.shape)) * tile
     believed = slowest if delay else float(rng.uniform(0.05, 1.0))
-    p = NavigateParameters(
+    p = DriverParameters(
+        **OF_OTHERS,
         dt=dt,
         width=columns * tile,
         height=rows * tile,
@@ -145,7 +156,10 @@ def draw_trial(seed: int, *, wheel: str | None = None, calm: bool = False) -> Tr
         tolerance=0.3 * tile,
         tile=tile,
         share=believed,
+        bold=0,
         rough_price=1.0 / believed,
+        unseen_price=1.5,
+        beside_price=0.5,
         plan_ticks=max(1, round(rng.choice([0.0, 0.2, 1.0]) / dt)),
     )
     return Trial(

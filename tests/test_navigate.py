@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from draws import a_told_key
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
@@ -23,9 +24,12 @@ from agents.drivers.cautious import (
     slowing_way,
     triangle_is_open,
 )
-from agents.drivers.navigate import NavigateParameters, navigate_control, state_ahead
+from agents.drivers.compiled import driver_parameters
+from agents.drivers.navigate import navigate_control, state_ahead
+from agents.drivers.parameters import DriverParameters
 from agents.drivers.planning import Prices, next_tile, plan, search, step_cost
 from agents.drivers.tile_map import begin_ground, ground_memory, note_block, note_tiles
+from bus.messages import Area, Limits, UgvBriefing
 from sim.models.ground import BLOCK, CLEAR, FOUND, ROUGH, UNSEEN
 from sim.models.vehicles import Motion, brake, norm, step_vehicle
 
@@ -313,12 +317,21 @@ def test_it_arrives_wherever_there_is_a_way(cautious: ModuleType) -> None:
 # the driver
 
 
-def _parameters(**numbers: Any) -> NavigateParameters:
-    given: dict[str, Any] = {"dt": 0.05, "width": 20.0, "height": 5.0, "v_max": 1.5, "u_max": 0.5}
-    return NavigateParameters(**(given | {"tolerance": 0.2, "tile": 0.5} | numbers))
+def _parameters(**numbers: Any) -> DriverParameters:
+    told = UgvBriefing(
+        vehicle="ugv_0",
+        dt=0.05,
+        area=Area(width=20.0, height=5.0, cell=0.5),
+        limits=Limits(max_speed=1.5, max_acceleration=0.5),
+        driver="navigate",
+        goals=(),
+        goal_tolerance=0.2,
+        key=a_told_key(1),
+    )
+    return driver_parameters(told, "navigate")._replace(**numbers)
 
 
-def _drive(p: NavigateParameters, memory: Any, goals: Any, ticks: int, start: Any) -> Any:
+def _drive(p: DriverParameters, memory: Any, goals: Any, ticks: int, start: Any) -> Any:
     here, track = Motion(*start, 0.0, 0.0), []
     for tick in range(ticks):
         u = navigate_control(p, memory, np.array(goals), tick, *here)

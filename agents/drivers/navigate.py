@@ -6,7 +6,6 @@ that could not be followed by a stop on open tiles gives way to a slower one, an
 """
 
 import math
-from typing import NamedTuple
 
 from agents.drivers.cautious import (
     Bounds,
@@ -17,6 +16,7 @@ from agents.drivers.cautious import (
     open_way,
     way_is_open,
 )
+from agents.drivers.parameters import DriverParameters
 from agents.drivers.planning import Prices, next_tile, plan
 from agents.drivers.tile_map import GroundMemory
 from agents.drivers.waypoints import goal_control
@@ -41,32 +41,8 @@ _ROUNDING = 1e-9
 """By this share a straight way may cost more a metre than the cheapest, and rough ground is driven on slower."""
 
 
-class NavigateParameters(NamedTuple):
-    """The numbers of the driver: SI units."""
-
-    dt: float
-    width: float
-    height: float
-    v_max: float
-    u_max: float
-    tolerance: float
-    """As in `DriverParameters`."""
-    tile: float
-    """Side of a tile [m]."""
-    bold: int = 0
-    """1: it trusts its bumper on ground that nobody has seen; 0: it is cautious."""
-    share: float = 0.4
-    """Of its largest speed that it has at least on rough ground."""
-    rough_price: float = 2.5
-    unseen_price: float = 1.5
-    beside_price: float = 0.5
-    """Cost of a metre, see `agents.drivers.planning.Prices`."""
-    plan_ticks: int = 4
-    """Between two plans pass at least so many ticks, if the goal is the same and the UGV has not left the old one."""
-
-
 @borrowing
-def _tile_of(p: NavigateParameters, memory: GroundMemory, x: float, y: float) -> int:
+def _tile_of(p: DriverParameters, memory: GroundMemory, x: float, y: float) -> int:
     rows, columns = memory.tiles.shape
     return int(tile_index(y, p.tile, rows) * columns + tile_index(x, p.tile, columns))
 
@@ -77,7 +53,7 @@ def _centre(n: int, columns: int, tile: float) -> tuple[float, float]:
 
 
 @borrowing
-def state_ahead(p: NavigateParameters, memory: GroundMemory, tick: int, here: Motion) -> Motion:
+def state_ahead(p: DriverParameters, memory: GroundMemory, tick: int, here: Motion) -> Motion:
     """Where the UGV will be when the command of this tick acts, if those under way do.
 
     Args:
@@ -118,7 +94,7 @@ def note_sent(memory: GroundMemory, tick: int, u_x: float, u_y: float) -> None:
 
 @borrowing
 def _way_costs_at_most(
-    p: NavigateParameters,
+    p: DriverParameters,
     memory: GroundMemory,
     a: tuple[float, float],
     b: tuple[float, float],
@@ -133,7 +109,7 @@ def _way_costs_at_most(
 
 @borrowing
 def look_ahead(
-    p: NavigateParameters,
+    p: DriverParameters,
     memory: GroundMemory,
     x: float,
     y: float,
@@ -176,9 +152,7 @@ def look_ahead(
 
 
 @borrowing
-def _way_out(
-    p: NavigateParameters, memory: GroundMemory, x: float, y: float
-) -> tuple[float, float]:
+def _way_out(p: DriverParameters, memory: GroundMemory, x: float, y: float) -> tuple[float, float]:
     """The centre of the nearest open tile around a blocked one that the UGV stands in [m]; else where it stands."""
     rows, columns = memory.tiles.shape
     i, j = tile_index(y, p.tile, rows), tile_index(x, p.tile, columns)
@@ -195,14 +169,14 @@ def _way_out(
 
 
 @borrowing
-def _slow(p: NavigateParameters) -> float:
+def _slow(p: DriverParameters) -> float:
     """As fast as it drives on rough ground [m/s]."""
     return (1.0 - _ROUNDING) * p.share * p.v_max
 
 
 @borrowing
 def _rough_speed(
-    p: NavigateParameters, memory: GroundMemory, here: Motion, to_x: float, to_y: float
+    p: DriverParameters, memory: GroundMemory, here: Motion, to_x: float, to_y: float
 ) -> float:
     """How fast it may go so that at the first rough ground on its way it is as slow as that makes it [m/s]."""
     slow = _slow(p)
@@ -217,14 +191,14 @@ def _rough_speed(
 
 
 @borrowing
-def _bounds(p: NavigateParameters, memory: GroundMemory) -> Bounds:
+def _bounds(p: DriverParameters, memory: GroundMemory) -> Bounds:
     late = 1 if memory.commands.shape[0] > 0 else 0
     return Bounds(p.width, p.height, p.tile, p.v_max, p.u_max, p.dt, p.share * p.v_max, late)
 
 
 @borrowing
 def drive_towards(
-    p: NavigateParameters,
+    p: DriverParameters,
     memory: GroundMemory,
     here: Motion,
     to_x: float,
@@ -263,7 +237,7 @@ def drive_towards(
 
 @borrowing
 def kept_open(
-    p: NavigateParameters, memory: GroundMemory, tick: int, here: Motion, u_x: float, u_y: float
+    p: DriverParameters, memory: GroundMemory, tick: int, here: Motion, u_x: float, u_y: float
 ) -> tuple[float, float]:
     """Anybody's command [m/s²], if it is safe, else the one that brakes: the filter alone, without a plan.
 
@@ -281,7 +255,7 @@ def kept_open(
 
 @borrowing
 def _plan_if_due(
-    p: NavigateParameters, memory: GroundMemory, tick: int, target: int, own: int
+    p: DriverParameters, memory: GroundMemory, tick: int, target: int, own: int
 ) -> None:
     flags = memory.flags[0]
     due = flags.planned < 0 or tick - flags.planned >= p.plan_ticks
@@ -295,7 +269,7 @@ def _plan_if_due(
 
 @borrowing
 def navigate_control(
-    p: NavigateParameters,
+    p: DriverParameters,
     memory: GroundMemory,
     goals: FloatArray,
     tick: int,
