@@ -274,7 +274,7 @@ def test_it_leaves_a_blocked_tile_that_it_stands_in_but_enters_none() -> None:
     tiles[2, 2] = tiles[2, 3] = BLOCK
     here = Motion(2.5, 2.5, 0.0, 0.0)
     ground = open_from(tiles, 1.0, 0, here.p_x, here.p_y)
-    assert ground == Open(0, 1, 1, 2, 2, 3, 3)
+    assert ground == Open(0, 1, 1, 1, 2, 3, 3)
     fast = _bounds(v_max=20.0, u_max=50.0)
     assert filtered(fast, tiles, ground, here, 0.0, 50.0) == (0.0, 50.0)
     assert filtered(fast, tiles, ground, here._replace(v_x=4.9), 50.0, 0.0) == (-49.0, 0.0)
@@ -366,6 +366,15 @@ def test_it_stands_still_until_it_knows_the_tile_that_it_stands_in() -> None:
     assert not _drive(p, memory, [[18.0, 2.5]], 20, (1.2, 2.7))[:, 2:].any()
     note_tiles(memory, np.array([5]), np.array([2]), np.array([CLEAR], np.uint8))
     assert _drive(p, memory, [[18.0, 2.5]], 20, (1.2, 2.7))[-1, 2] > 0.3
+
+
+def test_in_the_middle_of_blocked_tiles_it_finds_the_nearest_way_out() -> None:
+    p, memory = _parameters(), ground_memory(10, 40)
+    memory.tiles[:] = CLEAR
+    memory.tiles[2:8, 2:8] = BLOCK
+    track = _drive(p, memory, [[18.0, 2.5]], 600, (3.3, 2.6))
+    assert track[:, 0].min() > 3.2
+    assert track[-1, 0] == pytest.approx(18.0, abs=0.01)
 
 
 def test_it_goes_round_a_wall_from_goal_to_goal_and_stops_at_the_last() -> None:

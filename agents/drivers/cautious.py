@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from agents.drivers.planning import is_beside_block
 from sim.kernels.compile import borrowing, compiled
-from sim.models.ground import BLOCK, ROUGH, UNSEEN, TileArray
+from sim.models.ground import BLOCK, ROUGH, UNSEEN, TileArray, tile_index
 from sim.models.vehicles import Motion, brake, norm, step_vehicle
 
 TOUCH = 1e-9
@@ -232,16 +232,50 @@ def filtered(
 
 
 @borrowing
+def nearest_open(tiles: TileArray, tile: float, bold: int, x: float, y: float) -> tuple[int, int]:
+    """The row and column of the open tile nearest to a point, on the first square ring around its own that has any.
+
+    Args:
+        tiles: The map.
+        tile: Side of a tile [m].
+        bold: 1: tiles that nobody has seen are open.
+        x, y: The point [m].
+
+    Returns:
+        Its own tile if no other is open.
+    """
+    rows, columns = tiles.shape
+    i, j = tile_index(y, tile, rows), tile_index(x, tile, columns)
+    ground, row, column, least = open_to(bold), i, j, math.inf
+    for ring in range(1, max(rows, columns)):
+        for r in range(max(i - ring, 0), min(i + ring + 1, rows)):
+            for c in range(max(j - ring, 0), min(j + ring + 1, columns)):
+                if max(abs(r - i), abs(c - j)) == ring and _is_open(tiles, ground, r, c):
+                    away = norm((c + 0.5) * tile - x, (r + 0.5) * tile - y)
+                    if away < least:
+                        row, column, least = r, c, away
+        if least < math.inf:
+            break
+    return row, column
+
+
+@borrowing
 def open_from(tiles: TileArray, tile: float, bold: int, x: float, y: float) -> Open:
-    """The tiles that are open to a UGV at a point: if it stands on blocked ones, these too, for it must leave them.
+    """The tiles that are open to a UGV at a point: if it stands on blocked ones, so are these and its way out of them.
 
     It comes to stand there only if the tile was told wrongly before, if it is bold, or if it started there.
     """
     rows, columns = tiles.shape
     row, end_row = _first(y, tile), _end(y, tile, rows)
     column, end_column = _first(x, tile), _end(x, tile, columns)
+    blocked = False
     for i in range(row, end_row):
         for j in range(column, end_column):
-            if tiles[i, j] == BLOCK:
-                return Open(bold, 1, 1, row, column, end_row, end_column)
-    return open_to(bold)
+            blocked = blocked or tiles[i, j] == BLOCK
+    if not blocked:
+        return open_to(bold)
+    if tiles[tile_index(y, tile, rows), tile_index(x, tile, columns)] == BLOCK:
+        i, j = nearest_open(tiles, tile, bold, x, y)
+        row, end_row = min(row, i), max(end_row, i + 1)
+        column, end_column = min(column, j), max(end_column, j + 1)
+    return Open(bold, 1, 1, row, column, end_row, end_column)

@@ -12,6 +12,7 @@ from agents.drivers.cautious import (
     Open,
     filtered,
     is_safe,
+    nearest_open,
     open_from,
     open_way,
     way_is_open,
@@ -21,7 +22,7 @@ from agents.drivers.planning import Prices, next_tile, plan
 from agents.drivers.tile_map import GroundMemory
 from agents.drivers.waypoints import goal_control
 from sim.kernels.compile import FloatArray, borrowing, compiled
-from sim.models.ground import BLOCK, UNSEEN, tile_index
+from sim.models.ground import BLOCK, tile_index
 from sim.models.vehicles import (
     Motion,
     brake,
@@ -149,23 +150,6 @@ def look_ahead(
         if n == goal or norm(to_x - x, to_y - y) > reach:
             break
     return best_x, best_y
-
-
-@borrowing
-def _way_out(p: DriverParameters, memory: GroundMemory, x: float, y: float) -> tuple[float, float]:
-    """The centre of the nearest open tile around a blocked one that the UGV stands in [m]; else where it stands."""
-    rows, columns = memory.tiles.shape
-    i, j = tile_index(y, p.tile, rows), tile_index(x, p.tile, columns)
-    out_x, out_y, least = x, y, math.inf
-    for r in range(max(i - 1, 0), min(i + 2, rows)):
-        for c in range(max(j - 1, 0), min(j + 2, columns)):
-            state = memory.tiles[r, c]
-            if state == BLOCK or (state == UNSEEN and p.bold == 0):
-                continue
-            to_x, to_y = (c + 0.5) * p.tile, (r + 0.5) * p.tile
-            if norm(to_x - x, to_y - y) < least:
-                out_x, out_y, least = to_x, to_y, norm(to_x - x, to_y - y)
-    return out_x, out_y
 
 
 @borrowing
@@ -302,7 +286,8 @@ def navigate_control(
         own = _tile_of(p, memory, here.p_x, here.p_y)
         columns = memory.tiles.shape[1]
         if memory.tiles[own // columns, own % columns] == BLOCK:
-            to_x, to_y = _way_out(p, memory, here.p_x, here.p_y)
+            i, j = nearest_open(memory.tiles, p.tile, p.bold, here.p_x, here.p_y)
+            to_x, to_y = _centre(i * columns + j, columns, p.tile)
             u_x, u_y = drive_towards(p, memory, here, to_x, to_y)
         else:
             _plan_if_due(p, memory, tick, _tile_of(p, memory, goal_x, goal_y), own)
