@@ -209,6 +209,13 @@ DRIVERS = _table(
         listens=True,
     ),
     DriverRow(
+        name="navigate",
+        about="from goal to goal over the ground as it is told and seen",
+        make="agents.drivers.compiled:NavigateDriver",
+        code=4,
+        wants="goals",
+    ),
+    DriverRow(
         name=TELEOP,
         about="an operator",
         make="agents.drivers.teleop:TeleopDriver",

@@ -24,7 +24,10 @@ MODULES = (
     "sim.kernels.lanes",
     *(
         f"agents.drivers.{name}"
-        for name in ("waypoints", "steering", "wander", "script", "evade", "ugv_tick")
+        for name in (
+            *("waypoints", "steering", "wander", "script", "evade", "ugv_tick"),
+            *("tile_map", "planning", "cautious", "navigate"),
+        )
     ),
 )
 

@@ -17,6 +17,7 @@ from refusals import refused
 
 from agents.drivers.compiled import (
     EvadeDriver,
+    NavigateDriver,
     ScriptDriver,
     WanderDriver,
     WaypointDriver,
@@ -41,6 +42,7 @@ from bus.messages import (
 from bus.ticks import tick_of
 from outrider.running.flying import InProcess, make_pilots
 from sim.engine.briefing import briefing
+from sim.models.ground import CLEAR
 from sim.models.vehicles import norm, step_vehicle
 from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
@@ -81,11 +83,18 @@ def _policy(told: UgvBriefing) -> PolicyDriver:
     return PolicyDriver(told, policy=_wild, name="tests:_wild")
 
 
+def _on_clear_ground(told: UgvBriefing) -> NavigateDriver:
+    driver = NavigateDriver(told)
+    driver.memory.ground.tiles[:] = CLEAR
+    return driver
+
+
 DRIVERS: dict[str, Callable[[UgvBriefing], Driver]] = {
     "waypoints": WaypointDriver,
     "wander": WanderDriver,
     "script": ScriptDriver,
     "evade": EvadeDriver,
+    "navigate": _on_clear_ground,
     "teleop": TeleopDriver,
     "policy": _policy,
 }

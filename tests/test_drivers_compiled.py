@@ -65,9 +65,18 @@ def test_every_driver_of_ours_but_the_operators_has_a_compiled_form() -> None:
 def test_a_driver_without_a_compiled_form_is_refused_in_one_line(name: str) -> None:
     with pytest.raises(
         ScenarioError,
-        match=rf"^driver = '{name}': has no compiled form; allowed: waypoints, wander, script, evade$",
+        match=rf"^driver = '{name}': has no compiled form; allowed: waypoints, wander, script, evade, navigate$",
     ):
         driver_parameters(BRIEFING, name)
+
+
+def test_an_area_of_too_many_tiles_is_refused_in_one_line() -> None:
+    wide = _told(area=Area(width=1e6, height=9.0, cell=0.5))
+    with pytest.raises(
+        ScenarioError,
+        match=r"^driver = 'navigate': the area has 3.6e\+07 tiles of 0.5 m; at most 1,000,000$",
+    ):
+        resolve(DRIVERS["navigate"].make)(wide)
 
 
 def test_only_the_papers_driver_knows_no_bound() -> None:

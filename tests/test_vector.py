@@ -276,7 +276,10 @@ def test_there_must_be_worlds(num_envs: Any) -> None:
     [
         ({"agent": "uav_7"}, "agent = 'uav_7'; allowed: uav_0, ugv_0"),
         ({"others": {"uav_0": "linear"}}, "comes? from outside"),
-        ({"others": {"ugv_0": "nobody"}}, "allowed: waypoints, wander, script, evade, or a policy"),
+        (
+            {"others": {"ugv_0": "nobody"}},
+            "allowed: waypoints, wander, script, evade, navigate, or a policy",
+        ),
         ({"others": {"ugv_9": "wander"}}, "no such vehicle"),
         ({"others": {"ugv_0": 3}}, "neither a name nor a policy"),
         ({"dtype": np.int32}, "dtype"),

@@ -4,27 +4,54 @@ A driver that listens to a person or to a policy has no compiled form.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from agents.drivers.evade import EVADE_STATE, begin_evade, evade_lead, evade_ticks
-from agents.drivers.parameters import COMPILED_DRIVERS, DriverParameters, Route
+from agents.drivers.parameters import COMPILED_DRIVERS, NAVIGATE, DriverParameters, Route
 from agents.drivers.steering import Steering
-from agents.drivers.ugv_tick import ugv_tick
+from agents.drivers.tile_map import GroundMemory, ground_memory
+from agents.drivers.ugv_tick import UgvMemory, ugv_tick
 from agents.drivers.wander import GOAL, GOAL_CHOSEN, wander_pace
 from agents.drivers.waypoints import WAYPOINT_STATE
 from bus.errors import ScenarioError
 from bus.messages import UgvBriefing, UgvObservation
 from bus.registry import DRIVERS
 from bus.ticks import NO_TICK, first_tick_from, tick_of
-from sim.kernels.compile import FloatArray, compiled, entry_point
+from sim.kernels.compile import FloatArray, borrowing, entry_point
 from sim.kernels.records import RecordArray, records
+from sim.models.ground import tiles_shape
 from sim.models.randomness import words_of
 
 DRIVER_STATE = max(WAYPOINT_STATE, EVADE_STATE)
 """Size of the state of any of them; the wanderer's is part of the evader's."""
 
+MOST_TILES = 1_000_000
+"""More than that no UGV keeps."""
 _NO_RADIO = np.zeros((0, 3))
+_PLAN_PERIOD = 0.2
+"""The driver that navigates keeps a plan for so long at least [s]."""
+_UNSEEN_PRICE, _BESIDE_PRICE = 1.5, 0.5
+"""A metre on ground that nobody has seen costs so much, and one beside a blocked tile so much more."""
+
+
+class GroundRules(NamedTuple):
+    """What a UGV is told of the ground before it drives: how it is cut into tiles, and nothing of what lies there."""
+
+    tile: float = 0.5
+    """Side of a tile [m]."""
+    bold: bool = False
+    """Whether it trusts its bumper on ground that nobody has seen."""
+    share: float = 0.4
+    """Of its largest speed that it has at least on rough ground."""
+    delay: int = 0
+    """So many ticks after it was sent a command acts."""
+
+
+def ground_rules(briefing: UgvBriefing) -> GroundRules:
+    """What the briefing says of the ground."""
+    return GroundRules()
 
 
 def driver_parameters(briefing: UgvBriefing, driver: str) -> DriverParameters:
@@ -37,7 +64,7 @@ def driver_parameters(briefing: UgvBriefing, driver: str) -> DriverParameters:
         raise ScenarioError(
             f"driver = {driver!r}: has no compiled form; allowed: {', '.join(COMPILED_DRIVERS)}"
         )
-    wheel, limits = Steering(briefing), briefing.limits
+    wheel, limits, rules = Steering(briefing), briefing.limits, ground_rules(briefing)
     width, height = float(briefing.area.width), float(briefing.area.height)
     speed, margin = wander_pace(width, height, wheel.v_max, wheel.u_max, wheel.dt)
     unbounded = DRIVERS[driver].unbounded
@@ -59,6 +86,13 @@ def driver_parameters(briefing: UgvBriefing, driver: str) -> DriverParameters:
         dash=dash,
         key_0=key_0,
         key_1=key_1,
+        tile=rules.tile,
+        bold=int(rules.bold),
+        share=rules.share,
+        rough_price=1.0 / rules.share,  # so much longer it takes there
+        unseen_price=_UNSEEN_PRICE,
+        beside_price=_BESIDE_PRICE,
+        plan_ticks=max(1, round(_PLAN_PERIOD / wheel.dt)),
     )
 
 
@@ -79,11 +113,29 @@ def driver_state() -> FloatArray:
     return state
 
 
-@compiled
+def told_ground(briefing: UgvBriefing, driver: str) -> GroundMemory:
+    """The ground as a UGV knows it before it has been told any tile; a driver that does not navigate knows none.
+
+    Raises:
+        ScenarioError: If there are too many tiles.
+    """
+    if COMPILED_DRIVERS.get(driver) != NAVIGATE:
+        return ground_memory(0, 0)
+    rules = ground_rules(briefing)
+    shape = tiles_shape(float(briefing.area.width), float(briefing.area.height), rules.tile)
+    if shape[0] * shape[1] > MOST_TILES:
+        raise ScenarioError(
+            f"driver = {driver!r}: the area has {shape[0] * shape[1]:.3g} tiles of {rules.tile:g} m; "
+            f"at most {MOST_TILES:,}"
+        )
+    return ground_memory(*shape, rules.delay)
+
+
+@borrowing
 def _drive(
     rows: RecordArray,
     route: Route,
-    state: FloatArray,
+    memory: UgvMemory,
     radio: FloatArray,
     tick: int,
     p_x: float,
@@ -91,7 +143,7 @@ def _drive(
     v_x: float,
     v_y: float,
 ) -> tuple[float, float]:
-    return ugv_tick(rows[0], route, state, radio, len(radio), tick, p_x, p_y, v_x, v_y)
+    return ugv_tick(rows[0], route, memory, radio, len(radio), tick, p_x, p_y, v_x, v_y)
 
 
 class CompiledDriver:
@@ -106,10 +158,12 @@ class CompiledDriver:
     def __init__(self, briefing: UgvBriefing) -> None:
         self.parameters = driver_parameters(briefing, self.name)
         """Its numbers."""
+        self.memory = UgvMemory(driver_state(), told_ground(briefing, self.name))
+        """All that it remembers."""
         self._fixed = (
             records(DriverParameters, [self.parameters]),
             told_route(briefing),
-            driver_state(),
+            self.memory,
         )
         self._drive = entry_point(_drive, *self._fixed, _NO_RADIO, 0, 0.0, 0.0, 0.0, 0.0)
 
@@ -126,7 +180,7 @@ class CompiledDriver:
     @property
     def goal(self) -> tuple[float, float] | None:
         """Where it wanders to [m]; None while it has no random goal."""
-        state = self._fixed[2]
+        state = self.memory.driver
         return (float(state[GOAL]), float(state[GOAL + 1])) if state[GOAL_CHOSEN] else None
 
 
@@ -152,3 +206,9 @@ class EvadeDriver(CompiledDriver):
     """The adversary, see `agents.drivers.evade`."""
 
     name = "evade"
+
+
+class NavigateDriver(CompiledDriver):
+    """From goal to goal over the ground as it knows it, see `agents.drivers.navigate`."""
+
+    name = "navigate"

@@ -13,6 +13,7 @@ WAYPOINTS = COMPILED_DRIVERS["waypoints"]
 WANDER = COMPILED_DRIVERS["wander"]
 SCRIPT = COMPILED_DRIVERS["script"]
 EVADE = COMPILED_DRIVERS["evade"]
+NAVIGATE = COMPILED_DRIVERS["navigate"]
 
 
 class DriverParameters(NamedTuple):
@@ -38,6 +39,18 @@ class DriverParameters(NamedTuple):
     key_0: np.uint64
     key_1: np.uint64
     """The UGV's own random numbers."""
+    tile: float
+    """Side of a tile of the ground [m]; this and what follows is of the driver that navigates."""
+    bold: int
+    """1: it trusts its bumper on ground that nobody has seen; 0: it is cautious."""
+    share: float
+    """Of its largest speed that it has at least on rough ground."""
+    rough_price: float
+    unseen_price: float
+    beside_price: float
+    """Cost of a metre, see `agents.drivers.planning.Prices`."""
+    plan_ticks: int
+    """Between two plans pass at least so many ticks, if the goal is the same and the UGV has not left the old one."""
 
 
 class Route(NamedTuple):

@@ -1,18 +1,38 @@
 """A UGV's tick on board, compiled: the drivers' shells call it for one vehicle, batches for many."""
 
+from typing import NamedTuple
+
 from agents.drivers.evade import evade_control
-from agents.drivers.parameters import SCRIPT, WANDER, WAYPOINTS, DriverParameters, Route
+from agents.drivers.navigate import navigate_control
+from agents.drivers.parameters import (
+    NAVIGATE,
+    SCRIPT,
+    WANDER,
+    WAYPOINTS,
+    DriverParameters,
+    Route,
+)
 from agents.drivers.script import script_control
+from agents.drivers.tile_map import GroundMemory
 from agents.drivers.wander import wander_control
 from agents.drivers.waypoints import waypoint_control
-from sim.kernels.compile import FloatArray, compiled
+from sim.kernels.compile import FloatArray, borrowing
 
 
-@compiled
+class UgvMemory(NamedTuple):
+    """The memory of a UGV; its arrays change in place."""
+
+    driver: FloatArray
+    """From `agents.drivers.compiled.driver_state`."""
+    ground: GroundMemory
+    """From `agents.drivers.compiled.told_ground`."""
+
+
+@borrowing
 def ugv_tick(
     p: DriverParameters,
     route: Route,
-    state: FloatArray,
+    memory: UgvMemory,
     radio: FloatArray,
     received: int,
     tick: int,
@@ -26,17 +46,20 @@ def ugv_tick(
     Args:
         p: Of the driver.
         route: Its goals and its script.
-        state: The driver's, from `agents.drivers.compiled.driver_state`; changed in place.
+        memory: Is changed.
         radio: The tick and p_a - p_g [m] of the messages that have come at this tick, shape (rows, 3).
         received: How many of its rows count.
         tick: Now.
         p_x, p_y: Position of the UGV [m].
         v_x, v_y: Its velocity [m/s].
     """
+    state = memory.driver
     if p.driver == WAYPOINTS:
         return waypoint_control(p, route.goals, state, p_x, p_y, v_x, v_y)
     if p.driver == WANDER:
         return wander_control(p, state, tick, p_x, p_y, v_x, v_y)
     if p.driver == SCRIPT:
         return script_control(p, route.script, tick, v_x, v_y)
+    if p.driver == NAVIGATE:
+        return navigate_control(p, memory.ground, route.goals, tick, p_x, p_y, v_x, v_y)
     return evade_control(p, state, radio, received, tick, p_x, p_y, v_x, v_y)

@@ -22,8 +22,9 @@ from agents.control.laws import (
 from agents.control.promise import Promise
 from agents.control.underway import Underway
 from agents.control.visibility import promise_of
-from agents.drivers.compiled import driver_parameters, driver_state, told_route
+from agents.drivers.compiled import driver_parameters, driver_state, told_ground, told_route
 from agents.drivers.parameters import COMPILED_DRIVERS, DriverParameters
+from agents.drivers.tile_map import GroundMemory
 from agents.estimation.past import SPAN
 from agents.estimation.twin import KalmanParameters, KalmanState, kalman_parameters, kalman_state
 from agents.uav import radio_ticks
@@ -228,6 +229,7 @@ class ClosedLoop:
             kalman=KalmanState._make(_repeated(kalman, worlds, uavs)),
             guards=guards,
             driver_states=_repeated((driver_state(),), worlds, ugvs)[0],
+            grounds=GroundMemory._make(_repeated(numbers.ground, worlds, ugvs)),
             outbox=np.full((worlds, uavs, 3), -1.0),
             radio=radio.states,
             inbox=np.zeros((worlds, radio.room if receiving else 1, 3)),
@@ -398,6 +400,10 @@ class _PilotNumbers:
         )
         routes = [told_route(one) for one in self.told_ugvs]
         self.scripts = [route.script for route in routes]
+        grounds = [
+            told_ground(one, name) for one, name in zip(self.told_ugvs, drivers, strict=True)
+        ]
+        self.ground = max(grounds, key=lambda ground: ground.tiles.size)  # all have one area
         self.radio = any(
             DRIVERS[name].listens and one.vehicle not in external
             for name, one in zip(drivers, self.told_ugvs, strict=True)

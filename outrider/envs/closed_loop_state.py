@@ -3,6 +3,7 @@
 from typing import Any, NamedTuple
 
 from agents.control.guard import GuardState
+from agents.drivers.tile_map import GroundMemory
 from agents.estimation.twin import KalmanState
 from bus.layout import UavRow
 from sim.channel.link import LinkNumbers, LinkState
@@ -116,6 +117,8 @@ class LoopState(NamedTuple):
     guards: GuardState
     driver_states: FloatArray
     """Shape (worlds, UGVs, DRIVER_STATE)."""
+    grounds: GroundMemory
+    """The ground as each UGV knows it, without tiles if none navigates. Shape (worlds, UGVs, ...)."""
     outbox: FloatArray
     """The radio message that each UAV has just sent: the tick of it (-1: none), p_delta [m]. Shape (worlds, UAVs, 3).
     """

@@ -11,7 +11,8 @@ from agents.control.laws import OwnTerms
 from agents.control.uav_tick import UavMemory, uav_perceive, uav_tick
 from agents.control.underway import Underway, hand_over
 from agents.drivers.parameters import Route
-from agents.drivers.ugv_tick import ugv_tick
+from agents.drivers.tile_map import GroundMemory
+from agents.drivers.ugv_tick import UgvMemory, ugv_tick
 from agents.estimation.twin import AGE, KalmanState, kalman_estimate, kalman_step
 from outrider.envs.closed_loop_state import (
     GRADIENT_X,
@@ -49,6 +50,20 @@ def _guard_of(t: LoopTables, s: GuardState, k: int, u: int) -> GuardState:
 @inlined
 def _kalman_of(s: KalmanState, k: int, u: int) -> KalmanState:
     return KalmanState(s.numbers[k, u], s.history[k, u])
+
+
+@inlined
+def _ground_of(s: GroundMemory, k: int, g: int) -> GroundMemory:
+    return GroundMemory(
+        s.tiles[k, g],
+        s.sure[k, g],
+        s.price[k, g],
+        s.cost[k, g],
+        s.heap[k, g],
+        s.place[k, g],
+        s.commands[k, g],
+        s.flags[k, g],
+    )
 
 
 @inlined
@@ -143,7 +158,7 @@ def _drive(
     sent[U_X], sent[U_Y] = ugv_tick(
         s.drivers[k, g],
         route,
-        s.driver_states[k, g],
+        UgvMemory(s.driver_states[k, g], _ground_of(s.grounds, k, g)),
         s.inboxes[k, g],
         s.arrived[k, g],
         tick,

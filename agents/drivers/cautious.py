@@ -1,0 +1,281 @@
+"""The filter of the driver `navigate`: a command acts only if the way after it, to a stop, lies on open tiles.
+
+Proved in docs/explanation/ground.md. Open are, to a cautious UGV, the tiles that it knows to be drivable; to a bold
+one all that it does not know to be blocked, which promises nothing. Positions in m, speeds in m/s, accelerations in
+m/s².
+"""
+
+import math
+from typing import NamedTuple
+
+from agents.drivers.planning import is_beside_block
+from sim.kernels.compile import borrowing, compiled
+from sim.models.ground import BLOCK, ROUGH, UNSEEN, TileArray, tile_index
+from sim.models.vehicles import Motion, brake, norm, step_vehicle
+
+TOUCH = 1e-9
+"""A tile that is nearer to a way than this is on it [m]: rounding moves no point so far, in areas of up to 10 km."""
+
+
+class Bounds(NamedTuple):
+    """Of a UGV that drives on tiles."""
+
+    width: float
+    height: float
+    """Of the area [m]."""
+    tile: float
+    """Side of a tile [m]."""
+    v_max: float
+    u_max: float
+    dt: float
+    """[m/s], [m/s²], [s]."""
+    slow: float
+    """No rough ground makes it slower than this [m/s]; asked for only where commands act late."""
+    late: int
+    """1 if commands act late: where they will must be foreseen on rough ground, too."""
+
+
+class Open(NamedTuple):
+    """Which tiles are open."""
+
+    unseen: int
+    """1 if those are that nobody has seen."""
+    rough: int
+    """1 if rough ones are."""
+    beside: int
+    """1 if those beside blocked ones are."""
+    row: int
+    column: int
+    end_row: int
+    end_column: int
+    """So are blocked ones from this row and column to before that: a UGV that stands on such tiles leaves them."""
+
+
+@compiled
+def open_to(bold: int) -> Open:
+    """The tiles that are open to a UGV that stands on open ones, bold (1) or cautious (0)."""
+    return Open(bold, 1, 1, 0, 0, 0, 0)
+
+
+@compiled
+def _is_open(tiles: TileArray, ground: Open, i: int, j: int) -> bool:
+    state = tiles[i, j]
+    if ground.beside == 0 and is_beside_block(tiles, i, j):
+        return False
+    if state == UNSEEN:
+        return ground.unseen != 0
+    if state == ROUGH:
+        return ground.rough != 0
+    if state == BLOCK:
+        return ground.row <= i < ground.end_row and ground.column <= j < ground.end_column
+    return True
+
+
+@compiled
+def _first(low: float, tile: float) -> int:
+    return max(math.floor((low - TOUCH) / tile), 0)
+
+
+@compiled
+def _end(high: float, tile: float, count: int) -> int:
+    return min(math.floor((high + TOUCH) / tile) + 1, count)
+
+
+@compiled
+def _edge_within(
+    a_x: float, a_y: float, b_x: float, b_y: float, low: float, high: float
+) -> tuple[float, float]:
+    """The least and the largest x of the part of an edge whose y lies between two; turned round where none does."""
+    if max(a_y, b_y) < low or min(a_y, b_y) > high:
+        return math.inf, -math.inf
+    begin, end = 0.0, 1.0
+    if a_y != b_y:
+        one, other = (low - a_y) / (b_y - a_y), (high - a_y) / (b_y - a_y)
+        begin, end = max(begin, min(one, other)), min(end, max(one, other))
+    one, other = a_x + begin * (b_x - a_x), a_x + end * (b_x - a_x)
+    return min(one, other), max(one, other)
+
+
+@borrowing
+def triangle_is_open(
+    tiles: TileArray,
+    tile: float,
+    ground: Open,
+    a: tuple[float, float],
+    b: tuple[float, float],
+    c: tuple[float, float],
+) -> bool:
+    """True if all tiles that a triangle touches are open; outside the map there are none.
+
+    Args:
+        tiles: The map.
+        tile: Side of a tile [m].
+        ground: Which tiles are open.
+        a, b, c: Its corners [m]; some may be the same.
+    """
+    rows, columns = tiles.shape
+    lowest, highest = min(a[1], b[1], c[1]), max(a[1], b[1], c[1])
+    for i in range(_first(lowest, tile), _end(highest, tile, rows)):
+        low, high = i * tile - TOUCH, (i + 1) * tile + TOUCH
+        left, right = _edge_within(a[0], a[1], b[0], b[1], low, high)
+        one, other = _edge_within(b[0], b[1], c[0], c[1], low, high)
+        left, right = min(left, one), max(right, other)
+        one, other = _edge_within(c[0], c[1], a[0], a[1], low, high)
+        left, right = min(left, one), max(right, other)
+        if left <= right:
+            for j in range(_first(left, tile), _end(right, tile, columns)):
+                if not _is_open(tiles, ground, i, j):
+                    return False
+    return True
+
+
+@borrowing
+def way_is_open(
+    tiles: TileArray, tile: float, ground: Open, a: tuple[float, float], b: tuple[float, float]
+) -> bool:
+    """True if all tiles that a straight way touches are open. Arguments as `triangle_is_open`."""
+    return triangle_is_open(tiles, tile, ground, a, b, b)
+
+
+@borrowing
+def open_way(
+    tiles: TileArray, tile: float, ground: Open, a: tuple[float, float], b: tuple[float, float]
+) -> float:
+    """How much of a straight way is open from its start on, as a share. Arguments as `triangle_is_open`."""
+    if way_is_open(tiles, tile, ground, a, b):
+        return 1.0
+    low, high = 0.0, 1.0
+    for _ in range(24):
+        share = 0.5 * (low + high)
+        there = a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])
+        if way_is_open(tiles, tile, ground, a, there):
+            low = share
+        else:
+            high = share
+    return low
+
+
+@compiled
+def braking_way(speed: float, u_max: float, dt: float) -> float:
+    """The way [m] that `brake` takes to rest, tick by tick: full ticks at u_max, then one that ends at rest."""
+    if math.isinf(u_max):
+        return 0.5 * speed * dt
+    full = math.floor(speed / (u_max * dt))
+    rest = speed - full * (u_max * dt)
+    return full * dt * (speed - 0.5 * u_max * dt * full) + 0.5 * rest * dt
+
+
+@compiled
+def slowing_way(speed: float, slow: float, u_max: float, dt: float) -> float:
+    """The way [m] that `brake` takes until a tick ends no faster than `slow` [m/s]; 0 where that is so already."""
+    if speed <= slow:
+        return 0.0
+    if math.isinf(u_max):
+        return 0.5 * speed * dt
+    full = math.ceil((speed - slow) / (u_max * dt))
+    if full * (u_max * dt) >= speed:
+        return braking_way(speed, u_max, dt)
+    return full * dt * (speed - 0.5 * u_max * dt * full)
+
+
+@borrowing
+def is_safe(
+    bounds: Bounds, tiles: TileArray, ground: Open, here: Motion, u_x: float, u_y: float
+) -> bool:
+    """True if a command keeps the UGV on open tiles in its tick, and the UGV can still brake to rest on such after it.
+
+    Args:
+        bounds: Of the UGV.
+        tiles: What it knows.
+        ground: Which tiles are open.
+        here: Where it is when the command acts.
+        u_x, u_y: The command.
+    """
+    p, tile = bounds, bounds.tile
+    a = here.p_x, here.p_y
+    x, y, w_x, w_y, _, _ = step_vehicle(
+        a[0], a[1], here.v_x, here.v_y, u_x, u_y, p.v_max, p.u_max, p.dt
+    )
+    turn = a[0] + 0.5 * here.v_x * p.dt, a[1] + 0.5 * here.v_y * p.dt
+    speed = norm(w_x, w_y)
+    e_x, e_y = (w_x / speed, w_y / speed) if speed > 0.0 else (0.0, 0.0)
+    way = braking_way(speed, p.u_max, p.dt)
+    end = x + e_x * way, y + e_y * way
+    if not (0.0 <= x <= p.width and 0.0 <= y <= p.height):
+        return False
+    if not (0.0 <= end[0] <= p.width and 0.0 <= end[1] <= p.height):
+        return False
+    if not triangle_is_open(tiles, tile, ground, a, turn, (x, y)):
+        return False
+    if not way_is_open(tiles, tile, ground, (x, y), end):
+        return False
+    if p.late == 0 or speed <= p.slow:
+        return True
+    way = slowing_way(speed, p.slow, p.u_max, p.dt)
+    there = x + e_x * way, y + e_y * way
+    row, column, end_row, end_column = ground.row, ground.column, ground.end_row, ground.end_column
+    even = Open(ground.unseen, 0, 1, row, column, end_row, end_column)
+    return bool(
+        triangle_is_open(tiles, tile, even, a, turn, (x, y))
+        and way_is_open(tiles, tile, even, (x, y), there)
+    )
+
+
+@borrowing
+def filtered(
+    bounds: Bounds, tiles: TileArray, ground: Open, here: Motion, u_x: float, u_y: float
+) -> tuple[float, float]:
+    """The command if it is safe, else the one that brakes. Arguments as `is_safe`."""
+    if is_safe(bounds, tiles, ground, here, u_x, u_y):
+        return u_x, u_y
+    return brake(here.v_x, here.v_y, bounds.u_max, bounds.dt)
+
+
+@borrowing
+def nearest_open(tiles: TileArray, tile: float, bold: int, x: float, y: float) -> tuple[int, int]:
+    """The row and column of the open tile nearest to a point, on the first square ring around its own that has any.
+
+    Args:
+        tiles: The map.
+        tile: Side of a tile [m].
+        bold: 1: tiles that nobody has seen are open.
+        x, y: The point [m].
+
+    Returns:
+        Its own tile if no other is open.
+    """
+    rows, columns = tiles.shape
+    i, j = tile_index(y, tile, rows), tile_index(x, tile, columns)
+    ground, row, column, least = open_to(bold), i, j, math.inf
+    for ring in range(1, max(rows, columns)):
+        for r in range(max(i - ring, 0), min(i + ring + 1, rows)):
+            for c in range(max(j - ring, 0), min(j + ring + 1, columns)):
+                if max(abs(r - i), abs(c - j)) == ring and _is_open(tiles, ground, r, c):
+                    away = norm((c + 0.5) * tile - x, (r + 0.5) * tile - y)
+                    if away < least:
+                        row, column, least = r, c, away
+        if least < math.inf:
+            break
+    return row, column
+
+
+@borrowing
+def open_from(tiles: TileArray, tile: float, bold: int, x: float, y: float) -> Open:
+    """The tiles that are open to a UGV at a point: if it stands on blocked ones, so are these and its way out of them.
+
+    It comes to stand there only if the tile was told wrongly before, if it is bold, or if it started there.
+    """
+    rows, columns = tiles.shape
+    row, end_row = _first(y, tile), _end(y, tile, rows)
+    column, end_column = _first(x, tile), _end(x, tile, columns)
+    blocked = False
+    for i in range(row, end_row):
+        for j in range(column, end_column):
+            blocked = blocked or tiles[i, j] == BLOCK
+    if not blocked:
+        return open_to(bold)
+    if tiles[tile_index(y, tile, rows), tile_index(x, tile, columns)] == BLOCK:
+        i, j = nearest_open(tiles, tile, bold, x, y)
+        row, end_row = min(row, i), max(end_row, i + 1)
+        column, end_column = min(column, j), max(end_column, j + 1)
+    return Open(bold, 1, 1, row, column, end_row, end_column)

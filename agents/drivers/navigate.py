@@ -1,0 +1,298 @@
+"""The driver that plans: from goal to goal over the ground as it knows it, cautious or bold.
+
+In a tick it plans anew if it must, looks along the cheapest way for the farthest point to which the straight way costs
+no more a metre, and drives there as `goal_control` does, slower before rough ground. Last comes the filter: a command
+that could not be followed by a stop on open tiles gives way to a slower one, and that to braking.
+"""
+
+import math
+
+from agents.drivers.cautious import (
+    Bounds,
+    Open,
+    filtered,
+    is_safe,
+    nearest_open,
+    open_from,
+    open_way,
+    way_is_open,
+)
+from agents.drivers.parameters import DriverParameters
+from agents.drivers.planning import Prices, next_tile, plan
+from agents.drivers.tile_map import GroundMemory
+from agents.drivers.waypoints import goal_control
+from sim.kernels.compile import FloatArray, borrowing, compiled
+from sim.models.ground import BLOCK, tile_index
+from sim.models.vehicles import (
+    Motion,
+    brake,
+    goal_reached,
+    norm,
+    speed_to_stop_within,
+    step_vehicle,
+    stopping_distance,
+    within_walls,
+)
+
+_STEPS = 64
+"""So many tiles of the cheapest way it looks along."""
+_SHARES = (1.0, 0.5, 0.2, 0.05)
+"""Of the open way ahead: within which of them it tries to stop."""
+_ROUNDING = 1e-9
+"""By this share a straight way may cost more a metre than the cheapest, and rough ground is driven on slower."""
+
+
+@borrowing
+def _tile_of(p: DriverParameters, memory: GroundMemory, x: float, y: float) -> int:
+    rows, columns = memory.tiles.shape
+    return int(tile_index(y, p.tile, rows) * columns + tile_index(x, p.tile, columns))
+
+
+@compiled
+def _centre(n: int, columns: int, tile: float) -> tuple[float, float]:
+    return (n % columns + 0.5) * tile, (n // columns + 0.5) * tile
+
+
+@borrowing
+def state_ahead(p: DriverParameters, memory: GroundMemory, tick: int, here: Motion) -> Motion:
+    """Where the UGV will be when the command of this tick acts, if those under way do.
+
+    Args:
+        p: Of the driver.
+        memory: If the last tick was left out, so that a command may be held longer, it is taken to be under way again.
+        tick: Now.
+        here: Where it is now.
+    """
+    flags, sent = memory.flags[0], memory.commands
+    last = sent.shape[0] - 1
+    if last < 0:
+        return here
+    if flags.called >= 0 and flags.called != tick - 1:
+        for _ in range(min(last, tick - 1 - flags.called)):
+            for k in range(last):
+                sent[k, 0], sent[k, 1] = sent[k + 1, 0], sent[k + 1, 1]
+    for k in range(last + 1):
+        p_x, p_y, v_x, v_y, _, _ = step_vehicle(
+            here.p_x, here.p_y, here.v_x, here.v_y, sent[k, 0], sent[k, 1], p.v_max, p.u_max, p.dt
+        )
+        p_x, v_x = within_walls(p_x, v_x, p.width)
+        p_y, v_y = within_walls(p_y, v_y, p.height)
+        here = Motion(p_x, p_y, v_x, v_y)
+    return here
+
+
+@borrowing
+def note_sent(memory: GroundMemory, tick: int, u_x: float, u_y: float) -> None:
+    """Take the command of this tick [m/s²] among those under way."""
+    sent = memory.commands
+    last = sent.shape[0] - 1
+    for k in range(last):
+        sent[k, 0], sent[k, 1] = sent[k + 1, 0], sent[k + 1, 1]
+    if last >= 0:
+        sent[last, 0], sent[last, 1] = u_x, u_y
+    memory.flags[0].called = tick
+
+
+@borrowing
+def _way_costs_at_most(
+    p: DriverParameters,
+    memory: GroundMemory,
+    a: tuple[float, float],
+    b: tuple[float, float],
+    price: float,
+) -> bool:
+    """True if the straight way touches neither a blocked tile nor ground that costs more a metre."""
+    unseen = 1 if p.unseen_price <= price else 0
+    rough = 1 if p.rough_price <= price else 0
+    beside = 1 if 1.0 + p.beside_price <= price else 0
+    return way_is_open(memory.tiles, p.tile, Open(unseen, rough, beside, 0, 0, 0, 0), a, b)
+
+
+@borrowing
+def look_ahead(
+    p: DriverParameters,
+    memory: GroundMemory,
+    x: float,
+    y: float,
+    goal_x: float,
+    goal_y: float,
+) -> tuple[float, float]:
+    """The farthest point along the cheapest way to which a straight way is as good; the goal, if it is one.
+
+    Args:
+        p: Of the driver.
+        memory: With a plan to this goal.
+        x, y: Where the UGV is [m].
+        goal_x, goal_y: The goal [m].
+
+    Returns:
+        The point [m].
+    """
+    columns = memory.tiles.shape[1]
+    n, goal = _tile_of(p, memory, x, y), _tile_of(p, memory, goal_x, goal_y)
+    if n == goal:
+        return goal_x, goal_y
+    best_x, best_y = _centre(n, columns, p.tile)
+    reach = stopping_distance(p.v_max, p.u_max) + p.v_max * p.dt + 4.0 * p.tile
+    highest = memory.price[n]
+    for step in range(_STEPS):
+        m = next_tile(memory.price, memory.cost, columns, p.tile, n)
+        if m == n:
+            break
+        n, highest = m, max(highest, memory.price[m])
+        to_x, to_y = _centre(n, columns, p.tile)
+        if n == goal:
+            to_x, to_y = goal_x, goal_y
+        limit = math.inf if step == 0 else (1.0 + _ROUNDING) * highest
+        if not _way_costs_at_most(p, memory, (x, y), (to_x, to_y), limit):
+            break
+        best_x, best_y = to_x, to_y
+        if n == goal or norm(to_x - x, to_y - y) > reach:
+            break
+    return best_x, best_y
+
+
+@borrowing
+def _slow(p: DriverParameters) -> float:
+    """As fast as it drives on rough ground [m/s]."""
+    return (1.0 - _ROUNDING) * p.share * p.v_max
+
+
+@borrowing
+def _rough_speed(
+    p: DriverParameters, memory: GroundMemory, here: Motion, to_x: float, to_y: float
+) -> float:
+    """How fast it may go so that at the first rough ground on its way it is as slow as that makes it [m/s]."""
+    slow = _slow(p)
+    even = Open(1, 0, 1, 0, 0, 0, 0)
+    a, b = (here.p_x, here.p_y), (to_x, to_y)
+    share = open_way(memory.tiles, p.tile, even, a, b)
+    if share == 1.0:
+        return p.v_max
+    way = share * norm(b[0] - a[0], b[1] - a[1])
+    room = way - 0.5 * p.dt * norm(here.v_x, here.v_y) + stopping_distance(slow, p.u_max)
+    return min(max(speed_to_stop_within(room, p.u_max, p.dt), slow), p.v_max)
+
+
+@borrowing
+def _bounds(p: DriverParameters, memory: GroundMemory) -> Bounds:
+    late = 1 if memory.commands.shape[0] > 0 else 0
+    return Bounds(p.width, p.height, p.tile, p.v_max, p.u_max, p.dt, p.share * p.v_max, late)
+
+
+@borrowing
+def drive_towards(
+    p: DriverParameters,
+    memory: GroundMemory,
+    here: Motion,
+    to_x: float,
+    to_y: float,
+) -> tuple[float, float]:
+    """The command [m/s²] to a point, or the fastest found that is safe on this heading; none is: the one that brakes.
+
+    Args:
+        p: Of the driver.
+        memory: What the UGV knows.
+        here: Where it is when the command acts.
+        to_x, to_y: The point [m].
+    """
+    bounds = _bounds(p, memory)
+    ground = open_from(memory.tiles, p.tile, p.bold, here.p_x, here.p_y)
+    speed = _rough_speed(p, memory, here, to_x, to_y)
+    d_x, d_y = to_x - here.p_x, to_y - here.p_y
+    u_x, u_y = goal_control(
+        here.p_x, here.p_y, here.v_x, here.v_y, to_x, to_y, speed, p.u_max, p.dt
+    )
+    if is_safe(bounds, memory.tiles, ground, here, u_x, u_y):
+        return u_x, u_y
+    a = here.p_x, here.p_y
+    free = open_way(memory.tiles, p.tile, ground, a, (to_x, to_y))
+    if free > 0.0:
+        for limit in (speed, min(speed, _slow(p))):
+            for share in _SHARES:
+                on_x, on_y = here.p_x + share * free * d_x, here.p_y + share * free * d_y
+                u_x, u_y = goal_control(
+                    here.p_x, here.p_y, here.v_x, here.v_y, on_x, on_y, limit, p.u_max, p.dt
+                )
+                if is_safe(bounds, memory.tiles, ground, here, u_x, u_y):
+                    return u_x, u_y
+    return brake(here.v_x, here.v_y, p.u_max, p.dt)
+
+
+@borrowing
+def kept_open(
+    p: DriverParameters, memory: GroundMemory, tick: int, here: Motion, u_x: float, u_y: float
+) -> tuple[float, float]:
+    """Anybody's command [m/s²], if it is safe, else the one that brakes: the filter alone, without a plan.
+
+    Args:
+        p, memory, tick: As in `navigate_control`.
+        here: Where the UGV is now.
+        u_x, u_y: What is wanted [m/s²].
+    """
+    ahead = state_ahead(p, memory, tick, here)
+    ground = open_from(memory.tiles, p.tile, p.bold, ahead.p_x, ahead.p_y)
+    u_x, u_y = filtered(_bounds(p, memory), memory.tiles, ground, ahead, u_x, u_y)
+    note_sent(memory, tick, u_x, u_y)
+    return u_x, u_y
+
+
+@borrowing
+def _plan_if_due(
+    p: DriverParameters, memory: GroundMemory, tick: int, target: int, own: int
+) -> None:
+    flags = memory.flags[0]
+    due = flags.planned < 0 or tick - flags.planned >= p.plan_ticks
+    kept = flags.target == target and (flags.stale == 0 or not due)
+    if kept and memory.cost[own] <= flags.settled:
+        return
+    prices = Prices(p.rough_price, p.unseen_price, p.beside_price)
+    flags.settled = plan(prices, p.tile, memory, target, own)
+    flags.planned, flags.target, flags.stale = tick, target, 0
+
+
+@borrowing
+def navigate_control(
+    p: DriverParameters,
+    memory: GroundMemory,
+    goals: FloatArray,
+    tick: int,
+    p_x: float,
+    p_y: float,
+    v_x: float,
+    v_y: float,
+) -> tuple[float, float]:
+    """The command [m/s²] to one goal after the other over the ground as it is known; at the last one the UGV stops.
+
+    A goal is kept until it is nearer than the tolerance. Where there is no way, or no goal, the UGV brakes.
+
+    Args:
+        p: Of the driver.
+        memory: With the tiles that have been told until now; changed in place.
+        goals: [m], shape (goals, 2).
+        tick: Now.
+        p_x, p_y: Position [m].
+        v_x, v_y: Velocity [m/s].
+    """
+    flags, count = memory.flags[0], goals.shape[0]
+    here = state_ahead(p, memory, tick, Motion(p_x, p_y, v_x, v_y))
+    u_x, u_y = brake(here.v_x, here.v_y, p.u_max, p.dt)
+    if count > 0 and memory.tiles.size > 0:
+        while flags.goal < count - 1 and goal_reached(
+            p_x, p_y, goals[flags.goal, 0], goals[flags.goal, 1], p.tolerance
+        ):
+            flags.goal += 1
+        goal_x, goal_y = goals[flags.goal, 0], goals[flags.goal, 1]
+        own = _tile_of(p, memory, here.p_x, here.p_y)
+        columns = memory.tiles.shape[1]
+        if memory.tiles[own // columns, own % columns] == BLOCK:
+            i, j = nearest_open(memory.tiles, p.tile, p.bold, here.p_x, here.p_y)
+            to_x, to_y = _centre(i * columns + j, columns, p.tile)
+            u_x, u_y = drive_towards(p, memory, here, to_x, to_y)
+        else:
+            _plan_if_due(p, memory, tick, _tile_of(p, memory, goal_x, goal_y), own)
+            if not math.isinf(memory.cost[own]):
+                to_x, to_y = look_ahead(p, memory, here.p_x, here.p_y, goal_x, goal_y)
+                u_x, u_y = drive_towards(p, memory, here, to_x, to_y)
+    note_sent(memory, tick, u_x, u_y)
+    return u_x, u_y

@@ -1,0 +1,141 @@
+"""The ground as a UGV knows it: the tiles that its bumper and the radio have told it, and its plan on them.
+
+Tile (row i, column j) of the size s is [j s, (j + 1) s] x [i s, (i + 1) s], its edges with it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sim.kernels.compile import FloatArray, IntArray, borrowing
+from sim.kernels.records import RecordArray, record_type
+from sim.models.ground import BLOCK, UNSEEN, TileArray
+
+BLOCK_SIDE = 8
+"""Rows and columns of tiles in a block, as the radio tells them."""
+_NEVER = -1
+
+
+class GroundFlags(NamedTuple):
+    """The whole numbers of a memory, and how far its plan goes: a row of an array of one."""
+
+    goal: int
+    """Which goal it drives to."""
+    planned: int
+    """In which tick it planned last; -1: it has not yet."""
+    target: int
+    """The tile of the goal that it planned to, row by row; -1: it has not yet."""
+    stale: int
+    """1 if tiles have changed since."""
+    called: int
+    """The tick of its last command; -1: it has sent none."""
+    settled: float
+    """Costs up to this one are final; infinite: all are."""
+
+
+class GroundMemory(NamedTuple):
+    """What a UGV remembers of the ground; from `ground_memory`. All arrays are changed in place."""
+
+    tiles: TileArray
+    """States. Shape (rows, columns)."""
+    sure: TileArray
+    """1 where the bumper has told the state, which makes no errors. Shape (rows, columns)."""
+    price: FloatArray
+    """Cost of a metre in each tile; infinite: there is no way. Shape (rows * columns,)."""
+    cost: FloatArray
+    """Of the cheapest way from the centre of each tile to that of the goal's. Shape (rows * columns,)."""
+    heap: IntArray
+    place: IntArray
+    """Of the search: a binary heap of tiles, and where in it each is. Shape (rows * columns,)."""
+    commands: FloatArray
+    """Commands under way [m/s²], the first one acts in the coming tick. Shape (delay, 2)."""
+    flags: RecordArray
+    """`GroundFlags`. Shape (1,)."""
+
+
+def ground_memory(rows: int, columns: int, delay: int = 0) -> GroundMemory:
+    """A fresh memory: no tile is known.
+
+    Args:
+        rows, columns: Of the tiles; (0, 0) for a driver that knows no ground.
+        delay: So many ticks after it was sent a command acts.
+    """
+    if min(rows, columns, delay) < 0:
+        raise ValueError(
+            f"rows, columns and delay must not be negative, not {rows}, {columns} and {delay}"
+        )
+    size = rows * columns
+    memory = GroundMemory(
+        tiles=np.zeros((rows, columns), dtype=np.uint8),
+        sure=np.zeros((rows, columns), dtype=np.uint8),
+        price=np.zeros(size),
+        cost=np.zeros(size),
+        heap=np.zeros(size, dtype=np.int64),
+        place=np.zeros(size, dtype=np.int64),
+        commands=np.zeros((delay, 2)),
+        flags=np.zeros(1, dtype=record_type(GroundFlags)),
+    )
+    begin_ground(memory)
+    return memory
+
+
+@borrowing
+def begin_ground(memory: GroundMemory) -> None:
+    """Make a memory as fresh as one from `ground_memory`, in place: an episode begins."""
+    rows, columns = memory.tiles.shape
+    for i in range(rows):
+        for j in range(columns):
+            memory.tiles[i, j], memory.sure[i, j] = UNSEEN, 0
+    for n in range(rows * columns):
+        memory.price[n], memory.cost[n] = np.inf, np.inf
+        memory.heap[n], memory.place[n] = 0, 0
+    for k in range(memory.commands.shape[0]):
+        memory.commands[k, 0], memory.commands[k, 1] = 0.0, 0.0
+    flags = memory.flags[0]
+    flags.goal, flags.planned, flags.target = 0, _NEVER, _NEVER
+    flags.stale, flags.called, flags.settled = 1, _NEVER, np.inf
+
+
+@borrowing
+def _set_tile(memory: GroundMemory, row: int, column: int, state: int) -> None:
+    if memory.tiles[row, column] != state:
+        memory.tiles[row, column] = state
+        memory.flags[0].stale = 1
+
+
+@borrowing
+def note_tiles(memory: GroundMemory, rows: IntArray, columns: IntArray, states: TileArray) -> None:
+    """Take in tiles that the bumper has seen: its word stands against the radio's, before and after.
+
+    Args:
+        memory: Changed in place.
+        rows, columns: Of each tile; those outside the map are ignored. Shape (tiles,).
+        states: Of each tile; UNSEEN tells nothing. Shape (tiles,).
+    """
+    height, width = memory.tiles.shape
+    for k in range(rows.shape[0]):
+        i, j = rows[k], columns[k]
+        if 0 <= i < height and 0 <= j < width and states[k] != UNSEEN:
+            _set_tile(memory, i, j, states[k])
+            memory.sure[i, j] = 1
+
+
+@borrowing
+def note_block(memory: GroundMemory, block_row: int, block_column: int, states: TileArray) -> None:
+    """Take in a block of tiles that the radio tells.
+
+    What the bumper has said stays; of what the radio says of a tile BLOCK stays, the rest gives way to later words.
+
+    Args:
+        memory: Changed in place.
+        block_row, block_column: Of the block; the first tile is BLOCK_SIDE times that.
+        states: Row by row; those outside the map are ignored, UNSEEN tells nothing. Shape (BLOCK_SIDE²,).
+    """
+    height, width = memory.tiles.shape
+    for k in range(min(BLOCK_SIDE * BLOCK_SIDE, states.shape[0])):
+        i = block_row * BLOCK_SIDE + k // BLOCK_SIDE
+        j = block_column * BLOCK_SIDE + k % BLOCK_SIDE
+        if i < 0 or i >= height or j < 0 or j >= width or states[k] == UNSEEN:
+            continue
+        if memory.sure[i, j] == 0 and memory.tiles[i, j] != BLOCK:
+            _set_tile(memory, i, j, states[k])

@@ -1,0 +1,499 @@
+"""Attacks on the guarantee of a cautious UGV, see docs/explanation/ground.md: `python benchmarks/cautious.py NAME`.
+
+attack: 10,000 flights over ground that an adversary tells in its own order; half of them it holds the wheel, too.
+broken: the same with filters that are known to be wrong: each must be caught.
+arrivals: how many reachable goals are reached, with bumper alone and with ground told in any order.
+speed: of a plan and of a tick.
+
+About three minutes for `attack`, one for each other.
+"""
+
+import dataclasses
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from agents.drivers.cautious import Bounds, Open, braking_way, is_safe, open_to, way_is_open
+from agents.drivers.navigate import (
+    kept_open,
+    navigate_control,
+    note_sent,
+    state_ahead,
+)
+from agents.drivers.parameters import NAVIGATE, DriverParameters
+from agents.drivers.planning import Prices, plan
+from agents.drivers.tile_map import GroundMemory, ground_memory, note_block, note_tiles
+from sim.kernels.compile import FloatArray, entry_point
+from sim.models.ground import BLOCK, CLEAR, FOUND, ROUGH, UNSEEN, TileArray
+from sim.models.vehicles import Motion, brake, norm, step_vehicle, within_walls
+
+RUNS = 10_000
+LATER = 1 << 40
+"""A tick that never comes."""
+_SAMPLES = np.linspace(0.0, 1.0, 17)
+TELLERS = ("bumper", "nothing for long", "all but some", "at rest only", "any order", "all")
+WHEELS = ("plan", "dash", "swerve", "noise")
+
+OF_OTHERS: dict[str, Any] = {
+    "driver": NAVIGATE,
+    "key_0": np.uint64(0),
+    "key_1": np.uint64(0),
+    **dict.fromkeys(("speed", "margin", "lead"), 0.0),
+    **dict.fromkeys(("forgotten", "dash"), 0),
+}
+"""Parameters that the driver does not read."""
+
+Check = Callable[[Bounds, TileArray, Open, Motion, float, float], bool]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Trial:
+    """Ground, a UGV on it, and an adversary."""
+
+    p: DriverParameters
+    truth: TileArray
+    """Shape (rows, columns)."""
+    start: tuple[float, float]
+    goals: FloatArray
+    delay: int
+    """Ticks until a command acts."""
+    slowest: float
+    """Least share of its largest speed that the UGV truly keeps on rough ground."""
+    teller: str
+    """How the adversary tells the ground: one of `TELLERS`."""
+    reach: float
+    """Of the bumper [m]."""
+    wheel: str
+    """What is wanted: one of `WHEELS`."""
+    ticks: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """Of a flight."""
+
+    entered: int
+    """Ticks with a point in a tile that was not known to be drivable."""
+    way: float
+    """[m]"""
+    ticks: int
+    """Until the last goal was reached, or until the end."""
+    reached: bool
+
+
+def _ground(rng: np.random.Generator) -> TileArray:
+    """Random tiles, few or many blocked, a maze of corridors, or diagonal walls."""
+    rows, columns = (int(n) for n in rng.integers(4, 26, 2))
+    kind, density = rng.integers(4), rng.uniform(0.0, 0.45)
+    tiles = rng.choice(
+        np.array([CLEAR, ROUGH, FOUND], np.uint8), size=(rows, columns), p=[0.75, 0.2, 0.05]
+    )
+    if kind == 0:
+        tiles[rng.random((rows, columns)) < density] = BLOCK
+    elif kind == 3:
+        tiles[rng.random((rows, columns)) < 0.1 * density] = BLOCK
+    elif kind == 1:  # walls of odd rows and columns with gaps
+        tiles[1::2, :] = np.where(rng.random(tiles[1::2, :].shape) < 0.3, tiles[1::2, :], BLOCK)
+    else:
+        i, j = np.indices((rows, columns))
+        tiles[((i + j) % int(rng.integers(3, 8)) == 0) & (rng.random((rows, columns)) < 0.9)] = (
+            BLOCK
+        )
+    return tiles
+
+
+def touched(x: float, tile: float, count: int) -> list[int]:
+    """The rows or columns whose closed intervals hold a coordinate."""
+    at = math.floor(x / tile)
+    return [n for n in (at - 1, at, at + 1) if 0 <= n < count and n * tile <= x <= (n + 1) * tile]
+
+
+def _start(rng: np.random.Generator, truth: TileArray, tile: float) -> tuple[float, float] | None:
+    """Somewhere in a drivable tile, often on an edge or a corner, but of drivable tiles only."""
+    rows, columns = truth.shape
+    for _ in range(50):
+        i, j = int(rng.integers(rows)), int(rng.integers(columns))
+        share = rng.choice([rng.random(), 0.0, 1.0, 0.5], size=2)
+        x, y = min((j + share[0]) * tile, columns * tile), min((i + share[1]) * tile, rows * tile)
+        around = [truth[r, c] for r in touched(y, tile, rows) for c in touched(x, tile, columns)]
+        if around and BLOCK not in around:
+            return float(x), float(y)
+    return None
+
+
+def draw_trial(seed: int, *, wheel: str | None = None, calm: bool = False) -> Trial:
+    """A trial of a seed; a calm one can be expected to arrive."""
+    rng = np.random.default_rng(seed)
+    while True:
+        truth, tile = _ground(rng), float(rng.uniform(0.1, 1.0))
+        start = _start(rng, truth, tile)
+        if start is not None:
+            break
+    rows, columns = truth.shape
+    dt = float(rng.uniform(0.02, 0.2))
+    slowest = float(rng.uniform(0.05, 1.0))
+    delay = int(rng.choice([0, 0, 1, 2, 5]))
+    v_max = tile * float(np.exp(rng.uniform(math.log(0.5), math.log(4.0 if calm else 40.0))))
+    stop = tile * float(np.exp(rng.uniform(math.log(0.1), math.log(2.0 if calm else 20.0))))
+    u_max = 0.5 * v_max * v_max / stop
+    if rng.random() < 0.05 and not calm:
+        u_max = math.inf
+    cells = rng.integers(0, [rows, columns], size=(int(rng.integers(1, 4)), 2))
+    goals = (cells[:, ::-1] + rng.random(cells.shape)) * tile
+    believed = slowest if delay else float(rng.uniform(0.05, 1.0))
+    p = DriverParameters(
+        **OF_OTHERS,
+        dt=dt,
+        width=columns * tile,
+        height=rows * tile,
+        v_max=v_max,
+        u_max=u_max,
+        tolerance=0.3 * tile,
+        tile=tile,
+        share=believed,
+        bold=0,
+        rough_price=1.0 / believed,
+        unseen_price=1.5,
+        beside_price=0.5,
+        plan_ticks=max(1, round(rng.choice([0.0, 0.2, 1.0]) / dt)),
+    )
+    return Trial(
+        p=p,
+        truth=truth,
+        start=start,
+        goals=np.ascontiguousarray(goals),
+        delay=delay,
+        slowest=slowest,
+        teller="bumper" if calm else str(rng.choice(TELLERS)),
+        reach=tile * float(rng.uniform(1.0, 3.0) if calm else rng.choice([0.01, 0.3, 1.0, 2.5])),
+        wheel=wheel or ("plan" if rng.random() < 0.5 else str(rng.choice(WHEELS[1:]))),
+        ticks=20_000 if calm else 300,
+    )
+
+
+class Teller:
+    """Tells the truth of tiles, in an order of its own."""
+
+    def __init__(self, trial: Trial, memory: GroundMemory, rng: np.random.Generator) -> None:
+        self.trial, self.memory, self.rng = trial, memory, rng
+        rows, columns = trial.truth.shape
+        s = trial.p.tile
+        self._low_x, self._low_y = np.arange(columns) * s, np.arange(rows) * s
+        self._hidden = rng.random(trial.truth.shape) < 0.2
+        self._wakes = int(rng.integers(0, 150))
+
+    def _tell(self, chosen: npt.NDArray[np.bool_]) -> None:
+        rows, columns = np.nonzero(chosen & (self.memory.tiles == UNSEEN))
+        if len(rows):
+            note_tiles(self.memory, rows, columns, self.trial.truth[rows, columns])
+
+    def _near(self, x: float, y: float, reach: float) -> npt.NDArray[np.bool_]:
+        s = self.trial.p.tile
+        d_x = np.maximum(np.maximum(self._low_x - x, x - self._low_x - s), 0.0)
+        d_y = np.maximum(np.maximum(self._low_y - y, y - self._low_y - s), 0.0)
+        return d_x[None, :] ** 2 + d_y[:, None] ** 2 <= reach * reach
+
+    def tell(self, tick: int, x: float, y: float, speed: float) -> None:
+        """What is told at a tick, the UGV being there [m], so fast [m/s]."""
+        teller, reach, rng = self.trial.teller, self.trial.reach, self.rng
+        if teller == "all":
+            if tick == 0:
+                self._tell(np.ones_like(self._hidden))
+        elif teller == "nothing for long":
+            if tick >= self._wakes:
+                self._tell(self._near(x, y, 4.0 * reach))
+        elif teller == "all but some":
+            self._tell(~self._hidden | (self._near(x, y, reach) & (rng.random() < 0.1)))
+        elif teller == "at rest only":
+            if speed < 1e-9:
+                self._tell(self._near(x, y, reach) & (rng.random(self._hidden.shape) < 0.5))
+        elif teller == "any order":
+            self._tell(self._near(x, y, 0.0))
+            i, j = (int(rng.integers(0, 1 + n // 8)) for n in self._hidden.shape)
+            block = np.zeros((8, 8), np.uint8)
+            part = self.trial.truth[8 * i : 8 * i + 8, 8 * j : 8 * j + 8]
+            block[: part.shape[0], : part.shape[1]] = part
+            block[rng.random((8, 8)) < 0.9] = UNSEEN
+            note_block(self.memory, i, j, block.reshape(-1))
+        else:
+            self._tell(self._near(x, y, reach))
+
+
+def _wanted(
+    trial: Trial, rng: np.random.Generator, before: tuple[float, float], here: Motion
+) -> tuple[float, float]:
+    """What an adversary at the wheel wants [m/s²]: on and on, a sharp turn, or anything."""
+    u = min(trial.p.u_max, trial.p.v_max / trial.p.dt)
+    speed = norm(here.v_x, here.v_y)
+    if trial.wheel == "swerve" and speed > 0.2 * trial.p.v_max:
+        side = rng.choice([-1.0, 1.0])
+        return -side * u * here.v_y / speed, side * u * here.v_x / speed
+    if trial.wheel != "noise" and rng.random() < 0.97 and before != (0.0, 0.0):
+        return before
+    angle = rng.choice([rng.uniform(0.0, 2.0 * math.pi), 0.25 * math.pi * rng.integers(8)])
+    return u * math.cos(angle), u * math.sin(angle)
+
+
+def _filtered_by(
+    check: Check, trial: Trial, memory: GroundMemory, tick: int, here: Motion,
+    wanted: tuple[float, float],
+) -> tuple[float, float]:  # fmt: skip
+    """As `kept_open`, with another check."""
+    p = trial.p
+    ahead = state_ahead(p, memory, tick, here)
+    late = 1 if trial.delay else 0
+    bounds = Bounds(p.width, p.height, p.tile, p.v_max, p.u_max, p.dt, p.share * p.v_max, late)
+    if not check(bounds, memory.tiles, open_to(0), ahead, *wanted):
+        wanted = brake(ahead.v_x, ahead.v_y, p.u_max, p.dt)
+    note_sent(memory, tick, *wanted)
+    return wanted
+
+
+def _is_rough(trial: Trial, x: float, y: float) -> bool:
+    rows, columns = trial.truth.shape
+    return any(
+        trial.truth[i, j] == ROUGH
+        for i in touched(y, trial.p.tile, rows)
+        for j in touched(x, trial.p.tile, columns)
+    )
+
+
+def _entered(trial: Trial, known: npt.NDArray[np.int64], states: list[Motion]) -> int:
+    """In how many ticks a point of the way was in a closed tile that was not known to be drivable when the tick began.
+
+    At the start it may stand in one.
+    """
+    track = np.array(states)
+    a, b = track[:-1], track[1:]
+    dt, s = trial.p.dt, trial.p.tile
+    bad = np.zeros(len(a), bool)
+    tick = np.arange(len(a))[:, None]
+    shares = [np.repeat(_SAMPLES[None], len(a), axis=0)]
+    for k in (2, 3):  # where the way turns back on an axis
+        change = b[:, k] - a[:, k]
+        shares.append(np.clip(-a[:, k] / np.where(change == 0.0, 1.0, change), 0.0, 1.0)[:, None])
+    t = np.concatenate(shares, axis=1)
+    points = []
+    for k in (0, 1):
+        way = a[:, k, None] + dt * t * (a[:, k + 2, None] + 0.5 * t * (b - a)[:, k + 2, None])
+        points.append(np.where(t == 1.0, b[:, k, None], way))
+    x, y = points
+    rows, columns = known.shape
+    i, j = np.floor(y / s).astype(int), np.floor(x / s).astype(int)
+    for r in (i - 1, i, i + 1):
+        for c in (j - 1, j, j + 1):
+            there = (r >= 0) & (r < rows) & (c >= 0) & (c < columns)
+            on = (r * s <= y) & (y <= (r + 1) * s) & (c * s <= x) & (x <= (c + 1) * s) & there
+            since = known[np.clip(r, 0, rows - 1), np.clip(c, 0, columns - 1)]
+            bad |= (on & (since > tick)).any(axis=1)
+    moved = (a[:, :2] != b[:, :2]).any(axis=1) | (a[:, 2:] != 0.0).any(axis=1)
+    return int((bad & moved).sum())
+
+
+def fly(
+    trial: Trial, seed: int, check: Check | None = None, believed: int | None = None
+) -> Outcome:
+    """Fly a trial.
+
+    Args:
+        trial: Which.
+        seed: Of the adversary's choices.
+        check: Instead of `is_safe`, for filters that are known to be wrong; the adversary is at the wheel then.
+        believed: Instead of the delay, likewise.
+    """
+    p, rng = trial.p, np.random.default_rng([seed, 1])
+    memory = ground_memory(*trial.truth.shape, trial.delay if believed is None else believed)
+    teller = Teller(trial, memory, rng)
+    known = np.full(trial.truth.shape, LATER)
+    here, way, tick = Motion(*trial.start, 0.0, 0.0), 0.0, 0
+    queue, states, wanted = [(0.0, 0.0)] * trial.delay, [here], (0.0, 0.0)
+    drive = entry_point(navigate_control, p, memory, trial.goals, 0, *here)
+    last, reached = trial.goals[-1], False
+    for tick in range(trial.ticks):
+        teller.tell(tick, here.p_x, here.p_y, norm(here.v_x, here.v_y))
+        fresh = (known == LATER) & (memory.tiles != UNSEEN) & (memory.tiles != BLOCK)
+        known[fresh] = tick
+        if check is not None:
+            wanted = _wanted(trial, rng, wanted, here)
+            u = _filtered_by(check, trial, memory, tick, here, wanted)
+        elif trial.wheel == "plan":
+            u = drive(p, memory, trial.goals, tick, *here)
+            at_last = memory.flags[0]["goal"] == len(trial.goals) - 1
+            reached = at_last and math.dist(here[:2], last) < p.tolerance
+            if reached and trial.ticks > 1000:
+                break
+        else:
+            wanted = _wanted(trial, rng, wanted, here)
+            u = kept_open(p, memory, tick, here, *wanted)
+        queue.append(u)
+        u_x, u_y = queue.pop(0)
+        v_max = p.v_max
+        if _is_rough(trial, here.p_x, here.p_y):
+            v_max *= rng.uniform(trial.slowest, 1.0)
+        x, y, v_x, v_y, _, _ = step_vehicle(*here, u_x, u_y, v_max, p.u_max, p.dt)
+        (x, v_x), (y, v_y) = within_walls(x, v_x, p.width), within_walls(y, v_y, p.height)
+        way += math.dist((x, y), here[:2])
+        here = Motion(x, y, v_x, v_y)
+        states.append(here)
+    return Outcome(_entered(trial, known, states), way, tick, bool(reached))
+
+
+def is_reachable(trial: Trial) -> bool:
+    """True if the true tiles have a way from the start to each goal."""
+    p, memory = trial.p, ground_memory(*trial.truth.shape)
+    memory.tiles[:] = trial.truth
+    columns = trial.truth.shape[1]
+    places = [trial.start, *trial.goals]
+    tiles = [int(y / p.tile) * columns + min(int(x / p.tile), columns - 1) for x, y in places]
+    tiles = [min(n, trial.truth.size - 1) for n in tiles]
+    if any(trial.truth.reshape(-1)[n] == BLOCK for n in tiles):
+        return False
+    plan(Prices(1.0, 1.0, 0.0), p.tile, memory, tiles[0], -1)
+    return bool(np.isfinite(memory.cost[tiles]).all())
+
+
+def _brakes_short(b: Bounds, t: TileArray, o: Open, h: Motion, u_x: float, u_y: float) -> bool:
+    return is_safe(b._replace(u_max=1.25 * b.u_max), t, o, h, *_clipped(b, u_x, u_y))
+
+
+def _clipped(b: Bounds, u_x: float, u_y: float) -> tuple[float, float]:
+    scale = min(1.0, b.u_max / max(norm(u_x, u_y), 1e-300))
+    return u_x * scale, u_y * scale
+
+
+def _after(b: Bounds, h: Motion, u_x: float, u_y: float) -> tuple[tuple[float, float], ...]:
+    """Where the tick ends, and where the UGV can rest after it [m]."""
+    x, y, w_x, w_y, _, _ = step_vehicle(*h, u_x, u_y, b.v_max, b.u_max, b.dt)
+    speed = norm(w_x, w_y)
+    share = braking_way(speed, b.u_max, b.dt) / speed if speed else 0.0
+    return (x, y), (x + share * w_x, y + share * w_y)
+
+
+def _forgets_corners(b: Bounds, t: TileArray, o: Open, h: Motion, u_x: float, u_y: float) -> bool:
+    """Looks at the tiles of some points of the way only."""
+    there, end = _after(b, h, u_x, u_y)
+    for (x_0, y_0), (x_1, y_1) in (((h.p_x, h.p_y), there), (there, end)):
+        n = 1 + int(2.0 * math.dist((x_0, y_0), (x_1, y_1)) / b.tile)
+        for k in range(n + 1):
+            x, y = x_0 + k / n * (x_1 - x_0), y_0 + k / n * (y_1 - y_0)
+            if not (0.0 <= x <= b.width and 0.0 <= y <= b.height):
+                return False
+            i, j = min(int(y / b.tile), t.shape[0] - 1), min(int(x / b.tile), t.shape[1] - 1)
+            if t[i, j] in (UNSEEN, BLOCK):
+                return False
+    return True
+
+
+def _takes_the_chord(b: Bounds, t: TileArray, o: Open, h: Motion, u_x: float, u_y: float) -> bool:
+    """Takes the way within a tick to be straight."""
+    there, end = _after(b, h, u_x, u_y)
+    inside = all(0.0 <= x <= b.width and 0.0 <= y <= b.height for x, y in (there, end))
+    return (
+        inside
+        and way_is_open(t, b.tile, o, (h.p_x, h.p_y), there)
+        and way_is_open(t, b.tile, o, there, end)
+    )
+
+
+def _looks_only_at_now(b: Bounds, t: TileArray, o: Open, h: Motion, u_x: float, u_y: float) -> bool:
+    """Asks whether it can brake from here, not from after the command."""
+    return is_safe(b, t, o, h, *brake(h.v_x, h.v_y, b.u_max, b.dt))
+
+
+BROKEN: dict[str, Check] = {
+    "brakes too short": _brakes_short,
+    "tiles of some points only": _forgets_corners,
+    "straight within a tick": _takes_the_chord,
+    "braking from before the command": _looks_only_at_now,
+}
+"""Filters that are known to be wrong. So is one that believes that commands act at once where they are late."""
+
+
+def attack(runs: int = RUNS) -> Iterator[str]:
+    """Fly the attacks and count."""
+    count = dict.fromkeys(("flights", "entered", "ticks", "still"), 0)
+    way = 0.0
+    for seed in range(runs):
+        trial = draw_trial(seed)
+        one = fly(trial, seed)
+        count["flights"] += 1
+        count["entered"] += one.entered > 0
+        count["ticks"] += one.ticks + 1
+        count["still"] += one.way == 0.0
+        way += one.way / trial.p.tile
+        if one.entered:
+            yield f"seed {seed}: {one.entered} ticks in tiles not known to be drivable"
+    yield f"{count['flights']} flights of {count['ticks']} ticks and {way:.0f} tiles' way"
+    yield f"in {count['entered']} of them a tile was entered that was not known to be drivable"
+    yield f"in {count['still']} of them the UGV never moved"
+
+
+def broken(runs: int = 500) -> Iterator[str]:
+    """Fly wrong filters against an adversary at the wheel."""
+    yield "| filter | flights that enter a tile not known to be drivable |"
+    yield "|---|---|"
+    for name, check in {"none": is_safe, **BROKEN}.items():
+        caught = sum(fly(pushed_trial(k), k, check).entered > 0 for k in range(runs))
+        yield f"| {name} | {caught} of {runs} |"
+    late = [seed for seed in range(3 * runs) if pushed_trial(seed).delay][:runs]
+    caught = sum(fly(pushed_trial(k), k, is_safe, believed=0).entered > 0 for k in late)
+    yield f"| commands act at once, believed of late ones | {caught} of {len(late)} |"
+
+
+def pushed_trial(seed: int) -> Trial:
+    """A trial of a seed with an adversary at the wheel."""
+    return draw_trial(seed, wheel=WHEELS[1 + seed % 3])
+
+
+def arrivals(runs: int = 500) -> Iterator[str]:
+    """How many calm trials arrive."""
+    able = [
+        seed for seed in range(5 * runs) if is_reachable(draw_trial(seed, wheel="plan", calm=True))
+    ]
+    done = [fly(draw_trial(k, wheel="plan", calm=True), k) for k in able[:runs]]
+    yield f"{sum(one.reached for one in done)} of {len(done)} with a way to all goals arrive"
+    yield f"{sum(one.entered > 0 for one in done)} of them enter a tile not known to be drivable"
+    for k, one in zip(able, done, strict=False):
+        if not one.reached:
+            yield f"seed {k} does not arrive"
+
+
+def speed() -> Iterator[str]:
+    """Of a plan over tiles with hazards, and of a tick."""
+    rng = np.random.default_rng(0)
+    for side in (30, 80, 400):
+        memory = ground_memory(side, side)
+        drawn = rng.choice(5, size=(side, side), p=[0.3, 0.4, 0.1, 0.15, 0.05])
+        memory.tiles[:] = drawn
+        memory.tiles[:4, :4] = CLEAR
+        took = []
+        for _ in range(30):
+            began = time.perf_counter()
+            plan(Prices(2.5, 1.5, 0.5), 0.5, memory, 0, -1)
+            took.append(time.perf_counter() - began)
+        yield f"plan over {side} x {side} tiles: {1e3 * np.median(took[1:]):.2f} ms"
+    trial = draw_trial(3, wheel="plan", calm=True)
+    p, memory = trial.p, ground_memory(*trial.truth.shape)
+    memory.tiles[:] = trial.truth
+    drive = entry_point(navigate_control, p, memory, trial.goals, 0, *trial.start, 0.0, 0.0)
+    here, began, ticks = Motion(*trial.start, 0.0, 0.0), time.perf_counter(), 5000
+    for tick in range(ticks):
+        u = drive(p, memory, trial.goals, tick, *here)
+        here = Motion(*step_vehicle(*here, *u, p.v_max, p.u_max, p.dt)[:4])
+    yield f"a tick on known ground: {1e6 * (time.perf_counter() - began) / ticks:.1f} µs with the vehicle"
+
+
+TABLES = {"attack": attack, "broken": broken, "arrivals": arrivals, "speed": speed}
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2 or sys.argv[1] not in TABLES:
+        sys.exit(f"{__doc__}\ntable = {' '.join(sys.argv[1:])!r}; allowed: {', '.join(TABLES)}")
+    for line in TABLES[sys.argv[1]]():
+        sys.stdout.write(f"{line}\n")
+        sys.stdout.flush()

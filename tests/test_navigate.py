@@ -1,0 +1,423 @@
+"""The driver `navigate`: its plan, its look-ahead, and the filter of a cautious UGV under attack."""
+
+import itertools
+import math
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from draws import a_told_key
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from agents.drivers.cautious import (
+    TOUCH,
+    Bounds,
+    Open,
+    braking_way,
+    filtered,
+    is_safe,
+    open_from,
+    open_to,
+    slowing_way,
+    triangle_is_open,
+)
+from agents.drivers.compiled import driver_parameters
+from agents.drivers.navigate import navigate_control, state_ahead
+from agents.drivers.parameters import DriverParameters
+from agents.drivers.planning import Prices, next_tile, plan, search, step_cost
+from agents.drivers.tile_map import begin_ground, ground_memory, note_block, note_tiles
+from bus.messages import Area, Limits, UgvBriefing
+from sim.models.ground import BLOCK, CLEAR, FOUND, ROUGH, UNSEEN
+from sim.models.vehicles import Motion, brake, norm, step_vehicle
+
+PRICES = Prices(rough=2.5, unseen=1.5, beside=0.5)
+_STEPS = [step for step in itertools.product((-1, 0, 1), repeat=2) if step != (0, 0)]
+
+
+@pytest.fixture
+def cautious(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parent.parent / "benchmarks"))
+    import cautious
+
+    return cautious
+
+
+def _random_map(rng: np.random.Generator, rows: int, columns: int) -> Any:
+    memory = ground_memory(rows, columns)
+    memory.tiles[:] = rng.choice(5, size=(rows, columns), p=[0.25, 0.35, 0.1, 0.25, 0.05])
+    return memory
+
+
+def _by_library(price: Any, columns: int, tile: float, goal: int) -> Any:
+    """Costs to the goal by SciPy."""
+    rows = len(price) // columns
+    steps = [
+        (n, n + r * columns + c, step_cost(price, columns, tile, n, r, c))
+        for n in range(len(price))
+        for r, c in _STEPS
+        if 0 <= n // columns + r < rows and 0 <= n % columns + c < columns
+    ]
+    start, end, cost = zip(*[step for step in steps if math.isfinite(step[2])], strict=True)
+    graph = coo_matrix((cost, (start, end)), shape=(len(price), len(price)))
+    return dijkstra(graph.tocsr(), indices=goal)
+
+
+# the plan
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_plan_costs_what_a_library_finds(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rows, columns = (int(n) for n in rng.integers(2, 25, 2))
+    memory, tile = _random_map(rng, rows, columns), float(rng.uniform(0.1, 1.0))
+    goal = int(rng.integers(rows * columns))
+    assert math.isinf(plan(PRICES, tile, memory, goal, -1))
+    expected = _by_library(memory.price, columns, tile, goal)
+    np.testing.assert_allclose(memory.cost, expected, rtol=0.0, atol=1e-9)
+
+
+def test_a_search_that_ends_early_knows_all_costs_up_to_where_it_ended() -> None:
+    rng = np.random.default_rng(5)
+    memory = _random_map(rng, 30, 40)
+    plan(PRICES, 0.5, memory, 615, -1)
+    full = memory.cost.copy()
+    for until in np.flatnonzero(np.isfinite(full))[::97]:
+        settled = plan(PRICES, 0.5, memory, 615, int(until))
+        known = memory.cost <= settled
+        assert settled == full[until]
+        assert (memory.cost[known] == full[known]).all()
+        assert known.sum() >= (full <= settled).sum()
+
+
+def test_the_cheapest_way_goes_down_to_the_goal_and_cuts_no_blocked_corner() -> None:
+    memory = ground_memory(3, 3)
+    memory.tiles[:] = CLEAR
+    memory.tiles[0, 1] = memory.tiles[1, 1] = BLOCK
+    plan(PRICES, 1.0, memory, 2, -1)
+    way = [0]
+    while way[-1] != 2:
+        way.append(next_tile(memory.price, memory.cost, 3, 1.0, way[-1]))
+    assert way == [0, 3, 6, 7, 8, 5, 2]
+    memory.tiles[2, 1] = BLOCK
+    plan(PRICES, 1.0, memory, 2, -1)
+    assert math.isinf(memory.cost[0])
+    assert next_tile(memory.price, memory.cost, 3, 1.0, 0) == 0
+
+
+def test_each_ground_has_its_price() -> None:
+    memory = ground_memory(1, 7)
+    memory.tiles[0] = [CLEAR, UNSEEN, ROUGH, FOUND, CLEAR, CLEAR, BLOCK]
+    plan(PRICES, 1.0, memory, 0, -1)
+    assert memory.price.tolist() == [1.0, 1.5, 2.5, 1.0, 1.0, 1.5, math.inf]
+    assert memory.cost.tolist() == [0.0, 1.25, 3.25, 5.0, 6.0, 7.25, math.inf]
+
+
+def test_a_goal_in_a_blocked_tile_is_approached() -> None:
+    memory = ground_memory(1, 3)
+    memory.tiles[0] = [BLOCK, CLEAR, CLEAR]
+    plan(PRICES, 1.0, memory, 0, -1)
+    assert np.isfinite(memory.cost).all()
+
+
+def test_equal_costs_are_planned_alike_by_index() -> None:
+    memory = ground_memory(9, 9)
+    memory.tiles[:] = CLEAR
+    plan(PRICES, 1.0, memory, 40, -1)
+    price, first = memory.price, memory.cost.copy()
+    search(price, 9, 1.0, 40, -1, memory.cost, memory.heap, memory.place)
+    assert memory.cost.tobytes() == first.tobytes()
+    assert next_tile(price, memory.cost, 9, 1.0, 40 + 9 + 9 + 1) == 40 + 9  # of two, the first
+
+
+# the map
+
+
+def test_the_bumper_outweighs_the_radio_and_the_radios_block_its_clear() -> None:
+    memory = ground_memory(9, 10)
+    words = np.full(64, UNSEEN, np.uint8)
+    words[:3] = CLEAR, BLOCK, ROUGH
+    note_block(memory, 0, 0, words)
+    words[:3] = BLOCK, CLEAR, UNSEEN
+    note_block(memory, 0, 0, words)
+    assert memory.tiles[0, :3].tolist() == [BLOCK, BLOCK, ROUGH]
+    told = np.array([[0, 0], [0, 1], [-1, 3], [4, 10]])
+    note_tiles(memory, told[:, 0], told[:, 1], np.array([CLEAR, FOUND, CLEAR, CLEAR], np.uint8))
+    note_block(memory, 0, 0, np.full(64, BLOCK, np.uint8))
+    assert memory.tiles[0, :3].tolist() == [CLEAR, FOUND, BLOCK]
+    note_block(memory, 1, 1, np.full(64, CLEAR, np.uint8))  # most of it is outside
+    assert (memory.tiles[8, 8:] == CLEAR).all()
+    assert (memory.tiles == UNSEEN).sum() == 90 - 64 - 2
+    begin_ground(memory)
+    assert not memory.tiles.any()
+    assert not memory.sure.any()
+
+
+def test_a_map_of_negative_size_is_refused() -> None:
+    with pytest.raises(
+        ValueError, match=r"^rows, columns and delay must not be negative, not 3, -1"
+    ):
+        ground_memory(3, -1)
+
+
+# the geometry
+
+
+def _apart(corners: Any, low: Any, high: Any) -> float:
+    """The largest gap between a triangle and a box along the normals of their sides; negative if they overlap."""
+    box = np.array(list(itertools.product(*zip(low, high, strict=True))))
+    axes = [(1.0, 0.0), (0.0, 1.0)]
+    for k in range(3):
+        d = corners[k] - corners[k - 1]
+        if np.hypot(*d) > 0.0:
+            axes.append((-d[1] / np.hypot(*d), d[0] / np.hypot(*d)))
+    gaps = []
+    for axis in axes:
+        a, b = corners @ axis, box @ axis
+        gaps.append(max(a.min() - b.max(), b.min() - a.max()))
+    return max(gaps)
+
+
+@pytest.mark.parametrize("degenerate", [False, True])
+def test_a_triangle_is_open_if_all_tiles_that_it_touches_are(degenerate: bool) -> None:
+    rng, tile, n, ground = np.random.default_rng(11), 0.3, 7, open_to(0)
+    for _ in range(300):
+        corners = rng.uniform(-0.2, n * tile + 0.2, (3, 2))
+        on_edges = rng.random((3, 2)) < 0.3
+        corners[on_edges] = np.round(corners[on_edges] / tile) * tile
+        corners[2] = corners[1] if degenerate else corners[2]
+        i, j = (int(k) for k in rng.integers(0, n, 2))
+        tiles = np.full((n, n), CLEAR, np.uint8)
+        tiles[i, j] = UNSEEN
+        gap = _apart(corners, (j * tile, i * tile), ((j + 1) * tile, (i + 1) * tile))
+        is_open = triangle_is_open(tiles, tile, ground, *(tuple(c.tolist()) for c in corners))
+        if gap <= 0.5 * TOUCH:
+            assert not is_open
+        elif gap > 2.0 * TOUCH:
+            assert is_open
+
+
+def test_the_braking_way_is_what_braking_takes() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(300):
+        dt, u = rng.uniform(0.02, 0.2), rng.choice([rng.uniform(0.01, 50.0), math.inf])
+        speed, slow = rng.uniform(0.0, 5.0, 2)
+        x = y = way = 0.0
+        v_x, v_y = 0.6 * speed, 0.8 * speed
+        slowed = 0.0 if speed <= slow else math.nan
+        while norm(v_x, v_y) > 1e-12:
+            command = brake(v_x, v_y, u, dt)
+            x, y, v_x, v_y, _, _ = step_vehicle(x, y, v_x, v_y, *command, 5.0, u, dt)
+            way = norm(x, y)
+            if math.isnan(slowed) and norm(v_x, v_y) <= slow:
+                slowed = way
+        assert braking_way(speed, u, dt) == pytest.approx(way, abs=1e-11)
+        assert slowing_way(speed, slow, u, dt) == pytest.approx(slowed, abs=1e-11)
+
+
+# the filter
+
+
+def _bounds(**numbers: float) -> Bounds:
+    given = {"width": 8.0, "height": 8.0, "tile": 1.0, "v_max": 2.0, "u_max": 1.0, "dt": 0.1}
+    return Bounds(**given, slow=0.4, late=0)._replace(**numbers)  # type: ignore[arg-type]
+
+
+def test_the_fastest_safe_speed_is_the_one_from_which_it_just_stops() -> None:
+    tiles = np.full((8, 8), CLEAR, np.uint8)
+    tiles[:, 5:] = UNSEEN
+    bounds, here = _bounds(), Motion(2.5, 2.5, 1.0, 0.0)
+    room = 5.0 - here.p_x
+    fastest = 0.0
+    for speed in np.linspace(0.0, 3.0, 3001):
+        at = here._replace(p_x=5.0 - room, v_x=float(speed))
+        if is_safe(bounds._replace(v_max=3.0), tiles, open_to(0), at, 0.0, 0.0):
+            fastest = float(speed)
+    assert fastest * 0.1 + braking_way(fastest, 1.0, 0.1) == pytest.approx(room, abs=3e-3)
+
+
+def test_braking_is_safe_after_each_safe_command_even_where_the_ground_slows() -> None:
+    rng = np.random.default_rng(8)
+    bounds, used = _bounds(u_max=4.0), 0
+    for _ in range(4000):
+        tiles = rng.choice(
+            np.array([CLEAR, ROUGH, UNSEEN], np.uint8), size=(8, 8), p=[0.7, 0.2, 0.1]
+        )
+        angle, speed = rng.uniform(0.0, 6.3), rng.uniform(0.0, 2.0)
+        v_x, v_y = speed * math.cos(angle), speed * math.sin(angle)
+        here = Motion(*rng.uniform(0.5, 7.5, 2), v_x, v_y)
+        u_x, u_y = rng.uniform(-4.0, 4.0, 2)
+        if not is_safe(bounds, tiles, open_to(0), here, u_x, u_y):
+            continue
+        used += 1
+        slowed = rng.uniform(0.05, 2.0)
+        then = Motion(*step_vehicle(*here, u_x, u_y, slowed, 4.0, 0.1)[:4])
+        stop = brake(then.v_x, then.v_y, 4.0, 0.1)
+        assert is_safe(bounds, tiles, open_to(0), then, *stop)
+    assert used > 300
+
+
+def test_late_commands_keep_it_slow_before_rough_ground() -> None:
+    tiles = np.full((8, 8), CLEAR, np.uint8)
+    tiles[:, 4] = ROUGH
+    fast, near = Motion(2.0, 2.5, 1.0, 0.0), Motion(3.8, 2.5, 1.0, 0.0)
+    for here, late, safe in ((fast, 1, True), (near, 0, True), (near, 1, False)):
+        assert is_safe(_bounds(late=late), tiles, open_to(0), here, 0.0, 0.0) == safe
+    slow = near._replace(v_x=0.4)
+    assert is_safe(_bounds(late=1), tiles, open_to(0), slow, 0.0, 0.0)
+
+
+def test_it_leaves_a_blocked_tile_that_it_stands_in_but_enters_none() -> None:
+    tiles = np.full((8, 8), CLEAR, np.uint8)
+    tiles[2, 2] = tiles[2, 3] = BLOCK
+    here = Motion(2.5, 2.5, 0.0, 0.0)
+    ground = open_from(tiles, 1.0, 0, here.p_x, here.p_y)
+    assert ground == Open(0, 1, 1, 1, 2, 3, 3)
+    fast = _bounds(v_max=20.0, u_max=50.0)
+    assert filtered(fast, tiles, ground, here, 0.0, 50.0) == (0.0, 50.0)
+    assert filtered(fast, tiles, ground, here._replace(v_x=4.9), 50.0, 0.0) == (-49.0, 0.0)
+    assert open_from(tiles, 1.0, 1, 0.5, 0.5) == open_to(1)
+
+
+# under attack
+
+
+def test_no_adversary_brings_a_cautious_ugv_into_a_tile_that_it_does_not_know(
+    cautious: ModuleType,
+) -> None:
+    """The long version, 10,000 flights: `python benchmarks/cautious.py attack`."""
+    flights = [cautious.fly(cautious.draw_trial(seed), seed) for seed in range(60)]
+    assert sum(one.entered for one in flights) == 0
+    assert sum(one.way > 0.0 for one in flights) > 40
+
+
+@pytest.mark.parametrize("name", ["too short", "some points", "straight", "before the command"])
+def test_a_wrong_filter_is_caught(cautious: ModuleType, name: str) -> None:
+    check = next(check for about, check in cautious.BROKEN.items() if name in about)
+    caught = (cautious.fly(cautious.pushed_trial(k), k, check).entered for k in range(120))
+    assert any(caught)
+
+
+def test_an_unforeseen_delay_is_caught(cautious: ModuleType) -> None:
+    late = (seed for seed in range(100) if cautious.pushed_trial(seed).delay)
+    flights = (cautious.fly(cautious.pushed_trial(k), k, is_safe, believed=0) for k in late)
+    assert any(one.entered for one in flights)
+
+
+def test_it_arrives_wherever_there_is_a_way(cautious: ModuleType) -> None:
+    trials = {seed: cautious.draw_trial(seed, wheel="plan", calm=True) for seed in range(60)}
+    able = {seed: trial for seed, trial in trials.items() if cautious.is_reachable(trial)}
+    assert len(able) > 15
+    for seed, trial in able.items():
+        assert cautious.fly(trial, seed).reached
+
+
+# the driver
+
+
+def _parameters(**numbers: Any) -> DriverParameters:
+    told = UgvBriefing(
+        vehicle="ugv_0",
+        dt=0.05,
+        area=Area(width=20.0, height=5.0, cell=0.5),
+        limits=Limits(max_speed=1.5, max_acceleration=0.5),
+        driver="navigate",
+        goals=(),
+        goal_tolerance=0.2,
+        key=a_told_key(1),
+    )
+    return driver_parameters(told, "navigate")._replace(**numbers)
+
+
+def _drive(p: DriverParameters, memory: Any, goals: Any, ticks: int, start: Any) -> Any:
+    here, track = Motion(*start, 0.0, 0.0), []
+    for tick in range(ticks):
+        u = navigate_control(p, memory, np.array(goals), tick, *here)
+        here = Motion(*step_vehicle(*here, *u, p.v_max, p.u_max, p.dt)[:4])
+        track.append(here)
+    return np.array(track)
+
+
+@pytest.mark.parametrize(("bold", "passes"), [(0, False), (1, True)])
+def test_unseen_ground_stops_the_cautious_and_not_the_bold(bold: int, passes: bool) -> None:
+    memory = ground_memory(10, 40)
+    memory.tiles[:, :20] = CLEAR
+    track = _drive(_parameters(bold=bold), memory, [[18.0, 2.5]], 600, (1.0, 2.5))
+    assert (track[:, 0].max() > 10.0) == passes
+    assert track[-1, 0] == pytest.approx(18.0 if passes else 10.0, abs=0.01)
+    assert norm(track[-1, 2], track[-1, 3]) < 1e-3
+
+
+def test_the_bold_brakes_for_a_tile_that_it_learns_to_be_blocked() -> None:
+    p, memory = _parameters(bold=1), ground_memory(10, 40)
+    _drive(p, memory, [[18.0, 2.5]], 40, (1.0, 2.5))
+    column = np.full(10, 20)
+    note_tiles(memory, np.arange(10), column, np.full(10, BLOCK, np.uint8))
+    track = _drive(p, memory, [[18.0, 2.5]], 400, (4.0, 2.5))
+    assert track[:, 0].max() < 10.0
+
+
+def test_it_stands_still_until_it_knows_the_tile_that_it_stands_in() -> None:
+    p, memory = _parameters(), ground_memory(10, 40)
+    memory.tiles[:] = CLEAR
+    memory.tiles[5, 2] = UNSEEN
+    assert not _drive(p, memory, [[18.0, 2.5]], 20, (1.2, 2.7))[:, 2:].any()
+    note_tiles(memory, np.array([5]), np.array([2]), np.array([CLEAR], np.uint8))
+    assert _drive(p, memory, [[18.0, 2.5]], 20, (1.2, 2.7))[-1, 2] > 0.3
+
+
+def test_in_the_middle_of_blocked_tiles_it_finds_the_nearest_way_out() -> None:
+    p, memory = _parameters(), ground_memory(10, 40)
+    memory.tiles[:] = CLEAR
+    memory.tiles[2:8, 2:8] = BLOCK
+    track = _drive(p, memory, [[18.0, 2.5]], 600, (3.3, 2.6))
+    assert track[:, 0].min() > 3.2
+    assert track[-1, 0] == pytest.approx(18.0, abs=0.01)
+
+
+def test_it_goes_round_a_wall_from_goal_to_goal_and_stops_at_the_last() -> None:
+    p, memory = _parameters(), ground_memory(10, 40)
+    memory.tiles[:] = CLEAR
+    memory.tiles[0:8, 20] = BLOCK
+    goals = [[15.0, 1.0], [5.0, 1.0]]
+    track = _drive(p, memory, goals, 1600, (5.0, 1.0))
+    to_first = np.hypot(*(track[:, :2] - goals[0]).T)
+    assert to_first.min() < p.tolerance
+    assert np.hypot(*(track[-1, :2] - goals[1])) < 1e-3
+    inside = (track[:, 0] > 10.0) & (track[:, 0] < 10.5)
+    assert (track[inside, 1] > 4.0).all()
+
+
+def test_it_comes_to_rough_ground_as_slow_as_that_lets_it() -> None:
+    p, memory = _parameters(), ground_memory(10, 40)
+    memory.tiles[:] = CLEAR
+    memory.tiles[:, 20:24] = ROUGH
+    track = _drive(p, memory, [[18.0, 2.5]], 600, (1.0, 2.5))
+    speed = np.hypot(track[:, 2], track[:, 3])
+    rough = (track[:, 0] > 10.0) & (track[:, 0] < 12.0)
+    assert speed[rough].max() < 1.05 * p.share * p.v_max
+    assert speed.max() > 1.2
+    assert track[-1, 0] == pytest.approx(18.0, abs=1e-3)
+
+
+def test_without_goals_or_without_a_way_it_stands_still() -> None:
+    p, memory = _parameters(), ground_memory(10, 40)
+    memory.tiles[:] = CLEAR
+    assert not _drive(p, memory, np.zeros((0, 2)), 5, (1.0, 2.5)).T[2:].any()
+    memory.tiles[:, 20] = BLOCK
+    assert not _drive(p, memory, [[18.0, 2.5]], 5, (1.0, 2.5)).T[2:].any()
+
+
+def test_the_state_ahead_is_where_the_commands_under_way_lead() -> None:
+    p, memory = _parameters(), ground_memory(10, 40, delay=3)
+    memory.tiles[:] = CLEAR
+    goals, queue, here = np.array([[18.0, 2.5]]), [(0.0, 0.0)] * 3, Motion(1.0, 2.5, 0.0, 0.0)
+    foreseen: dict[int, Motion] = {}
+    for tick in range(60):
+        foreseen[tick + 3] = state_ahead(p, memory, tick, here)
+        queue.append(navigate_control(p, memory, goals, tick, *here))
+        assert foreseen.get(tick, here) == here
+        here = Motion(*step_vehicle(*here, *queue.pop(0), p.v_max, p.u_max, p.dt)[:4])
+    assert here.v_x > 0.5
