@@ -19,6 +19,7 @@ from agents.control.laws import (
 )
 from agents.control.orbit import Path, check_path
 from agents.control.promise import Promise
+from agents.control.telling import GroundTeller
 from agents.control.uav_tick import UavMemory, uav_perceive, uav_tick
 from agents.control.visibility import SafetyFilter, Verdict, flown_in, promise_of
 from agents.control.weighting import Weighting, check_weighting
@@ -168,6 +169,8 @@ class UavPilot:
         self._sent: deque[Vector] = deque(maxlen=promise.delay_ticks)  # that may be under way
         self.filter: SafetyFilter | None = self._make_filter()
         """The safety filter of the law `certified`."""
+        self.teller = GroundTeller(briefing)
+        """What it radios of the ground."""
         self._tick: int | None = None
         self._radio_ticks = radio_ticks(briefing.dt)
         self._take_on()
@@ -241,6 +244,7 @@ class UavPilot:
             acceleration=(u_x, u_y),
             motions=motions,
             radio=self._radio(observation, estimate),
+            blocks=self.teller.blocks(observation.tick, estimate.position),
             report=_report(estimate, verdict),
         )
 
@@ -251,6 +255,7 @@ class UavPilot:
         self._perceive(*self._fixed, self._seen(observation, looks))
 
     def _estimate(self, observation: UavObservation, looks: tuple[Look, ...]) -> Estimate | None:
+        self.teller.note(observation.ground)
         return self.estimator.update(
             tick=observation.tick, own_position=observation.position, looks=looks
         )

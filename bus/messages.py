@@ -221,6 +221,60 @@ class MotionPlan(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fi
     """Accelerations while it turns and brakes [m/s²]."""
 
 
+TILE_LETTERS = "?.~#*"
+"""What messages call the states of a tile of ground: not seen, clear, rough, blocked, and clear with a find on it."""
+BLOCK_SIDE = 8
+"""Tiles along each side of a `GroundBlock`."""
+MOST_BLOCKS = 4
+"""Blocks that one command carries at most."""
+
+Place = Annotated[int, Meta(ge=0, le=1_000_000)]
+
+
+class SeenTile(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """What a vehicle's own sensor says of a tile of the ground; in JSON an array of these fields, in this order."""
+
+    column: Place
+    row: Place
+    """The tile from x = column * tile and y = row * tile [m] on."""
+    state: Annotated[str, Meta(pattern=r"^[.~#*]$(?!\n)")]
+    """One of `TILE_LETTERS`."""
+
+
+class GroundBlock(Message, frozen=True, kw_only=True):
+    """What a UAV radios to its UGV of the ground: the states of a block of tiles, as its own sensor has told them."""
+
+    column: Place
+    row: Place
+    """Of the block: that of its first tile divided by `BLOCK_SIDE`."""
+    tiles: Annotated[str, Meta(pattern=r"^[?.~#*]{64}$(?!\n)")]
+    """The state of each tile, of `TILE_LETTERS`, row by row from the least y on; beyond the area they are not seen."""
+
+
+class UavGround(Message, frozen=True, kw_only=True):
+    """What a UAV is told of its sensor of hazards."""
+
+    tile: Positive
+    """Width of a tile [m]."""
+    telling: NonNegative
+    """Blocks that it radios to its UGV in a second [1/s]."""
+
+
+class UgvGround(Message, frozen=True, kw_only=True):
+    """What a UGV is told of how it sees the ground."""
+
+    tile: Positive
+    """Width of a tile [m]."""
+    bumper: NonNegative
+    """Range of its own sensor [m]: it sees each tile that has a point so near."""
+    caution: Name
+    """How it drives on ground that it does not know: one of `bus.registry.CAUTIONS`."""
+    delay: NonNegative = 0.0
+    """From the tick that a command answers to the one in which it acts [s]."""
+    share: Annotated[float, Meta(gt=0.0, le=1.0)]
+    """Of its largest speed that it has at least on rough ground."""
+
+
 class DeclaredBounds(Message, frozen=True, kw_only=True):
     """The bounds by which a UAV certifies that it keeps sight (docs/explanation/certificate.md)."""
 
@@ -277,6 +331,8 @@ class UavBriefing(Message, frozen=True, kw_only=True):
     detector: Detector
     estimator: Estimator
     certificate: DeclaredBounds = DeclaredBounds(error=None, age=1.0)
+    ground: UavGround | None = None
+    """None: there are no hazards, and nothing is told of the ground."""
     key: PilotKey
     """Of the pilot's own random numbers.
 
@@ -316,6 +372,8 @@ class UgvBriefing(Message, frozen=True, kw_only=True):
     """The steps of the driver `script`, in the order of time."""
     hold: NonNegative = 0.5
     """How long an operator's last word counts [s]; then the driver `teleop` brakes."""
+    ground: UgvGround | None = None
+    """None: there are no hazards, and nothing is told of the ground."""
     key: PilotKey
     past: "tuple[UgvObservation, ...]" = ()
     more: bool = False
@@ -356,6 +414,8 @@ class UavObservation(Message, frozen=True, kw_only=True):
     detections: tuple[Detection, ...] = ()
     flown: Tick | None = None
     """The motion that the vehicle flew in the tick before: that in which it began; None: it flew none."""
+    ground: tuple[SeenTile, ...] = ()
+    """Tiles that its sensor has told of since the tick before: each once, when it has been looked at enough."""
     law: Law | None = None
     """The law to fly from this tick on; None: the one before."""
     over: bool = False
@@ -383,6 +443,10 @@ class UgvObservation(Message, frozen=True, kw_only=True):
     position: Vector
     velocity: Vector
     radio: tuple[RelativeInformation, ...] = ()
+    blocks: tuple[GroundBlock, ...] = ()
+    """What has come by radio of the ground that the UAV has seen."""
+    ground: tuple[SeenTile, ...] = ()
+    """Tiles that its own bumper has seen since the tick before."""
     operator: tuple[Drive, ...] = ()
     """The operators' messages that have come to the vehicle at this tick, the oldest first."""
     driver: Name | None = None
@@ -422,6 +486,9 @@ class UavCommand(Message, frozen=True, kw_only=True):
     have missed, one a tick, the oldest first; none: it holds the acceleration, and brakes when no command comes.
     """
     radio: tuple[RelativeInformation, ...] = ()
+    blocks: Annotated[tuple[GroundBlock, ...], Meta(max_length=MOST_BLOCKS)] = ()
+    """What it radios of the ground that it has seen. A block that says anything else of a tile than its sensor has said
+    is not sent."""
     report: UavReport | None = None
 
 

@@ -214,6 +214,7 @@ DRIVERS = _table(
         make="agents.drivers.compiled:NavigateDriver",
         code=4,
         wants="goals",
+        listens=True,
     ),
     DriverRow(
         name=TELEOP,
@@ -270,7 +271,8 @@ HAZARDS = _table(
 """The kinds of hazards by name."""
 TOUCHES = ("stuck", "damage")
 """What touching a blocking hazard does to a vehicle: it stays there, or it drives on and the touch is counted."""
-CAUTIONS = ("cautious", "bold")
+BOLD = "bold"
+CAUTIONS = ("cautious", BOLD)
 """How a UGV drives on ground that nobody has seen: only as fast as it can stop before it, or on."""
 
 

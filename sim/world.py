@@ -6,9 +6,12 @@ Arrays have an axis for vehicles, in name order. One seed, one secret and the sa
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from bus.messages import MotionPlan
+import numpy as np
+
+from bus.messages import BLOCK_SIDE, TILE_LETTERS, GroundBlock, MotionPlan, SeenTile
 from sim.engine.batch import Batch
 from sim.engine.links import Links
+from sim.engine.mission import Mission, hear_block, mission_of
 from sim.engine.world_state import (
     ANSWERED,
     CARRIED,
@@ -159,6 +162,44 @@ class World:
             sent[k, LAST], sent[k, CARRIED] = motions[-1].begins if motions else -1, len(motions)
             for motion in motions:
                 keep_motion(self._motions[k], motion_row(motion)[0], self._tick)
+
+    def seen_ground(self, k: int) -> tuple[SeenTile, ...]:
+        """The tiles of which a vehicle's own sensor has told since the tick before."""
+        ground = self._batch.state.ground
+        if not ground.told.size:
+            return ()
+        columns = ground.tiles.shape[2]
+        places = ground.seen[0, k, : ground.told.item(0, k)].tolist()
+        states = (ground.known.item(0, k, *divmod(place, columns)) for place in places)
+        return tuple(
+            SeenTile(place % columns, place // columns, TILE_LETTERS[state])
+            for place, state in zip(places, states, strict=True)
+        )
+
+    def hear_block(self, k: int, block: GroundBlock) -> None:
+        """A UGV is told of a block of tiles by radio: for measuring how long before it knew of what was on its way."""
+        tables, state = self.arrays
+        n = int(np.flatnonzero(tables.ground.ugvs == k)[0])
+        states = np.array([TILE_LETTERS.index(letter) for letter in block.tiles], dtype=np.uint8)
+        told = tables.ground, state.ground, state.mission, 0, n, self._tick
+        hear_block(*told, (block.row, block.column), states)
+
+    @property
+    def mission(self) -> Mission | None:
+        """How the UGVs have got through so far; None where there are no hazards."""
+        tables, state = self.arrays
+        if not len(tables.ground.parameters):
+            return None
+        return mission_of(tables.mission, state.ground, state.mission, 0, self.parameters.dt)
+
+    def known_block(self, k: int, row: int, column: int) -> list[int]:
+        """What a vehicle's own sensor has told of a block of tiles, row by row; UNSEEN beyond the area."""
+        known = self._batch.state.ground.known[0, k]
+        side, block = BLOCK_SIDE, np.zeros((BLOCK_SIDE, BLOCK_SIDE), known.dtype)
+        cut = known[row * side : (row + 1) * side, column * side : (column + 1) * side]
+        block[: cut.shape[0], : cut.shape[1]] = cut
+        states: list[int] = block.ravel().tolist()
+        return states
 
     def flown(self, k: int) -> int | None:
         """The motion that a vehicle flies, by the tick in which it began; None: none."""

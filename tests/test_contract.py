@@ -33,6 +33,7 @@ def test_the_uav_is_told_these_fields_and_no_others() -> None:
         area width height cell sensor model peak range desired_coverage covered lower upper
         detector noise cut period estimator enabled gate patience manoeuvre
         certificate error age delay margin hold outage tracking
+        ground tile telling column row state
         vehicle dt visibility_radius law key past more"""
     assert told(TO_UAV) == {*words(known), *fields_within(messages.Law)}
 
@@ -41,6 +42,7 @@ def test_the_ugv_is_told_these_fields_and_no_others() -> None:
     known = """
         tick time position velocity radio relative_position coverage_error over episode
         operator driver goal goals goal_tolerance script hold key past more
+        ground tile bumper caution delay share column row state blocks tiles
         vehicle dt area width height cell limits max_speed max_acceleration"""
     assert told(TO_UGV) == {*words(known)}
 
@@ -76,6 +78,8 @@ def test_what_a_uav_can_radio_has_no_velocity_and_no_input() -> None:
     radio = get_type_hints(messages.UavCommand)["radio"]
     assert fields_within(radio) == {"time", "relative_position", "coverage_error"}
     assert "radio" not in messages.UgvCommand.__struct_fields__
+    blocks = get_type_hints(messages.UavCommand)["blocks"]
+    assert fields_within(blocks) == {"column", "row", "tiles"}
 
 
 def test_an_observation_smuggled_with_another_vehicles_velocity_is_refused() -> None:
@@ -103,6 +107,7 @@ def test_the_pilots_key_does_not_tell_the_runs_seed() -> None:
 ON_BOARD = {
     "sim.models.vehicles",
     "sim.models.field",
+    "sim.models.ground",
     "sim.models.motion",
     "sim.models.randomness",
     "sim.kernels.compile",

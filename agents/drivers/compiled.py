@@ -4,20 +4,19 @@ A driver that listens to a person or to a policy has no compiled form.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from agents.drivers.evade import EVADE_STATE, begin_evade, evade_lead, evade_ticks
-from agents.drivers.parameters import COMPILED_DRIVERS, NAVIGATE, DriverParameters, Route
+from agents.drivers.parameters import COMPILED_DRIVERS, DriverParameters, Route
 from agents.drivers.steering import Steering
-from agents.drivers.tile_map import GroundMemory, ground_memory
+from agents.drivers.tile_map import GroundMemory, ground_memory, note_block, note_tiles
 from agents.drivers.ugv_tick import UgvMemory, ugv_tick
 from agents.drivers.wander import GOAL, GOAL_CHOSEN, wander_pace
 from agents.drivers.waypoints import WAYPOINT_STATE
 from bus.errors import ScenarioError
-from bus.messages import UgvBriefing, UgvObservation
-from bus.registry import DRIVERS
+from bus.messages import TILE_LETTERS, UgvBriefing, UgvObservation
+from bus.registry import BOLD, DRIVERS
 from bus.ticks import NO_TICK, first_tick_from, tick_of
 from sim.kernels.compile import FloatArray, borrowing, entry_point
 from sim.kernels.records import RecordArray, records
@@ -27,31 +26,11 @@ from sim.models.randomness import words_of
 DRIVER_STATE = max(WAYPOINT_STATE, EVADE_STATE)
 """Size of the state of any of them; the wanderer's is part of the evader's."""
 
-MOST_TILES = 1_000_000
-"""More than that no UGV keeps."""
 _NO_RADIO = np.zeros((0, 3))
 _PLAN_PERIOD = 0.2
 """The driver that navigates keeps a plan for so long at least [s]."""
 _UNSEEN_PRICE, _BESIDE_PRICE = 1.5, 0.5
 """A metre on ground that nobody has seen costs so much, and one beside a blocked tile so much more."""
-
-
-class GroundRules(NamedTuple):
-    """What a UGV is told of the ground before it drives: how it is cut into tiles, and nothing of what lies there."""
-
-    tile: float = 0.5
-    """Side of a tile [m]."""
-    bold: bool = False
-    """Whether it trusts its bumper on ground that nobody has seen."""
-    share: float = 0.4
-    """Of its largest speed that it has at least on rough ground."""
-    delay: int = 0
-    """So many ticks after it was sent a command acts."""
-
-
-def ground_rules(briefing: UgvBriefing) -> GroundRules:
-    """What the briefing says of the ground."""
-    return GroundRules()
 
 
 def driver_parameters(briefing: UgvBriefing, driver: str) -> DriverParameters:
@@ -64,7 +43,7 @@ def driver_parameters(briefing: UgvBriefing, driver: str) -> DriverParameters:
         raise ScenarioError(
             f"driver = {driver!r}: has no compiled form; allowed: {', '.join(COMPILED_DRIVERS)}"
         )
-    wheel, limits, rules = Steering(briefing), briefing.limits, ground_rules(briefing)
+    wheel, limits, ground = Steering(briefing), briefing.limits, briefing.ground
     width, height = float(briefing.area.width), float(briefing.area.height)
     speed, margin = wander_pace(width, height, wheel.v_max, wheel.u_max, wheel.dt)
     unbounded = DRIVERS[driver].unbounded
@@ -86,10 +65,10 @@ def driver_parameters(briefing: UgvBriefing, driver: str) -> DriverParameters:
         dash=dash,
         key_0=key_0,
         key_1=key_1,
-        tile=rules.tile,
-        bold=int(rules.bold),
-        share=rules.share,
-        rough_price=1.0 / rules.share,  # so much longer it takes there
+        tile=0.0 if ground is None else ground.tile,
+        bold=int(ground is not None and ground.caution == BOLD),
+        share=1.0 if ground is None else ground.share,
+        rough_price=1.0 if ground is None else 1.0 / ground.share,  # so much longer it takes there
         unseen_price=_UNSEEN_PRICE,
         beside_price=_BESIDE_PRICE,
         plan_ticks=max(1, round(_PLAN_PERIOD / wheel.dt)),
@@ -113,22 +92,25 @@ def driver_state() -> FloatArray:
     return state
 
 
-def told_ground(briefing: UgvBriefing, driver: str) -> GroundMemory:
-    """The ground as a UGV knows it before it has been told any tile; a driver that does not navigate knows none.
-
-    Raises:
-        ScenarioError: If there are too many tiles.
-    """
-    if COMPILED_DRIVERS.get(driver) != NAVIGATE:
+def told_ground(briefing: UgvBriefing) -> GroundMemory:
+    """The ground as a UGV knows it before it has been told any tile; without tiles where there are no hazards."""
+    ground, area = briefing.ground, briefing.area
+    if ground is None:
         return ground_memory(0, 0)
-    rules = ground_rules(briefing)
-    shape = tiles_shape(float(briefing.area.width), float(briefing.area.height), rules.tile)
-    if shape[0] * shape[1] > MOST_TILES:
-        raise ScenarioError(
-            f"driver = {driver!r}: the area has {shape[0] * shape[1]:.3g} tiles of {rules.tile:g} m; "
-            f"at most {MOST_TILES:,}"
-        )
-    return ground_memory(*shape, rules.delay)
+    shape = tiles_shape(area.width, area.height, ground.tile)
+    return ground_memory(*shape, first_tick_from(ground.delay, briefing.dt))
+
+
+def take_ground(memory: GroundMemory, observation: UgvObservation) -> None:
+    """Take in what an observation tells of the ground."""
+    for block in observation.blocks:
+        states = [TILE_LETTERS.index(letter) for letter in block.tiles]
+        note_block(memory, block.row, block.column, np.array(states, dtype=np.uint8))
+    if observation.ground:
+        places = np.array([(one.row, one.column) for one in observation.ground], dtype=np.int64)
+        states = [TILE_LETTERS.index(one.state) for one in observation.ground]
+        rows, columns = np.ascontiguousarray(places.T)
+        note_tiles(memory, rows, columns, np.array(states, dtype=np.uint8))
 
 
 @borrowing
@@ -158,7 +140,7 @@ class CompiledDriver:
     def __init__(self, briefing: UgvBriefing) -> None:
         self.parameters = driver_parameters(briefing, self.name)
         """Its numbers."""
-        self.memory = UgvMemory(driver_state(), told_ground(briefing, self.name))
+        self.memory = UgvMemory(driver_state(), told_ground(briefing))
         """All that it remembers."""
         self._fixed = (
             records(DriverParameters, [self.parameters]),
@@ -170,6 +152,8 @@ class CompiledDriver:
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """The acceleration [m/s²] for this observation."""
         (p_x, p_y), (v_x, v_y), radio = observation.position, observation.velocity, _NO_RADIO
+        if observation.ground or observation.blocks:
+            take_ground(self.memory.ground, observation)
         if observation.radio:
             dt = self.parameters.dt
             told = [(tick_of(one.time, dt), *one.relative_position) for one in observation.radio]

@@ -7,12 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bus.messages import BLOCK_SIDE
 from sim.kernels.compile import FloatArray, IntArray, borrowing
 from sim.kernels.records import RecordArray, record_type
 from sim.models.ground import BLOCK, UNSEEN, TileArray
 
-BLOCK_SIDE = 8
-"""Rows and columns of tiles in a block, as the radio tells them."""
 _NEVER = -1
 
 

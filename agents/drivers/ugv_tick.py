@@ -54,7 +54,7 @@ def ugv_tick(
         v_x, v_y: Its velocity [m/s].
     """
     state = memory.driver
-    if p.driver == WAYPOINTS:
+    if p.driver == WAYPOINTS or (p.driver == NAVIGATE and memory.ground.tiles.size == 0):
         return waypoint_control(p, route.goals, state, p_x, p_y, v_x, v_y)
     if p.driver == WANDER:
         return wander_control(p, state, tick, p_x, p_y, v_x, v_y)

@@ -20,6 +20,7 @@ from agents.control.laws import (
     law_parameters,
 )
 from agents.control.promise import Promise
+from agents.control.telling import BLOCK_TILES, TellingMemory, telling_memory, telling_ticks
 from agents.control.underway import Underway
 from agents.control.visibility import promise_of
 from agents.drivers.compiled import driver_parameters, driver_state, told_ground, told_route
@@ -35,6 +36,7 @@ from bus.registry import DEFAULT_DRIVER, DRIVERS, LAWS
 from bus.ticks import ticks_within
 from outrider.envs.closed_loop_state import (
     GUARD_METRICS,
+    RADIO_SIZE,
     LoopParameters,
     LoopState,
     LoopTables,
@@ -155,10 +157,10 @@ class ClosedLoop:
             secret=secret,
             precision=precision,
         )
-        radio = self._radio = LinkArrays(scenario, (LinkKind.RADIO,), 3, worlds)
+        radio = self._radio = LinkArrays(scenario, (LinkKind.RADIO,), RADIO_SIZE, worlds)
         receiving = numbers.radio
         thinking = numbers.thinking | (estimate or gradient or receiving)
-        dt = scenario.dt
+        dt, ground, grounded = scenario.dt, scenario.ground, scenario.has_ground and receiving
         self.parameters = LoopParameters(
             error=error or weights.uncovered > 0.0,
             estimate=estimate,
@@ -166,6 +168,8 @@ class ClosedLoop:
             own_maps=len(self.uavs) > 1 or scenario.disturbed,
             radio=receiving,
             radio_ticks=radio_ticks(dt),
+            telling_ticks=telling_ticks(ground.telling, dt) if grounded else 0,
+            tile=float(ground.tile) if grounded else 0.0,
             meters_per_pixel=float(patch.meters_per_pixel) if patch else 1.0,
         )
         scripts, script_rows = joined(numbers.scripts, 3)
@@ -196,6 +200,7 @@ class ClosedLoop:
             promises=numbers.promises,
             scripts=scripts,
             script_rows=script_rows,
+            late=numbers.late,
             radio=radio.table,
             seen=disc_widths(scenario.sensor.range, scenario.area.cell),
             around=disc_widths(
@@ -209,6 +214,7 @@ class ClosedLoop:
         guards = _guards_of(guards, worlds, uavs)
         room = radio.room * uavs if receiving else 1
         coverage = self.batch.state.truth.coverage
+        told_room = max(BLOCK_TILES, self.batch.state.ground.seen.shape[2]) if grounded else 0
         pixels = patch.pixels if patch else 1
         self.state = LoopState(
             batch=self.batch.state,
@@ -230,12 +236,21 @@ class ClosedLoop:
             guards=guards,
             driver_states=_repeated((driver_state(),), worlds, ugvs)[0],
             grounds=GroundMemory._make(_repeated(numbers.ground, worlds, ugvs)),
-            outbox=np.full((worlds, uavs, 3), -1.0),
+            outbox=np.full((worlds, uavs, 2, RADIO_SIZE), -1.0),
             radio=radio.states,
-            inbox=np.zeros((worlds, radio.room if receiving else 1, 3)),
+            inbox=np.zeros((worlds, radio.room if receiving else 1, RADIO_SIZE)),
             inboxes=np.zeros((worlds, ugvs, room, 3)),
             arrived=np.zeros((worlds, ugvs), dtype=np.int64),
             patches=np.zeros((worlds, uavs if patch else 0, pixels, pixels)),
+            telling=TellingMemory._make(
+                _repeated(
+                    telling_memory(scenario.area.width, scenario.area.height, self.parameters.tile),
+                    worlds,
+                    uavs,
+                )
+            ),
+            places=np.zeros((worlds, 2, told_room), dtype=np.int64),
+            states=np.zeros((worlds, told_room), dtype=np.uint8),
         )
         if self.parameters.own_maps:
             self.state.maps[:] = coverage[0]
@@ -400,14 +415,14 @@ class _PilotNumbers:
         )
         routes = [told_route(one) for one in self.told_ugvs]
         self.scripts = [route.script for route in routes]
-        grounds = [
-            told_ground(one, name) for one, name in zip(self.told_ugvs, drivers, strict=True)
-        ]
-        self.ground = max(grounds, key=lambda ground: ground.tiles.size)  # all have one area
+        grounds = [told_ground(one) for one in self.told_ugvs]
+        self.late = np.array([len(memory.commands) for memory in grounds], dtype=np.int64)
+        self.ground = max(grounds, key=lambda memory: len(memory.commands))  # all have one area
         self.radio = any(
             DRIVERS[name].listens and one.vehicle not in external
             for name, one in zip(drivers, self.told_ugvs, strict=True)
         )
+        self.radio = self.radio or scenario.has_ground  # whoever drives is told of the ground
 
     @staticmethod
     def _law(told: UavBriefing, name: str | None, *, outside: bool) -> LawParameters:

@@ -3,6 +3,7 @@
 from typing import Any, NamedTuple
 
 from agents.control.guard import GuardState
+from agents.control.telling import BLOCK_WORDS, TellingMemory
 from agents.drivers.tile_map import GroundMemory
 from agents.estimation.twin import KalmanState
 from bus.layout import UavRow
@@ -11,9 +12,14 @@ from sim.engine.world_state import BatchState, BatchTables
 from sim.env.rows import UAV_METRICS, RowState, RowTables
 from sim.kernels.compile import FloatArray, IntArray
 from sim.kernels.records import RecordArray
+from sim.models.ground import TileArray
 
 GRADIENT_X, GRADIENT_Y = len(UavRow._fields), len(UavRow._fields) + 1
 """Columns of `RowState.uav_rows` after `UavRow`: those of `GradientCue`."""
+
+
+RADIO_SIZE = 2 + BLOCK_WORDS
+"""Numbers in a message by radio."""
 
 
 class GuardMetrics(NamedTuple):
@@ -57,6 +63,10 @@ class LoopParameters(NamedTuple):
     radio: bool
     """True if any UGV uses the radio."""
     radio_ticks: int
+    telling_ticks: int
+    """Every how many ticks a UAV radios a block of tiles; 0: never, there is no ground to tell of."""
+    tile: float
+    """Width of a tile [m]; 0 likewise."""
     meters_per_pixel: float
 
 
@@ -87,6 +97,8 @@ class LoopTables(NamedTuple):
     """`Promise` of each UAV. Shape (UAVs,)."""
     scripts: FloatArray
     script_rows: IntArray
+    late: IntArray
+    """For each UGV after how many ticks its commands act. Shape (UGVs,)."""
     radio: LinkNumbers
     """A row for each UAV."""
     seen: IntArray
@@ -118,17 +130,27 @@ class LoopState(NamedTuple):
     driver_states: FloatArray
     """Shape (worlds, UGVs, DRIVER_STATE)."""
     grounds: GroundMemory
-    """The ground as each UGV knows it, without tiles if none navigates. Shape (worlds, UGVs, ...)."""
+    """The ground as each UGV knows it; without tiles where there are no hazards. Shape (worlds, UGVs, ...)."""
     outbox: FloatArray
-    """The radio message that each UAV has just sent: the tick of it (-1: none), p_delta [m]. Shape (worlds, UAVs, 3).
+    """The radio messages that each UAV has just sent: of where it is, and of the ground.
+
+    The tick (-1: none), the block of tiles (-1: of none), and p_delta [m] or `block_words`.
+    Shape (worlds, UAVs, 2, RADIO_SIZE).
     """
     radio: LinkState
     inbox: FloatArray
-    """Room for the messages that arrive by one radio link: tick, p_delta [m]. Shape (worlds, room, 3)."""
+    """Room for the messages that arrive by one radio link. Shape (worlds, room, RADIO_SIZE)."""
     inboxes: FloatArray
-    """The radio messages that have reached each UGV at this tick: the tick, p_delta [m]. Shape (worlds, UGVs, room, 3).
+    """The radio messages of where it is that have reached each UGV at this tick: the tick, p_delta [m].
+
+    Shape (worlds, UGVs, room, 3).
     """
     arrived: IntArray
     """Their number. Shape (worlds, UGVs)."""
     patches: FloatArray
     """Pictures of the UAVs' own maps. Shape (worlds, UAVs or 0, pixels, pixels)."""
+    telling: TellingMemory
+    """Of each UAV. Shape (worlds, UAVs, ...)."""
+    places: IntArray
+    states: TileArray
+    """Room for tiles that a UGV is told of: rows and columns, and states. Shapes (worlds, 2, room), (worlds, room)."""

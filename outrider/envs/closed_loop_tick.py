@@ -8,10 +8,18 @@ from agents.control.certificate import CERTIFIED as NOTHING_AGAINST
 from agents.control.certificate import INNER
 from agents.control.guard import GuardState, guard
 from agents.control.laws import OwnTerms
+from agents.control.telling import (
+    BLOCK_TILES,
+    block_words,
+    next_block,
+    note_tile,
+    telling_of,
+    word_state,
+)
 from agents.control.uav_tick import UavMemory, uav_perceive, uav_tick
 from agents.control.underway import Underway, hand_over
 from agents.drivers.parameters import Route
-from agents.drivers.tile_map import GroundMemory
+from agents.drivers.tile_map import GroundMemory, note_block, note_tiles
 from agents.drivers.ugv_tick import UgvMemory, ugv_tick
 from agents.estimation.twin import AGE, KalmanState, kalman_estimate, kalman_step
 from outrider.envs.closed_loop_state import (
@@ -25,6 +33,7 @@ from outrider.envs.closed_loop_state import (
 from sim.channel.link import advance as begin_tick
 from sim.channel.link import receive, send
 from sim.engine.link_arrays import link_of
+from sim.engine.mission import hear_block
 from sim.engine.world_state import ANSWERED, CARRIED, LAST, U_X, U_Y, Told
 from sim.engine.world_tick import begin_world, measure, truth_of, world_tick
 from sim.env.patch import sample
@@ -36,7 +45,10 @@ from sim.models.motion import waited
 from sim.models.randomness import key_of
 from sim.models.vehicles import Motion
 
-_SAID, _SENT_X, _SENT_Y = range(3)
+_SAID, _BLOCK, _SENT = range(3)
+"""Columns of a message by radio: the tick, the block of tiles (-1: of none), and where its content begins."""
+_RELATIVE, _GROUND = range(2)
+"""Rows of `LoopState.outbox`."""
 
 
 @inlined
@@ -53,16 +65,17 @@ def _kalman_of(s: KalmanState, k: int, u: int) -> KalmanState:
 
 
 @inlined
-def _ground_of(s: GroundMemory, k: int, g: int) -> GroundMemory:
+def _ground_of(t: LoopTables, s: LoopState, k: int, g: int) -> GroundMemory:
+    m = s.grounds
     return GroundMemory(
-        s.tiles[k, g],
-        s.sure[k, g],
-        s.price[k, g],
-        s.cost[k, g],
-        s.heap[k, g],
-        s.place[k, g],
-        s.commands[k, g],
-        s.flags[k, g],
+        m.tiles[k, g],
+        m.sure[k, g],
+        m.price[k, g],
+        m.cost[k, g],
+        m.heap[k, g],
+        m.place[k, g],
+        m.commands[k, g, : t.late[g]],
+        m.flags[k, g],
     )
 
 
@@ -131,13 +144,32 @@ def _fly(
             t.promises[u], memory.guard.underway, tick, s.batch.motions[k, v]
         )
     if p.radio:
-        known, g_x, g_y = target
-        says = known and tick % p.radio_ticks == 0
-        s.outbox[k, u, _SAID] = tick if says else -1.0
-        s.outbox[k, u, _SENT_X], s.outbox[k, u, _SENT_Y] = (
-            here.p_x - g_x,
-            here.p_y - g_y,
-        )
+        _speak(p, s, k, u, tick, here, target)
+
+
+@inlined
+def _speak(
+    p: LoopParameters,
+    s: LoopState,
+    k: int,
+    u: int,
+    tick: int,
+    here: Motion,
+    target: tuple[bool, float, float],
+) -> None:
+    """What UAV u radios at this tick."""
+    (known, g_x, g_y), out = target, s.outbox[k, u]
+    out[_RELATIVE, _SAID] = tick if known and tick % p.radio_ticks == 0 else -1.0
+    out[_RELATIVE, _BLOCK] = -1.0
+    out[_RELATIVE, _SENT], out[_RELATIVE, _SENT + 1] = here.p_x - g_x, here.p_y - g_y
+    out[_GROUND, _SAID] = -1.0
+    if p.telling_ticks > 0 and known and tick % p.telling_ticks == 0:
+        memory = telling_of(s.telling, k, u)
+        row, column = next_block(memory, p.tile, tick, g_x, g_y)
+        if row >= 0:
+            out[_GROUND, _SAID] = tick
+            out[_GROUND, _BLOCK] = row * memory.news.shape[1] + column
+            block_words(memory.tiles, row, column, out[_GROUND, _SENT:])
 
 
 @inlined
@@ -158,7 +190,7 @@ def _drive(
     sent[U_X], sent[U_Y] = ugv_tick(
         s.drivers[k, g],
         route,
-        UgvMemory(s.driver_states[k, g], _ground_of(s.grounds, k, g)),
+        UgvMemory(s.driver_states[k, g], _ground_of(t, s, k, g)),
         s.inboxes[k, g],
         s.arrived[k, g],
         tick,
@@ -167,6 +199,31 @@ def _drive(
         here.v_x,
         here.v_y,
     )
+
+
+@inlined
+def _hear_block(t: LoopTables, s: LoopState, k: int, g: int, message: FloatArray) -> None:
+    """UGV g is told of a block of tiles by radio."""
+    block, across, words = int(message[_BLOCK]), s.telling.news.shape[3], message[_SENT:]
+    row, column, states = block // across, block % across, s.states[k, :BLOCK_TILES]
+    for place in range(BLOCK_TILES):
+        states[place] = word_state(words, place)
+    note_block(_ground_of(t, s, k, g), row, column, states)
+    b, tick = s.batch, s.batch.ticks[k]
+    hear_block(t.batch.ground, b.ground, b.mission, k, g, tick, (row, column), states)
+
+
+@inlined
+def _feel_ground(t: LoopTables, s: LoopState, k: int, g: int) -> None:
+    """UGV g takes in the tiles that its bumper tells of."""
+    v, ground = t.rows.ugvs[g], s.batch.ground
+    columns, count = ground.tiles.shape[2], ground.told[k, v]
+    rows, across, states = s.places[k, 0, :count], s.places[k, 1, :count], s.states[k, :count]
+    for n in range(count):
+        rows[n], across[n] = ground.seen[k, v, n] // columns, ground.seen[k, v, n] % columns
+        states[n] = ground.known[k, v, rows[n], across[n]]
+    if count > 0:
+        note_tiles(_ground_of(t, s, k, g), rows, across, states)
 
 
 @inlined
@@ -179,12 +236,16 @@ def _radio(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
         come, link = s.inboxes[k, g], link_of(s.radio, k, u)
         key = key_of(s.batch.keys[k], t.radio.owners[u, 0], t.radio.owners[u, 1])
         begin_tick(t.radio, u, link, key, tick)
-        if outbox[_SAID] >= 0.0:
-            send(t.radio, u, link, key, outbox)
-            outbox[_SAID] = -1.0
+        for row in range(outbox.shape[0]):
+            if outbox[row, _SAID] >= 0.0:
+                send(t.radio, u, link, key, outbox[row])
+                outbox[row, _SAID] = -1.0
         for i in range(receive(link, inbox)):
+            if inbox[i, _BLOCK] >= 0.0:
+                _hear_block(t, s, k, g, inbox[i])
+                continue
             n = arrived[g]
-            come[n, 0], come[n, 1], come[n, 2] = inbox[i, 0], inbox[i, 1], inbox[i, 2]
+            come[n, 0], come[n, 1], come[n, 2] = inbox[i, 0], inbox[i, 2], inbox[i, 3]
             arrived[g] = n + 1
 
 
@@ -196,6 +257,13 @@ def _perceive(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
     looked = 1 if p.own_maps and tick > 0 else 0  # else the world has done it
     for u in range(escorts.shape[0]):
         here = _motion_of(s.batch.told, k, escorts[u, 0])
+        if p.telling_ticks > 0:
+            v, ground = escorts[u, 0], s.batch.ground
+            columns = ground.tiles.shape[2]
+            for n in range(ground.told[k, v]):
+                row, column = ground.seen[k, v, n] // columns, ground.seen[k, v, n] % columns
+                state = ground.known[k, v, row, column]
+                note_tile(telling_of(s.telling, k, u), column, row, state)
         uav_perceive(
             s.laws[k, u],
             t.promises[u],
@@ -212,6 +280,9 @@ def _perceive(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
             kalman_step(t.kalman[u], kalman, tick, here.p_x, here.p_y, looks[u], arrived[u])
     if p.radio:
         _radio(p, t, s, k)
+    if s.grounds.tiles.shape[2] > 0:
+        for g in range(t.rows.ugvs.shape[0]):
+            _feel_ground(t, s, k, g)
 
 
 @inlined

@@ -9,11 +9,18 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.control.orbit import Path as VirtualPath
+from agents.control.telling import GroundTeller
 from agents.control.weighting import Weighting
 from agents.estimation.estimator import RelativeEstimator
 from agents.uav import UavPilot, radio_ticks
 from bus.layout import uav_observation, ugv_observation
-from bus.messages import LinkKind, RelativeInformation, UavBriefing
+from bus.messages import (
+    GroundBlock,
+    LinkKind,
+    RelativeInformation,
+    UavBriefing,
+    UgvObservation,
+)
 from bus.registry import DRIVERS
 from bus.ticks import looks_of
 from outrider.running.flying import Pilot, make_pilots
@@ -44,21 +51,27 @@ class _Radio:
         }
         self._escorts = {uav.name: uav.escorts for uav in env.scenario.uav}
         self._links = env.world.links.of(LinkKind.RADIO)
-        self._said: dict[str, RelativeInformation] = {}
-        self._arrived: dict[str, tuple[RelativeInformation, ...]] = {}
+        self._tellers = {one.vehicle: GroundTeller(one) for one in told}
+        self._said: dict[str, tuple[RelativeInformation | GroundBlock, ...]] = {}
+        self._arrived: dict[str, tuple[RelativeInformation | GroundBlock, ...]] = {}
 
-    def received(self, ugv: str) -> tuple[RelativeInformation, ...]:
-        """The messages that have reached a UGV at this tick."""
+    def heard_by(self, ugv: str, perceived: UgvObservation) -> UgvObservation:
+        """What a UGV perceives at this tick, with the messages that have reached it."""
         while self._tick < self._env.world.tick:
             self._go_on()
-        return self._arrived.get(ugv, ())
+        heard = self._arrived.get(ugv, ())
+        return msgspec.structs.replace(
+            perceived,
+            radio=tuple(one for one in heard if isinstance(one, RelativeInformation)),
+            blocks=tuple(one for one in heard if isinstance(one, GroundBlock)),
+        )
 
     def _go_on(self) -> None:
         self._tick += 1
         self._arrived = {}
         for uav, link in self._links.items():
-            if uav in self._said:
-                link.send(self._tick, self._said.pop(uav), self._tick - 1)
+            for message in self._said.pop(uav, ()):
+                link.send(self._tick, message, self._tick - 1)
             ugv = self._escorts[uav]
             self._arrived[ugv] = self._arrived.get(ugv, ()) + tuple(link.arrivals(self._tick))
         if self._tick == self._env.world.tick:
@@ -73,14 +86,19 @@ class _Radio:
             own_position=(p_x, p_y),
             looks=looks_of(self._env.received(uav), self._dt),
         )
-        if estimate is None or self._tick % radio_ticks(self._dt):
+        self._tellers[uav].note(self._env.ground(uav))
+        if estimate is None:
             return
-        (g_x, g_y), no_error = estimate.position, 0.0  # drivers make nothing of the error
-        self._said[uav] = RelativeInformation(
-            time=self._tick * self._dt,
-            relative_position=(p_x - g_x, p_y - g_y),
-            coverage_error=no_error,
-        )
+        if self._tick % radio_ticks(self._dt) == 0:
+            (g_x, g_y), no_error = estimate.position, 0.0  # drivers make nothing of the error
+            relative = RelativeInformation(
+                time=self._tick * self._dt,
+                relative_position=(p_x - g_x, p_y - g_y),
+                coverage_error=no_error,
+            )
+            self._said[uav] = (relative,)
+        blocks = self._tellers[uav].blocks(self._tick, estimate.position)
+        self._said[uav] = (*self._said.get(uav, ()), *blocks)
 
 
 class _EnvPilots:
@@ -117,12 +135,14 @@ class _EnvPilots:
             seen = uav_observation(row, dt=dt)
             if self._env.degraded:  # several may have come at once, and the row has room for one
                 seen = msgspec.structs.replace(seen, detections=self._env.received(name))
-            command = pilot.act(msgspec.structs.replace(seen, flown=self._env.flown(name)))
+            ground, flown = self._env.ground(name), self._env.flown(name)
+            command = pilot.act(msgspec.structs.replace(seen, ground=ground, flown=flown))
             self._env.carry(name, command.motions)
             return np.array(command.acceleration)
         perceived = ugv_observation(row, dt=dt)
+        perceived = msgspec.structs.replace(perceived, ground=self._env.ground(name))
         if self._radio is not None:
-            perceived = msgspec.structs.replace(perceived, radio=self._radio.received(name))
+            perceived = self._radio.heard_by(name, perceived)
         return np.array(pilot.act(perceived).acceleration)
 
 

@@ -14,7 +14,9 @@ import numpy.typing as npt
 from bus.messages import LinkKind, LinkSettings, LinkStatus
 from sim.channel.link import in_ticks
 from sim.engine.briefing import declared
+from sim.engine.ground import ground_constants, ground_state
 from sim.engine.link_arrays import LinkArrays
+from sim.engine.mission import mission_constants, mission_state
 from sim.engine.run_keys import derive_keys
 from sim.engine.world_state import (
     ANSWERED,
@@ -42,8 +44,10 @@ from sim.engine.world_tick import begin_world, measure, truth_of, world_tick
 from sim.kernels.compile import FloatArray, IntArray, entry_point, released
 from sim.kernels.records import records
 from sim.kernels.threads import WorkerThreads
+from sim.models.hazard_fields import place_hazards, work_array
 from sim.models.motion import no_motions
-from sim.models.randomness import RUN_PURPOSES
+from sim.models.randomness import HAZARD_FIELDS, RUN_PURPOSES
+from sim.scenario.ground_tables import ground_tables
 from sim.scenario.risk import carries_motions
 from sim.scenario.types import Scenario
 
@@ -135,7 +139,10 @@ class Batch:
             links=self._links.table,
             receivers=receivers_of(scenario),
             disturbances=disturbances_of(scenario),
+            ground=ground_constants(scenario),
+            mission=mission_constants(scenario),
         )
+        ground = ground_state(scenario, worlds)
         truth = WorldState._make(np.repeat(array[None], worlds, axis=0) for array in first)
         room, rows = self._links.room, self._motion_rows()
         self.state = BatchState(
@@ -152,6 +159,8 @@ class Batch:
             answered=np.full((worlds, vehicles), -1, dtype=np.int64),
             inbox=np.zeros((worlds, room, MESSAGE_SIZE)),
             links=self._links.states,
+            ground=ground,
+            mission=mission_state(ground),
         )
         self._first_links = self.state.links
         self.fresh = Fresh(self.state)
@@ -197,7 +206,28 @@ class Batch:
         self.state.keys[which] = derive_keys(
             given.tolist(), len(self.scenario.vehicles), self._secret
         )
+        if self.scenario.hazard_field:
+            self._place_hazards(which)
         return which
+
+    def _place_hazards(self, worlds: IntArray) -> None:
+        """Draw the hazards of the scenario's fields; every seed has others."""
+        tables, area, ground = ground_tables(self.scenario), self.scenario.area, self.state.ground
+        work = work_array(*tables.tiles.shape)
+        for k in worlds.tolist():
+            first, second = self.state.keys[k, HAZARD_FIELDS, 0]  # as words, not Python's numbers
+            place_hazards(
+                tables.fields,
+                tables.stops,
+                tables.ways,
+                (area.width, area.height),
+                self.scenario.ground.tile,
+                (first, second),
+                ground.hazards[k],
+                len(self.scenario.hazard),
+                ground.tiles[k],
+                work,
+            )
 
     def step(self, commands: npt.NDArray[np.float64]) -> None:
         """All worlds advance by one tick.

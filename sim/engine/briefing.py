@@ -7,9 +7,13 @@ from bus.messages import (
     DeclaredBounds,
     Detector,
     Limits,
+    LinkKind,
     UavBriefing,
+    UavGround,
     UgvBriefing,
+    UgvGround,
 )
+from sim.channel.description import longest_delay
 from sim.engine.run_keys import derive_key
 from sim.models.inner_loop import tracking_error
 from sim.models.randomness import PILOT
@@ -94,6 +98,17 @@ def briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> Brie
             goal_tolerance=vehicle.goal_tolerance,
             script=vehicle.script,
             hold=scenario.hold,
+            ground=UgvGround(
+                tile=scenario.ground.tile,
+                bumper=scenario.ground.bumper,
+                caution=vehicle.caution,
+                share=scenario.rough_share,
+                delay=longest_delay(
+                    scenario.links.of(name, LinkKind.COMMANDS), scenario.links.traces
+                ),
+            )
+            if scenario.has_ground
+            else None,
             key=key,
         )
     return UavBriefing(
@@ -114,5 +129,8 @@ def briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> Brie
         ),
         estimator=scenario.estimator,
         certificate=declared(scenario, name),
+        ground=UavGround(tile=scenario.ground.tile, telling=scenario.ground.telling)
+        if scenario.has_ground
+        else None,
         key=key,
     )

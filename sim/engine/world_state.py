@@ -10,6 +10,8 @@ import numpy as np
 
 from bus.registry import SENSORS
 from sim.channel.link import LinkNumbers, LinkState
+from sim.engine.ground import GroundConstants, GroundState
+from sim.engine.mission import MissionConstants, MissionState
 from sim.kernels.compile import FloatArray, IntArray
 from sim.kernels.records import RecordArray, record_type, records
 from sim.models.field import cover, empty_coverage
@@ -219,6 +221,8 @@ class BatchTables(NamedTuple):
     """1 for each vehicle whose receiver flies the motions that its commands carry. Shape (vehicles,)."""
     disturbances: RecordArray
     """`DisturbanceRow` of each UAV. Shape (UAVs,); (0,) where nobody is disturbed."""
+    ground: GroundConstants
+    mission: MissionConstants
 
 
 class BatchState(NamedTuple):
@@ -257,3 +261,5 @@ class BatchState(NamedTuple):
     inbox: FloatArray
     """Room for what arrives by one link. Shape (worlds, room, MESSAGE_SIZE)."""
     links: LinkState
+    ground: GroundState
+    mission: MissionState

@@ -6,7 +6,9 @@ import numpy as np
 
 from sim.channel.link import advance as begin_tick
 from sim.channel.link import receive, send
+from sim.engine.ground import drive_on, keep_before, perceive_ground
 from sim.engine.link_arrays import link_of
+from sim.engine.mission import note_mission
 from sim.engine.world_state import (
     ANSWERED,
     CARRIED,
@@ -46,8 +48,12 @@ def _move(
     acceleration: FloatArray,
     bounds: FloatArray,
     commands: FloatArray,
+    pace: FloatArray,
 ) -> None:
     for k in range(position.shape[0]):
+        speed = bounds[k, 0]
+        if pace.shape[0] > 0 and pace[k] < 1.0:
+            speed = speed * pace[k] if pace[k] > 0.0 else 0.0  # which may be infinite
         p_x, p_y, v_x, v_y, u_x, u_y = step_vehicle(
             position[k, 0],
             position[k, 1],
@@ -55,7 +61,7 @@ def _move(
             velocity[k, 1],
             commands[k, 0],
             commands[k, 1],
-            bounds[k, 0],
+            speed,
             bounds[k, 1],
             w.dt,
         )
@@ -270,16 +276,25 @@ def move(t: BatchTables, s: BatchState, k: int) -> None:
     Commands lead to where the vehicles are told that they are; a UAV that wind or a wrong own position takes from there
     is truly elsewhere.
     """
-    w = t.world[0]
+    w, grounded = t.world[0], t.ground.parameters.shape[0] > 0
     s.ticks[k] += 1
     truth, there, moving = truth_of(s.truth, k), s.told.position[k], s.told.velocity[k]
-    _move(w, there, moving, truth.acceleration, t.bounds, truth.commands)
+    if grounded:
+        keep_before(t.ground, s.ground, k, there)
+    _move(w, there, moving, truth.acceleration, t.bounds, truth.commands, s.ground.pace[k])
+    if grounded:
+        drive_on(t.ground, s.ground, k, there, moving)
     if t.disturbances.shape[0] > 0:
         for u in range(t.disturbances.shape[0]):
             row = t.disturbances[u]
             step_error(row.position_gain, row.velocity_gain, row.reserve, s.tracking[k], u, w.dt)
         put_off(truth.position, truth.velocity, there, moving, t.escorts, s.tracking[k])
     _see(w, truth.position, t.escorts, truth.coverage, truth.gains)
+    if grounded:
+        perceive_ground(
+            t.world, t.ground, s.ground, k, s.ticks[k], truth.position, t.escorts, s.keys[k]
+        )
+        note_mission(t.mission, t.ground, s.ground, s.mission, k, s.ticks[k], truth.position)
     detect_all(w, s.keys[k], s.ticks[k], truth.position, t.escorts, truth.detections)
 
 
@@ -301,6 +316,11 @@ def deliver_detections(t: BatchTables, s: BatchState, k: int) -> None:
 @inlined
 def begin_world(t: BatchTables, s: BatchState, k: int) -> None:
     """World k, whose arrays are as they are at the start but for its keys, has the first look."""
+    if t.ground.parameters.shape[0] > 0:
+        perceive_ground(
+            t.world, t.ground, s.ground, k, 0, s.truth.position[k], t.escorts, s.keys[k]
+        )
+        note_mission(t.mission, t.ground, s.ground, s.mission, k, 0, s.truth.position[k])
     detect_all(t.world[0], s.keys[k], 0, s.truth.position[k], t.escorts, s.truth.detections[k])
     deliver_detections(t, s, k)
 

@@ -16,7 +16,7 @@ from gymnasium.error import ResetNeeded
 from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
 from bus.layout import state_names
-from bus.messages import Briefing, Detection, MotionPlan
+from bus.messages import Briefing, Detection, MotionPlan, SeenTile
 from sim.engine.briefing import briefing
 from sim.engine.run_keys import check_secret
 from sim.env.actions import take_actions
@@ -314,6 +314,16 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         return tuple(
             Detection(time=look.tick * dt, relative_position=(look.x, look.y)) for look in looks
         )
+
+    def ground(self, agent: str) -> tuple[SeenTile, ...]:
+        """The tiles of which a vehicle's own sensor has told since the tick before, as it would be told on the bus.
+
+        Raises:
+            ValueError: If there is no such vehicle.
+        """
+        if agent not in self.world.names:
+            raise ValueError(f"agent = {agent!r}; allowed: {', '.join(self.world.names)}")
+        return self.world.seen_ground(self.world.names.index(agent))
 
     def flown(self, agent: str) -> int | None:
         """The motion that a UAV's receiver flew in the tick before, as it would be told on the bus; None: none.

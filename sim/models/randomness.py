@@ -30,8 +30,9 @@ OPERATOR_LINK = 5
 RADIO_LINK = 6
 DISTURBANCE = 7
 HAZARD_FIELDS = 8
-RUN_PURPOSES = 9
-"""How many there are."""
+GROUND_LOOK = 9
+RUN_PURPOSES = 10
+"""Their number."""
 
 # Purposes of draws that share a key: a pilot's, a link's, that of wind and own position, or that of the hazards. A
 # number, once given, stays.
@@ -45,6 +46,7 @@ LINK_TRACE = 22
 GUST = 23
 OWN_POSITION = 24
 HAZARD_PLACE = 25
+TILE_CHANCE = 26
 
 _MASK = np.uint64(0xFFFFFFFF)
 _HALF = np.uint64(32)

@@ -369,6 +369,13 @@ class Scenario(_Table, frozen=True, kw_only=True):
         return max(1, round(1.0 / (self.detections.rate * self.dt)))
 
     @property
+    def rough_share(self) -> float:
+        """Of its largest speed that a vehicle keeps at least on rough ground."""
+        rough: tuple[Hazard | HazardField, ...] = (*self.hazard, *self.hazard_field)
+        slow = (one.speed_share for one in rough if HAZARDS[one.kind].slows)
+        return min(slow, default=DEFAULT_SHARE)
+
+    @property
     def has_ground(self) -> bool:
         """True if there are hazards on the ground, or there may be."""
         return bool(self.hazard or self.hazard_field)

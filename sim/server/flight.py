@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.messages import (
+    TILE_LETTERS,
     Action,
     Change,
     Command,
@@ -23,11 +24,13 @@ from bus.messages import (
     Detection,
     Drive,
     EscortTruth,
+    GroundBlock,
     Law,
     LinkKind,
     LinkSettings,
     Observation,
     RelativeInformation,
+    SeenTile,
     Truth,
     UavCommand,
     UavObservation,
@@ -173,6 +176,12 @@ class Flight:
         ] = {}  # what each UGV hears at this tick
         self._operators = self.world.links.of(LinkKind.OPERATOR)
         self._radios = self.world.links.of(LinkKind.RADIO)
+        self._grounded = scenario.has_ground
+        self._ground: dict[str, dict[int, tuple[SeenTile, ...]]] = defaultdict(dict)
+        self._blocks: dict[str, dict[int, tuple[GroundBlock, ...]]] = defaultdict(dict)
+        """What each vehicle's sensor has told of the ground, and what has come by radio, by tick."""
+        self.refused_blocks: dict[str, int] = dict.fromkeys(self._uav_row, 0)
+        """Blocks of each UAV that said of the ground what its sensor has not told."""
         self._listened = -1
         self._arrived: dict[str, array[float]] = {name: array("d") for name in self.world.names}
         """Messages that have reached each vehicle. UAV: tick, tick of the look, p_delta; UGV: tick, time, p_delta,
@@ -277,15 +286,36 @@ class Flight:
         for name, k in self._uav_row.items():
             for look in self.world.received[k]:
                 self._arrived[name].extend((tick, *look))
+        if self._grounded:
+            self._perceive_ground(tick)
         self._radio = {}
         for uav in self.world.uavs:
-            messages = self._radios[uav.name].arrivals(tick)
+            arrived = self._radios[uav.name].arrivals(tick)
+            blocks = tuple(one for one in arrived if isinstance(one, GroundBlock))
+            if blocks:
+                heard = self._blocks[uav.escorts]
+                heard[tick] = (*heard.get(tick, ()), *blocks)
+                for block in blocks:
+                    self.world.hear_block(self._rows[uav.escorts], block)
+            messages = [one for one in arrived if isinstance(one, RelativeInformation)]
             if messages:
                 self._radio[uav.escorts] = (*self._radio.get(uav.escorts, ()), *messages)
                 for message in messages:
                     self._arrived[uav.escorts].extend(
                         (tick, message.time, *message.relative_position, message.coverage_error)
                     )
+
+    def _perceive_ground(self, tick: int) -> None:
+        for k, name in enumerate(self.world.names):
+            seen = self.world.seen_ground(k)
+            if seen:
+                self._ground[name][tick] = seen
+
+    def _is_told(self, k: int, block: GroundBlock) -> bool:
+        """True if a block says of each tile what the UAV's own sensor has told, or nothing."""
+        known = self.world.known_block(k, block.row, block.column)
+        said = zip(block.tiles, known, strict=True)
+        return all(letter in (TILE_LETTERS[0], TILE_LETTERS[state]) for letter, state in said)
 
     def _observation(
         self,
@@ -321,6 +351,7 @@ class Flight:
                 position=(x, y),
                 velocity=(v_x, v_y),
                 detections=looks if known else (),
+                ground=self._ground[name].get(tick, ()) if known else (),
                 flown=flown,
                 law=news.law,
                 over=over,
@@ -332,6 +363,8 @@ class Flight:
             position=(x, y),
             velocity=(v_x, v_y),
             radio=radio if known else (),
+            blocks=self._blocks[name].get(tick, ()) if known else (),
+            ground=self._ground[name].get(tick, ()) if known else (),
             operator=news.operator if known else (),
             driver=news.driver,
             over=over,
@@ -470,6 +503,11 @@ class Flight:
                         self._radios[name].send(
                             world.tick + 1, message, world.tick
                         )  # heard at the next tick at the earliest
+                    for block in command.blocks:
+                        if self._grounded and self._is_told(k, block):
+                            self._radios[name].send(world.tick + 1, block, world.tick)
+                        else:
+                            self.refused_blocks[name] += 1
         tick, received = world.tick, world.received
         world.advance()
         if watched:

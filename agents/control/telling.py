@@ -1,0 +1,174 @@
+"""What a UAV radios to its UGV of the ground: which block of tiles, and when. Beyond Klodt 2015.
+
+It tells of the blocks around where it believes the UGV to be: the nearest of those with news first, and each several
+times, as the radio loses messages; where there are no news it repeats what it told longest ago. It tells what its own
+sensor has told, and nothing of its own position, velocity or plan.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from bus.messages import BLOCK_SIDE, TILE_LETTERS, GroundBlock, SeenTile, UavBriefing
+from sim.kernels.compile import IntArray, borrowing, inlined
+from sim.models.ground import TileArray, tiles_shape
+
+_REPEATS = 3
+"""How often news are told before what is older is repeated."""
+_REACH = 12.0
+"""How far from the UGV a block may be that it is told of [m]."""
+_WORD_TILES = 16
+"""Tiles in a number of a message: three bits each, which a float holds exactly."""
+BLOCK_TILES = BLOCK_SIDE * BLOCK_SIDE
+BLOCK_WORDS = BLOCK_TILES // _WORD_TILES
+
+
+class TellingMemory(NamedTuple):
+    """What a UAV remembers of the ground and of what it has told; arrays that change in place."""
+
+    tiles: TileArray
+    """As its sensor has told them. Shape (rows, columns)."""
+    news: IntArray
+    """How often each block is still to be told as news. Shape (block rows, block columns)."""
+    told: IntArray
+    """The tick in which each was told last; -1: never. Likewise."""
+
+
+def telling_memory(width: float, height: float, tile: float) -> TellingMemory:
+    """Nothing is known yet.
+
+    Args:
+        width, height: Of the area [m].
+        tile: Width of a tile [m]; 0: there is no ground to tell of.
+    """
+    if tile == 0.0:
+        return TellingMemory(np.zeros((0, 0), np.uint8), *np.zeros((2, 0, 0), np.int64))
+    rows, columns = tiles_shape(width, height, tile)
+    blocks = (-(-rows // BLOCK_SIDE), -(-columns // BLOCK_SIDE))
+    return TellingMemory(
+        tiles=np.zeros((rows, columns), np.uint8),
+        news=np.zeros(blocks, np.int64),
+        told=np.full(blocks, -1, np.int64),
+    )
+
+
+@inlined
+def telling_of(memory: TellingMemory, k: int, u: int) -> TellingMemory:
+    """That of one UAV in one world: views, no copies."""
+    return TellingMemory(memory.tiles[k, u], memory.news[k, u], memory.told[k, u])
+
+
+@borrowing
+def note_tile(memory: TellingMemory, column: int, row: int, state: int) -> None:
+    """The UAV's own sensor tells of a tile."""
+    if row < memory.tiles.shape[0] and column < memory.tiles.shape[1]:
+        memory.tiles[row, column] = state
+        memory.news[row // BLOCK_SIDE, column // BLOCK_SIDE] = _REPEATS
+
+
+@borrowing
+def next_block(
+    memory: TellingMemory, tile: float, tick: int, g_x: float, g_y: float
+) -> tuple[int, int]:
+    """The block to tell of at this tick, row and column; -1, -1: there is nothing to tell. It then counts as told.
+
+    Args:
+        memory: Is changed.
+        tile: Width of a tile [m].
+        tick: Now.
+        g_x, g_y: Where the UGV is believed to be [m].
+    """
+    side, best_row, best_column = BLOCK_SIDE * tile, -1, -1
+    best_news, best = False, math.inf
+    for row in range(memory.news.shape[0]):
+        d_y = (row + 0.5) * side - g_y
+        for column in range(memory.news.shape[1]):
+            news, told = memory.news[row, column] > 0, memory.told[row, column]
+            if told < 0 and not news:
+                continue
+            d_x = (column + 0.5) * side - g_x
+            far = d_x * d_x + d_y * d_y
+            if far > _REACH * _REACH or (best_news and not news):
+                continue
+            value = far if news else float(told)
+            if value < best or (news and not best_news):
+                best_row, best_column, best_news, best = row, column, news, value
+    if best_row >= 0:
+        memory.told[best_row, best_column] = tick
+        memory.news[best_row, best_column] = max(0, memory.news[best_row, best_column] - 1)
+    return best_row, best_column
+
+
+@borrowing
+def block_words(tiles: TileArray, row: int, column: int, words: npt.NDArray[np.float64]) -> None:
+    """Write the states of a block of tiles as numbers, three bits a tile, the first lowest. Shape (BLOCK_WORDS,)."""
+    for n in range(BLOCK_WORDS):
+        word = 0
+        for i in range(_WORD_TILES):
+            place = n * _WORD_TILES + i
+            r, c = row * BLOCK_SIDE + place // BLOCK_SIDE, column * BLOCK_SIDE + place % BLOCK_SIDE
+            if r < tiles.shape[0] and c < tiles.shape[1]:
+                word |= int(tiles[r, c]) << (3 * i)
+        words[n] = word
+
+
+@borrowing
+def word_state(words: npt.NDArray[np.float64], place: int) -> int:
+    """The state of a tile of a block, from what `block_words` has written."""
+    return (int(words[place // _WORD_TILES]) >> (3 * (place % _WORD_TILES))) & 7
+
+
+def telling_ticks(telling: float, dt: float) -> int:
+    """Every how many ticks of this length [s] a block is told of, at so many a second [1/s]; 0: never."""
+    return max(1, round(1.0 / (telling * dt))) if telling > 0.0 else 0
+
+
+class GroundTeller:
+    """What a UAV's computer radios of the ground, whoever flies the UAV.
+
+    Args:
+        briefing: What the UAV is told when it joins.
+    """
+
+    def __init__(self, briefing: UavBriefing) -> None:
+        ground, area = briefing.ground, briefing.area
+        self._tile = ground.tile if ground is not None else 0.0
+        self.memory = telling_memory(area.width, area.height, self._tile)
+        """What it remembers."""
+        self._period = telling_ticks(ground.telling, briefing.dt) if ground is not None else 0
+
+    def note(self, tiles: Sequence[SeenTile]) -> None:
+        """Its own sensor has told of these tiles."""
+        for tile in tiles:
+            note_tile(self.memory, tile.column, tile.row, TILE_LETTERS.index(tile.state))
+
+    def blocks(self, tick: int, target: tuple[float, float] | None) -> tuple[GroundBlock, ...]:
+        """What it radios at this tick.
+
+        Args:
+            tick: Now.
+            target: Where it believes the UGV to be [m]; None: it does not know.
+        """
+        if not self._period or target is None or tick % self._period:
+            return ()
+        row, column = next_block(self.memory, self._tile, tick, *target)
+        if row < 0:
+            return ()
+        return (
+            GroundBlock(
+                column=column, row=row, tiles=block_letters(self.memory.tiles, row, column)
+            ),
+        )
+
+
+def block_letters(tiles: TileArray, row: int, column: int) -> str:
+    """The states of a block of tiles as a message tells them."""
+    block = np.zeros((BLOCK_SIDE, BLOCK_SIDE), np.uint8)
+    cut = tiles[
+        row * BLOCK_SIDE : (row + 1) * BLOCK_SIDE, column * BLOCK_SIDE : (column + 1) * BLOCK_SIDE
+    ]
+    block[: cut.shape[0], : cut.shape[1]] = cut
+    return "".join(TILE_LETTERS[state] for state in block.ravel().tolist())

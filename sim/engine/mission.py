@@ -1,0 +1,286 @@
+"""How the UGVs get through: goals, hazards on the way, and how long before each was known. For measuring alone.
+
+No vehicle is told of any of it. Without hazards all arrays are empty, and nothing is done.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from bus.messages import BLOCK_SIDE
+from sim.engine.ground import GroundConstants, GroundState
+from sim.kernels.compile import FloatArray, IntArray, borrowing
+from sim.kernels.records import RecordArray, record_type
+from sim.models.ground import BLOCK, CLEAR, FOUND, UNSEEN, distance_to_hazard, tile_index
+from sim.models.vehicles import next_goal, norm
+from sim.scenario.types import Scenario, Ugv
+
+ON_WAY = 2.0
+"""A hazard that a UGV comes nearer to than this is on its way [m]."""
+NEAR_MISS = 0.2
+"""One that blocks, and that it comes nearer to than this without touching it, is a near miss [m]."""
+_STILL = 0.01
+"""Slower than this share of its largest speed a UGV stands still."""
+
+TickArray = npt.NDArray[np.int32]
+"""Ticks, counted from 1; 0: never."""
+
+
+class MissionRecord(NamedTuple):
+    """The columns of a table: how one UGV does."""
+
+    way: float
+    """That it has driven [m]."""
+    seen_way: float
+    """Of it on tiles that had come by radio before [m]."""
+    still: int
+    """Ticks in which it stood still before it had arrived."""
+    reached: int
+    """Goals."""
+    arrived: int
+    """The tick at which it had reached the last of them; -1: not yet, or it has none."""
+
+
+class MissionConstants(NamedTuple):
+    """The constants of all worlds."""
+
+    goals: FloatArray
+    """Of all UGVs [m]. Shape (any, 2)."""
+    goal_rows: IntArray
+    """Where each UGV's begin. Shape (UGVs + 1,)."""
+    tolerances: FloatArray
+    """[m]. Shape (UGVs,)."""
+
+
+class MissionState(NamedTuple):
+    """How the UGVs do in each world. All arrays have an axis for worlds in front."""
+
+    ugvs: RecordArray
+    """`MissionRecord`. Shape (worlds, UGVs)."""
+    heard: TickArray
+    """When each UGV was told of each tile by radio first. Shape (worlds, UGVs, rows, columns)."""
+    warned: TickArray
+    """When it knew of each hazard first, by radio or by its bumper. Shape (worlds, UGVs, hazards)."""
+    met: TickArray
+    """When it was nearer than `ON_WAY` first. Shape (worlds, UGVs, hazards)."""
+    nearest: FloatArray
+    """How near it came [m]. Shape (worlds, UGVs, hazards)."""
+    found: TickArray
+    """When any vehicle's sensor told of each hazard first. Shape (worlds, hazards)."""
+
+
+def mission_constants(scenario: Scenario) -> MissionConstants:
+    """The goals of a scenario."""
+    ugvs = [one for one in scenario.vehicles if isinstance(one, Ugv)]
+    goals = [np.array(one.goals, dtype=np.float64).reshape(-1, 2) for one in ugvs]
+    return MissionConstants(
+        goals=np.concatenate([np.zeros((0, 2)), *goals]),
+        goal_rows=np.cumsum([0, *map(len, goals)]).astype(np.int64),
+        tolerances=np.array([one.goal_tolerance for one in ugvs]),
+    )
+
+
+def mission_state(ground: GroundState) -> MissionState:
+    """Nothing has happened yet on this ground."""
+    worlds, ugvs = ground.before.shape[:2]
+    count = ground.hazards.shape[1]
+    numbers = np.zeros((worlds, ugvs), dtype=record_type(MissionRecord))
+    numbers["arrived"] = -1
+    return MissionState(
+        ugvs=numbers,
+        heard=np.zeros((worlds, ugvs, *ground.tiles.shape[1:]), np.int32),
+        warned=np.zeros((worlds, ugvs, count), np.int32),
+        met=np.zeros((worlds, ugvs, count), np.int32),
+        nearest=np.full((worlds, ugvs, count), np.inf),
+        found=np.zeros((worlds, count), np.int32),
+    )
+
+
+@borrowing
+def _note(
+    t: GroundConstants, g: GroundState, k: int, row: int, column: int, ticks: TickArray, tick: int
+) -> None:
+    """Somebody is told that there is a hazard on a tile: note it for those that are."""
+    tile = t.parameters[0].tile
+    x, y, half = (column + 0.5) * tile, (row + 0.5) * tile, math.sqrt(0.5) * tile
+    for h in range(ticks.shape[0]):
+        if ticks[h] == 0 and g.hazards[k, h].kind > 0:
+            far = g.hazards[k, h].reach + half
+            d_x, d_y = x - g.hazards[k, h].x, y - g.hazards[k, h].y
+            if d_x * d_x + d_y * d_y > far * far:
+                continue
+            if distance_to_hazard(g.hazards[k], t.corners, h, x, y) <= half:
+                ticks[h] = tick + 1
+
+
+@borrowing
+def hear_block(
+    t: GroundConstants,
+    g: GroundState,
+    m: MissionState,
+    k: int,
+    n: int,
+    tick: int,
+    block: tuple[int, int],
+    states: npt.NDArray[np.uint8],
+) -> None:
+    """UGV n of world k is told of a block of tiles by radio.
+
+    Args:
+        t, g: The ground of all worlds.
+        m: Is changed.
+        k, n: Which.
+        tick: Now.
+        block: Row and column of the block.
+        states: Of its tiles, row by row. Shape (BLOCK_SIDE * BLOCK_SIDE,).
+    """
+    heard = m.heard[k, n]
+    for place in range(states.shape[0]):
+        state = states[place]
+        row = block[0] * BLOCK_SIDE + place // BLOCK_SIDE
+        column = block[1] * BLOCK_SIDE + place % BLOCK_SIDE
+        if state == UNSEEN or row >= heard.shape[0] or column >= heard.shape[1]:
+            continue
+        if heard[row, column] == 0:
+            heard[row, column] = tick + 1
+            if state != CLEAR:
+                _note(t, g, k, row, column, m.warned[k, n], tick)
+
+
+@borrowing
+def _note_sensors(t: GroundConstants, g: GroundState, m: MissionState, k: int, tick: int) -> None:
+    """Note the hazards of which the vehicles' own sensors have just told."""
+    columns = g.tiles.shape[2]
+    for v in range(g.told.shape[1]):
+        for i in range(g.told[k, v]):
+            row, column = g.seen[k, v, i] // columns, g.seen[k, v, i] % columns
+            if g.known[k, v, row, column] == CLEAR or g.tiles[k, row, column] == CLEAR:
+                continue  # missed, or a false alarm
+            _note(t, g, k, row, column, m.found[k], tick)
+            for n in range(t.ugvs.shape[0]):
+                if t.ugvs[n] == v:
+                    _note(t, g, k, row, column, m.warned[k, n], tick)
+
+
+@borrowing
+def _drive(
+    c: MissionConstants,
+    t: GroundConstants,
+    g: GroundState,
+    m: MissionState,
+    k: int,
+    n: int,
+    tick: int,
+    x: float,
+    y: float,
+) -> None:
+    """UGV n has come to (x, y) [m]."""
+    row, goals = m.ugvs[k, n], c.goals[c.goal_rows[n] : c.goal_rows[n + 1]]
+    if tick > 0:
+        way = norm(x - g.before[k, n, 0], y - g.before[k, n, 1])
+        tile, (rows, columns) = t.parameters[0].tile, g.tiles[k].shape
+        heard = m.heard[k, n, tile_index(y, tile, rows), tile_index(x, tile, columns)]
+        row.way += way
+        row.seen_way += way if 0 < heard <= tick else 0.0
+        if row.arrived < 0 and way < _STILL * t.strides[n]:
+            row.still += 1
+    if row.reached < goals.shape[0]:
+        row.reached, _ = next_goal(goals, row.reached, c.tolerances[n], x, y)
+        if row.reached == goals.shape[0]:
+            row.arrived = tick
+    for h in range(g.hazards.shape[1]):
+        if g.hazards[k, h].kind == 0 or g.hazards[k, h].kind == FOUND:
+            continue
+        far = g.hazards[k, h].reach + ON_WAY
+        d_x, d_y = x - g.hazards[k, h].x, y - g.hazards[k, h].y
+        if d_x * d_x + d_y * d_y > far * far:
+            continue
+        away = distance_to_hazard(g.hazards[k], t.corners, h, x, y)
+        m.nearest[k, n, h] = min(m.nearest[k, n, h], away)
+        if away <= ON_WAY and m.met[k, n, h] == 0:
+            m.met[k, n, h] = tick + 1
+
+
+@borrowing
+def note_mission(
+    c: MissionConstants,
+    t: GroundConstants,
+    g: GroundState,
+    m: MissionState,
+    k: int,
+    tick: int,
+    position: FloatArray,
+) -> None:
+    """Take in a tick of world k: what sensors have told of, and where the UGVs have come.
+
+    Args:
+        c, t, g: Of all worlds.
+        m: Is changed.
+        k: The world.
+        tick: Now.
+        position: Of its vehicles [m]. Shape (vehicles, 2).
+    """
+    _note_sensors(t, g, m, k, tick)
+    for n in range(t.ugvs.shape[0]):
+        v = t.ugvs[n]
+        _drive(c, t, g, m, k, n, tick, position[v, 0], position[v, 1])
+
+
+class Mission(NamedTuple):
+    """How the UGVs have got through, all together."""
+
+    arrived: bool
+    """True if every UGV that has goals has reached them all."""
+    mission_time: float | None
+    """When the last of them had [s]; None: not yet, or nobody has a goal."""
+    hazards_hit: int
+    """Blocking hazards that were touched, each once by each UGV."""
+    near_misses: int
+    """Blocking hazards that a UGV came nearer to than `NEAR_MISS` without touching them."""
+    hazards_on_way: int
+    """Hazards, blocking or rough, that a UGV came nearer to than `ON_WAY`."""
+    warned: int
+    """Those of them that it knew of before it came so near."""
+    warned_before: float | None
+    """How long before, in the mean of those [s]; None: there are none."""
+    seen_ahead: float | None
+    """Share of the way that led over tiles which had come by radio before; None: nobody has moved."""
+    still_time: float
+    """Time that the UGVs stood still before they had arrived [s]."""
+    finds: int
+    """Things to be found."""
+    found: int
+    """Those that a vehicle's sensor has told of."""
+
+
+def mission_of(c: MissionConstants, g: GroundState, m: MissionState, k: int, dt: float) -> Mission:
+    """The mission of world k so far.
+
+    Args:
+        c, g, m: Of all worlds.
+        k: Which.
+        dt: Length of a tick [s].
+    """
+    ugvs, kinds = m.ugvs[k], g.hazards["kind"][k]
+    met, warned, blocks = m.met[k] > 0, m.warned[k], kinds == BLOCK
+    before = met & (warned > 0) & (warned < m.met[k])
+    bound_for = np.diff(c.goal_rows) > 0
+    arrived = bool(bound_for.any() and (ugvs["arrived"][bound_for] >= 0).all())
+    way, ahead = float(ugvs["way"].sum()), (m.met[k] - warned)[before]
+    near = (m.nearest[k] < NEAR_MISS) & (g.hits[k] == 0) & blocks
+    finds = kinds == FOUND
+    return Mission(
+        arrived=arrived,
+        mission_time=float(ugvs["arrived"].max() * dt) if arrived else None,
+        hazards_hit=int(g.hits[k].sum()),
+        near_misses=int(near.sum()),
+        hazards_on_way=int(met.sum()),
+        warned=int(before.sum()),
+        warned_before=float(ahead.mean() * dt) if ahead.size else None,
+        seen_ahead=float(ugvs["seen_way"].sum()) / way if way > 0.0 else None,
+        still_time=float(ugvs["still"].sum() * dt),
+        finds=int(finds.sum()),
+        found=int((m.found[k][finds] > 0).sum()),
+    )

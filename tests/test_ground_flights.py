@@ -1,0 +1,48 @@
+"""Flights over ground with hazards: one trajectory wherever it is flown, and what the escort is worth."""
+
+import msgspec
+import numpy as np
+import pytest
+from flights import record, sha256
+from processes import run_json
+from worlds import LOSSY
+
+from outrider.envs.closed_loop import ClosedLoop
+from outrider.envs.env_pilots import pilots
+from outrider.running.flying import InProcess, make_pilots
+from sim.engine.mission import mission_of
+from sim.env.parallel import parallel_env
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import LinkTable
+from sim.server.flight import Flight
+
+RADIO = msgspec.structs.replace(LOSSY, delay=0.2)
+
+
+@pytest.mark.parametrize("name", ["minefield", "rubble", "rescue"])
+def test_a_flight_over_hazards_has_one_trajectory(name: str) -> None:
+    """In a run, in the environment, and in a batch of worlds that have other hazards each."""
+    scenario = msgspec.structs.replace(
+        load_scenario(name), duration=30.0, links=LinkTable(radio=RADIO)
+    )
+    flight = Flight(scenario, 4)
+    flight.fly(InProcess(make_pilots(scenario, 4)))
+    assert flight.world.position[1].tolist() != list(scenario.ugv[0].position)
+    env = parallel_env(scenario)
+    observations, _ = env.reset(seed=4)
+    states = record(env, pilots(env), observations)
+    assert sha256(states) == flight.recorder.sha256()
+    loop = ClosedLoop(scenario, 2, threads=1)
+    loop.begin([5, 4])
+    loop.fly()
+    batch, tables = loop.state.batch, loop.tables.batch
+    assert np.array_equal(batch.truth.position[1], flight.world.position)
+    assert not np.array_equal(batch.ground.tiles[0], batch.ground.tiles[1])
+    found = mission_of(tables.mission, batch.ground, batch.mission, 1, scenario.dt)
+    assert found == flight.world.mission
+
+
+def test_a_flight_over_hazards_has_one_trajectory_over_three_processes() -> None:
+    arguments = ["minefield", "--duration", "15", "--seed", "4", "--set", "links.radio.loss=0.3"]
+    over_the_bus, alone = run_json(*arguments), run_json(*arguments, "--in-process")
+    assert over_the_bus["trajectory_sha256"] == alone["trajectory_sha256"]

@@ -1,0 +1,247 @@
+"""What vehicles meet on the ground and what their sensors tell of it, against plain arithmetic."""
+
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from worlds import small
+
+from bus.messages import GroundBlock, SeenTile, UavCommand
+from outrider.running.flying import InProcess, make_pilots
+from sim.models.ground import BLOCK, CLEAR, ROUGH
+from sim.scenario.types import Ground, Hazard, Scenario, Ugv
+from sim.server.flight import Flight
+from sim.world import World
+
+DISC = Hazard(kind="block", center=(10.0, 6.0), radius=0.5)
+MUD = Hazard(kind="rough", polygon=((5.0, 5.0), (7.0, 5.0), (7.0, 7.0), (5.0, 7.0)), share=0.3)
+FLAG = Hazard(kind="find", center=(8.0, 8.0), radius=0.2)
+EAST = (0.1, 0.0)
+
+
+def on(*hazards: Hazard, at: tuple[float, float] = (8.0, 6.0), **ground: Any) -> Scenario:
+    """A UAV above a UGV on ground with these hazards."""
+    plain = small("tracking")
+    (uav,), (ugv,) = plain.uav, plain.ugv
+    return msgspec.structs.replace(
+        plain,
+        hazard=hazards,
+        ground=Ground(**ground),
+        uav=(msgspec.structs.replace(uav, position=at),),
+        ugv=(msgspec.structs.replace(ugv, position=at, goals=((12.0, 6.0),)),),
+    )
+
+
+def drive(world: World, ticks: int, ugv=EAST, uav=(0.02, 0.01)) -> list[list[tuple[SeenTile, ...]]]:
+    """The tiles that are told of at each tick, of UAV and UGV."""
+    seen = [[world.seen_ground(k) for k in (0, 1)]]
+    for _ in range(ticks):
+        world.send(0, world.tick, uav)
+        world.send(1, world.tick, ugv)
+        world.advance()
+        seen.append([world.seen_ground(k) for k in (0, 1)])
+    return seen
+
+
+def places(seen: tuple[SeenTile, ...]) -> set[tuple[int, int]]:
+    return {(tile.row, tile.column) for tile in seen}
+
+
+def test_a_uav_tells_of_a_tile_once_when_it_has_looked_at_its_centre_for_long_enough() -> None:
+    scenario = on(DISC, MUD)
+    world = World(scenario, 1)
+    tile, every, dt = scenario.ground.tile, 5, scenario.dt
+    rows, columns = world.arrays[1].ground.tiles.shape[1:]
+    y, x = (np.mgrid[0:rows, 0:columns] + 0.5) * tile
+    seen_for, told = np.zeros((rows, columns)), set[tuple[int, int]]()
+    for tick in range(1, 301):
+        (_, now), *_ = [drive(world, 1)]
+        now_told = places(now[0])
+        assert not told & now_told
+        told |= now_told
+        if tick % every:
+            assert not now_told
+            continue
+        (p_x, p_y), reach = world.position[0].tolist(), scenario.sensor.range
+        rho2 = (x - p_x) ** 2 + (y - p_y) ** 2
+        quality = np.where(rho2 <= reach**2, (rho2 - reach**2) ** 2 / reach**4, 0.0)  # (2)
+        seen_for += scenario.sensor.peak * quality * every * dt
+        sure = np.abs(seen_for - scenario.coverage.desired) > 1e-4  # single precision
+        expected = set(
+            zip(*map(list, np.nonzero(seen_for >= scenario.coverage.desired)), strict=True)
+        )
+        assert {p for p in told ^ expected if sure[p]} == set()
+    assert len(told) > 50
+
+
+def test_a_bumper_tells_of_the_tiles_that_have_a_point_within_its_range() -> None:
+    scenario = on(DISC, MUD, bumper=0.9, tile=0.4)
+    world, told, truth = World(scenario, 1), set[tuple[int, int]](), {}
+    tiles = world.arrays[1].ground.tiles[0]
+    for tick in range(200):
+        seen = world.seen_ground(1)
+        assert not told & places(seen)
+        told |= places(seen)
+        truth |= {(one.row, one.column): one.state for one in seen}
+        x, y = world.position[1]
+        for row in range(tiles.shape[0]):
+            for column in range(tiles.shape[1]):
+                d_x = max(0.4 * column - x, x - 0.4 * (column + 1), 0.0)
+                d_y = max(0.4 * row - y, y - 0.4 * (row + 1), 0.0)
+                if math.hypot(d_x, d_y) <= 0.9 - 1e-9:
+                    assert (row, column) in told, tick
+        drive(world, 1)
+    assert all(truth[place] == "?.~#*"[tiles[place]] for place in told)
+    assert {BLOCK, CLEAR} <= {int(tiles[place]) for place in told}
+
+
+@pytest.mark.parametrize(("chances", "wrong"), [({"miss": 1.0}, "."), ({"false_alarm": 1.0}, "#")])
+def test_misses_and_false_alarms_are_the_uavs_alone(chances: dict[str, float], wrong: str) -> None:
+    world = World(on(DISC, MUD, FLAG, **chances), 1)
+    tiles = world.arrays[1].ground.tiles[0]
+    seen = drive(world, 200)
+    of_uav = {(t.row, t.column): t.state for tick in seen for t in tick[0]}
+    for place, state in of_uav.items():
+        errs = (tiles[place] == CLEAR) == (wrong == "#")
+        assert state == (wrong if errs else "?.~#*"[tiles[place]])
+    assert set(of_uav.values()) == ({"."} if wrong == "." else {"#", "~", "*"})
+    of_ugv = {(t.row, t.column): t.state for tick in seen for t in tick[1]}
+    assert all(state == "?.~#*"[tiles[place]] for place, state in of_ugv.items())
+
+
+def test_half_of_the_hazards_are_missed_where_the_chance_is_a_half_and_not_the_same_with_each_seed() -> (
+    None
+):
+    field = Hazard(kind="rough", center=(8.0, 6.0), radius=4.0)
+    told = []
+    for seed in (1, 2):
+        seen = drive(World(on(field, miss=0.5), seed), 200)
+        told.append({(t.row, t.column): t.state for tick in seen for t in tick[0]})
+    assert told[0] != told[1]
+    count = sum(state == "~" for one in told for state in one.values())
+    assert 0.4 < count / sum(map(len, told)) < 0.6
+
+
+def test_a_ugv_that_touches_what_blocks_stays_at_its_edge() -> None:
+    world = World(on(DISC), 1)
+    drive(world, 600)
+    assert world.position[1].tolist() == pytest.approx([9.5, 6.0], abs=1e-9)
+    assert world.velocity[1].tolist() == [0.0, 0.0]
+    assert world.mission is not None
+    assert world.mission.hazards_hit == 1
+    assert not world.mission.arrived
+
+
+def test_with_damage_it_drives_on_and_each_hazard_counts_once() -> None:
+    world = World(on(DISC, touch="damage"), 1)
+    drive(world, 600)
+    assert world.position[1, 0] > 11.0
+    assert world.mission is not None
+    assert (world.mission.hazards_hit, world.mission.near_misses) == (1, 0)
+
+
+def test_no_fast_ugv_jumps_over_a_thin_wall() -> None:
+    wall = Hazard(kind="block", polygon=((9.0, 4.0), (9.001, 4.0), (9.001, 8.0), (9.0, 8.0)))
+    scenario = on(wall)
+    fast = msgspec.structs.replace(scenario.ugv[0], max_speed=9.0, max_acceleration=50.0)
+    world = World(msgspec.structs.replace(scenario, ugv=(fast,)), 1)
+    drive(world, 20, ugv=(50.0, 0.0))
+    assert world.position[1, 0] == pytest.approx(9.0, abs=1e-9)
+
+
+def test_on_rough_ground_a_ugv_keeps_a_share_of_its_speed_and_has_all_of_it_after() -> None:
+    world, speeds = World(on(MUD, at=(4.0, 6.0)), 1), list[tuple[float, float]]()
+    for _ in range(1300):
+        drive(world, 1)
+        speeds.append((float(world.position[1, 0]), float(np.hypot(*world.velocity[1]))))
+    limit = world.scenario.ugv[0].max_speed
+    within = [v for x, v in speeds if 5.05 < x < 7.0]
+    after = [v for x, v in speeds if x > 7.5]
+    assert max(within) == pytest.approx(0.3 * limit)
+    assert max(after) == pytest.approx(limit)
+
+
+def test_what_a_vehicle_perceives_depends_on_nothing_that_it_has_not_seen() -> None:
+    """Another hazard far away changes no bit, until a tile is told of that it touches."""
+    far, farther = (Hazard(kind="block", center=(x, 6.0), radius=0.5) for x in (13.0, 14.0))
+    flights = [drive(World(on(DISC, hazard), 1), 300, uav=(0.01, 0.0)) for hazard in (far, farther)]
+    touched = range(24, 30)
+    for one, other in zip(*flights, strict=True):
+        if any(tile.column in touched for seen in (*one, *other) for tile in seen):
+            break
+        assert one == other
+    else:
+        pytest.fail("nobody has come near")
+
+
+class Forger(InProcess):
+    """The pilots, but the UAV radios blocks of its own."""
+
+    block = GroundBlock(column=0, row=0, tiles="." * 64)
+
+    def collect(self, tick: int) -> Any:
+        commands = dict(super().collect(tick))
+        said = commands["uav_0"]
+        assert isinstance(said, UavCommand)
+        commands["uav_0"] = msgspec.structs.replace(said, blocks=(self.block,))
+        return commands
+
+
+def test_a_block_that_says_what_the_uavs_sensor_has_not_told_is_not_sent() -> None:
+    scenario = msgspec.structs.replace(on(DISC), duration=5.0)
+    flight = Flight(scenario, 1)
+    flight.fly(Forger(make_pilots(scenario, 1)))
+    assert flight.refused_blocks == {"uav_0": scenario.ticks}
+    heard = [one for seen in flight._blocks.values() for one in seen.values()]
+    assert heard == []
+
+
+def test_the_blocks_that_a_ugv_hears_are_what_the_uav_has_seen_of_the_ground_around_it() -> None:
+    scenario = msgspec.structs.replace(on(DISC, MUD), duration=30.0)
+    flight = Flight(scenario, 1)
+    flight.fly(InProcess(make_pilots(scenario, 1)))
+    known = flight.world.arrays[1].ground.known[0, 0]
+    heard = np.zeros_like(known)
+    for tick, blocks in flight._blocks["ugv_0"].items():
+        assert tick % 5 == 1  # four in a second, and a tick by radio
+        for block in blocks:
+            for place, letter in enumerate(block.tiles):
+                row, column = block.row * 8 + place // 8, block.column * 8 + place % 8
+                if letter != "?":
+                    heard[row, column] = "?.~#*".index(letter)
+    assert flight.refused_blocks == {"uav_0": 0}
+    assert (heard[heard > 0] == known[heard > 0]).all()
+    assert (heard > 0).sum() > 0.5 * (known > 0).sum()
+    assert {BLOCK, ROUGH} <= set(heard.ravel().tolist())
+
+
+def test_the_mission_tells_how_long_before_each_hazard_was_known() -> None:
+    scenario = on(DISC, MUD, at=(7.2, 5.7), touch="damage")
+    world = World(scenario, 1)
+    block = GroundBlock(column=2, row=1, tiles="." * 32 + "....##.." + "." * 24)
+    for tick in range(401):
+        if tick == 20:
+            world.hear_block(1, block)  # of two tiles of DISC
+        drive(world, 1)
+    mission = world.mission
+    assert mission is not None
+    assert (mission.hazards_on_way, mission.warned, mission.hazards_hit) == (2, 1, 1)
+    assert mission.near_misses == 0
+    assert mission.seen_ahead is not None
+    assert 0.0 < mission.seen_ahead < 1.0
+
+
+def test_without_hazards_nothing_is_told_and_nothing_is_kept() -> None:
+    world = World(small("tracking"), 1)
+    assert drive(world, 5) == [[(), ()]] * 6
+    assert world.mission is None
+    assert world.arrays[1].ground.tiles.size == 0
+
+
+def test_every_ugv_has_a_bumper_of_its_own() -> None:
+    scenario = on(DISC)
+    second = Ugv(name="ugv_1", position=(2.0, 2.0))
+    world = World(msgspec.structs.replace(scenario, ugv=(*scenario.ugv, second)), 1)
+    assert not places(world.seen_ground(1)) & places(world.seen_ground(2))
