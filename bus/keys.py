@@ -12,6 +12,7 @@ from bus.messages import (
     Control,
     CoverageMap,
     Drive,
+    GroundMap,
     Message,
     Status,
     Truth,
@@ -26,7 +27,7 @@ from bus.messages import (
 ROOT = "outrider"
 PLACES = 8
 """Sessions of one party that can be there at once; each declares a liveliness token of its own."""
-_SMALL, _LARGE = 1 << 16, 1 << 20
+_SMALL, _LARGE, _HUGE = 1 << 16, 1 << 20, 1 << 24
 
 
 class Role(StrEnum):
@@ -155,7 +156,7 @@ CONTROL = Key(
 )
 
 
-def _telemetry(topic: str, message: type[Message]) -> Key:
+def _telemetry(topic: str, message: type[Message], largest: int = _LARGE) -> Key:
     """The simulator's messages to observers and operators: the newest counts, and it may be large."""
     return Key(
         topic=topic,
@@ -164,7 +165,7 @@ def _telemetry(topic: str, message: type[Message]) -> Key:
         writer=Role.SIMULATOR,
         readers=(Role.OBSERVER, Role.OPERATOR),
         delivery=Delivery.NEWEST,
-        largest=_LARGE,
+        largest=largest,
     )
 
 
@@ -172,6 +173,8 @@ TRUTH = _telemetry("truth", Truth)
 SAMPLED_TRUTH = _telemetry("sampled-truth", Truth)
 """The truth for people's eyes: some ticks of it, as often as an eye can see."""
 COVERAGE = _telemetry("coverage", CoverageMap)
+GROUND = _telemetry("ground", GroundMap, _HUGE)
+"""Where there are hazards: what no vehicle is told of them, with what the vehicles know."""
 STATUS = _telemetry("status", Status)
 
 KEYS: tuple[Key, ...] = (
@@ -186,6 +189,7 @@ KEYS: tuple[Key, ...] = (
     TRUTH,
     SAMPLED_TRUTH,
     COVERAGE,
+    GROUND,
     STATUS,
 )
 

@@ -613,6 +613,64 @@ class CoverageMap(Message, frozen=True, kw_only=True):
     """Row by row from y = 0 (base64 in JSON)."""
 
 
+class Mission(Message, frozen=True, kw_only=True):
+    """How the UGVs have got through ground with hazards, all together: for measuring, no vehicle is told."""
+
+    arrived: bool
+    """True if every UGV that has goals has reached them all."""
+    mission_time: NonNegative | None
+    """When the last of them had [s]; None: not yet, or nobody has a goal."""
+    hazards_hit: Tick
+    """Blocking hazards that were touched, each once by each UGV."""
+    near_misses: Tick
+    """Blocking hazards that a UGV came nearer to than 0.2 m without touching them."""
+    hazards_on_way: Tick
+    """Hazards, blocking or rough, that a UGV came nearer to than 2 m."""
+    warned: Tick
+    """Those of them that it knew of before it came so near."""
+    warned_before: NonNegative | None
+    """How long before, in the mean of those [s]; None: there are none."""
+    seen_ahead: Share | None
+    """Share of the way that led over tiles which had come by radio before; None: nobody has moved."""
+    still_time: NonNegative
+    """Time that the UGVs stood still before they had arrived [s]."""
+    finds: Tick
+    """Things to be found."""
+    found: Tick
+    """Those that a vehicle's sensor has told of."""
+
+
+class HazardOutline(Message, frozen=True, kw_only=True):
+    """A hazard as it truly lies on the ground, a disc or a polygon."""
+
+    kind: Name
+    """A row of `bus.registry.HAZARDS`."""
+    center: Vector = (0.0, 0.0)
+    radius: NonNegative = 0.0
+    """Of the disc [m]; 0: it is a polygon."""
+    corners: tuple[Vector, ...] = ()
+    """Of the polygon, in order round it [m]."""
+
+
+class GroundMap(Message, frozen=True, kw_only=True):
+    """The ground for observers: its hazards as they truly are, and what the UGVs know of it."""
+
+    tick: Tick
+    columns: Annotated[int, Meta(ge=1)]
+    rows: Annotated[int, Meta(ge=1)]
+    tile: Positive
+    """Width of a tile [m]."""
+    tiles: bytes
+    """Each tile as the UGVs know it, all together, row by row from y = 0 (base64 in JSON).
+
+    Its place in `TILE_LETTERS`; 5 where a UAV has seen it and has not told it yet.
+    """
+    states: bytes
+    """Of each hazard: 0, no UGV knows of it, or nobody has found it; 1, one does; 2, one has hit it."""
+    hazards: tuple[HazardOutline, ...] = ()
+    """In a recording only in a flight's first map: they stay where they are."""
+
+
 class VehicleStatus(Message, frozen=True, kw_only=True):
     """How a vehicle's process stands, and what has gone wrong with it so far."""
 
@@ -709,6 +767,8 @@ class Status(Message, frozen=True, kw_only=True):
     """Why not, by UAV."""
     certificates: CertificateStatus | None = None
     """Counts of what has been certified so far; None where no safety filter has watched over anything."""
+    mission: Mission | None = None
+    """How the UGVs get through; None where there are no hazards."""
     warnings: tuple[Text, ...] = ()
     """Which assumptions of the certificate the links cannot keep as they are now, a line each."""
     links: dict[Text, LinkStatus] = {}

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bus.messages import BLOCK_SIDE, TILE_LETTERS, GroundBlock, MotionPlan, SeenTile
+from bus.messages import BLOCK_SIDE, TILE_LETTERS, GroundBlock, Mission, MotionPlan, SeenTile
 from sim.engine.batch import Batch
 from sim.engine.links import Links
-from sim.engine.mission import Mission, hear_block, mission_of
+from sim.engine.mission import hear_block, mission_of
 from sim.engine.world_state import (
     ANSWERED,
     CARRIED,

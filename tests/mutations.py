@@ -44,6 +44,10 @@ def valid(kind: Any, rng: random.Random) -> Any:
             return "".join(rng.choices('aZ0 _/"\\\n\0∞𝄞', k=rng.choice([0, 1, 8, kind.max_length])))
         case kinds.StrType(pattern=pattern) if str(pattern).startswith("^[0-9a-f]{32}$"):
             return rng.randbytes(16).hex()
+        case kinds.StrType(pattern=pattern) if "[.~#*]$" in str(pattern):
+            return rng.choice(".~#*")
+        case kinds.StrType(pattern=pattern) if "[?.~#*]{64}" in str(pattern):
+            return "".join(rng.choices("?.~#*", k=64))
         case kinds.StrType():
             return "v" + "".join(rng.choices("az09_", k=rng.choice([0, 3, 31])))
         case kinds.VarTupleType():

@@ -88,6 +88,28 @@ def _link(status: LinkStatus) -> str:
     return f"{ratio} of {status.sent} arrived, age {age}" + (f"; lost: {lost}" if lost else "")
 
 
+def _mission(summary: Summary) -> Iterator[tuple[str | Text, str | Text]]:
+    """How the UGVs got through ground with hazards."""
+    still = f", stood still for {summary.still_time:.1f} s"
+    if summary.mission_time is not None:
+        yield "at the goals", Text(f"after {summary.mission_time:.1f} s", style="green") + still
+    else:
+        yield "at the goals", Text("not yet", style="yellow") + still
+    hit, near = summary.hazards_hit or 0, summary.near_misses or 0
+    yield (
+        "hazards hit",
+        Text.assemble((f"{hit}", "red" if hit else "green"), f", nearly hit {near}"),
+    )
+    way = f"{summary.hazards_on_way}, known in time {summary.warned}"
+    if summary.warned_before is not None:
+        way += f", {summary.warned_before:.1f} s before in the mean"
+    yield "hazards on the way", way
+    if summary.seen_ahead is not None:
+        yield "way seen ahead", f"{100.0 * summary.seen_ahead:.0f} %"
+    if summary.finds:
+        yield "found", f"{summary.found} of {summary.finds}"
+
+
 def print_summary(summary: Summary, files: list[Path]) -> None:
     """The table that a run ends with."""
     table = Table(
@@ -162,6 +184,8 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
             colour = "green" if summary.tracking_error <= bound else "yellow"
             farthest = Text.assemble((off, colour), f", declared {bound:.3f} m")
         rows.append(("farthest off by the wind", farthest))
+    if summary.hazards_hit is not None:
+        rows += _mission(summary)
     if summary.certified_while_lost:
         rows.append(
             (

@@ -13,12 +13,13 @@ from pathlib import Path
 import msgspec
 
 from bus.errors import ScenarioError
-from bus.messages import Change, CoverageMap, Drive, Status, Truth
+from bus.messages import Change, CoverageMap, Drive, GroundMap, Status, Truth
 from outrider.recording.schemas import (
     CHANGES,
     COMMANDS,
     COVERAGE,
     EXTRA,
+    GROUND,
     PROFILE,
     SCENARIO,
     STATUS,
@@ -108,6 +109,7 @@ class RecordingFile:
         self._base = self._last = 0
         self._r_v = math.inf
         self._lost: set[str] = set()
+        self._hazards_told = False
 
     def _add(self, topic: Topic) -> None:
         self._own[topic.name] = foxglove.Channel(
@@ -121,6 +123,7 @@ class RecordingFile:
         self._base = round(head.start * 1e9)
         self._r_v = scenario.visibility.radius if scenario is not None else math.inf
         self._lost = set()
+        self._hazards_told = False
         self._viewers.begin(scenario)
         self._put(SCENARIO, head, 0.0)
         self.flush()
@@ -216,6 +219,15 @@ class RecordingFile:
     def coverage(self, ground: CoverageMap, seconds: float) -> None:
         """Take down the ground at `seconds`."""
         self._viewers.coverage(ground, self._put(COVERAGE, ground, seconds))
+
+    def ground(self, ground: GroundMap, seconds: float) -> None:
+        """Take down the ground with its hazards at `seconds`; the hazards themselves once in a flight."""
+        if not self._hazards_told:
+            self._hazards_told = True
+            self._viewers.hazards(ground.hazards)
+        else:
+            ground = msgspec.structs.replace(ground, hazards=())
+        self._put(GROUND, ground, seconds)
 
     def log(self, line: str, seconds: float, *, warning: bool = False) -> None:
         """Take down a line for a person."""

@@ -4,7 +4,7 @@ import time
 from pathlib import Path
 
 from bus import keys
-from bus.messages import Change, CoverageMap, Status, Truth
+from bus.messages import Change, CoverageMap, GroundMap, Status, Truth
 from bus.session import Session
 from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.schemas import Commands, head_of, unknown_head
@@ -41,10 +41,12 @@ class RunRecorder:
         self._scenario = scenario
         self._truths = session.inbox(keys.TRUTH, newest=_INBOX_ROOM)
         self._maps = session.inbox(keys.COVERAGE, newest=64)
+        self._grounds = session.inbox(keys.GROUND, newest=16)
         self._statuses = session.inbox(keys.STATUS, newest=64)
         self._status: Status | None = None
         self._changes: tuple[Change, ...] = ()  # the last that were told
         self._map: CoverageMap | None = None  # waits for its tick's truth
+        self._ground: GroundMap | None = None  # likewise
         self._over_since: float | None = None
         self._busy = False
         self._episode = -1
@@ -97,6 +99,9 @@ class RunRecorder:
         while (received := self._maps.next_waiting()) is not None:
             if isinstance(received.message, CoverageMap):
                 self._map = received.message
+        while (received := self._grounds.next_waiting()) is not None:
+            if isinstance(received.message, GroundMap):
+                self._ground = received.message
         self._put_map()
 
     def _take_changes(self, changes: tuple[Change, ...]) -> None:
@@ -108,6 +113,10 @@ class RunRecorder:
         if self._map is not None and self.newest_tick >= self._map.tick > 0:
             self._file.coverage(self._map, self.newest_time * self._map.tick / self.newest_tick)
             self._map = None
+        if self._ground is not None and self.newest_tick >= self._ground.tick > 0:
+            seconds = self.newest_time * self._ground.tick / self.newest_tick
+            self._file.ground(self._ground, seconds)
+            self._ground = None
 
     def _take_truth(self, truth: Truth) -> None:
         if self._episode < 0 or truth.tick < self.newest_tick:

@@ -3,6 +3,7 @@
 import os
 import struct
 import zlib
+from collections import deque
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -13,12 +14,23 @@ import msgspec
 
 from bus.errors import ScenarioError
 from bus.files import open_regular
-from bus.messages import CertificateStatus, Change, CoverageMap, LinkStatus, Message, Status, Truth
+from bus.messages import (
+    CertificateStatus,
+    Change,
+    CoverageMap,
+    GroundMap,
+    LinkStatus,
+    Message,
+    Mission,
+    Status,
+    Truth,
+)
 from outrider.recording.schemas import (
     CHANGES,
     COMMANDS,
     COVERAGE,
     EXTRA,
+    GROUND,
     SCENARIO,
     STATUS,
     TRUTH,
@@ -283,6 +295,14 @@ def coverages(path: Path, *, flight: int | None = None) -> Iterator[CoverageMap]
     return _all(path, COVERAGE, CoverageMap, flight)
 
 
+def grounds(path: Path, *, flight: int) -> Iterator[GroundMap]:
+    """Every map of the ground with its hazards of one flight, each with them; as `truths`."""
+    hazards = None
+    for ground in _all(path, GROUND, GroundMap, flight):
+        hazards = ground.hazards if hazards is None else hazards
+        yield msgspec.structs.replace(ground, hazards=hazards)
+
+
 def statuses(path: Path, *, flight: int | None = None) -> Iterator[Status]:
     """Every Status; as `truths`."""
     return _all(path, STATUS, Status, flight)
@@ -309,7 +329,15 @@ class Recording:
     """The counters of each link by the last status: nothing else of a recording tells."""
     certificates: CertificateStatus | None = None
     """The words of the safety filters by then, held against the truth; None where none watched."""
+    mission: Mission | None = None
+    """How the UGVs had got through by then; None where there are no hazards."""
     damage: Damage = field(default_factory=Damage)
+
+    @property
+    def last_ground(self) -> GroundMap | None:
+        """The last map of the ground with its hazards; None where there are none."""
+        found = deque(grounds(self.path, flight=self.number), maxlen=1)
+        return found[0] if found else None
 
     @property
     def scenario(self) -> Scenario:
@@ -363,6 +391,7 @@ def load(path: Path) -> list[Recording]:
             flights[-1].changes.append(message)
         elif isinstance(message, Status):
             flights[-1].links, flights[-1].certificates = message.links, message.certificates
+            flights[-1].mission = message.mission
             flights[-1].factors += (
                 [message.realtime_factor] if message.realtime_factor > 0.0 else []
             )

@@ -17,6 +17,7 @@ from bus.messages import (
     Change,
     CoverageMap,
     Drive,
+    GroundMap,
     Message,
     Name,
     NonNegative,
@@ -95,6 +96,8 @@ CHANGES = Topic(name="/changes", message=Change)
 
 An observer is told of the clock too.
 """
+GROUND = Topic(name="/ground", message=GroundMap)
+"""The ground with its hazards, where there are any."""
 _OPERATOR = "operator"
 
 

@@ -5,14 +5,14 @@ stands in our own channels.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bus.errors import ScenarioError
-from bus.messages import CoverageMap
+from bus.messages import CoverageMap, HazardOutline
 from outrider.recording.schemas import EXTRA
 from sim.scenario.types import Scenario
-from sim.scene.colors import rgb
+from sim.scene.colors import HAZARDS, rgb
 from sim.scene.known import scene_of
 from sim.scene.model import Ring, Scene, SceneVehicle, observed_scene
 
@@ -28,6 +28,8 @@ _SCENE_PERIOD = 1.0
 """Simulated time between two scenes [s]; each holds everything, since a viewer that jumps sees only the newest."""
 _TRACK_ROOM = 200
 """Points of a track; beyond that every second one is dropped."""
+_MOST_HAZARDS = 500
+"""So many are shown: each scene holds them all."""
 _UAV_HEIGHT, _UGV_HEIGHT = 1.0, 0.1
 """The heights at which viewers show them [m]; the world itself is flat."""
 
@@ -56,6 +58,19 @@ def _ring(ring: Ring) -> messages.LinePrimitive:
             for angle in angles
         ],
         color=_color(ring.color),
+    )
+
+
+def _outline(hazard: HazardOutline) -> messages.LinePrimitive:
+    """The edge of a hazard on the ground."""
+    angles = [2.0 * math.pi * k / 24 for k in range(24)]
+    (x, y), r = hazard.center, hazard.radius
+    edge = hazard.corners or [(x + r * math.cos(a), y + r * math.sin(a)) for a in angles]
+    return messages.LinePrimitive(
+        type=messages.LinePrimitiveLineType.LineLoop,
+        thickness=0.08,
+        points=[messages.Point3(x=x, y=y, z=0.01) for x, y in edge],
+        color=_color(HAZARDS[hazard.kind]),
     )
 
 
@@ -115,7 +130,7 @@ class Viewers:
         self._scene: Scene | None = None if scenario is None else scene_of(scenario)
         self._tracks: dict[str, _Track] = {}
         self._yaw: dict[str, float] = {}
-        self._bodies = b""
+        self._bodies = self._hazards = b""
         self._next_view = self._next_scene = -math.inf
 
     def due(self, time: float) -> bool:
@@ -195,7 +210,13 @@ class Viewers:
             )
         moving = messages.SceneUpdate(entities=tracks).encode()
         # protobuf joins the two lists of entities
-        self._scenes.log(self._bodies + moving, log_time=time_ns)
+        self._scenes.log(self._hazards + self._bodies + moving, log_time=time_ns)
+
+    def hazards(self, hazards: Sequence[HazardOutline]) -> None:
+        """Show these on the ground from the next scene on."""
+        outlines = [_outline(hazard) for hazard in hazards[:_MOST_HAZARDS]]
+        entity = messages.SceneEntity(frame_id="world", id="hazards", lines=outlines)
+        self._hazards = messages.SceneUpdate(entities=[entity]).encode()
 
     @staticmethod
     def _entity(scene: Scene, vehicle: SceneVehicle) -> messages.SceneEntity:

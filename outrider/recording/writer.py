@@ -16,6 +16,8 @@ from bus.messages import (
     Control,
     CoverageMap,
     Drive,
+    GroundMap,
+    HazardOutline,
     Status,
     UavReport,
     VehicleStatus,
@@ -26,6 +28,7 @@ from outrider.recording.tick_rows import TickTexts
 from outrider.running.assumptions import promise_warnings
 from sim.kernels.compile import FloatArray
 from sim.scenario.types import Scenario
+from sim.scene.ground import ground_map
 from sim.server.flight import Flight, News
 from sim.world import World
 
@@ -62,7 +65,7 @@ _Flown = tuple[bytes, tuple[UavReport | None, ...]]
 """The part of a tick that the flight's own record does not keep: what was asked for, as float64, and what the UAVs
 said.
 """
-_Other = _Said | Change | CoverageMap | Status | str
+_Other = _Said | Change | CoverageMap | GroundMap | Status | str
 """A text is a line for a person."""
 _Item = tuple[Flight, int, _Flown | None, _Other | None]
 """Something for the thread, and its tick: one that was flown, or something else.
@@ -123,6 +126,7 @@ class FlightRecorder:
         self._escorts: dict[str, str] = {}
         self._early: list[str] = []
         self._next_map = self._next_status = 0
+        self._hazards: tuple[HazardOutline, ...] | None = None
         self._pace = (time.monotonic(), 0)
         self._scratch: FloatArray = np.empty((0, 0))
         self._file.begin(head_of(scenario, seed, secret=secret), scenario)
@@ -164,6 +168,7 @@ class FlightRecorder:
 
     def _take_up(self, flight: Flight) -> None:
         self._flight, self._next_map, self._next_status = flight, 0, 0
+        self._hazards = None
         self._degradations = 0
         self._pace = (time.monotonic(), 0)
 
@@ -175,6 +180,10 @@ class FlightRecorder:
                 1, round(max(_MAP_PERIOD, _MAP_PERIOD * cells / _MAP_CELLS) / flight.scenario.dt)
             )
             self._items.append((flight, tick, None, self._map_of(flight.world, flight.scenario)))
+            ground = ground_map(flight.world, self._hazards)
+            if ground is not None:
+                self._hazards = ground.hazards
+                self._items.append((flight, tick, None, ground))
         if tick >= self._next_status or flight.over:
             self._next_status = tick + max(1, round(_STATUS_PERIOD / flight.scenario.dt))
             if time.monotonic() - self._pace[0] > 0.1 * _STATUS_PERIOD or flight.over:
@@ -218,6 +227,7 @@ class FlightRecorder:
             drivers=dict(flight.drivers),
             vehicles={**counted, **vehicles},
             certificates=flight.assurance.status(),
+            mission=flight.world.mission,
             warnings=promise_warnings(flight.flown, flight.world.links.table),
             links=flight.world.links.status(),
             over=flight.over,
@@ -305,6 +315,8 @@ class FlightRecorder:
             self._file.change(what, begun)
         elif isinstance(what, CoverageMap):
             self._file.coverage(what, now)
+        elif isinstance(what, GroundMap):
+            self._file.ground(what, now)
         elif isinstance(what, Status):
             self._file.status(what)
         elif what is not None:
@@ -329,11 +341,14 @@ class FlightRecorder:
             self._file.tick(written._replace(commands=b""), flight.world.names, self._escorts)
         if tick == 1:
             before = World(
-                flight.scenario, flight.seed
+                flight.scenario, flight.seed, secret=flight.secret
             )  # the ground as it was before anybody moved
             self._file.coverage(
                 _map_of(before, flight.scenario, np.empty_like(before.coverage)), 0.0
             )
+            ground = ground_map(before)
+            if ground is not None:
+                self._file.ground(ground, 0.0)
 
 
 def _map_of(world: World, scenario: Scenario, scratch: FloatArray) -> CoverageMap:

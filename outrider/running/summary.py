@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from bus.messages import Action, CertificateStatus, Change, LinkStatus, VehicleStatus
+from bus.messages import (
+    Action,
+    CertificateStatus,
+    Change,
+    LinkStatus,
+    Mission,
+    VehicleStatus,
+)
 
 if TYPE_CHECKING:
     from sim.server.flight import Flight
@@ -94,6 +101,28 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """
     tracking_error: float | None = None
     """And the farthest in this flight [m], whatever the law; None where nothing takes it from there."""
+    arrived: bool | None = None
+    """True if every UGV that has goals has reached them all; None, as all up to `found`: there are no hazards."""
+    mission_time: float | None = None
+    """When the last of them had [s]; None: not yet."""
+    hazards_hit: int | None = None
+    """Blocking hazards that were touched, each once by each UGV."""
+    near_misses: int | None = None
+    """Blocking hazards that a UGV came nearer to than 0.2 m without touching them."""
+    hazards_on_way: int | None = None
+    """Hazards, blocking or rough, that a UGV came nearer to than 2 m."""
+    warned: int | None = None
+    """Those of them that it knew of before it came so near."""
+    warned_before: float | None = None
+    """How long before, in the mean of those [s]."""
+    seen_ahead: float | None = None
+    """Share of the UGVs' way that led over ground which had come by radio before."""
+    still_time: float | None = None
+    """Time that the UGVs stood still before they had arrived [s]."""
+    finds: int | None = None
+    """Things to be found."""
+    found: int | None = None
+    """Those that a vehicle's sensor has told of."""
     links: dict[str, LinkStatus] = {}
     """Counts of each link's messages, by `vehicle/kind`."""
     traces: dict[str, str] = {}
@@ -193,6 +222,11 @@ def certificate_fields(told: CertificateStatus | None) -> dict[str, Any]:
     }
 
 
+def mission_fields(mission: Mission | None) -> dict[str, Any]:
+    """The summary's fields on how the UGVs got through; None where there are no hazards."""
+    return {} if mission is None else msgspec.structs.asdict(mission)
+
+
 def summarize(
     flight: "Flight",
     *,
@@ -252,6 +286,7 @@ def summarize(
         exceeded_chance=chances.exceeded if chances is not None else {},
         lost_chance=chances.lost if chances is not None else None,
         tracking_error=recorder.tracking_error,
+        **mission_fields(world.mission),
         links=world.links.status(),
         traces={one.name: one.sha256 for one in world.links.table.traces},
         realtime=realtime,

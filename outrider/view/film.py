@@ -11,10 +11,23 @@ import numpy as np
 from PIL import Image
 
 from bus.errors import ScenarioError
-from outrider.recording.reader import Recording, coverages
+from outrider.recording.reader import Recording, coverages, grounds
 from outrider.recording.refly import external_uavs, from_the_start, restore
 from sim.kernels.compile import FloatArray
-from sim.scene.colors import COVERED, INK, LIMIT, MUTED, UAV, UGV, covered, mixed, rgb
+from sim.scene.colors import (
+    COVERED,
+    FAINT,
+    HAZARDS,
+    INK,
+    LIMIT,
+    MUTED,
+    TILES,
+    UAV,
+    UGV,
+    covered,
+    mixed,
+    rgb,
+)
 from sim.scene.frames import Frames
 from sim.scene.known import scene_of
 from sim.scene.model import observed_scene
@@ -68,7 +81,7 @@ def render(
     if ending == ".png" and recording.head.scenario is not None and from_the_start(recording):
         from outrider.view.flight_picture import draw_flight  # noqa: PLC0415 - needed for a picture alone
 
-        draw_flight(restore(recording), out)
+        draw_flight(restore(recording), out, recording.last_ground)
         on_frame(1, 1)
         return
     film = Film(recording)
@@ -77,7 +90,7 @@ def render(
     if ending == ".png":
         Image.fromarray(next(frames)).convert("RGB").save(out, format="PNG")
     elif ending == ".gif":
-        _write_gif(frames, out, fps)
+        _write_gif(frames, out, fps, hazards=film.hazards)
     else:
         _write_mp4(frames, out, fps)
 
@@ -90,12 +103,23 @@ def _counted(
         on_frame(done, total)
 
 
-def _palette() -> Image.Image:
+def _hazard_colors() -> Iterator[str]:
+    """Shades of what is drawn where there are hazards: tiles on ground seen and unseen, hazards strong and faint."""
+    for color, opacity in TILES:
+        yield from (mixed(paper, color, opacity) for paper in COVERED if opacity)
+    unknown = mixed(COVERED[0], *TILES[0])
+    for color in HAZARDS.values():
+        yield from (mixed(unknown, color, share) for share in (FAINT, 1.0))
+        yield mixed(COVERED[-1], color, 0.5)
+
+
+def _palette(*, hazards: bool) -> Image.Image:
     """The colours of a GIF: shades of what is drawn on ground seen and unseen.
 
     The same for all frames, so nothing flickers.
     """
     colors = ["#ffffff", *(covered(k / 31.0) for k in range(32))]
+    colors += _hazard_colors() if hazards else ()
     for ink in (LIMIT, INK, MUTED, *UAV[:3], *UGV[:3]):
         for paper in ("#ffffff", *COVERED[1:]):
             colors += [mixed(paper, ink, share) for share in np.linspace(0.15, 1.0, 7).tolist()]
@@ -104,8 +128,10 @@ def _palette() -> Image.Image:
     return image
 
 
-def _write_gif(frames: "Iterator[np.ndarray[Any, Any]]", out: Path, fps: int) -> None:
-    palette = _palette()
+def _write_gif(
+    frames: "Iterator[np.ndarray[Any, Any]]", out: Path, fps: int, *, hazards: bool
+) -> None:
+    palette = _palette(hazards=hazards)
 
     def reduced() -> Iterator[Image.Image]:
         for frame in frames:
@@ -173,6 +199,10 @@ class Film:
         }
         self._maps = coverages(recording.path, flight=recording.number)
         self._waiting = next(self._maps, None)
+        self._grounds = grounds(recording.path, flight=recording.number)
+        self._ground_waiting = next(self._grounds, None)
+        self.hazards = self._ground_waiting is not None
+        """True if the ground has any."""
         head = recording.head
         facts = f"seed {head.seed}"
         self._r_v: float | None = None
@@ -188,7 +218,9 @@ class Film:
                 head.name, None, escorts=escorts, vehicles=first.vehicles, ground=self._ground()
             )
         self._reported = any(escort.report for escort in self._truths[-1].escorts)
-        self._frames = Frames(scene, width=WIDTH, facts=facts, estimates=self._reported)
+        self._frames = Frames(
+            scene, width=WIDTH, facts=facts, estimates=self._reported, hazards=self._ground_waiting
+        )
 
     def frame_times(self, step: float) -> FloatArray:
         """Simulated times [s], `step` apart, the flight's end included."""
@@ -218,6 +250,9 @@ class Film:
             cells = np.frombuffer(self._waiting.cells, dtype=np.uint8)
             coverage = cells.reshape(self._waiting.rows, self._waiting.columns) / 255.0
             self._waiting = next(self._maps, None)
+        hazards = None
+        while self._ground_waiting is not None and self._ground_waiting.tick <= truth.tick:
+            hazards, self._ground_waiting = self._ground_waiting, next(self._grounds, None)
         estimates = {
             escort.uav: (escort.report.estimate, escort.report.covariance)
             for escort in truth.escorts
@@ -230,4 +265,5 @@ class Film:
             time=truth.time,
             distance=max(escort.distance for escort in truth.escorts),
             r_v=self._r_v,
+            hazards=hazards,
         )

@@ -8,33 +8,38 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
+from bus.messages import GroundMap
 from outrider import style
 from sim.kernels.compile import FloatArray
 from sim.scene.drawing import Map, legend_of
+from sim.scene.ground import HIT, ground_map
 from sim.scene.known import inner_radius, scene_of
 from sim.scene.model import Scene
 from sim.server.flight import Flight
 
 SIZE = (1400, 800)
 """Of the picture [px]."""
+_LEGEND_OF_GROUND = 60
+"""So much higher it is where hazards are explained, too [px]."""
 
 
-def draw_flight(flight: Flight, path: Path) -> None:
+def draw_flight(flight: Flight, path: Path, hazards: GroundMap | None = None) -> None:
     """Draw a flight into a PNG file.
 
     Args:
         flight: Flown to its end or cut short; at least one state must have been taken down.
         path: The file; its folder must be there.
+        hazards: The ground with hazards at its end; None: as the flight's own world has it.
 
     Raises:
         OSError: If the file cannot be written.
         ValueError: If no state has been taken down.
     """
     with style.look():
-        style.save(flight_figure(flight), path)
+        style.save(flight_figure(flight, hazards), path)
 
 
-def flight_figure(flight: Flight) -> Figure:
+def flight_figure(flight: Flight, hazards: GroundMap | None = None) -> Figure:
     """The same picture as a figure, for those who draw it themselves.
 
     Raises:
@@ -43,7 +48,11 @@ def flight_figure(flight: Flight) -> Figure:
     if flight.recorder.rows == 0:
         raise ValueError("no state has been taken down: there is nothing to draw")
     with style.look():
-        figure = style.new_figure(*SIZE, header=0.1)
+        hazards = ground_map(flight.world) if hazards is None else hazards
+        width, height = SIZE
+        if hazards is not None:
+            height += _LEGEND_OF_GROUND
+        figure = style.new_figure(width, height, header=0.1)
         noisy = flight.scenario.detections.noise > 0.0
         panels = (
             (_draw_distance, _draw_error, _draw_estimate)
@@ -53,14 +62,14 @@ def flight_figure(flight: Flight) -> Figure:
         grid = figure.add_gridspec(
             len(panels), 2, width_ratios=(1.2, 1.0), height_ratios=(1.35, 1.0, 0.8)[: len(panels)]
         )
-        _draw_map(figure, figure.add_subplot(grid[:, 0]), flight)
+        _draw_map(figure, figure.add_subplot(grid[:, 0]), flight, hazards)
         for k, draw in enumerate(panels):
             axes = figure.add_subplot(grid[k, 1])
             draw(axes, flight)
             if k < len(panels) - 1:  # they share their time axis
                 axes.set_xlabel("")
                 axes.tick_params(labelbottom=False)
-        _draw_header(figure, flight)
+        _draw_header(figure, flight, hazards)
     return figure
 
 
@@ -74,16 +83,19 @@ def _end(flight: Flight) -> float:
     return max(flight.recorder.rows - 1, 1) * flight.scenario.dt
 
 
-def draw_map(axes: Axes, flight: Flight, scene: Scene) -> AxesImage:
+def draw_map(
+    axes: Axes, flight: Flight, scene: Scene, hazards: GroundMap | None = None
+) -> AxesImage:
     """Draw a flight's end from above, with all that led there; the image is the ground's.
 
     Args:
         axes: To draw on.
         flight: What was flown.
         scene: Of its scenario, with the circles that are wanted.
+        hazards: The ground with its hazards; None: it has none.
     """
     states = flight.recorder.states
-    drawn = Map(axes, scene)
+    drawn = Map(axes, scene, hazards=hazards)
     drawn.show(
         {name: states[:, k, :2] for k, name in enumerate(flight.world.names)},
         np.minimum(flight.world.coverage / flight.scenario.coverage.desired, 1.0),
@@ -91,16 +103,20 @@ def draw_map(axes: Axes, flight: Flight, scene: Scene) -> AxesImage:
     return drawn.image
 
 
-def _draw_map(figure: Figure, axes: Axes, flight: Flight) -> None:
+def _draw_map(figure: Figure, axes: Axes, flight: Flight, hazards: GroundMap | None) -> None:
     scene = scene_of(flight.scenario)
-    image = draw_map(axes, flight, scene)
-    axes.legend(
-        handles=legend_of(scene),
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.08),
-        ncols=3,
-        columnspacing=1.6,
-    )
+    image = draw_map(axes, flight, scene, hazards)
+    if hazards is not None:  # too long a legend to stand below the map alone
+        keys = legend_of(scene, hazards=hazards)
+        figure.legend(handles=keys, loc="outside lower left", ncols=6, columnspacing=1.6)
+    else:
+        axes.legend(
+            handles=legend_of(scene),
+            loc="upper center",
+            bbox_to_anchor=(0.5, -0.08),
+            ncols=3,
+            columnspacing=1.6,
+        )
     style.coverage_bar(figure, image, axes)
 
 
@@ -169,7 +185,7 @@ def _draw_estimate(axes: Axes, flight: Flight) -> None:
     style.legend_above(axes)
 
 
-def _draw_header(figure: Figure, flight: Flight) -> None:
+def _draw_header(figure: Figure, flight: Flight, hazards: GroundMap | None) -> None:
     scenario, distance = flight.scenario, flight.recorder.escorts[:, :, 0]
     r_v, farthest = scenario.visibility.radius, float(distance.max())
     lost = int((distance >= r_v).any(axis=1).sum())
@@ -187,3 +203,11 @@ def _draw_header(figure: Figure, flight: Flight) -> None:
     figure.text(
         0.986, 0.962, verdict, fontsize=11, fontweight="bold", color=color, va="top", ha="right"
     )
+    mission = flight.world.mission
+    if hazards is not None and mission is not None:
+        hits = hazards.states.count(HIT)
+        told = "no hazard hit" if not hits else f"{hits} hazard{'s' if hits > 1 else ''} hit"
+        if mission.mission_time is not None:
+            told += f", at the goals after {mission.mission_time:.1f} s"
+        color = style.LIMIT if hits else style.MUTED
+        figure.text(0.986, 0.908, told, color=color, va="top", ha="right")

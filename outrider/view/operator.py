@@ -9,8 +9,27 @@ from collections.abc import Callable, Iterator, Mapping
 
 from bus.boxes import Outbox
 from bus.errors import BusError
-from bus.keys import CONTROL, COVERAGE, OPERATOR, SAMPLED_TRUTH, SIMULATOR_NAME, STATUS, Role
-from bus.messages import Action, Control, CoverageMap, Drive, Message, Status, Truth, Vector
+from bus.keys import (
+    CONTROL,
+    COVERAGE,
+    GROUND,
+    OPERATOR,
+    SAMPLED_TRUTH,
+    SIMULATOR_NAME,
+    STATUS,
+    Role,
+)
+from bus.messages import (
+    Action,
+    Control,
+    CoverageMap,
+    Drive,
+    GroundMap,
+    Message,
+    Status,
+    Truth,
+    Vector,
+)
 from bus.registry import TELEOP
 from bus.session import Session
 
@@ -30,7 +49,8 @@ class RunClient:
 
     def __init__(self, session: Session, status: Status | None = None) -> None:
         self._session = session
-        self._inboxes = [session.inbox(key, newest=1) for key in (STATUS, SAMPLED_TRUTH, COVERAGE)]
+        read = (STATUS, SAMPLED_TRUTH, COVERAGE, GROUND)
+        self._inboxes = [session.inbox(key, newest=1) for key in read]
         self._simulators: set[int] = set()
         self._clock: deque[tuple[float, float]] = deque(maxlen=_PACE)
         self._outboxes: dict[str, Outbox] = {}
@@ -38,6 +58,7 @@ class RunClient:
         self.status = status
         self.truth: Truth | None = None
         self.coverage: CoverageMap | None = None
+        self.ground: GroundMap | None = None
         self.heard = time.monotonic()
         """When the simulator has told something last, or joined [s]."""
         self.seen_simulator = False
@@ -89,7 +110,7 @@ class RunClient:
         return (end - start) / max(now - began, 1e-3)
 
     def news(self) -> Iterator[Message]:
-        """Status, truth and coverage that have come since the last call: the newest of each."""
+        """Status, truth, coverage and hazards that have come since the last call: the newest of each."""
         with contextlib.suppress(BusError):  # the session closes
             for inbox in self._inboxes:
                 received = inbox.next_waiting()
@@ -108,6 +129,8 @@ class RunClient:
                 self.truth, self.heard = message, time.monotonic()
             case CoverageMap():
                 self.coverage = message
+            case GroundMap():
+                self.ground = message
 
     def control(self, control: Control) -> bool:
         """Say something to the simulator; False if it cannot be said."""

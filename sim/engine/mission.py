@@ -9,11 +9,19 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from bus.messages import BLOCK_SIDE
+from bus.messages import BLOCK_SIDE, Mission
 from sim.engine.ground import GroundConstants, GroundState
 from sim.kernels.compile import FloatArray, IntArray, borrowing
 from sim.kernels.records import RecordArray, record_type
-from sim.models.ground import BLOCK, CLEAR, FOUND, UNSEEN, distance_to_hazard, tile_index
+from sim.models.ground import (
+    BLOCK,
+    CLEAR,
+    FOUND,
+    UNSEEN,
+    TileArray,
+    distance_to_hazard,
+    tile_index,
+)
 from sim.models.vehicles import next_goal, norm
 from sim.scenario.types import Scenario, Ugv
 
@@ -61,6 +69,8 @@ class MissionState(NamedTuple):
     """`MissionRecord`. Shape (worlds, UGVs)."""
     heard: TickArray
     """When each UGV was told of each tile by radio first. Shape (worlds, UGVs, rows, columns)."""
+    told: TileArray
+    """What the radio has told it of each: BLOCK stays, the rest gives way to later words. Shape as `heard`."""
     warned: TickArray
     """When it knew of each hazard first, by radio or by its bumper. Shape (worlds, UGVs, hazards)."""
     met: TickArray
@@ -91,6 +101,7 @@ def mission_state(ground: GroundState) -> MissionState:
     return MissionState(
         ugvs=numbers,
         heard=np.zeros((worlds, ugvs, *ground.tiles.shape[1:]), np.int32),
+        told=np.zeros((worlds, ugvs, *ground.tiles.shape[1:]), np.uint8),
         warned=np.zeros((worlds, ugvs, count), np.int32),
         met=np.zeros((worlds, ugvs, count), np.int32),
         nearest=np.full((worlds, ugvs, count), np.inf),
@@ -143,6 +154,8 @@ def hear_block(
         column = block[1] * BLOCK_SIDE + place % BLOCK_SIDE
         if state == UNSEEN or row >= heard.shape[0] or column >= heard.shape[1]:
             continue
+        if m.told[k, n, row, column] != BLOCK:
+            m.told[k, n, row, column] = state
         if heard[row, column] == 0:
             heard[row, column] = tick + 1
             if state != CLEAR:
@@ -226,33 +239,6 @@ def note_mission(
     for n in range(t.ugvs.shape[0]):
         v = t.ugvs[n]
         _drive(c, t, g, m, k, n, tick, position[v, 0], position[v, 1])
-
-
-class Mission(NamedTuple):
-    """How the UGVs have got through, all together."""
-
-    arrived: bool
-    """True if every UGV that has goals has reached them all."""
-    mission_time: float | None
-    """When the last of them had [s]; None: not yet, or nobody has a goal."""
-    hazards_hit: int
-    """Blocking hazards that were touched, each once by each UGV."""
-    near_misses: int
-    """Blocking hazards that a UGV came nearer to than `NEAR_MISS` without touching them."""
-    hazards_on_way: int
-    """Hazards, blocking or rough, that a UGV came nearer to than `ON_WAY`."""
-    warned: int
-    """Those of them that it knew of before it came so near."""
-    warned_before: float | None
-    """How long before, in the mean of those [s]; None: there are none."""
-    seen_ahead: float | None
-    """Share of the way that led over tiles which had come by radio before; None: nobody has moved."""
-    still_time: float
-    """Time that the UGVs stood still before they had arrived [s]."""
-    finds: int
-    """Things to be found."""
-    found: int
-    """Those that a vehicle's sensor has told of."""
 
 
 def mission_of(c: MissionConstants, g: GroundState, m: MissionState, k: int, dt: float) -> Mission:

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sim.env.rows import Moment
+from sim.scene.ground import ground_map
 from sim.scene.known import scene_of
 from sim.world import World
 
@@ -39,6 +40,8 @@ class Rendering:
         """Take in the next tick, and show it where a person looks; tick 0 begins anew."""
         if moment.tick == 0:
             self._tracks = []
+            if world.scenario.has_ground:
+                self._frames = None  # its hazards may be others
         self._tracks.append(moment.position)
         if self._mode == "human":
             self.render(world, moment)
@@ -57,8 +60,9 @@ class Rendering:
     def _draw(self, world: World, moment: Moment) -> npt.NDArray[np.uint8]:
         from sim.scene.frames import Frames  # noqa: PLC0415 - matplotlib is loaded when someone looks
 
+        hazards = ground_map(world)
         if self._frames is None:
-            self._frames = Frames(scene_of(world.scenario), width=_WIDTH)
+            self._frames = Frames(scene_of(world.scenario), width=_WIDTH, hazards=hazards)
         ways = np.array(self._tracks)
         errors = [measure[1] for measure in moment.measures]
         frame = self._frames.draw(
@@ -68,6 +72,7 @@ class Rendering:
             distance=max(measure[0] for measure in moment.measures),
             r_v=world.parameters.r_v,
             facts=f"{'sum of ' if len(errors) > 1 else ''}e(t) = {sum(errors):.0f} m²",
+            hazards=hazards,
         )
         return frame[:, :, :3].copy()
 

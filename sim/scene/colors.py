@@ -14,6 +14,20 @@ RULE = "#e6e8ec"
 COVERED = ("#fafafa", "#d9e8de", "#86bb9f")
 """From unseen ground to covered ground, evenly spaced."""
 
+HAZARDS = {"block": INK, "rough": "#7d6748", "find": "#d9a200"}
+"""Of hazards, by their kind."""
+FAINT = 0.35
+"""Opacity of a hazard that nobody who drives knows of."""
+TILES = (
+    (MUTED, 0.3),
+    ("#ffffff", 0.0),
+    (HAZARDS["rough"], 0.3),
+    (INK, 0.38),
+    (HAZARDS["find"], 0.35),
+    (MUTED, 0.14),
+)
+"""Colour and opacity of a tile over its coverage, by its code in a `GroundMap`: what is not known lies under a veil."""
+
 
 def color(colors: tuple[str, ...], index: int) -> str:
     """The colour of the vehicle with this index."""

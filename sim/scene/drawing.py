@@ -18,8 +18,10 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Ellipse
 
+from bus.messages import GroundMap
 from sim.kernels.compile import FloatArray
 from sim.scene.colors import COVERED, ESTIMATE, INK, MUTED, RULE, UAV, UGV
+from sim.scene.hazards import DrawnGround, legend_of_ground
 from sim.scene.model import Point, Ring, Scene
 
 COVERAGE = LinearSegmentedColormap.from_list("covered", list(COVERED))
@@ -136,9 +138,17 @@ class Map:
         axes: To draw on.
         scene: What there is to see.
         estimates: Whether the UAVs' estimates are shown, with an ellipse of two standard deviations.
+        hazards: The ground with its hazards; None: it has none.
     """
 
-    def __init__(self, axes: Axes, scene: Scene, *, estimates: bool = False) -> None:
+    def __init__(
+        self,
+        axes: Axes,
+        scene: Scene,
+        *,
+        estimates: bool = False,
+        hazards: GroundMap | None = None,
+    ) -> None:
         ground(axes, scene.width, scene.height)
         self.image = axes.imshow(
             np.zeros((1, 1)),
@@ -149,6 +159,7 @@ class Map:
             extent=(0.0, scene.width, 0.0, scene.height),
             interpolation="bilinear",
         )
+        self._hazards = None if hazards is None else DrawnGround(axes, hazards)
         self._still: list[Artist] = []
         self._tracks: dict[str, Track] = {}
         for one in scene.vehicles:
@@ -169,6 +180,7 @@ class Map:
     def artists(self) -> list[Artist]:
         """All that lies on the axes, from the ground up."""
         found: list[Artist] = [self.image, *self._still, *self._sights.values()]
+        found += [] if self._hazards is None else self._hazards.artists
         found += [artist for track in self._tracks.values() for artist in track.artists]
         found += [circle for _, circle in self._rings]
         found += [artist for one in self._estimates.values() for artist in one.artists]
@@ -179,6 +191,7 @@ class Map:
         tracks: Mapping[str, FloatArray],
         coverage: npt.NDArray[Any] | None = None,
         estimates: Mapping[str, Estimate] | None = None,
+        hazards: GroundMap | None = None,
     ) -> None:
         """Show a moment.
 
@@ -186,7 +199,10 @@ class Map:
             tracks: The way of each vehicle so far [m], shape (points, 2).
             coverage: Share of the coverage wanted, from 0 to 1, shape (rows, columns); None: as before.
             estimates: Of each UAV, where it has one.
+            hazards: The ground with its hazards; None: as before.
         """
+        if hazards is not None and self._hazards is not None:
+            self._hazards.show(hazards)
         if coverage is not None:
             self.image.set_data(coverage)
         for name, track in self._tracks.items():
@@ -228,12 +244,14 @@ def key(color: str, label: str, **line: Any) -> Line2D:  # noqa: ANN401 - matplo
     return Line2D([], [], color=color, label=label, **line)
 
 
-def legend_of(scene: Scene, *, estimates: bool = False) -> list[Line2D]:
+def legend_of(
+    scene: Scene, *, estimates: bool = False, hazards: GroundMap | None = None
+) -> list[Artist]:
     """The entries of a scene's legend: each kind of thing on it once."""
     mark = {"markeredgecolor": "white", "markersize": 7}
     uavs = sum(one.flies for one in scene.vehicles)
     ugvs = len(scene.vehicles) - uavs
-    keys = [
+    keys: list[Artist] = [
         key(UAV[0], "UAV" if uavs == 1 else f"{uavs} UAVs", marker="o", **mark),
         key(UGV[0], "UGV" if ugvs == 1 else f"{ugvs} UGVs", marker="s", linewidth=2.2, **mark),
     ]
@@ -245,4 +263,6 @@ def legend_of(scene: Scene, *, estimates: bool = False) -> list[Line2D]:
         keys.append(key(ring.color, label, linestyle=line, linewidth=ring.width))
     if estimates:
         keys.append(key(ESTIMATE, "estimate, 2σ", linestyle="", marker="+", markeredgewidth=1.2))
+    if hazards is not None:
+        keys += legend_of_ground(hazards)
     return keys

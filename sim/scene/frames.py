@@ -10,6 +10,7 @@ from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from bus.messages import GroundMap
 from sim.kernels.compile import FloatArray
 from sim.scene.colors import COVERED, LIMIT, MUTED
 from sim.scene.drawing import DPI, Estimate, Map, key, legend_of, look
@@ -17,6 +18,8 @@ from sim.scene.model import Scene
 
 _HEADER, _FOOTER, _SIDE = 92, 116, 68
 """Room above, below and beside the ground [px]."""
+_LEGEND_OF_GROUND = 48
+"""So much more room below it takes to tell what hazards look like [px]."""
 _LABELS = 10
 """So much further right the ground lies, for labels of three digits and the axis' name [px]."""
 _TALLEST = 1000
@@ -31,14 +34,22 @@ class Frames:
         width: Of a picture [px]; its height follows from the ground's, and is even.
         facts: A line below the title.
         estimates: Whether the UAVs' estimates are shown.
+        hazards: The ground with its hazards; None: it has none.
     """
 
     def __init__(
-        self, scene: Scene, *, width: int, facts: str = "", estimates: bool = False
+        self,
+        scene: Scene,
+        *,
+        width: int,
+        facts: str = "",
+        estimates: bool = False,
+        hazards: GroundMap | None = None,
     ) -> None:
         scale = min((width - 2 * _SIDE) / scene.width, _TALLEST / scene.height)
         across, tall = scene.width * scale, scene.height * scale
-        total = round(tall + _HEADER + _FOOTER) // 2 * 2  # video wants even numbers
+        footer = _FOOTER if hazards is None else _FOOTER + _LEGEND_OF_GROUND
+        total = round(tall + _HEADER + footer) // 2 * 2  # video wants even numbers
         self._left, self._rows = _SIDE / 2 / width, (1.0 - 20 / total, 1.0 - 58 / total)
         with look():
             self._figure = Figure(figsize=(width / DPI, total / DPI), dpi=DPI, facecolor="white")
@@ -46,23 +57,23 @@ class Frames:
             axes = self._figure.add_axes(
                 (
                     0.5 + (_LABELS - across / 2) / width,
-                    _FOOTER / total,
+                    footer / total,
                     across / width,
                     tall / total,
                 ),
                 zorder=1,
             )
-            self._map = Map(axes, scene, estimates=estimates)
+            self._map = Map(axes, scene, estimates=estimates, hazards=hazards)
             self._write(scene.title, facts, width)
             self._figure.legend(
                 handles=[
-                    *legend_of(scene, estimates=estimates),
+                    *legend_of(scene, estimates=estimates, hazards=hazards),
                     key(COVERED[-1], "covered", marker="s", linestyle="", markersize=7),
                 ],
                 loc="lower center",
                 ncols=4,
                 fontsize=7.5,
-                columnspacing=1.3,
+                columnspacing=1.3 if hazards is None else 1.0,
                 handletextpad=0.5,
             )
             self._moving: list[Artist] = [
@@ -98,8 +109,9 @@ class Frames:
         distance: float,
         r_v: float | None,
         facts: str | None = None,
+        hazards: GroundMap | None = None,
     ) -> npt.NDArray[np.uint8]:
-        """The picture of a moment; the first three arguments as those of `Map.show`.
+        """The picture of a moment; the first three arguments and `hazards` as those of `Map.show`.
 
         Args:
             tracks: The way of each vehicle so far.
@@ -109,11 +121,12 @@ class Frames:
             distance: The largest between a UAV and its UGV [m].
             r_v: Visibility radius [m]; None where it is not known.
             facts: The line below the title; None: as before.
+            hazards: Of the ground.
 
         Returns:
             Red, green, blue and opacity; shape (rows, columns, 4). The next picture is another array.
         """
-        self._map.show(tracks, coverage, estimates)
+        self._map.show(tracks, coverage, estimates, hazards)
         lost = r_v is not None and distance >= r_v
         limit = "" if r_v is None else f" of {r_v:g} m"
         self._clock.set_text(f"{time:7.1f} s")

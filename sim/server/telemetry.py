@@ -6,10 +6,11 @@ The truth, the map and the status, to whoever listens, and never in the tick's w
 import time
 from collections.abc import Callable
 
-from bus.keys import COVERAGE, SAMPLED_TRUTH, STATUS, TRUTH
+from bus.keys import COVERAGE, GROUND, SAMPLED_TRUTH, STATUS, TRUTH
 from bus.messages import CoverageMap, Status
 from bus.session import Session
 from sim.scenario.types import LinkTable, Scenario
+from sim.scene.ground import ground_map, hazards_of
 from sim.scene.known import geometry_of
 from sim.server.flight import Flight
 from sim.server.operator_controls import OperatorControls
@@ -17,6 +18,8 @@ from sim.server.sessions import Slots
 
 _PERIOD = 0.2
 """Wall time between two status messages, and between two maps [s]."""
+_GROUND_PERIOD = 0.5
+"""Wall time between two maps of the ground with its hazards [s]."""
 _TRUTH_PERIOD = 0.025
 """Wall time between two ticks of the sampled truth [s]: twice as often as pages draw."""
 
@@ -58,12 +61,15 @@ class Telemetry:
         self._geometry = geometry_of(flight.scenario)
         self._truth, self._sampled = session.outbox(TRUTH), session.outbox(SAMPLED_TRUTH)
         self._map, self._status = session.outbox(COVERAGE), session.outbox(STATUS)
-        self._due = self._truth_due = 0.0
+        self._ground = session.outbox(GROUND)
+        self._hazards = hazards_of(flight.world)
+        self._due = self._truth_due = self._ground_due = 0.0
         self._last = (0.0, 0)
 
     def fly(self, flight: Flight) -> None:
         """Another flight begins."""
         self._flight, self._last = flight, (0.0, 0)
+        self._hazards = hazards_of(flight.world)
 
     def tell(self) -> None:
         """Send the truth of this tick, and the rest if it is time."""
@@ -90,6 +96,11 @@ class Telemetry:
             self._status.send(self.status(now))
         if self._map.wanted:
             self._map.send(self._coverage_map())
+        if self._ground.wanted and (now >= self._ground_due or at_once):
+            self._ground_due = now + _GROUND_PERIOD - 0.5 * _PERIOD
+            ground = ground_map(self._flight.world, self._hazards)
+            if ground is not None:
+                self._ground.send(ground)
 
     def status(self, now: float) -> Status:
         """The status of the run at `now` on the monotonic clock [s]."""
@@ -120,6 +131,7 @@ class Telemetry:
                 name: report.uncertified for name, report in watched.items() if not report.certified
             },
             certificates=flight.assurance.status(),
+            mission=world.mission,
             warnings=self._warn(flight.flown, world.links.table),
             links=world.links.status(),
             vehicles=self._slots.statuses(),

@@ -30,9 +30,17 @@ COLUMNS = (
 )
 
 
+MISSION_COLUMNS = (
+    "at the goals",
+    "mission time [s]",
+    "hits a flight",
+    "known before [s]",
+    "seen ahead",
+)
+"""Those of ground with hazards, after the others."""
 _FAULTS = tuple(
-    COLUMNS.index(name) - 1
-    for name in ("lost the UGV", "certified while lost", "certificate broken")
+    (*COLUMNS, *MISSION_COLUMNS).index(name) - 1
+    for name in ("lost the UGV", "certified while lost", "certificate broken", "hits a flight")
 )
 """Columns after the law's that are bad where they are not 0."""
 _UNPROMISED = ", where it is not certified"
@@ -75,6 +83,25 @@ def cells_of(law: str, cell: Cell) -> list[str]:
     ]
 
 
+def mission_cells(cell: Cell) -> list[str]:
+    """The texts under `MISSION_COLUMNS`."""
+    arrived, hits = cell.numbers("arrived"), cell.numbers("hazards_hit")
+    ahead = cell.numbers("seen_ahead")
+    return [
+        f"{int(sum(arrived))} ({_percent(fmean(arrived))})" if arrived else "-",
+        _mean(cell.numbers("mission_time")),
+        f"{fmean(hits):.2g}" if hits else "-",
+        _mean(cell.numbers("warned_before"), 2),
+        _percent(fmean(ahead)) if ahead else "-",
+    ]
+
+
+def columns_of(panel: Panel) -> tuple[str, ...]:
+    """The columns of a panel's table: those of hazards only where it has any."""
+    has = any(cell.numbers("hazards_hit") for cell in panel.cells.values())
+    return (*COLUMNS, *MISSION_COLUMNS) if has else COLUMNS
+
+
 def certified_runs(material: Material) -> str:
     """Counts the runs that were certified at every tick, and how many of them lost the UGV; empty where none was."""
     cells = [
@@ -92,11 +119,13 @@ def certified_runs(material: Material) -> str:
 
 def rows_of(panel: Panel) -> Iterator[tuple[str, list[str]]]:
     """The table of a panel: for each value and law, the value and the row."""
+    hazards = len(columns_of(panel)) > len(COLUMNS)
     for value in panel.values:
         for law in panel.laws:
             cell = panel.cell(law, value)
             if cell.rows:
-                yield (value_of(panel.field, value) if panel.field else ""), cells_of(law, cell)
+                row = [*cells_of(law, cell), *(mission_cells(cell) if hazards else ())]
+                yield (value_of(panel.field, value) if panel.field else ""), row
 
 
 def holds(panel: Panel, law: str) -> tuple[str, bool]:
@@ -138,8 +167,8 @@ def markdown(material: Material) -> str:
     for panel in material.panels:
         lines += ["", f"**{_plain(panel.title)}**", ""]
         lines += [
-            f"| {_plain(panel.label) or '-'} | " + " | ".join(COLUMNS) + " |",
-            "|---" * (len(COLUMNS) + 1) + "|",
+            f"| {_plain(panel.label) or '-'} | " + " | ".join(columns_of(panel)) + " |",
+            "|---" * (len(columns_of(panel)) + 1) + "|",
         ]
         lines += [f"| {_plain(value)} | " + " | ".join(row) + " |" for value, row in rows_of(panel)]
     if certified_runs(material):
@@ -173,7 +202,7 @@ def _table(panel: Panel) -> Iterator[str]:
     yield f"<details><summary>{escape(panel.title)}</summary>"
     yield (
         f'<div class="scroll"><table><tr><th>{escape(panel.label)}</th>'
-        + "".join(f"<th>{name}</th>" for name in COLUMNS)
+        + "".join(f"<th>{name}</th>" for name in columns_of(panel))
         + "</tr>"
     )
     before = None

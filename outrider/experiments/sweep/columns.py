@@ -40,6 +40,18 @@ RESULTS = {
     "certified_while_lost": "int64",  # ticks, certified with the UGV out of sight; 0, or the certificate is wrong
     # ticks, not certified although the one before was and all assumptions held; likewise
     "certificate_broken": "int64",
+    # how the UGVs got through; none where there are no hazards
+    "arrived": "bool",
+    "mission_time": "double",  # [s]
+    "hazards_hit": "int64",
+    "near_misses": "int64",
+    "hazards_on_way": "int64",
+    "warned": "int64",
+    "warned_before": "double",  # [s]
+    "seen_ahead": "double",  # share of the way
+    "still_time": "double",  # [s]
+    "finds": "int64",
+    "found": "int64",
     "trajectory_sha256": "string",
     "seconds": "double",  # wall time of the run
     "error": "string",  # why the run failed; none for one that did not

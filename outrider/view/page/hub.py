@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from bus.messages import Action, CoverageMap, Law, Message, Status, Truth
+from bus.messages import Action, CoverageMap, GroundMap, Law, Message, Status, Truth
 from outrider.view.page import LOOPBACK
 from outrider.view.page.chart_data import ChartData
 from outrider.view.page.controls.link_words import said_of_links
@@ -42,7 +42,7 @@ class Browser:
         self.turn = asyncio.Event()
         self.due = self.told = 0.0
         self.in_hand = 0
-        self.truth = self.status = self.map = 0  # versions that it has
+        self.truth = self.status = self.map = self.ground = 0  # versions that it has
         self.generation, self.rows = -1, 0
 
     def is_due(self, now: float, news: bool) -> bool:
@@ -66,7 +66,7 @@ class Hub:
         self.browsers: dict[int, Browser] = {}
         self.wheel = SharedWheel(source.control, source.drive)
         self._numbers = 0
-        self._versions = {Truth: 0, Status: 0, CoverageMap: 0}
+        self._versions = {Truth: 0, Status: 0, CoverageMap: 0, GroundMap: 0}
         self._raw: dict[type[Message], msgspec.Raw] = {}
 
     async def follow(self) -> None:
@@ -99,7 +99,11 @@ class Hub:
     def _keep(self, message: Message) -> None:
         kind = type(message)
         encoded = msgspec.json.encode(message)
-        if kind is CoverageMap and kind in self._raw and bytes(self._raw[kind]) == encoded:
+        if (
+            kind in (CoverageMap, GroundMap)
+            and kind in self._raw
+            and bytes(self._raw[kind]) == encoded
+        ):
             return
         self._raw[kind] = msgspec.Raw(encoded)
         self._versions[kind] += 1
@@ -155,8 +159,8 @@ class Hub:
         self.wheel.leave(browser.number)
 
     def _has_news(self, browser: Browser) -> bool:
-        have = (browser.truth, browser.status, browser.map)
-        return have != (self._versions[Truth], self._versions[Status], self._versions[CoverageMap])
+        have = (browser.truth, browser.status, browser.map, browser.ground)
+        return have != tuple(self._versions.values())
 
     def frame(self, browser: Browser) -> bytes:
         """All that is new for this browser, as JSON."""
@@ -169,11 +173,9 @@ class Hub:
             frame["links"] = None if self.status is None else said_of_links(self.status)
         if browser.map != versions[CoverageMap]:
             frame["map"] = self._raw[CoverageMap]
-        browser.truth, browser.status, browser.map = (
-            versions[Truth],
-            versions[Status],
-            versions[CoverageMap],
-        )
+        if browser.ground != versions[GroundMap]:
+            frame["ground"] = self._raw[GroundMap]
+        browser.truth, browser.status, browser.map, browser.ground = versions.values()
         history = self.history
         if browser.generation != history.generation:
             frame["history"] = {"vehicles": history.vehicles, "escorts": history.escorts}

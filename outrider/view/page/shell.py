@@ -30,6 +30,18 @@ _TILES = "".join(
         ("factor", "real-time factor", "×"),
     )
 )
+_MISSION = "".join(
+    f'<div class="tile" id="tile-{name}"><label>{label}</label><output>&ndash;</output><small></small></div>'
+    for name, label in (
+        ("arrived", "at the goals"),
+        ("hit", "hazards hit"),
+        ("way", "hazards on the way"),
+        ("ahead", "way seen ahead"),
+        ("still", "stood still"),
+        ("found", "found"),
+    )
+)
+"""Only where there are hazards."""
 _MAP = f"""<div class="map-place"><canvas id="map" role="img" aria-label="map of the run"></canvas>
 <div class="map-tools" role="group" aria-label="what the map shows">
 <button type="button" id="map-closer" title="closer (or turn the mouse wheel, or spread two fingers)">+</button>
@@ -42,6 +54,10 @@ _MAP = f"""<div class="map-place"><canvas id="map" role="img" aria-label="map of
 <span id="legend-rs"><i class="line limit dashed"></i><em>{LABELS["r_s"]} r<sub>s</sub></em></span>
 <span><i class="line uav thin"></i>{LABELS["r"]} r</span>
 <span><i class="line guess"></i>estimate, 2σ</span><span><i class="dot detection"></i>detections</span>
+<span class="ground"><i class="area block"></i>blocked, faint: unknown</span>
+<span class="ground"><i class="area hit"></i>hit</span><span class="ground"><i class="area rough"></i>rough</span>
+<span class="ground"><i class="star">★</i>found, hollow: not yet</span>
+<span class="ground"><i class="area veil"></i>unknown to the UGV</span>
 <span class="bar">0<i id="coverage-bar"></i>1 coverage C/C*</span></div>"""
 _CHARTS = """<div class="charts-head"><span class="title">Over time</span>
 <div class="spans" role="group" aria-label="span of time">
@@ -68,6 +84,9 @@ def colors() -> dict[str, Any]:
         "ink": scene_colors.INK,
         "muted": scene_colors.MUTED,
         "rule": scene_colors.RULE,
+        "hazards": scene_colors.HAZARDS,
+        "faint": scene_colors.FAINT,
+        "tiles": scene_colors.TILES,
         "covered": [covered(k / 255.0) for k in range(256)],
     }
 
@@ -76,6 +95,7 @@ def _head() -> str:
     c = scene_colors
     named = {"uav": c.UAV[0], "ugv": c.UGV[0], "limit": c.LIMIT, "good": c.GOOD, "ink": c.INK}
     named |= {"muted": c.MUTED, "rule": c.RULE, "guess": c.ESTIMATE, "seen": c.UAV[1]}
+    named |= c.HAZARDS
     stops = ", ".join(c.COVERED)
     variables = (
         "".join(f"--{name}:{value};" for name, value in named.items())
@@ -108,6 +128,7 @@ def build_page(controls: BuildControls | None, welcome: Callable[[], None]) -> N
         with ui.element("div").classes("dashboard"):
             html(_HEADER, "top")
             html(_TILES, "tiles")
+            html(_MISSION, "tiles mission")
             html(_MAP, "card map-card")
             html(_CHARTS, "card charts")
             with ui.element("div").classes("side"):

@@ -128,6 +128,7 @@ def numbers(view: DriveView, vehicle: str, history: ErrorCurve) -> Text:
     _distance(text, view, escort)
     _coverage(text, escort, history)
     _velocities(text, view, vehicle, escort)
+    _mission(text, view)
     _clock(text, view)
     _processes(text, view)
     return text
@@ -221,6 +222,24 @@ def _velocity(text: Text, name: str, velocity: tuple[float, float] | None, color
     x, y = velocity
     text.append(f"{x:+7.2f}{y:+7.2f}")
     text.append(f"{math.hypot(x, y):7.2f}\n", style="bold")
+
+
+def _mission(text: Text, view: DriveView) -> None:
+    """How the UGVs get through ground with hazards."""
+    told = view.status.mission if view.status is not None else None
+    if told is None:
+        return
+    if told.mission_time is None:
+        _row(text, "at the goals", "not yet")
+    else:
+        _row(text, "at the goals", f"after {told.mission_time:.1f} s", GOOD)
+    _row(text, "hazards hit", str(told.hazards_hit), LIMIT if told.hazards_hit else GOOD, bold=True)
+    _row(text, "on the way / known", f"{told.hazards_on_way} / {told.warned}")
+    if told.seen_ahead is not None:
+        _row(text, "way seen ahead", f"{100.0 * told.seen_ahead:.0f} %")
+    if told.finds:
+        _row(text, "found", f"{told.found} of {told.finds}")
+    text.append("\n")
 
 
 def _clock(text: Text, view: DriveView) -> None:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from bus.messages import CoverageMap, Status, Truth
+from bus.messages import CoverageMap, GroundMap, Status, Truth
 from bus.registry import TELEOP
 from bus.session import Session
 from outrider.view.operator import Helm, RunClient
@@ -32,6 +32,7 @@ class DriveView:
     status: Status | None = None
     truth: Truth | None = None
     coverage: CoverageMap | None = None
+    ground: GroundMap | None = None
     age: float = 0.0
     """Time since the simulator has told something [s]."""
     factor: float = 0.0
@@ -186,6 +187,7 @@ class Teleoperation:
                 status=client.status,
                 truth=client.truth,
                 coverage=client.coverage,
+                ground=client.ground,
                 age=client.age,
                 factor=client.factor,
                 connected=client.connected,

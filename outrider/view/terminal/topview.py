@@ -4,10 +4,22 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 
-from bus.messages import CoverageMap, Truth
+from bus.messages import CoverageMap, GroundMap, Truth
 from outrider.view.terminal.canvas import Canvas
-from outrider.view.terminal.palette import BACKGROUND, COVERED, EDGE, FAINT, LIMIT, UAV, UGV
+from outrider.view.terminal.palette import (
+    BACKGROUND,
+    COVERED,
+    EDGE,
+    FAINT,
+    HAZARDS,
+    LIMIT,
+    TILES,
+    UAV,
+    UGV,
+    UNKNOWN,
+)
 from outrider.view.terminal.teleoperation import DriveView
+from sim.scene.ground import HIT
 from sim.scene.model import Scene
 
 _SHOWN = 1.35
@@ -83,6 +95,10 @@ def draw(
     if view.coverage is not None:
         _paint_coverage(canvas, window, view.coverage)
     _paint_area(canvas, window, scene)
+    has_hazards = view.status is not None and view.status.mission is not None
+    hazards = view.ground if has_hazards else None
+    if hazards is not None:
+        _paint_hazards(canvas, window, hazards)
     flies = {one.name: one.flies for one in scene.vehicles}
     for name, trail in trails.points.items():
         for point in trail:
@@ -90,6 +106,8 @@ def draw(
     here = window.dot(truth.vehicles[vehicle].position)
     for ring in limits:
         canvas.circle(*here, ring.radius / window.scale, LIMIT, dashed=ring.dashed)
+    if hazards is not None:
+        _mark_hazards(canvas, window, hazards)
     for one in sorted(scene.vehicles, key=lambda one: (one.flies, one.name == vehicle)):
         mark, color = ("▲", UAV[0]) if one.flies else ("■", UGV[0])
         if one.name in truth.vehicles:
@@ -122,6 +140,36 @@ def _paint_coverage(canvas: Canvas, window: _Window, coverage: CoverageMap) -> N
             if 0 <= i < coverage.columns and 0 <= j < coverage.rows:
                 share = coverage.cells[j * coverage.columns + i] / 255.0
                 canvas.ground(column, row, COVERED[round(share * (len(COVERED) - 1))])
+
+
+def _paint_hazards(canvas: Canvas, window: _Window, ground: GroundMap) -> None:
+    """What the UGVs know of the ground, and the hazards: those that they do not know faint."""
+    for row in range(canvas.height):
+        for column in range(canvas.width):
+            x, y = window.point(2 * column + 1, 4 * row + 2)
+            i, j = int(x // ground.tile), int(y // ground.tile)
+            if 0 <= i < ground.columns and 0 <= j < ground.rows:
+                shade = TILES[ground.tiles[j * ground.columns + i]]
+                if shade:
+                    canvas.ground(column, row, shade)
+    for hazard, state in zip(ground.hazards, ground.states, strict=True):
+        color = LIMIT if state == HIT else (HAZARDS if state else UNKNOWN)[hazard.kind]
+        if hazard.corners:
+            corners = [window.dot(corner) for corner in hazard.corners]
+            for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
+                canvas.line(*start, *end, color)
+        elif hazard.kind != "find":
+            canvas.circle(*window.dot(hazard.center), hazard.radius / window.scale, color)
+
+
+def _mark_hazards(canvas: Canvas, window: _Window, ground: GroundMap) -> None:
+    """A star where there is something to be found, and a cross on each hazard that a UGV has hit."""
+    for hazard, state in zip(ground.hazards, ground.states, strict=True):
+        if hazard.kind == "find":
+            color = (HAZARDS if state else UNKNOWN)[hazard.kind]
+            canvas.letter(*window.dot(hazard.center), "★" if state else "☆", color)
+        elif state == HIT:
+            canvas.letter(*window.dot(hazard.center), "✗", LIMIT)
 
 
 def _paint_area(canvas: Canvas, window: _Window, scene: Scene) -> None:

@@ -42,7 +42,7 @@ class Source(Protocol):
     """True if anybody receives what is sent."""
 
     def news(self) -> Iterator[Message]:
-        """Status, Truth and CoverageMap that have come since the last call, in this order of kinds."""
+        """Status, Truth, CoverageMap and GroundMap that have come since the last call, in this order of kinds."""
 
     @property
     def factor(self) -> float:

@@ -9,7 +9,7 @@ import msgspec
 
 from bus.messages import Control, Drive, Message, Status, Truth
 from bus.registry import DEFAULT_LAW
-from outrider.recording.reader import Recording, coverages, statuses
+from outrider.recording.reader import Recording, coverages, grounds, statuses
 from outrider.view.page.sources.protocol import Playing, SourceState
 from sim.scene.known import geometry_of
 
@@ -40,6 +40,8 @@ class Tape:
         self._truths = recording.truths
         self._times = [truth.time for truth in self._truths]
         self._maps = _thinned(coverages(recording.path, flight=recording.number))
+        self._grounds = _thinned(grounds(recording.path, flight=recording.number))
+        self._ground_ticks = [ground.tick for ground in self._grounds]
         self._map_ticks = [ground.tick for ground in self._maps]
         self._statuses = _thinned(statuses(recording.path, flight=recording.number)) or [
             _unknown_status(recording)
@@ -60,7 +62,7 @@ class Tape:
         self._at = self._times[0]
         self._looked: float | None = None
         self._told = 0.0
-        self._truth = self._map = self._status_given = -1  # what was given last
+        self._truth = self._map = self._ground = self._status_given = -1  # what was given last
         self._given = self._at
 
     @property
@@ -116,6 +118,10 @@ class Tape:
         if ground != self._map and ground >= 0:
             self._map = ground
             yield self._maps[ground]
+        hazards = bisect_right(self._ground_ticks, self._truths[index].tick) - 1
+        if hazards != self._ground and hazards >= 0:
+            self._ground = hazards
+            yield self._grounds[hazards]
 
     def _on_the_way_to(self, index: int) -> Iterator[Status | Truth]:
         """The truths from where the tape was (its start if it was wound back) to this one, and statuses between."""

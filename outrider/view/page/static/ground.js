@@ -1,6 +1,7 @@
 // The map: ground, tracks, vehicles, the limits of sight, and a close-up of the UGV with its estimate.
 
 import { FONT, colorOf, fit, ticks } from "./canvas.js";
+import { Hazards } from "./hazards.js";
 
 const KEPT_DETECTIONS = 40;
 const CLOSEST = 4; // so much ground is shown at least [m]
@@ -11,6 +12,7 @@ export class Ground {
     this.canvas = canvas;
     this.store = store;
     this.image = document.createElement("canvas");
+    this.hazards = new Hazards(store);
     this.corner = 0;
     this.zoom = 1; // of the ground's whole width
     this.middle = null; // of what is shown [m]; null: of the ground
@@ -120,6 +122,7 @@ export class Ground {
       c.imageSmoothingQuality = "high";
       c.drawImage(this.image, view.X(0), view.Y(this.size.height), this.size.width * scale, this.size.height * scale);
     }
+    this.hazards.draw(c, view);
     this.drawTracks(c, view);
     this.drawRings(c, view);
     this.drawDetections(c, view, 1.6);

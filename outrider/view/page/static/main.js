@@ -78,6 +78,7 @@ function take(frame, ground) {
     store.now = frame.now;
   }
   if (frame.map) ground.takeMap(frame.map);
+  if (frame.ground) ground.hazards.take(frame.ground);
 }
 
 function showTile(name, value, digits, bad = false) {
@@ -112,6 +113,7 @@ function showTiles() {
   const { now, vehicles, escorts, geometry, status, truth, state } = store;
   showTile("time", truth ? truth.time : status && status.time, 1);
   showTile("factor", state && state.factor, 2);
+  showMission(status);
   if (!now) return;
   const column = (which) => escorts.map((_, k) => now[2 + 2 * vehicles.length + PER_ESCORT * k + which]).filter((v) => v !== null);
   const worst = (values) => (values.length ? Math.max(...values) : null);
@@ -122,6 +124,29 @@ function showTiles() {
   showPromise(truth);
   showTile("error", worst(column(1)), 1);
   showTile("estimate", worst(column(2)), 3);
+}
+
+// How the UGVs get through ground with hazards; without any there are no such tiles.
+function showMission(status) {
+  const told = (status && status.mission) || null;
+  document.body.classList.toggle("hazards", Boolean(told));
+  if (!told) return;
+  const show = (name, text, unit = "", bad = false) => {
+    const tile = $(`tile-${name}`);
+    setText(tile.querySelector("output"), text);
+    setText(tile.querySelector("small"), unit);
+    tile.classList.toggle("bad", bad);
+  };
+  const known = (value) => value !== null && value !== undefined;
+  if (known(told.mission_time)) show("arrived", told.mission_time.toFixed(1), "s");
+  else show("arrived", "not yet");
+  show("hit", String(told.hazards_hit), told.near_misses ? `nearly ${told.near_misses}` : "", told.hazards_hit > 0);
+  const before = known(told.warned_before) ? `, ${told.warned_before.toFixed(0)} s before` : "";
+  show("way", String(told.hazards_on_way), told.hazards_on_way ? `known ${told.warned}${before}` : "");
+  show("ahead", known(told.seen_ahead) ? (100 * told.seen_ahead).toFixed(0) : "–", "%");
+  show("still", told.still_time.toFixed(1), "s");
+  $("tile-found").hidden = !told.finds;
+  show("found", String(told.found), `of ${told.finds}`);
 }
 
 function chip(name, state, tip = "") {

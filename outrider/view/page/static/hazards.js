@@ -1,0 +1,96 @@
+// The ground with hazards: a veil over what the UGVs do not know, and the hazards on it; unknown ones are faint.
+
+const HATCH = 7; // between two lines on rough ground [px]
+const [UNKNOWN, HIT] = [0, 2]; // states of a hazard; 1: a UGV knows of it
+
+export class Hazards {
+  constructor(store) {
+    this.store = store;
+    this.image = document.createElement("canvas");
+    this.map = null;
+  }
+
+  // Take what observers are told of the ground; row 0 is y = 0.
+  take(map) {
+    const { columns, rows } = map;
+    const { tiles } = this.store.colors;
+    const words = Uint32Array.from(tiles, ([color, opacity]) => {
+      const value = parseInt(color.slice(1), 16);
+      return ((Math.round(255 * opacity) << 24) | ((value & 255) << 16) | (value & 0xff00) | (value >> 16)) >>> 0;
+    });
+    const bytes = atob(map.tiles);
+    [this.image.width, this.image.height] = [columns, rows];
+    const context = this.image.getContext("2d");
+    const pixels = context.createImageData(columns, rows);
+    const to = new Uint32Array(pixels.data.buffer);
+    for (let row = 0; row < rows; row += 1)
+      for (let column = 0; column < columns; column += 1)
+        to[(rows - 1 - row) * columns + column] = words[bytes.charCodeAt(row * columns + column)];
+    context.putImageData(pixels, 0, 0);
+    this.map = map;
+    this.states = Uint8Array.from(atob(map.states), (letter) => letter.charCodeAt(0));
+  }
+
+  draw(c, view) {
+    const { map } = this;
+    const { status } = this.store;
+    if (!map || !status || !status.mission) return;
+    const { X, Y, scale } = view;
+    const [width, height] = [map.columns * map.tile, map.rows * map.tile];
+    c.imageSmoothingEnabled = false;
+    c.drawImage(this.image, X(0), Y(height), width * scale, height * scale);
+    map.hazards.forEach((hazard, k) => this.drawOne(c, view, hazard, this.states[k]));
+    c.globalAlpha = 1;
+  }
+
+  drawOne(c, { X, Y, scale }, { kind, center, radius, corners }, state) {
+    const { colors } = this.store;
+    const [x, y] = [X(center[0]), Y(center[1])];
+    const color = colors.hazards[kind];
+    if (kind === "find") {
+      star(c, x, y, 8);
+      c.fillStyle = state === UNKNOWN ? "#fff" : color;
+      c.strokeStyle = state === UNKNOWN ? color : colors.ink;
+      c.lineWidth = 1.2;
+      c.fill();
+      c.stroke();
+      return;
+    }
+    c.globalAlpha = state === UNKNOWN ? colors.faint : 1;
+    c.beginPath();
+    if (corners.length) for (const corner of corners) c.lineTo(X(corner[0]), Y(corner[1]));
+    else c.arc(x, y, radius * scale, 0, 2 * Math.PI);
+    c.closePath();
+    c.fillStyle = state === HIT ? colors.limit : kind === "rough" ? this.hatch(c, color) : color;
+    c.fill();
+    c.strokeStyle = color;
+    c.lineWidth = 1;
+    c.stroke();
+  }
+
+  hatch(c, color) {
+    if (!this.pattern) {
+      const tile = document.createElement("canvas");
+      [tile.width, tile.height] = [HATCH, HATCH];
+      const t = tile.getContext("2d");
+      t.strokeStyle = color;
+      t.lineWidth = 1;
+      for (const shift of [-HATCH, 0, HATCH]) {
+        t.moveTo(shift, HATCH);
+        t.lineTo(shift + HATCH, 0);
+      }
+      t.stroke();
+      this.pattern = c.createPattern(tile, "repeat");
+    }
+    return this.pattern;
+  }
+}
+
+function star(c, x, y, size) {
+  c.beginPath();
+  for (let k = 0; k < 10; k += 1) {
+    const [angle, reach] = [(Math.PI * k) / 5 - Math.PI / 2, k % 2 ? 0.42 * size : size];
+    c.lineTo(x + reach * Math.cos(angle), y + reach * Math.sin(angle));
+  }
+  c.closePath();
+}

@@ -1,0 +1,66 @@
+"""Ground with hazards for observers: as it truly is, and what the UGVs know of it."""
+
+import numpy as np
+
+from bus.messages import GroundMap, HazardOutline
+from bus.registry import HAZARDS
+from sim.models.ground import FOUND, UNSEEN
+from sim.world import World
+
+SEEN = 5
+"""Code of a tile that a UAV has seen and has not told yet; the others are the states of a tile."""
+UNKNOWN, KNOWN, HIT = range(3)
+"""States of a hazard."""
+_KINDS = {row.code: name for name, row in HAZARDS.items()}
+
+
+def hazards_of(world: World) -> tuple[HazardOutline, ...]:
+    """The hazards of a world, those of the scenario and those that were drawn for this flight."""
+    tables, state = world.arrays
+    rows = state.ground.hazards[0]
+    found = []
+    for row in rows[rows["kind"] > 0]:
+        first, count = int(row["first"]), int(row["corners"])
+        corners = tables.ground.corners[first : first + count].tolist()
+        found.append(
+            HazardOutline(
+                kind=_KINDS[int(row["kind"])],
+                center=(float(row["x"]), float(row["y"])),
+                radius=float(row["radius"]),
+                corners=tuple((x, y) for x, y in corners),
+            )
+        )
+    return tuple(found)
+
+
+def ground_map(world: World, hazards: tuple[HazardOutline, ...] | None = None) -> GroundMap | None:
+    """What there is to see of a world's ground now; None where it has no hazards.
+
+    Args:
+        world: Which.
+        hazards: Its hazards, where they have been asked for before: they stay.
+    """
+    if not world.scenario.has_ground:
+        return None
+    tables, state = world.arrays
+    ground, mission = state.ground, state.mission
+    rows, columns = ground.tiles.shape[1:]
+    tiles = np.zeros((rows, columns), np.uint8)
+    for n, v in enumerate(tables.ground.ugvs.tolist()):
+        felt = ground.known[0, v]
+        own = np.where(felt == UNSEEN, mission.told[0, n], felt)
+        tiles = np.where(tiles == UNSEEN, own, tiles)
+    for v in world.escorts[:, 0].tolist():
+        tiles[(tiles == UNSEEN) & (ground.known[0, v] != UNSEEN)] = SEEN
+    kinds = ground.hazards[0]["kind"]
+    known = np.where(kinds == FOUND, mission.found[0] > 0, (mission.warned[0] > 0).any(axis=0))
+    states = np.where(ground.hits[0].any(axis=0), HIT, np.where(known, KNOWN, UNKNOWN))
+    return GroundMap(
+        tick=world.tick,
+        rows=rows,
+        columns=columns,
+        tile=world.scenario.ground.tile,
+        tiles=tiles.tobytes(),
+        states=states[kinds > 0].astype(np.uint8).tobytes(),
+        hazards=hazards_of(world) if hazards is None else hazards,
+    )

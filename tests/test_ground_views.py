@@ -1,0 +1,198 @@
+"""The mission measured and shown: what observers are told of ground with hazards, and every picture of it."""
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from worlds import small
+
+pytest.importorskip("foxglove", reason="the extra [record] is not installed")
+
+from bus.keys import GROUND, Role
+from bus.messages import GroundMap
+from outrider.cli import console
+from outrider.experiments.report.document import COLUMNS, columns_of, mission_cells
+from outrider.experiments.report.results import Cell, Panel
+from outrider.experiments.sweep.columns import RESULTS, row_of
+from outrider.recording.reader import entries, flight_of, grounds, statuses
+from outrider.recording.refly import refly
+from outrider.recording.schemas import GROUND as TOPIC
+from outrider.recording.writer import FlightRecorder
+from outrider.running.flying import InProcess, fly, make_pilots
+from outrider.running.summary import Summary
+from outrider.view.film import Film, render
+from outrider.view.flight_picture import draw_flight
+from outrider.view.page.hub import Hub
+from outrider.view.page.sources.tape import Tape
+from outrider.view.terminal.teleoperation import DriveView
+from outrider.view.terminal.topview import Trails, draw
+from sim.scenario.types import Ground, Hazard, Scenario, Ugv
+from sim.scene.colors import HAZARDS, LIMIT
+from sim.scene.ground import HIT, KNOWN, SEEN, UNKNOWN, ground_map
+from sim.scene.known import geometry_of
+from sim.server.flight import Flight
+
+MUD = ((11.0, 7.0), (13.0, 7.0), (13.0, 9.0), (11.0, 9.0))
+ON_WAY = Hazard(kind="block", center=(10.0, 6.0), radius=0.5)
+FAR = Hazard(kind="block", center=(2.0, 2.0), radius=0.4)
+HAZARDOUS = (
+    ON_WAY,
+    FAR,
+    Hazard(kind="rough", polygon=MUD),
+    Hazard(kind="find", center=(10.0, 8.0), radius=0.2),
+)
+
+
+def course(driver: str = "waypoints", **ground: Any) -> Scenario:
+    plain = small("tracking", duration=40.0, name="course")
+    ugv = Ugv(position=(8.0, 6.0), driver=driver, goals=((12.0, 6.0),), max_speed=0.3)
+    return msgspec.structs.replace(
+        plain, ugv=(ugv,), hazard=HAZARDOUS, ground=Ground(touch="damage", **ground)
+    )
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Flight, Summary]:
+    path, scenario = tmp_path_factory.mktemp("ground") / "run.mcap", course()
+    recorder = FlightRecorder(path, scenario, 1, secret="5" * 32)
+    flight, summary = fly(scenario, 1, secret="5" * 32, on_tick=recorder.tick)
+    recorder.close()
+    return path, flight, summary
+
+
+def seen_at_the_end(flight: Flight) -> GroundMap:
+    ground = ground_map(flight.world)
+    assert ground is not None
+    return ground
+
+
+class Watched(InProcess):
+    """The pilots, and beside them the map that observers are told."""
+
+    flight: Flight
+    compared = 0
+
+    def collect(self, tick: int) -> Any:
+        said = super().collect(tick)
+        driver: Any = self._pilots["ugv_0"]._driver  # type: ignore[union-attr]
+        tiles = driver.memory.ground.tiles
+        told = np.frombuffer(seen_at_the_end(self.flight).tiles, np.uint8).reshape(tiles.shape)
+        assert (np.where(told == SEEN, 0, told) == tiles).all(), tick
+        self.compared += int((tiles > 0).sum())
+        return said
+
+
+def test_observers_are_shown_the_tiles_that_the_ugvs_own_pilot_knows() -> None:
+    scenario = msgspec.structs.replace(course("navigate", false_alarm=0.05), duration=15.0)
+    watched = Watched(make_pilots(scenario, 1))
+    watched.flight = Flight(scenario, 1)
+    watched.flight.fly(watched)
+    assert watched.compared > 10_000
+
+
+def test_observers_alone_are_told_of_the_ground_with_its_hazards() -> None:
+    assert set(GROUND.readers) == {Role.OBSERVER, Role.OPERATOR}
+
+
+def test_each_hazard_is_unknown_then_known_then_hit(flown: tuple[Path, Flight, Summary]) -> None:
+    path, flight, _ = flown
+    first, *_, last = grounds(path, flight=0)
+    assert set(first.states) == {UNKNOWN}
+    assert list(last.states) == [HIT, UNKNOWN, KNOWN, KNOWN]
+    assert last == seen_at_the_end(flight)
+
+
+def test_the_summary_tells_the_mission_and_its_table_in_plain_words(flown, capsys) -> None:
+    _, flight, summary = flown
+    mission = flight.world.mission
+    for name, value in msgspec.structs.asdict(mission).items():
+        assert getattr(summary, name) == value, name
+    assert summary.arrived
+    console.print_summary(summary, [])
+    table = capsys.readouterr().out
+    for words in (
+        f"after {summary.mission_time:.1f} s",
+        "hazards hit",
+        "1, nearly hit 0",
+        "1 of 1",
+    ):
+        assert words in table
+
+
+def test_without_hazards_nobody_is_told_of_a_mission(tmp_path: Path, capsys: Any) -> None:
+    recorder = FlightRecorder(tmp_path / "run.mcap", small("tracking", duration=1.0), 1)
+    flight, summary = fly(small("tracking", duration=1.0), 1, on_tick=recorder.tick)
+    recorder.close()
+    assert summary.hazards_hit is summary.arrived is summary.mission_time is None
+    assert ground_map(flight.world) is None
+    assert not [one for one in entries(tmp_path / "run.mcap") if one.topic == TOPIC.name]
+    console.print_summary(summary, [])
+    assert "hazard" not in capsys.readouterr().out
+
+
+def test_a_recording_tells_the_hazards_once_and_draws_the_same_picture(flown, tmp_path) -> None:
+    path, flight, _ = flown
+    told = [msgspec.json.decode(e.data, type=GroundMap) for e in entries(path, (TOPIC.name,))]
+    assert len(told[0].hazards) == len(HAZARDOUS)
+    assert len(told) > 30
+    assert not any(one.hazards for one in told[1:])
+    draw_flight(flight, tmp_path / "flight.png")
+    render(flight_of(path), tmp_path / "again.png")
+    assert (tmp_path / "flight.png").read_bytes() == (tmp_path / "again.png").read_bytes()
+    again = refly(flight_of(path))
+    assert again.difference is None
+    assert again.trajectory_sha256 == flight.recorder.sha256()
+
+
+def test_a_film_shows_hazards_faint_then_strong_and_red_where_one_was_hit(flown) -> None:
+    path, *_ = flown
+
+    def count(frame: Any, color: str) -> int:
+        ground = frame[100:640, :, :3].astype(int)  # without title and legend
+        return int((np.abs(ground - np.array(to_rgb(color)) * 255.0) < 3.0).all(axis=2).sum())
+
+    first, last = Film(flight_of(path)).frames([0.0, 40.0])
+    assert count(last, HAZARDS["block"]) > count(first, HAZARDS["block"])
+    assert count(last, LIMIT) > count(first, LIMIT) + 200
+
+
+def test_the_page_is_given_the_ground_as_the_tape_goes_on(flown) -> None:
+    hub = Hub(Tape(flight_of(flown[0]), 1.0, lambda: 0.0))
+    hub.take_in()
+    browser = hub.welcome("127.0.0.1")
+    frame = msgspec.json.decode(hub.frame(browser))
+    assert len(frame["ground"]["hazards"]) == len(HAZARDOUS)
+    assert "ground" not in msgspec.json.decode(hub.frame(browser))
+    hub.source.wind(40.0)  # type: ignore[attr-defined]
+    hub.take_in()
+    frame = msgspec.json.decode(hub.frame(browser))
+    assert (frame["ground"]["tick"], frame["status"]["mission"]["hazards_hit"]) == (800, 1)
+
+
+def test_the_terminal_marks_what_was_hit_and_what_was_found(flown) -> None:
+    _, flight, _ = flown
+    recording = flight_of(flown[0])
+    *_, status = statuses(recording.path, flight=0)
+    status = msgspec.structs.replace(status, geometry=geometry_of(flight.scenario))
+    view = DriveView(status=status, truth=flight.truth(), ground=seen_at_the_end(flight))
+    canvas = draw(view, "ugv_0", Trails(), width=90, height=40, wide=True)
+    text = "".join(segment.text for row in range(40) for segment in canvas.row(row))
+    assert (text.count("✗"), text.count("★"), text.count("☆")) == (1, 1, 0)
+
+
+def test_a_sweep_keeps_the_mission_and_its_report_has_columns_for_it(flown) -> None:
+    row = row_of(flown[2], 1.0)
+    assert {"arrived", "mission_time", "hazards_hit", "seen_ahead"} <= set(RESULTS)
+    assert (row["arrived"], row["hazards_hit"]) == (True, 1)
+    cell = Cell([row | {"error": None}, row | {"error": None, "hazards_hit": 2, "arrived": False}])
+    time = f"{row['mission_time']:.1f}"
+    assert mission_cells(cell)[:3] == ["1 (50 %)", time, "1.5"]
+    panel = Panel(
+        title="", field="", values=[None], laws=["tracking"], cells={("tracking", None): cell}
+    )
+    assert columns_of(panel)[len(COLUMNS)] == "at the goals"
+    panel.cells["tracking", None] = Cell([row | {"error": None, "hazards_hit": None}])
+    assert columns_of(panel) == COLUMNS
