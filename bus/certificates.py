@@ -1,8 +1,7 @@
 """Certificates in the place of passwords: an authority for a run, and one identity for each party (mutual TLS).
 
-Made and read by `cryptography`, which is the extra [tls] and imported only where certificates are used. A
-vehicle's certificate
-is good for a client alone, the router's for a server alone: nobody's may stand for the router's.
+Made and read by `cryptography`, which is the extra [tls] and imported only where certificates are used. A vehicle's
+certificate is good for a client alone, the router's for a server alone: nobody's may stand for the router's.
 """
 
 import ssl

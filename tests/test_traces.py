@@ -199,9 +199,7 @@ def test_links_change_from_and_to_recorded_ones(first: str, then: str) -> None:
         assert got == flown()[0]
 
 
-def test_an_operator_gives_a_link_a_recorded_one_that_was_read_and_no_other(
-    tmp_path: Path,
-) -> None:
+def test_an_operator_gives_a_link_a_recorded_one_that_was_read_and_no_other(tmp_path: Path) -> None:
     (tmp_path / "wifi.csv").write_text(TABLE)
     scenario = load_scenario(
         "escort", overrides=[f"links.radio.trace={tmp_path}/wifi.csv", "duration=10.0"]

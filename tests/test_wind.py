@@ -6,21 +6,19 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from flights import record, sha256, told
-from processes import run_json
+from flights import EVADED, flown_in_both, told
+from processes import flown_both_ways
 from worlds import LOSSY, SCENARIOS, small
 
 from agents.control.handover import certificate, check_assumptions
 from agents.control.promise import Declared
 from bus.errors import ScenarioError
 from bus.messages import UavObservation
-from outrider.envs.env_pilots import pilots
 from outrider.experiments.falsify import attack as a
 from outrider.running.assumptions import shortfalls
 from outrider.running.flying import fly
 from sim.engine.batch import Batch
 from sim.engine.world_state import no_tracking_errors
-from sim.env.parallel import parallel_env
 from sim.models.inner_loop import InnerLoop, needed_reserve, step_error, tracking_error
 from sim.scenario.checks import check_scenario
 from sim.scenario.types import Certificate, LinkTable, Tracking, Uav, Wind
@@ -206,30 +204,14 @@ def test_the_wind_is_never_stronger_than_its_limit_and_has_its_mean_and_spread()
 
 
 def test_wind_flies_one_trajectory_in_the_environment_and_in_a_run() -> None:
-    env = parallel_env(WINDY)
-    observations, _ = env.reset(seed=3)
-    states = record(env, pilots(env), observations)
-    _, summary = fly(WINDY, 3)
-    assert sha256(states) == summary.trajectory_sha256
+    flown_in_both(WINDY, 3)
 
 
 def test_wind_flies_one_trajectory_over_three_processes() -> None:
-    arguments = [
-        "escort",
-        *("--law", "certified", "--driver", "evade", "--duration", "10", "--seed", "3"),
-        *(
-            "--set",
-            "wind.mean=[0.1, 0.0]",
-            "--set",
-            "wind.gust=0.03",
-            "--set",
-            "uav.0.own_error=0.1",
-        ),
-    ]
-    over_the_bus, alone = run_json(*arguments), run_json(*arguments, "--in-process")
-    assert over_the_bus["trajectory_sha256"] == alone["trajectory_sha256"]
-    assert 0.02 < over_the_bus["tracking_error"] <= over_the_bus["declared_tracking"]
-    assert over_the_bus["certified_share"] == 1.0
+    wind = ("wind.mean=[0.1, 0.0]", "wind.gust=0.03", "uav.0.own_error=0.1")
+    there, _ = flown_both_ways("escort", *EVADED, *wind, seed=3)
+    assert 0.02 < there["tracking_error"] <= there["declared_tracking"]
+    assert there["certified_share"] == 1.0
 
 
 def test_wind_and_lost_commands_leave_every_tick_certified() -> None:

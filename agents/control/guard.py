@@ -1,8 +1,7 @@
 """One UAV's safety filter over records: its memory and its tick. See docs/explanation/certificate.md.
 
-`SafetyFilter` calls these functions for one UAV, compiled loops call them for many worlds. In a tick:
-`note_position`, then
-`note_detection` for each detection that has arrived, then `guard` with the command that is wanted.
+`SafetyFilter` calls these functions for one UAV, compiled loops call them for many worlds. In a tick: `note_position`,
+then `note_detection` for each detection that has arrived, then `guard` with the command that is wanted.
 
 The filter keeps a **course**: the states in which the ticks until the next command acts will begin, and the
 commands under way that lead there. The UAV is on course if its state is the one that the course has for this tick.

@@ -25,8 +25,7 @@ _FOREVER = float(2**53)
 _GRID, _STEPS = 0.005, 950
 """Step of the distances [m] over which the hand-over is checked when a scenario loads, and its margin.
 
-But no more steps than
-these to r_v, or a large radius would take minutes."""
+But no more steps than these to r_v, or a large radius would take minutes."""
 
 
 @compiled

@@ -147,25 +147,18 @@ def command(
 ) -> None:
     """Search for a run in which the UAV loses sight of the UGV, on all cores.
 
-    Turned are the UGV's motion within its bounds, the start, the draws of the noise and, within the limits below,
-    the network:
-    first what the proofs fear, then chance, then CMA-ES on the largest distance. Starts are such that braking at
-    once keeps
-    the UGV within r_s, so that a law that loses it did so itself. The worst run with a violation is saved as a
-    scenario that flies it again, to the last bit: `outrider run FILE --in-process`.
+    Turned are the UGV's motion within its bounds, the start, the draws of the noise and, within the limits below, the
+    network: first what the proofs fear, then chance, then CMA-ES on the largest distance. Starts are such that braking
+    at once keeps the UGV within r_s, so that a law that loses it did so itself. The worst run with a violation is saved
+    as a scenario that flies it again, to the last bit: `outrider run FILE --in-process`.
 
-    The law `certified` promises only where it says so: a run counts as violated if every tick from its first
-    certified one up to
-    the loss was certified (after a gap: those of the last second), or if any tick was certified while the UGV was
-    out of sight;
-    all numbers are told. What the scenario does not declare in [certificate] is declared as the limits need it.
-    For this law a
-    compiled attack is flown as well, over its own grid: adversaries in the UAV and in the UGV, errors on the
-    border of their
-    ball, blackouts up to 15 s, commands up to 1 s late, walls and corners; and commands that are lost, early,
-    doubled or later
-    than declared, laws changed in flight, processes that join again. One in a hundred of --runs are whole flights,
-    the others attacks; of --minutes, a third.
+    The law `certified` promises only where it says so: a run counts as violated if every tick from its first certified
+    one up to the loss was certified (after a gap: those of the last second), or if any tick was certified while the UGV
+    was out of sight; all numbers are told. What the scenario does not declare in [certificate] is declared as the
+    limits need it. For this law a compiled attack is flown as well, over its own grid: adversaries in the UAV and in
+    the UGV, errors on the border of their ball, blackouts up to 15 s, commands up to 1 s late, walls and corners; and
+    commands that are lost, early, doubled or later than declared, laws changed in flight, processes that join again.
+    One in a hundred of --runs are whole flights, the others attacks; of --minutes, a third.
 
     The exit code is 0 whatever is found, unless --expect says otherwise; 130 after Ctrl-C, which keeps the best.
     Needs the extra [falsify].

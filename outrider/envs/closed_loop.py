@@ -299,9 +299,8 @@ class ClosedLoop:
 
         `mean_error` is the mean of e(t) [m²] over the ticks so far, the first included; NaN where e(t) is not computed.
         `certified_while_lost` counts the ticks that the safety filter certified with the UGV out of sight,
-        `certificate_broken`
-        those that it did not certify although the one before was and all assumptions held: any is a fault of the
-        certificate.
+        `certificate_broken` those that it did not certify although the one before was and all assumptions held: any is
+        a fault of the certificate.
         """
         rows, ticks = self.state.rows.uavs[:, self.uavs.index(uav)], self.state.batch.ticks
         asked = np.maximum(rows[:, GUARD_METRICS.asked], 1.0)

@@ -1,9 +1,8 @@
 """Many worlds at once for whoever trains: a Gymnasium vector environment for one vehicle, and one for all of them.
 
 `docs/reference/environment.md` says what a vehicle observes and is paid: it is the same here, bit for bit, as in
-`outrider.parallel_env`.
-An episode that ends begins anew in the same step (Gymnasium's SAME_STEP): the observation is the new episode's
-first one, and the last one of the old episode is in `infos["final_obs"]`.
+`outrider.parallel_env`. An episode that ends begins anew in the same step (Gymnasium's SAME_STEP): the observation is
+the new episode's first one, and the last one of the old episode is in `infos["final_obs"]`.
 """
 
 import operator

@@ -34,8 +34,7 @@ _WAKE = 0.02
 _BLOCK = 8
 """Ticks that the thread writes at once.
 
-Then it lets the flight have the interpreter, which comes back from the bus and must not
-find it taken for long."""
+Then it lets the flight have the interpreter, which comes back from the bus and must not find it taken for long."""
 _SWITCH = 1e-4
 """A flight that is back from the bus gets the interpreter from the thread within this [s].
 

@@ -397,11 +397,10 @@ def relink(
 ) -> LinkState:
     """The state with which a link goes on under new parameters, between two ticks.
 
-    What flies arrives when it would have; what waits goes on waiting, but for what a shorter queue drops; the
-    message that left
-    last keeps the new spacing to the next; one that is half granted to an opportunity begins anew, unless it goes on
-    in messages of the same size. Counters stay. A burst or random blackout goes on where there still are
-    any; the time to the next random blackout is drawn anew, from now on, if its law has changed.
+    What flies arrives when it would have; what waits goes on waiting, but for what a shorter queue drops; the message
+    that left last keeps the new spacing to the next; one that is half granted to an opportunity begins anew, unless it
+    goes on in messages of the same size. Counters stay. A burst or random blackout goes on where there still are any;
+    the time to the next random blackout is drawn anew, from now on, if its law has changed.
 
     Args:
         old: Parameters so far.

@@ -1,9 +1,8 @@
 r"""One radio link in simulated time: compiled, seeded, the same bits for one world and for many.
 
-A tick of a link has one order: `advance` once, `send` for each message of this tick, `receive` once; `exchange`
-does the three.
-`advance` comes first: it settles what the channel is like at this tick, and what waits at the sender leaves before
-what is new. Ticks in which nothing is sent, waits or flies may be left out: the next `advance` makes them up.
+A tick of a link has one order: `advance` once, `send` for each message of this tick, `receive` once; `exchange` does
+the three. `advance` comes first: it settles what the channel is like at this tick, and what waits at the sender leaves
+before what is new. Ticks in which nothing is sent, waits or flies may be left out: the next `advance` makes them up.
 
 A message meets, in this order:
 
@@ -70,10 +69,9 @@ TICK, INDEX, FREE, WAITING, FLYING, CHAIN, DARK, SERVED, RENEWALS, GRANTED = ran
 SENT, DELIVERED, DUPLICATED, ORIGINALS, AGES, LOST = range(10, 16)
 """Places in `LinkState.counts`: the tick and the messages sent in it; the first free slot; how many wait and fly.
 
-The channel's
-state (-1: not drawn yet, 1: bad) and whether it is dark; messages served since the sender was last idle; random
-blackouts drawn; bytes granted to the message that waits first;
-the counters, ORIGINALS for what was delivered without copies, AGES for the ticks in AGE_SUM; the losses by cause."""
+The channel's state (-1: not drawn yet, 1: bad) and whether it is dark; messages served since the sender was last idle;
+random blackouts drawn; bytes granted to the message that waits first; the counters, ORIGINALS for what was delivered
+without copies, AGES for the ticks in AGE_SUM; the losses by cause."""
 
 BEGAN, DARK_FROM, DARK_TO, NEWEST, AGE_SUM, AGE_MAX = range(6)
 """Places in `LinkState.numbers`, all in ticks.

@@ -44,10 +44,9 @@ _DEFAULT_REWARDS = RewardWeights()
 class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     """A UAV escorts a UGV, sees as much ground around it as it can, and never loses sight of it.
 
-    Agents are the scenario's vehicles. An action is an acceleration [m/s²], held for one tick; the bound of (1) is
-    on its norm,
-    and a longer one is shortened. An observation is the vehicle's own row and nothing else; the whole truth is in
-    `state()`. A UAV observes
+    Agents are the scenario's vehicles. An action is an acceleration [m/s²], held for one tick; the bound of (1) is on
+    its norm, and a longer one is shortened. An observation is the vehicle's own row and nothing else; the whole truth
+    is in `state()`. A UAV observes
 
     | index | name | meaning | unit | range |
     |---|---|---|---|---|

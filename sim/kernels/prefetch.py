@@ -1,8 +1,7 @@
 """A hint to the processor: cells that will be needed soon.
 
-A batch of worlds is larger than any cache. While one world is computed, the part of the next one's grid that its
-tick will touch
-is brought near the core; without this the core waits for memory most of the time. No result depends on it.
+A batch of worlds is larger than any cache. While one world is computed, the part of the next one's grid that its tick
+will touch is brought near the core; without this the core waits for memory most of the time. No result depends on it.
 """
 
 import math

@@ -1,8 +1,7 @@
 r"""The coverage field: sensor (2), accumulation (3), error (4), density (9) and the integral of (6), on a grid.
 
-The grid's cells are squares with their centres at (i + ½)·cell; arrays are [row, column], row 0 at y = 0. The
-kernels walk
-the rows that a disc meets and, in each, the chord. Sums go through a row buffer and a fixed number of lanes, so
+The grid's cells are squares with their centres at (i + ½)·cell; arrays are [row, column], row 0 at y = 0. The kernels
+walk the rows that a disc meets and, in each, the chord. Sums go through a row buffer and a fixed number of lanes, so
 the bits do not depend on who calls, nor on how the compiler arranges the loop.
 
 A sensor is a pair, the quality $S(\rho^2)$ and its slope $dS/d\rho^2$, with a range: a new one is one branch in

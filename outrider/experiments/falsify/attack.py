@@ -2,10 +2,9 @@
 
 The project's own world and links, the UAV's filter, and adversaries in everything else.
 
-The adversary knows the truth and the code. It is the inner control, the UGV, the errors of the detections, which
-of them are made
-at all, and what becomes of commands. Everything is drawn from the seed and the run's number, so any run can be
-flown again alone.
+The adversary knows the truth and the code. It is the inner control, the UGV, the errors of the detections, which of
+them are made at all, and what becomes of commands. Everything is drawn from the seed and the run's number, so any run
+can be flown again alone.
 """
 
 import itertools
@@ -489,13 +488,11 @@ def fly_one(
         work: Room for what the adversaries remember, for two states and the commands of the last ticks. (6 + _RING, 10)
         random: State of the adversary's draws. (1,)
         ticks: Length of the run.
-        result: Filled: largest distance [m]; largest d - d_cert [m]; share of ticks with an intervention, and of
-            those since the
-            first detection arrived the share uncertified; mean distance [m]; largest age of the newest detection
-            [s]; ticks
-            certified with a distance of r_v or more at them or, if the right command acted, until the next; ticks
-            at which the
-            certificate is lost although its assumptions hold; largest distance while certified [m]. Shape (RESULTS,).
+        result: Filled: largest distance [m]; largest d - d_cert [m]; share of ticks with an intervention, and of those
+            since the first detection arrived the share uncertified; mean distance [m]; largest age of the newest
+            detection [s]; ticks certified with a distance of r_v or more at them or, if the right command acted, until
+            the next; ticks at which the certificate is lost although its assumptions hold; largest distance while
+            certified [m]. Shape (RESULTS,).
     """
     c, p, w, sent = conditions, promise, tables.world[0], s.sent[0]
     dt, u_a, v_a, v_g = p.dt, p.u_a, p.v_a, p.v_g
@@ -901,8 +898,7 @@ _OTHER_BOUNDS = (
 )
 """Vehicles and ticks unlike the paper's: short and long ticks.
 
-A UGV up to 0.99 as fast as the UAV, which only a large radius can
-certify; fast vehicles."""
+A UGV up to 0.99 as fast as the UAV, which only a large radius can certify; fast vehicles."""
 
 
 def _networks() -> Iterator[Conditions]:

@@ -22,9 +22,8 @@ CONTROLS = {
 }
 """Guards that are known to be wrong.
 
-Beyond the specification's radius of d_cert tracking (15), or full speed to the detection
-with the least bound; full speed to the newest one beyond a radius that does not know the delay; the paper's law
-(18)."""
+Beyond the specification's radius of d_cert tracking (15), or full speed to the detection with the least bound; full
+speed to the newest one beyond a radius that does not know the delay; the paper's law (18)."""
 
 _CHUNK = 8
 """Runs of a task, after the first round with one for each combination."""

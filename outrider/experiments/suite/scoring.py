@@ -180,10 +180,9 @@ def evaluate(
 
     $$ S = \frac{100}{N + 1} \sum_{k < k_{lost}} \left( 1 - \frac{e(t_k)}{e_0(t_k)} \right) $$
 
-    e is the paper's (4); e_0 is what it would be at this tick had no UAV seen anything, with the UGV where it is.
-    N is the number
-    of ticks that the task asks for, and k_lost the tick at which any UAV loses sight: from then on nothing counts
-    as seen.
+    e is the paper's (4); e_0 is what it would be at this tick had no UAV seen anything, with the UGV where it is. N is
+    the number of ticks that the task asks for, and k_lost the tick at which any UAV loses sight: from then on nothing
+    counts as seen.
 
     Args:
         task: What is flown.
