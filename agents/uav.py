@@ -17,6 +17,7 @@ from agents.control.laws import (
     law_parameters,
     number,
 )
+from agents.control.lookahead import Target
 from agents.control.orbit import Path, check_path
 from agents.control.promise import Promise
 from agents.control.uav_tick import UavMemory, uav_perceive, uav_tick
@@ -46,6 +47,8 @@ _PATH_HORIZON = 600.0
 """How far ahead a path of one's own is checked [s]: a pilot does not know how long the run will be."""
 
 _NOTHING_OWN = OwnTerms()
+
+_NO_TARGET = Target(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 _NO_LOOKS = np.zeros((0, 3))
 _NOWHERE = Motion(0.0, 0.0, 0.0, 0.0)
@@ -91,7 +94,7 @@ def _act(
     memory: UavMemory,
     seen: _Seen,
     own: OwnTerms,
-    target: tuple[bool, float, float],
+    target: Target,
 ) -> tuple[float, float, int, int, float]:
     """Both parts of the tick in one call: handing over the memory costs as much as either of them."""
     law, promise, arrived = laws[0], promises[0], seen.looks.shape[0]
@@ -171,7 +174,7 @@ class UavPilot:
         self._tick: int | None = None
         self._radio_ticks = radio_ticks(briefing.dt)
         self._take_on()
-        seen, target = _NOTHING_SEEN, (False, 0.0, 0.0)
+        seen, target = _NOTHING_SEEN, _NO_TARGET
         self._perceive = entry_point(_perceive, *self._fixed, seen)
         self._act = entry_point(_act, *self._fixed, seen, _NOTHING_OWN, target)
 
@@ -227,7 +230,7 @@ class UavPilot:
             self._fly(observation.law)
         looks = looks_of(observation.detections, self._briefing.dt)
         estimate = self._estimate(observation, looks)
-        target = (False, 0.0, 0.0) if estimate is None else (True, *estimate.position)
+        target = _NO_TARGET if estimate is None else self._target(estimate)
         own = self._own_terms(observation, estimate)
         acted = self._act(*self._fixed, self._seen(observation, looks), own, target)
         (u_x, u_y), verdict = acted[:2], None
@@ -253,6 +256,13 @@ class UavPilot:
     def _estimate(self, observation: UavObservation, looks: tuple[Look, ...]) -> Estimate | None:
         return self.estimator.update(
             tick=observation.tick, own_position=observation.position, looks=looks
+        )
+
+    def _target(self, estimate: Estimate) -> Target:
+        """What the filter believes, as compiled code takes it."""
+        variance = estimate.covariance[0]
+        return Target(
+            True, *estimate.position, *estimate.velocity, variance, self.estimator.velocity_variance
         )
 
     def _seen(self, observation: UavObservation, looks: tuple[Look, ...]) -> _Seen:

@@ -73,6 +73,7 @@ SCENARIOS: dict[str, Scenario] = {
             "logarithmic",
             "circle",
             "certified",
+            "lookahead",
         )
     },
     **{driver: small("certified", driver) for driver in ("wander", "script", "evade")},

@@ -116,12 +116,11 @@ def _fly(
             t.promises[u], memory.guard.underway, tick, s.batch.motions[k, v]
         )
     if p.radio:
-        known, g_x, g_y = target
-        says = known and tick % p.radio_ticks == 0
+        says = target.known and tick % p.radio_ticks == 0
         s.outbox[k, u, _SAID] = tick if says else -1.0
         s.outbox[k, u, _SENT_X], s.outbox[k, u, _SENT_Y] = (
-            here.p_x - g_x,
-            here.p_y - g_y,
+            here.p_x - target.p_x,
+            here.p_y - target.p_y,
         )
 
 
@@ -204,9 +203,10 @@ def _add_cues(p: LoopParameters, t: LoopTables, s: LoopState, k: int, u: int) ->
     """Put the estimate and the gradient into the row of UAV u, where they are asked for and known."""
     w, row = t.batch.world[0], s.rows.uav_rows[k, u]
     row[GRADIENT_X], row[GRADIENT_Y] = 0.0, 0.0
-    known, g_x, g_y = kalman_estimate(_kalman_of(s.kalman, k, u))
-    if not known:
+    target = kalman_estimate(_kalman_of(s.kalman, k, u))
+    if not target.known:
         return
+    g_x, g_y = target.p_x, target.p_y
     x, y = row[UAV.x], row[UAV.y]
     if p.estimate:
         row[UAV.detected], row[UAV.relative_x], row[UAV.relative_y] = 1.0, x - g_x, y - g_y
