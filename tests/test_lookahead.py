@@ -27,7 +27,7 @@ pytestmark = pytest.mark.xdist_group(
 HERE = Motion(17.0, 16.0, 0.2, -0.3)
 UGV = Target(True, 15.0, 15.0, 0.12, 0.08, 0.0, 0.0)  # and nothing is unsure
 FOREVER = 1e7
-TICKS = 10_000
+TICKS = 1000
 
 
 def _parameters(cell: float) -> LawParameters:
@@ -91,7 +91,7 @@ def test_what_the_filter_would_not_let_through_and_ground_beyond_the_border_cost
     near, far = Motion(17.0, 15.0, 0.0, 0.0), Motion(19.5, 15.0, 0.0, 0.0)
     assert costs(near, room=4.4) == 0.0
     assert costs(far, room=4.4) > 10.0
-    assert costs(near, margin=17.0) == 0.0
+    assert costs(near, margin=15.0) == 0.0
     assert costs(near, margin=18.0) > 10.0
 
 
@@ -123,7 +123,7 @@ def test_the_true_velocity_of_the_ugv_changes_no_command() -> None:
 
 
 def test_it_leaves_less_unseen_than_the_logarithmic_law_and_the_horizon_is_why() -> None:
-    scenario = load_scenario("escort", overrides=["duration=40.0", "area.cell=0.5"])
+    scenario = load_scenario("escort", overrides=["duration=80.0", "area.cell=0.5"])
     means = {}
     for name, law in {
         "logarithmic": Law(name="logarithmic"),
@@ -139,7 +139,7 @@ def test_it_leaves_less_unseen_than_the_logarithmic_law_and_the_horizon_is_why()
         assert not found["certified_while_lost"].any(), name
         means[name] = found["mean_error"].mean()
         loop.close()
-    assert means["lookahead"] < 0.9 * means["logarithmic"]
+    assert means["lookahead"] < 0.8 * means["logarithmic"], means
     assert means["lookahead"] < 0.9 * means["one step"]
     assert means["lookahead"] < 0.9 * means["at random"]
 
