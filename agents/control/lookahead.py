@@ -34,7 +34,7 @@ _RATE = 0.06
 """How much less what is expected later counts [1/s]."""
 _DOUBT = 2.0
 """How many variances of the velocity are held against its square."""
-_STRAY_COST = 30.0
+_STRAY_COST = 10.0
 """Cost of a metre beyond what the safety filter lets through, for a second [m²]."""
 _SLACK = 0.1
 """The cost begins so much beyond [m]: the filter, which looks closer, lets a little more through."""
