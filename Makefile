@@ -6,6 +6,8 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --root-user-action ignore
 
 .DEFAULT_GOAL := help
+# Whole files, in the order that tests/conftest.py gives them.
+WORKERS := -n 2 --dist loadscope --no-loadscope-reorder
 LEARNERS := sb3 torchrl rllib supersuit
 
 .PHONY: help run test long-test check format figures bench docs soak kill-test crowd-test compose-test page-test learn-test clean
@@ -29,7 +31,7 @@ run: $(VENV)/.run ## fly the escort scenario as three processes over Zenoh (ARGS
 	@$(BIN)/outrider run $(ARGS)
 
 test: $(VENV)/.dev ## install and run the test suite
-	$(BIN)/python -m pytest -n 2 --dist loadgroup $(ARGS)
+	$(BIN)/python -m pytest $(WORKERS) $(ARGS)
 
 check: $(VENV)/.dev ## format, lint, types, import contracts
 	$(BIN)/ruff format --check .
@@ -48,7 +50,7 @@ bench: $(VENV)/.run ## the speed of each layer beside its limit
 	$(BIN)/outrider bench $(ARGS)
 
 long-test: $(VENV)/.dev ## the tests that repeat for long what a short one of the suite shows
-	$(BIN)/python -m pytest -n 2 --dist loadgroup -m long $(ARGS)
+	$(BIN)/python -m pytest $(WORKERS) -m long $(ARGS)
 
 docs: $(VENV)/.docs ## the documentation as a site that works offline, in site/index.html
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict $(ARGS) && echo "open site/index.html"

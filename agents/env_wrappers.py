@@ -20,9 +20,8 @@ _RELATIVE = [UavRow._fields.index("relative_x"), UavRow._fields.index("relative_
 class EstimateWrapper(BaseParallelWrapper):  # type: ignore[misc]
     """Puts the filter's estimate in the place of the UAVs' raw detections; everything else stays.
 
-    The row keeps its layout. `detected` is 1 from the first detection on, `relative_x` and `relative_y` are the
-    UAV's own
-    position minus the estimate of p_g, `age` is the time since the newest detection that the filter believed. An
+    The row keeps its layout. `detected` is 1 from the first detection on, `relative_x` and `relative_y` are the UAV's
+    own position minus the estimate of p_g, `age` is the time since the newest detection that the filter believed. An
     estimate has no largest distance, so the space of the relative position is unbounded.
 
     Args:

@@ -207,7 +207,7 @@ class _Slot:
             return seen
 
     def _is_new(self, letter: Letter) -> bool:
-        """True if an observation is of the flight it was briefed for, and neither past nor a copy of one that it has seen."""
+        """True if an observation is of the flight it was briefed for and neither past nor seen before."""
         observation: Any = letter.message
         if (letter.session, observation.episode) != self._flight:
             return False

@@ -44,7 +44,7 @@ _RADIO_PERIOD = 0.2
 """Time between two radio messages to the UGV [s]."""
 
 _PATH_HORIZON = 600.0
-"""How far ahead a path of one's own is checked [s]: a pilot does not know how long the run will be."""
+"""The time that a path of one's own is checked ahead [s]: a pilot does not know how long the run will be."""
 
 _NOTHING_OWN = OwnTerms()
 
@@ -58,7 +58,7 @@ _LONGEST = 500
 
 
 class _Seen(NamedTuple):
-    """What an observation brings, as compiled code takes it."""
+    """An observation, as compiled code takes it."""
 
     looked: int
     """Ticks for which the ground below has been looked at since the last one."""

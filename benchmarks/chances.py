@@ -1,13 +1,14 @@
 """The table of docs/explanation/chances.md: `python benchmarks/chances.py [FLIGHTS]`, by default 100,000; some minutes.
 
-Chances that declared numbers are exceeded, as computed from the links' settings, beside how often they are in flights over the
-compiled link itself. Detections and packets are sent as a flight sends them; the protocol of the motions is played
-literally, packet by packet, and knows nothing of windows or chains of states.
+Chances that declared numbers are exceeded, as computed from the links' settings, beside how often they are in flights
+over the compiled link itself. Detections and packets are sent as a flight sends them; the protocol of the motions is
+played literally, packet by packet, and knows nothing of windows or chains of states.
 """
 
 import math
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -24,14 +25,19 @@ from sim.channel.chances import (
 )
 from sim.channel.description import link_parameters, link_table
 from sim.channel.link import LinkNumbers, LinkState, exchange, link_state
+from sim.channel.recorded import RecordedLink, pack
 from sim.kernels.compile import FloatArray, compiled
 from sim.models.randomness import DETECTION_CHANCE, uniform
 
 DT, TICKS = 0.05, 1200
+RECORDINGS = Path(__file__).resolve().parent.parent / "examples" / "networks"
 REPEATS = 6
 RISK = 0.01
 SURE = 2.5758293035489004
 """Standard deviations of an interval that holds 99 % of a normal distribution."""
+
+
+Traces = tuple[RecordedLink, ...]
 
 
 @compiled
@@ -116,8 +122,10 @@ def _interrupted(
     return count
 
 
-def _link(settings: LinkSettings, dt: float) -> tuple[LinkNumbers, LinkState, FloatArray]:
-    p = link_parameters(settings, dt)
+def _link(
+    settings: LinkSettings, dt: float, traces: Traces
+) -> tuple[LinkNumbers, LinkState, FloatArray]:
+    p = link_parameters(settings, dt, traces=traces)
     state = link_state(p, 1)
     return link_table([p]), state, np.empty_like(state.payload)
 
@@ -132,10 +140,11 @@ def ages_exceeded(
     age: float,
     flights: int,
     seed: int = 1,
+    traces: Traces = (),
 ) -> int:
     """Counts those of so many flights in which the age is exceeded; arguments as of `chance_of_age`."""
     limit = ticks_within(age, dt)
-    link = _link(settings, dt)
+    link = _link(settings, dt, traces)
     return int(_too_old(*link, seed, flights, ticks, period_ticks, dropout, limit))
 
 
@@ -149,10 +158,11 @@ def outages_exceeded(
     outage: float,
     flights: int,
     seed: int = 1,
+    traces: Traces = (),
 ) -> int:
     """Counts those of so many flights in which the outage is exceeded; arguments as of `chance_of_outage`."""
     limit = ticks_within(outage, dt)
-    link = _link(settings, dt)
+    link = _link(settings, dt, traces)
     return int(_interrupted(*link, seed, flights, ticks, delay_ticks, repeats, limit))
 
 
@@ -209,18 +219,32 @@ OWN = {
 }
 
 
+def _links() -> Iterator[tuple[str, LinkSettings, Traces]]:
+    for name, settings in {**PROFILES, **OWN}.items():
+        yield name, settings, ()
+    for path in sorted(RECORDINGS.glob("*.csv")):
+        recorded = pack(path.name, path.read_bytes())
+        yield f"recorded, {path.stem}", LinkSettings(trace=path.name), (recorded,)
+
+
 def rows(flights: int) -> Iterator[Row]:
     """Each link with numbers that are exceeded in about one flight of a hundred."""
-    for name, settings in {**PROFILES, **OWN}.items():
-        looks = {"dt": DT, "period_ticks": 1, "dropout": 0.1, "ticks": TICKS}
+    for name, settings, traces in _links():
+        looks = {"dt": DT, "period_ticks": 1, "dropout": 0.1, "ticks": TICKS, "traces": traces}
         age = smallest_age(settings, **looks, risk=RISK).value
         if age is not None:
             count = ages_exceeded(settings, **looks, age=age, flights=flights)
             yield Row(
                 f"{name}: age", age, chance_of_age(settings, **looks, age=age), count, flights
             )
-        delay = max(2, link_parameters(settings, DT).longest)
-        packets = {"dt": DT, "delay_ticks": delay, "repeats": REPEATS, "ticks": TICKS}
+        delay = max(2, link_parameters(settings, DT, traces=traces).longest)
+        packets = {
+            "dt": DT,
+            "delay_ticks": delay,
+            "repeats": REPEATS,
+            "ticks": TICKS,
+            "traces": traces,
+        }
         outage = smallest_outage(settings, **packets, risk=RISK).value
         if outage is not None:
             count = outages_exceeded(settings, **packets, outage=outage, flights=flights)

@@ -43,7 +43,8 @@ FLOPS = {
     "coverage_error": 30,
     "coverage_gradient": 42,
 }
-"""Operations of each cell, divisions and comparisons included, counted in sim/models/field.py with the sensor `hill`."""
+"""Operations of each cell, divisions and comparisons included, counted in sim/models/field.py with the sensor `hill`.
+"""
 
 
 def disc(radius: float, cell: float, width: float) -> tuple[int, float]:

@@ -1,1 +1,1 @@
-"""How processes talk: what may be said, by whom, and how it travels."""
+"""The bus between processes: messages, who may send them, and how they travel."""

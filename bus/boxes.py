@@ -87,7 +87,7 @@ class Inbox:
         self._poked = False
         self._peeked: Letter | None = None
         self.refused: dict[str, int] = {sender: 0 for sender, _ in known.values()}
-        """How many messages of each sender did not decode."""
+        """The number of messages of each sender that did not decode."""
         self.fault: dict[str, str] = {sender: "" for sender, _ in known.values()}
         """Why the last of them did not."""
 

@@ -1,8 +1,7 @@
 """Certificates in the place of passwords: an authority for a run, and one identity for each party (mutual TLS).
 
-Made and read by `cryptography`, which is the extra [tls] and imported only where certificates are used. A
-vehicle's certificate
-is good for a client alone, the router's for a server alone: nobody's may stand for the router's.
+Made and read by `cryptography`, which is the extra [tls] and imported only where certificates are used. A vehicle's
+certificate is good for a client alone, the router's for a server alone: nobody's may stand for the router's.
 """
 
 import ssl
@@ -26,13 +25,13 @@ ROUTER_HOSTS = ("localhost", "127.0.0.1", "::1", "router")
 """Names under which a router is found that has been given no others; `router` is its name among containers."""
 AUTHORITY_DAYS = 3650
 PARTY_DAYS = 365
-"""How long certificates hold; a router's does as long as its authority, so that no renewal needs it to stop."""
+"""The life of certificates; a router's holds as long as its authority, so that no renewal needs it to stop."""
 WARNED_DAYS = 30
 """An end is told so long ahead [days]."""
 _AHEAD = timedelta(days=1)
 """Certificates hold from so long before they were made: clocks differ."""
 _PATIENCE = 2.0
-"""How long a router may take to say what it has against a certificate [s]."""
+"""The time that a router may take to say what it has against a certificate [s]."""
 
 
 class Identity(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -291,8 +290,10 @@ def expiry_warning(name: str, end: datetime) -> str:
 
 _REASONS = {
     "TLSV13_ALERT_CERTIFICATE_REQUIRED": "wants a certificate",
-    "TLSV1_ALERT_UNKNOWN_CA": "does not trust the authority of this certificate: is it of the same `outrider credentials`?",
-    "TLSV1_ALERT_DECRYPT_ERROR": "does not trust the authority of this certificate: is it of the same `outrider credentials`?",
+    "TLSV1_ALERT_UNKNOWN_CA": "does not trust the authority of this certificate: is it of the same `outrider "
+    "credentials`?",
+    "TLSV1_ALERT_DECRYPT_ERROR": "does not trust the authority of this certificate: is it of the same `outrider "
+    "credentials`?",
     "SSLV3_ALERT_CERTIFICATE_EXPIRED": f"says that this certificate has expired: {RENEW}",
     "SSLV3_ALERT_UNSUPPORTED_CERTIFICATE": "says that this certificate is not for a client",
     "WRONG_VERSION_NUMBER": "does not speak TLS",

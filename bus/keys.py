@@ -49,7 +49,7 @@ STAFF = {SIMULATOR_NAME: Role.SIMULATOR, OPERATOR_NAME: Role.OPERATOR, OBSERVER_
 
 
 class Delivery(StrEnum):
-    """How a message travels."""
+    """A message's way of travelling."""
 
     EVERY = "every"
     """Each one arrives, in order; the writer waits rather than lose one."""
@@ -156,7 +156,7 @@ CONTROL = Key(
 
 
 def _telemetry(topic: str, message: type[Message]) -> Key:
-    """What the simulator tells observers and operators: the newest counts, and it may be large."""
+    """The simulator's messages to observers and operators: the newest counts, and it may be large."""
     return Key(
         topic=topic,
         vehicle=None,

@@ -1,11 +1,9 @@
 """Each observation array once: index, name, meaning, unit, range. Environment, wrappers and documentation read it here.
 
 A row is a `NamedTuple` whose fields, in order, are the array's entries; behind each stands its `Field`. SI units;
-positions
-are in the world frame, relative positions are p_delta = p_a - p_g. The rows keep the information contract of
-`bus.messages`:
-a vehicle's row holds its own state and what it perceives. The rows of the state hold the truth, and no vehicle
-reads them.
+positions are in the world frame, relative positions are p_delta = p_a - p_g. The rows keep the information contract of
+`bus.messages`: a vehicle's row holds its own state and what it perceives. The rows of the state hold the truth, and no
+vehicle reads them.
 """
 
 from collections.abc import Iterable, Mapping
@@ -37,7 +35,8 @@ SYMBOLS = {
     "W": "width of the area [m]",
     "H": "height of the area [m]",
     "v_max": "largest speed of the vehicle [m/s]",
-    "d_max": "longest relative position that a detection can have [m]: the sensor's range, plus the noise up to its cut",
+    "d_max": "longest relative position that a detection can have [m]: the sensor's range, plus the noise up to "
+    "its cut",
     "D": "diagonal of the area [m]",
     "E": "2 C*^2 W H, more than e(t) can ever be [m^2]",
 }

@@ -197,7 +197,9 @@ class Detector(Message, frozen=True, kw_only=True):
 
 
 MOST_CARRIED = 6
-"""Motions that one command carries at most: its own and those before it that have not begun, so that it fits a kilobyte."""
+"""Motions that one command carries at most: its own and those before it that have not begun, so that it fits a
+kilobyte.
+"""
 
 Ticks = Annotated[int, Meta(ge=0, le=1_000_000)]
 
@@ -350,7 +352,9 @@ class UavObservation(Message, frozen=True, kw_only=True):
     tick: Tick
     time: NonNegative
     position: Vector
-    """Where its inner loop believes and steers it to be [m]: in wind or with a wrong own position not quite where it is."""
+    """Where its inner loop believes and steers it to be [m]: in wind or with a wrong own position not quite where it
+    is.
+    """
     velocity: Vector
     """Likewise [m/s]."""
     detections: tuple[Detection, ...] = ()
@@ -418,8 +422,9 @@ class UavCommand(Message, frozen=True, kw_only=True):
     tick: Tick
     acceleration: Vector
     motions: Annotated[tuple[MotionPlan, ...], Meta(max_length=MOST_CARRIED)] = ()
-    """What the vehicle shall fly from the tick on in which the last of them begins, and before it those that it may have
-    missed, one a tick, the oldest first; none: it holds the acceleration, and brakes when no command comes."""
+    """What the vehicle shall fly from the tick on in which the last of them begins, and before it those that it may
+    have missed, one a tick, the oldest first; none: it holds the acceleration, and brakes when no command comes.
+    """
     radio: tuple[RelativeInformation, ...] = ()
     report: UavReport | None = None
 
@@ -598,12 +603,14 @@ class CertificateStatus(Message, frozen=True, kw_only=True):
     certificate_broken: Tick = 0
     """Those that were not certified although the one before was and all assumptions hold: likewise."""
     outage: NonNegative | None = None
-    """From the beginning of a motion to that of the next at most, as it is declared, B [s]; None: commands carry none."""
+    """From the beginning of a motion to that of the next at most, as it is declared, B [s]; None: commands carry none.
+    """
     longest_outage: NonNegative | None = None
     """And the longest so far [s]."""
     tracking: NonNegative | None = None
-    """How far a UAV truly is at most from where it is told that it is, as it is declared, w [m]; None: nothing takes it from
-    there, or w has no bound."""
+    """How far a UAV truly is at most from where it is told that it is, as it is declared, w [m]; None: nothing takes it
+    from there, or w has no bound.
+    """
     tracking_error: NonNegative | None = None
     """And the farthest so far [m]; None: nothing takes it from there."""
 

@@ -42,7 +42,7 @@ _LOG = logging.getLogger("outrider.bus")
 _ROOM = 256
 """Messages that wait in an inbox before their writers must."""
 _LOOK = 2.0
-"""How long a session looks at most which places of its party are taken [s]."""
+"""The longest time for which a session looks which places of its party are taken [s]."""
 _HEADER = 4096
 """Room for a message's frame beside its payload [bytes]."""
 
@@ -98,7 +98,7 @@ class Session:
         self.party = party
         self.run = run
         self.id = str(zenoh_session.zid())
-        """Which session this is; no other has the same."""
+        """The session's identity; no other has the same."""
         self.place = 0
         """Its number among the sessions of its party that are there."""
         self._alarm = threading.Thread(target=self._nudge_all, name="outrider-alarm", daemon=True)
@@ -119,7 +119,7 @@ class Session:
 
     @property
     def routers(self) -> frozenset[str]:
-        """Which routers it has now, by session: a router has itself, and a client none while its own is away."""
+        """Its routers now, by session: a router has itself, and a client none while its own is away."""
         return frozenset({self.id} if self._hosts else map(str, self._zenoh.info.routers_zid()))
 
     @property

@@ -57,7 +57,7 @@ class Connection(NamedTuple):
 def surplus(
     since: Mapping[Connection, float], claims: Mapping[str, Collection[str]], now: float
 ) -> list[Connection]:
-    """Which connections are too many.
+    """Tells the connections that are too many.
 
     The oldest `PLACES` of each party stay. Of the others those that are younger than `GRACE` stay, the newest
     `NEWCOMERS` of them: who comes in a flood has time to say who it is. Of the older ones the oldest `NAMELESS` of

@@ -50,7 +50,7 @@ def looks_of(detections: Iterable[Detection], dt: float) -> tuple[Look, ...]:
 
 
 def ticks_within(duration: float, dt: float) -> int:
-    """How many whole ticks a duration [s] has."""
+    """The number of whole ticks in a duration [s]."""
     return math.floor(duration / dt + _SHARE)
 
 

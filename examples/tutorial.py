@@ -25,7 +25,8 @@ while env.agents:
     paid += rewards["uav_0"]
 told = env.metrics()["uav_0"]
 print(
-    f"one flight: return {paid:.2f}, farthest {told['max_distance']:.2f} m, e(t) at the end {told['coverage_error']:.0f} m²"
+    f"one flight: return {paid:.2f}, farthest {told['max_distance']:.2f} m, e(t) at the end "
+    f"{told['coverage_error']:.0f} m²"
 )
 
 # %% [markdown]

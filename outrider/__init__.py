@@ -1,8 +1,7 @@
 """Outrider: a UAV that flies as the outrider of a ground vehicle, and never loses sight of it.
 
-The front door for people: `outrider.load_scenario`, `outrider.run`, `outrider.parallel_env`, and
-`outrider.vector_env` for many worlds at once. What stands behind a name is
-loaded when it is used.
+The front door for people: `outrider.load_scenario`, `outrider.run`, `outrider.parallel_env`, and `outrider.vector_env`
+for many worlds at once. What stands behind a name is loaded when it is used.
 """
 
 import os

@@ -91,7 +91,8 @@ class World:
         self.acceleration = self.state.acceleration
         """Accelerations that were applied in the last tick, after their bounds [m/s²], shape (vehicles, 2)."""
         self.told = Told(state.told.position[0], state.told.velocity[0])
-        """Where the vehicles are told that they are: where their commands lead. Without wind and own_error, the truth."""
+        """The positions that the vehicles are told: where their commands lead. Without wind and own_error, the truth.
+        """
         self.coverage = self.state.coverage
         """C of (3) on the grid, all UAVs together. Shape (rows, columns)."""
         self.detections = self.state.detections
@@ -165,7 +166,7 @@ class World:
         return begins if begins >= 0 else None
 
     def advance(self) -> None:
-        """Advance by one tick: what has been sent sets out, and each vehicle acts on its newest command that has arrived.
+        """Advance by one tick: what was sent sets out, and each vehicle acts on its newest command that has arrived.
 
         Where none comes, the last one is held for a while; then the vehicle brakes.
         """

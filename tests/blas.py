@@ -24,7 +24,9 @@ def _product(a: FloatArray, b: FloatArray) -> FloatArray:
 
 @cache
 def blas_fuses() -> bool:
-    """Whether numpy's BLAS fuses the products of matrices in the order of their terms, and not that of matrix and vector."""
+    """Whether numpy's BLAS fuses the products of matrices in the order of their terms, and not that of matrix and
+    vector.
+    """
     rng = np.random.default_rng(1)
     for _ in range(300):
         a, b, x = rng.normal(size=(2, 2)), rng.normal(size=(2, 2)), rng.normal(size=4)

@@ -6,12 +6,13 @@ import msgspec
 import numpy as np
 
 from agents.control.laws import LawParameters, law_parameters
-from bus.messages import (
-    Law,
-    UavBriefing,
-)
+from bus.messages import Law, UavBriefing
 from bus.profiles import PROFILES
+from outrider.envs.env_pilots import pilots
+from outrider.running.flying import fly
+from outrider.running.summary import Summary
 from sim.engine.briefing import briefing
+from sim.env.parallel import parallel_env
 from sim.kernels.compile import FloatArray
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario, Uav, Ugv
@@ -75,7 +76,7 @@ def degraded(ticks: int, links: LinkTable = BAD) -> Scenario:
 
 
 def record(env, policies, observations):
-    """Fly to the end; position, velocity and applied acceleration of each tick, in the order of the trajectory's hash."""
+    """Fly to the end; position, velocity and applied acceleration of each tick, in the trajectory hash's order."""
     world, rows = env.unwrapped.world, []
     while env.agents:
         before = (world.position.copy(), world.velocity.copy())
@@ -88,3 +89,16 @@ def record(env, policies, observations):
 
 def sha256(states):
     return hashlib.sha256((states + 0.0).astype("<f8").tobytes()).hexdigest()
+
+
+def flown_in_both(scenario: Scenario, seed: int) -> tuple[FloatArray, Flight, Summary]:
+    """The states of a flight in the environment, and the same flight as a run: they fly the same bits."""
+    env = parallel_env(scenario)
+    states = record(env, pilots(env), env.reset(seed=seed)[0])
+    flight, summary = fly(scenario, seed)
+    assert sha256(states) == summary.trajectory_sha256
+    return states, flight, summary
+
+
+EVADED = ("law.name=certified", "ugv.0.driver=evade", "duration=10.0")
+"""Changes of a scenario: a certified flight past a UGV that evades."""

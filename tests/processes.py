@@ -13,6 +13,9 @@ from bus.access import read_credential
 from bus.keys import CONTROL, STATUS, Party, Role
 from bus.messages import Action, Control, Status
 from bus.session import Session, open_session
+from outrider.running.flying import fly
+from outrider.running.summary import Summary
+from sim.scenario.loading import load_scenario
 
 OUTRIDER = [sys.executable, "-m", "outrider"]
 
@@ -41,6 +44,19 @@ def run_json(*arguments: str) -> dict[str, object]:
     assert run.returncode == 0, run.stderr
     summary: dict[str, object] = json.loads(run.stdout)
     return summary
+
+
+def flown_both_ways(
+    name: str, *changes: str, seed: int | None = None
+) -> tuple[dict[str, Any], Summary]:
+    """The summaries of a run over three processes, and of the same in this one: they fly the same bits."""
+    scenario = load_scenario(name, overrides=changes)
+    seed = scenario.seed if seed is None else seed
+    _, here = fly(scenario, seed)
+    options = [word for change in changes for word in ("--set", change)]
+    there = run_json(name, "--seed", str(seed), *options)
+    assert there["trajectory_sha256"] == here.trajectory_sha256
+    return there, here
 
 
 def children_of(pid: int) -> list[int]:
@@ -127,26 +143,33 @@ def fly_to(operator: Session, tick: int) -> None:
 
 
 @contextmanager
+def started(*arguments: str) -> Iterator["subprocess.Popen[str]"]:
+    """A command of ours in the background, killed in the end if it still lives."""
+    process = subprocess.Popen(
+        [*OUTRIDER, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+        for stream in (process.stdout, process.stderr):
+            if stream:
+                stream.close()
+
+
+@contextmanager
 def flying(*arguments: str) -> Iterator["subprocess.Popen[str]"]:
     """A run in the background that is under way: all its processes are there and it has flown 20 ticks.
 
     It is held there, so that nothing of it is over when the test begins, and goes on with the test.
     """
-    run = subprocess.Popen(
-        [*OUTRIDER, "run", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    try:
+    with started("run", *arguments) as run:
         wait_until(lambda: "simulator" in map(kind_of, family(run.pid)))
         with joined(run, Role.OPERATOR) as operator:
             fly_to(operator, 20)
             yield run
-    finally:
-        if run.poll() is None:
-            run.kill()
-            run.wait()
-        for stream in (run.stdout, run.stderr):
-            if stream:
-                stream.close()
 
 
 def command_line(pid: int) -> str:

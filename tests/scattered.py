@@ -7,11 +7,7 @@ from contextlib import ExitStack, contextmanager
 from functools import cached_property
 from pathlib import Path
 
-from processes import (
-    OUTRIDER,
-    fly_to,
-    wait_until,
-)
+from processes import fly_to, started, wait_until
 
 from bus.access import new_credentials, read_credential, write_credentials
 from bus.keys import CONTROL
@@ -40,20 +36,12 @@ class Scattered:
         made = new_credentials("mine", ["uav_0"], ["ugv_0"])
         paths = write_credentials(made, folder / "credentials")
         self._files = {name: str(path) for name, path in paths.items()}
-        self.processes: list[subprocess.Popen[str]] = []
 
     def start(self, kind: str, *arguments: str, name: str = "") -> "subprocess.Popen[str]":
         common = ["--credentials", self._files[name or kind]]
         if kind != "router":
             common += ["--run", "mine", "--connect", self.endpoint]
-        process = subprocess.Popen(
-            [*OUTRIDER, kind, *arguments, *common],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        self.processes.append(process)
-        return process
+        return self._stack.enter_context(started(kind, *arguments, *common))
 
     def router(self, *arguments: str) -> "subprocess.Popen[str]":
         router = self.start("router", "--listen", self.endpoint, *arguments)
@@ -89,16 +77,4 @@ class Scattered:
 @contextmanager
 def scattered(folder: Path) -> Iterator[Scattered]:
     with ExitStack() as stack:
-        run = Scattered(folder, stack)
-        stack.callback(end_all, run.processes)
-        yield run
-
-
-def end_all(processes: "list[subprocess.Popen[str]]") -> None:
-    for process in processes:
-        if process.poll() is None:
-            process.kill()
-        process.wait()
-        for stream in (process.stdout, process.stderr):
-            if stream:
-                stream.close()
+        yield Scattered(folder, stack)

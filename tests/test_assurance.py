@@ -22,10 +22,6 @@ from sim.scenario.types import Certificate, LinkTable, Scenario
 from sim.server.assurance import Arrival, Assurance
 from sim.server.flight import Flight
 
-pytestmark = pytest.mark.xdist_group(
-    "assurance"
-)  # on one worker: pilots take a while to compile, once
-
 DELAYED = load_scenario(
     "escort",
     overrides={

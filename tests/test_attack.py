@@ -12,10 +12,6 @@ from flights import R_S, R_V
 from outrider.experiments.falsify import attack as a
 from sim.kernels.compile import FloatArray
 
-pytestmark = pytest.mark.xdist_group(
-    "attack"
-)  # on one worker: it takes half a minute to compile, once
-
 OUTWARD, SPHERE = a.INNERS.index("outward"), a.ERRORS.index("sphere")
 FLEES, STRAIGHT = a.UGVS.index("flees"), a.UGVS.index("straight")
 PERIODIC, WHEN_FAR, RANDOM = map(a.BLACKOUTS.index, ("periodic", "when_far", "random"))

@@ -23,11 +23,6 @@ from sim.scenario.types import (
 )
 from sim.world import World
 
-pytestmark = pytest.mark.xdist_group(
-    "batch"
-)  # on one worker: what they compile takes half a minute, once
-
-
 SCENARIOS: dict[str, Scenario] = {
     "plain": escort(),
     "noise": escort(

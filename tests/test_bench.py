@@ -19,10 +19,6 @@ from outrider.bench.measured import ROWS, measure
 from outrider.cli import bench as command
 from sim.scenario.loading import load_scenario
 
-pytestmark = pytest.mark.xdist_group(
-    "many worlds"
-)  # on one worker: what they compile takes a minute, once
-
 SHORT = SCENARIOS["certified"]
 
 

@@ -63,7 +63,7 @@ def test_at_a_side_nothing_of_the_law_points_out(depth, u_x, u_y, v_x, v_y):
 @given(st.integers(0, 2**32), st.floats(0.0, math.tau), st.sampled_from((1.0, 10.0, 39.0)))
 @settings(PROPERTY, max_examples=150)
 def test_whatever_the_law_wants_it_never_crosses_the_border(seed, course, k_v):
-    """At full speed from anywhere outside the margin, wanting another direction every few ticks, most of them outward."""
+    """At full speed from anywhere outside the margin, another wish every few ticks, most of them outward."""
     rng = np.random.default_rng(seed)
     start = (rng.uniform(MARGIN, WIDTH - MARGIN), rng.uniform(MARGIN, HEIGHT - MARGIN))
     state, wanted = (*start, V_A * math.cos(course), V_A * math.sin(course)), course

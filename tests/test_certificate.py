@@ -438,7 +438,9 @@ def test_a_plan_never_touches_a_wall_that_it_does_not_start_at(x, y, share, angl
 
 @pytest.mark.parametrize("steps", range(-4, 5))
 def test_discs_that_touch_but_for_rounding_give_the_point_where_they_do(steps: int) -> None:
-    """With errors of norm exactly eps and a UGV straight at v_g the newest disc touches the others, and a rounding decided."""
+    """With errors of norm exactly eps and a UGV straight at v_g the newest disc touches the others, and a rounding
+    decided.
+    """
     for k in range(1, 40):
         r_a, r_b, angle = 0.3 + 0.01 * k, 4.2 - 0.013 * k, 0.37 * k
         gap = r_a + r_b + steps * 4e-16

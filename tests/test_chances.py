@@ -1,4 +1,6 @@
-"""Chances that links exceed declared numbers: against all outcomes of tiny flights, and frequencies over the link itself."""
+"""Chances that links exceed declared numbers: against all outcomes of tiny flights, and frequencies over the link
+itself.
+"""
 
 import importlib
 import itertools
@@ -26,6 +28,7 @@ from sim.channel.chances import (
     smallest_outage,
 )
 from sim.channel.description import link_parameters
+from sim.channel.recorded import pack
 from sim.engine.briefing import declared
 from sim.scenario.checks import scenario_warnings
 from sim.scenario.loading import load_scenario
@@ -59,28 +62,31 @@ def outcomes(link: LinkSettings, ticks: int, dropout: float = 0.0) -> Iterator[t
         yield pattern, float(states.sum())
 
 
-def grows_old(got: tuple[bool, ...], period: int, flies: int, age: int) -> bool:
+def arrivals(got: tuple[bool, ...], flies: int) -> list[float]:
+    """When each message arrives that was sent in its tick; infinite: never."""
+    return [tick + flies if came else math.inf for tick, came in enumerate(got)]
+
+
+def grows_old(arrives: list[float], period: int, age: int) -> bool:
     """True if the newest detection is ever older than `age`."""
-    for tick in range(len(got)):
-        arrived = [k for k in range(0, tick - flies + 1, period) if got[k]]
+    for tick in range(len(arrives)):
+        arrived = [k for k in range(0, tick + 1, period) if arrives[k] <= tick]
         if arrived and tick - arrived[-1] > age:
             return True
     return False
 
 
-def is_interrupted(
-    got: tuple[bool, ...], flies: int, delay: int, repeats: int, outage: int
-) -> bool:
+def is_interrupted(arrives: list[float], delay: int, repeats: int, outage: int) -> bool:
     """True if some motion is followed too late, by the protocol as a pilot and a receiver play it."""
     chain, flown, begun = 0, -1, delay - 1
     packets: list[dict[int, int]] = []  # motion: its parent
     parents: dict[int, int] = {}
-    for tick in range(len(got)):
+    for tick in range(len(arrives)):
         if tick - 1 - delay >= chain and flown != tick - 1 - delay:
             chain = tick
         parents[tick] = flown if tick == chain else tick - 1
         packets.append({j: parents[j] for j in range(max(chain, tick - repeats + 1), tick + 1)})
-        known = [packets[k] for k in range(tick - flies + 1) if got[k]]
+        known = [packets[k] for k in range(tick + 1) if arrives[k] <= tick]
         due = tick - delay
         if any(packet.get(due, -2) == flown for packet in known):
             flown, begun = due, tick
@@ -98,7 +104,9 @@ def test_the_chance_of_an_age_is_that_of_all_outcomes(
 ) -> None:
     told = LinkSettings(delay=flies * DT, **link)
     chance = chance_of_age(told, dt=DT, period_ticks=period, dropout=0.1, ticks=10, age=age * DT)
-    found = sum(p for got, p in outcomes(told, 10, 0.1) if grows_old(got, period, flies, age))
+    found = sum(
+        p for got, p in outcomes(told, 10, 0.1) if grows_old(arrivals(got, flies), period, age)
+    )
     assert chance.exact
     assert chance.value == pytest.approx(found, rel=1e-9)
 
@@ -124,8 +132,10 @@ def test_the_chance_of_an_outage_is_that_of_all_outcomes(
     chance = chance_of_outage(
         told, dt=DT, delay_ticks=delay, repeats=repeats, ticks=11, outage=outage * DT
     )
-    numbers = (flies, delay, repeats, outage)
-    found = sum(p for got, p in outcomes(told, 11) if is_interrupted(got, *numbers))
+    numbers = (delay, repeats, outage)
+    found = sum(
+        p for got, p in outcomes(told, 11) if is_interrupted(arrivals(got, flies), *numbers)
+    )
     assert chance.exact
     assert chance.value == pytest.approx(found, rel=1e-9)
 
@@ -175,6 +185,70 @@ def test_the_chance_of_an_outage_agrees_with_its_frequency(
     count = flown.outages_exceeded(told, **numbers, flights=FLIGHTS)
     assert 0 < count < FLIGHTS
     assert flown.agrees(chance, count, FLIGHTS), (chance, count)
+
+
+# Over a recorded link
+
+FAR = Path(__file__).resolve().parent.parent / "examples" / "networks" / "wifi-far.csv"
+
+
+@pytest.mark.parametrize(("number", "ticks"), [(1, 30), (2, 30), (3, 6)])
+def test_over_a_recorded_table_the_chance_is_the_share_of_all_its_places(
+    number: int, ticks: int
+) -> None:
+    random, places = np.random.default_rng(number), 41
+    took = random.choice([math.inf, 0.0, 1.0, 2.0, 6.0], size=places, p=[0.4, 0.2, 0.2, 0.1, 0.1])
+    rows = [f"{k * DT:.2f},{n * DT if n < math.inf else 'lost'}" for k, n in enumerate(took)]
+    traces = (pack("table", "\n".join(["sent,delay", *rows]).encode()),)
+    link = LinkSettings(trace="table", blackouts=((0.8, 0.2),))
+    flights = [
+        [math.inf if 16 <= k < 20 else k + took[(k + begins) % places] for k in range(ticks)]
+        for begins in range(places)
+    ]
+    common: dict[str, Any] = {"dt": DT, "ticks": ticks, "traces": traces}
+    for period, age in itertools.product((1, 3), (0, 2, 4, 7)):
+        looks = {**common, "period_ticks": period, "age": age * DT}
+        exact = chance_of_age(link, dropout=0.0, **looks)
+        share = np.mean([grows_old(flight, period, age) for flight in flights])
+        assert exact == (pytest.approx(share), True, "")
+        bound = chance_of_age(link, dropout=1e-9, **looks)
+        assert (bound.exact, share - 1e-6 <= bound.value <= share + 0.15) == (False, True)
+    for delay, repeats, outage in itertools.product((0, 2, 5), (1, 6), (1, 3, 8, 20)):
+        packets = {**common, "delay_ticks": delay, "repeats": repeats, "outage": outage * DT}
+        share = np.mean([is_interrupted(flight, delay, repeats, outage) for flight in flights])
+        assert chance_of_outage(link, **packets) == (pytest.approx(share), True, "")
+
+
+def test_the_chances_over_a_recorded_link_agree_with_frequencies(flown: ModuleType) -> None:
+    link, traces = LinkSettings(trace="far"), (pack("far", FAR.read_bytes()),)
+    looks = {"dt": DT, "period_ticks": 1, "dropout": 0.1, "ticks": 200, "traces": traces}
+    packets = {"dt": DT, "delay_ticks": 2, "repeats": 6, "ticks": 200, "traces": traces}
+    for dropout, age in ((0.0, 0.1), (0.1, 0.2)):
+        numbers = {**looks, "dropout": dropout, "age": age}
+        chance = chance_of_age(link, **numbers)
+        count = flown.ages_exceeded(link, **numbers, flights=FLIGHTS)
+        assert 0 < count < FLIGHTS
+        assert flown.agrees(chance, count, FLIGHTS), (chance, count)
+        assert chance.value < 1.2 * count / FLIGHTS
+    chance = chance_of_outage(link, **packets, outage=0.1)
+    count = flown.outages_exceeded(link, **packets, outage=0.1, flights=FLIGHTS)
+    assert 0 < count < FLIGHTS
+    assert flown.agrees(chance, count, FLIGHTS), (chance, count)
+    for smallest, chance_of, numbers in (
+        (smallest_age, chance_of_age, looks),
+        (smallest_outage, chance_of_outage, packets),
+    ):
+        found, name = smallest(link, **numbers, risk=0.05).value, smallest.__name__[9:]
+        assert chance_of(link, **numbers, **{name: found}).value <= 0.05
+        assert chance_of(link, **numbers, **{name: found - DT}).value > 0.05
+
+
+def test_of_mahimahi_files_and_of_recordings_that_are_too_long_no_chance_is_told() -> None:
+    looks = {"dt": DT, "period_ticks": 1, "dropout": 0.1, "age": 1.0}
+    granted = {"settings": LinkSettings(trace="m"), "traces": (pack("m", b"1\n20\n"),)}
+    assert "Mahimahi" in chance_of_age(**granted, **looks, ticks=100).why
+    link, traces = LinkSettings(trace="far"), (pack("far", FAR.read_bytes()),)
+    assert "too long" in chance_of_age(link, **looks, ticks=100_000, traces=traces).why
 
 
 KINDS = st.sampled_from([{}, BURSTS, DARK, LATE, {**BURSTS, **DARK, "blackouts": ((2.0, 0.3),)}])

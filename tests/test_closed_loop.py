@@ -25,10 +25,6 @@ from sim.scenario.loading import load_scenario
 from sim.scenario.types import Certificate, Detections, LinkTable, Scenario
 from sim.server.flight import Flight
 
-pytestmark = pytest.mark.xdist_group(
-    "many worlds"
-)  # on one worker: what they compile takes a minute, once
-
 
 def _same(one: np.ndarray, other: np.ndarray) -> bool:
     """Bit for bit.

@@ -16,28 +16,12 @@ from typing import Any
 
 import httpx2
 import pytest
-from processes import OUTRIDER, alive, child_of, family, outrider, wait_until
+from processes import alive, child_of, family, outrider, started, wait_until
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 pytestmark = pytest.mark.usefixtures("nothing_left_behind")
 Frame = dict[str, Any]
-
-
-@contextlib.contextmanager
-def started(*arguments: str) -> Iterator["subprocess.Popen[str]"]:
-    process = subprocess.Popen(
-        [*OUTRIDER, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.kill()
-            process.wait()
-        for stream in (process.stdout, process.stderr):
-            if stream:
-                stream.close()
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,7 @@ import pytest
 from draws import a_told_key
 from flights import DT, U_G, V_G
 
-from agents.drivers.compiled import (
-    WanderDriver,
-    driver_parameters,
-    told_route,
-)
+from agents.drivers.compiled import WanderDriver, driver_parameters, told_route
 from agents.drivers.parameters import COMPILED_DRIVERS, WAYPOINTS
 from bus.errors import ScenarioError
 from bus.messages import Area, Limits, RelativeInformation, ScriptStep, UgvBriefing, UgvObservation

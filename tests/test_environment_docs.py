@@ -13,10 +13,6 @@ from outrider.experiments.suite.board import BASELINES, leaderboard
 from outrider.experiments.suite.tasks import TASKS, Task, suite
 from outrider.registration import env_ids
 
-pytestmark = pytest.mark.xdist_group(
-    "many worlds"
-)  # on one worker: what they compile takes a minute, once
-
 ROOT = Path(__file__).resolve().parent.parent
 
 

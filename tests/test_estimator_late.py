@@ -308,7 +308,7 @@ def arrivals(network, seed, count):
 
 
 def fly_through(network, seed, estimator, truth, noise):
-    """Errors and covariances at each tick from 5 s on, NaN before the first detection has come, and the last estimate."""
+    """Errors and covariances at each tick from 5 s on, NaN before the first detection, and the last estimate."""
     at = arrivals(network, seed, len(truth))
     errors, covariances = [], []
     for k, state in enumerate(truth):

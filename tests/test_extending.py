@@ -12,8 +12,6 @@ import pytest
 from processes import python
 
 # on one worker: its copy is made and flown once
-pytestmark = pytest.mark.xdist_group("extending")
-
 ROOT = Path(__file__).resolve().parent.parent
 GUIDE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(

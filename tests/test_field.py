@@ -1,4 +1,6 @@
-"""The field: sensor (2), accumulation (3), error (4), density (9) and the integral of (6), against NumPy and against calculus."""
+"""The field: sensor (2), accumulation (3), error (4), density (9) and the integral of (6), against NumPy and against
+calculus.
+"""
 
 import math
 from dataclasses import dataclass

@@ -33,9 +33,6 @@ from outrider.experiments.traces import (
 from outrider.running.flying import fly
 from sim.scenario.loading import load_scenario
 
-# on one worker: its flights are flown once
-pytestmark = pytest.mark.xdist_group("figures")
-
 R, R_V, R_S, DESIRED, CELL, DT = 5.0, 4.75, 4.75 - 0.8**2 / 0.6, 2.0, 0.25, 0.05
 WIDTHS = {1: (1400, 760), 2: (1400, 480), 3: (1400, 700), 4: (1400, 1100), 5: (1400, 1100)}
 

@@ -9,15 +9,7 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
-from processes import (
-    alive,
-    child_of,
-    children_of,
-    command_line,
-    flying,
-    python,
-    wait_until,
-)
+from processes import alive, child_of, children_of, command_line, flying, python, wait_until
 
 from bus.errors import BusError
 from outrider.running import forking, launch

@@ -18,10 +18,7 @@ from msgspec import inspect as kinds
 from mutations import REFUSALS, allowed, mutated, real_messages, says
 from properties import PROPERTY
 
-from bus.keys import (
-    KEYS,
-    Key,
-)
+from bus.keys import KEYS, Key
 
 EVERY_ROW = pytest.mark.parametrize("key", KEYS, ids=lambda key: key.message.__name__)
 MUTATIONS_PER_ROW = math.ceil(220_000 / len(KEYS))

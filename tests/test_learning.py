@@ -25,10 +25,6 @@ from outrider.learning.one_world import alone
 from outrider.learning.repeat import ActionRepeat
 from sim.scenario.loading import load_scenario
 
-pytestmark = pytest.mark.xdist_group(
-    "many worlds"
-)  # on one worker: what they compile takes a minute, once
-
 EXAMPLES = Path(__file__).parents[1] / "examples"
 POLICY = EXAMPLES / "policies" / "uav_ppo.npz"
 SEEDS = [41, 42, 43]
@@ -92,7 +88,9 @@ def test_it_flies_a_single_environment_as_it_flies_a_batch() -> None:
 
 
 def test_it_sees_what_it_was_trained_on() -> None:
-    """The transformation around a repeated environment, as in training, and the policy alone fly the same, also over ends."""
+    """The transformation around a repeated environment, as in training, and the policy alone fly the same, also over
+    ends.
+    """
     network, recipe = load_policy(POLICY)
     policy = LearnedPolicy.load(POLICY)
 

@@ -50,7 +50,8 @@ def test_a_link_has_the_settings_of_its_profile_and_what_is_changed_in_it() -> N
 def test_a_vehicle_may_have_links_of_its_own(tmp_path: Path) -> None:
     file = tmp_path / "own.toml"
     file.write_text(
-        '[links]\nprofile = "lte"\n[links.commands]\ndelay = 0.2\n[[links.only]]\nvehicle = "uav_0"\ncommands = { loss = 0.1 }\n'
+        '[links]\nprofile = "lte"\n[links.commands]\ndelay = 0.2\n[[links.only]]\nvehicle = "uav_0"\ncommands = '
+        "{ loss = 0.1 }\n"
         "[[uav]]\nposition = [10, 10]\n[[ugv]]\nposition = [10, 10]\n"
     )
     links = load_scenario(file).links

@@ -1,14 +1,15 @@
 """Commands that carry a motion: the vehicle flies on what was checked while commands are lost."""
 
 import math
+from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
-from flights import record, sha256, told
+from flights import EVADED, flown_in_both, record, told
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from processes import run_json
+from processes import flown_both_ways
 from worlds import LOSSY, SCENARIOS, small
 
 from agents.control.certificate import OUTAGE, UNCERTIFIED, UNCHECKED_MOTION
@@ -24,13 +25,11 @@ from outrider.running.flying import fly
 from sim.env.parallel import parallel_env
 from sim.models.motion import motion_plan, motion_row
 from sim.scenario.types import Certificate, LinkTable, Uav
+from sim.server.flight import Flight
 from sim.world import World
 
-pytestmark = pytest.mark.xdist_group(
-    "attack"
-)  # on one worker: it takes half a minute to compile, once
-
 LOST = SCENARIOS["lost commands"]
+RECORDED = Path(__file__).resolve().parent.parent / "examples" / "networks" / "wifi-far.csv"
 PAPER = {"r_v": 4.75, "v_a": 0.6, "u_a": 0.3, "v_g": 0.2, "dt": 0.05, "eps": 0.3}
 
 
@@ -152,24 +151,30 @@ def test_more_motions_than_a_command_may_carry_are_refused() -> None:
 
 
 def test_lost_commands_fly_one_trajectory_in_the_environment_and_in_a_run() -> None:
-    env = parallel_env(LOST)
-    observations, _ = env.reset(seed=3)
-    states = record(env, pilots(env), observations)
-    _, summary = fly(LOST, 3)
-    assert sha256(states) == summary.trajectory_sha256
+    _, _, summary = flown_in_both(LOST, 3)
     assert summary.certified_share == 1.0
 
 
-def test_lost_commands_fly_one_trajectory_over_three_processes(tmp_path) -> None:
-    arguments = [
-        "escort",
-        *("--law", "certified", "--driver", "evade", "--duration", "10", "--seed", "3"),
-        *("--set", "links.commands.loss=0.4", "--set", "links.commands.jitter=0.1"),
-        *("--set", "links.commands.delay=0.1", "--set", "certificate.outage=3.0"),
-    ]
-    over_the_bus, alone = run_json(*arguments), run_json(*arguments, "--in-process")
-    assert over_the_bus["trajectory_sha256"] == alone["trajectory_sha256"]
-    assert over_the_bus["certified_share"] == alone["certified_share"] == 1.0
+def test_lost_commands_and_a_recorded_link_fly_one_trajectory_over_three_processes() -> None:
+    links = ("links.commands.loss=0.4", "links.commands.jitter=0.1", "links.commands.delay=0.1")
+    recorded = (f"links.detections.trace={RECORDED}", "certificate.age=3.0")
+    there, here = flown_both_ways(
+        "escort", *EVADED, *links, "certificate.outage=3.0", *recorded, seed=3
+    )
+    assert there["certified_share"] == here.certified_share > 0.99  # from the first detection on
+    assert there["links"]["uav_0/detections"]["lost"]["trace"] > 0
+
+
+def test_motions_beyond_the_vehicles_bound_are_counted_and_told_once(caplog) -> None:
+    """As a pilot of somebody else's may send them; those of ours never are."""
+    flight, _ = fly(LOST, 3)
+    assert flight.shortened == {"uav_0": 0, "ugv_0": 0}
+    too_far = msgspec.structs.replace(rest(8), turn=3, turning=(0.3, 0.4))
+    flight = Flight(LOST, 3)
+    for tick in range(2):
+        flight.apply({"uav_0": UavCommand(tick=tick, acceleration=(0.0, 0.0), motions=(too_far,))})
+    assert flight.shortened == {"uav_0": 2, "ugv_0": 0}
+    assert caplog.text.count("its command for tick 0, 0.5 m/s², is longer than its bound 0.3") == 1
 
 
 # -- the theorem
@@ -270,25 +275,36 @@ def test_a_silence_that_is_longer_than_declared_is_told_by_its_name() -> None:
     assert summary.certified_share > 0.8
 
 
-def test_an_outage_is_told_as_soon_as_nothing_that_is_under_way_can_end_it_in_time() -> None:
-    """And not as a plan that is missing, when it is too late: the next motion begins tau_c from now, or later."""
-    pilot = SafetyFilter(told(small("certified", certificate=Certificate(delay=0.4, outage=0.3))))
-    reasons = []
-    for tick in range(20):
-        found = (Detection(time=0.0, relative_position=(0.0, 1.0)),) if tick == 0 else ()
-        flown = None if tick < 9 else min(tick - 1, 13)  # what begins in tick 14 is lost
+def reasons(
+    delay: float, outage: float, ticks: range, flown, moved=lambda _: (8.0, 7.0)
+) -> list[str]:
+    """What a filter says of each tick, at rest and with one detection in the first; `flown` and `moved` by tick."""
+    pilot = SafetyFilter(
+        told(small("certified", certificate=Certificate(delay=delay, outage=outage)))
+    )
+    found = []
+    for tick in ticks:
         seen = UavObservation(
             tick=tick,
             time=tick * 0.05,
-            position=(8.0, 7.0),
+            position=moved(tick),
             velocity=(0.0, 0.0),
-            detections=found,
-            flown=flown,
+            detections=(Detection(time=tick * 0.05, relative_position=(0.0, 1.0)),)
+            if tick == ticks[0]
+            else (),
+            flown=flown(tick),
         )
         pilot.see(seen)
-        reasons.append(pilot.filter(seen, (0.0, 0.0)).reason)
-    assert reasons[:15] == [""] * 15
-    assert set(reasons[15:]) == {UNCERTIFIED[OUTAGE]}
+        found.append(pilot.filter(seen, (0.0, 0.0)).reason)
+    return found
+
+
+def test_an_outage_is_told_as_soon_as_nothing_that_is_under_way_can_end_it_in_time() -> None:
+    """And not as a plan that is missing, when it is too late: the next motion begins tau_c from now, or later."""
+    # what begins in tick 14 is lost
+    said = reasons(0.4, 0.3, range(20), lambda tick: None if tick < 9 else min(tick - 1, 13))
+    assert said[:15] == [""] * 15
+    assert set(said[15:]) == {UNCERTIFIED[OUTAGE]}
 
 
 def test_outages_that_are_yet_to_come_break_no_certificate() -> None:
@@ -308,44 +324,21 @@ def test_outages_that_are_yet_to_come_break_no_certificate() -> None:
 
 def test_a_vehicle_that_is_pushed_off_its_motion_is_told_and_certified_again() -> None:
     """A filter that is told another state than it has predicted trusts no plan that was made before."""
-    pilot = SafetyFilter(told(small("certified", certificate=Certificate(delay=0.1, outage=1.0))))
-    seen = UavObservation(tick=0, time=0.0, position=(8.0, 7.0), velocity=(0.0, 0.0))
-    reasons = []
-    for tick in range(12):
-        found = msgspec.structs.replace(
-            seen, tick=tick, time=tick * 0.05, flown=None if tick < 3 else tick - 1
-        )
-        if tick == 0:
-            found = msgspec.structs.replace(
-                found, detections=(Detection(time=0.0, relative_position=(0.0, 1.0)),)
-            )
-        if tick >= 6:
-            found = msgspec.structs.replace(found, position=(8.1, 7.0))
-        pilot.see(found)
-        reasons.append(pilot.filter(found, (0.0, 0.0)).reason)
-    assert reasons[:6] == [""] * 6
-    assert reasons[6].startswith("the UAV is not where")
-    assert set(reasons[7:]) == {""}  # at rest it is checked anew at once
+    said = reasons(
+        *(0.1, 1.0, range(12)),
+        flown=lambda tick: None if tick < 3 else tick - 1,
+        moved=lambda tick: (8.0, 7.0) if tick < 6 else (8.1, 7.0),
+    )
+    assert said[:6] == [""] * 6
+    assert said[6].startswith("the UAV is not where")
+    assert set(said[7:]) == {""}  # at rest it is checked anew at once
 
 
 def test_what_another_pilot_has_sent_is_not_trusted() -> None:
     """A filter that is told of a motion that it has not sent certifies nothing until its own are flown."""
-    pilot = SafetyFilter(told(small("certified", certificate=Certificate(delay=0.1, outage=1.0))))
-    reasons = []
-    for tick in range(40, 52):
-        found = (Detection(time=2.0, relative_position=(0.0, 1.0)),) if tick == 40 else ()
-        seen = UavObservation(
-            tick=tick,
-            time=tick * 0.05,
-            position=(8.0, 7.0),
-            velocity=(0.0, 0.0),
-            detections=found,
-            flown=39 if tick < 43 else tick - 1,
-        )
-        pilot.see(seen)
-        reasons.append(pilot.filter(seen, (0.0, 0.0)).reason)
-    assert reasons[0] == UNCERTIFIED[UNCHECKED_MOTION]
-    assert reasons[-1] == ""
+    said = reasons(0.1, 1.0, range(40, 52), lambda tick: 39 if tick < 43 else tick - 1)
+    assert said[0] == UNCERTIFIED[UNCHECKED_MOTION]
+    assert said[-1] == ""
 
 
 def test_what_the_vehicle_tells_that_it_flies_does_not_depend_on_the_ugv() -> None:

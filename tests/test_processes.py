@@ -14,6 +14,7 @@ from processes import (
     alive,
     child_of,
     family,
+    flown_both_ways,
     flying,
     outrider,
     run_json,
@@ -30,17 +31,12 @@ pytestmark = pytest.mark.usefixtures("nothing_left_behind")
 
 
 def _same_bits(name: str, seconds: float) -> None:
-    scenario = load_scenario(name, overrides=[f"duration={seconds}"])
-    _, here = fly(scenario, scenario.seed)
-    assert here.ticks >= round(seconds / 0.05)
-    there = run_json(name, "--duration", str(seconds))
-    assert there["trajectory_sha256"] == here.trajectory_sha256
-    assert there["ticks"] == here.ticks
+    there, here = flown_both_ways(name, f"duration={seconds}")
+    assert there["ticks"] == here.ticks >= round(seconds / 0.05)
     assert there["deterministic"] is True
-    processes = there["processes"]
-    assert isinstance(processes, list)
-    assert [process["name"] for process in processes] == ["simulator", "uav_0", "ugv_0"]
-    assert len({process["pid"] for process in processes}) == 3
+    names = [process["name"] for process in there["processes"]]
+    assert names == ["simulator", "uav_0", "ugv_0"]
+    assert len({process["pid"] for process in there["processes"]}) == 3
 
 
 @pytest.mark.parametrize("name", scenario_names())

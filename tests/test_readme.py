@@ -75,7 +75,6 @@ def test_the_filter_shown_keeps_sight(tmp_path: Path) -> None:
     assert said == "commands were not let through; certified: True\n"
 
 
-@pytest.mark.xdist_group("many worlds")
 def test_the_many_worlds_shown_fly(tmp_path: Path) -> None:
     (shown,) = blocks("python", "docs/how-to/environments.md")
     run = python(shown, cwd=tmp_path)

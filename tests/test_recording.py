@@ -22,6 +22,7 @@ import typer
 from flights import HERE, escort
 from processes import python
 from typer.testing import CliRunner
+from worlds import SCENARIOS
 
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
 pytest.importorskip("mcap", reason="the extra [record] is not installed")
@@ -161,6 +162,19 @@ def test_refly_gives_the_live_flights_hash(flown: tuple[Path, Flight]) -> None:
     assert found.note == ""
     assert found.ticks == flight.recorder.ticks
     assert found.trajectory_sha256 == found.recorded_sha256 == flight.recorder.sha256()
+
+
+@pytest.mark.parametrize("name", ["lost commands", "wind"])
+def test_motions_and_wind_are_flown_again_and_restored(name: str, tmp_path: Path) -> None:
+    scenario = msgspec.structs.replace(SCENARIOS[name], name="small", duration=10.0)
+    flight = recorded(tmp_path / "run.mcap", scenario)
+    recording = flight_of(tmp_path / "run.mcap")
+    found = refly(recording)
+    assert found.difference is None
+    assert found.trajectory_sha256 == found.recorded_sha256 == flight.recorder.sha256()
+    again = restore(recording).recorder
+    assert again.sha256() == flight.recorder.sha256()
+    assert again.told.tobytes() == flight.recorder.told.tobytes()
 
 
 def test_a_command_is_what_was_asked_for_before_the_bounds(tmp_path: Path) -> None:

@@ -20,10 +20,6 @@ from outrider.envs.vector import OutriderVectorEnv
 from outrider.experiments.suite.tasks import TASKS
 from outrider.registration import ESCORT, env_ids, register
 
-pytestmark = pytest.mark.xdist_group(
-    "many worlds"
-)  # on one worker: what they compile takes a minute, once
-
 
 def test_there_is_a_name_for_the_escort_and_for_each_task() -> None:
     assert env_ids() == (ESCORT, *(task.env_id for task in TASKS))
@@ -142,6 +138,9 @@ def test_names_alone_load_nothing_heavy_and_a_name_with_its_module_in_front_need
 
 def test_every_name_of_the_front_door_is_the_same_thing_twice() -> None:
     """A module of the same name would take its place once it is loaded."""
-    code = "import outrider as o; print(all(getattr(o, n) is getattr(o, n) and callable(getattr(o, n)) for n in o.__all__))"
+    code = (
+        "import outrider as o; print(all(getattr(o, n) is getattr(o, n) and callable(getattr(o, n)) for n in "
+        "o.__all__))"
+    )
     done = python(code)
     assert done.stdout.strip() == "True"

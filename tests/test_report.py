@@ -113,6 +113,23 @@ def test_runs_are_counted_where_they_belong(material):
     assert holds(panel, "circle") == ("-", False)
 
 
+def test_values_without_an_order_are_named_where_the_promise_breaks(tmp_path):
+    plan = plan_of(laws="linear,switching,circle", vary=["links.profile=wifi,lte,jammed"])
+    rows = [made_up(plan, run) for run in range(plan.runs)]
+    for run, row in enumerate(rows):
+        head = plan.head(run)
+        hard = head["law"] == "circle" or (head["law"], head["links.profile"]) == ("linear", "lte")
+        row |= {"violated": hard, "error": None}
+    material = read_material([kept(tmp_path / "sweep", plan, rows)])
+    told = [holds(material.panels[0], law) for law in material.law]
+    assert told == [
+        ("broken over lte", False),
+        ("over each, all that was tried", True),
+        ("broken over each", False),
+    ]
+    assert len(draw_all(material, tmp_path)) == 4
+
+
 def test_where_nothing_was_certified_a_lost_run_breaks_no_certificate(tmp_path):
     plan = plan_of(laws="linear,certified")
     rows = [made_up(plan, run) for run in range(plan.runs)]
@@ -151,14 +168,14 @@ def test_the_markdown_table_has_every_value_and_law(material):
     text = markdown(material)
     assert "| delay of the detections | to 1 s, broken at 2 s | to 0.5 s, broken at 1 s |" in text
     assert (
-        "| 1 s | switching | 5 | 4 (80 %) | 38 % to 96 % | -0.29 | -0.27 | 112 | 1 | 90 % | - | - | - |"
+        "| 1 s | switching | 5 | 4 (80 %) | 38 % to 96 % | -0.29 | -0.27 | 112 | 1 | 90 % | - | - | - | - |"
         in text
     )
     assert "| 2 s | linear | 4 (+1 failed) | 1 (25 %) |" in text
     widths = {
         line.count("|") for line in text.splitlines() if " s | " in line and "broken" not in line
     }
-    assert widths == {14}
+    assert widths == {15}
     assert text.count(" s | linear | ") + text.count(" | 0 | linear") >= 3
 
 
@@ -265,6 +282,7 @@ def test_fields_have_words_and_units():
     assert label_of("uav.0.max_speed") == "largest speed, uav.0 [m/s]"
     assert label_of("law.a_c") == "law.a_c"
     assert (tick_of("links.radio.loss", 0.05), value_of("links.radio.loss", 0.05)) == ("5", "5 %")
+    assert tick_of("links.radio.trace", "examples/networks/lte-road.csv") == "lte-road"
     ticks = [tick_of("x", value) for value in (None, True, "word")]
     assert ticks == ["none", "true", "word"]
     told = [number(value) for value in (0.0, 0.05, 1.0, 12.345, 1234.5, math.inf)]

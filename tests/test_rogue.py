@@ -35,8 +35,6 @@ from sim.models.randomness import (
 from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
 
-pytestmark = pytest.mark.xdist_group("rogue")  # on one worker: the searches take long to compile
-
 SCENARIO = load_scenario(
     "escort", overrides=["duration=10.0", "detections.noise=0.2", "detections.dropout=0.08"]
 )

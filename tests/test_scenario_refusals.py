@@ -66,7 +66,8 @@ inner_loops_hold | uav.0.own_error=0.1 & uav.0.tracking.velocity_gain=40 | uav.0
 | less than 40 1/s
 inner_loops_hold | uav.0.own_error=0.1 & uav.0.tracking.position_gain=80 | uav.0.tracking.position_gain = 80.0
 | less than 2 velocity_gain / dt = 80 1/s²
-inner_loops_hold | uav.0.own_error=0.1 & uav.0.tracking.position_gain=1e-9 | uav.0.tracking.position_gain = 1e-09 | larger
+inner_loops_hold | uav.0.own_error=0.1 & uav.0.tracking.position_gain=1e-9 | uav.0.tracking.position_gain = 1e-09
+| larger
 names_are_known | law.name=circel | law.name = "circel" | {LAWS}
 names_are_known | sensor.model=cone | sensor.model = "cone" | hill, plateau
 names_are_known | ugv.0.driver=ghost | ugv.0.driver = "ghost" | waypoints
@@ -76,7 +77,7 @@ commands_act | links.commands.delay=0.6 | hold = 0.5 | 0.6 s or more
 own_functions_are_named | ugv.0.driver=policy | custom.policy = "" | module:function
 own_functions_are_named | custom.policy=mine | custom.policy = "mine" | module:function
 drivers_have_their_task | ugv.0.driver=script | ugv.0.script = [] | velocity
-drivers_have_their_task | ugv.0.script=[{time=1.0,velocity=[0.0,0.1]},{time=1.0,velocity=[0.0,0.0]}] | ugv.0.script.1.time = 1.0
+drivers_have_their_task | ugv.0.script=[{time=1,velocity=[0,0.1]},{time=1,velocity=[0,0]}] | ugv.0.script.1.time = 1.0
 | times that rise
 own_functions_are_named | law.name=weighted | custom.weighting = "" | module:function
 own_functions_are_named | law.name=path | custom.path = "" | module:function

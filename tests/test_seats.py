@@ -322,7 +322,7 @@ def test_a_vehicle_that_talks_to_another_run_is_late_in_its_own(tmp_path: Path) 
 
 
 def test_a_vehicle_acts_once_on_each_observation_of_its_own_run_alone(tmp_path: Path) -> None:
-    """A simulator that says everything twice, interrupts a briefing, and is preceded by what another has left behind."""
+    """A simulator that says everything twice and interrupts a briefing comes after one that left messages behind."""
     endpoint = f"unixsock-stream/{tmp_path / 'bus.sock'}"
     scenario = load_scenario("escort", overrides=["duration=5.0"])
     told = _briefings(scenario)["uav_0"]

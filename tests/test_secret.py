@@ -14,14 +14,7 @@ import numpy as np
 import pytest
 from fields import fields_within
 from flights import degraded
-from processes import (
-    OUTRIDER,
-    command_line,
-    family,
-    flying,
-    outrider,
-    wait_until,
-)
+from processes import OUTRIDER, command_line, family, flying, outrider, wait_until
 from refusals import refused
 from staging import stage
 

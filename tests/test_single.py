@@ -14,10 +14,6 @@ from worlds import CASES, SCENARIOS, equal, random_actions, row_of
 from outrider.envs.single import SingleEnv, single_env
 from outrider.envs.vector import vector_env
 
-pytestmark = pytest.mark.xdist_group(
-    "many worlds"
-)  # on one worker: what they compile takes a minute, once
-
 SCENARIO = SCENARIOS["certified"]
 SETTINGS: dict[str, dict[str, Any]] = {
     "row": {},

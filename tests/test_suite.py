@@ -25,10 +25,6 @@ from sim.scenario.checks import scenario_warnings
 from sim.server.flight import Flight
 
 SECRET = bytes(range(16)).hex()
-pytestmark = pytest.mark.xdist_group(
-    "many worlds"
-)  # on one worker: what they compile takes a minute, once
-
 SHORT = {"duration": 4.0, "area.width": 16.0, "area.height": 12.0, "ugv.0.goals": [[12.0, 9.0]]}
 CERTIFICATES = ("certified_while_lost", "certificate_broken")
 TASK = Task(name="short", hard="it is over soon", changes=SHORT)

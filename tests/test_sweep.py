@@ -16,6 +16,7 @@ from refusals import refused
 from tabular import words
 
 from bus.errors import PeerLost, ScenarioError
+from bus.profiles import PROFILES
 from outrider.experiments.sweep.definition import describe_sweep, shipped_sweeps
 from outrider.experiments.sweep.folder import SweepFolder, read_head, read_results
 from outrider.experiments.sweep.plan import Plan, lay_out
@@ -33,6 +34,8 @@ SMALL = {
     "seeds": 3,
 }
 GRID = [*words("sweep escort --law linear,switching --vary detections.noise=0,0.5 --set"), CELLS]
+
+LONG = words("--seeds 24 --set duration=20.0")
 
 
 def plan_of(source: str = "escort", **given) -> Plan:
@@ -52,6 +55,13 @@ def flown(folder: Path, plan: Plan, jobs: int = 2) -> dict[str, list[object]]:
         fly_sweep(plan, there, jobs=jobs)
         there.finish()
     return rows_of(folder)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[object]]:
+    """The table of the long sweep when nothing happens to it."""
+    plan = plan_of(**SMALL | {"changes": [CELLS, "duration=20.0"], "seeds": 24})
+    return flown(tmp_path_factory.mktemp("sweep") / "whole", plan)
 
 
 def wait_for(there: Callable[[], bool], process: "subprocess.Popen[str]") -> None:
@@ -137,6 +147,15 @@ def test_values_of_any_kind_can_be_varied():
     last = plan.head(plan.runs - 1)
     told = (last["ugv.0.driver"], last["estimator.enabled"], last["ugv.0.goals"])
     assert told == ("wander", False, "[[3.5,4.0]]")
+
+
+def test_profiles_can_be_varied():
+    plan = plan_of(laws="linear", vary=["links.profile=wifi,lte"], seeds=1)
+    assert [plan.head(run)["links.profile"] for run in range(2)] == ["wifi", "lte"]
+    assert [point.scenario.links.commands for point in plan.points] == [
+        PROFILES["wifi"],
+        PROFILES["lte"],
+    ]
 
 
 def test_a_scenario_beside_the_sweep_s_file_is_found(tmp_path, monkeypatch):
@@ -252,8 +271,10 @@ def test_many_small_files_are_merged_and_rows_that_are_there_twice_count_once(
     assert set(rows["error"]) == {None}
 
 
-def test_a_sweep_that_is_killed_goes_on_and_its_table_is_that_of_an_undisturbed_one(tmp_path):
-    command = [*OUTRIDER, *GRID, "--seeds", "24", "--set", "duration=20.0", "--jobs", "2", "--out"]
+def test_a_sweep_that_is_killed_goes_on_and_its_table_is_that_of_an_undisturbed_one(
+    tmp_path, undisturbed
+):
+    command = [*OUTRIDER, *GRID, *LONG, "--jobs", "2", "--out"]
     victim = started(*command, str(tmp_path / "killed"))
     wait_for(lambda: parts(tmp_path / "killed") >= 2, victim)
     os.killpg(victim.pid, signal.SIGKILL)
@@ -266,13 +287,7 @@ def test_a_sweep_that_is_killed_goes_on_and_its_table_is_that_of_an_undisturbed_
     told = json.loads(again.stdout)
     assert (told["rows"], told["failed"], told["flown"]) == (96, 0, 96 - kept)
     assert told["runs_per_second"] > 0.0
-    plan = plan_of(
-        laws="linear,switching",
-        vary=["detections.noise=0,0.5"],
-        changes=["area.cell=0.5", "duration=20.0"],
-        seeds=24,
-    )
-    assert rows_of(tmp_path / "killed") == flown(tmp_path / "whole", plan)
+    assert rows_of(tmp_path / "killed") == undisturbed
 
 
 def test_ctrl_c_keeps_what_is_done_says_how_to_go_on_and_leaves_no_process(tmp_path):
@@ -290,7 +305,8 @@ def test_ctrl_c_keeps_what_is_done_says_how_to_go_on_and_leaves_no_process(tmp_p
     assert out == ""
     kept = len(rows_of(tmp_path / "sweep")["run"])
     assert err.strip() == (
-        f"outrider: interrupted; {kept} of 800 runs are kept in {tmp_path / 'sweep'}, and the same command goes on from there"
+        f"outrider: interrupted; {kept} of 800 runs are kept in {tmp_path / 'sweep'}, and the same command goes "
+        "on from there"
     )
     assert session_ends(process.pid)
 
@@ -321,7 +337,8 @@ def _session(number: int) -> list[str]:
 def test_a_run_that_raises_is_a_row_with_its_error_and_the_others_go_on(tmp_path):
     (tmp_path / "mine.py").write_text(
         "def policy(observation, briefing):\n"
-        "    if int(briefing.key, 16) % 2 and observation.time > 2.0:\n        raise RuntimeError('the wheel came off')\n"
+        "    if int(briefing.key, 16) % 2 and observation.time > 2.0:\n        raise RuntimeError('the wheel "
+        "came off')\n"
         "    return 0.0, 0.0\n",
         encoding="utf-8",
     )
@@ -352,7 +369,9 @@ def test_a_run_that_raises_is_a_row_with_its_error_and_the_others_go_on(tmp_path
 # A cluster
 
 
-def test_on_a_cluster_a_worker_may_die_and_the_rows_are_those_of_this_machine(tmp_path):
+def test_on_a_cluster_a_worker_may_die_and_the_rows_are_those_of_this_machine(
+    undisturbed, tmp_path
+):
     info = tmp_path / "scheduler.json"
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "start_new_session": True}
     local = ["--host", "127.0.0.1", "--no-dashboard"]
@@ -369,18 +388,7 @@ def test_on_a_cluster_a_worker_may_die_and_the_rows_are_those_of_this_machine(tm
         ]
         address = json.loads(info.read_text())["address"]
         _await_workers(address, 2)
-        command = [
-            *OUTRIDER,
-            *GRID,
-            "--seeds",
-            "24",
-            "--set",
-            "duration=20.0",
-            "--dask",
-            address,
-            "--json",
-            "--out",
-        ]
+        command = [*OUTRIDER, *GRID, *LONG, "--dask", address, "--json", "--out"]
         sweep = subprocess.Popen(
             [*command, str(tmp_path / "far")],
             stdout=subprocess.PIPE,
@@ -396,13 +404,7 @@ def test_on_a_cluster_a_worker_may_die_and_the_rows_are_those_of_this_machine(tm
         for process in processes:
             process.kill()
             process.wait()
-    plan = plan_of(
-        laws="linear,switching",
-        vary=["detections.noise=0,0.5"],
-        changes=["area.cell=0.5", "duration=20.0"],
-        seeds=24,
-    )
-    assert rows_of(tmp_path / "far") == flown(tmp_path / "near", plan)
+    assert rows_of(tmp_path / "far") == undisturbed
 
 
 def _await_workers(address: str, count: int) -> None:

@@ -89,7 +89,7 @@ def test_a_message_has_the_fate_of_the_row_nearest_before_it(number: int, delay:
 def granted(
     times: list[int], size: int, queue: int, newest: bool, dt: float, offset: int, ticks: int
 ) -> tuple[dict[int, int], int]:
-    """When each message leaves [ms], and how many the queue has cost: a millisecond after the other, in plain Python."""
+    """When each message leaves [ms], and how many the queue has cost: millisecond by millisecond in plain Python."""
     period, left, lost, now = times[-1], dict[int, int](), 0, 0
     waiting: list[tuple[int, int]] = []  # message, bytes that are missing
     for tick in range(ticks):
@@ -199,9 +199,7 @@ def test_links_change_from_and_to_recorded_ones(first: str, then: str) -> None:
         assert got == flown()[0]
 
 
-def test_an_operator_gives_a_link_a_recorded_one_that_was_read_and_no_other(
-    tmp_path: Path,
-) -> None:
+def test_an_operator_gives_a_link_a_recorded_one_that_was_read_and_no_other(tmp_path: Path) -> None:
     (tmp_path / "wifi.csv").write_text(TABLE)
     scenario = load_scenario(
         "escort", overrides=[f"links.radio.trace={tmp_path}/wifi.csv", "duration=10.0"]

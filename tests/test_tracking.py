@@ -178,7 +178,9 @@ def test_tracking_keeps_integrating_while_its_weight_is_zero(law: str) -> None:
 
 
 def _farthest(stale: bool) -> float:
-    """The UAV has been tracking at (3.7, 0) for long, then is drawn over the UGV, which drives off, to the far side of it."""
+    """The UAV has been tracking at (3.7, 0) for long, then is drawn over the UGV, which drives off, to the far side of
+    it.
+    """
     c, state, coverage = (
         parameters(escort("switching")),
         initial_state(),

@@ -21,10 +21,6 @@ from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
 from outrider.envs.env_pilots import pilots
 from sim.scenario.types import Scenario
 
-pytestmark = pytest.mark.xdist_group(
-    "many worlds"
-)  # on one worker: what they compile takes a minute, once
-
 
 @pytest.mark.parametrize("name", CASES)
 def test_each_world_is_the_parallel_environment_also_over_ends(name: str) -> None:

@@ -2,13 +2,11 @@
 
 import json
 import signal
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from processes import (
-    OUTRIDER,
     await_status,
     child_of,
     command_line,
@@ -16,9 +14,9 @@ from processes import (
     joined,
     kind_of,
     python,
+    started,
     wait_until,
 )
-from scattered import end_all
 
 from bus.keys import CONTROL, Role
 from bus.messages import Action, Control, Law, LinkKind, LinkSettings
@@ -123,10 +121,7 @@ def test_no_control_makes_a_tick_late_in_real_time_on_a_cold_cache(
 ) -> None:
     monkeypatch.setenv("OUTRIDER_CACHE", str(tmp_path / "cache"))
     words = ("escort", "--realtime", "1", "--duration", "20000", "--no-files", "--json")
-    run = subprocess.Popen(
-        [*OUTRIDER, "run", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    try:
+    with started("run", *words) as run:
         wait_until(lambda: "simulator" in map(kind_of, family(run.pid)), 300.0)
         words_of = command_line(child_of(run, "simulator")).split()
         socket = words_of[words_of.index("--listen") + 1].removeprefix("unixsock-stream/")
@@ -143,8 +138,6 @@ def test_no_control_makes_a_tick_late_in_real_time_on_a_cold_cache(
             await_status(operator, lambda status: status.seed == 3 and 20 < status.tick < 400)
         run.send_signal(signal.SIGINT)
         told, warned = run.communicate(timeout=60.0)
-    finally:
-        end_all([run])
     steered = warned.partition("an operator:")[2]  # a start may wait for a busy machine
     assert "behind" not in steered, warned  # a clock that is late by more than a second says so
     assert json.loads(told)["seed"] == 3

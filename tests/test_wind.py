@@ -1,33 +1,28 @@
 """Wind, tracking and a wrong own position: the truth is off what the UAV is told, by no more than w."""
 
+import csv
 import math
 
 import msgspec
 import numpy as np
 import pytest
-from flights import record, sha256, told
-from processes import run_json
+from flights import EVADED, flown_in_both, told
+from processes import flown_both_ways
 from worlds import LOSSY, SCENARIOS, small
 
 from agents.control.handover import certificate, check_assumptions
 from agents.control.promise import Declared
 from bus.errors import ScenarioError
 from bus.messages import UavObservation
-from outrider.envs.env_pilots import pilots
 from outrider.experiments.falsify import attack as a
 from outrider.running.assumptions import shortfalls
 from outrider.running.flying import fly
 from sim.engine.batch import Batch
 from sim.engine.world_state import no_tracking_errors
-from sim.env.parallel import parallel_env
 from sim.models.inner_loop import InnerLoop, needed_reserve, step_error, tracking_error
 from sim.scenario.checks import check_scenario
 from sim.scenario.types import Certificate, LinkTable, Tracking, Uav, Wind
 from sim.world import World
-
-pytestmark = pytest.mark.xdist_group(
-    "attack"
-)  # on one worker: it takes half a minute to compile, once
 
 WINDY = SCENARIOS["wind"]
 DT = 0.05
@@ -149,7 +144,7 @@ def test_without_wind_what_is_told_is_the_truth_itself() -> None:
     assert state.tracking.size == 0
 
 
-def test_wind_takes_the_uav_from_what_it_is_told_and_nothing_else() -> None:
+def test_wind_takes_the_uav_from_what_it_is_told_and_nothing_else(tmp_path) -> None:
     flight, summary = fly(WINDY, 1)
     off = flight.recorder.states[:, :, :4] - flight.recorder.told
     declared = told(WINDY).certificate.tracking
@@ -161,6 +156,13 @@ def test_wind_takes_the_uav_from_what_it_is_told_and_nothing_else() -> None:
     status = flight.assurance.status()
     before_the_last = np.hypot(off[:-1, 0, 0], off[:-1, 0, 1]).max()
     assert (status.tracking, status.tracking_error) == (declared, before_the_last)
+    flight.recorder.write(tmp_path / "trajectory.csv")
+    with (tmp_path / "trajectory.csv").open(newline="", encoding="utf-8") as file:
+        header, *rows = csv.reader(file)
+    assert header[-2:] == ["uav_0.told_x [m]", "uav_0.told_y [m]"]
+    assert [tuple(map(float, row[-2:])) for row in rows] == [
+        tuple(place) for place in flight.recorder.told[:, 0, :2].tolist()
+    ]
 
 
 def test_wind_changes_neither_the_draws_of_others_nor_what_a_vehicle_is_told_of_itself() -> None:
@@ -202,30 +204,14 @@ def test_the_wind_is_never_stronger_than_its_limit_and_has_its_mean_and_spread()
 
 
 def test_wind_flies_one_trajectory_in_the_environment_and_in_a_run() -> None:
-    env = parallel_env(WINDY)
-    observations, _ = env.reset(seed=3)
-    states = record(env, pilots(env), observations)
-    _, summary = fly(WINDY, 3)
-    assert sha256(states) == summary.trajectory_sha256
+    flown_in_both(WINDY, 3)
 
 
 def test_wind_flies_one_trajectory_over_three_processes() -> None:
-    arguments = [
-        "escort",
-        *("--law", "certified", "--driver", "evade", "--duration", "10", "--seed", "3"),
-        *(
-            "--set",
-            "wind.mean=[0.1, 0.0]",
-            "--set",
-            "wind.gust=0.03",
-            "--set",
-            "uav.0.own_error=0.1",
-        ),
-    ]
-    over_the_bus, alone = run_json(*arguments), run_json(*arguments, "--in-process")
-    assert over_the_bus["trajectory_sha256"] == alone["trajectory_sha256"]
-    assert 0.02 < over_the_bus["tracking_error"] <= over_the_bus["declared_tracking"]
-    assert over_the_bus["certified_share"] == 1.0
+    wind = ("wind.mean=[0.1, 0.0]", "wind.gust=0.03", "uav.0.own_error=0.1")
+    there, _ = flown_both_ways("escort", *EVADED, *wind, seed=3)
+    assert 0.02 < there["tracking_error"] <= there["declared_tracking"]
+    assert there["certified_share"] == 1.0
 
 
 def test_wind_and_lost_commands_leave_every_tick_certified() -> None:

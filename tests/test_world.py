@@ -1,4 +1,6 @@
-"""The world: one seed one trajectory, time that is not summed, walls, detections as the scenario says, any number of vehicles."""
+"""The world: one seed one trajectory, time that is not summed, walls, detections as the scenario says, any number of
+vehicles.
+"""
 
 import math
 

@@ -105,7 +105,9 @@ def test_an_episode_is_the_bare_environments_to_its_end(kind, end):
 
 
 def test_only_a_termination_ends_the_future():
-    """The advantages of a batch with both ends, against the recursion written out, on the last observation of each episode."""
+    """The advantages of a batch with both ends, against the recursion written out, on the last observation of each
+    episode.
+    """
     example = runpy.run_path(str(EXAMPLE))
     torch.manual_seed(0)
     env = example["make_env"](12.0)

@@ -170,7 +170,10 @@ context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
 context.load_verify_locations(cadata=own.tls.authority)
 Path("/tmp/own.pem").write_text(own.tls.certificate + own.tls.key)
 context.load_cert_chain("/tmp/own.pem")
-with socket.create_connection((host, int(port)), 5) as plain, context.wrap_socket(plain, server_hostname=host) as opened:
+with (
+    socket.create_connection((host, int(port)), 5) as plain,
+    context.wrap_socket(plain, server_hostname=host) as opened,
+):
     found["version"] = opened.version()
 print(json.dumps(found))
 """
@@ -219,6 +222,30 @@ credential = read_credential(Path(os.environ["OUTRIDER_CREDENTIALS"]))
 fly(credential.party, Hover, connect=os.environ["OUTRIDER_CONNECT"], run=os.environ["OUTRIDER_RUN"],
 credential=credential)
 """
+LOSSY = """
+title = "Commands that are lost and carry motions, detections over a recorded link"
+duration = 60.0
+[detections]
+noise = 0.1
+dropout = 0.1
+[law]
+name = "certified"
+[certificate]
+age = 3.0
+delay = 0.2
+outage = 3.0
+[links.detections]
+trace = "wifi-far.csv"
+[links.commands]
+delay = 0.1
+jitter = 0.1
+loss = 0.4
+[[uav]]
+position = [7.0, 9.0]
+[[ugv]]
+position = [7.0, 8.0]
+driver = "evade"
+"""
 PILOT_IMAGE = (
     'ARG BASE\nFROM ${BASE}\nCOPY pilot.py /pilot.py\nENTRYPOINT ["python", "/pilot.py"]\n'
 )
@@ -227,7 +254,8 @@ PILOT_IMAGE = (
 # A browser's side of the opening handshake; what the server sends is plain text in frames that need no decoding to
 # be searched.
 UPGRADE = (
-    "GET /frames HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nCookie: {cookie}\r\n"
+    "GET /frames HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nCookie: "
+    "{cookie}\r\n"
     "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
 )
 
@@ -419,9 +447,9 @@ class Docker:
         path.unlink()
         return found
 
-    def reference(self, duration: str | None = None) -> Json:
+    def reference(self, duration: str | None = None, scenario: str = "escort") -> Json:
         """The same flight in one process, in the same image."""
-        words = ["run", "escort", "--in-process", "--no-files", "--json"] + (
+        words = ["run", scenario, "--in-process", "--no-files", "--json"] + (
             ["--duration", duration] if duration else []
         )
         apart = [
@@ -431,6 +459,7 @@ class Docker:
             "--read-only",
             "--tmpfs=/tmp",
             "--volume=/var/cache/outrider",
+            f"--volume={self.runs}:/runs:ro",
         ]
         found: Json = json.loads(self("run", *apart, self.image, *words))
         return found
@@ -527,6 +556,26 @@ class Checks:
         for service in ("router", "simulator", "uav", "ugv"):
             code = self.docker("wait", self.docker.container(service), limit=20.0).strip()
             expect(code == "0", f"{service} ended with {code}")
+
+    def lossy(self) -> str:
+        """Lost commands that carry motions, and a recorded link: the same flight."""
+        docker, scenario = self.docker, "/runs/lossy.toml"
+        shutil.copy(ROOT / "examples" / "networks" / "wifi-far.csv", docker.runs)
+        (docker.runs / "lossy.toml").write_text(LOSSY)
+        words = ("up", "--exit-code-from", "simulator")
+        docker.compose(*words, limit=120.0, OUTRIDER_SCENARIO=scenario)
+        flown = docker.summary()
+        docker.down()
+        told = same_flight(flown, docker.reference(scenario=scenario))
+        looks, commands = (
+            flown["links"][f"uav_0/{kind}"]["lost"] for kind in ("detections", "commands")
+        )
+        share = flown["certified_share"]
+        expect(looks["trace"] > 0, "the recorded link has lost no detection")
+        expect(commands["loss"] > 0, "no command was lost")
+        expect(share > 0.99, f"certified in {share} of the ticks")
+        lost = f"{commands['loss']} commands and {looks['trace']} detections lost"
+        return f"{told}; {lost}, certified in {share:.1%} of the ticks"
 
     def failure(self) -> str:
         """A flight that cannot be flown ends with the simulator's exit code."""
@@ -701,7 +750,10 @@ class Checks:
                 "uav_0" in faults and "ugv_0" not in faults,
                 f"nonsense in the commands of: {list(faults)}",
             )
-        return f"{heard['uav'][own]} of its own observations, nothing else; strangers are refused; it cannot write for the UGV"
+        return (
+            f"{heard['uav'][own]} of its own observations, nothing else; strangers are refused; it cannot "
+            "write for the UGV"
+        )
 
     def tls(self) -> str:
         """With certificates: the same flight, nothing readable on the network, and others do not get in."""
@@ -786,7 +838,10 @@ class Checks:
             expect(set(found.values()) == {"unreachable"}, f"found {found}")
         finally:
             docker.down()
-        return f"{more:.0f} MB more; 127.0.0.1:{port}, no token, no page; ticks {ticks}; no way to a vehicle, nor from one"
+        return (
+            f"{more:.0f} MB more; 127.0.0.1:{port}, no token, no page; ticks {ticks}; no way to a vehicle, nor "
+            "from one"
+        )
 
     def _address_of_the_page(self, port: int) -> str:
         """Path and ticket, from the log."""
@@ -858,6 +913,7 @@ ORDER = (
     "build",
     "credentials",
     "escort",
+    "lossy",
     "failure",
     "networks",
     "keys",

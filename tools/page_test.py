@@ -924,7 +924,10 @@ def missing() -> str:
         except ModuleNotFoundError:
             return f"page-test: skipped: {module} is missing: pip install {extra}"
     if not find_browser():
-        return f"page-test: skipped: no chromium: apt-get install chromium, or name one in CHROMIUM ({', '.join(BROWSERS)})"
+        return (
+            "page-test: skipped: no chromium: apt-get install chromium, or name one in CHROMIUM "
+            f"({', '.join(BROWSERS)})"
+        )
     return ""
 
 

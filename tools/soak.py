@@ -97,7 +97,8 @@ class Tracks:
             slope = float(np.polyfit(settled[:, 0], settled[:, 1], 1)[0]) * 3600.0
             span = settled[-1, 0] - settled[0, 0]
             told.append(
-                f"{kind:10} {pid:8d}  {rows[-1, 1]:7.1f} MB  {slope:+8.2f} MB an hour of simulated time, over {span:5.0f} s"
+                f"{kind:10} {pid:8d}  {rows[-1, 1]:7.1f} MB  {slope:+8.2f} MB an hour of simulated time, over "
+                f"{span:5.0f} s"
             )
         return told
 
@@ -151,7 +152,8 @@ def watch(
                 shown = now
                 tracks.sample(run.pid, status.time)
                 sys.stderr.write(
-                    f"\r{status.time:8.1f} s of {status.ticks * status.time / max(status.tick, 1):.0f} s, {len(blows)} blows "
+                    f"\r{status.time:8.1f} s of {status.ticks * status.time / max(status.tick, 1):.0f} s, "
+                    f"{len(blows)} blows "
                 )
             if status.over:
                 break
@@ -203,7 +205,8 @@ def main() -> int:
     undisturbed = fly(scenario, scenario.seed)[1].trajectory_sha256
     same = summary["trajectory_sha256"] == undisturbed
     report = [
-        f"{summary['ticks']} ticks, {options.duration:g} s of simulated time in {seconds:.0f} s, exit code {run.returncode}",
+        f"{summary['ticks']} ticks, {options.duration:g} s of simulated time in {seconds:.0f} s, exit code "
+        f"{run.returncode}",
         f"{len(blows)} blows: {'; '.join(blows)}",
         f"faults counted: {summary['faults']}",
         *tracks.lines(),

@@ -1,10 +1,10 @@
 r"""The certificate: a filter around any inner control that keeps $\|p_a - p_g\| < r_v$. Beyond Klodt 2015.
 
-The proof is in docs/explanation/certificate.md. What is known of the UGV is a set: each detection z, taken at t_z with an
-error of at most $\epsilon$, puts it into a disc of radius $\rho(t) = \epsilon + v_g (t - t_z)$ around z.
-The filter always holds a **plan**: a motion of the UAV that ends at rest and is checked against those discs to its
-end. A command of the inner control acts only if a plan still exists after it; else the plan acts. At a plan's end the
-hand-over inequality says that the next plan exists, whatever has been detected meanwhile.
+The proof is in docs/explanation/certificate.md. What is known of the UGV is a set: each detection z, taken at t_z with
+an error of at most $\epsilon$, puts it into a disc of radius $\rho(t) = \epsilon + v_g (t - t_z)$ around z. The filter
+always holds a **plan**: a motion of the UAV that ends at rest and is checked against those discs to its end. A command
+of the inner control acts only if a plan still exists after it; else the plan acts. At a plan's end the hand-over
+inequality says that the next plan exists, whatever has been detected meanwhile.
 
 All positions in the world's frame [m], times in ticks, speeds [m/s], accelerations [m/s²].
 """
@@ -116,7 +116,7 @@ class HeldPlan(NamedTuple):
 
 
 class Known(NamedTuple):
-    """Where the UGV surely is: in each of these discs."""
+    """Discs, each of which surely holds the UGV."""
 
     newest: Disc
     """Of the newest detection."""
@@ -140,7 +140,7 @@ def servo(
     u_a: float,
     dt: float,
 ) -> tuple[float, float]:
-    r"""To z as fast as it can still stop there, $u = clip((v^* - v_a)/dt, u_a)$, $v^* = -s (p_a - z)/\|p_a - z\|$ [m/s²].
+    r"""Fly to z and stop there, [m/s²]: $u = clip((v^* - v_a)/dt, u_a)$, $v^* = -s (p_a - z)/\|p_a - z\|$.
 
     s is the speed from which the UAV stops at z, at most v_a. Acts where nothing is certified, as the best that
     can be done.
@@ -298,7 +298,7 @@ def _stays_in_area(promise: Promise, here: Motion, a_x: float, a_y: float, durat
 
 @compiled
 def _end_radius(promise: Promise, known: Known, tick: int, x: float, y: float, ticks: int) -> float:
-    """How far the UGV is at most from a plan's end, now [m], if a plan of so many ticks may end there; else infinite.
+    """A bound on the UGV's distance now from a plan's end [m], if a plan of so many ticks may end there; else infinite.
 
     It may have to rest there until the next motion begins, for the declared outage.
     """
@@ -540,7 +540,7 @@ def rest_radius(
     here: Motion,
     ticks: int,
 ) -> float:
-    """How far the UGV is at most from a UAV at rest [m]; infinite if it is not, or may not rest there.
+    """A bound on the UGV's distance from a UAV at rest [m]; infinite if it is not at rest, or may not rest there.
 
     That is for so many ticks, and then until the next motion begins.
     """
@@ -561,7 +561,7 @@ def is_within(
     p_y: float,
     over: float,
 ) -> bool:
-    """True if the UGV is surely within r_v of this point at a tick, also if a wall has kept the UAV `over` [m] from beyond it."""
+    """True if the UGV is surely within r_v of this point, and of all within `over` [m] of it, at a tick."""
     new = newest_detection(detections)
     if new < 0:
         return False

@@ -113,7 +113,7 @@ def border_distance(v_max: float, u_max: float, dt: float) -> float:
 
 @compiled
 def _outward(p: float, size: float, margin: float) -> float:
-    """Which way is out, on one axis, for a vehicle nearer to the border than the margin.
+    """The way out on one axis, for a vehicle nearer to the border than the margin.
 
     -1, 1, or 0 if it is not near.
     """

@@ -1,4 +1,4 @@
-"""The UGV's place as detections tell it: each puts it into a disc that grows with time. World frame [m], times in ticks."""
+"""The UGV's place by its detections: each puts it into a disc that grows with time. World frame [m], times in ticks."""
 
 import math
 from typing import NamedTuple
@@ -31,7 +31,7 @@ class KeptDetection(NamedTuple):
 
     x: float
     y: float
-    """Where the UGV was detected [m]."""
+    """The place of the detected UGV [m]."""
     taken: int
     """In which tick; NEVER: the row is empty."""
 
@@ -56,7 +56,7 @@ def no_detections() -> RecordArray:
 
 @compiled
 def drift(promise: Promise, ticks: int) -> float:
-    """How far the UGV drives at most in so many ticks [m]."""
+    """The longest way of the UGV in so many ticks [m]."""
     return promise.v_g * (ticks * promise.dt)
 
 
@@ -190,11 +190,10 @@ def keep_detection(
 def lens_distance(
     p_x: float, p_y: float, a_x: float, a_y: float, r_a: float, b_x: float, b_y: float, r_b: float
 ) -> float:
-    """How far a point of two discs' intersection can be from p [m]: their farthest common point, exactly.
+    """The largest distance from p of a point in two discs' intersection [m]: their farthest common point, exactly.
 
-    It is the far point of one disc if that lies in the other, else a corner of the lens; of discs that touch, but
-    for rounding,
-    the point where they do. Discs that do not meet (no UGV can be in both: an assumption is broken) give the
+    It is the far point of one disc if that lies in the other, else a corner of the lens; of discs that touch, but for
+    rounding, the point where they do. Discs that do not meet (no UGV can be in both: an assumption is broken) give the
     smaller of the two bounds; an infinite radius is no disc.
 
     Args:

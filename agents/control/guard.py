@@ -1,8 +1,7 @@
-"""One UAV's safety filter over records: what it remembers, and what it does in a tick. See docs/explanation/certificate.md.
+"""One UAV's safety filter over records: its memory and its tick. See docs/explanation/certificate.md.
 
-`SafetyFilter` calls these functions for one UAV, compiled loops call them for many worlds. In a tick:
-`note_position`, then
-`note_detection` for each detection that has arrived, then `guard` with the command that is wanted.
+`SafetyFilter` calls these functions for one UAV, compiled loops call them for many worlds. In a tick: `note_position`,
+then `note_detection` for each detection that has arrived, then `guard` with the command that is wanted.
 
 The filter keeps a **course**: the states in which the ticks until the next command acts will begin, and the
 commands under way that lead there. The UAV is on course if its state is the one that the course has for this tick.
@@ -43,11 +42,13 @@ from agents.control.discs import (
 )
 from agents.control.promise import Promise
 from agents.control.underway import (
+    AS_EXPECTED,
     Underway,
     begin_underway,
     check_rest,
     doubt,
     due_end,
+    off_by,
     send_motion,
     take_observation,
     take_rest,
@@ -57,10 +58,6 @@ from sim.kernels.compile import FloatArray, borrowing
 from sim.kernels.records import RecordArray, record_type
 from sim.models.motion import NO_MOTION
 from sim.models.vehicles import Motion, within_walls
-
-_ON_COURSE = 1e-10
-"""A state nearer than this [m, m/s] to that of the course is on it. The course goes on from the state, so that a lost
-command is seen at once or has no consequence; a thousand ticks of this are less than `MARGIN`."""
 
 
 class CourseTick(NamedTuple):
@@ -94,7 +91,7 @@ class GuardFlags(NamedTuple):
     tick: int
     """Of the last call; NEVER before the first."""
     known: int
-    """How many of the last commands are known to be under way, as they were sent since the UAV was last found off its
+    """The number of last commands that are known to be under way: sent since the UAV was last found off its
     course. Where commands carry motions: 1 if all since tick 0 are this filter's."""
     safe: int
     """1 if the course is safe up to the plan."""
@@ -107,7 +104,7 @@ class GuardState(NamedTuple):
     """
 
     detections: RecordArray
-    """Where and when the UGV was detected: `KeptDetection`, as `keep_detection` keeps them. (KEPT,)"""
+    """Places and times of detections: `KeptDetection`, as `keep_detection` keeps them. (KEPT,)"""
     plan: RecordArray
     """The memory of `safe_control`: `HeldPlan`. (1,)"""
     course: RecordArray
@@ -259,12 +256,10 @@ def _set_out(promise: Promise, state: GuardState, tick: int, here: Motion) -> bo
                 course[k].u_x, course[k].u_y = course[k + 1].u_x, course[k + 1].u_y
         flags.known = 0
     else:
-        due = _motion_in(course, 0)
-        off = max(abs(here.p_x - due.p_x), abs(here.p_y - due.p_y))
-        off = max(off, abs(here.v_x - due.v_x), abs(here.v_y - due.v_y))
+        off = off_by(here, _motion_in(course, 0))
         if off == 0.0:
             return True
-        if off <= _ON_COURSE:
+        if off <= AS_EXPECTED:
             _begin_course(promise, course, here)
             return True
         flags.known, on_course = 0, False

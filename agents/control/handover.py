@@ -25,8 +25,7 @@ _FOREVER = float(2**53)
 _GRID, _STEPS = 0.005, 950
 """Step of the distances [m] over which the hand-over is checked when a scenario loads, and its margin.
 
-But no more steps than
-these to r_v, or a large radius would take minutes."""
+But no more steps than these to r_v, or a large radius would take minutes."""
 
 
 @compiled
@@ -99,7 +98,7 @@ def handover_reach(
     dt: float,
     wait: float,
 ) -> float:
-    r"""E [m]: where the newest detection's own bound is at most this, the plan to any later one ends within `radius` in time.
+    r"""E [m]: if the newest detection's own bound is at most this, the plan to any later one ends within `radius`.
 
     $$ E = \frac{v_a}{v_g}\left(R_h - \rho_A (1 - v_g/v_a) - v_g (v_a/u_a + 2 dt + B)\right) - 2 \epsilon $$
 
@@ -127,7 +126,7 @@ def _way_fits(
     dt: float,
     wait: float,
 ) -> bool:
-    """True if every motion of a way of k steps stays within r_v, or no detection is so far. Arguments as in `unfit_way`."""
+    """True if every motion of a way of k steps stays within r_v, or no detection is so far; see `unfit_way`."""
     step = max(_GRID, r_v / _STEPS)
     way, reach = k * step, handover_reach(radius, eps, rho, v_a, u_a, v_g, dt, wait)
     rest = min(rho, reach + 2.0 * eps - way + step)
@@ -155,7 +154,7 @@ def unfit_way(
     dt: float,
     wait: float,
 ) -> int:
-    """Steps of a way to a newer detection on which a motion from rest leaves r_v, if the UGV is within `radius` [m] at its start.
+    """Steps of a way to a newer detection on which a motion from rest leaves r_v, the UGV within `radius` at its start.
 
     Over all ways in steps of half a centimetre, more where r_v is large: between two of them the motion with the same
     ticks scales with the way, so that no point of it and no disc moves by more than a step. The farther a detection,
@@ -208,7 +207,7 @@ def handover_radius(
 
 @compiled
 def tick_sagitta(v_a: float, u_a: float, dt: float) -> float:
-    r"""How far a vehicle is at most from the chord of its way within a tick of constant acceleration a [m].
+    r"""The largest distance of a vehicle from the chord of its way within a tick of constant acceleration a [m].
 
     $a\,dt^2/8$.
 
@@ -269,7 +268,8 @@ def certified_radius(
 ) -> float:
     r"""r_cert [m]: while d_cert is less, every inner control acts, whatever the velocity.
 
-    $$ r_{cert} = R_h + w - \frac{v_a^2}{2 u_a} - \frac{v_a v_g}{u_a} - (\tfrac32 v_a + 2 v_g) dt - (v_a + v_g) \tau_c - v_g B $$
+    $$ r_{cert} = R_h + w - \frac{v_a^2}{2 u_a} - \frac{v_a v_g}{u_a}
+       - (\tfrac32 v_a + 2 v_g) dt - (v_a + v_g) \tau_c - v_g B $$
 
     With $R_h \to r_v - v_g^2 / (2 u_a)$ this is (18) as dt and tau_c go to 0. Beyond it the filter decides by the
     velocity that the UAV really has: r_cert is for display, for tuning and for tests.
@@ -330,7 +330,7 @@ def largest_outage(promise: Promise) -> float:
 
 
 def check_assumptions(promise: Promise) -> tuple[str, ...]:
-    """Which assumptions do not hold, one line each with its numbers.
+    """The assumptions that do not hold, one line each with its numbers.
 
     Empty if all hold that are known when a run is loaded.
     """

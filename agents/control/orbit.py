@@ -15,7 +15,7 @@ Path = Callable[[float], tuple[tuple[float, float], tuple[float, float]]]
 
 @compiled
 def desired_position(p_gx: float, p_gy: float, p_vx: float, p_vy: float) -> tuple[float, float]:
-    r"""Where the UAV ought to be [m], Klodt 2015, eq. (20): $p_d(t) = p_g(t) + p_v(t)$."""
+    r"""The UAV's place on the virtual path [m], Klodt 2015, eq. (20): $p_d(t) = p_g(t) + p_v(t)$."""
     return p_gx + p_vx, p_gy + p_vy
 
 
@@ -141,6 +141,7 @@ def check_path(
         )
     if hardest[0] > u_a * (1.0 + 1e-6):
         warnings.append(
-            f"path: cannot be flown: {hardest[0]:.4g} m/s² at t = {hardest[1]:.4g} s; allowed up to u_a = {u_a:.4g} m/s²"
+            f"path: cannot be flown: {hardest[0]:.4g} m/s² at t = {hardest[1]:.4g} s; allowed up to u_a = "
+            f"{u_a:.4g} m/s²"
         )
     return tuple(warnings)

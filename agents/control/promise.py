@@ -38,7 +38,7 @@ class Declared(NamedTuple):
     outage: float | None = None
     """From the beginning of a motion to that of the next at most, B [s]; None: commands carry no motions."""
     tracking: float = 0.0
-    """How far the UAV truly is at most from where it is told that it is, w [m]; infinite: that has no bound."""
+    """A bound on the UAV's distance from where it is told that it is, w [m]; infinite: there is none."""
 
 
 class Promise(NamedTuple):
@@ -49,9 +49,11 @@ class Promise(NamedTuple):
     error: float
     """Largest error of a detection, as a vector's norm [m]."""
     eps: float
-    """Largest error of where a detection puts the UGV [m]: that, and w, as it is seen from where the UAV is told that it is."""
+    """Largest error of where a detection puts the UGV [m]: that, and w, as it is seen from where the UAV is told that
+    it is.
+    """
     tracking: float
-    """How far the UAV truly is at most from where it is told that it is, w [m]."""
+    """A bound on the UAV's distance from where it is told that it is, w [m]."""
     age: float
     """Largest age of the newest arrived detection as it was declared, A [s]."""
     age_ticks: int

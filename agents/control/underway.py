@@ -1,9 +1,9 @@
 """Commands that carry a motion: what is under way from a pilot to its vehicle, and what the vehicle will fly.
 
-The vehicle's receiver begins each motion in its own tick, and only if its parent is flown then; else it flies on what it
-flies (`sim.models.motion`). Each observation tells what it flew. So the pilot knows the one course from here to the tick in
-which its next motion begins: along those under way as long as the vehicle flies what was sent, along the rest of what it
-flies where one was lost, which voids all that is under way. The proof is in docs/explanation/certificate.md.
+The vehicle's receiver begins each motion in its own tick, and only if its parent is flown then; else it flies on what
+it flies (`sim.models.motion`). Each observation tells what it flew. So the pilot knows the one course from here to the
+tick in which its next motion begins: along those under way as long as the vehicle flies what was sent, along the rest
+of what it flies where one was lost, which voids all that is under way. The proof is in docs/explanation/certificate.md.
 
 Positions [m], speeds [m/s], accelerations [m/s²], times in ticks.
 """
@@ -34,8 +34,9 @@ _NOW, _END = 0, 1
 _BEGUN, _LOST = 0, 1
 """Rows of `Underway.expected`: the next state if the motion that is due in this tick begins, and if it does not."""
 
-_AS_EXPECTED = 1e-10
-"""A state nearer than this [m, m/s] to the expected one is that; what is less has no consequence (`MARGIN`)."""
+AS_EXPECTED = 1e-10
+"""A state nearer than this [m, m/s] to the expected one is that. The course goes on from the state, so that a lost
+command is seen at once or has no consequence; a thousand ticks of this are less than `MARGIN`."""
 
 
 class ExpectedState(NamedTuple):
@@ -48,7 +49,7 @@ class ExpectedState(NamedTuple):
 
 
 class Underway(NamedTuple):
-    """What a pilot remembers of its motions; arrays that change in place."""
+    """A pilot's memory of its motions; arrays that change in place."""
 
     sent: RecordArray
     """`MotionRecord` of those that were sent: of the one that begins in tick k in row k % rows. (tau_c + 2,)"""
@@ -113,12 +114,17 @@ def _take_flown(state: Underway, tick: int, flown: int) -> None:
 
 
 @borrowing
+def off_by(here: Motion, due: Motion) -> float:
+    """The largest difference of a state from the one that is due [m, m/s]."""
+    off = max(abs(here.p_x - due.p_x), abs(here.p_y - due.p_y))
+    return max(off, abs(here.v_x - due.v_x), abs(here.v_y - due.v_y))
+
+
+@borrowing
 def is_expected(state: Underway, tick: int, here: Motion, flown: int) -> bool:
     """True if the UAV is in the state in which what it tells that it has flown has brought it from the tick before."""
     due = state.expected[_BEGUN if flown == tick - 1 else _LOST]
-    off = max(abs(here.p_x - due.p_x), abs(here.p_y - due.p_y))
-    off = max(off, abs(here.v_x - due.v_x), abs(here.v_y - due.v_y))
-    return bool(off <= _AS_EXPECTED)
+    return bool(off_by(here, Motion(due.p_x, due.p_y, due.v_x, due.v_y)) <= AS_EXPECTED)
 
 
 @borrowing
@@ -145,13 +151,13 @@ def take_observation(
 
 @borrowing
 def due_end(promise: Promise, state: Underway, tick: int, here: Motion) -> tuple[Motion, bool, int]:
-    """Where the UAV will be when the motion of this tick's command begins.
+    """Predicts the UAV's state when the motion of this tick's command begins.
 
     `state.flown` then has what it flies there. What is under way is in a chain from what is flown now, or void.
 
     Returns:
-        Its state then; whether all that it may fly until then was checked; and how long it will have waited for the next
-        motion at least [ticks].
+        Its state then; whether all that it may fly until then was checked; and how long it will have waited for the
+        next motion at least [ticks].
     """
     c, checked, next_begins = promise, state.flown[_NOW].checked == 1, tick + promise.delay_ticks
     ahead = state.flown[_END : _END + 1]
@@ -208,7 +214,7 @@ def check_rest(
     tick: int,
     here: Motion,
 ) -> None:
-    """Before the first motion that moves the UAV its rest is a plan, once a detection has come, if it can be checked as one.
+    """Take the UAV's rest as a plan once a detection has come, if it passes as one, until a motion moves the UAV.
 
     Args:
         promise: The declared numbers.
@@ -281,7 +287,7 @@ def send_motion(
 
 @borrowing
 def carried(promise: Promise, state: Underway, tick: int) -> int:
-    """How many motions the command of this tick carries: its own, and those just before it that have not begun."""
+    """The number of motions that this tick's command carries: its own, and those just before it that have not begun."""
     last, n = tick + promise.delay_ticks, 0
     while n < MOST_CARRIED and last - n >= tick:
         if state.sent[(last - n) % state.sent.shape[0]].begins != last - n:

@@ -1,4 +1,4 @@
-"""The visibility constraint (5), the radius from which only tracking acts (18), and the filter that keeps the constraint."""
+"""The visibility constraint (5), the radius from which only tracking acts (18), and the filter that keeps sight."""
 
 import math
 from collections import Counter
@@ -117,13 +117,13 @@ class Verdict(NamedTuple):
     distance: float
     """The UGV is surely no farther than this [m]; infinite before the first detection."""
     motions: tuple[MotionPlan, ...] = ()
-    """What the command is to carry, where the vehicle flies motions."""
+    """The motions that the command is to carry, where the vehicle flies motions."""
 
 
 class SafetyFilter:
-    """Keeps sight of the UGV around any way to fly: a law, a person, a learned policy. See docs/explanation/certificate.md.
+    """Keeps sight of the UGV around any way to fly: a law, a person, a learned policy.
 
-    Call `see` with every observation, and `filter` with the command for it.
+    See docs/explanation/certificate.md. Call `see` with every observation, and `filter` with the command for it.
 
     Args:
         briefing: What the UAV is told when it joins: bounds, r_v, and what is declared of detections and commands.
@@ -180,7 +180,7 @@ class SafetyFilter:
         return self.verdict(tick, *done)
 
     def motions(self, tick: int) -> tuple[MotionPlan, ...]:
-        """What the command that answers this tick carries: its own motion last, before it those that may be missing."""
+        """The motions that this tick's command carries: its own last, before it those that may be missing."""
         if not self.promise.carries:
             return ()
         sent, last = self.state.underway.sent, tick + self.promise.delay_ticks

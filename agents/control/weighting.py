@@ -1,4 +1,4 @@
-"""How tracking and coverage are weighed against each other: (17), the three weightings of section V, and one's own."""
+"""Tracking weighed against coverage: (17), the three weightings of section V, and one's own."""
 
 import math
 from collections.abc import Callable

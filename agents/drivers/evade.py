@@ -255,5 +255,5 @@ def evade_lead(speed: float, u_max: float) -> float:
 
 
 def evade_ticks(lead: float, dt: float) -> tuple[int, int]:
-    """Ticks after which the last message says nothing any more, and for which it drives along a wall out of a corner."""
+    """Ticks after which the last message says nothing any more, and for which it leaves a corner along a wall."""
     return ticks_within(_FORGOTTEN, dt), first_tick_from(_DASH * lead, dt)

@@ -35,8 +35,9 @@ class RowPolicy(Protocol):
 
 
 Policy = Callable[[UgvObservation, UgvBriefing], object] | RowPolicy
-"""A function: what a UGV perceives and was told in, its acceleration x and y [m/s²] out, as a pair, a list or an array of two
-numbers. Or an object that predicts it from a row."""
+"""A function: what a UGV perceives and was told in, its acceleration x and y [m/s²] out, as a pair, a list or an array
+of two numbers. Or an object that predicts it from a row.
+"""
 
 _WIDEST = 80  # characters of what was returned that an error shows
 
@@ -165,7 +166,8 @@ class PolicyDriver:
         pair = _pair(answer)
         if pair is None or (self._sees_rows and max(map(abs, pair)) > LARGEST):
             raise ScenarioError(
-                f"{where}: returned {_one_line(repr(answer))}; allowed: two finite numbers, the acceleration x and y [m/s²]"
+                f"{where}: returned {_one_line(repr(answer))}; allowed: two finite numbers, the acceleration x "
+                "and y [m/s²]"
             )
         if self._sees_rows:
             return pair
@@ -190,7 +192,8 @@ class PolicyDriver:
         if self._warm and not self._slow and seconds > self._steering.dt:
             self._slow = True
             _LOG.warning(
-                "%s: took %.2f s to answer, longer than a tick of %g s: lockstep waits for it, in real time it comes too late",
+                "%s: took %.2f s to answer, longer than a tick of %g s: lockstep waits for it, in real time it "
+                "comes too late",
                 where,
                 seconds,
                 self._steering.dt,

@@ -87,7 +87,7 @@ class Steering:
     def within(
         self, observation: UgvObservation, wanted: tuple[float, float]
     ) -> tuple[float, float]:
-        """A finite acceleration [m/s²] of anybody's, shortened to u_max and turned off where it would go beyond v_max."""
+        """A finite acceleration [m/s²], shortened to u_max and turned off where it would go beyond v_max."""
         u_x, u_y = wanted
         size = max(abs(u_x), abs(u_y))
         if size > LARGEST:  # its square may be too large for a number

@@ -4,10 +4,9 @@ The state is $(x, y, v_x, v_y)$ of the UGV in the world frame, moving at constan
 The UAV knows its own position exactly, so a detection $\tilde p_\Delta$ of $p_\Delta = p_a - p_g$ measures the UGV's
 position: $z = p_a - \tilde p_\Delta$. The equations are filterpy's; here is what feeds them.
 
-A detection may come late and out of order. It counts at its own time: the filter goes back to what it believed
-before then,
-takes it up, and runs again through all that was detected since. So what it believes depends on which detections have
-arrived, not on when: the same bits as if all had come in order.
+A detection may come late and out of order. It counts at its own time: the filter goes back to what it believed before
+then, takes it up, and runs again through all that was detected since. So what it believes depends on which detections
+have arrived, not on when: the same bits as if all had come in order.
 
 Deviation: the paper's laws see the true $p_\Delta$. Ours see this estimate, never the truth.
 """
@@ -61,9 +60,8 @@ class RelativeEstimator:
     in a row the filter starts anew from the last of them.
 
     Deviation from the plain filter, where the UGV's largest speed is known: the velocity is never believed longer than
-    v_g,max; its standard deviation per axis never larger than v_g,max; and that of the position never grows faster
-    than at v_g,max. While nothing is believed for long, that of the position is never smaller than 1/√8 of how far
-    the UGV
+    v_g,max; its standard deviation per axis never larger than v_g,max; and that of the position never grows faster than
+    at v_g,max. While nothing is believed for long, that of the position is never smaller than 1/√8 of how far the UGV
     can have strayed from its course: one that turned round comes to a NEES of 8, no more, and is let in again. Without
     this the covariance forgets the speed that the mean goes on at: NEES 16 after 2 minutes, refused soon after. The
     deviations are scaled, the correlations stay, so the covariance stays one.

@@ -1,4 +1,4 @@
-"""The assumptions of the UAV's filter: how noisy a detection is, and how a UGV moves of which only the bounds are known."""
+"""The assumptions of the UAV's filter: a detection's noise, and the motion of a UGV of which only bounds are known."""
 
 import math
 
@@ -72,12 +72,12 @@ def _largest_acceleration(target: Limits, dt: float) -> float:
 
 
 def supposed_acceleration(*, target: Limits, manoeuvre: float, dt: float) -> float:
-    r"""How fast the UGV is supposed to change its velocity [m/s²]: $m\,u_{g,max}$, see `acceleration_deviation`."""
+    r"""The supposed acceleration of the UGV [m/s²]: $m\,u_{g,max}$, see `acceleration_deviation`."""
     return manoeuvre * _largest_acceleration(target, dt)
 
 
 def straying(*, elapsed: float, target: Limits, manoeuvre: float, dt: float) -> float:
-    """How far [m] a UGV of these bounds can get from its course in `elapsed` [s], see `strayed_distance`.
+    """The largest way of a UGV of these bounds off its course in `elapsed` [s], [m]; see `strayed_distance`.
 
     Infinitely far where its largest speed is not known.
     """
@@ -91,7 +91,7 @@ def straying(*, elapsed: float, target: Limits, manoeuvre: float, dt: float) -> 
 
 @compiled
 def strayed_distance(elapsed: float, speed: float, acceleration: float) -> float:
-    r"""How far a UGV can get from where it would be had it gone straight on.
+    r"""The largest distance of a UGV from where it would be had it gone straight on.
 
     It turns round as fast as it is supposed to.
 

@@ -10,7 +10,7 @@ from bus.ticks import ticks_within
 from sim.kernels.compile import FloatArray
 
 SPAN = 60.0
-"""How late a detection may come by default and still be used [s]."""
+"""The largest delay of a detection that is still used, by default [s]."""
 
 _MOST_TICKS = 100_000  # about 60 MB; where ticks are so short that the span has more, it is cut
 
@@ -48,7 +48,7 @@ class FilterHistory:
         if not span >= 0.0:
             raise ValueError(f"span must not be negative, but is {span}")
         self.ticks = _MOST_TICKS if span / dt > _MOST_TICKS else ticks_within(span, dt)
-        """How far back it reaches."""
+        """Its oldest tick."""
         self._moments: deque[PastTick] = deque(maxlen=self.ticks + 1)
         self.add = self._moments.append
         """Add the newest moment. The method is the queue's own: it is called at every tick."""

@@ -55,14 +55,14 @@ Refused in all, by the gate (as if all had come in order) or for the wrong
 time; those of the wrong time; those of a time that had the same one; those that came later than the history reaches."""
 
 NUMBERS = _BELIEF + 4
-"""How many numbers a filter has."""
+"""The length of a filter's state."""
 
 _OWN_X, _OWN_Y, _SEEN, _SEEN_X, _SEEN_Y, _BEFORE = range(
     6
 )  # columns of the history; the belief from _BEFORE on
 
 COLUMNS = _BEFORE + _BELIEF
-"""How many numbers a filter keeps of each tick."""
+"""The number of values that a filter keeps of each tick."""
 
 TAKEN, P_DELTA_X, P_DELTA_Y = range(3)
 """Columns of `looks`: the tick at which a detection was taken, and p_a - p_g with noise [m]."""
@@ -86,7 +86,7 @@ class KalmanParameters(NamedTuple):
     speed: float
     """Largest speed of the UGV, v_g,max [m/s]; infinite where it is not known."""
     acceleration: float
-    """How fast the UGV is supposed to turn round [m/s²]."""
+    """The supposed acceleration of the UGV [m/s²]."""
     gate: float
     """Largest normalized innovation squared that is believed."""
     patience: int

@@ -1,8 +1,7 @@
 """A discrete-time backup barrier filter, on what our own filter is told: the peer in `compare.py`.
 
-Gurriet, Mote, Singletary, Nilsson, Feron and Ames (IEEE Access 2020) and Chen, Jankovic, Santillo and Ames (CDC
-2021) keep a
-state safe that leads, under a known backup policy, through safe states into a backup set. With the flow x(s) of
+Gurriet, Mote, Singletary, Nilsson, Feron and Ames (IEEE Access 2020) and Chen, Jankovic, Santillo and Ames (CDC 2021)
+keep a state safe that leads, under a known backup policy, through safe states into a backup set. With the flow x(s) of
 that policy
 
     h_I(x) = min( min over s of h(x(s)),  h_b(x(T)) )
@@ -12,12 +11,11 @@ it holds in discrete time (Agrawal and Sreenath, RSS 2017)
 
     h_I(x+) >= (1 - gamma) h_I(x).
 
-Here h is r_v less the largest distance at which the UGV can be, which grows along the flow (van Wijk, Coogan,
-Molnar, Majji and
-Hobbs 2024 keep a tube around the flow likewise). The backup policy flies to the newest detection and stops there,
-as fast as the
-bounds allow. The backup set is our own: at rest, with the UGV within R_h and the newest detection's bound within
-E, from which docs/explanation/certificate.md proves that the next one can be flown to. Commands under way are flown first.
+Here h is r_v less the largest distance at which the UGV can be, which grows along the flow (van Wijk, Coogan, Molnar,
+Majji and Hobbs 2024 keep a tube around the flow likewise). The backup policy flies to the newest detection and stops
+there, as fast as the bounds allow. The backup set is our own: at rest, with the UGV within R_h and the newest
+detection's bound within E, from which docs/explanation/certificate.md proves that the next one can be flown to.
+Commands under way are flown first.
 
 The policy knows nothing of its past: with each detection the flow is another one. Where h_I < 0 no input is known
 to be safe, and the backup policy acts; such ticks are counted as not feasible.

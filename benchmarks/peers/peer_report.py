@@ -76,7 +76,10 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     def conditions(self) -> str:
         """On what and how it was measured."""
         repeats = "once" if self.repeats == 1 else f"median of {self.repeats}"
-        return f"{self.cpu}, {self.cores} cores, Python {self.python}, {self.date}; each row {self.seconds:g} s, {repeats}"
+        return (
+            f"{self.cpu}, {self.cores} cores, Python {self.python}, {self.date}; each row {self.seconds:g} s, "
+            f"{repeats}"
+        )
 
 
 def crowded(report: Report) -> str:
@@ -127,7 +130,8 @@ def markdown(report: Report) -> str:
         lines += ["|---|---|--:|--:|--:|--:|--:|---|"]
         lines += [
             f"| {row.name} | {row.variant} | {row.agents} | {row.worlds} | {row.steps_per_second:,.0f} "
-            f"| {row.slowest:,.0f} to {row.fastest:,.0f} | {'?' if row.others is None else f'{row.others:.0%}'} | {row.version} |"
+            f"| {row.slowest:,.0f} to {row.fastest:,.0f} | {'?' if row.others is None else f'{row.others:.0%}'} | "
+            f"{row.version} |"
             for row in rows
         ]
         lines += [""]

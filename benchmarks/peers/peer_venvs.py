@@ -14,7 +14,10 @@ STAMP = "requirements.json"
 DEADLINE = 1800.0
 """Time [s] that pip may take."""
 _CUDA = ("nvidia-", "cuda-", "triton")
-ONLY_CUDA = "pip finds torch only as the CUDA build of several GB; README.md says how to offer it the CPU build, or use --cuda"
+ONLY_CUDA = (
+    "pip finds torch only as the CUDA build of several GB; README.md says how to offer it the CPU build, "
+    "or use --cuda"
+)
 
 
 def python_of(folder: Path) -> Path:

@@ -1,4 +1,4 @@
-"""The site's build: pages made from the code, links that work in the repository and in the site, equations as MathML."""
+"""The site's build: pages made from the code, links that work in repository and site alike, equations as MathML."""
 
 import ast
 import html

@@ -1,4 +1,4 @@
-"""The fields of our msgspec structs in words: their types with bounds, defaults, and the text that stands under each."""
+"""The fields of our msgspec structs in words: their types with bounds, defaults, and the text under each."""
 
 import inspect
 import textwrap

@@ -27,7 +27,7 @@ FLAGS = ("-O3", "-march=native", "-std=c11", "-ffp-contract=off", "-shared", "-f
 _DOUBLE, _LONG, _INT = ctypes.c_double, ctypes.c_long, ctypes.c_int
 _ARRAY = ctypes.POINTER(ctypes.c_double)
 _CLOSE = 1e-12
-"""How far one running sum may be from eight, relatively: they round differently."""
+"""The largest relative difference of one running sum from eight: they round differently."""
 
 
 def _pointer(array: FloatArray) -> object:

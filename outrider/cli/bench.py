@@ -17,7 +17,8 @@ def command(
         Path | None,
         typer.Option(
             metavar="FILE.png",
-            help="Instead of the rows: the speed over 1 to 4,096 worlds, over grids and over vehicles, as a picture, and beside "
+            help="Instead of the rows: the speed over 1 to 4,096 worlds, over grids and over vehicles, as a "
+            "picture, and beside "
             "it the numbers as FILE.json. Some minutes, and 2 GB of memory.",
         ),
     ] = None,

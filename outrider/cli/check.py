@@ -36,7 +36,7 @@ def command(
     allow_code: AllowCode = False,
     json: Json = False,
 ) -> None:
-    """Validate what `outrider run` would fly: exit code 0 if it can be, 2 and one line naming file, field and value if not.
+    """Validate what `outrider run` would fly: exit code 0, or 2 and one line naming file, field and value.
 
     It takes the options of `run` that change the scenario, and warns of all that `run` warns of. For the law
     certified that is each declared assumption that links or detector cannot keep, and whether sight can be certified

@@ -32,14 +32,16 @@ def command(
         bool,
         typer.Option(
             "--tls/--tcp",
-            help="Certificates instead of passwords, for endpoints that begin with tls/ instead of tcp/; needs the extra [tls].",
+            help="Certificates instead of passwords, for endpoints that begin with tls/ instead of tcp/; needs "
+            "the extra [tls].",
         ),
     ] = False,
     router: Annotated[
         list[str] | None,
         typer.Option(
             metavar="HOST",
-            help="With --tls: a name or address under which the router is found, beside localhost and `router`; may be repeated.",
+            help="With --tls: a name or address under which the router is found, beside localhost and `router`; "
+            "may be repeated.",
         ),
     ] = None,
     days: Annotated[

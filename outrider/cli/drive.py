@@ -40,10 +40,9 @@ def command(
 
     Over SSH and in containers too (`ssh -t`, `docker run -it`).
 
-    Watching changes nothing; the first of the keys WASD, arrows or space takes the wheel. A held key drives that
-    way, two pressed
-    at once drive diagonally. A terminal does not tell when a key is let go: a press counts for 0.7 s and its
-    repeats prolong it, then the UGV brakes. So it does whenever nothing is heard of its operator.
+    Watching changes nothing; the first of the keys WASD, arrows or space takes the wheel. A held key drives that way,
+    two pressed at once drive diagonally. A terminal does not tell when a key is let go: a press counts for 0.7 s and
+    its repeats prolong it, then the UGV brakes. So it does whenever nothing is heard of its operator.
 
     Space brakes, + and - set the speed, z shows the whole area, h hands the wheel back, q (or Ctrl-C) hands it
     back and leaves.

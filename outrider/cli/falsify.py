@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 _MINUTES = 1.0
 _FLIGHT, _ATTACK = 60.0, 200.0
-"""How long a run lasts by default [s]."""
+"""The length of a run by default [s]."""
 _DELAY, _COMMAND_DELAY, _LOSS, _BLACKOUT = 1.0, 0.5, 0.3, 5.0
 """The limits by default [s], [s], share, [s]."""
 _LINE = 10.0
-"""Where there is no terminal, a line of progress so often [s], and one at the first violation."""
+"""The time between two lines of progress without a terminal [s]; one more comes at the first violation."""
 
 
 class Expect(StrEnum):
@@ -147,25 +147,18 @@ def command(
 ) -> None:
     """Search for a run in which the UAV loses sight of the UGV, on all cores.
 
-    Turned are the UGV's motion within its bounds, the start, the draws of the noise and, within the limits below,
-    the network:
-    first what the proofs fear, then chance, then CMA-ES on the largest distance. Starts are such that braking at
-    once keeps
-    the UGV within r_s, so that a law that loses it did so itself. The worst run with a violation is saved as a
-    scenario that flies it again, to the last bit: `outrider run FILE --in-process`.
+    Turned are the UGV's motion within its bounds, the start, the draws of the noise and, within the limits below, the
+    network: first what the proofs fear, then chance, then CMA-ES on the largest distance. Starts are such that braking
+    at once keeps the UGV within r_s, so that a law that loses it did so itself. The worst run with a violation is saved
+    as a scenario that flies it again, to the last bit: `outrider run FILE --in-process`.
 
-    The law `certified` promises only where it says so: a run counts as violated if every tick from its first
-    certified one up to
-    the loss was certified (after a gap: those of the last second), or if any tick was certified while the UGV was
-    out of sight;
-    all numbers are told. What the scenario does not declare in [certificate] is declared as the limits need it.
-    For this law a
-    compiled attack is flown as well, over its own grid: adversaries in the UAV and in the UGV, errors on the
-    border of their
-    ball, blackouts up to 15 s, commands up to 1 s late, walls and corners; and commands that are lost, early,
-    doubled or later
-    than declared, laws changed in flight, processes that join again. One in a hundred of --runs are whole flights,
-    the others attacks; of --minutes, a third.
+    The law `certified` promises only where it says so: a run counts as violated if every tick from its first certified
+    one up to the loss was certified (after a gap: those of the last second), or if any tick was certified while the UGV
+    was out of sight; all numbers are told. What the scenario does not declare in [certificate] is declared as the
+    limits need it. For this law a compiled attack is flown as well, over its own grid: adversaries in the UAV and in
+    the UGV, errors on the border of their ball, blackouts up to 15 s, commands up to 1 s late, walls and corners; and
+    commands that are lost, early, doubled or later than declared, laws changed in flight, processes that join again.
+    One in a hundred of --runs are whole flights, the others attacks; of --minutes, a third.
 
     The exit code is 0 whatever is found, unless --expect says otherwise; 130 after Ctrl-C, which keeps the best.
     Needs the extra [falsify].
@@ -336,7 +329,10 @@ def _progress(found: "Found") -> "Iterator[Callable[[str, float], None]]":
             nonlocal said, shown
             now = time.monotonic()
             rate = found.runs / max(now - began, 1e-9)
-            note = f"{found.runs:,} runs, {rate:.1f} runs/s, farthest {found.worst:.4f} m, {found.violations:,} violations"
+            note = (
+                f"{found.runs:,} runs, {rate:.1f} runs/s, farthest {found.worst:.4f} m, {found.violations:,} "
+                "violations"
+            )
             note += f", {found.lost:,} lost" if found.lost != found.violations else ""
             progress.update(task, description=engine, completed=min(1.0, share), note=note)
             if not ERR.is_terminal and (now - said >= _LINE or (found.violations and not shown)):
@@ -372,7 +368,10 @@ def _lines(found: "Found") -> "Iterator[str]":
         yield f"  flights: {flights.violations:,} of {flights.runs:,} lose sight; the farthest {flights.worst:.4f} m"
         if LAWS[wanted.base.law.name].watched:
             share = f"not every tick was certified in {flights.uncertified:,}"
-            yield f"    {share}; in {flights.lost - flights.violations:,} sight was lost after nothing was promised any more"
+            yield (
+                f"    {share}; in {flights.lost - flights.violations:,} sight was lost after nothing was "
+                "promised any more"
+            )
             yield f"    certified while lost: {flights.certified_while_lost:,} ticks"
             yield f"    certificate lost while all assumptions held: {flights.certificate_broken:,} times"
     if attacks.worst is not None:
@@ -381,11 +380,17 @@ def _lines(found: "Found") -> "Iterator[str]":
             f"over {attacks.combinations:,} combinations of network and error",
         )
         said = "are certified while sight is lost" if wanted.control is None else "lose sight"
-        yield f"  attack: {attacks.violations:,} of {attacks.runs:,} {over} {said}; the farthest {worst.worst_distance:.6f} m"
+        yield (
+            f"  attack: {attacks.violations:,} of {attacks.runs:,} {over} {said}; the farthest "
+            f"{worst.worst_distance:.6f} m"
+        )
         if wanted.control is None:
             yield f"    the certificate is lost although its assumptions hold in {attacks.broken:,}"
             yield f"    not every tick was certified in {attacks.uncertified:,}; sight was lost in {attacks.lost:,}"
-            yield f"    {'place, what breaks A5':32}{'runs':>8}{'lost':>8}{'certified, lost':>17}{'broken':>8}{'uncertified':>13}"
+            yield (
+                f"    {'place, what breaks A5':32}{'runs':>8}{'lost':>8}{'certified, lost':>17}"
+                f"{'broken':>8}{'uncertified':>13}"
+            )
             for name, one in sorted(attacks.kinds.items()):
                 counts = f"{one.runs:8,}{one.lost:8,}{one.violations:17,}{one.broken:8,}"
                 yield f"    {name:32}{counts}{one.uncertified / one.runs:13.1%}"
@@ -394,7 +399,10 @@ def _lines(found: "Found") -> "Iterator[str]":
     if found.attack_again is not None and attacks.worst is not None:
         c = attacks.worst.conditions
         dark = f"motions lost for up to {c.outage:g} s, " if c.outage else ""
-        dark += f"blackouts up to {c.blackout_time:g} s, detections up to {c.latency:g} s and commands {c.delay:g} s late"
+        dark += (
+            f"blackouts up to {c.blackout_time:g} s, detections up to {c.latency:g} s and commands "
+            f"{c.delay:g} s late"
+        )
         yield f"  The worst attack: errors up to {attacks.worst.eps:g} m, {dark}. Again:"
         yield "    import math; from outrider import attack as a"
         yield f"    {found.attack_again}"

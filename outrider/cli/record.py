@@ -49,10 +49,9 @@ def command(
 ) -> None:
     """Record a run in progress into an MCAP file: an observer, who disturbs nobody. Ends with the run, or at Ctrl-C.
 
-    The run's own `--record` keeps every tick whatever happens; an observer of a fast run in lockstep may miss
-    some, and says so.
-    A recording whose process was killed can be replayed as it is; with --repair every whole record of it goes to a
-    new file, FILE with the ending .repaired.mcap, that any program for MCAP opens.
+    The run's own `--record` keeps every tick whatever happens; an observer of a fast run in lockstep may miss some, and
+    says so. A recording whose process was killed can be replayed as it is; with --repair every whole record of it goes
+    to a new file, FILE with the ending .repaired.mcap, that any program for MCAP opens.
 
     Example: outrider record run.mcap --connect tcp/127.0.0.1:17447 --credentials credentials/observer.json
 

@@ -211,7 +211,8 @@ def _tell(recording: "Recording", *, json: bool) -> None:
         return
     else:
         OUT.print(
-            f"{told['scenario']}, seed {told['seed']}: recorded by an observer, ticks {told['first_tick']} to {told['last_tick']}"
+            f"{told['scenario']}, seed {told['seed']}: recorded by an observer, ticks {told['first_tick']} to "
+            f"{told['last_tick']}"
         )
         OUT.print(
             f"  distance: largest {told['max_distance']:.3f} m, mean {told['mean_distance']:.3f} m"

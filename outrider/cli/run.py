@@ -71,7 +71,8 @@ def command(
         bool,
         typer.Option(
             "--dashboard",
-            help="Show the run in the browser while it is flown, and steer it there; on the wall clock (--realtime 1) unless "
+            help="Show the run in the browser while it is flown, and steer it there; on the wall clock "
+            "(--realtime 1) unless "
             "--realtime or --lockstep says otherwise. Needs the extra [dashboard].",
         ),
     ] = False,
@@ -99,9 +100,8 @@ def command(
 ) -> None:
     """Fly a scenario as three operating-system processes over Zenoh: simulator, UAV and UGV.
 
-    Ends with a table of numbers, a picture and the trajectory. Ctrl-C ends the run and keeps what was flown. A
-    vehicle whose
-    process dies brakes, and the run goes on without it; with --respawn it is started again and flies on. With
+    Ends with a table of numbers, a picture and the trajectory. Ctrl-C ends the run and keeps what was flown. A vehicle
+    whose process dies brakes, and the run goes on without it; with --respawn it is started again and flies on. With
     --dashboard a page shows it live; the page ends with the run, and what it shows stays in the browser.
 
     Example: outrider run escort --seed 3 --law switching

@@ -8,7 +8,7 @@ from types import FrameType
 
 
 class Stop:
-    """Which signal has asked for the end, if any."""
+    """The signal that has asked for the end, if any."""
 
     def __init__(self) -> None:
         self.signal: int | None = None

@@ -30,7 +30,8 @@ def command(
         typer.Option(
             "--uav-policy",
             metavar="MODULE:FUNCTION",
-            help="A policy of your own: a UAV's observations in all worlds in, its accelerations out, shape (worlds, 2); "
+            help="A policy of your own: a UAV's observations in all worlds in, its accelerations out, shape "
+            "(worlds, 2); "
             "may be repeated.",
         ),
     ] = None,

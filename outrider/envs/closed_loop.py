@@ -100,7 +100,8 @@ class ClosedLoop:
         end_on_sight_lost: Whether an episode terminates when sight is lost.
         end_on_goals_reached: Whether it terminates when every UGV with goals has reached them all.
         threads: Processor cores that share the worlds; by default all that this process may use.
-        secret: Of all random numbers, with each world's seed, as `sim.engine.run_keys.check_secret` returns it; empty: none.
+        secret: Of all random numbers, with each world's seed, as `sim.engine.run_keys.check_secret` returns it; empty:
+            none.
         precision: Of the coverage grids.
 
     Raises:
@@ -294,13 +295,12 @@ class ClosedLoop:
         self.batch.workers.share(run_worlds, len(worlds), *told)
 
     def metrics(self, uav: str) -> dict[str, FloatArray]:
-        """How a UAV has truly done in this episode, in each world; arrays of shape (worlds,).
+        """A UAV's true standing in this episode, in each world; arrays of shape (worlds,).
 
         `mean_error` is the mean of e(t) [m²] over the ticks so far, the first included; NaN where e(t) is not computed.
         `certified_while_lost` counts the ticks that the safety filter certified with the UGV out of sight,
-        `certificate_broken`
-        those that it did not certify although the one before was and all assumptions held: any is a fault of the
-        certificate.
+        `certificate_broken` those that it did not certify although the one before was and all assumptions held: any is
+        a fault of the certificate.
         """
         rows, ticks = self.state.rows.uavs[:, self.uavs.index(uav)], self.state.batch.ticks
         asked = np.maximum(rows[:, GUARD_METRICS.asked], 1.0)
@@ -319,7 +319,7 @@ class ClosedLoop:
         }
 
     def links(self, world: int) -> dict[str, LinkStatus]:
-        """How each link of one world has done so far, by `vehicle/kind`."""
+        """The counters of each link of one world so far, by `vehicle/kind`."""
         return self.batch.link_status(world) | self._radio.status(world)
 
     def bytes_per_world(self) -> int:

@@ -16,7 +16,7 @@ GRADIENT_X, GRADIENT_Y = len(UavRow._fields), len(UavRow._fields) + 1
 
 
 class GuardMetrics(NamedTuple):
-    """How the safety filter of a UAV has done: the columns of `RowState.uavs` after `UavMetrics`."""
+    """The record of a UAV's safety filter: the columns of `RowState.uavs` after `UavMetrics`."""
 
     acted: float
     sure: float
@@ -35,7 +35,7 @@ class GuardMetrics(NamedTuple):
     """Ticks that were not certified although the one before was and all assumptions held."""
     suspected: float
     since: float
-    """How many of them are yet to be counted, and the last: as `Assumptions.suspect` of sim/server/assurance.py."""
+    """Those that are yet to be counted, and the last: as `Assumptions.suspect` of sim/server/assurance.py."""
 
 
 _FIRST = len(UAV_METRICS)
@@ -117,13 +117,15 @@ class LoopState(NamedTuple):
     driver_states: FloatArray
     """Shape (worlds, UGVs, DRIVER_STATE)."""
     outbox: FloatArray
-    """The radio message that each UAV has just sent: the tick of it (-1: none), p_delta [m]. Shape (worlds, UAVs, 3)."""
+    """The radio message that each UAV has just sent: the tick of it (-1: none), p_delta [m]. Shape (worlds, UAVs, 3).
+    """
     radio: LinkState
     inbox: FloatArray
     """Room for the messages that arrive by one radio link: tick, p_delta [m]. Shape (worlds, room, 3)."""
     inboxes: FloatArray
-    """The radio messages that have reached each UGV at this tick: the tick, p_delta [m]. Shape (worlds, UGVs, room, 3)."""
+    """The radio messages that have reached each UGV at this tick: the tick, p_delta [m]. Shape (worlds, UGVs, room, 3).
+    """
     arrived: IntArray
-    """How many. Shape (worlds, UGVs)."""
+    """Their number. Shape (worlds, UGVs)."""
     patches: FloatArray
     """Pictures of the UAVs' own maps. Shape (worlds, UAVs or 0, pixels, pixels)."""

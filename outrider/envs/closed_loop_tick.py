@@ -262,8 +262,8 @@ def _confirm(t: LoopTables, row: FloatArray, u: int, tick: int) -> None:
 def _note_obedience(t: LoopTables, s: LoopState, k: int, u: int, tick: int) -> None:
     """True if UAV u acted in this tick, which has just been flown, on the command that was due.
 
-    That is the one of as many ticks ago as is declared; before the first there is none, and nothing acts. Where commands
-    carry motions, whether one has begun within the outage that is declared.
+    That is the one of as many ticks ago as is declared; before the first there is none, and nothing acts. Where
+    commands carry motions, whether one has begun within the outage that is declared.
     """
     v, size, sent = t.batch.escorts[u, 0], t.delays[u] + 1, s.sent[k, u]
     if t.promises[u].carries:

@@ -26,7 +26,7 @@ Policy = Callable[
 
 
 class _Radio:
-    """The radio from the UAVs' computers to the UGVs: each runs its filter and radios what it knows, whoever flies the UAV."""
+    """The radio from the UAVs' computers to the UGVs: each radios what its filter knows, whoever flies the UAV."""
 
     def __init__(self, env: Any) -> None:  # noqa: ANN401
         self._env, self._dt, self._tick = env, env.scenario.dt, -1
@@ -134,10 +134,9 @@ def pilots(
 ) -> dict[str, Policy]:
     """A policy for each agent of the environment: the scenario's law for a UAV, its driver for a UGV.
 
-    Each knows what it would know over the bus: its briefing, and then the rows of its own observations. They have
-    a memory, so
-    call each once a tick; with a new episode they begin anew by themselves. With float64 rows they fly the same bits as
-    `outrider.run` with the same scenario and seed.
+    Each knows what it would know over the bus: its briefing, and then the rows of its own observations. They have a
+    memory, so call each once a tick; with a new episode they begin anew by themselves. With float64 rows they fly the
+    same bits as `outrider.run` with the same scenario and seed.
 
     Args:
         env: The environment, or a wrapper of it.

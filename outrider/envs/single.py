@@ -127,7 +127,7 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         return self.worlds.episode_seeds[0]
 
     def metrics(self) -> dict[str, dict[str, float]]:
-        """How each UAV truly stands in its episode: for people and logs, not for policies."""
+        """Each UAV's true standing in its episode: for people and logs, not for policies."""
         return {
             uav: {key: float(array[0]) for key, array in told.items()}
             for uav, told in self.worlds.metrics().items()

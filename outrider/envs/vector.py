@@ -1,9 +1,8 @@
 """Many worlds at once for whoever trains: a Gymnasium vector environment for one vehicle, and one for all of them.
 
 `docs/reference/environment.md` says what a vehicle observes and is paid: it is the same here, bit for bit, as in
-`outrider.parallel_env`.
-An episode that ends begins anew in the same step (Gymnasium's SAME_STEP): the observation is the new episode's
-first one, and the last one of the old episode is in `infos["final_obs"]`.
+`outrider.parallel_env`. An episode that ends begins anew in the same step (Gymnasium's SAME_STEP): the observation is
+the new episode's first one, and the last one of the old episode is in `infos["final_obs"]`.
 """
 
 import operator
@@ -299,12 +298,12 @@ class Worlds:
         return self.loop.state.rows.rewards[:, self._rows[name]].copy()
 
     def ends(self) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-        """Which episodes have terminated, and which were truncated."""
+        """The episodes that have terminated, and those that were truncated."""
         state = self.loop.state
         return state.rows.terminated != 0, state.rows.truncated != 0
 
     def final(self, name: str, ended: npt.NDArray[np.bool_]) -> dict[str, Any]:
-        """The last observations and infos of the episodes that have ended, as Gymnasium's own vector environments give them."""
+        """The last observations and infos of the ended episodes, as Gymnasium's own vector environments give them."""
         last, told = self.observe(name), self.infos(name)
         observations = np.full(self.num_envs, None, dtype=object)
         for k in np.flatnonzero(ended).tolist():
@@ -334,11 +333,11 @@ class Worlds:
         self._begin(which, [None] * len(which))
 
     def metrics(self) -> dict[str, dict[str, FloatArray]]:
-        """How each UAV truly stands in its episode, in all worlds: for people and logs, not for policies."""
+        """Each UAV's true standing in its episode, in all worlds: for people and logs, not for policies."""
         return {uav: self.loop.metrics(uav) for uav in self.loop.uavs}
 
     def links(self, world: int) -> dict[str, LinkStatus]:
-        """How each link of one world has done so far, by `vehicle/kind`."""
+        """The counters of each link of one world so far, by `vehicle/kind`."""
         return self.loop.links(world)
 
 
@@ -426,7 +425,7 @@ class OutriderVectorEnv(VectorEnv):
         )
 
     def metrics(self) -> dict[str, dict[str, FloatArray]]:
-        """How each UAV truly stands in its episode, in all worlds: for people and logs, not for policies."""
+        """Each UAV's true standing in its episode, in all worlds: for people and logs, not for policies."""
         return self.worlds.metrics()
 
     def close_extras(self, **_: Any) -> None:  # noqa: ANN401 - Gymnasium's
@@ -530,7 +529,7 @@ class OutriderParallelVectorEnv:
         )
 
     def metrics(self) -> dict[str, dict[str, FloatArray]]:
-        """How each UAV truly stands in its episode, in all worlds: for people and logs, not for policies."""
+        """Each UAV's true standing in its episode, in all worlds: for people and logs, not for policies."""
         return self.worlds.metrics()
 
     def close(self) -> None:

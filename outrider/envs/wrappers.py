@@ -5,9 +5,8 @@ Each takes a PettingZoo parallel environment or a Gymnasium vector one.
     env = history(normalized(egocentric(outrider.parallel_env("escort"))), 4)
 
 `outrider.envs.observations` says what each does. They are ordinary wrappers of their ecosystem: they go around each
-other, and
-around or inside those of others. What needs rows in SI units goes first: `agents.env_wrappers`, then `egocentric`, then
-`coverage_image` and `normalized`, then `history`.
+other, and around or inside those of others. What needs rows in SI units goes first: `agents.env_wrappers`, then
+`egocentric`, then `coverage_image` and `normalized`, then `history`.
 """
 
 from collections.abc import Callable, Collection, Mapping

@@ -253,14 +253,16 @@ def claims_5(
         Claim(
             figure="5c",
             claim=f"beside covered ground (0 to {BESIDE:g} s) the difference is larger",
-            value=f"mean {e.mean():.1f} m² is {ratio:.0%} of {e_circle.mean():.1f} m² (circle); on open ground {ratio_open:.0%}",
+            value=f"mean {e.mean():.1f} m² is {ratio:.0%} of {e_circle.mean():.1f} m² (circle); on open ground "
+            f"{ratio_open:.0%}",
             number=ratio,
             holds=ratio < ratio_open,
         ),
         Claim(
             figure="5c",
             claim="and e(t) is steadier",
-            value=f"standard deviation {e.std():.1f} m², rises by {rise(e):.0f} m² in all; circle {e_circle.std():.1f} m², "
+            value=f"standard deviation {e.std():.1f} m², rises by {rise(e):.0f} m² in all; circle "
+            f"{e_circle.std():.1f} m², "
             f"{rise(e_circle):.0f} m²",
             number=float(e.std() / e_circle.std()),
             holds=bool(e.std() < e_circle.std()) and rise(e) < rise(e_circle),

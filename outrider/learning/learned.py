@@ -33,12 +33,10 @@ def make_view(recipe: Mapping[str, Any]) -> EscortView:
 class LearnedPolicy:
     """A policy for one world or for all worlds of a batch at once; it remembers each world's episode.
 
-    Call it once a tick with the observation of the environment that `setup` describes: of
-    `outrider.vector_env(..., **setup)`
-    where it is one of the others, of `outrider.learning.one_world.alone` where it flies a single world. It answers
-    every `repeat`
-    ticks and holds that acceleration in between. An episode begins where the time is 0. One object serves one
-    environment.
+    Call it once a tick with the observation of the environment that `setup` describes: of `outrider.vector_env(...,
+    **setup)` where it is one of the others, of `outrider.learning.one_world.alone` where it flies a single world. It
+    answers every `repeat` ticks and holds that acceleration in between. An episode begins where the time is 0. One
+    object serves one environment.
 
     Args:
         network: From what the view shows to the action.
@@ -50,7 +48,7 @@ class LearnedPolicy:
 
     def __init__(self, network: Mlp, recipe: Mapping[str, Any]) -> None:
         self.recipe = dict(recipe)
-        """How it was made."""
+        """The way it was made."""
         self._network = network
         self._view = make_view(recipe)
         inputs, outputs = network.weights[0].shape[1], network.weights[-1].shape[0]

@@ -25,9 +25,8 @@ _NEAR = 1e-6
 class EscortView(Transformation):
     """The frame has its x axis from the UGV to the UAV, by the filter's estimate; before there is one it looks east.
 
-    An observation is one array: whether the UGV was ever detected; the distance over `scale`; own velocity over
-    v_max; the
-    UGV's velocity, from two estimates `lag` steps apart, over v_max; and 1 - min(C / C*, 1) on rings around the
+    An observation is one array: whether the UGV was ever detected; the distance over `scale`; own velocity over v_max;
+    the UGV's velocity, from two estimates `lag` steps apart, over v_max; and 1 - min(C / C*, 1) on rings around the
     UGV, ring by ring and counter-clockwise from the UAV, interpolated in the coverage patch.
 
     An action is the velocity to have a step later, over v_max. It becomes the acceleration that reaches it, which

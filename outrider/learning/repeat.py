@@ -13,10 +13,9 @@ FINAL = ("final_obs", "_final_obs", "final_info", "_final_info")
 class ActionRepeat(VectorWrapper):  # not subscripted: Gymnasium 1.1 takes no arguments here
     """A step is several ticks under the same action, and its reward is the sum of theirs.
 
-    Where an episode ends inside a step, the reward is that of the old episode, and the new one, which begins in
-    that very tick,
-    passes the rest of the step with the action zero. Episodes whose length is a whole number of steps end at a
-    step's last tick.
+    Where an episode ends inside a step, the reward is that of the old episode, and the new one, which begins in that
+    very tick, passes the rest of the step with the action zero. Episodes whose length is a whole number of steps end at
+    a step's last tick.
 
     Args:
         env: A vector environment in the mode SAME_STEP, or a wrapper of it.

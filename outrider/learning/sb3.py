@@ -31,7 +31,8 @@ class VecEnvAdapter(VecEnv):  # type: ignore[misc]  # it has no types where it i
         if mode is not AutoresetMode.SAME_STEP:
             name = mode.name if isinstance(mode, AutoresetMode) else mode
             raise ValueError(
-                f"autoreset_mode = {name}: must be AutoresetMode.SAME_STEP, since Stable-Baselines3 takes an episode's last "
+                f"autoreset_mode = {name}: must be AutoresetMode.SAME_STEP, since Stable-Baselines3 takes an "
+                "episode's last "
                 "observation and the next one's first in one step"
             )
         self.env = env

@@ -13,7 +13,7 @@ from sim.scenario.types import Scenario
 _INBOX_ROOM = 4096
 """Truths that wait for us before the oldest are lost: two seconds of a fast run."""
 _LAST_WORDS = 0.6
-"""How long after the run's last word something may still come [s]; a run that is reset goes on."""
+"""The time after the run's last message in which something may still come [s]; a run that is reset goes on."""
 _AT_ONCE = 256
 """Truths that are taken before the caller is shown how it stands."""
 

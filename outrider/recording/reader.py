@@ -53,8 +53,7 @@ _MOST_BYTES = 16 << 20
 _SPARE, _RATIO = 32 << 20, 200
 """A whole file may unpack to so many bytes, and to so many times its size.
 
-Flights unpack to twelve times theirs, a short one of
-the largest area to 140 times."""
+Flights unpack to twelve times theirs, a short one of the largest area to 140 times."""
 _LEAST = 512
 """A packed record counts as so many bytes at least: a million empty ones take their time and room, too."""
 _KINDS: dict[int, type[Any]] = {
@@ -295,7 +294,7 @@ class Recording:
 
     path: Path
     number: int
-    """Which flight of the file, from 0."""
+    """The flight's number in the file, from 0."""
     head: Head
     truths: list[Truth] = field(default_factory=list)
     commands: dict[int, Commands] = field(default_factory=dict)

@@ -45,9 +45,9 @@ class Head(Message, frozen=True, kw_only=True):
     outrider: Text
     """Version that wrote the file."""
     episode: Tick = 0
-    """Which flight of the run."""
+    """The flight's number in the run."""
     start: NonNegative = 0.0
-    """Where this flight's tick 0 lies on the file's clock [s]."""
+    """The place of this flight's tick 0 on the file's clock [s]."""
     name: Text
     """Of the scenario."""
     seed: Tick

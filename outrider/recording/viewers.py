@@ -29,7 +29,7 @@ _SCENE_PERIOD = 1.0
 _TRACK_ROOM = 200
 """Points of a track; beyond that every second one is dropped."""
 _UAV_HEIGHT, _UGV_HEIGHT = 1.0, 0.1
-"""Where viewers show them [m]; the world itself is flat."""
+"""The heights at which viewers show them [m]; the world itself is flat."""
 
 Places = Mapping[str, tuple[float, float, float, float]]
 """Position [m] and velocity [m/s] of each vehicle: x, y, v_x, v_y."""

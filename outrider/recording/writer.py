@@ -34,8 +34,7 @@ _WAKE = 0.02
 _BLOCK = 8
 """Ticks that the thread writes at once.
 
-Then it lets the flight have the interpreter, which comes back from the bus and must not
-find it taken for long."""
+Then it lets the flight have the interpreter, which comes back from the bus and must not find it taken for long."""
 _SWITCH = 1e-4
 """A flight that is back from the bus gets the interpreter from the thread within this [s].
 
@@ -60,7 +59,9 @@ class _Said(NamedTuple):
 
 
 _Flown = tuple[bytes, tuple[UavReport | None, ...]]
-"""The part of a tick that the flight's own record does not keep: what was asked for, as float64, and what the UAVs said."""
+"""The part of a tick that the flight's own record does not keep: what was asked for, as float64, and what the UAVs
+said.
+"""
 _Other = _Said | Change | CoverageMap | Status | str
 """A text is a line for a person."""
 _Item = tuple[Flight, int, _Flown | None, _Other | None]

@@ -1,8 +1,8 @@
 """Tests before a flight, and when links change in it, whether a scenario's UAVs can certify that they keep sight.
 
-The declared assumptions are those of docs/explanation/certificate.md: A1 the error of a detection, A2 the age of the newest
-one, A5 a command that acts exactly tau_c after its tick, A6' where the UAV is. Wind, links and detector say which of them they
-cannot keep, and how often.
+The declared assumptions are those of docs/explanation/certificate.md: A1 the error of a detection, A2 the age of the
+newest one, A5 a command that acts exactly tau_c after its tick, A6' where the UAV is. Wind, links and detector say
+which of them they cannot keep, and how often.
 """
 
 import functools
@@ -20,10 +20,11 @@ from agents.control.visibility import promise_of
 from bus.messages import MOST_CARRIED, LinkKind, LinkSettings, UavBriefing
 from bus.registry import LAWS
 from bus.ticks import first_tick_from
-from outrider.running.summary import in_flights
+from outrider.running.summary import PERHAPS_EVERY, in_flights
 from sim.channel.chances import Chance, chance_of_age, chance_of_error, chance_of_outage
 from sim.channel.description import arrival_share, arrivals_of, extra_delays, link_parameters
 from sim.channel.link import DUST, FATES, LinkParameters, in_ticks
+from sim.channel.places import delays_by_place
 from sim.engine.briefing import briefing, largest_tracking_error
 from sim.engine.briefing import declared as declared_bounds
 from sim.kernels.compile import IntArray
@@ -68,7 +69,7 @@ class Shortfall(NamedTuple):
 
 @functools.lru_cache(maxsize=256)
 def promise_warnings(scenario: Scenario, links: LinkTable | None = None) -> tuple[str, ...]:
-    """Warnings of what stands in the way of the law `certified`, one line each; empty for other laws, and where nothing does.
+    """Warnings of what stands in the way of the law `certified`, one line each; none for other laws.
 
     Arguments as in `shortfalls`.
     """
@@ -80,14 +81,16 @@ class Odds(NamedTuple):
     """The worth of the declared numbers: chances within a flight."""
 
     exceeded: dict[str, float | None]
-    """By `vehicle/number`, the chance that this number is exceeded in a flight, or a bound; None: nothing can be stated."""
+    """By `vehicle/number`, the chance that this number is exceeded in a flight, or a bound; None: nothing can be
+    stated.
+    """
     lost: float | None
     """Once certified, sight is lost in at most this share of the flights, by proof; None: nothing can be promised."""
 
     @property
     def line(self) -> str:
-        """For a person; empty where nothing can be promised."""
-        if self.lost is None:
+        """For a person; empty where nothing can be promised, or sight may be lost in every flight."""
+        if self.lost is None or self.lost >= PERHAPS_EVERY:
             return ""
         return f"once certified, sight is lost {in_flights(self.lost)}, by proof"
 
@@ -96,8 +99,8 @@ class Odds(NamedTuple):
 def odds(scenario: Scenario, links: LinkTable | None = None) -> Odds | None:
     """The chances that the numbers are exceeded which the law `certified` relies on; None for other laws.
 
-    Arguments as in `shortfalls`. Sight is lost by proof in no more flights than the sum of these chances, where all else
-    that the theorem assumes holds for certain.
+    Arguments as in `shortfalls`. Sight is lost by proof in no more flights than the sum of these chances, where all
+    else that the theorem assumes holds for certain.
     """
     if not LAWS[scenario.law.name].watched:
         return None
@@ -105,12 +108,12 @@ def odds(scenario: Scenario, links: LinkTable | None = None) -> Odds | None:
     looks = -(-scenario.ticks // scenario.detection_period)
     for uav in scenario.uav:
         bounds = declared_bounds(scenario, uav.name)
-        age = _chance_of_age(scenario, table.of(uav.name, LinkKind.DETECTIONS), bounds.age)
+        age = _chance_of_age(scenario, table, table.of(uav.name, LinkKind.DETECTIONS), bounds.age)
         exceeded[f"{uav.name}/age"] = age.value
         if bounds.outage is not None:
             link = table.of(uav.name, LinkKind.COMMANDS)
             delay = first_tick_from(bounds.delay, scenario.dt)
-            outage = _chance_of_outage(scenario, link, delay, bounds.outage)
+            outage = _chance_of_outage(scenario, table, link, delay, bounds.outage)
             exceeded[f"{uav.name}/outage"] = outage.value
         if bounds.error is not None:
             sigma, cut = scenario.detections.noise, scenario.noise_cut
@@ -134,7 +137,7 @@ def how_certifiable(scenario: Scenario) -> str | None:
 
 
 def shortfalls(scenario: Scenario, links: LinkTable | None = None) -> tuple[Shortfall, ...]:
-    """Which declared assumptions of the law `certified` cannot be kept, and how often they are broken.
+    """The declared assumptions of the law `certified` that cannot be kept, and how often they are broken.
 
     Args:
         scenario: What is flown; what the UAVs rely on follows from it when they join.
@@ -182,7 +185,7 @@ class _Link:
     def __init__(
         self, scenario: Scenario, settings: LinkSettings, path: str, table: LinkTable
     ) -> None:
-        self.scenario, self.settings, self.path = scenario, settings, path
+        self.scenario, self.settings, self.path, self.table = scenario, settings, path, table
         self.parameters: LinkParameters = link_parameters(
             settings, scenario.dt, traces=table.traces
         )
@@ -215,7 +218,7 @@ class _Link:
         settled = p.longest + p.queue * every  # before that it has only begun
         sent = np.arange(0, settled + ticks + every, every)
         if table:
-            took = p.trace[np.searchsorted(p.trace[:, 0], sent % p.period, side="right") - 1, 1]
+            took = delays_by_place(p)[sent % p.period]
             arrived = np.where(took < 0, -1, sent + took)
         else:
             bare = p._replace(blackouts=np.zeros((0, 2), dtype=np.int64))
@@ -283,10 +286,7 @@ def _ages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
     period, age = s.detection_period, promise.age_ticks
     limit = f"certificate.age = {promise.age:g} s"
     if link.settings.trace:
-        share = float(np.mean(link.played(period) > age))
-        if share > 0.0:
-            what = f"older than {limit} in {_percent(share)} of the ticks of a round"
-            yield _often(share), f"{link.path}.trace: the newest detection is {what}"
+        yield from _recorded_ages(link, promise, limit)
         yield from _dark_ages(link, age, limit)
         return
     waits, dark = _queue_ticks(p, period), list(_dark_ages(link, age, limit))
@@ -306,6 +306,25 @@ def _ages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
     yield from dark
 
 
+def _recorded_ages(link: _Link, promise: Promise, limit: str) -> Iterator[tuple[How, str]]:
+    """Ages that a recording causes by itself in every round, or together with looks that find nothing."""
+    s = link.scenario
+    share = float(np.mean(link.played(s.detection_period) > promise.age_ticks))
+    lit = msgspec.structs.replace(link.settings, blackouts=())
+    chance = _chance_of_age(s, link.table, lit, promise.age)
+    if chance.value is not None and chance.value <= _RARE:
+        return
+    often = in_flights(chance.value) if chance.value is not None else ""
+    dropout = f", detections.dropout = {s.detections.dropout:g}" if s.detections.dropout else ""
+    if share > 0.0:
+        what = f"older than {limit} in {_percent(share)} of the ticks of a round"
+        told = f"the newest detection is {what}{', and becomes so ' if often else ''}{often}"
+        yield _often(share), f"{link.path}.trace: {told}"
+    elif often:
+        told = f"the newest detection becomes older than {limit} {often}"
+        yield How.SOMETIMES, f"{link.path}.trace{dropout}: {told}"
+
+
 def _queue_ticks(p: LinkParameters, period: int) -> int | None:
     """Greatest age of the newest look, but for the way, once the queue is full; None: it never fills."""
     if p.spacing <= period + DUST:
@@ -318,7 +337,7 @@ def _unlucky_ages(link: _Link, promise: Promise, *, planned: bool) -> Iterator[t
     """Ages that chance causes now and then; `planned`: with planned blackouts, which alone do not."""
     s, p = link.scenario, link.parameters
     settings = link.settings if planned else msgspec.structs.replace(link.settings, blackouts=())
-    chance = _chance_of_age(s, settings, promise.age)
+    chance = _chance_of_age(s, link.table, settings, promise.age)
     if chance.value is not None and chance.value <= _RARE:
         return
     missed = 1.0 - (1.0 - p.loss) * (1.0 - s.detections.dropout)
@@ -339,7 +358,7 @@ def _unlucky_ages(link: _Link, promise: Promise, *, planned: bool) -> Iterator[t
     )
 
 
-def _chance_of_age(s: Scenario, settings: LinkSettings, age: float) -> Chance:
+def _chance_of_age(s: Scenario, table: LinkTable, settings: LinkSettings, age: float) -> Chance:
     return chance_of_age(
         settings,
         dt=s.dt,
@@ -347,6 +366,7 @@ def _chance_of_age(s: Scenario, settings: LinkSettings, age: float) -> Chance:
         dropout=s.detections.dropout,
         ticks=s.ticks,
         age=age,
+        traces=table.traces,
     )
 
 
@@ -417,13 +437,14 @@ def _delays(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
 def _outages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
     """Motions begin at most `outage` after one another: the packets of one link are lost or late for longer."""
     s, outage = link.scenario, promise.outage_ticks * promise.dt
-    chance = _chance_of_outage(s, link.settings, promise.delay_ticks, outage)
+    chance = _chance_of_outage(s, link.table, link.settings, promise.delay_ticks, outage)
     if chance.value is not None and chance.value <= _RARE:
         return
     fields = (
         link.named("delay", "jitter", "reorder", "loss", "bandwidth"),
         link.named("burst_length", "burst_interval", "blackout_length", "blackout_interval"),
         f"{link.path}.blackouts" if any(link.dark()) else "",
+        f"{link.path}.trace" if link.settings.trace else "",
         f"tau_c = {link.seconds(promise.delay_ticks)}",
     )
     told, late = ", ".join(filter(None, fields)), f"later than certificate.outage = {outage:g} s"
@@ -437,7 +458,9 @@ def _outages(link: _Link, promise: Promise) -> Iterator[tuple[How, str]]:
     yield how, f"{told}: the next motion begins {late} {in_flights(chance.value)}"
 
 
-def _chance_of_outage(s: Scenario, settings: LinkSettings, delay: int, outage: float) -> Chance:
+def _chance_of_outage(
+    s: Scenario, table: LinkTable, settings: LinkSettings, delay: int, outage: float
+) -> Chance:
     return chance_of_outage(
         settings,
         dt=s.dt,
@@ -445,6 +468,7 @@ def _chance_of_outage(s: Scenario, settings: LinkSettings, delay: int, outage: f
         repeats=MOST_CARRIED,
         ticks=s.ticks,
         outage=outage,
+        traces=table.traces,
     )
 
 

@@ -21,7 +21,7 @@ _NOTICE = "outrider.policy: "
 """The beginning of a line in a pilot's log that tells of the user's own code."""
 _TRACEBACK = "Traceback (most recent call last):"
 _SECRET = "OUTRIDER_SECRET"  # noqa: S105 - a variable's name
-"""Where the simulator's process finds the run's secret."""
+"""The place where the simulator's process finds the run's secret."""
 
 
 def environment_of(secret: str) -> dict[str, str]:
@@ -140,7 +140,7 @@ class Child:
         return " | ".join(line for line in lines[last:] if not line.startswith(" ")) + where
 
     def exit_report(self) -> str:
-        """How it ended, for a person."""
+        """Its end in words, for a person."""
         code = self.ended
         how = (
             f"was killed by signal {-code}"

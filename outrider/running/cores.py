@@ -1,9 +1,8 @@
-"""Which processor cores the processes of a run use.
+"""The processor cores of a run's processes.
 
-In lockstep they wait for each other thousands of times a second. A process that finds its core as it left it
-answers much sooner
-than one that follows another process there, so the UAVs, which have most to do, get one half of the cores for
-themselves.
+In lockstep they wait for each other thousands of times a second. A process that finds its core as it left it answers
+much sooner than one that follows another process there, so the UAVs, which have most to do, get one half of the cores
+for themselves.
 """
 
 import contextlib

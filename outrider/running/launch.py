@@ -375,7 +375,8 @@ class _Processes:
             if isinstance(vehicle, Ugv) and DRIVERS[vehicle.driver].outside:
                 known = " ".join(self._known_as(vehicle.name))
                 watcher.on_event(
-                    f"{vehicle.name} is yours: --connect {self._endpoint} --run {self._run} --name {vehicle.name} {known}"
+                    f"{vehicle.name} is yours: --connect {self._endpoint} --run {self._run} --name {vehicle.name} "
+                    f"{known}"
                 )
             else:
                 self.children.append(self._start(vehicle.name))

@@ -81,15 +81,17 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     longest_outage: float | None = None
     """And the longest in this flight [s]."""
     exceeded_chance: dict[str, float | None] = {}
-    """By `vehicle/number`, the chance that a declared number is exceeded in such a flight, or a bound; None: unknown."""
+    """By `vehicle/number`, the chance that a declared number is exceeded in such a flight, or a bound; None: unknown.
+    """
     lost_chance: float | None = None
     """Once certified, sight is lost in at most this share of such flights, by proof; None: nothing can be promised.
 
     Nor is it where an operator has changed something while it flew.
     """
     declared_tracking: float | None = None
-    """How far a UAV truly is at most from where it is told that it is, w [m]; None where no filter watches or nothing takes it
-    from there."""
+    """How far a UAV truly is at most from where it is told that it is, w [m]; None where no filter watches or nothing
+    takes it from there.
+    """
     tracking_error: float | None = None
     """And the farthest in this flight [m], whatever the law; None where nothing takes it from there."""
     links: dict[str, LinkStatus] = {}
@@ -156,6 +158,10 @@ def _faults(
     return found
 
 
+PERHAPS_EVERY = 0.999
+"""A chance within a flight that is as good as 1."""
+
+
 def in_flights(chance: float) -> str:
     """An upper bound of a chance within a flight, in words."""
     if chance == 0.0:
@@ -166,7 +172,7 @@ def in_flights(chance: float) -> str:
         flights = math.floor(1.0 / chance)
         digits = 10 ** max(0, len(str(flights)) - 2)
         return f"in at most 1 of {flights // digits * digits:,} such flights"
-    if chance < 0.999:
+    if chance < PERHAPS_EVERY:
         return f"in at most {math.ceil(1000.0 * chance)} of 1,000 such flights"
     return "perhaps in every such flight"
 

@@ -253,7 +253,8 @@ def foreign_code(scenario: "Scenario", named: Iterable[str] = ()) -> tuple[str, 
     )
     given = {f"custom.{name}": getattr(scenario.custom, name) for name in fields}
     return tuple(
-        f"{field} = {value!r}: the file names code, which is loaded with --allow-code alone (in Python: allow_code=True)"
+        f"{field} = {value!r}: the file names code, which is loaded with --allow-code alone (in Python: "
+        "allow_code=True)"
         for field, value in given.items()
         if value
     )

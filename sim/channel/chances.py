@@ -5,21 +5,23 @@ detection, the longest time from the beginning of one motion to that of the next
 settings become a small Markov chain, and the chance that such a number is exceeded within a flight is the mass that an
 automaton over this chain absorbs. docs/explanation/chances.md tells it at length, with tables beside frequencies.
 
-**The chain.** A tick is good or bad (Gilbert-Elliott, with the link's own chances of change). A message that leaves then
-is lost with a chance that depends on this state alone. A planned blackout takes a message for certain, as if it did
-not exist.
+**The chain.** A tick is good or bad (Gilbert-Elliott, with the link's own chances of change). A message that leaves
+then is lost with a chance that depends on this state alone. A planned blackout takes a message for certain, as if it
+did not exist.
 
 **The automaton.** A *base* is a message that gets through. After each base a window of later messages is useful; the
 first of them that gets through in time is the next base. If none does, the number is exceeded, for good. All that is
 done is to push the distribution of chain and base through the flight, tick by tick. With a fixed delay this is exact.
 
-**Where delays vary** it is no longer the last base alone that counts. Let E_k be that message k gets through and that none
-of its window is in time, each with its own share of delays that are short enough. Wherever the number is exceeded some
-E_k holds, so the sum of their chances, the expected number of times, is a bound.
+**Where delays vary** it is no longer the last base alone that counts. Let E_k be that message k gets through and that
+none of its window is in time, each with its own share of delays that are short enough. Wherever the number is exceeded
+some E_k holds, so the sum of their chances, the expected number of times, is a bound.
 
-**Random blackouts** are exponential times of light and fixed ones of darkness, which no chain over ticks has. The sum of
-the chances of E_k needs them within one window only, from a tick on that is in the light, and there a recursion from
+**Random blackouts** are exponential times of light and fixed ones of darkness, which no chain over ticks has. The sum
+of the chances of E_k needs them within one window only, from a tick on that is in the light, and there a recursion from
 the window's end bounds them: see `_none_in_time`.
+
+**A recorded table** is gone through from each place at which a run may begin in it: see `sim.channel.places`.
 """
 
 import functools
@@ -33,7 +35,9 @@ import numpy.typing as npt
 from bus.messages import LinkSettings
 from bus.ticks import ticks_within
 from sim.channel.description import arrival_share, extra_delays, link_parameters
-from sim.channel.link import DUST, LinkParameters, in_ticks
+from sim.channel.link import DUST, OPPORTUNITIES, LinkParameters, in_ticks
+from sim.channel.places import delays_by_place, oldest_by_place, unseen_by_place, waits_by_place
+from sim.channel.recorded import RecordedLink
 from sim.kernels.compile import FloatArray
 
 _Mask = npt.NDArray[np.bool_]
@@ -276,7 +280,7 @@ class _Counted(NamedTuple):
     why: str
     """Why it is a bound; empty: it is exact."""
     longest: int
-    """What is longer says nothing: the flight is over before it is exceeded [ticks]."""
+    """The largest number that tells anything: the flight is over before a larger one is exceeded [ticks]."""
 
     def summed(self, plan: _Plan, number: int, *, regular: bool) -> float:
         """The expected number of times; `regular`: as if there were neither planned blackouts nor a queue."""
@@ -302,7 +306,7 @@ class _Counted(NamedTuple):
         return Chance(min(1.0, value), False, self.why or _SUMMED)
 
     def smallest(self, risk: float) -> int | None:
-        """The smallest number of ticks that is exceeded with at most this chance; None: none below the flight's length."""
+        """The smallest number of ticks exceeded with at most this chance; None: none below the flight's length."""
 
         def kept(number: int) -> bool:
             value = self.chance(number).value
@@ -320,8 +324,26 @@ class _Counted(NamedTuple):
         return None if self.regular and self.why else _first(kept, guess or 0, most)
 
 
-_RECORDED = "it plays a recorded link, of which nothing is drawn but where it begins"
+class _Played(NamedTuple):
+    """All that can be said of a recorded table within one flight, as of `_Counted`."""
 
+    exceeded: Callable[[int], FloatArray]
+    """By the place at which it begins, the chance that so many ticks are exceeded, or a bound."""
+    ticks: int
+    why: str
+    longest: int
+
+    def chance(self, number: int) -> Chance:
+        """The chance that so many ticks are exceeded: the mean over all places, which are equally likely."""
+        return Chance(float(self.exceeded(number).mean()), not self.why, self.why)
+
+    def smallest(self, risk: float) -> int | None:
+        """The smallest number of ticks that is exceeded with at most this chance; None: none within the flight."""
+        return _first(lambda number: self.exceeded(number).mean() <= risk, 0, self.longest)
+
+
+_MAHIMAHI = "it plays a Mahimahi file, in which what waits depends on all that was sent before"
+_LONG = "the recording is too long to be gone through from each of its places"
 _SUMMED = "the expected number of times bounds the chance"
 
 
@@ -373,7 +395,7 @@ def _never(ticks: int) -> _Window:
 
 
 def _age_window(in_time: FloatArray, waited: int, age: int) -> _Window:
-    """Detections that arrive before the one of the base is older than this; all have waited before they left [ticks]."""
+    """Detections that arrive before the base's is older than this; all have waited before they left [ticks]."""
     rest = age - waited + 1
     room = rest - np.arange(max(rest, 0) + 1)  # ticks within which a message has to arrive
     share = in_time[np.clip(room, 0, len(in_time) - 1)]
@@ -398,14 +420,48 @@ def _outage_window(in_time: FloatArray, delay: int, repeats: int, outage: int) -
     return _Window(_tries(in_time, delay, repeats, chains), delay + outage)
 
 
+def _not_gone_through(p: LinkParameters, ticks: int) -> str:
+    """Why nothing can be stated of what a link plays; empty: it can."""
+    if p.replay == OPPORTUNITIES:
+        return _MAHIMAHI
+    return _LONG if p.period * max(ticks, p.longest) > _MOST_CELLS else ""
+
+
+def _played_ages(p: LinkParameters, period: int, dropout: float, ticks: int) -> _Played | str:
+    if why := _not_gone_through(p, ticks):
+        return why
+    delays, left = delays_by_place(p), _left(p, ticks)
+    if dropout == 0.0:
+        oldest = oldest_by_place(delays, left, period)
+        return _Played(lambda age: (oldest > age).astype(float), ticks, "", ticks - 1)
+
+    @functools.lru_cache(maxsize=64)
+    def exceeded(age: int) -> FloatArray:
+        return np.minimum(1.0, unseen_by_place(delays, left, period, dropout, age))
+
+    return _Played(exceeded, ticks, _because(["looks find nothing at random"]), ticks - 1)
+
+
+def _played_outages(p: LinkParameters, delay: int, repeats: int, ticks: int) -> _Played | str:
+    if why := _not_gone_through(p, ticks):
+        return why
+    waits = waits_by_place(delays_by_place(p), _left(p, ticks), delay, repeats)
+    return _Played(lambda outage: (waits > outage).astype(float), ticks, "", ticks - delay)
+
+
 @functools.lru_cache(maxsize=64)
 def _ages(
-    settings: LinkSettings, dt: float, period: int, dropout: float, ticks: int
-) -> _Counted | str:
+    settings: LinkSettings,
+    dt: float,
+    period: int,
+    dropout: float,
+    ticks: int,
+    traces: tuple[RecordedLink, ...],
+) -> _Counted | _Played | str:
     """The ages of detections, one look every `period` ticks; a string: why nothing can be stated."""
+    p = link_parameters(settings, dt, traces=traces)
     if settings.trace:
-        return _RECORDED
-    p = link_parameters(settings, dt)
+        return _played_ages(p, period, dropout, ticks)
     left, in_time = _left(p, ticks), _in_time(settings, p)
     reasons = _reasons(p, in_time)
     looks = np.arange(ticks) % period == 0
@@ -481,12 +537,17 @@ def _slots(p: LinkParameters, first: int, ticks: int) -> _Mask:
 
 @functools.lru_cache(maxsize=64)
 def _outages(
-    settings: LinkSettings, dt: float, delay: int, repeats: int, ticks: int
-) -> _Counted | str:
+    settings: LinkSettings,
+    dt: float,
+    delay: int,
+    repeats: int,
+    ticks: int,
+    traces: tuple[RecordedLink, ...],
+) -> _Counted | _Played | str:
     """The outages of motions, one packet a tick; a string: why nothing can be stated."""
+    p = link_parameters(settings, dt, traces=traces)
     if settings.trace:
-        return _RECORDED
-    p = link_parameters(settings, dt)
+        return _played_outages(p, delay, repeats, ticks)
     if p.spacing > 1.0 + DUST:
         return "fewer packets leave than are sent, so that motions wait and are dropped"
     left, in_time = _left(p, ticks), _in_time(settings, p)
@@ -502,12 +563,19 @@ def _outages(
 
 @functools.lru_cache(maxsize=256)
 def chance_of_age(
-    settings: LinkSettings, *, dt: float, period_ticks: int, dropout: float, ticks: int, age: float
+    settings: LinkSettings,
+    *,
+    dt: float,
+    period_ticks: int,
+    dropout: float,
+    ticks: int,
+    age: float,
+    traces: tuple[RecordedLink, ...] = (),
 ) -> Chance:
     """The chance that the newest detection that has arrived is older than `age` at some tick of a flight.
 
     Counted from the tick on at which the first detection arrives. Exact for a fixed delay with independent loss,
-    Gilbert-Elliott and planned blackouts; else a bound.
+    Gilbert-Elliott and planned blackouts, and for a recorded table if all looks find something; else a bound.
 
     Args:
         settings: Of the detections' link, as `check_link` has passed them.
@@ -516,8 +584,9 @@ def chance_of_age(
         dropout: Share of looks that find nothing, each on its own.
         ticks: Of the flight.
         age: [s]; whole ticks within it count.
+        traces: The recorded links that it may play.
     """
-    counted = _ages(settings, dt, period_ticks, dropout, ticks)
+    counted = _ages(settings, dt, period_ticks, dropout, ticks, traces)
     if isinstance(counted, str):
         return Chance(None, False, counted)
     return counted.chance(ticks_within(age, dt))
@@ -525,14 +594,22 @@ def chance_of_age(
 
 @functools.lru_cache(maxsize=256)
 def chance_of_outage(
-    settings: LinkSettings, *, dt: float, delay_ticks: int, repeats: int, ticks: int, outage: float
+    settings: LinkSettings,
+    *,
+    dt: float,
+    delay_ticks: int,
+    repeats: int,
+    ticks: int,
+    outage: float,
+    traces: tuple[RecordedLink, ...] = (),
 ) -> Chance:
     """The chance that some motion of a flight is followed by the next only after more than `outage`.
 
     Packet k carries the motions k - repeats + 1 to k; motion j begins at tick j + delay_ticks if one of its packets has
     arrived and the motion before began. If motion s does not, the pilot sees it at tick s + d + 1 and begins a new
-    chain with the motion of that number. The rest at the beginning counts as a motion that begins at tick d - 1. Exact for
-    a fixed delay with independent loss, Gilbert-Elliott and planned blackouts; else a bound.
+    chain with the motion of that number. The rest at the beginning counts as a motion that begins at tick d - 1. Exact
+    for a fixed delay with independent loss, Gilbert-Elliott and planned blackouts, and for a recorded table; else a
+    bound.
 
     Args:
         settings: Of the commands' link, as `check_link` has passed them.
@@ -541,14 +618,15 @@ def chance_of_outage(
         repeats: Packets that carry a motion, the first included.
         ticks: Of the flight.
         outage: [s]; whole ticks within it count.
+        traces: The recorded links that it may play.
     """
-    counted = _outages(settings, dt, delay_ticks, repeats, ticks)
+    counted = _outages(settings, dt, delay_ticks, repeats, ticks, traces)
     if isinstance(counted, str):
         return Chance(None, False, counted)
     return counted.chance(ticks_within(outage, dt))
 
 
-def _seconds(counted: _Counted | str, what: str, risk: float, dt: float) -> Smallest:
+def _seconds(counted: _Counted | _Played | str, what: str, risk: float, dt: float) -> Smallest:
     if isinstance(counted, str):
         return Smallest(None, counted)
     found = counted.smallest(risk)
@@ -562,28 +640,42 @@ def _seconds(counted: _Counted | str, what: str, risk: float, dt: float) -> Smal
 
 @functools.lru_cache(maxsize=64)
 def smallest_age(
-    settings: LinkSettings, *, dt: float, period_ticks: int, dropout: float, ticks: int, risk: float
+    settings: LinkSettings,
+    *,
+    dt: float,
+    period_ticks: int,
+    dropout: float,
+    ticks: int,
+    risk: float,
+    traces: tuple[RecordedLink, ...] = (),
 ) -> Smallest:
     """The smallest age [s], in whole ticks, that is exceeded with at most the chance `risk`.
 
     Args:
-        settings, dt, period_ticks, dropout, ticks: As of `chance_of_age`.
+        settings, dt, period_ticks, dropout, ticks, traces: As of `chance_of_age`.
         risk: Between 0 and 1.
     """
-    return _seconds(_ages(settings, dt, period_ticks, dropout, ticks), "age", risk, dt)
+    return _seconds(_ages(settings, dt, period_ticks, dropout, ticks, traces), "age", risk, dt)
 
 
 @functools.lru_cache(maxsize=64)
 def smallest_outage(
-    settings: LinkSettings, *, dt: float, delay_ticks: int, repeats: int, ticks: int, risk: float
+    settings: LinkSettings,
+    *,
+    dt: float,
+    delay_ticks: int,
+    repeats: int,
+    ticks: int,
+    risk: float,
+    traces: tuple[RecordedLink, ...] = (),
 ) -> Smallest:
     """The smallest outage [s], in whole ticks, that is exceeded with at most the chance `risk`.
 
     Args:
-        settings, dt, delay_ticks, repeats, ticks: As of `chance_of_outage`.
+        settings, dt, delay_ticks, repeats, ticks, traces: As of `chance_of_outage`.
         risk: Between 0 and 1.
     """
-    return _seconds(_outages(settings, dt, delay_ticks, repeats, ticks), "outage", risk, dt)
+    return _seconds(_outages(settings, dt, delay_ticks, repeats, ticks, traces), "outage", risk, dt)
 
 
 def chance_of_error(sigma: float, cut: float, count: int, error: float) -> Chance:

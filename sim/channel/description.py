@@ -74,7 +74,7 @@ from sim.kernels.records import records
 from sim.models.randomness import Key
 
 KEEPS = ("newest", "oldest")
-"""Which messages a full queue keeps."""
+"""The messages that a full queue keeps."""
 
 _LONGEST = 60.0
 """Longest delay of all [s]: what is on its way needs room."""
@@ -223,7 +223,7 @@ def _dark_ticks(
 
 @functools.lru_cache(maxsize=64)
 def _played(recorded: RecordedLink | None, delay: float, dt: float) -> tuple[int, IntArray, int]:
-    """What is played, its rows, and the length of a round, as in `LinkParameters`."""
+    """The recording's kind, its rows, and the length of a round, as in `LinkParameters`."""
     if recorded is None:
         return NOTHING, np.zeros((0, 2), dtype=np.int64), 0
     recording = recording_of(recorded)
@@ -357,7 +357,7 @@ def least_ticks(p: LinkParameters) -> int:
 
 
 def arrival_share(p: LinkParameters, ticks: int) -> float:
-    """The share of the messages that are neither lost nor queued which arrive within so many ticks after they were sent."""
+    """The share of the messages neither lost nor queued that arrive within so many ticks after they were sent."""
 
     def within(extra: float) -> float:
         if p.jitter == 0.0 or extra >= p.most:
@@ -397,11 +397,10 @@ def relink(
 ) -> LinkState:
     """The state with which a link goes on under new parameters, between two ticks.
 
-    What flies arrives when it would have; what waits goes on waiting, but for what a shorter queue drops; the
-    message that left
-    last keeps the new spacing to the next; one that is half granted to an opportunity begins anew, unless it goes on
-    in messages of the same size. Counters stay. A burst or random blackout goes on where there still are
-    any; the time to the next random blackout is drawn anew, from now on, if its law has changed.
+    What flies arrives when it would have; what waits goes on waiting, but for what a shorter queue drops; the message
+    that left last keeps the new spacing to the next; one that is half granted to an opportunity begins anew, unless it
+    goes on in messages of the same size. Counters stay. A burst or random blackout goes on where there still are any;
+    the time to the next random blackout is drawn anew, from now on, if its law has changed.
 
     Args:
         old: Parameters so far.

@@ -1,9 +1,8 @@
 r"""One radio link in simulated time: compiled, seeded, the same bits for one world and for many.
 
-A tick of a link has one order: `advance` once, `send` for each message of this tick, `receive` once; `exchange`
-does the three.
-`advance` comes first: it settles what the channel is like at this tick, and what waits at the sender leaves before
-what is new. Ticks in which nothing is sent, waits or flies may be left out: the next `advance` makes them up.
+A tick of a link has one order: `advance` once, `send` for each message of this tick, `receive` once; `exchange` does
+the three. `advance` comes first: it settles what the channel is like at this tick, and what waits at the sender leaves
+before what is new. Ticks in which nothing is sent, waits or flies may be left out: the next `advance` makes them up.
 
 A message meets, in this order:
 
@@ -50,7 +49,7 @@ NORMAL = 1
 EXPONENTIAL = 2
 PARETO = 3
 SHAPES = {"uniform": UNIFORM, "normal": NORMAL, "exponential": EXPONENTIAL, "pareto": PARETO}
-"""How the extra delay is spread, by the scale j: within -j and j; normal with deviation j.
+"""The spread of the extra delay, by the scale j: within -j and j; normal with deviation j.
 
 Exponential with mean j; Pareto's law
 of the second kind (from 0 on) with mean j and the tail index 2.5, whose variance is finite and whose skew is not."""
@@ -64,16 +63,15 @@ The link had no room, which one message a tick never meets; `trace`: it was lost
 LOSS, BURST, BLACKOUT, QUEUE, FULL, TRACE = range(6)
 
 NOTHING, FATES, OPPORTUNITIES = range(3)
-"""What is played: nothing, a table of fates, or delivery opportunities."""
+"""The kind of recording: none, a table of fates, or delivery opportunities."""
 
 TICK, INDEX, FREE, WAITING, FLYING, CHAIN, DARK, SERVED, RENEWALS, GRANTED = range(10)
 SENT, DELIVERED, DUPLICATED, ORIGINALS, AGES, LOST = range(10, 16)
 """Places in `LinkState.counts`: the tick and the messages sent in it; the first free slot; how many wait and fly.
 
-The channel's
-state (-1: not drawn yet, 1: bad) and whether it is dark; messages served since the sender was last idle; random
-blackouts drawn; bytes granted to the message that waits first;
-the counters, ORIGINALS for what was delivered without copies, AGES for the ticks in AGE_SUM; the losses by cause."""
+The channel's state (-1: not drawn yet, 1: bad) and whether it is dark; messages served since the sender was last idle;
+random blackouts drawn; bytes granted to the message that waits first; the counters, ORIGINALS for what was delivered
+without copies, AGES for the ticks in AGE_SUM; the losses by cause."""
 
 BEGAN, DARK_FROM, DARK_TO, NEWEST, AGE_SUM, AGE_MAX = range(6)
 """Places in `LinkState.numbers`, all in ticks.
@@ -197,7 +195,7 @@ class LinkParameters(NamedTuple):
     """Bytes that may leave at each."""
     first_blackout: int = 0
     end_blackout: int = 0
-    """Where its rows of `blackouts` stand among the pairs of a `LinkNumbers`."""
+    """The places of its `blackouts` among the pairs of a `LinkNumbers`."""
     first_row: int = 0
     end_row: int = 0
     """Likewise its rows of `trace`."""
@@ -333,7 +331,7 @@ def in_ticks(duration: float, dt: float) -> int:
 
 @compiled
 def _flight_time(p: LinkParameters, share: float, held: bool, later: float) -> int:
-    """How many ticks a message flies.
+    """The time of flight of a message [ticks].
 
     Args:
         p: Of the link.
@@ -370,17 +368,17 @@ def _fate(
 
 @compiled
 def trace_offset(key: Key, period: int) -> int:
-    """Where in a recorded link a run begins, of so many places."""
+    """The place in a recorded link at which a run begins, of so many."""
     return int(draw(key, LINK_TRACE, 0, 0)[0] % np.uint64(period))
 
 
 @borrowing
-def _first_after(traces: IntArray, first: int, end: int, time: int) -> int:
-    """The first of these rows that is later than a time; `end`: none."""
+def _first_after(rows: IntArray, column: int, first: int, end: int, time: int) -> int:
+    """The first of these rows whose time in a column is later than this one; `end`: none."""
     below, above = first, end
     while below < above:
         middle = (below + above) // 2
-        if traces[middle, 0] <= time:
+        if rows[middle, column] <= time:
             below = middle + 1
         else:
             above = middle
@@ -392,7 +390,7 @@ def _play(traces: IntArray, p: LinkParameters, s: LinkState, key: Key, slot: int
     """The message leaves the sender, and has the fate of the recorded row that is nearest before it."""
     slots, counts = s.slots, s.counts
     place = (slots[slot, SENT_AT] + trace_offset(key, p.period)) % p.period
-    ticks = traces[_first_after(traces, p.first_row, p.end_row, place) - 1, 1]
+    ticks = traces[_first_after(traces, 0, p.first_row, p.end_row, place) - 1, 1]
     if counts[DARK] == 1 or ticks < 0:
         counts[LOST + (BLACKOUT if counts[DARK] == 1 else TRACE)] += 1
         release(slots, counts, slot)
@@ -437,14 +435,8 @@ def _transmit(p: LinkParameters, s: LinkState, key: Key, slot: int, later: float
 
 @borrowing
 def _dark_by_plan(blackouts: IntArray, first: int, end: int, tick: int) -> bool:
-    below, above = first, end
-    while below < above:
-        middle = (below + above) // 2
-        if blackouts[middle, 1] <= tick:
-            below = middle + 1
-        else:
-            above = middle
-    return below < end and bool(blackouts[below, 0] <= tick)
+    row = _first_after(blackouts, 1, first, end, tick)
+    return row < end and bool(blackouts[row, 0] <= tick)
 
 
 @borrowing
@@ -531,7 +523,7 @@ def _grant(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None:
     offset = trace_offset(key, p.period)
     begin, end = in_milliseconds(tick - 1, p.dt) + offset, in_milliseconds(tick, p.dt) + offset
     start, place = begin - begin % p.period, begin % p.period
-    k = _first_after(traces, p.first_row, p.end_row, place)
+    k = _first_after(traces, 0, p.first_row, p.end_row, place)
     while counts[WAITING] > 0:
         now = start + traces[k, 0]
         if now > end:

@@ -1,4 +1,4 @@
-"""Recorded links: Mahimahi's files of delivery opportunities, and tables of when each message was sent and how long it took.
+"""Recorded links: Mahimahi's files of delivery opportunities, and tables of each message's time of sending and delay.
 
 A scenario keeps the file itself, so that whoever has the scenario plays the same link. It is read into whole ticks and
 milliseconds, without a draw but that of where in the recording a run begins.

@@ -158,7 +158,7 @@ class Batch:
         """How every world begins."""
 
     def _motion_rows(self) -> int:
-        """How many motions each receiver has room for: those that may be under way at once; one where there are none."""
+        """Motions that each receiver has room for: those that may be under way at once; one where there are none."""
         if not carries_motions(self.scenario):
             return 1
         told = (declared(self.scenario, uav.name) for uav in self.scenario.uav)

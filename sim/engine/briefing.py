@@ -1,4 +1,4 @@
-"""The briefing of each vehicle when it joins: its own row of the scenario, and of the others nothing but their bounds."""
+"""The briefing of each vehicle when it joins: its own row of the scenario, and of the others only their bounds."""
 
 import math
 

@@ -180,7 +180,7 @@ def told_of(scenario: Scenario, truth: WorldState) -> Told:
 
 
 def disturbances_of(scenario: Scenario) -> RecordArray:
-    """What acts on each UAV beside its commands: rows of `DisturbanceRow`. Shape (UAVs,), or none where nothing does."""
+    """What acts on each UAV beside its commands: rows of `DisturbanceRow`, shape (UAVs,), or none if nothing does."""
     wind, dt = scenario.wind, scenario.dt
     uavs = [one for one in scenario.vehicles if isinstance(one, Uav)] if scenario.disturbed else []
     rows = [
@@ -231,9 +231,13 @@ class BatchState(NamedTuple):
     truth: WorldState
     told: Told
     tracking: RecordArray
-    """`TrackingRecord`: how each UAV is off what it is told. Shape (worlds, UAVs); (worlds, 0) where nobody is disturbed."""
+    """`TrackingRecord`: how each UAV is off what it is told. Shape (worlds, UAVs); (worlds, 0) where nobody is
+    disturbed.
+    """
     received: FloatArray
-    """The detections that reach each UAV at this tick, in the order of arrival. Shape (worlds, UAVs, room, MESSAGE_SIZE)."""
+    """The detections that reach each UAV at this tick, in the order of arrival. Shape (worlds, UAVs, room,
+    MESSAGE_SIZE).
+    """
     arrived: IntArray
     """How many. Shape (worlds, UAVs)."""
     sent: FloatArray

@@ -184,7 +184,7 @@ def _fly_motion(
     tick: int,
     u_max: float,
 ) -> bool:
-    """Begin the motion of this tick if it has come and goes on from the one that is flown; fly it, or the rest of that one.
+    """Fly the motion of this tick if it has come and goes on from the one that is flown, else the rest of that one.
 
     False where commands act that carry none.
     """

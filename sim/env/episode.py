@@ -27,7 +27,7 @@ def _advance(bt: BatchTables, bs: BatchState, t: RowTables, s: RowState, beginni
 
 
 class Episode:
-    """How each vehicle of a world stands in an episode: what it observes, is paid, and truly does.
+    """The standing of each vehicle of a world in an episode: what it observes, is paid, and truly does.
 
     Args:
         scenario: What is flown.
@@ -119,7 +119,7 @@ class Episode:
         return {} if place >= 0 else {"goals_reached": int(self._ugv(place).reached)}
 
     def metrics(self, name: str) -> dict[str, float]:
-        """How a vehicle truly stands, for people."""
+        """A vehicle's true standing, for people."""
         place, numbers = self._place(name), self._state.terms[0, self.names.index(name)].tolist()
         found: dict[str, float]
         terms: UavTerms | UgvTerms

@@ -44,10 +44,9 @@ _DEFAULT_REWARDS = RewardWeights()
 class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     """A UAV escorts a UGV, sees as much ground around it as it can, and never loses sight of it.
 
-    Agents are the scenario's vehicles. An action is an acceleration [m/s²], held for one tick; the bound of (1) is
-    on its norm,
-    and a longer one is shortened. An observation is the vehicle's own row and nothing else; the whole truth is in
-    `state()`. A UAV observes
+    Agents are the scenario's vehicles. An action is an acceleration [m/s²], held for one tick; the bound of (1) is on
+    its norm, and a longer one is shortened. An observation is the vehicle's own row and nothing else; the whole truth
+    is in `state()`. A UAV observes
 
     | index | name | meaning | unit | range |
     |---|---|---|---|---|
@@ -74,8 +73,8 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     | 6 | `goal_x` | goal, x; the last one stays when reached; 0 without goals | m | 0 … W |
     | 7 | `goal_y` | goal, y; the last one stays when reached; 0 without goals | m | 0 … H |
 
-    The letters of the ranges are explained in `bus.layout.SYMBOLS`; all agents end together. `docs/reference/environment.md`
-    is the environment's page.
+    The letters of the ranges are explained in `bus.layout.SYMBOLS`; all agents end together.
+    `docs/reference/environment.md` is the environment's page.
 
     Args:
         scenario: A shipped name, a file, or a scenario.
@@ -282,7 +281,8 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     def state(self) -> Array:
         """The whole truth as a flat array, for centralized critics: time, coverage, then each vehicle in name order.
 
-        `state_names` names the entries; with `coverage_in_state` the cells of the grid follow.
+        `state_names` names the entries; with `coverage_in_state` the cells of the grid follow. In wind a UAV's position
+        and velocity are those that it is told, its distance and coverage error of where it truly is.
         """
         return state_array(
             self.world,
@@ -292,7 +292,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         )
 
     def metrics(self) -> dict[str, dict[str, float]]:
-        """How each vehicle truly stands, and the terms of its last reward: for people and logs, not for policies."""
+        """Each vehicle's true standing, and the terms of its last reward: for people and logs, not for policies."""
         _ = self.world  # there must be one
         return {name: self._episode.metrics(name) for name in self.possible_agents}
 

@@ -10,7 +10,7 @@ from sim.kernels.compile import compiled
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RewardWeights:
-    """How much each term counts. All are costs or gains as their names say, and not negative.
+    """The weight of each term. All are costs or gains as their names say, and not negative.
 
     Losing sight must never pay: where it ends the episode, the ticks that are left are charged as out of sight, so
     `out_of_sight` should be at least `uncovered`.

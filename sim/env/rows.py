@@ -1,4 +1,4 @@
-"""Observation rows, metrics and rewards of the vehicles, in arrays: the same compiled functions for one world and for many.
+"""Observation rows, metrics and rewards of the vehicles in arrays: the same compiled functions for one world or many.
 
 A tick of the rows, once the world's is done and measured: `advance_rows`, then `observe_rows` where somebody looks.
 """
@@ -19,7 +19,7 @@ from sim.world import Look, World
 
 
 class UavMetrics(NamedTuple):
-    """How a UAV truly stands: the columns of `RowState.uavs`."""
+    """A UAV's true standing: the columns of `RowState.uavs`."""
 
     newest: float
     """Tick of the newest detection that has reached it; -1: none."""
@@ -38,14 +38,14 @@ class UavMetrics(NamedTuple):
 
 
 class UgvMetrics(NamedTuple):
-    """How a UGV truly stands: the columns of `RowState.ugvs`."""
+    """A UGV's true standing: the columns of `RowState.ugvs`."""
 
     reached: float
     """Goals."""
     arrivals: float
     """Goals reached at this tick."""
     nearer: float
-    """How much nearer it came to its goal [m]."""
+    """The way by which it came nearer to its goal [m]."""
     to_go: float
     """Way to the next goal [m]; 0 where none is left."""
 
@@ -75,7 +75,7 @@ class Moment(NamedTuple):
 
 
 def columns(row: Any) -> Any:  # noqa: ANN401 - a type of named tuples, and one whose fields are whole numbers
-    """Where each field of a row stands: a row whose values are their own places."""
+    """The place of each field of a row: a row whose values are their own places."""
     return row._make(range(len(row._fields)))
 
 
@@ -112,7 +112,7 @@ class RowTables(NamedTuple):
     goals: FloatArray
     """The goals of all UGVs [m]. Shape (any, 2)."""
     goal_rows: IntArray
-    """Where each UGV's begin. Shape (UGVs + 1,)."""
+    """The place where each UGV's begin. Shape (UGVs + 1,)."""
 
 
 class RowState(NamedTuple):
@@ -199,7 +199,7 @@ def row_state(t: RowTables, worlds: int, *, uav_metrics: int = 0, uav_columns: i
 
 @inlined
 def _measure_uav(bt: BatchTables, bs: BatchState, s: RowState, k: int, u: int) -> None:
-    """How UAV u truly stands at this tick, and the newest detection that has reached it."""
+    """Notes UAV u's true standing at this tick, and the newest detection that has reached it."""
     row, received = s.uavs[k, u], bs.received[k, u]
     distance, error = bs.truth.measures[k, u, 0], bs.truth.measures[k, u, 1]
     row[UAV_METRICS.was_lost] = row[UAV_METRICS.lost]

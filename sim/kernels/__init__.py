@@ -1,1 +1,1 @@
-"""How equations are made fast: compiling, lanes, prefetching, threads."""
+"""Speed of the equations: compiling, lanes, prefetching, threads."""

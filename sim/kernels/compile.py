@@ -1,4 +1,4 @@
-"""Where numba keeps its cache, and how our functions are compiled.
+"""The compile cache of numba, and the options with which our functions are compiled.
 
 Strict floating point, one cache for one source text.
 """
@@ -120,9 +120,8 @@ def compiled(function: _F) -> _F:
 def borrowing(function: _F) -> _F:
     """Compile as `compiled` does, but without reference counting: the function borrows its arrays.
 
-    Handing a view or a tuple of arrays about then costs nothing; counted, it costs more than a small kernel, the
-    more so where
-    threads count the same array. Such a function cannot make arrays. One that returns views may only be called
+    Handing a view or a tuple of arrays about then costs nothing; counted, it costs more than a small kernel, the more
+    so where threads count the same array. Such a function cannot make arrays. One that returns views may only be called
     from another that borrows, never from Python or `compiled`, which would count the view down.
     """
     return _compile(function, _nrt=False)

@@ -21,7 +21,7 @@ LANES = 8
 
 @compiled
 def widened(first: int, end: int, count: int) -> tuple[int, int]:
-    """The cells from `first` to `end` and so many beside them that they are whole blocks, if the line of `count` cells has them.
+    """The cells from `first` to `end`, widened to whole blocks if the line of `count` cells has room for them.
 
     A compiled loop over whole blocks has no cells left over, which it would take one by one.
     """

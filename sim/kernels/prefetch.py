@@ -1,8 +1,7 @@
 """A hint to the processor: cells that will be needed soon.
 
-A batch of worlds is larger than any cache. While one world is computed, the part of the next one's grid that its
-tick will touch
-is brought near the core; without this the core waits for memory most of the time. No result depends on it.
+A batch of worlds is larger than any cache. While one world is computed, the part of the next one's grid that its tick
+will touch is brought near the core; without this the core waits for memory most of the time. No result depends on it.
 """
 
 import math
@@ -67,7 +66,7 @@ def fetch_rows(typingctx: Any, arrays: Any, k: Any) -> Any:  # noqa: ANN401 - nu
 
 
 def disc_widths(radius: float, cell: float) -> IntArray:
-    """How far a disc reaches to either side in each row that it may meet, lowest first, wherever in its cell its centre is.
+    """A disc's reach to either side in each row that it may meet, lowest first, wherever in its cell its centre is.
 
     Args:
         radius: Of the disc [m].

@@ -17,7 +17,7 @@ _KINDS = {float: np.float64, int: np.int64, bool: np.bool_, np.uint64: np.uint64
 
 
 def record_type(fields: type[Any]) -> np.dtype[np.void]:
-    """The columns of a table of such named tuples or data classes: a column for each field that is a number or a flag."""
+    """The columns of a table of such named tuples or data classes: one for each field that is a number or a flag."""
     hints = get_type_hints(fields).items()
     columns = [(name, _KINDS[hint]) for name, hint in hints if hint in _KINDS]
     return np.dtype(columns, align=True)

@@ -1,8 +1,7 @@
 r"""The coverage field: sensor (2), accumulation (3), error (4), density (9) and the integral of (6), on a grid.
 
-The grid's cells are squares with their centres at (i + ½)·cell; arrays are [row, column], row 0 at y = 0. The
-kernels walk
-the rows that a disc meets and, in each, the chord. Sums go through a row buffer and a fixed number of lanes, so
+The grid's cells are squares with their centres at (i + ½)·cell; arrays are [row, column], row 0 at y = 0. The kernels
+walk the rows that a disc meets and, in each, the chord. Sums go through a row buffer and a fixed number of lanes, so
 the bits do not depend on who calls, nor on how the compiler arranges the loop.
 
 A sensor is a pair, the quality $S(\rho^2)$ and its slope $dS/d\rho^2$, with a range: a new one is one branch in
@@ -231,7 +230,7 @@ def accumulate_with_gain(
 def coverage_error(
     coverage: FloatArray, p_gx: float, p_gy: float, r_o: float, desired: float, cell: float
 ) -> float:
-    r"""How much of the ground around the UGV is not yet seen, Klodt 2015, eq. (4).
+    r"""The ground around the UGV that is not yet seen, Klodt 2015, eq. (4).
 
     $$ e(t) = \int_Q h(C^* - C(q, t))\, \phi(q, p_g)\, dq $$
 

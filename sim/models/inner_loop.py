@@ -1,11 +1,11 @@
-r"""A UAV's inner loop, which keeps it near a reference that moves by (1), against wind and a wrong own position. SI units.
+r"""A UAV's inner loop: keeps it near a reference that moves by (1), against wind and a wrong own position. SI units.
 
 The commands step the reference. The error x = p - p_reference has, in each tick,
 
 $$ \ddot x = u + w_a, \qquad u = -k_p (x + b) - k_d \dot x, \qquad \|u\| \le u_r $$
 
-with the wind's acceleration w_a and the error b of the own position, which the loop cannot tell from one of its own. The
-proof is in docs/explanation/certificate.md, "Wind, tracking and a wrong own position".
+with the wind's acceleration w_a and the error b of the own position, which the loop cannot tell from one of its own.
+The proof is in docs/explanation/certificate.md, "Wind, tracking and a wrong own position".
 """
 
 import functools
@@ -106,8 +106,9 @@ def step_error(
 def _responses(k_p: float, k_d: float, dt: float) -> Responses:
     r"""The sums $\sum_k |h_k|$ of the answers to an acceleration of 1 m/s² in one tick, from the tick after it on.
 
-    Never too small: what is left out after n ticks, with $\|A^n\| = q$, is at most q / (1 - q) times the sum so far of the
-    states' largest components, for each row of the answer. Infinite if the loop is unstable, or slower than `_MOST` ticks.
+    Never too small: what is left out after n ticks, with $\|A^n\| = q$, is at most q / (1 - q) times the sum so far of
+    the states' largest components, for each row of the answer. Infinite if the loop is unstable, or slower than `_MOST`
+    ticks.
     """
     if k_d * dt >= 2.0 or k_p * dt >= 2.0 * k_d:  # Jury's criterion: the loop is unstable
         return Responses(math.inf, math.inf)
@@ -138,12 +139,12 @@ def needed_reserve(loop: InnerLoop, wind: float, own_error: float, dt: float) ->
 
 
 def tracking_error(loop: InnerLoop, wind: float, own_error: float, dt: float) -> float:
-    r"""How far a UAV is at most from its reference at any time [m], whatever wind and own position do within their bounds.
+    r"""A bound on a UAV's distance from its reference [m], whatever wind and own position do within their bounds.
 
     $$ w = (W + k_p \epsilon_a) \sum_k |h_k| + (u + W) \frac{dt^2}{8} $$
 
-    h is the error's answer to an acceleration of 1 m/s² in one tick, u the largest feedback, and the last term what lies
-    between two ticks. Without an oscillation it is $W / k_p + \epsilon_a$ but for that term.
+    h is the error's answer to an acceleration of 1 m/s² in one tick, u the largest feedback, and the last term what
+    lies between two ticks. Without an oscillation it is $W / k_p + \epsilon_a$ but for that term.
 
     Args:
         loop: Gains and reserve.

@@ -1,8 +1,9 @@
 """Motions that commands carry, as the pilot plans them and the vehicle's receiver flies them.
 
-A motion is the acceleration of its first tick and the plan that follows it: a turn, a cruise and a brake, each of so many
-ticks under one acceleration (none while it cruises). After it the vehicle comes to rest and stays there. Its name is the
-tick in which it begins: one pilot begins no two at once. See docs/explanation/certificate.md, "Commands that carry a motion".
+A motion is the acceleration of its first tick and the plan that follows it: a turn, a cruise and a brake, each of so
+many ticks under one acceleration (none while it cruises). After it the vehicle comes to rest and stays there. Its name
+is the tick in which it begins: one pilot begins no two at once. See docs/explanation/certificate.md, "Commands that
+carry a motion".
 """
 
 from typing import NamedTuple
@@ -42,14 +43,18 @@ class MotionRecord(NamedTuple):
     arrived: int
     """By the receiver: 1 once a command that carries it has arrived."""
     plain: int
-    """Of what is flown: by the receiver 1 where commands that carry no motion act, by the pilot where it is not its own."""
+    """Of what is flown: by the receiver 1 where commands that carry no motion act, by the pilot where it is not its
+    own.
+    """
     checked: int
     """By the pilot: 1 if sight is kept on it, as long as the next one begins in time."""
     end_x: float
     end_y: float
     end_radius: float
     end_tick: int
-    """By the pilot: the disc around where it ends, in which the UGV surely was in that tick [m]; infinite: none is known."""
+    """By the pilot: the disc around where it ends, in which the UGV surely was in that tick [m]; infinite: none is
+    known.
+    """
 
 
 def no_motions(*shape: int) -> RecordArray:
@@ -87,7 +92,7 @@ def motion_command(
 
 @compiled
 def waited(tick: int, begins: int, delay_ticks: int) -> int:
-    """How long the vehicle has waited for its next motion at a tick [ticks].
+    """The vehicle's waiting time for its next motion at a tick [ticks].
 
     Args:
         tick: Which.

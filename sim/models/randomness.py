@@ -1,8 +1,7 @@
 """Counter-based random numbers: each draw is a pure function of a key, a purpose, tick and index.
 
-So a process that comes back, a batch of worlds and a single world draw the same numbers, and a new purpose leaves
-the others
-alone. Philox4x64-10 of Salmon, Moraes, Dror, Shaw, *Parallel Random Numbers: As Easy as 1, 2, 3* (SC 2011).
+So a process that comes back, a batch of worlds and a single world draw the same numbers, and a new purpose leaves the
+others alone. Philox4x64-10 of Salmon, Moraes, Dror, Shaw, *Parallel Random Numbers: As Easy as 1, 2, 3* (SC 2011).
 
 Philox is fast and no cipher: what it draws is only as secret as its key. So whatever must not lead to something
 else has a key of its own, of 128 bits; `sim.engine.run_keys` derives them one-way.
@@ -31,9 +30,10 @@ OPERATOR_LINK = 5
 RADIO_LINK = 6
 DISTURBANCE = 7
 RUN_PURPOSES = 8
-"""How many there are."""
+"""Their number."""
 
-# Purposes of draws that share a key: a pilot's, a link's, or that of wind and own position. A number, once given, stays.
+# Purposes of draws that share a key: a pilot's, a link's, or that of wind and own position. A number, once given,
+# stays.
 NEAREST_POINT = 16
 START_DIRECTION = 17
 WANDER = 18

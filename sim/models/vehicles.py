@@ -7,7 +7,7 @@ from sim.kernels.compile import FloatArray, compiled
 
 
 class Motion(NamedTuple):
-    """Where a vehicle is and how it moves."""
+    """A vehicle's position and velocity."""
 
     p_x: float
     p_y: float
@@ -114,7 +114,7 @@ def goal_reached(p_x: float, p_y: float, goal_x: float, goal_y: float, tolerance
 def next_goal(
     goals: FloatArray, reached: int, tolerance: float, x: float, y: float
 ) -> tuple[int, float]:
-    """How many goals are reached from (x, y) [m] on, and the way to the next one [m]; 0 where none is left."""
+    """The number of goals reached from (x, y) [m] on, and the way to the next one [m]; 0 where none is left."""
     while reached < goals.shape[0] and goal_reached(
         x, y, goals[reached, 0], goals[reached, 1], tolerance
     ):

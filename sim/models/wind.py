@@ -1,6 +1,7 @@
 r"""Wind as an acceleration, and the drift of an own position: filtered noise around a mean, cut at a bound. SI units.
 
-$$ g_{k+1} = \varphi g_k + \sigma \sqrt{1 - \varphi^2}\, n_k, \quad \varphi = e^{-dt/\tau}, \qquad w_a = clip(\bar w + g) $$
+$$ g_{k+1} = \varphi g_k + \sigma \sqrt{1 - \varphi^2}\, n_k, \quad \varphi = e^{-dt/\tau},
+   \qquad w_a = clip(\bar w + g) $$
 
 n is normal in each axis: the exact sampling of an Ornstein-Uhlenbeck process.
 """

@@ -53,18 +53,32 @@ def shipped_text(name: str) -> str:
 
 def _read(source: str | Path, file: str) -> str:
     """The TOML text of a shipped scenario or of a file."""
+    shipped = _shipped().get(str(source))
+    if shipped is not None:
+        return shipped.read_text("utf-8")
+    known = scenario_names()
+    other = f"a TOML file, or {', '.join(known)}"
+    return read_toml(source, file, "file or scenario", known, other)
+
+
+def read_toml(source: str | Path, file: str, what: str, known: Sequence[str], allowed: str) -> str:
+    """The text of a TOML file.
+
+    Args:
+        source: Its path.
+        file: Its name for messages.
+        what: What could have been meant beside a file, for messages.
+        known: Names that could have been meant.
+        allowed: What is allowed, for messages.
+
+    Raises:
+        ScenarioError: If it cannot be read.
+    """
     try:
-        shipped = _shipped().get(str(source))
-        content = (
-            shipped.read_bytes() if shipped is not None else read_regular(Path(source), MOST_BYTES)
-        )
-        return content.decode("utf-8-sig")
+        return read_regular(Path(source), MOST_BYTES).decode("utf-8-sig")
     except FileNotFoundError as error:
-        known = scenario_names()
-        meant = near(Path(source).stem, known)
-        raise ScenarioError(
-            f"{file}: no such file or scenario{meant}; allowed: a TOML file, or {', '.join(known)}"
-        ) from error
+        wrong = f"no such {what}{near(Path(source).stem, known)}"
+        raise ScenarioError(f"{file}: {wrong}; allowed: {allowed}") from error
     except UnicodeDecodeError as error:
         raise ScenarioError(
             f"{file}: byte {error.start}: not UTF-8, {error.reason}; allowed: text in UTF-8"

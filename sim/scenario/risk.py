@@ -1,4 +1,4 @@
-"""The certificate's bounds that follow from a risk: the smallest that are exceeded in a flight with at most this chance."""
+"""The certificate's bounds that follow from a risk: the smallest exceeded in a flight with at most this chance."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -54,6 +54,7 @@ def risk_bounds(s: Scenario, uav: str) -> RiskBounds:
             dropout=s.detections.dropout,
             ticks=s.ticks,
             risk=share,
+            traces=s.links.traces,
         )
         if age.value is not None:
             age = age._replace(value=max(age.value, s.dt))
@@ -65,6 +66,7 @@ def risk_bounds(s: Scenario, uav: str) -> RiskBounds:
             repeats=MOST_CARRIED,
             ticks=s.ticks,
             risk=share,
+            traces=s.links.traces,
         )
         if outage.value is not None:
             outage = outage._replace(value=max(outage.value, s.dt))

@@ -88,7 +88,7 @@ class Wind(_Table, frozen=True, kw_only=True):
 
 
 class Tracking(_Table, frozen=True, kw_only=True):
-    """A UAV's inner loop, which holds it to what its commands lead to, where wind or a wrong own position take it off."""
+    """A UAV's inner loop, which holds it to its commands' track, where wind or a wrong own position take it off."""
 
     position_gain: Positive = 1.0
     """Acceleration by the error of the position [1/s²]."""
@@ -148,7 +148,8 @@ class Certificate(_Table, frozen=True, kw_only=True):
     """
 
     error: NonNegative | None = None
-    """Largest error of a detection [m]; by default the noise at its cut, and without a cut what `risk` allows, or none."""
+    """Largest error of a detection [m]; by default the noise at its cut, and without a cut what `risk` allows, or none.
+    """
     age: Positive | None = None
     """Largest age of the newest detection that has arrived [s]; by default what `risk` allows, or 1 s."""
     risk: Annotated[float, Meta(gt=0.0, lt=1.0)] | None = None
@@ -162,11 +163,14 @@ class Certificate(_Table, frozen=True, kw_only=True):
     margin: NonNegative = 0.0
     """Taken off r_v [m], for what the theorem does not cover: jitter and loss of commands that carry no motions."""
     outage: NonNegative | None = None
-    """From the beginning of a motion to that of the next at most, B [s]. Where it is given, the UAVs' commands carry motions,
-    which their receivers fly on while commands are lost; by default they carry none, but where a `risk` is given."""
+    """From the beginning of a motion to that of the next at most, B [s]. Where it is given, the UAVs' commands carry
+    motions, which their receivers fly on while commands are lost; by default they carry none, but where a `risk` is
+    given.
+    """
     tracking: NonNegative | None = None
-    """How far a UAV truly is at most from where it is told that it is, w [m]; by default what wind, own_error and tracking
-    can bring about: 0 without wind and own_error."""
+    """How far a UAV truly is at most from where it is told that it is, w [m]; by default what wind, own_error and
+    tracking can bring about: 0 without wind and own_error.
+    """
 
 
 class Custom(_Table, frozen=True, kw_only=True):
@@ -211,7 +215,9 @@ class LinkTable(_Links, frozen=True, kw_only=True):
     only: tuple[VehicleLinks, ...] = ()
     """Vehicles whose links are other ones; what is not given is as everybody's."""
     traces: tuple[RecordedLink, ...] = ()
-    """The files that any `trace` names, with their content: filled in where the scenario is read, and not to be written."""
+    """The files that any `trace` names, with their content: filled in where the scenario is read, and not to be
+    written.
+    """
 
     def of(self, vehicle: str, kind: LinkKind) -> LinkSettings:
         """The settings of this vehicle's link of this kind."""

@@ -245,7 +245,7 @@ def wind_is_possible(s: Scenario) -> Iterator[Fault]:
 
 
 def inner_loops_hold(s: Scenario) -> Iterator[Fault]:
-    r"""Where something acts on a UAV, its inner loop is stable at dt and has the acceleration that it needs.
+    r"""Checks that the inner loop of a UAV on which something acts is stable at dt and has the acceleration it needs.
 
     $z^2 - (2 - k_d dt - k_p dt^2 / 2) z + 1 - k_d dt + k_p dt^2 / 2$ has its roots within the unit circle if
     $k_d dt < 2$ and $k_p dt < 2 k_d$, by Jury's criterion.

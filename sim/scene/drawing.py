@@ -57,7 +57,7 @@ _LOOK: dict[str, Any] = {
 }
 
 Estimate = tuple[Point, tuple[float, float, float]]
-"""Where a UAV believes its UGV to be [m], and the covariance xx, xy, yy of that [m²]."""
+"""A UAV's estimate of its UGV's position [m], and the covariance xx, xy, yy of that [m²]."""
 
 
 @contextmanager

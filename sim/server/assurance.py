@@ -57,7 +57,7 @@ class Assumptions:
         self.longest_outage = 0
         """The longest time from the beginning of a motion to that of the next so far [ticks]."""
         self.broken = 0
-        """How often a certificate has ended although all assumptions held."""
+        """The number of certificates that have ended although all assumptions held."""
         size = self._delay + 1
         nothing: list[tuple[int, Vector]] = [(tick - size, (0.0, 0.0)) for tick in range(size)]
         self._sent = nothing  # a ring: the tick that each answers, and the command

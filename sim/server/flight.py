@@ -64,7 +64,7 @@ class _Unchecked(NamedTuple):
     received: list[list[Look]]
     """The detections that had reached each."""
     acted: list[list[float]]
-    """What each vehicle has acted on [m/s²]."""
+    """The acceleration that each vehicle has acted on [m/s²]."""
     flown: list[int | None]
     """The motion that each UAV flew in it."""
 
@@ -175,7 +175,9 @@ class Flight:
         self._radios = self.world.links.of(LinkKind.RADIO)
         self._listened = -1
         self._arrived: dict[str, array[float]] = {name: array("d") for name in self.world.names}
-        """Messages that have reached each vehicle. UAV: tick, tick of the look, p_delta; UGV: tick, time, p_delta, error."""
+        """Messages that have reached each vehicle. UAV: tick, tick of the look, p_delta; UGV: tick, time, p_delta,
+        error.
+        """
 
     @property
     def commands(self) -> FloatArray:
@@ -411,8 +413,12 @@ class Flight:
             self.first_missing = tick
 
     def _check_bound(self, name: str, command: Command) -> None:
-        """Count a command that the bound of (1) shortens, and tell of the first: its units may be wrong."""
-        size, bound = math.hypot(*command.acceleration), self._bounds[name]
+        """Count a command of which the bound of (1) shortens anything, and tell of the first; units may be wrong."""
+        asked, bound = [command.acceleration], self._bounds[name]
+        if isinstance(command, UavCommand):
+            for motion in command.motions:
+                asked += (motion.acceleration, motion.turning, motion.braking)
+        size = max(math.hypot(x, y) for x, y in asked)
         if size <= bound * (1.0 + _ROUNDING):
             return
         self.shortened[name] += 1

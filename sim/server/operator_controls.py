@@ -19,7 +19,7 @@ _LONGEST = 500
 """Letters of a text on the bus."""
 
 MakePace = Callable[[float | None], Pace]
-"""How time goes on at a factor; None is lockstep."""
+"""The course of time at a factor; None is lockstep."""
 
 
 class OperatorControls:

@@ -14,8 +14,7 @@ _LOOK_AROUND = 0.2
 _GRACE = 0.3
 """A vehicle is only gone if it has been for so long [s] while the router was there.
 
-A router that dies takes all tokens with
-it, and Zenoh may tell of those first."""
+A router that dies takes all tokens with it, and Zenoh may tell of those first."""
 _NAP = 0.05
 """Longest sleep of the clock in one piece [s]."""
 _BEHIND = 1.0

@@ -158,12 +158,15 @@ class Recorder:
                 numbers += escort
                 if not math.isnan(escort[_CERTIFIED]):
                     numbers[_CERTIFIED - len(escort)] = int(escort[_CERTIFIED])
+            if self._told.size:
+                numbers += self._told[k, self._world.escorts[:, 0], :2].ravel().tolist()
             yield [k, k * dt, *("" if math.isnan(number) else number for number in numbers)]
 
     def write(self, path: Path) -> None:
         """Write the trajectory as CSV with a header that carries the units.
 
-        Numbers survive exactly, none is an empty field.
+        Numbers survive exactly, none is an empty field. Only where wind or a wrong own position may take a UAV from
+        where it is told that it is, the last columns tell that.
         """
         header = ["tick", "time [s]"]
         for name in self._world.names:
@@ -176,6 +179,9 @@ class Recorder:
             header += [f"{uav.name}.{field}" for field in ("detected_x [m]", "detected_y [m]")]
             header += [f"{uav.name}.{field}" for field in ("estimate_x [m]", "estimate_y [m]")]
             header += [f"{uav.name}.{field}" for field in ("certified", "certified_distance [m]")]
+        if self._told.size:
+            for uav in self._world.uavs:
+                header += [f"{uav.name}.{field}" for field in ("told_x [m]", "told_y [m]")]
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(header)

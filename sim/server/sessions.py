@@ -38,7 +38,8 @@ class Slot:
     briefings: Outbox
     observations: Outbox
     sessions: dict[int, int] = field(default_factory=dict)
-    """Places of those that are there, in the order in which they came, and how often each place had been taken by then."""
+    """Places of those that are there, in the order in which they came, and how often each place had been taken by then.
+    """
     owed: int | None = None
     """First tick of the past that the holder has yet to be told; None once it is briefed."""
     newest: int = -1

@@ -85,10 +85,9 @@ class Egocentric(Transformation):
     """The vehicle's own frame: the origin at the vehicle, x along its velocity, y to the left.
 
     While it is slower than `rest` its last heading stays, at the start of an episode east. Rows become `UavBodyRow` and
-    `UgvBodyRow`, a `GradientCue` behind them is turned. Actions are accelerations [m/s²] in this frame, by the
-    heading of the
-    last observation, and are turned into the world frame. The coverage picture turns along: columns ahead, rows to
-    the left, each pixel the nearest one of the environment's picture, and 1 where that has none.
+    `UgvBodyRow`, a `GradientCue` behind them is turned. Actions are accelerations [m/s²] in this frame, by the heading
+    of the last observation, and are turned into the world frame. The coverage picture turns along: columns ahead, rows
+    to the left, each pixel the nearest one of the environment's picture, and 1 where that has none.
 
     A turned action keeps its length and may leave the square of the action space: the world shortens it to u_max,
     as always.

@@ -11,13 +11,10 @@ from outrider.envs.observations.transformation import Array, EachArray, Part, in
 class Normalized(EachArray):
     r"""Every entry scaled by its bounds to [-1, 1].
 
-    With both bounds, $y = (x - m) / h$ with their middle m and half their distance h, or 0 where they are the
-    same. Without
-    any, $y = x / (s + |x|)$: 0 at 0, ±1/2 at ±s, never beyond ±1. With one, the distance d from it, $y = d / (s +
-    d)$ from 0
-    to 1 brought to [-1, 1]. A coverage picture lies in [0, 1] already, and a picture of bytes is what networks for
-    images
-    take: both keep their values, and the first gets the type.
+    With both bounds, $y = (x - m) / h$ with their middle m and half their distance h, or 0 where they are the same.
+    Without any, $y = x / (s + |x|)$: 0 at 0, ±1/2 at ±s, never beyond ±1. With one, the distance d from it, $y = d / (s
+    + d)$ from 0 to 1 brought to [-1, 1]. A coverage picture lies in [0, 1] already, and a picture of bytes is what
+    networks for images take: both keep their values, and the first gets the type.
 
     Args:
         scale: s, half way to the end for entries without a bound [the entry's unit]: by default about r_v.

@@ -21,9 +21,8 @@ class History(EachArray):
 
     At the start of an episode the first one stands for those before it.
 
-    Concatenated as SuperSuit's `frame_stack` does: rows (9,) to (length * 9,), pictures (pixels, pixels) to
-    (pixels, pixels, length), images along their channels. With `new_axis` stacked along a new first axis (length,
-    ...), as
+    Concatenated as SuperSuit's `frame_stack` does: rows (9,) to (length * 9,), pictures (pixels, pixels) to (pixels,
+    pixels, length), images along their channels. With `new_axis` stacked along a new first axis (length, ...), as
     Gymnasium's `FrameStackObservation` does. (SuperSuit fills the start with zeros; this repeats, as Gymnasium does.)
 
     Args:

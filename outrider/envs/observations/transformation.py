@@ -1,8 +1,7 @@
 """Transformations of observations.
 
-An observation is a row of `bus.layout`, or a dictionary of `row` and `coverage`; in a batch the worlds are leading
-axes of every
-array. A transformation is bound to the space of a single observation by `space`, and may have a memory of each
+An observation is a row of `bus.layout`, or a dictionary of `row` and `coverage`; in a batch the worlds are leading axes
+of every array. A transformation is bound to the space of a single observation by `space`, and may have a memory of each
 world's episode: `begin` starts it, `apply` goes on by one tick.
 """
 
@@ -142,7 +141,7 @@ class EachArray(Transformation):
 
 
 def channel_axis(channels: Channels) -> int:
-    """Where the channel is among the last three axes."""
+    """The place of the channel among the last three axes."""
     if channels not in {"last", "first"}:
         raise ValueError(f"channels = {channels!r}; allowed: 'last', 'first'")
     return -1 if channels == "last" else -3

@@ -2,10 +2,9 @@
 
 The project's own world and links, the UAV's filter, and adversaries in everything else.
 
-The adversary knows the truth and the code. It is the inner control, the UGV, the errors of the detections, which
-of them are made
-at all, and what becomes of commands. Everything is drawn from the seed and the run's number, so any run can be
-flown again alone.
+The adversary knows the truth and the code. It is the inner control, the UGV, the errors of the detections, which of
+them are made at all, and what becomes of commands. Everything is drawn from the seed and the run's number, so any run
+can be flown again alone.
 """
 
 import itertools
@@ -101,13 +100,14 @@ UGVS = ("flees", "straight", "random", "turns", "dodges", "ambush", "still")
 ERRORS = ("ball", "sphere", "alternating", "constant", "hides", "none")
 BLACKOUTS = ("none", "periodic", "random", "when_far")
 AREAS = ("open", "corner", "small")
-"""Where it is flown: so large that nobody meets a wall; from a corner of that.
+"""The area in which it is flown: so large that nobody meets a wall; from a corner of that.
 
 In a room of 9 m by 7 m, at the paper's radius.
 """
 WINDS = ("outward", "constant", "random", "pumping", "turns", "flips")
-"""Where wind and own position drive the UAV: away from the UGV; one way; another way now and then; the way that it is going,
-off its reference; the way that it accelerates; towards the UGV while that is detected, and then away."""
+"""The way in which wind and own position drive the UAV: away from the UGV; one way; another now and then; the way it is
+going, off its reference; the way that it accelerates; towards the UGV while that is detected, and then away.
+"""
 DISTURBANCES = ("none", "single_losses", "silences", "late", "law_changes", "rejoins")
 """The disturbances that break A5 now and then: a command that is lost; none for up to `silence`.
 
@@ -172,7 +172,7 @@ class Conditions(NamedTuple):
     outage: float = 0.0
     """Longest time from the beginning of a motion to that of the next, B; 0: commands carry no motions."""
     losses: int = 0
-    """Which motions are lost, an index of `LOSSES`; never more than B allows."""
+    """The motions that are lost, an index of `LOSSES`; never more than B allows."""
     wind: float = 0.0
     """Largest acceleration of the wind, W [m/s²]."""
     own_error: float = 0.0
@@ -180,15 +180,15 @@ class Conditions(NamedTuple):
     gains: tuple[float, float] = (1.0, 2.0)
     """Of the inner loop, k_p [1/s²] and k_d [1/s]; its reserve is just what it needs."""
     jumps: float = 0.0
-    """How far the UAV is off what it is told, anywhere at any tick, without an inner loop [m]; 0: with one."""
+    """The UAV's distance from what it is told, anywhere at any tick, without an inner loop [m]; 0: with one."""
     blows: int = ANY
-    """How wind, own position and jumps are directed, an index of `WINDS`."""
+    """The direction of wind, own position and jumps, an index of `WINDS`."""
     radius: float = 0.0
     """Of the laws that switch [m]."""
     r_v: float = 4.75
     """Visibility radius [m]."""
     area: int = 0
-    """Where, an index of `AREAS`."""
+    """The area, an index of `AREAS`."""
 
 
 @compiled
@@ -311,7 +311,7 @@ def _push(
     held: FloatArray,
     acting: FloatArray,
 ) -> tuple[float, float]:
-    """Where wind and own position drive the UAV, a unit vector.
+    """The way in which wind and own position drive the UAV, a unit vector.
 
     Args:
         kind: An index of `WINDS`.
@@ -488,13 +488,11 @@ def fly_one(
         work: Room for what the adversaries remember, for two states and the commands of the last ticks. (6 + _RING, 10)
         random: State of the adversary's draws. (1,)
         ticks: Length of the run.
-        result: Filled: largest distance [m]; largest d - d_cert [m]; share of ticks with an intervention, and of
-            those since the
-            first detection arrived the share uncertified; mean distance [m]; largest age of the newest detection
-            [s]; ticks
-            certified with a distance of r_v or more at them or, if the right command acted, until the next; ticks
-            at which the
-            certificate is lost although its assumptions hold; largest distance while certified [m]. Shape (RESULTS,).
+        result: Filled: largest distance [m]; largest d - d_cert [m]; share of ticks with an intervention, and of those
+            since the first detection arrived the share uncertified; mean distance [m]; largest age of the newest
+            detection [s]; ticks certified with a distance of r_v or more at them or, if the right command acted, until
+            the next; ticks at which the certificate is lost although its assumptions hold; largest distance while
+            certified [m]. Shape (RESULTS,).
     """
     c, p, w, sent = conditions, promise, tables.world[0], s.sent[0]
     dt, u_a, v_a, v_g = p.dt, p.u_a, p.v_a, p.v_g
@@ -756,7 +754,7 @@ def _inner_loop(conditions: Conditions, dt: float) -> Tracking:
 
 
 def farthest_off(conditions: Conditions, dt: float) -> float:
-    """How far the UAV is off what it is told at most, w [m]; at a tick of dt [s]."""
+    """The UAV's largest distance from what it is told, w [m]; at a tick of dt [s]."""
     c = conditions
     if c.jumps:
         return c.jumps
@@ -900,8 +898,7 @@ _OTHER_BOUNDS = (
 )
 """Vehicles and ticks unlike the paper's: short and long ticks.
 
-A UGV up to 0.99 as fast as the UAV, which only a large radius can
-certify; fast vehicles."""
+A UGV up to 0.99 as fast as the UAV, which only a large radius can certify; fast vehicles."""
 
 
 def _networks() -> Iterator[Conditions]:

@@ -22,9 +22,8 @@ CONTROLS = {
 }
 """Guards that are known to be wrong.
 
-Beyond the specification's radius of d_cert tracking (15), or full speed to the detection
-with the least bound; full speed to the newest one beyond a radius that does not know the delay; the paper's law
-(18)."""
+Beyond the specification's radius of d_cert tracking (15), or full speed to the detection with the least bound; full
+speed to the newest one beyond a radius that does not know the delay; the paper's law (18)."""
 
 _CHUNK = 8
 """Runs of a task, after the first round with one for each combination."""
@@ -260,4 +259,7 @@ def again(found: Attacked, seed: int) -> str:
     )
     conditions = f"c = a.Conditions({told})"
     bounds = "".join(f", {name}={value!r}" for name, value in found.bounds.items())
-    return f"{conditions}; a.attack(a.declared(c, {found.eps!r}{bounds}), c, {seed}, {found.worst_run}, 1, {found.duration!r})[0]"
+    return (
+        f"{conditions}; a.attack(a.declared(c, {found.eps!r}{bounds}), c, {seed}, {found.worst_run}, 1, "
+        f"{found.duration!r})[0]"
+    )

@@ -14,7 +14,7 @@ _GOLDEN, _MIX_1, _MIX_2 = (
 
 @compiled
 def next_share(state: npt.NDArray[np.uint64]) -> float:
-    """A number in [0, 1) by splitmix64 (Steele, Lea, Flood 2014); a draw of Philox for each would take most of the time."""
+    """A number in [0, 1) by splitmix64 (Steele, Lea, Flood 2014); draws of Philox would take most of the time."""
     state[0] += _GOLDEN
     z = state[0]
     z = (z ^ (z >> np.uint64(30))) * _MIX_1

@@ -20,7 +20,7 @@ from sim.scenario.checks import check_scenario
 from sim.scenario.types import Scenario
 
 _SHARE, _LEAST = 100, 32
-"""Where both engines are used, one run in so many is a whole flight, and not fewer than so many are."""
+"""With both engines, one run in so many is a whole flight, and not fewer than so many are."""
 _SHARE_OF_TIME = 1.0 / 3.0
 
 

@@ -33,7 +33,7 @@ _GAP = 10.0
 """Longest time between two blackouts [s]."""
 _MOST_BLACKOUTS = 1000
 _COVERED_MOST = 10.0
-"""How far the covered ground reaches from the UGV's start at most [m]."""
+"""The largest reach of the covered ground from the UGV's start [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -81,12 +81,10 @@ def pair(scenario: Scenario) -> tuple[Uav, Ugv]:
 def base_of(scenario: Scenario, limits: SearchLimits) -> Scenario:
     """The scenario that every candidate starts from.
 
-    What the scenario declares of its detections for the law `certified` is kept; what it leaves open is declared
-    as these limits
-    need it. The delay of the commands must be what is declared, not less: left open, it is that of the candidate's
-    link. Where
-    that delay may exceed `hold`, `hold` is raised with it: a vehicle whose commands are too old when they arrive
-    only brakes.
+    What the scenario declares of its detections for the law `certified` is kept; what it leaves open is declared as
+    these limits need it. The delay of the commands must be what is declared, not less: left open, it is that of the
+    candidate's link. Where that delay may exceed `hold`, `hold` is raised with it: a vehicle whose commands are too old
+    when they arrive only brakes.
 
     Raises:
         ScenarioError: If the scenario has more than one pair, or within these limits nothing can be certified.

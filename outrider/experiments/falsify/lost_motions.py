@@ -1,7 +1,7 @@
 """The adversary of commands that carry motions: it knows the protocol, and loses what hurts for as long as A5' allows.
 
-It decides for each motion, and not for each command: that commands repeat motions only makes more of them arrive. What it
-lets through may come early, twice, and overtake; that is the link's.
+It decides for each motion, and not for each command: that commands repeat motions only makes more of them arrive. What
+it lets through may come early, twice, and overtake; that is the link's.
 """
 
 from typing import NamedTuple
@@ -16,11 +16,12 @@ LOSSES = ("none", "random", "when_far", "at_a_plans_end", "whenever_it_may", "ev
 """When the first motion of a chain is lost, and those after it that would begin the next chain."""
 
 ALIVE = -1.0
-"""What the adversary remembers while the vehicle flies what is sent; else the tick of the first motion that was lost."""
+"""The adversary's memory while the vehicle flies what is sent; else the tick of the first motion that was lost.
+"""
 
 
 class Pending(NamedTuple):
-    """What the adversary sees of the motion that sets out."""
+    """The adversary's view of the motion that sets out."""
 
     tick: int
     """Now."""
@@ -31,7 +32,7 @@ class Pending(NamedTuple):
     share: float
     """The distance as a share of r_v."""
     left: int
-    """How long the plan that it carries still moves the UAV [ticks]."""
+    """The time for which the plan that it carries still moves the UAV [ticks]."""
 
 
 @compiled
@@ -53,8 +54,8 @@ def loses(
 ) -> tuple[bool, float]:
     """Decide whether the motion of this tick is lost, so that the next one begins within B all the same.
 
-    After a motion is lost, a new chain begins every tau_c + 1 ticks, until the first motion of one arrives: c chains later
-    a motion begins c (tau_c + 1) + 1 ticks after the last. What is sent in between is void.
+    After a motion is lost, a new chain begins every tau_c + 1 ticks, until the first motion of one arrives: c chains
+    later a motion begins c (tau_c + 1) + 1 ticks after the last. What is sent in between is void.
 
     Args:
         kind: An index of `LOSSES`.

@@ -22,7 +22,8 @@ from sim.channel.recorded import Fates, RecordedLink, recording_of
 from sim.kernels.compile import FloatArray, compiled
 
 _LEVELS: FloatArray = 1.0 - 10.0 ** (-3.0 * (np.arange(400, dtype=np.float64) + 0.5) / 400.0)
-"""Shares at which quantiles are compared: from the least to the longest but one in a thousand, each power of ten alike."""
+"""Shares at which quantiles are compared: from the least to the longest but one in a thousand, each power of ten alike.
+"""
 _SHORTEST = 1e-3
 """Waits that are shorter count as this long [s]: no tick notices them."""
 _STEADY = 1e-6
@@ -54,7 +55,7 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True):
     profiles: dict[str, float]
     """Factors of all profiles, the nearest first."""
     notes: list[str]
-    """Where the recorded link is of a kind that cannot be drawn."""
+    """The traits of the recorded link that cannot be drawn."""
     toml: str
     """The settings as a scenario writes them."""
 
@@ -144,7 +145,10 @@ def _notes(recorded: RecordedLink, sample: Sample) -> Iterator[str]:
     else:
         times = recording.times
         capacity = 12.0 * len(times) / float(times[-1])  # 1,500 bytes a line
-        yield f"{capacity:.3g} Mbit/s on average; longest time without an opportunity {int(np.diff(times).max(initial=0))} ms"
+        yield (
+            f"{capacity:.3g} Mbit/s on average; longest time without an opportunity "
+            f"{int(np.diff(times).max(initial=0))} ms"
+        )
 
 
 def _rounded(settings: LinkSettings) -> LinkSettings:

@@ -1,4 +1,4 @@
-"""How well drawn links fit a recorded one, as a picture: delays, bursts of loss, and what a receiver notices of both."""
+"""The fit of drawn links to a recorded one as a picture: delays, bursts of loss, and what a receiver sees of both."""
 
 from pathlib import Path
 
@@ -107,7 +107,7 @@ def _beyond(axes: Axes, values: FloatArray, look: dict[str, object]) -> None:
 
 
 def _bursts(axes: Axes, sample: Sample, look: dict[str, object]) -> None:
-    """How often per hour bursts of each length or longer come."""
+    """The number of bursts per hour of each length or longer."""
     lengths = np.sort(sample.bursts) * sample.interval
     if not lengths.size:
         return

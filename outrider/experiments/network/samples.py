@@ -1,4 +1,4 @@
-"""What became of messages that were sent at equal times: over a recorded link, or over one that is drawn."""
+"""The fates of messages sent at equal times: over a recorded link, or over one that is drawn."""
 
 import math
 from typing import NamedTuple
@@ -46,7 +46,7 @@ class Sample(NamedTuple):
 
     @property
     def bursts(self) -> IntArray:
-        """How many messages were lost in a row, each time that any were."""
+        """The number of messages lost in a row, each time that any were."""
         gone = np.isnan(self.delay).astype(np.int8)
         edges = np.diff(np.concatenate([[0], gone, [0]]))
         lengths: IntArray = np.flatnonzero(edges < 0) - np.flatnonzero(edges > 0)

@@ -22,7 +22,8 @@ COLUMNS = (
     "median margin [m]",
     "mean e(t) [m²]",
     "age of detections [s]",
-    "arrived",
+    "detections arrived",
+    "commands arrived",
     "certified",
     "certified while lost",
     "certificate broken",
@@ -54,7 +55,8 @@ def cells_of(law: str, cell: Cell) -> list[str]:
     """A row of the table: the texts under `COLUMNS`."""
     runs = f"{len(cell.flown)}" + (f" (+{cell.failed} failed)" if cell.failed else "")
     rate, found = cell.rate(), cell.numbers("margin")
-    arrived, certified = cell.numbers("detections_delivery_ratio"), cell.numbers("certified_share")
+    certified = cell.numbers("certified_share")
+    arrived = [cell.numbers(f"{kind}_delivery_ratio") for kind in ("detections", "commands")]
     return [
         law,
         runs,
@@ -64,7 +66,7 @@ def cells_of(law: str, cell: Cell) -> list[str]:
         f"{median(found):.2f}" if found else "-",
         _mean(cell.numbers("mean_error")),
         _mean(cell.numbers("detections_mean_age"), 2),
-        _percent(fmean(arrived)) if arrived else "-",
+        *(_percent(fmean(shares)) if shares else "-" for shares in arrived),
         f"{100.0 * fmean(certified):.4g} %" if certified else "-",
         *(
             _count(cell.numbers(name)) if certified else "-"
@@ -99,31 +101,29 @@ def rows_of(panel: Panel) -> Iterator[tuple[str, list[str]]]:
 
 def holds(panel: Panel, law: str) -> tuple[str, bool]:
     """Up to which value no run of a law lost the UGV, in words, and whether that is all of them."""
-    kept = None
     flown = [value for value in panel.values if panel.cell(law, value).flown]
     if not flown:
         return "-", False
-    for value in flown:
-        cell = panel.cell(law, value)
-        if cell.violated:
-            promised = (
-                ""
-                if any(row["violated"] for row in cell.certified)
-                or not cell.numbers("certified_share")
-                else _UNPROMISED
-            )
-            if kept is None:
-                return (
-                    f"broken at {value_of(panel.field, value)}" if panel.field else "broken"
-                ) + promised, False
-            return (
-                f"to {value_of(panel.field, kept)}, broken at {value_of(panel.field, value)}{promised}",
-                False,
-            )
-        kept = value
-    return (
-        f"to {value_of(panel.field, kept)}, all that was tried" if panel.field else "holds"
-    ), True
+    broken = [value for value in flown if panel.cell(law, value).violated]
+    if not broken:
+        if not panel.field:
+            return "holds", True
+        last = f"to {value_of(panel.field, flown[-1])}" if panel.ordered else "over each"
+        return f"{last}, all that was tried", True
+    cells = [panel.cell(law, value) for value in (broken[:1] if panel.ordered else broken)]
+    unpromised = all(
+        cell.numbers("certified_share") and not any(row["violated"] for row in cell.certified)
+        for cell in cells
+    )
+    promised = _UNPROMISED if unpromised else ""
+    if not panel.field:
+        return f"broken{promised}", False
+    if not panel.ordered:
+        names = ", ".join(value_of(panel.field, value) for value in broken)
+        return f"broken over {names if len(broken) < len(flown) else 'each'}{promised}", False
+    kept = flown[: flown.index(broken[0])]
+    until = f"to {value_of(panel.field, kept[-1])}, " if kept else ""
+    return f"{until}broken at {value_of(panel.field, broken[0])}{promised}", False
 
 
 def markdown(material: Material) -> str:
@@ -232,7 +232,10 @@ def _caution(material: Material) -> str:
     if not fewest:
         return "No run was flown to its end."
     rate = _percent(wilson_interval(0, fewest)[1])
-    return f"None of {fewest} runs, the fewest at a value, still allows a rate of up to {rate} (95 %): the intervals are below."
+    return (
+        f"None of {fewest} runs, the fewest at a value, still allows a rate of up to {rate} (95 %): the "
+        "intervals are below."
+    )
 
 
 def page(material: Material, pictures: dict[str, Path], command: str) -> str:
@@ -251,7 +254,8 @@ def page(material: Material, pictures: dict[str, Path], command: str) -> str:
         f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>{escape(title)}</title><style>{look}</style>",
         f"<h1>{escape(title)}</h1>",
-        '<p class="muted">The promise: the UAV never loses sight of the UGV, ‖p_a − p_g‖ &lt; r_v. Here is what it stands.</p>',
+        '<p class="muted">The promise: the UAV never loses sight of the UGV, ‖p_a − p_g‖ &lt; r_v. Here is what '
+        "it stands.</p>",
         *_facts(material),
     ]
     if material.missing:
@@ -260,14 +264,16 @@ def page(material: Material, pictures: dict[str, Path], command: str) -> str:
         )
     parts += [
         "<h2>How far each law keeps the promise</h2>",
-        f"<p>The largest value up to which no run lost sight of the UGV. {_caution(material)} {certified_runs(material)}</p>",
+        f"<p>The largest value up to which no run lost sight of the UGV. {_caution(material)} "
+        f"{certified_runs(material)}</p>",
         *_overview(material),
     ]
     for name, path in pictures.items():
         image = base64.b64encode(path.read_bytes()).decode()
         caption = CAPTIONS[name]
         parts.append(
-            f'<figure><img alt="{name}" src="data:image/png;base64,{image}"><figcaption>{escape(caption)}</figcaption></figure>'
+            f'<figure><img alt="{name}" '
+            f'src="data:image/png;base64,{image}"><figcaption>{escape(caption)}</figcaption></figure>'
         )
     parts += [
         "<h2>All numbers</h2>",

@@ -1,6 +1,7 @@
 """Names of a scenario's fields on an axis, with units."""
 
 import math
+from pathlib import PurePath
 
 _LINK = {
     "delay": ("delay", "s"),
@@ -16,6 +17,7 @@ _LINK = {
     "reorder": ("share held back", "%"),
     "reorder_delay": ("time held back", "s"),
     "bandwidth": ("bandwidth", "1/s"),
+    "trace": ("recording", ""),
 }
 _FIELDS = {
     "dt": ("length of a tick", "s"),
@@ -28,6 +30,8 @@ _FIELDS = {
     "coverage.desired": ("desired coverage C*", ""),
     "sensor.range": ("range of the sensor", "m"),
     "area.cell": ("cell of the grid", "m"),
+    "links.profile": ("profile", ""),
+    "wind.gust": ("gusts of the wind per axis", "m/s²"),
     "law.speed_gain": ("speed gain k_v", ""),
     "law.weight_gain": ("weight gain k_β", ""),
     "law.circle_rate": ("rate of the circle", "rad/s"),
@@ -75,7 +79,8 @@ def tick_of(field: str, value: object) -> str:
     if value is None:
         return "none"
     if isinstance(value, bool) or not isinstance(value, int | float):
-        return str(value).lower() if isinstance(value, bool) else str(value)
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        return PurePath(text).stem if field.endswith(".trace") else text
     return number(100.0 * value if _named(field)[1] == "%" else float(value))
 
 

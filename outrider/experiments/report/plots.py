@@ -30,6 +30,8 @@ _PANEL = (520, 400)
 _HEADER, _KEY_LINE = 84, 24
 """Of a panel, above them all, and of each further line of the legend [px]."""
 _KEYS_A_LINE = 6
+_MOST_LETTERS = 40
+"""Of words that stand side by side below a panel; more are turned."""
 
 Draw = Callable[[Axes, Panel, "list[float]", float], None]
 
@@ -37,12 +39,8 @@ Draw = Callable[[Axes, Panel, "list[float]", float], None]
 def positions(panel: Panel) -> tuple[list[float], float]:
     """Places of the values on the axis, and the smallest gap between two."""
     values = panel.values
-    numbers = [
-        float(value)
-        for value in values
-        if isinstance(value, int | float) and not isinstance(value, bool)
-    ]
-    if len(numbers) == len(values) > 1:
+    if panel.ordered and len(values) > 1:
+        numbers = [float(value) for value in values]
         gap = min(b - a for a, b in pairwise(numbers))
         if gap > 0.0 and (numbers[-1] - numbers[0]) / gap <= _UNEVEN:
             return numbers, gap
@@ -60,7 +58,8 @@ def _dress(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
             labels[k] = ""
         else:
             drawn.append(x)
-    axes.set_xticks(where, labels)
+    crowded = not panel.ordered and sum(len(label) + 2 for label in labels) > _MOST_LETTERS
+    axes.set_xticks(where, labels, rotation=20 if crowded else 0)
     axes.grid(visible=False, axis="x")
 
 
@@ -126,13 +125,14 @@ def violations(material: Material) -> Figure:
             ]
             found = [(x, *rate) for x, rate in rates if rate is not None]
             color = style.law_color(law)
-            axes.plot(
-                [row[0] for row in found],
-                [row[1] for row in found],
-                color=color,
-                linewidth=1.0,
-                alpha=0.45,
-            )
+            if panel.ordered:
+                axes.plot(
+                    [row[0] for row in found],
+                    [row[1] for row in found],
+                    color=color,
+                    linewidth=1.0,
+                    alpha=0.45,
+                )
             for x, _, low, high in found:
                 axes.plot([x, x], [low, high], color=color, linewidth=2.2, alpha=0.5)
             axes.plot(
@@ -227,16 +227,23 @@ def margins(material: Material) -> Figure:
     )
 
 
-def _band(axes: Axes, xs: list[float], found: list[list[float]], color: str, mark: str) -> None:
-    """Means with their 95 % interval as a band; values without numbers are left out."""
+def _band(
+    axes: Axes, panel: Panel, xs: list[float], found: list[list[float]], color: str, mark: str
+) -> None:
+    """Means with their 95 % interval as a band, or as bars where nothing lies between the values, which have no order.
+
+    Values without numbers are left out.
+    """
     points = [(x, *mean_interval(numbers)) for x, numbers in zip(xs, found, strict=True) if numbers]
     if not points:
         return
     x, mean, low, high = zip(*points, strict=True)
-    axes.fill_between(x, low, high, color=color, alpha=0.18, linewidth=0.0)
-    axes.plot(x, mean, color=color, marker=mark, markersize=4.0)
-    if len(points) == 1:
-        axes.plot([x[0], x[0]], [low[0], high[0]], color=color, linewidth=2.2, alpha=0.5)
+    if len(points) > 1 and panel.ordered:
+        axes.fill_between(x, low, high, color=color, alpha=0.18, linewidth=0.0)
+        axes.plot(x, mean, color=color, marker=mark, markersize=4.0)
+        return
+    axes.vlines(x, low, high, color=color, linewidth=2.2, alpha=0.5)
+    axes.plot(x, mean, color=color, marker=mark, markersize=4.0, linestyle="")
 
 
 def errors(material: Material) -> Figure:
@@ -250,10 +257,17 @@ def errors(material: Material) -> Figure:
     top = 1.25 * max([*means, 1.0])
 
     def draw(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
-        del gap
-        for law in panel.laws:
+        for number, law in enumerate(panel.laws):
+            aside = 0.0 if panel.ordered else _aside(panel, number, gap)
             found = [panel.cell(law, value).numbers("mean_error") for value in panel.values]
-            _band(axes, where, found, style.law_color(law), style.law_mark(law))
+            _band(
+                axes,
+                panel,
+                [x + aside for x in where],
+                found,
+                style.law_color(law),
+                style.law_mark(law),
+            )
         axes.set_ylim(0.0, top)
 
     keys = [
@@ -288,8 +302,9 @@ def ages(material: Material) -> Figure | None:
     )
 
     def draw(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
-        del gap
-        for kind, (color, mark) in kinds.items():
+        for number, (kind, (color, mark)) in enumerate(kinds.items()):
+            aside = 0.0 if panel.ordered else 0.3 * gap * (number - 0.5)
+            places = [x + aside for x in where]
             for column, line in (("mean_age", "-"), ("max_age", ":")):
                 found = [
                     [
@@ -300,15 +315,19 @@ def ages(material: Material) -> Figure | None:
                     for value in panel.values
                 ]
                 if line == "-":
-                    _band(axes, where, found, color, mark)
+                    _band(axes, panel, places, found, color, mark)
                 else:
                     points = [
                         (x, max(numbers))
-                        for x, numbers in zip(where, found, strict=True)
+                        for x, numbers in zip(places, found, strict=True)
                         if numbers
                     ]
                     axes.plot(
-                        *zip(*points, strict=True), color=color, linestyle=line, linewidth=1.2
+                        *zip(*points, strict=True),
+                        color=color,
+                        linewidth=1.2,
+                        linestyle=line if panel.ordered else "",
+                        marker="" if panel.ordered else "_",
                     )
         axes.set_yscale("symlog", linthresh=0.1, linscale=0.4)
         axes.set_yticks([0.0, 0.1, 1.0, 10.0, 100.0], ["0", "0.1", "1", "10", "100"])
@@ -333,12 +352,16 @@ def ages(material: Material) -> Figure | None:
 
 
 CAPTIONS = {
-    "violations": "Share of the runs in which the distance reached r_v at least once. Marks: what was counted; bars: Wilson's "
+    "violations": "Share of the runs in which the distance reached r_v at least once. Marks: what was counted; "
+    "bars: Wilson's "
     "95 % interval. Marks stand beside their value so that none hides another.",
-    "margins": "How near each run came to r_v. Thin line: all runs; thick bar: the middle half; white dot: the median. Below the "
+    "margins": "How near each run came to r_v. Thin line: all runs; thick bar: the middle half; white dot: the "
+    "median. Below the "
     "red line the UGV was out of sight; what lies deeper than the picture goes is marked at its lower edge.",
-    "errors": "e(t) of equation (4), averaged over the flight; low is good. Band: 95 % interval of the mean over the seeds.",
-    "ages": "Age of the newest detection that has reached the UAV's computer, and of the newest command that has reached the "
+    "errors": "e(t) of equation (4), averaged over the flight; low is good. Band: 95 % interval of the mean over "
+    "the seeds.",
+    "ages": "Age of the newest detection that has reached the UAV's computer, and of the newest command that has "
+    "reached the "
     "actuators. Solid: mean over flight and runs; dotted: the oldest seen in any run. "
     "Out of sight nothing is detected: where the UGV is lost for good, the age grows to the end of the flight.",
 }

@@ -75,6 +75,11 @@ class Panel:
         """Of the axis."""
         return label_of(self.field) if self.field else ""
 
+    @property
+    def ordered(self) -> bool:
+        """True if the values are numbers, so that one is more than another."""
+        return all(isinstance(v, int | float) and not isinstance(v, bool) for v in self.values)
+
     def cell(self, law: str, value: object) -> Cell:
         """The runs of a law at a value; empty where none are flown."""
         return self.cells.get((law, value), Cell())

@@ -64,7 +64,7 @@ class _Meter:
         self._desired, self._cell = float(scenario.coverage.desired), float(scenario.area.cell)
         self._known: dict[tuple[float, float], float] = {}
         self.in_sight: npt.NDArray[np.bool_] = np.ones(loop.worlds, dtype=np.bool_)
-        """Where sight has never been lost."""
+        """True where sight has never been lost."""
         self.seen: FloatArray = np.zeros(loop.worlds)
         """Sum over the ticks of the share that has been seen."""
         self.errors: FloatArray = np.zeros(loop.worlds)
@@ -180,10 +180,9 @@ def evaluate(
 
     $$ S = \frac{100}{N + 1} \sum_{k < k_{lost}} \left( 1 - \frac{e(t_k)}{e_0(t_k)} \right) $$
 
-    e is the paper's (4); e_0 is what it would be at this tick had no UAV seen anything, with the UGV where it is.
-    N is the number
-    of ticks that the task asks for, and k_lost the tick at which any UAV loses sight: from then on nothing counts
-    as seen.
+    e is the paper's (4); e_0 is what it would be at this tick had no UAV seen anything, with the UGV where it is. N is
+    the number of ticks that the task asks for, and k_lost the tick at which any UAV loses sight: from then on nothing
+    counts as seen.
 
     Args:
         task: What is flown.

@@ -38,7 +38,8 @@ RESULTS = {
     "certified_share": "double",  # of the ticks; none for a law without a safety filter
     "intervened_share": "double",
     "certified_while_lost": "int64",  # ticks, certified with the UGV out of sight; 0, or the certificate is wrong
-    "certificate_broken": "int64",  # ticks, not certified although the one before was and all assumptions held; likewise
+    # ticks, not certified although the one before was and all assumptions held; likewise
+    "certificate_broken": "int64",
     "trajectory_sha256": "string",
     "seconds": "double",  # wall time of the run
     "error": "string",  # why the run failed; none for one that did not

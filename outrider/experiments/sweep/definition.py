@@ -10,11 +10,10 @@ import msgspec
 from msgspec import Meta
 
 from bus.errors import ScenarioError
-from bus.files import read_regular
 from bus.messages import Text
-from sim.input.faults import Fault, near, one_line
+from sim.input.faults import Fault, one_line
 from sim.input.reading import parse_override, parse_toml, typed
-from sim.scenario.loading import FILE_RULE, MOST_BYTES, scenario_names
+from sim.scenario.loading import read_toml, scenario_names
 
 Seed = Annotated[int, Meta(ge=0, le=2**53 - 1)]
 
@@ -48,7 +47,7 @@ class Sweep(_Table, frozen=True, kw_only=True):
     laws: Annotated[tuple[Text, ...], Meta(min_length=1)] | None = None
     """The scenario's own where none is given."""
     seeds: Annotated[int, Meta(ge=1, le=1_000_000)] = 20
-    """How many: first_seed and those after it."""
+    """Their number: first_seed and those after it."""
     first_seed: Seed = 0
     set: dict[str, Any] = {}
     """Fields that are changed in all runs."""
@@ -159,19 +158,9 @@ def _read_file(source: str) -> tuple[str, Path | None]:
     if source in shipped:
         return shipped[source].read_text("utf-8"), None
     file = one_line(source) or "."
-    try:
-        return read_regular(Path(source), MOST_BYTES).decode("utf-8-sig"), Path(source).parent
-    except FileNotFoundError as error:
-        known = (*shipped, *scenario_names())
-        wrong = f"no such sweep, scenario or file{near(Path(source).stem, known)}"
-        raise ScenarioError(f"{file}: {wrong}; allowed: a TOML file, {', '.join(known)}") from error
-    except UnicodeDecodeError as error:
-        raise ScenarioError(
-            f"{file}: byte {error.start}: not UTF-8, {error.reason}; allowed: text in UTF-8"
-        ) from error
-    except (OSError, ValueError) as error:  # a ValueError: a NUL in the path
-        reason = one_line(str(getattr(error, "strerror", None) or error))
-        raise ScenarioError(f"{file}: cannot be read: {reason}; allowed: {FILE_RULE}") from error
+    known = (*shipped, *scenario_names())
+    allowed = f"a TOML file, {', '.join(known)}"
+    return read_toml(source, file, "sweep, scenario or file", known, allowed), Path(source).parent
 
 
 def _read(source: str) -> tuple[Sweep, str]:

@@ -61,7 +61,7 @@ class Plan:
         return {**named, "scenario": point.scenario.name, "version": self.version, **point.fields}
 
 
-def _value_of(raw: object, path: str) -> object:
+def _value_at(raw: object, path: str) -> object:
     """A field of a scenario given as plain tables; None where it has no such value."""
     for part in path.split("."):
         if isinstance(raw, dict):
@@ -71,6 +71,12 @@ def _value_of(raw: object, path: str) -> object:
         else:
             return None
     return raw
+
+
+def _value_of(raw: object, field: str, varied: dict[str, Any]) -> object:
+    """A field's value at a point; of one that no scenario keeps, as of a profile, the one that it was given."""
+    found = _value_at(raw, field)
+    return varied.get(field) if found is None else found
 
 
 def _kind(values: list[object]) -> str:
@@ -97,8 +103,10 @@ def _combinations(block: Block) -> Iterator[dict[str, Any]]:
         yield dict(zip(block.vary, values, strict=True))
 
 
-def _loaded(sweep: Sweep, told: Callable[[int, int], None]) -> Iterator[tuple[Block, Scenario]]:
-    """The scenario of every point, in order."""
+def _loaded(
+    sweep: Sweep, told: Callable[[int, int], None]
+) -> Iterator[tuple[Block, dict[str, Any], Scenario]]:
+    """The scenario of every point, in order, with what the sweep varies in it."""
     laws: tuple[str | None, ...] = sweep.laws or (None,)
     wanted = [
         (block, law, values)
@@ -116,7 +124,7 @@ def _loaded(sweep: Sweep, told: Callable[[int, int], None]) -> Iterator[tuple[Bl
         if outside is not None:
             wrong = f"the driver {outside!r} is another process; a sweep has none"
             raise ScenarioError(f"{one_line(sweep.scenario)}: {wrong}")
-        yield block, scenario
+        yield block, values, scenario
 
 
 def lay_out(
@@ -144,9 +152,11 @@ def lay_out(
     kinds = {field: _kind(values) for field, values in varied.items()}
     points: list[SweepPoint] = []
     warnings: dict[str, None] = {}
-    for block, scenario in _loaded(sweep, told):
+    for block, values, scenario in _loaded(sweep, told):
         raw = msgspec.to_builtins(scenario)
-        fields = {field: _as_column(_value_of(raw, field), kind) for field, kind in kinds.items()}
+        fields = {
+            field: _as_column(_value_of(raw, field, values), kind) for field, kind in kinds.items()
+        }
         points.append(
             SweepPoint(block=block.name, law=scenario.law.name, fields=fields, scenario=scenario)
         )

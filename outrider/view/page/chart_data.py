@@ -71,9 +71,8 @@ class Losses:
 class ChartData:
     """Rows of numbers over simulated time, thinned out as the run goes on.
 
-    A row is: time [s], real-time factor; x and y of each vehicle [m]; then for each escort the distance [m], e(t)
-    [m²], the
-    error of the estimate [m] and the age of its newest detection [s] (None without one), the share of detections
+    A row is: time [s], real-time factor; x and y of each vehicle [m]; then for each escort the distance [m], e(t) [m²],
+    the error of the estimate [m] and the age of its newest detection [s] (None without one), the share of detections
     lost lately, and 1 where there is a blackout.
 
     Args:

@@ -9,9 +9,9 @@ import math
 from enum import Enum
 
 FIRST = 0.7
-"""How long the first press counts [s]; longer than most keyboards take to begin repeating."""
+"""The time for which the first press counts [s]; longer than most keyboards take to begin repeating."""
 REPEAT = 0.4
-"""How much longer each repeat makes it [s]."""
+"""The time that each repeat adds [s]."""
 CHORD = 0.15
 """Two keys that go down within this time [s] are one diagonal."""
 STEP = 0.05

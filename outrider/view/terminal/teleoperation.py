@@ -18,11 +18,11 @@ _LOOK = 0.05
 _SEND, _SEND_FASTEST = 0.1, 0.02
 """Time between two messages to the vehicle [s], in real time and at most."""
 _HOLD = 0.5
-"""How long a message counts for a vehicle [s], simulated, unless the scenario says otherwise."""
+"""The time for which a message counts for a vehicle [s], simulated, unless the scenario says otherwise."""
 _ASK_AGAIN = 1.0
 """Time after which a control that shows no effect is sent anew [s]."""
 _SETTLE = 1.5
-"""How long the hand-back is waited for [s]."""
+"""The longest wait for the hand-back [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,7 +46,7 @@ class DriveView:
     wanted: tuple[float, float] | None = None
     """The velocity that is wanted [m/s]."""
     speed: float = 0.0
-    """How fast a pressed key drives [m/s]."""
+    """The speed that a pressed key asks for [m/s]."""
     fault: str = ""
 
     @property

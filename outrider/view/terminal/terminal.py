@@ -15,10 +15,9 @@ from bus.errors import ScenarioError
 from outrider.view.terminal.teleoperation import Teleoperation
 
 _GRACE, _PATIENCE = 2.0, 15.0
-"""How long the screen may take to close once all is handed back [s], after a signal and after a key.
+"""The time that the screen may take to close once all is handed back [s], after a signal and after a key.
 
-A terminal that has gone
-never does, one that has just told a key is slow at worst."""
+A terminal that has gone never does, one that has just told a key is slow at worst."""
 _LEAVE = b"\x1b[<u\x1b[?1049l\x1b[?25h\x1b[?1004l\x1b[?2004l\x1b[?7h"
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 

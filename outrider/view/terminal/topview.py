@@ -11,7 +11,7 @@ from outrider.view.terminal.teleoperation import DriveView
 from sim.scene.model import Scene
 
 _SHOWN = 1.35
-"""How many r_v the map reaches around the UGV."""
+"""The map's reach around the UGV, in r_v."""
 _KEPT = 400
 _TRAIL_STEP = 0.15
 """Distance between two points of a trail [m]."""

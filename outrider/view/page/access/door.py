@@ -99,5 +99,8 @@ def address_of(listening: socket.socket, admission: Admission) -> str:
     known = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)  # noqa: S104 - is told, not served
     address = f"http://{known}:{port}"
     if admission.ticket:
-        return f"{address}/?ticket={admission.ticket} (opens once; another browser asks for the token {admission.token})"
+        return (
+            f"{address}/?ticket={admission.ticket} (opens once; another browser asks for the token "
+            f"{admission.token})"
+        )
     return f"{address} to whoever has the token" if admission.token else address

@@ -40,9 +40,8 @@ _FIXED = {
 def page_policy(nonce: str) -> str:
     """Content-Security-Policy of the page.
 
-    'unsafe-eval' remains: NiceGUI's components are templates that Vue compiles in the browser, and its handlers
-    are text.
-    Scripts and styles in the page's text run by the nonce alone, so what finds its way into the text does not.
+    'unsafe-eval' remains: NiceGUI's components are templates that Vue compiles in the browser, and its handlers are
+    text. Scripts and styles in the page's text run by the nonce alone, so what finds its way into the text does not.
     """
     return (
         f"default-src 'none'; script-src 'self' 'nonce-{nonce}' 'unsafe-eval'; "

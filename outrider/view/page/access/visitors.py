@@ -1,11 +1,9 @@
 """The pages that NiceGUI has built: those that nobody opens go soon, and their memory goes back to the system.
 
-NiceGUI keeps what it has built for a browser until that has been away for a while; a page whose browser never
-opens its channel,
-as that of `curl`, takes 0.3 MB for a minute. What is deleted are rings of objects, which Python finds late in a
-process of this
-size, and the C library keeps their memory for later: what was taken at most stays taken, so that few may be there
-at once.
+NiceGUI keeps what it has built for a browser until that has been away for a while; a page whose browser never opens its
+channel, as that of `curl`, takes 0.3 MB for a minute. What is deleted are rings of objects, which Python finds late in
+a process of this size, and the C library keeps their memory for later: what was taken at most stays taken, so that few
+may be there at once.
 """
 
 import asyncio

@@ -28,7 +28,7 @@ class SourceState(msgspec.Struct, frozen=True, kw_only=True):
     """The state of a source."""
 
     level: str = ""
-    """How bad it is what `line` says: `bad`, `info`, or nothing."""
+    """The severity of `line`: `bad`, `info`, or nothing."""
     line: str = ""
     router: bool = True
     simulator: bool = True
