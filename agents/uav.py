@@ -17,6 +17,7 @@ from agents.control.laws import (
     law_parameters,
     number,
 )
+from agents.control.lookahead import Target
 from agents.control.orbit import Path, check_path
 from agents.control.promise import Promise
 from agents.control.telling import GroundTeller
@@ -47,6 +48,8 @@ _PATH_HORIZON = 600.0
 """The time that a path of one's own is checked ahead [s]: a pilot does not know how long the run will be."""
 
 _NOTHING_OWN = OwnTerms()
+
+_NO_TARGET = Target(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 _NO_LOOKS = np.zeros((0, 3))
 _NOWHERE = Motion(0.0, 0.0, 0.0, 0.0)
@@ -92,7 +95,7 @@ def _act(
     memory: UavMemory,
     seen: _Seen,
     own: OwnTerms,
-    target: tuple[bool, float, float],
+    target: Target,
 ) -> tuple[float, float, int, int, float]:
     """Both parts of the tick in one call: handing over the memory costs as much as either of them."""
     law, promise, arrived = laws[0], promises[0], seen.looks.shape[0]
@@ -174,7 +177,7 @@ class UavPilot:
         self._tick: int | None = None
         self._radio_ticks = radio_ticks(briefing.dt)
         self._take_on()
-        seen, target = _NOTHING_SEEN, (False, 0.0, 0.0)
+        seen, target = _NOTHING_SEEN, _NO_TARGET
         self._perceive = entry_point(_perceive, *self._fixed, seen)
         self._act = entry_point(_act, *self._fixed, seen, _NOTHING_OWN, target)
 
@@ -230,7 +233,7 @@ class UavPilot:
             self._fly(observation.law)
         looks = looks_of(observation.detections, self._briefing.dt)
         estimate = self._estimate(observation, looks)
-        target = (False, 0.0, 0.0) if estimate is None else (True, *estimate.position)
+        target = _NO_TARGET if estimate is None else self._target(estimate)
         own = self._own_terms(observation, estimate)
         acted = self._act(*self._fixed, self._seen(observation, looks), own, target)
         (u_x, u_y), verdict = acted[:2], None
@@ -258,6 +261,13 @@ class UavPilot:
         self.teller.note(observation.ground)
         return self.estimator.update(
             tick=observation.tick, own_position=observation.position, looks=looks
+        )
+
+    def _target(self, estimate: Estimate) -> Target:
+        """What the filter believes, as compiled code takes it."""
+        variance = estimate.covariance[0]
+        return Target(
+            True, *estimate.position, *estimate.velocity, variance, self.estimator.velocity_variance
         )
 
     def _seen(self, observation: UavObservation, looks: tuple[Look, ...]) -> _Seen:

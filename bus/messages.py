@@ -91,6 +91,10 @@ class Law(Message, frozen=True, kw_only=True):
     """r_pv of (25) [m]; None: the switching radius."""
     circle_rate: Coordinate = 0.1
     """omega_pv of (25) [rad/s]; negative is clockwise."""
+    horizon: Annotated[float, Meta(ge=0.5, le=60.0)] = 15.0
+    """How far the law `lookahead` looks ahead [s]; 0.5: one step."""
+    candidates: Annotated[int, Meta(ge=1, le=10_000)] = 800
+    """How many motions it compares every half second; 1: it flies motions drawn at random, one after the other."""
 
 
 class LinkKind(StrEnum):

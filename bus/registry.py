@@ -145,6 +145,15 @@ LAWS = _table(
         color="#d39b00",
         mark="P",
     ),
+    LawRow(
+        name="lookahead",
+        code=9,
+        about="the best of many motions for the next seconds, with the safety filter behind it",
+        covers=True,
+        watched=True,
+        color="#c0392b",
+        mark="X",
+    ),
 )
 """The laws by name, in the order in which tables and reports list them."""
 DEFAULT_LAW = "logarithmic"

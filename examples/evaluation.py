@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from bus.registry import DEFAULT_LAW, LAWS
@@ -18,6 +19,11 @@ from sim.scenario.types import Scenario
 
 BASELINES = tuple(law.name for law in LAWS.values() if law.compared and law.name != "tracking")
 """The laws beside which a learned UAV is put: all that look at the ground."""
+VARIANTS: Mapping[str, Mapping[str, float]] = {
+    "lookahead, one step": {"horizon": 0.5},
+    "lookahead, at random": {"candidates": 1},
+}
+"""The law `lookahead` with other parameters: without its horizon, and without comparing motions."""
 LEARNED, UNSHIELDED = "learned, in the filter", "learned, without it"
 FIRST_SEED = 900_001
 """Of the flights. Training begins with seeds far below, and goes on with seeds that are drawn from 2**53."""
@@ -89,10 +95,17 @@ Metrics = Mapping[str, FloatArray]
 
 
 def fly_law(
-    case: Case, law: str, seeds: Sequence[int], *, duration: float | None = None
+    case: Case,
+    law: str,
+    seeds: Sequence[int],
+    *,
+    parameters: Mapping[str, float] | None = None,
+    duration: float | None = None,
 ) -> Metrics:
-    """One of the paper's laws, or `certified`, in one flight for each seed."""
+    """A law, with parameters other than its own where they are given, in one flight for each seed."""
     scenario = case.load(duration)
+    chosen = msgspec.structs.replace(scenario.law, **(parameters or {}))
+    scenario = msgspec.structs.replace(scenario, law=chosen)
     (uav,), (ugv,) = scenario.uav, scenario.ugv
     pilots = {uav.name: law, ugv.name: case.driver}
     loop = ClosedLoop(scenario, len(seeds), pilots=pilots, error=True, end_on_sight_lost=False)
@@ -163,11 +176,15 @@ def evaluate(
         flown: dict[str, Metrics] = {
             law: fly_law(CASES[name], law, seeds, duration=duration) for law in BASELINES
         }
+        for pilot, parameters in VARIANTS.items():
+            flown[pilot] = fly_law(
+                CASES[name], "lookahead", seeds, parameters=parameters, duration=duration
+            )
         for pilot, shielded in ((LEARNED, True), (UNSHIELDED, False)):
             flown[pilot] = fly_policy(
                 CASES[name], LearnedPolicy.load(path), seeds, shielded=shielded, duration=duration
             )
-        guarded = {LEARNED, *(law.name for law in LAWS.values() if law.watched)}
+        guarded = {LEARNED, *VARIANTS, *(law.name for law in LAWS.values() if law.watched)}
         results += [
             _result(name, pilot, m, flown[DEFAULT_LAW], filtered=pilot in guarded)
             for pilot, m in flown.items()

@@ -168,7 +168,8 @@ def _compare_filters(state, pilots, estimate, case, fuses, where):
     if estimate is None:
         return
     assert (n[AGE] * case.dt, n[REFUSED]) == (estimate.age, estimate.refused), where
-    assert kalman_estimate(state) == (True, n[X], n[Y])
+    assert kalman_estimate(state) == (True, n[X], n[Y], n[V_X], n[V_Y], n[P_PP], n[P_VV])
+    _compare(np.array([n[P_VV]]), np.array([pilots.velocity_variance]), fuses, where)
     P = pilots.covariance.reshape(2, 2, 2, 2)
     assert not P[:, 0, :, 1].any()
     assert not P[:, 1, :, 0].any()

@@ -163,6 +163,8 @@ def test_the_table_is_the_same_twice_and_says_what_is_not_filtered(evaluation: M
     )
     assert {result.pilot for result in results if result.intervened is not None} == {
         "certified",
+        "lookahead",
+        *evaluation.VARIANTS,
         evaluation.LEARNED,
     }
     lines = evaluation.markdown(results).splitlines()

@@ -73,6 +73,7 @@ SCENARIOS: dict[str, Scenario] = {
             "logarithmic",
             "circle",
             "certified",
+            "lookahead",
         )
     },
     **{driver: small("certified", driver) for driver in ("wander", "script", "evade")},
@@ -137,6 +138,7 @@ CASES: dict[str, tuple[Scenario, str, dict[str, Any]]] = {
     "patch": (SCENARIO, "uav_0", {"coverage_patch": (7, 0.6)}),
     "late": (LATE_LOOKS, "uav_0", {}),
     "evade": (SCENARIOS["evade"], "uav_0", {}),
+    "lookahead": (SCENARIOS["lookahead"], "ugv_0", {"duration": 5.0}),
     "evade over a network": (SCENARIOS["network"], "uav_0", {"duration": 10.0}),
     "no end": (SCENARIO, "uav_0", {"end_on_sight_lost": False, "duration": 3.0}),
 }

@@ -1,7 +1,8 @@
 """The laws a UAV can fly, put together from the equations: one compiled function for all of them.
 
 It chooses by the code of a law's row in `bus.registry`, as compiled functions that are handed over would not be kept
-in the cache: a new law is a branch in `weights`, or in `uav_control` where it is more than a weighting.
+in the cache: a new law is a branch in `weights`, in `uav_control` where it is more than a weighting, or in
+`agents.control.uav_tick.uav_tick` where it needs more of the UGV than a place.
 """
 
 import math
@@ -19,9 +20,10 @@ from agents.control.coverage import (
     symmetry_breaker,
     velocity_error,
 )
+from agents.control.lookahead import STATE_SIZE as LOOKAHEAD_SIZE
 from agents.control.orbit import circle, orbit_control
 from agents.control.tracking import tracking_output, tracking_step
-from agents.control.visibility import raw_switching_radius, switching_radius
+from agents.control.visibility import promise_of, raw_switching_radius, switching_radius
 from agents.control.weighting import combine, linear_weights, logarithmic_weights, switching_weights
 from bus.errors import ScenarioError
 from bus.messages import Law, UavBriefing
@@ -40,12 +42,14 @@ CIRCLE = LAWS["circle"].code
 WEIGHTED = LAWS["weighted"].code
 PATH = LAWS["path"].code
 CERTIFIED = LAWS["certified"].code
+LOOKAHEAD = LAWS["lookahead"].code
 WATCHED = frozenset(row.code for row in LAWS.values() if row.watched)
 """Codes of the laws that the safety filter stands behind."""
 
-# Rows of the state: x_c (2), the held point of (7) (2), whether there is one.
+# Rows of the state: x_c (2), the held point of (7) (2), whether there is one; then those of `lookahead`.
 _X_C, _Q, _HELD = 0, 2, 4
-STATE_SIZE = 5
+LOOKAHEAD_STATE = 5
+STATE_SIZE = LOOKAHEAD_STATE + LOOKAHEAD_SIZE
 
 _ON_THE_SPOT = 1e-9
 """Nearer than this [m] a point gives no direction."""
@@ -77,6 +81,11 @@ class LawParameters(NamedTuple):
     r_pv: float
     omega: float
     margin: float
+    horizon: float
+    candidates: int
+    v_g: float
+    room: float
+    """How far the UGV may be where a detection has the largest declared error; `lookahead` keeps within it."""
     key_0: np.uint64
     key_1: np.uint64
     """The UAV's own random numbers."""
@@ -109,6 +118,13 @@ def _row(table: Mapping[str, _Row], name: str, field: str) -> _Row:
 def number(bound: float | None) -> float:
     """A bound of a message as a number: infinite where there is none."""
     return math.inf if bound is None else float(bound)
+
+
+def _room(briefing: UavBriefing) -> float:
+    """r_v of the safety filter less the largest error of a detection, as far as one is declared [m]."""
+    promise = promise_of(briefing)
+    room = promise.r_v - promise.eps
+    return float(room) if math.isfinite(room) else float(briefing.visibility_radius)
 
 
 def law_parameters(briefing: UavBriefing, law: Law) -> LawParameters:
@@ -148,6 +164,10 @@ def law_parameters(briefing: UavBriefing, law: Law) -> LawParameters:
         r_pv=float(law.circle_radius if law.circle_radius is not None else r_s),
         omega=float(law.circle_rate),
         margin=float(border_distance(v_a if math.isfinite(v_a) else v_ref, u_a, briefing.dt)),
+        horizon=float(law.horizon),
+        candidates=law.candidates,
+        v_g=v_g,
+        room=_room(briefing),
         key_0=key_0,
         key_1=key_1,
     )
@@ -240,7 +260,7 @@ def weights(parameters: LawParameters, own: OwnTerms, distance: float) -> tuple[
         return own.alpha, own.beta
     if c.law == COVERAGE:
         return 0.0, 1.0
-    if c.law == TRACKING or c.law == CIRCLE or c.law == PATH:
+    if c.law == TRACKING or c.law == CIRCLE or c.law == PATH or c.law == LOOKAHEAD:
         return 1.0, 0.0
     return math.nan, math.nan  # a row without its branch
 

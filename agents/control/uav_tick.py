@@ -8,7 +8,14 @@ from typing import NamedTuple
 
 from agents.control.certificate import INNER, NO_DETECTION
 from agents.control.guard import GuardState, guard, note_detection, note_position
-from agents.control.laws import LawParameters, OwnTerms, bounded_uav_control
+from agents.control.laws import (
+    LOOKAHEAD,
+    LOOKAHEAD_STATE,
+    LawParameters,
+    OwnTerms,
+    bounded_uav_control,
+)
+from agents.control.lookahead import Target, lookahead_control
 from agents.control.promise import Promise
 from sim.kernels.compile import FloatArray, borrowing
 from sim.models.field import accumulate
@@ -74,7 +81,7 @@ def uav_tick(
     own: OwnTerms,
     tick: int,
     here: Motion,
-    target: tuple[bool, float, float],
+    target: Target,
     flown: int,
 ) -> tuple[float, float, int, int, float]:
     """The UAV's command under any law, within the bound of (1), and within the safety filter where there is one.
@@ -84,17 +91,21 @@ def uav_tick(
     Args:
         law, promise, guarded, memory, tick, here: As in `uav_perceive`.
         own: What the user's function says at this tick, for the laws `weighted` and `path`.
-        target: Whether the UGV was ever detected, and where it is believed to be [m].
+        target: What is believed of the UGV.
         flown: As in `agents.control.guard.guard`.
 
     Returns:
         As `agents.control.guard.guard`; without the filter nothing acts but the law, and nothing is certified.
     """
-    known, g_x, g_y = target
-    if known:
-        u_x, u_y = bounded_uav_control(law, own, memory.coverage, memory.law, tick, here, g_x, g_y)
-    else:
+    if not target.known:
         u_x, u_y = brake(here.v_x, here.v_y, law.u_max, law.dt)
+    elif law.law == LOOKAHEAD:
+        state = memory.law[LOOKAHEAD_STATE:]
+        u_x, u_y = lookahead_control(law, memory.coverage, state, tick, here, target)
+    else:
+        u_x, u_y = bounded_uav_control(
+            law, own, memory.coverage, memory.law, tick, here, target.p_x, target.p_y
+        )
     if not guarded:
         return u_x, u_y, INNER, NO_DETECTION, 0.0
     return guard(promise, memory.guard, tick, here, u_x, u_y, flown)

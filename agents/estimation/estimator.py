@@ -136,6 +136,12 @@ class RelativeEstimator:
         return covariance
 
     @property
+    def velocity_variance(self) -> float:
+        """Of the velocity, per axis [m²/s²]; meaningless before the first detection."""
+        variance: float = self._filter.P.item(10)
+        return variance
+
+    @property
     def innovation_squared(self) -> float | None:
         """Normalized innovation squared (NIS) of the newest detection that met the gate; None before."""
         return self._innovation_squared

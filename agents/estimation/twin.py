@@ -25,6 +25,7 @@ from numba.core.typing.context import Context
 from numba.core.typing.templates import Signature
 from numba.extending import intrinsic
 
+from agents.control.lookahead import Target
 from agents.estimation.estimator import RelativeEstimator
 from agents.estimation.motion_model import (
     acceleration_deviation,
@@ -155,10 +156,10 @@ def kalman_state(depth: int) -> KalmanState:
 
 
 @borrowing
-def kalman_estimate(state: KalmanState) -> tuple[bool, float, float]:
-    """Tells if the UGV was ever detected, and where it is believed to be [m]."""
-    numbers = state.numbers
-    return numbers[KNOWN] != 0.0, numbers[X], numbers[Y]
+def kalman_estimate(state: KalmanState) -> Target:
+    """All that is believed of the UGV."""
+    n = state.numbers
+    return Target(n[KNOWN] != 0.0, n[X], n[Y], n[V_X], n[V_Y], n[P_PP], n[P_VV])
 
 
 @borrowing

@@ -8,6 +8,7 @@ from agents.control.certificate import CERTIFIED as NOTHING_AGAINST
 from agents.control.certificate import INNER
 from agents.control.guard import GuardState, guard
 from agents.control.laws import OwnTerms
+from agents.control.lookahead import Target
 from agents.control.telling import (
     BLOCK_TILES,
     block_words,
@@ -155,10 +156,10 @@ def _speak(
     u: int,
     tick: int,
     here: Motion,
-    target: tuple[bool, float, float],
+    target: Target,
 ) -> None:
     """What UAV u radios at this tick."""
-    (known, g_x, g_y), out = target, s.outbox[k, u]
+    known, g_x, g_y, out = target.known, target.p_x, target.p_y, s.outbox[k, u]
     out[_RELATIVE, _SAID] = tick if known and tick % p.radio_ticks == 0 else -1.0
     out[_RELATIVE, _BLOCK] = -1.0
     out[_RELATIVE, _SENT], out[_RELATIVE, _SENT + 1] = here.p_x - g_x, here.p_y - g_y
@@ -290,9 +291,10 @@ def _add_cues(p: LoopParameters, t: LoopTables, s: LoopState, k: int, u: int) ->
     """Put the estimate and the gradient into the row of UAV u, where they are asked for and known."""
     w, row = t.batch.world[0], s.rows.uav_rows[k, u]
     row[GRADIENT_X], row[GRADIENT_Y] = 0.0, 0.0
-    known, g_x, g_y = kalman_estimate(_kalman_of(s.kalman, k, u))
-    if not known:
+    target = kalman_estimate(_kalman_of(s.kalman, k, u))
+    if not target.known:
         return
+    g_x, g_y = target.p_x, target.p_y
     x, y = row[UAV.x], row[UAV.y]
     if p.estimate:
         row[UAV.detected], row[UAV.relative_x], row[UAV.relative_y] = 1.0, x - g_x, y - g_y

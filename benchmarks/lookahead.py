@@ -1,0 +1,78 @@
+"""The horizon and the number of candidates of the law `lookahead`: what they bring, and what they cost on one core.
+
+python benchmarks/lookahead.py --flights 6
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+
+import msgspec
+from rich.console import Console
+from rich.progress import track
+
+from bus.messages import Law
+from outrider.envs.closed_loop import ClosedLoop
+from sim.scenario.loading import load_scenario
+
+DRIVERS = ("waypoints", "wander", "evade")
+FIRST_SEED = 501
+"""Flights that the law was made with; those of docs/how-to/learning.md are others."""
+LAWS = (
+    Law(name="logarithmic"),
+    Law(name="certified"),
+    *(Law(name="lookahead", candidates=1, horizon=horizon) for horizon in (15.0,)),
+    *(
+        Law(name="lookahead", horizon=horizon)
+        for horizon in (0.5, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0)
+    ),
+    *(Law(name="lookahead", candidates=candidates) for candidates in (20, 100, 300, 2000)),
+)
+
+
+def fly(law: Law, driver: str, seeds: Sequence[int]) -> tuple[float, float]:
+    """Mean of e(t) over these flights of `escort` [m²], and the processor's time of a tick, world and all [s]."""
+    scenario = msgspec.structs.replace(load_scenario("escort"), law=law)
+    loop = ClosedLoop(
+        scenario,
+        len(seeds),
+        pilots={"ugv_0": driver},
+        error=True,
+        end_on_sight_lost=False,
+        threads=1,
+    )
+    loop.begin(seeds)
+    began = time.process_time()
+    loop.fly()
+    spent = time.process_time() - began
+    found = loop.metrics("uav_0")
+    loop.close()
+    if found["visibility_violations"].any():
+        raise SystemExit(f"{law.name} loses sight of a UGV that drives by {driver!r}")
+    return float(found["mean_error"].mean()), spent / float(found["ticks"].sum())
+
+
+def main() -> None:
+    """Fly all, and print a Markdown table."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--flights", type=int, default=6, help="for each law and driver")
+    given = parser.parse_args()
+    seeds = range(FIRST_SEED, FIRST_SEED + given.flights)
+    lines = [
+        "| law | horizon [s] | candidates | "
+        + " | ".join(f"`{d}`" for d in DRIVERS)
+        + " | µs a tick |",
+        "|---|---|---|" + "---|" * len(DRIVERS) + "---|",
+    ]
+    console = Console(file=sys.stderr)
+    for law in track(LAWS, "flying", console=console):
+        flown = [fly(law, driver, seeds) for driver in DRIVERS]
+        numbers = (f"{law.horizon:g} | {law.candidates}") if law.name == "lookahead" else "- | -"
+        errors = " | ".join(f"{error:.1f}" for error, _ in flown)
+        spent = 1e6 * min(tick for _, tick in flown)
+        lines.append(f"| {law.name} | {numbers} | {errors} | {spent:.0f} |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,203 @@
+"""The law `lookahead`: what it expects is what the field's own kernels say, and it knows nothing that it may not."""
+
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from flights import escort, parameters, told
+from worlds import SCENARIOS
+
+from agents.control.laws import LawParameters
+from agents.control.lookahead import Ahead, Target, look_ahead, worth
+from agents.uav import UavPilot
+from bus.errors import ScenarioError
+from bus.messages import Detection, Law, UavObservation
+from outrider.envs.closed_loop import ClosedLoop
+from sim.models.field import accumulate, coverage_error, empty_coverage
+from sim.models.vehicles import Motion, step_vehicle
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import Area
+
+pytestmark = pytest.mark.xdist_group(
+    "many worlds"
+)  # on one worker: what they compile takes a minute, once
+
+HERE = Motion(17.0, 16.0, 0.2, -0.3)
+UGV = Target(True, 15.0, 15.0, 0.12, 0.08, 0.0, 0.0)  # and nothing is unsure
+FOREVER = 1e7
+TICKS = 1000
+
+
+def _parameters(cell: float) -> LawParameters:
+    area = Area(width=36.0, height=36.0, cell=cell)
+    scenario = escort(Law(name="lookahead", horizon=6.0), area=area)
+    return parameters(scenario)._replace(room=100.0, margin=-100.0)  # nothing costs anything
+
+
+def _flown(c: LawParameters, ahead: Ahead, motion: np.ndarray, looks: int) -> float:
+    """What `worth` says, by the world's own step and kernels: so many looks in each step."""
+    seen = empty_coverage(c.width, c.height, c.cell)
+    seen[:, 12:] = 0.7
+    unseen, saved, state = seen.copy(), 0.0, tuple(HERE)
+    parts, tick = TICKS, ahead.step / TICKS
+    tail = round(5.0 / ahead.step)
+    for k in range(len(ahead.legs) + tail):
+        if k < len(ahead.legs):
+            w, began = motion[ahead.legs[k]], state[:2]
+            for part in range(parts):
+                u = (w - np.array(state[2:])) / tick
+                state = step_vehicle(*state, *u.tolist(), math.inf, c.u_max, tick)[:4]
+                if looks > 1 and part % (parts // looks) == parts // looks // 2:
+                    place, time = state[:2], ahead.step / looks
+                    accumulate(seen, *place, c.sensor, c.peak, c.reach, c.cell, time)
+            if looks == 1:
+                x, y = (0.5 * (a + b) for a, b in zip(began, state[:2], strict=True))
+                accumulate(seen, x, y, c.sensor, c.peak, c.reach, c.cell, ahead.step)
+        after = (k + 1) * ahead.step
+        place = (UGV.p_x + after * UGV.v_x, UGV.p_y + after * UGV.v_y)
+        errors = (coverage_error(one, *place, c.r_o, c.desired, c.cell) for one in (unseen, seen))
+        saved -= ahead.step * math.exp(-0.06 * after) * float(np.diff(list(errors))[0])
+    return saved
+
+
+@pytest.mark.parametrize(("cell", "looks", "within"), [(1.5, 1, 1e-3), (0.25, 20, 0.05)])
+def test_a_motion_is_worth_what_the_kernels_of_the_world_say(
+    cell: float, looks: int, within: float
+) -> None:
+    """On the coarse cells themselves, and on cells of the world with a look at every tick."""
+    c, rng = _parameters(cell), np.random.default_rng(3)
+    coverage = empty_coverage(c.width, c.height, c.cell)
+    coverage[:, 12:] = 0.7
+    ahead = look_ahead(c, coverage, 7, UGV, FOREVER)
+    for _ in range(2):
+        angle, speed = rng.uniform(0.0, 2.0 * math.pi, 9), rng.uniform(0.3, 0.6, 9)
+        motion = np.stack((speed * np.cos(angle), speed * np.sin(angle)), axis=-1)
+        value = worth(c, ahead, HERE, motion, np.empty_like(ahead.lack), np.empty(8))
+        assert value > 100.0
+        assert value == pytest.approx(_flown(c, ahead, motion, looks), rel=within)
+
+
+def test_what_the_filter_would_not_let_through_and_ground_beyond_the_border_cost() -> None:
+    c, still = _parameters(0.25), np.zeros((9, 2))
+    coverage = np.full_like(empty_coverage(c.width, c.height, c.cell), c.desired)
+    ahead = look_ahead(c, coverage, 0, UGV._replace(v_x=0.0, v_y=0.0), FOREVER)
+
+    def costs(here: Motion, **changes: float) -> float:
+        room = np.empty_like(ahead.lack)
+        return -worth(c._replace(**changes), ahead, here, still, room, np.empty(8))
+
+    near, far = Motion(17.0, 15.0, 0.0, 0.0), Motion(19.5, 15.0, 0.0, 0.0)
+    assert costs(near, room=4.4) == 0.0
+    assert costs(far, room=4.4) > 1.0
+    assert costs(near, margin=15.0) == 0.0
+    assert costs(near, margin=18.0) > 10.0
+
+
+def test_a_ugv_that_turns_about_is_expected_nearer_than_one_that_drives_on() -> None:
+    c = _parameters(1.5)
+    coverage = empty_coverage(c.width, c.height, c.cell)
+    ends = [
+        look_ahead(c, coverage, 0, UGV._replace(v_variance=variance), persistence).track[-1, 0]
+        for persistence, variance in ((FOREVER, 0.0), (5.0, 0.0), (5.0, 0.01))
+    ]
+    assert ends[0] == pytest.approx(UGV.p_x + 6.0 * UGV.v_x)
+    assert UGV.p_x < ends[2] < ends[1] < ends[0]
+
+
+def test_the_true_velocity_of_the_ugv_changes_no_command() -> None:
+    """Detections and the map stay as they are: the world is changed behind everybody's back, at a decision."""
+    commands = []
+    for factor in (1.0, -3.0):
+        loop = ClosedLoop(SCENARIOS["lookahead"], 2, error=True, end_on_sight_lost=False)
+        loop.begin([5, 11])
+        loop.fly(120)
+        loop.state.batch.truth.velocity[:, 1] *= factor
+        loop.fly(1)
+        commands.append(loop.state.batch.sent[:, 0].copy())
+        assert (np.hypot(*loop.state.batch.truth.velocity[0, 1]) > 0.01).all()
+        loop.close()
+    assert np.array_equal(commands[0], commands[1])
+    assert np.abs(commands[0][:, 1:3]).sum() > 0.01
+
+
+def test_it_leaves_less_unseen_than_the_logarithmic_law_and_the_horizon_is_why() -> None:
+    scenario = load_scenario("escort", overrides=["duration=80.0", "area.cell=0.5"])
+    means = {}
+    for name, law in {
+        "logarithmic": Law(name="logarithmic"),
+        "lookahead": Law(name="lookahead"),
+        "one step": Law(name="lookahead", horizon=0.5),
+        "at random": Law(name="lookahead", candidates=1),
+    }.items():
+        loop = ClosedLoop(msgspec.structs.replace(scenario, law=law), 2, error=True)
+        loop.begin([3, 4])
+        loop.fly()
+        found = loop.metrics("uav_0")
+        assert not found["visibility_violations"].any(), name
+        assert not found["certified_while_lost"].any(), name
+        means[name] = found["mean_error"].mean()
+        loop.close()
+    assert means["lookahead"] < 0.8 * means["logarithmic"], means
+    assert means["lookahead"] < 0.9 * means["one step"]
+    assert means["lookahead"] < 0.9 * means["at random"]
+
+
+def _observations(law: Law | None = None) -> list[UavObservation]:
+    rng, here = np.random.default_rng(8), np.array([8.0, 7.0])
+    return [
+        UavObservation(
+            tick=tick,
+            time=tick * 0.05,
+            position=tuple((here + 0.02 * tick).tolist()),
+            velocity=(0.4, 0.4),
+            detections=(
+                Detection(
+                    time=tick * 0.05,
+                    relative_position=tuple((rng.normal(0.0, 0.1, 2) + 0.01 * tick).tolist()),
+                ),
+            ),
+            law=law if tick == 25 else None,
+        )
+        for tick in range(60)
+    ]
+
+
+def test_a_process_that_joins_again_goes_on_with_the_same_motion() -> None:
+    briefing = told(SCENARIOS["lookahead"])
+    seen = _observations()
+    one, other = UavPilot(briefing), UavPilot(briefing)
+    commands = [one.act(observation) for observation in seen]
+    for observation in seen[:33]:
+        other.act(observation)  # its past
+    assert [other.act(observation) for observation in seen[33:]] == commands[33:]
+
+
+def test_it_takes_over_in_flight() -> None:
+    pilot = UavPilot(told(SCENARIOS["certified"]))
+    commands = [pilot.act(one).acceleration for one in _observations(Law(name="lookahead"))]
+    plain = UavPilot(told(SCENARIOS["certified"]))
+    before = [plain.act(one).acceleration for one in _observations()]
+    assert commands[:25] == before[:25]
+    assert commands[25] != before[25]
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "allowed"),
+    [
+        ("horizon", "0.1", "0.5"),
+        ("horizon", "1e3", "60"),
+        ("horizon", "inf", "60"),
+        ("candidates", "0", "1"),
+        ("candidates", "10001", "10000"),
+        ("candidates", "2.5", "whole"),
+    ],
+)
+def test_a_horizon_or_a_number_of_candidates_out_of_bounds_is_refused_in_one_line(
+    field: str, value: Any, allowed: str
+) -> None:
+    with pytest.raises(ScenarioError, match=rf"law\.{field}") as refusal:
+        load_scenario("escort", overrides=[f"law.{field}={value}"])
+    assert "\n" not in str(refusal.value)
+    assert allowed in str(refusal.value)
