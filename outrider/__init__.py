@@ -11,13 +11,13 @@ from importlib.machinery import PathFinder
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from outrider.envs.parallel import parallel_env as parallel_env
     from outrider.envs.single import single_env as single_env
     from outrider.envs.vector import parallel_vector_env as parallel_vector_env
     from outrider.envs.vector import vector_env as vector_env
     from outrider.experiments.suite.board import leaderboard as leaderboard
     from outrider.experiments.suite.tasks import suite as suite
     from outrider.running.flying import run as run
-    from sim.env.parallel import parallel_env as parallel_env
     from sim.env.rewards import RewardWeights as RewardWeights
     from sim.scenario.loading import load_scenario as load_scenario
     from sim.scenario.loading import scenario_names as scenario_names
@@ -26,7 +26,7 @@ _WHERE = {
     "RewardWeights": "sim.env.rewards",
     "leaderboard": "outrider.experiments.suite.board",
     "load_scenario": "sim.scenario.loading",
-    "parallel_env": "sim.env.parallel",
+    "parallel_env": "outrider.envs.parallel",
     "parallel_vector_env": "outrider.envs.vector",
     "run": "outrider.running.flying",
     "scenario_names": "sim.scenario.loading",

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
-from outrider.experiments.suite.tasks import BASE, TASKS, suite
+from outrider.experiments.suite.tasks import BASE, MISSIONS, TASKS, Suite
 
 if TYPE_CHECKING:
     from pettingzoo import AECEnv, ParallelEnv  # type: ignore[import-untyped]
@@ -20,13 +20,14 @@ if TYPE_CHECKING:
     from outrider.envs.vector import OutriderVectorEnv
 
 ESCORT = "outrider/Escort-v0"
+_TASKS = Suite((*TASKS, *MISSIONS))
 
 
 def single(*, task: str = "", **settings: Any) -> "SingleEnv":  # noqa: ANN401 - those of the environment
     """Makes what `gymnasium.make` returns: `outrider.single_env`, of a task of the suite if one is named."""
     from outrider.envs.single import SingleEnv  # noqa: PLC0415 - compiled code stands behind it
 
-    return suite()[task].make_single(**settings) if task else SingleEnv(**settings)
+    return _TASKS[task].make_single(**settings) if task else SingleEnv(**settings)
 
 
 def vector(*, num_envs: int, task: str = "", **settings: Any) -> "OutriderVectorEnv":  # noqa: ANN401
@@ -43,7 +44,7 @@ def vector(*, num_envs: int, task: str = "", **settings: Any) -> "OutriderVector
             f"max_episode_steps = {limit!r}: not for many worlds at once; allowed: duration=..., in s"
         )
     return (
-        suite()[task].make(num_envs, **settings)
+        _TASKS[task].make(num_envs, **settings)
         if task
         else OutriderVectorEnv(num_envs=num_envs, **settings)
     )
@@ -55,14 +56,14 @@ def parallel(*, task: str = "", **settings: Any) -> "ParallelEnv[str, Any, Any]"
     Raises:
         ValueError: If it is given a limit of cycles: episodes end by themselves.
     """
-    from sim.env.parallel import parallel_env  # noqa: PLC0415
+    from outrider.envs.parallel import parallel_env  # noqa: PLC0415
 
     if "max_cycles" in settings:
         limit = settings["max_cycles"]
         raise ValueError(
             f"max_cycles = {limit!r}: episodes have a length; allowed: duration=..., in s"
         )
-    return parallel_env(suite()[task].scenario, **settings) if task else parallel_env(**settings)
+    return parallel_env(_TASKS[task].scenario, **settings) if task else parallel_env(**settings)
 
 
 def turn_based(**settings: Any) -> "AECEnv[str, Any, Any]":  # noqa: ANN401
@@ -74,7 +75,7 @@ def turn_based(**settings: Any) -> "AECEnv[str, Any, Any]":  # noqa: ANN401
 
 def env_ids() -> tuple[str, ...]:
     """All the names, the shipped escort's first."""
-    return (ESCORT, *(task.env_id for task in TASKS))
+    return (ESCORT, *(task.env_id for task in _TASKS))
 
 
 def register() -> None:
@@ -83,7 +84,7 @@ def register() -> None:
     No limit of steps is registered: the episodes end by themselves, and a second limit would only hide it.
     """
     settings: dict[str, dict[str, str]] = {ESCORT: {"scenario": BASE}} | {
-        task.env_id: {"task": task.name} for task in TASKS
+        task.env_id: {"task": task.name} for task in _TASKS
     }
     for env_id, kwargs in settings.items():
         if env_id not in gymnasium.registry:

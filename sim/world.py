@@ -25,6 +25,7 @@ from sim.engine.world_state import (
 )
 from sim.engine.world_tick import measure, truth_of
 from sim.kernels.compile import FloatArray, entry_point
+from sim.models.ground import TileArray
 from sim.models.motion import NO_MOTION, keep_motion, motion_row
 from sim.scenario.types import Scenario, Uav
 
@@ -191,6 +192,12 @@ class World:
         if not len(tables.ground.parameters):
             return None
         return mission_of(tables.mission, state.ground, state.mission, 0, self.parameters.dt)
+
+    @property
+    def tiles(self) -> TileArray:
+        """The true state of each tile of the ground; none where there are no hazards. Shape (rows, columns)."""
+        tiles: TileArray = self._batch.state.ground.tiles[0]
+        return tiles
 
     def known_block(self, k: int, row: int, column: int) -> list[int]:
         """What a vehicle's own sensor has told of a block of tiles, row by row; UNSEEN beyond the area."""

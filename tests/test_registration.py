@@ -17,13 +17,13 @@ from refusals import refused
 
 from outrider.envs.single import SingleEnv
 from outrider.envs.vector import OutriderVectorEnv
-from outrider.experiments.suite.tasks import TASKS
+from outrider.experiments.suite.tasks import MISSIONS, TASKS
 from outrider.registration import ESCORT, env_ids, register
 
 
 def test_there_is_a_name_for_the_escort_and_for_each_task() -> None:
-    assert env_ids() == (ESCORT, *(task.env_id for task in TASKS))
-    assert len(set(env_ids())) == 1 + len(TASKS)
+    assert env_ids() == (ESCORT, *(task.env_id for task in (*TASKS, *MISSIONS)))
+    assert len(set(env_ids())) == 1 + len(TASKS) + len(MISSIONS)
     for task in TASKS:
         made = gymnasium.make(task.env_id).unwrapped
         assert isinstance(made, SingleEnv)

@@ -316,3 +316,12 @@ def test_the_example_refuses_what_it_cannot_do(capsys, monkeypatch):
     with pytest.raises(SystemExit):
         runpy.run_path(str(EXAMPLE), run_name="__main__")
     assert "--minutes must be positive" in capsys.readouterr().err
+
+
+def test_a_team_trains_briefly_in_a_minefield_and_stands_in_the_table():
+    command = [sys.executable, str(EXAMPLE.with_name("train_mission.py")), "--minutes", "0.01"]
+    command += ["--worlds", "2", "--flights", "1", "--laws", "none"]
+    told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    (head,) = [line for line in told.splitlines() if line.startswith("| task | ")]
+    assert set(head.strip("| ").split(" | ")) == {"task", "none", "untrained", "learned"}
+    assert told.count(" of 1 arrived in ") == 3

@@ -4,15 +4,17 @@ import inspect
 import logging
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from agents.drivers.compiled import take_ground, told_ground
 from agents.drivers.steering import LARGEST, Steering
 from bus.errors import ScenarioError, told_with_place
 from bus.layout import Row, UgvRow
 from bus.messages import UgvBriefing, UgvObservation
+from sim.models.ground import TileArray, tile_patches
 from sim.models.vehicles import next_goal
 
 _LOG = logging.getLogger("outrider.policy")
@@ -27,11 +29,13 @@ class RowPolicy(Protocol):
     `predict` may return the action alone or, as Stable-Baselines3 does, the action and a state. Where it has
     parameters of
     these names it is given `deterministic=True`, the `state` that it returned last, and `episode_start`.
+    Where it has an `observation_space` that is a dictionary of `row` and `tiles`, it is given both, as the environment
+    gives them on ground with hazards.
     """
 
     @property
     def predict(self) -> Callable[..., object]:
-        """A row of `bus.layout.UgvRow` in, the acceleration x and y [m/s²] out."""
+        """A row of `bus.layout.UgvRow` in, or the row and the tiles; the acceleration x and y [m/s²] out."""
 
 
 Policy = Callable[[UgvObservation, UgvBriefing], object] | RowPolicy
@@ -87,6 +91,28 @@ class UgvRows:
         )
 
 
+class UgvTiles:
+    """The picture of the ground that the environment would give this UGV, to the bit.
+
+    Args:
+        briefing: What the UGV is told when it joins.
+        side: Tiles on each side of the picture.
+    """
+
+    def __init__(self, briefing: UgvBriefing, side: int) -> None:
+        self._known = told_ground(briefing)
+        self._tile = 0.0 if briefing.ground is None else float(briefing.ground.tile)
+        self._picture: TileArray = np.empty((1, side, side), np.uint8)
+
+    def tiles(self, observation: UgvObservation) -> TileArray:
+        """The picture of this tick. Shape (side, side)."""
+        take_ground(self._known, observation)
+        position = np.array([observation.position], dtype=np.float64)
+        tile_patches(self._known.tiles[None], self._tile, position, self._picture)
+        around: TileArray = self._picture[0].copy()
+        return around
+
+
 class _Predictor:
     """One UGV's use of a policy that sees rows: what was reached and what is remembered is its own.
 
@@ -99,6 +125,12 @@ class _Predictor:
         self._predict = model.predict
         self._rows = UgvRows(briefing)
         space = getattr(model, "observation_space", None)
+        parts = getattr(space, "spaces", None)
+        self._tiles: UgvTiles | None = None
+        if isinstance(parts, Mapping) and "tiles" in parts:
+            if briefing.ground is None:
+                raise ScenarioError("it observes tiles, and the scenario has no hazards")
+            space, self._tiles = parts.get("row"), UgvTiles(briefing, parts["tiles"].shape[0])
         self._dtype = getattr(space, "dtype", None) or np.float64
         self._known = _parameters(model.predict)
         self._state: object = None
@@ -106,13 +138,14 @@ class _Predictor:
 
     def __call__(self, observation: UgvObservation, _briefing: UgvBriefing) -> object:
         row = self._rows.row(observation).astype(self._dtype, copy=False)
+        seen = row if self._tiles is None else {"row": row, "tiles": self._tiles.tiles(observation)}
         told: dict[str, Any] = {
             "deterministic": True,
             "state": self._state,
             "episode_start": np.array([self._start]),
         }
         self._start = False
-        answer = self._predict(row, **{name: told[name] for name in told.keys() & self._known})
+        answer = self._predict(seen, **{name: told[name] for name in told.keys() & self._known})
         if isinstance(answer, tuple) and len(answer) == 2 and _pair(answer) is None:
             answer, self._state = answer
         return answer
@@ -145,9 +178,17 @@ class PolicyDriver:
         self._briefing = briefing
         self._steering = Steering(briefing)
         self._sees_rows = isinstance(policy, RowPolicy)
-        self._policy = _Predictor(policy, briefing) if isinstance(policy, RowPolicy) else policy
+        self._policy = (
+            policy if not isinstance(policy, RowPolicy) else self._predictor(policy, name)
+        )
         self._name = name
         self._warm = self._slow = self._long = False
+
+    def _predictor(self, policy: RowPolicy, name: str) -> _Predictor:
+        try:
+            return _Predictor(policy, self._briefing)
+        except ScenarioError as error:
+            raise ScenarioError(f"policy = {name!r}: {error}") from error
 
     def drive(self, observation: UgvObservation) -> tuple[float, float]:
         """The acceleration [m/s²] for this observation.

@@ -22,7 +22,8 @@ def command(
         str,
         typer.Option(
             "--law",
-            help="Laws, between commas; by default the paper's and certified, or none beside a --uav-policy.",
+            help="Laws, between commas; by default the paper's and certified, in missions also 'none', a UGV without "
+            "an escort; or no law beside a --uav-policy.",
         ),
     ] = "",
     uav_policy: Annotated[
@@ -35,6 +36,13 @@ def command(
             "may be repeated.",
         ),
     ] = None,
+    name: Annotated[
+        str,
+        typer.Option(
+            "--suite",
+            help="Which: suite-v1, scored by what was seen, or missions-v1, by how the UGV got through.",
+        ),
+    ] = "suite-v1",
     only: Annotated[list[str] | None, typer.Option(help="Only this task; may be repeated.")] = None,
     estimate: Annotated[
         bool,
@@ -50,6 +58,9 @@ def command(
     safety_filter: Annotated[
         bool, typer.Option("--safety-filter", help="Policies fly inside the safety filter.")
     ] = False,
+    seeds: Annotated[
+        int, typer.Option(help="Fly only the first so many seeds.", min=1, max=20)
+    ] = 20,
     secret: Secret = "",
     markdown: Annotated[
         bool, typer.Option("--markdown", help="Print the table as Markdown on stdout.")
@@ -64,12 +75,18 @@ def command(
     The score is the share of the ground around the UGV that was seen, averaged over the flight, in percent; from
     the tick at which sight is lost on, nothing counts as seen.
 
+    In missions it is 100 T*/T of a flight that arrives in the time T, T* being that of straight ways, times the share
+    of the things that were found, divided by 1 and the hazards that were run into.
+
     Example: outrider suite --law logarithmic,certified --only noise --only bursts
+    Example: outrider suite --suite missions-v1 --seeds 3
     """
     from outrider.cli.console import ERR, OUT, print_json
-    from outrider.experiments.suite.tasks import suite
+    from outrider.experiments.suite.tasks import SUITES, suite
 
-    tasks = _tasks(suite(), only or [])
+    if name not in SUITES:
+        raise typer.BadParameter(f"--suite {name}: no such suite; allowed: {', '.join(SUITES)}")
+    tasks = _tasks(suite(name), only or [])
     if list_tasks:
         _tell_tasks(tasks, json=json)
         return
@@ -84,7 +101,7 @@ def command(
         raise typer.BadParameter("--markdown and --json both want stdout; choose one")
     from outrider.cli.options import secret_of
 
-    board = _fly(entries, tasks, settings, secret_of(secret, wanted=True))
+    board = _fly(entries, tasks, settings, secret_of(secret, wanted=True), seeds)
     if json:
         print_json(board)
         return
@@ -113,16 +130,19 @@ def _tasks(whole: "Suite", only: list[str]) -> "Suite":
 def _entries(laws: list[str], policies: list[str], tasks: "Suite") -> "dict[str, Entry]":
     from bus.errors import ScenarioError
     from outrider.envs.closed_loop import pilot_names
-    from outrider.experiments.suite.board import BASELINES
+    from outrider.experiments.suite.board import BASELINES, MISSION_BASELINES
+    from outrider.experiments.suite.tasks import NO_ESCORT
     from outrider.running.user_code import load_function
 
-    allowed = pilot_names(tasks[0].scenario, "uav_0")
+    allowed, baselines = pilot_names(tasks[0].scenario, "uav_0"), BASELINES
+    if tasks[0].mission:
+        allowed, baselines = (NO_ESCORT, *allowed), MISSION_BASELINES
     for law in laws:
         if law not in allowed:
             raise ScenarioError(
                 f"law {law!r}: unknown; allowed: {', '.join(allowed)}, or --uav-policy module:function"
             )
-    entries: dict[str, Entry] = {law: law for law in laws or ([] if policies else BASELINES)}
+    entries: dict[str, Entry] = {law: law for law in laws or ([] if policies else baselines)}
     for name in policies:
         found = load_function(name, what="--uav-policy")
         if found is None:
@@ -147,13 +167,18 @@ class _Own:
 
 
 def _fly(
-    entries: "dict[str, Entry]", tasks: "Suite", settings: dict[str, Any], secret: str
+    entries: "dict[str, Entry]",
+    tasks: "Suite",
+    settings: dict[str, Any],
+    secret: str,
+    seeds: int,
 ) -> "Leaderboard":
     from rich.progress import Progress
 
     from bus.errors import OutriderError
     from outrider.cli.console import ERR
     from outrider.experiments.suite.board import leaderboard
+    from outrider.experiments.suite.tasks import SEEDS
 
     with Progress(console=ERR, transient=True, disable=not ERR.is_terminal) as progress:
         bar = progress.add_task("compiling, then flying", total=1.0)
@@ -162,7 +187,14 @@ def _fly(
             progress.update(bar, description=what, completed=share)
 
         try:
-            return leaderboard(entries, tasks=tasks, secret=secret, on_progress=show, **settings)
+            return leaderboard(
+                entries,
+                tasks=tasks,
+                seeds=SEEDS[:seeds],
+                secret=secret,
+                on_progress=show,
+                **settings,
+            )
         except ValueError as error:
             raise OutriderError(f"a policy's answer cannot be flown: {error}") from error
 
@@ -171,7 +203,10 @@ def _table(board: "Leaderboard") -> Any:  # noqa: ANN401 - rich's
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    title = f"Seen of what there was to see [%], mean of {len(board.standings[0].results[0].scores)} seeds"
+    from outrider.experiments.suite.board import middle_cell
+
+    measure = "Mission score" if board.mission else "Seen of what there was to see"
+    title = f"{measure} [%], mean of {len(board.standings[0].results[0].scores)} seeds"
     table = Table(
         title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False
     )
@@ -182,6 +217,7 @@ def _table(board: "Leaderboard") -> Any:  # noqa: ANN401 - rich's
         cells = (_cell(standing.results[k]) for standing in board.standings)
         table.add_row(task, *cells, end_section=k == len(board.tasks) - 1)
     table.add_row("mean", *map(_cell, board.standings), style="bold")
+    table.add_row("interquartile mean", *map(middle_cell, board.standings), style="bold")
     return table
 
 

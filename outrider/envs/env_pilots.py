@@ -9,96 +9,17 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.control.orbit import Path as VirtualPath
-from agents.control.telling import GroundTeller
 from agents.control.weighting import Weighting
-from agents.estimation.estimator import RelativeEstimator
-from agents.uav import UavPilot, radio_ticks
+from agents.uav import UavPilot
 from bus.layout import uav_observation, ugv_observation
-from bus.messages import (
-    GroundBlock,
-    LinkKind,
-    RelativeInformation,
-    UavBriefing,
-    UgvObservation,
-)
 from bus.registry import DRIVERS
-from bus.ticks import looks_of
+from outrider.envs.parallel import EscortEnv
+from outrider.envs.radio import Radio
 from outrider.running.flying import Pilot, make_pilots
 from sim.kernels.compile import FloatArray
 
-Policy = Callable[
-    [npt.NDArray[np.floating[Any]] | Mapping[str, npt.NDArray[np.floating[Any]]]], FloatArray
-]
+Policy = Callable[[npt.NDArray[Any] | Mapping[str, npt.NDArray[Any]]], FloatArray]
 """A vehicle's observation in, its acceleration [m/s²] out."""
-
-
-class _Radio:
-    """The radio from the UAVs' computers to the UGVs: each radios what its filter knows, whoever flies the UAV."""
-
-    def __init__(self, env: Any) -> None:  # noqa: ANN401
-        self._env, self._dt, self._tick = env, env.scenario.dt, -1
-        self._rows = {name: k for k, name in enumerate(env.possible_agents)}
-        told = [
-            one
-            for name in env.possible_agents
-            if isinstance(one := env.briefing(name), UavBriefing)
-        ]
-        self._filters = {
-            one.vehicle: RelativeEstimator(
-                detector=one.detector, target=one.target_limits, dt=one.dt, settings=one.estimator
-            )
-            for one in told
-        }
-        self._escorts = {uav.name: uav.escorts for uav in env.scenario.uav}
-        self._links = env.world.links.of(LinkKind.RADIO)
-        self._tellers = {one.vehicle: GroundTeller(one) for one in told}
-        self._said: dict[str, tuple[RelativeInformation | GroundBlock, ...]] = {}
-        self._arrived: dict[str, tuple[RelativeInformation | GroundBlock, ...]] = {}
-
-    def heard_by(self, ugv: str, perceived: UgvObservation) -> UgvObservation:
-        """What a UGV perceives at this tick, with the messages that have reached it."""
-        while self._tick < self._env.world.tick:
-            self._go_on()
-        heard = self._arrived.get(ugv, ())
-        return msgspec.structs.replace(
-            perceived,
-            radio=tuple(one for one in heard if isinstance(one, RelativeInformation)),
-            blocks=tuple(one for one in heard if isinstance(one, GroundBlock)),
-        )
-
-    def _go_on(self) -> None:
-        self._tick += 1
-        self._arrived = {}
-        for uav, link in self._links.items():
-            for message in self._said.pop(uav, ()):
-                link.send(self._tick, message, self._tick - 1)
-            ugv = self._escorts[uav]
-            self._arrived[ugv] = self._arrived.get(ugv, ()) + tuple(link.arrivals(self._tick))
-        if self._tick == self._env.world.tick:
-            for uav in self._filters:
-                self._speak(uav)
-
-    def _speak(self, uav: str) -> None:
-        world = self._env.world
-        p_x, p_y = world.told.position[self._rows[uav]].tolist()
-        estimate = self._filters[uav].update(
-            tick=self._tick,
-            own_position=(p_x, p_y),
-            looks=looks_of(self._env.received(uav), self._dt),
-        )
-        self._tellers[uav].note(self._env.ground(uav))
-        if estimate is None:
-            return
-        if self._tick % radio_ticks(self._dt) == 0:
-            (g_x, g_y), no_error = estimate.position, 0.0  # drivers make nothing of the error
-            relative = RelativeInformation(
-                time=self._tick * self._dt,
-                relative_position=(p_x - g_x, p_y - g_y),
-                coverage_error=no_error,
-            )
-            self._said[uav] = (relative,)
-        blocks = self._tellers[uav].blocks(self._tick, estimate.position)
-        self._said[uav] = (*self._said.get(uav, ()), *blocks)
 
 
 class _EnvPilots:
@@ -113,7 +34,11 @@ class _EnvPilots:
         env = self._env
         self._episode: int = env.episode
         receives = any(DRIVERS[ugv.driver].listens for ugv in env.scenario.ugv)
-        self._radio = _Radio(env) if receives and env.episode else None
+        self._radio: Radio | None = None
+        if isinstance(env, EscortEnv) and env.episode and env.scenario.has_ground:
+            self._radio = env.radio
+        elif receives and env.episode:
+            self._radio = Radio(env)
         self._pilots: dict[str, Pilot] = make_pilots(
             env.scenario,
             env.episode_seed,
@@ -125,7 +50,7 @@ class _EnvPilots:
     def act(
         self,
         name: str,
-        observation: npt.NDArray[np.floating[Any]] | Mapping[str, npt.NDArray[np.floating[Any]]],
+        observation: npt.NDArray[Any] | Mapping[str, npt.NDArray[Any]],
     ) -> FloatArray:
         if self._episode != self._env.episode:
             self._begin()

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from gymnasium.error import ResetNeeded
 
 from outrider.envs.vector import Observation, Worlds
+from sim.engine.mission import mission_numbers
 from sim.env.actions import take_actions
 from sim.env.seeds import Seeds
 from sim.scenario.types import Scenario
@@ -115,11 +116,14 @@ class SingleEnv(gymnasium.Env[Any, Any]):
 
     def _info(self) -> dict[str, Any]:
         """Facts of its own that are in no row, as plain numbers."""
-        return {
+        info = {
             key: array[0].item()
             for key, array in self.worlds.infos(self.agent).items()
             if not key.startswith("_")
         }
+        mission = self.worlds.mission(0) if self._over else None
+        at_wheel = self.agent in self.worlds.loop.ugvs
+        return info | (mission_numbers(mission) if mission is not None and at_wheel else {})
 
     @property
     def episode_seed(self) -> int:

@@ -19,23 +19,25 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from bus.layout import GradientCue, UavRow, bounds
-from bus.messages import LinkStatus
+from bus.messages import LinkStatus, Mission
 from outrider.envs.closed_loop import ClosedLoop, pilot_names
 from outrider.envs.closed_loop_state import GUARD_METRICS
+from sim.engine.mission import mission_numbers, mission_of
 from sim.engine.run_keys import check_secret
 from sim.engine.world_state import Precision
 from sim.env.actions import take_batch
-from sim.env.patch import CoveragePatch
+from sim.env.patch import TILE_PATCH, CoveragePatch, check_tile_patch
 from sim.env.rewards import RewardWeights
-from sim.env.rows import UGV_METRICS
+from sim.env.rows import UGV, UGV_METRICS
 from sim.env.seeds import Seeds
 from sim.env.spaces import action_space, box, observation_space
 from sim.kernels.compile import FloatArray
+from sim.models.ground import TileArray, tile_patches
 from sim.scenario.checks import check_scenario
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[Any]
 Observation = Array | dict[str, Array]
 Policy = Callable[[Observation], npt.ArrayLike]
 """The observations of one vehicle in all worlds in, its accelerations [m/s²] out, shape (num_envs, 2)."""
@@ -66,7 +68,7 @@ class Worlds:
         rewards: What the vehicles are paid for.
         end_on_sight_lost: Whether an episode terminates when a UAV loses sight.
         end_on_goals_reached: Whether it terminates when every UGV that has goals has reached them all.
-        coverage_patch: As in `outrider.parallel_env`.
+        coverage_patch, tile_patch: As in `outrider.parallel_env`.
         estimate: Whether a UAV observes the Kalman filter's estimate in the place of the raw detection.
         gradient: Whether a UAV's row ends with `bus.layout.GradientCue`.
         safety_filter: Whether the UAVs' actions go through the safety filter.
@@ -89,6 +91,7 @@ class Worlds:
         end_on_sight_lost: bool = True,
         end_on_goals_reached: bool = False,
         coverage_patch: CoveragePatch | tuple[int, float] | None = None,
+        tile_patch: int = TILE_PATCH,
         estimate: bool = False,
         gradient: bool = False,
         safety_filter: bool = False,
@@ -113,6 +116,8 @@ class Worlds:
         self._patch = None if coverage_patch is None else CoveragePatch(*coverage_patch)
         if self._patch is not None:
             self._patch.check()
+        side = check_tile_patch(tile_patch)
+        self._tile_patch = side if self.scenario.has_ground else 0
         given = dict(others or {})
         self._policies = {
             name: pilot for name, pilot in given.items() if not isinstance(pilot, str)
@@ -167,7 +172,9 @@ class Worlds:
     def _space(self, name: str, *, estimate: bool) -> spaces.Space[Any]:
         vehicle = self.scenario.vehicles[self._rows[name]]
         is_uav = name in self.loop.uavs
-        space = observation_space(self.scenario, vehicle, self._patch, self._dtype)
+        space = observation_space(
+            self.scenario, vehicle, self._patch, self._dtype, self._tile_patch
+        )
         row = space.spaces["row"] if isinstance(space, spaces.Dict) else space
         if is_uav and isinstance(row, spaces.Box):
             low, high = row.low.tolist(), row.high.tolist()
@@ -185,7 +192,9 @@ class Worlds:
         """The observations of a vehicle in all worlds: new arrays, which nobody changes later."""
         state = self.loop.state
         if name in self.loop.ugvs:
-            return state.rows.ugv_rows[:, self.loop.ugvs.index(name)].astype(self._dtype)
+            rows = state.rows.ugv_rows[:, self.loop.ugvs.index(name)]
+            own = rows.astype(self._dtype)
+            return {"row": own, "tiles": self._tiles_around(name)} if self._tile_patch else own
         u = self.loop.uavs.index(name)
         width = len(UavRow._fields) + (len(GradientCue._fields) if self._gradient else 0)
         row = state.rows.uav_rows[:, u, :width].astype(self._dtype)
@@ -194,6 +203,21 @@ class Worlds:
             if self._patch is None
             else {"row": row, "coverage": state.patches[:, u].astype(self._dtype)}
         )
+
+    def _tiles_around(self, ugv: str) -> TileArray:
+        state, g, side = self.loop.state, self.loop.ugvs.index(ugv), self._tile_patch
+        pictures: TileArray = np.empty((self.num_envs, side, side), np.uint8)
+        position = state.rows.ugv_rows[:, g, UGV.x : UGV.y + 1].copy()
+        tile = float(self.scenario.ground.tile)
+        tile_patches(np.ascontiguousarray(state.grounds.tiles[:, g]), tile, position, pictures)
+        return pictures
+
+    def mission(self, world: int) -> Mission | None:
+        """How the mission of one world goes; None where there are no hazards."""
+        tables, state = self.loop.tables.batch, self.loop.state.batch
+        if not len(tables.ground.parameters):
+            return None
+        return mission_of(tables.mission, state.ground, state.mission, world, self.scenario.dt)
 
     def infos(self, name: str) -> dict[str, Any]:
         """Facts of a vehicle's own that are in no row, in all worlds, with Gymnasium's masks."""
@@ -313,6 +337,15 @@ class Worlds:
                 else last[k]
             )
         info = {key: value for key, value in told.items() if not key.startswith("_")}
+        if name in self.loop.ugvs:
+            for k in np.flatnonzero(ended).tolist():
+                mission = self.mission(k)
+                for key, number in (
+                    mission_numbers(mission) if mission is not None else {}
+                ).items():
+                    info.setdefault(key, np.zeros(self.num_envs, np.asarray(number).dtype))[k] = (
+                        number
+                    )
         info["episode"] = {
             "r": np.where(ended, self._returns[:, self._rows[name]], 0.0),
             "l": np.where(ended, self.loop.state.batch.ticks, 0),

@@ -1,10 +1,15 @@
-"""95 % intervals for what a sweep counts and averages."""
+"""95 % intervals for what sweeps and suites count and average."""
 
 import math
 from collections.abc import Sequence
 from statistics import fmean, stdev
 
+import numpy as np
 from scipy import stats
+
+from sim.kernels.compile import FloatArray
+
+_RESAMPLES = 2000
 
 
 def wilson_interval(hits: int, trials: int) -> tuple[float, float]:
@@ -39,3 +44,34 @@ def mean_interval(values: Sequence[float]) -> tuple[float, float, float]:
     t = float(stats.t.ppf(0.975, len(values) - 1))
     half = t * stdev(values) / math.sqrt(len(values))
     return mean, mean - half, mean + half
+
+
+def interquartile_mean(scores: FloatArray) -> float:
+    """The mean of the middle half of all scores. Agarwal et al. 2021 (rliable)."""
+    return float(stats.trim_mean(scores, 0.25, axis=None))
+
+
+def interquartile_interval(tasks: Sequence[Sequence[float]]) -> tuple[float, float, float]:
+    """The interquartile mean over all tasks and seeds, and its interval by the stratified bootstrap.
+
+    As Agarwal et al. 2021 (rliable) define it: seeds are drawn anew within each task, with percentiles of 2000 such
+    draws, the same ones for the same scores. Of a single seed, itself thrice.
+
+    Args:
+        tasks: The scores of each, as many as there are seeds.
+
+    Raises:
+        ValueError: If there are none, or not as many in each task.
+    """
+    if not tasks or not all(len(one) == len(tasks[0]) > 0 for one in tasks):
+        raise ValueError(
+            "the scores: allowed is one task or more, each with as many seeds, one or more"
+        )
+    scores = np.array(tasks, dtype=np.float64)
+    middle, count = interquartile_mean(scores), scores.shape[1]
+    if count == 1:
+        return middle, middle, middle
+    draws = np.random.default_rng(0).integers(0, count, (_RESAMPLES, *scores.shape))
+    drawn = np.take_along_axis(scores[None], draws, axis=2).reshape(_RESAMPLES, -1)
+    low, high = np.percentile(stats.trim_mean(drawn, 0.25, axis=1), [2.5, 97.5]).tolist()
+    return middle, low, high

@@ -6,6 +6,7 @@ No vehicle is told of any of it. Without hazards all arrays are empty, and nothi
 import math
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -49,6 +50,8 @@ class MissionRecord(NamedTuple):
     """Goals."""
     arrived: int
     """The tick at which it had reached the last of them; -1: not yet, or it has none."""
+    told: int
+    """Tiles that have come by radio, each counted once."""
 
 
 class MissionConstants(NamedTuple):
@@ -158,6 +161,7 @@ def hear_block(
             m.told[k, n, row, column] = state
         if heard[row, column] == 0:
             heard[row, column] = tick + 1
+            m.ugvs[k, n].told += 1
             if state != CLEAR:
                 _note(t, g, k, row, column, m.warned[k, n], tick)
 
@@ -239,6 +243,12 @@ def note_mission(
     for n in range(t.ugvs.shape[0]):
         v = t.ugvs[n]
         _drive(c, t, g, m, k, n, tick, position[v, 0], position[v, 1])
+
+
+def mission_numbers(mission: Mission) -> dict[str, float]:
+    """All of it by name, NaN for None."""
+    told = msgspec.structs.asdict(mission)
+    return {name: math.nan if value is None else value for name, value in told.items()}
 
 
 def mission_of(c: MissionConstants, g: GroundState, m: MissionState, k: int, dt: float) -> Mission:

@@ -4,7 +4,7 @@ from typing import Any
 
 from bus.layout import Row, UavRow, UavState, UgvRow, UgvState
 from sim.engine.world_state import BatchState, BatchTables
-from sim.env.rewards import RewardWeights, UavTerms, UgvTerms
+from sim.env.rewards import MISSION_TERMS, RewardWeights, UavTerms, UgvTerms
 from sim.env.rows import (
     RowState,
     RowTables,
@@ -38,6 +38,7 @@ class Episode:
         self.names = [vehicle.name for vehicle in scenario.vehicles]
         """Vehicles in the order of every array."""
         self._dt, self._r_v = scenario.dt, float(scenario.visibility.radius)
+        self._grounded = scenario.has_ground
         self._tables = row_tables(scenario, weights, end_on_sight_lost=True, end_on_goals=False)
         self._rows: dict[str, type[UavState | UgvState]] = {
             vehicle.name: UgvState if isinstance(vehicle, Ugv) else UavState
@@ -138,4 +139,9 @@ class Episode:
             n = self._ugv(place)
             found = {"goals_reached": int(n.reached), "way_to_goal": n.to_go}
             terms = UgvTerms._make(numbers[: len(UgvTerms._fields)])
-        return found | {f"reward_{name}": term for name, term in terms._asdict().items()}
+        paid = {
+            f"reward_{name}": term
+            for name, term in terms._asdict().items()
+            if self._grounded or name not in MISSION_TERMS
+        }
+        return found | paid

@@ -18,10 +18,11 @@ from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 from bus.layout import state_names
 from bus.messages import Briefing, Detection, MotionPlan, SeenTile
 from sim.engine.briefing import briefing
+from sim.engine.mission import mission_numbers
 from sim.engine.run_keys import check_secret
 from sim.env.actions import take_actions
 from sim.env.episode import Episode
-from sim.env.patch import CoveragePatch, OwnMaps
+from sim.env.patch import TILE_PATCH, CoveragePatch, OwnMaps, check_tile_patch
 from sim.env.rewards import RewardWeights
 from sim.env.rows import Moment
 from sim.env.seeds import Seeds
@@ -30,12 +31,13 @@ from sim.env.state import state_array, state_space
 from sim.env.view import Rendering
 from sim.kernels.compile import FloatArray
 from sim.models.field import empty_coverage
+from sim.models.ground import TileArray, tile_patches
 from sim.scenario.checks import check_scenario
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from sim.world import World
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[Any]
 Observation = Array | dict[str, Array]
 
 _DEFAULT_REWARDS = RewardWeights()
@@ -73,6 +75,9 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     | 6 | `goal_x` | goal, x; the last one stays when reached; 0 without goals | m | 0 … W |
     | 7 | `goal_y` | goal, y; the last one stays when reached; 0 without goals | m | 0 … H |
 
+    On ground with hazards a UGV's observation is a dictionary: `row`, and `tiles`, a picture of the ground as it knows
+    it.
+
     The letters of the ranges are explained in `bus.layout.SYMBOLS`; all agents end together.
     `docs/reference/environment.md` is the environment's page.
 
@@ -85,6 +90,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         coverage_patch: Pixels and meters per pixel of a picture of the UAV's own map, which makes its observation a
             dictionary with `row` and `coverage`; None: no picture.
         coverage_in_state: Whether min(C / C*, 1) of every cell, row by row from y = 0, ends the state.
+        tile_patch: Tiles on each side of a UGV's picture of the ground, an odd number; nothing without hazards.
         dtype: Of observations and state. With float64 the paper's pilots fly the same bits as in `outrider.run`.
         render_mode: None, "rgb_array" or "human".
         secret: Of all random numbers, with each episode's seed: 32 to 128 hexadecimal digits; empty: none, and who
@@ -102,7 +108,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         "is_parallelizable": True,
     }
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - options, each by keyword
         self,
         scenario: str | Path | Scenario = "escort",
         *,
@@ -112,6 +118,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         end_on_goals_reached: bool = False,
         coverage_patch: CoveragePatch | tuple[int, float] | None = None,
         coverage_in_state: bool = False,
+        tile_patch: int = TILE_PATCH,
         dtype: type[np.floating] = np.float64,
         render_mode: str | None = None,
         secret: str = "",
@@ -133,6 +140,8 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self._dtype = dtype
         if self._patch is not None:
             self._patch.check()
+        side = check_tile_patch(tile_patch)
+        self._tile_patch = side if self.scenario.has_ground else 0
         vehicles = self.scenario.vehicles
         self.possible_agents: list[str] = [vehicle.name for vehicle in vehicles]
         self.agents: list[str] = []
@@ -142,7 +151,9 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self._episode = Episode(self.scenario, rewards)
         self.action_spaces = {vehicle.name: action_space(vehicle) for vehicle in vehicles}
         self.observation_spaces = {
-            vehicle.name: observation_space(self.scenario, vehicle, self._patch, dtype)
+            vehicle.name: observation_space(
+                self.scenario, vehicle, self._patch, dtype, self._tile_patch
+            )
             for vehicle in vehicles
         }
         self.state_space = state_space(self.scenario, self._episode, cells=cells, dtype=dtype)
@@ -195,6 +206,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         self._maps = OwnMaps(self._world, needed=self._patch is not None)
         self.agents = list(self.possible_agents)
         self._carried.clear()
+        self._perceive()
         self._episode.begin(self._world)
         self._follow()
         return self._observations(), self._infos()
@@ -228,6 +240,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
             world.send(k, world.tick, command, self._carried.get(name, ()))
         self._carried.clear()
         world.advance()
+        self._perceive()
         self._episode.advance(
             world,
             end_on_sight_lost=self.end_on_sight_lost,
@@ -247,11 +260,20 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
             self._infos(),
         )
 
+    def _perceive(self) -> None:
+        """Take in what reaches the vehicles at this tick beside what is in their rows: here nothing."""
+
     def _infos(self) -> dict[str, dict[str, Any]]:
-        """Facts that are in no row; where the network is not perfect, also how each vehicle's own links do."""
-        links, degraded = self.world.links, self.degraded
+        """Facts that are in no row; where the network is not perfect, also how each vehicle's own links do.
+
+        At the end of an episode on ground with hazards a UGV's say how the mission went, too.
+        """
+        links, degraded, mission = self.world.links, self.degraded, self.world.mission
+        over = mission_numbers(mission) if mission is not None and not self.agents else {}
         return {
-            name: self._episode.info(name) | ({"links": links.status(name)} if degraded else {})
+            name: self._episode.info(name)
+            | ({"links": links.status(name)} if degraded else {})
+            | ({} if self._episode.uav(name) is not None else over)
             for name in self.possible_agents
         }
 
@@ -261,11 +283,30 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
 
     def _observe(self, name: str) -> Observation:
         row: Array = self._episode.row(name).astype(self._dtype)
-        uav = None if self._patch is None else self._episode.uav(name)
-        if self._patch is None or uav is None:
+        uav = self._episode.uav(name)
+        if uav is None and self._tile_patch:
+            return {"row": row, "tiles": self._tiles_around(name)}
+        if uav is None or self._patch is None:
             return row
         picture = self._maps.patch(uav, self.world, self._patch)
         return {"row": row, "coverage": picture.astype(self._dtype, copy=False)}
+
+    def _tiles_around(self, ugv: str) -> TileArray:
+        picture: TileArray = np.empty((1, self._tile_patch, self._tile_patch), np.uint8)
+        position = self._episode.row(ugv)[None, 1:3].astype(np.float64)
+        tile_patches(
+            self.known_tiles(ugv)[None], float(self.scenario.ground.tile), position, picture
+        )
+        around: TileArray = picture[0]
+        return around
+
+    def known_tiles(self, ugv: str) -> TileArray:
+        """The ground as a UGV knows it. Shape (rows, columns).
+
+        In here from its bumper alone: `outrider.parallel_env` has the radio of the UAVs' computers, too.
+        """
+        known: TileArray = self.world.arrays[1].ground.known[0, self.world.names.index(ugv)]
+        return known
 
     @property
     def world(self) -> World:

@@ -32,6 +32,21 @@ class CoveragePatch(NamedTuple):
             )
 
 
+TILE_PATCH = 21
+"""Tiles on each side of the picture of the ground that a UGV observes, by default."""
+
+
+def check_tile_patch(side: int) -> int:
+    """Refuse a side of a UGV's picture of the ground that cannot be.
+
+    Raises:
+        ValueError: If it is no odd number from 1 to 255: the UGV's own tile is in the middle.
+    """
+    if isinstance(side, bool) or side != int(side) or not (1 <= side <= 255 and side % 2):
+        raise ValueError(f"tile_patch = {side!r}; must be an odd whole number from 1 to 255")
+    return side
+
+
 @compiled
 def sample(
     coverage: FloatArray,

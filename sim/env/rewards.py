@@ -36,6 +36,12 @@ class RewardWeights:
     """UGV: gain for each goal reached."""
     effort: float = 0.0
     """Both: cost of the squared acceleration [s³/m²]."""
+    told: float = 0.0
+    """UAV: gain for each square metre of ground of which its UGV is told for the first time by radio [1/m²]."""
+    hit: float = 0.0
+    """UGV: cost for each hazard that it runs into."""
+    still: float = 0.0
+    """UGV: cost while it stands still before it has arrived, on ground with hazards [1/s]."""
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
@@ -54,6 +60,7 @@ class UavTerms(NamedTuple):
     sight_lost: float = 0.0
     out_of_sight: float = 0.0
     effort: float = 0.0
+    told: float = 0.0
 
 
 class UgvTerms(NamedTuple):
@@ -62,6 +69,12 @@ class UgvTerms(NamedTuple):
     progress: float = 0.0
     goal: float = 0.0
     effort: float = 0.0
+    hit: float = 0.0
+    still: float = 0.0
+
+
+MISSION_TERMS = ("told", "hit", "still")
+"""Those that are always 0 on ground without hazards."""
 
 
 def full_error(r_o: float, desired: float) -> float:
@@ -77,7 +90,7 @@ def full_error(r_o: float, desired: float) -> float:
 
 
 @compiled
-def uav_terms(
+def uav_terms(  # noqa: PLR0913 - compiled
     weights: RewardWeights,
     error: float,
     gain: float,
@@ -88,7 +101,8 @@ def uav_terms(
     u_x: float,
     u_y: float,
     dt: float,
-) -> tuple[float, float, float, float, float]:
+    told: float,
+) -> tuple[float, float, float, float, float, float]:
     """A UAV's reward of one tick, in the order of `UavTerms`.
 
     Args:
@@ -102,6 +116,7 @@ def uav_terms(
             that.
         u_x, u_y: Acceleration as applied [m/s²].
         dt: Length of a tick [s].
+        told: Ground of which its UGV has been told for the first time [m²].
     """
     return (
         -weights.uncovered * error / full * dt,
@@ -109,13 +124,21 @@ def uav_terms(
         -weights.sight_lost if lost and not was_lost else 0.0,
         -weights.out_of_sight * ticks_lost * dt if lost else 0.0,
         -weights.effort * (u_x * u_x + u_y * u_y) * dt,
+        weights.told * told,
     )
 
 
 @compiled
 def ugv_terms(
-    weights: RewardWeights, nearer: float, arrivals: int, u_x: float, u_y: float, dt: float
-) -> tuple[float, float, float]:
+    weights: RewardWeights,
+    nearer: float,
+    arrivals: int,
+    u_x: float,
+    u_y: float,
+    dt: float,
+    hits: int,
+    still: int,
+) -> tuple[float, float, float, float, float]:
     """A UGV's reward of one tick, in the order of `UgvTerms`.
 
     Args:
@@ -124,9 +147,13 @@ def ugv_terms(
         arrivals: Goals reached in this tick.
         u_x, u_y: Acceleration as applied [m/s²].
         dt: Length of a tick [s].
+        hits: Hazards that it has run into in this tick.
+        still: 1 if it stood still in this tick before it had arrived.
     """
     return (
         weights.progress * nearer,
         weights.goal * arrivals,
         -weights.effort * (u_x * u_x + u_y * u_y) * dt,
+        -weights.hit * hits,
+        -weights.still * still * dt,
     )

@@ -48,6 +48,14 @@ class UgvMetrics(NamedTuple):
     """The way by which it came nearer to its goal [m]."""
     to_go: float
     """Way to the next goal [m]; 0 where none is left."""
+    told: float
+    hits: float
+    still: float
+    """Tiles that have come by radio, hazards that it has run into, ticks in which it stood still; 0 without hazards."""
+    new_told: float
+    new_hits: float
+    new_still: float
+    """Of them those of this tick."""
 
 
 class Moment(NamedTuple):
@@ -121,13 +129,13 @@ class RowState(NamedTuple):
     uavs: FloatArray
     """`UavMetrics`; further columns are the caller's. Shape (worlds, UAVs, 8 or more)."""
     ugvs: FloatArray
-    """`UgvMetrics`. Shape (worlds, UGVs, 4)."""
+    """`UgvMetrics`. Shape (worlds, UGVs, 10)."""
     uav_rows: FloatArray
     """`UavRow`; further columns are the caller's. Shape (worlds, UAVs, 9 or more)."""
     ugv_rows: FloatArray
     """`UgvRow`. Shape (worlds, UGVs, 8)."""
     terms: FloatArray
-    """Of the last reward: `UavTerms` or `UgvTerms`. Shape (worlds, vehicles, 5)."""
+    """Of the last reward: `UavTerms` or `UgvTerms`. Shape (worlds, vehicles, 6)."""
     rewards: FloatArray
     """Of the last tick. Shape (worlds, vehicles)."""
     terminated: IntArray
@@ -214,6 +222,19 @@ def _measure_uav(bt: BatchTables, bs: BatchState, s: RowState, k: int, u: int) -
 
 
 @inlined
+def _measure_mission(bs: BatchState, s: RowState, k: int, g: int) -> None:
+    """How UGV g has done in this tick on ground with hazards."""
+    row, mission, hits = s.ugvs[k, g], bs.mission.ugvs[k, g], 0
+    for n in range(bs.ground.hits.shape[2]):
+        hits += bs.ground.hits[k, g, n]
+    row[UGV_METRICS.new_told] = mission.told - row[UGV_METRICS.told]
+    row[UGV_METRICS.new_hits] = hits - row[UGV_METRICS.hits]
+    row[UGV_METRICS.new_still] = mission.still - row[UGV_METRICS.still]
+    row[UGV_METRICS.told], row[UGV_METRICS.hits] = mission.told, hits
+    row[UGV_METRICS.still] = mission.still
+
+
+@inlined
 def _measure_ugv(
     bs: BatchState, t: RowTables, s: RowState, k: int, g: int, beginning: bool
 ) -> None:
@@ -253,12 +274,16 @@ def _pay(
 ) -> None:
     """Everybody's reward of this tick: the sum of its terms, in their order."""
     w, weights, dt = t.episode[0], t.weights[0], bt.world[0].dt
+    grounded = bt.ground.parameters.shape[0] > 0
     for v in range(t.place.shape[0]):
         u_x, u_y = bs.truth.acceleration[k, v, 0], bs.truth.acceleration[k, v, 1]
         terms = s.terms[k, v]
         if t.place[v] >= 0:
-            row = s.uavs[k, t.place[v]]
-            terms[0], terms[1], terms[2], terms[3], terms[4] = uav_terms(
+            row, told = s.uavs[k, t.place[v]], 0.0
+            if grounded:
+                tile, ugv = bt.ground.parameters[0].tile, bt.escorts[t.place[v], 1]
+                told = tile * tile * s.ugvs[k, -1 - t.place[ugv], UGV_METRICS.new_told]
+            terms[0], terms[1], terms[2], terms[3], terms[4], terms[5] = uav_terms(
                 weights,
                 row[UAV_METRICS.error],
                 bs.truth.gains[k, t.place[v]],
@@ -269,11 +294,15 @@ def _pay(
                 u_x,
                 u_y,
                 dt,
+                told,
             )
         else:
             row = s.ugvs[k, -1 - t.place[v]]
             nearer, arrivals = row[UGV_METRICS.nearer], int(row[UGV_METRICS.arrivals])
-            terms[0], terms[1], terms[2] = ugv_terms(weights, nearer, arrivals, u_x, u_y, dt)
+            hits, still = int(row[UGV_METRICS.new_hits]), int(row[UGV_METRICS.new_still])
+            terms[0], terms[1], terms[2], terms[3], terms[4] = ugv_terms(
+                weights, nearer, arrivals, u_x, u_y, dt, hits, still
+            )
         reward = 0.0
         for n in range(terms.shape[0]):
             reward += terms[n]
@@ -297,6 +326,8 @@ def advance_rows(
         _measure_uav(bt, bs, s, k, u)
     for g in range(t.ugvs.shape[0]):
         _measure_ugv(bs, t, s, k, g, beginning)
+        if bt.ground.parameters.shape[0] > 0:
+            _measure_mission(bs, s, k, g)
     if not beginning:
         ticks_lost = _end(t, s, k, t.episode[0].ticks - bs.ticks[k])
         _pay(bt, bs, t, s, k, ticks_lost)

@@ -8,6 +8,7 @@ from gymnasium import spaces
 
 from bus.layout import UavRow, UgvRow, bounds
 from sim.env.patch import CoveragePatch
+from sim.models.ground import OUTSIDE
 from sim.scenario.types import Scenario, Uav, Ugv
 
 FREE_ACCELERATION = 10.0
@@ -49,12 +50,18 @@ def action_space(vehicle: Uav | Ugv) -> spaces.Box:
 
 
 def observation_space(
-    scenario: Scenario, vehicle: Uav | Ugv, patch: CoveragePatch | None, dtype: type[np.floating]
+    scenario: Scenario,
+    vehicle: Uav | Ugv,
+    patch: CoveragePatch | None,
+    dtype: type[np.floating],
+    tiles: int = 0,
 ) -> spaces.Box | spaces.Dict:
-    """The vehicle's row; for a UAV with a patch, row and coverage."""
+    """The vehicle's row; for a UAV with a patch also coverage, for a UGV that is shown so many tiles those."""
     extent = extent_of(scenario, vehicle)
     if isinstance(vehicle, Ugv):
-        return box(*bounds(UgvRow, extent), dtype)
+        own = box(*bounds(UgvRow, extent), dtype)
+        seen = spaces.Box(0, OUTSIDE, (tiles, tiles), np.uint8)
+        return spaces.Dict({"row": own, "tiles": seen}) if tiles else own
     row = box(*bounds(UavRow, extent), dtype)
     if patch is None:
         return row

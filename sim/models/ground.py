@@ -23,6 +23,9 @@ UNSEEN, CLEAR = 0, 1
 ROUGH, BLOCK, FOUND = HAZARDS["rough"].code, HAZARDS["block"].code, HAZARDS["find"].code
 """A hazard of the kind touches it. BLOCK goes before ROUGH, and ROUGH before FOUND."""
 
+OUTSIDE = 5
+"""In a picture of tiles: beyond the area. No tile has this state."""
+
 TOUCH = 1e-9
 """A hazard that is nearer to a tile than this touches it [m]: no rounding hides one that a vehicle runs into."""
 
@@ -404,3 +407,25 @@ def fill_tiles(hazards: RecordArray, corners: FloatArray, tile: float, tiles: Ti
             else:
                 end = row["first"] + row["corners"]
                 _fill_polygon(corners[row["first"] : end], kind, tile, tiles)
+
+
+@compiled
+def tile_patches(tiles: TileArray, tile: float, position: FloatArray, pictures: TileArray) -> None:
+    """Fill pictures with the tiles around those that vehicles stand on, which are their middles; rows go north.
+
+    Args:
+        tiles: States, as each vehicle knows them. Shape (vehicles, rows, columns).
+        tile: Side of a tile [m].
+        position: Of each [m]. Shape (vehicles, 2).
+        pictures: Are changed; OUTSIDE beyond the area. Shape (vehicles, side, side), an odd number.
+    """
+    rows, columns = tiles.shape[1], tiles.shape[2]
+    side = pictures.shape[1]
+    for k in range(pictures.shape[0]):
+        first = tile_index(position[k, 1], tile, rows) - side // 2
+        left = tile_index(position[k, 0], tile, columns) - side // 2
+        for i in range(side):
+            for j in range(side):
+                row, column = first + i, left + j
+                inside = 0 <= row < rows and 0 <= column < columns
+                pictures[k, i, j] = tiles[k, row, column] if inside else OUTSIDE

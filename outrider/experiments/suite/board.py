@@ -7,14 +7,16 @@ from statistics import fmean
 from typing import Any
 
 from bus.registry import LAWS
-from outrider.experiments.intervals import mean_interval
+from outrider.experiments.intervals import interquartile_interval, mean_interval
 from outrider.experiments.suite.scoring import Entry, Result, evaluate
-from outrider.experiments.suite.tasks import SEEDS, Suite, Task, suite
+from outrider.experiments.suite.tasks import NO_ESCORT, SEEDS, Suite, Task, suite
 from sim.engine.run_keys import check_secret, new_secret
 from sim.kernels.threads import cores
 
 BASELINES = tuple(law.name for law in LAWS.values() if law.compared)
 """The entries that are always there to beat."""
+MISSION_BASELINES = (NO_ESCORT, *BASELINES)
+"""Those of missions: what a UGV does alone shows what an escort is worth."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,6 +29,11 @@ class Standing:
     low: float
     high: float
     """Its 95 % interval over the seeds."""
+    middle: float
+    """Interquartile mean over the tasks and seeds."""
+    middle_low: float
+    middle_high: float
+    """Its 95 % interval, by the bootstrap stratified by tasks."""
     lost: int
     """Episodes in which sight was lost."""
     episodes: int
@@ -45,17 +52,25 @@ class Leaderboard:
     tasks: tuple[str, ...]
     standings: tuple[Standing, ...]
     """The best first."""
+    mission: bool
+    """Whether the tasks were scored by how the UGVs got through."""
     secret: str
     """Of all the flights' random numbers, beside the seeds: with it the same table again."""
 
     def rows(self) -> list[list[str]]:
-        """The table: a head, a row for each task, and one for the mean over the tasks; a column for each entry."""
+        """The table: a head, a row for each task, and one for the mean over the tasks; a column for each entry.
+
+        Missions, some of which an entry never ends, have one more for the interquartile mean.
+        """
         table = [["task", *(standing.entry for standing in self.standings)]]
         table += [
             [task, *(_cell(standing.results[k]) for standing in self.standings)]
             for k, task in enumerate(self.tasks)
         ]
-        return [*table, ["**mean**", *(_cell(standing) for standing in self.standings)]]
+        table.append(["**mean**", *(_cell(standing) for standing in self.standings)])
+        if self.mission:
+            table.append(["**interquartile mean**", *map(middle_cell, self.standings)])
+        return table
 
     def markdown(self) -> str:
         """The table in Markdown."""
@@ -69,14 +84,23 @@ def _cell(told: Result | Standing) -> str:
     return f"{told.score:.1f} ± {0.5 * (told.high - told.low):.1f}{lost}"
 
 
+def middle_cell(told: Standing) -> str:
+    """The interquartile mean with its interval, as tables have it."""
+    return f"{told.middle:.1f} [{told.middle_low:.1f}, {told.middle_high:.1f}]"
+
+
 def _standing(entry: str, results: Sequence[Result]) -> Standing:
     by_seed = [fmean(scores) for scores in zip(*(result.scores for result in results), strict=True)]
     score, low, high = mean_interval(by_seed)
+    middle, middle_low, middle_high = interquartile_interval([one.scores for one in results])
     return Standing(
         entry=entry,
         score=score,
         low=max(0.0, low),
         high=min(100.0, high),
+        middle=middle,
+        middle_low=middle_low,
+        middle_high=middle_high,
         lost=sum(result.lost for result in results),
         episodes=sum(result.episodes for result in results),
         certified_while_lost=sum(result.certified_while_lost for result in results),
@@ -86,7 +110,7 @@ def _standing(entry: str, results: Sequence[Result]) -> Standing:
 
 
 def leaderboard(
-    entries: Mapping[str, Entry] | Sequence[str] = BASELINES,
+    entries: Mapping[str, Entry] | Sequence[str] | None = None,
     *,
     tasks: Sequence[Task] | None = None,
     seeds: Sequence[int] = SEEDS,
@@ -97,7 +121,8 @@ def leaderboard(
     """Fly every entry over every task, laws on all cores; the same secret gives the same table.
 
     Args:
-        entries: Laws by name, or a mapping from names to laws and policies.
+        entries: Laws by name, or a mapping from names to laws and policies; by default `BASELINES`, and for missions
+            `MISSION_BASELINES`.
         tasks: A part of the suite, or tasks of your own; by default the whole suite.
         seeds: Of the episodes.
         secret: As in `outrider.experiments.suite.scoring.evaluate`; one for all.
@@ -107,8 +132,12 @@ def leaderboard(
     Raises:
         ValueError: If there is no entry or no task, a law is unknown, or a policy answers what is no action.
     """
-    field = dict(entries) if isinstance(entries, Mapping) else {name: name for name in entries}
     flown = Suite(suite() if tasks is None else tasks)
+    if entries is None:
+        entries = MISSION_BASELINES if all(task.mission for task in flown) else BASELINES
+    field = dict(entries) if isinstance(entries, Mapping) else {name: name for name in entries}
+    if len({task.mission for task in flown}) > 1:
+        raise ValueError("tasks: missions and others have scores of their own; allowed: one kind")
     if not field or not flown:
         raise ValueError(
             f"{len(field)} entries and {len(flown)} tasks: allowed is one or more of each"
@@ -150,6 +179,7 @@ def leaderboard(
     standings = [_standing(name, [results[name, task.name] for task in flown]) for name in field]
     return Leaderboard(
         tasks=flown.names,
+        mission=flown[0].mission,
         standings=tuple(sorted(standings, key=lambda standing: -standing.score)),
         secret=kept,
     )

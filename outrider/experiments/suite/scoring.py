@@ -4,7 +4,7 @@ import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,8 +20,18 @@ from sim.env.seeds import Seeds
 from sim.kernels.compile import FloatArray
 from sim.models.field import coverage_error
 
-Entry = str | Policy
-"""The pilot of the UAVs: a law by name, or a policy for all worlds at once."""
+
+class Team(NamedTuple):
+    """Who flies and who drives in a mission."""
+
+    uav: str | Policy | None = None
+    """A law by name, or a policy for all worlds at once; None: the scenario's law."""
+    ugv: str | Policy | None = None
+    """A driver by name, or a policy; None: the scenario's driver."""
+
+
+Entry = str | Policy | Team
+"""The pilot of the UAVs: a law by name, or a policy for all worlds at once; in a mission also a whole team."""
 
 SETTINGS = ("estimate", "gradient", "safety_filter", "coverage_patch", "dtype", "threads")
 """The settings of a policy: how it sees and acts. All else belongs to the task."""
@@ -110,6 +120,12 @@ class _Meter:
                 self._untouched, x, y, self._r_o, self._desired, self._cell
             )
         return found
+
+
+def name_of(entry: Entry, name: str) -> str:
+    """The name of an entry in tables: the one that is given, or its own."""
+    own = entry if isinstance(entry, str) else getattr(entry, "__name__", type(entry).__name__)
+    return name or own
 
 
 def _fly(loop: ClosedLoop, advance: Callable[[], object]) -> _Meter:
@@ -203,11 +219,15 @@ def evaluate(
     for seed in seeds:
         Seeds.check(seed)
     kept = new_secret() if secret is None else check_secret(secret)
+    if isinstance(entry, str) and settings:
+        raise ValueError(f"{', '.join(settings)}: for policies alone, not for the law {entry!r}")
+    if task.mission:
+        from outrider.experiments.suite.missions import evaluate_mission  # noqa: PLC0415 - it stands on this file
+
+        return evaluate_mission(task, entry, seeds, name=name, secret=kept, settings=settings)
+    if isinstance(entry, Team):
+        raise ValueError("a team: for missions alone; allowed: a law by name, or a policy")
     if isinstance(entry, str):
-        if settings:
-            raise ValueError(
-                f"{', '.join(settings)}: for policies alone, not for the law {entry!r}"
-            )
         meter = _fly_law(task, entry, seeds, kept)
     else:
         meter = _fly_policy(task, entry, seeds, kept, settings)
@@ -215,8 +235,7 @@ def evaluate(
     score, low, high = mean_interval(scores)
     return Result(
         task=task.name,
-        entry=name
-        or (entry if isinstance(entry, str) else getattr(entry, "__name__", type(entry).__name__)),
+        entry=name_of(entry, name),
         score=score,
         low=max(0.0, low),
         high=min(100.0, high),

@@ -1,8 +1,11 @@
-"""The tasks of the suite: each is the shipped escort with a few fields changed, so that what is hard can be read off.
+"""The tasks of the suites: each is a shipped scenario with a few fields changed, so that what is hard can be read off.
 
 Nothing heavy is loaded until a task is flown: the names are also read where environments are registered.
 """
 
+import hashlib
+import json
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, overload
@@ -14,7 +17,10 @@ if TYPE_CHECKING:
     from sim.scenario.types import Scenario
 
 BASE = "escort"
-"""The shipped scenario that every task starts from."""
+"""The shipped scenario that every task starts from, but for the missions."""
+
+NO_ESCORT = "none"
+"""The entry of missions without an escort: what a UGV can do with its own sensor."""
 
 SEEDS = tuple(range(9000, 9020))
 """The seeds of every evaluation. No default leads a training run to them."""
@@ -29,7 +35,11 @@ class Task:
     hard: str
     """The difficulty, in a line."""
     changes: Mapping[str, object]
-    """Fields of the shipped escort and their values, as in `load_scenario(overrides=...)`."""
+    """Fields of the shipped scenario and their values, as in `load_scenario(overrides=...)`."""
+    base: str = BASE
+    """The shipped scenario."""
+    mission: bool = False
+    """Whether it is scored by how the UGVs get through, and not by how much of the ground was seen."""
 
     @property
     def scenario(self) -> "Scenario":
@@ -41,7 +51,7 @@ class Task:
         from sim.scenario.loading import load_scenario  # noqa: PLC0415 - compiled code stands behind it
 
         return load_scenario(
-            BASE, overrides={"name": self.name, "title": self.hard, **self.changes}
+            self.base, overrides={"name": self.name, "title": self.hard, **self.changes}
         )
 
     @property
@@ -212,6 +222,31 @@ TASKS: tuple[Task, ...] = (
 """The easier ones first: where no law of the paper loses sight, then where some do."""
 
 
+_BAD: dict[str, object] = {"links.profile": "jammed", "certificate.age": 6.0}
+"""The network of `bursts`: bursts of loss and half a second of delay, on every link."""
+
+
+def _missions() -> Iterator[Task]:
+    for base, hard in (
+        (
+            "minefield",
+            "forty mines lie where no map shows them, and the first that is touched ends it",
+        ),
+        ("rubble", "walls with dead ends, and rough ground that is slower than a way around"),
+        (
+            "rescue",
+            "eight things are to be found beside the way, and what is not seen is not found",
+        ),
+    ):
+        yield Task(name=base, hard=hard, changes={}, base=base, mission=True)
+        jammed = f"{hard}; every link is jammed"
+        yield Task(name=f"{base}-jammed", hard=jammed, changes=_BAD, base=base, mission=True)
+
+
+MISSIONS: tuple[Task, ...] = tuple(_missions())
+"""Ground with hazards, over a perfect network and over a bad one: what the escort is for."""
+
+
 class Suite(Sequence[Task]):
     """All the tasks, by place or by name.
 
@@ -253,6 +288,27 @@ class Suite(Sequence[Task]):
         return tuple(task.name for task in self._tasks)
 
 
-def suite() -> Suite:
-    """The benchmark suite: `docs/reference/suite.md` says what its tasks are and how they are scored."""
-    return Suite()
+SUITE, MISSION_SUITE = "suite-v1", "missions-v1"
+SUITES: Mapping[str, tuple[Task, ...]] = {SUITE: TASKS, MISSION_SUITE: MISSIONS}
+"""By name. A suite that has a number is never changed: what would change it becomes the next one."""
+
+
+def suite(name: str = SUITE) -> Suite:
+    """A benchmark suite: `docs/reference/suite.md` says what its tasks are and how they are scored.
+
+    Raises:
+        ValueError: If there is none of this name.
+    """
+    if name not in SUITES:
+        raise ValueError(f"suite = {name!r}; allowed: {', '.join(SUITES)}")
+    return Suite(SUITES[name])
+
+
+def fingerprint(tasks: Sequence[Task]) -> str:
+    """SHA-256 of all that defines tasks: names, scenarios, changes, kind of score, and the seeds."""
+    from sim.scenario.loading import shipped_text  # noqa: PLC0415
+
+    bases = {task.base: tomllib.loads(shipped_text(task.base)) for task in tasks}
+    told = [[task.name, task.base, task.mission, task.changes] for task in tasks]
+    whole = json.dumps([bases, told, SEEDS], sort_keys=True)
+    return hashlib.sha256(whole.encode()).hexdigest()

@@ -1,0 +1,244 @@
+"""Ground with hazards in the environments: what a UGV observes of it, what is paid, how the mission went; its suite."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from refusals import refused
+from worlds import equal, row_of, small
+
+import outrider
+from agents.drivers.policy import PolicyDriver
+from bus.errors import ScenarioError
+from bus.messages import Command, Mission, UgvBriefing, UgvCommand
+from outrider.envs.env_pilots import pilots
+from outrider.experiments.intervals import interquartile_interval
+from outrider.experiments.suite.board import leaderboard
+from outrider.experiments.suite.missions import mission_score, shortest_time
+from outrider.experiments.suite.scoring import Team
+from outrider.experiments.suite.tasks import MISSIONS, TASKS, Task, fingerprint
+from outrider.running.flying import InProcess, make_pilots
+from sim.engine.briefing import briefing
+from sim.env.parallel import parallel_env as bare_env
+from sim.models.ground import BLOCK, CLEAR, OUTSIDE, ROUGH, UNSEEN
+from sim.scenario.types import Hazard, Scenario
+from sim.server.flight import Flight
+
+pytestmark = pytest.mark.xdist_group("many worlds")
+
+SECRET = bytes(range(16)).hex()
+WALL = Hazard(kind="block", polygon=((9.0, 5.0), (9.5, 5.0), (9.5, 7.0), (9.0, 7.0)))
+MUD = Hazard(kind="rough", center=(7.5, 7.5), radius=0.8, share=0.5)
+PAID = outrider.RewardWeights(told=0.05, hit=20.0, still=0.1, effort=0.3)
+
+
+def grounded(*, duration: float = 12.0, driver: str = "navigate") -> Scenario:
+    """A UGV at (8, 6) m on its way to (12, 6) m, with a wall in between."""
+    plain = small("tracking", driver)
+    (ugv,) = plain.ugv
+    ugv = msgspec.structs.replace(ugv, position=(8.0, 6.0), goals=((12.0, 6.0),))
+    return msgspec.structs.replace(plain, hazard=(WALL, MUD), ugv=(ugv,), duration=duration, seed=5)
+
+
+def test_a_world_of_the_vector_environment_is_the_parallel_one_bit_for_bit() -> None:
+    """Tiles, rewards and the end's infos, with the UGV driven straight at the wall by hand."""
+    env = outrider.parallel_env(grounded(), rewards=PAID)
+    worlds = outrider.parallel_vector_env(grounded(), num_envs=2, rewards=PAID)
+    law, paid = pilots(env)["uav_0"], dict.fromkeys(env.possible_agents, 0.0)
+    seen, _ = env.reset(seed=5)
+    all_seen, _ = worlds.reset(seed=[5, 6])
+    while env.agents:
+        assert all(equal(seen[name], row_of(all_seen[name], 0)) for name in seen)
+        actions = {"uav_0": law(seen["uav_0"]), "ugv_0": np.array([0.1, 0.0])}
+        seen, rewards, *_, infos = env.step(actions)
+        all_seen, all_rewards, *_, all_infos = worlds.step(
+            {name: np.tile(action, (2, 1)) for name, action in actions.items()}
+        )
+        for name, reward in rewards.items():
+            assert reward == all_rewards[name][0]
+            paid[name] += reward
+    final = all_infos["ugv_0"]["final_info"]
+    told = infos["ugv_0"]
+    assert set(told) == {"goals_reached", *Mission.__struct_fields__}
+    assert infos["uav_0"] == {}  # nothing true gets to a UAV
+    for key, value in told.items():
+        assert np.array_equal(final[key][0], value, equal_nan=True)
+    assert (told["hazards_hit"], told["arrived"]) == (1, False)
+    assert math.isnan(told["mission_time"])
+    tiles = seen["ugv_0"]["tiles"]
+    assert equal(tiles, all_infos["ugv_0"]["final_obs"][0]["tiles"])
+    heard = env.world.arrays[1].mission.ugvs["told"].item()
+    assert heard > 100
+    metrics = env.metrics()["ugv_0"]
+    assert metrics["reward_hit"] == 0.0  # it was paid for once, some ticks ago
+    assert metrics["reward_still"] == pytest.approx(-0.1 * env.scenario.dt)
+    assert -20.0 < paid["ugv_0"] < -18.0  # a metre nearer, and one hit
+    worlds.close()
+
+
+def test_a_ugv_observes_the_tiles_around_its_own_as_it_knows_them() -> None:
+    env = outrider.parallel_env(grounded(), tile_patch=31)
+    bare = bare_env(grounded(), tile_patch=31)
+    fly = pilots(env)
+    for one in (env, bare):
+        one.reset(seed=5)
+    seen = env.reset(seed=5)[0]
+    bare.reset(seed=5)
+    for _ in range(120):
+        actions = {name: fly[name](seen[name]) for name in env.agents}
+        seen, *_ = env.step(actions)
+        alone, *_ = bare.step(actions)
+    tiles, truth = seen["ugv_0"]["tiles"], env.world.arrays[1].ground.tiles[0]
+    assert env.observation_space("ugv_0").contains(seen["ugv_0"])
+    x, y = seen["ugv_0"]["row"][1:3]
+    row, column = int(y / 0.5), int(x / 0.5)
+    for i in range(31):
+        for j in range(31):
+            at = row + i - 15, column + j - 15
+            inside = 0 <= at[0] < truth.shape[0] and 0 <= at[1] < truth.shape[1]
+            assert tiles[i, j] in ((UNSEEN, truth[at]) if inside else (OUTSIDE,))
+    assert {UNSEEN, CLEAR, ROUGH, BLOCK, OUTSIDE} == set(np.unique(tiles).tolist())
+    by_bumper = np.isin(alone["ugv_0"]["tiles"], (CLEAR, BLOCK)).sum()
+    assert 2 * by_bumper < np.isin(tiles, (CLEAR, BLOCK)).sum()  # the rest has come by radio
+
+
+def test_nothing_changes_without_hazards() -> None:
+    env = outrider.parallel_env("escort", duration=0.1, tile_patch=3)
+    seen, _ = env.reset(seed=1)
+    assert seen["ugv_0"].shape == (8,)
+    infos: dict[str, Any] = {}
+    while env.agents:
+        *_, infos = env.step(dict.fromkeys(env.agents, (0.0, 0.0)))
+    assert infos == {"uav_0": {}, "ugv_0": {"goals_reached": 0}}
+    assert not {"reward_told", "reward_hit"} & {*env.metrics()["uav_0"], *env.metrics()["ugv_0"]}
+
+
+@pytest.mark.parametrize("side", [0, 4, 257, 2.5, True])
+def test_a_picture_of_tiles_has_a_middle(side: Any) -> None:
+    with refused(ValueError, "tile_patch = .*must be an odd whole number from 1 to 255"):
+        outrider.parallel_env(grounded(), tile_patch=side)
+    with refused(ValueError, "tile_patch = "):
+        outrider.vector_env(grounded(), num_envs=1, tile_patch=side)
+
+
+class Tiny:
+    """A policy of somebody's own that saves its space as learning libraries do, and drives where nothing blocks."""
+
+    def __init__(self, env: Any) -> None:
+        self.observation_space = env.observation_space("ugv_0")
+        self.seen: list[dict[str, np.ndarray]] = []
+
+    def predict(self, seen: dict[str, np.ndarray]) -> tuple[float, float]:
+        self.seen.append(seen)
+        ahead = seen["tiles"][10, 11:14]
+        return (-0.1, 0.0) if BLOCK in ahead.tolist() else (0.05, 0.02)
+
+
+def test_a_policy_sees_over_the_bus_the_tiles_that_it_saw_in_the_environment() -> None:
+    scenario = grounded(duration=6.0)
+    env = outrider.parallel_env(scenario)
+    there, here, law = Tiny(env), Tiny(env), pilots(env)["uav_0"]
+    seen, _ = env.reset(seed=5)
+    while env.agents:
+        action = there.predict(seen["ugv_0"])
+        seen, *_ = env.step({"uav_0": law(seen["uav_0"]), "ugv_0": action})
+    told = briefing(scenario, "ugv_0", 5)
+    assert isinstance(told, UgvBriefing)
+    driver = PolicyDriver(told, policy=here, name="tiny:drive")
+
+    class AtTheWheel(InProcess):
+        def publish(self, observations: Mapping[str, Any]) -> None:
+            super().publish({"uav_0": observations["uav_0"]})
+            self.seen = observations["ugv_0"]
+
+        def collect(self, tick: int) -> dict[str, Command]:
+            own = UgvCommand(tick=tick, acceleration=driver.drive(self.seen))
+            return {**super().collect(tick), "ugv_0": own}
+
+    Flight(scenario, 5).fly(AtTheWheel(make_pilots(scenario, 5)))
+    assert len(there.seen) == len(here.seen)
+    assert all(equal(one, other) for one, other in zip(there.seen, here.seen, strict=True))
+    assert any((one["tiles"] == BLOCK).any() for one in here.seen)
+
+
+def test_a_policy_that_observes_tiles_needs_hazards() -> None:
+    model, told = Tiny(outrider.parallel_env(grounded())), briefing(small("tracking"), "ugv_0", 1)
+    assert isinstance(told, UgvBriefing)
+    with refused(
+        ScenarioError, "policy = 'tiny:drive': it observes tiles, and the scenario has no"
+    ):
+        PolicyDriver(told, policy=model, name="tiny:drive")
+
+
+def test_the_tasks_of_a_suite_with_a_number_never_change() -> None:
+    """Whoever must change one gives the suite its next number."""
+    assert fingerprint(TASKS) == "4b496d6da71553fa5d4eee590bc83625068246e732b45f993af9cb1235c99155"
+    assert (
+        fingerprint(MISSIONS) == "522ea2498f84079320408ae76480601e57d15e8374feb16bd68cb91d69e27bfb"
+    )
+
+
+def test_a_missions_score_is_the_share_of_the_shortest_time() -> None:
+    went = Mission(
+        arrived=True,
+        mission_time=50.0,
+        hazards_hit=0,
+        near_misses=0,
+        hazards_on_way=3,
+        warned=3,
+        warned_before=5.0,
+        seen_ahead=0.5,
+        still_time=0.0,
+        finds=0,
+        found=0,
+    )
+    changed = msgspec.structs.replace
+    assert mission_score(went, 20.0) == pytest.approx(40.0)
+    assert mission_score(changed(went, hazards_hit=1), 20.0) == pytest.approx(20.0)
+    assert mission_score(changed(went, finds=8, found=2), 20.0) == pytest.approx(10.0)
+    assert mission_score(changed(went, mission_time=10.0), 20.0) == 100.0
+    assert mission_score(changed(went, arrived=False, mission_time=None), 20.0) == 0.0
+    assert shortest_time(grounded()) == pytest.approx(4.0 / grounded().ugv[0].max_speed)
+
+
+def test_the_interquartile_mean_and_its_interval_are_rliables() -> None:
+    scores = np.array([[0.0, 10.0, 20.0, 90.0], [5.0, 15.0, 25.0, 30.0]])
+    middle, low, high = interquartile_interval(scores.tolist())
+    assert middle == np.mean([10.0, 15.0, 20.0, 25.0])
+    random = np.random.default_rng(3)
+    again = [
+        np.mean(np.sort(np.concatenate([random.choice(one, 4) for one in scores]))[2:6])
+        for _ in range(4000)
+    ]
+    assert (low, high) == pytest.approx(np.percentile(again, [2.5, 97.5]), abs=1.5)
+    assert interquartile_interval([[3.0], [5.0]]) == (4.0, 4.0, 4.0)
+    with refused(ValueError, "the scores: allowed is one task or more"):
+        interquartile_interval([[1.0, 2.0], [1.0]])
+
+
+class Short(Task):
+    @property
+    def scenario(self) -> Scenario:
+        return grounded(duration=4.0)
+
+
+def test_missions_are_flown_by_laws_policies_and_teams() -> None:
+    task = Short(name="short", hard="", changes={}, mission=True)
+
+    def drive(seen: dict[str, np.ndarray]) -> np.ndarray:
+        assert seen["tiles"].shape == (2, 21, 21)
+        return np.tile([0.1, 0.0], (2, 1))
+
+    entries = {"law": "tracking", "team": Team(ugv=drive)}
+    board = leaderboard(entries, tasks=[task], seeds=[1, 2], secret=SECRET)
+    told = {standing.entry: standing.results[0] for standing in board.standings}
+    assert told["law"].hazards_hit == 0  # type: ignore[attr-defined]
+    assert told["law"].seen_ahead > 0.3  # type: ignore[attr-defined]
+    assert board.markdown().splitlines()[-1].startswith("| **interquartile mean** | 0.0 [0.0, 0.0]")
+    with refused(ValueError, "tasks: missions and others"):
+        leaderboard(["tracking"], tasks=[task, TASKS[0]])
+    with refused(ValueError, "a team: for missions alone"):
+        TASKS[0].evaluate(Team())
