@@ -22,13 +22,13 @@ from outrider.experiments.suite.scoring import Team
 from outrider.experiments.suite.tasks import SEEDS, suite
 from sim.models.ground import BLOCK, UNSEEN
 
-HOLD = 10  # ticks, half a second, between two decisions
+HOLD = 20  # ticks, a second, between two decisions
 SECTORS, TILE, LAG = 16, 0.5, 8  # of the UGV's view; of the ground [m]; decisions
-DISCOUNT, TRACE, CLIP, RATE, EPOCHS, MINIBATCHES = 0.99, 0.95, 0.2, 4e-4, 4, 4
-STEPS, SCALE = 48, 0.1  # decisions in a rollout; of the rewards
-LOG_STD = -1.3  # at the start
+DISCOUNT, TRACE, CLIP, RATE, EPOCHS, MINIBATCHES = 0.97, 0.95, 0.2, 1e-3, 4, 8
+STEPS, SCALE = 64, 0.1  # decisions in a rollout; of the rewards
+LOG_STD = -0.7  # at the start
 HIT = 20.0
-REPORT = 20  # rollouts between two lines
+REPORT = 5  # rollouts between two lines
 REWARDS = outrider.RewardWeights(
     uncovered=0.0, sight_lost=0.0, out_of_sight=0.0, progress=1.0, goal=5.0, hit=HIT, told=0.02
 )
@@ -264,7 +264,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--minutes", type=float, default=5.0, help="how long to train")
     parser.add_argument("--task", default="minefield", help="of the suite missions-v1")
-    parser.add_argument("--worlds", type=int, default=32)
+    parser.add_argument("--worlds", type=int, default=64)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--flights", type=int, default=20, help="of each entry in the table")
     parser.add_argument(

@@ -3,7 +3,6 @@
 Whoever flies and drives in it gives the commands of the pilots in a single flight.
 """
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,19 +12,15 @@ import pytest
 from blas import blas_fuses
 from worlds import POOR, SCENARIOS, small
 
-from agents.drivers.compiled import NavigateDriver
 from bus.errors import ScenarioError
-from bus.messages import Command, Law, LinkKind, Observation, UavCommand, UgvObservation
+from bus.messages import Command, Law, LinkKind, Observation, UavCommand
 from bus.profiles import PROFILES
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.closed_loop_state import GUARD_METRICS
 from outrider.running.flying import InProcess, fly, make_pilots
-from sim.engine.briefing import briefing
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights
 from sim.env.rows import UAV_METRICS
-from sim.models.ground import BLOCK, CLEAR, ROUGH
-from sim.models.vehicles import step_vehicle
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Certificate, Detections, LinkTable, Scenario
 from sim.server.flight import Flight
@@ -89,31 +84,6 @@ def _flown_with(loop: ClosedLoop, seeds: list[int]) -> dict[str, np.ndarray]:
     loop.begin(seeds)
     loop.fly()
     return loop.metrics("uav_0")
-
-
-def test_a_ugv_that_navigates_in_a_batch_drives_as_its_pilot_does() -> None:
-    scenario = small("linear", "navigate")
-    loop, pilot = ClosedLoop(scenario, 2), NavigateDriver(briefing(scenario, "ugv_0", 0))
-    ground, v = pilot.memory.ground.tiles, loop.names.index("ugv_0")
-    ground[:] = CLEAR
-    ground[1:-1:4, ::3] = ROUGH
-    ground[3::5, 2:-2:4] = BLOCK
-    loop.begin([5, 11])
-    loop.state.grounds.tiles[1, 0] = ground
-    told, limits = loop.state.batch.told, scenario.ugv[0]
-    u_max = limits.max_acceleration or math.inf
-    start = (*told.position[1, v], *told.velocity[1, v])
-    here = start
-    for tick in range(120):
-        seen = UgvObservation(
-            tick=tick, time=tick * scenario.dt, position=here[:2], velocity=here[2:]
-        )
-        v_max = limits.max_speed or math.inf
-        here = step_vehicle(*here, *pilot.drive(seen), v_max, u_max, scenario.dt)[:4]
-        loop.fly(1)
-        assert here == (*told.position[1, v], *told.velocity[1, v])
-    assert math.dist(here[:2], start[:2]) > 0.2
-    assert not told.velocity[0, v].any()  # it knows no tile and stands still
 
 
 def test_what_is_certified_out_of_sight_is_counted_in_every_world() -> None:

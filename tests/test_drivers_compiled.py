@@ -12,7 +12,15 @@ from flights import DT, U_G, V_G
 from agents.drivers.compiled import WanderDriver, driver_parameters, told_route
 from agents.drivers.parameters import COMPILED_DRIVERS, WAYPOINTS
 from bus.errors import ScenarioError
-from bus.messages import Area, Limits, RelativeInformation, ScriptStep, UgvBriefing, UgvObservation
+from bus.messages import (
+    Area,
+    Limits,
+    RelativeInformation,
+    ScriptStep,
+    UgvBriefing,
+    UgvGround,
+    UgvObservation,
+)
 from bus.registry import DRIVERS, resolve
 
 CALM, PAPERS = (0.2, 0.02), (V_G, U_G)
@@ -71,10 +79,11 @@ def test_a_driver_without_a_compiled_form_is_refused_in_one_line(name: str) -> N
 
 
 def test_an_area_of_too_many_tiles_is_refused_in_one_line() -> None:
-    wide = _told(area=Area(width=1e6, height=9.0, cell=0.5))
+    ground = UgvGround(tile=0.5, bumper=0.75, caution="cautious", share=0.4)
+    wide = _told(area=Area(width=1e6, height=9.0, cell=0.5), ground=ground)
     with pytest.raises(
         ScenarioError,
-        match=r"^driver = 'navigate': the area has 3.6e\+07 tiles of 0.5 m; at most 1,000,000$",
+        match=r"^ground.tile = 0.5: makes 3.6e\+07 tiles of the area; at most 1,000,000$",
     ):
         resolve(DRIVERS["navigate"].make)(wide)
 

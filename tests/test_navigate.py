@@ -29,7 +29,7 @@ from agents.drivers.navigate import navigate_control, state_ahead
 from agents.drivers.parameters import DriverParameters
 from agents.drivers.planning import Prices, next_tile, plan, search, step_cost
 from agents.drivers.tile_map import begin_ground, ground_memory, note_block, note_tiles
-from bus.messages import Area, Limits, UgvBriefing
+from bus.messages import Area, Limits, UgvBriefing, UgvGround
 from sim.models.ground import BLOCK, CLEAR, FOUND, ROUGH, UNSEEN
 from sim.models.vehicles import Motion, brake, norm, step_vehicle
 
@@ -326,6 +326,7 @@ def _parameters(**numbers: Any) -> DriverParameters:
         driver="navigate",
         goals=(),
         goal_tolerance=0.2,
+        ground=UgvGround(tile=0.5, bumper=0.75, caution="cautious", share=0.4),
         key=a_told_key(1),
     )
     return driver_parameters(told, "navigate")._replace(**numbers)

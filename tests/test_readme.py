@@ -52,13 +52,15 @@ def test_the_readme_can_be_read_at_one_sitting() -> None:
 
 
 def test_the_scenario_shown_can_be_flown(tmp_path: Path) -> None:
-    (shown,) = blocks("toml", "docs/how-to/scenario.md")
+    shown, hazards = blocks("toml", "docs/how-to/scenario.md")
     (tmp_path / "mine.toml").write_text(shown, encoding="utf-8")
     assert load_scenario(tmp_path / "mine.toml").title == "Across the yard"
+    (tmp_path / "mine.toml").write_text(f"{shown}\n{hazards}", encoding="utf-8")
+    assert load_scenario(tmp_path / "mine.toml").has_ground
 
 
 def test_the_links_shown_can_be_flown(tmp_path: Path) -> None:
-    (shown,), (links,) = (
+    (shown, _), (links,) = (
         blocks("toml", f"docs/how-to/{name}.md") for name in ("scenario", "network")
     )
     (tmp_path / "mine.toml").write_text(shown + links, encoding="utf-8")

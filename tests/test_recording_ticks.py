@@ -17,6 +17,7 @@ from refusals import refused
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
 pytest.importorskip("mcap", reason="the extra [record] is not installed")
 
+from bus.keys import COVERAGE, GROUND, STATUS, TRUTH
 from bus.messages import (
     Action,
     Change,
@@ -272,19 +273,20 @@ class Box:
 
 
 def test_an_observer_writes_each_change_once(tmp_path: Path) -> None:
-    boxes = [Box(), Box(), Box()]
-    given = iter(boxes)
-    session: Any = SimpleNamespace(inbox=lambda key, newest: next(given))
+    boxes = {key: Box() for key in (TRUTH, COVERAGE, GROUND, STATUS)}
+    session: Any = SimpleNamespace(inbox=lambda key, newest: boxes[key])
     recorder = RunRecorder(session, tmp_path / "run.mcap", ONE)
     flight = Flight(ONE, 3)
     changes = [
         Change(tick=k // 2, control=Control(action=Action.STEP, ticks=1 + k % 3)) for k in range(60)
     ]
     for told in (0, 0, 1, 3, 3, 18, 22, 41, 60, 60):  # a status holds the last 20
-        boxes[0].messages.append(flight.truth())
+        boxes[TRUTH].messages.append(flight.truth())
         shown = tuple(changes[max(0, told - 20) : told])
         flying = {"scenario": "said", "seed": 3, "tick": 0, "ticks": 1, "vehicles": {}}
-        boxes[2].messages.append(Status(**flying, time=0.0, realtime_factor=1.0, changes=shown))
+        boxes[STATUS].messages.append(
+            Status(**flying, time=0.0, realtime_factor=1.0, changes=shown)
+        )
         recorder.take(0.0)
         recorder.take(0.0)
         flight.apply({})

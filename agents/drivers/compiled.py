@@ -26,6 +26,8 @@ from sim.models.randomness import words_of
 DRIVER_STATE = max(WAYPOINT_STATE, EVADE_STATE)
 """Size of the state of any of them; the wanderer's is part of the evader's."""
 
+MOST_TILES = 1_000_000
+"""More than that no UGV keeps."""
 _NO_RADIO = np.zeros((0, 3))
 _PLAN_PERIOD = 0.2
 """The driver that navigates keeps a plan for so long at least [s]."""
@@ -93,11 +95,20 @@ def driver_state() -> FloatArray:
 
 
 def told_ground(briefing: UgvBriefing) -> GroundMemory:
-    """The ground as a UGV knows it before it has been told any tile; without tiles where there are no hazards."""
+    """The ground as a UGV knows it before it has been told any tile; without tiles where there are no hazards.
+
+    Raises:
+        ScenarioError: If there are too many tiles.
+    """
     ground, area = briefing.ground, briefing.area
     if ground is None:
         return ground_memory(0, 0)
     shape = tiles_shape(area.width, area.height, ground.tile)
+    if shape[0] * shape[1] > MOST_TILES:
+        raise ScenarioError(
+            f"ground.tile = {ground.tile:g}: makes {shape[0] * shape[1]:.3g} tiles of the area; "
+            f"at most {MOST_TILES:,}"
+        )
     return ground_memory(*shape, first_tick_from(ground.delay, briefing.dt))
 
 

@@ -54,12 +54,14 @@ def ugv_tick(
         v_x, v_y: Its velocity [m/s].
     """
     state = memory.driver
-    if p.driver == WAYPOINTS or (p.driver == NAVIGATE and memory.ground.tiles.size == 0):
+    if p.driver == WAYPOINTS:
         return waypoint_control(p, route.goals, state, p_x, p_y, v_x, v_y)
     if p.driver == WANDER:
         return wander_control(p, state, tick, p_x, p_y, v_x, v_y)
     if p.driver == SCRIPT:
         return script_control(p, route.script, tick, v_x, v_y)
     if p.driver == NAVIGATE:
+        if memory.ground.tiles.size == 0:  # there is nothing to go round
+            return waypoint_control(p, route.goals, state, p_x, p_y, v_x, v_y)
         return navigate_control(p, memory.ground, route.goals, tick, p_x, p_y, v_x, v_y)
     return evade_control(p, state, radio, received, tick, p_x, p_y, v_x, v_y)
