@@ -11,7 +11,7 @@ from importlib.machinery import PathFinder
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from outrider.envs.parallel import parallel_env as parallel_env
+    from outrider.envs.escort_env import parallel_env as parallel_env
     from outrider.envs.single import single_env as single_env
     from outrider.envs.vector import parallel_vector_env as parallel_vector_env
     from outrider.envs.vector import vector_env as vector_env
@@ -26,7 +26,7 @@ _WHERE = {
     "RewardWeights": "sim.env.rewards",
     "leaderboard": "outrider.experiments.suite.board",
     "load_scenario": "sim.scenario.loading",
-    "parallel_env": "outrider.envs.parallel",
+    "parallel_env": "outrider.envs.escort_env",
     "parallel_vector_env": "outrider.envs.vector",
     "run": "outrider.running.flying",
     "scenario_names": "sim.scenario.loading",

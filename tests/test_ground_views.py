@@ -31,8 +31,8 @@ from outrider.view.terminal.teleoperation import DriveView
 from outrider.view.terminal.topview import Trails, draw
 from sim.scenario.types import Ground, Hazard, Scenario, Ugv
 from sim.scene.colors import HAZARDS, LIMIT
-from sim.scene.ground import HIT, KNOWN, SEEN, UNKNOWN, ground_map
 from sim.scene.known import geometry_of
+from sim.scene.told_tiles import HIT, KNOWN, SEEN, UNKNOWN, ground_map
 from sim.server.flight import Flight
 
 MUD = ((11.0, 7.0), (13.0, 7.0), (13.0, 9.0), (11.0, 9.0))

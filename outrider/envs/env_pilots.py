@@ -13,7 +13,7 @@ from agents.control.weighting import Weighting
 from agents.uav import UavPilot
 from bus.layout import uav_observation, ugv_observation
 from bus.registry import DRIVERS
-from outrider.envs.parallel import EscortEnv
+from outrider.envs.escort_env import EscortEnv
 from outrider.envs.radio import Radio
 from outrider.running.flying import Pilot, make_pilots
 from sim.kernels.compile import FloatArray

@@ -28,7 +28,7 @@ from outrider.recording.tick_rows import TickTexts
 from outrider.running.assumptions import promise_warnings
 from sim.kernels.compile import FloatArray
 from sim.scenario.types import Scenario
-from sim.scene.ground import ground_map
+from sim.scene.told_tiles import ground_map
 from sim.server.flight import Flight, News
 from sim.world import World
 

@@ -12,9 +12,9 @@ from bus.messages import GroundMap
 from outrider import style
 from sim.kernels.compile import FloatArray
 from sim.scene.drawing import Map, legend_of
-from sim.scene.ground import HIT, ground_map
 from sim.scene.known import inner_radius, scene_of
 from sim.scene.model import Scene
+from sim.scene.told_tiles import HIT, ground_map
 from sim.server.flight import Flight
 
 SIZE = (1400, 800)

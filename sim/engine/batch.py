@@ -14,7 +14,7 @@ import numpy.typing as npt
 from bus.messages import LinkKind, LinkSettings, LinkStatus
 from sim.channel.link import in_ticks
 from sim.engine.briefing import declared
-from sim.engine.ground import ground_constants, ground_state
+from sim.engine.ground_tick import ground_constants, ground_state
 from sim.engine.link_arrays import LinkArrays
 from sim.engine.mission import mission_constants, mission_state
 from sim.engine.run_keys import derive_keys

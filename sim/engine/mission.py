@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.messages import BLOCK_SIDE, Mission
-from sim.engine.ground import GroundConstants, GroundState
+from sim.engine.ground_tick import GroundConstants, GroundState
 from sim.kernels.compile import FloatArray, IntArray, borrowing
 from sim.kernels.records import RecordArray, record_type
 from sim.models.ground import (

@@ -10,7 +10,7 @@ import numpy as np
 
 from bus.registry import SENSORS
 from sim.channel.link import LinkNumbers, LinkState
-from sim.engine.ground import GroundConstants, GroundState
+from sim.engine.ground_tick import GroundConstants, GroundState
 from sim.engine.mission import MissionConstants, MissionState
 from sim.kernels.compile import FloatArray, IntArray
 from sim.kernels.records import RecordArray, record_type, records

@@ -6,7 +6,7 @@ import numpy as np
 
 from sim.channel.link import advance as begin_tick
 from sim.channel.link import receive, send
-from sim.engine.ground import drive_on, keep_before, perceive_ground
+from sim.engine.ground_tick import drive_on, keep_before, perceive_ground
 from sim.engine.link_arrays import link_of
 from sim.engine.mission import note_mission
 from sim.engine.world_state import (

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sim.env.rows import Moment
-from sim.scene.ground import ground_map
 from sim.scene.known import scene_of
+from sim.scene.told_tiles import ground_map
 from sim.world import World
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from matplotlib.path import Path
 
 from bus.messages import GroundMap, HazardOutline
 from sim.scene.colors import FAINT, HAZARDS, INK, LIMIT, TILES, rgb
-from sim.scene.ground import HIT, KNOWN, UNKNOWN
+from sim.scene.told_tiles import HIT, KNOWN, UNKNOWN
 
 _HATCH = "////"
 _SHADES = np.array([(*rgb(color), opacity) for color, opacity in TILES])

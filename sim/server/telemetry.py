@@ -10,8 +10,8 @@ from bus.keys import COVERAGE, GROUND, SAMPLED_TRUTH, STATUS, TRUTH
 from bus.messages import CoverageMap, Status
 from bus.session import Session
 from sim.scenario.types import LinkTable, Scenario
-from sim.scene.ground import ground_map, hazards_of
 from sim.scene.known import geometry_of
+from sim.scene.told_tiles import ground_map, hazards_of
 from sim.server.flight import Flight
 from sim.server.operator_controls import OperatorControls
 from sim.server.sessions import Slots
