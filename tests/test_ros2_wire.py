@@ -30,7 +30,7 @@ from sim.scene.known import scene_of
 NODE = Node(domain=7, zid="8a1f", name="outrider", namespace="/fleet", number=0)
 
 
-def _truth(tick=40):
+def truth_at(tick=40):
     state = {
         "position": [3.0, 4.5],
         "velocity": [0.25, -0.5],
@@ -117,7 +117,7 @@ def test_a_namespace_gets_its_slash_and_a_domain_its_bounds():
 
 
 def test_odometry_and_transforms_tell_the_truth_in_the_map_frame():
-    told = _by_topic(_truth())
+    told = _by_topic(truth_at())
     odometry = told["/uav_0/odom"]
     assert (odometry.header.frame_id, odometry.child_frame_id) == ("map", "uav_0/base_link")
     assert seconds_of(odometry.header.stamp) == pytest.approx(2.0, abs=1e-9)
@@ -131,13 +131,13 @@ def test_odometry_and_transforms_tell_the_truth_in_the_map_frame():
 
 
 def test_a_detection_points_from_the_uav_to_the_ugv():
-    point = _by_topic(_truth())["/uav_0/detection"]
+    point = _by_topic(truth_at())["/uav_0/detection"]
     assert point.header.frame_id == "uav_0/base_link"
     assert (point.point.x, point.point.y) == (2.125, -0.5)
 
 
 def test_an_estimate_carries_its_covariance():
-    pose = _by_topic(_truth())["/uav_0/estimate"].pose
+    pose = _by_topic(truth_at())["/uav_0/estimate"].pose
     assert pose.pose.position.x == 6.0
     covariance = np.array(pose.covariance).reshape(6, 6)
     assert covariance[:2, :2].tolist() == [[0.04, 0.01], [0.01, 0.09]]
@@ -200,18 +200,18 @@ def test_diagnostics_name_why_nothing_is_certified():
         "flying": 0,
         "lost": {"chance": 5},
     }
-    told = dict(
-        scenario="escort",
-        seed=1,
-        tick=0,
-        ticks=10,
-        time=0.0,
-        realtime_factor=0.0,
-        certified={"uav_0": False},
-        uncertified={"uav_0": "the newest detection is too old"},
-        links={"uav_0/detections": link | {"delivery_ratio": 4 / 9}},
-        vehicles={"uav_0": {"present": True}},
-    )
+    told = {
+        "scenario": "escort",
+        "seed": 1,
+        "tick": 0,
+        "ticks": 10,
+        "time": 0.0,
+        "realtime_factor": 0.0,
+        "certified": {"uav_0": False},
+        "uncertified": {"uav_0": "the newest detection is too old"},
+        "links": {"uav_0/detections": link | {"delivery_ratio": 4 / 9}},
+        "vehicles": {"uav_0": {"present": True}},
+    }
     status = msgspec.convert(told, Status)
     parts = {one.name: one for one in _by_topic(status)["/diagnostics"].status}
     assert "too old" in parts["outrider: certificate uav_0"].message
@@ -253,6 +253,6 @@ def test_what_is_no_cdr_of_its_type_is_refused_with_a_reason():
 
 def test_a_time_is_split_without_loss():
     for tick in (0, 1, 19_999, 10_000_001):
-        odometry = _by_topic(_truth(tick))["/uav_0/odom"]
+        odometry = _by_topic(truth_at(tick))["/uav_0/odom"]
         assert math.isclose(seconds_of(odometry.header.stamp), tick * 0.05, abs_tol=1e-9)
         assert 0 <= odometry.header.stamp.nanosec < 10**9

@@ -94,6 +94,8 @@ class RunView:
     tracks: dict[str, Track] = field(default_factory=dict)
     hazards: tuple[HazardOutline, ...] = ()
     """Of the flight: a recording tells them in its first map alone."""
+    own: tuple[Any, ...] = ()
+    """Diagnostics of the bridge itself."""
 
     def follow(self, message: Message | None) -> None:
         """Take down what later messages need: the vehicles' positions for their paths, and a flight's hazards."""

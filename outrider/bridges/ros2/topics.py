@@ -190,7 +190,7 @@ TOPICS: tuple[TopicRow, ...] = (
         interface="diagnostic_msgs/msg/DiagnosticArray",
         qos=RELIABLE,
         source=Status,
-        convert=lambda _view, status, _name: conversion.diagnostics(status),
+        convert=lambda view, status, _name: conversion.diagnostics(status, view.own),
         about="The run, its links, its vehicles' processes; what is certified, and why not.",
     ),
 )
