@@ -17,7 +17,7 @@ vehicle's topics could tell that vehicle something by it, so each vehicle's are 
 from bus.keys import Grant, Party, Role
 
 PILOT = "pilot"
-"""Second part of the topics that are a vehicle's own, such as `/uav_0/pilot/odom`."""
+"""Second part of the topics that are a vehicle's own, such as `/uav_0/pilot/odom`: nobody else reads or writes them."""
 CMD_VEL = "cmd_vel"
 SERVICES = ("pause", "step", "reset")
 """What an operator's nodes may call."""
@@ -33,7 +33,8 @@ _LATE = "@adv/**"
 _ANY_OWN = f"*/**/{PILOT}/*/{_TYPE}"
 _GRAPH = "@ros2_lv/**"
 _ENDPOINT = "@ros2_lv/*/*/*/*/*/*/*/*/{name}/*/*/*"
-_COMMANDS = f"*/**/{CMD_VEL}/{_TYPE}"
+COMMANDS = f"*/**/{CMD_VEL}/{_TYPE}"
+"""All velocities for UGVs, in every domain and namespace."""
 _CALLS = tuple(f"*/**/{service}/{_TYPE}" for service in SERVICES)
 
 
@@ -114,8 +115,8 @@ def _of_staff(role: Role) -> list[Grant]:
         found += _publishes(TOPICS)
     if role is Role.OPERATOR:
         found += [
-            Grant("declare_subscriber", "ingress", (_COMMANDS,)),
-            Grant("put", "egress", (_COMMANDS,)),
+            Grant("declare_subscriber", "ingress", (COMMANDS,)),
+            Grant("put", "egress", (COMMANDS,)),
             Grant("declare_queryable", "ingress", _CALLS),
             Grant("query", "egress", _CALLS),
             Grant("reply", "ingress", _CALLS),
@@ -124,8 +125,8 @@ def _of_staff(role: Role) -> list[Grant]:
         found += _subscribes(TOPICS)
     if role is Role.ROS2_OPERATOR:
         found += [
-            Grant("put", "ingress", (_COMMANDS,)),
-            Grant("declare_subscriber", "egress", (_COMMANDS,)),
+            Grant("put", "ingress", (COMMANDS,)),
+            Grant("declare_subscriber", "egress", (COMMANDS,)),
             Grant("query", "ingress", _CALLS),
             Grant("declare_queryable", "egress", _CALLS),
             Grant("reply", "egress", _CALLS),

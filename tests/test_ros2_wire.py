@@ -9,12 +9,12 @@ import pytest
 
 from bus.errors import BusError, ScenarioError
 from bus.messages import CoverageMap, GroundMap, Status, Truth
+from bus.ros2_access import PILOT
 from outrider.bridges.ros2.conversion import RunView, Track, seconds_of
 from outrider.bridges.ros2.interfaces import decode, encode, make, type_hash
 from outrider.bridges.ros2.topics import PILOT_TOPICS, TOPICS, messages_of, wire_topic
 from outrider.bridges.ros2.wire import (
     LATCHED,
-    PILOT,
     SENSOR,
     Attachment,
     Endpoint,

@@ -35,6 +35,13 @@ def command(
     namespace: Annotated[
         str, typer.Option(help="Before the names of all topics, such as /fleet.")
     ] = "",
+    operator: Annotated[
+        bool,
+        typer.Option(
+            "--operator",
+            help="Take /ugv_0/cmd_vel and the services /pause, /step and /reset too; needs the operator's credentials.",
+        ),
+    ] = False,
     every_tick: Annotated[
         bool,
         typer.Option(
@@ -50,7 +57,13 @@ def command(
     maps, markers, diagnostics and simulated time. Only what somebody reads is asked for and converted. Ends with the
     run, or at Ctrl-C.
 
+    With --operator a node may drive: a Twist or TwistStamped takes the wheel, a second of silence lets another node
+    have it, and in the end it goes back to whoever drove before. What cannot be passed on is counted by cause, and told
+    in /diagnostics.
+
     Example: outrider ros2 --connect tcp/127.0.0.1:17447 --credentials credentials/ros2.json
+
+    Example: outrider ros2 --operator --credentials credentials/operator.json
     """
     from bus.keys import Party, Role
     from bus.session import open_session
@@ -63,7 +76,8 @@ def command(
     check_domain(domain)
     space = check_namespace(namespace)
     check_endpoints((connect,), secured=True, insecure=False)
-    party = Party(role=Role.ROS2, name=Role.ROS2.value)
+    role = Role.OPERATOR if operator else Role.ROS2
+    party = Party(role=role, name=role.value)
     credential = credential_of(credentials, party.role, party.name)
     with (
         stop_on_signals() as stop,
@@ -75,8 +89,8 @@ def command(
     found = {
         "domain": domain,
         "topics": observer.topics,
-        "taken": observer.taken,
-        "refused": dict(observer.refused),
+        "commands": observer.commands.taken if observer.commands else 0,
+        "refused": dict(observer.refusals.counts),
         "router_lost": lost,
     }
     if json:
@@ -94,14 +108,26 @@ def _observe(
     session: "Session", stop: "Stop", *, domain: int, namespace: str, every_tick: bool
 ) -> "tuple[RosObserver, bool]":
     """Publish until the run is over or somebody wants the end; whether it was the router that went."""
+    from bus.keys import Role
     from outrider.bridges.ros2.observing import RosObserver
+    from outrider.bridges.ros2.ros_commands import RosCommands
     from outrider.bridges.ros2.ros_node import RosNode
+    from outrider.view.operator import RunClient
 
     node = RosNode(session, domain=domain, name="outrider", namespace=namespace)
     observer = RosObserver(session, node, namespace=namespace, every_tick=every_tick)
+    client = None
+    if session.party.role is Role.OPERATOR:
+        client = RunClient(session, read=())
+        observer.commands = RosCommands(
+            node, client, namespace=namespace, refusals=observer.refusals
+        )
     try:
         return observer, _follow(session, observer, stop)
     finally:
+        if observer.commands is not None and client is not None:
+            observer.commands.hand_back()
+            client.close()
         observer.close()
         node.close()
 
@@ -123,7 +149,7 @@ def _follow(session: "Session", observer: "RosObserver", stop: "Stop") -> bool:
         if session.connected:
             there = now
         elif now - there > _AWAY:
-            return True
+            return observer.status is None or not observer.status.over
         if simulators:
             seen = now
         elif observer.status is not None and observer.status.over and now - seen > _AWAY:

@@ -47,9 +47,19 @@ def type_store() -> Any:  # noqa: ANN401 - rosbags' store of generated classes
     store = get_typestore(Stores.ROS2_JAZZY)
     store.max_sequence_length = _MOST_ITEMS
     for name, (request, response, _) in _SERVICES.items():
-        store.register(get_types_from_msg(request, f"{name}_Request"))
-        store.register(get_types_from_msg(response, f"{name}_Response"))
+        store.register(get_types_from_msg(request, request_of(name)))
+        store.register(get_types_from_msg(response, response_of(name)))
     return store
+
+
+def request_of(service: str) -> str:
+    """The type of a service's requests: it is no message of its own to ROS 2, but one to us."""
+    return f"{service.replace('/srv/', '/msg/')}_Request"
+
+
+def response_of(service: str) -> str:
+    """The type of a service's responses, likewise."""
+    return f"{service.replace('/srv/', '/msg/')}_Response"
 
 
 @cache

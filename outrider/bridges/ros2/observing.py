@@ -9,6 +9,7 @@ from bus.keys import COVERAGE, GROUND, SAMPLED_TRUTH, STATUS, TRUTH, Key
 from bus.messages import CoverageMap, GroundMap, Message, Status, Truth
 from bus.session import Session
 from outrider.bridges.ros2.conversion import RunView, diagnostic
+from outrider.bridges.ros2.ros_commands import Refusals, RosCommands
 from outrider.bridges.ros2.ros_node import RosNode, RosPublisher
 from outrider.bridges.ros2.topics import TOPICS, TopicRow, messages_of, wire_topic
 from sim.scene.model import Scene, observed_scene
@@ -47,12 +48,9 @@ class RosObserver:
         self._tick = -1
         self._view: RunView | None = None
         self.status: Status | None = None
-        self.refused: Counter[str] = Counter()
-        """Messages of ROS 2 that were refused, by cause."""
-        self.taken = 0
-        """Those that were not."""
-        self.fault = ""
-        """Why the last one was refused."""
+        self.commands: RosCommands | None = None
+        """What it takes as an operator; None: it looks on."""
+        self.refusals = Refusals()
 
     @property
     def scene(self) -> Scene:
@@ -104,6 +102,8 @@ class RosObserver:
         if isinstance(message, Status):
             self.status = message
             self._look_at(message)
+            if self.commands is not None:
+                self.commands.follow(message)
         if self._view is None:
             return
         self._view.own = (self._own_diagnostic(),)
@@ -154,12 +154,13 @@ class RosObserver:
 
     def _own_diagnostic(self) -> object:
         sent = sum(publisher.sent for publisher in self._publishers.values())
-        told = {"messages": sent, "commands": self.taken}
+        refused = self.refusals.counts
+        told = {"messages": sent, "commands": self.commands.taken if self.commands else 0}
         return diagnostic(
             "ros2 bridge",
-            told | {f"refused: {cause}": count for cause, count in self.refused.items()},
-            level=_WARNING if self.refused else b"\x00",
-            message=f"refused: {self.fault}" if self.refused else "ok",
+            told | {f"refused: {cause}": count for cause, count in refused.copy().items()},
+            level=_WARNING if refused else b"\x00",
+            message=f"refused {self.refusals.fault}" if refused else "ok",
         )
 
     def _close_publishers(self) -> None:

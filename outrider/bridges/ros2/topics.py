@@ -6,6 +6,7 @@ from enum import StrEnum
 from typing import Any
 
 from bus.messages import CoverageMap, GroundMap, Message, Status, Truth
+from bus.ros2_access import PILOT
 from outrider.bridges.ros2 import conversion
 from outrider.bridges.ros2.conversion import RunView
 from outrider.bridges.ros2.interfaces import encode, type_hash
@@ -13,7 +14,6 @@ from outrider.bridges.ros2.wire import (
     CLOCK,
     LATCHED,
     NEWEST,
-    PILOT,
     RELIABLE,
     SENSOR,
     Qos,

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from bus.errors import ScenarioError
+from bus.ros2_access import PILOT
 
 GRAPH = "@ros2_lv"
 """First part of every liveliness token of the graph."""
@@ -198,8 +199,3 @@ def check_namespace(namespace: str) -> str:
                 f"with '/' between parts, none of them {PILOT!r}"
             )
     return "".join(f"/{part}" for part in parts)
-
-
-PILOT = "pilot"
-"""Second part of the topics that are a vehicle's own, such as `/uav_0/pilot/odom`: nobody else may read or write them.
-"""
