@@ -236,6 +236,27 @@ OWN_DETECTION = TopicRow(
 )
 PILOT_TOPICS = (OBSERVATION, BRIEFING, OWN_ODOMETRY, OWN_DETECTION)
 """What a vehicle's own node gets: its observation, and nothing else. Nobody else may read them."""
+PILOT_COMMANDS = (
+    TopicRow(
+        name=f"{PILOT}/command",
+        each=Each.VEHICLE,
+        interface="std_msgs/msg/String",
+        qos=RELIABLE,
+        source=None,
+        convert=lambda _view, _message, _name: None,
+        about="The whole command as JSON, with radio messages and motions: nothing is lost.",
+    ),
+    TopicRow(
+        name=f"{PILOT}/accel",
+        each=Each.VEHICLE,
+        interface="geometry_msgs/msg/AccelStamped",
+        qos=RELIABLE,
+        source=None,
+        convert=lambda _view, _message, _name: None,
+        about="The commanded acceleration; its stamp is that of the observation which it answers.",
+    ),
+)
+"""What a vehicle's own node answers, in one form or the other: the first of them counts."""
 
 
 def wire_topic(interface: str, name: str, namespace: str = "") -> WireTopic:
