@@ -2,6 +2,7 @@
 
 import math
 import struct
+import sys
 
 import msgspec
 import numpy as np
@@ -256,3 +257,25 @@ def test_a_time_is_split_without_loss():
         odometry = _by_topic(truth_at(tick))["/uav_0/odom"]
         assert math.isclose(seconds_of(odometry.header.stamp), tick * 0.05, abs_tol=1e-9)
         assert 0 <= odometry.header.stamp.nanosec < 10**9
+
+
+def test_a_missing_extra_and_bad_options_are_one_line(monkeypatch, capsys):
+    from outrider.cli import main
+
+    def told(*words):
+        monkeypatch.setattr(sys, "argv", ["outrider", "ros2", *words])
+        with pytest.raises(SystemExit) as ended:
+            main.main()
+        (line,) = capsys.readouterr().err.splitlines()
+        return ended.value.code, line
+
+    assert told("--domain", "233") == (2, "outrider: --domain 233: allowed are 0 to 232")
+    assert "'pilot'" in told("--namespace", "pilot")[1]
+    code, line = told("--vehicle", "uav_0", "--namespace", "fleet")
+    assert code == 2
+    assert "--namespace and --vehicle" in line
+    assert "begin with uav or ugv" in told("--vehicle", "drone")[1]
+    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
+    code, line = told()
+    assert code == 2
+    assert line == "outrider: ros2: rosbags.typesys is missing: pip install -e '.[ros2]'"

@@ -34,9 +34,7 @@ def require_extra() -> None:
         import rosbags.typesys  # noqa: F401, PLC0415
         import xxhash  # noqa: F401, PLC0415
     except ImportError as error:
-        raise ScenarioError(
-            f"ros2: {error.name} is missing: pip install 'outrider[ros2]'"
-        ) from error
+        raise ScenarioError(f"ros2: {error.name} is missing: pip install -e '.[ros2]'") from error
 
 
 @cache
