@@ -99,13 +99,13 @@ _NOT_OWN = [
 
 def _of_vehicle(name: str) -> list[Grant]:
     own = f"*/{name}/{PILOT}/*/{_TYPE}"
-    tokens = (_ENDPOINT.format(name=f"%{name}%{PILOT}%$*"), f"@ros2_lv/*/*/*/*/NN/*/%{name}/*")
+    tokens, node = _ENDPOINT.format(name=f"%{name}%{PILOT}%$*"), f"@ros2_lv/*/*/*/*/NN/*/%{name}/*"
     return [
         *_publishes(own),
         *_subscribes(own),
         *_LOOKS,
-        Grant("liveliness_token", "ingress", tokens),
-        Grant("liveliness_token", "egress", tokens),
+        Grant("liveliness_token", "ingress", (tokens, node)),
+        Grant("liveliness_token", "egress", (tokens,)),
     ]
 
 

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 import staging
 import zenoh
-from processes import wait_until
+from processes import python, wait_until
 from staging import GIVEN as PLAIN
 from staging import raw_session
 
@@ -179,3 +179,11 @@ def test_a_node_that_does_not_answer_keeps_nobody_waiting(tmp_path: Path) -> Non
         assert seconds_of(header(0.2).stamp) == 0.2
         link.close()
         node.close()
+
+
+def test_the_process_of_a_vehicle_that_a_node_flies_never_loads_the_world_nor_a_scenario() -> None:
+    code = (
+        "import sys, agents.process, outrider.cli.ros2, outrider.bridges.ros2.ros_pilot;"
+        "print([n for n in sys.modules if n.startswith(('sim.world', 'sim.engine', 'sim.scenario', 'sim.server'))])"
+    )
+    assert python(code).stdout.strip() == "[]"

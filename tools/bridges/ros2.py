@@ -233,7 +233,7 @@ def driven(run: Run, sdk: Path) -> Iterator[Row]:
     told = run_foreign([sdk / "python", "-c", _ROGUE], run.settings("uav_0"))
     found = json.loads(told.splitlines()[-1])
     yield Row(
-        "pyzeros with uav_0's credentials reads /ugv_0/odom, /tf, /uav_0/odom",
+        "pyzeros with uav_0's credentials reads the truth",
         found,
         not any(found.values()),
     )
@@ -290,7 +290,7 @@ def captured(run: Run, folder: Path) -> list[dict[str, str]]:
     return index
 
 
-def same_bytes(run: Run, rclpy: Path) -> Iterator[Row]:
+def same_bytes(run: Run, sdk: Path, rclpy: Path) -> Iterator[Row]:
     """The real rclpy reads every payload and writes the same bytes; its hashes are ours."""
     index = captured(run, run.folder / "payloads")
     rows = json.loads(
@@ -309,6 +309,18 @@ def same_bytes(run: Run, rclpy: Path) -> Iterator[Row]:
               f"{len(messages)} of {len(index)} payloads but for {padding} bytes of padding; "
               f"no wheel: {untried}; differ: {differ}",
               not differ and len(messages) >= len(WANTED) - 2)  # fmt: skip
+    files = [run.folder / "payloads" / row["file"] for row in rows if not row["tried"]]
+    told = json.loads(
+        run_foreign([sdk / "python", HERE / "ros2_cyclone_tf.py", *files], dict(os.environ))
+    )
+    good = told["hash"] == type_hash("tf2_msgs/msg/TFMessage") and all(
+        same for _, same in told["same"].values()
+    )
+    yield Row(
+        "cyclonedds_idl reads and writes the transforms",
+        told["same"],
+        good and len(told["same"]) == len(files) == 2,
+    )
     wrong = [row["type"] for row in messages if not row["hashes"]]
     wrong += [
         row["service"]
@@ -330,7 +342,7 @@ def in_real_time(folder: Path, sdk: Path, rclpy: Path | None) -> Iterator[Row]:
         yield from listed(run, sdk)
         if rclpy is not None:
             yield from echoed(run, sdk)
-            yield from same_bytes(run, rclpy)
+            yield from same_bytes(run, sdk, rclpy)
         yield from driven(run, sdk)
         bridge.terminate()
         bridge.wait(15.0)
@@ -340,10 +352,30 @@ def in_real_time(folder: Path, sdk: Path, rclpy: Path | None) -> Iterator[Row]:
 
 
 def flown_by_nodes(folder: Path) -> Iterator[Row]:
-    """Both vehicles flown by ROS 2 nodes in lockstep, while another floods the bridge with nonsense."""
-    scenario = load_scenario("escort", overrides=["duration=20.0"])
-    secret = "5" * 32
+    """Both vehicles flown by ROS 2 nodes, while another floods the bridge with nonsense; in lockstep, and by the clock."""
+    scenario, secret = load_scenario("escort", overrides=["duration=20.0"]), "5" * 32
     _, here = fly(scenario, scenario.seed, secret=secret)
+    (folder / "clock").mkdir()
+    summary, told, sent = _by_nodes(folder, secret)
+    same = summary["trajectory_sha256"] == here.trajectory_sha256
+    rate = summary["ticks_per_second"]
+    yield Row("UAV (JSON) and UGV (AccelStamped) flown by ROS 2 nodes over processes, lockstep",
+              f"{summary['trajectory_sha256'][:16]}, {rate:.0f} ticks/s", same)  # fmt: skip
+    yield Row(
+        "nonsense on cmd_vel meanwhile", f"refused: {told['refused']}", len(told["refused"]) >= 3
+    )
+    yield Row("commands of the nodes", sent, sent == [summary["ticks"]] * 2)
+    summary, _, sent = _by_nodes(folder / "clock", secret, "--realtime", "2")
+    share = min(sent) / summary["ticks"]
+    yield Row(
+        "the same at twice real time", f"{100.0 * share:.1f} % of the ticks answered", share > 0.9
+    )
+
+
+def _by_nodes(
+    folder: Path, secret: str, *pace: str
+) -> tuple[dict[str, Any], dict[str, Any], list[int]]:
+    """What the simulator and the bridge print in the end, and the number of commands of each node."""
     zero = make("geometry_msgs/msg/Vector3", x=9.0, y=float("nan"), z=0.0)
     twist = encode(TWISTS[1], make(TWISTS[1], linear=zero, angular=zero))
     bad = [(wire_topic(TWISTS[1], name).key(domain), payload)
@@ -351,7 +383,7 @@ def flown_by_nodes(folder: Path) -> Iterator[Row]:
            for domain in (DOMAIN, DOMAIN + 1)
            for payload in (twist, twist[:9])]  # fmt: skip
     with ExitStack() as stack:
-        run = Run(stack, folder, "escort", "--duration", "20", "--secret", secret)
+        run = Run(stack, folder, "escort", "--duration", "20", "--secret", secret, *pace)
         bridge = run.join("bridge", "operator", "ros2", "--operator", "--domain", DOMAIN, "--json")
         links = [run.join(name, name, "ros2", "--vehicle", name, "--domain", DOMAIN, "--json")
                  for name in ("uav_0", "ugv_0")]  # fmt: skip
@@ -372,19 +404,8 @@ def flown_by_nodes(folder: Path) -> Iterator[Row]:
             time.sleep(0.01)
         for process in (bridge, *links):
             process.wait(20.0)
-        summary = run.told("simulator")
-        same = summary["trajectory_sha256"] == here.trajectory_sha256
-        rate = summary["ticks_per_second"]
-        yield Row("UAV (JSON) and UGV (AccelStamped) flown by ROS 2 nodes over processes, lockstep",
-                  f"{summary['trajectory_sha256'][:16]}, {rate:.0f} ticks/s", same)  # fmt: skip
-        told = run.told("bridge")
-        yield Row(
-            "nonsense on cmd_vel meanwhile",
-            f"refused: {told['refused']}",
-            len(told["refused"]) >= 3,
-        )
         sent = [run.told(name)["commands"] for name in ("uav_0", "ugv_0")]
-        yield Row("commands of the nodes", sent, sent == [summary["ticks"]] * 2)
+        return run.told("simulator"), run.told("bridge"), sent
 
 
 def findings(folder: Path) -> Iterator[Row]:
