@@ -352,7 +352,7 @@ def in_real_time(folder: Path, sdk: Path, rclpy: Path | None) -> Iterator[Row]:
 
 
 def flown_by_nodes(folder: Path) -> Iterator[Row]:
-    """Both vehicles flown by ROS 2 nodes, while another floods the bridge with nonsense; in lockstep, and by the clock."""
+    """Both vehicles flown by ROS 2 nodes, while another sends the bridge nonsense; in lockstep, and by the clock."""
     scenario, secret = load_scenario("escort", overrides=["duration=20.0"]), "5" * 32
     _, here = fly(scenario, scenario.seed, secret=secret)
     (folder / "clock").mkdir()
