@@ -174,6 +174,10 @@ def test_a_node_that_does_not_answer_keeps_nobody_waiting(tmp_path: Path) -> Non
             key_of(ACCEL, "uav_0"), encode(ACCEL.interface, accelerate(0.2, (0.1, 0.0))), b""
         )
         answer = link.answer(lambda: True)
+        link._receive(
+            key_of(ACCEL, "uav_0"), encode(ACCEL.interface, accelerate(0.2, (0.3, 0.0))), b""
+        )
+        assert link.refusals.counts["answers a tick twice"] == 1
         assert answer is not None
         assert (answer.tick, answer.acceleration) == (4, (0.1, 0.0))
         assert seconds_of(header(0.2).stamp) == 0.2

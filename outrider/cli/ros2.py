@@ -111,6 +111,7 @@ def command(
     found = {
         "domain": domain,
         "topics": observer.topics,
+        "missing_ticks": observer.missing_ticks,
         "commands": observer.commands.taken if observer.commands else 0,
         "refused": dict(observer.refusals.counts),
         "router_lost": lost,
@@ -119,7 +120,8 @@ def command(
         print_json(found)
     else:
         sent = sum(observer.topics.values())
-        ERR.print(f"{sent} messages on {len(observer.topics)} topics", soft_wrap=True)
+        missing = f", {observer.missing_ticks} ticks missing" if every_tick else ""
+        ERR.print(f"{sent} messages on {len(observer.topics)} topics{missing}", soft_wrap=True)
     if lost:
         from bus.errors import PeerLost
 

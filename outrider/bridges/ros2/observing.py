@@ -16,6 +16,8 @@ from sim.scene.model import Scene, observed_scene
 
 _ROOM = 4096
 """Truths that wait where every tick is wanted, before the oldest are lost."""
+_AT_ONCE = 256
+"""Messages that are taken before it is looked who reads what, and who wants the end."""
 _WARNING = b"\x01"
 
 
@@ -46,6 +48,9 @@ class RosObserver:
         self._due: dict[str, float] = {}
         self._found: dict[str, int] = {}
         self._tick = -1
+        self._every_tick = every_tick
+        self.missing_ticks = 0
+        """Ticks that never came, where every one was asked for."""
         self._view: RunView | None = None
         self.status: Status | None = None
         self.commands: RosCommands | None = None
@@ -76,10 +81,11 @@ class RosObserver:
         """Publish what has come, and wait for up to `patience` [s] where nothing has."""
         self._ask_for_what_is_read()
         first = self._inboxes.get(Truth, self._statuses)
-        received = first.receive(patience)
+        received, taken = first.receive(patience), 0
         while received is not None:
             self._take(received.message)
-            received = first.next_waiting()
+            taken += 1  # a fast run never lets it come to an end
+            received = first.next_waiting() if taken < _AT_ONCE else None
         for inbox in (self._statuses, *self._inboxes.values()):
             if inbox is not first and (received := inbox.next_waiting()) is not None:
                 self._take(received.message)
@@ -97,6 +103,7 @@ class RosObserver:
                 self._inboxes[kind] = self._session.inbox(key, newest=room)
             elif kind not in read and kind in self._inboxes:
                 self._session.forget(self._inboxes.pop(kind))
+                self._tick = -1 if kind is Truth else self._tick
 
     def _take(self, message: Message) -> None:
         if isinstance(message, Status):
@@ -106,7 +113,8 @@ class RosObserver:
                 self.commands.follow(message)
         if self._view is None:
             return
-        self._view.own = (self._own_diagnostic(),)
+        if isinstance(message, Status):
+            self._view.own = (self._own_diagnostic(),)
         wanted = self._wanted(message)
         for one in messages_of(self._view, message, wanted=wanted):
             self._publishers[one.topic].send(one.payload)
@@ -115,6 +123,8 @@ class RosObserver:
         """Topics that are read, and due; of a tick that is told again those alone that are read since then."""
         again = isinstance(message, Truth) and message.tick == self._tick
         if isinstance(message, Truth):
+            if self._every_tick and message.tick > self._tick >= 0:
+                self.missing_ticks += message.tick - self._tick - 1
             self._tick = message.tick
         now, wanted = time.monotonic(), set()
         for name, publisher in self._publishers.items():

@@ -131,6 +131,8 @@ class Link:
             if self._answer is None:
                 self._answer = command
                 self._news.notify()
+                return
+        self.refusals.add(Refused("answers a tick twice", f"{command.tick}"))
 
     def _command_of(self, key: str, payload: bytes) -> Command:
         domain, _vehicle, *topic, interface, hashed = key.split("/")
