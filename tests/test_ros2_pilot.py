@@ -16,6 +16,7 @@ from agents.process import fly
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.access import new_credentials
+from bus.errors import PeerLost
 from bus.messages import (
     UavBriefing,
     UavObservation,
@@ -154,19 +155,23 @@ def test_a_ros_2_node_flies_the_trajectory_of_the_pilot_in_this_process(
     }
 
 
-def test_a_node_that_does_not_answer_keeps_nobody_waiting(tmp_path: Path) -> None:
+def test_a_node_that_is_late_keeps_nobody_waiting_and_one_that_has_gone_ends_the_process(
+    tmp_path: Path,
+) -> None:
     session = open_session(
         PLAIN.of("uav_0").party, "run", listen=(f"unixsock-stream/{tmp_path / 's'}",)
     )
     with session as opened:
         node = RosNode(opened, domain=3, name="outrider")
-        link = Link(node, PLAIN.of("uav_0").party)
+        link = Link(node, PLAIN.of("uav_0").party, patience=0.05)
         link.tell(
             msgspec.convert(
                 {"tick": 4, "time": 0.2, "position": [0, 0], "velocity": [0, 0]}, UavObservation
             )
         )
         assert link.answer(lambda: False) is None
+        with pytest.raises(PeerLost, match="the ROS 2 node that flew uav_0 has gone"):
+            link.answer(lambda: True)
         late = encode(ACCEL.interface, accelerate(0.15, (0.1, 0.0)))
         link._receive(key_of(ACCEL, "uav_0"), late, b"")
         assert link.refusals.counts == {"answers another tick": 1}

@@ -6,12 +6,13 @@ The process joins as that vehicle, with that vehicle's credentials, and knows wh
 import logging
 import math
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
 import msgspec
 
-from bus.errors import BusError
+from bus.errors import BusError, PeerLost
 from bus.keys import Party, Role
 from bus.messages import (
     Briefing,
@@ -53,10 +54,11 @@ class Link:
     Args:
         node: On a session with the vehicle's credentials.
         party: The vehicle.
+        patience: The time for which no node may be there while an answer is awaited [s].
     """
 
-    def __init__(self, node: RosNode, party: Party) -> None:
-        self._node, self._party = node, party
+    def __init__(self, node: RosNode, party: Party, *, patience: float = 1.0) -> None:
+        self._node, self._party, self._patience = node, party, patience
         self._decoder: msgspec.json.Decoder[Command] = msgspec.json.Decoder(_COMMAND[party.role])
         self._news = threading.Condition()
         self._awaited: Observation | None = None
@@ -104,8 +106,12 @@ class Link:
 
         Args:
             waits: Asked now and then; False: nobody waits for the answer any longer.
+
+        Raises:
+            PeerLost: If the node has gone: who has joined for it must leave, so that the vehicle brakes.
         """
         found = sum(one.found for one in self._publishers.values())
+        there = time.monotonic()
         while True:
             with self._news:
                 if self._answer is None:
@@ -116,6 +122,10 @@ class Link:
                 return answer
             if not waits():
                 return None
+            if self.there:
+                there = time.monotonic()
+            elif time.monotonic() - there > self._patience:
+                raise PeerLost(f"the ROS 2 node that flew {self._party.name} has gone")
             now = sum(one.found for one in self._publishers.values())
             if now != found and awaited is not None:  # a node that has come meanwhile
                 found = now
