@@ -71,7 +71,8 @@ def _ground_of(t: LoopTables, s: LoopState, k: int, g: int) -> GroundMemory:
     return GroundMemory(
         m.tiles[k, g],
         m.sure[k, g],
-        m.price[k, g],
+        m.draft[k, g],
+        m.way[k, g],
         m.cost[k, g],
         m.heap[k, g],
         m.place[k, g],
