@@ -241,6 +241,31 @@ def next_tile(way: TileArray, columns: int, n: int) -> int:
 
 
 @borrowing
+def way_corners(way: TileArray, columns: int, n: int, corners: PlaceArray) -> int:
+    """The tiles in which the way of a plan turns, from one on to the goal, both with them.
+
+    Args:
+        way: The plan. Shape (rows * columns,).
+        columns: Of the map.
+        n: The first tile.
+        corners: Are changed; those that have no room are left out. Shape (room,).
+
+    Returns:
+        How many there are; 0: there is no way.
+    """
+    count, before = 0, 0
+    while count < corners.shape[0]:
+        step = way[n] // _STEP
+        if step != before:
+            corners[count] = n
+            count += 1
+        if step in (0, _HERE):
+            break
+        n, before = next_tile(way, columns, n), step
+    return count
+
+
+@borrowing
 def has_way(way: TileArray, n: int) -> bool:
     """True if a plan knows a way from a tile to its goal."""
     return bool(way[n] >= _STEP)
