@@ -232,6 +232,9 @@ BLOCK_SIDE = 8
 MOST_BLOCKS = 4
 """Blocks that one command carries at most."""
 
+MOST_CORNERS = 128
+"""Corners of a route that one command carries at most: what turns more often is shown up to there."""
+
 Place = Annotated[int, Meta(ge=0, le=1_000_000)]
 
 
@@ -501,6 +504,10 @@ class UgvCommand(Message, frozen=True, kw_only=True):
 
     tick: Tick
     acceleration: Vector
+    route: Annotated[tuple[Vector, ...], Meta(max_length=MOST_CORNERS)] | None = None
+    """For observers, no vehicle reads it: the way that it plans to its goal, by its corners [m], from where it is; none
+    where it knows none. None: as before.
+    """
 
 
 class Action(StrEnum):
@@ -671,6 +678,8 @@ class GroundMap(Message, frozen=True, kw_only=True):
     """
     states: bytes
     """Of each hazard: 0, no UGV knows of it, or nobody has found it; 1, one does; 2, one has hit it."""
+    routes: dict[Name, tuple[Vector, ...]] = {}
+    """The way that each UGV plans to its goal, by its corners [m], from where it is; no vehicle is told."""
     hazards: tuple[HazardOutline, ...] = ()
     """In a recording only in a flight's first map: they stay where they are."""
 
