@@ -16,7 +16,8 @@ RUN --mount=type=secret,id=pip_conf,target=/etc/pip.conf python -m pip install h
 FROM ${BASE} AS needs
 COPY pyproject.toml ./
 RUN python -c "import tomllib; project = tomllib.load(open('pyproject.toml', 'rb'))['project']; \
-    print(*project['dependencies'], *project['optional-dependencies']['tls'], sep='\n')" >/needs.txt && \
+    extras = project['optional-dependencies']; \
+    print(*project['dependencies'], *extras['tls'], *extras['ros2'], sep='\n')" >/needs.txt && \
     python -c "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']['dashboard'], sep='\n')" \
     >/dashboard.txt
 

@@ -28,6 +28,7 @@ EXTRAS = {
     "dask": ("distributed",),
     "falsify": ("cma",),
     "tls": ("cryptography",),
+    "ros2": ("rosbags", "xxhash"),
     "sb3": ("stable_baselines3", "torch"),
     "torchrl": ("torchrl",),
     "rllib": ("ray",),
