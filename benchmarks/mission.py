@@ -180,7 +180,7 @@ def main() -> None:
     given = parser.parse_args()
     sys.stdout.write(
         "| scenario | UGV | network | law | arrived | mission time [s] | flights with a hit | on the way "
-        "| known before [s] | seen ahead | stood still [s] | sight lost |\n|---|---|---|---|---|---|---|---|---|---|---|---|\n"
+        "| known before [s] | seen ahead | stood still [s] | sight lost |\n" + "|---" * 12 + "|\n"
     )
     flown = []
     for row in rows(given.seeds):
