@@ -24,7 +24,7 @@ $(VENV)/.run: pyproject.toml
 
 $(VENV)/.dev: $(VENV)/.run
 	@echo 'installing what the tests need into $(VENV), once'
-	@$(PIP) --editable '.[dev,window,record,drive,dashboard,sweep,dask,falsify,tls]'
+	@$(PIP) --editable '.[dev,window,record,drive,dashboard,sweep,dask,falsify,tls,mavlink]'
 	@touch $@
 
 run: $(VENV)/.run ## fly the escort scenario as three processes over Zenoh (ARGS="..." for more)

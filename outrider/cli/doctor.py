@@ -28,6 +28,7 @@ EXTRAS = {
     "dask": ("distributed",),
     "falsify": ("cma",),
     "tls": ("cryptography",),
+    "mavlink": ("pymavlink",),
     "sb3": ("stable_baselines3", "torch"),
     "torchrl": ("torchrl",),
     "rllib": ("ray",),

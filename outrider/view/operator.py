@@ -45,11 +45,14 @@ class RunClient:
     Args:
         session: An operator's, or an observer's; then nothing can be said.
         status: The first one, if it has been read already.
+        maps: Whether coverage and hazards are read too.
     """
 
-    def __init__(self, session: Session, status: Status | None = None) -> None:
+    def __init__(
+        self, session: Session, status: Status | None = None, *, maps: bool = True
+    ) -> None:
         self._session = session
-        read = (STATUS, SAMPLED_TRUTH, COVERAGE, GROUND)
+        read = (STATUS, SAMPLED_TRUTH, *((COVERAGE, GROUND) if maps else ()))
         self._inboxes = [session.inbox(key, newest=1) for key in read]
         self._simulators: set[int] = set()
         self._clock: deque[tuple[float, float]] = deque(maxlen=_PACE)
