@@ -276,7 +276,7 @@ def test_what_is_lost_or_not_certified_is_said_and_so_is_its_end(run, monkeypatc
     run.gateway.take(status())
     run.gateway.take(truth())
     assert texts(run.station.told()) == []  # it has only just been said
-    monkeypatch.setattr("outrider.bridges.mavlink.run_gateway._SETTLE", 0.0)
+    monkeypatch.setattr("outrider.bridges.mavlink.gateway._SETTLE", 0.0)
     run.gateway.take(status())
     run.gateway.take(truth())
     again = ["uav_0 is back", "sight is certified again", "ugv_0 is in sight again"]

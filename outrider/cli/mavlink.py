@@ -2,7 +2,7 @@
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -15,18 +15,21 @@ from outrider.cli.options import (
     Json,
     RunName,
     check_endpoints,
+    credential_of,
 )
+from outrider.cli.pilots import JoinTimeout
 
 if TYPE_CHECKING:
     from bus.access import Credential
     from bus.messages import Status
     from bus.session import Session
+    from outrider.bridges.mavlink.identity import VehicleSystem
     from outrider.bridges.mavlink.run_gateway import RunGateway
     from outrider.bridges.mavlink.udp import Network
     from outrider.cli.stopping import Stop
     from outrider.view.operator import RunClient
 
-_OUT = "udpout:127.0.0.1:14550"
+_OUT, _OFFBOARD = "udpout:127.0.0.1:14550", "udpout:127.0.0.1:14540"
 _LINGER = 0.6
 """The time for which a run that is over is still told [s]: one that is reset goes on."""
 _ALONE = 3.0
@@ -41,7 +44,8 @@ def command(
         typer.Option(
             metavar="udpout:HOST:PORT",
             help=f"A ground station that is told of the run; may be repeated. By default {_OUT}, "
-            "where QGroundControl and MAVProxy listen, unless --in is given.",
+            "where QGroundControl and MAVProxy listen, and with --vehicle "
+            f"{_OFFBOARD}, where MAVSDK does; neither if --in is given.",
         ),
     ] = None,
     listen: Annotated[
@@ -52,35 +56,55 @@ def command(
             help="Where ground stations and programs may ask; may be repeated.",
         ),
     ] = None,
+    vehicle: Annotated[
+        str,
+        typer.Option(
+            metavar="UAV",
+            help="Join as this UAV, with its credentials, and fly it by setpoints inside the safety filter.",
+        ),
+    ] = "",
     connect: Connect = DEFAULT_ENDPOINT,
     run: RunName = DEFAULT_RUN,
     credentials: CredentialFile = None,
     first: Annotated[
         int,
-        typer.Option("--first-system", help="Number of the first system.", min=1, max=200),
+        typer.Option(
+            "--first-system", help="Number of the first vehicle's system.", min=1, max=200
+        ),
     ] = 1,
     height: Annotated[
         float,
         typer.Option(help="Height in m at which UAVs are told to fly: a run is flat.", min=0.0),
     ] = 10.0,
+    join_timeout: JoinTimeout = 30.0,
     insecure: Insecure = False,
     json: Json = False,
 ) -> None:
-    """Show a run to MAVLink ground stations while it is flown: one system a vehicle, over UDP.
+    """Show a run to MAVLink ground stations while it is flown, one system a vehicle, or fly a UAV of it over MAVLink.
 
     Each tells HEARTBEAT, ATTITUDE, GLOBAL_POSITION_INT (from the scenario's origin), LOCAL_POSITION_NED, a UGV also
     FOLLOW_TARGET, and in texts what is lost or not certified and when it is well again. The run's settings are
     parameters. With the operator's credentials a ground station's sticks drive a UGV, and LAW, PAUSED and RT_FACTOR can
     be set; with the observer's it only shows. Ends with the run, or at Ctrl-C.
 
+    With --vehicle it is that UAV's process, in the place of `outrider uav`: in the mode OFFBOARD it flies
+    SET_POSITION_TARGET_LOCAL_NED (velocity, acceleration), in HOLD it stays, in MISSION and where no setpoint has come
+    for the scenario's `hold` the run's law flies; the safety filter watches over all of them.
+
     Example: outrider mavlink --out udpout:127.0.0.1:14550 --credentials credentials/observer.json
+
+    Example: outrider mavlink --vehicle uav_0 --out udpout:127.0.0.1:14540 --credentials credentials/uav_0.json
     """
+    from bus.keys import Role
+    from bus.messages import Origin
+    from outrider.bridges.mavlink.identity import VehicleSystem
     from outrider.bridges.mavlink.udp import Network, parse_address
-    from outrider.cli.console import ERR, print_json
     from outrider.cli.stopping import stop_on_signals
 
     check_endpoints((connect,), secured=True, insecure=False)
-    told = [_OUT] if out is None and listen is None else out or []
+    told = out or []
+    if out is None and listen is None:
+        told = [_OFFBOARD if vehicle else _OUT]
     asked = listen or []
     _check_listening(asked, insecure=insecure)
     network = Network(
@@ -89,15 +113,66 @@ def command(
     )
     began = time.monotonic()
     try:
-        with stop_on_signals() as stop:
-            found = _show(network, connect, run, _staff(credentials), stop, first, height)
+        if vehicle:
+            credential = credential_of(credentials, Role.UAV, vehicle)
+            system = VehicleSystem(vehicle, first, flies=True, origin=Origin(), height=height)
+            bus = _Bus(connect, run, credential, join_timeout)
+            found = _fly(network, system, bus)
+        else:
+            with stop_on_signals() as stop:
+                found = _show(network, connect, run, _staff(credentials), stop, first, height)
     finally:
         network.close()
     found["seconds"] = time.monotonic() - began
+    _report(found, json=json)
+
+
+class _Bus(NamedTuple):
+    """The way to the run."""
+
+    connect: str
+    run: str
+    credential: "Credential | None"
+    join_timeout: float
+    """[s]"""
+
+
+def _fly(network: "Network", system: "VehicleSystem", bus: _Bus) -> dict[str, object]:
+    """Fly a UAV by setpoints until the run is over; what became of them."""
+    from agents.process import fly, warm_up
+    from bus.keys import Party, Role
+    from outrider.bridges.mavlink.dialect import mavlink
+    from outrider.bridges.mavlink.offboard import Beside, OffboardGateway, OffboardPilot
+    from sim.kernels.compile import compiling
+
+    with compiling():
+        warm_up(Role.UAV, inner=lambda _observation: (0.0, 0.0))
+    system.capabilities |= mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    pilot = OffboardPilot()
+    gateway = OffboardGateway(pilot, network, system)
+    with Beside(gateway):
+        fly(
+            Party(role=Role.UAV, name=system.name),
+            pilot.make,
+            connect=bus.connect,
+            run=bus.run,
+            credential=bus.credential,
+            join_timeout=bus.join_timeout,
+        )
+    gateway.say(system, "the run is over")
+    return {"vehicles": {system.name: system.number}, **gateway.counts()}
+
+
+def _report(found: dict[str, object], *, json: bool) -> None:
+    import sys
+
     if json:
-        print_json(found)
+        import msgspec
+
+        text = msgspec.json.format(msgspec.json.encode(found), indent=2).decode()
+        sys.stdout.write(text + "\n")
     else:
-        ERR.print(_story(found), soft_wrap=True)
+        sys.stderr.write(_story(found) + "\n")
 
 
 def _check_listening(addresses: list[str], *, insecure: bool) -> None:
@@ -121,7 +196,6 @@ def _staff(credentials: Path | None) -> "Credential | None":
     from bus.access import read_credential
     from bus.errors import AccessDenied
     from bus.keys import OBSERVER_NAME, Role
-    from outrider.cli.options import credential_of
 
     if credentials is None:
         return credential_of(None, Role.OBSERVER, OBSERVER_NAME)

@@ -25,6 +25,8 @@ NOT_SUPPORTED = "is not supported"
 
 _RELEASE = 5.0
 """A ground station that has been silent for so long has no hold on a vehicle any more [s]."""
+_SETTLE = 2.0
+"""Time between two texts about the same trouble of a vehicle [s]."""
 _FASTEST = 50.0
 """Messages of one kind that a party may ask for in a second [1/s]."""
 
@@ -67,6 +69,22 @@ class _Timer:
         return True
 
 
+class _Trouble:
+    """Something that may be wrong with a vehicle, and what people were told of it."""
+
+    def __init__(self) -> None:
+        self.now = self.told = False
+        self._since = -math.inf
+
+    def news(self, wrong: bool, now: float) -> bool:
+        """True if it is time to tell that it has changed."""
+        self.now = wrong
+        if wrong == self.told or now - self._since < _SETTLE:
+            return False
+        self.told, self._since = wrong, now
+        return True
+
+
 class Gateway:
     """Tells of some systems, and answers whoever asks.
 
@@ -87,6 +105,7 @@ class Gateway:
         self.silent = False
         """True: there is nothing to be told of now."""
         self._heard = -math.inf
+        self._troubles: dict[tuple[str, str], _Trouble] = {}
         self._timers = {
             number: {kind: _Timer(rate) for kind, rate in RATES.items()} for number in self.systems
         }
@@ -153,6 +172,17 @@ class Gateway:
         """Say a text for people."""
         for message in system.texts(text, warns=warns):
             self.send(system, message)
+
+    def judge(
+        self, system: VehicleSystem, kind: str, *, wrong: bool, worse: str, better: str
+    ) -> None:
+        """Say that something is wrong with a vehicle, and when it is well again; neither too often."""
+        trouble = self._troubles.setdefault((system.name, kind), _Trouble())
+        if trouble.news(wrong, time.monotonic()):
+            self.say(system, worse if wrong else better, warns=wrong)
+        system.critical = any(
+            one.now for (whose, _), one in self._troubles.items() if whose == system.name
+        )
 
     def refuse(self, cause: str, what: str, count: int = 1) -> None:
         """Count what is refused, and say so the 1st, 2nd, 4th, 8th ... time."""

@@ -70,7 +70,6 @@ class VehicleSystem:
         flies: True for a UAV.
         origin: Where on Earth the scenario's positions are counted from.
         height: Over the ground [m], at which it is told to be: the scenario is flat.
-        capabilities: Flags of MAVLink's beyond those that all have.
     """
 
     def __init__(
@@ -81,7 +80,6 @@ class VehicleSystem:
         flies: bool,
         origin: Origin,
         height: float,
-        capabilities: int = 0,
     ) -> None:
         self.name, self.number, self.flies = name, number, flies
         self.mode = MISSION
@@ -91,9 +89,11 @@ class VehicleSystem:
         """None: nothing is known of it yet."""
         self.followed: Moving | None = None
         """What `FOLLOW_TARGET` tells of: a UGV itself, or what a UAV believes of its UGV."""
-        self._origin, self._height = origin, height if flies else 0.0
+        self.origin = origin
+        self._height = height if flies else 0.0
         self._heading = 0.0  # [rad], from north over east
-        self._capabilities = capabilities
+        self.capabilities = 0
+        """Flags of MAVLink's beyond those that all have."""
         self._packer = mavlink.MAVLink(None, srcSystem=number, srcComponent=AUTOPILOT)
         self._texts = 0
         self._builders: dict[int, Callable[[Moving], MavMessage | None]] = {
@@ -174,7 +174,7 @@ class VehicleSystem:
             mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
             | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
             | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
-            | self._capabilities
+            | self.capabilities
         )
         nothing = [0] * 8
         return mavlink.MAVLink_autopilot_version_message(
@@ -183,7 +183,7 @@ class VehicleSystem:
 
     def _degrees(self, position: Vector, height: float) -> tuple[int, int, int]:
         """Latitude and longitude [1e-7 deg], altitude [mm]."""
-        latitude, longitude, altitude = geodetic(self._origin, *position, height)
+        latitude, longitude, altitude = geodetic(self.origin, *position, height)
         return round(latitude * 1e7), round(longitude * 1e7), round(altitude * 1e3)
 
     @staticmethod
@@ -230,7 +230,7 @@ class VehicleSystem:
             capabilities,
             latitude,
             longitude,
-            self._origin.altitude,
+            self.origin.altitude,
             (v_y, v_x, 0.0),
             (u_y, u_x, 0.0),
             (1.0, 0.0, 0.0, 0.0),

@@ -20,8 +20,6 @@ from outrider.bridges.mavlink.identity import MANUAL, MISSION, Moving, VehicleSy
 from outrider.bridges.mavlink.udp import Network, Peer
 from outrider.view.operator import Helm, RunClient
 
-_SETTLE = 2.0
-"""Time between two texts about the same trouble of a vehicle [s]."""
 _ASK_AGAIN = 1.0
 """Time after which a wheel that was asked for in vain is asked for again [s]."""
 _BELIEVED = 2.0
@@ -33,22 +31,6 @@ _NO_AXIS = 32_767
 _UNBOUNDED = 1.0
 """Speed at the stop for a UGV without a bound [m/s]."""
 _LAWS = tuple(LAWS)
-
-
-class _Trouble:
-    """Something that may be wrong with a vehicle, and what people were told of it."""
-
-    def __init__(self) -> None:
-        self.now = self.told = False
-        self._since = -math.inf
-
-    def news(self, wrong: bool, now: float) -> bool:
-        """True if it is time to tell that it has changed."""
-        self.now = wrong
-        if wrong == self.told or now - self._since < _SETTLE:
-            return False
-        self.told, self._since = wrong, now
-        return True
 
 
 def systems_of(status: Status, *, first: int, height: float) -> list[VehicleSystem]:
@@ -88,7 +70,6 @@ class RunGateway(Gateway):
         self._client, self._status = client, status
         self._helm = Helm(client.control, client.drive)
         self._named = {system.name: system for system in self.systems.values()}
-        self._troubles: dict[tuple[str, str], _Trouble] = {}
         self._joined: set[str] = set()
         self._refusals = status.refusals
         self._asked: dict[str, float] = {}
@@ -148,14 +129,8 @@ class RunGateway(Gateway):
 
     def _judge(self, name: str, kind: str, *, wrong: bool, worse: str, better: str) -> None:
         system = self._named.get(name)
-        if system is None:
-            return
-        trouble = self._troubles.setdefault((name, kind), _Trouble())
-        if trouble.news(wrong, time.monotonic()):
-            self.say(system, worse if wrong else better, warns=wrong)
-        system.critical = any(
-            one.now for (whose, _), one in self._troubles.items() if whose == name
-        )
+        if system is not None:
+            self.judge(system, kind, wrong=wrong, worse=worse, better=better)
 
     def _say_to_all(self, text: str) -> None:
         for system in self.systems.values():
