@@ -1,5 +1,6 @@
 """`outrider mavlink`: a run for ground stations, and a UAV that is flown over MAVLink."""
 
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -20,16 +21,19 @@ from outrider.cli.options import (
 from outrider.cli.pilots import JoinTimeout
 
 if TYPE_CHECKING:
+    from agents.process import MakePilot
     from bus.access import Credential
     from bus.messages import Status
     from bus.session import Session
     from outrider.bridges.mavlink.identity import VehicleSystem
+    from outrider.bridges.mavlink.offboard import Served
     from outrider.bridges.mavlink.run_gateway import RunGateway
     from outrider.bridges.mavlink.udp import Network
     from outrider.cli.stopping import Stop
     from outrider.view.operator import RunClient
 
 _OUT, _OFFBOARD = "udpout:127.0.0.1:14550", "udpout:127.0.0.1:14540"
+_AUTOPILOT = "udpin:127.0.0.1:14540"
 _LINGER = 0.6
 """The time for which a run that is over is still told [s]: one that is reset goes on."""
 _ALONE = 3.0
@@ -45,7 +49,7 @@ def command(
             metavar="udpout:HOST:PORT",
             help=f"A ground station that is told of the run; may be repeated. By default {_OUT}, "
             "where QGroundControl and MAVProxy listen, and with --vehicle "
-            f"{_OFFBOARD}, where MAVSDK does; neither if --in is given.",
+            f"{_OFFBOARD}, where MAVSDK does; neither if --in or --autopilot is given.",
         ),
     ] = None,
     listen: Annotated[
@@ -53,7 +57,8 @@ def command(
         typer.Option(
             "--in",
             metavar="udpin:HOST:PORT",
-            help="Where ground stations and programs may ask; may be repeated.",
+            help="Where ground stations and programs may ask; may be repeated. With --autopilot "
+            f"by default {_AUTOPILOT}, to which PX4 sends.",
         ),
     ] = None,
     vehicle: Annotated[
@@ -61,6 +66,13 @@ def command(
         typer.Option(
             metavar="UAV",
             help="Join as this UAV, with its credentials, and fly it by setpoints inside the safety filter.",
+        ),
+    ] = "",
+    autopilot: Annotated[
+        str,
+        typer.Option(
+            metavar="UAV",
+            help="Join as this UAV, and let a real autopilot fly along: its telemetry in, its setpoints out.",
         ),
     ] = "",
     connect: Connect = DEFAULT_ENDPOINT,
@@ -91,6 +103,10 @@ def command(
     SET_POSITION_TARGET_LOCAL_NED (velocity, acceleration), in HOLD it stays, in MISSION and where no setpoint has come
     for the scenario's `hold` the run's law flies; the safety filter watches over all of them.
 
+    With --autopilot the run's law flies that UAV, and an autopilot is its inner loop: it is told where the UAV is to
+    be, and where it is farther off than `certificate.tracking` declares, or silent, the UAV stays and nothing is
+    certified. It must be armed and in the air, and listen to setpoints; the run must keep real time.
+
     Example: outrider mavlink --out udpout:127.0.0.1:14550 --credentials credentials/observer.json
 
     Example: outrider mavlink --vehicle uav_0 --out udpout:127.0.0.1:14540 --credentials credentials/uav_0.json
@@ -102,10 +118,12 @@ def command(
     from outrider.cli.stopping import stop_on_signals
 
     check_endpoints((connect,), secured=True, insecure=False)
-    told = out or []
+    if vehicle and autopilot:
+        raise typer.BadParameter("--vehicle or --autopilot, not both")
+    told, asked = out or [], listen or []
     if out is None and listen is None:
-        told = [_OFFBOARD if vehicle else _OUT]
-    asked = listen or []
+        told = [] if autopilot else [_OFFBOARD if vehicle else _OUT]
+        asked = [_AUTOPILOT] if autopilot else []
     _check_listening(asked, insecure=insecure)
     network = Network(
         [parse_address(text, listens=False) for text in told],
@@ -113,11 +131,11 @@ def command(
     )
     began = time.monotonic()
     try:
-        if vehicle:
-            credential = credential_of(credentials, Role.UAV, vehicle)
-            system = VehicleSystem(vehicle, first, flies=True, origin=Origin(), height=height)
-            bus = _Bus(connect, run, credential, join_timeout)
-            found = _fly(network, system, bus)
+        if vehicle or autopilot:
+            name = vehicle or autopilot
+            bus = _Bus(connect, run, credential_of(credentials, Role.UAV, name), join_timeout)
+            system = VehicleSystem(name, first, flies=True, origin=Origin(), height=height)
+            found = _fly(network, system, bus) if vehicle else _fly_along(network, name, bus)
         else:
             with stop_on_signals() as stop:
                 found = _show(network, connect, run, _staff(credentials), stop, first, height)
@@ -137,35 +155,59 @@ class _Bus(NamedTuple):
     """[s]"""
 
 
-def _fly(network: "Network", system: "VehicleSystem", bus: _Bus) -> dict[str, object]:
-    """Fly a UAV by setpoints until the run is over; what became of them."""
+def _join(bus: _Bus, name: str, make: "MakePilot", served: "Served") -> None:
+    """Fly a UAV until the run is over, and serve MAVLink beside it."""
     from agents.process import fly, warm_up
     from bus.keys import Party, Role
-    from outrider.bridges.mavlink.dialect import mavlink
-    from outrider.bridges.mavlink.offboard import Beside, OffboardGateway, OffboardPilot
+    from outrider.bridges.mavlink.offboard import Beside
     from sim.kernels.compile import compiling
 
     with compiling():
         warm_up(Role.UAV, inner=lambda _observation: (0.0, 0.0))
-    system.capabilities |= mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
-    pilot = OffboardPilot()
-    gateway = OffboardGateway(pilot, network, system)
-    with Beside(gateway):
+    with Beside(served):
         fly(
-            Party(role=Role.UAV, name=system.name),
-            pilot.make,
+            Party(role=Role.UAV, name=name),
+            make,
             connect=bus.connect,
             run=bus.run,
             credential=bus.credential,
             join_timeout=bus.join_timeout,
         )
+
+
+def _fly(network: "Network", system: "VehicleSystem", bus: _Bus) -> dict[str, object]:
+    """Fly a UAV by setpoints until the run is over; what became of them."""
+    from outrider.bridges.mavlink.dialect import mavlink
+    from outrider.bridges.mavlink.offboard import OffboardGateway, OffboardPilot
+
+    system.capabilities |= mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    pilot = OffboardPilot()
+    gateway = OffboardGateway(pilot, network, system)
+    _join(bus, system.name, pilot.make, gateway)
     gateway.say(system, "the run is over")
     return {"vehicles": {system.name: system.number}, **gateway.counts()}
 
 
-def _report(found: dict[str, object], *, json: bool) -> None:
-    import sys
+def _fly_along(network: "Network", name: str, bus: _Bus) -> dict[str, object]:
+    """Let an autopilot fly along with a UAV until the run is over; what became of it."""
+    from outrider.bridges.mavlink.autopilot import AutopilotLink, AutopilotPilot
 
+    link = AutopilotLink(network)
+    pilot = AutopilotPilot(link)
+    began, told = time.monotonic(), False
+    while link.reported is None:  # the run is not to begin without it
+        link.turn(_TURN)
+        link.refresh()
+        if not told and time.monotonic() - began > 1.0:
+            told = True
+            sys.stderr.write("waiting for the telemetry of an autopilot; Ctrl-C leaves\n")
+    _join(bus, name, pilot.make, link)
+    found = {"sent": dict(network.sent), "received": link.reports}
+    peer = link.peer
+    return {"vehicles": {name: 0 if peer is None else peer.system}, **found, **pilot.counts()}
+
+
+def _report(found: dict[str, object], *, json: bool) -> None:
     if json:
         import msgspec
 

@@ -207,8 +207,9 @@ def findings(folder: Path) -> Iterator[Row]:
     summary = json.loads((folder / "simulator.out").read_text())
     kept = summary["visibility_violations"] == 0 and summary["certified_while_lost"] == 0
     yield Row("the simulator: sight kept", f"at most {summary['max_distance']:.2f} m", kept)
-    share = summary["certified_share"]
-    yield Row("and certified", f"{100.0 * share:.1f} % of the ticks", share > 0.99)
+    share, broken = summary["certified_share"], summary["certificate_broken"]
+    # a tick that a busy machine misses is not certified, and says so
+    yield Row("no certificate broken", f"certified {100.0 * share:.1f} % of the ticks", broken == 0)
     for name in ("uav", "gateway"):
         told = json.loads((folder / f"{name}.out").read_text())
         yield Row(f"{name} ends in order", f"refused: {told['refused']}", True)

@@ -4,7 +4,7 @@ import math
 import threading
 from collections.abc import Iterator, Mapping
 from types import TracebackType
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from agents.uav import UavPilot
 from bus.messages import UavBriefing, UavCommand, UavObservation, Vector
@@ -240,14 +240,24 @@ def _told(briefing: UavBriefing) -> Iterator[tuple[str, float]]:
     yield "VIS_RADIUS", briefing.visibility_radius
 
 
+class Served(Protocol):
+    """Anything that speaks MAVLink while a vehicle is flown."""
+
+    def refresh(self) -> None:
+        """Take in what was flown."""
+
+    def turn(self, patience: float) -> None:
+        """Take in what has come, after a wait of up to `patience` [s], and say what is due."""
+
+
 class Beside:
-    """Serves a gateway in a thread of its own, while the vehicle is flown.
+    """Serves MAVLink in a thread of its own, while the vehicle is flown.
 
     Args:
-        gateway: One with `refresh`.
+        gateway: What is served.
     """
 
-    def __init__(self, gateway: OffboardGateway) -> None:
+    def __init__(self, gateway: Served) -> None:
         self._gateway = gateway
         self._closing = threading.Event()
         self._error: Exception | None = None
