@@ -14,6 +14,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,7 +29,7 @@ class Row(NamedTuple):
     """A finding."""
 
     what: str
-    value: str
+    value: object
     holds: bool
 
 
@@ -133,6 +134,42 @@ def unheard(folder: Path) -> Iterator[Row]:
     yield Row("unheard in lockstep: the same bits", there["trajectory_sha256"][:16], same)
 
 
+def along(folder: Path) -> Iterator[Row]:
+    """An autopilot flies along whose MAVLink is MAVSDK's server, and whose loop is a stand-in of ours.
+
+    Raises:
+        SystemExit: If a process does not do its part at all.
+    """
+    python = environment()
+    router = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+    port, log = free_port(socket.SOCK_DGRAM), folder / "along.log"
+    changes = ("--realtime", 1, "--duration", 15, "--set", "certificate.tracking=0.3", "--json")
+    begin = ("--listen", router, "--out", folder / "along", "--no-picture", *changes)
+    to = ("--connect", router)
+    with ExitStack() as stack:
+        simulator = stack.enter_context(started(*outrider("simulator", "escort", *begin), log=log))
+        await_text(log, "listening on")
+        stack.enter_context(started(*outrider("ugv", *to), log=folder / "along-ugv.log"))
+        uav = ("--autopilot", "uav_0", "--in", f"udpin:127.0.0.1:{port}", "--json")
+        uav_log = folder / "along-uav.log"
+        process = stack.enter_context(started(*outrider("mavlink", *uav, *to), log=uav_log))
+        loop = ROOT / "tools" / "bridges" / "mavsdk_autopilot.py"
+        words = (python, loop, f"udpout://127.0.0.1:{port}")
+        stack.enter_context(started(*words, log=folder / "autopilot.log"))
+        simulator.wait(120.0)
+        process.wait(20.0)
+    told = json.loads((folder / "along-uav.out").read_text())
+    heard = json.loads((folder / "autopilot.out").read_text().splitlines()[-1])
+    yield Row("MAVSDK's server takes setpoints", heard["setpoints"], heard["setpoints"] > 200)
+    yield Row("and its telemetry is believed", told["reports"], told["reports"] > 200)
+    off, held = told["largest_deviation"], told["held_ticks"]
+    value = f"at most {off:.3f} m off, waited for in {held} of {told['ticks']} ticks"
+    yield Row("it holds what it is told", value, off < 0.3 and held < told["ticks"] / 10)
+    summary = json.loads((folder / "along.out").read_text())
+    kept = summary["visibility_violations"] == 0 and summary["certificate_broken"] == 0
+    yield Row("sight kept", f"at most {summary['max_distance']:.2f} m", kept)
+
+
 def findings(folder: Path) -> Iterator[Row]:
     """All checks, by real processes.
 
@@ -221,7 +258,7 @@ def run_checks() -> bool:
         folder = Path(name)
         os.chdir(folder)
         good = True
-        for found in (*unheard(folder), *findings(folder)):
+        for found in chain(unheard(folder), along(folder), findings(folder)):
             good = good and found.holds
             mark = "holds" if found.holds else "DOES NOT HOLD"
             print(f"| {found.what} | {found.value} | {mark} |", flush=True)  # noqa: T201
