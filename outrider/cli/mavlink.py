@@ -1,5 +1,6 @@
 """`outrider mavlink`: a run for ground stations, and a UAV that is flown over MAVLink."""
 
+import os
 import sys
 import time
 from pathlib import Path
@@ -38,6 +39,8 @@ _LINGER = 0.6
 """The time for which a run that is over is still told [s]: one that is reset goes on."""
 _ALONE = 3.0
 """After so long without a router it has gone [s]."""
+_NICE = 5
+"""On a machine that is busy the run goes first."""
 _TURN = 0.02
 """The longest time between two looks at the run [s]."""
 
@@ -137,6 +140,7 @@ def command(
             system = VehicleSystem(name, first, flies=True, origin=Origin(), height=height)
             found = _fly(network, system, bus) if vehicle else _fly_along(network, name, bus)
         else:
+            os.nice(_NICE)
             with stop_on_signals() as stop:
                 found = _show(network, connect, run, _staff(credentials), stop, first, height)
     finally:
