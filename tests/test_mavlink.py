@@ -2,6 +2,7 @@
 
 import math
 import socket
+import struct
 import sys
 from types import SimpleNamespace
 
@@ -421,6 +422,28 @@ class Counted:
         self._refuse(cause, what, count)
 
 
+def frame(number, payload, crc_extra):
+    """A whole message with these bytes in it."""
+    head = struct.pack("<BBBBBBHB", len(payload), 0, 0, 0, 255, 190, number & 0xFFFF, number >> 16)
+    crc = mavlink.x25crc(head + payload + bytes([crc_extra])).crc
+    return b"\xfd" + head + payload + struct.pack("<H", crc)
+
+
+def test_no_content_of_any_message_ends_the_gateway(run):
+    rng = np.random.default_rng(1)
+    for number, kind in mavlink.mavlink_map.items():
+        values = list(kind.unpacker.unpack(rng.bytes(kind.unpacker.size)))
+        for target in {UAV, UGV} if "target_system" in kind.fieldnames else {0}:
+            if target:
+                values[sum(kind.lengths[: kind.ordered_fieldnames.index("target_system")])] = target
+            payload = kind.unpacker.pack(*values)
+            run.station.socket.sendto(frame(number, payload, kind.crc_extra), run.station.to)
+        run.gateway.turn(0.01)
+    assert run.gateway.received > 200
+    assert run.client.driven == []
+    assert run.station.ask(mavlink.MAV_CMD_NAV_LAND) == mavlink.MAV_RESULT_UNSUPPORTED
+
+
 def test_an_observer_only_watches(watched):
     watched.station.send(sticks(500, 0), set_parameter("PAUSED", 1.0))
     assert watched.station.ask(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 1.0, target=UGV) == 2  # denied
@@ -432,7 +455,7 @@ def test_an_observer_only_watches(watched):
     "text", ["udpin:127.0.0.1:1", "127.0.0.1:14550", "udpout:h:0", "udpout:h:x", "udpout::14550"]
 )
 def test_an_address_that_is_none_is_named(text):
-    with pytest.raises(ScenarioError, match="--out"):
+    with pytest.raises(ScenarioError, match="--to"):
         parse_address(text, listens=False)
 
 

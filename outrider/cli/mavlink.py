@@ -49,6 +49,7 @@ def command(
     out: Annotated[
         list[str] | None,
         typer.Option(
+            "--to",
             metavar="udpout:HOST:PORT",
             help=f"A ground station that is told of the run; may be repeated. By default {_OUT}, "
             "where QGroundControl and MAVProxy listen, and with --vehicle "
@@ -110,9 +111,9 @@ def command(
     be, and where it is farther off than `certificate.tracking` declares, or silent, the UAV stays and nothing is
     certified. It must be armed and in the air, and listen to setpoints; the run must keep real time.
 
-    Example: outrider mavlink --out udpout:127.0.0.1:14550 --credentials credentials/observer.json
+    Example: outrider mavlink --to udpout:127.0.0.1:14550 --credentials credentials/observer.json
 
-    Example: outrider mavlink --vehicle uav_0 --out udpout:127.0.0.1:14540 --credentials credentials/uav_0.json
+    Example: outrider mavlink --vehicle uav_0 --to udpout:127.0.0.1:14540 --credentials credentials/uav_0.json
     """
     from bus.keys import Role
     from bus.messages import Origin

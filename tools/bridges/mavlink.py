@@ -122,7 +122,7 @@ def unheard(folder: Path) -> Iterator[Row]:
         for name, words in (
             ("unheard-uav", outrider("mavlink", *uav, *to)),
             ("unheard-ugv", outrider("ugv", *to)),
-            ("unheard-gateway", outrider("mavlink", *to, "--out", f"udpout:127.0.0.1:{ports[1]}")),
+            ("unheard-gateway", outrider("mavlink", *to, "--to", f"udpout:127.0.0.1:{ports[1]}")),
         ):
             stack.enter_context(started(*words, log=folder / f"{name}.log"))
         simulator.wait(120.0)
@@ -207,14 +207,14 @@ def findings(folder: Path) -> Iterator[Row]:
                 "uav",
                 outrider(
                     "mavlink", "--vehicle", "uav_0", *joined("uav_0"), "--first-system", 11, "--json",
-                    "--out", f"udpout:127.0.0.1:{flown}",
+                    "--to", f"udpout:127.0.0.1:{flown}",
                 ),
             ),
             (
                 "gateway",
                 outrider(
                     "mavlink", *joined("operator"), "--json",
-                    "--out", f"udpout:127.0.0.1:{watched}", "--out", f"udpout:127.0.0.1:{logged}",
+                    "--to", f"udpout:127.0.0.1:{watched}", "--to", f"udpout:127.0.0.1:{logged}",
                 ),
             ),
         ]  # fmt: skip

@@ -73,7 +73,7 @@ class _Trouble:
     """Something that may be wrong with a vehicle, and what people were told of it."""
 
     def __init__(self) -> None:
-        self.now = self.told = False
+        self.now = self.told = self.critical = False
         self._since = -math.inf
 
     def news(self, wrong: bool, now: float) -> bool:
@@ -174,14 +174,32 @@ class Gateway:
             self.send(system, message)
 
     def judge(
-        self, system: VehicleSystem, kind: str, *, wrong: bool, worse: str, better: str
+        self,
+        system: VehicleSystem,
+        kind: str,
+        *,
+        wrong: bool,
+        worse: str,
+        better: str,
+        critical: bool = True,
     ) -> None:
-        """Say that something is wrong with a vehicle, and when it is well again; neither too often."""
+        """Say that something is wrong with a vehicle, and when it is well again; neither too often.
+
+        Args:
+            system: The vehicle's.
+            kind: What may be wrong, for us.
+            wrong: Whether it is.
+            worse, better: What is said when it begins and when it ends.
+            critical: Whether heartbeats tell it too.
+        """
         trouble = self._troubles.setdefault((system.name, kind), _Trouble())
         if trouble.news(wrong, time.monotonic()):
             self.say(system, worse if wrong else better, warns=wrong)
+        trouble.critical = critical
         system.critical = any(
-            one.now for (whose, _), one in self._troubles.items() if whose == system.name
+            one.now and one.critical
+            for (whose, _), one in self._troubles.items()
+            if whose == system.name
         )
 
     def refuse(self, cause: str, what: str, count: int = 1) -> None:

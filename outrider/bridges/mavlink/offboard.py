@@ -150,6 +150,7 @@ class OffboardGateway(Gateway):
             wrong=system.mode is OFFBOARD and not flown.by_setpoint,
             worse="no setpoint counts: the run's law flies",
             better=f"setpoints fly {system.name}",
+            critical=False,
         )
         if report is None:
             return
@@ -162,6 +163,7 @@ class OffboardGateway(Gateway):
             wrong=seen.time - self._pilot.intervened_at < _LATELY and system.mode is not MISSION,
             worse="the safety filter acts: sight of the UGV would be lost",
             better="the safety filter lets everything through",
+            critical=False,
         )
         self.judge(
             system,

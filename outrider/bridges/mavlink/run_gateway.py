@@ -107,6 +107,8 @@ class RunGateway(Gateway):
             )
 
     def _take_status(self, status: Status) -> None:
+        if status.over and not self._status.over:
+            self._say_to_all("the run is over")
         self._status = status
         for name, vehicle in status.vehicles.items():
             if vehicle.present:

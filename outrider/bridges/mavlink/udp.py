@@ -54,7 +54,7 @@ def parse_address(text: str, *, listens: bool) -> Address:
     first, *rest = text.split(":")
     host, port = (rest[0], rest[1]) if len(rest) == 2 else ("", "")
     if first != kind or not host or not port.isdecimal() or not 0 < int(port) < 65536:
-        option = "--in" if listens else "--out"
+        option = "--in" if listens else "--to"
         raise ScenarioError(
             f"{option} {text}: allowed is {kind}:HOST:PORT, such as {kind}:127.0.0.1:14550"
         )
