@@ -218,8 +218,10 @@ def findings(folder: Path) -> Iterator[Row]:
                 ),
             ),
         ]  # fmt: skip
-        for name, words in start:
-            stack.enter_context(started(*words, log=folder / f"{name}.log"))
+        ours = {
+            name: stack.enter_context(started(*words, log=folder / f"{name}.log"))
+            for name, words in start
+        }
         await_text(folder / "gateway.log", "system 1 is uav_0")
         proxy = (
             *(python, python.with_name("mavproxy.py"), f"--master=udpin:127.0.0.1:{logged}"),
@@ -241,6 +243,7 @@ def findings(folder: Path) -> Iterator[Row]:
         mavproxy.wait(10.0)
         yield from log_of_mavproxy(python, folder)
         simulator.wait(DURATION)
+        ended = {name: process.wait(20.0) for name, process in ours.items()}
     summary = json.loads((folder / "simulator.out").read_text())
     kept = summary["visibility_violations"] == 0 and summary["certified_while_lost"] == 0
     yield Row("the simulator: sight kept", f"at most {summary['max_distance']:.2f} m", kept)
@@ -249,7 +252,7 @@ def findings(folder: Path) -> Iterator[Row]:
     yield Row("no certificate broken", f"certified {100.0 * share:.1f} % of the ticks", broken == 0)
     for name in ("uav", "gateway"):
         told = json.loads((folder / f"{name}.out").read_text())
-        yield Row(f"{name} ends in order", f"refused: {told['refused']}", True)
+        yield Row(f"{name} ends in order", f"refused: {told['refused']}", ended[name] == 0)
 
 
 def run_checks() -> bool:
