@@ -88,4 +88,4 @@ learn-test-%: $(VENV)-%/.learn
 .PRECIOUS: $(VENV)-%/.learn
 
 clean: ## remove the environments and what runs have written
-	rm -rf $(VENV) $(LEARNERS:%=$(VENV)-%) runs figures site
+	rm -rf $(VENV) $(LEARNERS:%=$(VENV)-%) $(VENV)-mavlink runs figures site

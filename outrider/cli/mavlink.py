@@ -265,7 +265,7 @@ def _show(
 ) -> dict[str, object]:
     """Tell a run until it is over or somebody wants the end; what was told."""
     from bus.errors import PeerLost
-    from bus.keys import OPERATOR_NAME, Party, Role
+    from bus.keys import OPERATOR_NAME, SAMPLED_TRUTH, STATUS, Party, Role
     from bus.session import open_session
     from outrider.bridges.mavlink.run_gateway import RunGateway
     from outrider.cli.console import ERR
@@ -276,7 +276,7 @@ def _show(
         Party(role=Role.OPERATOR, name=OPERATOR_NAME) if credential is None else credential.party
     )
     with open_session(party, run, connect=connect, credential=credential) as session:
-        client = RunClient(session, maps=False)
+        client = RunClient(session, read=(STATUS, SAMPLED_TRUTH))
         status = _await_run(client, run, stop)
         if status is None:
             client.close()
