@@ -48,6 +48,17 @@ class Area(Message, frozen=True, kw_only=True):
     cell: Positive
 
 
+class Origin(Message, frozen=True, kw_only=True):
+    """The place on Earth of the area's lower left corner (WGS 84); x points east and y north."""
+
+    latitude: Annotated[float, Meta(ge=-80.0, le=80.0)] = 49.875
+    """[deg]; by default in Darmstadt, where the paper was written."""
+    longitude: Annotated[float, Meta(ge=-180.0, le=180.0)] = 8.66
+    """[deg]"""
+    altitude: Annotated[float, Meta(ge=-500.0, le=9000.0)] = 150.0
+    """Of the ground [m]; it is flat."""
+
+
 class Region(Message, frozen=True, kw_only=True):
     """A rectangle of ground [m] that is covered from the start."""
 
@@ -340,6 +351,8 @@ class UavBriefing(Message, frozen=True, kw_only=True):
     certificate: DeclaredBounds = DeclaredBounds(error=None, age=1.0)
     ground: UavGround | None = None
     """None: there are no hazards, and nothing is told of the ground."""
+    origin: Origin = Origin()
+    """Where on Earth its positions are counted from, for bridges to programs that count in degrees."""
     key: PilotKey
     """Of the pilot's own random numbers.
 
@@ -719,6 +732,8 @@ class Geometry(Message, frozen=True, kw_only=True):
     """Each vehicle's bounds."""
     uavs: dict[Name, Name]
     """Each UAV, and the UGV it escorts."""
+    origin: Origin = Origin()
+    """Where on Earth the positions are counted from."""
 
 
 class CertificateStatus(Message, frozen=True, kw_only=True):

@@ -34,6 +34,7 @@ def test_the_uav_is_told_these_fields_and_no_others() -> None:
         detector noise cut period estimator enabled gate patience manoeuvre
         certificate error age delay margin hold outage tracking
         ground tile telling column row state
+        origin latitude longitude altitude
         vehicle dt visibility_radius law key past more"""
     assert told(TO_UAV) == {*words(known), *fields_within(messages.Law)}
 
