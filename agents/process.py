@@ -3,7 +3,7 @@
 import gc
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 
@@ -16,6 +16,9 @@ from bus.keys import BRIEFING, COMMAND, OBSERVATION, SIMULATOR_NAME, Party, Role
 from bus.messages import Command, UavBriefing, UavObservation, UgvBriefing, UgvObservation
 from bus.session import Letter, Outbox, Session, open_session
 from sim.kernels.compile import compiling
+
+if TYPE_CHECKING:
+    from agents.uav import Inner
 
 _ROOM = 1024
 """Observations that wait for a pilot that is slower than the clock; the oldest make room."""
@@ -40,17 +43,23 @@ MakePilot = Callable[[Any], Pilot]
 """Makes a pilot from its briefing."""
 
 
-def uav_maker(*, weighting: Weighting | None = None, path: Path | None = None) -> MakePilot:
+def uav_maker(
+    *,
+    weighting: Weighting | None = None,
+    path: Path | None = None,
+    inner: "Inner | None" = None,
+) -> MakePilot:
     """Makes UAV pilots.
 
     Args:
         weighting: A weighting of one's own, for the law `weighted`.
         path: A path of one's own, for the law `path`.
+        inner: A control of one's own inside the safety filter.
     """
     from agents.uav import UavPilot  # noqa: PLC0415 - with its filter, most of a start, which a UGV can do without
 
     def make(briefing: UavBriefing) -> Pilot:
-        return UavPilot(briefing, weighting=weighting, path=path)
+        return UavPilot(briefing, weighting=weighting, path=path, inner=inner)
 
     return make
 
@@ -98,15 +107,20 @@ def _seen(tick: int) -> dict[str, Any]:
     return {"tick": tick, "time": tick * 0.05, "position": [5.0, 5.0], "velocity": [0.0, 0.0]}
 
 
-def warm_up(role: Role) -> None:
-    """Let a pilot that nobody waits for answer a few times, so that all its code is compiled or loaded."""
+def warm_up(role: Role, *, inner: "Inner | None" = None) -> None:
+    """Let a pilot that nobody waits for answer a few times, so that all its code is compiled or loaded.
+
+    Args:
+        role: The kind of vehicle.
+        inner: A UAV's control of one's own.
+    """
     if role is Role.UGV:
         ugv = ugv_maker()(msgspec.convert(_UGV, UgvBriefing))
         for tick in range(3):
             ugv.act(msgspec.convert(_seen(tick), UgvObservation))
         return
     for own in ({}, _WATCHED):
-        uav: Any = uav_maker()(msgspec.convert(_UAV | own, UavBriefing))
+        uav: Any = uav_maker(inner=inner)(msgspec.convert(_UAV | own, UavBriefing))
         for tick in range(3):
             look = {"time": tick * 0.05, "relative_position": [1.0, 0.0]}
             uav.act(msgspec.convert(_seen(tick) | {"detections": [look]}, UavObservation))

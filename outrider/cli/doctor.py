@@ -29,6 +29,7 @@ EXTRAS = {
     "falsify": ("cma",),
     "tls": ("cryptography",),
     "ros2": ("rosbags", "xxhash"),
+    "mavlink": ("pymavlink",),
     "sb3": ("stable_baselines3", "torch"),
     "torchrl": ("torchrl",),
     "rllib": ("ray",),
