@@ -68,7 +68,7 @@ def main(address):
                     PositionNed(north, east, START[2]), VelocityNed(v_north, v_east, 0.0)
                 )
             )
-        print(json.dumps({"setpoints": loop.count, "position": loop.position}))  # noqa: T201
+        print(json.dumps({"setpoints": loop.count, "position": loop.position}))
 
 
 if __name__ == "__main__":

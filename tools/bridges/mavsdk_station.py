@@ -172,7 +172,7 @@ def main(watched, flown):
         drive(found[2], watcher)
         near = watcher.largest < R_V
         row("r_v = 4.75 m is kept throughout", f"at most {watcher.largest:.2f} m", near)
-        print(json.dumps(ROWS))  # noqa: T201
+        print(json.dumps(ROWS))
 
 
 if __name__ == "__main__":
