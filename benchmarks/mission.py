@@ -19,12 +19,13 @@ from matplotlib.lines import Line2D
 from bus.messages import LinkSettings
 from bus.profiles import PROFILES
 from outrider.envs.closed_loop import ClosedLoop
-from outrider.style import INK, LIMIT, MUTED, law_color, new_figure, save
+from outrider.style import INK, LIMIT, UGV, law_color, new_figure, save
 from sim.engine.mission import Mission, mission_of
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario
 
-SCENARIOS = ("minefield", "rubble", "rescue")
+MISSIONS = (("minefield", "cautious"), ("minefield", "bold"), ("rubble", "cautious"))
+"""In `rubble` a bold UGV is slow enough to stop in time, too: it flies to the same bits."""
 NETWORKS = ("perfect", "satellite", "jammed")
 """Of detections and radio."""
 LAWS = ("tracking", "circle", "certified", "lookahead")
@@ -64,28 +65,27 @@ def _flown(scenario: Scenario, seeds: int) -> tuple[list[Mission], int]:
 
 def rows(seeds: int) -> Iterator[Row]:
     """Fly all of it, with the same hazards for every law."""
-    for name in SCENARIOS:
+    for name, caution in MISSIONS:
         plain = load_scenario(name)
-        for caution in ("cautious", "bold"):
-            ugvs = tuple(msgspec.structs.replace(one, caution=caution) for one in plain.ugv)
-            for network in NETWORKS:
-                link: LinkSettings = PROFILES[network]
-                links = LinkTable(detections=link, radio=link)
-                for law in (NOBODY, *LAWS):
-                    telling = 0.0 if law == NOBODY else plain.ground.telling
-                    if law == NOBODY and network != NETWORKS[0]:
-                        continue
-                    flown = LAWS[0] if law == NOBODY else law
-                    scenario = msgspec.structs.replace(
-                        plain,
-                        duration=LONGEST,
-                        certificate=msgspec.structs.replace(plain.certificate, age=AGES[network]),
-                        ugv=ugvs,
-                        links=links,
-                        law=msgspec.structs.replace(plain.law, name=flown),
-                        ground=msgspec.structs.replace(plain.ground, telling=telling),
-                    )
-                    yield Row(name, caution, network, law, *_flown(scenario, seeds))
+        ugvs = tuple(msgspec.structs.replace(one, caution=caution) for one in plain.ugv)
+        for network in NETWORKS:
+            link: LinkSettings = PROFILES[network]
+            links = LinkTable(detections=link, radio=link)
+            for law in (NOBODY, *LAWS):
+                telling = 0.0 if law == NOBODY else plain.ground.telling
+                if law == NOBODY and network != NETWORKS[0]:
+                    continue
+                flown = LAWS[0] if law == NOBODY else law
+                scenario = msgspec.structs.replace(
+                    plain,
+                    duration=LONGEST,
+                    certificate=msgspec.structs.replace(plain.certificate, age=AGES[network]),
+                    ugv=ugvs,
+                    links=links,
+                    law=msgspec.structs.replace(plain.law, name=flown),
+                    ground=msgspec.structs.replace(plain.ground, telling=telling),
+                )
+                yield Row(name, caution, network, law, *_flown(scenario, seeds))
 
 
 def _mean(values: list[float | None]) -> str:
@@ -98,7 +98,7 @@ def _times(axes: Axes, rows: Sequence[Row]) -> None:
     places = {law: n for n, law in enumerate((NOBODY, *LAWS))}
     for row in rows:
         shift = 0.0 if row.law == NOBODY else 0.26 * (NETWORKS.index(row.network) - 1)
-        x, color = places[row.law] + shift, MUTED if row.law == NOBODY else law_color(row.law)
+        x, color = places[row.law] + shift, UGV if row.law == NOBODY else law_color(row.law)
         times = [one.mission_time for one in row.missions if one.mission_time is not None]
         filled = color if row.network == NETWORKS[0] else "white"
         mark = MARKS[row.network]
@@ -123,7 +123,7 @@ def _hits(axes: Axes, rows: Sequence[Row]) -> None:
     places = {law: n for n, law in enumerate((NOBODY, *LAWS))}
     for row in rows:
         shift = 0.0 if row.law == NOBODY else 0.26 * (NETWORKS.index(row.network) - 1)
-        x, color = places[row.law] + shift, MUTED if row.law == NOBODY else law_color(row.law)
+        x, color = places[row.law] + shift, UGV if row.law == NOBODY else law_color(row.law)
         share = 100.0 * float(np.mean([one.hazards_hit > 0 for one in row.missions]))
         hatch = {"perfect": "", "satellite": "....", "jammed": "////"}[row.network]
         face = color if row.network == NETWORKS[0] else "white"
@@ -133,32 +133,26 @@ def _hits(axes: Axes, rows: Sequence[Row]) -> None:
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
-    """The picture: mission time of a cautious UGV above, hits of a bold one below, a column for each scenario."""
-    figure = new_figure(1500, 900)
-    axes = figure.subplots(2, len(SCENARIOS), sharex=True, squeeze=False)
+    """The picture: mission times of a cautious UGV, and hits of a bold one."""
+    figure = new_figure(1500, 560)
     names = [law.replace(" ", "\n") for law in (NOBODY, *LAWS)]
-    for column, scenario in enumerate(SCENARIOS):
-        above, below = axes[:, column]
-        _times(
-            above, [row for row in rows if (row.scenario, row.caution) == (scenario, "cautious")]
-        )
-        _hits(below, [row for row in rows if (row.scenario, row.caution) == (scenario, "bold")])
-        above.set_title(scenario)
-        above.set_ylabel("cautious UGV: mission time [s]")
-        above.margins(y=0.16)
-        below.set_ylabel("bold UGV: flights with a hit [%]")
-        below.set_ylim(0.0, 105.0)
-        below.set_xticks(range(len(names)), names)
-        below.tick_params(axis="x", length=0.0)
+    for axes, (scenario, caution) in zip(figure.subplots(1, len(MISSIONS)), MISSIONS, strict=True):
+        here = [row for row in rows if (row.scenario, row.caution) == (scenario, caution)]
+        axes.set_title(f"{scenario}, {caution} UGV")
+        axes.set_xticks(range(len(names)), names)
+        axes.tick_params(axis="x", length=0.0, labelsize="small")
+        if caution == "bold":
+            _hits(axes, here)
+            axes.set_ylabel("flights with a hit [%]")
+            axes.set_ylim(0.0, 105.0)
+        else:
+            _times(axes, here)
+            axes.set_ylabel("mission time [s]")
+            axes.margins(y=0.1)
+            axes.set_ylim(bottom=0.0)
     marks = [
         Line2D(
-            [],
-            [],
-            ls="",
-            marker=MARKS[network],
-            mec=INK,
-            mfc=INK if n == 0 else "white",
-            label=network,
+            [], [], ls="", marker=MARKS[network], mec=INK, mfc="white" if n else INK, label=network
         )
         for n, network in enumerate(NETWORKS)
     ]
