@@ -58,7 +58,6 @@ def rows(seeds: int) -> Iterator[Row]:
                 link: LinkSettings = PROFILES[network]
                 links = LinkTable(detections=link, radio=link)
                 for law in (NOBODY, *LAWS):
-                    telling = 0.0 if law == NOBODY else plain.ground.telling
                     if law == NOBODY and network != NETWORKS[0]:
                         continue
                     flown = LAWS[0] if law == NOBODY else law
@@ -68,7 +67,7 @@ def rows(seeds: int) -> Iterator[Row]:
                         ugv=ugvs,
                         links=links,
                         law=msgspec.structs.replace(plain.law, name=flown),
-                        ground=msgspec.structs.replace(plain.ground, telling=telling),
+                        uav=() if law == NOBODY else plain.uav,
                     )
                     yield Row(name, caution, network, law, _flown(scenario, seeds))
 
