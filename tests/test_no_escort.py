@@ -15,6 +15,10 @@ from outrider.cli import console
 from outrider.cli.options import scenario_of
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.envs.env_pilots import pilots
+from outrider.experiments.sweep.columns import row_of
+from outrider.experiments.sweep.definition import Block, Sweep
+from outrider.experiments.sweep.plan import lay_out
+from outrider.experiments.sweep.running import cost_of
 from outrider.recording.reader import flight_of
 from outrider.recording.refly import refly
 from outrider.recording.writer import FlightRecorder
@@ -24,9 +28,12 @@ from outrider.view.film import Film
 from outrider.view.flight_picture import flight_figure
 from outrider.view.page.hub import Hub
 from outrider.view.page.sources.tape import Tape
+from outrider.view.terminal.teleoperation import DriveView
+from outrider.view.terminal.topview import Trails, draw
 from sim.scenario.checks import check_scenario
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario, Wind
+from sim.scene.known import geometry_of
 from sim.server.flight import Flight
 
 ALONE = load_scenario("minefield", overrides=["uav=[]", "duration=15.0"])
@@ -97,6 +104,11 @@ def test_every_view_shows_a_ugv_alone(flown) -> None:
     hub.take_in()
     assert hub._scene is not None
     assert [vehicle.name for vehicle in hub._scene.vehicles] == ["ugv_0"]
+    assert hub.status is not None
+    status = msgspec.structs.replace(hub.status, geometry=geometry_of(ALONE))
+    view = DriveView(status=status, truth=flight.truth())
+    canvas = draw(view, "ugv_0", Trails(), width=60, height=20, wide=True)
+    assert any(segment.text.strip() for row in range(20) for segment in canvas.row(row))
     env = outrider.parallel_env(ALONE, render_mode="rgb_array")
     env.reset(seed=4)
     assert env.render() is not None
@@ -121,6 +133,18 @@ def test_options_for_uavs_are_refused_where_there_is_none(option: str) -> None:
     value = "circle" if option == "law" else "math:sqrt"
     with pytest.raises(ScenarioError, match=r"^--law \w+: minefield has no UAV that could fly it"):
         scenario_of("minefield", changes=["uav=[]"], **{option: value})
+
+
+def test_a_sweep_flies_a_ugv_alone_but_no_laws_over_it() -> None:
+    alone = {"uav": [], "duration": 1.0}
+    block = Block(name="alone")
+    plan = lay_out(Sweep(scenario="minefield", set=alone, block=(block,)))
+    assert cost_of(plan.points[0].scenario) > 0
+    _, summary = fly(plan.points[0].scenario, 1)
+    row = row_of(summary, 1.0)
+    assert (row["margin"], row["violated"]) == (None, False)
+    with pytest.raises(ScenarioError, match=r"^minefield: laws = \['circle'\]: there is no UAV"):
+        lay_out(Sweep(scenario="minefield", laws=("circle",), set=alone, block=(block,)))
 
 
 def test_what_is_declared_for_uavs_is_nothing_without_one() -> None:
