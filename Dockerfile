@@ -1,5 +1,6 @@
 # One image for every role: docker build -t outrider:0.1.0 .
-# And one more, with the dashboard's web server: docker build --target dashboard -t outrider-dashboard:0.1.0 .
+# And two more, with the dashboard's web server and with MAVLink: docker build --target dashboard -t outrider-dashboard:0.1.0 .
+# and docker build --target mavlink -t outrider-mavlink:0.1.0 .
 # Behind a package mirror, give pip's configuration as a secret, which leaves no trace: docker build --secret id=pip_conf,src=pip.conf .
 
 # The base may be any image with Python 3.11 or newer on Debian. By its digest it is the same one for ever:
@@ -16,9 +17,12 @@ RUN --mount=type=secret,id=pip_conf,target=/etc/pip.conf python -m pip install h
 FROM ${BASE} AS needs
 COPY pyproject.toml ./
 RUN python -c "import tomllib; project = tomllib.load(open('pyproject.toml', 'rb'))['project']; \
-    print(*project['dependencies'], *project['optional-dependencies']['tls'], sep='\n')" >/needs.txt && \
+    extras = project['optional-dependencies']; \
+    print(*project['dependencies'], *extras['tls'], *extras['ros2'], sep='\n')" >/needs.txt && \
     python -c "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']['dashboard'], sep='\n')" \
-    >/dashboard.txt
+    >/dashboard.txt && \
+    python -c "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']['mavlink'], sep='\n')" \
+    >/mavlink.txt
 
 # The dependencies from their list alone: while that stays the same, no change of the project installs them anew. Without the test
 # suites that some of them bring along.
@@ -70,6 +74,16 @@ RUN --mount=type=secret,id=pip_conf,target=/etc/pip.conf --mount=from=needs,sour
 USER 1000:1000
 EXPOSE 8080
 CMD ["dashboard"]
+
+# Likewise the bridge to ground stations: pymavlink brings all dialects.
+FROM flight AS mavlink
+USER 0:0
+RUN --mount=type=secret,id=pip_conf,target=/etc/pip.conf --mount=from=needs,source=/mavlink.txt,target=/mavlink.txt \
+    --mount=from=tools,source=/build/constraints.txt,target=/constraints.txt \
+    PATH="${PATH#/opt/outrider/bin:}" python -m pip --no-cache-dir --disable-pip-version-check --python /opt/outrider/bin/python \
+    install --constraint /constraints.txt --requirement /mavlink.txt
+USER 1000:1000
+CMD ["mavlink"]
 
 # The last stage is what `docker build` makes unless it is told otherwise.
 FROM flight

@@ -10,7 +10,7 @@ PIP    := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-che
 WORKERS := -n 2 --dist loadscope --no-loadscope-reorder
 LEARNERS := sb3 torchrl rllib supersuit
 
-.PHONY: help run test long-test check format figures bench docs soak kill-test crowd-test compose-test page-test learn-test clean
+.PHONY: help run test long-test check format figures bench docs soak kill-test crowd-test compose-test page-test bridge-test learn-test clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
@@ -24,7 +24,7 @@ $(VENV)/.run: pyproject.toml
 
 $(VENV)/.dev: $(VENV)/.run
 	@echo 'installing what the tests need into $(VENV), once'
-	@$(PIP) --editable '.[dev,window,record,drive,dashboard,sweep,dask,falsify,tls]'
+	@$(PIP) --editable '.[dev,window,record,drive,dashboard,sweep,dask,falsify,tls,ros2,mavlink]'
 	@touch $@
 
 run: $(VENV)/.run ## fly the escort scenario as three processes over Zenoh (ARGS="..." for more)
@@ -75,6 +75,9 @@ page-test: $(VENV)/.dev ## the dashboard in a real headless Chromium; gets what 
 	@$(PIP) 'playwright>=1.49' || echo 'page-test: playwright cannot be installed'
 	$(BIN)/python tools/page_test.py --install $(ARGS) || test $$? -eq 77
 
+bridge-test: $(VENV)/.dev ## the bridges against what others wrote, in environments of their own (ARGS="ros2")
+	$(BIN)/python tools/bridge_test.py $(ARGS)
+
 learn-test: $(LEARNERS:%=learn-test-%) ## the learning libraries, each installed into an environment of its own (learn-test-sb3, ...)
 
 $(VENV)-%/.learn: pyproject.toml
@@ -88,4 +91,4 @@ learn-test-%: $(VENV)-%/.learn
 .PRECIOUS: $(VENV)-%/.learn
 
 clean: ## remove the environments and what runs have written
-	rm -rf $(VENV) $(LEARNERS:%=$(VENV)-%) runs figures site
+	rm -rf $(VENV) $(LEARNERS:%=$(VENV)-%) $(VENV)-ros2 $(VENV)-ros2-rclpy $(VENV)-mavlink runs figures site

@@ -3,7 +3,7 @@
 import gc
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 
@@ -17,6 +17,9 @@ from bus.messages import Command, UavBriefing, UavObservation, UgvBriefing, UgvO
 from bus.session import Letter, Outbox, Session, open_session
 from sim.kernels.compile import compiling
 
+if TYPE_CHECKING:
+    from agents.uav import Inner
+
 _ROOM = 1024
 """Observations that wait for a pilot that is slower than the clock; the oldest make room."""
 
@@ -24,31 +27,39 @@ _ROOM = 1024
 class Pilot(Protocol):
     """A pilot as the loop sees it; the key table says which messages it gets.
 
-    It may have three methods more: `prepare()`, called once its command is on its way, to work ahead while nobody
-    waits; `perceive(observation)`, called with what it was too slow to answer; and `forget_commands()`, called when
+    It may have four methods more: `prepare()`, called once its command is on its way, to work ahead while nobody
+    waits; `perceive(observation)`, called with what it was too slow to answer; `forget_commands()`, called when
     answers of its own
-    were not sent, or may not have been: those that it gave to its past when its process has joined again.
+    were not sent, or may not have been: those that it gave to its past when its process has joined again; and
+    `attend(waits)`, called once all of its past has been acted on, with a function that tells whether the answer to the
+    newest observation is still awaited, for a pilot that must wait for somebody itself.
     """
 
-    def act(self, observation: Any) -> Command:  # noqa: ANN401 - a UAV's or a UGV's observation
-        """The command for this observation."""
+    def act(self, observation: Any) -> Command | None:  # noqa: ANN401 - a UAV's or a UGV's observation
+        """The command for this observation; None: there is none in time."""
 
 
 MakePilot = Callable[[Any], Pilot]
 """Makes a pilot from its briefing."""
 
 
-def uav_maker(*, weighting: Weighting | None = None, path: Path | None = None) -> MakePilot:
+def uav_maker(
+    *,
+    weighting: Weighting | None = None,
+    path: Path | None = None,
+    inner: "Inner | None" = None,
+) -> MakePilot:
     """Makes UAV pilots.
 
     Args:
         weighting: A weighting of one's own, for the law `weighted`.
         path: A path of one's own, for the law `path`.
+        inner: A control of one's own inside the safety filter.
     """
     from agents.uav import UavPilot  # noqa: PLC0415 - with its filter, most of a start, which a UGV can do without
 
     def make(briefing: UavBriefing) -> Pilot:
-        return UavPilot(briefing, weighting=weighting, path=path)
+        return UavPilot(briefing, weighting=weighting, path=path, inner=inner)
 
     return make
 
@@ -96,15 +107,20 @@ def _seen(tick: int) -> dict[str, Any]:
     return {"tick": tick, "time": tick * 0.05, "position": [5.0, 5.0], "velocity": [0.0, 0.0]}
 
 
-def warm_up(role: Role) -> None:
-    """Let a pilot that nobody waits for answer a few times, so that all its code is compiled or loaded."""
+def warm_up(role: Role, *, inner: "Inner | None" = None) -> None:
+    """Let a pilot that nobody waits for answer a few times, so that all its code is compiled or loaded.
+
+    Args:
+        role: The kind of vehicle.
+        inner: A UAV's control of one's own.
+    """
     if role is Role.UGV:
         ugv = ugv_maker()(msgspec.convert(_UGV, UgvBriefing))
         for tick in range(3):
             ugv.act(msgspec.convert(_seen(tick), UgvObservation))
         return
     for own in ({}, _WATCHED):
-        uav: Any = uav_maker()(msgspec.convert(_UAV | own, UavBriefing))
+        uav: Any = uav_maker(inner=inner)(msgspec.convert(_UAV | own, UavBriefing))
         for tick in range(3):
             look = {"time": tick * 0.05, "relative_position": [1.0, 0.0]}
             uav.act(msgspec.convert(_seen(tick) | {"detections": [look]}, UavObservation))
@@ -180,9 +196,17 @@ class _Slot:
             if not told.more:
                 if self._first > 0:
                     _forget_commands(pilot)
+                attend = getattr(pilot, "attend", None)
+                if attend is not None:
+                    attend(self._awaits)
                 self._flight = (letter.session, told.episode)
                 gc.freeze()  # what is here stays: the collector need not look at it again
                 return pilot
+
+    def _awaits(self) -> bool:
+        """True while nothing newer has come than what the pilot answers, and the simulator is there."""
+        newer = self._observations.holds_any() or self._briefings.holds_any()
+        return not newer and self._presence.absent_for() == 0.0
 
     def look(self) -> list[Any]:
         """Wait for observations: those that have arrived since, the oldest first.
@@ -225,24 +249,30 @@ def _forget_commands(pilot: Pilot) -> None:
         forget()
 
 
-def _answer(pilot: Pilot, seen: list[Any], commands: Outbox, name: str) -> None:
+def _answer(pilot: Pilot, seen: list[Any], commands: Outbox, name: str) -> bool:
     """Answer the newest observation; those that came before it are too late to be answered, but not to be seen.
 
     One that is missed is acted on unheard, so that the pilot stays as it would be: in lockstep a process that
     joins again may
     find the next tick there already. A pilot that has missed more is slower than the clock, and only perceives them.
 
+    Returns:
+        Whether the pilot had an answer.
+
     Raises:
         BusError: If the pilot's command is nonsense.
     """
     missed = seen[:-1]
-    take = pilot.act if len(missed) == 1 else getattr(pilot, "perceive", None)
+    waits = hasattr(pilot, "attend")  # for somebody else, whose answer to it would come too late
+    take = pilot.act if len(missed) == 1 and not waits else getattr(pilot, "perceive", None)
     if take is not None:
         for observation in missed:
             take(observation)
     if missed:
         _forget_commands(pilot)
     command = pilot.act(seen[-1])
+    if command is None:
+        return False
     try:
         commands.send(command)
     except ValueError as error:
@@ -252,6 +282,7 @@ def _answer(pilot: Pilot, seen: list[Any], commands: Outbox, name: str) -> None:
     prepare = getattr(pilot, "prepare", None)
     if prepare is not None:
         prepare()
+    return True
 
 
 def fly(
@@ -294,5 +325,4 @@ def fly(
                 continue
             if seen[-1].over:
                 return sent
-            _answer(slot.pilot, seen, commands, party.name)
-            sent += 1
+            sent += _answer(slot.pilot, seen, commands, party.name)

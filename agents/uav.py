@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +41,9 @@ from sim.kernels.compile import FloatArray, borrowing, entry_point
 from sim.kernels.records import RecordArray, records
 from sim.models.field import cover, coverage_error, empty_coverage
 from sim.models.vehicles import Motion, norm
+
+Inner = Callable[[UavObservation], Vector | None]
+"""An inner control of one's own: the acceleration [m/s²] that it wants at this tick; None: the law flies."""
 
 _RADIO_PERIOD = 0.2
 """Time between two radio messages to the UGV [s]."""
@@ -136,17 +140,24 @@ class UavPilot:
         briefing: What the UAV is told when it joins.
         weighting: A weighting of one's own, for the law `weighted`.
         path: A path of one's own, for the law `path`.
+        inner: A control of one's own, asked once a tick before the law; the safety filter watches over both, whatever
+            the law. While it acts the law's own state stands still.
 
     Raises:
         ScenarioError: If the briefing asks for what cannot be flown, or the user's function is missing or does not fit.
     """
 
     def __init__(
-        self, briefing: UavBriefing, *, weighting: Weighting | None = None, path: Path | None = None
+        self,
+        briefing: UavBriefing,
+        *,
+        weighting: Weighting | None = None,
+        path: Path | None = None,
+        inner: Inner | None = None,
     ) -> None:
         self._briefing = briefing
         self._parameters: LawParameters = law_parameters(briefing, briefing.law)
-        self._weighting, self._path = weighting, path
+        self._weighting, self._path, self._inner = weighting, path, inner
         self._check_own_functions()
         self.coverage: FloatArray = empty_coverage(
             briefing.area.width, briefing.area.height, briefing.area.cell
@@ -171,7 +182,7 @@ class UavPilot:
         self._law_state, self._no_guard = initial_state(), guard_state(promise.delay_ticks, depth=1)
         self._sent: deque[Vector] = deque(maxlen=promise.delay_ticks)  # that may be under way
         self.filter: SafetyFilter | None = self._make_filter()
-        """The safety filter of the law `certified`."""
+        """The safety filter of the law `certified`, and of an inner control of one's own."""
         self.teller = GroundTeller(briefing)
         """What it radios of the ground."""
         self._tick: int | None = None
@@ -192,11 +203,11 @@ class UavPilot:
         )
 
     def _make_filter(self) -> SafetyFilter | None:
-        return (
-            SafetyFilter(self._briefing, sent=self._sent)
-            if self._parameters.law in WATCHED
-            else None
-        )
+        return SafetyFilter(self._briefing, sent=self._sent) if self._watched else None
+
+    @property
+    def _watched(self) -> bool:
+        return self._inner is not None or self._parameters.law in WATCHED
 
     def _check_own_functions(self) -> None:
         law = self._parameters.law
@@ -234,11 +245,19 @@ class UavPilot:
         looks = looks_of(observation.detections, self._briefing.dt)
         estimate = self._estimate(observation, looks)
         target = _NO_TARGET if estimate is None else self._target(estimate)
-        own = self._own_terms(observation, estimate)
-        acted = self._act(*self._fixed, self._seen(observation, looks), own, target)
-        (u_x, u_y), verdict = acted[:2], None
-        if self.filter is not None:
-            verdict = self.filter.verdict(observation.tick, *acted)
+        seen = self._seen(observation, looks)
+        wanted = None if self._inner is None else self._inner(observation)
+        verdict: Verdict | None = None
+        if wanted is None or self.filter is None:
+            own = self._own_terms(observation, estimate)
+            acted = self._act(*self._fixed, seen, own, target)
+            u_x, u_y = acted[:2]
+            if self.filter is not None:
+                verdict = self.filter.verdict(observation.tick, *acted)
+        else:
+            self._perceive(*self._fixed, seen)
+            verdict = self.filter.filter(observation, wanted)
+            u_x, u_y = verdict.acceleration
         motions = () if verdict is None else verdict.motions
         if estimate is None:
             return UavCommand(tick=observation.tick, acceleration=(u_x, u_y), motions=motions)
@@ -285,9 +304,7 @@ class UavPilot:
         self._parameters = law_parameters(self._briefing, law)
         self._check_own_functions()
         self.filter = (
-            self._make_filter()
-            if self.filter is None or self._parameters.law not in WATCHED
-            else self.filter
+            self._make_filter() if self.filter is None or not self._watched else self.filter
         )
         self._take_on()
 

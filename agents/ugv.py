@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Protocol
 
+from agents.drivers.compiled import NavigateDriver
 from agents.drivers.policy import Policy, PolicyDriver
 from bus.errors import ScenarioError
 from bus.messages import UgvBriefing, UgvCommand, UgvObservation
@@ -63,4 +64,9 @@ class UgvPilot:
         """The command for this observation."""
         if observation.driver is not None:
             self._driver = self._make(observation.driver)
-        return UgvCommand(tick=observation.tick, acceleration=self._driver.drive(observation))
+        acceleration, route = self._driver.drive(observation), None
+        if isinstance(self._driver, NavigateDriver):
+            route = self._driver.new_route(observation.position)
+        elif observation.driver is not None:
+            route = ()  # that of the driver before is not driven any more
+        return UgvCommand(tick=observation.tick, acceleration=acceleration, route=route)

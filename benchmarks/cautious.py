@@ -3,7 +3,7 @@
 attack: 10,000 flights over ground that an adversary tells in its own order; half of them it holds the wheel, too.
 broken: the same with filters that are known to be wrong: each must be caught.
 arrivals: how many reachable goals are reached, with bumper alone and with ground told in any order.
-speed: of a plan and of a tick.
+speed: of a plan and of a tick; the slowest tick of a UGV that plans over 400 x 400 tiles.
 
 About three minutes for `attack`, one for each other.
 """
@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.drivers.cautious import Bounds, Open, braking_way, is_safe, open_to, way_is_open
+from agents.drivers.compiled import PLAN_TILES
 from agents.drivers.navigate import (
     kept_open,
     navigate_control,
@@ -26,7 +27,7 @@ from agents.drivers.navigate import (
     state_ahead,
 )
 from agents.drivers.parameters import NAVIGATE, DriverParameters
-from agents.drivers.planning import Prices, plan
+from agents.drivers.planning import Prices, begin_search, search_on
 from agents.drivers.tile_map import GroundMemory, ground_memory, note_block, note_tiles
 from sim.kernels.compile import FloatArray, entry_point
 from sim.models.ground import BLOCK, CLEAR, FOUND, ROUGH, UNSEEN, TileArray
@@ -161,8 +162,9 @@ def draw_trial(seed: int, *, wheel: str | None = None, calm: bool = False) -> Tr
         unseen_price=1.5,
         beside_price=0.5,
         plan_ticks=max(1, round(rng.choice([0.0, 0.2, 1.0]) / dt)),
+        plan_tiles=PLAN_TILES,
     )
-    return Trial(
+    given = Trial(
         p=p,
         truth=truth,
         start=start,
@@ -174,6 +176,8 @@ def draw_trial(seed: int, *, wheel: str | None = None, calm: bool = False) -> Tr
         wheel=wheel or ("plan" if rng.random() < 0.5 else str(rng.choice(WHEELS[1:]))),
         ticks=20_000 if calm else 300,
     )
+    most = int(rng.choice([3, 30, PLAN_TILES]))  # many ticks a plan, some, or one
+    return dataclasses.replace(given, p=p._replace(plan_tiles=most))
 
 
 class Teller:
@@ -353,7 +357,8 @@ def is_reachable(trial: Trial) -> bool:
     tiles = [min(n, trial.truth.size - 1) for n in tiles]
     if any(trial.truth.reshape(-1)[n] == BLOCK for n in tiles):
         return False
-    plan(Prices(1.0, 1.0, 0.0), p.tile, memory, tiles[0], -1)
+    begin_search(memory, tiles[0])
+    search_on(Prices(1.0, 1.0, 0.0), p.tile, memory, -1, trial.truth.size)
     return bool(np.isfinite(memory.cost[tiles]).all())
 
 
@@ -463,20 +468,49 @@ def arrivals(runs: int = 500) -> Iterator[str]:
             yield f"seed {k} does not arrive"
 
 
+def _scattered(side: int) -> GroundMemory:
+    """A map of tiles of all kinds, clear where a UGV starts and in the corner across."""
+    memory = ground_memory(side, side)
+    memory.tiles[:] = np.random.default_rng(0).choice(
+        5, size=(side, side), p=[0.3, 0.4, 0.1, 0.15, 0.05]
+    )
+    memory.tiles[:4, :4] = memory.tiles[-4:, -4:] = CLEAR
+    return memory
+
+
+def _slowest_tick(most: int, ticks: int = 600) -> str:
+    """Of a UGV that is told something new in each tick, and plans so many tiles a tick, over 400 x 400 tiles."""
+    memory, goals, took = _scattered(400), np.array([[199.0, 199.0]]), list[float]()
+    p = draw_trial(3, wheel="plan", calm=True).p._replace(
+        width=200.0, height=200.0, tile=0.5, dt=0.05, v_max=1.0, u_max=0.5, plan_ticks=4,
+        bold=1, plan_tiles=most,
+    )  # fmt: skip
+    here = Motion(1.0, 1.0, 0.0, 0.0)
+    drive = entry_point(navigate_control, p, memory, goals, 0, *here)
+    for tick in range(ticks):
+        state = np.array([(CLEAR, FOUND)[tick % 2]], np.uint8)
+        note_tiles(memory, np.array([399]), np.array([399]), state)
+        began = time.perf_counter()
+        u = drive(p, memory, goals, tick, *here)
+        took.append(1e3 * (time.perf_counter() - began))
+        here = Motion(*step_vehicle(*here, *u, p.v_max, p.u_max, p.dt)[:4])
+    slowest = ", ".join(f"{one:.1f}" for one in sorted(took)[:-4:-1])
+    plans, way = memory.flags[0]["plans"], math.dist(here[:2], (1.0, 1.0))
+    return f"the slowest of {ticks} ticks took {slowest} ms; {plans} plans, {way:.1f} m driven"
+
+
 def speed() -> Iterator[str]:
     """Of a plan over tiles with hazards, and of a tick."""
-    rng = np.random.default_rng(0)
     for side in (30, 80, 400):
-        memory = ground_memory(side, side)
-        drawn = rng.choice(5, size=(side, side), p=[0.3, 0.4, 0.1, 0.15, 0.05])
-        memory.tiles[:] = drawn
-        memory.tiles[:4, :4] = CLEAR
-        took = []
+        memory, took = _scattered(side), []
         for _ in range(30):
             began = time.perf_counter()
-            plan(Prices(2.5, 1.5, 0.5), 0.5, memory, 0, -1)
+            begin_search(memory, 0)
+            search_on(Prices(2.5, 1.5, 0.5), 0.5, memory, -1, side * side)
             took.append(time.perf_counter() - began)
         yield f"plan over {side} x {side} tiles: {1e3 * np.median(took[1:]):.2f} ms"
+    for most in (400 * 400, PLAN_TILES):
+        yield f"{most:,} tiles a tick: {_slowest_tick(most)}"
     trial = draw_trial(3, wheel="plan", calm=True)
     p, memory = trial.p, ground_memory(*trial.truth.shape)
     memory.tiles[:] = trial.truth

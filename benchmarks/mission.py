@@ -1,28 +1,39 @@
-"""What the escort is worth: how fast and how safely a UGV gets through hazards, by law and network.
+"""The worth of the escort: how fast and how safely a UGV gets through hazards, by law and network.
 
-python benchmarks/mission.py            the table of docs/explanation/ground.md, some minutes
-python benchmarks/mission.py --seeds 3  a quick look
+python benchmarks/mission.py                         the table of docs/explanation/ground.md, ten minutes
+python benchmarks/mission.py --picture missions.png  and the picture of it
+python benchmarks/mission.py --seeds 3               a quick look
 """
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 
 from bus.messages import LinkSettings
 from bus.profiles import PROFILES
 from outrider.envs.closed_loop import ClosedLoop
+from outrider.style import INK, LIMIT, MUTED, law_color, new_figure, save
 from sim.engine.mission import Mission, mission_of
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario
 
-SCENARIOS = ("minefield", "rubble")
-NETWORKS = ("perfect", "jammed")
-LAWS = ("tracking", "circle", "logarithmic", "certified")
+SCENARIOS = ("minefield", "rubble", "rescue")
+NETWORKS = ("perfect", "satellite", "jammed")
+"""Of detections and radio."""
+LAWS = ("tracking", "circle", "certified", "lookahead")
 NOBODY = "no escort"
+AGES = {"perfect": 1.0, "satellite": 3.0, "jammed": 6.0}
+"""Largest age of the newest detection that is declared to the certificate [s]."""
+MARKS = {"perfect": "o", "satellite": "D", "jammed": "s"}
+LONGEST = 900.0
+"""So long a flight may take [s]."""
 
 
 class Row(NamedTuple):
@@ -33,9 +44,11 @@ class Row(NamedTuple):
     network: str
     law: str
     missions: list[Mission]
+    lost: int
+    """Flights in which sight was lost."""
 
 
-def _flown(scenario: Scenario, seeds: int) -> list[Mission]:
+def _flown(scenario: Scenario, seeds: int) -> tuple[list[Mission], int]:
     loop = ClosedLoop(scenario, seeds, end_on_sight_lost=False, end_on_goals_reached=True)
     loop.begin(list(range(seeds)))
     loop.fly()
@@ -44,8 +57,9 @@ def _flown(scenario: Scenario, seeds: int) -> list[Mission]:
         mission_of(tables.mission, state.ground, state.mission, k, scenario.dt)
         for k in range(seeds)
     ]
+    told = [loop.metrics(uav)["visibility_violations"] > 0.0 for uav in loop.uavs]
     loop.close()
-    return found
+    return found, int(np.any(told, axis=0).sum())
 
 
 def rows(seeds: int) -> Iterator[Row]:
@@ -63,13 +77,14 @@ def rows(seeds: int) -> Iterator[Row]:
                     flown = LAWS[0] if law == NOBODY else law
                     scenario = msgspec.structs.replace(
                         plain,
-                        duration=900.0,
+                        duration=LONGEST,
+                        certificate=msgspec.structs.replace(plain.certificate, age=AGES[network]),
                         ugv=ugvs,
                         links=links,
                         law=msgspec.structs.replace(plain.law, name=flown),
                         uav=() if law == NOBODY else plain.uav,
                     )
-                    yield Row(name, caution, network, law, _flown(scenario, seeds))
+                    yield Row(name, caution, network, law, *_flown(scenario, seeds))
 
 
 def _mean(values: list[float | None]) -> str:
@@ -77,28 +92,113 @@ def _mean(values: list[float | None]) -> str:
     return f"{np.mean(known):.1f}" if known else "–"
 
 
+def _times(axes: Axes, rows: Sequence[Row]) -> None:
+    """Mission times of the flights that arrived, a point each, with their median; how many did not, above."""
+    places = {law: n for n, law in enumerate((NOBODY, *LAWS))}
+    for row in rows:
+        shift = 0.0 if row.law == NOBODY else 0.26 * (NETWORKS.index(row.network) - 1)
+        x, color = places[row.law] + shift, MUTED if row.law == NOBODY else law_color(row.law)
+        times = [one.mission_time for one in row.missions if one.mission_time is not None]
+        filled = color if row.network == NETWORKS[0] else "white"
+        mark = MARKS[row.network]
+        axes.plot([x] * len(times), times, mark, ms=4.5, mec=color, mfc=filled, mew=0.9, alpha=0.75)
+        if times:
+            axes.plot([x - 0.11, x + 0.11], [np.median(times)] * 2, color=INK, lw=1.6, zorder=3)
+        missing = len(row.missions) - len(times)
+        if missing:
+            axes.text(
+                x,
+                0.985,
+                str(missing),
+                color=LIMIT,
+                ha="center",
+                va="top",
+                transform=axes.get_xaxis_transform(),
+            )
+
+
+def _hits(axes: Axes, rows: Sequence[Row]) -> None:
+    """Share of the flights that hit a hazard, a bar each."""
+    places = {law: n for n, law in enumerate((NOBODY, *LAWS))}
+    for row in rows:
+        shift = 0.0 if row.law == NOBODY else 0.26 * (NETWORKS.index(row.network) - 1)
+        x, color = places[row.law] + shift, MUTED if row.law == NOBODY else law_color(row.law)
+        share = 100.0 * float(np.mean([one.hazards_hit > 0 for one in row.missions]))
+        hatch = {"perfect": "", "satellite": "....", "jammed": "////"}[row.network]
+        face = color if row.network == NETWORKS[0] else "white"
+        axes.bar(x, share, width=0.22, color=face, edgecolor=color, hatch=hatch, lw=0.9)
+        if share == 0.0:
+            axes.text(x, 1.5, "0", color=color, ha="center", va="bottom")
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """The picture: mission time of a cautious UGV above, hits of a bold one below, a column for each scenario."""
+    figure = new_figure(1500, 900)
+    axes = figure.subplots(2, len(SCENARIOS), sharex=True, squeeze=False)
+    names = [law.replace(" ", "\n") for law in (NOBODY, *LAWS)]
+    for column, scenario in enumerate(SCENARIOS):
+        above, below = axes[:, column]
+        _times(
+            above, [row for row in rows if (row.scenario, row.caution) == (scenario, "cautious")]
+        )
+        _hits(below, [row for row in rows if (row.scenario, row.caution) == (scenario, "bold")])
+        above.set_title(scenario)
+        above.set_ylabel("cautious UGV: mission time [s]")
+        above.margins(y=0.16)
+        below.set_ylabel("bold UGV: flights with a hit [%]")
+        below.set_ylim(0.0, 105.0)
+        below.set_xticks(range(len(names)), names)
+        below.tick_params(axis="x", length=0.0)
+    marks = [
+        Line2D(
+            [],
+            [],
+            ls="",
+            marker=MARKS[network],
+            mec=INK,
+            mfc=INK if n == 0 else "white",
+            label=network,
+        )
+        for n, network in enumerate(NETWORKS)
+    ]
+    marks += [
+        Line2D([], [], color=INK, lw=1.6, label="median"),
+        Line2D(
+            [], [], ls="", marker="$n$", mec=LIMIT, mfc=LIMIT, label="flights that did not arrive"
+        ),
+    ]
+    figure.legend(handles=marks, loc="outside upper center", ncols=len(marks), frameon=False)
+    save(figure, path)
+
+
 def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description="What the escort is worth.")
+    """Print the table, and draw it."""
+    parser = argparse.ArgumentParser(description="The worth of the escort.")
     parser.add_argument("--seeds", type=int, default=20, help="flights of each row")
-    seeds = parser.parse_args().seeds
+    parser.add_argument("--picture", type=Path, help="PNG to draw the result in")
+    given = parser.parse_args()
     sys.stdout.write(
-        "| scenario | UGV | network | law | arrived | mission time [s] | hit a flight | on the way | known before "
-        "[s] | seen ahead | stood still [s] |\n|---|---|---|---|---|---|---|---|---|---|---|\n"
+        "| scenario | UGV | network | law | arrived | mission time [s] | flights with a hit | on the way "
+        "| known before [s] | seen ahead | stood still [s] | sight lost |\n" + "|---" * 12 + "|\n"
     )
-    for row in rows(seeds):
+    flown = []
+    for row in rows(given.seeds):
         m = row.missions
+        flown.append(row)
         sys.stdout.write(
             f"| {row.scenario} | {row.caution} | {row.network} | {row.law} "
             f"| {sum(one.arrived for one in m)} of {len(m)} "
             f"| {_mean([one.mission_time for one in m])} "
-            f"| {np.mean([one.hazards_hit for one in m]):.2f} "
+            f"| {sum(one.hazards_hit > 0 for one in m)} "
             f"| {np.mean([one.hazards_on_way for one in m]):.1f} "
             f"| {_mean([one.warned_before for one in m])} "
             f"| {100.0 * np.mean([one.seen_ahead or 0.0 for one in m]):.0f} % "
-            f"| {np.mean([one.still_time for one in m]):.1f} |\n"
+            f"| {np.mean([one.still_time for one in m]):.1f} "
+            f"| {'–' if row.law == NOBODY else row.lost} |\n"
         )
         sys.stdout.flush()
+    if given.picture is not None:
+        draw(flown, given.picture)
 
 
 if __name__ == "__main__":

@@ -26,8 +26,11 @@ from bus.keys import (
     OBSERVER_NAME,
     OPERATOR_NAME,
     PLACES,
+    ROS2_ROLES,
+    ROS2_STAFF,
     SIMULATOR_NAME,
     STAFF,
+    Grant,
     Key,
     Party,
     Role,
@@ -38,6 +41,7 @@ from bus.keys import (
     written_by,
 )
 from bus.messages import Name
+from bus.ros2_access import ros2_grants
 
 _PASSWORD_BYTES = 24
 _MOST_BYTES = 4 << 20
@@ -85,6 +89,11 @@ class CredentialSet(
             self, parties=tuple(msgspec.structs.replace(party, tls=None) for party in self.parties)
         )
 
+    @property
+    def with_ros2(self) -> bool:
+        """True if ROS 2 takes part in the run: without it the router knows no key of ROS 2."""
+        return any(party.role in ROS2_ROLES for party in self.parties)
+
     def of(self, name: str) -> Credential:
         """One party's.
 
@@ -99,13 +108,16 @@ class CredentialSet(
         )
 
 
-def new_credentials(run: str, uavs: Iterable[str], ugvs: Iterable[str]) -> CredentialSet:
+def new_credentials(
+    run: str, uavs: Iterable[str], ugvs: Iterable[str], *, ros2: bool = False
+) -> CredentialSet:
     """Random credentials for a run's vehicles, its simulator, operator and observers.
 
     Args:
         run: Its name.
         uavs: Names of the UAVs.
         ugvs: Names of the UGVs.
+        ros2: Whether ROS 2 takes part: its bridge, and its nodes that look on or drive.
 
     Raises:
         ValueError: If two parties have one name.
@@ -115,7 +127,7 @@ def new_credentials(run: str, uavs: Iterable[str], ugvs: Iterable[str]) -> Crede
             {"name": name, "role": role.value, "password": secrets.token_urlsafe(_PASSWORD_BYTES)},
             Credential,
         )
-        for name, role in _roles(uavs, ugvs)
+        for name, role in _roles(uavs, ugvs, ros2=ros2)
     )
     return CredentialSet(run=run, parties=made)
 
@@ -127,6 +139,7 @@ def new_certificates(
     *,
     hosts: Sequence[str] = (),
     days: float = PARTY_DAYS,
+    ros2: bool = False,
 ) -> CredentialSet:
     """Certificates for a run's router, vehicles, simulator, operator and observers.
 
@@ -136,6 +149,7 @@ def new_certificates(
         ugvs: Names of the UGVs.
         hosts: Names and addresses under which the router is found, beside `ROUTER_HOSTS`.
         days: How long the parties' hold; the router's does as long as the authority.
+        ros2: Whether ROS 2 takes part: its bridge, and its nodes that look on or drive.
 
     Raises:
         ValueError: If two parties have one name.
@@ -146,22 +160,22 @@ def new_certificates(
         msgspec.convert(
             {"name": name, "role": role.value, "tls": issue(authority, name, days=days)}, Credential
         )
-        for name, role in _roles(uavs, ugvs)
+        for name, role in _roles(uavs, ugvs, ros2=ros2)
     )
     known_at = tuple(dict.fromkeys((*ROUTER_HOSTS, *hosts)))
     router = issue(authority, ROUTER_FILE, days=AUTHORITY_DAYS, hosts=known_at)
     return CredentialSet(run=authority.run, parties=made, tls=router)
 
 
-def _roles(uavs: Iterable[str], ugvs: Iterable[str]) -> list[tuple[str, Role]]:
+def _roles(uavs: Iterable[str], ugvs: Iterable[str], *, ros2: bool) -> list[tuple[str, Role]]:
     roles = [(name, Role.UAV) for name in uavs] + [(name, Role.UGV) for name in ugvs]
     roles += [(name, STAFF[name]) for name in (SIMULATOR_NAME, OPERATOR_NAME, OBSERVER_NAME)]
+    roles += ROS2_STAFF.items() if ros2 else ()
     names = [name for name, _ in roles]
     for name in names:
         if names.count(name) > 1 or name in (ROUTER_FILE, AUTHORITY_FILE):
-            raise ValueError(
-                f"{name}: two parties with one name; {', '.join((*STAFF, ROUTER_FILE, AUTHORITY_FILE))} are taken"
-            )
+            taken = ", ".join((*STAFF, *ROS2_STAFF, ROUTER_FILE, AUTHORITY_FILE))
+            raise ValueError(f"{name}: two parties with one name; {taken} are taken")
     return roles
 
 
@@ -280,17 +294,6 @@ def read_authority(path: Path) -> Authority:
     return _read(path, Authority, "an authority")
 
 
-class Grant(msgspec.Struct, frozen=True, kw_only=True, order=True):
-    """One thing the router lets through for one party.
-
-    Zenoh's message kind, direction (as the router sees it) and keys.
-    """
-
-    message: str
-    flow: str
-    keys: tuple[str, ...]
-
-
 def _expressions(key: Key, party: Party, run: str) -> str:
     """The keys of one row that are this party's: a vehicle's own, all of them for anybody else."""
     if key.vehicle is None:
@@ -298,9 +301,15 @@ def _expressions(key: Key, party: Party, run: str) -> str:
     return key.expression(run, party.name if party.role is key.vehicle else "*")
 
 
-def grants(party: Party, run: str) -> tuple[Grant, ...]:
-    """All that the router lets through for a party: the key table, and who is there."""
-    found: set[Grant] = set()
+def grants(party: Party, run: str, *, ros2: bool = False) -> tuple[Grant, ...]:
+    """All that the router lets through for a party: the key table, and who is there.
+
+    Args:
+        party: Who.
+        run: Name of the run.
+        ros2: Whether ROS 2 takes part in it.
+    """
+    found: set[Grant] = set(ros2_grants(party)) if ros2 else set()
     for key in written_by(party):
         own = _expressions(key, party, run)
         found.add(Grant(message="put", flow="ingress", keys=(own,)))
@@ -341,10 +350,12 @@ def access_control(given: CredentialSet) -> dict[str, Any]:
                 "id": f"{credential.name}-{number}",
                 "messages": [grant.message],
                 "flows": [grant.flow],
-                "permission": "allow",
+                "permission": grant.permission,
                 "key_exprs": list(grant.keys),
             }
-            for number, grant in enumerate(grants(credential.party, given.run))
+            for number, grant in enumerate(
+                grants(credential.party, given.run, ros2=given.with_ros2)
+            )
         ]
         rules += own
         policies.append({"rules": [rule["id"] for rule in own], "subjects": [credential.name]})

@@ -6,6 +6,7 @@ A key is `outrider/<run>/<vehicle>/<topic>`, or `outrider/<run>/<topic>` where n
 import re
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 from bus.errors import AccessDenied
 from bus.messages import (
@@ -38,6 +39,12 @@ class Role(StrEnum):
     UGV = "ugv"
     OPERATOR = "operator"
     OBSERVER = "observer"
+    ROS2 = "ros2"
+    """The bridge that tells ROS 2 what observers are told."""
+    ROS2_OBSERVER = "ros2_observer"
+    """A ROS 2 node that looks on."""
+    ROS2_OPERATOR = "ros2_operator"
+    """A ROS 2 node that drives."""
 
 
 SIMULATOR_NAME, OPERATOR_NAME, OBSERVER_NAME = (
@@ -45,8 +52,11 @@ SIMULATOR_NAME, OPERATOR_NAME, OBSERVER_NAME = (
     Role.OPERATOR.value,
     Role.OBSERVER.value,
 )
+ROS2_ROLES = (Role.ROS2, Role.ROS2_OBSERVER, Role.ROS2_OPERATOR)
 STAFF = {SIMULATOR_NAME: Role.SIMULATOR, OPERATOR_NAME: Role.OPERATOR, OBSERVER_NAME: Role.OBSERVER}
 """The names on the bus that no vehicle may bear, and whose they are."""
+ROS2_STAFF = {role.value: role for role in ROS2_ROLES}
+"""Likewise, of runs that ROS 2 takes part in."""
 
 
 class Delivery(StrEnum):
@@ -84,6 +94,18 @@ class Party:
 
     role: Role
     name: str
+
+
+class Grant(NamedTuple):
+    """One thing that the router lets through for a party, or does not though another rule would."""
+
+    message: str
+    """Zenoh's kind of message."""
+    flow: str
+    """`ingress` or `egress`, as the router sees it."""
+    keys: tuple[str, ...]
+    permission: str = "allow"
+    """`allow`, or `deny`, which is stronger."""
 
 
 UAV_BRIEFING = Key(
@@ -163,7 +185,7 @@ def _telemetry(topic: str, message: type[Message], largest: int = _LARGE) -> Key
         vehicle=None,
         message=message,
         writer=Role.SIMULATOR,
-        readers=(Role.OBSERVER, Role.OPERATOR),
+        readers=(Role.OBSERVER, Role.OPERATOR, Role.ROS2),
         delivery=Delivery.NEWEST,
         largest=largest,
     )

@@ -48,6 +48,17 @@ class Area(Message, frozen=True, kw_only=True):
     cell: Positive
 
 
+class Origin(Message, frozen=True, kw_only=True):
+    """The place on Earth of the area's lower left corner (WGS 84); x points east and y north."""
+
+    latitude: Annotated[float, Meta(ge=-80.0, le=80.0)] = 49.875
+    """[deg]; by default in Darmstadt, where the paper was written."""
+    longitude: Annotated[float, Meta(ge=-180.0, le=180.0)] = 8.66
+    """[deg]"""
+    altitude: Annotated[float, Meta(ge=-500.0, le=9000.0)] = 150.0
+    """Of the ground [m]; it is flat."""
+
+
 class Region(Message, frozen=True, kw_only=True):
     """A rectangle of ground [m] that is covered from the start."""
 
@@ -232,6 +243,9 @@ BLOCK_SIDE = 8
 MOST_BLOCKS = 4
 """Blocks that one command carries at most."""
 
+MOST_CORNERS = 128
+"""Corners of a route that one command carries at most: what turns more often is shown up to there."""
+
 Place = Annotated[int, Meta(ge=0, le=1_000_000)]
 
 
@@ -337,6 +351,8 @@ class UavBriefing(Message, frozen=True, kw_only=True):
     certificate: DeclaredBounds = DeclaredBounds(error=None, age=1.0)
     ground: UavGround | None = None
     """None: there are no hazards, and nothing is told of the ground."""
+    origin: Origin = Origin()
+    """Where on Earth its positions are counted from, for bridges to programs that count in degrees."""
     key: PilotKey
     """Of the pilot's own random numbers.
 
@@ -501,6 +517,10 @@ class UgvCommand(Message, frozen=True, kw_only=True):
 
     tick: Tick
     acceleration: Vector
+    route: Annotated[tuple[Vector, ...], Meta(max_length=MOST_CORNERS)] | None = None
+    """For observers, no vehicle reads it: the way that it plans to its goal, by its corners [m], from where it is; none
+    where it knows none. None: as before.
+    """
 
 
 class Action(StrEnum):
@@ -671,6 +691,8 @@ class GroundMap(Message, frozen=True, kw_only=True):
     """
     states: bytes
     """Of each hazard: 0, no UGV knows of it, or nobody has found it; 1, one does; 2, one has hit it."""
+    routes: dict[Name, tuple[Vector, ...]] = {}
+    """The way that each UGV plans to its goal, by its corners [m], from where it is; no vehicle is told."""
     hazards: tuple[HazardOutline, ...] = ()
     """In a recording only in a flight's first map: they stay where they are."""
 
@@ -710,6 +732,8 @@ class Geometry(Message, frozen=True, kw_only=True):
     """Each vehicle's bounds."""
     uavs: dict[Name, Name]
     """Each UAV, and the UGV it escorts."""
+    origin: Origin = Origin()
+    """Where on Earth the positions are counted from."""
 
 
 class CertificateStatus(Message, frozen=True, kw_only=True):

@@ -34,6 +34,7 @@ from bus.keys import (
     vehicle_of,
     written_by,
 )
+from bus.ros2_access import LARGEST
 from bus.session_limit import SessionLimit
 
 __all__ = ["Inbox", "Letter", "Outbox", "Session", "open_session"]
@@ -116,6 +117,11 @@ class Session:
         self._alarm.join()
         for inbox in self._inboxes:
             inbox.close()
+
+    @property
+    def below(self) -> zenoh.Session:
+        """The Zenoh session itself, for bridges: they use keys that are not the table's."""
+        return self._zenoh
 
     @property
     def routers(self) -> frozenset[str]:
@@ -207,6 +213,11 @@ class Session:
         self._inboxes.append(inbox)
         return inbox
 
+    def forget(self, inbox: Inbox) -> None:
+        """Read an inbox no more: who writes it is told where nobody else does."""
+        self._inboxes.remove(inbox)
+        inbox.close()
+
     def claim(self) -> None:
         """Tell the router whose session this is: it cannot tell by a password, as by a certificate."""
         claimed = session_token(self.run, self.party.name, self.id)
@@ -296,7 +307,7 @@ def _open_router(
     listen: tuple[str, ...], party: Party, run: str, given: CredentialSet | None
 ) -> zenoh.Session:
     _allow_open_files()
-    largest = max(key.largest for key in KEYS if key.writer is not party.role)
+    largest = max(LARGEST, *(key.largest for key in KEYS if key.writer is not party.role))
     with router_settings(given) as access:
         settings = (
             _COMMON
@@ -371,7 +382,9 @@ def _answers(endpoint: str) -> bool:
 
 
 def _open_client(connect: str, party: Party, credential: Credential | None) -> zenoh.Session:
-    size = _received(max(key.largest for key in (*read_by(party), *written_by(party))))
+    size = _received(
+        max((LARGEST, *(key.largest for key in (*read_by(party), *written_by(party)))))
+    )
     settings = (
         _COMMON | _CLIENT | size | client_settings(credential) | {"connect/endpoints": [connect]}
     )

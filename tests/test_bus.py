@@ -31,13 +31,7 @@ from bus.keys import (
 from bus.messages import Detection, Message, UavCommand, UavObservation, UgvCommand
 from bus.session import Session, open_session
 
-NAMES = {
-    Role.SIMULATOR: "simulator",
-    Role.UAV: "uav_0",
-    Role.UGV: "ugv_0",
-    Role.OPERATOR: "operator",
-    Role.OBSERVER: "observer",
-}
+NAMES = {role: role.value for role in Role} | {Role.UAV: "uav_0", Role.UGV: "ugv_0"}
 
 
 def party(role: Role) -> Party:

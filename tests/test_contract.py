@@ -34,6 +34,7 @@ def test_the_uav_is_told_these_fields_and_no_others() -> None:
         detector noise cut period estimator enabled gate patience manoeuvre
         certificate error age delay margin hold outage tracking
         ground tile telling column row state
+        origin latitude longitude altitude
         vehicle dt visibility_radius law key past more"""
     assert told(TO_UAV) == {*words(known), *fields_within(messages.Law)}
 
@@ -88,6 +89,23 @@ def test_an_observation_smuggled_with_another_vehicles_velocity_is_refused() -> 
         b'"detections":[{"time":0.05,"relative_position":[1.0,0.0],"velocity":[0.1,0.0]}]}'
     )
     with pytest.raises(msgspec.ValidationError, match="unknown field `velocity`"):
+        msgspec.json.decode(smuggled, type=messages.UavObservation)
+
+
+def test_the_route_that_a_ugv_plans_goes_to_the_simulator_and_no_vehicle() -> None:
+    assert "route" in messages.UgvCommand.__struct_fields__
+    carrying = [key for key in KEYS if {"route", "routes"} & fields_within(key.message)]
+    assert {role for key in carrying for role in key.readers} == {
+        Role.SIMULATOR,
+        Role.OBSERVER,
+        Role.OPERATOR,
+    }
+    for kind in (*TO_UAV, *TO_UGV):
+        assert fields_within(kind).isdisjoint({"route", "routes"})
+    smuggled = (
+        b'{"tick":1,"time":0.05,"position":[1.0,1.0],"velocity":[0.0,0.0],"route":[[2.0,2.0]]}'
+    )
+    with pytest.raises(msgspec.ValidationError, match="unknown field `route`"):
         msgspec.json.decode(smuggled, type=messages.UavObservation)
 
 

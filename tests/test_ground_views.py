@@ -1,5 +1,6 @@
 """The mission measured and shown: what observers are told of ground with hazards, and every picture of it."""
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,8 @@ import msgspec
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from rich.color import Color
 from worlds import small
 
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
@@ -14,6 +17,8 @@ pytest.importorskip("foxglove", reason="the extra [record] is not installed")
 from bus.keys import GROUND, Role
 from bus.messages import GroundMap
 from outrider.cli import console
+from outrider.envs.env_pilots import pilots
+from outrider.envs.escort_env import parallel_env
 from outrider.experiments.report.document import COLUMNS, columns_of, mission_cells
 from outrider.experiments.report.results import Cell, Panel
 from outrider.experiments.sweep.columns import RESULTS, row_of
@@ -27,14 +32,17 @@ from outrider.view.film import Film, render
 from outrider.view.flight_picture import draw_flight
 from outrider.view.page.hub import Hub
 from outrider.view.page.sources.tape import Tape
+from outrider.view.terminal.palette import UGV
 from outrider.view.terminal.teleoperation import DriveView
 from outrider.view.terminal.topview import Trails, draw
 from sim.scenario.types import Ground, Hazard, Scenario, Ugv
 from sim.scene.colors import HAZARDS, LIMIT
-from sim.scene.known import geometry_of
+from sim.scene.drawing import Map
+from sim.scene.known import geometry_of, scene_of
 from sim.scene.told_tiles import HIT, KNOWN, SEEN, UNKNOWN, ground_map
 from sim.server.flight import Flight
 
+ORANGE = Color.parse(UGV[0])
 MUD = ((11.0, 7.0), (13.0, 7.0), (13.0, 9.0), (11.0, 9.0))
 ON_WAY = Hazard(kind="block", center=(10.0, 6.0), radius=0.5)
 FAR = Hazard(kind="block", center=(2.0, 2.0), radius=0.4)
@@ -94,7 +102,109 @@ def test_observers_are_shown_the_tiles_that_the_ugvs_own_pilot_knows() -> None:
 
 
 def test_observers_alone_are_told_of_the_ground_with_its_hazards() -> None:
-    assert set(GROUND.readers) == {Role.OBSERVER, Role.OPERATOR}
+    assert set(GROUND.readers) == {Role.OBSERVER, Role.OPERATOR, Role.ROS2}
+
+
+class Routed(InProcess):
+    """The pilots, with what they are told as text, and the UGV's routes, which may be forged."""
+
+    def __init__(self, scenario: Scenario, forged: tuple[Any, ...] | None = None) -> None:
+        super().__init__(make_pilots(scenario, 1))
+        self.told: list[bytes] = []
+        self.routes: list[Any] = []
+        self._forged = forged
+
+    def publish(self, observations: Any) -> None:
+        self.told.append(msgspec.json.encode(observations))
+        super().publish(observations)
+
+    def collect(self, tick: int) -> Any:
+        said = super().collect(tick)
+        self.routes.append(said["ugv_0"].route)
+        if self._forged is not None:
+            said["ugv_0"] = msgspec.structs.replace(said["ugv_0"], route=self._forged)
+        return said
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Flight, Routed]:
+    path = tmp_path_factory.mktemp("route") / "run.mcap"
+    scenario = msgspec.structs.replace(course("navigate"), duration=6.0)
+    recorder, routed = FlightRecorder(path, scenario, 1), Routed(scenario)
+    flight = Flight(scenario, 1)
+    flight.fly(routed, on_tick=lambda: recorder.tick(flight))
+    recorder.close()
+    return path, flight, routed
+
+
+def test_no_vehicle_is_told_of_the_route_that_a_ugv_plans(planned) -> None:
+    _, flight, routed = planned
+    forged = Routed(flight.scenario, forged=((1.25, 1.25), (3.25, 9.75)))
+    flight = Flight(flight.scenario, 1)
+    flight.fly(forged)
+    assert flight.routes == {"ugv_0": ((1.25, 1.25), (3.25, 9.75))}
+    assert forged.told == routed.told
+    assert b"route" not in b"".join(routed.told)
+
+
+def test_a_ugv_tells_observers_its_route_to_the_goal_where_that_has_changed(planned) -> None:
+    _, flight, routed = planned
+    told = [(tick, one) for tick, one in enumerate(routed.routes) if one is not None]
+    assert 2 <= len(told) < 0.5 * len(routed.routes)
+    for (_, before), (_, now) in pairwise(told):
+        assert now[1:] != before[len(before) - len(now) + 1 :]
+    for _, route in told:
+        assert route[-1] == (12.0, 6.0)
+        steps = np.abs(np.diff(np.array(route[1:-1]).reshape(-1, 2), axis=0))
+        assert ((steps[:, 0] == steps[:, 1]) | (steps == 0.0).any(axis=1)).all()
+    last = ground_map(flight.world, routes=flight.routes)
+    assert last is not None
+    route, x = last.routes["ugv_0"], float(flight.world.position[1, 0])
+    assert route[0] == tuple(flight.world.position[1].tolist())
+    assert all(corner[0] > x for corner in route[1:])  # what has been driven of it is left out
+    assert route[1:] == flight.routes["ugv_0"][-len(route) + 1 :]
+    old = {"ugv_0": ((7.0, 6.0), (7.5, 6.5), (7.8, 6.0), (12.0, 6.0))}
+    behind = ground_map(flight.world, routes=old)
+    assert behind is not None
+    assert behind.routes["ugv_0"] == (route[0], (12.0, 6.0))
+
+
+def test_every_view_draws_the_route(planned, tmp_path: Path) -> None:
+    path, flight, _ = planned
+    ground = ground_map(flight.world, routes=flight.routes)
+    assert ground is not None
+    *_, recorded = grounds(path, flight=0)
+    assert recorded == ground
+    drawn = Map(Figure().add_subplot(), scene_of(flight.scenario), hazards=ground)
+    (line,) = [one for one in drawn.artists if getattr(one, "is_dashed", lambda: False)()]
+    assert line.get_xydata().tolist() == [list(corner) for corner in ground.routes["ugv_0"]]
+    hub = Hub(Tape(flight_of(path), 1.0, lambda: 0.0))
+    hub.source.wind(6.0)  # type: ignore[attr-defined]
+    hub.take_in()
+    frame = msgspec.json.decode(hub.frame(hub.welcome("127.0.0.1")))
+    assert frame["ground"]["routes"] == {"ugv_0": [list(one) for one in ground.routes["ugv_0"]]}
+    recording, shown = flight_of(path), []
+    *_, status = statuses(recording.path, flight=0)
+    status = msgspec.structs.replace(status, geometry=geometry_of(flight.scenario))
+    for told in (ground, msgspec.structs.replace(ground, routes={})):
+        view = DriveView(status=status, truth=flight.truth(), ground=told)
+        canvas = draw(view, "ugv_0", Trails(), width=90, height=40, wide=True)
+        cells = [one for row in range(40) for one in canvas.row(row)]
+        shown.append(sum(len(one.text) for one in cells if one.style.color == ORANGE))
+    assert shown[0] > shown[1] + 5
+
+
+def test_the_environment_draws_the_route_that_its_pilots_plan() -> None:
+    env = parallel_env(course("navigate"), render_mode="rgb_array")
+    observations, _ = env.reset(seed=1)
+    policies = pilots(env)
+    for _ in range(60):
+        actions = {name: policies[name](seen) for name, seen in observations.items()}
+        observations = env.step(actions)[0]
+    shown = env.render()
+    env.show_route("ugv_0", ())
+    assert (shown != env.render()).any()
+    env.close()
 
 
 def test_each_hazard_is_unknown_then_known_then_hit(flown: tuple[Path, Flight, Summary]) -> None:

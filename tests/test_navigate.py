@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import a_told_key
+from scipy.ndimage import binary_dilation
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
@@ -27,7 +28,15 @@ from agents.drivers.cautious import (
 from agents.drivers.compiled import driver_parameters
 from agents.drivers.navigate import navigate_control, state_ahead
 from agents.drivers.parameters import DriverParameters
-from agents.drivers.planning import Prices, next_tile, plan, search, step_cost
+from agents.drivers.planning import (
+    Prices,
+    begin_search,
+    has_way,
+    next_tile,
+    price_of,
+    search_on,
+    take_plan,
+)
 from agents.drivers.tile_map import begin_ground, ground_memory, note_block, note_tiles
 from bus.messages import Area, Limits, UgvBriefing, UgvGround
 from sim.models.ground import BLOCK, CLEAR, FOUND, ROUGH, UNSEEN
@@ -51,17 +60,43 @@ def _random_map(rng: np.random.Generator, rows: int, columns: int) -> Any:
     return memory
 
 
-def _by_library(price: Any, columns: int, tile: float, goal: int) -> Any:
+def _plan(memory: Any, tile: float, goal: int, until: int = -1, most: int = 1 << 40) -> float:
+    """Plan in steps of so many tiles; up to which cost all is settled."""
+    begin_search(memory, goal)
+    while not search_on(PRICES, tile, memory, until, most):
+        assert memory.flags[0]["searching"]
+    take_plan(memory)
+    return float(memory.flags[0]["settled"])
+
+
+def _costs(memory: Any) -> Any:
+    return np.where(memory.place == -1, np.inf, memory.cost)
+
+
+def _steps(memory: Any, tile: float, goal: int) -> Any:
+    """All steps from tile to tile with their costs, and infinite ones, by the rules of the map."""
+    rows, columns = memory.tiles.shape
+    blocked = memory.tiles == BLOCK
+    price = np.where(memory.tiles == UNSEEN, 1.5, np.where(memory.tiles == ROUGH, 2.5, 1.0))
+    price = price + 0.5 * binary_dilation(blocked, np.ones((3, 3)))
+    price[blocked] = math.inf
+    if blocked.flat[goal]:
+        price.flat[goal] = 1.5
+    for n, (r, c) in itertools.product(range(rows * columns), _STEPS):
+        i, j = divmod(n, columns)
+        if 0 <= i + r < rows and 0 <= j + c < columns:
+            cuts = math.isinf(price[i + r, j]) or math.isinf(price[i, j + c])
+            mean = 0.5 * (price[i, j] + price[i + r, j + c])
+            cost = mean * (math.sqrt(2.0) * tile) if r and c else mean * tile
+            yield n, (i + r) * columns + j + c, math.inf if r and c and cuts else float(cost)
+
+
+def _by_library(memory: Any, tile: float, goal: int) -> Any:
     """Costs to the goal by SciPy."""
-    rows = len(price) // columns
-    steps = [
-        (n, n + r * columns + c, step_cost(price, columns, tile, n, r, c))
-        for n in range(len(price))
-        for r, c in _STEPS
-        if 0 <= n // columns + r < rows and 0 <= n % columns + c < columns
-    ]
-    start, end, cost = zip(*[step for step in steps if math.isfinite(step[2])], strict=True)
-    graph = coo_matrix((cost, (start, end)), shape=(len(price), len(price)))
+    steps = [step for step in _steps(memory, tile, goal) if math.isfinite(step[2])]
+    start, end, cost = zip(*steps, strict=True) if steps else ((), (), ())
+    size = memory.tiles.size
+    graph = coo_matrix((cost, (start, end)), shape=(size, size))
     return dijkstra(graph.tocsr(), indices=goal)
 
 
@@ -69,26 +104,38 @@ def _by_library(price: Any, columns: int, tile: float, goal: int) -> Any:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_plan_costs_what_a_library_finds(seed: int) -> None:
+def test_a_plan_costs_what_a_library_finds_however_few_tiles_a_tick(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rows, columns = (int(n) for n in rng.integers(2, 25, 2))
     memory, tile = _random_map(rng, rows, columns), float(rng.uniform(0.1, 1.0))
     goal = int(rng.integers(rows * columns))
-    assert math.isinf(plan(PRICES, tile, memory, goal, -1))
-    expected = _by_library(memory.price, columns, tile, goal)
-    np.testing.assert_allclose(memory.cost, expected, rtol=0.0, atol=1e-9)
+    assert math.isinf(_plan(memory, tile, goal))
+    expected = _by_library(memory, tile, goal)
+    np.testing.assert_allclose(_costs(memory), expected, rtol=0.0, atol=1e-9)
+    cost, way = _costs(memory).tobytes(), memory.way.copy()
+    _plan(memory, tile, goal, most=int(rng.integers(1, 9)))
+    assert (_costs(memory).tobytes(), memory.way.tobytes()) == (cost, way.tobytes())
+
+
+def test_a_search_settles_no_more_tiles_in_a_tick_than_it_may() -> None:
+    memory = _random_map(np.random.default_rng(2), 30, 40)
+    begin_search(memory, 615)
+    for tick in range(1, 20):
+        assert not search_on(PRICES, 0.5, memory, -1, 17)
+        assert (memory.place == -2).sum() == 17 * tick
 
 
 def test_a_search_that_ends_early_knows_all_costs_up_to_where_it_ended() -> None:
     rng = np.random.default_rng(5)
     memory = _random_map(rng, 30, 40)
-    plan(PRICES, 0.5, memory, 615, -1)
-    full = memory.cost.copy()
+    _plan(memory, 0.5, 615)
+    full, way = _costs(memory), memory.way.copy()
     for until in np.flatnonzero(np.isfinite(full))[::97]:
-        settled = plan(PRICES, 0.5, memory, 615, int(until))
-        known = memory.cost <= settled
+        settled = _plan(memory, 0.5, 615, int(until))
+        known = _costs(memory) <= settled
         assert settled == full[until]
         assert (memory.cost[known] == full[known]).all()
+        assert (memory.way[known] == way[known]).all()
         assert known.sum() >= (full <= settled).sum()
 
 
@@ -96,40 +143,46 @@ def test_the_cheapest_way_goes_down_to_the_goal_and_cuts_no_blocked_corner() -> 
     memory = ground_memory(3, 3)
     memory.tiles[:] = CLEAR
     memory.tiles[0, 1] = memory.tiles[1, 1] = BLOCK
-    plan(PRICES, 1.0, memory, 2, -1)
+    _plan(memory, 1.0, 2)
     way = [0]
     while way[-1] != 2:
-        way.append(next_tile(memory.price, memory.cost, 3, 1.0, way[-1]))
+        way.append(next_tile(memory.way, 3, way[-1]))
     assert way == [0, 3, 6, 7, 8, 5, 2]
+    assert next_tile(memory.way, 3, 2) == 2
     memory.tiles[2, 1] = BLOCK
-    plan(PRICES, 1.0, memory, 2, -1)
-    assert math.isinf(memory.cost[0])
-    assert next_tile(memory.price, memory.cost, 3, 1.0, 0) == 0
+    _plan(memory, 1.0, 2)
+    assert not has_way(memory.way, 0)
+    assert next_tile(memory.way, 3, 0) == 0
 
 
 def test_each_ground_has_its_price() -> None:
     memory = ground_memory(1, 7)
     memory.tiles[0] = [CLEAR, UNSEEN, ROUGH, FOUND, CLEAR, CLEAR, BLOCK]
-    plan(PRICES, 1.0, memory, 0, -1)
-    assert memory.price.tolist() == [1.0, 1.5, 2.5, 1.0, 1.0, 1.5, math.inf]
-    assert memory.cost.tolist() == [0.0, 1.25, 3.25, 5.0, 6.0, 7.25, math.inf]
+    _plan(memory, 1.0, 0)
+    prices = [price_of(PRICES, int(byte)) for byte in memory.way]
+    assert prices == [1.0, 1.5, 2.5, 1.0, 1.0, 1.5, math.inf]
+    assert _costs(memory).tolist() == [0.0, 1.25, 3.25, 5.0, 6.0, 7.25, math.inf]
 
 
 def test_a_goal_in_a_blocked_tile_is_approached() -> None:
     memory = ground_memory(1, 3)
     memory.tiles[0] = [BLOCK, CLEAR, CLEAR]
-    plan(PRICES, 1.0, memory, 0, -1)
-    assert np.isfinite(memory.cost).all()
+    _plan(memory, 1.0, 0)
+    assert _costs(memory).tolist() == [0.0, 1.5, 2.75]
 
 
-def test_equal_costs_are_planned_alike_by_index() -> None:
+def test_of_ways_that_cost_the_same_the_one_over_the_first_tile_is_planned() -> None:
     memory = ground_memory(9, 9)
     memory.tiles[:] = CLEAR
-    plan(PRICES, 1.0, memory, 40, -1)
-    price, first = memory.price, memory.cost.copy()
-    search(price, 9, 1.0, 40, -1, memory.cost, memory.heap, memory.place)
-    assert memory.cost.tobytes() == first.tobytes()
-    assert next_tile(price, memory.cost, 9, 1.0, 40 + 9 + 9 + 1) == 40 + 9  # of two, the first
+    memory.tiles[2, 3:7] = ROUGH
+    _plan(memory, 1.0, 40)
+    onward: dict[int, list[tuple[float, int]]] = {}
+    for n, m, cost in _steps(memory, 1.0, 40):
+        onward.setdefault(n, []).append((float(memory.cost[m]) + cost, m))
+    best = [min(onward[n])[1] for n in range(81)]
+    best[40] = 40
+    assert [next_tile(memory.way, 9, n) for n in range(81)] == best
+    assert sum(sorted(one)[0][0] == sorted(one)[1][0] for one in onward.values()) > 20
 
 
 # the map
@@ -401,6 +454,36 @@ def test_it_comes_to_rough_ground_as_slow_as_that_lets_it() -> None:
     assert speed[rough].max() < 1.05 * p.share * p.v_max
     assert speed.max() > 1.2
     assert track[-1, 0] == pytest.approx(18.0, abs=1e-3)
+
+
+def test_news_in_every_tick_keeps_no_search_from_its_end() -> None:
+    p, memory = _parameters(plan_tiles=15), ground_memory(10, 40)
+    memory.tiles[:] = CLEAR
+    goals, here, plans, speeds = np.array([[18.0, 2.5]]), Motion(1.0, 2.5, 0.0, 0.0), set(), []
+    far = np.array([9]), np.array([0])
+    for tick in range(400):
+        note_tiles(memory, *far, np.array([(CLEAR, FOUND)[tick % 2]], np.uint8))
+        if tick == 100:  # a wall with a gap
+            note_tiles(memory, np.arange(8), np.full(8, 30), np.full(8, BLOCK, np.uint8))
+        u = navigate_control(p, memory, goals, tick, *here)
+        here = Motion(*step_vehicle(*here, *u, p.v_max, p.u_max, p.dt)[:4])
+        plans.add(int(memory.flags[0]["plans"]))
+        speeds.append(norm(here.v_x, here.v_y))
+    assert len(plans) > 10
+    assert np.hypot(here.p_x - 18.0, here.p_y - 2.5) < p.tolerance
+    assert min(speeds[60:150]) > 0.5  # it drives on the plan before meanwhile
+
+
+def test_while_it_searches_for_a_way_to_the_next_goal_it_goes_to_the_one_before() -> None:
+    p, memory = _parameters(plan_tiles=40), ground_memory(10, 40)
+    memory.tiles[:] = CLEAR
+    goals = np.array([[6.0, 2.5], [18.0, 2.5]])
+    track = _drive(p, memory, goals, 700, (1.0, 2.5))
+    assert memory.flags[0]["goal"] == 1
+    assert np.hypot(*(track[-1, :2] - goals[1])) < 1e-3
+    near = np.hypot(*(track[:, :2] - goals[0]).T)
+    assert near.min() < p.tolerance
+    assert (np.hypot(*track[20:200, 2:].T) > 0.0).all()
 
 
 def test_without_goals_or_without_a_way_it_stands_still() -> None:

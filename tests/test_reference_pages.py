@@ -9,6 +9,7 @@ import pytest
 
 from bus.keys import KEYS
 from bus.messages import LinkSettings
+from outrider.bridges.ros2.topics import PILOT_COMMANDS, PILOT_TOPICS, TOPICS
 from outrider.cli.main import COMMANDS
 from sim.scenario.loading import scenario_names
 from sim.scenario.types import Scenario
@@ -62,3 +63,15 @@ def test_every_field_of_a_scenario_is_told_in_its_table(generator: ModuleType) -
     assert [row.split("`")[1] for row in generator.shipped().splitlines()[2:]] == [
         *scenario_names()
     ]
+
+
+@pytest.mark.parametrize("generator", ["ros2_topics"], indirect=True)
+def test_every_topic_of_ros_2_is_told_with_its_type(generator: ModuleType) -> None:
+    for rows, text in (
+        (TOPICS, generator.observed()),
+        ((*PILOT_TOPICS, *PILOT_COMMANDS), generator.own()),
+    ):
+        lines = text.splitlines()[2:]
+        assert len(lines) == len(rows)
+        for row, line in zip(rows, lines, strict=True):
+            assert f"{row.name}` | `{row.interface}` | " in line

@@ -233,6 +233,26 @@ def test_the_mission_tells_how_long_before_each_hazard_was_known() -> None:
     assert 0.0 < mission.seen_ahead < 1.0
 
 
+def test_how_near_a_ugv_came_to_each_hazard_is_the_least_of_all_its_distances() -> None:
+    rng = np.random.default_rng(4)
+    discs = [
+        Hazard(kind="block", center=(float(x), float(y)), radius=0.3)
+        for x, y in rng.uniform(0.5, 11.5, (40, 2))
+    ]
+    world = World(on(*discs, at=(3.0, 3.0), touch="damage"), 1)
+    state, track = world.arrays[1].mission, [world.position[1].copy()]
+    for tick in range(700):  # out and back: farther than its hazards are listed for
+        drive(world, 1, ugv=(0.1, 0.06) if tick < 350 else (-0.1, 0.02))
+        track.append(world.position[1].copy())
+    away = np.array([np.hypot(*(np.array(track) - one.center).T) - one.radius for one in discs])
+    near = away.min(axis=1).clip(0.0)
+    assert 5 < (near <= 2.0).sum() < 35
+    on_way = near <= 2.0
+    np.testing.assert_allclose(state.nearest[0, 0][on_way], near[on_way], atol=1e-12)
+    first = np.array([(row <= 2.0).argmax() + 1 for row in away])
+    assert (state.met[0, 0] == np.where(on_way, first, 0)).all()
+
+
 def test_without_hazards_nothing_is_told_and_nothing_is_kept() -> None:
     world = World(small("tracking"), 1)
     assert drive(world, 5) == [[(), ()]] * 6

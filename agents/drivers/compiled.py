@@ -9,18 +9,25 @@ import numpy as np
 
 from agents.drivers.evade import EVADE_STATE, begin_evade, evade_lead, evade_ticks
 from agents.drivers.parameters import COMPILED_DRIVERS, DriverParameters, Route
+from agents.drivers.planning import has_way, way_corners
 from agents.drivers.steering import Steering
-from agents.drivers.tile_map import GroundMemory, ground_memory, note_block, note_tiles
+from agents.drivers.tile_map import (
+    GroundMemory,
+    PlaceArray,
+    ground_memory,
+    note_block,
+    note_tiles,
+)
 from agents.drivers.ugv_tick import UgvMemory, ugv_tick
 from agents.drivers.wander import GOAL, GOAL_CHOSEN, wander_pace
 from agents.drivers.waypoints import WAYPOINT_STATE
 from bus.errors import ScenarioError
-from bus.messages import TILE_LETTERS, UgvBriefing, UgvObservation
+from bus.messages import MOST_CORNERS, TILE_LETTERS, UgvBriefing, UgvObservation, Vector
 from bus.registry import BOLD, DRIVERS
 from bus.ticks import NO_TICK, first_tick_from, tick_of
 from sim.kernels.compile import FloatArray, borrowing, entry_point
 from sim.kernels.records import RecordArray, records
-from sim.models.ground import tiles_shape
+from sim.models.ground import tile_index, tiles_shape
 from sim.models.randomness import words_of
 
 DRIVER_STATE = max(WAYPOINT_STATE, EVADE_STATE)
@@ -31,6 +38,8 @@ MOST_TILES = 1_000_000
 _NO_RADIO = np.zeros((0, 3))
 _PLAN_PERIOD = 0.2
 """The driver that navigates keeps a plan for so long at least [s]."""
+PLAN_TILES = 8192
+"""So many tiles it settles a tick at most when it plans: as long as that takes, no tick takes much longer."""
 _UNSEEN_PRICE, _BESIDE_PRICE = 1.5, 0.5
 """A metre on ground that nobody has seen costs so much, and one beside a blocked tile so much more."""
 
@@ -74,6 +83,7 @@ def driver_parameters(briefing: UgvBriefing, driver: str) -> DriverParameters:
         unseen_price=_UNSEEN_PRICE,
         beside_price=_BESIDE_PRICE,
         plan_ticks=max(1, round(_PLAN_PERIOD / wheel.dt)),
+        plan_tiles=PLAN_TILES,
     )
 
 
@@ -207,3 +217,41 @@ class NavigateDriver(CompiledDriver):
     """From goal to goal over the ground as it knows it, see `agents.drivers.navigate`."""
 
     name = "navigate"
+
+    def __init__(self, briefing: UgvBriefing) -> None:
+        super().__init__(briefing)
+        self._plans = 0
+        self._told: tuple[Vector, ...] = ()
+        self._corners: PlaceArray = np.zeros(MOST_CORNERS, dtype=np.int32)
+
+    def new_route(self, position: Vector) -> tuple[Vector, ...] | None:
+        """The way that it plans, by its corners [m] from a place to the goal, for observers; none where there is none.
+
+        Args:
+            position: Where the UGV is [m].
+
+        Returns:
+            None if it has not changed since it was asked last, but for what has been driven of it.
+        """
+        memory, tile = self.memory.ground, self.parameters.tile
+        flags = memory.flags[0]
+        if flags["plans"] == self._plans:
+            return None
+        self._plans = int(flags["plans"])
+        rows, columns = memory.tiles.shape
+        own, goal = (
+            tile_index(y, tile, rows) * columns + tile_index(x, tile, columns)
+            for x, y in (position, self._fixed[1].goals[flags["goal"]].tolist())
+        )
+        count = 0
+        if has_way(memory.way, own):
+            count = way_corners(memory.way, columns, own, self._corners)
+        turns = self._corners[:count].tolist()
+        ahead = [((n % columns + 0.5) * tile, (n // columns + 0.5) * tile) for n in turns[1:]]
+        if turns and turns[-1] == goal:
+            x, y = self._fixed[1].goals[flags["goal"]].tolist()
+            ahead[max(len(ahead) - 1, 0) :] = [(x, y)]
+        if tuple(ahead) == self._told[len(self._told) - len(ahead) :] and (ahead or not self._told):
+            return None
+        self._told = tuple(ahead)
+        return (position, *ahead) if ahead else ()

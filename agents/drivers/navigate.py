@@ -1,8 +1,9 @@
 """The driver that plans: from goal to goal over the ground as it knows it, cautious or bold.
 
-In a tick it plans anew if it must, looks along the cheapest way for the farthest point to which the straight way costs
-no more a metre, and drives there as `goal_control` does, slower before rough ground. Last comes the filter: a command
-that could not be followed by a stop on open tiles gives way to a slower one, and that to braking.
+In a tick it plans anew if it must, or goes on with that; it looks along the cheapest way for the farthest point to
+which the straight way costs no more a metre, and drives there as `goal_control` does, slower before rough ground. Last
+comes the filter: a command that could not be followed by a stop on open tiles gives way to a slower one, and that to
+braking.
 """
 
 import math
@@ -18,7 +19,16 @@ from agents.drivers.cautious import (
     way_is_open,
 )
 from agents.drivers.parameters import DriverParameters
-from agents.drivers.planning import Prices, next_tile, plan
+from agents.drivers.planning import (
+    Prices,
+    begin_search,
+    has_way,
+    is_settled,
+    next_tile,
+    price_of,
+    search_on,
+    take_plan,
+)
 from agents.drivers.tile_map import GroundMemory
 from agents.drivers.waypoints import goal_control
 from sim.kernels.compile import FloatArray, borrowing, compiled
@@ -93,6 +103,11 @@ def note_sent(memory: GroundMemory, tick: int, u_x: float, u_y: float) -> None:
     memory.flags[0].called = tick
 
 
+@compiled
+def _prices(p: DriverParameters) -> Prices:
+    return Prices(p.rough_price, p.unseen_price, p.beside_price)
+
+
 @borrowing
 def _way_costs_at_most(
     p: DriverParameters,
@@ -121,7 +136,7 @@ def look_ahead(
 
     Args:
         p: Of the driver.
-        memory: With a plan to this goal.
+        memory: With a plan to this goal, that knows a way from here.
         x, y: Where the UGV is [m].
         goal_x, goal_y: The goal [m].
 
@@ -134,12 +149,13 @@ def look_ahead(
         return goal_x, goal_y
     best_x, best_y = _centre(n, columns, p.tile)
     reach = stopping_distance(p.v_max, p.u_max) + p.v_max * p.dt + 4.0 * p.tile
-    highest = memory.price[n]
+    prices, way = _prices(p), memory.way
+    highest = price_of(prices, way[n])
     for step in range(_STEPS):
-        m = next_tile(memory.price, memory.cost, columns, p.tile, n)
+        m = next_tile(way, columns, n)
         if m == n:
             break
-        n, highest = m, max(highest, memory.price[m])
+        n, highest = m, max(highest, price_of(prices, way[m]))
         to_x, to_y = _centre(n, columns, p.tile)
         if n == goal:
             to_x, to_y = goal_x, goal_y
@@ -241,14 +257,23 @@ def kept_open(
 def _plan_if_due(
     p: DriverParameters, memory: GroundMemory, tick: int, target: int, own: int
 ) -> None:
+    """Begin a search if one is due, and go on with it for a tick; the plan that is followed changes where it ends.
+
+    News does not stop a search: it ends on the tiles as they were, and the next one begins then. Another goal does.
+    """
     flags = memory.flags[0]
-    due = flags.planned < 0 or tick - flags.planned >= p.plan_ticks
-    kept = flags.target == target and (flags.stale == 0 or not due)
-    if kept and memory.cost[own] <= flags.settled:
-        return
-    prices = Prices(p.rough_price, p.unseen_price, p.beside_price)
-    flags.settled = plan(prices, p.tile, memory, target, own)
-    flags.planned, flags.target, flags.stale = tick, target, 0
+    if flags.searching == 0 or flags.aim != target:
+        due = flags.planned < 0 or tick - flags.planned >= p.plan_ticks
+        kept = flags.target == target and (flags.stale == 0 or not due)
+        if flags.searching == 0 and kept and is_settled(memory, own):
+            return
+        if flags.stale == 0 and flags.aim == target:
+            flags.searching = 1  # the tiles are the same: the last one goes on
+        else:
+            begin_search(memory, target)
+        flags.planned, flags.stale = tick, 0
+    if search_on(_prices(p), p.tile, memory, own, p.plan_tiles):
+        take_plan(memory)
 
 
 @borrowing
@@ -264,7 +289,8 @@ def navigate_control(
 ) -> tuple[float, float]:
     """The command [m/s²] to one goal after the other over the ground as it is known; at the last one the UGV stops.
 
-    A goal is kept until it is nearer than the tolerance. Where there is no way, or no goal, the UGV brakes.
+    A goal is kept until it is nearer than the tolerance. Where there is no way, or no goal, the UGV brakes. While it
+    searches for a way to the next goal it goes on to the one before.
 
     Args:
         p: Of the driver.
@@ -290,8 +316,9 @@ def navigate_control(
             to_x, to_y = _centre(i * columns + j, columns, p.tile)
             u_x, u_y = drive_towards(p, memory, here, to_x, to_y)
         else:
-            _plan_if_due(p, memory, tick, _tile_of(p, memory, goal_x, goal_y), own)
-            if not math.isinf(memory.cost[own]):
+            target = _tile_of(p, memory, goal_x, goal_y)
+            _plan_if_due(p, memory, tick, target, own)
+            if has_way(memory.way, own):
                 to_x, to_y = look_ahead(p, memory, here.p_x, here.p_y, goal_x, goal_y)
                 u_x, u_y = drive_towards(p, memory, here, to_x, to_y)
     note_sent(memory, tick, u_x, u_y)

@@ -51,6 +51,8 @@ class DriverParameters(NamedTuple):
     """Cost of a metre, see `agents.drivers.planning.Prices`."""
     plan_ticks: int
     """Between two plans pass at least so many ticks, if the goal is the same and the UGV has not left the old one."""
+    plan_tiles: int
+    """Planning settles at most so many tiles a tick."""
 
 
 class Route(NamedTuple):

@@ -2,17 +2,27 @@
 
 A library would do for one UGV; a batch of worlds needs the same bits from compiled code. Of equal costs the tile
 that comes first goes first, so the same tiles give the same plan to the bit.
+
+A search settles no more than so many tiles a tick, and goes on in the next: on the tiles as they were when it began,
+whatever is told meanwhile. The plan before is followed until it ends. The limit is a number of tiles, never a time.
 """
 
 import math
 from typing import NamedTuple
 
-from agents.drivers.tile_map import GroundMemory
-from sim.kernels.compile import FloatArray, IntArray, borrowing, compiled
+from agents.drivers.tile_map import GroundMemory, PlaceArray
+from sim.kernels.compile import FloatArray, borrowing, compiled
 from sim.models.ground import BLOCK, ROUGH, UNSEEN, TileArray
 
 _DONE, _UNTOUCHED = -2, -1
 DIAGONAL = math.sqrt(2.0)
+
+_STATE, _BESIDE, _STEP = 7, 8, 16
+"""Of a tile's byte in a plan: its state, beside a blocked tile or not, and the step to the next tile, from here on."""
+_HERE = 5
+"""The step of the goal. Others are numbered as a keypad is, row by row; 0: none is known."""
+_BLOCKED_GOAL = 5
+"""The state of a goal in a blocked tile."""
 
 
 class Prices(NamedTuple):
@@ -37,28 +47,24 @@ def is_beside_block(tiles: TileArray, i: int, j: int) -> bool:
     return False
 
 
-@borrowing
-def set_prices(prices: Prices, tiles: TileArray, price: FloatArray) -> None:
-    """Give each tile its cost of a metre; infinite where it is blocked.
+@compiled
+def price_of(prices: Prices, byte: int) -> float:
+    """Cost of a metre in a tile that a search has touched; infinite where it is blocked.
 
     Args:
         prices: What a state costs.
-        tiles: The map.
-        price: Changed. Shape (rows * columns,).
+        byte: Of the tile in a plan.
     """
-    rows, columns = tiles.shape
-    for i in range(rows):
-        for j in range(columns):
-            state, cost = tiles[i, j], 1.0
-            if state == BLOCK:
-                cost = math.inf
-            elif state == ROUGH:
-                cost = prices.rough
-            elif state == UNSEEN:
-                cost = prices.unseen
-            if state != BLOCK and is_beside_block(tiles, i, j):
-                cost += prices.beside
-            price[i * columns + j] = cost
+    state, cost = byte & _STATE, 1.0
+    if state == BLOCK:
+        return math.inf
+    if state == ROUGH:
+        cost = prices.rough
+    elif state == UNSEEN:
+        cost = prices.unseen
+    if byte & _BESIDE:
+        cost += prices.beside
+    return cost
 
 
 @compiled
@@ -67,7 +73,7 @@ def _comes_first(cost: FloatArray, a: int, b: int) -> bool:
 
 
 @borrowing
-def _rise(cost: FloatArray, heap: IntArray, place: IntArray, at: int) -> None:
+def _rise(cost: FloatArray, heap: PlaceArray, place: PlaceArray, at: int) -> None:
     n = heap[at]
     while at > 0:
         above = (at - 1) // 2
@@ -81,7 +87,7 @@ def _rise(cost: FloatArray, heap: IntArray, place: IntArray, at: int) -> None:
 
 
 @borrowing
-def _sink(cost: FloatArray, heap: IntArray, place: IntArray, count: int) -> None:
+def _sink(cost: FloatArray, heap: PlaceArray, place: PlaceArray, count: int) -> None:
     n, at = heap[0], 0
     while 2 * at + 1 < count:
         below = 2 * at + 1
@@ -96,124 +102,170 @@ def _sink(cost: FloatArray, heap: IntArray, place: IntArray, count: int) -> None
     place[n] = at
 
 
-@compiled
-def step_cost(
-    price: FloatArray, columns: int, tile: float, n: int, row_step: int, column_step: int
-) -> float:
-    """Cost of the way from the centre of a tile to that of a neighbour; infinite where it cuts a blocked corner.
-
-    Args:
-        price: Of each tile.
-        columns: Of the map.
-        tile: Side of a tile [m].
-        n: The tile; its neighbour is in the map.
-        row_step, column_step: To the neighbour: -1, 0 or 1.
-    """
-    m = n + row_step * columns + column_step
-    mean = float(0.5 * (price[n] + price[m]))
-    if row_step == 0 or column_step == 0:
-        return mean * tile
-    if math.isinf(price[n + row_step * columns]) or math.isinf(price[n + column_step]):
-        return math.inf
-    return mean * (DIAGONAL * tile)
+@borrowing
+def _touch(draft: TileArray, rows: int, columns: int, n: int) -> None:
+    """Note of a tile that the search reaches whether it is beside a blocked one."""
+    i, j = n // columns, n % columns
+    for r in range(max(i - 1, 0), min(i + 2, rows)):
+        for c in range(max(j - 1, 0), min(j + 2, columns)):
+            state = draft[r * columns + c] & _STATE
+            if state in (BLOCK, _BLOCKED_GOAL):
+                draft[n] |= _BESIDE
+                return
 
 
 @borrowing
-def search(
-    price: FloatArray,
-    columns: int,
-    tile: float,
-    goal: int,
-    until: int,
-    cost: FloatArray,
-    heap: IntArray,
-    place: IntArray,
-) -> float:
-    """The cost of the cheapest way from each tile to the goal, until that from one of them is known.
+def begin_search(memory: GroundMemory, goal: int) -> None:
+    """Begin a search on the tiles as they are known now; a goal in a blocked tile is approached.
 
     Args:
-        price: Of a metre in each tile; infinite: there is no way. Shape (rows * columns,).
-        columns: Of the map.
-        tile: Side of a tile [m].
+        memory: Is changed.
         goal: The goal's tile, row by row.
-        until: Where the search may end; -1: nowhere.
-        cost: Changed; infinite where there is no way. Shape (rows * columns,).
-        heap, place: Room for the search, likewise.
-
-    Returns:
-        Costs up to this one are final; infinite: all are.
     """
-    size = price.shape[0]
-    rows = size // columns
-    for n in range(size):
-        cost[n], place[n] = math.inf, _UNTOUCHED
-    cost[goal], heap[0], place[goal], count = 0.0, goal, 0, 1
-    while count > 0:
-        n = heap[0]
-        if n == until:
-            return float(cost[n])
-        count -= 1
-        place[n] = _DONE
-        if count > 0:
-            heap[0] = heap[count]
-            _sink(cost, heap, place, count)
-        i, j = n // columns, n % columns
-        for row_step in range(-1 if i > 0 else 0, 2 if i + 1 < rows else 1):
-            for column_step in range(-1 if j > 0 else 0, 2 if j + 1 < columns else 1):
-                m = n + row_step * columns + column_step
-                if place[m] == _DONE:
-                    continue
-                new = cost[n] + step_cost(price, columns, tile, n, row_step, column_step)
-                if new < cost[m]:
-                    cost[m] = new
-                    if place[m] == _UNTOUCHED:
-                        heap[count], place[m] = m, count
-                        count += 1
-                    _rise(cost, heap, place, place[m])
-    return math.inf
+    draft, place, flags = memory.draft, memory.place, memory.flags[0]
+    rows, columns = memory.tiles.shape
+    for i in range(rows):
+        for j in range(columns):
+            draft[i * columns + j] = memory.tiles[i, j]
+            place[i * columns + j] = _UNTOUCHED
+    if draft[goal] == BLOCK:
+        draft[goal] = _BLOCKED_GOAL
+    _touch(draft, rows, columns, goal)
+    draft[goal] |= _HERE * _STEP
+    memory.cost[goal], memory.heap[0], place[goal] = 0.0, goal, 0
+    flags.aim, flags.open, flags.searching = goal, 1, 1
 
 
 @borrowing
-def plan(prices: Prices, tile: float, memory: GroundMemory, goal: int, until: int) -> float:
-    """Plan anew to a goal on the tiles as they are known now; a goal in a blocked tile is approached.
+def _reach_out(prices: Prices, tile: float, memory: GroundMemory, count: int, n: int) -> int:
+    """The ways to the neighbours of a tile that has been settled; how many tiles are in the heap then."""
+    draft, cost, heap, place = memory.draft, memory.cost, memory.heap, memory.place
+    rows, columns = memory.tiles.shape
+    i, j, price = n // columns, n % columns, price_of(prices, draft[n])
+    for row_step in range(-1 if i > 0 else 0, 2 if i + 1 < rows else 1):
+        for column_step in range(-1 if j > 0 else 0, 2 if j + 1 < columns else 1):
+            m = n + row_step * columns + column_step
+            if place[m] == _DONE or (draft[m] & _STATE) == BLOCK:
+                continue
+            length = tile
+            if row_step != 0 and column_step != 0:
+                if (
+                    draft[n + row_step * columns] & _STATE == BLOCK
+                    or draft[n + column_step] & _STATE == BLOCK
+                ):
+                    continue  # it would cut the corner
+                length = DIAGONAL * tile
+            fresh = place[m] == _UNTOUCHED
+            if fresh:
+                _touch(draft, rows, columns, m)
+            new = cost[n] + 0.5 * (price + price_of(prices, draft[m])) * length
+            back = (_HERE - 3 * row_step - column_step) * _STEP
+            if fresh or new < cost[m]:
+                cost[m] = new
+                draft[m] = (draft[m] & (_STEP - 1)) | back
+                if fresh:
+                    heap[count], place[m] = m, count
+                    count += 1
+                _rise(cost, heap, place, place[m])
+            elif new == cost[m] and back < draft[m] & ~(_STEP - 1):
+                draft[m] = (draft[m] & (_STEP - 1)) | back
+    return count
+
+
+@borrowing
+def search_on(prices: Prices, tile: float, memory: GroundMemory, until: int, most: int) -> bool:
+    """Go on with the search that has begun, until the cost of the cheapest way from one tile to the goal is known.
 
     Args:
         prices: What ground costs.
         tile: Side of a tile [m].
-        memory: `price` and `cost` are changed.
-        goal, until: As in `search`.
+        memory: Is changed: `flags.settled`, too, where the search ends.
+        until: Where the search may end; -1: nowhere.
+        most: So many tiles it settles at most.
 
     Returns:
-        As `search`.
+        True if it has ended: the plan stands in `draft`.
     """
-    set_prices(prices, memory.tiles, memory.price)
-    if math.isinf(memory.price[goal]):
-        memory.price[goal] = 1.0 + prices.beside
-    columns = memory.tiles.shape[1]
-    return search(memory.price, columns, tile, goal, until, memory.cost, memory.heap, memory.place)
+    heap, place, flags = memory.heap, memory.place, memory.flags[0]
+    count, settled = flags.open, 0
+    if until < 0 or place[until] != _DONE:
+        while count > 0 and heap[0] != until:
+            if settled == most:
+                flags.open = count
+                return False
+            n = heap[0]
+            settled += 1
+            count -= 1
+            place[n] = _DONE
+            if count > 0:
+                heap[0] = heap[count]
+                _sink(memory.cost, heap, place, count)
+            count = _reach_out(prices, tile, memory, count, n)
+    flags.open, flags.searching = count, 0
+    flags.settled = memory.cost[heap[0]] if count > 0 else math.inf
+    return True
 
 
 @borrowing
-def next_tile(price: FloatArray, cost: FloatArray, columns: int, tile: float, n: int) -> int:
-    """The neighbour through which the cheapest way goes; the tile itself where it ends, or where there is none.
+def take_plan(memory: GroundMemory) -> None:
+    """From now on the plan of the search that has ended is followed."""
+    for n in range(memory.way.shape[0]):
+        memory.way[n] = memory.draft[n]
+    flags = memory.flags[0]
+    flags.target = flags.aim
+    flags.plans += 1
+
+
+@borrowing
+def is_settled(memory: GroundMemory, n: int) -> bool:
+    """True if the search that has ended says which way is the cheapest from a tile, or that there is none."""
+    settled = memory.flags[0].settled
+    return bool(
+        math.isinf(settled) or (memory.place[n] != _UNTOUCHED and memory.cost[n] <= settled)
+    )
+
+
+@borrowing
+def next_tile(way: TileArray, columns: int, n: int) -> int:
+    """The neighbour through which the way of a plan goes; the tile itself at the goal, and where there is no way.
 
     Args:
-        price, cost: Of each tile, after a search.
+        way: The plan. Shape (rows * columns,).
         columns: Of the map.
-        tile: Side of a tile [m].
         n: The tile.
     """
-    rows = price.shape[0] // columns
-    i, j = n // columns, n % columns
-    best, least = n, math.inf
-    if cost[n] == 0.0:
+    step = way[n] // _STEP
+    if step == 0:
         return n
-    for row_step in range(-1 if i > 0 else 0, 2 if i + 1 < rows else 1):
-        for column_step in range(-1 if j > 0 else 0, 2 if j + 1 < columns else 1):
-            if row_step == 0 and column_step == 0:
-                continue
-            m = n + row_step * columns + column_step
-            on = cost[m] + step_cost(price, columns, tile, n, row_step, column_step)
-            if on < least:
-                best, least = m, on
-    return best
+    return int(n + ((step - 1) // 3 - 1) * columns + (step - 1) % 3 - 1)
+
+
+@borrowing
+def way_corners(way: TileArray, columns: int, n: int, corners: PlaceArray) -> int:
+    """The tiles in which the way of a plan turns, from one on to the goal, both with them.
+
+    Args:
+        way: The plan. Shape (rows * columns,).
+        columns: Of the map.
+        n: The first tile.
+        corners: Are changed; those that have no room are left out. Shape (room,).
+
+    Returns:
+        How many there are; 0: there is no way.
+    """
+    count, before = 0, 0
+    while count < corners.shape[0]:
+        step = way[n] // _STEP
+        if step != before:
+            corners[count] = n
+            count += 1
+        if step in (0, _HERE):
+            break
+        n, before = next_tile(way, columns, n), step
+    return count
+
+
+@borrowing
+def has_way(way: TileArray, n: int) -> bool:
+    """True if a plan knows a way from a tile to its goal."""
+    return bool(way[n] >= _STEP)

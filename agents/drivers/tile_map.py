@@ -6,6 +6,7 @@ Tile (row i, column j) of the size s is [j s, (j + 1) s] x [i s, (i + 1) s], its
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from bus.messages import BLOCK_SIDE
 from sim.kernels.compile import FloatArray, IntArray, borrowing
@@ -14,6 +15,9 @@ from sim.models.ground import BLOCK, UNSEEN, TileArray
 
 _NEVER = -1
 
+PlaceArray = npt.NDArray[np.int32]
+"""Tiles, row by row, or places of them."""
+
 
 class GroundFlags(NamedTuple):
     """The whole numbers of a memory, and how far its plan goes: a row of an array of one."""
@@ -21,15 +25,23 @@ class GroundFlags(NamedTuple):
     goal: int
     """Which goal it drives to."""
     planned: int
-    """In which tick it planned last; -1: it has not yet."""
+    """In which tick its last search began; -1: none has yet."""
     target: int
-    """The tile of the goal that it planned to, row by row; -1: it has not yet."""
+    """The tile of the goal that the plan which it follows leads to, row by row; -1: it has none yet."""
     stale: int
-    """1 if tiles have changed since."""
+    """1 if tiles have changed since the last search began."""
+    searching: int
+    """1 if that has not ended yet."""
+    aim: int
+    """The tile of the goal that it searches for a way to, or has last."""
+    open: int
+    """How many tiles its heap holds."""
+    plans: int
+    """How many searches have ended."""
     called: int
     """The tick of its last command; -1: it has sent none."""
     settled: float
-    """Costs up to this one are final; infinite: all are."""
+    """Costs up to this one are final, when the search has ended; infinite: all are."""
 
 
 class GroundMemory(NamedTuple):
@@ -39,12 +51,20 @@ class GroundMemory(NamedTuple):
     """States. Shape (rows, columns)."""
     sure: TileArray
     """1 where the bumper has told the state, which makes no errors. Shape (rows, columns)."""
-    price: FloatArray
-    """Cost of a metre in each tile; infinite: there is no way. Shape (rows * columns,)."""
+    draft: TileArray
+    """Of the search: each tile as it was when that began, and the step to the next, see `agents.drivers.planning`.
+
+    Shape (rows * columns,).
+    """
+    way: TileArray
+    """The plan that is followed, as `draft` when the search ended. Shape (rows * columns,)."""
     cost: FloatArray
-    """Of the cheapest way from the centre of each tile to that of the goal's. Shape (rows * columns,)."""
-    heap: IntArray
-    place: IntArray
+    """Of the search: of the cheapest way from the centre of a tile that it has touched to that of the goal's.
+
+    Shape (rows * columns,).
+    """
+    heap: PlaceArray
+    place: PlaceArray
     """Of the search: a binary heap of tiles, and where in it each is. Shape (rows * columns,)."""
     commands: FloatArray
     """Commands under way [m/s²], the first one acts in the coming tick. Shape (delay, 2)."""
@@ -67,10 +87,11 @@ def ground_memory(rows: int, columns: int, delay: int = 0) -> GroundMemory:
     memory = GroundMemory(
         tiles=np.zeros((rows, columns), dtype=np.uint8),
         sure=np.zeros((rows, columns), dtype=np.uint8),
-        price=np.zeros(size),
+        draft=np.zeros(size, dtype=np.uint8),
+        way=np.zeros(size, dtype=np.uint8),
         cost=np.zeros(size),
-        heap=np.zeros(size, dtype=np.int64),
-        place=np.zeros(size, dtype=np.int64),
+        heap=np.zeros(size, dtype=np.int32),
+        place=np.zeros(size, dtype=np.int32),
         commands=np.zeros((delay, 2)),
         flags=np.zeros(1, dtype=record_type(GroundFlags)),
     )
@@ -86,12 +107,13 @@ def begin_ground(memory: GroundMemory) -> None:
         for j in range(columns):
             memory.tiles[i, j], memory.sure[i, j] = UNSEEN, 0
     for n in range(rows * columns):
-        memory.price[n], memory.cost[n] = np.inf, np.inf
-        memory.heap[n], memory.place[n] = 0, 0
+        memory.draft[n], memory.way[n], memory.cost[n] = UNSEEN, UNSEEN, np.inf
+        memory.heap[n], memory.place[n] = 0, _NEVER
     for k in range(memory.commands.shape[0]):
         memory.commands[k, 0], memory.commands[k, 1] = 0.0, 0.0
     flags = memory.flags[0]
-    flags.goal, flags.planned, flags.target = 0, _NEVER, _NEVER
+    flags.goal, flags.planned, flags.target, flags.aim = 0, _NEVER, _NEVER, _NEVER
+    flags.searching, flags.open, flags.plans = 0, 0, 0
     flags.stale, flags.called, flags.settled = 1, _NEVER, np.inf
 
 

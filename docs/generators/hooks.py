@@ -9,6 +9,7 @@ from typing import Any
 
 import bus_messages
 import command_line
+import ros2_topics
 import scenario_fields
 from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
@@ -117,6 +118,8 @@ GENERATED = {
     "bus_keys": bus_messages.keys,
     "bus_messages": bus_messages.messages,
     "python_modules": _modules_table,
+    "ros2_topics": ros2_topics.observed,
+    "ros2_pilot_topics": ros2_topics.own,
 }
 """What a page's comment `<!-- generated: NAME -->` is followed by in the site."""
 

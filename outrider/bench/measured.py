@@ -10,7 +10,7 @@ from typing import NamedTuple
 import msgspec
 
 from bus.errors import ScenarioError
-from outrider.bench import kernels, many, runs
+from outrider.bench import beside, kernels, many, runs
 from outrider.bench.timing import Pair
 
 Progress = Callable[[str, float], None]
@@ -51,6 +51,7 @@ class Layer(NamedTuple):
 
 BARE = "bare exchange among as many processes"
 NO_COMPILER = "no C compiler found that builds it (cc, gcc, clang)"
+WITHOUT_BRIDGE = "the same processes without the bridge"
 ALONE = "its kernels alone, compiled, as many grids and threads"
 ROWS: dict[str, Layer] = {
     "lockstep": Layer(runs.lockstep, "ticks/s", "bare three-process exchange", forked=True),
@@ -64,6 +65,12 @@ ROWS: dict[str, Layer] = {
         needs=("cryptography",),
         extra="tls",
         forked=True,
+    ),
+    "ros2_idle": Layer(
+        beside.ros2_idle, "ticks/s", WITHOUT_BRIDGE, 3, needs=("rosbags", "xxhash"), extra="ros2"
+    ),
+    "ros2_read": Layer(
+        beside.ros2_read, "ticks/s", WITHOUT_BRIDGE, 3, needs=("rosbags", "xxhash"), extra="ros2"
     ),
     "run_in_process": Layer(runs.run_in_process, "ticks/s", "world_step"),
     "sweep": Layer(
@@ -100,6 +107,8 @@ ROWS: dict[str, Layer] = {
     "pairs_10": Layer(partial(runs.pairs, 10), "ticks/s", BARE, 2, forked=True),
     "pairs_50": Layer(partial(runs.pairs, 50), "ticks/s", BARE, 1, forked=True),
 }
+GROUPS = {"bridges": ("ros2_idle", "ros2_read")}
+"""Rows that are asked for by one name."""
 
 
 def _can(layer: Layer) -> bool:
@@ -124,9 +133,11 @@ def measure(only: list[str], repeats: int, *, on_progress: Progress | None = Non
     Raises:
         ScenarioError: If a row does not exist, or an extra is missing that it needs.
     """
+    only = [row for name in only for row in GROUPS.get(name, (name,))]
     unknown = [name for name in only if name not in ROWS]
     if unknown:
-        raise ScenarioError(f"--only {unknown[0]}: no such row; allowed: {', '.join(ROWS)}")
+        allowed = ", ".join((*ROWS, *GROUPS))
+        raise ScenarioError(f"--only {unknown[0]}: no such row; allowed: {allowed}")
     for name in only:
         if not _can(ROWS[name]):
             layer = ROWS[name]

@@ -70,6 +70,14 @@ def command(
             help="Tell how long the certificates in FOLDER hold; exit code 1 if one does not.",
         ),
     ] = False,
+    ros2: Annotated[
+        bool,
+        typer.Option(
+            "--ros2/--no-ros2",
+            help="Also for ROS 2's bridge (ros2) and its nodes that look on (ros2_observer) or drive "
+            "(ros2_operator); without it the router lets nothing of ROS 2 through.",
+        ),
+    ] = False,
     json: Json = False,
 ) -> None:
     """Make a set of random credentials for a run.
@@ -97,6 +105,7 @@ def command(
             and "router" not in (party or ()),
             "--days without --tls or --renew": days is not None and not (tls or renew),
             "--party without --renew": bool(party) and not renew,
+            "--ros2 and --renew or --check": ros2 and (renew or check),
         }
     )
     if check:
@@ -110,9 +119,9 @@ def command(
         flown = load_scenario(scenario)
         names = ([uav.name for uav in flown.uav], [ugv.name for ugv in flown.ugv])
         given, authority = (
-            _certificates(run, *names, router or (), days)
+            _certificates(run, *names, router or (), days, ros2=ros2)
             if tls
-            else (new_credentials(run, *names), None)
+            else (new_credentials(run, *names, ros2=ros2), None)
         )
         files = write_credentials(given, folder, authority)
     if user is not None:
@@ -151,14 +160,20 @@ def _refuse(combinations: dict[str, bool]) -> None:
 
 
 def _certificates(
-    run: str, uavs: Iterable[str], ugvs: Iterable[str], hosts: Iterable[str], days: float | None
+    run: str,
+    uavs: Iterable[str],
+    ugvs: Iterable[str],
+    hosts: Iterable[str],
+    days: float | None,
+    *,
+    ros2: bool,
 ) -> "tuple[CredentialSet, Authority]":
     from bus.access import new_certificates
     from bus.certificates import PARTY_DAYS, new_authority
 
     authority = new_authority(run)
     return new_certificates(
-        authority, uavs, ugvs, hosts=tuple(hosts), days=days or PARTY_DAYS
+        authority, uavs, ugvs, hosts=tuple(hosts), days=days or PARTY_DAYS, ros2=ros2
     ), authority
 
 

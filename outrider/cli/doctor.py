@@ -28,6 +28,8 @@ EXTRAS = {
     "dask": ("distributed",),
     "falsify": ("cma",),
     "tls": ("cryptography",),
+    "ros2": ("rosbags", "xxhash"),
+    "mavlink": ("pymavlink",),
     "sb3": ("stable_baselines3", "torch"),
     "torchrl": ("torchrl",),
     "rllib": ("ray",),

@@ -206,6 +206,8 @@ class ClosedLoop:
             around=disc_widths(
                 scenario.visibility.radius + scenario.sensor.range, scenario.area.cell
             ),
+            looked=disc_widths(scenario.sensor.range, ground.tile),
+            felt=disc_widths(ground.bumper, ground.tile),
         )
         late = self.batch.longest_delay(LinkKind.DETECTIONS)
         kalman = kalman_state(min(late, ticks_within(SPAN, dt)) + 1)

@@ -104,6 +104,10 @@ class LoopTables(NamedTuple):
     seen: IntArray
     """The sensor's disc, and of the density (9), from `sim.kernels.prefetch.disc_widths`."""
     around: IntArray
+    looked: IntArray
+    """The sensor's disc on the tiles of the ground, likewise."""
+    felt: IntArray
+    """A UGV's bumper there."""
 
 
 class LoopState(NamedTuple):

@@ -71,7 +71,8 @@ def _ground_of(t: LoopTables, s: LoopState, k: int, g: int) -> GroundMemory:
     return GroundMemory(
         m.tiles[k, g],
         m.sure[k, g],
-        m.price[k, g],
+        m.draft[k, g],
+        m.way[k, g],
         m.cost[k, g],
         m.heap[k, g],
         m.place[k, g],
@@ -383,6 +384,26 @@ def _step(p: LoopParameters, t: LoopTables, s: LoopState, k: int, actions: Float
 
 
 @inlined
+def _fetch_ground(t: LoopTables, s: LoopState, k: int, part: int) -> None:
+    """Bring a quarter of the tiles that the next tick of world k will touch near the core, where there are any."""
+    if t.batch.ground.parameters.shape[0] == 0:
+        return
+    ground, position = s.batch.ground, s.batch.truth.position[k]
+    tile, period = t.batch.ground.parameters[0].tile, t.batch.ground.parameters[0].period
+    for u in range(t.batch.escorts.shape[0]):
+        a = t.batch.escorts[u, 0]
+        if (s.batch.ticks[k] + 1) % period == 0:
+            x, y = position[a, 0], position[a, 1]
+            fetch_disc(ground.looked[k, u], x, y, tile, t.looked, part, 4)
+            fetch_disc(ground.known[k, a], x, y, tile, t.looked, part, 4)
+    for g in range(t.rows.ugvs.shape[0]):
+        v = t.rows.ugvs[g]
+        x, y = position[v, 0], position[v, 1]
+        fetch_disc(ground.known[k, v], x, y, tile, t.felt, part, 4)
+        fetch_disc(ground.tiles[k], x, y, tile, t.felt, part, 4)
+
+
+@inlined
 def _fetch(p: LoopParameters, t: LoopTables, s: LoopState, k: int, part: int) -> None:
     """Bring a quarter of what the next tick of world k will touch of its grid near the core; of no world if k < 0."""
     if k < 0:
@@ -395,6 +416,7 @@ def _fetch(p: LoopParameters, t: LoopTables, s: LoopState, k: int, part: int) ->
         fetch_disc(coverage, position[a, 0], position[a, 1], w.cell, t.seen, part, 4)
         if p.own_maps:
             fetch_disc(s.maps[k, u], position[a, 0], position[a, 1], w.cell, t.seen, part, 4)
+    _fetch_ground(t, s, k, part)
 
 
 @inlined
@@ -421,6 +443,7 @@ def _fetch_rows(s: LoopState, k: int) -> None:
     )
     fetch_rows((s.laws, s.drivers, s.law_states, s.driver_states), k)
     fetch_rows((b.sent, s.rows.terms, s.rows.rewards, s.rows.terminated, s.rows.truncated), k)
+    fetch_rows((b.ground.told, b.ground.pace, b.ground.before, b.mission.ugvs), k)
 
 
 @released

@@ -68,7 +68,10 @@ class _EnvPilots:
         perceived = msgspec.structs.replace(perceived, ground=self._env.ground(name))
         if self._radio is not None:
             perceived = self._radio.heard_by(name, perceived)
-        return np.array(pilot.act(perceived).acceleration)
+        answer = pilot.act(perceived)
+        if answer.route is not None:
+            self._env.show_route(name, answer.route)
+        return np.array(answer.acceleration)
 
 
 def pilots(

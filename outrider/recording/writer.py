@@ -180,7 +180,7 @@ class FlightRecorder:
                 1, round(max(_MAP_PERIOD, _MAP_PERIOD * cells / _MAP_CELLS) / flight.scenario.dt)
             )
             self._items.append((flight, tick, None, self._map_of(flight.world, flight.scenario)))
-            ground = ground_map(flight.world, self._hazards)
+            ground = ground_map(flight.world, self._hazards, flight.routes)
             if ground is not None:
                 self._hazards = ground.hazards
                 self._items.append((flight, tick, None, ground))

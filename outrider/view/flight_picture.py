@@ -50,7 +50,8 @@ def flight_figure(flight: Flight, hazards: GroundMap | None = None) -> Figure:
     if flight.recorder.rows == 0:
         raise ValueError("no state has been taken down: there is nothing to draw")
     with style.look():
-        hazards = ground_map(flight.world) if hazards is None else hazards
+        if hazards is None:
+            hazards = ground_map(flight.world, routes=flight.routes)
         width, height = SIZE
         if hazards is not None:
             height += _LEGEND_OF_GROUND

@@ -5,7 +5,7 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from bus.boxes import Outbox
 from bus.errors import BusError
@@ -17,6 +17,7 @@ from bus.keys import (
     SAMPLED_TRUTH,
     SIMULATOR_NAME,
     STATUS,
+    Key,
     Role,
 )
 from bus.messages import (
@@ -35,6 +36,8 @@ from bus.session import Session
 
 SILENCE = 2.0
 """Without a status for so long [s] something is wrong."""
+READ = (STATUS, SAMPLED_TRUTH, COVERAGE, GROUND)
+"""What a client reads that draws a run."""
 _PACE = 6
 """Status messages, about a second of them, over which the real-time factor is taken."""
 
@@ -45,11 +48,13 @@ class RunClient:
     Args:
         session: An operator's, or an observer's; then nothing can be said.
         status: The first one, if it has been read already.
+        read: What it reads.
     """
 
-    def __init__(self, session: Session, status: Status | None = None) -> None:
+    def __init__(
+        self, session: Session, status: Status | None = None, *, read: Sequence[Key] = READ
+    ) -> None:
         self._session = session
-        read = (STATUS, SAMPLED_TRUTH, COVERAGE, GROUND)
         self._inboxes = [session.inbox(key, newest=1) for key in read]
         self._simulators: set[int] = set()
         self._clock: deque[tuple[float, float]] = deque(maxlen=_PACE)

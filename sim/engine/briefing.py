@@ -132,5 +132,6 @@ def briefing(scenario: Scenario, name: str, seed: int, secret: str = "") -> Brie
         ground=UavGround(tile=scenario.ground.tile, telling=scenario.ground.telling)
         if scenario.has_ground
         else None,
+        origin=scenario.origin,
         key=key,
     )

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sim.kernels.compile import FloatArray, IntArray, borrowing
+from sim.kernels.compile import FloatArray, IntArray, borrowing, inlined
 from sim.kernels.records import RecordArray, records
 from sim.models.field import accumulate
 from sim.models.ground import (
@@ -161,7 +161,7 @@ def _told_state(
     return wrong if uniform(key, TILE_CHANCE, row, column) < chance else state
 
 
-@borrowing
+@inlined
 def _look(
     w: RecordArray,
     t: GroundConstants,
@@ -180,13 +180,18 @@ def _look(
     first_row, end_row = _tile_range(y, world.reach, p.tile, rows)
     first, end = _tile_range(x, world.reach, p.tile, columns)
     for row in range(first_row, end_row):
+        sums, states, news = looked[row, first:end], known[row, first:end], 0
+        for i in range(sums.size):  # several to a vector: mostly there is none
+            news += 1 if (sums[i] >= world.desired) & (states[i] == UNSEEN) else 0
+        if news == 0:
+            continue
         for column in range(first, end):
             if known[row, column] == UNSEEN and looked[row, column] >= world.desired:
                 state = g.tiles[k, row, column]
                 _tell(g, k, v, row, column, _told_state(p, state, keys, v, row, column))
 
 
-@borrowing
+@inlined
 def _feel(t: GroundConstants, g: GroundState, k: int, v: int, x: float, y: float) -> None:
     """The bumper of UGV v at (x, y) [m] tells of the tiles that have a point within its range."""
     p, known = t.parameters[0], g.known[k, v]
@@ -195,8 +200,10 @@ def _feel(t: GroundConstants, g: GroundState, k: int, v: int, x: float, y: float
     for row in range(first_row, end_row):
         d_y = max(row * p.tile - y, y - (row + 1) * p.tile, 0.0)
         for column in range(first, end):
+            if known[row, column] != UNSEEN:
+                continue
             d_x = max(column * p.tile - x, x - (column + 1) * p.tile, 0.0)
-            if known[row, column] == UNSEEN and d_x * d_x + d_y * d_y <= p.bumper * p.bumper:
+            if d_x * d_x + d_y * d_y <= p.bumper * p.bumper:
                 _tell(g, k, v, row, column, g.tiles[k, row, column])
 
 
@@ -218,7 +225,7 @@ def _meets_block(
     return -1, math.inf
 
 
-@borrowing
+@inlined
 def drive_on(
     t: GroundConstants, g: GroundState, k: int, position: FloatArray, velocity: FloatArray
 ) -> None:
@@ -249,14 +256,14 @@ def drive_on(
             g.pace[k, v] = rough_share(g.hazards[k], t.corners, x, y)
 
 
-@borrowing
+@inlined
 def keep_before(t: GroundConstants, g: GroundState, k: int, position: FloatArray) -> None:
     """Note where the UGVs are before they move."""
     for n in range(t.ugvs.shape[0]):
         g.before[k, n, 0], g.before[k, n, 1] = position[t.ugvs[n], 0], position[t.ugvs[n], 1]
 
 
-@borrowing
+@inlined
 def perceive_ground(
     w: RecordArray,
     t: GroundConstants,

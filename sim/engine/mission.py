@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from bus.messages import BLOCK_SIDE, Mission
 from sim.engine.ground_tick import GroundConstants, GroundState
-from sim.kernels.compile import FloatArray, IntArray, borrowing
+from sim.kernels.compile import FloatArray, IntArray, borrowing, inlined
 from sim.kernels.records import RecordArray, record_type
 from sim.models.ground import (
     BLOCK,
@@ -30,6 +30,10 @@ ON_WAY = 2.0
 """A hazard that a UGV comes nearer to than this is on its way [m]."""
 NEAR_MISS = 0.2
 """One that blocks, and that it comes nearer to than this without touching it, is a near miss [m]."""
+_SKIN = 1.0
+"""So far a UGV may move until the hazards near it are listed anew [m]."""
+_ROUNDING = 1e-6
+"""So much farther than it must a list of them reaches [m]."""
 _STILL = 0.01
 """Slower than this share of its largest speed a UGV stands still."""
 
@@ -52,6 +56,11 @@ class MissionRecord(NamedTuple):
     """The tick at which it had reached the last of them; -1: not yet, or it has none."""
     told: int
     """Tiles that have come by radio, each counted once."""
+    listed: int
+    """How many hazards were near it when they were listed; -1: not yet."""
+    listed_x: float
+    listed_y: float
+    """Where it was then [m]."""
 
 
 class MissionConstants(NamedTuple):
@@ -80,6 +89,10 @@ class MissionState(NamedTuple):
     """When it was nearer than `ON_WAY` first. Shape (worlds, UGVs, hazards)."""
     nearest: FloatArray
     """How near it came [m]. Shape (worlds, UGVs, hazards)."""
+    near: npt.NDArray[np.int32]
+    """Those that it could come nearer to than `ON_WAY` before they are listed anew, in order: `MissionRecord.listed`
+    of them. Shape (worlds, UGVs, hazards).
+    """
     found: TickArray
     """When any vehicle's sensor told of each hazard first. Shape (worlds, hazards)."""
 
@@ -100,7 +113,7 @@ def mission_state(ground: GroundState) -> MissionState:
     worlds, ugvs = ground.before.shape[:2]
     count = ground.hazards.shape[1]
     numbers = np.zeros((worlds, ugvs), dtype=record_type(MissionRecord))
-    numbers["arrived"] = -1
+    numbers["arrived"] = numbers["listed"] = -1
     return MissionState(
         ugvs=numbers,
         heard=np.zeros((worlds, ugvs, *ground.tiles.shape[1:]), np.int32),
@@ -108,6 +121,7 @@ def mission_state(ground: GroundState) -> MissionState:
         warned=np.zeros((worlds, ugvs, count), np.int32),
         met=np.zeros((worlds, ugvs, count), np.int32),
         nearest=np.full((worlds, ugvs, count), np.inf),
+        near=np.zeros((worlds, ugvs, count), np.int32),
         found=np.zeros((worlds, count), np.int32),
     )
 
@@ -182,6 +196,21 @@ def _note_sensors(t: GroundConstants, g: GroundState, m: MissionState, k: int, t
 
 
 @borrowing
+def _list_near(hazards: RecordArray, near: TickArray, x: float, y: float) -> int:
+    """List the hazards on whose way a UGV may come before it is `_SKIN` away from (x, y) [m]; their number."""
+    listed = 0
+    for h in range(hazards.shape[0]):
+        if hazards[h].kind == 0 or hazards[h].kind == FOUND:
+            continue
+        far = hazards[h].reach + ON_WAY + _SKIN + _ROUNDING
+        d_x, d_y = x - hazards[h].x, y - hazards[h].y
+        if d_x * d_x + d_y * d_y <= far * far:
+            near[listed] = h
+            listed += 1
+    return listed
+
+
+@inlined
 def _drive(
     c: MissionConstants,
     t: GroundConstants,
@@ -207,9 +236,12 @@ def _drive(
         row.reached, _ = next_goal(goals, row.reached, c.tolerances[n], x, y)
         if row.reached == goals.shape[0]:
             row.arrived = tick
-    for h in range(g.hazards.shape[1]):
-        if g.hazards[k, h].kind == 0 or g.hazards[k, h].kind == FOUND:
-            continue
+    moved_x, moved_y = x - row.listed_x, y - row.listed_y
+    if row.listed < 0 or moved_x * moved_x + moved_y * moved_y > _SKIN * _SKIN:
+        row.listed = _list_near(g.hazards[k], m.near[k, n], x, y)
+        row.listed_x, row.listed_y = x, y
+    for i in range(row.listed):
+        h = m.near[k, n, i]
         far = g.hazards[k, h].reach + ON_WAY
         d_x, d_y = x - g.hazards[k, h].x, y - g.hazards[k, h].y
         if d_x * d_x + d_y * d_y > far * far:
@@ -220,7 +252,7 @@ def _drive(
             m.met[k, n, h] = tick + 1
 
 
-@borrowing
+@inlined
 def note_mission(
     c: MissionConstants,
     t: GroundConstants,

@@ -16,7 +16,7 @@ from gymnasium.error import ResetNeeded
 from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
 from bus.layout import state_names
-from bus.messages import Briefing, Detection, MotionPlan, SeenTile
+from bus.messages import Briefing, Detection, MotionPlan, SeenTile, Vector
 from sim.engine.briefing import briefing
 from sim.engine.mission import mission_numbers
 from sim.engine.run_keys import check_secret
@@ -385,6 +385,11 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """
         self.received(agent)
         self._carried[agent] = motions
+
+    def show_route(self, agent: str, route: tuple[Vector, ...]) -> None:
+        """Show in pictures the way that a UGV plans, by its corners [m], until it plans another."""
+        if self._view is not None:
+            self._view.show_route(agent, route)
 
     def briefing(self, agent: str) -> Briefing:
         """Returns the vehicle's briefing of this episode, as on the bus: its limits, area, law, own goals.

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from bus.messages import Vector
 from sim.env.rows import Moment
 from sim.scene.known import scene_of
 from sim.scene.told_tiles import ground_map
@@ -29,6 +30,7 @@ class Rendering:
     def __init__(self, mode: str, rate: float) -> None:
         self._mode, self._rate = mode, rate
         self._tracks: list[list[list[float]]] = []
+        self._routes: dict[str, tuple[Vector, ...]] = {}
         self._frames: Frames | None = None
         self._window: Window | None = None
 
@@ -39,12 +41,16 @@ class Rendering:
     def follow(self, world: World, moment: Moment) -> None:
         """Take in the next tick, and show it where a person looks; tick 0 begins anew."""
         if moment.tick == 0:
-            self._tracks = []
+            self._tracks, self._routes = [], {}
             if world.scenario.has_ground:
                 self._frames = None  # its hazards may be others
         self._tracks.append(moment.position)
         if self._mode == "human":
             self.render(world, moment)
+
+    def show_route(self, ugv: str, route: tuple[Vector, ...]) -> None:
+        """The way that a UGV plans, by its corners [m], until it plans another."""
+        self._routes[ugv] = route
 
     def render(self, world: World, moment: Moment) -> npt.NDArray[np.uint8] | None:
         """The picture of this moment; None where it is shown to a person instead.
@@ -60,7 +66,7 @@ class Rendering:
     def _draw(self, world: World, moment: Moment) -> npt.NDArray[np.uint8]:
         from sim.scene.frames import Frames  # noqa: PLC0415 - matplotlib is loaded when someone looks
 
-        hazards = ground_map(world)
+        hazards = ground_map(world, routes=self._routes)
         if self._frames is None:
             self._frames = Frames(scene_of(world.scenario), width=_WIDTH, hazards=hazards)
         ways = np.array(self._tracks)

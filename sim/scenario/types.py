@@ -18,6 +18,7 @@ from bus.messages import (
     LinkSettings,
     Name,
     NonNegative,
+    Origin,
     Positive,
     Region,
     ScriptStep,
@@ -332,6 +333,8 @@ class Scenario(_Table, frozen=True, kw_only=True):
     hold: NonNegative = 0.5
     """For so long the last command is held when none comes [s]; then the vehicle brakes."""
     area: Area = DEFAULT_AREA
+    origin: Origin = Origin()
+    """The place on Earth of the area's lower left corner; no vehicle's motion depends on it."""
     sensor: Sensor = Sensor()
     visibility: Visibility = Visibility()
     coverage: Coverage = Coverage()

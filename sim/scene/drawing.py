@@ -27,6 +27,13 @@ from sim.scene.model import Point, Ring, Scene
 COVERAGE = LinearSegmentedColormap.from_list("covered", list(COVERED))
 """From unseen ground to covered ground."""
 DASHED = (0, (4, 2.5))
+_ROUTE: dict[str, Any] = {
+    "linewidth": 1.3,
+    "linestyle": (0, (3.5, 2.5)),
+    "dash_capstyle": "butt",
+    "zorder": 3.4,
+}
+"""A way that is planned."""
 DPI = 140
 _LOOK: dict[str, Any] = {
     "font.family": "DejaVu Sans",
@@ -162,12 +169,15 @@ class Map:
         self._hazards = None if hazards is None else DrawnGround(axes, hazards)
         self._still: list[Artist] = []
         self._tracks: dict[str, Track] = {}
+        self._routes: dict[str, Line2D] = {}
         for one in scene.vehicles:
             goals = np.array(one.goals, dtype=np.float64).reshape(-1, 2)
             if len(goals):
                 self._still += axes.plot(
                     goals[:, 0], goals[:, 1], "x", ms=6, mew=1.8, color=one.color, zorder=3.5
                 )
+            if hazards is not None and not one.flies:
+                (self._routes[one.name],) = axes.plot([], [], color=one.color, **_ROUTE)
             self._tracks[one.name] = Track(axes, one.color, flies=one.flies)
         self._rings = [(ring.around, draw_ring(axes, ring)) for ring in scene.rings]
         self._sights: dict[tuple[str, str], Line2D] = {}
@@ -176,10 +186,19 @@ class Map:
                 (self._sights[pair],) = axes.plot([], [], color=MUTED, linewidth=0.9, zorder=3.7)
         self._estimates = {uav: _Estimate(axes) for uav, _ in scene.escorts if estimates}
 
+        if hazards is not None:
+            self._show_routes(hazards)
+
+    def _show_routes(self, hazards: GroundMap) -> None:
+        for name, line in self._routes.items():
+            route = np.array(hazards.routes.get(name, ()), dtype=np.float64).reshape(-1, 2)
+            line.set_data(route[:, 0], route[:, 1])
+
     @property
     def artists(self) -> list[Artist]:
         """All that lies on the axes, from the ground up."""
         found: list[Artist] = [self.image, *self._still, *self._sights.values()]
+        found += self._routes.values()
         found += [] if self._hazards is None else self._hazards.artists
         found += [artist for track in self._tracks.values() for artist in track.artists]
         found += [circle for _, circle in self._rings]
@@ -203,6 +222,7 @@ class Map:
         """
         if hazards is not None and self._hazards is not None:
             self._hazards.show(hazards)
+            self._show_routes(hazards)
         if coverage is not None:
             self.image.set_data(coverage)
         for name, track in self._tracks.items():
@@ -265,5 +285,6 @@ def legend_of(
     if estimates:
         keys.append(key(ESTIMATE, "estimate, 2σ", linestyle="", marker="+", markeredgewidth=1.2))
     if hazards is not None:
+        keys.append(key(UGV[0], "planned route", **_ROUTE))
         keys += legend_of_ground(hazards)
     return keys

@@ -31,6 +31,7 @@ def geometry_of(scenario: Scenario) -> Geometry:
         dt=scenario.dt,
         limits={vehicle.name: limits(vehicle) for vehicle in scenario.vehicles},
         uavs={uav.name: uav.escorts for uav in scenario.uav},
+        origin=scenario.origin,
     )
 
 

@@ -1,8 +1,11 @@
 """Ground with hazards for observers: as it truly is, and what the UGVs know of it."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import numpy as np
 
-from bus.messages import GroundMap, HazardOutline
+from bus.messages import GroundMap, HazardOutline, Vector
 from bus.registry import HAZARDS
 from sim.models.ground import FOUND, UNSEEN
 from sim.world import World
@@ -11,6 +14,7 @@ SEEN = 5
 """Code of a tile that a UAV has seen and has not told yet; the others are the states of a tile."""
 UNKNOWN, KNOWN, HIT = range(3)
 """States of a hazard."""
+_NO_ROUTES: Mapping[str, tuple[Vector, ...]] = MappingProxyType({})
 _KINDS = {row.code: name for name, row in HAZARDS.items()}
 
 
@@ -33,12 +37,27 @@ def hazards_of(world: World) -> tuple[HazardOutline, ...]:
     return tuple(found)
 
 
-def ground_map(world: World, hazards: tuple[HazardOutline, ...] | None = None) -> GroundMap | None:
+def _ahead(route: tuple[Vector, ...], place: Vector) -> tuple[Vector, ...]:
+    """The part of a way, by its corners [m], that is still to be driven from a place that is on it or near it."""
+    corners = np.array(route)
+    way = np.diff(corners, axis=0)
+    length2 = np.maximum((way**2).sum(axis=1), 1e-12)
+    share = (((np.array(place) - corners[:-1]) * way).sum(axis=1) / length2).clip(0.0, 1.0)
+    away = np.hypot(*(corners[:-1] + share[:, None] * way - place).T)
+    return (place, *route[int(away.argmin()) + 1 :])
+
+
+def ground_map(
+    world: World,
+    hazards: tuple[HazardOutline, ...] | None = None,
+    routes: Mapping[str, tuple[Vector, ...]] = _NO_ROUTES,
+) -> GroundMap | None:
     """What there is to see of a world's ground now; None where it has no hazards.
 
     Args:
         world: Which.
         hazards: Its hazards, where they have been asked for before: they stay.
+        routes: The way that each UGV has told that it plans, by its corners [m].
     """
     if not world.scenario.has_ground:
         return None
@@ -55,6 +74,7 @@ def ground_map(world: World, hazards: tuple[HazardOutline, ...] | None = None) -
     kinds = ground.hazards[0]["kind"]
     known = np.where(kinds == FOUND, mission.found[0] > 0, (mission.warned[0] > 0).any(axis=0))
     states = np.where(ground.hits[0].any(axis=0), HIT, np.where(known, KNOWN, UNKNOWN))
+    places = dict(zip(world.names, world.position.tolist(), strict=True))
     return GroundMap(
         tick=world.tick,
         rows=rows,
@@ -62,5 +82,10 @@ def ground_map(world: World, hazards: tuple[HazardOutline, ...] | None = None) -
         tile=world.scenario.ground.tile,
         tiles=tiles.tobytes(),
         states=states[kinds > 0].astype(np.uint8).tobytes(),
+        routes={
+            name: _ahead(route, tuple(places[name]))
+            for name, route in routes.items()
+            if len(route) > 1
+        },
         hazards=hazards_of(world) if hazards is None else hazards,
     )

@@ -35,7 +35,9 @@ from bus.messages import (
     UavCommand,
     UavObservation,
     UavReport,
+    UgvCommand,
     UgvObservation,
+    Vector,
     VehicleTruth,
 )
 from bus.registry import LAWS
@@ -159,6 +161,8 @@ class Flight:
         """The first tick at which a vehicle's command was missing or stale."""
         self.reports: list[UavReport | None] = [None] * len(self.world.uavs)
         """The last report of each UAV."""
+        self.routes: dict[str, tuple[Vector, ...]] = {}
+        """The way that each UGV has told that it plans, by its corners [m]; for observers."""
         self._reporting = [False] * len(self.world.uavs)
         self._assurance = Assurance(scenario)
         self._unchecked: _Unchecked | None = None
@@ -497,6 +501,8 @@ class Flight:
             if command is not None:
                 motions = command.motions if isinstance(command, UavCommand) else ()
                 world.send(k, command.tick, command.acceleration, motions)
+                if isinstance(command, UgvCommand) and command.route is not None:
+                    self.routes[name] = command.route
             uav = self._uav_row.get(name)
             if uav is not None:
                 self.reports[uav] = None

@@ -98,7 +98,7 @@ class Telemetry:
             self._map.send(self._coverage_map())
         if self._ground.wanted and (now >= self._ground_due or at_once):
             self._ground_due = now + _GROUND_PERIOD - 0.5 * _PERIOD
-            ground = ground_map(self._flight.world, self._hazards)
+            ground = ground_map(self._flight.world, self._hazards, self._flight.routes)
             if ground is not None:
                 self._ground.send(ground)
 

@@ -230,7 +230,7 @@ def _missions() -> Iterator[Task]:
     for base, hard in (
         (
             "minefield",
-            "forty mines lie where no map shows them, and the first that is touched ends it",
+            "sixty mines, a UGV that needs 1.5 m to stop and sees half a metre, and the first hit ends it",
         ),
         ("rubble", "walls with dead ends, and rough ground that is slower than a way around"),
         (

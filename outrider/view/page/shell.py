@@ -54,6 +54,7 @@ _MAP = f"""<div class="map-place"><canvas id="map" role="img" aria-label="map of
 <span id="legend-rs"><i class="line limit dashed"></i><em>{LABELS["r_s"]} r<sub>s</sub></em></span>
 <span><i class="line uav thin"></i>{LABELS["r"]} r</span>
 <span><i class="line guess"></i>estimate, 2σ</span><span><i class="dot detection"></i>detections</span>
+<span class="ground"><i class="line ugv dashed thin"></i>planned route</span>
 <span class="ground"><i class="area block"></i>blocked, faint: unknown</span>
 <span class="ground"><i class="area hit"></i>hit</span><span class="ground"><i class="area rough"></i>rough</span>
 <span class="ground"><i class="star">★</i>found, hollow: not yet</span>

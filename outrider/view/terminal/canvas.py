@@ -35,10 +35,14 @@ class Canvas:
         self._bits[row][column] |= _DOTS[int(y) % 4][int(x) % 2]
         self._colors[row][column] = color
 
-    def line(self, x0: float, y0: float, x1: float, y1: float, color: str) -> None:
+    def line(
+        self, x0: float, y0: float, x1: float, y1: float, color: str, *, dashed: bool = False
+    ) -> None:
         """Dots from one point to another."""
         steps = min(int(max(abs(x1 - x0), abs(y1 - y0))) + 1, 10_000)
         for step in range(steps + 1):
+            if dashed and step % 4 >= 2:
+                continue
             share = step / steps
             self.dot(x0 + (x1 - x0) * share, y0 + (y1 - y0) * share, color)
 

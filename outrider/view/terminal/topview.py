@@ -3,6 +3,7 @@
 import math
 from collections import deque
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 from bus.messages import CoverageMap, GroundMap, Truth
 from outrider.view.terminal.canvas import Canvas
@@ -107,6 +108,9 @@ def draw(
     for ring in limits:
         canvas.circle(*here, ring.radius / window.scale, LIMIT, dashed=ring.dashed)
     if hazards is not None:
+        for route in hazards.routes.values():
+            for start, end in pairwise(map(window.dot, route)):
+                canvas.line(*start, *end, UGV[0], dashed=True)
         _mark_hazards(canvas, window, hazards)
     for one in sorted(scene.vehicles, key=lambda one: (one.flies, one.name == vehicle)):
         mark, color = ("▲", UAV[0]) if one.flies else ("■", UGV[0])

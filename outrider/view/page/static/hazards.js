@@ -41,6 +41,20 @@ export class Hazards {
     c.drawImage(this.image, X(0), Y(height), width * scale, height * scale);
     map.hazards.forEach((hazard, k) => this.drawOne(c, view, hazard, this.states[k]));
     c.globalAlpha = 1;
+    for (const [name, route] of Object.entries(map.routes)) this.drawRoute(c, view, name, route);
+  }
+
+  // The way that a UGV plans.
+  drawRoute(c, { X, Y }, name, route) {
+    const { scene, colors } = this.store;
+    const vehicle = scene && scene.vehicles.find((one) => one.name === name);
+    c.beginPath();
+    for (const [x, y] of route) c.lineTo(X(x), Y(y));
+    c.strokeStyle = vehicle ? vehicle.color : colors.muted;
+    c.lineWidth = 1.4;
+    c.setLineDash([6, 4]);
+    c.stroke();
+    c.setLineDash([]);
   }
 
   drawOne(c, { X, Y, scale }, { kind, center, radius, corners }, state) {

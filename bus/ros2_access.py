@@ -1,0 +1,141 @@
+"""The rows of ROS 2 parties: what the router lets through for them, beside the key table.
+
+ROS 2 nodes with rmw_zenoh use keys of their own, `<domain>/<topic>/<type>/<hash>`, and liveliness tokens under
+`@ros2_lv`, which no `**` matches: each is named here. None of them can be a key of a run's own.
+
+| party | reads | writes |
+|---|---|---|
+| `ros2`, the bridge; `operator`'s bridge | `cmd_vel` and calls, if an operator's | all topics but vehicles' own |
+| `ros2_observer`, nodes that look on | all topics but vehicles' own | nothing |
+| `ros2_operator`, nodes that drive | the same | `cmd_vel`; calls of services |
+| a vehicle: its bridge and its node | `<vehicle>/pilot/...` of its own | the same |
+
+A vehicle sees the tokens of its own topics alone. Those carry names that anybody may choose: whoever declares one of a
+vehicle's topics could tell that vehicle something by it, so each vehicle's are its own to declare too.
+"""
+
+from bus.keys import Grant, Party, Role
+
+PILOT = "pilot"
+"""Second part of the topics that are a vehicle's own, such as `/uav_0/pilot/odom`: nobody else reads or writes them."""
+CMD_VEL = "cmd_vel"
+SERVICES = ("pause", "step", "reset")
+"""What an operator's nodes may call."""
+LARGEST = 1 << 20
+"""Larger payloads [bytes] of ROS 2 the router drops."""
+
+_TYPE = "*/RIHS01_$*"
+"""Type and hash: no key of ours ends with such a hash."""
+TOPICS = "*/*/**/RIHS01_$*"
+"""All data of ROS 2, in every domain."""
+_LATE = "@adv/**"
+"""After a topic's key: how transient-local topics serve those who come late."""
+_ANY_OWN = f"*/**/{PILOT}/*/{_TYPE}"
+_GRAPH = "@ros2_lv/**"
+_ENDPOINT = "@ros2_lv/*/*/*/*/*/*/*/*/{name}/*/*/*"
+COMMANDS = f"*/**/{CMD_VEL}/{_TYPE}"
+"""All velocities for UGVs, in every domain and namespace."""
+_CALLS = tuple(f"*/**/{service}/{_TYPE}" for service in SERVICES)
+
+
+def _late(*keys: str) -> tuple[str, ...]:
+    return tuple(f"{key}/{_LATE}" for key in keys)
+
+
+def _publishes(*keys: str) -> list[Grant]:
+    return [
+        Grant("put", "ingress", keys),
+        Grant("declare_subscriber", "egress", keys),
+        # The newest messages of what stays as it is, for those who come late.
+        Grant("liveliness_token", "ingress", _late(*keys)),
+        Grant("declare_queryable", "ingress", _late(*keys)),
+        Grant("query", "egress", _late(*keys)),
+        Grant("reply", "ingress", (*keys, *_late(*keys))),
+        Grant("declare_liveliness_subscriber", "egress", _late(*keys)),
+        Grant("liveliness_query", "egress", _late(*keys)),
+    ]
+
+
+def _subscribes(*keys: str) -> list[Grant]:
+    return [
+        Grant("declare_subscriber", "ingress", keys),
+        Grant("put", "egress", keys),
+        Grant("query", "ingress", _late(*keys)),
+        Grant("declare_queryable", "egress", _late(*keys)),
+        Grant("reply", "egress", (*keys, *_late(*keys))),
+        Grant("declare_liveliness_subscriber", "ingress", _late(*keys)),
+        Grant("liveliness_query", "ingress", _late(*keys)),
+        Grant("liveliness_token", "egress", _late(*keys)),
+    ]
+
+
+_LOOKS = [
+    Grant("declare_liveliness_subscriber", "ingress", (_GRAPH,)),
+    Grant("liveliness_query", "ingress", (_GRAPH,)),
+]
+_DECLARES = [
+    Grant("liveliness_token", "ingress", (_GRAPH,)),
+    Grant("liveliness_token", "egress", (_GRAPH,)),
+]
+_NOT_OWN = [
+    Grant(message, flow, (_ANY_OWN,), "deny")
+    for message, flow in (
+        ("put", "ingress"),
+        ("put", "egress"),
+        ("declare_subscriber", "ingress"),
+        ("declare_subscriber", "egress"),
+        ("reply", "ingress"),
+        ("reply", "egress"),
+    )
+] + [
+    Grant("liveliness_token", "ingress", (_ENDPOINT.format(name=f"$*%{PILOT}%$*"),), "deny"),
+    Grant("query", "ingress", _late(_ANY_OWN), "deny"),
+    Grant("query", "egress", _late(_ANY_OWN), "deny"),
+    Grant("declare_queryable", "ingress", _late(_ANY_OWN), "deny"),
+    Grant("liveliness_token", "ingress", _late(_ANY_OWN), "deny"),
+    Grant("liveliness_token", "egress", _late(_ANY_OWN), "deny"),
+]
+
+
+def _of_vehicle(name: str) -> list[Grant]:
+    own = f"*/{name}/{PILOT}/*/{_TYPE}"
+    tokens, node = _ENDPOINT.format(name=f"%{name}%{PILOT}%$*"), f"@ros2_lv/*/*/*/*/NN/*/%{name}/*"
+    return [
+        *_publishes(own),
+        *_subscribes(own),
+        *_LOOKS,
+        Grant("liveliness_token", "ingress", (tokens, node)),
+        Grant("liveliness_token", "egress", (tokens,)),
+    ]
+
+
+def _of_staff(role: Role) -> list[Grant]:
+    found: list[Grant] = []
+    if role in (Role.ROS2, Role.OPERATOR):
+        found += _publishes(TOPICS)
+    if role is Role.OPERATOR:
+        found += [
+            Grant("declare_subscriber", "ingress", (COMMANDS,)),
+            Grant("put", "egress", (COMMANDS,)),
+            Grant("declare_queryable", "ingress", _CALLS),
+            Grant("query", "egress", _CALLS),
+            Grant("reply", "ingress", _CALLS),
+        ]
+    if role in (Role.ROS2_OBSERVER, Role.ROS2_OPERATOR):
+        found += _subscribes(TOPICS)
+    if role is Role.ROS2_OPERATOR:
+        found += [
+            Grant("put", "ingress", (COMMANDS,)),
+            Grant("declare_subscriber", "egress", (COMMANDS,)),
+            Grant("query", "ingress", _CALLS),
+            Grant("declare_queryable", "egress", _CALLS),
+            Grant("reply", "egress", _CALLS),
+        ]
+    return [*found, *_LOOKS, *_DECLARES, *_NOT_OWN] if found else []
+
+
+def ros2_grants(party: Party) -> list[Grant]:
+    """What a party may do on the keys of ROS 2, in a run whose credentials have a bridge."""
+    if party.role in (Role.UAV, Role.UGV):
+        return _of_vehicle(party.name)
+    return _of_staff(party.role)

@@ -1,0 +1,1 @@
+"""Bridges to the buses that robots and tools speak already; each with an extra of its own."""

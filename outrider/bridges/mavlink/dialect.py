@@ -1,0 +1,17 @@
+"""The messages of MAVLink's common dialect, by pymavlink: an extra, which is missed in one line."""
+
+from typing import Any
+
+from bus.errors import ScenarioError
+
+try:
+    from pymavlink.dialects.v20 import common as mavlink
+except ImportError as error:
+    raise ScenarioError(
+        "mavlink: needs pymavlink: pip install 'outrider[mavlink]', or -e '.[mavlink]' in the clone"
+    ) from error
+
+__all__ = ["MavMessage", "mavlink"]
+
+MavMessage = Any
+"""A message of pymavlink's, which has no types."""

@@ -1,0 +1,191 @@
+"""Datagrams to and from ground stations and autopilots, as MAVLink messages; what is none is counted."""
+
+import select
+import socket
+import struct
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from bus.errors import BusError, ScenarioError
+from outrider.bridges.mavlink.dialect import MavMessage, mavlink
+
+UNREADABLE = "is no MAVLink message"
+_MOST = 500
+"""Datagrams that are read at once before anything else is done."""
+_LARGEST = 65_535
+_QUIET = 30.0
+"""A party that has been silent for so long is sent nothing more [s]."""
+_MOST_PEERS = 16
+
+
+class Address(NamedTuple):
+    """An end of a UDP connection."""
+
+    host: str
+    port: int
+
+
+class Peer(NamedTuple):
+    """A party of MAVLink's: two behind one address are two."""
+
+    address: Address
+    system: int
+    component: int
+
+    def __str__(self) -> str:
+        return f"{self.system}/{self.component} at {self.address.host}:{self.address.port}"
+
+
+def parse_address(text: str, *, listens: bool) -> Address:
+    """Host and port of `udpout:HOST:PORT` or `udpin:HOST:PORT`.
+
+    Args:
+        text: As the user has written it.
+        listens: True: it is where we listen.
+
+    Raises:
+        ScenarioError: If it is none.
+    """
+    kind = "udpin" if listens else "udpout"
+    first, *rest = text.split(":")
+    host, port = (rest[0], rest[1]) if len(rest) == 2 else ("", "")
+    if first != kind or not host or not port.isdecimal() or not 0 < int(port) < 65536:
+        option = "--in" if listens else "--to"
+        raise ScenarioError(
+            f"{option} {text}: allowed is {kind}:HOST:PORT, such as {kind}:127.0.0.1:14550"
+        )
+    return Address(host, int(port))
+
+
+@dataclass(slots=True)
+class _Line:
+    """A socket, and whom it reaches: one party, or whoever has spoken to it."""
+
+    socket: socket.socket
+    fixed: Address | None
+    heard: dict[Address, float]
+
+    def reached(self, now: float) -> list[Address]:
+        if self.fixed is not None:
+            return [self.fixed]
+        for address in [one for one, when in self.heard.items() if now - when > _QUIET]:
+            del self.heard[address]
+        return list(self.heard)
+
+
+class Network:
+    """All the sockets of one process.
+
+    Args:
+        out: Addresses that are told without having asked.
+        listen: Addresses at which others may ask.
+
+    Raises:
+        BusError: If an address cannot be used.
+    """
+
+    def __init__(self, out: Iterable[Address] = (), listen: Iterable[Address] = ()) -> None:
+        self.unreadable = 0
+        """Datagrams, or parts of them, that held no message."""
+        self.sent: Counter[str] = Counter()
+        """Messages by type, however many parties each went to."""
+        self._lines: list[_Line] = []
+        try:
+            for address in out:
+                self._lines.append(_Line(self._open(None, address), self._resolved(address), {}))
+            for address in listen:
+                self._lines.append(_Line(self._open(address, address), None, {}))
+        except BusError:
+            self.close()
+            raise
+
+    @staticmethod
+    def _resolved(address: Address) -> Address:
+        try:
+            found = socket.getaddrinfo(*address, socket.AF_INET, socket.SOCK_DGRAM)
+        except OSError as error:
+            raise BusError(
+                f"{address.host}:{address.port}: no such host ({error.strerror})"
+            ) from error
+        return Address(*found[0][4][:2])
+
+    @classmethod
+    def _open(cls, bound: Address | None, address: Address) -> socket.socket:
+        opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        opened.setblocking(False)
+        try:
+            if bound is not None:
+                opened.bind(cls._resolved(bound))
+        except OSError as error:
+            opened.close()
+            raise BusError(
+                f"cannot listen on {address.host}:{address.port} ({error.strerror}): is it in use?"
+            ) from error
+        except BusError:
+            opened.close()
+            raise
+        return opened
+
+    def receive(self, patience: float) -> Iterator[tuple[Peer, MavMessage]]:
+        """The messages that are there, after a wait of up to `patience` [s] for the first."""
+        sockets = {line.socket: line for line in self._lines}
+        ready, _, _ = select.select(list(sockets), [], [], patience)
+        for one in ready:
+            yield from self._read(sockets[one])
+
+    def _read(self, line: _Line) -> Iterator[tuple[Peer, MavMessage]]:
+        for _ in range(_MOST):
+            try:
+                data, (host, port) = line.socket.recvfrom(_LARGEST)
+            except BlockingIOError:
+                return
+            except OSError:  # nobody listened where we have sent
+                continue
+            found = self._parse(data)
+            address = Address(host, port)
+            if (
+                found
+                and line.fixed is None
+                and (address in line.heard or len(line.heard) < _MOST_PEERS)
+            ):
+                line.heard[address] = time.monotonic()
+            for message in found:
+                yield Peer(address, message.get_srcSystem(), message.get_srcComponent()), message
+
+    def _parse(self, data: bytes) -> list[MavMessage]:
+        """The messages of one datagram: each holds whole ones, so nothing of one can spoil the next."""
+        parser = mavlink.MAVLink(None)
+        parser.robust_parsing = True
+        try:
+            found = parser.parse_buffer(data) or []
+        except (mavlink.MAVError, struct.error, ValueError, IndexError):
+            self.unreadable += 1
+            return []
+        good = [one for one in found if one.get_type() != "BAD_DATA"]
+        self.unreadable += len(found) - len(good) + (parser.buf_len() > 0)
+        return good
+
+    def send(self, packed: bytes, kind: str, to: Address | None = None) -> None:
+        """Send a packed message.
+
+        Args:
+            packed: Its bytes.
+            kind: Its type, which is counted.
+            to: To this party alone; None: to everybody.
+        """
+        now = time.monotonic()
+        self.sent[kind] += 1
+        for line in self._lines:
+            for address in line.reached(now):
+                if to is None or to == address:
+                    with suppress(OSError):  # a full buffer, or nobody there: as a radio would
+                        line.socket.sendto(packed, address)
+
+    def close(self) -> None:
+        """Give back all sockets."""
+        for line in self._lines:
+            line.socket.close()

@@ -1,0 +1,604 @@
+"""Telemetry as ROS 2 messages: pure functions, one a topic.
+
+Frames by REP 103 and 105: `map` with x east, y north, z up, in metres; `uav_0/base_link` moves in it. Vehicles are
+points in the plane and have no heading, so a base_link is never turned against the map: what stands in the one frame
+can be read in the other, and a twist in `uav_0/base_link` is the velocity in `map`. Stamps are simulated time.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from bus.messages import (
+    CoverageMap,
+    Detection,
+    EscortTruth,
+    GroundMap,
+    HazardOutline,
+    LinkStatus,
+    Message,
+    Status,
+    Truth,
+    UavReport,
+    Vector,
+    VehicleStatus,
+)
+from outrider.bridges.ros2.interfaces import make
+from sim.scene.colors import FAINT, HAZARDS, LIMIT, rgb
+from sim.scene.model import Scene
+
+MAP = "map"
+_FLAT = 0.02
+"""Thickness of what lies on the ground [m]."""
+_CYLINDER, _LINE_STRIP, _TRIANGLES = 3, 4, 11
+_OK, _WARN, _ERROR = b"\x00", b"\x01", b"\x02"
+_LATE, _MISSING_SHARE = 1.0, 0.05
+_GRID = (-1, 0, 50, 100, 0, -1)
+"""Occupancy of a tile by its code in a `GroundMap`: not seen, clear, rough, blocked, a find, seen and not told."""
+
+
+def base_link(vehicle: str) -> str:
+    """The frame of a vehicle."""
+    return f"{vehicle}/base_link"
+
+
+def sensor_frame(vehicle: str) -> str:
+    """The frame of a UAV's downward sensor."""
+    return f"{vehicle}/sensor"
+
+
+@dataclass(slots=True)
+class Track:
+    """The way that a vehicle has come, thinned out: as many points however long it is."""
+
+    times: list[float] = field(default_factory=list)
+    """[s]"""
+    positions: list[Vector] = field(default_factory=list)
+    """[m]"""
+    step: float = 0.1
+    """Least distance between two points [m]."""
+
+    def add(self, time: float, position: Vector, most: int = 500) -> None:
+        """Take a position down if it is far enough from the last.
+
+        Args:
+            time: When [s].
+            position: Where [m].
+            most: Points from which on every second one is forgotten.
+        """
+        if self.times and time < self.times[-1]:
+            self.times, self.positions, self.step = [], [], Track().step  # another flight
+        if self.positions and math.dist(self.positions[-1], position) < self.step:
+            return
+        self.times.append(time)
+        self.positions.append(position)
+        if len(self.times) > most:
+            self.times, self.positions, self.step = (
+                self.times[::2],
+                self.positions[::2],
+                2.0 * self.step,
+            )
+
+
+@dataclass(slots=True, kw_only=True)
+class RunView:
+    """The facts about a run that conversion needs beside the message itself."""
+
+    scene: Scene
+    dt: float
+    """Time between two ticks [s]."""
+    tracks: dict[str, Track] = field(default_factory=dict)
+    hazards: tuple[HazardOutline, ...] = ()
+    """Of the flight: a recording tells them in its first map alone."""
+    own: tuple[Any, ...] = ()
+    """Diagnostics of the bridge itself."""
+
+    def follow(self, message: Message | None) -> None:
+        """Take down what later messages need: the vehicles' positions for their paths, and a flight's hazards."""
+        match message:
+            case Truth():
+                for name, vehicle in message.vehicles.items():
+                    self.tracks.setdefault(name, Track()).add(message.time, vehicle.position)
+            case GroundMap() if message.hazards:
+                self.hazards = message.hazards
+
+
+def stamp(seconds: float) -> Any:  # noqa: ANN401 - generated classes have no types
+    """A simulated time."""
+    nanoseconds = round(seconds * 1e9)
+    return make(
+        "builtin_interfaces/msg/Time", sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9
+    )
+
+
+def seconds_of(time: Any) -> float:  # noqa: ANN401 - likewise
+    """A stamp [s]."""
+    return float(time.sec) + 1e-9 * float(time.nanosec)
+
+
+def header(seconds: float, frame: str = MAP) -> Any:  # noqa: ANN401 - likewise
+    """A header in a frame."""
+    return make("std_msgs/msg/Header", stamp=stamp(seconds), frame_id=frame)
+
+
+def _point(position: Vector, z: float = 0.0) -> Any:  # noqa: ANN401
+    return make("geometry_msgs/msg/Point", x=position[0], y=position[1], z=z)
+
+
+def _vector(value: Vector, z: float = 0.0) -> Any:  # noqa: ANN401
+    return make("geometry_msgs/msg/Vector3", x=value[0], y=value[1], z=z)
+
+
+def _upright() -> Any:  # noqa: ANN401
+    return make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+
+
+def _pose(position: Vector) -> Any:  # noqa: ANN401
+    return make("geometry_msgs/msg/Pose", position=_point(position), orientation=_upright())
+
+
+def _covariance(xx: float = 0.0, xy: float = 0.0, yy: float = 0.0) -> Any:  # noqa: ANN401
+    found = np.zeros(36)
+    found[[0, 1, 6, 7]] = xx, xy, xy, yy
+    return found
+
+
+def clock(truth: Truth) -> Any:  # noqa: ANN401
+    """Simulated time, for nodes with `use_sim_time`."""
+    return make("rosgraph_msgs/msg/Clock", clock=stamp(truth.time))
+
+
+def transform(seconds: float, parent: str, child: str, position: Vector) -> Any:  # noqa: ANN401
+    """The place of a frame in another."""
+    return make(
+        "geometry_msgs/msg/TransformStamped",
+        header=header(seconds, parent),
+        child_frame_id=child,
+        transform=make(
+            "geometry_msgs/msg/Transform", translation=_vector(position), rotation=_upright()
+        ),
+    )
+
+
+def transforms(truth: Truth) -> Any:  # noqa: ANN401
+    """Where each vehicle truly is: `map` to its base_link."""
+    found = [
+        transform(truth.time, MAP, base_link(name), vehicle.position)
+        for name, vehicle in truth.vehicles.items()
+    ]
+    return make("tf2_msgs/msg/TFMessage", transforms=found)
+
+
+def static_transforms(view: RunView) -> Any:  # noqa: ANN401
+    """The UAVs' downward sensors: their x axis looks at the ground."""
+    half = math.sqrt(0.5)
+    down = make("geometry_msgs/msg/Quaternion", x=0.0, y=half, z=0.0, w=half)
+    found = []
+    for vehicle in view.scene.vehicles:
+        if vehicle.flies:
+            one = transform(0.0, base_link(vehicle.name), sensor_frame(vehicle.name), (0.0, 0.0))
+            one.transform.rotation = down
+            found.append(one)
+    return make("tf2_msgs/msg/TFMessage", transforms=found)
+
+
+def odometry(seconds: float, vehicle: str, position: Vector, velocity: Vector) -> Any:  # noqa: ANN401
+    """A vehicle's position and velocity.
+
+    Args:
+        seconds: When [s].
+        vehicle: Its name.
+        position: In `map` [m].
+        velocity: In its base_link, which is never turned [m/s].
+    """
+    twist = make("geometry_msgs/msg/Twist", linear=_vector(velocity), angular=_vector((0.0, 0.0)))
+    return make(
+        "nav_msgs/msg/Odometry",
+        header=header(seconds),
+        child_frame_id=base_link(vehicle),
+        pose=make(
+            "geometry_msgs/msg/PoseWithCovariance", pose=_pose(position), covariance=_covariance()
+        ),
+        twist=make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=_covariance()),
+    )
+
+
+def true_odometry(truth: Truth, vehicle: str) -> Any:  # noqa: ANN401
+    """Where a vehicle truly is."""
+    state = truth.vehicles[vehicle]
+    return odometry(truth.time, vehicle, state.position, state.velocity)
+
+
+def acceleration(truth: Truth, vehicle: str) -> Any:  # noqa: ANN401
+    """What was applied since the last tick, after the bounds [m/s²]."""
+    return make(
+        "geometry_msgs/msg/AccelStamped",
+        header=header(truth.time, base_link(vehicle)),
+        accel=make(
+            "geometry_msgs/msg/Accel",
+            linear=_vector(truth.vehicles[vehicle].acceleration),
+            angular=_vector((0.0, 0.0)),
+        ),
+    )
+
+
+def path(view: RunView, truth: Truth, vehicle: str) -> Any:  # noqa: ANN401
+    """The way that a vehicle has come."""
+    track = view.tracks.get(vehicle, Track())
+    poses = [
+        make("geometry_msgs/msg/PoseStamped", header=header(time), pose=_pose(position))
+        for time, position in zip(track.times, track.positions, strict=True)
+    ]
+    return make("nav_msgs/msg/Path", header=header(truth.time), poses=poses)
+
+
+def escort_of(truth: Truth, uav: str) -> EscortTruth | None:
+    """How a UAV stands to its UGV; None where it escorts none."""
+    return next((one for one in truth.escorts if one.uav == uav), None)
+
+
+def detection(seconds: float, uav: str, relative_position: Vector) -> Any:  # noqa: ANN401
+    """Where a UAV has seen its UGV, from itself: -p_delta.
+
+    Args:
+        seconds: When it was taken [s].
+        uav: Its name.
+        relative_position: p_delta = p_a - p_g with noise [m].
+    """
+    x, y = relative_position
+    return make(
+        "geometry_msgs/msg/PointStamped",
+        header=header(seconds, base_link(uav)),
+        point=_point((-x, -y)),
+    )
+
+
+def true_detection(truth: Truth, uav: str) -> Any:  # noqa: ANN401
+    """What a UAV's detector has taken at this tick; None: nothing."""
+    escort = escort_of(truth, uav)
+    if escort is None or escort.detection is None:
+        return None
+    return detection(truth.time, uav, escort.detection)
+
+
+def own_detection(uav: str, look: Detection) -> Any:  # noqa: ANN401
+    """A detection that has come to its computer."""
+    return detection(look.time, uav, look.relative_position)
+
+
+def _report_of(truth: Truth, uav: str) -> UavReport | None:
+    escort = escort_of(truth, uav)
+    return None if escort is None else escort.report
+
+
+def estimate(truth: Truth, uav: str) -> Any:  # noqa: ANN401
+    """Where a UAV believes its UGV to be, with its covariance; None: it says nothing."""
+    report = _report_of(truth, uav)
+    if report is None:
+        return None
+    return make(
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        header=header(truth.time),
+        pose=make(
+            "geometry_msgs/msg/PoseWithCovariance",
+            pose=_pose(report.estimate),
+            covariance=_covariance(*report.covariance),
+        ),
+    )
+
+
+def distance(truth: Truth, uav: str) -> Any:  # noqa: ANN401
+    """|p_a - p_g| of a UAV and its UGV [m]."""
+    escort = escort_of(truth, uav)
+    return None if escort is None else make("std_msgs/msg/Float64", data=escort.distance)
+
+
+def coverage_error(truth: Truth, uav: str) -> Any:  # noqa: ANN401
+    """e(t) of (4) [m²]."""
+    escort = escort_of(truth, uav)
+    return None if escort is None else make("std_msgs/msg/Float64", data=escort.coverage_error)
+
+
+def _grid(seconds: float, cell: float, cells: np.ndarray[Any, Any]) -> Any:  # noqa: ANN401
+    rows, columns = cells.shape
+    info = make(
+        "nav_msgs/msg/MapMetaData",
+        map_load_time=stamp(0.0),
+        resolution=cell,
+        width=columns,
+        height=rows,
+        origin=_pose((0.0, 0.0)),
+    )
+    return make(
+        "nav_msgs/msg/OccupancyGrid",
+        header=header(seconds),
+        info=info,
+        data=cells.reshape(-1).astype(np.int8),
+    )
+
+
+def _cells(raw: bytes, rows: int, columns: int) -> np.ndarray[Any, Any]:
+    return np.frombuffer(raw, np.uint8).reshape(rows, columns)
+
+
+def coverage(view: RunView, told: CoverageMap) -> Any:  # noqa: ANN401
+    """The share of the desired coverage that each cell has [%]."""
+    shares = _cells(told.cells, told.rows, told.columns).astype(np.uint16)
+    return _grid(view.dt * told.tick, told.cell, (shares * 100 + 127) // 255)
+
+
+def ground(view: RunView, told: GroundMap) -> Any:  # noqa: ANN401
+    """The ground as the UGVs know it: -1 not known, 0 clear, 50 rough, 100 blocked."""
+    codes = _cells(told.tiles, told.rows, told.columns)
+    return _grid(view.dt * told.tick, told.tile, np.array(_GRID, np.int8)[codes])
+
+
+def _colour(code: str, opacity: float) -> Any:  # noqa: ANN401
+    r, g, b = rgb(code)
+    return make("std_msgs/msg/ColorRGBA", r=r, g=g, b=b, a=opacity)
+
+
+def marker(
+    *,
+    frame: str,
+    name: str,
+    number: int,
+    shape: int,
+    colour: Any,  # noqa: ANN401
+    position: Vector = (0.0, 0.0),
+    scale: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    points: Iterable[Vector] = (),
+) -> Any:  # noqa: ANN401
+    """A marker that stays until another one with its name and number comes, and moves with its frame."""
+    return make(
+        "visualization_msgs/msg/Marker",
+        header=header(0.0, frame),
+        ns=name,
+        id=number,
+        type=shape,
+        action=0,
+        pose=_pose(position),
+        scale=make("geometry_msgs/msg/Vector3", x=scale[0], y=scale[1], z=scale[2]),
+        color=colour,
+        lifetime=make("builtin_interfaces/msg/Duration", sec=0, nanosec=0),
+        frame_locked=True,
+        points=[_point(corner) for corner in points],
+        colors=[],
+        texture_resource="",
+        texture=make(
+            "sensor_msgs/msg/CompressedImage",
+            header=header(0.0, ""),
+            format="",
+            data=np.zeros(0, np.uint8),
+        ),
+        uv_coordinates=[],
+        text="",
+        mesh_resource="",
+        mesh_file=make("visualization_msgs/msg/MeshFile", filename="", data=np.zeros(0, np.uint8)),
+        mesh_use_embedded_materials=False,
+    )
+
+
+def discs(view: RunView) -> Any:  # noqa: ANN401
+    """Circles that move with the vehicles, the vehicles themselves, and the edge of the ground."""
+    scene = view.scene
+    found = [
+        marker(
+            frame=base_link(ring.around),
+            name=f"{ring.around}/{ring.symbol}",
+            number=0,
+            shape=_LINE_STRIP,
+            colour=_colour(ring.color, 0.9),
+            scale=(0.05, 0.0, 0.0),
+            points=_circle(ring.radius),
+        )
+        for ring in scene.rings
+    ]
+    found += [
+        marker(
+            frame=base_link(vehicle.name),
+            name=f"{vehicle.name}/body",
+            number=0,
+            shape=_CYLINDER,
+            colour=_colour(vehicle.color, 1.0),
+            scale=(0.4, 0.4, 0.15),
+        )
+        for vehicle in scene.vehicles
+    ]
+    corners = [
+        (0.0, 0.0),
+        (scene.width, 0.0),
+        (scene.width, scene.height),
+        (0.0, scene.height),
+        (0.0, 0.0),
+    ]
+    found.append(
+        marker(
+            frame=MAP,
+            name="area",
+            number=0,
+            shape=_LINE_STRIP,
+            colour=_colour(LIMIT, 0.5),
+            scale=(0.05, 0.0, 0.0),
+            points=corners,
+        )
+    )
+    return make("visualization_msgs/msg/MarkerArray", markers=found)
+
+
+def _circle(radius: float, corners: int = 72) -> list[Vector]:
+    angles = [2.0 * math.pi * k / corners for k in range(corners + 1)]
+    return [(radius * math.cos(angle), radius * math.sin(angle)) for angle in angles]
+
+
+def hazards(view: RunView, told: GroundMap) -> Any:  # noqa: ANN401
+    """The hazards as they truly lie on the ground; faint those that no UGV knows of."""
+    found = []
+    for number, (outline, state) in enumerate(zip(view.hazards, told.states, strict=False)):
+        colour = _colour(LIMIT if state > 1 else HAZARDS[outline.kind], 1.0 if state else FAINT)
+        if outline.radius > 0.0:
+            side = 2.0 * outline.radius
+            found.append(
+                marker(
+                    frame=MAP,
+                    name=outline.kind,
+                    number=number,
+                    shape=_CYLINDER,
+                    colour=colour,
+                    position=outline.center,
+                    scale=(side, side, _FLAT),
+                )
+            )
+        else:
+            first, *rest = outline.corners
+            corners = [one for pair in pairwise(rest) for one in (first, *pair)]
+            found.append(
+                marker(
+                    frame=MAP,
+                    name=outline.kind,
+                    number=number,
+                    shape=_TRIANGLES,
+                    colour=colour,
+                    points=corners,
+                )
+            )
+    return make("visualization_msgs/msg/MarkerArray", markers=found)
+
+
+def _values(pairs: Mapping[str, object]) -> list[Any]:
+    return [
+        make("diagnostic_msgs/msg/KeyValue", key=key, value=_told(value))
+        for key, value in pairs.items()
+    ]
+
+
+def _told(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return "-" if value is None else str(value)
+
+
+def diagnostic(
+    name: str, values: Mapping[str, object], *, level: bytes = _OK, message: str = "ok"
+) -> Any:  # noqa: ANN401
+    """The state of one part of the run.
+
+    Args:
+        name: Of the part.
+        values: Numbers and words, by name.
+        level: One of OK, WARN and ERROR of `diagnostic_msgs`.
+        message: In a few words.
+    """
+    return make(
+        "diagnostic_msgs/msg/DiagnosticStatus",
+        level=level[0],
+        name=f"outrider: {name}",
+        message=message,
+        hardware_id="outrider",
+        values=_values(values),
+    )
+
+
+def _run_diagnostic(status: Status) -> Any:  # noqa: ANN401
+    warnings = (*status.warnings, *status.refusals[-1:])
+    words = "over" if status.over else "paused" if status.paused else "flying"
+    return diagnostic(
+        "run",
+        {
+            "scenario": status.scenario,
+            "seed": status.seed,
+            "tick": status.tick,
+            "ticks": status.ticks,
+            "law": status.law,
+            "realtime_factor": status.realtime_factor,
+            "wanted_factor": status.wanted_factor,
+            "late_ticks": status.late_ticks,
+        }
+        | {f"driver of {name}": driver for name, driver in status.drivers.items()},
+        level=_WARN if warnings else _OK,
+        message="; ".join((words, *warnings)),
+    )
+
+
+def _link_diagnostic(name: str, link: LinkStatus) -> Any:  # noqa: ANN401
+    ratio = link.delivery_ratio
+    bad = ratio is not None and ratio < 1.0 - _MISSING_SHARE
+    late = link.age is not None and link.age > _LATE
+    words = [
+        *(("loses messages",) if bad else ()),
+        *((f"its newest is {link.age:.1f} s old",) if late and link.age is not None else ()),
+    ]
+    return diagnostic(
+        f"link {name}",
+        {
+            "sent": link.sent,
+            "delivered": link.delivered,
+            "waiting": link.waiting,
+            "flying": link.flying,
+            "delivery_ratio": ratio,
+            "age": link.age,
+            "mean_age": link.mean_age,
+            "max_age": link.max_age,
+        }
+        | {f"lost: {cause}": count for cause, count in link.lost.items()},
+        level=_WARN if words else _OK,
+        message=", ".join(words) or "ok",
+    )
+
+
+def _vehicle_diagnostic(name: str, vehicle: VehicleStatus, *, over: bool) -> Any:  # noqa: ANN401
+    gone = not vehicle.present and not over
+    faulty = bool(vehicle.missing_commands or vehicle.refused or vehicle.last_fault)
+    return diagnostic(
+        f"vehicle {name}",
+        {
+            "present": vehicle.present,
+            "missing_commands": vehicle.missing_commands,
+            "stale_commands": vehicle.stale_commands,
+            "shortened_commands": vehicle.shortened_commands,
+            "lost": vehicle.lost,
+            "rejoined": vehicle.rejoined,
+        }
+        | {f"refused: {cause}": count for cause, count in vehicle.refused.items()},
+        level=_ERROR if gone else _WARN if faulty else _OK,
+        message="its process is away" if gone else vehicle.last_fault or "ok",
+    )
+
+
+def diagnostics(status: Status, own: Iterable[Any] = ()) -> Any:  # noqa: ANN401
+    """The run, its links, its vehicles' processes, and what is certified or why it is not.
+
+    Args:
+        status: What the simulator tells.
+        own: More of them.
+    """
+    found = [_run_diagnostic(status)]
+    found += [
+        diagnostic(
+            f"certificate {name}",
+            {"certified": certified},
+            level=_OK if certified else _WARN,
+            message="sight is certified to be kept"
+            if certified
+            else f"not certified: {status.uncertified.get(name, 'no reason is told')}",
+        )
+        for name, certified in status.certified.items()
+    ]
+    if status.mission is not None:
+        mission = status.mission
+        told = {name: getattr(mission, name) for name in mission.__struct_fields__}
+        found.append(diagnostic("mission", told, level=_WARN if mission.hazards_hit else _OK))
+    found += [
+        _vehicle_diagnostic(name, vehicle, over=status.over)
+        for name, vehicle in status.vehicles.items()
+    ]
+    found += [_link_diagnostic(name, link) for name, link in status.links.items()]
+    return make(
+        "diagnostic_msgs/msg/DiagnosticArray",
+        header=header(status.time, ""),
+        status=[*found, *own],
+    )

@@ -1,0 +1,95 @@
+"""ROS 2's message types: made, hashed, written as CDR and read back.
+
+The types are those of Jazzy; of the ones that are used here every distribution from Jazzy on has the same hashes.
+"""
+
+from functools import cache
+from typing import Any
+
+from bus.errors import BusError, ScenarioError
+
+_MOST_ITEMS = 1 << 20
+"""Elements of a sequence that is read: what claims to have more is no message to us."""
+_SERVICES = {
+    "std_srvs/srv/SetBool": (
+        "bool data",
+        "bool success\nstring message",
+        "RIHS01_abe9e4bb6b41b40e6789712c00ec8871923e089af3f667a79992a428cff2da0a",
+    ),
+    "std_srvs/srv/Trigger": (
+        "uint8 structure_needs_at_least_one_member",
+        "bool success\nstring message",
+        "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f",
+    ),
+}
+
+
+def require_extra() -> None:
+    """Refuse to go on without the packages of the extra.
+
+    Raises:
+        ScenarioError: If one is missing.
+    """
+    try:
+        import rosbags.typesys  # noqa: F401, PLC0415
+        import xxhash  # noqa: F401, PLC0415
+    except ImportError as error:
+        raise ScenarioError(f"ros2: {error.name} is missing: pip install -e '.[ros2]'") from error
+
+
+@cache
+def type_store() -> Any:  # noqa: ANN401 - rosbags' store of generated classes
+    """The types of ROS 2 Jazzy, with those of the services that are offered."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.max_sequence_length = _MOST_ITEMS
+    for name, (request, response, _) in _SERVICES.items():
+        store.register(get_types_from_msg(request, request_of(name)))
+        store.register(get_types_from_msg(response, response_of(name)))
+    return store
+
+
+def request_of(service: str) -> str:
+    """The type of a service's requests: it is no message of its own to ROS 2, but one to us."""
+    return f"{service.replace('/srv/', '/msg/')}_Request"
+
+
+def response_of(service: str) -> str:
+    """The type of a service's responses, likewise."""
+    return f"{service.replace('/srv/', '/msg/')}_Response"
+
+
+@cache
+def _message_class(name: str) -> Any:  # noqa: ANN401 - a generated class
+    return type_store().types[name]
+
+
+def make(interface: str, /, **fields: object) -> Any:  # noqa: ANN401 - an object of a generated class
+    """A message of a type, such as `geometry_msgs/msg/Point`, with all its fields."""
+    return _message_class(interface)(**fields)
+
+
+@cache
+def type_hash(name: str) -> str:
+    """The RIHS01 hash of a message's or service's type."""
+    if name in _SERVICES:
+        return _SERVICES[name][2]
+    return str(type_store().hash_rihs01(name))
+
+
+def encode(name: str, message: object) -> bytes:
+    """A message as CDR, little-endian, with its encapsulation header."""
+    return bytes(type_store().serialize_cdr(message, name, little_endian=True))
+
+
+def decode(name: str, raw: bytes) -> Any:  # noqa: ANN401 - an object of a generated class
+    """The message in these bytes.
+
+    Raises:
+        BusError: If they are no CDR of this type.
+    """
+    try:
+        return type_store().deserialize_cdr(raw, name)
+    except Exception as error:  # generated code raises whatever it meets in foreign bytes
+        raise BusError(f"{name}: {error}") from error

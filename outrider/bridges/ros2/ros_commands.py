@@ -1,0 +1,247 @@
+"""The bridge as an operator: velocities and calls of services from ROS 2, checked, and passed on or counted by cause.
+
+A UGV has no heading: `linear.x` is its velocity east and `linear.y` north, in `map` as in its base_link.
+"""
+
+import logging
+import math
+import threading
+import time
+from collections import Counter
+from collections.abc import Mapping
+from functools import partial
+from typing import Any, NamedTuple, Protocol
+
+from bus.errors import BusError
+from bus.messages import Action, Control, Limits, Status, Vector
+from bus.registry import TELEOP
+from bus.ros2_access import CMD_VEL, COMMANDS, SERVICES
+from outrider.bridges.ros2.conversion import MAP, base_link
+from outrider.bridges.ros2.interfaces import (
+    decode,
+    encode,
+    make,
+    request_of,
+    response_of,
+    type_hash,
+)
+from outrider.bridges.ros2.ros_node import RosNode
+from outrider.bridges.ros2.topics import wire_topic
+from outrider.bridges.ros2.wire import NEWEST, dds_type
+from outrider.view.operator import Helm
+
+_LOG = logging.getLogger("outrider.ros2")
+TWISTS = ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Twist")
+_INTERFACES = {dds_type(one): one for one in TWISTS}
+_RELEASE = 1.0
+"""Silence after which a wheel is free for another node, and is taken anew [s]."""
+_SLACK = 1e-9
+"""Of a speed, as a share: what rounding alone may add."""
+_DRIVER = "ROS 2"
+
+
+class Refused(Exception):
+    """A message that is not passed on.
+
+    Args:
+        cause: In a few words, the same for all alike.
+        told: What was wrong with this one.
+    """
+
+    def __init__(self, cause: str, told: str) -> None:
+        super().__init__(f"{cause}: {told}")
+        self.cause = cause
+
+
+class Wish(NamedTuple):
+    """A velocity that a node wants a UGV to drive."""
+
+    vehicle: str
+    velocity: Vector
+    """[m/s]"""
+
+
+class Refusals:
+    """Counts what was refused, and logs the 1st, 2nd, 4th, 8th of each cause: a flood must not fill a log."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+        self.fault = ""
+        """Why the last one was refused."""
+
+    def add(self, refused: Refused) -> None:
+        """Take one down."""
+        line = "".join(one if one.isprintable() else "?" for one in str(refused)[:300])
+        self.counts[refused.cause] += 1
+        self.fault = line
+        count = self.counts[refused.cause]
+        if count & (count - 1) == 0:
+            _LOG.warning("refused %s (%d so far)", line, count)
+
+
+def wish_of(
+    key: str, payload: bytes, *, domain: int, namespace: str, ugvs: Mapping[str, Limits]
+) -> Wish:
+    """The velocity that a message on a `cmd_vel` asks for.
+
+    Args:
+        key: Of the message.
+        payload: As it came.
+        domain: ROS 2's domain id here.
+        namespace: Before the names of our topics; empty: none.
+        ugvs: The run's UGVs and their bounds.
+
+    Raises:
+        Refused: If it is not passed on, whatever the reason.
+    """
+    there, *middle, _topic, interface, hashed = key.split("/")
+    if there != str(domain):
+        raise Refused("another domain", f"{there}; this is {domain}")
+    parts = [part for part in namespace.split("/") if part]
+    vehicle = middle[-1] if middle else ""
+    if middle[:-1] != parts or vehicle not in ugvs:
+        raise Refused("no such UGV", f"{'/'.join(middle)}; there are {', '.join(ugvs)}")
+    name = _INTERFACES.get(interface)
+    if name is None:
+        raise Refused("another type", f"{interface}; allowed are {' and '.join(TWISTS)}")
+    if hashed != type_hash(name):
+        raise Refused("another hash", f"{hashed} of {name}; here it is {type_hash(name)}")
+    try:
+        told = decode(name, payload)
+    except BusError as error:
+        raise Refused("no CDR of its type", str(error)) from error
+    return Wish(vehicle, _velocity(told, vehicle, ugvs[vehicle]))
+
+
+def _velocity(told: Any, vehicle: str, limits: Limits) -> Vector:  # noqa: ANN401 - generated classes have no types
+    stamped = hasattr(told, "header")
+    twist = told.twist if stamped else told
+    if stamped and told.header.frame_id not in ("", MAP, base_link(vehicle)):
+        raise Refused(
+            "another frame", f"{told.header.frame_id}; allowed are {MAP} and {base_link(vehicle)}"
+        )
+    moves, turns = twist.linear, twist.angular
+    values = (moves.x, moves.y, moves.z, turns.x, turns.y, turns.z)
+    if not all(map(math.isfinite, values)):
+        raise Refused("no finite number", f"{values}")
+    if any(values[2:]):
+        raise Refused(
+            "climbs or turns", f"{values}; a UGV has no heading: x is east, y north, the rest 0"
+        )
+    speed, most = math.hypot(moves.x, moves.y), limits.max_speed
+    if most is not None and speed > most * (1.0 + _SLACK):
+        raise Refused("beyond the limits", f"{speed:.6g} m/s; allowed up to {most:.6g}")
+    return float(moves.x), float(moves.y)
+
+
+class Speaker(Protocol):
+    """Says what an operator wants; `outrider.view.operator.RunClient` does."""
+
+    def control(self, control: Control) -> bool:
+        """Say something to the simulator; False if it cannot be said."""
+
+    def drive(self, vehicle: str, drive: Any) -> bool:  # noqa: ANN401 - a Drive
+        """Say something to a UGV; False if it cannot be said."""
+
+
+class _Wheel:
+    """Whose a UGV's wheel is."""
+
+    def __init__(self) -> None:
+        self.node, self.heard = b"", -math.inf
+
+
+class RosCommands:
+    """Takes velocities and calls from ROS 2's nodes.
+
+    Args:
+        node: The bridge's.
+        client: Says what is wanted.
+        namespace: Before the names of all topics; empty: none.
+        refusals: Where what is refused is counted.
+    """
+
+    def __init__(
+        self, node: RosNode, client: Speaker, *, namespace: str, refusals: Refusals
+    ) -> None:
+        self._node, self._client, self._namespace = node, client, namespace
+        self._refusals = refusals
+        self._helm = Helm(client.control, client.drive)
+        self._wheels: dict[str, _Wheel] = {}
+        self._lock = threading.Lock()
+        self._status: Status | None = None
+        self._shown: set[str] = set()
+        self.taken = 0
+        """Commands and calls that were passed on."""
+        # Of every domain, vehicle and type: what is not for us is counted, not overheard.
+        node.receive(COMMANDS, self._receive)
+        for service in SERVICES:
+            interface = "std_srvs/srv/SetBool" if service == "pause" else "std_srvs/srv/Trigger"
+            topic = wire_topic(interface, f"/{service}", namespace)
+            node.service(topic, partial(self._serve, service, interface))
+
+    def follow(self, status: Status | None) -> None:
+        """Take in what the simulator tells: whose wheels there are."""
+        self._status = status
+        for vehicle in self._ugvs():
+            if vehicle not in self._shown:
+                self._shown.add(vehicle)
+                for interface in TWISTS:
+                    topic = wire_topic(interface, f"/{vehicle}/{CMD_VEL}", self._namespace)
+                    self._node.show_subscription(topic, NEWEST)
+
+    def _ugvs(self) -> dict[str, Limits]:
+        if self._status is None or self._status.geometry is None:
+            return {}
+        geometry = self._status.geometry
+        return {name: own for name, own in geometry.limits.items() if name not in geometry.uavs}
+
+    def _receive(self, key: str, payload: bytes, sender: bytes) -> None:
+        with self._lock:
+            try:
+                wish = wish_of(
+                    key,
+                    payload,
+                    domain=self._node.domain,
+                    namespace=self._namespace,
+                    ugvs=self._ugvs(),
+                )
+                self._pass_on(wish, sender)
+            except Refused as refused:
+                self._refusals.add(refused)
+
+    def _pass_on(self, wish: Wish, sender: bytes) -> None:
+        wheel = self._wheels.setdefault(wish.vehicle, _Wheel())
+        now = time.monotonic()
+        begins = now - wheel.heard > _RELEASE
+        if not begins and sender != wheel.node:
+            raise Refused("another node is at the wheel", wish.vehicle)
+        wheel.node, wheel.heard = sender, now
+        driver = self._status.drivers.get(wish.vehicle, "") if self._status is not None else ""
+        if begins and driver != TELEOP:
+            self._helm.take(wish.vehicle, driver)
+        if not self._helm.steer(wish.vehicle, _DRIVER, wish.velocity):
+            raise Refused("the bus takes no more", wish.vehicle)
+        self.taken += 1
+
+    def _serve(self, service: str, interface: str, raw: bytes) -> bytes:
+        answer = response_of(interface)
+        try:
+            request = decode(request_of(interface), raw)
+        except BusError as error:
+            with self._lock:
+                self._refusals.add(Refused("no CDR of its type", str(error)))
+            return encode(answer, make(answer, success=False, message=str(error)[:300]))
+        resumes = service == "pause" and not request.data
+        action = Action.RESUME if resumes else Action(service)
+        said = self._client.control(Control(action=action))
+        with self._lock:
+            self.taken += said
+        told = f"{action.value} at the next tick" if said else "the bus takes no more messages"
+        return encode(answer, make(answer, success=said, message=told))
+
+    def hand_back(self) -> None:
+        """Let the drivers from before drive on."""
+        if self._status is not None and not self._status.over:
+            for vehicle in self._helm.waiting(self._status.drivers):
+                self._helm.hand_back(vehicle)

@@ -1,0 +1,348 @@
+"""`outrider mavlink`: a run for ground stations, and a UAV that is flown over MAVLink."""
+
+import os
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+import typer
+
+from outrider.cli.options import (
+    DEFAULT_ENDPOINT,
+    DEFAULT_RUN,
+    Connect,
+    CredentialFile,
+    Insecure,
+    Json,
+    RunName,
+    check_endpoints,
+    credential_of,
+)
+from outrider.cli.pilots import JoinTimeout
+
+if TYPE_CHECKING:
+    from agents.process import MakePilot
+    from bus.access import Credential
+    from bus.messages import Status
+    from bus.session import Session
+    from outrider.bridges.mavlink.identity import VehicleSystem
+    from outrider.bridges.mavlink.offboard import Served
+    from outrider.bridges.mavlink.run_gateway import RunGateway
+    from outrider.bridges.mavlink.udp import Network
+    from outrider.cli.stopping import Stop
+    from outrider.view.operator import RunClient
+
+_OUT, _OFFBOARD = "udpout:127.0.0.1:14550", "udpout:127.0.0.1:14540"
+_AUTOPILOT = "udpin:127.0.0.1:14540"
+_LINGER = 0.6
+"""The time for which a run that is over is still told [s]: one that is reset goes on."""
+_ALONE = 3.0
+"""After so long without a router it has gone [s]."""
+_NICE = 5
+"""On a machine that is busy the run goes first."""
+_TURN = 0.02
+"""The longest time between two looks at the run [s]."""
+
+
+def command(
+    out: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--to",
+            metavar="udpout:HOST:PORT",
+            help=f"A ground station that is told of the run; may be repeated. By default {_OUT}, "
+            "where QGroundControl and MAVProxy listen, and with --vehicle "
+            f"{_OFFBOARD}, where MAVSDK does; neither if --in or --autopilot is given.",
+        ),
+    ] = None,
+    listen: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--in",
+            metavar="udpin:HOST:PORT",
+            help="Where ground stations and programs may ask; may be repeated. With --autopilot "
+            f"by default {_AUTOPILOT}, to which PX4 sends.",
+        ),
+    ] = None,
+    vehicle: Annotated[
+        str,
+        typer.Option(
+            metavar="UAV",
+            help="Join as this UAV, with its credentials, and fly it by setpoints inside the safety filter.",
+        ),
+    ] = "",
+    autopilot: Annotated[
+        str,
+        typer.Option(
+            metavar="UAV",
+            help="Join as this UAV, and let a real autopilot fly along: its telemetry in, its setpoints out.",
+        ),
+    ] = "",
+    connect: Connect = DEFAULT_ENDPOINT,
+    run: RunName = DEFAULT_RUN,
+    credentials: CredentialFile = None,
+    first: Annotated[
+        int,
+        typer.Option(
+            "--first-system", help="Number of the first vehicle's system.", min=1, max=200
+        ),
+    ] = 1,
+    height: Annotated[
+        float,
+        typer.Option(help="Height in m at which UAVs are told to fly: a run is flat.", min=0.0),
+    ] = 10.0,
+    join_timeout: JoinTimeout = 30.0,
+    insecure: Insecure = False,
+    json: Json = False,
+) -> None:
+    """Show a run to MAVLink ground stations while it is flown, one system a vehicle, or fly a UAV of it over MAVLink.
+
+    Each tells HEARTBEAT, ATTITUDE, GLOBAL_POSITION_INT (from the scenario's origin), LOCAL_POSITION_NED, a UGV also
+    FOLLOW_TARGET, and in texts what is lost or not certified and when it is well again. The run's settings are
+    parameters. With the operator's credentials a ground station's sticks drive a UGV, and LAW, PAUSED and RT_FACTOR can
+    be set; with the observer's it only shows. Ends with the run, or at Ctrl-C.
+
+    With --vehicle it is that UAV's process, in the place of `outrider uav`: in the mode OFFBOARD it flies
+    SET_POSITION_TARGET_LOCAL_NED (velocity, acceleration), in HOLD it stays, in MISSION and where no setpoint has come
+    for the scenario's `hold` the run's law flies; the safety filter watches over all of them.
+
+    With --autopilot the run's law flies that UAV, and an autopilot is its inner loop: it is told where the UAV is to
+    be, and where it is farther off than `certificate.tracking` declares, or silent, the UAV stays and nothing is
+    certified. It must be armed and in the air, and listen to setpoints; the run must keep real time.
+
+    Example: outrider mavlink --to udpout:127.0.0.1:14550 --credentials credentials/observer.json
+
+    Example: outrider mavlink --vehicle uav_0 --to udpout:127.0.0.1:14540 --credentials credentials/uav_0.json
+    """
+    from bus.keys import Role
+    from bus.messages import Origin
+    from outrider.bridges.mavlink.identity import VehicleSystem
+    from outrider.bridges.mavlink.udp import Network, parse_address
+    from outrider.cli.stopping import stop_on_signals
+
+    check_endpoints((connect,), secured=True, insecure=False)
+    if vehicle and autopilot:
+        raise typer.BadParameter("--vehicle or --autopilot, not both")
+    told, asked = out or [], listen or []
+    if out is None and listen is None:
+        told = [] if autopilot else [_OFFBOARD if vehicle else _OUT]
+        asked = [_AUTOPILOT] if autopilot else []
+    _check_listening(asked, insecure=insecure)
+    network = Network(
+        [parse_address(text, listens=False) for text in told],
+        [parse_address(text, listens=True) for text in asked],
+    )
+    began = time.monotonic()
+    try:
+        if vehicle or autopilot:
+            name = vehicle or autopilot
+            bus = _Bus(connect, run, credential_of(credentials, Role.UAV, name), join_timeout)
+            system = VehicleSystem(name, first, flies=True, origin=Origin(), height=height)
+            found = _fly(network, system, bus) if vehicle else _fly_along(network, name, bus)
+        else:
+            os.nice(_NICE)
+            with stop_on_signals() as stop:
+                found = _show(network, connect, run, _staff(credentials), stop, first, height)
+    finally:
+        network.close()
+    found["seconds"] = time.monotonic() - began
+    _report(found, json=json)
+
+
+class _Bus(NamedTuple):
+    """The way to the run."""
+
+    connect: str
+    run: str
+    credential: "Credential | None"
+    join_timeout: float
+    """[s]"""
+
+
+def _join(bus: _Bus, name: str, make: "MakePilot", served: "Served") -> None:
+    """Fly a UAV until the run is over, and serve MAVLink beside it."""
+    from agents.process import fly, warm_up
+    from bus.keys import Party, Role
+    from outrider.bridges.mavlink.offboard import Beside
+    from sim.kernels.compile import compiling
+
+    with compiling():
+        warm_up(Role.UAV, inner=lambda _observation: (0.0, 0.0))
+    with Beside(served):
+        fly(
+            Party(role=Role.UAV, name=name),
+            make,
+            connect=bus.connect,
+            run=bus.run,
+            credential=bus.credential,
+            join_timeout=bus.join_timeout,
+        )
+
+
+def _fly(network: "Network", system: "VehicleSystem", bus: _Bus) -> dict[str, object]:
+    """Fly a UAV by setpoints until the run is over; what became of them."""
+    from outrider.bridges.mavlink.dialect import mavlink
+    from outrider.bridges.mavlink.offboard import OffboardGateway, OffboardPilot
+
+    system.capabilities |= mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    pilot = OffboardPilot()
+    gateway = OffboardGateway(pilot, network, system)
+    _join(bus, system.name, pilot.make, gateway)
+    gateway.say(system, "the run is over")
+    return {"vehicles": {system.name: system.number}, **gateway.counts()}
+
+
+def _fly_along(network: "Network", name: str, bus: _Bus) -> dict[str, object]:
+    """Let an autopilot fly along with a UAV until the run is over; what became of it."""
+    from outrider.bridges.mavlink.autopilot import AutopilotLink, AutopilotPilot
+
+    link = AutopilotLink(network)
+    pilot = AutopilotPilot(link)
+    began, told = time.monotonic(), False
+    while link.reported is None:  # the run is not to begin without it
+        link.turn(_TURN)
+        link.refresh()
+        if not told and time.monotonic() - began > 1.0:
+            told = True
+            sys.stderr.write("waiting for the telemetry of an autopilot; Ctrl-C leaves\n")
+    _join(bus, name, pilot.make, link)
+    found = {"sent": dict(network.sent), "received": link.reports}
+    peer = link.peer
+    return {"vehicles": {name: 0 if peer is None else peer.system}, **found, **pilot.counts()}
+
+
+def _report(found: dict[str, object], *, json: bool) -> None:
+    if json:
+        import msgspec
+
+        text = msgspec.json.format(msgspec.json.encode(found), indent=2).decode()
+        sys.stdout.write(text + "\n")
+    else:
+        sys.stderr.write(_story(found) + "\n")
+
+
+def _check_listening(addresses: list[str], *, insecure: bool) -> None:
+    """Refuse to let strangers in by mistake: MAVLink knows no passwords.
+
+    Raises:
+        ScenarioError: If other machines reach an address.
+    """
+    from bus.errors import ScenarioError
+
+    for address in addresses:
+        host = address.split(":")[1] if address.count(":") == 2 else ""
+        if host not in ("127.0.0.1", "localhost", "") and not insecure:
+            raise ScenarioError(
+                f"--in {address}: other machines reach it, and MAVLink knows no passwords; say --insecure if they may"
+            )
+
+
+def _staff(credentials: Path | None) -> "Credential | None":
+    """The observer's or the operator's; None without a file or a password."""
+    from bus.access import read_credential
+    from bus.errors import AccessDenied
+    from bus.keys import OBSERVER_NAME, Role
+
+    if credentials is None:
+        return credential_of(None, Role.OBSERVER, OBSERVER_NAME)
+    found = read_credential(credentials)
+    if found.role not in (Role.OPERATOR, Role.OBSERVER):
+        raise AccessDenied(
+            f"{credentials}: the credentials of {found.name} ({found.role}), not of an operator or observer"
+        )
+    return found
+
+
+def _show(
+    network: "Network",
+    connect: str,
+    run: str,
+    credential: "Credential | None",
+    stop: "Stop",
+    first: int,
+    height: float,
+) -> dict[str, object]:
+    """Tell a run until it is over or somebody wants the end; what was told."""
+    from bus.errors import PeerLost
+    from bus.keys import OPERATOR_NAME, SAMPLED_TRUTH, STATUS, Party, Role
+    from bus.session import open_session
+    from outrider.bridges.mavlink.run_gateway import RunGateway
+    from outrider.cli.console import ERR
+    from outrider.view.operator import RunClient
+
+    # Without credentials everybody may do everything: then it is an operator.
+    party = (
+        Party(role=Role.OPERATOR, name=OPERATOR_NAME) if credential is None else credential.party
+    )
+    with open_session(party, run, connect=connect, credential=credential) as session:
+        client = RunClient(session, read=(STATUS, SAMPLED_TRUTH))
+        status = _await_run(client, run, stop)
+        if status is None:
+            client.close()
+            return {"vehicles": {}}
+        gateway = RunGateway(client, network, status, first=first, height=height)
+        named = {system.name: number for number, system in gateway.systems.items()}
+        ERR.print(
+            f"the run {run}: {', '.join(f'system {n} is {name}' for name, n in named.items())}",
+            soft_wrap=True,
+        )
+        try:
+            lost = _follow(session, client, gateway, stop)
+        finally:
+            gateway.close()
+    if lost:
+        raise PeerLost(f"the router at {connect} has gone")
+    return {"vehicles": named, **gateway.counts()}
+
+
+def _await_run(client: "RunClient", run: str, stop: "Stop") -> "Status | None":
+    """The first status that tells of the vehicles; None if a signal came before it."""
+    from outrider.cli.console import ERR
+
+    told, since = False, time.monotonic()
+    while not stop:
+        for _ in client.news():
+            pass
+        status = client.status
+        if status is not None and status.geometry is not None:
+            return status
+        if not told and time.monotonic() - since > 1.0:
+            told = True
+            ERR.print(f"waiting for the simulator of the run {run}; Ctrl-C leaves", soft_wrap=True)
+        time.sleep(_TURN)
+    return None
+
+
+def _follow(session: "Session", client: "RunClient", gateway: "RunGateway", stop: "Stop") -> bool:
+    """Tell the run until it is over or somebody wants the end; whether it was the router that went."""
+    from outrider.view.operator import SILENCE
+
+    over_since = alone_since = None
+    while not stop:
+        for message in client.news():
+            gateway.take(message)
+        gateway.silent = client.age > SILENCE  # a vehicle of which nothing is known is not there
+        gateway.turn(_TURN)
+        now = time.monotonic()
+        over = client.status is not None and client.status.over
+        over_since = (over_since or now) if over else None
+        alone_since = None if session.connected else alone_since or now
+        if over_since is not None and now - over_since > _LINGER:
+            return False
+        if alone_since is not None and now - alone_since > _ALONE:
+            return True
+    return False
+
+
+def _story(found: dict[str, object]) -> str:
+    sent, refused = found.get("sent"), found.get("refused")
+    count = sum(sent.values()) if isinstance(sent, dict) else 0
+    causes = (
+        ", ".join(f"{n} {cause}" for cause, n in refused.items())
+        if isinstance(refused, dict)
+        else ""
+    )
+    return f"{count} messages sent, {found.get('received', 0)} received" + (
+        f"; refused: {causes}" if causes else ""
+    )

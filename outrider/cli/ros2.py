@@ -1,0 +1,266 @@
+"""`outrider ros2`: a run seen, driven and flown from ROS 2."""
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from outrider.cli.options import (
+    DEFAULT_ENDPOINT,
+    DEFAULT_RUN,
+    Connect,
+    CredentialFile,
+    Json,
+    RunName,
+    check_endpoints,
+    credential_of,
+)
+from outrider.cli.pilots import JoinTimeout
+
+if TYPE_CHECKING:
+    from bus.access import Credential
+    from bus.keys import Party
+    from bus.session import Session
+    from outrider.bridges.ros2.observing import RosObserver
+    from outrider.cli.stopping import Stop
+
+_AWAY = 3.0
+"""The time after which a router that is away has gone for good, and so has the simulator of a run that is over [s]."""
+
+
+def command(
+    connect: Connect = DEFAULT_ENDPOINT,
+    run: RunName = DEFAULT_RUN,
+    credentials: CredentialFile = None,
+    domain: Annotated[
+        int, typer.Option(help="ROS 2's domain id, 0 to 232.", envvar="ROS_DOMAIN_ID")
+    ] = 0,
+    namespace: Annotated[
+        str, typer.Option(help="Before the names of all topics, such as /fleet.")
+    ] = "",
+    operator: Annotated[
+        bool,
+        typer.Option(
+            "--operator",
+            help="Take /ugv_0/cmd_vel and the services /pause, /step and /reset too; needs the operator's credentials.",
+        ),
+    ] = False,
+    vehicle: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="Join as this vehicle, with its credentials: a ROS 2 node flies it by the topics /NAME/pilot/...",
+        ),
+    ] = "",
+    join_timeout: JoinTimeout = 30.0,
+    every_tick: Annotated[
+        bool,
+        typer.Option(
+            "--every-tick",
+            help="Publish the truth of every tick; by default some 40 a second of wall time.",
+        ),
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Show a run to ROS 2 nodes, with no bridge in between: it speaks the wire format of rmw_zenoh on the run's router.
+
+    Nodes with RMW_IMPLEMENTATION=rmw_zenoh_cpp connect to the same router, as clients, and find odometry, transforms,
+    maps, markers, diagnostics and simulated time. Only what somebody reads is asked for and converted. Ends with the
+    run, or at Ctrl-C.
+
+    With --operator a node may drive: a Twist or TwistStamped takes the wheel, a second of silence lets another node
+    have it, and in the end it goes back to whoever drove before. What cannot be passed on is counted by cause, and told
+    in /diagnostics.
+
+    With --vehicle it waits for a node that reads /NAME/pilot/observation (all of it, as JSON) or /NAME/pilot/odom, and
+    joins. The node answers each observation on /NAME/pilot/command (JSON) or, with the observation's stamp, on
+    /NAME/pilot/accel. It gets that vehicle's topics and no others.
+
+    Example: outrider ros2 --connect tcp/127.0.0.1:17447 --credentials credentials/ros2.json
+
+    Example: outrider ros2 --operator --credentials credentials/operator.json
+
+    Example: outrider ros2 --vehicle uav_0 --credentials credentials/uav_0.json
+    """
+    from bus.keys import Party, Role
+    from bus.session import open_session
+    from outrider.bridges.ros2.interfaces import require_extra
+    from outrider.bridges.ros2.wire import check_domain, check_namespace
+    from outrider.cli.console import ERR, print_json
+    from outrider.cli.stopping import stop_on_signals
+
+    require_extra()
+    check_domain(domain)
+    space = check_namespace(namespace)
+    check_endpoints((connect,), secured=True, insecure=False)
+    if vehicle:
+        _refuse_with_vehicle(operator=operator, namespace=space, every_tick=every_tick)
+        _fly(vehicle, connect, run, credentials, domain=domain, patience=join_timeout, json=json)
+        return
+    role = Role.OPERATOR if operator else Role.ROS2
+    party = Party(role=role, name=role.value)
+    credential = credential_of(credentials, party.role, party.name)
+    with (
+        stop_on_signals() as stop,
+        open_session(party, run, connect=connect, credential=credential) as session,
+    ):
+        observer, lost = _observe(
+            session, stop, domain=domain, namespace=space, every_tick=every_tick
+        )
+    found = {
+        "domain": domain,
+        "topics": observer.topics,
+        "missing_ticks": observer.missing_ticks,
+        "commands": observer.commands.taken if observer.commands else 0,
+        "refused": dict(observer.refusals.counts),
+        "router_lost": lost,
+    }
+    if json:
+        print_json(found)
+    else:
+        sent = sum(observer.topics.values())
+        missing = f", {observer.missing_ticks} ticks missing" if every_tick else ""
+        ERR.print(f"{sent} messages on {len(observer.topics)} topics{missing}", soft_wrap=True)
+    if lost:
+        from bus.errors import PeerLost
+
+        raise PeerLost(f"the router at {connect} has gone")
+
+
+def _observe(
+    session: "Session", stop: "Stop", *, domain: int, namespace: str, every_tick: bool
+) -> "tuple[RosObserver, bool]":
+    """Publish until the run is over or somebody wants the end; whether it was the router that went."""
+    from bus.keys import Role
+    from outrider.bridges.ros2.observing import RosObserver
+    from outrider.bridges.ros2.ros_commands import RosCommands
+    from outrider.bridges.ros2.ros_node import RosNode
+    from outrider.view.operator import RunClient
+
+    node = RosNode(session, domain=domain, name="outrider", namespace=namespace)
+    observer = RosObserver(session, node, namespace=namespace, every_tick=every_tick)
+    client = None
+    if session.party.role is Role.OPERATOR:
+        client = RunClient(session, read=())
+        observer.commands = RosCommands(
+            node, client, namespace=namespace, refusals=observer.refusals
+        )
+    try:
+        return observer, _follow(session, observer, stop)
+    finally:
+        if observer.commands is not None and client is not None:
+            observer.commands.hand_back()
+            client.close()
+        observer.close()
+        node.close()
+
+
+def _follow(session: "Session", observer: "RosObserver", stop: "Stop") -> bool:
+    from bus.keys import SIMULATOR_NAME
+    from outrider.cli.console import ERR
+
+    simulators: set[int] = set()
+
+    def see(_name: str, place: int, present: bool) -> None:
+        (simulators.add if present else simulators.discard)(place)
+
+    session.watch(SIMULATOR_NAME, see)
+    told, there, seen = False, time.monotonic(), time.monotonic()
+    while not stop:
+        observer.step(0.2)
+        now = time.monotonic()
+        if session.connected:
+            there = now
+        elif now - there > _AWAY:
+            return observer.status is None or not observer.status.over
+        if simulators:
+            seen = now
+        elif observer.status is not None and observer.status.over and now - seen > _AWAY:
+            return False
+        if not told and observer.status is None and now - there < _AWAY:
+            told = True
+            ERR.print(
+                f"waiting for the simulator of the run {session.run}; Ctrl-C leaves", soft_wrap=True
+            )
+    return False
+
+
+def _refuse_with_vehicle(*, operator: bool, namespace: str, every_tick: bool) -> None:
+    for option, given in (
+        ("--operator", operator),
+        ("--namespace", bool(namespace)),
+        ("--every-tick", every_tick),
+    ):
+        if given:
+            raise typer.BadParameter(
+                f"{option} and --vehicle: these options do not go together; a vehicle's topics are /NAME/pilot/..."
+            )
+
+
+def _party_of(name: str, credentials: Path | None) -> "tuple[Party, Credential | None]":
+    """The vehicle, by its credentials; without them by how its name begins."""
+    from bus.access import read_credential
+    from bus.errors import ScenarioError
+    from bus.keys import Party, Role
+
+    kinds = {role: role.value for role in (Role.UAV, Role.UGV)}
+    if credentials is not None:
+        role: Role | None = read_credential(credentials).role
+    else:
+        role = next((one for one, kind in kinds.items() if name.startswith(kind)), None)
+    if role not in kinds:
+        raise ScenarioError(
+            f"--vehicle {name}: a UAV or a UGV? without its credentials its name must begin with uav or ugv"
+        )
+    return Party(role=role, name=name), credential_of(credentials, role, name)
+
+
+def _fly(
+    name: str,
+    connect: str,
+    run: str,
+    credentials: Path | None,
+    *,
+    domain: int,
+    patience: float,
+    json: bool,
+) -> None:
+    """Wait for a node that flies the vehicle, and let it."""
+    from agents.process import fly
+    from bus.session import open_session
+    from outrider.bridges.ros2.ros_node import RosNode
+    from outrider.bridges.ros2.ros_pilot import Link, RosPilot
+    from outrider.cli.console import ERR, print_json
+    from outrider.cli.stopping import stop_on_signals
+
+    party, credential = _party_of(name, credentials)
+    with open_session(party, run, connect=connect, credential=credential) as session:
+        node = RosNode(session, domain=domain, name="outrider", namespace=f"/{name}")
+        link = Link(node, party)
+        with stop_on_signals() as stop:
+            if not link.there:
+                ERR.print(
+                    f"waiting for a ROS 2 node that reads /{name}/pilot/observation", soft_wrap=True
+                )
+            while not link.there and not stop:
+                time.sleep(0.05)
+        if stop:
+            raise typer.Exit(stop.exit_code)
+        try:
+            sent = fly(
+                party,
+                lambda told: RosPilot(link, told),
+                connect=connect,
+                run=run,
+                credential=credential,
+                join_timeout=patience,
+            )
+        finally:
+            link.close()
+            node.close()
+    found = {"vehicle": name, "commands": sent, "refused": dict(link.refusals.counts)}
+    if json:
+        print_json(found)
+    else:
+        ERR.print(f"{name}: {sent} commands of a ROS 2 node", soft_wrap=True)

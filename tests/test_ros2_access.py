@@ -1,0 +1,215 @@
+"""The information contract on ROS 2's keys: what the router lets through, tried with sessions that ask nobody."""
+
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import zenoh
+from staging import raw_session
+
+from bus.access import access_control, new_credentials
+from bus.keys import KEYS, Role
+from bus.session import open_session
+
+GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"], ros2=True)
+NAMES = [one.name for one in GIVEN.parties if one.role is not Role.SIMULATOR]
+TYPE = "nav_msgs::msg::dds_::Odometry_/RIHS01_3cc97dc7"
+TRUTHS = {f"0/uav_0/odom/{TYPE}", f"42/fleet/ugv_0/odom/{TYPE}", f"0/tf/{TYPE}"}
+CMD_VEL = f"0/ugv_0/cmd_vel/{TYPE}"
+OWN = {"uav_0": f"0/uav_0/pilot/odom/{TYPE}", "ugv_0": f"7/ugv_0/pilot/command/{TYPE}"}
+NOBODYS = {
+    f"0/fleet/uav_0/pilot/odom/{TYPE}",
+    f"0/uav_0/pilot/ugv_0/pilot/odom/{TYPE}",
+    f"0/ugv_0/pilot/uav_0/pilot/odom/{TYPE}",
+    "outrider/run/uav_0/observation",
+    "0/uav_0/odom/without_a_hash",
+}
+DATA = TRUTHS | {CMD_VEL} | set(OWN.values()) | NOBODYS
+BRIDGES, LOOKERS = {"ros2", "operator"}, {"ros2_observer", "ros2_operator"}
+SUFFIX = f"{TYPE}/::,10:,:,:,,"
+
+
+@contextmanager
+def everybody(tmp_path: Path) -> Iterator[dict[str, zenoh.Session]]:
+    endpoint = f"unixsock-stream/{tmp_path / 'bus.sock'}"
+    with ExitStack() as stack:
+        stack.enter_context(
+            open_session(GIVEN.of("simulator").party, "run", listen=(endpoint,), given=GIVEN)
+        )
+        yield {name: stack.enter_context(raw_session(endpoint, GIVEN.of(name))) for name in NAMES}
+
+
+def readers_of(key: str) -> set[str]:
+    own = {name for name, mine in OWN.items() if mine == key}
+    if own or key in NOBODYS:
+        return own
+    return LOOKERS | ({"operator"} if key == CMD_VEL else set())
+
+
+def writers_of(key: str) -> set[str]:
+    own = {name for name, mine in OWN.items() if mine == key}
+    if own or key in NOBODYS:
+        return own
+    return BRIDGES | ({"ros2_operator"} if key == CMD_VEL else set())
+
+
+def settled(step: Any, wanted: set[Any], found: set[Any]) -> None:
+    """Repeat until all that is wanted has come, and for as long again what must not."""
+    began = time.monotonic()
+    while not found >= wanted and time.monotonic() - began < 10.0:
+        step()
+    rest = time.monotonic() + 0.3
+    while time.monotonic() < rest:
+        step()
+
+
+def test_each_party_reads_and_writes_its_own_topics_and_no_others(tmp_path: Path) -> None:
+    wanted = {
+        (reader, key, writer)
+        for key in DATA
+        for reader in readers_of(key)
+        for writer in writers_of(key)
+        if reader != writer
+    }
+    assert {("ros2_observer", f"0/tf/{TYPE}", "ros2")} < wanted
+    assert not {one for one in wanted if one[0] in OWN}
+    found: set[tuple[str, str, str]] = set()
+    with everybody(tmp_path) as sessions:
+        kept: list[Any] = []
+        for name, opened in sessions.items():
+            for key in (*DATA, "**", "0/**", f"*/**/{TYPE}"):
+                kept.append(
+                    opened.declare_subscriber(
+                        key,
+                        lambda sample, name=name: found.add(
+                            (name, str(sample.key_expr), sample.payload.to_string())
+                        ),
+                    )
+                )
+
+        def say() -> None:
+            for name, opened in sessions.items():
+                for key in DATA:
+                    opened.put(key, name.encode(), allowed_destination=zenoh.Locality.REMOTE)
+            time.sleep(0.02)
+
+        settled(say, wanted, found)
+    assert found == wanted
+
+
+def token(name: str, by: str, namespace: str = "%") -> str:
+    return f"@ros2_lv/0/{by}/0/1/MP/%/{namespace}/node/{name}/{SUFFIX}"
+
+
+def node(namespace: str, by: str) -> str:
+    return f"@ros2_lv/0/{by}/0/0/NN/%/{namespace}/node"
+
+
+def test_a_vehicle_sees_the_graph_of_its_own_topics_alone(tmp_path: Path) -> None:
+    """Names in tokens are anybody's to choose: none of another party's may reach a vehicle."""
+    truths = {"%tf", "%uav_0%odom", "%fleet%ugv_0%odom"}
+    nasty = {"%fleet%uav_0%pilot%x", "%uav_0%pilot%x%ugv_0%pilot%y", "%ugv_0%pilot%uav_0%pilot%y"}
+    names = truths | nasty | {"%uav_0%pilot%odom", "%ugv_0%pilot%odom"}
+
+    def declared(by: str) -> set[str]:
+        spaces = {node(space, by) for space in ("%", "%uav_0", "%ugv_0")}
+        return {token(name, by) for name in names} | spaces
+
+    staff = BRIDGES | LOOKERS
+    open_names = {token(name, by) for name in truths for by in staff}
+    open_names |= {node(space, by) for space in ("%", "%uav_0", "%ugv_0") for by in staff}
+    own = {
+        vehicle: {
+            one
+            for one in declared(vehicle)
+            if f"/%{vehicle}%pilot%" in one or f"NN/%/%{vehicle}/" in one
+        }
+        for vehicle in OWN
+    }
+    seen: dict[str, set[str]] = {name: set() for name in NAMES}
+    with everybody(tmp_path) as sessions:
+        kept: list[Any] = []
+        for name, opened in sessions.items():
+            kept.append(
+                opened.liveliness().declare_subscriber(
+                    "@ros2_lv/**",
+                    lambda sample, name=name: seen[name].add(str(sample.key_expr)),
+                    history=True,
+                )
+            )
+            kept += [opened.liveliness().declare_token(one) for one in declared(name)]
+        wanted = open_names | own["uav_0"] | own["ugv_0"]
+        settled(lambda: time.sleep(0.05), wanted, seen["ros2_observer"])
+        asked = sessions["uav_0"].liveliness().get("@ros2_lv/**", timeout=0.5)
+        replies = {str(reply.ok.key_expr) for reply in asked if reply.ok is not None}
+    for name in staff:
+        assert seen[name] - declared(name) == wanted - declared(name)
+    for name in OWN:
+        assert not seen[name] - declared(name)
+    assert not replies - declared("uav_0")
+    assert not seen["observer"] - declared("observer")
+
+
+def test_services_are_called_by_an_operators_node_alone(tmp_path: Path) -> None:
+    pause = "0/pause/std_srvs::srv::dds_::SetBool_/RIHS01_abe9"
+    answered: set[str] = set()
+    with everybody(tmp_path) as sessions:
+        queryable = sessions["operator"].declare_queryable(
+            pause, lambda query: query.reply(query.key_expr, b"done")
+        )
+
+        def ask() -> None:
+            for name in set(NAMES) - {"operator"}:
+                for reply in sessions[name].get(pause, timeout=0.2, payload=b"x"):
+                    if reply.ok is not None:
+                        answered.add(name)
+
+        settled(ask, {"ros2_operator"}, answered)
+        queryable.undeclare()
+    assert answered == {"ros2_operator"}
+
+
+def test_who_comes_late_is_given_the_newest_but_never_a_vehicle(tmp_path: Path) -> None:
+    key = f"0/coverage/{TYPE}"
+    got: set[str] = set()
+    with everybody(tmp_path) as sessions:
+        publisher = zenoh.ext.declare_advanced_publisher(
+            sessions["ros2"],
+            key,
+            cache=zenoh.ext.CacheConfig(1),
+            sample_miss_detection=zenoh.ext.MissDetectionConfig(),
+            publisher_detection=True,
+        )
+        publisher.put(b"map")
+        kept = [
+            zenoh.ext.declare_advanced_subscriber(
+                sessions[name],
+                key,
+                lambda sample, name=name: got.add(name),
+                history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
+            )
+            for name in NAMES
+            if name != "ros2"
+        ]
+        settled(lambda: time.sleep(0.05), LOOKERS, got)
+        for one in kept:
+            one.undeclare()
+    assert got == LOOKERS
+
+
+def test_a_run_without_ros2_lets_nothing_of_it_through() -> None:
+    plain = new_credentials("run", ["uav_0"], ["ugv_0"])
+    keys = {key for rule in access_control(plain)["rules"] for key in rule["key_exprs"]}
+    assert all(key.startswith("outrider/run/") for key in keys)
+    assert not any("ros2" in name for name in (one.name for one in plain.parties))
+
+
+def test_no_key_of_a_run_is_one_of_ros2s() -> None:
+    own = [zenoh.KeyExpr(key.expression("run", "uav_0")) for key in KEYS]
+    rules = access_control(GIVEN)["rules"]
+    wide = {expression for rule in rules for expression in rule["key_exprs"]}
+    foreign = [zenoh.KeyExpr(one) for one in wide if not one.startswith("outrider/")]
+    assert len(foreign) > 10
+    assert not [(one, key) for one in foreign for key in own if one.intersects(key)]

@@ -1,0 +1,288 @@
+"""The bridge to ROS 2 between a simulator and nodes, each with a session and credentials of its own."""
+
+import math
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import zenoh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from processes import wait_until
+from staging import raw_session
+from test_ros2_wire import truth_at
+
+from bus.access import new_credentials
+from bus.boxes import Outbox
+from bus.keys import CONTROL, COVERAGE, OPERATOR, SAMPLED_TRUTH, STATUS
+from bus.messages import Action, Control, CoverageMap, Limits, Status
+from bus.session import open_session
+from outrider.bridges.ros2.conversion import header
+from outrider.bridges.ros2.interfaces import decode, encode, make, request_of, response_of
+from outrider.bridges.ros2.observing import RosObserver
+from outrider.bridges.ros2.ros_commands import TWISTS, Refused, RosCommands, wish_of
+from outrider.bridges.ros2.ros_node import RosNode
+from outrider.bridges.ros2.topics import TOPICS, wire_topic
+from outrider.bridges.ros2.wire import Attachment
+from outrider.view.operator import RunClient
+from sim.scenario.loading import load_scenario
+from sim.scene.known import geometry_of
+
+GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"], ros2=True)
+SCENARIO = load_scenario("escort")
+STATUS_NOW = msgspec.convert(
+    {
+        "scenario": "escort",
+        "seed": 1,
+        "tick": 0,
+        "ticks": 100,
+        "time": 0.0,
+        "realtime_factor": 1.0,
+        "drivers": {"ugv_0": "waypoints"},
+        "vehicles": {"uav_0": {"present": True}, "ugv_0": {"present": True}},
+        "geometry": msgspec.to_builtins(geometry_of(SCENARIO)),
+    },
+    Status,
+)
+
+
+class Staged:
+    """A simulator that only tells, a bridge, and ROS 2 nodes that are plain Zenoh sessions."""
+
+    def __init__(self, stack: ExitStack, folder: Path, bridge: str) -> None:
+        self._stack = stack
+        self.endpoint = f"unixsock-stream/{folder / 'bus.sock'}"
+        self.simulator = stack.enter_context(
+            open_session(GIVEN.of("simulator").party, "run", listen=(self.endpoint,), given=GIVEN)
+        )
+        self.statuses, self.truths = self.outbox(STATUS), self.outbox(SAMPLED_TRUTH)
+        self.maps = self.outbox(COVERAGE)
+        self.bridge = stack.enter_context(
+            open_session(
+                GIVEN.of(bridge).party, "run", connect=self.endpoint, credential=GIVEN.of(bridge)
+            )
+        )
+        self.node = RosNode(self.bridge, domain=7, name="outrider", namespace="/fleet")
+
+    def outbox(self, key: Any) -> Outbox:
+        return self.simulator.outbox(key)
+
+    def ros(self, name: str) -> zenoh.Session:
+        return self._stack.enter_context(raw_session(self.endpoint, GIVEN.of(name)))
+
+
+@contextmanager
+def staged(folder: Path, bridge: str = "ros2") -> Iterator[Staged]:
+    with ExitStack() as stack:
+        yield Staged(stack, folder, bridge)
+
+
+def row_key(name: str, vehicle: str = "uav_0") -> tuple[str, str]:
+    """Type and key of a topic in the bridge's domain and namespace."""
+    row = next(one for one in TOPICS if one.name == name)
+    whose = f"/{vehicle}" if row.each != "run" else ""
+    topic = wire_topic(row.interface, f"{whose}/{name}", "/fleet")
+    return row.interface, topic.key(7)
+
+
+def test_what_somebody_reads_is_published_and_nothing_else_is_asked_for(tmp_path: Path) -> None:
+    with staged(tmp_path) as stage:
+        observer = RosObserver(stage.bridge, stage.node, namespace="/fleet")
+
+        def told() -> bool:
+            stage.statuses.send(STATUS_NOW)
+            observer.step(0.05)
+            return observer.status is not None
+
+        wait_until(told)
+        assert not stage.truths.wanted
+        assert not stage.maps.wanted
+        ros, got = stage.ros("ros2_observer"), []
+        interface, key = row_key("odom")
+        kept = ros.declare_subscriber(key, got.append)
+
+        def seen() -> bool:
+            observer.step(0.02)
+            stage.truths.send(truth_at(40 + len(got)))
+            return bool(got)
+
+        wait_until(seen)
+        assert stage.truths.wanted
+        assert not stage.maps.wanted
+        odometry = decode(interface, got[0].payload.to_bytes())
+        assert odometry.pose.pose.position.x == 3.0
+        beside = Attachment.decoded(got[0].attachment.to_bytes())
+        assert beside is not None
+        assert beside.sequence == 1
+        assert not [
+            name
+            for name, count in observer.topics.items()
+            if count and "odom" not in name and not name.endswith(("tf_static", "discs"))
+        ]
+        kept.undeclare()
+
+        def left() -> bool:
+            observer.step(0.05)
+            stage.statuses.send(STATUS_NOW)
+            return not stage.truths.wanted
+
+        wait_until(left)
+        observer.close()
+        stage.node.close()
+
+
+def test_who_comes_late_gets_the_map_and_the_graph_shows_every_topic(tmp_path: Path) -> None:
+    with staged(tmp_path) as stage:
+        observer = RosObserver(stage.bridge, stage.node, namespace="/fleet")
+        ros, got = stage.ros("ros2_observer"), []
+        interface, key = row_key("coverage")
+        kept: list[Any] = [ros.declare_subscriber(key, got.append)]
+
+        def seen() -> bool:
+            stage.statuses.send(STATUS_NOW)
+            stage.maps.send(CoverageMap(tick=4, columns=2, rows=1, cell=0.5, cells=b"\x00\xff"))
+            observer.step(0.02)
+            return bool(got)
+
+        wait_until(seen)
+        late = zenoh.ext.declare_advanced_subscriber(
+            stage.ros("ros2_operator"),
+            key,
+            zenoh.handlers.FifoChannel(10),
+            history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
+        )
+        grid = decode(interface, late.recv().payload.to_bytes())
+        assert grid.data.tolist() == [0, 100]
+        tokens = [
+            str(reply.ok.key_expr).split("/")
+            for reply in ros.liveliness().get("@ros2_lv/7/**", timeout=2.0)
+            if reply.ok is not None
+        ]
+        shown = {parts[9].replace("%", "/"): parts for parts in tokens if parts[5] == "MP"}
+        wanted = {f"/fleet{name}" for row in TOPICS for _, name in row.names(observer.scene)}
+        assert set(shown) == wanted
+        assert "/".join(shown["/fleet/coverage"][10:12]) == "/".join(key.split("/")[-2:])
+        assert {parts[7] for parts in tokens} == {"%fleet"}
+        late.undeclare()
+        for one in kept:
+            one.undeclare()
+        observer.close()
+        stage.node.close()
+
+
+def _twist(x: float, y: float, *, turn: float = 0.0) -> Any:
+    def vector(*values: float) -> Any:
+        return make("geometry_msgs/msg/Vector3", **dict(zip("xyz", values, strict=True)))
+
+    return make("geometry_msgs/msg/Twist", linear=vector(x, y, 0.0), angular=vector(0.0, 0.0, turn))
+
+
+def _key(name: str = "/ugv_0/cmd_vel", interface: str = TWISTS[1], domain: int = 7) -> str:
+    return wire_topic(interface, name, "/fleet").key(domain)
+
+
+UGVS = {"ugv_0": Limits(max_speed=0.2, max_acceleration=0.1)}
+GOOD = encode(TWISTS[1], _twist(0.1, -0.1))
+BAD = {
+    "another domain": (_key(domain=8), GOOD),
+    "no such UGV": (_key("/uav_0/cmd_vel"), GOOD),
+    "another type": (_key(interface="geometry_msgs/msg/Accel"), GOOD),
+    "another hash": (_key()[:-1] + "x", GOOD),
+    "no CDR of its type": (_key(), GOOD[:-3]),
+    "no finite number": (_key(), encode(TWISTS[1], _twist(math.nan, 0.0))),
+    "beyond the limits": (_key(), encode(TWISTS[1], _twist(0.2, 0.1))),
+    "climbs or turns": (_key(), encode(TWISTS[1], _twist(0.1, 0.0, turn=0.5))),
+    "another frame": (
+        _key(interface=TWISTS[0]),
+        encode(TWISTS[0], make(TWISTS[0], header=header(0.0, "odom"), twist=_twist(0.1, 0.0))),
+    ),
+}
+
+
+@pytest.mark.parametrize("cause", BAD)
+def test_a_bad_velocity_is_refused_by_its_cause(cause: str) -> None:
+    key, payload = BAD[cause]
+    with pytest.raises(Refused) as refused:
+        wish_of(key, payload, domain=7, namespace="/fleet", ugvs=UGVS)
+    assert refused.value.cause == cause
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=80), st.sampled_from(TWISTS))
+def test_no_bytes_at_all_make_a_velocity_that_cannot_be_driven(raw: bytes, interface: str) -> None:
+    try:
+        wish = wish_of(_key(interface=interface), raw, domain=7, namespace="/fleet", ugvs=UGVS)
+    except Refused:
+        return
+    assert math.hypot(*wish.velocity) <= 0.2 * (1.0 + 1e-6)
+
+
+def test_an_operators_node_drives_and_what_is_bad_is_counted_and_told(tmp_path: Path) -> None:
+    with staged(tmp_path, "operator") as stage:
+        wheels = stage.simulator.inbox(OPERATOR, "ugv_0")
+        controls = stage.simulator.inbox(CONTROL)
+        client = RunClient(stage.bridge, read=())
+        observer = RosObserver(stage.bridge, stage.node, namespace="/fleet")
+        observer.commands = RosCommands(
+            stage.node, client, namespace="/fleet", refusals=observer.refusals
+        )
+
+        def told() -> bool:
+            stage.statuses.send(STATUS_NOW)
+            observer.step(0.02)
+            return observer.status is not None
+
+        wait_until(told)
+        driving, looking = stage.ros("ros2_operator"), stage.ros("ros2_observer")
+        beside = Attachment(sequence=1, time=0, gid=bytes(16)).encoded()
+        drives: list[Any] = []
+
+        def driven() -> bool:
+            driving.put(_key(), GOOD, attachment=beside)
+            looking.put(_key(), encode(TWISTS[1], _twist(0.0, 0.15)), attachment=beside)
+            while (letter := wheels.next_waiting()) is not None:
+                drives.append(letter.message)
+            return bool(drives)
+
+        wait_until(driven)
+        assert {drive.velocity for drive in drives} == {(0.1, -0.1)}
+        taken = controls.receive(2.0)
+        assert taken is not None
+        assert taken.message == Control(action=Action.DRIVER, vehicle="ugv_0", driver="teleop")
+
+        def refused() -> bool:
+            for key, payload in BAD.values():
+                driving.put(key, payload, attachment=beside)
+            observer.step(0.02)
+            return set(observer.refusals.counts) >= set(BAD)
+
+        wait_until(refused)
+        driving.put(
+            _key(), GOOD, attachment=Attachment(sequence=1, time=0, gid=b"x" * 16).encoded()
+        )
+        wait_until(lambda: "another node is at the wheel" in observer.refusals.counts)
+        told_of = {one.key: one.value for one in observer._own_diagnostic().values}
+        assert int(told_of["refused: beyond the limits"]) >= 1
+
+        trigger, pause = "std_srvs/srv/Trigger", "std_srvs/srv/SetBool"
+        nothing = make(request_of(trigger), structure_needs_at_least_one_member=0)
+        asked = (
+            (pause, "/pause", make(request_of(pause), data=True)),
+            (trigger, "/step", nothing),
+            (trigger, "/reset", nothing),
+        )
+        for interface, name, wanted in asked:
+            payload = encode(request_of(interface), wanted)
+            (reply,) = driving.get(
+                wire_topic(interface, name, "/fleet").key(7), payload=payload, attachment=beside
+            )
+            answer = decode(response_of(interface), reply.ok.payload.to_bytes())
+            assert answer.success
+        actions = [controls.receive(2.0).message.action for _ in asked]
+        assert actions == [Action.PAUSE, Action.STEP, Action.RESET]
+        client.close()
+        observer.close()
+        stage.node.close()

@@ -1,0 +1,198 @@
+"""A vehicle flown by a ROS 2 node: the trajectory of the pilot in this process, and nothing that is not its own."""
+
+import threading
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import staging
+import zenoh
+from processes import python, wait_until
+from staging import GIVEN as PLAIN
+from staging import raw_session
+
+from agents.process import fly
+from agents.uav import UavPilot
+from agents.ugv import UgvPilot
+from bus.access import new_credentials
+from bus.errors import PeerLost
+from bus.messages import (
+    UavBriefing,
+    UavObservation,
+    UgvBriefing,
+    UgvObservation,
+)
+from bus.session import open_session
+from outrider.bridges.ros2.conversion import header, seconds_of
+from outrider.bridges.ros2.interfaces import decode, encode, make
+from outrider.bridges.ros2.ros_node import RosNode
+from outrider.bridges.ros2.ros_pilot import Link, RosPilot
+from outrider.bridges.ros2.topics import BRIEFING, OBSERVATION, PILOT_COMMANDS, wire_topic
+from outrider.bridges.ros2.wire import Attachment
+
+GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"], ros2=True)
+TEXT, ACCEL = PILOT_COMMANDS
+BESIDE = Attachment(sequence=1, time=0, gid=bytes(16)).encoded()
+KINDS: dict[str, Any] = {
+    "uav_0": (UavPilot, UavBriefing, UavObservation),
+    "ugv_0": (UgvPilot, UgvBriefing, UgvObservation),
+}
+
+
+def key_of(row: Any, vehicle: str, domain: int = 3) -> str:
+    return wire_topic(row.interface, f"/{vehicle}/{row.name}").key(domain)
+
+
+class Foreign:
+    """A ROS 2 node that flies a vehicle by our own pilot, and speaks plain Zenoh."""
+
+    def __init__(self, endpoint: str, vehicle: str, *, exact: bool) -> None:
+        self._vehicle, self._exact = vehicle, exact
+        self._lock = threading.Lock()
+        self._make, told, seen = KINDS[vehicle]
+        self._briefing = msgspec.json.Decoder(told)
+        self._observation = msgspec.json.Decoder(seen)
+        self._pilot: Any = None
+        self._waiting: list[Any] = []
+        """Between two topics there is no order: the briefing may come last."""
+        self.zenoh = raw_session(endpoint, GIVEN.of(vehicle))
+        self._late = zenoh.ext.declare_advanced_subscriber(
+            self.zenoh,
+            key_of(BRIEFING, vehicle),
+            self._brief,
+            history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
+        )
+        self._own = self.zenoh.declare_subscriber(key_of(OBSERVATION, vehicle), self._act)
+
+    def _brief(self, told: Any) -> None:
+        text = decode(BRIEFING.interface, told.payload.to_bytes()).data
+        with self._lock:
+            self._pilot = self._make(self._briefing.decode(text))
+            for sample in self._waiting:
+                self._answer(sample)
+
+    def _act(self, sample: Any) -> None:
+        with self._lock:
+            if self._pilot is None:
+                self._waiting.append(sample)
+            else:
+                self._answer(sample)
+
+    def _answer(self, sample: Any) -> None:
+        text = decode(OBSERVATION.interface, sample.payload.to_bytes()).data
+        seen = self._observation.decode(text)
+        if seen.over:
+            return
+        command = self._pilot.act(seen)
+        if self._exact:
+            row, answer = TEXT, make(TEXT.interface, data=msgspec.json.encode(command).decode())
+        else:
+            row, answer = ACCEL, accelerate(seen.time, command.acceleration)
+        payload = encode(row.interface, answer)
+        self.zenoh.put(key_of(row, self._vehicle), payload, attachment=BESIDE)
+
+
+def accelerate(seconds: float, value: tuple[float, float], frame: str = "map") -> Any:
+    def vector(x: float, y: float) -> Any:
+        return make("geometry_msgs/msg/Vector3", x=x, y=y, z=0.0)
+
+    accel = make("geometry_msgs/msg/Accel", linear=vector(*value), angular=vector(0.0, 0.0))
+    return make(ACCEL.interface, header=header(seconds, frame), accel=accel)
+
+
+def bridge(endpoint: str, vehicle: str, links: list[Link]) -> None:
+    """The process `outrider ros2 --vehicle`, as a thread."""
+    credential = GIVEN.of(vehicle)
+    with open_session(credential.party, "run", connect=endpoint, credential=credential) as session:
+        node = RosNode(session, domain=3, name="outrider", namespace=f"/{vehicle}")
+        link = Link(node, credential.party)
+        links.append(link)
+        wait_until(lambda: link.there)
+        fly(
+            credential.party,
+            lambda told: RosPilot(link, told),
+            connect=endpoint,
+            run="run",
+            credential=credential,
+        )
+        link.close()
+        node.close()
+
+
+@pytest.mark.parametrize(("vehicle", "exact"), [("uav_0", True), ("ugv_0", False)])
+def test_a_ros_2_node_flies_the_trajectory_of_the_pilot_in_this_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, vehicle: str, exact: bool
+) -> None:
+    """With bad answers before each good one: they are refused, and change nothing."""
+    monkeypatch.setattr(staging, "GIVEN", GIVEN)
+    with staging.stage(tmp_path, 60) as stage:
+        links: list[Link] = []
+        thread = threading.Thread(target=bridge, args=(stage.endpoint, vehicle, links))
+        thread.start()
+        foreign = Foreign(stage.endpoint, vehicle, exact=exact)
+        bad = [
+            (TEXT, encode(TEXT.interface, make(TEXT.interface, data='{"tick": 1}'))),
+            (ACCEL, encode(ACCEL.interface, accelerate(0.01, (9.0, 9.0)))),
+            (ACCEL, encode(ACCEL.interface, accelerate(0.0, (float("nan"), 0.0)))),
+            (ACCEL, b"\x00\x01\x00\x00short"),
+        ]
+
+        def disturb() -> None:
+            for row, payload in bad:
+                foreign.zenoh.put(key_of(row, vehicle), payload, attachment=BESIDE)
+
+        stage.start("ugv_0" if vehicle == "uav_0" else "uav_0")
+        flight = stage.fly(on_tick=disturb)
+        thread.join(20.0)
+        foreign.zenoh.close()
+    assert flight.recorder.sha256() == staging.whole(60).recorder.sha256()
+    assert links[0].answered == 60
+    assert set(links[0].refusals.counts) >= {
+        "no command",
+        "answers another tick",
+        "no CDR of its type",
+    }
+
+
+def test_a_node_that_is_late_keeps_nobody_waiting_and_one_that_has_gone_ends_the_process(
+    tmp_path: Path,
+) -> None:
+    session = open_session(
+        PLAIN.of("uav_0").party, "run", listen=(f"unixsock-stream/{tmp_path / 's'}",)
+    )
+    with session as opened:
+        node = RosNode(opened, domain=3, name="outrider")
+        link = Link(node, PLAIN.of("uav_0").party, patience=0.05)
+        link.tell(
+            msgspec.convert(
+                {"tick": 4, "time": 0.2, "position": [0, 0], "velocity": [0, 0]}, UavObservation
+            )
+        )
+        assert link.answer(lambda: False) is None
+        with pytest.raises(PeerLost, match="the ROS 2 node that flew uav_0 has gone"):
+            link.answer(lambda: True)
+        late = encode(ACCEL.interface, accelerate(0.15, (0.1, 0.0)))
+        link._receive(key_of(ACCEL, "uav_0"), late, b"")
+        assert link.refusals.counts == {"answers another tick": 1}
+        link._receive(
+            key_of(ACCEL, "uav_0"), encode(ACCEL.interface, accelerate(0.2, (0.1, 0.0))), b""
+        )
+        answer = link.answer(lambda: True)
+        link._receive(
+            key_of(ACCEL, "uav_0"), encode(ACCEL.interface, accelerate(0.2, (0.3, 0.0))), b""
+        )
+        assert link.refusals.counts["answers a tick twice"] == 1
+        assert answer is not None
+        assert (answer.tick, answer.acceleration) == (4, (0.1, 0.0))
+        assert seconds_of(header(0.2).stamp) == 0.2
+        link.close()
+        node.close()
+
+
+def test_the_process_of_a_vehicle_that_a_node_flies_never_loads_the_world_nor_a_scenario() -> None:
+    code = (
+        "import sys, agents.process, outrider.cli.ros2, outrider.bridges.ros2.ros_pilot;"
+        "print([n for n in sys.modules if n.startswith(('sim.world', 'sim.engine', 'sim.scenario', 'sim.server'))])"
+    )
+    assert python(code).stdout.strip() == "[]"

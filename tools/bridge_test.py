@@ -1,0 +1,35 @@
+"""The bridges against what others wrote: one program of `tools/bridges` a bridge, each with environments of its own.
+
+`make bridge-test`, or `python tools/bridge_test.py NAME ...`; without names all of them, one after the other. Each
+prints its findings as rows of a table; exit code 1 where one does not hold.
+"""
+
+import argparse
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+FOLDER = Path(__file__).resolve().parent / "bridges"
+BRIDGES = ("ros2", "mavlink", "fmi")
+"""In this order."""
+
+
+def main(wanted: list[str]) -> int:
+    """Run the programs; the number of those that have failed."""
+    failed = 0
+    for name in wanted:
+        began = time.monotonic()
+        print(f"\n## {name}\n\n| what | found | |\n|---|---|---|", flush=True)  # noqa: T201
+        code = subprocess.run([sys.executable, FOLDER / f"{name}.py"], check=False).returncode
+        failed += code != 0
+        word = "holds" if code == 0 else f"FAILS (exit code {code})"
+        print(f"\n{name}: {word}, {time.monotonic() - began:.0f} s", flush=True)  # noqa: T201
+    return failed
+
+
+if __name__ == "__main__":
+    there = [name for name in BRIDGES if (FOLDER / f"{name}.py").exists()]
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("bridges", nargs="*", choices=[*there, []], default=there)
+    sys.exit(1 if main(parser.parse_args().bridges) else 0)

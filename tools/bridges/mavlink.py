@@ -1,0 +1,273 @@
+"""`outrider mavlink` against what others wrote: MAVSDK watches and flies, MAVProxy connects and logs.
+
+Both live in an environment of their own, `.venv-mavlink`, which is made on the first call; a minute:
+python tools/bridges/mavlink.py
+"""
+
+import argparse
+import json
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from itertools import chain
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+OTHERS = ROOT / ".venv-mavlink"
+NEEDED = ("mavsdk>=4,<5", "MAVProxy>=1.8.70,<2", "pymavlink>=2.4.49,<3")
+DURATION = 100.0
+"""Of the flight, simulated [s]: at twice real time the checks are over before its end."""
+
+
+class Row(NamedTuple):
+    """A finding."""
+
+    what: str
+    value: object
+    holds: bool
+
+
+def environment() -> Path:
+    """The environment of the other programs; its Python."""
+    python = OTHERS / "bin" / "python"
+    if not (OTHERS / ".bridge").exists():
+        subprocess.run([sys.executable, "-m", "venv", OTHERS], check=True)
+        quiet = ["-m", "pip", "install", "--quiet", "--quiet", "--disable-pip-version-check"]
+        subprocess.run([python, *quiet, *NEEDED], check=True)
+        (OTHERS / ".bridge").touch()
+    return python
+
+
+def free_port(kind: socket.SocketKind) -> int:
+    """A port that nobody uses now."""
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@contextmanager
+def started(*words: object, log: Path, **settings: object) -> Iterator["subprocess.Popen[str]"]:
+    """A process in the background, ended in order in the end, or killed."""
+    with log.open("w") as file, log.with_suffix(".out").open("w") as out:
+        process = subprocess.Popen(
+            [str(word) for word in words], stdout=out, stderr=file, text=True, **settings
+        )
+        try:
+            yield process
+        finally:
+            if process.poll() is None:
+                process.terminate()
+            try:
+                process.wait(10.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def outrider(*words: object) -> list[object]:
+    """A command of ours."""
+    return [sys.executable, "-m", "outrider", *words]
+
+
+def await_text(file: Path, text: str, patience: float = 120.0) -> None:
+    """Wait until a log says something.
+
+    Raises:
+        SystemExit: If it does not.
+    """
+    limit = time.monotonic() + patience
+    while text not in file.read_text():
+        if time.monotonic() > limit:
+            raise SystemExit(f"{file.name} never said {text!r}: {file.read_text()[-500:]}")
+        time.sleep(0.1)
+
+
+def log_of_mavproxy(python: Path, folder: Path) -> Iterator[Row]:
+    """The log that MAVProxy has written, as pymavlink's own tool reads it."""
+    tool = python.with_name("mavlogdump.py")
+    words = [tool, "--types", "HEARTBEAT", "--show-source", folder / "flight.tlog"]
+    read = subprocess.run([python, *words], capture_output=True, text=True, check=False)
+    lines = [line for line in read.stdout.splitlines() if "HEARTBEAT" in line]
+    both = all(any(f"srcSystem={n} " in line for line in lines) for n in (1, 2))
+    yield Row("MAVProxy logs heartbeats of both", f"{len(lines)} in its log", both)
+    told = (folder / "mavproxy.out").read_text()
+    yield Row(
+        "and says that they are there", "Detected vehicle 1:1", "Detected vehicle 1:1" in told
+    )
+
+
+def unheard(folder: Path) -> Iterator[Row]:
+    """A flight in lockstep that nobody speaks to: to the same bits as with the run's own pilot.
+
+    Raises:
+        SystemExit: If a process does not do its part at all.
+    """
+    router = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+    ports = [free_port(socket.SOCK_DGRAM) for _ in range(2)]
+    begin = ("--listen", router, "--duration", 20, "--out", folder / "unheard", "--json")
+    to = ("--connect", router)
+    log = folder / "unheard.log"
+    with ExitStack() as stack:
+        simulator = stack.enter_context(
+            started(*outrider("simulator", "escort", "--no-picture", *begin), log=log)
+        )
+        await_text(log, "listening on")
+        uav = ("--vehicle", "uav_0", "--in", f"udpin:127.0.0.1:{ports[0]}")
+        for name, words in (
+            ("unheard-uav", outrider("mavlink", *uav, *to)),
+            ("unheard-ugv", outrider("ugv", *to)),
+            ("unheard-gateway", outrider("mavlink", *to, "--to", f"udpout:127.0.0.1:{ports[1]}")),
+        ):
+            stack.enter_context(started(*words, log=folder / f"{name}.log"))
+        simulator.wait(120.0)
+    there = json.loads((folder / "unheard.out").read_text())
+    alone = outrider("run", "escort", "--duration", 20, "--in-process", "--no-files", "--json")
+    words = [str(word) for word in alone]
+    here = json.loads(subprocess.run(words, capture_output=True, check=True).stdout)
+    same = there["trajectory_sha256"] == here["trajectory_sha256"]
+    yield Row("unheard in lockstep: the same bits", there["trajectory_sha256"][:16], same)
+
+
+def along(folder: Path) -> Iterator[Row]:
+    """An autopilot flies along whose MAVLink is MAVSDK's server, and whose loop is a stand-in of ours.
+
+    Raises:
+        SystemExit: If a process does not do its part at all.
+    """
+    python = environment()
+    router = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+    port, log = free_port(socket.SOCK_DGRAM), folder / "along.log"
+    changes = ("--realtime", 1, "--duration", 15, "--set", "certificate.tracking=0.3", "--json")
+    begin = ("--listen", router, "--out", folder / "along", "--no-picture", *changes)
+    to = ("--connect", router)
+    with ExitStack() as stack:
+        simulator = stack.enter_context(started(*outrider("simulator", "escort", *begin), log=log))
+        await_text(log, "listening on")
+        stack.enter_context(started(*outrider("ugv", *to), log=folder / "along-ugv.log"))
+        uav = ("--autopilot", "uav_0", "--in", f"udpin:127.0.0.1:{port}", "--json")
+        uav_log = folder / "along-uav.log"
+        process = stack.enter_context(started(*outrider("mavlink", *uav, *to), log=uav_log))
+        loop = ROOT / "tools" / "bridges" / "mavsdk_autopilot.py"
+        words = (python, loop, f"udpout://127.0.0.1:{port}")
+        stack.enter_context(started(*words, log=folder / "autopilot.log"))
+        simulator.wait(120.0)
+        process.wait(20.0)
+    told = json.loads((folder / "along-uav.out").read_text())
+    heard = json.loads((folder / "autopilot.out").read_text().splitlines()[-1])
+    yield Row("MAVSDK's server takes setpoints", heard["setpoints"], heard["setpoints"] > 200)
+    yield Row("and its telemetry is believed", told["reports"], told["reports"] > 200)
+    off, held = told["largest_deviation"], told["held_ticks"]
+    value = f"at most {off:.3f} m off, waited for in {held} of {told['ticks']} ticks"
+    yield Row("it holds what it is told", value, off < 0.3 and held < told["ticks"] / 10)
+    summary = json.loads((folder / "along.out").read_text())
+    kept = summary["visibility_violations"] == 0 and summary["certificate_broken"] == 0
+    yield Row("sight kept", f"at most {summary['max_distance']:.2f} m", kept)
+
+
+def findings(folder: Path) -> Iterator[Row]:
+    """All checks, by real processes.
+
+    Raises:
+        SystemExit: If a process does not do its part at all.
+    """
+    python = environment()
+    keys = folder / "credentials"
+    subprocess.run(
+        outrider("credentials", keys, "--scenario", "escort"), check=True, capture_output=True
+    )
+    router = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+    watched, logged, flown = (free_port(socket.SOCK_DGRAM) for _ in range(3))
+    changes = ("--realtime", 2, "--duration", DURATION, "--no-picture", "--json")
+
+    def joined(name: str) -> tuple[object, ...]:
+        return ("--connect", router, "--credentials", keys / f"{name}.json")
+
+    with ExitStack() as stack:
+        simulator = stack.enter_context(
+            started(
+                *outrider(
+                    "simulator", "escort", "--listen", router, "--credentials", keys / "router.json"
+                ),
+                *changes,
+                "--out",
+                folder / "flight",
+                log=folder / "simulator.log",
+            )
+        )
+        await_text(folder / "simulator.log", "listening on")
+        start = [
+            ("ugv", outrider("ugv", *joined("ugv_0"))),
+            (
+                "uav",
+                outrider(
+                    "mavlink", "--vehicle", "uav_0", *joined("uav_0"), "--first-system", 11, "--json",
+                    "--to", f"udpout:127.0.0.1:{flown}",
+                ),
+            ),
+            (
+                "gateway",
+                outrider(
+                    "mavlink", *joined("operator"), "--json",
+                    "--to", f"udpout:127.0.0.1:{watched}", "--to", f"udpout:127.0.0.1:{logged}",
+                ),
+            ),
+        ]  # fmt: skip
+        ours = {
+            name: stack.enter_context(started(*words, log=folder / f"{name}.log"))
+            for name, words in start
+        }
+        await_text(folder / "gateway.log", "system 1 is uav_0")
+        proxy = (
+            *(python, python.with_name("mavproxy.py"), f"--master=udpin:127.0.0.1:{logged}"),
+            *("--non-interactive", "--daemon", "--default-modules=", f"--state-basedir={folder}"),
+            f"--logfile={folder / 'flight.tlog'}",
+        )
+        mavproxy = stack.enter_context(
+            started(*proxy, log=folder / "mavproxy.log", stdin=subprocess.DEVNULL, cwd=folder)
+        )
+        addresses = [f"udpin://127.0.0.1:{port}" for port in (watched, flown)]
+        station = subprocess.run(
+            [python, ROOT / "tools" / "bridges" / "mavsdk_station.py", *addresses],
+            capture_output=True, text=True, check=False, timeout=120.0,
+        )  # fmt: skip
+        if station.returncode:
+            raise SystemExit(f"MAVSDK: {station.stdout[-1500:]} {station.stderr[-1500:]}")
+        yield from (Row(**one) for one in json.loads(station.stdout.splitlines()[-1]))
+        mavproxy.terminate()
+        mavproxy.wait(10.0)
+        yield from log_of_mavproxy(python, folder)
+        simulator.wait(DURATION)
+        ended = {name: process.wait(20.0) for name, process in ours.items()}
+    summary = json.loads((folder / "simulator.out").read_text())
+    kept = summary["visibility_violations"] == 0 and summary["certified_while_lost"] == 0
+    yield Row("the simulator: sight kept", f"at most {summary['max_distance']:.2f} m", kept)
+    share, broken = summary["certified_share"], summary["certificate_broken"]
+    # a tick that a busy machine misses is not certified, and says so
+    yield Row("no certificate broken", f"certified {100.0 * share:.1f} % of the ticks", broken == 0)
+    for name in ("uav", "gateway"):
+        told = json.loads((folder / f"{name}.out").read_text())
+        yield Row(f"{name} ends in order", f"refused: {told['refused']}", ended[name] == 0)
+
+
+def run_checks() -> bool:
+    """Print all findings as a table; True if everything holds."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        os.chdir(folder)
+        good = True
+        for found in chain(unheard(folder), along(folder), findings(folder)):
+            good = good and found.holds
+            mark = "holds" if found.holds else "DOES NOT HOLD"
+            print(f"| {found.what} | {found.value} | {mark} |", flush=True)  # noqa: T201
+    return good
+
+
+if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
+    sys.exit(0 if run_checks() else 1)
