@@ -179,7 +179,7 @@ class UavPilot:
         )
         promise = promise_of(briefing)
         self._promises = records(Promise, [promise])
-        self._law_state, self._no_guard = initial_state(), guard_state(promise, depth=1)
+        self._law_state, self._no_guard = initial_state(), guard_state(promise.delay_ticks, depth=1)
         self._sent: deque[Vector] = deque(maxlen=promise.delay_ticks)  # that may be under way
         self.filter: SafetyFilter | None = self._make_filter()
         """The safety filter of the law `certified`, and of an inner control of one's own."""

@@ -60,7 +60,7 @@ def _flown(scenario: Scenario, seeds: int) -> tuple[list[Mission], int]:
     ]
     told = [loop.metrics(uav)["visibility_violations"] > 0.0 for uav in loop.uavs]
     loop.close()
-    return found, int(np.any(told, axis=0).sum())
+    return found, int(np.any(told, axis=0).sum()) if told else 0
 
 
 def rows(seeds: int) -> Iterator[Row]:
@@ -72,7 +72,6 @@ def rows(seeds: int) -> Iterator[Row]:
             link: LinkSettings = PROFILES[network]
             links = LinkTable(detections=link, radio=link)
             for law in (NOBODY, *LAWS):
-                telling = 0.0 if law == NOBODY else plain.ground.telling
                 if law == NOBODY and network != NETWORKS[0]:
                     continue
                 flown = LAWS[0] if law == NOBODY else law
@@ -83,7 +82,7 @@ def rows(seeds: int) -> Iterator[Row]:
                     ugv=ugvs,
                     links=links,
                     law=msgspec.structs.replace(plain.law, name=flown),
-                    ground=msgspec.structs.replace(plain.ground, telling=telling),
+                    uav=() if law == NOBODY else plain.uav,
                 )
                 yield Row(name, caution, network, law, *_flown(scenario, seeds))
 

@@ -67,6 +67,7 @@ OPTIONS = [
         {"end_on_sight_lost": False, "dtype": np.float32, "coverage_patch": (7, 1.3)},
         id="many",
     ),
+    pytest.param(msgspec.structs.replace(ONE, uav=()), {}, id="without a UAV"),
 ]
 
 

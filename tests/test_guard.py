@@ -179,7 +179,7 @@ def test_the_filter_is_what_its_parts_are_one_after_the_other(delay: float) -> N
 @pytest.mark.parametrize("delay", [0.0, 3 * DT])
 def test_a_memory_that_begins_again_is_as_fresh_as_a_new_one(delay: float) -> None:
     promise = promise_of(declared(delay))
-    fresh, used = guard_state(promise, 8), guard_state(promise, 8)
+    fresh, used = guard_state(promise.delay_ticks, 8), guard_state(promise.delay_ticks, 8)
     assert used.course.shape == (round(delay / DT) + 1,)
     verdict = guard(promise, used, 0, Motion(20.0, 20.0, 0.1, 0.0), 0.1, 0.0)
     assert verdict[2:] == (BEST_EFFORT, NO_DETECTION, math.inf)
@@ -193,14 +193,14 @@ def test_a_memory_that_begins_again_is_as_fresh_as_a_new_one(delay: float) -> No
 
 def test_a_track_has_room_for_a_tick() -> None:
     with pytest.raises(ValueError, match="at least 1, not 0"):
-        guard_state(promise_of(declared()), 0)
+        guard_state(1, 0)
 
 
 @pytest.mark.parametrize("taken", [-1, -8, 0, 3, 4, 10, 12, 19])
 def test_a_detection_of_a_tick_that_was_not_noted_is_ignored(taken: int) -> None:
     """Before the start, missed, later than now, or so long ago that another tick has its place in the track of 8."""
     promise = promise_of(declared())
-    state = guard_state(promise, 8)
+    state = guard_state(promise.delay_ticks, 8)
     for tick in (0, 1, 2, 3, 5, 6, 7, 8, 11):  # 8 and 11 take the places of 0 and 3
         note_position(state, tick, 20.0 + tick, 20.0)
     before = [part.tobytes() for part in arrays_of(state)]
@@ -232,7 +232,7 @@ def test_a_detection_of_no_tick_or_of_the_future_is_not_used() -> None:
 
 def test_where_the_ugv_was_detected_is_clipped_into_the_area() -> None:
     promise = promise_of(declared())
-    state = guard_state(promise, 8)
+    state = guard_state(promise.delay_ticks, 8)
     note_position(state, 0, 0.2, promise.height - 0.1)
     note_detection(promise, state, 0, 0, 0.3, -0.3, 0.2, promise.height - 0.1)
     assert kept_by(state) == [(0.0, promise.height, 0)]
@@ -240,7 +240,7 @@ def test_where_the_ugv_was_detected_is_clipped_into_the_area() -> None:
 
 def test_a_contradiction_is_remembered_until_the_filter_begins_again() -> None:
     promise = promise_of(declared())
-    state = guard_state(promise, 8)
+    state = guard_state(promise.delay_ticks, 8)
     for tick in range(2):
         note_position(state, tick, 20.0, 20.0)
         note_detection(promise, state, tick, tick, 2.0 * tick, 0.0, 20.0, 20.0)
@@ -253,7 +253,7 @@ def test_a_contradiction_is_remembered_until_the_filter_begins_again() -> None:
 
 def test_where_there_are_no_walls_a_detection_stays_where_it_is() -> None:
     promise = certificate(Declared(r_v=4.75, v_a=V_A, u_a=U_A, v_g=V_G, dt=DT, eps=0.3, age=1.0))
-    state = guard_state(promise, 8)
+    state = guard_state(promise.delay_ticks, 8)
     note_position(state, 0, -7.0, 3.0)
     note_detection(promise, state, 0, 0, 1.0, 5.0, -7.0, 3.0)
     assert kept_by(state) == [(-8.0, -2.0, 0)]
@@ -273,7 +273,7 @@ class Vehicle:
             "age": 1.0,
         }
         self.promise = certificate(Declared(**numbers, delay=delay, width=width, height=width))
-        self.memory = guard_state(self.promise, 8)
+        self.memory = guard_state(self.promise.delay_ticks, 8)
         self.state, self.tick = Motion(20.0, 20.0, 0.0, 0.0), begin
         self.pending = [(0.0, 0.0)] * round(delay / DT)
         self.g = (20.0, 20.0)

@@ -153,7 +153,7 @@ def test_a_scenario_made_in_python_is_held_to_the_same() -> None:
     assert [type(number) for number in numbers] == [float, float, int]
     for broken, line in (
         ({"dt": None}, "here: dt: not a number; allowed: a number"),
-        ({"uav": ()}, "here: uav = []: out of bounds; allowed: a list of length >= 1"),
+        ({"ugv": ()}, "here: ugv = []: out of bounds; allowed: a list of length >= 1"),
         ({"duration": math.nan}, "here: duration = nan: "),
         ({"title": object()}, "here: object is no number, text, list or table; allowed: "),
         ({"uav": (Uav(position=(1, 2, 3)),)}, "here: uav.0.position = [1, 2, 3]: 3 entries"),

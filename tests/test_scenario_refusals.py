@@ -210,7 +210,7 @@ def test_infinite_bounds_are_allowed_for_vehicles() -> None:
         ),
         ("uav.0.position=[1, true]", "uav.0.position.1 = true: not a number; allowed: a number"),
         ("uav.0.name=UAV", 'uav.0.name = "UAV": no name; allowed: lower-case letters'),
-        ("uav=[]", "uav = []: out of bounds; allowed: a list of length >= 1"),
+        ("ugv=[]", "ugv = []: out of bounds; allowed: a list of length >= 1"),
         (
             "uav={position=[1, 2]}",
             "uav = {position = [1, 2]}: a single table; allowed: a list, in TOML [[uav]]",
@@ -273,7 +273,7 @@ def test_an_unknown_key_is_named_with_the_nearest_and_all_that_are_known(
         (b"a" + b".a" * 3000 + b" = 1", "a key of more than 64 parts"),
         (b'"a\\nb" = 3', "a\\nb = 3: no such field; allowed: name, "),
         (b"title = '\xff'", "byte 9: not UTF-8, invalid start byte; allowed: text in UTF-8"),
-        (b"", "uav: missing; allowed: one table [[uav]] or more"),
+        (b"", "ugv: missing; allowed: one table [[ugv]] or more"),
         (b"[[uav]]\n", "uav.0.position: missing; allowed: [x, y] in m"),
     ],
 )

@@ -117,11 +117,11 @@ class GuardState(NamedTuple):
     """The motions that were sent, where commands carry them."""
 
 
-def guard_state(promise: Promise, depth: int) -> GuardState:
+def guard_state(delay_ticks: int, depth: int) -> GuardState:
     """A fresh memory: nothing seen, nothing commanded.
 
     Args:
-        promise: The declared numbers.
+        delay_ticks: From the tick that a command answers to the one in which it acts, as it is declared.
         depth: For how many ticks own positions are kept; a detection that is older when it arrives is ignored.
     """
     if depth < 1:
@@ -129,10 +129,10 @@ def guard_state(promise: Promise, depth: int) -> GuardState:
     state = GuardState(
         detections=no_detections(),
         plan=no_plan(),
-        course=np.zeros(promise.delay_ticks + 1, dtype=record_type(CourseTick)),
+        course=np.zeros(delay_ticks + 1, dtype=record_type(CourseTick)),
         track=np.zeros(depth, dtype=record_type(TrackTick)),
         flags=np.zeros(1, dtype=record_type(GuardFlags)),
-        underway=underway(promise),
+        underway=underway(delay_ticks),
     )
     begin_guard(state)
     return state

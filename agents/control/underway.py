@@ -59,10 +59,10 @@ class Underway(NamedTuple):
     """`ExpectedState` at the next tick. (2,)"""
 
 
-def underway(promise: Promise) -> Underway:
-    """Nothing has been sent yet."""
+def underway(delay_ticks: int) -> Underway:
+    """Nothing has been sent yet; a command acts so long after the tick that it answers."""
     return Underway(
-        sent=no_motions(promise.delay_ticks + 2),
+        sent=no_motions(delay_ticks + 2),
         flown=no_motions(2),
         expected=np.zeros(2, dtype=record_type(ExpectedState)),
     )

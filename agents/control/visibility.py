@@ -143,7 +143,8 @@ class SafetyFilter:
         self.uncertified: Counter[str] = Counter()
         """Ticks that were not certified, by reason."""
         self.state = guard_state(
-            self.promise, depth=max(1, min(_MOST_TICKS, math.ceil(_TRACK / briefing.dt)))
+            self.promise.delay_ticks,
+            depth=max(1, min(_MOST_TICKS, math.ceil(_TRACK / briefing.dt))),
         )
         """The memory that the compiled functions of `agents.control.guard` work on."""
         if sent:

@@ -50,6 +50,7 @@ def command(
     from outrider.running.assumptions import how_certifiable, odds, promise_warnings
     from outrider.running.user_code import check_own_functions, foreign_code
     from sim.scenario.checks import scenario_warnings
+    from sim.server.flight import NO_UAV
 
     scenario, overrides = scenario_of(
         file,
@@ -87,11 +88,11 @@ def command(
     names = [vehicle.name for vehicle in scenario.vehicles]
     many = f"{len(scenario.uav):,} UAVs and {len(scenario.ugv):,} UGVs"
     vehicles = ", ".join(names) if len(names) <= _LISTED else many
-    law_told = scenario.law.name + (
-        "" if certifiable in (None, "always") else f", but sight is certified {certifiable}"
-    )
+    law_told = f"law {scenario.law.name}" if scenario.uav else NO_UAV
+    if certifiable not in (None, "always"):
+        law_told += f", but sight is certified {certifiable}"
     OUT.print(
-        f"{scenario.name}: can be flown ({vehicles}; law {law_told}; {scenario.duration:g} s, {scenario.ticks} ticks)",
+        f"{scenario.name}: can be flown ({vehicles}; {law_told}; {scenario.duration:g} s, {scenario.ticks} ticks)",
         soft_wrap=True,
     )
     if chances is not None and chances.line:

@@ -110,16 +110,39 @@ def _mission(summary: Summary) -> Iterator[tuple[str | Text, str | Text]]:
         yield "found", f"{summary.found} of {summary.finds}"
 
 
+def _escort(summary: Summary) -> Iterator[tuple[str, str | Text]]:
+    """How the UAVs have done."""
+    lost = summary.visibility_violations
+    yield (
+        "UGV in sight (5)",
+        Text("nothing was flown", style="yellow")
+        if not summary.ticks
+        else Text(f"lost in {lost} ticks", style="red")
+        if lost
+        else Text("always", style="green"),
+    )
+    farthest = _meters(summary.max_distance)
+    yield "largest distance", f"{farthest} of r_v = {summary.visibility_radius:g} m"
+    yield "mean distance", _meters(summary.mean_distance)
+    r_s = _meters(summary.switching_radius)
+    yield "switching radius r_s (18)", f"{r_s}, reached {summary.crossings} times"
+    errors = summary.initial_error, summary.mean_error, summary.final_error
+    start, mean, end = ("-" if one is None else f"{one:.1f}" for one in errors)
+    yield "coverage error e (4)", f"start {start}, mean {mean}, end {end} m²"
+    yield "RMS error of the estimate", _meters(summary.estimate_rmse)
+    yield "RMS error of the detections", _meters(summary.detection_rmse)
+
+
 def print_summary(summary: Summary, files: list[Path]) -> None:
     """The table that a run ends with."""
+    told = "no UAV" if summary.law is None else f"law {summary.law}"
     table = Table(
-        title=f"{summary.scenario}, law {summary.law}, seed {summary.seed}",
+        title=f"{summary.scenario}, {told}, seed {summary.seed}",
         title_justify="left",
         show_header=False,
     )
     table.add_column(style="bold")
     table.add_column(justify="right")
-    seen = summary.visibility_violations == 0
     rows: list[tuple[str | Text, str | Text]] = [
         (
             "flown",
@@ -127,30 +150,9 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
             + ("" if summary.complete else " (cut short)"),
         ),
         ("speed", f"{summary.ticks_per_second:,.0f} ticks/s"),
-        (
-            "UGV in sight (5)",
-            Text("nothing was flown", style="yellow")
-            if not summary.ticks
-            else Text("always", style="green")
-            if seen
-            else Text(f"lost in {summary.visibility_violations} ticks", style="red"),
-        ),
-        (
-            "largest distance",
-            f"{_meters(summary.max_distance)} of r_v = {summary.visibility_radius:g} m",
-        ),
-        ("mean distance", _meters(summary.mean_distance)),
-        (
-            "switching radius r_s (18)",
-            f"{_meters(summary.switching_radius)}, reached {summary.crossings} times",
-        ),
-        (
-            "coverage error e (4)",
-            f"start {summary.initial_error:.1f}, mean {summary.mean_error:.1f}, end {summary.final_error:.1f} m²",
-        ),
-        ("RMS error of the estimate", _meters(summary.estimate_rmse)),
-        ("RMS error of the detections", _meters(summary.detection_rmse)),
     ]
+    if summary.law is not None:
+        rows += _escort(summary)
     if summary.realtime is not None:
         kept = f"{summary.realtime_factor:.3f} of {summary.realtime:g}, {summary.late_ticks} ticks late"
         rows.append(("real time", kept))

@@ -236,7 +236,13 @@ def scenario_of(
     if driver:
         count = len(load_scenario(name, overrides=overrides).ugv)
         overrides += [f'ugv.{k}.driver="{_plain("driver", driver)}"' for k in range(count)]
-    return load_scenario(name, overrides=overrides), overrides
+    found = load_scenario(name, overrides=overrides)
+    for option, value in (("law", law), ("weighting", weighting), ("path", path)):
+        if value and not found.uav:
+            raise ScenarioError(
+                f"--{option} {value}: {found.name} has no UAV that could fly it; allowed: none"
+            )
+    return found, overrides
 
 
 def _user_of(

@@ -159,28 +159,19 @@ def _play(recording: "Recording", speed: float) -> None:
     columns = (
         TextColumn("{task.fields[seconds]:>7.1f} s", markup=False),
         BarColumn(bar_width=40, complete_style="blue", finished_style="blue"),
-        TextColumn("distance {task.fields[distance]:.2f} m, e = {task.fields[error]:.1f} m²"),
+        TextColumn("{task.fields[told]}"),
     )
     with Progress(*columns, console=ERR, transient=True) as progress, stop_on_signals() as stop:
-        task = progress.add_task(
-            "", total=max(end - begin, 1e-9), seconds=begin, distance=0.0, error=0.0
-        )
+        task = progress.add_task("", total=max(end - begin, 1e-9), seconds=begin, told="")
         started, row = time.monotonic(), 0
         while not stop and row < len(truths):
             now = begin + (time.monotonic() - started) * speed
             while row < len(truths) and truths[row].time <= now:
                 row += 1
             shown = truths[max(row - 1, 0)]
-            distance, error = max(
-                (escort.distance, escort.coverage_error) for escort in shown.escorts
-            )
-            progress.update(
-                task,
-                completed=shown.time - begin,
-                seconds=shown.time,
-                distance=distance,
-                error=error,
-            )
+            pairs = [(escort.distance, escort.coverage_error) for escort in shown.escorts]
+            told = "distance {:.2f} m, e = {:.1f} m²".format(*max(pairs)) if pairs else "no UAV"
+            progress.update(task, completed=shown.time - begin, seconds=shown.time, told=told)
             time.sleep(0.05)
     if stop:
         raise typer.Exit(stop.exit_code)

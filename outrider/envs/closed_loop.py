@@ -211,7 +211,7 @@ class ClosedLoop:
         )
         late = self.batch.longest_delay(LinkKind.DETECTIONS)
         kalman = kalman_state(min(late, ticks_within(SPAN, dt)) + 1)
-        guards = guard_state(numbers.slowest, min(late + 1, max(1, math.ceil(_TRACK / dt))))
+        guards = guard_state(numbers.longest, min(late + 1, max(1, math.ceil(_TRACK / dt))))
         uavs, ugvs = len(self.uavs), len(self.ugvs)
         guards = _guards_of(guards, worlds, uavs)
         room = radio.room * uavs if receiving else 1
@@ -230,7 +230,7 @@ class ClosedLoop:
                 (worlds, uavs if self.parameters.own_maps else 0, *coverage.shape[1:]),
                 dtype=coverage.dtype,
             ),
-            sent=np.zeros((worlds, uavs, int(numbers.delays.max()) + 1, 2)),
+            sent=np.zeros((worlds, uavs, numbers.longest + 1, 2)),
             laws=np.repeat(numbers.laws[None], worlds, axis=0),
             drivers=np.repeat(numbers.drivers[None], worlds, axis=0),
             law_states=np.zeros((worlds, uavs, STATE_SIZE)),
@@ -383,12 +383,12 @@ class _PilotNumbers:
         ]
         promises = [promise_of(one) for one in told_uavs]
         self.laws = records(LawParameters, laws)
-        self.slowest = max(promises, key=lambda promise: promise.delay_ticks)
+        self.longest = max((promise.delay_ticks for promise in promises), default=0)
         self.delays = np.array([promise.delay_ticks for promise in promises], dtype=np.int64)
         self.ages = np.array([promise.age_ticks for promise in promises], dtype=np.int64)
-        self.bounded = np.array([_is_bounded(scenario, one) for one in told_uavs])
+        self.bounded = np.array([_is_bounded(scenario, one) for one in told_uavs], dtype=np.bool_)
         self.promises = records(Promise, promises)
-        self.faults = np.array([bool(check_assumptions(promise)) for promise in promises])
+        self.faults = np.array([bool(check_assumptions(one)) for one in promises], dtype=np.bool_)
         self.kalman = records(
             KalmanParameters,
             [
@@ -401,8 +401,9 @@ class _PilotNumbers:
                 for one in told_uavs
             ],
         )
-        outside = np.array([name in external for name in uavs])
-        self.guarded = np.array([law.law in WATCHED for law in laws]) & ~outside | outside & shield
+        outside = np.array([name in external for name in uavs], dtype=np.bool_)
+        watched = np.array([law.law in WATCHED for law in laws], dtype=np.bool_)
+        self.guarded = watched & ~outside | outside & shield
         self.thinking = ~outside
         drivers = [
             self._driver(one, chosen.get(one.vehicle), outside=one.vehicle in external)

@@ -97,12 +97,12 @@ class Odds(NamedTuple):
 
 @functools.lru_cache(maxsize=256)
 def odds(scenario: Scenario, links: LinkTable | None = None) -> Odds | None:
-    """The chances that the numbers are exceeded which the law `certified` relies on; None for other laws.
+    """The chances that the numbers are exceeded which the law `certified` relies on; None for other laws or no UAV.
 
     Arguments as in `shortfalls`. Sight is lost by proof in no more flights than the sum of these chances, where all
     else that the theorem assumes holds for certain.
     """
-    if not LAWS[scenario.law.name].watched:
+    if not scenario.uav or not LAWS[scenario.law.name].watched:
         return None
     table, exceeded = links or scenario.links, dict[str, float | None]()
     looks = -(-scenario.ticks // scenario.detection_period)
@@ -130,7 +130,7 @@ def how_certifiable(scenario: Scenario) -> str | None:
 
     None for other laws.
     """
-    if not LAWS[scenario.law.name].watched:
+    if not scenario.uav or not LAWS[scenario.law.name].watched:
         return None
     broken = {found.how for found in shortfalls(scenario)}
     return "hardly ever" if How.THROUGHOUT in broken else "not always" if broken else "always"

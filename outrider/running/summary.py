@@ -28,7 +28,10 @@ class Process(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Summary(msgspec.Struct, frozen=True, kw_only=True):
-    """Numbers that `outrider run --json` prints, over all escorts; a number that does not exist is None."""
+    """Numbers that `outrider run --json` prints, over all escorts; a number that does not exist is None.
+
+    Without a UAV there are no escorts: no distance, no coverage error, nothing lost.
+    """
 
     scenario: str
     seed: int
@@ -37,8 +40,11 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
 
     Empty: none, and the seed alone does.
     """
-    law: str
-    """The scenario's; `external` where a program of the user's own flew, which reports no estimate."""
+    law: str | None
+    """The scenario's; `external` where a program of the user's own flew, which reports no estimate.
+
+    None without a UAV.
+    """
     dt: float
     """[s]"""
     ticks: int
@@ -46,9 +52,9 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """True if the flight reached the scenario's end."""
     ticks_per_second: float
     """Wall time, from the first tick to the last."""
-    max_distance: float
+    max_distance: float | None
     """[m]"""
-    mean_distance: float
+    mean_distance: float | None
     """[m]"""
     visibility_radius: float
     """r_v [m]"""
@@ -58,11 +64,11 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """r_s of (18) [m]"""
     crossings: int
     """Count of the ticks at which the distance rose to r_s or beyond."""
-    initial_error: float
+    initial_error: float | None
     """e(0) [m²]"""
-    mean_error: float
+    mean_error: float | None
     """[m²]"""
-    final_error: float
+    final_error: float | None
     """[m²]"""
     detections: int
     estimate_rmse: float | None
@@ -154,6 +160,10 @@ def _rms(errors: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float | N
     squares = (errors**2).sum(axis=-1)
     found = squares[~np.isnan(squares)]
     return math.sqrt(float(found.mean())) if found.size else None
+
+
+def _mean(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float | None:
+    return float(values.mean()) if values.size else None
 
 
 def switching_radius_of(flight: "Flight", escort: int = 0) -> float | None:
@@ -263,20 +273,20 @@ def summarize(
         scenario=scenario.name,
         seed=flight.seed,
         secret=flight.secret,
-        law=flight.law_name,
+        law=flight.law_name if world.uavs else None,
         dt=scenario.dt,
         ticks=recorder.ticks,
         complete=flight.complete,
         ticks_per_second=recorder.ticks / seconds if seconds > 0.0 else 0.0,
-        max_distance=float(distance.max()),
-        mean_distance=float(distance.mean()),
+        max_distance=float(distance.max()) if distance.size else None,
+        mean_distance=_mean(distance),
         visibility_radius=scenario.visibility.radius,
         visibility_violations=int((distance >= scenario.visibility.radius).sum()),
-        switching_radius=radii[0],
+        switching_radius=next(iter(radii), None),
         crossings=int((beyond[1:] & ~beyond[:-1]).sum()),
-        initial_error=float(error[0].mean()),
-        mean_error=float(error.mean()),
-        final_error=float(error[-1].mean()),
+        initial_error=_mean(error[0]),
+        mean_error=_mean(error),
+        final_error=_mean(error[-1]),
         detections=int((~np.isnan(recorder.escorts[:, :, 2])).sum()),
         estimate_rmse=_rms(recorder.escorts[:, :, 4:6] - p_g),
         detection_rmse=_rms(recorder.escorts[:, :, 2:4] - (p_a - p_g)),

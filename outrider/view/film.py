@@ -31,7 +31,7 @@ from sim.scene.colors import (
 from sim.scene.frames import Frames
 from sim.scene.known import scene_of
 from sim.scene.model import observed_scene
-from sim.server.flight import law_title
+from sim.server.flight import NO_UAV, law_title
 
 WIDTH = 800
 """Of a film [px]."""
@@ -210,7 +210,7 @@ class Film:
             scenario = recording.scenario
             scene = scene_of(scenario)
             law = law_title(scenario, external_uavs(recording))
-            facts = f"law {law}   ·   {facts}"
+            facts = f"law {law}   ·   {facts}" if scenario.uav else f"{NO_UAV}   ·   {facts}"
             self._r_v = scenario.visibility.radius
         else:
             escorts = {escort.uav: escort.ugv for escort in first.escorts}
@@ -263,7 +263,7 @@ class Film:
             coverage,
             estimates,
             time=truth.time,
-            distance=max(escort.distance for escort in truth.escorts),
+            distance=max((escort.distance for escort in truth.escorts), default=None),
             r_v=self._r_v,
             hazards=hazards,
         )

@@ -1,7 +1,9 @@
 """The picture of one flight: where everybody went, what was seen of the ground, and whether the UGV stayed in sight."""
 
 import textwrap
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -54,12 +56,7 @@ def flight_figure(flight: Flight, hazards: GroundMap | None = None) -> Figure:
         if hazards is not None:
             height += _LEGEND_OF_GROUND
         figure = style.new_figure(width, height, header=0.1)
-        noisy = flight.scenario.detections.noise > 0.0
-        panels = (
-            (_draw_distance, _draw_error, _draw_estimate)
-            if noisy
-            else (_draw_distance, _draw_error)
-        )
+        panels = _panels(flight)
         grid = figure.add_gridspec(
             len(panels), 2, width_ratios=(1.2, 1.0), height_ratios=(1.35, 1.0, 0.8)[: len(panels)]
         )
@@ -72,6 +69,15 @@ def flight_figure(flight: Flight, hazards: GroundMap | None = None) -> Figure:
                 axes.tick_params(labelbottom=False)
         _draw_header(figure, flight, hazards)
     return figure
+
+
+def _panels(flight: Flight) -> tuple[Callable[[Axes, Flight], None], ...]:
+    """The charts beside the map."""
+    if not flight.world.uavs:
+        return (_draw_speed,)
+    if flight.scenario.detections.noise > 0.0:
+        return _draw_distance, _draw_error, _draw_estimate
+    return _draw_distance, _draw_error
 
 
 def times(flight: Flight) -> FloatArray:
@@ -118,7 +124,8 @@ def _draw_map(figure: Figure, axes: Axes, flight: Flight, hazards: GroundMap | N
             ncols=3,
             columnspacing=1.6,
         )
-    style.coverage_bar(figure, image, axes)
+    if flight.world.uavs:
+        style.coverage_bar(figure, image, axes)
 
 
 def shade_violations(axes: Axes, time: FloatArray, distance: FloatArray, r_v: float) -> None:
@@ -186,24 +193,66 @@ def _draw_estimate(axes: Axes, flight: Flight) -> None:
     style.legend_above(axes)
 
 
-def _draw_header(figure: Figure, flight: Flight, hazards: GroundMap | None) -> None:
-    scenario, distance = flight.scenario, flight.recorder.escorts[:, :, 0]
-    r_v, farthest = scenario.visibility.radius, float(distance.max())
+def _draw_speed(axes: Axes, flight: Flight) -> None:
+    """Draw how fast the UGVs are, where no UAV escorts them."""
+    for k, name in enumerate(flight.world.names):
+        speed = np.hypot(flight.recorder.states[:, k, 2], flight.recorder.states[:, k, 3])
+        axes.plot(times(flight), speed, color=style.color(style.UGV, k), label=name)
+    style.over_time(axes, _end(flight), "v [m/s]")
+    axes.set_ylim(bottom=0.0)
+    axes.set_title("Speed of the UGV" if len(flight.world.names) == 1 else "Speed of the UGVs")
+    if len(flight.world.names) > 1:
+        style.legend_above(axes)
+
+
+class _Verdict(NamedTuple):
+    """Words on sight, for the header."""
+
+    text: str
+    color: str
+    reached: str
+    """The largest distance."""
+
+
+def _verdict(flight: Flight) -> _Verdict | None:
+    """Tells if the UGVs stayed in sight; None without a UAV."""
+    distance = flight.recorder.escorts[:, :, 0]
+    if not distance.size:
+        return None
+    r_v, farthest = flight.scenario.visibility.radius, float(distance.max())
+    reached = f"largest distance {farthest:.2f} m of $r_v$ = {r_v:g} m"
     lost = int((distance >= r_v).any(axis=1).sum())
     verdict, color = f"UGV in sight all the time, margin {r_v - farthest:.2f} m", style.GOOD
     if lost:
-        verdict, color = f"UGV out of sight for {lost * scenario.dt:.2f} s", style.LIMIT
+        verdict, color = f"UGV out of sight for {lost * flight.scenario.dt:.2f} s", style.LIMIT
+    return _Verdict(verdict, color, reached)
+
+
+def _draw_header(figure: Figure, flight: Flight, hazards: GroundMap | None) -> None:
+    scenario, verdict = flight.scenario, _verdict(flight)
     named = f"{scenario.name}   ·   " if scenario.title else ""
-    facts = (
-        f"{named}law {flight.law_name}   ·   seed {flight.seed}   ·   {flight.recorder.ticks * scenario.dt:g} s   ·   "
-        f"largest distance {farthest:.2f} m of $r_v$ = {r_v:g} m"
-    )
+    facts = [
+        flight.law_name if verdict is None else f"law {flight.law_name}",
+        f"seed {flight.seed}",
+    ]
+    facts.append(f"{flight.recorder.ticks * scenario.dt:g} s")
+    if verdict is not None:
+        facts.append(verdict.reached)
     title = textwrap.shorten(scenario.title or scenario.name, 50) or "scenario"
     figure.text(0.014, 0.968, title, fontsize=15, fontweight="bold", va="top", parse_math=False)
-    figure.text(0.014, 0.908, facts, color=style.MUTED, va="top")
-    figure.text(
-        0.986, 0.962, verdict, fontsize=11, fontweight="bold", color=color, va="top", ha="right"
-    )
+    told = named + "   ·   ".join(facts)
+    figure.text(0.014, 0.908, told, color=style.MUTED, va="top")
+    if verdict is not None:
+        figure.text(
+            0.986,
+            0.962,
+            verdict.text,
+            fontsize=11,
+            fontweight="bold",
+            color=verdict.color,
+            va="top",
+            ha="right",
+        )
     mission = flight.world.mission
     if hazards is not None and mission is not None:
         hits = hazards.states.count(HIT)

@@ -66,8 +66,9 @@ class LinkArrays:
         self.room = max((p.room for p in self._parameters), default=1)
         """Messages that may arrive at once by one link, at most."""
         wheel = max((p.longest for p in self._parameters), default=0) + 1
-        one = [link_state(p, width, room=self.room, wheel=wheel) for p in self._parameters]
-        fresh = [np.stack(arrays) for arrays in zip(*one, strict=True)]
+        kept = self._parameters or [link_parameters(LinkSettings(), scenario.dt)]  # for the shapes
+        one = [link_state(p, width, room=self.room, wheel=wheel) for p in kept]
+        fresh = [np.stack(arrays)[: len(self.names)] for arrays in zip(*one, strict=True)]
         self.states = LinkState._make(np.repeat(array[None], worlds, axis=0) for array in fresh)
         """Their states. Arrays with axes for worlds and links."""
 

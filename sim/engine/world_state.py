@@ -151,9 +151,8 @@ def escorts_of(scenario: Scenario) -> IntArray:
     """Rows (UAV, UGV), one for each UAV, in name order. Shape (UAVs, 2)."""
     index = {vehicle.name: k for k, vehicle in enumerate(scenario.vehicles)}
     escorts = {uav.name: uav.escorts for uav in scenario.uav}
-    return np.array(
-        [(index[name], index[escorts[name]]) for name in index if name in escorts], dtype=np.int64
-    )
+    rows = [(index[name], index[escorts[name]]) for name in index if name in escorts]
+    return np.array(rows, dtype=np.int64).reshape(-1, 2)
 
 
 def receivers_of(scenario: Scenario) -> IntArray:

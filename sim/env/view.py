@@ -75,9 +75,11 @@ class Rendering:
             {name: ways[:, k] for k, name in enumerate(world.names)},
             np.minimum(world.coverage / world.parameters.desired, 1.0),
             time=moment.time,
-            distance=max(measure[0] for measure in moment.measures),
+            distance=max((measure[0] for measure in moment.measures), default=None),
             r_v=world.parameters.r_v,
-            facts=f"{'sum of ' if len(errors) > 1 else ''}e(t) = {sum(errors):.0f} m²",
+            facts=f"{'sum of ' if len(errors) > 1 else ''}e(t) = {sum(errors):.0f} m²"
+            if errors
+            else "no UAV",
             hazards=hazards,
         )
         return frame[:, :, :3].copy()

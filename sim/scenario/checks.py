@@ -46,7 +46,7 @@ def own_functions_are_named(s: Scenario) -> Iterator[Fault]:
             yield Fault(f"custom.{field}", named, "names no function", "module:function")
     if s.custom.policy and not _names_a_policy(s.custom.policy):
         yield Fault("custom.policy", s.custom.policy, "names no policy", POLICY_FORMS)
-    needed = {f"the law {s.law.name!r}": (LAWS[s.law.name].own, "module:function")}
+    needed = {f"the law {s.law.name!r}": (LAWS[s.law.name].own, "module:function")} if s.uav else {}
     for ugv in s.ugv:
         needed[f"the driver {ugv.driver!r}"] = (DRIVERS[ugv.driver].own, POLICY_FORMS)
     for who, (field, allowed) in needed.items():
@@ -205,7 +205,7 @@ def scenario_warnings(scenario: Scenario) -> tuple[str, ...]:
 
 
 def _law_warnings(s: Scenario) -> Iterator[str]:
-    if not LAWS[s.law.name].keeps_sight:
+    if s.uav and not LAWS[s.law.name].keeps_sight:
         name = f'law.name = "{s.law.name}"'
         yield f"{name}: visibility is not kept, this law never turns back to the UGV"
 

@@ -24,7 +24,8 @@ class RiskBounds(NamedTuple):
 
 def carries_motions(s: Scenario) -> bool:
     """True if the UAVs' commands carry motions: an outage is given, or follows from a risk."""
-    return s.certificate.outage is not None or s.certificate.risk is not None
+    wanted = s.certificate.outage is not None or s.certificate.risk is not None
+    return wanted and bool(s.uav)
 
 
 def command_delay(s: Scenario, uav: str) -> float:
@@ -77,9 +78,9 @@ def risk_bounds(s: Scenario, uav: str) -> RiskBounds:
 
 def risk_warnings(s: Scenario) -> Iterator[str]:
     """A risk from which nothing follows."""
-    if s.certificate.risk is not None and risk_bounds(s, s.uav[0].name) == RiskBounds(
-        None, None, None
-    ):
+    if s.certificate.risk is None or not s.uav:
+        return
+    if risk_bounds(s, s.uav[0].name) == RiskBounds(None, None, None):
         yield f"certificate.risk = {s.certificate.risk:g}: nothing follows from it, as age and outage are given"
 
 

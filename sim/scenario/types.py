@@ -348,7 +348,8 @@ class Scenario(_Table, frozen=True, kw_only=True):
     ground: Ground = Ground()
     hazard: Annotated[tuple[Hazard, ...], Meta(max_length=MOST_HAZARDS)] = ()
     hazard_field: tuple[HazardField, ...] = ()
-    uav: Annotated[tuple[Uav, ...], Meta(min_length=1)]
+    uav: tuple[Uav, ...] = ()
+    """None: the UGVs drive without an escort."""
     ugv: Annotated[tuple[Ugv, ...], Meta(min_length=1)]
 
     @property
@@ -364,7 +365,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     @property
     def disturbed(self) -> bool:
         """True if wind or a wrong own position takes a UAV from where it is told that it is."""
-        return self.wind.largest > 0.0 or any(uav.own_error > 0.0 for uav in self.uav)
+        return any(self.wind.largest > 0.0 or uav.own_error > 0.0 for uav in self.uav)
 
     @property
     def detection_period(self) -> int:

@@ -271,10 +271,11 @@ def legend_of(
     mark = {"markeredgecolor": "white", "markersize": 7}
     uavs = sum(one.flies for one in scene.vehicles)
     ugvs = len(scene.vehicles) - uavs
-    keys: list[Artist] = [
-        key(UAV[0], "UAV" if uavs == 1 else f"{uavs} UAVs", marker="o", **mark),
-        key(UGV[0], "UGV" if ugvs == 1 else f"{ugvs} UGVs", marker="s", linewidth=2.2, **mark),
-    ]
+    keys: list[Artist] = []
+    if uavs:
+        keys.append(key(UAV[0], "UAV" if uavs == 1 else f"{uavs} UAVs", marker="o", **mark))
+    driving = "UGV" if ugvs == 1 else f"{ugvs} UGVs"
+    keys.append(key(UGV[0], driving, marker="s", linewidth=2.2, **mark))
     if any(one.goals for one in scene.vehicles):
         keys.append(key(UGV[0], "goal", marker="x", linestyle="", markeredgewidth=1.8))
     for ring in reversed({ring.symbol: ring for ring in reversed(scene.rings)}.values()):

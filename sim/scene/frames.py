@@ -106,7 +106,7 @@ class Frames:
         estimates: Mapping[str, Estimate] | None = None,
         *,
         time: float,
-        distance: float,
+        distance: float | None,
         r_v: float | None,
         facts: str | None = None,
         hazards: GroundMap | None = None,
@@ -118,7 +118,7 @@ class Frames:
             coverage: Of the ground.
             estimates: Of each UAV, where it has one.
             time: Simulated [s].
-            distance: The largest between a UAV and its UGV [m].
+            distance: The largest between a UAV and its UGV [m]; None: there is no UAV.
             r_v: Visibility radius [m]; None where it is not known.
             facts: The line below the title; None: as before.
             hazards: Of the ground.
@@ -127,12 +127,11 @@ class Frames:
             Red, green, blue and opacity; shape (rows, columns, 4). The next picture is another array.
         """
         self._map.show(tracks, coverage, estimates, hazards)
-        lost = r_v is not None and distance >= r_v
+        lost = distance is not None and r_v is not None and distance >= r_v
         limit = "" if r_v is None else f" of {r_v:g} m"
+        told = "" if distance is None else f"distance {distance:5.2f} m{limit}"
         self._clock.set_text(f"{time:7.1f} s")
-        self._distance.set_text(
-            f"distance {distance:5.2f} m{limit}{'  OUT OF SIGHT' if lost else ''}"
-        )
+        self._distance.set_text(f"{told}{'  OUT OF SIGHT' if lost else ''}")
         self._distance.set_color(LIMIT if lost else MUTED)
         if facts is not None:
             self._facts.set_text(facts)

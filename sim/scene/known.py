@@ -19,9 +19,10 @@ def inner_radius(scenario: Scenario, ugv: str) -> float | None:
 
 def geometry_of(scenario: Scenario) -> Geometry:
     """The part of a scenario that observers are told."""
-    uav = scenario.uav[0]
-    ugv = next(ugv for ugv in scenario.ugv if ugv.name == uav.escorts)
-    radius = switching_radius(scenario, uav, ugv)
+    radius = math.inf
+    for uav in scenario.uav[:1]:
+        ugv = next(ugv for ugv in scenario.ugv if ugv.name == uav.escorts)
+        radius = switching_radius(scenario, uav, ugv)
     return Geometry(
         area=scenario.area,
         visibility_radius=scenario.visibility.radius,

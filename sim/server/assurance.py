@@ -153,7 +153,8 @@ class Assurance:
         bounds = [declared(scenario, uav) for uav in uavs]
         self._outage = max((b.outage for b in bounds if b.outage is not None), default=None)
         self._assumptions = [Assumptions(one, scenario.dt) for one in bounds]
-        self._tracking = max(math.inf if b.tracking is None else b.tracking for b in bounds)
+        told = (math.inf if b.tracking is None else b.tracking for b in bounds)
+        self._tracking = max(told, default=math.inf)
         self._promised = [False] * len(uavs)
         """True where the tick before was certified, and nothing excuses that this one is not."""
         self._last = [_NOBODY] * len(uavs)

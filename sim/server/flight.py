@@ -88,6 +88,8 @@ class Exchange(Protocol):
 
 
 _LOG = logging.getLogger("outrider.sim")
+NO_UAV = "no UAV"
+"""Instead of a law, for a person, where there is nobody to fly one."""
 EXTERNAL = "external"
 """The law of a UAV, and the driver of a UGV, that is a program of the user's own."""
 _ROUNDING = 1e-9
@@ -98,12 +100,14 @@ _LOOK = 4
 
 
 def law_title(scenario: Scenario, external: Collection[str]) -> str:
-    """The scenario's law for a person: `external` where programs of the user's own fly instead.
+    """The scenario's law for a person: `external` where programs of the user's own fly instead, `no UAV` without any.
 
     Args:
         scenario: What is flown.
         external: The UAVs that such programs fly.
     """
+    if not scenario.uav:
+        return NO_UAV
     if len(external) == len(scenario.uav):
         return EXTERNAL
     own = " and ".join(sorted(external))

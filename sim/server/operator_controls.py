@@ -133,6 +133,8 @@ class OperatorControls:
     def _law(self, control: Control) -> None:
         if control.law is None:
             raise ScenarioError("law is missing")
+        if not self._flight.world.uavs:
+            raise ScenarioError(f"law = {control.law.name!r}: there is no UAV that could fly it")
         check_scenario(
             msgspec.structs.replace(self._flight.scenario, law=control.law), source="law"
         )

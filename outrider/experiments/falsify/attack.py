@@ -823,7 +823,7 @@ def attack(
     """
     batch = Batch(scenario_of(promise, conditions), 1, threads=1)
     late = batch.longest_delay(LinkKind.DETECTIONS) + 1
-    memory = guard_state(promise, max(1, late))
+    memory = guard_state(promise.delay_ticks, max(1, late))
     results, work, random = (
         np.empty((runs, RESULTS)),
         np.zeros((6 + _RING, 10)),

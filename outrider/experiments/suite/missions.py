@@ -13,13 +13,10 @@ import numpy as np
 from bus.messages import Mission
 from outrider.envs.closed_loop import ClosedLoop, pilot_names
 from outrider.envs.vector import Policy, Worlds
-from outrider.experiments.intervals import mean_interval
-from outrider.experiments.suite.scoring import SETTINGS, Entry, Result, Team, name_of
+from outrider.experiments.suite.scoring import SETTINGS, Entry, Result, Team, result_of
 from outrider.experiments.suite.tasks import NO_ESCORT, Task
 from sim.engine.mission import mission_of
 from sim.env.rewards import RewardWeights
-from sim.models.ground import FOUND
-from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 
 _UNPAID = RewardWeights(uncovered=0.0)
@@ -72,33 +69,27 @@ def mission_score(mission: Mission, shortest: float) -> float:
     return 100.0 * pace * found / (1.0 + mission.hazards_hit)
 
 
-def _mission(loop: ClosedLoop, k: int, *, alone: bool) -> Mission:
-    """How world k went; a UGV `alone` has found what its own bumper has."""
+def _mission(loop: ClosedLoop, k: int) -> Mission:
+    """How world k went."""
     tables, state = loop.tables.batch, loop.state.batch
-    told = mission_of(tables.mission, state.ground, state.mission, k, loop.scenario.dt)
-    if not alone:
-        return told
-    finds = state.ground.hazards["kind"][k] == FOUND
-    known = (state.mission.warned[k] > 0).any(axis=0)
-    return msgspec.structs.replace(told, found=int((known & finds).sum()))
+    return mission_of(tables.mission, state.ground, state.mission, k, loop.scenario.dt)
 
 
 def _fly_law(
     task: Task, law: str, seeds: Sequence[int], secret: str
 ) -> tuple[list[Mission], ClosedLoop]:
-    scenario, alone = task.scenario, law == NO_ESCORT
-    uavs = [uav.name for uav in scenario.uav]
-    allowed = (NO_ESCORT, *pilot_names(scenario, uavs[0]))
+    scenario = task.scenario
+    allowed = (NO_ESCORT, *pilot_names(scenario, scenario.uav[0].name))
     if law not in allowed:
         raise ValueError(
             f"law = {law!r}: unknown; allowed: {', '.join(allowed)}, or a policy for all worlds at once"
         )
-    if alone:  # the UAV flies along, but says nothing
-        scenario = load_scenario(task.base, overrides={**task.changes, "ground.telling": 0.0})
+    if law == NO_ESCORT:
+        scenario = msgspec.structs.replace(scenario, uav=())
     loop = ClosedLoop(
         scenario,
         len(seeds),
-        pilots=dict.fromkeys(uavs, "tracking" if alone else law),
+        pilots={uav.name: law for uav in scenario.uav},
         rewards=_UNPAID,
         end_on_sight_lost=False,
         end_on_goals_reached=True,
@@ -109,7 +100,7 @@ def _fly_law(
         loop.fly()
     finally:
         loop.close()
-    return [_mission(loop, k, alone=alone) for k in range(len(seeds))], loop
+    return [_mission(loop, k) for k in range(len(seeds))], loop
 
 
 def _fly_policies(
@@ -148,7 +139,7 @@ def _fly_policies(
                 {name: pilot(worlds.observe(name)) for name, pilot in pilots.items()}
             )
             for k in np.flatnonzero(ended).tolist():
-                told.setdefault(k, _mission(worlds.loop, k, alone=False))
+                told.setdefault(k, _mission(worlds.loop, k))
     finally:
         worlds.loop.close()
     return [told[k] for k in range(len(seeds))], worlds.loop
@@ -174,20 +165,16 @@ def evaluate_mission(
         team = entry if isinstance(entry, Team) else Team(uav=entry)
         missions, loop = _fly_policies(task, team, seeds, secret, settings)
     shortest, flown = shortest_time(task.scenario), [loop.metrics(uav) for uav in loop.uavs]
-    scores = [mission_score(mission, shortest) for mission in missions]
-    score, low, high = mean_interval(scores)
     finds = sum(mission.finds for mission in missions)
-    return MissionResult(
-        task=task.name,
-        entry=name_of(entry, name),
-        score=score,
-        low=max(0.0, low),
-        high=min(100.0, high),
-        scores=tuple(scores),
+    return result_of(
+        MissionResult,
+        task,
+        entry,
+        [mission_score(mission, shortest) for mission in missions],
+        name=name,
+        secret=secret,
         mean_error=math.nan,
         lost=int(np.any([one["visibility_violations"] > 0.0 for one in flown], axis=0).sum()),
-        episodes=len(seeds),
-        secret=secret,
         certified_while_lost=sum(int(one["certified_while_lost"].sum()) for one in flown),
         certificate_broken=sum(int(one["certificate_broken"].sum()) for one in flown),
         arrived=sum(mission.arrived for mission in missions),

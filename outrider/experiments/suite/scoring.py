@@ -4,7 +4,7 @@ import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -61,6 +61,9 @@ class Result:
     """Ticks of all UAVs that the safety filter certified with the UGV out of sight: 0, or the certificate is wrong."""
     certificate_broken: int = 0
     """Ticks that it did not certify although the one before was and all assumptions held: likewise."""
+
+
+_Scored = TypeVar("_Scored", bound=Result)
 
 
 class _Meter:
@@ -183,6 +186,40 @@ def _fly_policy(
         worlds.loop.close()
 
 
+def result_of(
+    kind: type[_Scored],
+    task: Task,
+    entry: Entry,
+    scores: Sequence[float],
+    *,
+    name: str,
+    secret: str,
+    **told: Any,  # noqa: ANN401 - the other fields of that kind
+) -> _Scored:
+    """The result of an entry from the scores of its episodes.
+
+    Args:
+        kind: Of result.
+        task, entry: What was flown, and by whom.
+        scores: In the order of the seeds.
+        name: Of the entry, for tables.
+        secret: Of the episodes' random numbers.
+        told: The other fields of that kind of result.
+    """
+    score, low, high = mean_interval(scores)
+    return kind(
+        task=task.name,
+        entry=name_of(entry, name),
+        score=score,
+        low=max(0.0, low),
+        high=min(100.0, high),
+        scores=tuple(scores),
+        episodes=len(scores),
+        secret=secret,
+        **told,
+    )
+
+
 def evaluate(
     task: Task,
     entry: Entry,
@@ -232,18 +269,15 @@ def evaluate(
     else:
         meter = _fly_policy(task, entry, seeds, kept, settings)
     scores = (100.0 * meter.seen / (task.scenario.ticks + 1)).tolist()
-    score, low, high = mean_interval(scores)
-    return Result(
-        task=task.name,
-        entry=name_of(entry, name),
-        score=score,
-        low=max(0.0, low),
-        high=min(100.0, high),
-        scores=tuple(scores),
+    return result_of(
+        Result,
+        task,
+        entry,
+        scores,
+        name=name,
+        secret=kept,
         mean_error=math.fsum((meter.errors / meter.ticks).tolist()) / len(seeds),
         lost=int((~meter.in_sight).sum()),
-        episodes=len(seeds),
-        secret=kept,
         certified_while_lost=meter.certified_while_lost,
         certificate_broken=meter.certificate_broken,
     )

@@ -90,7 +90,9 @@ def row_of(summary: Summary, seconds: float) -> dict[str, Any]:
     for kind in _LINKS:
         row |= link_columns(summary, kind)
     return row | {
-        "margin": summary.visibility_radius - summary.max_distance,
+        "margin": None
+        if summary.max_distance is None
+        else summary.visibility_radius - summary.max_distance,
         "violated": summary.visibility_violations > 0,
         "seconds": seconds,
     }

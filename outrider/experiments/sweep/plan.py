@@ -124,6 +124,9 @@ def _loaded(
         if outside is not None:
             wrong = f"the driver {outside!r} is another process; a sweep has none"
             raise ScenarioError(f"{one_line(sweep.scenario)}: {wrong}")
+        if law is not None and not scenario.uav:
+            wrong = f"laws = {list(sweep.laws or ())}: there is no UAV that could fly them"
+            raise ScenarioError(f"{one_line(sweep.scenario)}: {wrong}; allowed: none")
         yield block, values, scenario
 
 

@@ -39,7 +39,7 @@ class SweepTask:
 
 def cost_of(scenario: Scenario) -> int:
     """Cost of a run of a scenario, in ticks of one UAV."""
-    return scenario.ticks * len(scenario.uav)
+    return scenario.ticks * max(1, len(scenario.uav))
 
 
 def make_tasks(plan: Plan, done: set[int], workers: int) -> list[SweepTask]:

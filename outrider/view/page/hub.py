@@ -112,7 +112,7 @@ class Hub:
     def _scene(self) -> Scene | None:
         """The map's scene, as far as it is known."""
         status, escorts = self.status, dict(self.history.escorts)
-        if status is None or not escorts:
+        if status is None or not self.history.vehicles:
             return None
         return observed_scene(
             status.scenario, status.geometry, escorts=escorts, vehicles=self.history.vehicles

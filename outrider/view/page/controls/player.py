@@ -114,7 +114,7 @@ class Player:
         status = self._hub.status
         if status is None:
             return
-        choose(self._law, status.law)
+        choose(self._law, status.law if self._hub.history.escorts else None)
         choose(self._driver, ", ".join(sorted(set(status.drivers.values()))))
         self._seed.set_value(status.seed)
 

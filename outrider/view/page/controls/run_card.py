@@ -175,7 +175,7 @@ class Controls:
             self._lockstep.set_value(status.wanted_factor is None)
             if status.wanted_factor:
                 self._speed.set_value(position_of(status.wanted_factor))
-            choose(self._law, status.law)
+            choose(self._law, status.law if self._hub.history.escorts else None)
             drivers = set(self._hub.drivers.values())
             choose(self._driver, drivers.pop() if len(drivers) == 1 else None)
         finally:

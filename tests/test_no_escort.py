@@ -1,0 +1,158 @@
+"""UGVs without a UAV: the baseline that shows what the escort is worth."""
+
+import json
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from flights import record, sha256
+from processes import flown_both_ways
+
+import outrider
+from bus.errors import ScenarioError
+from outrider.cli import console
+from outrider.cli.options import scenario_of
+from outrider.envs.closed_loop import ClosedLoop
+from outrider.envs.env_pilots import pilots
+from outrider.experiments.sweep.columns import row_of
+from outrider.experiments.sweep.definition import Block, Sweep
+from outrider.experiments.sweep.plan import lay_out
+from outrider.experiments.sweep.running import cost_of
+from outrider.recording.reader import flight_of
+from outrider.recording.refly import refly
+from outrider.recording.writer import FlightRecorder
+from outrider.running.flying import fly
+from outrider.running.summary import Summary
+from outrider.view.film import Film
+from outrider.view.flight_picture import flight_figure
+from outrider.view.page.hub import Hub
+from outrider.view.page.sources.tape import Tape
+from outrider.view.terminal.teleoperation import DriveView
+from outrider.view.terminal.topview import Trails, draw
+from sim.scenario.checks import check_scenario
+from sim.scenario.loading import load_scenario
+from sim.scenario.types import LinkTable, Scenario, Wind
+from sim.scene.known import geometry_of
+from sim.server.flight import Flight
+
+ALONE = load_scenario("minefield", overrides=["uav=[]", "duration=15.0"])
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Flight, Summary]:
+    path = tmp_path_factory.mktemp("alone") / "run.mcap"
+    recorder = FlightRecorder(path, ALONE, 4)
+    flight, summary = fly(ALONE, 4, on_tick=recorder.tick)
+    recorder.close()
+    return path, flight, summary
+
+
+def positions(scenario: Scenario, seeds: list[int]) -> np.ndarray:
+    loop = ClosedLoop(scenario, len(seeds), threads=1, end_on_sight_lost=False)
+    loop.begin(seeds)
+    loop.fly()
+    found = loop.state.batch.truth.position[:, loop.tables.rows.ugvs].copy()
+    loop.close()
+    return found
+
+
+def test_a_ugv_alone_has_one_trajectory_in_run_environment_and_batch(flown) -> None:
+    _, flight, summary = flown
+    env = outrider.parallel_env(ALONE)
+    observations, _ = env.reset(seed=4)
+    assert sha256(record(env, pilots(env), observations)) == summary.trajectory_sha256
+    assert np.array_equal(positions(ALONE, [5, 4])[1], flight.world.position)
+    assert flight.world.position[0].tolist() != list(ALONE.ugv[0].position)
+
+
+def test_a_ugv_alone_drives_as_one_whose_uav_says_nothing() -> None:
+    silent = load_scenario("minefield", overrides=["ground.telling=0.0", "duration=40.0"])
+    alone = msgspec.structs.replace(silent, uav=())
+    assert np.array_equal(positions(alone, [1, 2]), positions(silent, [1, 2]))
+
+
+def test_two_processes_and_one_drive_the_same_bits() -> None:
+    there, _ = flown_both_ways("minefield", "uav=[]", "duration=15.0")
+    assert [process["name"] for process in there["processes"]] == ["simulator", "ugv_0"]
+
+
+def test_the_summary_says_nothing_of_an_escort(flown, capsys) -> None:
+    _, _, summary = flown
+    told = json.loads(msgspec.json.encode(summary))
+    escort = ("law", "max_distance", "mean_distance", "switching_radius", "initial_error")
+    escort += ("mean_error", "final_error", "estimate_rmse", "detection_rmse", "certified_share")
+    assert {name: told[name] for name in escort} == dict.fromkeys(escort)
+    assert told["visibility_violations"] == told["crossings"] == told["detections"] == 0
+    assert told["hazards_hit"] == 0
+    console.print_summary(summary, [])
+    table = capsys.readouterr().out
+    assert "no UAV" in table
+    assert "hazards hit" in table
+    for word in ("in sight", "distance", "coverage error", "RMS"):
+        assert word not in table
+
+
+def test_every_view_shows_a_ugv_alone(flown) -> None:
+    path, flight, _ = flown
+    titles = [axes.get_title(loc="left") for axes in flight_figure(flight).axes]
+    assert "Speed of the UGV" in titles
+    recording = flight_of(path)
+    frame = next(iter(Film(recording).frames([10.0])))
+    assert frame.std() > 0.0
+    hub = Hub(Tape(recording, 1.0, lambda: 0.0))
+    hub.take_in()
+    assert hub._scene is not None
+    assert [vehicle.name for vehicle in hub._scene.vehicles] == ["ugv_0"]
+    assert hub.status is not None
+    status = msgspec.structs.replace(hub.status, geometry=geometry_of(ALONE))
+    view = DriveView(status=status, truth=flight.truth())
+    canvas = draw(view, "ugv_0", Trails(), width=60, height=20, wide=True)
+    assert any(segment.text.strip() for row in range(20) for segment in canvas.row(row))
+    env = outrider.parallel_env(ALONE, render_mode="rgb_array")
+    env.reset(seed=4)
+    assert env.render() is not None
+
+
+def test_a_recording_of_a_ugv_alone_is_flown_again_to_the_same_bits(flown) -> None:
+    path, _, summary = flown
+    assert refly(flight_of(path)).trajectory_sha256 == summary.trajectory_sha256
+
+
+def test_ugvs_alone_are_the_agents_of_every_environment() -> None:
+    assert outrider.parallel_env(ALONE).possible_agents == ["ugv_0"]
+    worlds = outrider.parallel_vector_env(ALONE, num_envs=2)
+    observations, _ = worlds.reset(seed=4)
+    assert list(observations) == ["ugv_0"]
+    with pytest.raises(ValueError, match=r"^agent = 'uav_0'; allowed: ugv_0$"):
+        outrider.single_env(ALONE)
+
+
+@pytest.mark.parametrize("option", ["law", "weighting", "path"])
+def test_options_for_uavs_are_refused_where_there_is_none(option: str) -> None:
+    value = "circle" if option == "law" else "math:sqrt"
+    with pytest.raises(ScenarioError, match=r"^--law \w+: minefield has no UAV that could fly it"):
+        scenario_of("minefield", changes=["uav=[]"], **{option: value})
+
+
+def test_a_sweep_flies_a_ugv_alone_but_no_laws_over_it() -> None:
+    alone = {"uav": [], "duration": 1.0}
+    block = Block(name="alone")
+    plan = lay_out(Sweep(scenario="minefield", set=alone, block=(block,)))
+    assert cost_of(plan.points[0].scenario) > 0
+    _, summary = fly(plan.points[0].scenario, 1)
+    row = row_of(summary, 1.0)
+    assert (row["margin"], row["violated"]) == (None, False)
+    with pytest.raises(ScenarioError, match=r"^minefield: laws = \['circle'\]: there is no UAV"):
+        lay_out(Sweep(scenario="minefield", laws=("circle",), set=alone, block=(block,)))
+
+
+def test_what_is_declared_for_uavs_is_nothing_without_one() -> None:
+    changes = ["uav=[]", "certificate.risk=0.01", "law.name=path", "duration=2.0"]
+    scenario = load_scenario("minefield", overrides=changes)
+    windy = msgspec.structs.replace(scenario, wind=Wind(mean=(0.05, 0.0)), links=LinkTable())
+    _, summary = fly(check_scenario(windy), 1)
+    assert summary.tracking_error is None
+    assert summary.exceeded_chance == {}
+    with pytest.raises(ScenarioError, match=r"ugv = \[\]"):
+        check_scenario(msgspec.structs.replace(windy, ugv=()))
