@@ -184,7 +184,7 @@ class UavPilot:
         self.filter: SafetyFilter | None = self._make_filter()
         """The safety filter of the law `certified`, and of an inner control of one's own."""
         self.teller = GroundTeller(briefing)
-        """What it radios of the ground."""
+        """The sender of the ground's blocks."""
         self._tick: int | None = None
         self._radio_ticks = radio_ticks(briefing.dt)
         self._take_on()
@@ -283,7 +283,7 @@ class UavPilot:
         )
 
     def _target(self, estimate: Estimate) -> Target:
-        """What the filter believes, as compiled code takes it."""
+        """The filter's belief, as compiled code takes it."""
         variance = estimate.covariance[0]
         return Target(
             True, *estimate.position, *estimate.velocity, variance, self.estimator.velocity_variance

@@ -66,11 +66,11 @@ class Trial:
     slowest: float
     """Least share of its largest speed that the UGV truly keeps on rough ground."""
     teller: str
-    """How the adversary tells the ground: one of `TELLERS`."""
+    """The adversary's order of telling: one of `TELLERS`."""
     reach: float
     """Of the bumper [m]."""
     wheel: str
-    """What is wanted: one of `WHEELS`."""
+    """The wanted motion: one of `WHEELS`."""
     ticks: int
 
 
@@ -203,7 +203,7 @@ class Teller:
         return d_x[None, :] ** 2 + d_y[:, None] ** 2 <= reach * reach
 
     def tell(self, tick: int, x: float, y: float, speed: float) -> None:
-        """What is told at a tick, the UGV being there [m], so fast [m/s]."""
+        """Tiles that are told at a tick, the UGV being there [m], so fast [m/s]."""
         teller, reach, rng = self.trial.teller, self.trial.reach, self.rng
         if teller == "all":
             if tick == 0:
@@ -231,7 +231,7 @@ class Teller:
 def _wanted(
     trial: Trial, rng: np.random.Generator, before: tuple[float, float], here: Motion
 ) -> tuple[float, float]:
-    """What an adversary at the wheel wants [m/s²]: on and on, a sharp turn, or anything."""
+    """Wish of an adversary at the wheel [m/s²]: on and on, a sharp turn, or anything."""
     u = min(trial.p.u_max, trial.p.v_max / trial.p.dt)
     speed = norm(here.v_x, here.v_y)
     if trial.wheel == "swerve" and speed > 0.2 * trial.p.v_max:
@@ -372,7 +372,7 @@ def _clipped(b: Bounds, u_x: float, u_y: float) -> tuple[float, float]:
 
 
 def _after(b: Bounds, h: Motion, u_x: float, u_y: float) -> tuple[tuple[float, float], ...]:
-    """Where the tick ends, and where the UGV can rest after it [m]."""
+    """End of the tick, and the place of rest after it [m]."""
     x, y, w_x, w_y, _, _ = step_vehicle(*h, u_x, u_y, b.v_max, b.u_max, b.dt)
     speed = norm(w_x, w_y)
     share = braking_way(speed, b.u_max, b.dt) / speed if speed else 0.0
@@ -456,7 +456,7 @@ def pushed_trial(seed: int) -> Trial:
 
 
 def arrivals(runs: int = 500) -> Iterator[str]:
-    """How many calm trials arrive."""
+    """Number of calm trials that arrive."""
     able = [
         seed for seed in range(5 * runs) if is_reachable(draw_trial(seed, wheel="plan", calm=True))
     ]

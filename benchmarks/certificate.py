@@ -146,7 +146,7 @@ def guards() -> Iterator[str]:
 
 
 def outage() -> Iterator[str]:
-    """What B costs."""
+    """The cost of B."""
     numbers = {name: a.PAPER_BOUNDS[name] for name in ("r_v", "v_a", "u_a", "v_g", "dt")}
     waits = (0.05, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0)
     yield f"| B [s] | {' | '.join(f'{wait:g}' for wait in waits)} |"
@@ -175,7 +175,7 @@ def outage() -> Iterator[str]:
 
 
 def wind() -> Iterator[str]:
-    """What w costs, and what it is."""
+    """The cost of w, and its size."""
     numbers = {name: a.PAPER_BOUNDS[name] for name in ("r_v", "v_a", "u_a", "v_g", "dt")}
     offs = (0.0, 0.1, 0.2, 0.3, 0.5, 0.8, 1.2)
     yield f"| w [m] | {' | '.join(f'{off:g}' for off in offs)} |"
@@ -284,7 +284,7 @@ def commands() -> Iterator[str]:
 
 
 _MOTIONS = {"narrowband": ["certificate.delay=1.0", "certificate.outage=5.0"]}
-"""What is declared of the commands on a profile, where not B = 4 s and the longest delay of its link."""
+"""Declarations about the commands on a profile, where not B = 4 s and the longest delay of its link."""
 
 
 def _flown(task: tuple[str, str, bool, int]) -> tuple[float, float, int, float]:

@@ -1,4 +1,4 @@
-"""Where the time of a tick goes when both pilots fly in one process, beside the world's step alone.
+"""Shares of a tick's time when both pilots fly in one process, beside the world's step alone.
 
 python benchmarks/one_flight.py --flights 6
 """

@@ -196,7 +196,7 @@ SAMPLED_TRUTH = _telemetry("sampled-truth", Truth)
 """The truth for people's eyes: some ticks of it, as often as an eye can see."""
 COVERAGE = _telemetry("coverage", CoverageMap)
 GROUND = _telemetry("ground", GroundMap, _HUGE)
-"""Where there are hazards: what no vehicle is told of them, with what the vehicles know."""
+"""The hazards, if there are any: what no vehicle is told of them, with what the vehicles know."""
 STATUS = _telemetry("status", Status)
 
 KEYS: tuple[Key, ...] = (

@@ -78,7 +78,7 @@ class Sensor(Message, frozen=True, kw_only=True):
 
 
 class Law(Message, frozen=True, kw_only=True):
-    """Which control law the UAV flies, and its parameters (section VI of the paper)."""
+    """The control law that the UAV flies, and its parameters (section VI of the paper)."""
 
     name: Name = DEFAULT_LAW
     """A row of `bus.registry.LAWS`."""
@@ -103,9 +103,9 @@ class Law(Message, frozen=True, kw_only=True):
     circle_rate: Coordinate = 0.1
     """omega_pv of (25) [rad/s]; negative is clockwise."""
     horizon: Annotated[float, Meta(ge=0.5, le=60.0)] = 15.0
-    """How far the law `lookahead` looks ahead [s]; 0.5: one step."""
+    """Time that the law `lookahead` looks ahead [s]; 0.5: one step."""
     candidates: Annotated[int, Meta(ge=1, le=10_000)] = 800
-    """How many motions it compares every half second; 1: it flies motions drawn at random, one after the other."""
+    """Number of motions it compares every half second; 1: it flies motions drawn at random, one after the other."""
 
 
 class LinkKind(StrEnum):
@@ -161,7 +161,7 @@ class LinkSettings(Message, frozen=True, kw_only=True):
     queue: Annotated[int, Meta(ge=1, le=10_000)] = 10
     """Messages that can wait at the sender."""
     keep: Name = "newest"
-    """Which messages a full queue keeps, of `KEEPS`."""
+    """The messages that a full queue keeps, of `KEEPS`."""
     trace: Text = ""
     """A recorded link that is played in a loop instead of drawing: a Mahimahi file, or a CSV table of sent and delay.
 
@@ -230,14 +230,14 @@ class MotionPlan(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fi
     turn: Ticks = 0
     cruise: Ticks = 0
     brake: Ticks = 0
-    """How long the plan after it turns, cruises and brakes [ticks]; then the vehicle rests."""
+    """Lengths of the plan after it, to turn, cruise and brake [ticks]; then the vehicle rests."""
     turning: Vector = (0.0, 0.0)
     braking: Vector = (0.0, 0.0)
     """Accelerations while it turns and brakes [m/s²]."""
 
 
 TILE_LETTERS = "?.~#*"
-"""What messages call the states of a tile of ground: not seen, clear, rough, blocked, and clear with a find on it."""
+"""Names of the states of a tile in messages: not seen, clear, rough, blocked, and clear with a find on it."""
 BLOCK_SIDE = 8
 """Tiles along each side of a `GroundBlock`."""
 MOST_BLOCKS = 4
@@ -250,7 +250,7 @@ Place = Annotated[int, Meta(ge=0, le=1_000_000)]
 
 
 class SeenTile(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """What a vehicle's own sensor says of a tile of the ground; in JSON an array of these fields, in this order."""
+    """A tile of the ground as a vehicle's own sensor sees it; in JSON an array of these fields, in this order."""
 
     column: Place
     row: Place
@@ -260,7 +260,7 @@ class SeenTile(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fiel
 
 
 class GroundBlock(Message, frozen=True, kw_only=True):
-    """What a UAV radios to its UGV of the ground: the states of a block of tiles, as its own sensor has told them."""
+    """A UAV's radio message of the ground to its UGV: the states of a block of tiles, as its sensor has told them."""
 
     column: Place
     row: Place
@@ -270,7 +270,7 @@ class GroundBlock(Message, frozen=True, kw_only=True):
 
 
 class UavGround(Message, frozen=True, kw_only=True):
-    """What a UAV is told of its sensor of hazards."""
+    """A UAV's sensor of hazards, as its briefing tells."""
 
     tile: Positive
     """Width of a tile [m]."""
@@ -279,14 +279,14 @@ class UavGround(Message, frozen=True, kw_only=True):
 
 
 class UgvGround(Message, frozen=True, kw_only=True):
-    """What a UGV is told of how it sees the ground."""
+    """A UGV's sensor of the ground and its caution, as its briefing tells."""
 
     tile: Positive
     """Width of a tile [m]."""
     bumper: NonNegative
     """Range of its own sensor [m]: it sees each tile that has a point so near."""
     caution: Name
-    """How it drives on ground that it does not know: one of `bus.registry.CAUTIONS`."""
+    """Its caution on ground that it does not know: one of `bus.registry.CAUTIONS`."""
     delay: NonNegative = 0.0
     """From the tick that a command answers to the one in which it acts [s]."""
     share: Annotated[float, Meta(gt=0.0, le=1.0)]
@@ -309,7 +309,7 @@ class DeclaredBounds(Message, frozen=True, kw_only=True):
     outage: NonNegative | None = None
     """From the beginning of a motion to that of the next at most, B [s]; None: commands carry no motions."""
     tracking: NonNegative | None = 0.0
-    """How far the UAV truly is at most from where it is told that it is, w [m]; None: it has no bound."""
+    """Largest true distance of the UAV from where it is told that it is, w [m]; None: it has no bound."""
 
 
 class Estimator(Message, frozen=True, kw_only=True):
@@ -352,7 +352,7 @@ class UavBriefing(Message, frozen=True, kw_only=True):
     ground: UavGround | None = None
     """None: there are no hazards, and nothing is told of the ground."""
     origin: Origin = Origin()
-    """Where on Earth its positions are counted from, for bridges to programs that count in degrees."""
+    """Place on Earth that its positions are counted from, for bridges to programs that count in degrees."""
     key: PilotKey
     """Of the pilot's own random numbers.
 
@@ -363,7 +363,7 @@ class UavBriefing(Message, frozen=True, kw_only=True):
     more: bool = False
     """True if another part of the past follows."""
     episode: Tick = 0
-    """Which flight of the run this is for."""
+    """Number of the flight that this is for."""
 
 
 class ScriptStep(Message, frozen=True, kw_only=True):
@@ -391,7 +391,7 @@ class UgvBriefing(Message, frozen=True, kw_only=True):
     script: tuple[ScriptStep, ...] = ()
     """The steps of the driver `script`, in the order of time."""
     hold: NonNegative = 0.5
-    """How long an operator's last word counts [s]; then the driver `teleop` brakes."""
+    """Time that an operator's last word counts [s]; then the driver `teleop` brakes."""
     ground: UgvGround | None = None
     """None: there are no hazards, and nothing is told of the ground."""
     key: PilotKey
@@ -404,7 +404,7 @@ class Detection(Message, frozen=True, kw_only=True):
     """One noisy look of the UAV at the UGV."""
 
     time: NonNegative
-    """When it was taken [s]: a tick times dt. One between two ticks is refused by the filter, and counted."""
+    """Time at which it was taken [s]: a tick times dt. One between two ticks is refused by the filter, and counted."""
     relative_position: Vector
     """p_a - p_g with noise [m]."""
 
@@ -413,7 +413,7 @@ class RelativeInformation(Message, frozen=True, kw_only=True):
     """The radio message of a UAV to its UGV: relative information, and how much it has seen."""
 
     time: NonNegative
-    """When it was estimated [s]: a tick times dt. One between two ticks is used for nothing."""
+    """Time at which it was estimated [s]: a tick times dt. One between two ticks is used for nothing."""
     relative_position: Vector
     """The estimate of p_a - p_g [m]."""
     coverage_error: NonNegative
@@ -426,8 +426,8 @@ class UavObservation(Message, frozen=True, kw_only=True):
     tick: Tick
     time: NonNegative
     position: Vector
-    """Where its inner loop believes and steers it to be [m]: in wind or with a wrong own position not quite where it
-    is.
+    """Its place as its inner loop believes and steers it [m]: in wind or with a wrong own position not quite the
+    true one.
     """
     velocity: Vector
     """Likewise [m/s]."""
@@ -441,7 +441,7 @@ class UavObservation(Message, frozen=True, kw_only=True):
     over: bool = False
     """True: the run has ended at this tick and no command is awaited."""
     episode: Tick = 0
-    """Which flight of the run; a reset begins the next."""
+    """Number of the flight; a reset begins the next."""
 
 
 class Drive(Message, frozen=True, kw_only=True):
@@ -452,7 +452,7 @@ class Drive(Message, frozen=True, kw_only=True):
     velocity: Vector | None = None
     """Desired velocity [m/s]."""
     goal: Vector | None = None
-    """Where to go [m]."""
+    """The goal [m]."""
 
 
 class UgvObservation(Message, frozen=True, kw_only=True):
@@ -464,7 +464,7 @@ class UgvObservation(Message, frozen=True, kw_only=True):
     velocity: Vector
     radio: tuple[RelativeInformation, ...] = ()
     blocks: tuple[GroundBlock, ...] = ()
-    """What has come by radio of the ground that the UAV has seen."""
+    """The blocks that have come by radio, of the ground that the UAV has seen."""
     ground: tuple[SeenTile, ...] = ()
     """Tiles that its own bumper has seen since the tick before."""
     operator: tuple[Drive, ...] = ()
@@ -479,7 +479,7 @@ class UavReport(Message, frozen=True, kw_only=True):
     """The report of a UAV to observers; no vehicle reads it."""
 
     estimate: Vector
-    """Where it believes the UGV to be [m]."""
+    """Place at which it believes the UGV to be [m]."""
     covariance: Covariance
     """Of that estimate [m²]."""
     age: NonNegative
@@ -502,12 +502,12 @@ class UavCommand(Message, frozen=True, kw_only=True):
     tick: Tick
     acceleration: Vector
     motions: Annotated[tuple[MotionPlan, ...], Meta(max_length=MOST_CARRIED)] = ()
-    """What the vehicle shall fly from the tick on in which the last of them begins, and before it those that it may
+    """The motions to be flown from the tick on in which the last of them begins, and before it those that it may
     have missed, one a tick, the oldest first; none: it holds the acceleration, and brakes when no command comes.
     """
     radio: tuple[RelativeInformation, ...] = ()
     blocks: Annotated[tuple[GroundBlock, ...], Meta(max_length=MOST_BLOCKS)] = ()
-    """What it radios of the ground that it has seen. A block that says anything else of a tile than its sensor has said
+    """The blocks that it radios, of the ground that it has seen. One that says of a tile what its sensor has not said
     is not sent."""
     report: UavReport | None = None
 
@@ -603,7 +603,7 @@ class VehicleTruth(Message, frozen=True, kw_only=True):
 
 
 class EscortTruth(Message, frozen=True, kw_only=True):
-    """How one UAV and the UGV it escorts truly stand."""
+    """The true relation of one UAV to the UGV it escorts."""
 
     uav: Name
     ugv: Name
@@ -638,12 +638,12 @@ class CoverageMap(Message, frozen=True, kw_only=True):
 
 
 class Mission(Message, frozen=True, kw_only=True):
-    """How the UGVs have got through ground with hazards, all together: for measuring, no vehicle is told."""
+    """The UGVs' way through ground with hazards, all together: for measuring, no vehicle is told."""
 
     arrived: bool
     """True if every UGV that has goals has reached them all."""
     mission_time: NonNegative | None
-    """When the last of them had [s]; None: not yet, or nobody has a goal."""
+    """Time at which the last of them had [s]; None: not yet, or nobody has a goal."""
     hazards_hit: Tick
     """Blocking hazards that were touched, each once by each UGV."""
     near_misses: Tick
@@ -653,7 +653,7 @@ class Mission(Message, frozen=True, kw_only=True):
     warned: Tick
     """Those of them that it knew of before it came so near."""
     warned_before: NonNegative | None
-    """How long before, in the mean of those [s]; None: there are none."""
+    """Time from then until it came so near, in the mean of those [s]; None: there are none."""
     seen_ahead: Share | None
     """Share of the way that led over tiles which had come by radio before; None: nobody has moved."""
     still_time: NonNegative
@@ -698,7 +698,7 @@ class GroundMap(Message, frozen=True, kw_only=True):
 
 
 class VehicleStatus(Message, frozen=True, kw_only=True):
-    """How a vehicle's process stands, and what has gone wrong with it so far."""
+    """The state of a vehicle's process, and what has gone wrong with it so far."""
 
     present: bool
     missing_commands: Tick = 0
@@ -708,9 +708,9 @@ class VehicleStatus(Message, frozen=True, kw_only=True):
     shortened_commands: Tick = 0
     """Commands that were longer than the vehicle's bound."""
     lost: Tick = 0
-    """How often its process went away during the run."""
+    """Number of times that its process went away during the run."""
     rejoined: Tick = 0
-    """How often it came back."""
+    """Number of times that it came back."""
     refused: dict[Text, Tick] = {}
     """Messages and sessions that were refused, by cause."""
     last_fault: Text = ""
@@ -733,7 +733,7 @@ class Geometry(Message, frozen=True, kw_only=True):
     uavs: dict[Name, Name]
     """Each UAV, and the UGV it escorts."""
     origin: Origin = Origin()
-    """Where on Earth the positions are counted from."""
+    """Place on Earth that the positions are counted from."""
 
 
 class CertificateStatus(Message, frozen=True, kw_only=True):
@@ -757,7 +757,7 @@ class CertificateStatus(Message, frozen=True, kw_only=True):
     longest_outage: NonNegative | None = None
     """And the longest so far [s]."""
     tracking: NonNegative | None = None
-    """How far a UAV truly is at most from where it is told that it is, as it is declared, w [m]; None: nothing takes it
+    """Largest true distance of a UAV from where it is told that it is, as it is declared, w [m]; None: nothing takes it
     from there, or w has no bound.
     """
     tracking_error: NonNegative | None = None
@@ -765,7 +765,7 @@ class CertificateStatus(Message, frozen=True, kw_only=True):
 
 
 class Status(Message, frozen=True, kw_only=True):
-    """How the run stands, for observers, a few times a second."""
+    """The state of the run, for observers, a few times a second."""
 
     scenario: Text
     seed: int
@@ -796,11 +796,11 @@ class Status(Message, frozen=True, kw_only=True):
     certificates: CertificateStatus | None = None
     """Counts of what has been certified so far; None where no safety filter has watched over anything."""
     mission: Mission | None = None
-    """How the UGVs get through; None where there are no hazards."""
+    """The UGVs' way through; None where there are no hazards."""
     warnings: tuple[Text, ...] = ()
-    """Which assumptions of the certificate the links cannot keep as they are now, a line each."""
+    """Assumptions of the certificate that the links cannot keep as they are now, a line each."""
     links: dict[Text, LinkStatus] = {}
-    """How each link does, by `vehicle/kind`."""
+    """Counters of each link, by `vehicle/kind`."""
     vehicles: dict[Name, VehicleStatus]
     over: bool = False
 

@@ -279,10 +279,10 @@ HAZARDS = _table(
 )
 """The kinds of hazards by name."""
 TOUCHES = ("stuck", "damage")
-"""What touching a blocking hazard does to a vehicle: it stays there, or it drives on and the touch is counted."""
+"""Effects on a vehicle of touching a blocking hazard: it stays there, or it drives on and the touch is counted."""
 BOLD = "bold"
 CAUTIONS = ("cautious", BOLD)
-"""How a UGV drives on ground that nobody has seen: only as fast as it can stop before it, or on."""
+"""Cautions of a UGV towards ground that nobody has seen: only as fast as it can stop before it, or on."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -291,7 +291,7 @@ class SavedPolicyRow:
 
     name: str
     form: str
-    """How one is named after the library's name and a colon."""
+    """Form of its name after the library's and a colon."""
     load: str
     """The function that loads one, from what stands after the colon and where it stood, for errors."""
     code: None = None

@@ -20,7 +20,7 @@ PILOT = "pilot"
 """Second part of the topics that are a vehicle's own, such as `/uav_0/pilot/odom`: nobody else reads or writes them."""
 CMD_VEL = "cmd_vel"
 SERVICES = ("pause", "step", "reset")
-"""What an operator's nodes may call."""
+"""The services that an operator's nodes may call."""
 LARGEST = 1 << 20
 """Larger payloads [bytes] of ROS 2 the router drops."""
 
@@ -135,7 +135,7 @@ def _of_staff(role: Role) -> list[Grant]:
 
 
 def ros2_grants(party: Party) -> list[Grant]:
-    """What a party may do on the keys of ROS 2, in a run whose credentials have a bridge."""
+    """All that a party may do on the keys of ROS 2, in a run whose credentials have a bridge."""
     if party.role in (Role.UAV, Role.UGV):
         return _of_vehicle(party.name)
     return _of_staff(party.role)

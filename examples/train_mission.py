@@ -52,12 +52,12 @@ def turned(vectors, axis):
 
 @dataclass
 class UgvSide:
-    """What the UGV makes of its observations, and the velocity that an action asks for."""
+    """The UGV's inputs from its observations, and the velocity that an action asks for."""
 
     size: int = 2 * SECTORS + 4
 
     def features(self, seen):
-        """How near blocked and unknown ground is in each sector around the way to the goal, and its own motion."""
+        """Nearness of blocked and unknown ground in each sector around the way to the goal, and its own motion."""
         row, tiles = seen["row"], seen["tiles"]
         axis, far = frame(row)
         middle = np.arange(tiles.shape[1]) - tiles.shape[1] // 2
@@ -92,7 +92,7 @@ class UavSide:
     past: list = field(default_factory=list)
 
     def features(self, seen):
-        """Where it is from the UGV, both velocities, and the way to new ground."""
+        """Its place from the UGV, both velocities, and the way to new ground."""
         ugv = seen[:, 1:3] - seen[:, 6:8]
         begun = seen[:, 0] < 0.01
         self.past = [np.where(begun[:, None], ugv, one) for one in self.past[-LAG:]] + [ugv]

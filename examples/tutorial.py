@@ -58,7 +58,7 @@ def act(numbers: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 def returns(numbers: np.ndarray, seed: int) -> np.ndarray:
-    """What each world is paid over one episode, with its own numbers. Shape (worlds,)."""
+    """Pay of each world over one episode, with its own numbers. Shape (worlds,)."""
     rows, _ = worlds.reset(seed=seed)
     total = np.zeros(worlds.num_envs)
     for _ in range(

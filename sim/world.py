@@ -34,7 +34,7 @@ class Look(NamedTuple):
     """A detection that has reached the UAV's computer."""
 
     tick: int
-    """When it was taken."""
+    """Time at which it was taken."""
     x: float
     y: float
     """p_a - p_g with noise [m]."""
@@ -187,7 +187,7 @@ class World:
 
     @property
     def mission(self) -> Mission | None:
-        """How the UGVs have got through so far; None where there are no hazards."""
+        """The UGVs' way through so far; None where there are no hazards."""
         tables, state = self.arrays
         if not len(tables.ground.parameters):
             return None
@@ -200,7 +200,7 @@ class World:
         return tiles
 
     def known_block(self, k: int, row: int, column: int) -> list[int]:
-        """What a vehicle's own sensor has told of a block of tiles, row by row; UNSEEN beyond the area."""
+        """States of a block of tiles as a vehicle's own sensor has told them, row by row; UNSEEN beyond the area."""
         known = self._batch.state.ground.known[0, k]
         side, block = BLOCK_SIDE, np.zeros((BLOCK_SIDE, BLOCK_SIDE), known.dtype)
         cut = known[row * side : (row + 1) * side, column * side : (column + 1) * side]

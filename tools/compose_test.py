@@ -440,7 +440,7 @@ class Docker:
         return code, self.compose("logs", "--no-log-prefix", "simulator")
 
     def summary(self) -> Json:
-        """What the last flight has left behind; it is there once only."""
+        """Remains of the last flight; they are there once only."""
         path = self.runs / RUN / "summary.json"
         expect(path.exists(), "the simulator has left no summary")
         found: Json = json.loads(path.read_text())
@@ -466,7 +466,7 @@ class Docker:
 
 
 def same_flight(flown: Json, reference: Json) -> str:
-    """What to say of two flights with the same bits.
+    """Words about two flights with the same bits.
 
     Raises:
         CheckFailed: If they have not.
@@ -941,7 +941,7 @@ ORDER = (
 
 
 def engine() -> str | None:
-    """Where docker is, if there is an engine that answers, and Compose."""
+    """Path of docker, if there is an engine that answers, and Compose."""
     program = shutil.which("docker")
     if program is None:
         return None

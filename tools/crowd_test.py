@@ -44,7 +44,7 @@ Attack = Callable[["Run"], contextlib.AbstractContextManager[None]]
 
 
 def endpoint_of(given: CredentialSet) -> str:
-    """Where the simulator listens."""
+    """Address that the simulator listens on."""
     return f"{'tcp' if given.tls is None else 'tls'}/127.0.0.1:{PORT}"
 
 
@@ -56,7 +56,7 @@ class Run:
         self.rogue = given.of("ugv_0")
         self.endpoint = endpoint_of(given)
         self.sessions: tuple[int, int] | None = None
-        """How many the attack has opened, and how many of these have lasted."""
+        """Numbers of sessions that the attack has opened, and of these that have lasted."""
 
     @contextlib.contextmanager
     def session(self, credential: Credential, patience: float = 30.0) -> Iterator[zenoh.Session]:
@@ -91,7 +91,7 @@ class Run:
 
 @contextlib.contextmanager
 def nothing(_run: Run) -> Iterator[None]:
-    """What all others stand beside."""
+    """The reference of all others."""
     yield
 
 
@@ -292,7 +292,7 @@ def measure(name: str) -> dict[str, Any]:
 
 
 def kept(row: dict[str, Any]) -> bool:
-    """Whether the limits are kept."""
+    """True if the limits are kept."""
     grown = row["memory_peak_mb"] - row["memory_before_mb"]
     late = row["late_ticks"] / row["ticks"]
     lasting = row["sessions"][1] if row["sessions"] else 0

@@ -72,7 +72,7 @@ def wait_until(condition: Callable[[], Any], what: str, seconds: float = 20.0) -
 
 
 def answers(port: int) -> bool:
-    """Whether somebody listens there."""
+    """True if somebody listens there."""
     with socket.socket() as probe:
         return probe.connect_ex(("127.0.0.1", port)) == 0
 
@@ -153,7 +153,7 @@ class Processes:
         return (self._folder / f"{name}.log").read_text(errors="replace")
 
     def address(self, name: str) -> str:
-        """Where a process says that its page is, with the ticket that opens it."""
+        """Address of the page as a process says it, with the ticket that opens it."""
 
         def told() -> "re.Match[str] | None":
             return re.search(r"http://127\.0\.0\.1:\d+/\?ticket=[\w-]+", self.log(name))
@@ -280,7 +280,7 @@ class Page:
         return str(self.run("document.getElementById('wheel-card').dataset.wheel"))
 
     def banner(self) -> str:
-        """What is wrong, as the page says; empty: nothing."""
+        """The fault that the page shows; empty: none."""
         return str(
             self.run(
                 "document.getElementById('banner').hidden ? '' : document.getElementById('banner').innerText"
@@ -758,7 +758,7 @@ def _refused(processes: Processes, port: int) -> "dict[str, tuple[subprocess.Pop
 
 
 def check_doors(port: int, processes: Processes, doors: Doors) -> str:
-    """Who is let in, and what is said to whoever cannot be."""
+    """Admission to the page, and the words for whoever is not admitted."""
     for what, (process, said) in doors.tried.items():
         told = process.communicate(timeout=60)[1]
         if process.returncode != 2 or said not in told or len(told.strip().splitlines()) != 1:

@@ -85,7 +85,7 @@ class LawParameters(NamedTuple):
     candidates: int
     v_g: float
     room: float
-    """How far the UGV may be where a detection has the largest declared error; `lookahead` keeps within it."""
+    """Distance that the UGV may have where a detection has the largest declared error; `lookahead` keeps within it."""
     key_0: np.uint64
     key_1: np.uint64
     """The UAV's own random numbers."""

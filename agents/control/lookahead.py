@@ -31,9 +31,9 @@ _SLOTS = LEGS + 1  # of a motion in memory: a decision may be taken amid its fir
 _TAIL = 5.0
 """For so long after the horizon what was seen still counts [s]; not for a single step."""
 _RATE = 0.06
-"""How much less what is expected later counts [1/s]."""
+"""Rate at which what is expected later counts less [1/s]."""
 _DOUBT = 2.0
-"""How many variances of the velocity are held against its square."""
+"""Number of variances of the velocity that are held against its square."""
 _STRAY_COST = 10.0
 """Cost of a metre beyond what the safety filter lets through, for a second [m²]."""
 _SLACK = 0.1
@@ -59,7 +59,7 @@ STATE_SIZE = _KEPT + 2 * _LAG
 
 
 class Target(NamedTuple):
-    """What a UAV's filter believes of the UGV."""
+    """The belief of a UAV's filter about the UGV."""
 
     known: bool
     """False before the first detection; then the rest means nothing."""
@@ -88,7 +88,7 @@ class Ahead(NamedTuple):
     legs: IntArray
     """In which leg of a motion each step is. Shape (steps,)."""
     track: FloatArray
-    """Where the UGV is expected at the end of each step [m]. Shape (steps, 2)."""
+    """Expected places of the UGV at the end of each step [m]. Shape (steps, 2)."""
     lack: FloatArray
     """C* - C now where positive, a mean over each coarse cell. Shape (rows, columns)."""
     weight: FloatArray
@@ -253,7 +253,7 @@ def fly_step(
 
 @borrowing
 def strayed(parameters: "LawParameters", here: Motion, g_x: float, g_y: float) -> float:
-    """How far a state is beyond what the safety filter lets through, and beyond the border's safety distance [m].
+    """Distance of a state beyond what the safety filter lets through, and beyond the border's safety distance [m].
 
     The filter must be able to stop before the UGV, whatever it does, is out of sight: as in (18), with the UAV's own
     velocity away from the UGV in place of its largest.

@@ -1,4 +1,4 @@
-"""What a UAV radios to its UGV of the ground: which block of tiles, and when. Beyond Klodt 2015.
+"""The radio messages of a UAV to its UGV about the ground: which block of tiles, and when. Beyond Klodt 2015.
 
 It tells of the blocks around where it believes the UGV to be: the nearest of those with news first, and each several
 times, as the radio loses messages; where there are no news it repeats what it told longest ago. It tells what its own
@@ -17,9 +17,9 @@ from sim.kernels.compile import IntArray, borrowing, inlined
 from sim.models.ground import TileArray, tiles_shape
 
 _REPEATS = 3
-"""How often news are told before what is older is repeated."""
+"""Number of times that news are told before what is older is repeated."""
 _REACH = 12.0
-"""How far from the UGV a block may be that it is told of [m]."""
+"""Largest distance from the UGV of a block that it is told of [m]."""
 _WORD_TILES = 16
 """Tiles in a number of a message: three bits each, which a float holds exactly."""
 BLOCK_TILES = BLOCK_SIDE * BLOCK_SIDE
@@ -27,12 +27,12 @@ BLOCK_WORDS = BLOCK_TILES // _WORD_TILES
 
 
 class TellingMemory(NamedTuple):
-    """What a UAV remembers of the ground and of what it has told; arrays that change in place."""
+    """A UAV's memory of the ground and of what it has told; arrays that change in place."""
 
     tiles: TileArray
     """As its sensor has told them. Shape (rows, columns)."""
     news: IntArray
-    """How often each block is still to be told as news. Shape (block rows, block columns)."""
+    """Number of times that each block is still to be told as news. Shape (block rows, block columns)."""
     told: IntArray
     """The tick in which each was told last; -1: never. Likewise."""
 
@@ -127,7 +127,7 @@ def telling_ticks(telling: float, dt: float) -> int:
 
 
 class GroundTeller:
-    """What a UAV's computer radios of the ground, whoever flies the UAV.
+    """Chooses what a UAV's computer radios of the ground, whoever flies the UAV.
 
     Args:
         briefing: What the UAV is told when it joins.
@@ -137,7 +137,7 @@ class GroundTeller:
         ground, area = briefing.ground, briefing.area
         self._tile = ground.tile if ground is not None else 0.0
         self.memory = telling_memory(area.width, area.height, self._tile)
-        """What it remembers."""
+        """Its memory."""
         self._period = telling_ticks(ground.telling, briefing.dt) if ground is not None else 0
 
     def note(self, tiles: Sequence[SeenTile]) -> None:
@@ -146,7 +146,7 @@ class GroundTeller:
             note_tile(self.memory, tile.column, tile.row, TILE_LETTERS.index(tile.state))
 
     def blocks(self, tick: int, target: tuple[float, float] | None) -> tuple[GroundBlock, ...]:
-        """What it radios at this tick.
+        """The blocks that it radios at this tick.
 
         Args:
             tick: Now.

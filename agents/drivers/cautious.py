@@ -36,7 +36,7 @@ class Bounds(NamedTuple):
 
 
 class Open(NamedTuple):
-    """Which tiles are open."""
+    """The kinds of tiles that are open."""
 
     unseen: int
     """1 if those are that nobody has seen."""
@@ -141,7 +141,7 @@ def way_is_open(
 def open_way(
     tiles: TileArray, tile: float, ground: Open, a: tuple[float, float], b: tuple[float, float]
 ) -> float:
-    """How much of a straight way is open from its start on, as a share. Arguments as `triangle_is_open`."""
+    """Share of a straight way that is open from its start on. Arguments as `triangle_is_open`."""
     if way_is_open(tiles, tile, ground, a, b):
         return 1.0
     low, high = 0.0, 1.0

@@ -184,7 +184,7 @@ class CompiledDriver:
 
     @property
     def goal(self) -> tuple[float, float] | None:
-        """Where it wanders to [m]; None while it has no random goal."""
+        """The random goal that it wanders to [m]; None while it has none."""
         state = self.memory.driver
         return (float(state[GOAL]), float(state[GOAL + 1])) if state[GOAL_CHOSEN] else None
 

@@ -250,7 +250,7 @@ def evade_control(
 
 
 def evade_lead(speed: float, u_max: float) -> float:
-    """How far it looks ahead [s]: its own time to reverse from its speed [m/s] at its bound [m/s²], within limits."""
+    """Time that it looks ahead [s]: its own to reverse from its speed [m/s] at its bound [m/s²], within limits."""
     return min(max(2.0 * speed / u_max, _LEAD[0]), _LEAD[1])
 
 

@@ -65,7 +65,7 @@ def _centre(n: int, columns: int, tile: float) -> tuple[float, float]:
 
 @borrowing
 def state_ahead(p: DriverParameters, memory: GroundMemory, tick: int, here: Motion) -> Motion:
-    """Where the UGV will be when the command of this tick acts, if those under way do.
+    """The state of the UGV when the command of this tick acts, if those under way do.
 
     Args:
         p: Of the driver.
@@ -178,7 +178,7 @@ def _slow(p: DriverParameters) -> float:
 def _rough_speed(
     p: DriverParameters, memory: GroundMemory, here: Motion, to_x: float, to_y: float
 ) -> float:
-    """How fast it may go so that at the first rough ground on its way it is as slow as that makes it [m/s]."""
+    """Largest speed with which it is, at the first rough ground on its way, as slow as that makes it [m/s]."""
     slow = _slow(p)
     even = Open(1, 0, 1, 0, 0, 0, 0)
     a, b = (here.p_x, here.p_y), (to_x, to_y)

@@ -56,7 +56,7 @@ class DriverParameters(NamedTuple):
 
 
 class Route(NamedTuple):
-    """Where a UGV has been told to drive."""
+    """The goal or velocity that a UGV has been told."""
 
     goals: FloatArray
     """Waypoints [m], in order. Shape (goals, 2)."""

@@ -23,7 +23,7 @@ class GroundFlags(NamedTuple):
     """The whole numbers of a memory, and how far its plan goes: a row of an array of one."""
 
     goal: int
-    """Which goal it drives to."""
+    """Number of the goal that it drives to."""
     planned: int
     """In which tick its last search began; -1: none has yet."""
     target: int
@@ -35,9 +35,9 @@ class GroundFlags(NamedTuple):
     aim: int
     """The tile of the goal that it searches for a way to, or has last."""
     open: int
-    """How many tiles its heap holds."""
+    """Number of tiles in its heap."""
     plans: int
-    """How many searches have ended."""
+    """Number of searches that have ended."""
     called: int
     """The tick of its last command; -1: it has sent none."""
     settled: float
@@ -45,7 +45,7 @@ class GroundFlags(NamedTuple):
 
 
 class GroundMemory(NamedTuple):
-    """What a UGV remembers of the ground; from `ground_memory`. All arrays are changed in place."""
+    """A UGV's memory of the ground; from `ground_memory`. All arrays are changed in place."""
 
     tiles: TileArray
     """States. Shape (rows, columns)."""

@@ -69,7 +69,7 @@ NETWORKS: Mapping[str, Callable[[int, float], dict[str, object]]] = {
 }
 DRIVERS = ("evade", "waypoints", "wander")
 INNER = ("logarithmic", "outward")
-"""What the filters are around: the paper's law, and full thrust away from the UGV."""
+"""The inner controls of the filters: the paper's law, and full thrust away from the UGV."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -172,7 +172,7 @@ def where_faster(report: Report) -> list[str]:
 
 
 def _faster(row: Row, ours: list[Row]) -> str:
-    """Which of ours this peer outruns, and by how much; empty if none."""
+    """Those of ours that this peer outruns, and by how much; empty if none."""
     beaten = [
         f"{_times(row.steps_per_second / own.steps_per_second)} as fast as {own.name} {own.variant}"
         + (", within the spread of the repeats" if row.slowest <= own.fastest else "")

@@ -34,7 +34,7 @@ def stamp_of(requirements: tuple[str, ...]) -> str:
 
 
 def is_whole(folder: Path, requirements: tuple[str, ...]) -> bool:
-    """Whether the environment is there, was filled to the end, and with these requirements."""
+    """True if the environment is there, was filled to the end, and with these requirements."""
     stamp = folder / STAMP
     return (
         python_of(folder).exists()

@@ -72,7 +72,7 @@ def _row(parameter: Any, type_: Any) -> str:
 
 
 def _kinds(parameter: Any, type_: Any) -> Iterator[str]:
-    """What follows the option's name, if anything does."""
+    """The text after an option's name, if there is any."""
     parts = [part for part in (type_, *get_args(type_)) if isinstance(part, type)]
     plain = next((part for part in parts if part not in (type(None), list, tuple)), str)
     if parameter.metavar:

@@ -121,7 +121,7 @@ GENERATED = {
     "ros2_topics": ros2_topics.observed,
     "ros2_pilot_topics": ros2_topics.own,
 }
-"""What a page's comment `<!-- generated: NAME -->` is followed by in the site."""
+"""Text that follows a page's comment `<!-- generated: NAME -->` in the site."""
 
 
 def _api_page(file: str) -> str:
@@ -164,7 +164,7 @@ _ORIGIN: dict[str, str] = {}
 
 
 def _site_address(repository_path: str) -> str:
-    """Where a file of the repository is in the site."""
+    """Address of a file of the repository in the site."""
     if repository_path.startswith("docs/"):
         return repository_path.removeprefix("docs/")
     if repository_path in PROJECT:

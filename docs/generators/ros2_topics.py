@@ -17,10 +17,10 @@ def _table(rows: tuple[TopicRow, ...]) -> str:
 
 
 def observed() -> str:
-    """What observers get."""
+    """Table of the topics of observers."""
     return _table(TOPICS)
 
 
 def own() -> str:
-    """What a vehicle's own node gets, and what it answers."""
+    """Table of the topics of a vehicle's own node, and of its answers."""
     return _table((*PILOT_TOPICS, *PILOT_COMMANDS))

@@ -46,7 +46,7 @@ class Layer(NamedTuple):
     extra: str = ""
     """That extra."""
     forked: bool = False
-    """Whether it flies over several processes, forked from one for all repeats."""
+    """True if it flies over several processes, forked from one for all repeats."""
 
 
 BARE = "bare exchange among as many processes"

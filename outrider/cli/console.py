@@ -89,7 +89,7 @@ def _link(status: LinkStatus) -> str:
 
 
 def _mission(summary: Summary) -> Iterator[tuple[str | Text, str | Text]]:
-    """How the UGVs got through ground with hazards."""
+    """Rows about the UGVs' way through ground with hazards."""
     still = f", stood still for {summary.still_time:.1f} s"
     if summary.mission_time is not None:
         yield "at the goals", Text(f"after {summary.mission_time:.1f} s", style="green") + still
@@ -111,7 +111,7 @@ def _mission(summary: Summary) -> Iterator[tuple[str | Text, str | Text]]:
 
 
 def _escort(summary: Summary) -> Iterator[tuple[str, str | Text]]:
-    """How the UAVs have done."""
+    """Rows about the UAVs."""
     lost = summary.visibility_violations
     yield (
         "UGV in sight (5)",

@@ -159,7 +159,7 @@ def _speak(
     here: Motion,
     target: Target,
 ) -> None:
-    """What UAV u radios at this tick."""
+    """Radio messages of UAV u at this tick."""
     known, g_x, g_y, out = target.known, target.p_x, target.p_y, s.outbox[k, u]
     out[_RELATIVE, _SAID] = tick if known and tick % p.radio_ticks == 0 else -1.0
     out[_RELATIVE, _BLOCK] = -1.0

@@ -45,7 +45,7 @@ class Radio:
         self._arrived: dict[str, tuple[RelativeInformation | GroundBlock, ...]] = {}
 
     def heard_by(self, ugv: str, perceived: UgvObservation) -> UgvObservation:
-        """What a UGV perceives at this tick, with the messages that have reached it."""
+        """The observation of a UGV at this tick, with the messages that have reached it."""
         self.receive()
         heard = self._arrived.get(ugv, ())
         return msgspec.structs.replace(

@@ -213,7 +213,7 @@ class Worlds:
         return pictures
 
     def mission(self, world: int) -> Mission | None:
-        """How the mission of one world goes; None where there are no hazards."""
+        """The mission of one world so far; None where there are no hazards."""
         tables, state = self.loop.tables.batch, self.loop.state.batch
         if not len(tables.ground.parameters):
             return None

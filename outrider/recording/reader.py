@@ -330,7 +330,7 @@ class Recording:
     certificates: CertificateStatus | None = None
     """The words of the safety filters by then, held against the truth; None where none watched."""
     mission: Mission | None = None
-    """How the UGVs had got through by then; None where there are no hazards."""
+    """The UGVs' way through by then; None where there are no hazards."""
     damage: Damage = field(default_factory=Damage)
 
     @property

@@ -29,7 +29,7 @@ class Tick(NamedTuple):
     time: float
     """Simulated [s]."""
     begun: float
-    """When the tick before began [s]."""
+    """Time at which the tick before began [s]."""
     truth: bytes
     commands: bytes
     """Those of the tick before; empty: there were none."""

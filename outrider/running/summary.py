@@ -102,7 +102,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     Nor is it where an operator has changed something while it flew.
     """
     declared_tracking: float | None = None
-    """How far a UAV truly is at most from where it is told that it is, w [m]; None where no filter watches or nothing
+    """Largest true distance of a UAV from where it is told that it is, w [m]; None where no filter watches or nothing
     takes it from there.
     """
     tracking_error: float | None = None
@@ -110,7 +110,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     arrived: bool | None = None
     """True if every UGV that has goals has reached them all; None, as all up to `found`: there are no hazards."""
     mission_time: float | None = None
-    """When the last of them had [s]; None: not yet."""
+    """Time at which the last of them had [s]; None: not yet."""
     hazards_hit: int | None = None
     """Blocking hazards that were touched, each once by each UGV."""
     near_misses: int | None = None
@@ -120,7 +120,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     warned: int | None = None
     """Those of them that it knew of before it came so near."""
     warned_before: float | None = None
-    """How long before, in the mean of those [s]."""
+    """Time from then until it came so near, in the mean of those [s]."""
     seen_ahead: float | None = None
     """Share of the UGVs' way that led over ground which had come by radio before."""
     still_time: float | None = None

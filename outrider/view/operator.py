@@ -37,7 +37,7 @@ from bus.session import Session
 SILENCE = 2.0
 """Without a status for so long [s] something is wrong."""
 READ = (STATUS, SAMPLED_TRUTH, COVERAGE, GROUND)
-"""What a client reads that draws a run."""
+"""Topics of a client that draws a run."""
 _PACE = 6
 """Status messages, about a second of them, over which the real-time factor is taken."""
 
@@ -65,7 +65,7 @@ class RunClient:
         self.coverage: CoverageMap | None = None
         self.ground: GroundMap | None = None
         self.heard = time.monotonic()
-        """When the simulator has told something last, or joined [s]."""
+        """Time at which the simulator has told something last, or joined [s]."""
         self.seen_simulator = False
         self.fault = ""
         """Why the last message could not be sent; empty: it was."""

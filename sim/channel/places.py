@@ -49,7 +49,7 @@ def oldest_by_place(delays: IntArray, left: _Mask, period: int) -> IntArray:
 def unseen_by_place(
     delays: IntArray, left: _Mask, period: int, dropout: float, age: int
 ) -> FloatArray:
-    """How often after a detection no other is in time, on average over a flight, by the place at which it begins.
+    """Chance that after a detection no other is in time, on average over a flight, by the place at which it begins.
 
     Shape (places,).
 

@@ -79,7 +79,7 @@ def arrays_of(state: object) -> list[npt.NDArray[Any]]:
 
 
 class Fresh:
-    """How every world begins: a copy of the first one's arrays, before anything has happened."""
+    """The start of every world: a copy of the first one's arrays, before anything has happened."""
 
     def __init__(self, state: object) -> None:
         self._pairs = [(array, array[:1].copy()) for array in arrays_of(state) if array.size]
@@ -164,7 +164,7 @@ class Batch:
         )
         self._first_links = self.state.links
         self.fresh = Fresh(self.state)
-        """How every world begins."""
+        """The start of every world."""
 
     def _motion_rows(self) -> int:
         """Motions that each receiver has room for: those that may be under way at once; one where there are none."""
@@ -271,7 +271,7 @@ class Batch:
         return self._links.longest(kind)
 
     def link_status(self, world: int) -> dict[str, LinkStatus]:
-        """How each link of one world has done so far, by `vehicle/kind`."""
+        """Counters of each link of one world so far, by `vehicle/kind`."""
         return self._links.status(world)
 
     def change_link(self, kind: LinkKind, vehicle: str, settings: LinkSettings) -> None:

@@ -39,7 +39,7 @@ def _error(scenario: Scenario) -> float | None:
 
 
 def largest_tracking_error(scenario: Scenario, uav: Uav) -> float:
-    """How far a UAV truly is at most from where it is told that it is, w [m]; infinite where that has no bound."""
+    """Largest true distance of a UAV from where it is told that it is, w [m]; infinite where that has no bound."""
     wind = scenario.wind.largest
     if wind == 0.0 and uav.own_error == 0.0:
         return 0.0

@@ -67,15 +67,15 @@ class GroundState(NamedTuple):
     looked: npt.NDArray[np.float32]
     """C of (3) of each UAV alone at the tiles' centres. Shape (worlds, UAVs, rows, columns)."""
     known: TileArray
-    """What each vehicle's own sensor has told. Shape (worlds, vehicles, rows, columns)."""
+    """Tiles as each vehicle's own sensor has told them. Shape (worlds, vehicles, rows, columns)."""
     seen: npt.NDArray[np.int32]
     """The tiles of which it has told since the tick before, row * columns + column. Shape (worlds, vehicles, room)."""
     told: IntArray
-    """How many. Shape (worlds, vehicles)."""
+    """Their number. Shape (worlds, vehicles)."""
     pace: FloatArray
     """Share of its largest speed that each vehicle has where it is; 0: it is stuck. Shape (worlds, vehicles)."""
     before: FloatArray
-    """Where each UGV was before it moved [m]. Shape (worlds, UGVs, 2)."""
+    """Position of each UGV before it moved [m]. Shape (worlds, UGVs, 2)."""
     hits: npt.NDArray[np.uint8]
     """1 where a UGV has touched a hazard that blocks. Shape (worlds, UGVs, hazards)."""
 
@@ -150,7 +150,7 @@ def _tell(g: GroundState, k: int, v: int, row: int, column: int, state: int) -> 
 def _told_state(
     p: GroundParameters, state: int, keys: WordArray, v: int, row: int, column: int
 ) -> int:
-    """What the sensor of UAV v tells of a tile that truly is in this state."""
+    """State that the sensor of UAV v tells of a tile which truly is in this one."""
     if state == CLEAR:
         chance, wrong = p.false_alarm, BLOCK
     else:
@@ -229,7 +229,7 @@ def _meets_block(
 def drive_on(
     t: GroundConstants, g: GroundState, k: int, position: FloatArray, velocity: FloatArray
 ) -> None:
-    """What the UGVs have met on their way from `before` to where they are.
+    """Touches of hazards by the UGVs on their way from `before` to where they are.
 
     Args:
         t, g: The ground of all worlds.

@@ -112,7 +112,7 @@ class LinkArrays:
         return LinkState._make(array[world, link] for array in self.states)
 
     def status(self, world: int) -> dict[str, LinkStatus]:
-        """How each link of one world has done so far, by `vehicle/kind`."""
+        """Counters of each link of one world so far, by `vehicle/kind`."""
         return {
             f"{name}/{kind}": link_status(
                 self._parameters[k], self._state_of(world, k), self._settings[k]

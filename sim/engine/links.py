@@ -81,7 +81,7 @@ class Links:
         self.table = self.table.changed(kind, vehicle, settings)
 
     def status(self, vehicle: str | None = None) -> dict[str, LinkStatus]:
-        """How each link has done so far, by `vehicle/kind`.
+        """Counters of each link so far, by `vehicle/kind`.
 
         Args:
             vehicle: Of this one alone; None: of all.

@@ -1,4 +1,4 @@
-"""How the UGVs get through: goals, hazards on the way, and how long before each was known. For measuring alone.
+"""The UGVs' mission: goals, hazards on the way, and how long before each was known. For measuring alone.
 
 No vehicle is told of any of it. Without hazards all arrays are empty, and nothing is done.
 """
@@ -57,10 +57,10 @@ class MissionRecord(NamedTuple):
     told: int
     """Tiles that have come by radio, each counted once."""
     listed: int
-    """How many hazards were near it when they were listed; -1: not yet."""
+    """Number of hazards near it when they were listed; -1: not yet."""
     listed_x: float
     listed_y: float
-    """Where it was then [m]."""
+    """Its position then [m]."""
 
 
 class MissionConstants(NamedTuple):
@@ -69,32 +69,32 @@ class MissionConstants(NamedTuple):
     goals: FloatArray
     """Of all UGVs [m]. Shape (any, 2)."""
     goal_rows: IntArray
-    """Where each UGV's begin. Shape (UGVs + 1,)."""
+    """First row of each UGV's. Shape (UGVs + 1,)."""
     tolerances: FloatArray
     """[m]. Shape (UGVs,)."""
 
 
 class MissionState(NamedTuple):
-    """How the UGVs do in each world. All arrays have an axis for worlds in front."""
+    """The UGVs' missions in each world. All arrays have an axis for worlds in front."""
 
     ugvs: RecordArray
     """`MissionRecord`. Shape (worlds, UGVs)."""
     heard: TickArray
-    """When each UGV was told of each tile by radio first. Shape (worlds, UGVs, rows, columns)."""
+    """Time at which each UGV was told of each tile by radio first. Shape (worlds, UGVs, rows, columns)."""
     told: TileArray
-    """What the radio has told it of each: BLOCK stays, the rest gives way to later words. Shape as `heard`."""
+    """State that the radio has told of each: BLOCK stays, the rest gives way to later words. Shape as `heard`."""
     warned: TickArray
-    """When it knew of each hazard first, by radio or by its bumper. Shape (worlds, UGVs, hazards)."""
+    """Time at which it knew of each hazard first, by radio or by its bumper. Shape (worlds, UGVs, hazards)."""
     met: TickArray
-    """When it was nearer than `ON_WAY` first. Shape (worlds, UGVs, hazards)."""
+    """Time at which it was nearer than `ON_WAY` first. Shape (worlds, UGVs, hazards)."""
     nearest: FloatArray
-    """How near it came [m]. Shape (worlds, UGVs, hazards)."""
+    """Smallest distance to each hazard [m]. Shape (worlds, UGVs, hazards)."""
     near: npt.NDArray[np.int32]
     """Those that it could come nearer to than `ON_WAY` before they are listed anew, in order: `MissionRecord.listed`
     of them. Shape (worlds, UGVs, hazards).
     """
     found: TickArray
-    """When any vehicle's sensor told of each hazard first. Shape (worlds, hazards)."""
+    """Time at which any vehicle's sensor told of each hazard first. Shape (worlds, hazards)."""
 
 
 def mission_constants(scenario: Scenario) -> MissionConstants:

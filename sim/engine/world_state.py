@@ -36,7 +36,7 @@ MESSAGE_SIZE = 5
 
 
 Precision = Literal["double", "single"]
-"""How a coverage grid is kept: in 8 or in 4 bytes a cell. What is computed from it is in double precision."""
+"""Precision of a coverage grid: 8 or 4 bytes a cell. What is computed from it is in double precision."""
 
 
 class WorldParameters(NamedTuple):
@@ -78,7 +78,7 @@ class WorldState(NamedTuple):
     detections: FloatArray
     """The relative position that each UAV has detected at this tick [m]; NaN where none. Shape (UAVs, 2)."""
     gains: FloatArray
-    """How far the last look of each UAV made e(t) fall [m²]. Shape (UAVs,)."""
+    """Decrease of e(t) by the last look of each UAV [m²]. Shape (UAVs,)."""
     measures: FloatArray
     """Distance [m] and e(t) (4) with the true p_g [m²] of each UAV, when they were last measured. Shape (UAVs, 2)."""
 
@@ -162,7 +162,7 @@ def receivers_of(scenario: Scenario) -> IntArray:
 
 
 class Told(NamedTuple):
-    """Where the vehicles are told that they are: where their commands lead, by (1).
+    """Positions and velocities that the vehicles are told to have: where their commands lead, by (1).
 
     Without wind and errors of the own position that is the truth, and these are its own arrays.
     """
@@ -181,7 +181,7 @@ def told_of(scenario: Scenario, truth: WorldState) -> Told:
 
 
 def disturbances_of(scenario: Scenario) -> RecordArray:
-    """What acts on each UAV beside its commands: rows of `DisturbanceRow`, shape (UAVs,), or none if nothing does."""
+    """Disturbance of each UAV beside its commands: rows of `DisturbanceRow`, shape (UAVs,), or none if nothing acts."""
     wind, dt = scenario.wind, scenario.dt
     uavs = [one for one in scenario.vehicles if isinstance(one, Uav)] if scenario.disturbed else []
     rows = [
@@ -242,7 +242,7 @@ class BatchState(NamedTuple):
     MESSAGE_SIZE).
     """
     arrived: IntArray
-    """How many. Shape (worlds, UAVs)."""
+    """Their number. Shape (worlds, UAVs)."""
     sent: FloatArray
     """The commands that set out in the coming tick. Shape (worlds, vehicles, MESSAGE_SIZE)."""
     motions: RecordArray

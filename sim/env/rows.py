@@ -94,7 +94,7 @@ UAV_METRICS, UGV_METRICS = columns(UavMetrics), columns(UgvMetrics)
 
 
 class EpisodeParameters(NamedTuple):
-    """When an episode ends, and what its rewards are measured against."""
+    """Time at which an episode ends, and what its rewards are measured against."""
 
     ticks: int
     """Of an episode."""
@@ -223,7 +223,7 @@ def _measure_uav(bt: BatchTables, bs: BatchState, s: RowState, k: int, u: int) -
 
 @inlined
 def _measure_mission(bs: BatchState, s: RowState, k: int, g: int) -> None:
-    """How UGV g has done in this tick on ground with hazards."""
+    """Earnings of UGV g in this tick on ground with hazards."""
     row, mission, hits = s.ugvs[k, g], bs.mission.ugvs[k, g], 0
     for n in range(bs.ground.hits.shape[2]):
         hits += bs.ground.hits[k, g, n]

@@ -47,7 +47,7 @@ class HazardRow(NamedTuple):
     first: int
     """Row of its first corner in the table of corners."""
     corners: int
-    """How many it has; 0: it is a disc."""
+    """Number of its corners; 0: it is a disc."""
 
 
 @compiled

@@ -46,7 +46,7 @@ class HazardFieldRow(NamedTuple):
     kind: int
     """Code of a row of `bus.registry.HAZARDS`."""
     discs: int
-    """How many."""
+    """Number of hazards."""
     smallest: float
     largest: float
     """Radii [m]."""

@@ -228,7 +228,7 @@ def fields_have_room(s: Scenario) -> Iterator[Fault]:
 
 
 def _placed(s: Scenario, fields: tuple[HazardField, ...]) -> int:
-    """How many hazards there are in all, with those of some fields."""
+    """Number of hazards in all, with those of some fields."""
     tables = ground_tables(msgspec.structs.replace(s, hazard_field=fields))
     key = np.uint64(s.seed), np.uint64(0)  # any will do: the flights have others
     with np.errstate(over="ignore"):  # random words wrap round, of which an interpreter warns

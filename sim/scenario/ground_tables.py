@@ -21,7 +21,7 @@ _WAY_BITS = 63
 
 
 class GroundTables(NamedTuple):
-    """What the scenario says of the ground, the same in each of its flights."""
+    """The ground as the scenario gives it, the same in each of its flights."""
 
     hazards: RecordArray
     """A table of `HazardRow`, with empty rows behind for those of its fields."""
@@ -137,7 +137,7 @@ def corner_bounds(polygon: tuple[Vector, ...]) -> tuple[Vector, Vector]:
 
 
 def stops(ugv: Ugv) -> tuple[Vector, ...]:
-    """Where a UGV starts, and the goals of its driver if it has any [m]."""
+    """Start of a UGV, and the goals of its driver if it has any [m]."""
     driver = DRIVERS[ugv.driver]
     roams = driver.make and driver.wants != "goals"
     return (ugv.position, *(() if roams else ugv.goals))

@@ -137,7 +137,7 @@ class HazardField(_Table, frozen=True, kw_only=True):
     kind: Name
     """A row of `bus.registry.HAZARDS`."""
     count: Annotated[int, Meta(ge=1, le=MOST_HAZARDS)]
-    """How many."""
+    """Number of hazards."""
     radius: tuple[Positive, Positive]
     """Smallest and largest [m]."""
     share: SpeedShare | None = None
@@ -171,7 +171,7 @@ class Ground(_Table, frozen=True, kw_only=True):
     bumper: NonNegative = 0.75
     """Range of a UGV's own sensor, which makes no errors [m]."""
     touch: Name = TOUCHES[0]
-    """What touching a blocking hazard does to a UGV: it is `stuck`, or drives on with `damage`."""
+    """Effect of touching a blocking hazard on a UGV: it is `stuck`, or drives on with `damage`."""
     telling: NonNegative = 4.0
     """Blocks of 8 x 8 tiles that a UAV radios to its UGV per second [1/s]."""
 
@@ -243,7 +243,7 @@ class Certificate(_Table, frozen=True, kw_only=True):
     given.
     """
     tracking: NonNegative | None = None
-    """How far a UAV truly is at most from where it is told that it is, w [m]; by default what wind, own_error and
+    """Largest true distance of a UAV from where it is told that it is, w [m]; by default what wind, own_error and
     tracking can bring about: 0 without wind and own_error.
     """
 

@@ -32,7 +32,7 @@ def _outline(hazard: HazardOutline) -> Path:
 
 
 class DrawnGround:
-    """What is known of the ground, drawn over its coverage.
+    """Draws what is known of the ground over its coverage.
 
     Args:
         axes: To draw on.

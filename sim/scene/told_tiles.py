@@ -52,7 +52,7 @@ def ground_map(
     hazards: tuple[HazardOutline, ...] | None = None,
     routes: Mapping[str, tuple[Vector, ...]] = _NO_ROUTES,
 ) -> GroundMap | None:
-    """What there is to see of a world's ground now; None where it has no hazards.
+    """The ground of a world as it is shown now; None where it has no hazards.
 
     Args:
         world: Which.

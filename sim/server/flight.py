@@ -187,7 +187,7 @@ class Flight:
         self._grounded = scenario.has_ground
         self._ground: dict[str, dict[int, tuple[SeenTile, ...]]] = defaultdict(dict)
         self._blocks: dict[str, dict[int, tuple[GroundBlock, ...]]] = defaultdict(dict)
-        """What each vehicle's sensor has told of the ground, and what has come by radio, by tick."""
+        """Tiles that each vehicle's sensor has told, and blocks that have come by radio, by tick."""
         self.refused_blocks: dict[str, int] = dict.fromkeys(self._uav_row, 0)
         """Blocks of each UAV that said of the ground what its sensor has not told."""
         self._listened = -1

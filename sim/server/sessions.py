@@ -53,7 +53,7 @@ class Slot:
     late: int = 0
     """Deadlines that it has not kept."""
     late_told: float = -math.inf
-    """When that was told last [s]."""
+    """Time at which that was told last [s]."""
 
     @property
     def present(self) -> bool:

@@ -150,13 +150,13 @@ class Run:
                 "ZENOH_ROS2_SDK_CACHE": str(self.folder / "definitions")}  # fmt: skip
 
     def told(self, name: str) -> dict[str, Any]:
-        """What a process has printed in the end."""
+        """Output of a process in the end."""
         found: dict[str, Any] = json.loads((self.folder / f"{name}.json").read_text())
         return found
 
 
 def run_foreign(words: list[object], settings: dict[str, str], patience: float = 90.0) -> str:
-    """What a program of an environment prints."""
+    """Output of a program of an environment."""
     done = subprocess.run(
         [str(word) for word in words], env=settings, capture_output=True, text=True,
         check=False, timeout=patience,
@@ -375,7 +375,7 @@ def flown_by_nodes(folder: Path) -> Iterator[Row]:
 def _by_nodes(
     folder: Path, secret: str, *pace: str
 ) -> tuple[dict[str, Any], dict[str, Any], list[int]]:
-    """What the simulator and the bridge print in the end, and the number of commands of each node."""
+    """Last output of simulator and bridge, and the number of commands of each node."""
     zero = make("geometry_msgs/msg/Vector3", x=9.0, y=float("nan"), z=0.0)
     twist = encode(TWISTS[1], make(TWISTS[1], linear=zero, angular=zero))
     bad = [(wire_topic(TWISTS[1], name).key(domain), payload)

@@ -26,7 +26,7 @@ class Variant:
     agents: int
     """Agents in each world."""
     field: bool
-    """Whether the world holds a field over the ground, such as coverage."""
+    """True if the world holds a field over the ground, such as coverage."""
     make: Callable[[], Step]
     """Makes the environment and its random actions; what it returns is timed."""
     steps: int = 1
@@ -34,7 +34,7 @@ class Variant:
 
 
 class Watch:
-    """Whether the machine is quiet: how much of its cores other programs use."""
+    """True if the machine is quiet: how much of its cores other programs use."""
 
     def __init__(self) -> None:
         self._busy, self._total = _cores()

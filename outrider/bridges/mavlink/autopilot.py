@@ -59,7 +59,7 @@ class Reported(NamedTuple):
 
 
 class _Wanted(NamedTuple):
-    """What the autopilot is to hold."""
+    """The setpoint that the autopilot is to hold."""
 
     position: Vector
     velocity: Vector

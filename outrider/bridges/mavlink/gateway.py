@@ -39,7 +39,7 @@ RATES: Mapping[int, float] = {
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 10.0,
     mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET: 5.0,
 }
-"""How often each is told of each system, by its number [1/s] of wall time."""
+"""Rate of each message about each system, by its number [1/s] of wall time."""
 
 
 class Order(NamedTuple):
@@ -55,7 +55,7 @@ class Order(NamedTuple):
 
 
 class _Timer:
-    """When one kind of message is due."""
+    """Time at which one kind of message is due."""
 
     def __init__(self, rate: float) -> None:
         self.period = math.inf if rate == 0.0 else 1.0 / rate
@@ -97,7 +97,7 @@ class Gateway:
         self.network = network
         self.systems = {system.number: system for system in systems}
         self.refused: Counter[str] = Counter()
-        """What was refused, by cause."""
+        """Refused messages, by cause."""
         self.received = 0
         """Messages that were understood."""
         self.holder: Peer | None = None

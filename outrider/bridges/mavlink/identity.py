@@ -88,7 +88,7 @@ class VehicleSystem:
         self.moving: Moving | None = None
         """None: nothing is known of it yet."""
         self.followed: Moving | None = None
-        """What `FOLLOW_TARGET` tells of: a UGV itself, or what a UAV believes of its UGV."""
+        """Subject of `FOLLOW_TARGET`: a UGV itself, or what a UAV believes of its UGV."""
         self.origin = origin
         self._height = height if flies else 0.0
         self._heading = 0.0  # [rad], from north over east

@@ -60,13 +60,13 @@ class OffboardPilot:
         self.mode: Mode = MISSION
         """As ground stations want it."""
         self.briefing: UavBriefing | None = None
-        """What the UAV was told when it joined last."""
+        """The briefing of the UAV when it joined last."""
         self.flown: Flown | None = None
         """The newest tick."""
         self.ticks = self.setpoint_ticks = self.interventions = 0
         """Ticks flown, those for which a setpoint counted, and those in which the filter acted instead."""
         self.intervened_at = -math.inf
-        """When the filter acted last [s]."""
+        """Time at which the filter acted last [s]."""
         self._setpoint: Setpoint | None = None
         self._met: Setpoint | None = None
         self._since = 0
@@ -207,7 +207,7 @@ class OffboardGateway(Gateway):
         return UNSUPPORTED
 
     def parameters(self, system: VehicleSystem) -> Mapping[str, float]:
-        """What the UAV was told when it joined."""
+        """The briefing of the UAV when it joined."""
         del system
         briefing = self._pilot.briefing
         return {} if briefing is None else dict(_told(briefing))

@@ -165,7 +165,7 @@ def transform(seconds: float, parent: str, child: str, position: Vector) -> Any:
 
 
 def transforms(truth: Truth) -> Any:  # noqa: ANN401
-    """Where each vehicle truly is: `map` to its base_link."""
+    """True pose of each vehicle: `map` to its base_link."""
     found = [
         transform(truth.time, MAP, base_link(name), vehicle.position)
         for name, vehicle in truth.vehicles.items()
@@ -208,13 +208,13 @@ def odometry(seconds: float, vehicle: str, position: Vector, velocity: Vector) -
 
 
 def true_odometry(truth: Truth, vehicle: str) -> Any:  # noqa: ANN401
-    """Where a vehicle truly is."""
+    """True pose and velocity of a vehicle."""
     state = truth.vehicles[vehicle]
     return odometry(truth.time, vehicle, state.position, state.velocity)
 
 
 def acceleration(truth: Truth, vehicle: str) -> Any:  # noqa: ANN401
-    """What was applied since the last tick, after the bounds [m/s²]."""
+    """Acceleration applied since the last tick, after the bounds [m/s²]."""
     return make(
         "geometry_msgs/msg/AccelStamped",
         header=header(truth.time, base_link(vehicle)),
@@ -237,12 +237,12 @@ def path(view: RunView, truth: Truth, vehicle: str) -> Any:  # noqa: ANN401
 
 
 def escort_of(truth: Truth, uav: str) -> EscortTruth | None:
-    """How a UAV stands to its UGV; None where it escorts none."""
+    """The relation of a UAV to its UGV; None where it escorts none."""
     return next((one for one in truth.escorts if one.uav == uav), None)
 
 
 def detection(seconds: float, uav: str, relative_position: Vector) -> Any:  # noqa: ANN401
-    """Where a UAV has seen its UGV, from itself: -p_delta.
+    """Place at which a UAV has seen its UGV, from itself: -p_delta.
 
     Args:
         seconds: When it was taken [s].
@@ -258,7 +258,7 @@ def detection(seconds: float, uav: str, relative_position: Vector) -> Any:  # no
 
 
 def true_detection(truth: Truth, uav: str) -> Any:  # noqa: ANN401
-    """What a UAV's detector has taken at this tick; None: nothing."""
+    """Detection of a UAV at this tick; None: it has none."""
     escort = escort_of(truth, uav)
     if escort is None or escort.detection is None:
         return None
@@ -276,7 +276,7 @@ def _report_of(truth: Truth, uav: str) -> UavReport | None:
 
 
 def estimate(truth: Truth, uav: str) -> Any:  # noqa: ANN401
-    """Where a UAV believes its UGV to be, with its covariance; None: it says nothing."""
+    """A UAV's estimate of its UGV's place, with its covariance; None: it says nothing."""
     report = _report_of(truth, uav)
     if report is None:
         return None

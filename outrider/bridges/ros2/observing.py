@@ -54,7 +54,7 @@ class RosObserver:
         self._view: RunView | None = None
         self.status: Status | None = None
         self.commands: RosCommands | None = None
-        """What it takes as an operator; None: it looks on."""
+        """The commands that it takes as an operator; None: it looks on."""
         self.refusals = Refusals()
 
     @property

@@ -33,7 +33,7 @@ class RosPublisher:
         self.wanted = False
         """True if anybody reads it now."""
         self.found = 0
-        """How often somebody has begun to read it where nobody had."""
+        """Number of times that somebody has begun to read it where nobody had."""
         self.sent = 0
         self._stamper = Stamper(gid_of(token))
         reliability = zenoh.Reliability.RELIABLE if qos.reliable else zenoh.Reliability.BEST_EFFORT

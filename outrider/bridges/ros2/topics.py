@@ -194,7 +194,7 @@ TOPICS: tuple[TopicRow, ...] = (
         about="The run, its links, its vehicles' processes; what is certified, and why not.",
     ),
 )
-"""What observers get: the truth. No vehicle may read any of them."""
+"""Topics of observers: the truth. No vehicle may read any of them."""
 
 OBSERVATION = TopicRow(
     name=f"{PILOT}/observation",
@@ -235,7 +235,7 @@ OWN_DETECTION = TopicRow(
     about="Each detection that has come to the UAV's computer.",
 )
 PILOT_TOPICS = (OBSERVATION, BRIEFING, OWN_ODOMETRY, OWN_DETECTION)
-"""What a vehicle's own node gets: its observation, and nothing else. Nobody else may read them."""
+"""Topics of a vehicle's own node: its observation, and nothing else. Nobody else may read them."""
 PILOT_COMMANDS = (
     TopicRow(
         name=f"{PILOT}/command",
@@ -256,7 +256,7 @@ PILOT_COMMANDS = (
         about="The commanded acceleration; its stamp is that of the observation which it answers.",
     ),
 )
-"""What a vehicle's own node answers, in one form or the other: the first of them counts."""
+"""Answers of a vehicle's own node, in one form or the other: the first of them counts."""
 
 
 def wire_topic(interface: str, name: str, namespace: str = "") -> WireTopic:
@@ -288,7 +288,7 @@ def messages_of(
     namespace: str = "",
     wanted: Iterable[str] | None = None,
 ) -> Iterator[TopicMessage]:
-    """What becomes of one of our messages: one for each topic that is made of it.
+    """Converts one of our messages: one result for each topic that is made of it.
 
     Args:
         view: The run that it is of.

@@ -119,7 +119,7 @@ class WireTopic:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attachment:
-    """What travels beside each message."""
+    """The attachment of each message."""
 
     sequence: int
     """Counted from 1 by each endpoint."""

@@ -13,7 +13,7 @@ from outrider.experiments.falsify.draws import next_share
 from sim.kernels.compile import compiled
 
 LOSSES = ("none", "random", "when_far", "at_a_plans_end", "whenever_it_may", "every_other")
-"""When the first motion of a chain is lost, and those after it that would begin the next chain."""
+"""Time at which the first motion of a chain is lost, and those after it that would begin the next chain."""
 
 ALIVE = -1.0
 """The adversary's memory while the vehicle flies what is sent; else the tick of the first motion that was lost.

@@ -53,7 +53,7 @@ class Leaderboard:
     standings: tuple[Standing, ...]
     """The best first."""
     mission: bool
-    """Whether the tasks were scored by how the UGVs got through."""
+    """True if the tasks were scored by how the UGVs got through."""
     secret: str
     """Of all the flights' random numbers, beside the seeds: with it the same table again."""
 

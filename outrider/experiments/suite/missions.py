@@ -36,7 +36,7 @@ class MissionResult(Result):
     found: float
     """Share of the things to be found that were; NaN where there are none."""
     warned_before: float
-    """How long before it came near one a UGV knew of a hazard on its way, in the mean [s]; NaN: of none."""
+    """Time between knowing of a hazard on the way and coming near it, in the mean [s]; NaN: of none."""
     seen_ahead: float
     """Share of the way that led over ground which had come by radio before."""
 
@@ -70,7 +70,7 @@ def mission_score(mission: Mission, shortest: float) -> float:
 
 
 def _mission(loop: ClosedLoop, k: int) -> Mission:
-    """How world k went."""
+    """The mission of world k."""
     tables, state = loop.tables.batch, loop.state.batch
     return mission_of(tables.mission, state.ground, state.mission, k, loop.scenario.dt)
 

@@ -22,7 +22,7 @@ from sim.models.field import coverage_error
 
 
 class Team(NamedTuple):
-    """Who flies and who drives in a mission."""
+    """The pilots of both sides in a mission."""
 
     uav: str | Policy | None = None
     """A law by name, or a policy for all worlds at once; None: the scenario's law."""

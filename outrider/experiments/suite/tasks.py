@@ -39,7 +39,7 @@ class Task:
     base: str = BASE
     """The shipped scenario."""
     mission: bool = False
-    """Whether it is scored by how the UGVs get through, and not by how much of the ground was seen."""
+    """True if it is scored by how the UGVs get through, and not by how much of the ground was seen."""
 
     @property
     def scenario(self) -> "Scenario":

@@ -225,7 +225,7 @@ def _velocity(text: Text, name: str, velocity: tuple[float, float] | None, color
 
 
 def _mission(text: Text, view: DriveView) -> None:
-    """How the UGVs get through ground with hazards."""
+    """Lines about the UGVs' way through ground with hazards."""
     told = view.status.mission if view.status is not None else None
     if told is None:
         return

@@ -147,7 +147,7 @@ def _paint_coverage(canvas: Canvas, window: _Window, coverage: CoverageMap) -> N
 
 
 def _paint_hazards(canvas: Canvas, window: _Window, ground: GroundMap) -> None:
-    """What the UGVs know of the ground, and the hazards: those that they do not know faint."""
+    """Draws what the UGVs know of the ground, and the hazards: those that they do not know faint."""
     for row in range(canvas.height):
         for column in range(canvas.width):
             x, y = window.point(2 * column + 1, 4 * row + 2)

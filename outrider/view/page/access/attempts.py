@@ -36,7 +36,7 @@ class _Address:
         self.lock = asyncio.Lock()
         self.wrong = self.waiting = 0
         self.next = 0.0
-        """When the next try may be looked at, on the clock."""
+        """Time at which the next try may be looked at, on the clock."""
 
 
 class Attempts:
