@@ -12,7 +12,7 @@ from processes import python, wait_until
 from staging import GIVEN as PLAIN
 from staging import raw_session
 
-from agents.process import fly
+from agents.process import fly, warm_up
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.access import new_credentials
@@ -50,6 +50,7 @@ class Foreign:
     def __init__(self, endpoint: str, vehicle: str, *, exact: bool) -> None:
         self._vehicle, self._exact = vehicle, exact
         self._lock = threading.Lock()
+        warm_up(GIVEN.of(vehicle).role)  # nobody must wait for a compiler
         self._make, told, seen = KINDS[vehicle]
         self._briefing = msgspec.json.Decoder(told)
         self._observation = msgspec.json.Decoder(seen)
