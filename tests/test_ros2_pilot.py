@@ -17,6 +17,7 @@ from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.access import new_credentials
 from bus.errors import PeerLost
+from bus.keys import Role
 from bus.messages import (
     UavBriefing,
     UavObservation,
@@ -50,7 +51,6 @@ class Foreign:
     def __init__(self, endpoint: str, vehicle: str, *, exact: bool) -> None:
         self._vehicle, self._exact = vehicle, exact
         self._lock = threading.Lock()
-        warm_up(GIVEN.of(vehicle).role)  # nobody must wait for a compiler
         self._make, told, seen = KINDS[vehicle]
         self._briefing = msgspec.json.Decoder(told)
         self._observation = msgspec.json.Decoder(seen)
@@ -127,6 +127,8 @@ def test_a_ros_2_node_flies_the_trajectory_of_the_pilot_in_this_process(
 ) -> None:
     """With bad answers before each good one: they are refused, and change nothing."""
     monkeypatch.setattr(staging, "GIVEN", GIVEN)
+    for role in (Role.UAV, Role.UGV):
+        warm_up(role)  # nobody must wait for a compiler
     with staging.stage(tmp_path, 60) as stage:
         links: list[Link] = []
         thread = threading.Thread(target=bridge, args=(stage.endpoint, vehicle, links))
