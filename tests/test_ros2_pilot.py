@@ -12,11 +12,12 @@ from processes import python, wait_until
 from staging import GIVEN as PLAIN
 from staging import raw_session
 
-from agents.process import fly
+from agents.process import fly, warm_up
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.access import new_credentials
 from bus.errors import PeerLost
+from bus.keys import Role
 from bus.messages import (
     UavBriefing,
     UavObservation,
@@ -126,6 +127,8 @@ def test_a_ros_2_node_flies_the_trajectory_of_the_pilot_in_this_process(
 ) -> None:
     """With bad answers before each good one: they are refused, and change nothing."""
     monkeypatch.setattr(staging, "GIVEN", GIVEN)
+    for role in (Role.UAV, Role.UGV):
+        warm_up(role)  # nobody must wait for a compiler
     with staging.stage(tmp_path, 60) as stage:
         links: list[Link] = []
         thread = threading.Thread(target=bridge, args=(stage.endpoint, vehicle, links))

@@ -14,6 +14,7 @@ import msgspec
 import zenoh
 import zenoh.ext
 
+from agents.process import warm_up
 from agents.uav import UavPilot
 from agents.ugv import UgvPilot
 from bus.access import client_settings, read_credential
@@ -32,6 +33,7 @@ kinds: dict[Role, Any] = {
     Role.UGV: (UgvPilot, UgvBriefing, UgvObservation),
 }
 make_pilot, briefing, observation = kinds[known.role]
+warm_up(known.role)
 lock, over = threading.Lock(), threading.Event()
 pilots: list[Any] = []
 waiting: list[str] = []
