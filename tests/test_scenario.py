@@ -47,7 +47,8 @@ def test_a_shipped_scenario_has_the_paper_s_parameters_and_its_file_s_name(name:
     unbounded = name in {"figure-1-low-gain", "figure-1-high-gain"}
     bounds = (math.inf, math.inf) if unbounded else (0.6, 0.3)
     assert (uav.max_speed, uav.max_acceleration) == bounds
-    assert (ugv.max_speed, ugv.max_acceleration) == (0.2, 0.1)
+    heavy = name == "minefield"  # needs 1.5 m to stop: what the escort is for
+    assert (ugv.max_speed, ugv.max_acceleration) == ((0.3, 0.03) if heavy else (0.2, 0.1))
     assert s.law.speed_gain == (1.0 if name == "figure-1-low-gain" else 10.0)
 
 

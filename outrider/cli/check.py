@@ -50,7 +50,7 @@ def command(
     from outrider.running.assumptions import how_certifiable, odds, promise_warnings
     from outrider.running.user_code import check_own_functions, foreign_code
     from sim.scenario.checks import scenario_warnings
-    from sim.server.flight import NO_UAV
+    from sim.scenario.types import NO_UAV
 
     scenario, overrides = scenario_of(
         file,

@@ -68,14 +68,14 @@ def command(
     vehicle: Annotated[
         str,
         typer.Option(
-            metavar="UAV",
+            metavar="NAME",
             help="Join as this UAV, with its credentials, and fly it by setpoints inside the safety filter.",
         ),
     ] = "",
     autopilot: Annotated[
         str,
         typer.Option(
-            metavar="UAV",
+            metavar="NAME",
             help="Join as this UAV, and let a real autopilot fly along: its telemetry in, its setpoints out.",
         ),
     ] = "",

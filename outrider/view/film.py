@@ -14,6 +14,7 @@ from bus.errors import ScenarioError
 from outrider.recording.reader import Recording, coverages, grounds
 from outrider.recording.refly import external_uavs, from_the_start, restore
 from sim.kernels.compile import FloatArray
+from sim.scenario.types import NO_UAV
 from sim.scene.colors import (
     COVERED,
     FAINT,
@@ -31,7 +32,7 @@ from sim.scene.colors import (
 from sim.scene.frames import Frames
 from sim.scene.known import scene_of
 from sim.scene.model import observed_scene
-from sim.server.flight import NO_UAV, law_title
+from sim.server.flight import law_title
 
 WIDTH = 800
 """Of a film [px]."""

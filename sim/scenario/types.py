@@ -317,6 +317,8 @@ class LinkTable(_Links, frozen=True, kw_only=True):
 
 
 DEFAULT_AREA = Area(width=40.0, height=40.0, cell=0.25)
+NO_UAV = "no UAV"
+"""Instead of a law, for a person, where there is nobody to fly one."""
 
 
 class Scenario(_Table, frozen=True, kw_only=True):

@@ -42,7 +42,7 @@ from bus.messages import (
 )
 from bus.registry import LAWS
 from sim.kernels.compile import FloatArray
-from sim.scenario.types import Scenario
+from sim.scenario.types import NO_UAV, Scenario
 from sim.server.assurance import Arrival, Assurance
 from sim.server.recorder import Recorder
 from sim.world import Look, World
@@ -88,8 +88,6 @@ class Exchange(Protocol):
 
 
 _LOG = logging.getLogger("outrider.sim")
-NO_UAV = "no UAV"
-"""Instead of a law, for a person, where there is nobody to fly one."""
 EXTERNAL = "external"
 """The law of a UAV, and the driver of a UGV, that is a program of the user's own."""
 _ROUNDING = 1e-9
