@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bus.messages import BLOCK_SIDE, TILE_LETTERS, GroundBlock, Mission, MotionPlan, SeenTile
+from bus.messages import TILE_LETTERS, GroundBlock, Mission, MotionPlan, SeenTile
 from sim.engine.batch import Batch
 from sim.engine.links import Links
 from sim.engine.mission import hear_block, mission_of
@@ -25,7 +25,7 @@ from sim.engine.world_state import (
 )
 from sim.engine.world_tick import measure, truth_of
 from sim.kernels.compile import FloatArray, entry_point
-from sim.models.ground import TileArray
+from sim.models.ground import TileArray, block_letters, tile_states
 from sim.models.motion import NO_MOTION, keep_motion, motion_row
 from sim.scenario.types import Scenario, Uav
 
@@ -181,9 +181,8 @@ class World:
         """A UGV is told of a block of tiles by radio: for measuring how long before it knew of what was on its way."""
         tables, state = self.arrays
         n = int(np.flatnonzero(tables.ground.ugvs == k)[0])
-        states = np.array([TILE_LETTERS.index(letter) for letter in block.tiles], dtype=np.uint8)
         told = tables.ground, state.ground, state.mission, 0, n, self._tick
-        hear_block(*told, (block.row, block.column), states)
+        hear_block(*told, (block.row, block.column), tile_states(block.tiles))
 
     @property
     def mission(self) -> Mission | None:
@@ -199,14 +198,9 @@ class World:
         tiles: TileArray = self._batch.state.ground.tiles[0]
         return tiles
 
-    def known_block(self, k: int, row: int, column: int) -> list[int]:
-        """States of a block of tiles as a vehicle's own sensor has told them, row by row; UNSEEN beyond the area."""
-        known = self._batch.state.ground.known[0, k]
-        side, block = BLOCK_SIDE, np.zeros((BLOCK_SIDE, BLOCK_SIDE), known.dtype)
-        cut = known[row * side : (row + 1) * side, column * side : (column + 1) * side]
-        block[: cut.shape[0], : cut.shape[1]] = cut
-        states: list[int] = block.ravel().tolist()
-        return states
+    def known_block(self, k: int, row: int, column: int) -> str:
+        """A block of tiles as a vehicle's own sensor has told them, by `TILE_LETTERS`; not seen beyond the area."""
+        return block_letters(self._batch.state.ground.known[0, k], row, column)
 
     def flown(self, k: int) -> int | None:
         """The motion that a vehicle flies, by the tick in which it began; None: none."""

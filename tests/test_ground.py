@@ -25,7 +25,6 @@ from sim.models.ground import (
     distance_to_hazard,
     fill_tiles,
     hazard_at,
-    nearest_hazard,
     point_in_hazard,
     rough_share,
     state_at,
@@ -110,15 +109,13 @@ def test_the_distance_to_a_hazard_is_that_to_the_nearest_of_many_points_on_its_e
 
 @given(grounds, points)
 @GEOMETRY
-def test_what_is_at_a_point_and_what_is_nearest_are_the_best_of_all(hazards, point) -> None:
+def test_what_is_at_a_point_is_the_best_of_all(hazards, point) -> None:
     rows, corners = tables(hazards)
     away = [distance_to_hazard(rows, corners, k, *point) for k in range(len(hazards))]
     shares = [h.speed_share for h, d in zip(hazards, away, strict=True) if d == 0.0]
     assert rough_share(rows, corners, *point) == min(shares, default=1.0)
     for name, row in HAZARDS.items():
         mine = [(d, k) for k, d in enumerate(away) if hazards[k].kind == name]
-        nearest, found = min(mine, default=(math.inf, -1))
-        assert nearest_hazard(rows, corners, row.code, *point) == (found, nearest)
         there = [k for d, k in mine if d == 0.0]
         assert hazard_at(rows, corners, row.code, *point) == min(there, default=-1)
 

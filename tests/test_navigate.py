@@ -14,7 +14,6 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from agents.drivers.cautious import (
-    TOUCH,
     Bounds,
     Open,
     braking_way,
@@ -39,7 +38,7 @@ from agents.drivers.planning import (
 )
 from agents.drivers.tile_map import begin_ground, ground_memory, note_block, note_tiles
 from bus.messages import Area, Limits, UgvBriefing, UgvGround
-from sim.models.ground import BLOCK, CLEAR, FOUND, ROUGH, UNSEEN
+from sim.models.ground import BLOCK, CLEAR, FOUND, ROUGH, TOUCH, UNSEEN
 from sim.models.vehicles import Motion, brake, norm, step_vehicle
 
 PRICES = Prices(rough=2.5, unseen=1.5, beside=0.5)

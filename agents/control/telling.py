@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from bus.messages import BLOCK_SIDE, TILE_LETTERS, GroundBlock, SeenTile, UavBriefing
 from sim.kernels.compile import IntArray, borrowing, inlined
-from sim.models.ground import TileArray, tiles_shape
+from sim.models.ground import TileArray, block_letters, tiles_shape
 
 _REPEATS = 3
 """Number of times that news are told before what is older is repeated."""
@@ -157,18 +157,5 @@ class GroundTeller:
         row, column = next_block(self.memory, self._tile, tick, *target)
         if row < 0:
             return ()
-        return (
-            GroundBlock(
-                column=column, row=row, tiles=block_letters(self.memory.tiles, row, column)
-            ),
-        )
-
-
-def block_letters(tiles: TileArray, row: int, column: int) -> str:
-    """The states of a block of tiles as a message tells them."""
-    block = np.zeros((BLOCK_SIDE, BLOCK_SIDE), np.uint8)
-    cut = tiles[
-        row * BLOCK_SIDE : (row + 1) * BLOCK_SIDE, column * BLOCK_SIDE : (column + 1) * BLOCK_SIDE
-    ]
-    block[: cut.shape[0], : cut.shape[1]] = cut
-    return "".join(TILE_LETTERS[state] for state in block.ravel().tolist())
+        letters = block_letters(self.memory.tiles, row, column)
+        return (GroundBlock(column=column, row=row, tiles=letters),)

@@ -10,11 +10,17 @@ from typing import NamedTuple
 
 from agents.drivers.planning import is_beside_block
 from sim.kernels.compile import borrowing, compiled
-from sim.models.ground import BLOCK, ROUGH, UNSEEN, TileArray, tile_index
+from sim.models.ground import (
+    BLOCK,
+    ROUGH,
+    TOUCH,
+    UNSEEN,
+    TileArray,
+    edge_within,
+    span,
+    tile_index,
+)
 from sim.models.vehicles import Motion, brake, norm, step_vehicle
-
-TOUCH = 1e-9
-"""A tile that is nearer to a way than this is on it [m]: rounding moves no point so far, in areas of up to 10 km."""
 
 
 class Bounds(NamedTuple):
@@ -71,31 +77,6 @@ def _is_open(tiles: TileArray, ground: Open, i: int, j: int) -> bool:
     return True
 
 
-@compiled
-def _first(low: float, tile: float) -> int:
-    return max(math.floor((low - TOUCH) / tile), 0)
-
-
-@compiled
-def _end(high: float, tile: float, count: int) -> int:
-    return min(math.floor((high + TOUCH) / tile) + 1, count)
-
-
-@compiled
-def _edge_within(
-    a_x: float, a_y: float, b_x: float, b_y: float, low: float, high: float
-) -> tuple[float, float]:
-    """The least and the largest x of the part of an edge whose y lies between two; turned round where none does."""
-    if max(a_y, b_y) < low or min(a_y, b_y) > high:
-        return math.inf, -math.inf
-    begin, end = 0.0, 1.0
-    if a_y != b_y:
-        one, other = (low - a_y) / (b_y - a_y), (high - a_y) / (b_y - a_y)
-        begin, end = max(begin, min(one, other)), min(end, max(one, other))
-    one, other = a_x + begin * (b_x - a_x), a_x + end * (b_x - a_x)
-    return min(one, other), max(one, other)
-
-
 @borrowing
 def triangle_is_open(
     tiles: TileArray,
@@ -115,15 +96,17 @@ def triangle_is_open(
     """
     rows, columns = tiles.shape
     lowest, highest = min(a[1], b[1], c[1]), max(a[1], b[1], c[1])
-    for i in range(_first(lowest, tile), _end(highest, tile, rows)):
+    first, end = span(lowest - TOUCH, highest + TOUCH, tile, rows)
+    for i in range(first, end):
         low, high = i * tile - TOUCH, (i + 1) * tile + TOUCH
-        left, right = _edge_within(a[0], a[1], b[0], b[1], low, high)
-        one, other = _edge_within(b[0], b[1], c[0], c[1], low, high)
+        left, right = edge_within(a[0], a[1], b[0], b[1], low, high)
+        one, other = edge_within(b[0], b[1], c[0], c[1], low, high)
         left, right = min(left, one), max(right, other)
-        one, other = _edge_within(c[0], c[1], a[0], a[1], low, high)
+        one, other = edge_within(c[0], c[1], a[0], a[1], low, high)
         left, right = min(left, one), max(right, other)
         if left <= right:
-            for j in range(_first(left, tile), _end(right, tile, columns)):
+            begin, behind = span(left - TOUCH, right + TOUCH, tile, columns)
+            for j in range(begin, behind):
                 if not _is_open(tiles, ground, i, j):
                     return False
     return True
@@ -179,6 +162,23 @@ def slowing_way(speed: float, slow: float, u_max: float, dt: float) -> float:
 
 
 @borrowing
+def _stays_open(
+    tiles: TileArray,
+    tile: float,
+    ground: Open,
+    a: tuple[float, float],
+    turn: tuple[float, float],
+    b: tuple[float, float],
+    end: tuple[float, float],
+) -> bool:
+    """True if a tick from a to b, within the triangle with `turn`, and the way on to the end lie on open tiles."""
+    return bool(
+        triangle_is_open(tiles, tile, ground, a, turn, b)
+        and way_is_open(tiles, tile, ground, b, end)
+    )
+
+
+@borrowing
 def is_safe(
     bounds: Bounds, tiles: TileArray, ground: Open, here: Motion, u_x: float, u_y: float
 ) -> bool:
@@ -205,20 +205,15 @@ def is_safe(
         return False
     if not (0.0 <= end[0] <= p.width and 0.0 <= end[1] <= p.height):
         return False
-    if not triangle_is_open(tiles, tile, ground, a, turn, (x, y)):
-        return False
-    if not way_is_open(tiles, tile, ground, (x, y), end):
+    if not _stays_open(tiles, tile, ground, a, turn, (x, y), end):
         return False
     if p.late == 0 or speed <= p.slow:
         return True
     way = slowing_way(speed, p.slow, p.u_max, p.dt)
     there = x + e_x * way, y + e_y * way
-    row, column, end_row, end_column = ground.row, ground.column, ground.end_row, ground.end_column
-    even = Open(ground.unseen, 0, 1, row, column, end_row, end_column)
-    return bool(
-        triangle_is_open(tiles, tile, even, a, turn, (x, y))
-        and way_is_open(tiles, tile, even, (x, y), there)
-    )
+    g = ground
+    even = Open(g.unseen, 0, 1, g.row, g.column, g.end_row, g.end_column)
+    return _stays_open(tiles, tile, even, a, turn, (x, y), there)
 
 
 @borrowing
@@ -266,8 +261,8 @@ def open_from(tiles: TileArray, tile: float, bold: int, x: float, y: float) -> O
     It comes to stand there only if the tile was told wrongly before, if it is bold, or if it started there.
     """
     rows, columns = tiles.shape
-    row, end_row = _first(y, tile), _end(y, tile, rows)
-    column, end_column = _first(x, tile), _end(x, tile, columns)
+    row, end_row = span(y - TOUCH, y + TOUCH, tile, rows)
+    column, end_column = span(x - TOUCH, x + TOUCH, tile, columns)
     blocked = False
     for i in range(row, end_row):
         for j in range(column, end_column):

@@ -22,12 +22,12 @@ from agents.drivers.ugv_tick import UgvMemory, ugv_tick
 from agents.drivers.wander import GOAL, GOAL_CHOSEN, wander_pace
 from agents.drivers.waypoints import WAYPOINT_STATE
 from bus.errors import ScenarioError
-from bus.messages import MOST_CORNERS, TILE_LETTERS, UgvBriefing, UgvObservation, Vector
+from bus.messages import MOST_CORNERS, UgvBriefing, UgvObservation, Vector
 from bus.registry import BOLD, DRIVERS
 from bus.ticks import NO_TICK, first_tick_from, tick_of
 from sim.kernels.compile import FloatArray, borrowing, entry_point
 from sim.kernels.records import RecordArray, records
-from sim.models.ground import tile_index, tiles_shape
+from sim.models.ground import tile_index, tile_states, tiles_shape
 from sim.models.randomness import words_of
 
 DRIVER_STATE = max(WAYPOINT_STATE, EVADE_STATE)
@@ -125,13 +125,12 @@ def told_ground(briefing: UgvBriefing) -> GroundMemory:
 def take_ground(memory: GroundMemory, observation: UgvObservation) -> None:
     """Take in what an observation tells of the ground."""
     for block in observation.blocks:
-        states = [TILE_LETTERS.index(letter) for letter in block.tiles]
-        note_block(memory, block.row, block.column, np.array(states, dtype=np.uint8))
+        note_block(memory, block.row, block.column, tile_states(block.tiles))
     if observation.ground:
         places = np.array([(one.row, one.column) for one in observation.ground], dtype=np.int64)
-        states = [TILE_LETTERS.index(one.state) for one in observation.ground]
+        states = tile_states("".join(one.state for one in observation.ground))
         rows, columns = np.ascontiguousarray(places.T)
-        note_tiles(memory, rows, columns, np.array(states, dtype=np.uint8))
+        note_tiles(memory, rows, columns, states)
 
 
 @borrowing

@@ -1,6 +1,5 @@
 """`outrider falsify`: a search for what breaks the promise."""
 
-import os
 import shlex
 import time
 from contextlib import contextmanager
@@ -169,6 +168,7 @@ def command(
     from outrider.experiments.falsify.engines import Wanted
     from outrider.experiments.falsify.limits import SearchLimits, base_of, beyond_declared
     from outrider.experiments.falsify.search import check_extra
+    from sim.kernels.threads import cores
 
     limits_given = (max_delay, max_loss, max_blackout, max_command_delay, noise)
     if undegraded and any(given is not None for given in limits_given):
@@ -222,7 +222,7 @@ def command(
         minutes=_MINUTES if runs is None and minutes is None else minutes,
         attack_duration=duration or _ATTACK,
         seed=seed,
-        jobs=jobs or _cores(),
+        jobs=jobs or cores(),
         first=first,
         control=None if control is None else str(control),
         eps=eps,
@@ -251,11 +251,6 @@ def _scenario(
         check_code(flown, overrides, source=name, allowed=allow_code)
         check_own_functions(flown)
     return flown
-
-
-def _cores() -> int:
-    """Those that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _check_eps(eps: float | None) -> None:

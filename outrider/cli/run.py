@@ -209,15 +209,13 @@ def _fly_here(
     record: Path | None,
     stop: "Stop",
 ) -> "Outcome":
-    from agents.process import warm_up as warm_up_pilot
-    from bus.keys import Role
     from outrider.cli.console import flight_progress, print_warnings
     from outrider.running.assumptions import promise_warnings
     from outrider.running.flying import fly
     from outrider.running.launch import Outcome
+    from outrider.running.warming import warm_up_flight
     from outrider.view.output import write_flight
-    from sim.kernels.compile import compiling
-    from sim.server.flight import Flight, warm_up
+    from sim.server.flight import Flight
 
     print_warnings(promise_warnings(flown))
     shown = 0.0
@@ -239,10 +237,7 @@ def _fly_here(
             progress.show(flight.world.tick)
 
     with flight_progress(flown, "compiling") as progress:
-        with compiling():
-            warm_up(flown)
-            for role in (Role.UAV, Role.UGV):
-                warm_up_pilot(role)
+        warm_up_flight(flown)
         flight, summary = fly(
             flown, flown.seed, secret=secret, on_tick=lambda flight: follow(flight, progress)
         )

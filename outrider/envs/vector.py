@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
@@ -30,11 +29,10 @@ from sim.env.patch import TILE_PATCH, CoveragePatch, check_tile_patch
 from sim.env.rewards import RewardWeights
 from sim.env.rows import UGV, UGV_METRICS
 from sim.env.seeds import Seeds
-from sim.env.spaces import action_space, box, observation_space
+from sim.env.spaces import action_space, box, check_dtype, observation_space
 from sim.kernels.compile import FloatArray
 from sim.models.ground import TileArray, tile_patches
-from sim.scenario.checks import check_scenario
-from sim.scenario.loading import load_scenario
+from sim.scenario.loading import given_scenario
 from sim.scenario.types import Scenario
 
 Array = npt.NDArray[Any]
@@ -101,12 +99,8 @@ class Worlds:
         precision: Precision = "double",
     ) -> None:
         self.num_envs = _checked_count(num_envs)
-        if dtype not in {np.float32, np.float64}:
-            raise ValueError(f"dtype = {dtype!r}; allowed: np.float32, np.float64")
-        loaded = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
-        self.scenario = check_scenario(
-            loaded if duration is None else msgspec.structs.replace(loaded, duration=duration)
-        )
+        check_dtype(dtype)
+        self.scenario = given_scenario(scenario, duration)
         names = [vehicle.name for vehicle in self.scenario.vehicles]
         self.learners = list(names if learners is None else learners)
         for name in self.learners:

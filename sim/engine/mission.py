@@ -21,6 +21,7 @@ from sim.models.ground import (
     UNSEEN,
     TileArray,
     distance_to_hazard,
+    may_be_within,
     tile_index,
 )
 from sim.models.vehicles import next_goal, norm
@@ -135,11 +136,8 @@ def _note(
     x, y, half = (column + 0.5) * tile, (row + 0.5) * tile, math.sqrt(0.5) * tile
     for h in range(ticks.shape[0]):
         if ticks[h] == 0 and g.hazards[k, h].kind > 0:
-            far = g.hazards[k, h].reach + half
-            d_x, d_y = x - g.hazards[k, h].x, y - g.hazards[k, h].y
-            if d_x * d_x + d_y * d_y > far * far:
-                continue
-            if distance_to_hazard(g.hazards[k], t.corners, h, x, y) <= half:
+            near = may_be_within(g.hazards[k], h, x, y, half)
+            if near and distance_to_hazard(g.hazards[k], t.corners, h, x, y) <= half:
                 ticks[h] = tick + 1
 
 
@@ -202,9 +200,7 @@ def _list_near(hazards: RecordArray, near: TickArray, x: float, y: float) -> int
     for h in range(hazards.shape[0]):
         if hazards[h].kind == 0 or hazards[h].kind == FOUND:
             continue
-        far = hazards[h].reach + ON_WAY + _SKIN + _ROUNDING
-        d_x, d_y = x - hazards[h].x, y - hazards[h].y
-        if d_x * d_x + d_y * d_y <= far * far:
+        if may_be_within(hazards, h, x, y, ON_WAY + _SKIN + _ROUNDING):
             near[listed] = h
             listed += 1
     return listed
@@ -242,9 +238,7 @@ def _drive(
         row.listed_x, row.listed_y = x, y
     for i in range(row.listed):
         h = m.near[k, n, i]
-        far = g.hazards[k, h].reach + ON_WAY
-        d_x, d_y = x - g.hazards[k, h].x, y - g.hazards[k, h].y
-        if d_x * d_x + d_y * d_y > far * far:
+        if not may_be_within(g.hazards[k], h, x, y, ON_WAY):
             continue
         away = distance_to_hazard(g.hazards[k], t.corners, h, x, y)
         m.nearest[k, n, h] = min(m.nearest[k, n, h], away)

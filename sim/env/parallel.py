@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 from gymnasium import logger, spaces
@@ -26,14 +25,13 @@ from sim.env.patch import TILE_PATCH, CoveragePatch, OwnMaps, check_tile_patch
 from sim.env.rewards import RewardWeights
 from sim.env.rows import Moment
 from sim.env.seeds import Seeds
-from sim.env.spaces import action_space, observation_space
+from sim.env.spaces import action_space, check_dtype, observation_space
 from sim.env.state import state_array, state_space
 from sim.env.view import Rendering
 from sim.kernels.compile import FloatArray
 from sim.models.field import empty_coverage
 from sim.models.ground import TileArray, tile_patches
-from sim.scenario.checks import check_scenario
-from sim.scenario.loading import load_scenario
+from sim.scenario.loading import given_scenario
 from sim.scenario.types import Scenario
 from sim.world import World
 
@@ -125,12 +123,8 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode = {render_mode!r}; allowed: None, 'human', 'rgb_array'")
-        if dtype not in {np.float32, np.float64}:
-            raise ValueError(f"dtype = {dtype!r}; allowed: np.float32, np.float64")
-        loaded = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
-        self.scenario = check_scenario(
-            loaded if duration is None else msgspec.structs.replace(loaded, duration=duration)
-        )
+        check_dtype(dtype)
+        self.scenario = given_scenario(scenario, duration)
         """The scenario that is flown."""
         self.render_mode = render_mode
         self.end_on_sight_lost = end_on_sight_lost

@@ -34,6 +34,16 @@ def extent_of(scenario: Scenario, vehicle: Uav | Ugv) -> dict[str, float]:
     }
 
 
+def check_dtype(dtype: type[np.floating]) -> None:
+    """Refuse a type of observations that none has.
+
+    Raises:
+        ValueError: If it is neither of single nor of double precision.
+    """
+    if dtype not in {np.float32, np.float64}:
+        raise ValueError(f"dtype = {dtype!r}; allowed: np.float32, np.float64")
+
+
 def box(low: Sequence[float], high: Sequence[float], dtype: type[np.floating]) -> spaces.Box:
     """A box between these bounds, which are brought to the type first."""
     return spaces.Box(np.array(low, dtype=dtype), np.array(high, dtype=dtype), dtype=dtype)

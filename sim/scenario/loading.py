@@ -111,6 +111,22 @@ def _with_names(raw: dict[str, object]) -> None:
                 table["name"] = next(free)
 
 
+def given_scenario(scenario: str | Path | Scenario, duration: float | None = None) -> Scenario:
+    """A scenario, or a shipped one by its name, or one from a file; checked.
+
+    Args:
+        scenario: The one, the name or the file.
+        duration: Instead of its own [s].
+
+    Raises:
+        ScenarioError: If there is none, or it cannot be flown.
+    """
+    loaded = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    return check_scenario(
+        loaded if duration is None else msgspec.structs.replace(loaded, duration=duration)
+    )
+
+
 def load_scenario(
     source: str | Path = DEFAULT_SCENARIO, *, overrides: Mapping[str, object] | Sequence[str] = ()
 ) -> Scenario:

@@ -42,6 +42,7 @@ from bus.messages import (
 )
 from bus.registry import LAWS
 from sim.kernels.compile import FloatArray
+from sim.models.ground import UNSEEN
 from sim.scenario.types import NO_UAV, Scenario
 from sim.server.assurance import Arrival, Assurance
 from sim.server.recorder import Recorder
@@ -319,9 +320,8 @@ class Flight:
 
     def _is_told(self, k: int, block: GroundBlock) -> bool:
         """True if a block says of each tile what the UAV's own sensor has told, or nothing."""
-        known = self.world.known_block(k, block.row, block.column)
-        said = zip(block.tiles, known, strict=True)
-        return all(letter in (TILE_LETTERS[0], TILE_LETTERS[state]) for letter, state in said)
+        unseen, known = TILE_LETTERS[UNSEEN], self.world.known_block(k, block.row, block.column)
+        return all(said in (unseen, told) for said, told in zip(block.tiles, known, strict=True))
 
     def _observation(
         self,

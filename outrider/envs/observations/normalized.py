@@ -6,6 +6,7 @@ import numpy as np
 from gymnasium import spaces
 
 from outrider.envs.observations.transformation import Array, EachArray, Part, inside_box
+from sim.env.spaces import check_dtype
 
 
 class Normalized(EachArray):
@@ -28,8 +29,7 @@ class Normalized(EachArray):
         super().__init__()
         if not 0.0 < scale < np.inf:
             raise ValueError(f"scale = {scale!r}; must be positive and finite")
-        if dtype not in {np.float32, np.float64}:
-            raise ValueError(f"dtype = {dtype!r}; allowed: np.float32, np.float64")
+        check_dtype(dtype)
         self._scale, self._dtype = float(scale), dtype
 
     def _part(self, box: spaces.Box, *, picture: bool) -> Part:

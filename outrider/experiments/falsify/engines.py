@@ -14,8 +14,9 @@ from outrider.experiments.falsify.candidate import flown
 from outrider.experiments.falsify.limits import SearchLimits
 from outrider.experiments.falsify.pool import Workers
 from outrider.experiments.falsify.saving import as_toml, free_path
-from outrider.experiments.falsify.search import Budget, Search, Tally, warm
+from outrider.experiments.falsify.search import Budget, Search, Tally
 from outrider.experiments.falsify.words import in_words
+from outrider.running.warming import warm_up_flight
 from sim.scenario.checks import check_scenario
 from sim.scenario.types import Scenario
 
@@ -171,7 +172,7 @@ def _fly(found: Found, asked: Callable[[], bool], on_run: Callable[[str, float],
         minutes = None if minutes is None else minutes * _SHARE_OF_TIME
     budget = Budget(runs, None if minutes is None else 60.0 * minutes, asked)
     one = Search(wanted.base, wanted.limits, wanted.seed, tally=found.flights, first=wanted.first)
-    with Workers(wanted.jobs, warm) as workers:
+    with Workers(wanted.jobs, warm_up_flight) as workers:
         one.run(workers, budget, lambda: on_run("flights", budget.share(found.flights.runs)))
 
 

@@ -15,18 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from agents.process import warm_up as warm_up_pilot
 from bus.errors import ScenarioError
-from bus.keys import Role
 from outrider.experiments.falsify import EXTRA
 from outrider.experiments.falsify.candidate import CandidateResult, fly_candidate
 from outrider.experiments.falsify.genome import SIZES, Candidate, proof_cases
 from outrider.experiments.falsify.limits import SearchLimits
 from outrider.experiments.falsify.pool import Workers
-from sim.kernels.compile import compiling
-from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
-from sim.server.flight import warm_up
 
 _EXPLORED = 0.35
 """Share of the budget after which the best is improved."""
@@ -44,14 +39,6 @@ def check_extra() -> None:
     """
     if find_spec("cma") is None:
         raise ScenarioError(f"cma is missing: pip install -e '{EXTRA}'")
-
-
-def warm() -> None:
-    """Compile, or load what another process has compiled."""
-    with compiling():
-        warm_up(load_scenario())
-        for role in (Role.UAV, Role.UGV):
-            warm_up_pilot(role)
 
 
 class Budget:

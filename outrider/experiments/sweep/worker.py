@@ -6,24 +6,13 @@ from functools import cache
 from importlib.metadata import version
 from typing import Any
 
-from agents.process import warm_up as warm_up_pilot
-from bus.keys import Role
 from outrider.experiments.sweep.columns import failed_row, row_of
 from outrider.running.flying import fly
+from outrider.running.warming import warm_up_flight
 from outrider.running.watchdog import end_with_parent
-from sim.kernels.compile import compiling
-from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
-from sim.server.flight import warm_up
 
-
-@cache
-def _warm() -> None:
-    """Compile, or load what another worker has compiled; once a process."""
-    with compiling():
-        warm_up(load_scenario())
-        for role in (Role.UAV, Role.UGV):
-            warm_up_pilot(role)
+_warm = cache(warm_up_flight)  # once a process
 
 
 def fly_run(scenario: Scenario, seed: int) -> dict[str, Any]:
