@@ -20,9 +20,22 @@ from concurrent.futures import ProcessPoolExecutor
 from agents.control.handover import certificate, certified_radius, largest_age
 from agents.control.promise import Declared, Promise
 from bus.profiles import PROFILES
-from outrider.experiments.falsify import attack as a
+from outrider.experiments.falsify.attack import attack
+from outrider.experiments.falsify.conditions import (
+    AREAS,
+    BLACKOUTS,
+    DISTURBANCES,
+    ERRORS,
+    GUARDS,
+    INNERS,
+    PAPER_BOUNDS,
+    UGVS,
+    Conditions,
+    declared,
+    spec_radius,
+)
 from outrider.running.flying import InProcess, make_pilots
-from sim.kernels.compile import FloatArray
+from sim.kernels.records import RecordArray
 from sim.models.inner_loop import InnerLoop, needed_reserve, tracking_error
 from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
@@ -33,7 +46,7 @@ SEEDS = 10
 
 def radius() -> Iterator[str]:
     """The declared numbers and what follows from them."""
-    numbers = {name: a.PAPER_BOUNDS[name] for name in ("r_v", "v_a", "u_a", "v_g", "dt")}
+    numbers = {name: PAPER_BOUNDS[name] for name in ("r_v", "v_a", "u_a", "v_g", "dt")}
     yield "| ε [m] | A [s] | τ_c [s] | R_h [m] | E [m] | r_cert [m] |"
     yield "|---|---|---|---|---|---|"
     rows = [
@@ -67,87 +80,85 @@ def radius() -> Iterator[str]:
         yield f"| τ_c = {delay:g} s | {' | '.join(f'{age:.1f}' for age in ages)} |"
 
 
-def _attacked(task: tuple[str, a.Conditions, float, float]) -> tuple[str, FloatArray]:
+def _attacked(task: tuple[str, Conditions, float, float]) -> tuple[str, RecordArray]:
     name, conditions, eps, margin = task
-    return name, a.attack(
-        a.declared(conditions, eps, margin=margin), conditions, 3, 0, RUNS, DURATION
-    )
+    return name, attack(declared(conditions, eps, margin=margin), conditions, 3, 0, RUNS, DURATION)
 
 
-def _fly(tasks: list[tuple[str, a.Conditions, float, float]]) -> Iterator[tuple[str, FloatArray]]:
+def _fly(tasks: list[tuple[str, Conditions, float, float]]) -> Iterator[tuple[str, RecordArray]]:
     with ProcessPoolExecutor() as pool:
         yield from pool.map(_attacked, tasks)
 
 
 def guards() -> Iterator[str]:
     """Guards that are known to be wrong, and the filter."""
-    outward, flees = a.INNERS.index("outward"), a.UGVS.index("flees")
-    sphere, periodic = a.ERRORS.index("sphere"), a.BLACKOUTS.index("periodic")
-    tasks: list[tuple[str, a.Conditions, float, float]] = []
+    outward, flees = INNERS.outward, UGVS.flees
+    sphere, periodic = ERRORS.sphere, BLACKOUTS.periodic
+    tasks: list[tuple[str, Conditions, float, float]] = []
 
-    def add(name: str, conditions: a.Conditions, eps: float) -> None:
-        if conditions.law != a.FILTER and not conditions.radius:
-            late = conditions.law != a.SWITCH_SERVO or not conditions.delay
+    def add(name: str, conditions: Conditions, eps: float) -> None:
+        if conditions.law != GUARDS.filter and not conditions.radius:
+            late = conditions.law != GUARDS.switch_servo or not conditions.delay
             conditions = conditions._replace(
-                radius=a.spec_radius(a.declared(conditions, eps), with_latency=late)
+                radius=spec_radius(declared(conditions, eps), with_latency=late)
             )
         tasks.append((name, conditions, eps, 0.0))
 
-    paper = a.Conditions(law=a.PAPER, radius=a.spec_radius(a.declared(a.Conditions(), 0.0)) + 0.04)
+    paper = Conditions(law=GUARDS.paper, radius=spec_radius(declared(Conditions(), 0.0)) + 0.04)
     add("(18), undegraded", paper, 0.0)
     add("(18), inner outward, UGV flees", paper._replace(inner=outward, ugv=flees), 0.0)
     add("(18), detections 0.5 s late", paper._replace(latency=0.5), 0.0)
     add("(18), commands 0.5 s late", paper._replace(delay=0.5), 0.0)
     add("(18), blackouts of 10 s", paper._replace(blackout=periodic, blackout_time=10.0), 0.0)
-    add("d_cert and (15), ε 0.3 m", a.Conditions(law=a.SWITCH_TRACKING), 0.3)
+    add("d_cert and (15), ε 0.3 m", Conditions(law=GUARDS.switch_tracking), 0.3)
     add(
         "d_cert and (15), errors of norm 0.3 m",
-        a.Conditions(law=a.SWITCH_TRACKING, error=sphere),
+        Conditions(law=GUARDS.switch_tracking, error=sphere),
         0.3,
     )
-    add("d_cert and (15), ε 0.9 m", a.Conditions(law=a.SWITCH_TRACKING), 0.9)
+    add("d_cert and (15), ε 0.9 m", Conditions(law=GUARDS.switch_tracking), 0.9)
     add(
         "d_cert and the best detection, ε 0.9 m, blackouts of 8 s",
-        a.Conditions(a.SWITCH_BEST, blackout=1, blackout_time=8.0),
+        Conditions(GUARDS.switch_best, blackout=1, blackout_time=8.0),
         0.9,
     )
     add(
         "d_cert and the servo without τ_c, commands 1 s late",
-        a.Conditions(law=a.SWITCH_SERVO, delay=1.0),
+        Conditions(law=GUARDS.switch_servo, delay=1.0),
         0.3,
     )
-    add("d_cert and the servo, cos θ = 1, ε 0.3 m", a.Conditions(law=a.SWITCH_SERVO), 0.3)
-    add("d_cert and the servo, cos θ = 1, ε 1.5 m", a.Conditions(law=a.SWITCH_SERVO), 1.5)
-    add("the filter, ε 0.3 m", a.Conditions(), 0.3)
-    add("the filter, ε 1.5 m", a.Conditions(), 1.5)
-    add("the filter, errors of norm 0.3 m", a.Conditions(error=sphere), 0.3)
+    add("d_cert and the servo, cos θ = 1, ε 0.3 m", Conditions(law=GUARDS.switch_servo), 0.3)
+    add("d_cert and the servo, cos θ = 1, ε 1.5 m", Conditions(law=GUARDS.switch_servo), 1.5)
+    add("the filter, ε 0.3 m", Conditions(), 0.3)
+    add("the filter, ε 1.5 m", Conditions(), 1.5)
+    add("the filter, errors of norm 0.3 m", Conditions(error=sphere), 0.3)
     add(
         "the filter, ε 0.9 m, blackouts of 8 s",
-        a.Conditions(blackout=periodic, blackout_time=8.0),
+        Conditions(blackout=periodic, blackout_time=8.0),
         0.9,
     )
     add(
         "the filter, ε 0.3 m, blackouts of 15 s",
-        a.Conditions(blackout=periodic, blackout_time=15.0),
+        Conditions(blackout=periodic, blackout_time=15.0),
         0.3,
     )
-    add("the filter, commands 1 s late", a.Conditions(delay=1.0), 0.3)
-    add("the filter, in a small room", a.Conditions(area=a.AREAS.index("small")), 0.3)
+    add("the filter, commands 1 s late", Conditions(delay=1.0), 0.3)
+    add("the filter, in a small room", Conditions(area=AREAS.small), 0.3)
     columns = "lose sight | certified while lost | certificate broken | largest d [m] | mean d [m]"
     yield f"| guard and conditions, {RUNS:,} runs | {columns} |"
     yield "|---|---|---|---|---|---|"
     for name, rows in _fly(tasks):
         told = [
-            f"{int((rows[:, column] > 0).sum())}" if "filter" in name else "–"
-            for column in (a.CERTIFIED_LOST, a.BROKEN)
+            f"{int((rows[column] > 0).sum())}" if "filter" in name else "–"
+            for column in ("certified_lost", "broken")
         ]
-        lost, far = int((rows[:, a.MAX_DISTANCE] >= 4.75).sum()), rows[:, a.MAX_DISTANCE].max()
-        yield f"| {name} | {lost} | {told[0]} | {told[1]} | {far:.4f} | {rows[:, a.MEAN_DISTANCE].mean():.2f} |"
+        lost, far = int((rows["max_distance"] >= 4.75).sum()), rows["max_distance"].max()
+        yield f"| {name} | {lost} | {told[0]} | {told[1]} | {far:.4f} | {rows['mean_distance'].mean():.2f} |"
 
 
 def outage() -> Iterator[str]:
     """The cost of B."""
-    numbers = {name: a.PAPER_BOUNDS[name] for name in ("r_v", "v_a", "u_a", "v_g", "dt")}
+    numbers = {name: PAPER_BOUNDS[name] for name in ("r_v", "v_a", "u_a", "v_g", "dt")}
     waits = (0.05, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0)
     yield f"| B [s] | {' | '.join(f'{wait:g}' for wait in waits)} |"
     yield f"|---|{'---|' * len(waits)}"
@@ -176,7 +187,7 @@ def outage() -> Iterator[str]:
 
 def wind() -> Iterator[str]:
     """The cost of w, and its size."""
-    numbers = {name: a.PAPER_BOUNDS[name] for name in ("r_v", "v_a", "u_a", "v_g", "dt")}
+    numbers = {name: PAPER_BOUNDS[name] for name in ("r_v", "v_a", "u_a", "v_g", "dt")}
     offs = (0.0, 0.1, 0.2, 0.3, 0.5, 0.8, 1.2)
     yield f"| w [m] | {' | '.join(f'{off:g}' for off in offs)} |"
     yield f"|---|{'---|' * len(offs)}"
@@ -220,21 +231,21 @@ def _r_cert(c: Promise) -> float:
     return certified_radius(c.handover, c.v_a, c.u_a, c.v_g, c.dt, c.delay_ticks * c.dt, wait, off)
 
 
-def _unreliable() -> dict[str, tuple[a.Conditions, float]]:
+def _unreliable() -> dict[str, tuple[Conditions, float]]:
     """Commands that are early, late or lost, and the longest time for which they are."""
-    silences = a.DISTURBANCES.index("silences")
+    silences = DISTURBANCES.silences
     cases = {
-        f"0 to {late:g} s late": (a.Conditions(delay=late, jitter=True), late)
+        f"0 to {late:g} s late": (Conditions(delay=late, jitter=True), late)
         for late in (0.2, 0.5, 1.0)
     }
     for name, kind in (
-        ("one lost now and then", "single_losses"),
-        ("up to 0.25 s later than declared", "late"),
+        ("one lost now and then", DISTURBANCES.single_losses),
+        ("up to 0.25 s later than declared", DISTURBANCES.late),
     ):
-        cases[name] = (a.Conditions(disturbance=a.DISTURBANCES.index(kind)), 0.3)
+        cases[name] = (Conditions(disturbance=kind), 0.3)
     cases |= {
         f"lost for up to {out:g} s": (
-            a.Conditions(disturbance=silences, silence=out, hold=0.5),
+            Conditions(disturbance=silences, silence=out, hold=0.5),
             out,
         )
         for out in (0.2, 0.5, 1.0, 2.0)
@@ -248,16 +259,16 @@ def motions() -> Iterator[str]:
     for name, (conditions, longest) in _unreliable().items():
         late = conditions.delay if conditions.jitter else 0.0
         kept = conditions._replace(delay=late, outage=longest + 0.05 if not late else 0.05)
-        if conditions.disturbance == a.DISTURBANCES.index("late"):
+        if conditions.disturbance == DISTURBANCES.late:
             kept = kept._replace(outage=1.0)
         tasks.append((name, kept, 0.3, 0.0))
     columns = "B [s] | lose sight | certified while lost | certificate broken | ticks not certified | mean d [m]"
     yield f"| commands that carry motions, {RUNS:,} runs | {columns} |"
     yield "|---|---|---|---|---|---|---|"
     for (name, rows), (_, conditions, _, _) in zip(_fly(tasks), tasks, strict=True):
-        counts = [int((rows[:, k] > 0).sum()) for k in (a.CERTIFIED_LOST, a.BROKEN)]
-        lost = int((rows[:, a.MAX_DISTANCE] >= 4.75).sum())
-        share, mean = rows[:, a.UNCERTIFIED].mean(), rows[:, a.MEAN_DISTANCE].mean()
+        counts = [int((rows[k] > 0).sum()) for k in ("certified_lost", "broken")]
+        lost = int((rows["max_distance"] >= 4.75).sum())
+        share, mean = rows["uncertified"].mean(), rows["mean_distance"].mean()
         yield f"| {name} | {conditions.outage:g} | {lost} | {counts[0]} | {counts[1]} | {share:.1%} | {mean:.2f} |"
 
 
@@ -275,12 +286,12 @@ def commands() -> Iterator[str]:
     yield "|---|---|---|---|---|---|---|---|"
     for name, group in itertools.groupby(_fly(tasks), key=lambda one: one[0]):
         rows = [one[1] for one in group]
-        lost = " | ".join(str(int((one[:, a.MAX_DISTANCE] >= 4.75).sum())) for one in rows)
+        lost = " | ".join(str(int((one["max_distance"] >= 4.75).sum())) for one in rows)
         false, broken = (
-            sum(int((one[:, column] > 0).sum()) for one in rows)
-            for column in (a.CERTIFIED_LOST, a.BROKEN)
+            sum(int((one[column] > 0).sum()) for one in rows)
+            for column in ("certified_lost", "broken")
         )
-        yield f"| {name} | {lost} | {false} | {broken} | {rows[0][:, a.UNCERTIFIED].mean():.0%} |"
+        yield f"| {name} | {lost} | {false} | {broken} | {rows[0]['uncertified'].mean():.0%} |"
 
 
 _MOTIONS = {"narrowband": ["certificate.delay=1.0", "certificate.outage=5.0"]}

@@ -24,9 +24,10 @@ from tabular import words
 from bus.errors import PeerLost, ScenarioError
 from bus.messages import Command, LinkKind, UavCommand
 from outrider.bench.pairs import pairs_toml
-from outrider.experiments.falsify import attack, attacks, search
+from outrider.experiments.falsify import attacks, search
 from outrider.experiments.falsify import candidate as flying
 from outrider.experiments.falsify.candidate import flown, promised
+from outrider.experiments.falsify.conditions import Conditions, declared
 from outrider.experiments.falsify.engines import Found, Wanted, save
 from outrider.experiments.falsify.engines import search as search_both
 from outrider.experiments.falsify.genome import SIZES, Candidate, decode, proof_cases
@@ -292,24 +293,24 @@ def test_a_guard_that_is_wrong_is_caught_and_its_run_flies_again(control: str) -
     tally = attacked(control, 100, first=True, duration=120.0)
     assert tally.violations
     assert tally.worst is not None
-    namespace: dict[str, Any] = {"math": math, "a": attack}
-    statement, _, expression = attacks.again(tally.worst, 1).partition("; ")
-    exec(statement, namespace)  # noqa: S102
+    namespace: dict[str, Any] = {}
+    statements, _, expression = attacks.again(tally.worst, 1).rpartition("; ")
+    exec(statements, namespace)  # noqa: S102
     row = eval(expression, namespace)  # noqa: S307
-    assert row[attack.MAX_DISTANCE] == tally.worst.worst_distance >= R_V
+    assert row["max_distance"] == tally.worst.worst_distance >= R_V
 
 
 def test_the_best_detection_is_caught_where_there_are_blackouts() -> None:
-    conditions = attack.Conditions(blackout=1, blackout_time=10.0)
-    promise = attack.declared(conditions, 0.9)
+    conditions = Conditions(blackout=1, blackout_time=10.0)
+    promise = declared(conditions, 0.9)
     assert attacks.fly_attack(
         promise, attacks._guarded("argmin", promise, conditions), 1, 0, 60, 200.0
     ).violations
 
 
 def test_a_combination_with_uncertified_ticks_has_lost_nothing_that_was_promised() -> None:
-    conditions = attack.Conditions(blackout=1, blackout_time=12.0)
-    promise = attack.declared(conditions._replace(blackout_time=2.0), 0.3)
+    conditions = Conditions(blackout=1, blackout_time=12.0)
+    promise = declared(conditions._replace(blackout_time=2.0), 0.3)
     result = attacks.fly_attack(promise, conditions, 1, 0, 20, 100.0)
     assert result.uncertified == 20
     assert result.violations == 0

@@ -19,7 +19,8 @@ from agents.control.visibility import SafetyFilter
 from agents.env_wrappers import SafetyFilterWrapper
 from bus.messages import MOST_CARRIED, Detection, MotionPlan, UavCommand, UavObservation
 from outrider.envs.env_pilots import pilots
-from outrider.experiments.falsify import attack as a
+from outrider.experiments.falsify.attack import attack
+from outrider.experiments.falsify.conditions import DISTURBANCES, Conditions, declared
 from outrider.experiments.falsify.lost_motions import LOSSES
 from outrider.running.flying import fly
 from sim.env.parallel import parallel_env
@@ -186,53 +187,49 @@ COMBINATIONS = [
 
 @pytest.mark.parametrize(("outage", "delay", "kind"), COMBINATIONS)
 def test_no_certified_run_loses_sight_whatever_motions_are_lost(outage, delay, kind) -> None:
-    conditions = a.Conditions(
+    conditions = Conditions(
         outage=outage,
         delay=delay,
-        losses=LOSSES.index(kind),
+        losses=kind,
         jitter=delay > 0.0,
         blackout=3,
         blackout_time=4.0,
         u_g=math.inf,
     )
-    rows = a.attack(a.declared(conditions, 0.3), conditions, 5, 0, 4, 100.0)
-    assert rows[:, a.MAX_DISTANCE].max() < conditions.r_v
-    assert rows[:, a.CERTIFIED_LOST].sum() == rows[:, a.BROKEN].sum() == 0
-    assert rows[:, a.UNCERTIFIED].max() == 0.0
+    rows = attack(declared(conditions, 0.3), conditions, 5, 0, 4, 100.0)
+    assert rows["max_distance"].max() < conditions.r_v
+    assert rows["certified_lost"].sum() == rows["broken"].sum() == 0
+    assert rows["uncertified"].max() == 0.0
 
 
 def test_the_hand_over_knows_where_the_motion_that_is_flown_ends_not_one_that_was_lost() -> None:
-    conditions = a.Conditions(
+    conditions = Conditions(
         blackout=3, blackout_time=5.0, outage=2.0, losses=-1, ugv=-1, inner=-1, error=-1
     )
-    found = a.attack(a.declared(conditions, 0.9), conditions, 1, 0, 400, 100.0)
-    assert not found[:, a.BROKEN].any()
+    found = attack(declared(conditions, 0.9), conditions, 1, 0, 400, 100.0)
+    assert not found["broken"].any()
 
 
 def test_longer_outages_than_declared_lose_sight_and_are_told() -> None:
-    conditions = a.Conditions(
-        outage=8.0, inner=0, ugv=0, losses=LOSSES.index("whenever_it_may"), u_g=math.inf
-    )
-    promise = a.declared(conditions._replace(outage=0.5), 0.3)
-    rows = a.attack(promise, conditions, 5, 0, 20, 200.0)
-    assert rows[:, a.MAX_DISTANCE].max() > conditions.r_v
-    assert rows[:, a.UNCERTIFIED].min() > 0.1
-    assert rows[:, a.CERTIFIED_LOST].sum() == rows[:, a.BROKEN].sum() == 0
+    conditions = Conditions(outage=8.0, inner=0, ugv=0, losses=LOSSES.whenever_it_may, u_g=math.inf)
+    promise = declared(conditions._replace(outage=0.5), 0.3)
+    rows = attack(promise, conditions, 5, 0, 20, 200.0)
+    assert rows["max_distance"].max() > conditions.r_v
+    assert rows["uncertified"].min() > 0.1
+    assert rows["certified_lost"].sum() == rows["broken"].sum() == 0
 
 
 def test_motions_that_were_checked_for_less_than_the_outage_are_caught_by_the_attack() -> None:
     """The numbers of a short outage with the claim of a long one: what the certificate would be without its wait."""
-    conditions = a.Conditions(
-        outage=8.0, losses=LOSSES.index("whenever_it_may"), inner=0, ugv=0, u_g=math.inf
-    )
-    short = a.declared(conditions._replace(outage=0.05), 0.3)
+    conditions = Conditions(outage=8.0, losses=LOSSES.whenever_it_may, inner=0, ugv=0, u_g=math.inf)
+    short = declared(conditions._replace(outage=0.05), 0.3)
     wait = 8.0 * short.v_g  # which the checks take off again
     wrong = short._replace(
         handover=short.handover + wait, reach=short.reach + wait, outage_ticks=160
     )
-    rows = a.attack(wrong, conditions, 5, 0, 20, 200.0)
-    assert rows[:, a.MAX_DISTANCE].max() > conditions.r_v
-    assert rows[:, a.BROKEN].sum() > 0
+    rows = attack(wrong, conditions, 5, 0, 20, 200.0)
+    assert rows["max_distance"].max() > conditions.r_v
+    assert rows["broken"].sum() > 0
 
 
 def test_an_outage_costs_radius_and_age() -> None:
@@ -309,17 +306,17 @@ def test_an_outage_is_told_as_soon_as_nothing_that_is_under_way_can_end_it_in_ti
 
 def test_outages_that_are_yet_to_come_break_no_certificate() -> None:
     """A motion is lost when the one that is flown began so long ago that the next chain comes too late."""
-    conditions = a.Conditions(
+    conditions = Conditions(
         outage=0.65,
         delay=0.5,
-        losses=LOSSES.index("random"),
-        disturbance=a.DISTURBANCES.index("single_losses"),
+        losses=LOSSES.random,
+        disturbance=DISTURBANCES.single_losses,
         blackout=2,
         blackout_time=4.0,
     )
-    found = a.attack(a.declared(conditions, 0.0), conditions, 1, 0, 100, 100.0)
-    assert found[:, a.UNCERTIFIED].max() > 0.05
-    assert found[:, a.CERTIFIED_LOST].sum() == found[:, a.BROKEN].sum() == 0
+    found = attack(declared(conditions, 0.0), conditions, 1, 0, 100, 100.0)
+    assert found["uncertified"].max() > 0.05
+    assert found["certified_lost"].sum() == found["broken"].sum() == 0
 
 
 def test_a_vehicle_that_is_pushed_off_its_motion_is_told_and_certified_again() -> None:

@@ -254,7 +254,7 @@ def _scenario(
 
 
 def _check_eps(eps: float | None) -> None:
-    from outrider.experiments.falsify.attack import EPS
+    from outrider.experiments.falsify.attack_grid import EPS
 
     if eps is not None and eps not in EPS:
         raise typer.BadParameter(
@@ -399,7 +399,6 @@ def _lines(found: "Found") -> "Iterator[str]":
             f"{c.delay:g} s late"
         )
         yield f"  The worst attack: errors up to {attacks.worst.eps:g} m, {dark}. Again:"
-        yield "    import math; from outrider import attack as a"
         yield f"    {found.attack_again}"
     if found.path is not None:
         yield "  The worst flight:"

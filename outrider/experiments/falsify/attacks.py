@@ -8,17 +8,26 @@ import numpy as np
 
 from agents.control.promise import Promise
 from agents.control.visibility import raw_switching_radius
-from outrider.experiments.falsify import attack
-from outrider.experiments.falsify.attack import Conditions
+from outrider.experiments.falsify.attack import attack
+from outrider.experiments.falsify.attack_grid import grid
+from outrider.experiments.falsify.conditions import (
+    AREAS,
+    DISTURBANCES,
+    GUARDS,
+    PAPER_BOUNDS,
+    Conditions,
+    declared,
+    spec_radius,
+)
 from outrider.experiments.falsify.pool import Workers
 from outrider.experiments.falsify.search import Budget
 from sim.kernels.compile import compiling
 
 CONTROLS = {
-    "tracking": attack.SWITCH_TRACKING,
-    "argmin": attack.SWITCH_BEST,
-    "paper-radius": attack.SWITCH_SERVO,
-    "switching": attack.PAPER,
+    "tracking": GUARDS.switch_tracking,
+    "argmin": GUARDS.switch_best,
+    "paper-radius": GUARDS.switch_servo,
+    "switching": GUARDS.paper,
 }
 """Guards that are known to be wrong.
 
@@ -65,18 +74,19 @@ class Attacked:
 
 def kind(conditions: Conditions) -> str:
     """Names the place and the disturbance that breaks A5, or A5' where commands carry motions."""
-    breaks = attack.DISTURBANCES[conditions.disturbance].replace("_", " ")
+    breaks = DISTURBANCES._fields[conditions.disturbance].replace("_", " ")
+    area = AREAS._fields[conditions.area]
     if conditions.wind or conditions.own_error or conditions.jumps:
         lost = ", motions lost" if conditions.outage else ""
-        return f"{attack.AREAS[conditions.area]}, wind and own position{lost}"
+        return f"{area}, wind and own position{lost}"
     if conditions.outage:
         what = "A5' kept" if breaks == "none" else breaks
-        return f"{attack.AREAS[conditions.area]}, motions lost, {what}"
+        return f"{area}, motions lost, {what}"
     if conditions.jitter:
         breaks = "jitter and duplicates" if conditions.duplicates else "jitter"
     elif conditions.duplicates:
         breaks = "duplicates"
-    return f"{attack.AREAS[conditions.area]}, {'A5 kept' if breaks == 'none' else breaks}"
+    return f"{area}, {'A5 kept' if breaks == 'none' else breaks}"
 
 
 @dataclass(slots=True)
@@ -127,15 +137,15 @@ def warm() -> None:
     """Compile, or load what another process has compiled."""
     conditions = Conditions()
     with compiling():
-        attack.attack(attack.declared(conditions, 0.0), conditions, 0, 0, 1, 1.0)
+        attack(declared(conditions, 0.0), conditions, 0, 0, 1, 1.0)
 
 
 def _guarded(control: str | None, promise: Promise, conditions: Conditions) -> Conditions:
     """The same conditions with the guard that is to be caught."""
     if control is None:
         return conditions
-    bounds = attack.PAPER_BOUNDS
-    radius = attack.spec_radius(promise, with_latency=control != "paper-radius")
+    bounds = PAPER_BOUNDS
+    radius = spec_radius(promise, with_latency=control != "paper-radius")
     if control == "switching":
         radius = float(
             raw_switching_radius(bounds["r_v"], bounds["v_a"], bounds["v_g"], bounds["u_a"])
@@ -147,33 +157,30 @@ def fly_attack(
     promise: Promise, conditions: Conditions, seed: int, first: int, runs: int, duration: float
 ) -> Attacked:
     """A few runs of one combination; for a worker. Arguments as in `outrider.experiments.falsify.attack.attack`."""
-    rows = attack.attack(promise, conditions, seed, first, runs, duration)
-    lost, uncertified = (
-        rows[:, attack.MAX_DISTANCE] >= conditions.r_v,
-        rows[:, attack.UNCERTIFIED] > 0.0,
-    )
-    certifies = conditions.law == attack.FILTER
-    distance = rows[:, attack.MAX_CERTIFIED if certifies else attack.MAX_DISTANCE]
-    violated = rows[:, attack.CERTIFIED_LOST] > 0.0 if certifies else lost
+    found = attack(promise, conditions, seed, first, runs, duration)
+    lost, uncertified = found["max_distance"] >= conditions.r_v, found["uncertified"] > 0.0
+    certifies = conditions.law == GUARDS.filter
+    distance = found["max_certified" if certifies else "max_distance"]
+    violated = found["certified_lost"] > 0.0 if certifies else lost
     worst = int(np.argmax(distance / conditions.r_v))
     return Attacked(
         eps=promise.error,
         bounds={
             name: getattr(promise, name)
             for name in ("v_a", "u_a", "v_g", "dt")
-            if getattr(promise, name) != attack.PAPER_BOUNDS[name]
+            if getattr(promise, name) != PAPER_BOUNDS[name]
         },
         conditions=conditions,
         duration=duration,
         runs=runs,
         violations=int(np.sum(violated)),
-        broken=int(np.sum(rows[:, attack.BROKEN] > 0.0)),
+        broken=int(np.sum(found["broken"] > 0.0)),
         lost=int(np.sum(lost)),
         uncertified=int(np.sum(uncertified)),
-        uncertified_share=float(np.sum(rows[:, attack.UNCERTIFIED])),
+        uncertified_share=float(np.sum(found["uncertified"])),
         worst_run=first + worst,
         worst_distance=float(distance[worst]),
-        excess=float(rows[:, attack.MAX_EXCESS].max()),
+        excess=float(found["max_excess"].max()),
     )
 
 
@@ -182,21 +189,21 @@ def _calls(
 ) -> Iterator[tuple[Promise, Conditions, int, int, int, float]]:
     """Every combination once, then again and again with more runs, as many as are asked for."""
     left = math.inf if runs is None else runs
-    grid: list[tuple[Promise, Conditions]] = []
+    flown: list[tuple[Promise, Conditions]] = []
 
     def length(promise: Promise) -> float:
-        return duration * max(1.0, promise.dt / attack.PAPER_BOUNDS["dt"])
+        return duration * max(1.0, promise.dt / PAPER_BOUNDS["dt"])
 
-    for promise, conditions in attack.grid():
+    for promise, conditions in grid():
         if left <= 0:
             return
         if eps is None or promise.error == eps:
-            grid.append((promise, _guarded(control, promise, conditions)))
+            flown.append((promise, _guarded(control, promise, conditions)))
             left -= 1
-            yield *grid[-1], seed, 0, 1, length(promise)
+            yield *flown[-1], seed, 0, 1, length(promise)
     first = 1
-    while grid:
-        for promise, conditions in grid:
+    while flown:
+        for promise, conditions in flown:
             if left <= 0:
                 return
             count = int(min(_CHUNK, left))
@@ -241,6 +248,12 @@ def run_attack(
         on_task()
 
 
+_NAMES = (
+    "import math; from outrider.experiments.falsify.attack import attack; "
+    "from outrider.experiments.falsify.conditions import Conditions, declared"
+)
+
+
 def again(found: Attacked, seed: int) -> str:
     """The worst run as a line of Python that flies it again."""
     changed = {
@@ -257,9 +270,9 @@ def again(found: Attacked, seed: int) -> str:
         f"{name}=math.inf" if value == math.inf else f"{name}={value!r}"
         for name, value in changed.items()
     )
-    conditions = f"c = a.Conditions({told})"
+    conditions = f"c = Conditions({told})"
     bounds = "".join(f", {name}={value!r}" for name, value in found.bounds.items())
     return (
-        f"{conditions}; a.attack(a.declared(c, {found.eps!r}{bounds}), c, {seed}, {found.worst_run}, 1, "
+        f"{_NAMES}; {conditions}; attack(declared(c, {found.eps!r}{bounds}), c, {seed}, {found.worst_run}, 1, "
         f"{found.duration!r})[0]"
     )

@@ -12,12 +12,22 @@ import numpy.typing as npt
 from outrider.experiments.falsify.draws import next_share
 from sim.kernels.compile import compiled
 
-LOSSES = ("none", "random", "when_far", "at_a_plans_end", "whenever_it_may", "every_other")
-"""Time at which the first motion of a chain is lost, and those after it that would begin the next chain."""
+
+class Losses(NamedTuple):
+    """The times at which the first motion of a chain is lost, and those after it that would begin the next chain."""
+
+    none: int = 0
+    random: int = 1
+    when_far: int = 2
+    at_a_plans_end: int = 3
+    whenever_it_may: int = 4
+    every_other: int = 5
+
+
+LOSSES = Losses()
 
 ALIVE = -1.0
-"""The adversary's memory while the vehicle flies what is sent; else the tick of the first motion that was lost.
-"""
+"""The adversary's memory while the vehicle flies what is sent; else the tick of the first motion that was lost."""
 
 
 class Pending(NamedTuple):
@@ -37,15 +47,15 @@ class Pending(NamedTuple):
 
 @compiled
 def _wants(kind: int, random: npt.NDArray[np.uint64], pending: Pending) -> bool:
-    if kind == 1:
+    if kind == LOSSES.random:
         return next_share(random) < 0.05
-    if kind == 2:
+    if kind == LOSSES.when_far:
         return pending.share > 0.6 and next_share(random) < 0.3
-    if kind == 3:
+    if kind == LOSSES.at_a_plans_end:
         return pending.left <= 1
-    if kind == 5:
+    if kind == LOSSES.every_other:
         return next_share(random) < 0.5
-    return kind == 4
+    return kind == LOSSES.whenever_it_may
 
 
 @compiled
@@ -58,7 +68,7 @@ def loses(
     later a motion begins c (tau_c + 1) + 1 ticks after the last. What is sent in between is void.
 
     Args:
-        kind: An index of `LOSSES`.
+        kind: A code of `LOSSES`.
         random: State of the adversary's draws. (1,)
         since: ALIVE, or the tick of the first motion that was lost.
         pending: What it sees.
@@ -75,6 +85,6 @@ def loses(
     if passed % cycle != 0:
         return next_share(random) < 0.5, since
     lasts = (passed // cycle + 1) * cycle + 1
-    if lasts > c.outage_ticks or (kind == 1 and next_share(random) < 0.2):
+    if lasts > c.outage_ticks or (kind == LOSSES.random and next_share(random) < 0.2):
         return False, ALIVE
     return True, since
