@@ -316,7 +316,7 @@ def fly(
     known = np.full(trial.truth.shape, LATER)
     here, way, tick = Motion(*trial.start, 0.0, 0.0), 0.0, 0
     queue, states, wanted = [(0.0, 0.0)] * trial.delay, [here], (0.0, 0.0)
-    drive = entry_point(navigate_control, p, memory, trial.goals, 0, *here)
+    drive = entry_point(navigate_control, p, memory, trial.goals, 0, here)
     last, reached = trial.goals[-1], False
     for tick in range(trial.ticks):
         teller.tell(tick, here.p_x, here.p_y, norm(here.v_x, here.v_y))
@@ -326,7 +326,7 @@ def fly(
             wanted = _wanted(trial, rng, wanted, here)
             u = _filtered_by(check, trial, memory, tick, here, wanted)
         elif trial.wheel == "plan":
-            u = drive(p, memory, trial.goals, tick, *here)
+            u = drive(p, memory, trial.goals, tick, here)
             at_last = memory.flags[0]["goal"] == len(trial.goals) - 1
             reached = at_last and math.dist(here[:2], last) < p.tolerance
             if reached and trial.ticks > 1000:
@@ -486,12 +486,12 @@ def _slowest_tick(most: int, ticks: int = 600) -> str:
         bold=1, plan_tiles=most,
     )  # fmt: skip
     here = Motion(1.0, 1.0, 0.0, 0.0)
-    drive = entry_point(navigate_control, p, memory, goals, 0, *here)
+    drive = entry_point(navigate_control, p, memory, goals, 0, here)
     for tick in range(ticks):
         state = np.array([(CLEAR, FOUND)[tick % 2]], np.uint8)
         note_tiles(memory, np.array([399]), np.array([399]), state)
         began = time.perf_counter()
-        u = drive(p, memory, goals, tick, *here)
+        u = drive(p, memory, goals, tick, here)
         took.append(1e3 * (time.perf_counter() - began))
         here = Motion(*step_vehicle(*here, *u, p.v_max, p.u_max, p.dt)[:4])
     slowest = ", ".join(f"{one:.1f}" for one in sorted(took)[:-4:-1])
@@ -514,10 +514,10 @@ def speed() -> Iterator[str]:
     trial = draw_trial(3, wheel="plan", calm=True)
     p, memory = trial.p, ground_memory(*trial.truth.shape)
     memory.tiles[:] = trial.truth
-    drive = entry_point(navigate_control, p, memory, trial.goals, 0, *trial.start, 0.0, 0.0)
+    drive = entry_point(navigate_control, p, memory, trial.goals, 0, Motion(*trial.start, 0.0, 0.0))
     here, began, ticks = Motion(*trial.start, 0.0, 0.0), time.perf_counter(), 5000
     for tick in range(ticks):
-        u = drive(p, memory, trial.goals, tick, *here)
+        u = drive(p, memory, trial.goals, tick, here)
         here = Motion(*step_vehicle(*here, *u, p.v_max, p.u_max, p.dt)[:4])
     yield f"a tick on known ground: {1e6 * (time.perf_counter() - began) / ticks:.1f} µs with the vehicle"
 

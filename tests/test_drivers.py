@@ -21,8 +21,8 @@ from agents.drivers.compiled import (
     ScriptDriver,
     WanderDriver,
     WaypointDriver,
+    driver_memory,
     driver_parameters,
-    driver_state,
 )
 from agents.drivers.evade import away, flee, receive_radio
 from agents.drivers.policy import PolicyDriver
@@ -43,7 +43,7 @@ from bus.ticks import tick_of
 from outrider.running.flying import InProcess, make_pilots
 from sim.engine.briefing import briefing
 from sim.models.ground import CLEAR
-from sim.models.vehicles import norm, step_vehicle
+from sim.models.vehicles import Motion, norm, step_vehicle
 from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
 
@@ -423,16 +423,16 @@ class _Straight:
     """The evader without the seeded turns, which would hide what is looked at, and without the wanderer."""
 
     def __init__(self, told: UgvBriefing) -> None:
-        self._p, self._state = driver_parameters(told, "evade"), driver_state()
+        self._p, self._memory = driver_parameters(told, "evade"), driver_memory()
 
     def drive(self, observation: UgvObservation) -> Point:
-        p, state, tick = self._p, self._state, observation.tick
-        here = (*observation.position, *observation.velocity)
+        p, memory, tick = self._p, self._memory, observation.tick
+        here = Motion(*observation.position, *observation.velocity)
         said = [(tick_of(one.time, DT), *one.relative_position) for one in observation.radio]
         radio = np.array(said, dtype=np.float64)
-        receive_radio(p, state, radio.reshape(-1, 3), len(radio), tick, *here)
-        x, y = away(p, state, tick, *here[:2])
-        return flee(p, state, x, y, tick, *here)
+        receive_radio(p, memory, radio.reshape(-1, 3), len(radio), tick, here)
+        x, y = away(p, memory, tick, here)
+        return flee(p, memory, x, y, tick, here)
 
 
 def test_it_leaves_behind_a_uav_that_flies_off() -> None:

@@ -387,7 +387,7 @@ def _parameters(**numbers: Any) -> DriverParameters:
 def _drive(p: DriverParameters, memory: Any, goals: Any, ticks: int, start: Any) -> Any:
     here, track = Motion(*start, 0.0, 0.0), []
     for tick in range(ticks):
-        u = navigate_control(p, memory, np.array(goals), tick, *here)
+        u = navigate_control(p, memory, np.array(goals), tick, here)
         here = Motion(*step_vehicle(*here, *u, p.v_max, p.u_max, p.dt)[:4])
         track.append(here)
     return np.array(track)
@@ -464,7 +464,7 @@ def test_news_in_every_tick_keeps_no_search_from_its_end() -> None:
         note_tiles(memory, *far, np.array([(CLEAR, FOUND)[tick % 2]], np.uint8))
         if tick == 100:  # a wall with a gap
             note_tiles(memory, np.arange(8), np.full(8, 30), np.full(8, BLOCK, np.uint8))
-        u = navigate_control(p, memory, goals, tick, *here)
+        u = navigate_control(p, memory, goals, tick, here)
         here = Motion(*step_vehicle(*here, *u, p.v_max, p.u_max, p.dt)[:4])
         plans.add(int(memory.flags[0]["plans"]))
         speeds.append(norm(here.v_x, here.v_y))
@@ -500,7 +500,7 @@ def test_the_state_ahead_is_where_the_commands_under_way_lead() -> None:
     foreseen: dict[int, Motion] = {}
     for tick in range(60):
         foreseen[tick + 3] = state_ahead(p, memory, tick, here)
-        queue.append(navigate_control(p, memory, goals, tick, *here))
+        queue.append(navigate_control(p, memory, goals, tick, here))
         assert foreseen.get(tick, here) == here
         here = Motion(*step_vehicle(*here, *queue.pop(0), p.v_max, p.u_max, p.dt)[:4])
     assert here.v_x > 0.5

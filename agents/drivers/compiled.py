@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
-from agents.drivers.evade import EVADE_STATE, begin_evade, evade_lead, evade_ticks
-from agents.drivers.parameters import COMPILED_DRIVERS, DriverParameters, Route
+from agents.drivers.evade import evade_lead, evade_ticks
+from agents.drivers.parameters import COMPILED_DRIVERS, DriverMemory, DriverParameters, Route
 from agents.drivers.planning import has_way, way_corners
 from agents.drivers.steering import Steering
 from agents.drivers.tile_map import (
@@ -19,19 +19,16 @@ from agents.drivers.tile_map import (
     note_tiles,
 )
 from agents.drivers.ugv_tick import UgvMemory, ugv_tick
-from agents.drivers.wander import GOAL, GOAL_CHOSEN, wander_pace
-from agents.drivers.waypoints import WAYPOINT_STATE
+from agents.drivers.wander import wander_pace
 from bus.errors import ScenarioError
 from bus.messages import MOST_CORNERS, UgvBriefing, UgvObservation, Vector
 from bus.registry import BOLD, DRIVERS
 from bus.ticks import NO_TICK, first_tick_from, tick_of
 from sim.kernels.compile import FloatArray, borrowing, entry_point
-from sim.kernels.records import RecordArray, records
+from sim.kernels.records import RecordArray, record_type, records
 from sim.models.ground import tile_index, tile_states, tiles_shape
 from sim.models.randomness import words_of
-
-DRIVER_STATE = max(WAYPOINT_STATE, EVADE_STATE)
-"""Size of the state of any of them; the wanderer's is part of the evader's."""
+from sim.models.vehicles import Motion
 
 MOST_TILES = 1_000_000
 """More than that no UGV keeps."""
@@ -97,11 +94,11 @@ def told_route(briefing: UgvBriefing) -> Route:
     )
 
 
-def driver_state() -> FloatArray:
-    """The state of a driver that has not driven yet, whichever it is. Shape (DRIVER_STATE,)."""
-    state = np.empty(DRIVER_STATE)
-    begin_evade(state)  # zeros, but for the evader's own rows: what the others begin with
-    return state
+def driver_memory() -> RecordArray:
+    """The memory of a driver that has not driven yet, whichever it is. Shape (1,)."""
+    memory = np.zeros(1, record_type(DriverMemory))
+    memory["received"] = memory["out_end"] = -math.inf
+    return memory
 
 
 def told_ground(briefing: UgvBriefing) -> GroundMemory:
@@ -145,7 +142,8 @@ def _drive(
     v_x: float,
     v_y: float,
 ) -> tuple[float, float]:
-    return ugv_tick(rows[0], route, memory, radio, len(radio), tick, p_x, p_y, v_x, v_y)
+    here = Motion(p_x, p_y, v_x, v_y)
+    return ugv_tick(rows[0], route, memory, radio, len(radio), tick, here)
 
 
 class CompiledDriver:
@@ -160,7 +158,7 @@ class CompiledDriver:
     def __init__(self, briefing: UgvBriefing) -> None:
         self.parameters = driver_parameters(briefing, self.name)
         """Its numbers."""
-        self.memory = UgvMemory(driver_state(), told_ground(briefing))
+        self.memory = UgvMemory(driver_memory(), told_ground(briefing))
         """All that it remembers."""
         self._fixed = (
             records(DriverParameters, [self.parameters]),
@@ -184,8 +182,8 @@ class CompiledDriver:
     @property
     def goal(self) -> tuple[float, float] | None:
         """The random goal that it wanders to [m]; None while it has none."""
-        state = self.memory.driver
-        return (float(state[GOAL]), float(state[GOAL + 1])) if state[GOAL_CHOSEN] else None
+        own = self.memory.driver[0]
+        return (float(own["goal_x"]), float(own["goal_y"])) if own["chosen"] else None
 
 
 class WaypointDriver(CompiledDriver):

@@ -18,11 +18,12 @@ import math
 
 from agents.drivers.parameters import DriverParameters
 from agents.drivers.steering import velocity_control
-from agents.drivers.wander import WANDER_STATE, wander_control
+from agents.drivers.wander import wander_control
 from bus.ticks import first_tick_from, ticks_within
-from sim.kernels.compile import FloatArray, compiled
+from sim.kernels.compile import FloatArray, borrowing, compiled
+from sim.kernels.records import RecordArray
 from sim.models.randomness import WANDER, Key, uniform
-from sim.models.vehicles import norm
+from sim.models.vehicles import Motion, norm
 
 _SMOOTHING = 1.0  # time constant of the UAV's estimated velocity [s]: a difference of two estimates is mostly noise
 _FORGOTTEN = 5.0  # after so long without a message [s] the last one says nothing any more
@@ -33,57 +34,40 @@ _BEGIN, _SIDE, _ANGLE, _WALL, _SPOT = range(
     2, 7
 )  # indices of the draws of a slot; 0 and 1 are the wanderer's
 
-# Rows of the state, after the wanderer's: the UAV's place [m] (2) at a tick, its smoothed velocity [m/s] (2), the tick
-# at which the newest message came, the direction out of a corner (2) and the first tick for which it counts no more.
-_PLACE, _AT, _VELOCITY, _RECEIVED, _OUT, _OUT_END = (
-    WANDER_STATE + row for row in (0, 2, 3, 5, 6, 8)
-)
-EVADE_STATE = WANDER_STATE + 9
 
-
-@compiled
-def begin_evade(state: FloatArray) -> None:
-    """Set the state to that of a driver that has received nothing and wants to nowhere; in place."""
-    state[:] = 0.0
-    state[_RECEIVED] = -math.inf
-    state[_OUT_END] = -math.inf
-
-
-@compiled
-def is_known(p: DriverParameters, state: FloatArray, tick: int) -> bool:
+@borrowing
+def is_known(p: DriverParameters, memory: RecordArray, tick: int) -> bool:
     """True if there has been a message of the UAV, and not too long ago."""
-    return bool(tick - state[_RECEIVED] <= p.forgotten)
+    return bool(tick - memory[0].received <= p.forgotten)
 
 
-@compiled
+@borrowing
 def receive_radio(
     p: DriverParameters,
-    state: FloatArray,
+    memory: RecordArray,
     radio: FloatArray,
     received: int,
     tick: int,
-    p_x: float,
-    p_y: float,
-    v_x: float,
-    v_y: float,
+    here: Motion,
 ) -> None:
     """Take in what has come at this tick: place and smoothed velocity of the UAV.
 
     Of several, that which came last. Arguments as in `evade_control`.
     """
+    m = memory[0]
     for row in range(received):
         at = min(max(radio[row, 0], tick - p.forgotten), tick)
-        age, gap = tick * p.dt - at * p.dt, at * p.dt - state[_AT] * p.dt
-        x = p_x - age * v_x + radio[row, 1]  # the UGV has driven on since
-        y = p_y - age * v_y + radio[row, 2]
-        if not is_known(p, state, tick):
-            state[_VELOCITY], state[_VELOCITY + 1] = 0.0, 0.0
-        elif at > state[_AT]:  # of two messages of one tick the difference says nothing
+        age, gap = tick * p.dt - at * p.dt, at * p.dt - m.at * p.dt
+        x = here.p_x - age * here.v_x + radio[row, 1]  # the UGV has driven on since
+        y = here.p_y - age * here.v_y + radio[row, 2]
+        if not is_known(p, memory, tick):
+            m.uav_v_x, m.uav_v_y = 0.0, 0.0
+        elif at > m.at:  # of two messages of one tick the difference says nothing
             share = gap / (_SMOOTHING + gap)
-            w_x, w_y = state[_VELOCITY], state[_VELOCITY + 1]
-            state[_VELOCITY] = w_x + share * ((x - state[_PLACE]) / gap - w_x)
-            state[_VELOCITY + 1] = w_y + share * ((y - state[_PLACE + 1]) / gap - w_y)
-        state[_PLACE], state[_PLACE + 1], state[_AT], state[_RECEIVED] = x, y, at, tick
+            w_x, w_y = m.uav_v_x, m.uav_v_y
+            m.uav_v_x = w_x + share * ((x - m.uav_x) / gap - w_x)
+            m.uav_v_y = w_y + share * ((y - m.uav_y) / gap - w_y)
+        m.uav_x, m.uav_y, m.at, m.received = x, y, at, tick
 
 
 @compiled
@@ -92,17 +76,13 @@ def slot_draw(time: float, lead: float, index: int, key: Key) -> float:
     return uniform(key, WANDER, int(time / (_SLOT * lead)), index)
 
 
-@compiled
-def away(
-    p: DriverParameters, state: FloatArray, tick: int, p_x: float, p_y: float
-) -> tuple[float, float]:
+@borrowing
+def away(p: DriverParameters, memory: RecordArray, tick: int, here: Motion) -> tuple[float, float]:
     """Away from where the UAV will be after the lead if it flies on as it does; a unit vector."""
-    time, lead, key = tick * p.dt, p.lead, (p.key_0, p.key_1)
-    gap = time + lead - state[_AT] * p.dt
-    x, y = (
-        p_x - (state[_PLACE] + gap * state[_VELOCITY]),
-        p_y - (state[_PLACE + 1] + gap * state[_VELOCITY + 1]),
-    )
+    time, lead, key, m = tick * p.dt, p.lead, (p.key_0, p.key_1), memory[0]
+    gap = time + lead - m.at * p.dt
+    x = here.p_x - (m.uav_x + gap * m.uav_v_x)
+    y = here.p_y - (m.uav_y + gap * m.uav_v_y)
     length = norm(x, y)
     if length > 0.0:
         return x / length, y / length
@@ -132,15 +112,15 @@ def border_side(at: float, size: float, margin: float) -> float:
     return -1.0 if at < margin else 0.0
 
 
-@compiled
+@borrowing
 def leave_wall(
-    p: DriverParameters, state: FloatArray, out_x: float, out_y: float, tick: int
+    p: DriverParameters, memory: RecordArray, out_x: float, out_y: float, tick: int
 ) -> tuple[float, float]:
     """Off a wall that it stands square to, or out of a corner: along a wall, and it stays with that for a while.
 
     Args:
         p: Of the driver.
-        state: Of the driver, changed in place.
+        memory: `DriverMemory`, changed in place. Shape (1,).
         out_x, out_y: The sides it is near to, of `border_side`.
         tick: Now.
     """
@@ -152,101 +132,76 @@ def leave_wall(
         x, y = -out_x, 0.0
     else:
         x, y = 0.0, -out_y
-    state[_OUT], state[_OUT + 1], state[_OUT_END] = x, y, tick + p.dash
+    memory[0].out_x, memory[0].out_y, memory[0].out_end = x, y, tick + p.dash
     return x, y
 
 
 @compiled
-def off_walls(
-    w_x: float,
-    w_y: float,
-    p_x: float,
-    p_y: float,
-    v_x: float,
-    v_y: float,
-    width: float,
-    height: float,
-    u_max: float,
-    dt: float,
-) -> tuple[float, float]:
+def off_walls(p: DriverParameters, w_x: float, w_y: float, here: Motion) -> tuple[float, float]:
     """The wanted velocity [m/s], but where a wall would be hit else: to brake towards it first, and turn only then.
 
     Args:
+        p: Of the driver.
         w_x, w_y: The wanted velocity [m/s].
-        p_x, p_y: Position [m].
-        v_x, v_y: Velocity [m/s].
-        width, height: Of Q [m].
-        u_max: Bound [m/s²].
-        dt: Length of a tick [s].
+        here: Where the UGV is.
     """
-    halting = 0.5 * norm(v_x, v_y) / u_max + 2.0 * dt  # way to a stop over speed [s]
-    stop_x = abs(v_x) * halting > (width - p_x if v_x > 0.0 else p_x)
-    stop_y = abs(v_y) * halting > (height - p_y if v_y > 0.0 else p_y)
+    v_x, v_y = here.v_x, here.v_y
+    halting = 0.5 * norm(v_x, v_y) / p.u_max + 2.0 * p.dt  # way to a stop over speed [s]
+    stop_x = abs(v_x) * halting > (p.width - here.p_x if v_x > 0.0 else here.p_x)
+    stop_y = abs(v_y) * halting > (p.height - here.p_y if v_y > 0.0 else here.p_y)
     if stop_x or stop_y:
         return (0.0 if stop_x else v_x), (0.0 if stop_y else v_y)
     return w_x, w_y
 
 
-@compiled
+@borrowing
 def flee(
-    p: DriverParameters,
-    state: FloatArray,
-    x: float,
-    y: float,
-    tick: int,
-    p_x: float,
-    p_y: float,
-    v_x: float,
-    v_y: float,
+    p: DriverParameters, memory: RecordArray, x: float, y: float, tick: int, here: Motion
 ) -> tuple[float, float]:
     """The acceleration [m/s²] to full speed in the direction (x, y), but along walls and out of corners.
 
     The other arguments are those of `evade_control`.
     """
-    if tick < state[_OUT_END]:
-        x, y = state[_OUT], state[_OUT + 1]
-    out_x, out_y = border_side(p_x, p.width, p.margin), border_side(p_y, p.height, p.margin)
+    m = memory[0]
+    if tick < m.out_end:
+        x, y = m.out_x, m.out_y
+    out_x = border_side(here.p_x, p.width, p.margin)
+    out_y = border_side(here.p_y, p.height, p.margin)
     x, y = (0.0 if out_x * x > 0.0 else x), (0.0 if out_y * y > 0.0 else y)
     length = norm(x, y)
     if length > 0.0:
         x, y = x / length, y / length
     else:
-        x, y = leave_wall(p, state, out_x, out_y, tick)
-    w_x, w_y = off_walls(
-        x * p.speed, y * p.speed, p_x, p_y, v_x, v_y, p.width, p.height, p.u_max, p.dt
-    )
-    return velocity_control(v_x, v_y, w_x, w_y, p.v_max, p.u_max, p.dt)
+        x, y = leave_wall(p, memory, out_x, out_y, tick)
+    w_x, w_y = off_walls(p, x * p.speed, y * p.speed, here)
+    return velocity_control(here.v_x, here.v_y, w_x, w_y, p.v_max, p.u_max, p.dt)
 
 
-@compiled
+@borrowing
 def evade_control(
     p: DriverParameters,
-    state: FloatArray,
+    memory: RecordArray,
     radio: FloatArray,
     received: int,
     tick: int,
-    p_x: float,
-    p_y: float,
-    v_x: float,
-    v_y: float,
+    here: Motion,
 ) -> tuple[float, float]:
     """The acceleration [m/s²] of the evader, as the head of this file tells.
 
     Args:
         p: Of the driver.
-        state: Of the driver, changed in place; begins as `begin_evade` makes it.
+        memory: `DriverMemory`, changed in place. Shape (1,).
         radio: The tick and p_a - p_g [m] of each message that has come at this tick, shape (rows, 3).
         received: How many rows count.
         tick: Now.
-        p_x, p_y: Position [m].
-        v_x, v_y: Velocity [m/s].
+        here: Where the UGV is.
     """
-    receive_radio(p, state, radio, received, tick, p_x, p_y, v_x, v_y)
-    if not is_known(p, state, tick):
-        return wander_control(p, state, tick, p_x, p_y, v_x, v_y)
-    x, y = away(p, state, tick, p_x, p_y)
+    receive_radio(p, memory, radio, received, tick, here)
+    if not is_known(p, memory, tick):
+        return wander_control(p, memory, tick, here)
+    x, y = away(p, memory, tick, here)
     x, y = turned(x, y, tick * p.dt, p.lead, (p.key_0, p.key_1))
-    return flee(p, state, x, y, tick, p_x, p_y, v_x, v_y)
+    return flee(p, memory, x, y, tick, here)
 
 
 def evade_lead(speed: float, u_max: float) -> float:

@@ -216,9 +216,7 @@ def drive_towards(
     ground = open_from(memory.tiles, p.tile, p.bold, here.p_x, here.p_y)
     speed = _rough_speed(p, memory, here, to_x, to_y)
     d_x, d_y = to_x - here.p_x, to_y - here.p_y
-    u_x, u_y = goal_control(
-        here.p_x, here.p_y, here.v_x, here.v_y, to_x, to_y, speed, p.u_max, p.dt
-    )
+    u_x, u_y = goal_control(here, to_x, to_y, speed, p.u_max, p.dt)
     if is_safe(bounds, memory.tiles, ground, here, u_x, u_y):
         return u_x, u_y
     a = here.p_x, here.p_y
@@ -227,9 +225,7 @@ def drive_towards(
         for limit in (speed, min(speed, _slow(p))):
             for share in _SHARES:
                 on_x, on_y = here.p_x + share * free * d_x, here.p_y + share * free * d_y
-                u_x, u_y = goal_control(
-                    here.p_x, here.p_y, here.v_x, here.v_y, on_x, on_y, limit, p.u_max, p.dt
-                )
+                u_x, u_y = goal_control(here, on_x, on_y, limit, p.u_max, p.dt)
                 if is_safe(bounds, memory.tiles, ground, here, u_x, u_y):
                     return u_x, u_y
     return brake(here.v_x, here.v_y, p.u_max, p.dt)
@@ -282,10 +278,7 @@ def navigate_control(
     memory: GroundMemory,
     goals: FloatArray,
     tick: int,
-    p_x: float,
-    p_y: float,
-    v_x: float,
-    v_y: float,
+    here: Motion,
 ) -> tuple[float, float]:
     """The command [m/s²] to one goal after the other over the ground as it is known; at the last one the UGV stops.
 
@@ -297,15 +290,14 @@ def navigate_control(
         memory: With the tiles that have been told until now; changed in place.
         goals: [m], shape (goals, 2).
         tick: Now.
-        p_x, p_y: Position [m].
-        v_x, v_y: Velocity [m/s].
+        here: Where the UGV is.
     """
     flags, count = memory.flags[0], goals.shape[0]
-    here = state_ahead(p, memory, tick, Motion(p_x, p_y, v_x, v_y))
+    now, here = here, state_ahead(p, memory, tick, here)
     u_x, u_y = brake(here.v_x, here.v_y, p.u_max, p.dt)
     if count > 0 and memory.tiles.size > 0:
         while flags.goal < count - 1 and goal_reached(
-            p_x, p_y, goals[flags.goal, 0], goals[flags.goal, 1], p.tolerance
+            now.p_x, now.p_y, goals[flags.goal, 0], goals[flags.goal, 1], p.tolerance
         ):
             flags.goal += 1
         goal_x, goal_y = goals[flags.goal, 0], goals[flags.goal, 1]

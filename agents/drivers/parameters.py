@@ -55,6 +55,33 @@ class DriverParameters(NamedTuple):
     """Planning settles at most so many tiles a tick."""
 
 
+class DriverMemory(NamedTuple):
+    """The memory of the drivers without a plan, a row of an array of one; all zeros but where it says so."""
+
+    goal: int
+    """Of the driver of waypoints: number of the goal that it drives to."""
+    chosen: int
+    """Of the wanderer: 1 if it has a goal."""
+    goal_x: float
+    goal_y: float
+    """That goal [m]."""
+    received: float
+    """Of the evader: the tick at which the newest message came; at first minus infinity."""
+    at: float
+    """The tick of what that tells."""
+    uav_x: float
+    uav_y: float
+    """Where the UAV was then [m]."""
+    uav_v_x: float
+    uav_v_y: float
+    """Its smoothed velocity [m/s]."""
+    out_x: float
+    out_y: float
+    """Direction out of a corner."""
+    out_end: float
+    """First tick for which that counts no more; at first minus infinity."""
+
+
 class Route(NamedTuple):
     """The goal or velocity that a UGV has been told."""
 

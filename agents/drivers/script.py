@@ -10,12 +10,12 @@ import numpy as np
 from agents.drivers.parameters import DriverParameters
 from agents.drivers.steering import velocity_control
 from sim.kernels.compile import FloatArray, compiled
-from sim.models.vehicles import brake
+from sim.models.vehicles import Motion, brake
 
 
 @compiled
 def script_control(
-    p: DriverParameters, script: FloatArray, tick: int, v_x: float, v_y: float
+    p: DriverParameters, script: FloatArray, tick: int, here: Motion
 ) -> tuple[float, float]:
     """The acceleration [m/s²] towards the velocity of the last step whose time has come; before the first it brakes.
 
@@ -23,11 +23,10 @@ def script_control(
         p: Of the driver.
         script: First tick, v_x and v_y [m/s] of each step, in the order of time; shape (steps, 3).
         tick: Now.
-        v_x, v_y: Velocity [m/s].
+        here: Where the UGV is.
     """
     begun = np.searchsorted(script[:, 0], float(tick), side="right")
     if begun == 0:
-        return brake(v_x, v_y, p.u_max, p.dt)
-    return velocity_control(
-        v_x, v_y, script[begun - 1, 1], script[begun - 1, 2], p.v_max, p.u_max, p.dt
-    )
+        return brake(here.v_x, here.v_y, p.u_max, p.dt)
+    w_x, w_y = script[begun - 1, 1], script[begun - 1, 2]
+    return velocity_control(here.v_x, here.v_y, w_x, w_y, p.v_max, p.u_max, p.dt)

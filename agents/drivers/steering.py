@@ -5,7 +5,7 @@ import math
 from agents.drivers.waypoints import goal_control
 from bus.messages import UgvBriefing, UgvObservation
 from sim.kernels.compile import compiled
-from sim.models.vehicles import brake, clip_norm, norm
+from sim.models.vehicles import Motion, brake, clip_norm, norm
 
 LARGEST = 1e6
 """No message carries a larger component [m/s], [m/s²]: the bound of a UGV that has none."""
@@ -64,18 +64,9 @@ class Steering:
         self, observation: UgvObservation, goal: tuple[float, float], *, speed: float = math.inf
     ) -> tuple[float, float]:
         """The acceleration [m/s²] towards a goal [m], by the paper's driver, no faster than `speed` [m/s]."""
-        (p_x, p_y), (v_x, v_y) = observation.position, observation.velocity
-        u_x, u_y = goal_control(
-            p_x,
-            p_y,
-            v_x,
-            v_y,
-            float(goal[0]),
-            float(goal[1]),
-            min(speed, self.v_max),
-            self.u_max,
-            self.dt,
-        )
+        here, v_max = Motion(*observation.position, *observation.velocity), min(speed, self.v_max)
+        x, y = float(goal[0]), float(goal[1])
+        u_x, u_y = goal_control(here, x, y, v_max, self.u_max, self.dt)
         return u_x, u_y
 
     def to_rest(self, observation: UgvObservation) -> tuple[float, float]:

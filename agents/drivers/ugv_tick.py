@@ -17,13 +17,15 @@ from agents.drivers.tile_map import GroundMemory
 from agents.drivers.wander import wander_control
 from agents.drivers.waypoints import waypoint_control
 from sim.kernels.compile import FloatArray, borrowing
+from sim.kernels.records import RecordArray
+from sim.models.vehicles import Motion
 
 
 class UgvMemory(NamedTuple):
     """The memory of a UGV; its arrays change in place."""
 
-    driver: FloatArray
-    """From `agents.drivers.compiled.driver_state`."""
+    driver: RecordArray
+    """`DriverMemory`; from `agents.drivers.compiled.driver_memory`. Shape (1,)."""
     ground: GroundMemory
     """From `agents.drivers.compiled.told_ground`."""
 
@@ -36,10 +38,7 @@ def ugv_tick(
     radio: FloatArray,
     received: int,
     tick: int,
-    p_x: float,
-    p_y: float,
-    v_x: float,
-    v_y: float,
+    here: Motion,
 ) -> tuple[float, float]:
     """The UGV's command [m/s²] under any driver that has a compiled form.
 
@@ -50,18 +49,17 @@ def ugv_tick(
         radio: The tick and p_a - p_g [m] of the messages that have come at this tick, shape (rows, 3).
         received: How many of its rows count.
         tick: Now.
-        p_x, p_y: Position of the UGV [m].
-        v_x, v_y: Its velocity [m/s].
+        here: Where the UGV is.
     """
-    state = memory.driver
+    own = memory.driver
     if p.driver == WAYPOINTS:
-        return waypoint_control(p, route.goals, state, p_x, p_y, v_x, v_y)
+        return waypoint_control(p, route.goals, own, here)
     if p.driver == WANDER:
-        return wander_control(p, state, tick, p_x, p_y, v_x, v_y)
+        return wander_control(p, own, tick, here)
     if p.driver == SCRIPT:
-        return script_control(p, route.script, tick, v_x, v_y)
+        return script_control(p, route.script, tick, here)
     if p.driver == NAVIGATE:
         if memory.ground.tiles.size == 0:  # there is nothing to go round
-            return waypoint_control(p, route.goals, state, p_x, p_y, v_x, v_y)
-        return navigate_control(p, memory.ground, route.goals, tick, p_x, p_y, v_x, v_y)
-    return evade_control(p, state, radio, received, tick, p_x, p_y, v_x, v_y)
+            return waypoint_control(p, route.goals, own, here)
+        return navigate_control(p, memory.ground, route.goals, tick, here)
+    return evade_control(p, own, radio, received, tick, here)

@@ -8,13 +8,10 @@ two ticks' way. It is at most a quarter of Q's shorter side: a UGV that needs mo
 
 from agents.drivers.parameters import DriverParameters
 from agents.drivers.waypoints import goal_control
-from sim.kernels.compile import FloatArray, compiled
+from sim.kernels.compile import borrowing, compiled
+from sim.kernels.records import RecordArray
 from sim.models.randomness import WANDER, Key, uniform
-from sim.models.vehicles import goal_reached, speed_to_stop_within, stopping_distance
-
-GOAL, GOAL_CHOSEN = 0, 2
-"""Rows of the state: the goal [m] (2), whether there is one."""
-WANDER_STATE = 3
+from sim.models.vehicles import Motion, goal_reached, speed_to_stop_within, stopping_distance
 
 
 def wander_pace(
@@ -43,29 +40,21 @@ def wander_goal(
     )
 
 
-@compiled
+@borrowing
 def wander_control(
-    p: DriverParameters,
-    state: FloatArray,
-    tick: int,
-    p_x: float,
-    p_y: float,
-    v_x: float,
-    v_y: float,
+    p: DriverParameters, memory: RecordArray, tick: int, here: Motion
 ) -> tuple[float, float]:
     """The acceleration [m/s²] to a random goal, and when that is reached to another one.
 
     Args:
         p: Of the driver.
-        state: Of the driver, changed in place; begins as zeros.
+        memory: `DriverMemory`, changed in place. Shape (1,).
         tick: Now.
-        p_x, p_y: Position [m].
-        v_x, v_y: Velocity [m/s].
+        here: Where the UGV is.
     """
-    if state[GOAL_CHOSEN] == 0.0 or goal_reached(
-        p_x, p_y, state[GOAL], state[GOAL + 1], p.tolerance
-    ):
+    m = memory[0]
+    if m.chosen == 0 or goal_reached(here.p_x, here.p_y, m.goal_x, m.goal_y, p.tolerance):
         key = p.key_0, p.key_1
-        state[GOAL], state[GOAL + 1] = wander_goal(tick, p.width, p.height, p.margin, key)
-        state[GOAL_CHOSEN] = 1.0
-    return goal_control(p_x, p_y, v_x, v_y, state[GOAL], state[GOAL + 1], p.speed, p.u_max, p.dt)
+        m.goal_x, m.goal_y = wander_goal(tick, p.width, p.height, p.margin, key)
+        m.chosen = 1
+    return goal_control(here, m.goal_x, m.goal_y, p.speed, p.u_max, p.dt)

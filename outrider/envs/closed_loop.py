@@ -23,7 +23,7 @@ from agents.control.promise import Promise
 from agents.control.telling import BLOCK_TILES, TellingMemory, telling_memory, telling_ticks
 from agents.control.underway import Underway
 from agents.control.visibility import promise_of
-from agents.drivers.compiled import driver_parameters, driver_state, told_ground, told_route
+from agents.drivers.compiled import driver_memory, driver_parameters, told_ground, told_route
 from agents.drivers.parameters import COMPILED_DRIVERS, DriverParameters
 from agents.drivers.tile_map import GroundMemory
 from agents.estimation.past import SPAN
@@ -236,7 +236,7 @@ class ClosedLoop:
             law_states=np.zeros((worlds, uavs, STATE_SIZE)),
             kalman=KalmanState._make(_repeated(kalman, worlds, uavs)),
             guards=guards,
-            driver_states=_repeated((driver_state(),), worlds, ugvs)[0],
+            driver_states=_repeated((driver_memory(),), worlds, ugvs)[0],
             grounds=GroundMemory._make(_repeated(numbers.ground, worlds, ugvs)),
             outbox=np.full((worlds, uavs, 2, RADIO_SIZE), -1.0),
             radio=radio.states,

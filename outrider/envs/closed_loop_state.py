@@ -131,8 +131,8 @@ class LoopState(NamedTuple):
     """Shape (worlds, UAVs, STATE_SIZE)."""
     kalman: KalmanState
     guards: GuardState
-    driver_states: FloatArray
-    """Shape (worlds, UGVs, DRIVER_STATE)."""
+    driver_states: RecordArray
+    """`DriverMemory`. Shape (worlds, UGVs, 1)."""
     grounds: GroundMemory
     """The ground as each UGV knows it; without tiles where there are no hazards. Shape (worlds, UGVs, ...)."""
     outbox: FloatArray

@@ -184,7 +184,6 @@ def _drive(
     if t.hand[v] >= 0:
         sent[U_X], sent[U_Y] = actions[t.hand[v], 0], actions[t.hand[v], 1]
         return
-    here = _motion_of(s.batch.told, k, v)
     route = Route(
         t.rows.goals[t.rows.goal_rows[g] : t.rows.goal_rows[g + 1]],
         t.scripts[t.script_rows[g] : t.script_rows[g + 1]],
@@ -196,10 +195,7 @@ def _drive(
         s.inboxes[k, g],
         s.arrived[k, g],
         tick,
-        here.p_x,
-        here.p_y,
-        here.v_x,
-        here.v_y,
+        _motion_of(s.batch.told, k, v),
     )
 
 
