@@ -1,6 +1,5 @@
 """`outrider dashboard`: the live page of a run."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -20,7 +19,6 @@ from outrider.cli.options import (
 if TYPE_CHECKING:
     import socket
 
-    from bus.access import Credential
     from bus.messages import Law
 
 _NICE = 5
@@ -59,10 +57,10 @@ def command(
     import os
     import sys
 
-    from bus.keys import OPERATOR_NAME, Party, Role
+    from bus.keys import Role
     from bus.session import open_session
     from outrider.cli.console import ERR
-    from outrider.cli.options import check_endpoints
+    from outrider.cli.options import check_endpoints, staff_of
     from outrider.running.watchdog import start_watchdog
     from outrider.view.page.access.door import address_of, check_extra, choose_admission
 
@@ -76,11 +74,8 @@ def command(
     from outrider.view.page.hub import Hub
     from outrider.view.page.sources.live import Live
 
-    credential = _credential(credentials)
+    party, credential = staff_of(credentials, Role.OPERATOR)
     os.nice(_NICE)
-    party = (
-        Party(role=Role.OPERATOR, name=OPERATOR_NAME) if credential is None else credential.party
-    )
     with (
         _socket(listening, host, port) as opened,
         open_session(party, run, connect=connect, credential=credential) as session,
@@ -114,20 +109,3 @@ def _law(text: str) -> "Law | None":
     from bus.messages import Law
 
     return msgspec.json.decode(text, type=Law) if text else None
-
-
-def _credential(file: Path | None) -> "Credential | None":
-    """The operator's or the observer's; None without a file or a password."""
-    from bus.access import read_credential
-    from bus.errors import AccessDenied
-    from bus.keys import OPERATOR_NAME, Role
-    from outrider.cli.options import credential_of
-
-    if file is None:
-        return credential_of(None, Role.OPERATOR, OPERATOR_NAME)
-    found = read_credential(file)
-    if found.role not in (Role.OPERATOR, Role.OBSERVER):
-        raise AccessDenied(
-            f"{file}: the credentials of {found.name} ({found.role}), not of an operator or observer"
-        )
-    return found

@@ -18,6 +18,7 @@ from outrider.cli.options import (
     RunName,
     check_endpoints,
     credential_of,
+    staff_of,
 )
 from outrider.cli.pilots import JoinTimeout
 
@@ -119,6 +120,7 @@ def command(
     from bus.messages import Origin
     from outrider.bridges.mavlink.identity import VehicleSystem
     from outrider.bridges.mavlink.udp import Network, parse_address
+    from outrider.cli.console import print_json
     from outrider.cli.stopping import stop_on_signals
 
     check_endpoints((connect,), secured=True, insecure=False)
@@ -143,11 +145,14 @@ def command(
         else:
             os.nice(_NICE)
             with stop_on_signals() as stop:
-                found = _show(network, connect, run, _staff(credentials), stop, first, height)
+                found = _show(network, connect, run, credentials, stop, first, height)
     finally:
         network.close()
     found["seconds"] = time.monotonic() - began
-    _report(found, json=json)
+    if json:
+        print_json(found)
+    else:
+        sys.stderr.write(_story(found) + "\n")
 
 
 class _Bus(NamedTuple):
@@ -212,16 +217,6 @@ def _fly_along(network: "Network", name: str, bus: _Bus) -> dict[str, object]:
     return {"vehicles": {name: 0 if peer is None else peer.system}, **found, **pilot.counts()}
 
 
-def _report(found: dict[str, object], *, json: bool) -> None:
-    if json:
-        import msgspec
-
-        text = msgspec.json.format(msgspec.json.encode(found), indent=2).decode()
-        sys.stdout.write(text + "\n")
-    else:
-        sys.stderr.write(_story(found) + "\n")
-
-
 def _check_listening(addresses: list[str], *, insecure: bool) -> None:
     """Refuse to let strangers in by mistake: MAVLink knows no passwords.
 
@@ -238,43 +233,24 @@ def _check_listening(addresses: list[str], *, insecure: bool) -> None:
             )
 
 
-def _staff(credentials: Path | None) -> "Credential | None":
-    """The observer's or the operator's; None without a file or a password."""
-    from bus.access import read_credential
-    from bus.errors import AccessDenied
-    from bus.keys import OBSERVER_NAME, Role
-
-    if credentials is None:
-        return credential_of(None, Role.OBSERVER, OBSERVER_NAME)
-    found = read_credential(credentials)
-    if found.role not in (Role.OPERATOR, Role.OBSERVER):
-        raise AccessDenied(
-            f"{credentials}: the credentials of {found.name} ({found.role}), not of an operator or observer"
-        )
-    return found
-
-
 def _show(
     network: "Network",
     connect: str,
     run: str,
-    credential: "Credential | None",
+    credentials: Path | None,
     stop: "Stop",
     first: int,
     height: float,
 ) -> dict[str, object]:
     """Tell a run until it is over or somebody wants the end; what was told."""
     from bus.errors import PeerLost
-    from bus.keys import OPERATOR_NAME, SAMPLED_TRUTH, STATUS, Party, Role
+    from bus.keys import SAMPLED_TRUTH, STATUS, Role
     from bus.session import open_session
     from outrider.bridges.mavlink.run_gateway import RunGateway
     from outrider.cli.console import ERR
     from outrider.view.operator import RunClient
 
-    # Without credentials everybody may do everything: then it is an operator.
-    party = (
-        Party(role=Role.OPERATOR, name=OPERATOR_NAME) if credential is None else credential.party
-    )
+    party, credential = staff_of(credentials, Role.OBSERVER)
     with open_session(party, run, connect=connect, credential=credential) as session:
         client = RunClient(session, read=(STATUS, SAMPLED_TRUTH))
         status = _await_run(client, run, stop)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from bus.access import Credential
-    from bus.keys import Role
+    from bus.keys import Party, Role
     from bus.registry import DriverRow, LawRow
     from sim.scenario.types import Scenario
 
@@ -354,6 +354,30 @@ def check_endpoints(endpoints: tuple[str, ...], *, secured: bool, insecure: bool
                 f"endpoint {endpoint}: other machines reach it, and there are no credentials; "
                 "make some with `outrider credentials`, or say --insecure"
             )
+
+
+def staff_of(file: Path | None, role: "Role") -> "tuple[Party, Credential | None]":
+    """The operator or the observer of a run, whoever the file is of, and its credentials.
+
+    Args:
+        file: None: this process may have a password.
+        role: Whose that is. Without one everybody may do everything: then it is an operator.
+
+    Raises:
+        AccessDenied: If the file is somebody else's.
+    """
+    from bus.access import read_credential
+    from bus.errors import AccessDenied
+    from bus.keys import OPERATOR_NAME, Party, Role
+
+    found = credential_of(None, role, role.value) if file is None else read_credential(file)
+    if found is None:
+        return Party(role=Role.OPERATOR, name=OPERATOR_NAME), None
+    if found.role not in (Role.OPERATOR, Role.OBSERVER):
+        raise AccessDenied(
+            f"{file}: the credentials of {found.name} ({found.role}), not of an operator or observer"
+        )
+    return found.party, found
 
 
 def credential_of(file: Path | None, role: "Role", name: str) -> "Credential | None":
