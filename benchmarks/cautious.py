@@ -18,10 +18,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from agents.drivers.cautious import Bounds, Open, braking_way, is_safe, open_to, way_is_open
+from agents.drivers.cautious import (
+    Bounds,
+    Open,
+    braking_way,
+    is_safe,
+    open_from,
+    open_to,
+    way_is_open,
+)
 from agents.drivers.compiled import PLAN_TILES
 from agents.drivers.navigate import (
-    kept_open,
     navigate_control,
     note_sent,
     state_ahead,
@@ -244,15 +251,18 @@ def _wanted(
 
 
 def _filtered_by(
-    check: Check, trial: Trial, memory: GroundMemory, tick: int, here: Motion,
+    check: Check | None, trial: Trial, memory: GroundMemory, tick: int, here: Motion,
     wanted: tuple[float, float],
 ) -> tuple[float, float]:  # fmt: skip
-    """As `kept_open`, with another check."""
+    """The wanted command if it is safe, else the one that brakes: the filter alone, or one with another check."""
     p = trial.p
     ahead = state_ahead(p, memory, tick, here)
     late = 1 if trial.delay else 0
     bounds = Bounds(p.width, p.height, p.tile, p.v_max, p.u_max, p.dt, p.share * p.v_max, late)
-    if not check(bounds, memory.tiles, open_to(0), ahead, *wanted):
+    ground = open_to(0)
+    if check is None:
+        ground = open_from(memory.tiles, p.tile, p.bold, ahead.p_x, ahead.p_y)
+    if not (check or is_safe)(bounds, memory.tiles, ground, ahead, *wanted):
         wanted = brake(ahead.v_x, ahead.v_y, p.u_max, p.dt)
     note_sent(memory, tick, *wanted)
     return wanted
@@ -322,10 +332,7 @@ def fly(
         teller.tell(tick, here.p_x, here.p_y, norm(here.v_x, here.v_y))
         fresh = (known == LATER) & (memory.tiles != UNSEEN) & (memory.tiles != BLOCK)
         known[fresh] = tick
-        if check is not None:
-            wanted = _wanted(trial, rng, wanted, here)
-            u = _filtered_by(check, trial, memory, tick, here, wanted)
-        elif trial.wheel == "plan":
+        if check is None and trial.wheel == "plan":
             u = drive(p, memory, trial.goals, tick, here)
             at_last = memory.flags[0]["goal"] == len(trial.goals) - 1
             reached = at_last and math.dist(here[:2], last) < p.tolerance
@@ -333,7 +340,7 @@ def fly(
                 break
         else:
             wanted = _wanted(trial, rng, wanted, here)
-            u = kept_open(p, memory, tick, here, *wanted)
+            u = _filtered_by(check, trial, memory, tick, here, wanted)
         queue.append(u)
         u_x, u_y = queue.pop(0)
         v_max = p.v_max

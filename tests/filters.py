@@ -12,6 +12,7 @@ from agents.estimation.estimator import (
     acceleration_deviation,
     cut_variance,
 )
+from agents.estimation.motion_model import strayed_distance, supposed_acceleration
 from bus.messages import Detection, Detector, Estimator, Limits
 from bus.ticks import looks_of
 from sim.models.randomness import DETECTION_NOISE, cut_normal_vector
@@ -34,6 +35,14 @@ VARIANCE = cut_variance(sigma=SIGMA, cut=3.0)  # of the detections, per axis
 PUSH = np.array(
     [[DT * DT / 2, 0], [0, DT * DT / 2], [DT, 0], [0, DT]]
 )  # a tick's acceleration to the state
+
+
+def straying(*, elapsed: float, target: Limits, manoeuvre: float, dt: float) -> float:
+    """The largest way of a UGV of these bounds off its course in `elapsed` [s], [m]; see `strayed_distance`."""
+    acceleration = supposed_acceleration(target=target, manoeuvre=manoeuvre, dt=dt)
+    return strayed_distance(
+        elapsed=float(elapsed), speed=float(target.max_speed), acceleration=float(acceleration)
+    )
 
 
 def make(noise=SIGMA, cut=3.0, target=UGV, dt=DT, **chosen):

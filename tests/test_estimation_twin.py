@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from blas import blas_fuses, fused
 from filterpy.kalman import KalmanFilter
+from filters import straying
 
 from agents.estimation.estimator import RelativeEstimator
-from agents.estimation.motion_model import acceleration_deviation, cut_variance, motion, straying
+from agents.estimation.motion_model import acceleration_deviation, cut_variance, motion
 from agents.estimation.twin import (
     AGE,
     DUPLICATES,

@@ -1,7 +1,10 @@
 """Ground with hazards in the environments: what a UGV observes of it, what is paid, how the mission went; its suite."""
 
+import hashlib
+import json
 import math
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -19,11 +22,12 @@ from outrider.experiments.intervals import interquartile_interval
 from outrider.experiments.suite.board import leaderboard
 from outrider.experiments.suite.missions import mission_score, shortest_time
 from outrider.experiments.suite.scoring import Team
-from outrider.experiments.suite.tasks import MISSIONS, TASKS, Task, fingerprint
+from outrider.experiments.suite.tasks import MISSIONS, SEEDS, TASKS, Task
 from outrider.running.flying import InProcess, make_pilots
 from sim.engine.briefing import briefing
 from sim.env.parallel import parallel_env as bare_env
 from sim.models.ground import BLOCK, CLEAR, OUTSIDE, ROUGH, UNSEEN
+from sim.scenario.loading import shipped_text
 from sim.scenario.types import Hazard, Scenario
 from sim.server.flight import Flight
 
@@ -171,6 +175,14 @@ def test_a_policy_that_observes_tiles_needs_hazards() -> None:
         ScenarioError, "policy = 'tiny:drive': it observes tiles, and the scenario has no"
     ):
         PolicyDriver(told, policy=model, name="tiny:drive")
+
+
+def fingerprint(tasks: Sequence[Task]) -> str:
+    """SHA-256 of all that defines tasks: names, scenarios, changes, kind of score, and the seeds."""
+    bases = {task.base: tomllib.loads(shipped_text(task.base)) for task in tasks}
+    told = [[task.name, task.base, task.mission, task.changes] for task in tasks]
+    whole = json.dumps([bases, told, SEEDS], sort_keys=True)
+    return hashlib.sha256(whole.encode()).hexdigest()
 
 
 def test_the_tasks_of_a_suite_with_a_number_never_change() -> None:

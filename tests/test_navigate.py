@@ -17,7 +17,6 @@ from agents.drivers.cautious import (
     Bounds,
     Open,
     braking_way,
-    filtered,
     is_safe,
     open_from,
     open_to,
@@ -328,8 +327,8 @@ def test_it_leaves_a_blocked_tile_that_it_stands_in_but_enters_none() -> None:
     ground = open_from(tiles, 1.0, 0, here.p_x, here.p_y)
     assert ground == Open(0, 1, 1, 1, 2, 3, 3)
     fast = _bounds(v_max=20.0, u_max=50.0)
-    assert filtered(fast, tiles, ground, here, 0.0, 50.0) == (0.0, 50.0)
-    assert filtered(fast, tiles, ground, here._replace(v_x=4.9), 50.0, 0.0) == (-49.0, 0.0)
+    assert is_safe(fast, tiles, ground, here, 0.0, 50.0)
+    assert not is_safe(fast, tiles, ground, here._replace(v_x=4.9), 50.0, 0.0)
     assert open_from(tiles, 1.0, 1, 0.5, 0.5) == open_to(1)
 
 

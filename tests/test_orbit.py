@@ -14,7 +14,6 @@ from agents.control.orbit import (
     check_path,
     circle,
     desired_position,
-    largest_circle_rate,
     orbit_control,
     orbit_error_acceleration,
     path_error_acceleration,
@@ -25,6 +24,7 @@ from bus.messages import Area, Law
 from outrider.bench.reference import FloatGrid
 from outrider.running.flying import fly
 from sim.models.vehicles import step_vehicle
+from sim.scenario.checks import largest_circle_rate
 from sim.scenario.types import Scenario, Uav, Ugv
 from sim.server.flight import Flight
 

@@ -12,7 +12,6 @@ import pytest
 from flights import escort, parameters
 
 from agents.control.laws import OwnTerms, weights
-from agents.control.orbit import largest_circle_rate
 from agents.control.visibility import switching_radius
 from agents.drivers import parameters as parameters_of_drivers
 from bus.keys import KEYS, Key
@@ -34,6 +33,7 @@ from bus.registry import (
 from outrider.cli import options
 from sim.models.field import sensor_quality, sensor_slope
 from sim.scenario import checks
+from sim.scenario.checks import largest_circle_rate
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Custom, LinkTable, Ugv, VehicleLinks
 

@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 from properties import PROPERTY
 
 from agents.control.tracking import relative_motion
-from agents.control.visibility import is_visible, raw_switching_radius, switching_radius
+from agents.control.visibility import is_visible, switching_radius
 from bus.errors import ScenarioError
 from bus.messages import Region
 from outrider.running.flying import fly
+from sim.models.vehicles import raw_switching_radius
 from sim.scenario.types import Coverage, Scenario, Uav, Ugv
 
 speeds = st.floats(0.01, 5.0)

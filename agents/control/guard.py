@@ -329,7 +329,7 @@ def _guard_motions(
 ) -> tuple[float, float, int, int]:
     """`guard` for a UAV whose commands carry motions."""
     c, flags, sent, plan = promise, state.flags[0], state.underway, state.plan
-    expected = take_observation(c, sent, tick, here, flown, flags.tick)
+    expected = take_observation(sent, tick, here, flown, flags.tick)
     flags.known = 1 if tick == 0 else flags.known
     if flags.known == 1:
         check_rest(c, sent, state.detections, plan, tick, here)

@@ -23,7 +23,7 @@ from agents.control.coverage import (
 from agents.control.lookahead import STATE_SIZE as LOOKAHEAD_SIZE
 from agents.control.orbit import circle, orbit_control
 from agents.control.tracking import tracking_output, tracking_step
-from agents.control.visibility import promise_of, raw_switching_radius, switching_radius
+from agents.control.visibility import promise_of, switching_radius
 from agents.control.weighting import combine, linear_weights, logarithmic_weights, switching_weights
 from bus.errors import ScenarioError
 from bus.messages import Law, UavBriefing
@@ -31,7 +31,7 @@ from bus.registry import LAWS, SENSORS, LawRow, SensorRow
 from sim.kernels.compile import FloatArray, compiled
 from sim.models.field import coverage_gradient, is_uncovered, nearest_uncovered
 from sim.models.randomness import START_DIRECTION, uniform, words_of
-from sim.models.vehicles import Motion, clip_norm, norm
+from sim.models.vehicles import Motion, norm, raw_switching_radius
 
 TRACKING = LAWS["tracking"].code
 COVERAGE = LAWS["coverage"].code
@@ -307,19 +307,3 @@ def uav_control(
     u_cov_x, u_cov_y = coverage_term(parameters, coverage, state, tick, here, p_gx, p_gy)
     alpha, beta = weights(parameters, own, distance)
     return combine(alpha, beta, u_tr_x, u_tr_y, u_cov_x, u_cov_y)
-
-
-@compiled
-def bounded_uav_control(
-    parameters: LawParameters,
-    own: OwnTerms,
-    coverage: FloatArray,
-    state: FloatArray,
-    tick: int,
-    here: Motion,
-    p_gx: float,
-    p_gy: float,
-) -> tuple[float, float]:
-    """`uav_control` within the bound of (1) [m/s²]; the same arguments."""
-    u_x, u_y = uav_control(parameters, own, coverage, state, tick, here, p_gx, p_gy)
-    return clip_norm(u_x, u_y, parameters.u_max)

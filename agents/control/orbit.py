@@ -77,20 +77,6 @@ def circle(t: float, r_pv: float, omega: float) -> tuple[float, float, float, fl
     return x, y, -omega * omega * x, -omega * omega * y
 
 
-def largest_circle_rate(r_pv: float, v_a: float, v_g: float, u_a: float) -> float:
-    r"""The largest $|\omega|$ [rad/s] at which the circle can be flown around any UGV (Remark 3 of the paper).
-
-    The UAV needs the speed $r_{pv}\omega + v_g \le v_a$ and the acceleration $r_{pv}\omega^2 \le u_a$.
-
-    Args:
-        r_pv: Radius [m].
-        v_a: Largest speed of the UAV [m/s].
-        v_g: Largest speed of the UGV [m/s].
-        u_a: Largest acceleration of the UAV [m/s²].
-    """
-    return min((v_a - v_g) / r_pv, math.sqrt(u_a / r_pv))
-
-
 def check_path(
     path: Path, duration: float, r_v: float, v_a: float, v_g: float, u_a: float, samples: int = 2000
 ) -> tuple[str, ...]:

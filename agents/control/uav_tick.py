@@ -13,13 +13,13 @@ from agents.control.laws import (
     LOOKAHEAD_STATE,
     LawParameters,
     OwnTerms,
-    bounded_uav_control,
+    uav_control,
 )
 from agents.control.lookahead import Target, lookahead_control
 from agents.control.promise import Promise
 from sim.kernels.compile import FloatArray, borrowing
 from sim.models.field import accumulate
-from sim.models.vehicles import Motion, brake
+from sim.models.vehicles import Motion, brake, clip_norm
 
 TAKEN, LOOK_X, LOOK_Y = range(3)
 """Columns of detections: the tick at which one was taken, and the noisy p_a - p_g [m]."""
@@ -103,9 +103,10 @@ def uav_tick(
         state = memory.law[LOOKAHEAD_STATE:]
         u_x, u_y = lookahead_control(law, memory.coverage, state, tick, here, target)
     else:
-        u_x, u_y = bounded_uav_control(
+        u_x, u_y = uav_control(
             law, own, memory.coverage, memory.law, tick, here, target.p_x, target.p_y
         )
+        u_x, u_y = clip_norm(u_x, u_y, law.u_max)
     if not guarded:
         return u_x, u_y, INNER, NO_DETECTION, 0.0
     return guard(promise, memory.guard, tick, here, u_x, u_y, flown)

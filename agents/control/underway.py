@@ -128,13 +128,10 @@ def is_expected(state: Underway, tick: int, here: Motion, flown: int) -> bool:
 
 
 @borrowing
-def take_observation(
-    promise: Promise, state: Underway, tick: int, here: Motion, flown: int, last_tick: int
-) -> bool:
+def take_observation(state: Underway, tick: int, here: Motion, flown: int, last_tick: int) -> bool:
     """Take in what the vehicle has flown; true if it is where this pilot expected it.
 
     Args:
-        promise: The declared numbers.
         state: Is changed.
         tick: Now.
         here: Where the UAV is now.

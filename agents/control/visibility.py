@@ -24,7 +24,7 @@ from bus.messages import MotionPlan, UavBriefing, UavObservation, Vector
 from bus.ticks import looks_of
 from sim.kernels.compile import compiled
 from sim.models.motion import NO_MOTION, motion_plan
-from sim.models.vehicles import Motion, norm, stopping_distance
+from sim.models.vehicles import Motion, norm, raw_switching_radius
 
 _TRACK = 120.0
 """The UAV's own positions are kept for so long [s]; detections that are older are of no use."""
@@ -37,12 +37,6 @@ _MOST_TICKS = 1_000_000
 def is_visible(p_ax: float, p_ay: float, p_gx: float, p_gy: float, r_v: float) -> bool:
     r"""True if the UAV surely sees the UGV, Klodt 2015, eq. (5): $\|p_a - p_g\| < r_v$. Positions and r_v in [m]."""
     return norm(p_ax - p_gx, p_ay - p_gy) < r_v
-
-
-@compiled
-def raw_switching_radius(r_v: float, v_a: float, v_g: float, u_a: float) -> float:
-    r"""The right side of (18) in one phase, $r_v - (v_a + v_g)^2 / (2 u_a)$ [m], whatever its sign."""
-    return r_v - stopping_distance(v_a + v_g, u_a)
 
 
 def switching_radius(r_v: float, v_a: float, v_g: float, u_a: float) -> float:

@@ -20,7 +20,7 @@ from sim.models.ground import (
     span,
     tile_index,
 )
-from sim.models.vehicles import Motion, brake, norm, step_vehicle
+from sim.models.vehicles import Motion, norm, step_vehicle
 
 
 class Bounds(NamedTuple):
@@ -214,16 +214,6 @@ def is_safe(
     g = ground
     even = Open(g.unseen, 0, 1, g.row, g.column, g.end_row, g.end_column)
     return _stays_open(tiles, tile, even, a, turn, (x, y), there)
-
-
-@borrowing
-def filtered(
-    bounds: Bounds, tiles: TileArray, ground: Open, here: Motion, u_x: float, u_y: float
-) -> tuple[float, float]:
-    """The command if it is safe, else the one that brakes. Arguments as `is_safe`."""
-    if is_safe(bounds, tiles, ground, here, u_x, u_y):
-        return u_x, u_y
-    return brake(here.v_x, here.v_y, bounds.u_max, bounds.dt)
 
 
 @borrowing

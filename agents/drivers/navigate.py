@@ -11,7 +11,6 @@ import math
 from agents.drivers.cautious import (
     Bounds,
     Open,
-    filtered,
     is_safe,
     nearest_open,
     open_from,
@@ -229,24 +228,6 @@ def drive_towards(
                 if is_safe(bounds, memory.tiles, ground, here, u_x, u_y):
                     return u_x, u_y
     return brake(here.v_x, here.v_y, p.u_max, p.dt)
-
-
-@borrowing
-def kept_open(
-    p: DriverParameters, memory: GroundMemory, tick: int, here: Motion, u_x: float, u_y: float
-) -> tuple[float, float]:
-    """Anybody's command [m/s²], if it is safe, else the one that brakes: the filter alone, without a plan.
-
-    Args:
-        p, memory, tick: As in `navigate_control`.
-        here: Where the UGV is now.
-        u_x, u_y: What is wanted [m/s²].
-    """
-    ahead = state_ahead(p, memory, tick, here)
-    ground = open_from(memory.tiles, p.tile, p.bold, ahead.p_x, ahead.p_y)
-    u_x, u_y = filtered(_bounds(p, memory), memory.tiles, ground, ahead, u_x, u_y)
-    note_sent(memory, tick, u_x, u_y)
-    return u_x, u_y
 
 
 @borrowing

@@ -76,19 +76,6 @@ def supposed_acceleration(*, target: Limits, manoeuvre: float, dt: float) -> flo
     return manoeuvre * _largest_acceleration(target, dt)
 
 
-def straying(*, elapsed: float, target: Limits, manoeuvre: float, dt: float) -> float:
-    """The largest way of a UGV of these bounds off its course in `elapsed` [s], [m]; see `strayed_distance`.
-
-    Infinitely far where its largest speed is not known.
-    """
-    if target.max_speed is None:
-        return math.inf
-    acceleration = supposed_acceleration(target=target, manoeuvre=manoeuvre, dt=dt)
-    return strayed_distance(
-        elapsed=float(elapsed), speed=float(target.max_speed), acceleration=float(acceleration)
-    )
-
-
 @compiled
 def strayed_distance(elapsed: float, speed: float, acceleration: float) -> float:
     r"""The largest distance of a UGV from where it would be had it gone straight on.

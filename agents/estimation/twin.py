@@ -26,6 +26,7 @@ from numba.core.typing.templates import Signature
 from numba.extending import intrinsic
 
 from agents.control.lookahead import Target
+from agents.control.uav_tick import LOOK_X, LOOK_Y, TAKEN
 from agents.estimation.estimator import RelativeEstimator
 from agents.estimation.motion_model import (
     acceleration_deviation,
@@ -63,9 +64,6 @@ _OWN_X, _OWN_Y, _SEEN, _SEEN_X, _SEEN_Y, _BEFORE = range(
 
 COLUMNS = _BEFORE + _BELIEF
 """The number of values that a filter keeps of each tick."""
-
-TAKEN, P_DELTA_X, P_DELTA_Y = range(3)
-"""Columns of `looks`: the tick at which a detection was taken, and p_a - p_g with noise [m]."""
 
 
 class KalmanParameters(NamedTuple):
@@ -210,8 +208,8 @@ def _arrange(
             continue
         place = taken % depth
         x, y = (
-            history[place, _OWN_X] - looks[k, P_DELTA_X],
-            history[place, _OWN_Y] - looks[k, P_DELTA_Y],
+            history[place, _OWN_X] - looks[k, LOOK_X],
+            history[place, _OWN_Y] - looks[k, LOOK_Y],
         )
         if history[place, _SEEN] == 0.0:
             history[place, _SEEN], history[place, _SEEN_X], history[place, _SEEN_Y] = 1.0, x, y

@@ -175,9 +175,7 @@ def _speak(
 
 
 @inlined
-def _drive(
-    p: LoopParameters, t: LoopTables, s: LoopState, k: int, v: int, g: int, actions: FloatArray
-) -> None:
+def _drive(t: LoopTables, s: LoopState, k: int, v: int, g: int, actions: FloatArray) -> None:
     """The command of UGV g, vehicle v."""
     tick, sent = s.batch.ticks[k], s.batch.sent[k, v]
     sent[ANSWERED] = tick
@@ -225,7 +223,7 @@ def _feel_ground(t: LoopTables, s: LoopState, k: int, g: int) -> None:
 
 
 @inlined
-def _radio(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
+def _radio(t: LoopTables, s: LoopState, k: int) -> None:
     """Send out the radio messages of the tick before, and receive those that arrive."""
     tick, arrived = s.batch.ticks[k], s.arrived[k]
     arrived[:] = 0
@@ -277,7 +275,7 @@ def _perceive(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
             kalman = _kalman_of(s.kalman, k, u)
             kalman_step(t.kalman[u], kalman, tick, here.p_x, here.p_y, looks[u], arrived[u])
     if p.radio:
-        _radio(p, t, s, k)
+        _radio(t, s, k)
     if s.grounds.tiles.shape[2] > 0:
         for g in range(t.rows.ugvs.shape[0]):
             _feel_ground(t, s, k, g)
@@ -371,7 +369,7 @@ def _step(p: LoopParameters, t: LoopTables, s: LoopState, k: int, actions: Float
         if t.rows.place[v] >= 0:
             _fly(p, t, s, k, v, t.rows.place[v], actions)
         else:
-            _drive(p, t, s, k, v, -1 - t.rows.place[v], actions)
+            _drive(t, s, k, v, -1 - t.rows.place[v], actions)
     tick = s.batch.ticks[k]
     world_tick(t.batch, s.batch, k, True)
     for u in range(t.batch.escorts.shape[0]):

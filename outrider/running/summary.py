@@ -168,7 +168,7 @@ def _mean(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float | 
 
 def switching_radius_of(flight: "Flight", escort: int = 0) -> float | None:
     """r_s of (18) [m] for one escort; None where it has no finite value."""
-    from agents.control.visibility import raw_switching_radius  # noqa: PLC0415 - compiled: whoever only reads summaries goes without
+    from sim.models.vehicles import raw_switching_radius  # noqa: PLC0415 - compiled: whoever only reads summaries goes without
 
     world = flight.world
     a, g = world.escorts[escort]

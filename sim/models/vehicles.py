@@ -92,6 +92,12 @@ def brake(v_x: float, v_y: float, u_max: float, dt: float) -> tuple[float, float
 
 
 @compiled
+def raw_switching_radius(r_v: float, v_a: float, v_g: float, u_a: float) -> float:
+    r"""The right side of (18) in one phase, $r_v - (v_a + v_g)^2 / (2 u_a)$ [m], whatever its sign."""
+    return r_v - stopping_distance(v_a + v_g, u_a)
+
+
+@compiled
 def speed_to_stop_within(distance: float, u_max: float, dt: float) -> float:
     r"""The largest speed [m/s] from which a sampled vehicle still stops within `distance` [m].
 

@@ -210,18 +210,29 @@ def _law_warnings(s: Scenario) -> Iterator[str]:
         yield f"{name}: visibility is not kept, this law never turns back to the UGV"
 
 
-def _circle_warnings(s: Scenario) -> Iterator[str]:
-    r"""A circle that cannot be flown (Remark 3 of the paper).
+def largest_circle_rate(r_pv: float, v_a: float, v_g: float, u_a: float) -> float:
+    r"""The largest $|\omega|$ [rad/s] at which the circle can be flown around any UGV (Remark 3 of the paper).
 
-    It needs $|\omega| r_{pv} + v_g \le v_a$ and $r_{pv} \omega^2 \le u_a$.
+    The UAV needs the speed $r_{pv}\omega + v_g \le v_a$ and the acceleration $r_{pv}\omega^2 \le u_a$.
+
+    Args:
+        r_pv: Radius [m].
+        v_a: Largest speed of the UAV [m/s].
+        v_g: Largest speed of the UGV [m/s].
+        u_a: Largest acceleration of the UAV [m/s²].
     """
+    return min((v_a - v_g) / r_pv, math.sqrt(u_a / r_pv))
+
+
+def _circle_warnings(s: Scenario) -> Iterator[str]:
+    """A circle that cannot be flown, see `largest_circle_rate`."""
     if s.law.name != "circle":
         return
     rate = abs(s.law.circle_rate)
     for _, uav, ugv in escorts(s):
         radius = s.law.circle_radius or switching_radius(s, uav, ugv)
         spare = uav.max_speed - ugv.max_speed
-        bound = min(spare / radius, math.sqrt(uav.max_acceleration / radius))
+        bound = largest_circle_rate(radius, uav.max_speed, ugv.max_speed, uav.max_acceleration)
         if rate > bound * (1.0 + _ROUNDING):
             needs = (
                 f"needs {radius * rate:.3g} m/s and {radius * rate * rate:.3g} m/s² of {uav.name}"

@@ -29,7 +29,7 @@ from bus.messages import (
 from bus.registry import CAUTIONS, DEFAULT_DRIVER, HAZARDS, TOUCHES
 from sim.channel.recorded import RecordedLink
 from sim.models.inner_loop import InnerLoop
-from sim.models.vehicles import stopping_distance
+from sim.models.vehicles import raw_switching_radius
 
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 Bound = Annotated[float, Meta(gt=0.0)]
@@ -399,6 +399,5 @@ class Scenario(_Table, frozen=True, kw_only=True):
 
 def switching_radius(s: Scenario, uav: Uav, ugv: Ugv) -> float:
     """r_s of (18) [m], whatever its sign."""
-    return s.visibility.radius - float(
-        stopping_distance(uav.max_speed + ugv.max_speed, uav.max_acceleration)
-    )
+    bounds = uav.max_speed, ugv.max_speed, uav.max_acceleration
+    return float(raw_switching_radius(s.visibility.radius, *bounds))

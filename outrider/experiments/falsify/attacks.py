@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from agents.control.promise import Promise
-from agents.control.visibility import raw_switching_radius
 from outrider.experiments.falsify.attack import attack
 from outrider.experiments.falsify.attack_grid import grid
 from outrider.experiments.falsify.conditions import (
@@ -22,6 +21,7 @@ from outrider.experiments.falsify.conditions import (
 from outrider.experiments.falsify.pool import Workers
 from outrider.experiments.falsify.search import Budget
 from sim.kernels.compile import compiling
+from sim.models.vehicles import raw_switching_radius
 
 CONTROLS = {
     "tracking": GUARDS.switch_tracking,

@@ -1,6 +1,7 @@
 """The conditions of an attack on the certificate: who guards, who attacks, over which network and where.
 
-Of each kind of adversary there is a named tuple: its fields are the names, their values the codes in compiled code.
+Of each kind of adversary there is a named tuple: its fields are the names, their values the codes. What is `@compiled`
+holds these as constants, so this file's text belongs to the compile cache's name.
 """
 
 import math
@@ -8,10 +9,10 @@ from typing import NamedTuple
 
 from agents.control.handover import certificate
 from agents.control.promise import Declared, Promise
-from agents.control.visibility import raw_switching_radius
 from bus.messages import Area, LinkSettings, Sensor
 from outrider.experiments.falsify.lost_motions import LOSSES
 from sim.models.inner_loop import InnerLoop, needed_reserve, tracking_error
+from sim.models.vehicles import raw_switching_radius
 from sim.scenario.types import (
     Certificate,
     Coverage,

@@ -3,9 +3,6 @@
 Nothing heavy is loaded until a task is flown: the names are also read where environments are registered.
 """
 
-import hashlib
-import json
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, overload
@@ -302,13 +299,3 @@ def suite(name: str = SUITE) -> Suite:
     if name not in SUITES:
         raise ValueError(f"suite = {name!r}; allowed: {', '.join(SUITES)}")
     return Suite(SUITES[name])
-
-
-def fingerprint(tasks: Sequence[Task]) -> str:
-    """SHA-256 of all that defines tasks: names, scenarios, changes, kind of score, and the seeds."""
-    from sim.scenario.loading import shipped_text  # noqa: PLC0415
-
-    bases = {task.base: tomllib.loads(shipped_text(task.base)) for task in tasks}
-    told = [[task.name, task.base, task.mission, task.changes] for task in tasks]
-    whole = json.dumps([bases, told, SEEDS], sort_keys=True)
-    return hashlib.sha256(whole.encode()).hexdigest()
