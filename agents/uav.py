@@ -18,7 +18,7 @@ from agents.control.laws import (
     law_parameters,
     number,
 )
-from agents.control.lookahead import Target
+from agents.control.lookahead import Target, lookahead_memory
 from agents.control.orbit import Path, check_path
 from agents.control.promise import Promise
 from agents.control.telling import GroundTeller
@@ -179,7 +179,8 @@ class UavPilot:
         )
         promise = promise_of(briefing)
         self._promises = records(Promise, [promise])
-        self._law_state, self._no_guard = initial_state(), guard_state(promise.delay_ticks, depth=1)
+        self._law_memory = initial_state(), lookahead_memory()
+        self._no_guard = guard_state(promise.delay_ticks, depth=1)
         self._sent: deque[Vector] = deque(maxlen=promise.delay_ticks)  # that may be under way
         self.filter: SafetyFilter | None = self._make_filter()
         """The safety filter of the law `certified`, and of an inner control of one's own."""
@@ -199,7 +200,7 @@ class UavPilot:
             records(LawParameters, [self._parameters]),
             self._promises,
             self.filter is not None,
-            UavMemory(self.coverage, self._law_state, guard),
+            UavMemory(self.coverage, *self._law_memory, guard),
         )
 
     def _make_filter(self) -> SafetyFilter | None:

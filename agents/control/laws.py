@@ -20,7 +20,6 @@ from agents.control.coverage import (
     symmetry_breaker,
     velocity_error,
 )
-from agents.control.lookahead import STATE_SIZE as LOOKAHEAD_SIZE
 from agents.control.orbit import circle, orbit_control
 from agents.control.tracking import tracking_output, tracking_step
 from agents.control.visibility import promise_of, switching_radius
@@ -29,6 +28,7 @@ from bus.errors import ScenarioError
 from bus.messages import Law, UavBriefing
 from bus.registry import LAWS, SENSORS, LawRow, SensorRow
 from sim.kernels.compile import FloatArray, compiled
+from sim.kernels.records import RecordArray, record_type
 from sim.models.field import coverage_gradient, is_uncovered, nearest_uncovered
 from sim.models.randomness import START_DIRECTION, uniform, words_of
 from sim.models.vehicles import Motion, norm, raw_switching_radius
@@ -45,11 +45,6 @@ CERTIFIED = LAWS["certified"].code
 LOOKAHEAD = LAWS["lookahead"].code
 WATCHED = frozenset(row.code for row in LAWS.values() if row.watched)
 """Codes of the laws that the safety filter stands behind."""
-
-# Rows of the state: x_c (2), the held point of (7) (2), whether there is one; then those of `lookahead`.
-_X_C, _Q, _HELD = 0, 2, 4
-LOOKAHEAD_STATE = 5
-STATE_SIZE = LOOKAHEAD_STATE + LOOKAHEAD_SIZE
 
 _ON_THE_SPOT = 1e-9
 """Nearer than this [m] a point gives no direction."""
@@ -89,6 +84,19 @@ class LawParameters(NamedTuple):
     key_0: np.uint64
     key_1: np.uint64
     """The UAV's own random numbers."""
+
+
+class LawState(NamedTuple):
+    """The state of a law, a row of an array of one; all 0 at first. `lookahead` has a memory of its own."""
+
+    x_cx: float
+    x_cy: float
+    """x_c of (15)."""
+    held: int
+    """1 if it holds a point of (7)."""
+    q_x: float
+    q_y: float
+    """That point [m]."""
 
 
 class OwnTerms(NamedTuple):
@@ -179,16 +187,16 @@ def law_parameters(briefing: UavBriefing, law: Law) -> LawParameters:
     return parameters
 
 
-def initial_state() -> FloatArray:
-    """The state of a law that has not flown yet: x_c = 0, no point held. Shape (STATE_SIZE,)."""
-    return np.zeros(STATE_SIZE)
+def initial_state() -> RecordArray:
+    """The state of a law that has not flown yet: `LawState`. Shape (1,)."""
+    return np.zeros(1, record_type(LawState))
 
 
 @compiled
 def way_to_uncovered(
     parameters: LawParameters,
     coverage: FloatArray,
-    state: FloatArray,
+    state: RecordArray,
     tick: int,
     p_ax: float,
     p_ay: float,
@@ -201,17 +209,18 @@ def way_to_uncovered(
         True if anything is uncovered at all, and the direction.
     """
     c, key = parameters, (parameters.key_0, parameters.key_1)
-    held = state[_HELD] != 0.0 and is_uncovered(
-        coverage, state[_Q], state[_Q + 1], p_gx, p_gy, c.r_o, c.desired, c.cell
+    own = state[0]
+    held = own.held != 0 and is_uncovered(
+        coverage, own.q_x, own.q_y, p_gx, p_gy, c.r_o, c.desired, c.cell
     )
     if not held:
-        held, state[_Q], state[_Q + 1] = nearest_uncovered(
+        held, own.q_x, own.q_y = nearest_uncovered(
             coverage, p_ax, p_ay, p_gx, p_gy, c.r_o, c.desired, c.cell, key, tick
         )
-        state[_HELD] = 1.0 if held else 0.0
+        own.held = 1 if held else 0
     if not held:
         return False, 0.0, 0.0
-    u_x, u_y = symmetry_breaker(state[_Q], state[_Q + 1], p_ax, p_ay, 1.0)
+    u_x, u_y = symmetry_breaker(own.q_x, own.q_y, p_ax, p_ay, 1.0)
     if norm(u_x, u_y) < _ON_THE_SPOT:
         # Deviation: (10) would divide by zero right over the point. Any direction is as good: draw one.
         angle = 2.0 * math.pi * uniform(key, START_DIRECTION, tick, 0)
@@ -223,7 +232,7 @@ def way_to_uncovered(
 def coverage_term(
     parameters: LawParameters,
     coverage: FloatArray,
-    state: FloatArray,
+    state: RecordArray,
     tick: int,
     here: Motion,
     p_gx: float,
@@ -270,7 +279,7 @@ def uav_control(
     parameters: LawParameters,
     own: OwnTerms,
     coverage: FloatArray,
-    state: FloatArray,
+    state: RecordArray,
     tick: int,
     here: Motion,
     p_gx: float,
@@ -282,7 +291,7 @@ def uav_control(
         parameters: Of the law.
         own: The answer of the user's function at this tick, for the laws `weighted` and `path`.
         coverage: The UAV's own map, up to now.
-        state: The law's state, changed in place.
+        state: `LawState`, changed in place. Shape (1,).
         tick: Now.
         here: Where the UAV is.
         p_gx, p_gy: Where it believes the UGV to be [m].
@@ -296,10 +305,9 @@ def uav_control(
         p_vx, p_vy, a_vx, a_vy = circle(tick * c.dt, c.r_pv, c.omega)
     if orbiting:
         x, y = x - p_vx, y - p_vy
-    u_tr_x, u_tr_y = tracking_output(state[_X_C], state[_X_C + 1], x, y, c.c_c, c.d_c)
-    state[_X_C], state[_X_C + 1] = tracking_step(
-        state[_X_C], state[_X_C + 1], x, y, c.a_c, c.b_c, c.dt
-    )
+    m = state[0]
+    u_tr_x, u_tr_y = tracking_output(m.x_cx, m.x_cy, x, y, c.c_c, c.d_c)
+    m.x_cx, m.x_cy = tracking_step(m.x_cx, m.x_cy, x, y, c.a_c, c.b_c, c.dt)
     if orbiting:
         return orbit_control(u_tr_x, u_tr_y, a_vx, a_vy)
     if c.law == TRACKING:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from sim.kernels.compile import FloatArray, IntArray, borrowing, compiled
+from sim.kernels.records import RecordArray, record_type
 from sim.models.field import density, sensor_quality
 from sim.models.randomness import LOOKAHEAD_MOTION, draw, to_uniform
 from sim.models.vehicles import Motion, clip_norm, norm, stopping_distance
@@ -49,13 +50,36 @@ _FORGET = 0.98
 _FIRST_PERSISTENCE, _FIRST_WEIGHT = 20.0, 5.0  # [s], and worth how many pairs
 _LEAST_ALIKE, _MOST_ALIKE = 0.05, 0.92  # 1.7 s and 60 s
 
-# Rows of the state: the tick of the next decision, the leg that the first velocity is for, the velocities (2 each);
-# then of the UGV: how many velocities have been kept, sums of their products and squares, the kept ones (2 each).
-_DUE, _FIRST, _VELOCITIES = 0, 1, 2
-_COUNT = _VELOCITIES + 2 * _SLOTS
-_PRODUCTS, _SQUARES, _KEPT = _COUNT + 1, _COUNT + 2, _COUNT + 3
-STATE_SIZE = _KEPT + 2 * _LAG
-"""Numbers that the law remembers; all are 0 at first."""
+
+class LookaheadState(NamedTuple):
+    """The numbers that the law remembers, a row of an array of one; all 0 at first."""
+
+    due: int
+    """The tick of the next decision."""
+    first: int
+    """The leg that the first velocity of the motion is for."""
+    noted: int
+    """How many velocities of the UGV have been kept."""
+    products: float
+    squares: float
+    """Sums of their products and squares [m²/s²]."""
+
+
+class LookaheadMemory(NamedTuple):
+    """The memory of the law; its arrays change in place."""
+
+    state: RecordArray
+    """`LookaheadState`. (1,)"""
+    velocities: FloatArray
+    """The motion that is flown, leg by leg [m/s]. (LEGS + 1, 2)"""
+    kept: FloatArray
+    """The last velocities of the UGV [m/s], the n-th in row n % rows. (10, 2)"""
+
+
+def lookahead_memory() -> LookaheadMemory:
+    """The memory of a law that has not flown yet."""
+    state = np.zeros(1, record_type(LookaheadState))
+    return LookaheadMemory(state, np.zeros((_SLOTS, 2)), np.zeros((_LAG, 2)))
 
 
 class Target(NamedTuple):
@@ -399,54 +423,55 @@ def draw_motion(
 
 
 @borrowing
-def learn_persistence(state: FloatArray, target: Target) -> float:
+def learn_persistence(memory: LookaheadMemory, target: Target) -> float:
     """For how long the UGV keeps a velocity, by what the filter has believed of it so far [s].
 
     From how alike velocities were that lie some seconds apart; called once a decision.
     """
-    v_x, v_y, count = target.v_x, target.v_y, int(state[_COUNT])
-    squared, kept = v_x * v_x + v_y * v_y, _KEPT + 2 * (count % _LAG)
-    if count >= _LAG:
-        u_x, u_y = state[kept], state[kept + 1]
+    state, v_x, v_y = memory.state[0], target.v_x, target.v_y
+    squared, kept = v_x * v_x + v_y * v_y, memory.kept[state.noted % _LAG]
+    if state.noted >= _LAG:
+        u_x, u_y = kept[0], kept[1]
         power = 0.5 * (u_x * u_x + u_y * u_y + squared) - 2.0 * target.v_variance
-        state[_PRODUCTS] = _FORGET * state[_PRODUCTS] + u_x * v_x + u_y * v_y
-        state[_SQUARES] = _FORGET * state[_SQUARES] + power
-    state[kept], state[kept + 1], state[_COUNT] = v_x, v_y, count + 1
+        state.products = _FORGET * state.products + u_x * v_x + u_y * v_y
+        state.squares = _FORGET * state.squares + power
+    kept[0], kept[1] = v_x, v_y
+    state.noted += 1
     lag, first = _LAG * PERIOD, _FIRST_WEIGHT * (squared + target.v_variance)
     if first == 0.0:
         return _FIRST_PERSISTENCE
-    alike = state[_PRODUCTS] + first * math.exp(-lag / _FIRST_PERSISTENCE)
-    alike /= first + max(0.0, state[_SQUARES])
+    alike = state.products + first * math.exp(-lag / _FIRST_PERSISTENCE)
+    alike /= first + max(0.0, state.squares)
     return -lag / math.log(min(max(alike, _LEAST_ALIKE), _MOST_ALIKE))
 
 
 @borrowing
-def recall(state: FloatArray, now: int, motion: FloatArray) -> None:
+def recall(memory: LookaheadMemory, now: int, motion: FloatArray) -> None:
     """The motion that is flown, from the leg of now on; after its last one it keeps the velocity."""
-    passed = max(0, now - int(state[_FIRST]))
+    passed = max(0, now - memory.state[0].first)
     for n in range(motion.shape[0]):
-        place = _VELOCITIES + 2 * min(n + passed, _SLOTS - 1)
-        motion[n, 0], motion[n, 1] = state[place], state[place + 1]
+        velocity = memory.velocities[min(n + passed, _SLOTS - 1)]
+        motion[n, 0], motion[n, 1] = velocity[0], velocity[1]
 
 
 @compiled
 def decide(
     parameters: "LawParameters",
     coverage: FloatArray,
-    state: FloatArray,
+    memory: LookaheadMemory,
     tick: int,
     here: Motion,
     target: Target,
 ) -> None:
-    """Put the motion to go on with into the state: the one that is flown, or the best of those made of it.
+    """Put the motion to go on with into the memory: the one that is flown, or the best of those made of it.
 
     Where there is but one candidate nothing is compared: it is flown to its end, and then one is drawn.
     """
-    c = parameters
-    ahead = look_ahead(c, coverage, tick, target, learn_persistence(state, target))
+    c, state = parameters, memory.state[0]
+    ahead = look_ahead(c, coverage, tick, target, learn_persistence(memory, target))
     now = tick // leg_ticks(c.horizon, c.dt)
     best, tried = np.empty((_SLOTS, 2)), np.empty((_SLOTS, 2))
-    recall(state, now, best)
+    recall(memory, now, best)
     if c.candidates > 1:
         lack, gains = np.empty_like(ahead.lack), np.empty(_WINDOW)
         most = worth(c, ahead, here, best, lack, gains)
@@ -457,20 +482,19 @@ def decide(
             if value > most:
                 most = value
                 best[:] = tried
-    elif state[_COUNT] == 1.0 or now - state[_FIRST] >= LEGS:
+    elif state.noted == 1 or now - state.first >= LEGS:
         draw_motion(c, ahead, here, best, tick, 0)
     else:
         return
-    state[_FIRST] = now
-    for n in range(_SLOTS):
-        state[_VELOCITIES + 2 * n], state[_VELOCITIES + 2 * n + 1] = best[n, 0], best[n, 1]
+    state.first = now
+    memory.velocities[:] = best
 
 
 @compiled
 def lookahead_control(
     parameters: "LawParameters",
     coverage: FloatArray,
-    state: FloatArray,
+    memory: LookaheadMemory,
     tick: int,
     here: Motion,
     target: Target,
@@ -480,18 +504,16 @@ def lookahead_control(
     Args:
         parameters: Of the law.
         coverage: The UAV's own map, up to now.
-        state: The law's memory, changed in place. Shape (STATE_SIZE,).
+        memory: Of the law, changed in place.
         tick: Now.
         here: Where the UAV is.
         target: What its filter believes of the UGV, which is known.
     """
-    c = parameters
-    if tick >= state[_DUE]:
-        decide(parameters, coverage, state, tick, here, target)
+    c, state = parameters, memory.state[0]
+    if tick >= state.due:
+        decide(parameters, coverage, memory, tick, here, target)
         period = max(1, round(PERIOD / c.dt))
-        state[_DUE] = (tick // period + 1) * period
-    leg = tick // leg_ticks(c.horizon, c.dt) - int(state[_FIRST])
-    place = _VELOCITIES + 2 * min(max(leg, 0), _SLOTS - 1)
-    return clip_norm(
-        (state[place] - here.v_x) / c.dt, (state[place + 1] - here.v_y) / c.dt, c.u_max
-    )
+        state.due = (tick // period + 1) * period
+    leg = tick // leg_ticks(c.horizon, c.dt) - state.first
+    velocity = memory.velocities[min(max(leg, 0), _SLOTS - 1)]
+    return clip_norm((velocity[0] - here.v_x) / c.dt, (velocity[1] - here.v_y) / c.dt, c.u_max)

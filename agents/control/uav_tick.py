@@ -10,14 +10,14 @@ from agents.control.certificate import INNER, NO_DETECTION
 from agents.control.guard import GuardState, guard, note_detection, note_position
 from agents.control.laws import (
     LOOKAHEAD,
-    LOOKAHEAD_STATE,
     LawParameters,
     OwnTerms,
     uav_control,
 )
-from agents.control.lookahead import Target, lookahead_control
+from agents.control.lookahead import LookaheadMemory, Target, lookahead_control
 from agents.control.promise import Promise
 from sim.kernels.compile import FloatArray, borrowing
+from sim.kernels.records import RecordArray
 from sim.models.field import accumulate
 from sim.models.vehicles import Motion, brake, clip_norm
 
@@ -30,8 +30,10 @@ class UavMemory(NamedTuple):
 
     coverage: FloatArray
     """Its own map C of (3). Shape (rows, columns)."""
-    law: FloatArray
+    law: RecordArray
     """Of the law, from `agents.control.laws.initial_state`."""
+    lookahead: LookaheadMemory
+    """Of the law `lookahead`."""
     guard: GuardState
     """Of the safety filter."""
 
@@ -100,8 +102,7 @@ def uav_tick(
     if not target.known:
         u_x, u_y = brake(here.v_x, here.v_y, law.u_max, law.dt)
     elif law.law == LOOKAHEAD:
-        state = memory.law[LOOKAHEAD_STATE:]
-        u_x, u_y = lookahead_control(law, memory.coverage, state, tick, here, target)
+        u_x, u_y = lookahead_control(law, memory.coverage, memory.lookahead, tick, here, target)
     else:
         u_x, u_y = uav_control(
             law, own, memory.coverage, memory.law, tick, here, target.p_x, target.p_y

@@ -14,11 +14,12 @@ import numpy.typing as npt
 from agents.control.guard import GuardState, guard_state
 from agents.control.handover import check_assumptions
 from agents.control.laws import (
-    STATE_SIZE,
     WATCHED,
     LawParameters,
+    initial_state,
     law_parameters,
 )
+from agents.control.lookahead import LookaheadMemory, lookahead_memory
 from agents.control.promise import Promise
 from agents.control.telling import BLOCK_TILES, TellingMemory, telling_memory, telling_ticks
 from agents.control.underway import Underway
@@ -233,7 +234,8 @@ class ClosedLoop:
             sent=np.zeros((worlds, uavs, numbers.longest + 1, 2)),
             laws=np.repeat(numbers.laws[None], worlds, axis=0),
             drivers=np.repeat(numbers.drivers[None], worlds, axis=0),
-            law_states=np.zeros((worlds, uavs, STATE_SIZE)),
+            law_states=_repeated((initial_state(),), worlds, uavs)[0],
+            lookaheads=LookaheadMemory._make(_repeated(lookahead_memory(), worlds, uavs)),
             kalman=KalmanState._make(_repeated(kalman, worlds, uavs)),
             guards=guards,
             driver_states=_repeated((driver_memory(),), worlds, ugvs)[0],

@@ -3,6 +3,7 @@
 from typing import Any, NamedTuple
 
 from agents.control.guard import GuardState
+from agents.control.lookahead import LookaheadMemory
 from agents.control.telling import BLOCK_WORDS, TellingMemory
 from agents.drivers.tile_map import GroundMemory
 from agents.estimation.twin import KalmanState
@@ -127,8 +128,10 @@ class LoopState(NamedTuple):
     """`LawParameters` of each UAV, with the key of its pilot in this world. Shape (worlds, UAVs)."""
     drivers: RecordArray
     """`DriverParameters` of each UGV, likewise. Shape (worlds, UGVs)."""
-    law_states: FloatArray
-    """Shape (worlds, UAVs, STATE_SIZE)."""
+    law_states: RecordArray
+    """`LawState`. Shape (worlds, UAVs, 1)."""
+    lookaheads: LookaheadMemory
+    """Of the law `lookahead`, with axes for worlds and UAVs in front."""
     kalman: KalmanState
     guards: GuardState
     driver_states: RecordArray

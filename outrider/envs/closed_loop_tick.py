@@ -8,7 +8,7 @@ from agents.control.certificate import CERTIFIED as NOTHING_AGAINST
 from agents.control.certificate import INNER
 from agents.control.guard import GuardState, guard
 from agents.control.laws import OwnTerms
-from agents.control.lookahead import Target
+from agents.control.lookahead import LookaheadMemory, Target
 from agents.control.telling import (
     BLOCK_TILES,
     block_words,
@@ -84,7 +84,9 @@ def _ground_of(t: LoopTables, s: LoopState, k: int, g: int) -> GroundMemory:
 @inlined
 def _memory_of(p: LoopParameters, t: LoopTables, s: LoopState, k: int, u: int) -> UavMemory:
     coverage = s.maps[k, u] if p.own_maps else s.batch.truth.coverage[k]
-    return UavMemory(coverage, s.law_states[k, u], _guard_of(t, s.guards, k, u))
+    ahead = s.lookaheads
+    lookahead = LookaheadMemory(ahead.state[k, u], ahead.velocities[k, u], ahead.kept[k, u])
+    return UavMemory(coverage, s.law_states[k, u], lookahead, _guard_of(t, s.guards, k, u))
 
 
 @inlined
