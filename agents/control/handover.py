@@ -8,6 +8,7 @@ The proof is in docs/explanation/certificate.md. SI units.
 import functools
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 from agents.control.discs import MARGIN, lens_distance
 from agents.control.promise import Declared, Promise
@@ -87,73 +88,57 @@ def motion_stays_within(
     return True
 
 
+class HandoverBounds(NamedTuple):
+    """The bounds that the hand-over from one plan to the next depends on."""
+
+    r_v: float
+    """Visibility radius [m]."""
+    eps: float
+    """Largest error of a detection [m]."""
+    rho: float
+    """Largest radius of the newest detection's disc, eps + v_g (A + tau_c) [m]."""
+    v_a: float
+    u_a: float
+    v_g: float
+    """[m/s], [m/s²], [m/s]."""
+    dt: float
+    """Length of a tick [s]."""
+    wait: float
+    """For how long the UAV may have to rest at a plan's end, B [s]; 0 where no command is lost."""
+
+
 @compiled
-def handover_reach(
-    radius: float,
-    eps: float,
-    rho: float,
-    v_a: float,
-    u_a: float,
-    v_g: float,
-    dt: float,
-    wait: float,
-) -> float:
-    r"""E [m]: if the newest detection's own bound is at most this, the plan to any later one ends within `radius`.
+def handover_reach(bounds: HandoverBounds, radius: float) -> float:
+    r"""E [m]: if the newest detection's own bound is at most this, the plan to any later one ends within `radius`, R_h.
 
     $$ E = \frac{v_a}{v_g}\left(R_h - \rho_A (1 - v_g/v_a) - v_g (v_a/u_a + 2 dt + B)\right) - 2 \epsilon $$
-
-    Arguments as in `handover_radius`; `radius` is R_h [m].
     """
+    b, v_a, v_g = bounds, bounds.v_a, bounds.v_g
     if v_g == 0.0:
         return math.inf
-    return (
-        v_a / v_g * (radius - rho * (1.0 - v_g / v_a) - v_g * (v_a / u_a + 2.0 * dt + wait))
-        - 2.0 * eps
-        - MARGIN
-    )
+    rest = radius - b.rho * (1.0 - v_g / v_a) - v_g * (v_a / b.u_a + 2.0 * b.dt + b.wait)
+    return v_a / v_g * rest - 2.0 * b.eps - MARGIN
 
 
 @compiled
-def _way_fits(
-    k: int,
-    radius: float,
-    r_v: float,
-    eps: float,
-    rho: float,
-    v_a: float,
-    u_a: float,
-    v_g: float,
-    dt: float,
-    wait: float,
-) -> bool:
+def _way_fits(bounds: HandoverBounds, k: int, radius: float) -> bool:
     """True if every motion of a way of k steps stays within r_v, or no detection is so far; see `unfit_way`."""
-    step = max(_GRID, r_v / _STEPS)
-    way, reach = k * step, handover_reach(radius, eps, rho, v_a, u_a, v_g, dt, wait)
-    rest = min(rho, reach + 2.0 * eps - way + step)
+    b, step = bounds, max(_GRID, bounds.r_v / _STEPS)
+    way, reach = k * step, handover_reach(bounds, radius)
+    rest = min(b.rho, reach + 2.0 * b.eps - way + step)
     if rest < 0.0 or radius + rest < way - step:
         return True
-    last_turn, last_cruise, _ = rest_to_rest((k - 1) * step, v_a, u_a, dt)
-    turn, cruise, _ = rest_to_rest(way, v_a, u_a, dt)
+    last_turn, last_cruise, _ = rest_to_rest((k - 1) * step, b.v_a, b.u_a, b.dt)
+    turn, cruise, _ = rest_to_rest(way, b.v_a, b.u_a, b.dt)
     for i in range(max(1, last_turn), turn + 1):
         for j in range(last_cruise, cruise + 1):
-            if not motion_stays_within(r_v - step, radius, rest + step, way, i, j, v_g * dt):
+            if not motion_stays_within(b.r_v - step, radius, rest + step, way, i, j, b.v_g * b.dt):
                 return False
     return True
 
 
 @compiled
-def unfit_way(
-    likely: int,
-    radius: float,
-    r_v: float,
-    eps: float,
-    rho: float,
-    v_a: float,
-    u_a: float,
-    v_g: float,
-    dt: float,
-    wait: float,
-) -> int:
+def unfit_way(bounds: HandoverBounds, likely: int, radius: float) -> int:
     """Steps of a way to a newer detection on which a motion from rest leaves r_v, the UGV within `radius` at its start.
 
     Over all ways in steps of half a centimetre, more where r_v is large: between two of them the motion with the same
@@ -161,45 +146,36 @@ def unfit_way(
     the younger it is: way + rho <= E + 2 eps.
 
     Args:
+        bounds: Of the hand-over.
         likely: A way that is tried first, in steps; 0: none.
-        radius, r_v, eps, rho, v_a, u_a, v_g, dt, wait: As in `handover_radius`.
+        radius: R_h [m].
 
     Returns:
         Such a way, in steps; 0 if there is none.
     """
-    if likely > 0 and not _way_fits(likely, radius, r_v, eps, rho, v_a, u_a, v_g, dt, wait):
+    if likely > 0 and not _way_fits(bounds, likely, radius):
         return likely
-    for k in range(1, int((radius + rho) / max(_GRID, r_v / _STEPS)) + 2):
-        if not _way_fits(k, radius, r_v, eps, rho, v_a, u_a, v_g, dt, wait):
+    for k in range(1, int((radius + bounds.rho) / max(_GRID, bounds.r_v / _STEPS)) + 2):
+        if not _way_fits(bounds, k, radius):
             return k
     return 0
 
 
 @compiled
-def handover_radius(
-    r_v: float, eps: float, rho: float, v_a: float, u_a: float, v_g: float, dt: float, wait: float
-) -> float:
+def handover_radius(bounds: HandoverBounds) -> float:
     """R_h [m]: from rest, with the UGV surely within it, every plan to a newer detection stays within r_v.
 
     NaN if there is none.
 
     Downwards in the same steps, as long as R_h <= E: the plan to a later detection ends where the next may begin. E
     falls faster than R_h, so where that fails no smaller radius helps.
-
-    Args:
-        r_v: Visibility radius [m].
-        eps: Largest error of a detection [m].
-        rho: Largest radius of the newest detection's disc, eps + v_g (A + tau_c) [m].
-        v_a, u_a, v_g: Bounds [m/s], [m/s²], [m/s].
-        dt: Length of a tick [s].
-        wait: For how long the UAV may have to rest at a plan's end, B [s]; 0 where no command is lost.
     """
-    radius, step, unfit = r_v, max(_GRID, r_v / _STEPS), 0
-    while radius > rho:
+    radius, step, unfit = bounds.r_v, max(_GRID, bounds.r_v / _STEPS), 0
+    while radius > bounds.rho:
         radius -= step
-        if not handover_reach(radius, eps, rho, v_a, u_a, v_g, dt, wait) >= radius:
+        if not handover_reach(bounds, radius) >= radius:
             return math.nan
-        unfit = unfit_way(unfit, radius, r_v, eps, rho, v_a, u_a, v_g, dt, wait)
+        unfit = unfit_way(bounds, unfit, radius)
         if unfit == 0:
             return radius
     return math.nan
@@ -227,12 +203,12 @@ def certificate(declared: Declared) -> Promise:
     delay_ticks = math.ceil(c.delay / dt - ROUNDING)
     r_v = float(c.r_v - c.margin) - tracking - tick_sagitta(v_a, u_a, dt)
     outage_ticks = 0 if c.outage is None else math.floor(min(c.outage / dt + DUST, _FOREVER))
-    wait = outage_ticks * dt
     radius = reach = math.nan
     if all(math.isfinite(x) for x in (r_v, v_a, v_g, eps, age)) and 0.0 <= v_g < v_a and u_a > 0.0:
         rho = eps + v_g * (age + delay_ticks * dt)
-        radius = float(handover_radius(r_v, eps, rho, v_a, u_a, v_g, dt, wait))
-        reach = float(handover_reach(radius, eps, rho, v_a, u_a, v_g, dt, wait))
+        bounds = HandoverBounds(r_v, eps, rho, v_a, u_a, v_g, dt, outage_ticks * dt)
+        radius = float(handover_radius(bounds))
+        reach = float(handover_reach(bounds, radius))
     return Promise(
         dt=dt,
         error=float(c.eps),
@@ -308,8 +284,8 @@ def _hands_over(promise: Promise, age: float, outage: float) -> bool:
     """True if the hand-over holds with these A and B [s], other numbers as they are."""
     c = promise
     rho = c.eps + c.v_g * (age + c.delay_ticks * c.dt)
-    radius = handover_radius(c.r_v + MARGIN, c.eps, rho, c.v_a, c.u_a, c.v_g, c.dt, outage)
-    return not math.isnan(radius)
+    bounds = HandoverBounds(c.r_v + MARGIN, c.eps, rho, c.v_a, c.u_a, c.v_g, c.dt, outage)
+    return not math.isnan(handover_radius(bounds))
 
 
 def largest_age(promise: Promise) -> float:
