@@ -159,7 +159,7 @@ def _state_after(law: str, positions: FloatGrid, coverage: FloatGrid) -> FloatGr
         uav_control(
             c, OwnTerms(), coverage, state, tick, Motion(HERE[0] + x, HERE[1] + y, 0.1, 0.0), *HERE
         )
-    return state[:2]
+    return np.array([state["x_cx"][0], state["x_cy"][0]])
 
 
 @pytest.mark.parametrize(

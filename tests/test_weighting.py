@@ -109,7 +109,7 @@ def test_every_law_weighs_the_same_two_terms(law: str, place: tuple[float, float
     c, own = parameters(escort(law)), OwnTerms(alpha=0.3, beta=0.9)
     coverage = np.random.default_rng(2).uniform(0.0, 3.0, (160, 160))
     state = initial_state()
-    state[:2] = 0.4, -1.0
+    state["x_cx"], state["x_cy"] = 0.4, -1.0
     x, y = place[0] - HERE[0], place[1] - HERE[1]
     tracking = tracking_output(0.4, -1.0, x, y, c.c_c, c.d_c)
     covering = coverage_term(c, coverage, state.copy(), 3, Motion(*place, 0.2, 0.1), *HERE)
