@@ -25,6 +25,7 @@ from bus.messages import (
     Status,
     Truth,
 )
+from outrider.recording.bag_reader import bag_records, bag_size
 from outrider.recording.schemas import (
     CHANGES,
     COMMANDS,
@@ -241,24 +242,45 @@ def entries(
     """The messages in the order in which they were written.
 
     Args:
-        path: The file.
+        path: The file, or the folder of a bag.
         topics: Which channels; none: all.
         damage: Is told where and why reading ended.
 
     Raises:
-        ScenarioError: If it is no MCAP file, or nothing whole is in it.
+        ScenarioError: If it is no MCAP file and no bag, or nothing whole is in it.
     """
+    found = _entries_of_bag(path, damage) if path.is_dir() else _entries_of_file(path, damage)
+    for entry in found:
+        if not topics or entry.topic in topics:
+            yield entry
+
+
+def _entries_of_file(path: Path, damage: Damage | None) -> Iterator[Entry]:
     names: dict[int, str] = {}
     for record in stream(path, damage):
         if isinstance(record, records.Channel):
             names[record.id] = record.topic
         elif isinstance(record, records.Message) and record.channel_id in names:
-            topic = names[record.channel_id]
-            if not topics or topic in topics:
-                yield Entry(topic=topic, time=record.log_time, data=record.data)
+            yield Entry(topic=names[record.channel_id], time=record.log_time, data=record.data)
 
 
-def _decoded(path: Path, entry: Entry, decoder: "msgspec.json.Decoder[Sent]") -> Sent:
+def _entries_of_bag(folder: Path, damage: Damage | None) -> Iterator[Entry]:
+    """The messages up to the first that is missing: whoever rewrites a bag may leave some out."""
+    told = damage if damage is not None else Damage()
+    told.end = told.size = bag_size(folder)
+    for number, record in enumerate(bag_records(folder)):
+        if record.number != number:
+            told.reason = f"its record {number} is missing"
+            return
+        yield Entry(topic=record.topic, time=record.time, data=bytes(record.message))
+
+
+def decoded(path: Path, entry: Entry, decoder: "msgspec.json.Decoder[Sent]") -> Sent:
+    """The message of an entry.
+
+    Raises:
+        ScenarioError: If it is none of its kind.
+    """
     try:
         return decoder.decode(entry.data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -274,7 +296,7 @@ def _all(path: Path, topic: Topic, kind: type[Sent], flight: int | None) -> Iter
         if entry.topic == SCENARIO.name:
             number += 1
         elif flight is None or flight == number:
-            yield _decoded(path, entry, decoder)
+            yield decoded(path, entry, decoder)
 
 
 def truths(path: Path, *, flight: int | None = None) -> Iterator[Truth]:
@@ -380,7 +402,7 @@ def load(path: Path) -> list[Recording]:
         decoder = words if ugv is not None else decoders.get(entry.topic)
         if decoder is None or not flights:
             continue
-        message = _decoded(path, entry, decoder)
+        message = decoded(path, entry, decoder)
         if isinstance(message, Truth):
             flights[-1].truths.append(message)
         elif isinstance(message, Commands):
