@@ -89,6 +89,10 @@ def command(
     from outrider.recording.bag_reader import bag_size
     from outrider.recording.observer import RunRecorder
 
+    if ros2 is not None:
+        from outrider.bridges.ros2.ros_bag import check_target
+
+        check_target(ros2)
     check_endpoints((connect,), secured=True, insecure=False)
     known = scenario_of(scenario, changes=changes)[0] if scenario else None
     credential = credential_of(credentials, Role.OBSERVER, OBSERVER_NAME)
@@ -101,7 +105,8 @@ def command(
         try:
             lost = _follow(session, recorder, stop)
         finally:
-            recorder.close()
+            with ERR.status(f"ending {target}"):
+                recorder.close()
     found = {
         **recorder.counts(),
         "file": str(target),

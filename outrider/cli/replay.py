@@ -83,11 +83,9 @@ def command(
     from outrider.recording.reader import flight_of
 
     if to_ros2 is not None:
-        from outrider.bridges.ros2.interfaces import require_extra
-        from outrider.bridges.ros2.ros_bag import check_free
+        from outrider.bridges.ros2.ros_bag import check_target
 
-        require_extra()
-        check_free(to_ros2)  # shows before a long recording is read
+        check_target(to_ros2)  # shows before a long recording is read
     recording = flight_of(file, flight)
     if to_ros2 is not None:
         _write_bag(recording, to_ros2, json=json)
@@ -178,7 +176,9 @@ def _write_bag(recording: "Recording", folder: Path, *, json: bool) -> None:
     if json:
         print_json(found)
         return
-    told = f"{found['messages']} messages on {len(bag.topics)} topics, {bag_size(folder) / 1e6:.2f} MB"
+    told = (
+        f"{found['messages']} messages on {len(bag.topics)} topics, {bag_size(folder) / 1e6:.2f} MB"
+    )
     ERR.print(f"{folder}: {told}", soft_wrap=True)
 
 

@@ -4,12 +4,15 @@ The folder gets its name when all of it is written; until then it stands in a hi
 """
 
 import errno
+import math
 import os
 import shutil
 import tempfile
+import time
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
@@ -41,19 +44,22 @@ from sim.scene.known import geometry_of
 
 RECORDS_QOS = Qos(depth=1000)
 """Of the records: a bag that is played and recorded again is to lose none."""
-_VERSION = 9
+_VERSION: Literal[9] = 9
 """Of the folder's layout: that of Jazzy and later."""
+_SLICE = 0.05
+"""Wall time for which waiting messages are written at once [s]."""
 _GAP = 1.0
 """Simulated time between the end of a flight and the next one [s], at least."""
 
 
-def check_free(folder: Path) -> None:
-    """Refuse a folder that cannot be written.
+def check_target(folder: Path) -> None:
+    """Refuse a bag that cannot be written.
 
     Raises:
-        ScenarioError: If it is there already.
+        ScenarioError: If the folder is there already, or the extra is missing.
         OSError: If the folder that it is to stand in is not there.
     """
+    require_extra()
     if folder.exists() or folder.is_symlink():
         raise ScenarioError(f"{folder}: is there already; allowed: the name of a new folder")
     if not folder.absolute().parent.is_dir():
@@ -93,11 +99,10 @@ class RosBag:
     """
 
     def __init__(self, folder: Path) -> None:
-        require_extra()
+        check_target(folder)
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, Writer  # noqa: PLC0415
         from rosbags.rosbag2 import StoragePlugin as Storage  # noqa: PLC0415
 
-        check_free(folder)
         self.folder = folder
         place = folder.absolute()
         self._hidden = Path(tempfile.mkdtemp(prefix=f".{place.name}.", dir=place.parent))
@@ -114,11 +119,10 @@ class RosBag:
         self._connections: dict[str, Any] = {}
         self._encoder = msgspec.json.Encoder()
         self._geometry: Geometry | None = None
-        self._head: Head | None = None
         self._view: RunView | None = None
         self._rows: dict[type[Message], dict[str, TopicRow]] = {}
         self._due: dict[str, int] = {}
-        self._waiting: list[tuple[Topic, Message, float]] = []
+        self._waiting: deque[tuple[Topic, Message, int]] = deque()
         self._base = self._last = 0
         self._number, self._newest_record = 0, -1
         self._private = False
@@ -144,7 +148,6 @@ class RosBag:
         self._private = self._private or bool(head.secret)
         if scenario is not None:
             self._geometry = geometry_of(scenario)
-        self._head, self._view = head, None
         self._base = round(head.start * 1e9)
         self.take(SCENARIO, head, 0.0)
 
@@ -173,38 +176,46 @@ class RosBag:
         self.take(GROUND, ground, seconds)
 
     def flush_if_due(self) -> None:
-        """Nothing waits here for long: a chunk is written when it is full."""
+        """Write some of what waits: a run that is faster than this is not held up, and loses nothing."""
+        self.write_waiting(_SLICE)
 
     def take(self, topic: Topic, message: Message, seconds: float) -> None:
-        """Take down a message of a recording, and what ROS 2 is told of it.
+        """Take a message of a recording; it waits to be written.
 
         Args:
             topic: The recording's channel.
             message: Of the flight that has begun.
             seconds: When, in simulated time.
+        """
+        if isinstance(message, Status) and message.geometry is not None and self._geometry is None:
+            self._geometry = message.geometry
+        time_ns = self._base + round(seconds * 1e9)
+        self._last = max(self._last, time_ns)
+        self._waiting.append((topic, message, time_ns))
+
+    def write_waiting(self, patience: float = math.inf) -> None:
+        """Write what waits, once the geometry is known.
+
+        Args:
+            patience: For so long [s].
 
         Raises:
             OSError: If it cannot be written; the bag is gone then.
         """
-        if isinstance(message, Status) and message.geometry is not None and self._view is None:
-            self._geometry = message.geometry
-        self._waiting.append((topic, message, seconds))
-        if self._view is None and self._geometry is not None:
-            self._look_at(self._geometry)
-        if self._view is None:
-            return
-        waiting, self._waiting = self._waiting, []
+        end = time.monotonic() + patience
         try:
-            for one in waiting:
-                self._write(self._view, *one)
+            while self._waiting and self._geometry is not None and time.monotonic() < end:
+                topic, message, time_ns = self._waiting.popleft()
+                if isinstance(message, Head):
+                    self._look_at(view_of(message.name, self._geometry), time_ns)
+                self._write(topic, message, time_ns)
         except OSError:
             self.abort()
             raise
 
-    def _look_at(self, geometry: Geometry) -> None:
-        """Declare the topics of the flight, and write what stays as it is."""
-        view = self._view = view_of(self._head.name if self._head else "", geometry)
-        self._rows, self._due = {}, {}
+    def _look_at(self, view: RunView, time_ns: int) -> None:
+        """Declare the topics of a flight, and write what stays as it is."""
+        self._view, self._rows, self._due = view, {}, {}
         for row in TOPICS:
             for _, name in row.names(view.scene):
                 self._declare(name, row.interface, row.qos)
@@ -212,7 +223,7 @@ class RosBag:
                     self._rows.setdefault(row.source, {})[name] = row
         self._declare(RECORDS, RECORDS_TYPE, RECORDS_QOS)
         for one in messages_of(view, None):
-            self._put(one.topic, self._base, one.payload)
+            self._put(one.topic, time_ns, one.payload)
 
     def _declare(self, name: str, interface: str, qos: Qos) -> None:
         if name not in self._connections:
@@ -229,18 +240,16 @@ class RosBag:
     def _put(self, name: str, time_ns: int, payload: bytes) -> None:
         self._writer.write(self._connections[name], time_ns, payload)
         self.topics[name] += 1
-        self._last = max(self._last, time_ns)
 
-    def _write(self, view: RunView, topic: Topic, message: Message, seconds: float) -> None:
-        time_ns = self._base + round(seconds * 1e9)
+    def _write(self, topic: Topic, message: Message, time_ns: int) -> None:
         self._keep(topic, message, time_ns)
         rows = self._rows.get(type(message), {})
         wanted = {name for name in rows if time_ns >= self._due.get(name, 0)}
         for name in wanted:
             if rows[name].period > 0.0:
                 self._due[name] = time_ns + round(rows[name].period * 1e9)
-        if rows:
-            for one in messages_of(view, message, wanted=wanted):
+        if rows and self._view is not None:
+            for one in messages_of(self._view, message, wanted=wanted):
                 self._put(one.topic, time_ns, one.payload)
 
     def _keep(self, topic: Topic, message: Message, time_ns: int) -> None:
@@ -263,31 +272,36 @@ class RosBag:
             ScenarioError: If there is nothing to be told to ROS 2, or somebody has taken the name.
             OSError: If it does not take all there is.
         """
+        if self._open:
+            self.write_waiting()
+        if self._open and self._view is None:
+            why = "no status has told the geometry" if self._waiting else "no tick came"
+            self.abort()
+            raise ScenarioError(f"{self.folder}: not written: {why}")
         if not self._open:
             return
-        if self._view is None:
-            self.abort()
-            why = "no status has told the geometry" if self._waiting else "no tick came"
-            raise ScenarioError(f"{self.folder}: not written: {why}")
         try:
             self._writer.close()
-            self._open = False
-            made = self._hidden / self.folder.absolute().name
-            if self._private:
-                for file in made.iterdir():
-                    file.chmod(0o600)
-                made.chmod(0o700)
-            check_free(self.folder)
-            made.rename(self.folder)
-        finally:
+        except BaseException:
             self.abort()
+            raise
+        self._open = False
+        made = self._hidden / self.folder.absolute().name
+        if self._private:
+            for file in made.iterdir():
+                file.chmod(0o600)
+            made.chmod(0o700)
+        if self.folder.exists():
+            raise ScenarioError(f"{self.folder}: is there by now; the bag is in {made}")
+        made.rename(self.folder)
+        self._hidden.rmdir()
 
     def abort(self) -> None:
         """Leave nothing behind but a bag that is whole."""
         if self._open:
             self._open = False
             self._writer.abort()
-        shutil.rmtree(self._hidden, ignore_errors=True)
+            shutil.rmtree(self._hidden, ignore_errors=True)
 
 
 _DECODERS = {
@@ -328,4 +342,5 @@ def copy_flight(recording: Recording, bag: RosBag) -> Iterator[float]:
             bag.take(topic, decoded(recording.path, entry, decoder), seconds)
         else:
             continue  # what viewers are shown
+        bag.write_waiting()
         yield seconds
