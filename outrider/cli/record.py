@@ -86,7 +86,7 @@ def command(
     from outrider.cli.console import ERR, print_json
     from outrider.cli.options import scenario_of
     from outrider.cli.stopping import stop_on_signals
-    from outrider.recording.bag_reader import bag_size
+    from outrider.recording.bag_records import size_of
     from outrider.recording.observer import RunRecorder
 
     if ros2 is not None:
@@ -110,7 +110,7 @@ def command(
     found = {
         **recorder.counts(),
         "file": str(target),
-        "bytes": target.stat().st_size if ros2 is None else bag_size(target),
+        "bytes": size_of(target),
         "router_lost": lost,
     }
     if json:

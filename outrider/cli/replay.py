@@ -153,7 +153,7 @@ def _write_bag(recording: "Recording", folder: Path, *, json: bool) -> None:
     from outrider.bridges.ros2.ros_bag import RosBag, copy_flight
     from outrider.cli.console import ERR, print_json
     from outrider.cli.stopping import stop_on_signals
-    from outrider.recording.bag_reader import bag_size
+    from outrider.recording.bag_records import size_of
 
     with (
         stop_on_signals() as stop,
@@ -169,7 +169,7 @@ def _write_bag(recording: "Recording", folder: Path, *, json: bool) -> None:
         "file": str(recording.path),
         "flight": recording.number,
         "bag": str(folder),
-        "bytes": bag_size(folder),
+        "bytes": size_of(folder),
         "messages": sum(bag.topics.values()),
         "topics": bag.topics,
     }
@@ -177,7 +177,7 @@ def _write_bag(recording: "Recording", folder: Path, *, json: bool) -> None:
         print_json(found)
         return
     told = (
-        f"{found['messages']} messages on {len(bag.topics)} topics, {bag_size(folder) / 1e6:.2f} MB"
+        f"{found['messages']} messages on {len(bag.topics)} topics, {size_of(folder) / 1e6:.2f} MB"
     )
     ERR.print(f"{folder}: {told}", soft_wrap=True)
 

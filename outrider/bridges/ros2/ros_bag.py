@@ -22,7 +22,7 @@ from outrider.bridges.ros2.conversion import RunView, view_of
 from outrider.bridges.ros2.interfaces import encode, make, require_extra, type_hash, type_store
 from outrider.bridges.ros2.topics import TOPICS, TopicRow, messages_of
 from outrider.bridges.ros2.wire import Qos
-from outrider.recording.bag_reader import RECORDS, RECORDS_TYPE, BagRecord
+from outrider.recording.bag_records import RECORDS, RECORDS_TYPE, BagRecord
 from outrider.recording.reader import Recording, decoded, entries
 from outrider.recording.schemas import (
     CHANGES,
