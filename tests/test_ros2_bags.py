@@ -4,6 +4,7 @@ import json
 import re
 import stat
 import sys
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -150,6 +151,12 @@ def test_a_bag_holds_the_very_payloads_that_the_bridge_sends(flown):
 def test_times_in_a_bag_are_the_simulated_ones(flown):
     for _, time, raw in messages_in(flown.bag, "/clock"):
         assert time == round(seconds_of(decode("rosgraph_msgs/msg/Clock", raw).clock) * 1e9)
+
+
+def test_no_two_records_have_one_time(flown):
+    """A tool that sorts by time keeps their order."""
+    times = [time for _, time, _ in messages_in(flown.bag, RECORDS)]
+    assert all(later > earlier for earlier, later in pairwise(times))
 
 
 def test_a_bag_tells_all_that_its_recording_tells(flown):
@@ -375,7 +382,8 @@ def test_an_observer_records_a_run_that_is_reset_into_one_bag(tmp_path, known):
     if known:
         assert refly(flight_of(tmp_path / "live")).difference is None
         write_bag(tmp_path / "live", tmp_path / "first", 0)
-        assert load(tmp_path / "first")[0].truths == first.truths
+        (copied,) = load(tmp_path / "first")
+        assert copied.truths == first.truths
 
 
 def test_of_a_run_without_a_tick_there_is_no_bag(tmp_path):
