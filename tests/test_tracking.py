@@ -187,13 +187,14 @@ def _farthest(stale: bool) -> float:
         empty_coverage(40.0, 40.0, 0.25),
     )
     cover(coverage, (0.0, 0.0), (40.0, 22.0), 0.25, 2.0)
-    state[:2] = -3.7, 0.0  # the steady state of x_c
+    state["x_cx"] = -3.7  # the steady state of x_c
     uav, ugv, farthest = (20.0, 20.0, 0.0, V_A), (20.0, 20.0, 0.0, -V_G), 0.0
     for tick in range(400):
-        before, distance = state[:2].copy(), norm(uav[0] - ugv[0], uav[1] - ugv[1])
+        before = state["x_cx"].copy(), state["x_cy"].copy()
+        distance = norm(uav[0] - ugv[0], uav[1] - ugv[1])
         u = uav_control(c, OwnTerms(), coverage, state, tick, Motion(*uav), *ugv[:2])
         if stale and distance < c.r_s:
-            state[:2] = before
+            state["x_cx"], state["x_cy"] = before
         *uav, _, _ = step_vehicle(*uav, *u, V_A, U_A, DT)
         *ugv, _, _ = step_vehicle(*ugv, 0.0, 0.0, V_G, U_G, DT)
         farthest = max(farthest, distance)
