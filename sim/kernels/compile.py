@@ -8,6 +8,7 @@ import fcntl
 import functools
 import hashlib
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -30,6 +31,10 @@ _interpreted = False
 _KEEP = 6  # caches of other source texts (checkouts, versions) that stay beside ours
 
 
+_MARKS = (b"@compiled", b"@borrowing", b"@inlined", b"@released", b"@intrinsic")
+_IMPORT = re.compile(rb"^from ((?:bus|sim|agents|outrider)\.[\w.]+) import", re.MULTILINE)
+
+
 def _source_digest() -> str:
     """A digest of all the text that compiled code is made of.
 
@@ -39,16 +44,19 @@ def _source_digest() -> str:
     import numba  # noqa: PLC0415 - see `interpret`
 
     root = Path(__file__).resolve().parents[2]
+    sources = {
+        path.relative_to(root).as_posix(): path.read_bytes()
+        for folder in ("bus", "sim", "agents", "outrider")
+        for path in sorted((root / folder).rglob("*.py"))
+    }
+    made_of = {name for name, text in sources.items() if any(mark in text for mark in _MARKS)}
+    for name in tuple(made_of):  # what such a file imports may be a constant in its code
+        made_of |= {
+            f"{module.decode().replace('.', '/')}.py" for module in _IMPORT.findall(sources[name])
+        }
     digest = hashlib.sha256(f"{sys.version}{numba.__version__}{np.__version__}".encode())
-    for folder in ("sim", "agents", "outrider"):
-        for path in sorted((root / folder).rglob("*.py")):
-            text = path.read_bytes()
-            if any(
-                mark in text
-                for mark in (b"@compiled", b"@borrowing", b"@inlined", b"@released", b"@intrinsic")
-            ):
-                digest.update(text)
-    digest.update((root / "bus" / "registry.py").read_bytes())  # its codes are constants in there
+    for name in sorted(made_of & sources.keys()):
+        digest.update(sources[name])
     return digest.hexdigest()[:16]
 
 
