@@ -12,6 +12,7 @@ from draws import a_key
 
 import agents.control
 from bus.registry import SENSORS
+from sim.kernels.compile import compiled
 
 MODULES = (
     *(
@@ -108,6 +109,22 @@ def test_compiling_changes_no_bit_of_a_kernel(kernel: str) -> None:
     names = code.co_varnames[: code.co_argcount]
     for given in KERNELS[kernel]:
         assert _answer(function.py_func, names, given) == _answer(function, names, given), given
+
+
+@compiled
+def _scaled(number: float, times: int) -> float:
+    return number * times
+
+
+@compiled
+def _by_constants(number: float, times: int) -> float:
+    return _scaled(number, 2) + _scaled(number, times=3) + _scaled(number, times)
+
+
+def test_a_constant_that_a_caller_hands_over_makes_no_version_of_its_own() -> None:
+    """Each would be compiled with all that it calls in turn."""
+    assert _by_constants(1.5, 4) == 13.5
+    assert len(_scaled.overloads) == 1  # type: ignore[attr-defined]
 
 
 def test_all_equations_are_among_the_compiled_functions() -> None:

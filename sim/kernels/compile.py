@@ -109,7 +109,22 @@ def _compile(function: _F, **options: Any) -> _F:  # noqa: ANN401 - numba's
 
     njit: Any = numba.njit
     chosen = {"cache": cache_folder() is not None, "error_model": "numpy", "no_cfunc_wrapper": True}
-    return cast("_F", njit(**chosen, **options)(function))
+    dispatcher = njit(**chosen, **options)(function)
+    dispatcher.get_call_template = functools.partial(_any_number, dispatcher.get_call_template)
+    return cast("_F", dispatcher)
+
+
+def _any_number(template: Callable[..., Any], arguments: tuple[Any, ...], named: Any) -> Any:  # noqa: ANN401 - numba's
+    """Tells a compiled caller of the one version that serves all constants it may hand over.
+
+    By itself numba would compile a version for each, with all that it calls in turn: 32 of `draw`.
+    """
+    from numba.core.types import unliteral  # noqa: PLC0415 - see `interpret`
+
+    plain: Any = unliteral
+    return template(
+        tuple(plain(one) for one in arguments), {name: plain(one) for name, one in named.items()}
+    )
 
 
 def compiled(function: _F) -> _F:
