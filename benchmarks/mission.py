@@ -97,7 +97,7 @@ def _times(axes: Axes, rows: Sequence[Row]) -> None:
     places = {law: n for n, law in enumerate((NOBODY, *LAWS))}
     for row in rows:
         shift = 0.0 if row.law == NOBODY else 0.26 * (NETWORKS.index(row.network) - 1)
-        x, color = places[row.law] + shift, UGV if row.law == NOBODY else law_color(row.law)
+        x, color = places[row.law] + shift, UGV[0] if row.law == NOBODY else law_color(row.law)
         times = [one.mission_time for one in row.missions if one.mission_time is not None]
         filled = color if row.network == NETWORKS[0] else "white"
         mark = MARKS[row.network]
@@ -122,7 +122,7 @@ def _hits(axes: Axes, rows: Sequence[Row]) -> None:
     places = {law: n for n, law in enumerate((NOBODY, *LAWS))}
     for row in rows:
         shift = 0.0 if row.law == NOBODY else 0.26 * (NETWORKS.index(row.network) - 1)
-        x, color = places[row.law] + shift, UGV if row.law == NOBODY else law_color(row.law)
+        x, color = places[row.law] + shift, UGV[0] if row.law == NOBODY else law_color(row.law)
         share = 100.0 * float(np.mean([one.hazards_hit > 0 for one in row.missions]))
         hatch = {"perfect": "", "satellite": "....", "jammed": "////"}[row.network]
         face = color if row.network == NETWORKS[0] else "white"

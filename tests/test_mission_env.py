@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
+from runpy import run_path
 from typing import Any
 
 import msgspec
@@ -24,11 +26,13 @@ from outrider.running.flying import InProcess, make_pilots
 from sim.engine.briefing import briefing
 from sim.env.parallel import parallel_env as bare_env
 from sim.models.ground import BLOCK, CLEAR, OUTSIDE, ROUGH, UNSEEN
+from sim.scenario.loading import load_scenario
 from sim.scenario.types import Hazard, Scenario
 from sim.server.flight import Flight
 
 pytestmark = pytest.mark.xdist_group("many worlds")
 
+ROOT = Path(__file__).resolve().parent.parent
 SECRET = bytes(range(16)).hex()
 WALL = Hazard(kind="block", polygon=((9.0, 5.0), (9.5, 5.0), (9.5, 7.0), (9.0, 7.0)))
 MUD = Hazard(kind="rough", center=(7.5, 7.5), radius=0.8, share=0.5)
@@ -162,6 +166,22 @@ def test_a_policy_sees_over_the_bus_the_tiles_that_it_saw_in_the_environment() -
     assert len(there.seen) == len(here.seen)
     assert all(equal(one, other) for one, other in zip(there.seen, here.seen, strict=True))
     assert any((one["tiles"] == BLOCK).any() for one in here.seen)
+
+
+def test_the_example_of_a_navigation_policy_drives_on_known_ground_towards_its_goal() -> None:
+    example = run_path(str(ROOT / "examples" / "navigate_by_tiles.py"))
+    policy = example["policy"]
+    env = outrider.parallel_env(msgspec.structs.replace(load_scenario("minefield"), duration=30.0))
+    law = pilots(env)["uav_0"]
+    seen, _ = env.reset(seed=1)
+    far = seen["ugv_0"]["row"][6:8] - seen["ugv_0"]["row"][1:3]
+    while env.agents:
+        action = policy.predict(seen["ugv_0"])
+        assert np.hypot(*action) < 0.03 + 1e-9
+        seen, _, *_, infos = env.step({"uav_0": law(seen["uav_0"]), "ugv_0": action})
+    near = seen["ugv_0"]["row"][6:8] - seen["ugv_0"]["row"][1:3]
+    assert np.hypot(*near) < np.hypot(*far) - 2.0
+    assert infos["ugv_0"]["hazards_hit"] == 0
 
 
 def test_a_policy_that_observes_tiles_needs_hazards() -> None:

@@ -432,9 +432,9 @@ def test_a_module_that_breaks_while_it_is_imported_is_named_in_one_line(here: Pa
 
 def test_only_what_is_flown_is_imported() -> None:
     body = (
-        f"import sys, outrider.running.user_code, outrider.running.flying; print([m for m in {LIBRARIES} if m "
-        "in sys.modules])"
+        f"import sys, outrider.running.user_code, outrider.running.flying; print([m for m in "
+        f"{(*LIBRARIES, 'fmpy')} if m in sys.modules])"
     )
     found = python(body)
     assert found.stdout.strip() == "[]"
-    assert set(SAVED_POLICIES) == {"sb3", "torch", "onnx"}
+    assert set(SAVED_POLICIES) == {"sb3", "torch", "onnx", "fmu"}

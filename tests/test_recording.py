@@ -605,9 +605,10 @@ import sys, time
 from pathlib import Path
 from bus.keys import OBSERVER_NAME, Party, Role
 from bus.session import open_session
+from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.observer import RunRecorder
 with open_session(Party(role=Role.OBSERVER, name=OBSERVER_NAME), "recorded", connect=ENDPOINT) as session:
-    recorder = RunRecorder(session, Path(sys.argv[1]), None)
+    recorder = RunRecorder(session, RecordingFile(Path(sys.argv[1])), None)
     while not recorder.over:
         recorder.take(0.2)
     recorder.close()

@@ -33,6 +33,7 @@ from bus.messages import (
     UgvObservation,
     VehicleTruth,
 )
+from outrider.recording.mcap_file import RecordingFile
 from outrider.recording.observer import RunRecorder
 from outrider.recording.reader import entries, flight_of, load
 from outrider.recording.refly import refly, restore
@@ -275,7 +276,7 @@ class Box:
 def test_an_observer_writes_each_change_once(tmp_path: Path) -> None:
     boxes = {key: Box() for key in (TRUTH, COVERAGE, GROUND, STATUS)}
     session: Any = SimpleNamespace(inbox=lambda key, newest: boxes[key])
-    recorder = RunRecorder(session, tmp_path / "run.mcap", ONE)
+    recorder = RunRecorder(session, RecordingFile(tmp_path / "run.mcap"), ONE)
     flight = Flight(ONE, 3)
     changes = [
         Change(tick=k // 2, control=Control(action=Action.STEP, ticks=1 + k % 3)) for k in range(60)

@@ -9,6 +9,7 @@ import pytest
 
 from bus.keys import KEYS
 from bus.messages import LinkSettings
+from outrider.bridges.fmi import variables
 from outrider.bridges.ros2.topics import PILOT_COMMANDS, PILOT_TOPICS, TOPICS
 from outrider.cli.main import COMMANDS
 from sim.scenario.loading import scenario_names
@@ -75,3 +76,13 @@ def test_every_topic_of_ros_2_is_told_with_its_type(generator: ModuleType) -> No
         assert len(lines) == len(rows)
         for row, line in zip(rows, lines, strict=True):
             assert f"{row.name}` | `{row.interface}` | " in line
+
+
+@pytest.mark.parametrize("generator", ["fmi_variables"], indirect=True)
+def test_every_variable_of_a_unit_is_told_with_its_unit(generator: ModuleType) -> None:
+    text = generator.pilots() + generator.world() + generator.driver()
+    tables = [rows for rows in vars(variables).values() if isinstance(rows, tuple)]
+    assert len(tables) >= 8
+    for one in {one for rows in tables for one in rows}:
+        unit = f"Float64, {one.unit}" if one.unit else "Boolean"
+        assert f"{one.name}` | {unit} | {one.about} |" in text

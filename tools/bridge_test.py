@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent / "bridges"
-BRIDGES = ("ros2", "mavlink", "fmi")
+BRIDGES = ("ros2", "bags", "mavlink", "fmi")
 """In this order."""
 
 

@@ -576,15 +576,18 @@ class Checks:
         return f"{told}; {lost} commands lost, certified in {share:.1%} of the ticks"
 
     def hazards(self) -> str:
-        """A UGV that finds its way through a minefield: the same flight."""
-        docker, scenario = self.docker, "minefield"
-        words = ("up", "--exit-code-from", "simulator")
-        docker.compose(*words, limit=180.0, OUTRIDER_SCENARIO=scenario)
-        flown = docker.summary()
-        docker.down()
-        told = same_flight(flown, docker.reference(scenario=scenario))
-        expect(flown["arrived"] and not flown["hazards_hit"], "it has not got through")
-        return f"{told}; arrived after {flown['mission_time']:.0f} s"
+        """A UGV that finds its way through each shipped ground with hazards: the same flights."""
+        docker, words = self.docker, ("up", "--exit-code-from", "simulator")
+        told = []
+        for scenario in ("minefield", "rubble", "rescue"):
+            docker.compose(*words, limit=180.0, OUTRIDER_SCENARIO=scenario)
+            flown = docker.summary()
+            docker.down()
+            same_flight(flown, docker.reference(scenario=scenario))
+            expect(flown["hazards_hit"] == 0, f"{scenario}: {flown['hazards_hit']} hazards hit")
+            when = f"after {flown['mission_time']:.0f} s" if flown["arrived"] else "not in time"
+            told.append(f"{scenario}: no hazard hit, arrived {when}")
+        return f"the same bits; {'; '.join(told)}"
 
     def failure(self) -> str:
         """A flight that cannot be flown ends with the simulator's exit code."""

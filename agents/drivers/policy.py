@@ -27,8 +27,8 @@ class RowPolicy(Protocol):
     """A policy as learning libraries make them, for the row that the environment gives this agent.
 
     `predict` may return the action alone or, as Stable-Baselines3 does, the action and a state. Where it has
-    parameters of
-    these names it is given `deterministic=True`, the `state` that it returned last, and `episode_start`.
+    parameters of these names it is given `deterministic=True`, the `state` that it returned last, `episode_start`,
+    `dt` [s], and all that the UGV perceives as `perceived`, a `bus.messages.UgvObservation`.
     Where it has an `observation_space` that is a dictionary of `row` and `tiles`, it is given both, as the environment
     gives them on ground with hazards.
     """
@@ -134,7 +134,7 @@ class _Predictor:
         self._dtype = getattr(space, "dtype", None) or np.float64
         self._known = _parameters(model.predict)
         self._state: object = None
-        self._start = True
+        self._start, self._dt = True, float(briefing.dt)
 
     def __call__(self, observation: UgvObservation, _briefing: UgvBriefing) -> object:
         row = self._rows.row(observation).astype(self._dtype, copy=False)
@@ -143,6 +143,8 @@ class _Predictor:
             "deterministic": True,
             "state": self._state,
             "episode_start": np.array([self._start]),
+            "dt": self._dt,
+            "perceived": observation,
         }
         self._start = False
         answer = self._predict(seen, **{name: told[name] for name in told.keys() & self._known})
@@ -201,6 +203,8 @@ class PolicyDriver:
         begun = time.perf_counter()
         try:
             answer = self._policy(observation, self._briefing)
+        except ScenarioError as error:
+            raise ScenarioError(f"{where}: {error}") from error
         except Exception as error:
             raise ScenarioError(f"{where}: raised {_one_line(told_with_place(error))}") from error
         self._mind_time(where, time.perf_counter() - begun)

@@ -9,6 +9,7 @@ from typing import Any
 
 import bus_messages
 import command_line
+import fmi_variables
 import ros2_topics
 import scenario_fields
 from latex2mathml.converter import convert
@@ -118,6 +119,9 @@ GENERATED = {
     "bus_keys": bus_messages.keys,
     "bus_messages": bus_messages.messages,
     "python_modules": _modules_table,
+    "fmi_pilots": fmi_variables.pilots,
+    "fmi_world": fmi_variables.world,
+    "fmi_driver": fmi_variables.driver,
     "ros2_topics": ros2_topics.observed,
     "ros2_pilot_topics": ros2_topics.own,
 }

@@ -1,13 +1,15 @@
 """The cost of a bridge to a run in lockstep: the same flight with and without it."""
 
 import json
+import socket
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 from bus.errors import BusError
@@ -36,8 +38,11 @@ def _started(*words: str) -> Iterator["subprocess.Popen[bytes]"]:
         process.wait(20.0)
 
 
-def _rate(*, bridge: bool, read: bool) -> float:
-    """Ticks a second of `escort` over processes, perhaps with a bridge to ROS 2 and somebody who reads all of it.
+def _rate(bridge: Callable[[ExitStack, str], None] | None = None) -> float:
+    """Ticks a second of `escort` over processes.
+
+    Args:
+        bridge: Starts a bridge beside the run at this endpoint, to be ended with the stack.
 
     Raises:
         BusError: If the run fails.
@@ -57,12 +62,8 @@ def _rate(*, bridge: bool, read: bool) -> float:
         )
         while not Path(endpoint.partition("/")[2]).exists() and simulator.poll() is None:
             time.sleep(0.05)
-        if bridge:
-            stack.enter_context(_started("ros2", "--connect", endpoint))
-        if read:
-            stack.enter_context(_reading(endpoint))
-        if bridge:
-            _await_bridge(endpoint)
+        if bridge is not None:
+            bridge(stack, endpoint)
         for name in ("uav", "ugv"):
             stack.enter_context(_started(name, "--connect", endpoint))
         told, _ = simulator.communicate(timeout=300.0)
@@ -103,11 +104,43 @@ def _await_bridge(endpoint: str, patience: float = 60.0) -> None:
         raise BusError("the bridge that was to be measured does not show its topics")
 
 
+def _ros2(stack: ExitStack, endpoint: str, *, read: bool) -> None:
+    """A bridge to ROS 2, perhaps with somebody who reads every topic."""
+    stack.enter_context(_started("ros2", "--connect", endpoint))
+    if read:
+        stack.enter_context(_reading(endpoint))
+    _await_bridge(endpoint)
+
+
+def _mavlink(stack: ExitStack, endpoint: str, patience: float = 60.0) -> None:
+    """A bridge to MAVLink, and a ground station that takes all that it is sent."""
+    station = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+    station.bind(("127.0.0.1", 0))
+    station.settimeout(patience)
+    told = threading.Event()
+
+    def listen() -> None:
+        with suppress(OSError):  # it is closed at the end
+            while station.recv(2048):
+                told.set()
+
+    to = f"udpout:127.0.0.1:{station.getsockname()[1]}"
+    stack.enter_context(_started("mavlink", "--connect", endpoint, "--to", to))
+    threading.Thread(target=listen, daemon=True).start()
+    if not told.wait(patience):
+        raise BusError("the bridge that was to be measured tells a ground station nothing")
+
+
 def ros2_idle() -> Pair:
     """Lockstep with a bridge to ROS 2 that nobody listens to, beside the same without."""
-    return _rate(bridge=True, read=False), _rate(bridge=False, read=False)
+    return _rate(partial(_ros2, read=False)), _rate()
 
 
 def ros2_read() -> Pair:
     """Lockstep with a bridge to ROS 2 whose every topic is read, beside the same without."""
-    return _rate(bridge=True, read=True), _rate(bridge=False, read=False)
+    return _rate(partial(_ros2, read=True)), _rate()
+
+
+def mavlink_read() -> Pair:
+    """Lockstep with a bridge to MAVLink that tells a ground station, beside the same without."""
+    return _rate(_mavlink), _rate()

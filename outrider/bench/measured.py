@@ -72,6 +72,9 @@ ROWS: dict[str, Layer] = {
     "ros2_read": Layer(
         beside.ros2_read, "ticks/s", WITHOUT_BRIDGE, 3, needs=("rosbags", "xxhash"), extra="ros2"
     ),
+    "mavlink_read": Layer(
+        beside.mavlink_read, "ticks/s", WITHOUT_BRIDGE, 3, needs=("pymavlink",), extra="mavlink"
+    ),
     "run_in_process": Layer(runs.run_in_process, "ticks/s", "world_step"),
     "sweep": Layer(
         runs.sweep,
@@ -107,7 +110,7 @@ ROWS: dict[str, Layer] = {
     "pairs_10": Layer(partial(runs.pairs, 10), "ticks/s", BARE, 2, forked=True),
     "pairs_50": Layer(partial(runs.pairs, 50), "ticks/s", BARE, 1, forked=True),
 }
-GROUPS = {"bridges": ("ros2_idle", "ros2_read")}
+GROUPS = {"bridges": ("ros2_idle", "ros2_read", "mavlink_read")}
 """Rows that are asked for by one name."""
 
 

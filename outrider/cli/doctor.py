@@ -30,6 +30,7 @@ EXTRAS = {
     "tls": ("cryptography",),
     "ros2": ("rosbags", "xxhash"),
     "mavlink": ("pymavlink",),
+    "fmi": ("fmpy", "pythonfmu3"),
     "sb3": ("stable_baselines3", "torch"),
     "torchrl": ("torchrl",),
     "rllib": ("ray",),

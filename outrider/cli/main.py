@@ -29,6 +29,7 @@ from outrider.cli import (
     drive,
     falsify,
     figures,
+    fmu,
     mavlink,
     network,
     pilots,
@@ -114,6 +115,7 @@ def make_app() -> typer.Typer:
         app.command(name)(_telling(command))
     app.add_typer(scenarios.app, name="scenarios")
     app.add_typer(network.app, name="network")
+    app.add_typer(fmu.app, name="fmu")
     return app
 
 

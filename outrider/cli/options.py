@@ -8,7 +8,7 @@ import typer
 
 from bus.errors import ScenarioError
 from bus.profiles import PROFILES
-from bus.registry import DRIVERS, LAWS, POLICY_FORMS, described
+from bus.registry import DRIVERS, LAWS, POLICY_FORMS, SAVED_POLICIES, described
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -50,7 +50,7 @@ DriverName = Annotated[
     str | None,
     typer.Option(
         "--driver",
-        help=f"The UGVs' driver. {described(DRIVERS)}.",
+        help=f"The UGVs' driver. {described(DRIVERS)}; or a saved policy, as fmu:FILE.fmu.",
     ),
 ]
 Set = Annotated[
@@ -281,7 +281,8 @@ def _user_of(
 
 
 def _plain(field: str, value: str) -> str:
-    a_file = field == "custom.policy"  # a saved policy: any path that TOML's quotes hold
+    # a saved policy: any path that TOML's quotes hold
+    a_file = field == "custom.policy" or value.partition(":")[0] in SAVED_POLICIES
     if not re.fullmatch(r"[^\"\\\x00-\x1f\x7f]+" if a_file else r"[A-Za-z0-9_.:-]+", value):
         allowed = (
             "no quotes, backslashes and control characters"

@@ -21,7 +21,7 @@ from outrider.cli.options import (
 if TYPE_CHECKING:
     from bus.session import Session
     from outrider.cli.stopping import Stop
-    from outrider.recording.observer import RunRecorder
+    from outrider.recording.observer import RunRecorder, RunSink
 
 
 def command(
@@ -33,6 +33,15 @@ def command(
         Path | None,
         typer.Option(
             metavar="FILE", help="Save what is whole of a killed recording; nothing is recorded."
+        ),
+    ] = None,
+    ros2: Annotated[
+        Path | None,
+        typer.Option(
+            "--ros2",
+            metavar="DIR",
+            help="Write a rosbag2 bag into this new folder instead, as outrider replay --to-ros2 does. "
+            "Needs the extra [ros2].",
         ),
     ] = None,
     connect: Connect = DEFAULT_ENDPOINT,
@@ -53,22 +62,37 @@ def command(
     says so. A recording whose process was killed can be replayed as it is; with --repair every whole record of it goes
     to a new file, FILE with the ending .repaired.mcap, that any program for MCAP opens.
 
+    With --ros2 the record is a bag that ros2 bag play and Foxglove take as it is; outrider replay reads it, too. Of a
+    killed one nothing stays.
+
     Example: outrider record run.mcap --connect tcp/127.0.0.1:17447 --credentials credentials/observer.json
+
+    Example: outrider record --ros2 bag --scenario escort
 
     Example: outrider record --repair run.mcap
     """
+    if ros2 is not None and (out is not None or repair is not None):
+        raise typer.BadParameter(
+            "--ros2 names the folder to write; leave the file and --repair out"
+        )
     if repair is not None:
         _repair(repair, out or repair.with_suffix(".repaired.mcap"), json=json)
         return
-    if out is None:
+    target = ros2 or out
+    if target is None:
         raise typer.BadParameter("name the file to write, such as: outrider record run.mcap")
     from bus.keys import OBSERVER_NAME, Party, Role
     from bus.session import open_session
     from outrider.cli.console import ERR, print_json
     from outrider.cli.options import scenario_of
     from outrider.cli.stopping import stop_on_signals
+    from outrider.recording.bag_records import size_of
     from outrider.recording.observer import RunRecorder
 
+    if ros2 is not None:
+        from outrider.bridges.ros2.ros_bag import check_target
+
+        check_target(ros2)
     check_endpoints((connect,), secured=True, insecure=False)
     known = scenario_of(scenario, changes=changes)[0] if scenario else None
     credential = credential_of(credentials, Role.OBSERVER, OBSERVER_NAME)
@@ -77,25 +101,36 @@ def command(
         stop_on_signals() as stop,
         open_session(party, run, connect=connect, credential=credential) as session,
     ):
-        recorder = RunRecorder(session, out, known)
+        recorder = RunRecorder(session, _sink(target, bag=ros2 is not None), known)
         try:
             lost = _follow(session, recorder, stop)
         finally:
-            recorder.close()
+            with ERR.status(f"ending {target}"):
+                recorder.close()
     found = {
         **recorder.counts(),
-        "file": str(out),
-        "bytes": out.stat().st_size,
+        "file": str(target),
+        "bytes": size_of(target),
         "router_lost": lost,
     }
     if json:
         print_json(found)
     else:
-        ERR.print(f"{out}: {recorder.story()}", soft_wrap=True)
+        ERR.print(f"{target}: {recorder.story()}", soft_wrap=True)
     if lost:
         from bus.errors import PeerLost
 
-        raise PeerLost(f"the router at {connect} has gone; what came before it went is in {out}")
+        raise PeerLost(f"the router at {connect} has gone; what came before it went is in {target}")
+
+
+def _sink(target: Path, *, bag: bool) -> "RunSink":
+    if bag:
+        from outrider.bridges.ros2.ros_bag import RosBag
+
+        return RosBag(target)
+    from outrider.recording.mcap_file import RecordingFile
+
+    return RecordingFile(target)
 
 
 def _follow(session: "Session", recorder: "RunRecorder", stop: "Stop") -> bool:

@@ -13,7 +13,12 @@ if TYPE_CHECKING:
 
 
 def command(
-    file: Annotated[Path, typer.Argument(help="A recording, also one whose process was killed.")],
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help="A recording, also one whose process was killed; or the folder of a bag made of one."
+        ),
+    ],
     refly: Annotated[
         bool,
         typer.Option(
@@ -42,6 +47,14 @@ def command(
     port: PagePort = 8080,
     token: PageToken = "",
     no_token: NoPageToken = False,
+    to_ros2: Annotated[
+        Path | None,
+        typer.Option(
+            "--to-ros2",
+            metavar="DIR",
+            help="Write it as a rosbag2 bag into this new folder. Needs the extra [ros2].",
+        ),
+    ] = None,
     flight: Annotated[
         int | None,
         typer.Option(help="Which flight of a run that was reset, from 0; the last one by default."),
@@ -53,13 +66,30 @@ def command(
     With --refly the recorded commands go through the same simulator again, without pilots: exit code 0 where every
     position, velocity and applied command is the same to the last bit, 1 at the first that is not, which is named.
 
+    With --to-ros2 the flight becomes a bag for ros2 bag play, Foxglove and PlotJuggler: the topics of outrider ros2 at
+    every tick. The recording itself goes with it on a topic of its own, so that such a folder can be replayed, drawn
+    and flown again like the file.
+
     Example: outrider replay run.mcap --refly
+
+    Example: outrider replay run.mcap --to-ros2 bag, then outrider replay bag --refly
     """
     if dashboard and (refly or json):
         raise typer.BadParameter("--dashboard shows, --refly and --json tell; leave one out")
+    if to_ros2 is not None and (refly or dashboard or realtime is not None):
+        raise typer.BadParameter(
+            "--to-ros2 writes a bag; leave --refly, --dashboard and --realtime out"
+        )
     from outrider.recording.reader import flight_of
 
+    if to_ros2 is not None:
+        from outrider.bridges.ros2.ros_bag import check_target
+
+        check_target(to_ros2)  # shows before a long recording is read
     recording = flight_of(file, flight)
+    if to_ros2 is not None:
+        _write_bag(recording, to_ros2, json=json)
+        return
     if refly:
         _refly(recording, json=json)
         return
@@ -115,6 +145,41 @@ def _refly(recording: "Recording", *, json: bool) -> None:
             OUT.print(f"  {found.note}", soft_wrap=True)
     if not same:
         raise typer.Exit(1)
+
+
+def _write_bag(recording: "Recording", folder: Path, *, json: bool) -> None:
+    from rich.progress import Progress
+
+    from outrider.bridges.ros2.ros_bag import RosBag, copy_flight
+    from outrider.cli.console import ERR, print_json
+    from outrider.cli.stopping import stop_on_signals
+    from outrider.recording.bag_records import size_of
+
+    with (
+        stop_on_signals() as stop,
+        RosBag(folder) as bag,
+        Progress(console=ERR, transient=True) as progress,
+    ):
+        task = progress.add_task("writing the bag", total=recording.truths[-1].time)
+        for seconds in copy_flight(recording, bag):
+            progress.update(task, completed=seconds)
+            if stop:
+                raise typer.Exit(stop.exit_code)
+    found = {
+        "file": str(recording.path),
+        "flight": recording.number,
+        "bag": str(folder),
+        "bytes": size_of(folder),
+        "messages": sum(bag.topics.values()),
+        "topics": bag.topics,
+    }
+    if json:
+        print_json(found)
+        return
+    told = (
+        f"{found['messages']} messages on {len(bag.topics)} topics, {size_of(folder) / 1e6:.2f} MB"
+    )
+    ERR.print(f"{folder}: {told}", soft_wrap=True)
 
 
 def _show(recording: "Recording", speed: float, port: int, token: str, *, wanted: bool) -> None:

@@ -1,13 +1,12 @@
 """Recording a run in progress, from outside: an observer who writes down what the simulator tells."""
 
 import time
-from pathlib import Path
+from typing import Protocol
 
 from bus import keys
 from bus.messages import Change, CoverageMap, GroundMap, Status, Truth
 from bus.session import Session
-from outrider.recording.mcap_file import RecordingFile
-from outrider.recording.schemas import Commands, head_of, unknown_head
+from outrider.recording.schemas import Commands, Head, head_of, unknown_head
 from sim.scenario.types import Scenario
 
 _INBOX_ROOM = 4096
@@ -24,20 +23,52 @@ def _new_in(changes: tuple[Change, ...], known: tuple[Change, ...]) -> tuple[Cha
     return changes[old:]
 
 
+class RunSink(Protocol):
+    """Takes down what an observer is told: a recording's file, or a bag."""
+
+    @property
+    def next_start(self) -> float:
+        """The place of another flight on its clock [s]."""
+
+    def begin(self, head: Head, scenario: Scenario | None) -> None:
+        """A flight begins."""
+
+    def truth(self, truth: Truth) -> None:
+        """Take down a tick."""
+
+    def commands(self, commands: Commands, seconds: float) -> None:
+        """Take down what was asked for during a tick that began at `seconds`."""
+
+    def change(self, change: Change, seconds: float) -> None:
+        """Take down what operators have changed."""
+
+    def status(self, status: Status) -> None:
+        """Take down how the run stands."""
+
+    def coverage(self, ground: CoverageMap, seconds: float) -> None:
+        """Take down the ground."""
+
+    def ground(self, ground: GroundMap, seconds: float) -> None:
+        """Take down the ground with its hazards."""
+
+    def flush_if_due(self) -> None:
+        """Hand over what waits."""
+
+    def close(self) -> None:
+        """End it."""
+
+
 class RunRecorder:
     """Records a run in progress: an observer who writes down what the simulator tells.
 
     Args:
         session: An observer's.
-        path: The file; one that is there is replaced.
+        file: Takes it down; closed with this.
         scenario: What is flown, if that is known.
-
-    Raises:
-        OSError: If the file cannot be written.
     """
 
-    def __init__(self, session: Session, path: Path, scenario: Scenario | None) -> None:
-        self._file = RecordingFile(path)
+    def __init__(self, session: Session, file: RunSink, scenario: Scenario | None) -> None:
+        self._file = file
         self._scenario = scenario
         self._truths = session.inbox(keys.TRUTH, newest=_INBOX_ROOM)
         self._maps = session.inbox(keys.COVERAGE, newest=64)

@@ -88,7 +88,8 @@ def load_policy(name: str, *, what: str = "policy") -> Any:  # noqa: ANN401 - a 
 
     Args:
         name: `module:function`, or `module:object` with a method `predict`; `sb3:ALGORITHM:FILE.zip` of
-            Stable-Baselines3; `torch:FILE.pt`, a TorchScript file; `onnx:FILE.onnx`.
+            Stable-Baselines3; `torch:FILE.pt`, a TorchScript file; `onnx:FILE.onnx`;
+            `fmu:FILE.fmu`, an FMI 3.0 unit.
         what: What it is for, for the error.
 
     Raises:
@@ -97,7 +98,7 @@ def load_policy(name: str, *, what: str = "policy") -> Any:  # noqa: ANN401 - a 
     kind, separator, rest = name.partition(":")
     if separator and kind in SAVED_POLICIES:
         return resolve(SAVED_POLICIES[kind].load)(rest, f"{what} = {name!r}")
-    if Path(name).suffix in (".zip", ".pt", ".onnx"):
+    if Path(name).suffix in (".zip", ".pt", ".onnx", ".fmu"):
         raise ScenarioError(f"{what} = {name!r}: of which library? {_FORMS}")
     found = _named(name, what)
     if isinstance(found, type) or not (callable(found) or isinstance(found, RowPolicy)):
@@ -231,6 +232,13 @@ def load_onnx(path: str, where: str) -> RowPolicy:
     return _Onnx(session, where)
 
 
+def own_code(scenario: "Scenario") -> dict[str, str]:
+    """The code that a scenario names, whoever has named it: its fields with their values."""
+    custom: Any = scenario.custom
+    named = {f"custom.{name}": getattr(custom, name) for name in custom.__struct_fields__}
+    return {field: value for field, value in named.items() if value}
+
+
 def foreign_code(scenario: "Scenario", named: Iterable[str] = ()) -> tuple[str, ...]:
     """The code that a scenario's file names, and not the user.
 
@@ -243,20 +251,17 @@ def foreign_code(scenario: "Scenario", named: Iterable[str] = ()) -> tuple[str, 
     Returns:
         A line for each field.
     """
-    own = {change.partition("=")[0].strip() for change in named}
-    fields = (
-        []
-        if "custom" in own
-        else [
-            name for name in type(scenario.custom).__struct_fields__ if f"custom.{name}" not in own
-        ]
-    )
-    given = {f"custom.{name}": getattr(scenario.custom, name) for name in fields}
+    changes = [change.partition("=") for change in named]
+    own = {field.strip() for field, _, _ in changes}
+    said = {
+        value.strip().strip("\"'") for _, _, value in changes
+    }  # ugv.0.driver=fmu:FILE says it too
+    given = {} if "custom" in own else own_code(scenario)
     return tuple(
         f"{field} = {value!r}: the file names code, which is loaded with --allow-code alone (in Python: "
         "allow_code=True)"
         for field, value in given.items()
-        if value
+        if field not in own and value not in said
     )
 
 

@@ -98,6 +98,11 @@ def interpret() -> None:
     _interpreted = _interpreted or "numba" not in sys.modules
 
 
+def is_interpreted() -> bool:
+    """True in a process that leaves all functions to the interpreter: no pilot of ours flies in it."""
+    return _interpreted
+
+
 def _compile(function: _F, **options: Any) -> _F:  # noqa: ANN401 - numba's
     """No `fastmath`: the bits must not depend on who calls.
 

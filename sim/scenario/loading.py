@@ -10,7 +10,8 @@ import msgspec
 
 from bus.errors import ScenarioError
 from bus.files import read_regular
-from sim.input.faults import near, one_line
+from bus.registry import DRIVERS, SAVED_POLICIES
+from sim.input.faults import Fault, near, one_line
 from sim.input.reading import apply_override, as_raw, parse_override, parse_toml, typed
 from sim.scenario.checks import check_scenario
 from sim.scenario.link_tables import with_profiles
@@ -111,6 +112,28 @@ def _with_names(raw: dict[str, object]) -> None:
                 table["name"] = next(free)
 
 
+def _with_saved_drivers(raw: dict[str, object], *, file: str) -> None:
+    """Take a driver such as `fmu:FILE.fmu` as the driver `policy`, with that as the policy.
+
+    Raises:
+        ScenarioError: If there is another policy already.
+    """
+    (own,) = (row for row in DRIVERS.values() if row.own)
+    ugvs, custom = raw.get("ugv"), raw.get("custom", {})
+    if not isinstance(ugvs, list) or not isinstance(custom, dict):
+        return
+    for k, ugv in enumerate(ugvs):
+        named = ugv.get("driver") if isinstance(ugv, dict) else None
+        library, separator, _ = named.partition(":") if isinstance(named, str) else ("", "", "")
+        if library not in SAVED_POLICIES or not separator:
+            continue
+        other = custom.setdefault(own.own, named)
+        if other != named:
+            wrong = f"custom.{own.own} = {one_line(str(other))!r} is another, and one can drive"
+            raise Fault(f"ugv.{k}.driver", named, wrong, "one policy a run").error(file)
+        ugv["driver"], raw["custom"] = own.name, custom
+
+
 def load_scenario(
     source: str | Path = DEFAULT_SCENARIO, *, overrides: Mapping[str, object] | Sequence[str] = ()
 ) -> Scenario:
@@ -136,6 +159,7 @@ def load_scenario(
     if isinstance(raw.get("area"), dict):
         raw["area"] = {**msgspec.to_builtins(DEFAULT_AREA), **raw["area"]}
     _with_names(raw)
+    _with_saved_drivers(raw, file=file)
     with_profiles(raw, file=file)
     scenario = typed(raw, Scenario, file=file)
     if not scenario.name:

@@ -11,6 +11,7 @@ import msgspec
 from bus import messages
 from bus.messages import LinkKind
 from bus.profiles import PROFILES
+from bus.registry import SAVED_POLICIES
 from sim.scenario import types
 from sim.scenario.types import Scenario
 
@@ -41,6 +42,8 @@ def scenario_schema() -> dict[str, Any]:
         docs = field_docs(struct) if "properties" in table else {}
         for field, told in docs.items():
             table["properties"][field]["description"] = told
+    driver = schema["$defs"]["Ugv"]["properties"]["driver"]
+    driver["pattern"] = f"{driver['pattern']}|^({'|'.join(SAVED_POLICIES)}):."
     profile = {
         "enum": sorted(PROFILES),
         "description": "The profile that these settings start from.",

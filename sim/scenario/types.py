@@ -201,7 +201,9 @@ class Ugv(_Table, frozen=True, kw_only=True):
     max_speed: Bound = 0.2
     max_acceleration: Bound = 0.1
     driver: Name = DEFAULT_DRIVER
-    """A row of `bus.registry.DRIVERS`."""
+    """A row of `bus.registry.DRIVERS`; or a saved policy, as `fmu:FILE.fmu`, which stands for `policy` with it as
+    `custom.policy`.
+    """
     goals: tuple[Vector, ...] = ()
     goal_tolerance: Positive = 0.05
     script: tuple[ScriptStep, ...] = ()

@@ -555,6 +555,20 @@ class Flight:
         """True if nobody has stopped it meanwhile."""
         return not self._stopped
 
+    def fly_tick(self, exchange: Exchange) -> bool:
+        """Fly one tick; False if it was stopped meanwhile, and nothing was flown."""
+        exchange.begin(self.world.tick)
+        if not self._goes_on():
+            return False
+        exchange.publish(self.observations())
+        self.recorder.record(self.reports)  # this and the next while the vehicles think
+        self._check_reports()
+        commands = exchange.collect(self.world.tick)
+        if not self._goes_on():
+            return False
+        self.apply(commands)
+        return True
+
     def fly(self, exchange: Exchange, *, on_tick: Callable[[], None] | None = None) -> None:
         """Fly to the end.
 
@@ -562,17 +576,7 @@ class Flight:
             exchange: How observations and commands travel.
             on_tick: Called after each tick.
         """
-        while not self.over:
-            exchange.begin(self.world.tick)
-            if not self._goes_on():
-                break
-            exchange.publish(self.observations())
-            self.recorder.record(self.reports)  # this and the next while the vehicles think
-            self._check_reports()
-            commands = exchange.collect(self.world.tick)
-            if not self._goes_on():
-                break
-            self.apply(commands)
+        while not self.over and self.fly_tick(exchange):
             if on_tick is not None:
                 on_tick()
         self.recorder.record(self.reports)

@@ -17,6 +17,7 @@ from bus.messages import (
     CoverageMap,
     Detection,
     EscortTruth,
+    Geometry,
     GroundMap,
     HazardOutline,
     LinkStatus,
@@ -29,7 +30,7 @@ from bus.messages import (
 )
 from outrider.bridges.ros2.interfaces import make
 from sim.scene.colors import FAINT, HAZARDS, LIMIT, rgb
-from sim.scene.model import Scene
+from sim.scene.model import Scene, observed_scene
 
 MAP = "map"
 _FLAT = 0.02
@@ -105,6 +106,17 @@ class RunView:
                     self.tracks.setdefault(name, Track()).add(message.time, vehicle.position)
             case GroundMap() if message.hazards:
                 self.hazards = message.hazards
+
+
+def view_of(name: str, geometry: Geometry) -> RunView:
+    """The view of a run that observers have.
+
+    Args:
+        name: Of the scenario.
+        geometry: What they are told of it.
+    """
+    scene = observed_scene(name, geometry, escorts=geometry.uavs, vehicles=geometry.limits)
+    return RunView(scene=scene, dt=geometry.dt)
 
 
 def stamp(seconds: float) -> Any:  # noqa: ANN401 - generated classes have no types

@@ -8,11 +8,11 @@ from bus.errors import BusError
 from bus.keys import COVERAGE, GROUND, SAMPLED_TRUTH, STATUS, TRUTH, Key
 from bus.messages import CoverageMap, GroundMap, Message, Status, Truth
 from bus.session import Session
-from outrider.bridges.ros2.conversion import RunView, diagnostic
+from outrider.bridges.ros2.conversion import RunView, diagnostic, view_of
 from outrider.bridges.ros2.ros_commands import Refusals, RosCommands
 from outrider.bridges.ros2.ros_node import RosNode, RosPublisher
 from outrider.bridges.ros2.topics import TOPICS, TopicRow, messages_of, wire_topic
-from sim.scene.model import Scene, observed_scene
+from sim.scene.model import Scene
 
 _ROOM = 4096
 """Truths that wait where every tick is wanted, before the oldest are lost."""
@@ -141,17 +141,12 @@ class RosObserver:
         """Set the topics up once it is known whose there are, and anew where another run has begun."""
         if status.geometry is None:
             return
-        scene = observed_scene(
-            status.scenario,
-            status.geometry,
-            escorts=status.geometry.uavs,
-            vehicles=status.geometry.limits,
-        )
-        if self._view is not None and self._view.scene == scene:
+        view = view_of(status.scenario, status.geometry)
+        if self._view is not None and self._view.scene == view.scene:
             return
         self._close_publishers()
-        self._view = RunView(scene=scene, dt=status.geometry.dt)
-        self._declare(scene)
+        self._view = view
+        self._declare(view.scene)
         for one in messages_of(self._view, None):
             self._publishers[one.topic].send(one.payload)
 

@@ -1,0 +1,57 @@
+"""The variables of FMI units, from their tables."""
+
+from structs import cell
+
+from outrider.bridges.fmi.variables import (
+    ACCELERATION,
+    DRIVER_INPUTS,
+    OPERATOR,
+    OWN_STATE,
+    RADIO,
+    TRUE_ESCORT,
+    TRUE_STATE,
+    UAV_INPUTS,
+    UAV_OUTPUTS,
+    Variable,
+    of,
+)
+
+Rows = tuple[tuple[str, tuple[Variable, ...]], ...]
+PILOTS: Rows = (
+    ("`uav`: in", UAV_INPUTS),
+    ("`uav`: out", UAV_OUTPUTS),
+    ("`ugv`: in", OWN_STATE),
+    ("`ugv`: in, where its driver listens (`evade`, `navigate`)", RADIO),
+    ("`ugv`: in, for the driver `teleop`", OPERATOR),
+    ("`ugv`: out", ACCELERATION),
+)
+WORLD: Rows = (
+    ("`world`: out, of each vehicle", of("<vehicle>", TRUE_STATE)),
+    ("`world`: out, of each UAV", of("<uav>", TRUE_ESCORT)),
+    ("`world`: in, of each UGV with the driver `teleop`", of("<ugv>", OPERATOR)),
+)
+DRIVER: Rows = (("in", DRIVER_INPUTS), ("out", ACCELERATION))
+
+
+def _table(rows: Rows) -> str:
+    lines = ["| | variable | type, unit | |", "|---|---|---|---|"]
+    for who, variables in rows:
+        for k, one in enumerate(variables):
+            unit = f"Float64, {one.unit}" if one.unit else "Boolean"
+            lines.append(f"| {who if k == 0 else ''} | `{one.name}` | {unit} | {cell(one.about)} |")
+    return "\n".join(lines)
+
+
+def pilots() -> str:
+    """Table of the units of vehicles."""
+    return _table(PILOTS)
+
+
+def world() -> str:
+    """Table of the unit of a whole flight."""
+    return _table(WORLD)
+
+
+def driver() -> str:
+    """Table of what a unit may have that drives a UGV."""
+    return _table(DRIVER)

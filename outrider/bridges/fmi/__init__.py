@@ -1,0 +1,1 @@
+"""Vehicles as FMI 3.0 co-simulation units, and units as drivers."""

@@ -1,0 +1,95 @@
+"""`outrider fmu`: vehicles and whole flights as FMI 3.0 co-simulation units."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from outrider.cli.options import DriverName, Duration, Json, LawName, NetworkName, Seed, Set
+
+app = typer.Typer(no_args_is_help=True)
+
+
+class Exported(StrEnum):
+    """All that can be exported."""
+
+    UAV = "uav"
+    UGV = "ugv"
+    WORLD = "world"
+
+
+@app.callback()
+def command() -> None:
+    """Exchange vehicles with FMI 3.0 tools (extra `[fmi]`).
+
+    The other way, `--driver fmu:FILE.fmu` of every command that flies lets a unit drive the UGVs.
+
+    Example: outrider fmu export ugv escort --out ugv.fmu
+    """
+
+
+@app.command()
+def export(
+    what: Annotated[Exported, typer.Argument(help="A vehicle, or the whole flight.")],
+    scenario: Annotated[
+        str, typer.Argument(help="A TOML file, or a shipped scenario's name.")
+    ] = "escort",
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The file to write; uav.fmu, ... by default."),
+    ] = None,
+    agent: Annotated[
+        str, typer.Option(help="The vehicle's name in the scenario; the first by default.")
+    ] = "",
+    seed: Seed = None,
+    duration: Duration = None,
+    law: LawName = None,
+    driver: DriverName = None,
+    network: NetworkName = "",
+    changes: Set = None,
+    json: Json = False,
+) -> None:
+    """Write a co-simulation unit: a vehicle's pilot or driver, or the world with all of them.
+
+    A UAV's inputs are its own position and velocity and the noisy relative detection; a UGV's its own position and
+    velocity, and what it is told by radio or an operator where its driver uses it; the world's an operator's wish,
+    for the driver `teleop`. One step is one tick of the scenario. The unit is Python: the Python that loads it needs
+    this outrider.
+
+    Example: outrider fmu export world escort --seed 3 --out world.fmu
+    """
+    from bus.errors import ScenarioError
+    from bus.keys import Role
+    from outrider.bridges.fmi.export import export_vehicle, export_world
+    from outrider.cli.console import ERR, OUT, print_json
+    from outrider.cli.options import scenario_of
+
+    flown, _ = scenario_of(
+        scenario,
+        seed=seed,
+        duration=duration,
+        law=law,
+        driver=driver,
+        network=network,
+        changes=changes,
+    )
+    file = out or Path(f"{what}.fmu")
+    if what is Exported.WORLD and agent:
+        raise ScenarioError(f"--agent {agent}: the world has all of them; allowed: none")
+    try:
+        with ERR.status(f"making {file}"):
+            if what is Exported.WORLD:
+                export_world(flown, file)
+            else:
+                agent = export_vehicle(flown, Role(what.value), file, name=agent)
+    except OSError as error:
+        raise ScenarioError(f"--out {file}: {error.strerror or error}") from error
+    if json:
+        told = {"file": str(file), "what": what.value, "agent": agent or None}
+        print_json(told | {"scenario": flown.name, "seed": flown.seed, "step": flown.dt})
+    else:
+        OUT.print(
+            f"{file}: {agent or 'the world'} of {flown.name}, steps of {flown.dt:g} s",
+            soft_wrap=True,
+        )

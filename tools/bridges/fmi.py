@@ -1,0 +1,233 @@
+"""`outrider fmu` against what others wrote: fmpy validates and simulates the units, and drives them with a flight.
+
+fmpy and pythonfmu3 live in an environment of their own, `.venv-fmi`, with Outrider as a user installs it: it is made on
+the first call. Half a minute then: python tools/bridges/fmi.py
+"""
+
+import argparse
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+HERE = Path(__file__).resolve().parent
+OTHERS = ROOT / ".venv-fmi"
+NEEDED = ("fmpy>=0.3.32,<0.4", "pythonfmu3>=0.3.4,<0.4")
+FLIGHT = ("escort", "--duration", 60, "--seed", 3)
+"""Every unit's and every run's."""
+CRASHES = {
+    "raises in a step": ("raise RuntimeError('the wheel is off')", "the wheel is off"),
+    "dies in a step": ("import os; os.kill(os.getpid(), 11)", "signal 11"),
+}
+
+
+class Row(NamedTuple):
+    """A finding."""
+
+    what: str
+    value: object
+    holds: bool
+
+
+def environment() -> Path:
+    """The environment of the other programs; its Python."""
+    python = OTHERS / "bin" / "python"
+    if not (OTHERS / ".bridge").exists():
+        subprocess.run([sys.executable, "-m", "venv", OTHERS], check=True)
+        quiet = ["-m", "pip", "install", "--quiet", "--quiet", "--disable-pip-version-check"]
+        subprocess.run([python, *quiet, *NEEDED, "--editable", ROOT], check=True)
+        (OTHERS / ".bridge").touch()
+    return python
+
+
+def called(
+    *words: object, cwd: Path | None = None, environ: dict[str, str] | None = None
+) -> "subprocess.CompletedProcess[str]":
+    """A program, run to its end."""
+    return subprocess.run(
+        [str(word) for word in words],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300.0,
+        cwd=cwd,
+        env=environ,
+    )
+
+
+def outrider(*words: object) -> str:
+    """The standard output of a command of ours.
+
+    Raises:
+        SystemExit: If it fails.
+    """
+    done = called(sys.executable, "-m", "outrider", *words)
+    if done.returncode:
+        raise SystemExit(f"outrider {' '.join(map(str, words))}: {done.stderr}")
+    return done.stdout
+
+
+def flown(*words: object) -> dict[str, Any]:
+    """The summary of a run of the flight."""
+    told: dict[str, Any] = json.loads(outrider("run", *FLIGHT, "--no-picture", "--json", *words))
+    return told
+
+
+def from_outside(folder: Path, python: Path) -> Iterator[Row]:
+    """Our units, and fmpy as their master.
+
+    Raises:
+        SystemExit: If it fails.
+    """
+    for what in ("uav", "ugv", "world"):
+        outrider("fmu", "export", what, *FLIGHT, "--out", folder / f"{what}.fmu")
+    (folder / "master").mkdir()
+    environ = os.environ | {
+        "TMPDIR": str(folder / "master")
+    }  # fmpy leaves a folder when a step is refused
+    done = called(python, HERE / "fmi_master.py", folder, environ=environ)
+    if done.returncode:
+        raise SystemExit(f"fmpy: {done.stdout[-1500:]} {done.stderr[-1500:]}")
+    told = json.loads(done.stdout.splitlines()[-1])
+    wrong = {name: problems for name, problems in told["problems"].items() if problems}
+    yield Row(
+        "fmpy validates the units of UAV, UGV and world", f"problems: {wrong or 'none'}", not wrong
+    )
+    rows = told["world"].pop("rows")
+    differ = {column: count for column, count in told["world"].items() if count}
+    good = not differ and rows == 1201
+    yield Row("fmpy simulates the world: the bits of trajectory.csv",
+              f"{rows} rows of {len(told['world'])} columns, differ: {differ or 'none'}", good)  # fmt: skip
+    for name in ("uav", "ugv"):
+        one = told[name]
+        certified = "" if one["certified"] is None else f", certified at {one['certified']}"
+        yield Row(f"fmpy gives the {name}'s unit what it perceived: it answers what was flown",
+                  f"{one['rows'] - 1} steps, at most {one['differ']:.2g} m/s² off{certified}",
+                  one["differ"] <= 1e-15 and one["rows"] == 1201)  # fmt: skip
+    said = [line for line in done.stdout.splitlines() if "allowed: steps of 0.05 s" in line]
+    yield Row(
+        "a step of 0.1 s is refused",
+        f"{told['refused']}; {said[-1:]}",
+        bool(told["refused"] and said),
+    )
+
+
+def from_c(folder: Path, python: Path) -> Iterator[Row]:
+    """A master in C, which has to load a Python for the unit."""
+    what = "a master in C simulates the world: it ends where the run ends"
+    asked = "from sysconfig import *; print(*map(get_config_var, ('LIBDIR', 'LDLIBRARY')), get_path('purelib'))"
+    where, name, packages = called(python, "-c", asked).stdout.split()
+    libpython, compiler = Path(where, name), shutil.which("cc")
+    if compiler is None or libpython.suffix != ".so" or not libpython.exists():
+        yield Row(what, f"not tried: C compiler {compiler}, Python's library {libpython}", True)
+        return
+    made = called(compiler, "-o", folder / "master_in_c", HERE / "fmi_master.c", "-ldl")
+    with zipfile.ZipFile(folder / "world.fmu") as unit:
+        unit.extractall(folder / "unzipped")
+    token = re.findall(
+        'instantiationToken="(.*?)"', (folder / "unzipped" / "modelDescription.xml").read_text()
+    )
+    environ = os.environ | {"PYTHONPATH": f"{packages}:{ROOT}"}
+    done = called(
+        folder / "master_in_c", folder / "unzipped", *token, libpython, 1200, 0.05, environ=environ
+    )
+    (header, *_, last) = (folder / "flight" / "trajectory.csv").read_text().splitlines()
+    ends = dict(zip(header.split(","), last.split(","), strict=True))
+    there = [
+        float(ends[f"{vehicle}.{axis} [m]"]) for vehicle in ("uav_0", "ugv_0") for axis in "xy"
+    ]
+    same = [float(word) for word in done.stdout.split()] == there
+    told = f"{done.stdout.strip()}; exit code {done.returncode}{made.stderr}{done.stderr}"
+    yield Row(what, told, same and done.returncode == 0)
+
+
+def at_the_wheel(folder: Path, python: Path, here: str) -> Iterator[Row]:
+    """Units that drive: one of ours, and one that somebody wrote with plain pythonfmu3."""
+    driver = ("--no-files", "--driver", f"fmu:{folder / 'ugv.fmu'}")
+    for told, words in (("three processes", ()), ("one process", ("--in-process",))):
+        summary = flown(*driver, *words)
+        same = summary["trajectory_sha256"] == here
+        value = f"{summary['trajectory_sha256'][:16]}, {summary['ticks_per_second']:.0f} ticks/s"
+        yield Row(f"the UGV's unit drives, {told}: the bits of the built-in driver", value, same)
+    script = (HERE / "fmi_wheel.py").read_text()
+    wheel = built(python, folder / "theirs", script)
+    summary = flown("--out", folder / "driven", "--driver", f"fmu:{wheel}")
+    kept = summary["visibility_violations"] == 0 and summary["certificate_broken"] == 0
+    yield Row(
+        "a unit of plain pythonfmu3 drives: sight kept",
+        f"at most {summary['max_distance']:.2f} m",
+        kept,
+    )
+    last = (folder / "driven" / "trajectory.csv").read_text().splitlines()
+    header, ends = last[0].split(","), (last[1].split(","), last[-1].split(","))
+    x, y = header.index("ugv_0.x [m]"), header.index("ugv_0.y [m]")
+    (x_0, y_0), (x_1, y_1) = ((float(row[x]), float(row[y])) for row in ends)
+    way = ((x_1 - x_0) ** 2 + (y_1 - y_0) ** 2) ** 0.5
+    yield Row("and the UGV has gone its way", f"{way:.2f} m in 60 s", way > 5.0)
+
+
+def crashed(folder: Path, python: Path) -> Iterator[Row]:
+    """Units that fail in a step. Whose process is killed leaves its temporary folder."""
+    script = (HERE / "fmi_wheel.py").read_text()
+    for told, (line, word) in CRASHES.items():
+        bad = script.replace('"""One step."""', f"if current_time > 5.0: {line}")
+        name = f"wheel_{told.split()[0]}"  # Python knows a module by its name
+        unit = built(python, folder / name, bad, name)
+        done = called(sys.executable, "-m", "outrider", "run", *FLIGHT, "--no-files",
+                      "--driver", f"fmu:{unit}")  # fmt: skip
+        lines = [one for one in done.stderr.splitlines() if word in one]
+        yield Row(f"one that {told}", lines[-1:], bool(done.returncode and lines))
+
+
+def built(python: Path, folder: Path, script: str, name: str = "fmi_wheel") -> Path:
+    """The unit that pythonfmu3 makes of a script.
+
+    Raises:
+        SystemExit: If it does not.
+    """
+    folder.mkdir()
+    (folder / f"{name}.py").write_text(script)
+    done = called(python, "-m", "pythonfmu3", "build", "-f", f"{name}.py", cwd=folder)
+    if done.returncode:
+        raise SystemExit(f"pythonfmu3: {done.stderr[-1500:]}")
+    return folder / "Wheel.fmu"
+
+
+def findings(folder: Path) -> Iterator[Row]:
+    """All checks; a folder for temporary things must be empty after them."""
+    python = environment()
+    here = flown("--in-process", "--out", folder / "flight")["trajectory_sha256"]
+    yield from from_outside(folder, python)
+    yield from from_c(folder, python)
+    yield from at_the_wheel(folder, python, here)
+    left = sorted(os.listdir(os.environ["TMPDIR"]))
+    yield Row("left behind", left or "nothing", not left)
+    yield from crashed(folder, python)
+
+
+def run_checks() -> bool:
+    """Print all findings as a table; True if everything holds."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        os.chdir(folder)
+        (folder / "tmp").mkdir()
+        os.environ["TMPDIR"] = str(folder / "tmp")
+        good = True
+        for found in findings(folder):
+            good = good and found.holds
+            mark = "holds" if found.holds else "DOES NOT HOLD"
+            print(f"| {found.what} | {found.value} | {mark} |", flush=True)  # noqa: T201
+    return good
+
+
+if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
+    sys.exit(0 if run_checks() else 1)
