@@ -1,5 +1,6 @@
 """Filters, their equations by hand and what they see, for the tests of the estimator."""
 
+import functools
 import math
 
 import numpy as np
@@ -60,6 +61,19 @@ def look(estimator, tick, seen=None, own=(0.0, 0.0), dt=DT) -> Estimate | None:
     return estimator.update(tick=tick, own_position=own, looks=looks_of(detections, dt))
 
 
+def kept(flown):
+    """Each once, for many tests that fly the same: what it returns can only be read."""
+
+    @functools.cache
+    def once(*given, **named):
+        states = flown(*given, **named)
+        states.setflags(write=False)
+        return states
+
+    return once
+
+
+@kept
 def cut_noise(seed, count, sigma=SIGMA, cut=3.0):
     return np.array(
         [cut_normal_vector(sigma, cut, a_key(seed), DETECTION_NOISE, k, 0) for k in range(count)]
@@ -89,6 +103,7 @@ def within(average, degrees, count):
     return lower <= average <= upper
 
 
+@kept
 def drive(seed, count, legs):
     """A real UGV: straight legs at v_g,max, as fast as it may and as it can stop, a stop at each corner."""
     rng = np.random.default_rng(seed)

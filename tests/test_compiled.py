@@ -6,12 +6,16 @@ import struct
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 from draws import a_key
+from numba.core.codegen import CPUCodeLibrary
+from numba.core.errors import TypingError
 
 import agents.control
 from bus.registry import SENSORS
+from sim.kernels.compile import compiled
 
 MODULES = (
     *(
@@ -108,6 +112,44 @@ def test_compiling_changes_no_bit_of_a_kernel(kernel: str) -> None:
     names = code.co_varnames[: code.co_argcount]
     for given in KERNELS[kernel]:
         assert _answer(function.py_func, names, given) == _answer(function, names, given), given
+
+
+@compiled
+def _scaled(number: float, times: int) -> float:
+    return number * times
+
+
+@compiled
+def _by_constants(number: float, times: int) -> float:
+    return _scaled(number, 2) + _scaled(number, times=3) + _scaled(number, times)
+
+
+def test_a_constant_that_a_caller_hands_over_makes_no_version_of_its_own() -> None:
+    """Each would be compiled with all that it calls in turn."""
+    assert _by_constants(1.5, 4) == 13.5
+    assert len(_scaled.overloads) == 1  # type: ignore[attr-defined]
+
+
+@compiled
+def _adds(number: float) -> float:
+    return number + 1.0
+
+
+def test_numbas_own_passes_are_left_out_of_our_functions_alone(monkeypatch):
+    """They are there again for others' functions, also after one of ours that cannot be compiled."""
+    passes, seen = CPUCodeLibrary._optimize_functions, []
+    monkeypatch.setattr(
+        CPUCodeLibrary,
+        "_optimize_functions",
+        lambda library, module: (seen.append(library.name), passes(library, module))[1],
+    )
+    assert _adds(np.float32(1.0)) == 2.0
+    _adds.recompile()  # type: ignore[attr-defined]  # it may have been loaded
+    with pytest.raises(TypingError):
+        _adds("text")
+    assert seen == []
+    assert numba.njit(lambda x: x + 1)(1) == 2
+    assert seen
 
 
 def test_all_equations_are_among_the_compiled_functions() -> None:
