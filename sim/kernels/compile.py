@@ -138,6 +138,10 @@ def _optimized_once(compile_version: Callable[..., Any], types: Any) -> Any:  # 
     from numba.core.compiler_lock import global_compiler_lock  # noqa: PLC0415
 
     library: Any = CPUCodeLibrary
+    if not hasattr(
+        library, "_optimize_functions"
+    ):  # numba's own, so another version may do without it
+        return compile_version(types)
     with global_compiler_lock:  # so that nobody else's function is compiled meanwhile
         passes = library._optimize_functions
         library._optimize_functions = _lay_out
