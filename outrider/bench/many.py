@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from outrider.bench.timing import Pair, rate
@@ -23,7 +24,7 @@ from sim.kernels.prefetch import fetch_disc
 from sim.kernels.threads import WorkerThreads
 from sim.models.field import accumulate, accumulate_with_gain, coverage_error, coverage_gradient
 from sim.scenario.loading import load_scenario
-from sim.scenario.types import Scenario
+from sim.scenario.types import HazardField, Scenario
 
 WORLDS = 1024
 RATE = RewardWeights(uncovered=0.0, seen=1.0)
@@ -140,6 +141,16 @@ def stepped(
         ) if limit else None
     finally:
         env.close()
+
+
+def on_ground(*, worlds: int = WORLDS, steps: int = _STEPS) -> Pair:
+    """`stepped` with 50 hazards in each world, other ones in each."""
+    field = HazardField(kind="block", count=50, radius=(0.3, 0.6), clear=1.5)
+    return stepped(
+        msgspec.structs.replace(load_scenario("escort"), hazard_field=(field,)),
+        worlds=worlds,
+        steps=steps,
+    )
 
 
 def in_single(rewards: RewardWeights | None = None) -> Pair:

@@ -99,6 +99,7 @@ ROWS: dict[str, Layer] = {
         missing=NO_COMPILER,
     ),
     "batch_1024": Layer(many.stepped, "steps/s", ALONE),
+    "batch_1024_hazards": Layer(many.on_ground, "steps/s", ALONE),
     "batch_1024_single": Layer(many.in_single, "steps/s", "batch_1024, grids in double precision"),
     "batch_1024_rate": Layer(partial(many.stepped, rewards=many.RATE), "steps/s", ALONE),
     "batch_1024_pilots": Layer(many.pilots, "steps/s", ALONE),

@@ -73,7 +73,7 @@ def command(
     ros2: Annotated[
         bool,
         typer.Option(
-            "--ros2/--no-ros2",
+            "--with-ros2",
             help="Also for ROS 2's bridge (ros2) and its nodes that look on (ros2_observer) or drive "
             "(ros2_operator); without it the router lets nothing of ROS 2 through.",
         ),
@@ -105,7 +105,7 @@ def command(
             and "router" not in (party or ()),
             "--days without --tls or --renew": days is not None and not (tls or renew),
             "--party without --renew": bool(party) and not renew,
-            "--ros2 and --renew or --check": ros2 and (renew or check),
+            "--with-ros2 and --renew or --check": ros2 and (renew or check),
         }
     )
     if check:

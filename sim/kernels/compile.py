@@ -123,6 +123,8 @@ def _compile(function: _F, **options: Any) -> _F:  # noqa: ANN401 - numba's
     njit: Any = numba.njit
     chosen = {"cache": cache_folder() is not None, "error_model": "numpy", "no_cfunc_wrapper": True}
     dispatcher = njit(**chosen, **options)(function)
+    if dispatcher is function:  # with NUMBA_DISABLE_JIT
+        return function
     dispatcher.get_call_template = functools.partial(_any_number, dispatcher.get_call_template)
     dispatcher.compile = functools.partial(_optimized_once, dispatcher.compile)
     return cast("_F", dispatcher)

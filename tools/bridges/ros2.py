@@ -96,7 +96,7 @@ class Run:
     def __init__(self, stack: ExitStack, folder: Path, *simulated: object) -> None:
         self.folder, self.port = folder, free_port()
         self.endpoint = f"tcp/127.0.0.1:{self.port}"
-        made = outrider("credentials", folder / "keys", "--scenario", simulated[0], "--ros2")
+        made = outrider("credentials", folder / "keys", "--scenario", simulated[0], "--with-ros2")
         subprocess.run(made, check=True, capture_output=True)
         self._stack = stack
         self.simulator = self.start(
