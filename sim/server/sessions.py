@@ -151,7 +151,8 @@ class Slots:
             self._refuse(
                 slot,
                 SECOND_SESSION,
-                f"a second session (number {place}) has come; the first (number {slot.holder}) keeps the slot",
+                f"a second session (number {place}) has come; "
+                f"the first (number {slot.holder}) keeps the slot",
             )
             return
         self._begin(slot)
@@ -263,7 +264,8 @@ class Slots:
             self._refuse(
                 slot,
                 SECOND_SESSION,
-                f"a command for tick {answered} from the session number {letter.place}",
+                f"a command for tick {answered} from a second session (number {letter.place}); "
+                f"the first (number {slot.holder}) keeps the slot",
             )
         elif answered == slot.newest:
             self._refuse(slot, TWICE, f"tick {answered} once more at tick {tick}")
