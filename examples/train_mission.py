@@ -268,7 +268,7 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--flights", type=int, default=20, help="of each entry in the table")
     parser.add_argument(
-        "--laws", default="none,certified", help="entries beside the team, between commas"
+        "--laws", default="none,certified,lookahead", help="entries beside the team, between commas"
     )
     given = parser.parse_args()
     torch.set_num_threads(1)

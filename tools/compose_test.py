@@ -5,8 +5,8 @@ Builds the image, flies, kills, pauses, cuts off, and listens where it must not.
     make compose-test
 
 Exit code 0: all checks hold; 1: one does not; 77: there is no Docker engine with Compose here, so nothing was checked.
-It publishes one port, the dashboard's, to this machine alone, writes only to a temporary folder, and removes every
-container, network, volume and image that it has made.
+It publishes two ports, the dashboard's and MAVLink's, to this machine alone, writes only to a temporary folder, and
+removes every container, network, volume and image that it has made.
 """
 
 import contextlib
@@ -35,6 +35,9 @@ LONG = "1000"  # s of simulated time: some ten seconds of flight, long enough to
 ENDLESS = "100000"
 LARGEST = 1000  # MB that the image may have
 PAGE_LARGEST = 150  # MB that the dashboard's image may have besides
+MAVLINK_LARGEST = 150  # MB that the MAVLink bridge's may have
+STATION = bytes.fromhex("fd09000000ffbe0000000000000006080004033d48")
+"""The HEARTBEAT of a ground station, MAVLink 2: a bridge tells the run to whoever has sent one."""
 PIP_SETTINGS = {
     "PIP_INDEX_URL": "index-url",
     "PIP_TRUSTED_HOST": "trusted-host",
@@ -312,6 +315,22 @@ def ticks_shown(port: int, cookie: str, seconds: float) -> list[int]:
     return []
 
 
+def heard_by_station(port: int, seconds: float) -> dict[int, set[int]]:
+    """Identifiers of the MAVLink 2 messages that a ground station of this machine hears, by their system."""
+    heard: dict[int, set[int]] = {}
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as channel:
+        channel.settimeout(0.5)
+        limit = time.monotonic() + seconds
+        while time.monotonic() < limit and (len(heard) < 2 or min(map(len, heard.values())) < 3):
+            channel.sendto(STATION, ("127.0.0.1", port))
+            with contextlib.suppress(TimeoutError, ConnectionRefusedError):
+                packet = channel.recv(1 << 16)
+                while len(packet) >= 12 and packet[0] == 0xFD:
+                    heard.setdefault(packet[5], set()).add(int.from_bytes(packet[7:10], "little"))
+                    packet = packet[12 + packet[1] + 13 * (packet[2] & 1) :]
+    return heard
+
+
 def own_address() -> str:
     """The host's address on its way to the world outside; nothing is sent to find it."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -330,10 +349,8 @@ class Docker:
         name = f"outrider-test-{os.getpid()}"
         root = os.getuid() == 0
         self.program, self.folder, self.project = program, folder, name
-        self.image, self.pilot_image, self.page_image = (
-            f"{name}:image",
-            f"{name}:pilot",
-            f"{name}:page",
+        self.image, self.pilot_image, self.page_image, self.mavlink_image = (
+            f"{name}:{part}" for part in ("image", "pilot", "page", "mavlink")
         )
         self.runs = folder / "runs"
         self.runs.mkdir()
@@ -350,6 +367,7 @@ class Docker:
             "OUTRIDER_IMAGE": self.image,
             "OUTRIDER_UAV_IMAGE": self.pilot_image,
             "OUTRIDER_DASHBOARD_IMAGE": self.page_image,
+            "OUTRIDER_MAVLINK_IMAGE": self.mavlink_image,
             "OUTRIDER_SECRETS": str(folder / "credentials"),
             "OUTRIDER_RUNS": str(self.runs),
             "OUTRIDER_USER": user,
@@ -412,7 +430,15 @@ class Docker:
                 "--timeout",
                 "2",
             ),
-            ("image", "rm", "--force", self.pilot_image, self.page_image, self.image),
+            (
+                "image",
+                "rm",
+                "--force",
+                self.pilot_image,
+                self.page_image,
+                self.mavlink_image,
+                self.image,
+            ),
         ):
             with contextlib.suppress(CheckFailed):
                 self(*words, limit=120.0, check=False)
@@ -855,6 +881,71 @@ class Checks:
             "from one"
         )
 
+    def ros2(self) -> str:
+        """A node on the network ros2 is told the run in ROS 2's wire format, and nothing that is a vehicle's."""
+        docker, folder = self.docker, self.docker.folder / "ros2-credentials"
+        more = {"OUTRIDER_SECRETS": str(folder), "OUTRIDER_DURATION": ENDLESS}
+        docker.compose("run", "--rm", "credentials", OUTRIDER_ROS2="with", **more)
+        heard: dict[str, Json] = {}
+        try:
+            docker.compose("up", "--detach", "simulator-realtime", "ros2", limit=90.0, **more)
+            limit = time.monotonic() + 60.0
+            while time.monotonic() < limit and not heard.get("observer"):
+                heard["observer"] = self._heard_by_node("ros2_observer", folder)
+            heard["uav"] = self._heard_by_node("uav_0", folder)
+        finally:
+            docker.down()
+        topics = {"/".join(key.split("/")[1:-2]) for key in heard["observer"]}
+        expect(
+            {"clock", "tf", "uav_0/odom", "ugv_0/odom"} <= topics,
+            f"a node that looks on hears {sorted(topics)}",
+        )
+        own = {key for key in heard["observer"] if "/pilot/" in key or key.startswith("outrider/")}
+        expect(not own, f"a node that looks on hears {own}")
+        others = {key for key in heard["uav"] if "uav_0" not in key}
+        expect(not others, f"with the UAV's credentials a node hears {others}")
+        return f"{len(topics)} topics, {sum(heard['observer'].values())} messages in 3 s"
+
+    def _heard_by_node(self, name: str, folder: Path) -> Json:
+        docker = self.docker
+        words = [
+            "--rm",
+            f"--network={docker.project}_ros2",
+            f"--user={docker.environment['OUTRIDER_USER']}",
+            f"--volume={folder / f'{name}.json'}:/own.json:ro",
+            "--env=OUTRIDER_CREDENTIALS=/own.json",
+            "--env=OUTRIDER_CONNECT=tcp/router:17447",
+            "--entrypoint=python",
+        ]
+        keys = ["0/*/**/RIHS01_$*", f"outrider/{RUN}/truth", f"outrider/{RUN}/status"]
+        told = docker("run", *words, docker.image, "-c", LISTEN, name, "own", "3", "", *keys)
+        found: Json = json.loads(told)
+        return found
+
+    def mavlink(self) -> str:
+        """A ground station of this machine that speaks to the port is told both vehicles."""
+        docker, port = self.docker, free_port()
+        self._build(docker.mavlink_image, "--target", "mavlink")
+        image = docker.inspect(docker.mavlink_image)
+        more = (image["Size"] - docker.inspect(docker.image)["Size"]) / 1e6
+        expect(image["Config"]["User"] == "1000:1000", f"it runs as {image['Config']['User']!r}")
+        expect(more < MAVLINK_LARGEST, f"it takes {more:.0f} MB more; {MAVLINK_LARGEST} allowed")
+        try:
+            words = ("up", "--detach", "simulator-realtime", "mavlink")
+            told = {"OUTRIDER_DURATION": ENDLESS, "OUTRIDER_MAVLINK_PORT": str(port)}
+            docker.compose(*words, limit=120.0, **told)
+            bound = docker.inspect(docker.container("mavlink"))["NetworkSettings"]["Ports"]
+            hosts = [row["HostIp"] for row in bound["14550/udp"]]
+            expect(hosts == ["127.0.0.1"], f"it is published at {bound}")
+            heard = heard_by_station(port, 60.0)
+        finally:
+            docker.down()
+        expect(len(heard) == 2, f"it is told of the systems {heard}")
+        for system, kinds in heard.items():
+            expect(0 in kinds and len(kinds) >= 3, f"of system {system} it is told {kinds}")
+        counts = ", ".join(f"system {system}: {len(kinds)}" for system, kinds in heard.items())
+        return f"{more:.0f} MB more; kinds of messages heard at 127.0.0.1:{port}: {counts}"
+
     def _address_of_the_page(self, port: int) -> str:
         """Path and ticket, from the log."""
         limit = time.monotonic() + 60.0
@@ -938,6 +1029,8 @@ ORDER = (
     "router_crash",
     "realtime",
     "dashboard",
+    "ros2",
+    "mavlink",
     "override",
     "stop",
 )

@@ -73,7 +73,7 @@ def command(
     ros2: Annotated[
         bool,
         typer.Option(
-            "--with-ros2",
+            "--with-ros2/--without-ros2",
             help="Also for ROS 2's bridge (ros2) and its nodes that look on (ros2_observer) or drive "
             "(ros2_operator); without it the router lets nothing of ROS 2 through.",
         ),

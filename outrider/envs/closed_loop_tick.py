@@ -467,27 +467,28 @@ def run_worlds(
         if beginning:
             begin_world(t.batch, s.batch, k)
         for tick in range(1 if beginning else ticks):
-            if not beginning:
-                if tick > 0 and (s.rows.terminated[k] or s.rows.truncated[k]):
-                    break
-                _fetch(p, t, s, after, 0)
-                _step(p, t, s, k, actions[k])
-            _fetch(p, t, s, after, 1)
-            _perceive(p, t, s, k)
-            _fetch(p, t, s, after, 2)
-            _fetch_rows(s, after)
-            truth = truth_of(s.batch.truth, k)
-            measure(
-                t.batch.world,
-                truth.position,
-                t.batch.escorts,
-                truth.coverage,
-                truth.measures,
-                p.error,
-            )
-            advance_rows(t.batch, s.batch, t.rows, s.rows, k, beginning)
-            _fetch(p, t, s, after, 3)
+            if tick > 0 and (s.rows.terminated[k] or s.rows.truncated[k]):
+                break
+            for part in range(4):  # in a loop, as each call that is written would be compiled anew
+                _fetch(p, t, s, after, part)
+                if part == 0 and not beginning:
+                    _step(p, t, s, k, actions[k])
+                elif part == 1:
+                    _perceive(p, t, s, k)
+                elif part == 2:
+                    _fetch_rows(s, after)
+                    truth = truth_of(s.batch.truth, k)
+                    measure(
+                        t.batch.world,
+                        truth.position,
+                        t.batch.escorts,
+                        truth.coverage,
+                        truth.measures,
+                        p.error,
+                    )
+                    advance_rows(t.batch, s.batch, t.rows, s.rows, k, beginning)
+                elif part == 3:
+                    over = s.rows.terminated[k] or s.rows.truncated[k]
+                    if tick == ticks - 1 or over or beginning:
+                        _observe(p, t, s, k)
             after = -1
-            over = s.rows.terminated[k] or s.rows.truncated[k]
-            if tick == ticks - 1 or over or beginning:
-                _observe(p, t, s, k)
