@@ -51,6 +51,13 @@ def test_the_readme_can_be_read_at_one_sitting() -> None:
     assert len(README.splitlines()) <= 150
 
 
+@pytest.mark.parametrize("page", PAGES)
+def test_prose_has_at_most_120_columns(page: str) -> None:
+    """But for tables, and blocks of code, whose lines one copies."""
+    lines = re.sub(r"```.*?```", "", PAGES[page], flags=re.DOTALL).splitlines()
+    assert [line for line in lines if len(line) > 120 and not line.startswith("|")] == []
+
+
 def test_the_scenario_shown_can_be_flown(tmp_path: Path) -> None:
     shown, hazards = blocks("toml", "docs/how-to/scenario.md")
     (tmp_path / "mine.toml").write_text(shown, encoding="utf-8")
