@@ -11,12 +11,12 @@ import pytest
 from processes import wait_until
 
 FIRST = (
-    *("assurance", "estimator_late", "fuzz_decoders", "attack", "bench", "precision"),
+    *("assurance", "estimator_late", "fuzz_decoders", "bus", "bench", "attack"),
     *("faults", "dashboard_run", "falsify", "sweep", "rogue", "suite"),
 )
 """The first test files, in this order. What takes long comes before what is short, which fills the end of the run.
-With two workers the one compiles pilots and world, then the attack, while the other tests what needs nothing compiled,
-then compiles the closed loop: nothing is compiled twice."""
+With two workers the one compiles pilots and world while the other tests what needs nothing compiled; then the one
+compiles the closed loop and the other the attack: little is compiled twice."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -6,6 +6,12 @@ import pytest
 from outrider import RewardWeights, vector_env
 from sim.engine.world_state import grid_in
 from sim.kernels.compile import FloatArray
+from sim.models.field import (
+    accumulate,
+    accumulate_with_gain,
+    coverage_error,
+    coverage_gradient,
+)
 
 SETTINGS = {
     "num_envs": 2,
@@ -35,6 +41,29 @@ def _flown(precision: str) -> tuple[FloatArray, FloatArray, FloatArray, int]:
         env.close()
 
 
+def _sums(precision: str) -> tuple[FloatArray, list[float]]:
+    """A grid after some looks, and all that the kernels sum up of it on the way."""
+    grid = grid_in(np.random.default_rng(7).uniform(0.0, 3.0, (161, 201)), precision)
+    sums: list[float] = []
+    for x, y in np.random.default_rng(8).uniform(4.0, 12.0, (20, 2)):
+        accumulate(grid, x, y, 0, 1.0, 3.0, 0.1, 0.05)
+        sums.append(accumulate_with_gain(grid, x, y, 9.0, 8.0, 4.0, 2.0, 0, 1.0, 3.0, 0.1, 0.05))
+        sums.append(coverage_error(grid, 9.0, 8.0, 4.0, 2.0, 0.1))
+        sums.extend(coverage_gradient(grid, x, y, 9.0, 8.0, 4.0, 2.0, 0, 1.0, 3.0, 0.1))
+    return grid, sums
+
+
+def test_in_single_precision_the_kernels_sum_up_the_same_to_a_millionth() -> None:
+    (grid, sums), (grid_1, sums_1) = (_sums(precision) for precision in ("double", "single"))
+    assert (grid.dtype, grid_1.dtype) == (np.float64, np.float32)
+    assert np.abs(grid - grid_1).max() <= 1e-6 * grid.max()
+    for part in range(5):
+        exact, found = np.array(sums[part::5]), np.array(sums_1[part::5])
+        assert np.abs(found - exact).max() <= 1e-6 * np.abs(exact).max() > 0.0
+    assert sums != sums_1
+
+
+@pytest.mark.long
 def test_in_single_precision_a_flight_is_the_same_to_a_millionth_in_half_the_memory() -> None:
     (rows, rewards, grids, bytes_), (rows_1, rewards_1, grids_1, bytes_1) = (
         _flown(precision) for precision in ("double", "single")

@@ -365,21 +365,6 @@ def _note_obedience(t: LoopTables, s: LoopState, k: int, u: int, tick: int) -> N
 
 
 @inlined
-def _step(p: LoopParameters, t: LoopTables, s: LoopState, k: int, actions: FloatArray) -> None:
-    """Everybody answers, and world k advances by one tick."""
-    for v in range(t.rows.place.shape[0]):
-        if t.rows.place[v] >= 0:
-            _fly(p, t, s, k, v, t.rows.place[v], actions)
-        else:
-            _drive(t, s, k, v, -1 - t.rows.place[v], actions)
-    tick = s.batch.ticks[k]
-    world_tick(t.batch, s.batch, k, True)
-    for u in range(t.batch.escorts.shape[0]):
-        if t.guarded[u]:
-            _note_obedience(t, s, k, u, tick)
-
-
-@inlined
 def _fetch_ground(t: LoopTables, s: LoopState, k: int, part: int) -> None:
     """Bring a quarter of the tiles that the next tick of world k will touch near the core, where there are any."""
     if t.batch.ground.parameters.shape[0] == 0:
@@ -457,7 +442,7 @@ def run_worlds(
     """Begin these worlds, or fly each on for so many ticks or to the end of its episode.
 
     World by world, so that a grid stays near its core for a whole flight. One function for all, as each compiles
-    for long.
+    for long; what is inlined into what is inlined takes longest, so the tick's parts stand here themselves.
     """
     for n in range(begin, end):
         k = worlds[n]
@@ -472,7 +457,16 @@ def run_worlds(
             for part in range(4):  # in a loop, as each call that is written would be compiled anew
                 _fetch(p, t, s, after, part)
                 if part == 0 and not beginning:
-                    _step(p, t, s, k, actions[k])
+                    for v in range(t.rows.place.shape[0]):
+                        if t.rows.place[v] >= 0:
+                            _fly(p, t, s, k, v, t.rows.place[v], actions[k])
+                        else:
+                            _drive(t, s, k, v, -1 - t.rows.place[v], actions[k])
+                    begun = s.batch.ticks[k]
+                    world_tick(t.batch, s.batch, k, True)
+                    for u in range(t.batch.escorts.shape[0]):
+                        if t.guarded[u]:
+                            _note_obedience(t, s, k, u, begun)
                 elif part == 1:
                     _perceive(p, t, s, k)
                 elif part == 2:
