@@ -29,7 +29,9 @@ def main(wanted: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    there = [name for name in BRIDGES if (FOLDER / f"{name}.py").exists()]
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("bridges", nargs="*", choices=[*there, []], default=there)
-    sys.exit(1 if main(parser.parse_args().bridges) else 0)
+    parser.add_argument("bridges", nargs="*", metavar="NAME", help=f"of {', '.join(BRIDGES)}")
+    asked = parser.parse_args().bridges
+    if unknown := [name for name in asked if name not in BRIDGES]:
+        parser.error(f"no bridge {unknown[0]!r}; there are {', '.join(BRIDGES)}")
+    sys.exit(1 if main(asked or list(BRIDGES)) else 0)
