@@ -16,11 +16,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from bus.messages import LinkSettings
+from bus.messages import LinkSettings, Mission
 from bus.profiles import PROFILES
 from outrider.envs.closed_loop import ClosedLoop
 from outrider.style import INK, LIMIT, UGV, law_color, new_figure, save
-from sim.engine.mission import Mission, mission_of
+from sim.engine.mission import mission_of
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario
 
@@ -155,12 +155,11 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         )
         for n, network in enumerate(NETWORKS)
     ]
-    marks += [
-        Line2D([], [], color=INK, lw=1.6, label="median"),
-        Line2D(
-            [], [], ls="", marker="$n$", mec=LIMIT, mfc=LIMIT, label="flights that did not arrive"
-        ),
-    ]
+    marks.append(Line2D([], [], color=INK, lw=1.6, label="median"))
+    timed = [one for row in rows if row.caution != "bold" for one in row.missions]
+    if any(one.mission_time is None for one in timed):
+        missing = "flights that did not arrive"
+        marks.append(Line2D([], [], ls="", marker="$n$", mec=LIMIT, mfc=LIMIT, label=missing))
     figure.legend(handles=marks, loc="outside upper center", ncols=len(marks), frameon=False)
     save(figure, path)
 
