@@ -4,10 +4,12 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
+
+from preloaded import Popen
 
 from bus.access import read_credential
 from bus.keys import CONTROL, STATUS, Party, Role
@@ -20,21 +22,40 @@ from sim.scenario.loading import load_scenario
 OUTRIDER = [sys.executable, "-m", "outrider"]
 
 
-def outrider(*arguments, timeout=120.0, cwd=None):
-    return subprocess.run(
-        [*OUTRIDER, *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=timeout,
-        cwd=cwd,
-    )
+def outrider(
+    *arguments: str, timeout: float = 120.0, fresh: bool = False, **settings: Any
+) -> "subprocess.CompletedProcess[str]":
+    """A command of ours, come to its end.
+
+    Args:
+        arguments: Of the command line.
+        timeout: How long it may take [s].
+        fresh: Whether an interpreter is started for it; else it is forked from one that has loaded everything.
+        settings: As of `subprocess.Popen`.
+    """
+    with opened([*OUTRIDER, *arguments], fresh=fresh, **PIPES, **settings) as process:
+        try:
+            out, err = process.communicate(timeout=timeout)
+        except BaseException:
+            process.kill()
+            raise
+    return subprocess.CompletedProcess(arguments, process.returncode, out, err)
+
+
+PIPES: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+
+
+def opened(
+    command: Sequence[str], *, fresh: bool = False, **settings: Any
+) -> "subprocess.Popen[Any]":
+    """A process as `subprocess.Popen` starts it, but forked where that can be unless it is to be fresh."""
+    return (subprocess.Popen if fresh else Popen)(command, **settings)
 
 
 def python(
     code: str, *arguments: str, check: bool = True, **settings: Any
 ) -> "subprocess.CompletedProcess[str]":
-    """What an interpreter of its own makes of this code."""
+    """What an interpreter of its own, which has loaded nothing, makes of this code."""
     command = [sys.executable, "-c", code, *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=check, **settings)
 
@@ -143,11 +164,9 @@ def fly_to(operator: Session, tick: int) -> None:
 
 
 @contextmanager
-def started(*arguments: str) -> Iterator["subprocess.Popen[str]"]:
+def started(*arguments: str, fresh: bool = False) -> Iterator["subprocess.Popen[str]"]:
     """A command of ours in the background, killed in the end if it still lives."""
-    process = subprocess.Popen(
-        [*OUTRIDER, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    process = opened([*OUTRIDER, *arguments], fresh=fresh, **PIPES)
     try:
         yield process
     finally:
@@ -160,12 +179,12 @@ def started(*arguments: str) -> Iterator["subprocess.Popen[str]"]:
 
 
 @contextmanager
-def flying(*arguments: str) -> Iterator["subprocess.Popen[str]"]:
+def flying(*arguments: str, fresh: bool = False) -> Iterator["subprocess.Popen[str]"]:
     """A run in the background that is under way: all its processes are there and it has flown 20 ticks.
 
     It is held there, so that nothing of it is over when the test begins, and goes on with the test.
     """
-    with started("run", *arguments) as run:
+    with started("run", *arguments, fresh=fresh) as run:
         wait_until(lambda: "simulator" in map(kind_of, family(run.pid)))
         with joined(run, Role.OPERATOR) as operator:
             fly_to(operator, 20)

@@ -67,7 +67,7 @@ def test_bad_input_gets_one_line_exit_code_2_and_no_traceback(case, here, comman
 
 
 def test_bad_input_ends_the_process_with_the_same_line_and_code(tmp_path: Path) -> None:
-    run = outrider("run", "escrot", cwd=tmp_path)
+    run = outrider("run", "escrot", cwd=tmp_path, fresh=True)
     assert run.returncode == 2
     assert "did you mean" in run.stderr
     assert len(run.stderr.strip().splitlines()) == 1
@@ -144,7 +144,7 @@ def test_a_weighting_of_ones_own_flies_over_the_bus(tmp_path: Path) -> None:
 
 
 def test_the_version_is_told() -> None:
-    assert outrider("--version").stdout.startswith("outrider ")
+    assert outrider("--version", fresh=True).stdout.startswith("outrider ")
 
 
 def test_a_path_that_cannot_be_followed_warns_with_the_bound(tmp_path: Path) -> None:

@@ -134,7 +134,9 @@ def test_where_orphans_find_no_parent_each_process_is_started_by_itself(monkeypa
 @pytest.mark.usefixtures("nothing_left_behind")
 def test_it_stays_for_respawns_alone_knows_no_secret_and_goes_with_its_run(monkeypatch):
     monkeypatch.setenv("OUTRIDER_SECRET", SECRET)
-    with flying("escort", "--set", "duration=100000.0", "--no-files", "--respawn") as run:
+    with flying(
+        "escort", "--set", "duration=100000.0", "--no-files", "--respawn", fresh=True
+    ) as run:
         everybody = children_of(run.pid)
         (server,) = [pid for pid in everybody if "outrider.cli.forkserver" in command_line(pid)]
         assert len(everybody) == 4

@@ -96,6 +96,7 @@ def test_brackets_in_a_path_are_no_markup(tmp_path, monkeypatch, capsys):
     assert str(out / "summary.json") in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("forked_forkserver")
 def test_brackets_in_an_error_of_a_policy_reach_the_terminal(tmp_path, monkeypatch, capsys):
     (tmp_path / "frames.py").write_text(
         "def wheel(o, b): raise ValueError('frame [/base_link] unknown, [m/s²]')\n"
@@ -108,6 +109,7 @@ def test_brackets_in_an_error_of_a_policy_reach_the_terminal(tmp_path, monkeypat
     assert "Traceback" not in told
 
 
+@pytest.mark.usefixtures("forked_forkserver")
 def test_debug_shows_the_traceback_of_a_vehicles_process_and_its_log_keeps_it(
     tmp_path, monkeypatch, capsys
 ):

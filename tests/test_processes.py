@@ -203,7 +203,7 @@ def test_what_lies_in_the_working_folder_takes_no_modules_place(tmp_path: Path) 
     hostile = 'raise SystemExit(f"hijacked by {__name__}")\n'
     mine = "def policy(observation, briefing):\n    return (0.05, 0.0)\n"
     (tmp_path / "mine.py").write_text(mine, encoding="utf-8")
-    checked = outrider("check", "escort", cwd=tmp_path)
+    checked = outrider("check", "escort", cwd=tmp_path, fresh=True)
     assert checked.returncode == 0, checked.stderr
     for name in ("agents", "sim", "bus", "outrider"):
         (tmp_path / name).mkdir()

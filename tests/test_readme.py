@@ -3,13 +3,11 @@
 import json
 import re
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 
+import processes
 import pytest
 import typer
-from processes import python
 
 import outrider
 from bus.messages import LinkKind
@@ -78,7 +76,7 @@ def test_the_links_shown_can_be_flown(tmp_path: Path) -> None:
 
 def test_the_filter_shown_keeps_sight(tmp_path: Path) -> None:
     (shown,) = blocks("python", "docs/how-to/keep-sight.md")
-    run = python(shown, cwd=tmp_path)
+    run = processes.python(shown, cwd=tmp_path)
     count, said = run.stdout.split(" ", 1)
     assert int(count) > 100
     assert said == "commands were not let through; certified: True\n"
@@ -86,7 +84,7 @@ def test_the_filter_shown_keeps_sight(tmp_path: Path) -> None:
 
 def test_the_many_worlds_shown_fly(tmp_path: Path) -> None:
     (shown,) = blocks("python", "docs/how-to/environments.md")
-    run = python(shown, cwd=tmp_path)
+    run = processes.python(shown, cwd=tmp_path)
     assert float(run.stdout) > 100.0
 
 
@@ -128,13 +126,8 @@ def test_the_weighting_shown_flies(tmp_path: Path) -> None:
         "--no-files",
         "--json",
     ]
-    run = subprocess.run(
-        [sys.executable, "-m", "outrider", *arguments],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    run = processes.outrider(*arguments, cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout)["visibility_violations"] == 0
 
 

@@ -20,7 +20,7 @@ import msgspec
 import pytest
 import typer
 from flights import HERE, escort
-from processes import python
+from processes import opened, python
 from typer.testing import CliRunner
 from worlds import SCENARIOS
 
@@ -329,9 +329,7 @@ fly(scenario, 3, on_tick=follow)
 def killed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[int, float]], float]:
     """A recording whose process was killed with SIGKILL, when it was where, and when it was killed."""
     path = tmp_path_factory.mktemp("killed") / "run.mcap"
-    process = subprocess.Popen(
-        [sys.executable, "-c", _ENDLESS, str(path)], stdout=subprocess.PIPE, text=True
-    )
+    process = opened([sys.executable, "-c", _ENDLESS, str(path)], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     reached: list[tuple[int, float]] = []
     for line in process.stdout:
@@ -561,8 +559,8 @@ def test_a_disk_that_fills_up_does_not_end_the_flight_and_is_told(tmp_path: Path
 def test_an_observer_records_a_run_in_progress_to_the_same_bits(tmp_path: Path) -> None:
     endpoint, path = f"unixsock-stream/{tmp_path}/s", tmp_path / "run.mcap"
     body = _PILOT.replace("ENDPOINT", repr(endpoint))
-    pilots = [subprocess.Popen([sys.executable, "-c", body, name]) for name in ("uav_0", "ugv_0")]
-    observer = subprocess.Popen(
+    pilots = [opened([sys.executable, "-c", body, name]) for name in ("uav_0", "ugv_0")]
+    observer = opened(
         [sys.executable, "-c", _OBSERVER.replace("ENDPOINT", repr(endpoint)), str(path)]
     )
     try:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from fields import fields_within
 from flights import degraded
-from processes import OUTRIDER, command_line, family, flying, outrider, wait_until
+from processes import OUTRIDER, command_line, family, flying, opened, outrider, wait_until
 from refusals import refused
 from staging import stage
 
@@ -67,7 +67,8 @@ def test_a_briefing_with_a_secret_differs_in_its_key_alone() -> None:
 @pytest.mark.usefixtures("nothing_left_behind")
 def test_a_runs_secret_is_in_no_command_line_and_no_environment_of_its_processes(monkeypatch):
     monkeypatch.setenv(VARIABLE, SECRET)
-    with flying("escort", "--set", "duration=100000.0", "--no-files", "--json") as going:
+    words = ("escort", "--set", "duration=100000.0", "--no-files", "--json")
+    with flying(*words, fresh=True) as going:  # what is forked shows the environment of its origin
         children = family(going.pid)
         assert not any(
             SECRET.encode() in Path(f"/proc/{pid}/environ").read_bytes() for pid in children
@@ -168,9 +169,7 @@ def test_a_simulator_with_credentials_makes_one_and_a_run_on_this_machine_none(t
                 endpoint,
             ]
             processes.append(
-                subprocess.Popen(
-                    words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
-                )
+                opened(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment)
             )
         out, err = processes[0].communicate(timeout=120)
     finally:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from processes import OUTRIDER, blocks, command_line, outrider
+from processes import OUTRIDER, blocks, command_line, opened, outrider
 from refusals import refused
 from tabular import words
 
@@ -74,9 +74,7 @@ def wait_for(there: Callable[[], bool], process: "subprocess.Popen[str]") -> Non
 
 def started(*command: str, **settings) -> "subprocess.Popen[str]":
     """A command in a session of its own."""
-    return subprocess.Popen(
-        command, start_new_session=True, stderr=subprocess.PIPE, text=True, **settings
-    )
+    return opened(command, start_new_session=True, stderr=subprocess.PIPE, text=True, **settings)
 
 
 def session_ends(number: int) -> bool:
@@ -275,7 +273,7 @@ def test_a_sweep_that_is_killed_goes_on_and_its_table_is_that_of_an_undisturbed_
     tmp_path, undisturbed
 ):
     command = [*OUTRIDER, *GRID, *LONG, "--jobs", "2", "--out"]
-    victim = started(*command, str(tmp_path / "killed"))
+    victim = started(*command, str(tmp_path / "killed"), fresh=True)
     wait_for(lambda: parts(tmp_path / "killed") >= 2, victim)
     os.killpg(victim.pid, signal.SIGKILL)
     victim.communicate()
@@ -389,7 +387,7 @@ def test_on_a_cluster_a_worker_may_die_and_the_rows_are_those_of_this_machine(
         address = json.loads(info.read_text())["address"]
         _await_workers(address, 2)
         command = [*OUTRIDER, *GRID, *LONG, "--dask", address, "--json", "--out"]
-        sweep = subprocess.Popen(
+        sweep = opened(
             [*command, str(tmp_path / "far")],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

@@ -282,7 +282,7 @@ def test_three_processes_play_it_and_it_is_flown_again_without_its_file(tmp_path
     assert there["trajectory_sha256"] == here.trajectory_sha256
     assert there["traces"] == {"recorded/wifi.csv": scenario.links.traces[0].sha256}
     (tmp_path / "recorded" / "wifi.csv").unlink()
-    again = outrider("replay", str(tmp_path / "run.mcap"), "--refly", "--json")
+    again = outrider("replay", str(tmp_path / "run.mcap"), "--refly", "--json", fresh=True)
     assert again.returncode == 0, again.stderr
     assert json.loads(again.stdout)["trajectory_sha256"] == here.trajectory_sha256
 
@@ -469,7 +469,7 @@ def test_the_command_fits_a_mahimahi_file_and_draws_it(tmp_path: Path) -> None:
     assert "Mbit/s on average; longest time without an opportunity 117 ms" in fit["notes"][-1]
     assert (tmp_path / "fit.png").read_bytes().startswith(b"\x89PNG")
     (tmp_path / "drive").write_text("sent,delay\n0,lost\n")
-    told = outrider("network", "fit", "drive", cwd=tmp_path)
+    told = outrider("network", "fit", "drive", cwd=tmp_path, fresh=True)
     assert told.returncode == 2
     assert told.stderr == (
         "outrider: drive: no message arrives; allowed: a recording with one that does\n"

@@ -121,7 +121,7 @@ def test_no_control_makes_a_tick_late_in_real_time_on_a_cold_cache(
 ) -> None:
     monkeypatch.setenv("OUTRIDER_CACHE", str(tmp_path / "cache"))
     words = ("escort", "--realtime", "1", "--duration", "20000", "--no-files", "--json")
-    with started("run", *words) as run:
+    with started("run", *words, fresh=True) as run:
         wait_until(lambda: "simulator" in map(kind_of, family(run.pid)), 300.0)
         words_of = command_line(child_of(run, "simulator")).split()
         socket = words_of[words_of.index("--listen") + 1].removeprefix("unixsock-stream/")
