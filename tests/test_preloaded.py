@@ -34,7 +34,7 @@ def test_it_says_the_same_and_ends_with_the_same_code(words: list[str], tmp_path
     )
 
 
-def test_it_is_our_child_with_its_command_line_default_signals_and_no_file_but_its_own() -> None:
+def test_it_is_our_child_with_its_command_line_and_no_file_but_its_own() -> None:
     ours, theirs = socket.socketpair()
     with ours, theirs, opened([*OUTRIDER, *WAITS], stderr=subprocess.DEVNULL) as process:
         wait_until(lambda: kind_of(process.pid) == "uav")
@@ -45,8 +45,16 @@ def test_it_is_our_child_with_its_command_line_default_signals_and_no_file_but_i
         inodes = {f"socket:[{os.fstat(end.fileno()).st_ino}]" for end in (ours, theirs)}
         inodes.add(f"socket:[{os.fstat(preloaded._loaded()._channel.fileno()).st_ino}]")
         assert not inodes & set(links)
-        process.send_signal(signal.SIGINT)
-        assert process.wait(30.0) == 130
+        process.kill()
+        assert process.wait(30.0) == -signal.SIGKILL
+
+
+def test_its_signals_are_as_an_interpreter_has_them() -> None:
+    code = (
+        "import signal; print([signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]"
+        "== [signal.default_int_handler, signal.SIG_DFL], signal.pthread_sigmask(signal.SIG_BLOCK, ()))"
+    )
+    assert forked(code) == "True set()"
 
 
 def test_folder_environment_arguments_and_files_are_its_own(tmp_path, monkeypatch):
