@@ -47,7 +47,7 @@ _FREE = frozenset(
     }
 )
 """Variables that nobody reads while loading; a command whose others differ from ours gets an interpreter."""
-_LIBRARIES = ("PYGAME_", "SDL_")
+_LIBRARIES = ("KMP_", "PYGAME_", "SDL_")
 """Beginnings of those that libraries set in the process of the tests, and that no command of ours reads."""
 
 

@@ -10,6 +10,7 @@ import numba
 import numpy as np
 import pytest
 from draws import a_key
+from numba.core.caching import NullCache
 from numba.core.codegen import CPUCodeLibrary
 from numba.core.errors import TypingError
 
@@ -124,8 +125,10 @@ def _by_constants(number: float, times: int) -> float:
     return _scaled(number, 2) + _scaled(number, times=3) + _scaled(number, times)
 
 
-def test_a_constant_that_a_caller_hands_over_makes_no_version_of_its_own() -> None:
+def test_a_constant_that_a_caller_hands_over_makes_no_version_of_its_own(monkeypatch) -> None:
     """Each would be compiled with all that it calls in turn."""
+    for function in (_scaled, _by_constants):  # else they may come from an earlier session
+        monkeypatch.setattr(function, "_cache", NullCache())
     assert _by_constants(1.5, 4) == 13.5
     assert len(_scaled.overloads) == 1  # type: ignore[attr-defined]
 

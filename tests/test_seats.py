@@ -90,10 +90,12 @@ def test_a_lost_vehicle_brakes_and_one_that_returns_is_told_nothing_it_has_misse
         returned: list[int] = []
 
         def come_back() -> None:
-            if flight.world.tick >= 150 and not started.is_set():
+            if flight.world.tick >= 300 and not started.is_set():
                 started.set()
-                run.start("uav_0")
-            if not returned and run.server.vehicles()["uav_0"].rejoined:
+                run.start(
+                    "uav_0"
+                )  # the clock waits here, else the UGV may be out of its sight by then
+                wait_until(lambda: run.server.vehicles()["uav_0"].rejoined)
                 returned.append(flight.world.tick)
             if returned and flight.world.tick == returned[0] + 60:
                 flight.stop()
@@ -101,7 +103,7 @@ def test_a_lost_vehicle_brakes_and_one_that_returns_is_told_nothing_it_has_misse
         run.fly(come_back)
     later = run.vehicles[2].seen
     back = 101 + flight.missing["uav_0"]
-    assert 150 < back <= returned[0] + 1
+    assert 300 <= back <= returned[0] + 1
     assert [seen.tick for seen in later[:back]] == list(range(back))
     assert sum(bool(seen.detections) for seen in later[:101]) > 50
     assert not any(seen.detections for seen in later[102:back])

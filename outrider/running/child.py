@@ -167,10 +167,15 @@ class Child:
         self._process.wait()
 
     def close(self) -> None:
-        """Close our ends of its pipes."""
+        """Close our ends of its pipes: its standard input first, by which it ends if it has not yet."""
+        if self._process.stdin is not None:
+            with contextlib.suppress(OSError):
+                self._process.stdin.close()
         for reader in self._readers:
-            reader.join(1.0)
-        for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
+            reader.join(5.0)
+        if any(reader.is_alive() for reader in self._readers):
+            return  # of a process that stands still; what a thread reads cannot be closed
+        for stream in (self._process.stdout, self._process.stderr):
             if stream is not None:
                 with contextlib.suppress(OSError):
                     stream.close()
