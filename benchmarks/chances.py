@@ -47,8 +47,8 @@ def _copied(empty: LinkState) -> LinkState:
         empty.slots.copy(),
         empty.payload.copy(),
         empty.buckets.copy(),
-        empty.counts.copy(),
-        empty.numbers.copy(),
+        empty.memory.copy(),
+        empty.lost.copy(),
     )
 
 

@@ -13,11 +13,7 @@ from sim.engine.batch import Batch
 from sim.engine.links import Links
 from sim.engine.mission import hear_block, mission_of
 from sim.engine.world_state import (
-    ANSWERED,
-    CARRIED,
-    LAST,
-    U_X,
-    U_Y,
+    COMMAND,
     BatchState,
     BatchTables,
     Told,
@@ -158,9 +154,15 @@ class World:
             motions: That it carries, one a tick, the oldest first. Without a receiver for them the acceleration acts.
         """
         sent = self._sent
-        sent[k, ANSWERED], (sent[k, U_X], sent[k, U_Y]) = answered, acceleration
+        sent[k, COMMAND.answered], (sent[k, COMMAND.u_x], sent[k, COMMAND.u_y]) = (
+            answered,
+            acceleration,
+        )
         if self._carries:
-            sent[k, LAST], sent[k, CARRIED] = motions[-1].begins if motions else -1, len(motions)
+            sent[k, COMMAND.last], sent[k, COMMAND.carried] = (
+                motions[-1].begins if motions else -1,
+                len(motions),
+            )
             for motion in motions:
                 keep_motion(self._motions[k], motion_row(motion)[0], self._tick)
 

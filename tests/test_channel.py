@@ -31,10 +31,7 @@ from sim.channel.description import (
     relink,
 )
 from sim.channel.link import (
-    AGE_SUM,
     CAUSES,
-    DARK,
-    LOST,
     SHAPES,
     LinkParameters,
     LinkState,
@@ -62,7 +59,7 @@ def _drive(t, s, key, first, ticks, each, out, log, dark):
     n = 0
     for tick in range(first, first + ticks):
         advance(t, 0, s, key, tick)
-        dark[tick - first] = s.counts[DARK]
+        dark[tick - first] = s.memory[0].dark
         for k in range(each):
             payload[0], payload[1] = tick, k
             send(t, 0, s, key, payload)
@@ -178,7 +175,9 @@ def test_a_share_of_one_is_all_and_of_nought_is_none() -> None:
     assert Flown(LinkSettings(loss=1.0), 1000).status.lost["loss"] == 1000
     twice = Flown(LinkSettings(duplicates=1.0), 1000).status
     assert twice.duplicated == 1000
-    assert twice.delivered == 2000
+    assert (twice.delivered, twice.delivery_ratio) == (2000, 1.0)
+    half = Flown(LinkSettings(duplicates=1.0, loss=0.5), 1000).status
+    assert half.delivery_ratio == 1.0 - half.lost["loss"] / 1000  # a copy is no further message
 
 
 def _runs(flags: np.ndarray) -> np.ndarray:
@@ -638,7 +637,7 @@ def test_late_messages_make_the_known_no_older() -> None:
         newest = max([newest, *flown.arrived[flown.arrived[:, 0] == tick, 1]])
         total += tick - newest if newest >= 0 else 0
     assert (np.diff(flown.arrived[:, 1]) < 0).any()
-    assert flown.state.numbers[AGE_SUM] == total
+    assert flown.state.memory["age_sum"][0] == total
 
 
 @pytest.mark.parametrize("name", [*PROFILES, "busy"])
@@ -758,4 +757,4 @@ def test_each_profile_is_a_link_that_does_what_it_says(name: str) -> None:
 
 
 def test_the_causes_are_counted_in_their_places() -> None:
-    assert link_state(link_parameters(LinkSettings(), DT), 1).counts.shape == (LOST + len(CAUSES),)
+    assert link_state(link_parameters(LinkSettings(), DT), 1).lost.shape == (len(CAUSES),)

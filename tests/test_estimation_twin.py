@@ -13,20 +13,6 @@ from filters import straying
 from agents.estimation.estimator import RelativeEstimator
 from agents.estimation.motion_model import acceleration_deviation, cut_variance, motion
 from agents.estimation.twin import (
-    AGE,
-    DUPLICATES,
-    KNOWN,
-    MISDATED,
-    P_PP,
-    P_PV,
-    P_VP,
-    P_VV,
-    REFUSED,
-    TOO_OLD,
-    V_X,
-    V_Y,
-    X,
-    Y,
     kalman_estimate,
     kalman_parameters,
     kalman_state,
@@ -162,21 +148,29 @@ def _pair(case):
     return parameters, kalman_state(case.depth), pilots
 
 
+def _state(belief):
+    return np.array([belief.x, belief.y, belief.v_x, belief.v_y])
+
+
+def _covariance(belief):
+    return np.array([belief.p_pp, belief.p_pv, belief.p_vp, belief.p_vv])
+
+
 def _compare_filters(state, pilots, estimate, case, fuses, where):
-    n = state.numbers
-    assert (n[DUPLICATES], n[TOO_OLD]) == (pilots.duplicates, pilots.too_old), where
-    assert (n[KNOWN] == 1.0) == (estimate is not None), where
+    b, n = state.belief[0], state.counts[0]
+    assert (n.duplicates, n.too_old) == (pilots.duplicates, pilots.too_old), where
+    assert b.known == (estimate is not None), where
     if estimate is None:
         return
-    assert (n[AGE] * case.dt, n[REFUSED]) == (estimate.age, estimate.refused), where
-    assert kalman_estimate(state) == (True, n[X], n[Y], n[V_X], n[V_Y], n[P_PP], n[P_VV])
-    _compare(np.array([n[P_VV]]), np.array([pilots.velocity_variance]), fuses, where)
+    assert (b.age * case.dt, n.refused) == (estimate.age, estimate.refused), where
+    assert kalman_estimate(state) == (True, b.x, b.y, b.v_x, b.v_y, b.p_pp, b.p_vv)
+    _compare(np.array([b.p_vv]), np.array([pilots.velocity_variance]), fuses, where)
     P = pilots.covariance.reshape(2, 2, 2, 2)
     assert not P[:, 0, :, 1].any()
     assert not P[:, 1, :, 0].any()
-    _compare(n[[X, Y, V_X, V_Y]], pilots.state, fuses, where)
+    _compare(_state(b), pilots.state, fuses, where)
     for axis in (0, 1):
-        _compare(n[[P_PP, P_PV, P_VP, P_VV]], P[:, axis, :, axis].ravel(), fuses, where)
+        _compare(_covariance(b), P[:, axis, :, axis].ravel(), fuses, where)
 
 
 @pytest.mark.parametrize("works_ahead", [False, True], ids=["", "ahead"])
@@ -196,10 +190,11 @@ def test_at_every_tick_it_is_the_pilots_filter(name, works_ahead, fuses):
         _compare_filters(state, pilots, estimate, case, fuses, f"{name}, tick {k}")
         if works_ahead and rng.random() < 0.7:
             pilots.prepare()
+    counts = state.counts[0]
     if case.settings.enabled and case.noise:
-        assert state.numbers[REFUSED] > state.numbers[MISDATED]  # or the flight has shown little
+        assert counts.refused > counts.misdated  # or the flight has shown little
     if case.wild:
-        assert min(state.numbers[[DUPLICATES, MISDATED, TOO_OLD]]) > 0.0
+        assert min(counts.duplicates, counts.misdated, counts.too_old) > 0
 
 
 def test_it_is_filterpys_filter_where_nothing_is_capped():
@@ -222,11 +217,11 @@ def test_it_is_filterpys_filter_where_nothing_is_capped():
             plain.predict()
             if seen is not None:
                 plain.update(np.array(seen))
-        numbers = state.numbers
-        np.testing.assert_allclose(numbers[[X, Y, V_X, V_Y]], plain.x, rtol=1e-9, atol=1e-12)
-        covariance = np.kron(numbers[[P_PP, P_PV, P_VP, P_VV]].reshape(2, 2), np.eye(2))
+        belief = state.belief[0]
+        np.testing.assert_allclose(_state(belief), plain.x, rtol=1e-9, atol=1e-12)
+        covariance = np.kron(_covariance(belief).reshape(2, 2), np.eye(2))
         np.testing.assert_allclose(covariance, plain.P, rtol=1e-9, atol=1e-12)
-    assert (numbers[AGE], numbers[REFUSED]) == (4.0, 0.0)
+    assert (belief.age, state.counts[0].refused) == (4, 0)
 
 
 def test_a_ugv_that_was_not_seen_for_long_may_have_turned_round():
@@ -237,7 +232,7 @@ def test_a_ugv_that_was_not_seen_for_long_may_have_turned_round():
     for k in range(4801):
         kalman_step(parameters, state, k, 0.0, 0.0, np.array([[0.0, 1.0, 1.0]]), int(k == 0))
     strayed = straying(elapsed=240.0, target=UGV, manoeuvre=0.7, dt=0.05)
-    assert math.sqrt(state.numbers[P_PP]) == pytest.approx(strayed / math.sqrt(8.0))
+    assert math.sqrt(state.belief[0].p_pp) == pytest.approx(strayed / math.sqrt(8.0))
 
 
 def test_the_gate_closes_at_the_same_bit(fuses):
@@ -257,7 +252,7 @@ def test_the_gate_closes_at_the_same_bit(fuses):
                 judged = parameters._replace(gate=float(gate)) if k == last else parameters
                 look = np.array([[k, own[0] - ugv[k, 0], own[1] - ugv[k, 1]]])
                 kalman_step(judged, state, k, *own, look, 1)
-            assert state.numbers[REFUSED] == refused
+            assert state.counts[0].refused == refused
 
 
 # The frame

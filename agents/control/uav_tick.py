@@ -16,13 +16,14 @@ from agents.control.laws import (
 )
 from agents.control.lookahead import LookaheadMemory, Target, lookahead_control
 from agents.control.promise import Promise
+from bus.ticks import Look
 from sim.kernels.compile import FloatArray, borrowing
-from sim.kernels.records import RecordArray
+from sim.kernels.records import RecordArray, columns
 from sim.models.field import accumulate
 from sim.models.vehicles import Motion, brake, clip_norm
 
-TAKEN, LOOK_X, LOOK_Y = range(3)
-"""Columns of detections: the tick at which one was taken, and the noisy p_a - p_g [m]."""
+LOOK = columns(Look)
+"""Columns of an array of looks."""
 
 
 class UavMemory(NamedTuple):
@@ -70,7 +71,7 @@ def uav_perceive(
     if guarded:
         note_position(memory.guard, tick, here.p_x, here.p_y)
         for n in range(arrived):
-            taken, x, y = int(looks[n, TAKEN]), looks[n, LOOK_X], looks[n, LOOK_Y]
+            taken, x, y = int(looks[n, LOOK.taken]), looks[n, LOOK.x], looks[n, LOOK.y]
             note_detection(promise, memory.guard, taken, tick, x, y, here.p_x, here.p_y)
 
 

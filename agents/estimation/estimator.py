@@ -20,6 +20,7 @@ import numpy as np
 
 from agents.estimation.kalman import BareFilter
 from agents.estimation.motion_model import (
+    SURE,
     acceleration_deviation,
     cut_variance,
     motion,
@@ -33,9 +34,6 @@ from sim.kernels.compile import FloatArray
 from sim.models.vehicles import clip_norm
 
 _VARIANCE_FLOOR = 1e-12  # [m²], (1 µm)²: a detector without noise must not make S singular
-_SURE = 1.0 / math.sqrt(
-    8.0
-)  # least deviation of the position per metre that the UGV may have strayed while it was not seen
 _FREE_SPEED = (
     10.0  # [m/s], deviation of the first velocity per axis where the largest speed is not known
 )
@@ -294,7 +292,7 @@ class RelativeEstimator:
         if self._speed < math.inf:
             strayed = strayed_distance(age * self._dt, self._speed, self._acceleration)
             self._bound(
-                least=_SURE * strayed, most=math.sqrt(before) + self._speed * ticks * self._dt
+                least=SURE * strayed, most=math.sqrt(before) + self._speed * ticks * self._dt
             )
 
     def _bound(self, *, least: float, most: float) -> None:

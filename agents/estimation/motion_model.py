@@ -7,6 +7,8 @@ import numpy as np
 from bus.messages import Limits
 from sim.kernels.compile import FloatArray, compiled
 
+SURE = 1.0 / math.sqrt(8.0)
+"""Least deviation of the position per metre that the UGV may have strayed while it was not seen."""
 _TIRE_LIMIT = (
     9.81  # [m/s²], what tires on the ground can give; where neither of the UGV's bounds is known
 )

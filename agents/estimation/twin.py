@@ -26,9 +26,10 @@ from numba.core.typing.templates import Signature
 from numba.extending import intrinsic
 
 from agents.control.lookahead import Target
-from agents.control.uav_tick import LOOK_X, LOOK_Y, TAKEN
+from agents.control.uav_tick import LOOK
 from agents.estimation.estimator import RelativeEstimator
 from agents.estimation.motion_model import (
+    SURE,
     acceleration_deviation,
     motion,
     strayed_distance,
@@ -36,34 +37,55 @@ from agents.estimation.motion_model import (
 )
 from bus.messages import Detector, Estimator, Limits
 from sim.kernels.compile import FloatArray, borrowing
+from sim.kernels.records import RecordArray, record_type
 from sim.models.vehicles import clip_norm
 
-_SURE = 1.0 / math.sqrt(
-    8.0
-)  # as the pilot's: least deviation of the position per metre that the UGV may have strayed
 
-KNOWN, X, Y, V_X, V_Y, P_PP, P_PV, P_VP, P_VV, AGE, _BY_GATE, _IN_A_ROW = range(12)
-"""Of `KalmanState.numbers`, what is believed: whether anything is (1.0), the UGV's position [m] and velocity [m/s], the
-covariance of one axis [m², m²/s, m²/s²], and the ticks since the newest believed detection; then refusals by the
-gate, in all and in a row. Meaningless while nothing is known."""
+class Belief:
+    """What is believed of the UGV; meaningless while nothing is known."""
 
-_BELIEF = 12  # numbers that a late detection takes back
+    known: bool
+    x: float
+    y: float
+    """Its position [m]."""
+    v_x: float
+    v_y: float
+    """Its velocity [m/s]."""
+    p_pp: float
+    p_pv: float
+    p_vp: float
+    p_vv: float
+    """The covariance of one axis [m², m²/s, m²/s, m²/s²]."""
+    age: int
+    """Ticks since the newest believed detection."""
+    by_gate: int
+    in_a_row: int
+    """Detections refused by the gate, in all and in a row."""
 
-REFUSED, MISDATED, DUPLICATES, TOO_OLD = range(_BELIEF, _BELIEF + 4)
-"""Of `KalmanState.numbers`, detections not used.
 
-Refused in all, by the gate (as if all had come in order) or for the wrong
-time; those of the wrong time; those of a time that had the same one; those that came later than the history reaches."""
+class Past:
+    """A tick that a late detection may be of."""
 
-NUMBERS = _BELIEF + 4
-"""The length of a filter's state."""
+    own_x: float
+    own_y: float
+    """p_a then [m]."""
+    seen: bool
+    seen_x: float
+    seen_y: float
+    """Where the UGV was detected then [m]."""
 
-_OWN_X, _OWN_Y, _SEEN, _SEEN_X, _SEEN_Y, _BEFORE = range(
-    6
-)  # columns of the history; the belief from _BEFORE on
 
-COLUMNS = _BEFORE + _BELIEF
-"""The number of values that a filter keeps of each tick."""
+class Counts:
+    """Detections not used."""
+
+    refused: int
+    """In all, by the gate (as if all had come in order) or for the wrong time."""
+    misdated: int
+    """For the wrong time."""
+    duplicates: int
+    """Of a time that had the same one."""
+    too_old: int
+    """Later than the history reaches."""
 
 
 class KalmanParameters(NamedTuple):
@@ -96,13 +118,14 @@ class KalmanParameters(NamedTuple):
 class KalmanState(NamedTuple):
     """The filter of one UAV; its arrays change in place. From `kalman_state`."""
 
-    numbers: FloatArray
-    """Its belief and its counters, see the named places. Shape (NUMBERS,)."""
-    history: FloatArray
-    """The last ticks, each in row tick % depth: p_a, what was detected then, the belief before it.
-
-    Shape (depth, COLUMNS).
-    """
+    belief: RecordArray
+    """One row of `Belief`. Shape (1,)."""
+    counts: RecordArray
+    """One row of `Counts`. Shape (1,)."""
+    past: RecordArray
+    """`Past` of the last ticks, each in row tick % depth. Shape (depth,)."""
+    before: RecordArray
+    """Likewise the `Belief` before what was detected then was taken up."""
 
 
 def kalman_parameters(
@@ -150,14 +173,15 @@ def kalman_state(depth: int) -> KalmanState:
     """
     if depth < 1:
         raise ValueError(f"depth must be at least 1, not {depth}")
-    return KalmanState(numbers=np.zeros(NUMBERS), history=np.zeros((depth, COLUMNS)))
+    rows = ((Belief, 1), (Counts, 1), (Past, depth), (Belief, depth))
+    return KalmanState._make(np.zeros(length, dtype=record_type(row)) for row, length in rows)
 
 
 @borrowing
 def kalman_estimate(state: KalmanState) -> Target:
     """All that is believed of the UGV."""
-    n = state.numbers
-    return Target(n[KNOWN] != 0.0, n[X], n[Y], n[V_X], n[V_Y], n[P_PP], n[P_VV])
+    b = state.belief[0]
+    return Target(b.known, b.x, b.y, b.v_x, b.v_y, b.p_pp, b.p_vv)
 
 
 @borrowing
@@ -177,114 +201,98 @@ def kalman_step(
         state: Of the filter, changed in place.
         tick: Now, one more than at the last call.
         p_ax, p_ay: p_a now [m].
-        looks: Detections, see the named columns. Shape (rows, 3).
+        looks: Detections, in the columns `LOOK`. Shape (rows, 3).
         count: How many rows have arrived since the last call, in this order.
     """
-    numbers, history = state.numbers, state.history
-    _coast(parameters=parameters, numbers=numbers)
-    place = tick % len(history)
-    history[place, _OWN_X], history[place, _OWN_Y], history[place, _SEEN] = p_ax, p_ay, 0.0
-    _remember(numbers=numbers, history=history, place=place)
-    first = _arrange(numbers=numbers, history=history, tick=tick, looks=looks, count=count)
+    belief, past = state.belief[0], state.past
+    _coast(parameters, belief)
+    place = tick % len(past)
+    past[place].own_x, past[place].own_y, past[place].seen = p_ax, p_ay, False
+    _remember(state, place)
+    first = _arrange(state, tick, looks, count)
     if first <= tick:
-        _run(parameters=parameters, numbers=numbers, history=history, first=first, tick=tick)
-    numbers[REFUSED] = numbers[_BY_GATE] + numbers[MISDATED]
+        _run(parameters, state, first, tick)
+    state.counts[0].refused = belief.by_gate + state.counts[0].misdated
 
 
 @borrowing
-def _arrange(
-    numbers: FloatArray, history: FloatArray, tick: int, looks: FloatArray, count: int
-) -> int:
+def _arrange(state: KalmanState, tick: int, looks: FloatArray, count: int) -> int:
     """Put what has arrived into its ticks; the earliest at which something is new, or the tick after this one."""
-    depth = len(history)
+    past, counts = state.past, state.counts[0]
+    depth = len(past)
     first = tick + 1
     for k in range(count):
-        taken = int(looks[k, TAKEN])
+        taken = int(looks[k, LOOK.taken])
         if tick - taken >= depth:
-            numbers[TOO_OLD] += 1.0
+            counts.too_old += 1
             continue
         if not 0 <= taken <= tick:
-            numbers[MISDATED] += 1.0
+            counts.misdated += 1
             continue
-        place = taken % depth
-        x, y = (
-            history[place, _OWN_X] - looks[k, LOOK_X],
-            history[place, _OWN_Y] - looks[k, LOOK_Y],
-        )
-        if history[place, _SEEN] == 0.0:
-            history[place, _SEEN], history[place, _SEEN_X], history[place, _SEEN_Y] = 1.0, x, y
+        then = past[taken % depth]
+        x, y = then.own_x - looks[k, LOOK.x], then.own_y - looks[k, LOOK.y]
+        if not then.seen:
+            then.seen, then.seen_x, then.seen_y = True, x, y
             first = min(first, taken)
-        elif taken == tick or (history[place, _SEEN_X] == x and history[place, _SEEN_Y] == y):
-            numbers[DUPLICATES] += 1.0
+        elif taken == tick or (then.seen_x == x and then.seen_y == y):
+            counts.duplicates += 1
         else:
-            numbers[MISDATED] += 1.0  # it was not taken then: another one was
+            counts.misdated += 1  # it was not taken then: another one was
     return first
 
 
 @borrowing
-def _run(
-    parameters: KalmanParameters, numbers: FloatArray, history: FloatArray, first: int, tick: int
-) -> None:
+def _run(parameters: KalmanParameters, state: KalmanState, first: int, tick: int) -> None:
     """Take up what was detected at `first`, and where that is past run again through all that was detected since."""
-    place = first % len(history)
+    past, place = state.past, first % len(state.past)
     if first < tick:
-        for k in range(_BELIEF):
-            numbers[k] = history[place, _BEFORE + k]
-    _take(
-        parameters=parameters, numbers=numbers, x=history[place, _SEEN_X], y=history[place, _SEEN_Y]
-    )
+        state.belief[0] = state.before[place]
+    belief = state.belief[0]
+    _take(parameters, belief, past[place].seen_x, past[place].seen_y)
     for _ in range(first, tick):
-        place = place + 1 if place + 1 < len(history) else 0
-        _coast(parameters=parameters, numbers=numbers)
-        _remember(numbers=numbers, history=history, place=place)
-        if history[place, _SEEN] != 0.0:
-            _take(
-                parameters=parameters,
-                numbers=numbers,
-                x=history[place, _SEEN_X],
-                y=history[place, _SEEN_Y],
-            )
+        place = place + 1 if place + 1 < len(past) else 0
+        _coast(parameters, belief)
+        _remember(state, place)
+        if past[place].seen:
+            _take(parameters, belief, past[place].seen_x, past[place].seen_y)
 
 
 @borrowing
-def _remember(numbers: FloatArray, history: FloatArray, place: int) -> None:
+def _remember(state: KalmanState, place: int) -> None:
     """Keep the belief before a tick's detection, where one may come late."""
-    if len(history) > 1:
-        for k in range(_BELIEF):
-            history[place, _BEFORE + k] = numbers[k]
+    if len(state.before) > 1:
+        state.before[place] = state.belief[0]
 
 
 @borrowing
-def _coast(parameters: KalmanParameters, numbers: FloatArray) -> None:
+def _coast(parameters: KalmanParameters, b: Belief) -> None:
     """Grow older by one tick without a detection."""
-    if numbers[KNOWN] == 0.0:
+    if not b.known:
         return
-    numbers[AGE] += 1.0
+    b.age += 1
     if not parameters.enabled:
         return
     c = parameters
-    numbers[X] += c.dt * numbers[V_X]
-    numbers[Y] += c.dt * numbers[V_Y]
-    before = numbers[P_PP]
+    b.x += c.dt * b.v_x
+    b.y += c.dt * b.v_y
+    before = b.p_pp
     pp, pv, vp, vv = _predicted(
         dt=c.dt,
         q_pp=c.q_pp,
         q_pv=c.q_pv,
         q_vv=c.q_vv,
         pp=before,
-        pv=numbers[P_PV],
-        vp=numbers[P_VP],
-        vv=numbers[P_VV],
+        pv=b.p_pv,
+        vp=b.p_vp,
+        vv=b.p_vv,
     )
     if c.speed < math.inf:
-        strayed = strayed_distance(
-            elapsed=numbers[AGE] * c.dt, speed=c.speed, acceleration=c.acceleration
-        )
+        strayed = strayed_distance(elapsed=b.age * c.dt, speed=c.speed, acceleration=c.acceleration)
         most = math.sqrt(before) + c.speed * c.dt
         pp, pv, vp, vv = _bounded(
-            least=_SURE * strayed, most=most, speed=c.speed, pp=pp, pv=pv, vp=vp, vv=vv
+            least=SURE * strayed, most=most, speed=c.speed, pp=pp, pv=pv, vp=vp, vv=vv
         )
-    numbers[P_PP], numbers[P_PV], numbers[P_VP], numbers[P_VV] = pp, pv, vp, vv
+    b.p_pp, b.p_pv, b.p_vp, b.p_vv = pp, pv, vp, vv
 
 
 def _fma(
@@ -345,50 +353,48 @@ def _weighed(
 
 
 @borrowing
-def _take(parameters: KalmanParameters, numbers: FloatArray, x: float, y: float) -> None:
+def _take(parameters: KalmanParameters, b: Belief, x: float, y: float) -> None:
     """Believe or refuse a detection of the UGV at (x, y) [m]."""
-    if not parameters.enabled or numbers[KNOWN] == 0.0:
-        _start(parameters=parameters, numbers=numbers, x=x, y=y)
+    if not parameters.enabled or not b.known:
+        _start(parameters=parameters, b=b, x=x, y=y)
         return
-    nu_x, nu_y = x - numbers[X], y - numbers[Y]
-    s = numbers[P_PP] + parameters.variance
+    nu_x, nu_y = x - b.x, y - b.y
+    s = b.p_pp + parameters.variance
     if (s * nu_x * nu_x + s * nu_y * nu_y) / (s * s) <= parameters.gate:
-        _correct(parameters=parameters, numbers=numbers, nu_x=nu_x, nu_y=nu_y)
+        _correct(parameters=parameters, b=b, nu_x=nu_x, nu_y=nu_y)
         return
-    numbers[_BY_GATE] += 1.0
-    numbers[_IN_A_ROW] += 1.0
-    if numbers[_IN_A_ROW] >= parameters.patience:
-        _start(parameters=parameters, numbers=numbers, x=x, y=y)
+    b.by_gate += 1
+    b.in_a_row += 1
+    if b.in_a_row >= parameters.patience:
+        _start(parameters=parameters, b=b, x=x, y=y)
 
 
 @borrowing
-def _start(parameters: KalmanParameters, numbers: FloatArray, x: float, y: float) -> None:
+def _start(parameters: KalmanParameters, b: Belief, x: float, y: float) -> None:
     """Know nothing but one detection at (x, y) [m]."""
-    numbers[KNOWN] = 1.0
-    numbers[X], numbers[Y], numbers[V_X], numbers[V_Y] = x, y, 0.0, 0.0
-    numbers[P_PP], numbers[P_PV], numbers[P_VP], numbers[P_VV] = (
+    b.known = True
+    b.x, b.y, b.v_x, b.v_y = x, y, 0.0, 0.0
+    b.p_pp, b.p_pv, b.p_vp, b.p_vv = (
         parameters.variance,
         0.0,
         0.0,
         parameters.first_variance,
     )
-    numbers[AGE] = numbers[_IN_A_ROW] = 0.0
+    b.age = b.in_a_row = 0
 
 
 @borrowing
-def _correct(parameters: KalmanParameters, numbers: FloatArray, nu_x: float, nu_y: float) -> None:
+def _correct(parameters: KalmanParameters, b: Belief, nu_x: float, nu_y: float) -> None:
     """Believe a detection that is (nu_x, nu_y) [m] from where the UGV was thought to be."""
     k_p, k_v, pp, pv, vp, vv = _weighed(
         variance=parameters.variance,
-        pp=numbers[P_PP],
-        pv=numbers[P_PV],
-        vp=numbers[P_VP],
-        vv=numbers[P_VV],
+        pp=b.p_pp,
+        pv=b.p_pv,
+        vp=b.p_vp,
+        vv=b.p_vv,
     )
-    numbers[X] += k_p * nu_x
-    numbers[Y] += k_p * nu_y
-    numbers[V_X], numbers[V_Y] = clip_norm(
-        x=numbers[V_X] + k_v * nu_x, y=numbers[V_Y] + k_v * nu_y, limit=parameters.speed
-    )
-    numbers[P_PP], numbers[P_PV], numbers[P_VP], numbers[P_VV] = pp, pv, vp, vv
-    numbers[AGE] = numbers[_IN_A_ROW] = 0.0
+    b.x += k_p * nu_x
+    b.y += k_p * nu_y
+    b.v_x, b.v_y = clip_norm(x=b.v_x + k_v * nu_x, y=b.v_y + k_v * nu_y, limit=parameters.speed)
+    b.p_pp, b.p_pv, b.p_vp, b.p_vv = pp, pv, vp, vv
+    b.age = b.in_a_row = 0

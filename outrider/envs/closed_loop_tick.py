@@ -22,7 +22,7 @@ from agents.control.underway import Underway, hand_over
 from agents.drivers.parameters import Route
 from agents.drivers.tile_map import GroundMemory, note_block, note_tiles
 from agents.drivers.ugv_tick import UgvMemory, ugv_tick
-from agents.estimation.twin import AGE, KalmanState, kalman_estimate, kalman_step
+from agents.estimation.twin import KalmanState, kalman_estimate, kalman_step
 from outrider.envs.closed_loop_state import (
     GRADIENT_X,
     GRADIENT_Y,
@@ -35,7 +35,10 @@ from sim.channel.link import advance as begin_tick
 from sim.channel.link import receive, send
 from sim.engine.link_arrays import link_of
 from sim.engine.mission import hear_block
-from sim.engine.world_state import ANSWERED, CARRIED, LAST, U_X, U_Y, Told
+from sim.engine.world_state import (
+    COMMAND,
+    Told,
+)
 from sim.engine.world_tick import begin_world, measure, truth_of, world_tick
 from sim.env.patch import sample
 from sim.env.rows import UAV, UAV_METRICS, advance_rows, observe_rows
@@ -62,7 +65,7 @@ def _guard_of(t: LoopTables, s: GuardState, k: int, u: int) -> GuardState:
 
 @inlined
 def _kalman_of(s: KalmanState, k: int, u: int) -> KalmanState:
-    return KalmanState(s.numbers[k, u], s.history[k, u])
+    return KalmanState(s.belief[k, u], s.counts[k, u], s.past[k, u], s.before[k, u])
 
 
 @inlined
@@ -141,10 +144,10 @@ def _fly(
         row[GUARD_METRICS.intervened] += row[GUARD_METRICS.acted]
         row[GUARD_METRICS.certified] += row[GUARD_METRICS.sure]
     sent = s.batch.sent[k, v]
-    sent[ANSWERED], sent[U_X], sent[U_Y] = tick, u_x, u_y
-    sent[LAST], sent[CARRIED] = -1.0, 0.0
+    sent[COMMAND.answered], sent[COMMAND.u_x], sent[COMMAND.u_y] = tick, u_x, u_y
+    sent[COMMAND.last], sent[COMMAND.carried] = -1.0, 0.0
     if guarded and t.promises[u].carries:
-        sent[LAST], sent[CARRIED] = hand_over(
+        sent[COMMAND.last], sent[COMMAND.carried] = hand_over(
             t.promises[u], memory.guard.underway, tick, s.batch.motions[k, v]
         )
     if p.radio:
@@ -180,15 +183,15 @@ def _speak(
 def _drive(t: LoopTables, s: LoopState, k: int, v: int, g: int, actions: FloatArray) -> None:
     """The command of UGV g, vehicle v."""
     tick, sent = s.batch.ticks[k], s.batch.sent[k, v]
-    sent[ANSWERED] = tick
+    sent[COMMAND.answered] = tick
     if t.hand[v] >= 0:
-        sent[U_X], sent[U_Y] = actions[t.hand[v], 0], actions[t.hand[v], 1]
+        sent[COMMAND.u_x], sent[COMMAND.u_y] = actions[t.hand[v], 0], actions[t.hand[v], 1]
         return
     route = Route(
         t.rows.goals[t.rows.goal_rows[g] : t.rows.goal_rows[g + 1]],
         t.scripts[t.script_rows[g] : t.script_rows[g + 1]],
     )
-    sent[U_X], sent[U_Y] = ugv_tick(
+    sent[COMMAND.u_x], sent[COMMAND.u_y] = ugv_tick(
         s.drivers[k, g],
         route,
         UgvMemory(s.driver_states[k, g], _ground_of(t, s, k, g)),
@@ -295,7 +298,7 @@ def _add_cues(p: LoopParameters, t: LoopTables, s: LoopState, k: int, u: int) ->
     x, y = row[UAV.x], row[UAV.y]
     if p.estimate:
         row[UAV.detected], row[UAV.relative_x], row[UAV.relative_y] = 1.0, x - g_x, y - g_y
-        row[UAV.age] = s.kalman.numbers[k, u, AGE] * w.dt
+        row[UAV.age] = s.kalman.belief[k, u, 0].age * w.dt
     if p.gradient:
         u_x, u_y, size = coverage_gradient(
             s.maps[k, u] if p.own_maps else s.batch.truth.coverage[k],
@@ -359,7 +362,7 @@ def _note_obedience(t: LoopTables, s: LoopState, k: int, u: int, tick: int) -> N
         _confirm(t, row, u, tick)
         return
     now, due, acting = tick % size, (tick + 1) % size, s.batch.truth.commands[k, v]
-    sent[now, 0], sent[now, 1] = s.batch.sent[k, v, U_X], s.batch.sent[k, v, U_Y]
+    sent[now, 0], sent[now, 1] = s.batch.sent[k, v, COMMAND.u_x], s.batch.sent[k, v, COMMAND.u_y]
     same = sent[due, 0] == acting[0] and sent[due, 1] == acting[1]
     s.rows.uavs[k, u, GUARD_METRICS.obeyed] = 1.0 if same else 0.0
 
@@ -419,7 +422,7 @@ def _fetch_rows(s: LoopState, k: int) -> None:
         k,
     )  # type: ignore[call-arg]
     fetch_rows(
-        (truth.detections, truth.gains, truth.measures, s.kalman.numbers, s.rows.uavs, s.rows.ugvs),
+        (truth.detections, truth.gains, truth.measures, s.kalman.belief, s.rows.uavs, s.rows.ugvs),
         k,
     )
     fetch_rows((s.laws, s.drivers, s.law_states, s.driver_states), k)

@@ -12,36 +12,16 @@ import numpy as np
 
 from bus.messages import LinkSettings, LinkStatus
 from sim.channel.link import (
-    AGE_MAX,
-    AGE_SUM,
-    AGES,
-    BEGAN,
     CAUSES,
-    CHAIN,
-    DARK,
-    DARK_FROM,
-    DARK_TO,
-    DELIVERED,
-    DUE,
-    DUPLICATED,
     DUST,
     FATES,
-    FLYING,
-    FREE,
-    GRANTED,
-    LOST,
-    NEWEST,
     NORMAL,
     NOTHING,
     OPPORTUNITIES,
-    ORIGINALS,
     QUEUE,
-    SENT,
-    SERVED,
     SHAPES,
-    TICK,
     UNIFORM,
-    WAITING,
+    LinkMemory,
     LinkNumbers,
     LinkParameters,
     LinkState,
@@ -382,8 +362,7 @@ def arrivals_of(p: LinkParameters, key: Key, messages: int, *, every: int = 1) -
     """
     state, arrived = link_state(p, 2), np.empty(messages, dtype=np.int64)
     table = link_table([p])
-    named = table._replace(rows=table.rows.view(np.recarray))  # as an interpreter reads them too
-    fly_all(named, state, key, every, np.empty_like(state.payload), arrived)
+    fly_all(table, state, key, every, np.empty_like(state.payload), arrived)
     return arrived
 
 
@@ -408,8 +387,9 @@ def relink(
         new: Parameters from the next tick on.
         room, wheel: Least sizes of the new state, as of `link_state`.
     """
-    tick, before = int(state.counts[TICK]), LinkState._make(array.copy() for array in state)
-    waiting, flying = int(state.counts[WAITING]), int(state.counts[FLYING])
+    before = LinkState._make(array.copy() for array in state)
+    was: Any = before.memory[0]
+    tick, waiting, flying = int(was.tick), int(was.waiting), int(was.flying)
     ahead = max((int(due) - tick for due in _dues(state)), default=0)
     fresh = link_state(
         new,
@@ -417,84 +397,86 @@ def relink(
         room=max(room, new.room + 2 * waiting + flying),
         wheel=max(wheel, new.longest + 1, ahead + 1),
     )
-    kept = [k for k in range(len(state.counts)) if k not in (FREE, WAITING, FLYING)]
-    fresh.counts[kept], fresh.numbers[:] = state.counts[kept], state.numbers
+    memory: Any = fresh.memory[0]
+    for name in LinkMemory.__annotations__.keys() - {"free", "waiting", "flying"}:
+        memory[name] = was[name]
+    fresh.lost[:] = state.lost
     granted = new.replay == OPPORTUNITIES
     goes_on = granted and old.replay == OPPORTUNITIES and old.message_bytes == new.message_bytes
     if not goes_on:
-        fresh.counts[GRANTED] = 0
-    begun = 1 if fresh.counts[GRANTED] > 0 else 0
+        memory.granted = 0
+    begun = 1 if memory.granted > 0 else 0
     for k in range(-begun, waiting - begun):
-        slot = leave_queue(before.slots, before.buckets, before.counts)
+        slot = leave_queue(before.slots, before.buckets, was)
         surplus = (new.spacing > 0.0 or granted) and (
             0 <= k < waiting - begun - new.queue if new.newest else k >= new.queue
         )
         if surplus:
-            fresh.counts[LOST + QUEUE] += 1
+            fresh.lost[QUEUE] += 1
         else:
-            wait(fresh.slots, fresh.buckets, fresh.counts, _moved(before, slot, fresh))
+            wait(fresh.slots, fresh.buckets, memory, _moved(before, slot, fresh))
     wheel = len(before.buckets) - 1
     for due in range(tick + 1, tick + 1 + ahead):
-        slot = int(before.buckets[due % wheel, 0])
+        slot = int(before.buckets["first"][due % wheel])
         while slot >= 0:
-            fly(fresh.slots, fresh.buckets, fresh.counts, _moved(before, slot, fresh), due)
-            slot = int(before.slots[slot, 0])
-    _change_pace(old, new, fresh)
-    _change_weather(old, new, fresh)
+            fly(fresh.slots, fresh.buckets, memory, _moved(before, slot, fresh), due)
+            slot = int(before.slots["next"][slot])
+    _change_pace(old, new, memory)
+    _change_weather(old, new, memory)
     return fresh
 
 
 def _dues(state: LinkState) -> Iterator[int]:
     """The due ticks of all that fly."""
-    for first, _ in state.buckets[:-1].tolist():
+    for first in state.buckets["first"][:-1].tolist():
         if first >= 0:
-            yield int(state.slots[first, DUE])
+            yield int(state.slots["due"][first])
 
 
 def _moved(before: LinkState, slot: int, after: LinkState) -> int:
     """The slot of this message in the new state."""
-    other = take(after.slots, after.counts)
+    other = take(after.slots, after.memory[0])
     after.slots[other], after.payload[other] = before.slots[slot], before.payload[slot]
     return other
 
 
-def _change_pace(old: LinkParameters, new: LinkParameters, state: LinkState) -> None:
-    if new.spacing != old.spacing and state.counts[SERVED] > 0:
-        state.numbers[BEGAN] += (state.counts[SERVED] - 1) * old.spacing
-        state.counts[SERVED] = 1
+def _change_pace(old: LinkParameters, new: LinkParameters, memory: LinkMemory) -> None:
+    if new.spacing != old.spacing and memory.served > 0:
+        memory.began += (memory.served - 1) * old.spacing
+        memory.served = 1
 
 
-def _change_weather(old: LinkParameters, new: LinkParameters, state: LinkState) -> None:
-    state.counts[DARK] = 0
+def _change_weather(old: LinkParameters, new: LinkParameters, memory: LinkMemory) -> None:
+    memory.dark = False
     if not new.bursts:
-        state.counts[CHAIN] = -1
+        memory.chain = -1
     if (old.up, old.down) == (new.up, new.down):
         return
-    tick = float(state.counts[TICK])
     if new.up == 0.0 or old.up == 0.0:
-        state.numbers[DARK_FROM] = state.numbers[DARK_TO] = -1.0
-    elif state.numbers[DARK_FROM] > tick:
-        state.numbers[DARK_FROM] = state.numbers[DARK_TO] = tick
+        memory.dark_from = memory.dark_to = -1.0
+    elif memory.dark_from > memory.tick:
+        memory.dark_from = memory.dark_to = float(memory.tick)
 
 
 def link_status(
     parameters: LinkParameters, state: LinkState, settings: LinkSettings | None = None
 ) -> LinkStatus:
     """The counters of a link so far, from its state; with its settings, where they are given."""
-    count, numbers, dt = state.counts.tolist(), state.numbers.tolist(), parameters.dt
-    lost, ages = dict(zip(CAUSES, count[LOST:], strict=True)), count[AGES]
-    known = count[ORIGINALS] + sum(lost.values())
+    [values], dt = state.memory.tolist(), parameters.dt
+    m = dict(zip(LinkMemory.__annotations__, values, strict=True))
+    lost, ages = dict(zip(CAUSES, state.lost.tolist(), strict=True)), m["ages"]
+    known = m["originals"] + sum(lost.values())
     return LinkStatus(
-        sent=count[SENT],
-        delivered=count[DELIVERED],
-        duplicated=count[DUPLICATED],
-        waiting=count[WAITING],
-        flying=count[FLYING],
+        sent=m["sent"],
+        delivered=m["delivered"],
+        duplicated=m["duplicated"],
+        waiting=m["waiting"],
+        flying=m["flying"],
         lost=lost,
-        delivery_ratio=count[ORIGINALS] / known if known else None,
-        age=(count[TICK] - numbers[NEWEST]) * dt if ages else None,
-        mean_age=numbers[AGE_SUM] / ages * dt if ages else None,
-        max_age=numbers[AGE_MAX] * dt if ages else None,
+        delivery_ratio=m["originals"] / known if known else None,
+        age=(m["tick"] - m["newest"]) * dt if ages else None,
+        mean_age=m["age_sum"] / ages * dt if ages else None,
+        max_age=m["age_max"] * dt if ages else None,
         degraded=not parameters.perfect,
         settings=settings,
     )
@@ -604,9 +586,9 @@ class Link:
 
     def _forget(self) -> None:
         """Drop the objects that nobody will get any more."""
-        count = self._state.counts.tolist()
-        copies = count[DUPLICATED] - (count[DELIVERED] - count[ORIGINALS])
-        left = count[WAITING] + count[FLYING]
+        memory: Any = self._state.memory[0]
+        copies = memory.duplicated - (memory.delivered - memory.originals)
+        left = memory.waiting + memory.flying
         if copies == 0 and len(self._objects) == left:
             return
         if not left:

@@ -32,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.kernels.compile import FloatArray, IntArray, borrowing, compiled
-from sim.kernels.records import RecordArray
+from sim.kernels.records import RecordArray, record_type
 from sim.models.randomness import (
     LINK_DELAY,
     LINK_LOSS,
@@ -55,32 +55,13 @@ Exponential with mean j; Pareto's law
 of the second kind (from 0 on) with mean j and the tail index 2.5, whose variance is finite and whose skew is not."""
 
 CAUSES = ("loss", "burst", "blackout", "queue", "full", "trace")
-"""Why messages are lost, as counted from `LOST` on; `full`.
-
-The link had no room, which one message a tick never meets; `trace`: it was lost in the recorded link.
-"""
+"""Why messages are lost; `full`: the link had no room, which one message a tick never meets; `trace`: it was lost in
+the recorded link."""
 
 LOSS, BURST, BLACKOUT, QUEUE, FULL, TRACE = range(6)
 
 NOTHING, FATES, OPPORTUNITIES = range(3)
 """The kind of recording: none, a table of fates, or delivery opportunities."""
-
-TICK, INDEX, FREE, WAITING, FLYING, CHAIN, DARK, SERVED, RENEWALS, GRANTED = range(10)
-SENT, DELIVERED, DUPLICATED, ORIGINALS, AGES, LOST = range(10, 16)
-"""Places in `LinkState.counts`: the tick and the messages sent in it; the first free slot; how many wait and fly.
-
-The channel's state (-1: not drawn yet, 1: bad) and whether it is dark; messages served since the sender was last idle;
-random blackouts drawn; bytes granted to the message that waits first; the counters, ORIGINALS for what was delivered
-without copies, AGES for the ticks in AGE_SUM; the losses by cause."""
-
-BEGAN, DARK_FROM, DARK_TO, NEWEST, AGE_SUM, AGE_MAX = range(6)
-"""Places in `LinkState.numbers`, all in ticks.
-
-Since when the sender is busy, the random blackout, newest stamp, its age.
-"""
-
-NEXT, DUE, SENT_AT, NUMBER, COPY = range(5)
-"""Columns of `LinkState.slots`."""
 
 DUST = 1e-6
 """A time that is this much of a tick past a tick counts as on it: 0.35 s is seven ticks of 0.05 s."""
@@ -215,25 +196,82 @@ class LinkNumbers(NamedTuple):
     """Purpose and vehicle of each link's key. Shape (links, 2)."""
 
 
+class LinkMemory:
+    """What a link remembers beside its messages, a row of `LinkState.memory`."""
+
+    tick: int
+    index: int
+    """Messages sent in this tick."""
+    free: int
+    """The first free slot; -1: none."""
+    waiting: int
+    flying: int
+    """Messages at the sender, and on their way."""
+    chain: int
+    """The channel's state: 1: bad, 0: good, -1: not drawn yet."""
+    dark: bool
+    """True in a blackout."""
+    served: int
+    """Messages that have left since the sender was last idle."""
+    renewals: int
+    """Random blackouts drawn."""
+    granted: int
+    """Bytes granted to the message that waits first."""
+    sent: int
+    delivered: int
+    duplicated: int
+    originals: int
+    """Messages delivered, without copies."""
+    ages: int
+    """Ticks in `age_sum`."""
+    began: float
+    """Since when the sender is busy [ticks]."""
+    dark_from: float
+    dark_to: float
+    """The random blackout [ticks]; -1: none drawn yet."""
+    newest: float
+    """The newest stamp that has arrived [ticks]; NaN: none."""
+    age_sum: float
+    age_max: float
+    """Of the newest stamp's age at each tick [ticks]."""
+
+
+class Slot:
+    """A message that waits or flies, a row of `LinkState.slots`."""
+
+    next: int
+    """The slot behind it, in its bucket or among the free ones; -1: none."""
+    due: int
+    """The tick at which it arrives."""
+    sent_at: int
+    number: int
+    """Within the tick at which it was sent."""
+    copy: bool
+
+
+class Bucket:
+    """Slots in order, a row of `LinkState.buckets`; -1: none."""
+
+    first: int
+    last: int
+
+
 class LinkState(NamedTuple):
     """Everything that a link remembers.
 
     With an axis for worlds in front it is the state of one link in each of them.
     """
 
-    slots: IntArray
-    """One row a message that waits or flies: next slot, due tick, tick and number when sent, whether a copy.
-
-    Shape (room, 5).
-    """
+    slots: RecordArray
+    """A row of `Slot` for each message that waits or flies. Shape (room,)."""
     payload: FloatArray
     """Contents; column 0 is the tick that its content is from. Shape (room, width)."""
-    buckets: IntArray
-    """First and last slot for each tick to come, modulo their number, and for the queue in the last row; -1: none."""
-    counts: IntArray
-    """Whole numbers, at `TICK` and so on."""
-    numbers: FloatArray
-    """Times in ticks, at `BEGAN` and so on."""
+    buckets: RecordArray
+    """A row of `Bucket` for each tick to come, modulo their number, and for the queue in the last."""
+    memory: RecordArray
+    """One row of `LinkMemory`. Shape (1,)."""
+    lost: IntArray
+    """Messages lost by each of `CAUSES`. Shape (causes,)."""
 
 
 def link_state(
@@ -249,77 +287,80 @@ def link_state(
     """
     room, wheel = max(room, parameters.room), max(wheel, parameters.longest + 1)
     state = LinkState(
-        slots=np.zeros((room, 5), dtype=np.int64),
+        slots=np.zeros(room, dtype=record_type(Slot)),
         payload=np.zeros((room, width)),
-        buckets=np.full((wheel + 1, 2), -1, dtype=np.int64),
-        counts=np.zeros(LOST + len(CAUSES), dtype=np.int64),
-        numbers=np.array([0.0, -1.0, -1.0, math.nan, 0.0, 0.0]),
+        buckets=np.zeros(wheel + 1, dtype=record_type(Bucket)),
+        memory=np.zeros(1, dtype=record_type(LinkMemory)),
+        lost=np.zeros(len(CAUSES), dtype=np.int64),
     )
-    state.slots[:, NEXT] = [*range(1, room), -1]
-    state.counts[TICK] = state.counts[CHAIN] = -1
+    state.slots["next"] = [*range(1, room), -1]
+    state.buckets["first"] = state.buckets["last"] = -1
+    memory = state.memory
+    memory["tick"] = memory["chain"] = memory["dark_from"] = memory["dark_to"] = -1
+    memory["newest"] = math.nan
     return state
 
 
 @borrowing
-def take(slots: IntArray, counts: IntArray) -> int:
+def take(slots: RecordArray, m: LinkMemory) -> int:
     """A free slot, or -1."""
-    slot = int(counts[FREE])
+    slot = int(m.free)
     if slot >= 0:
-        counts[FREE] = slots[slot, NEXT]
+        m.free = slots[slot].next
     return slot
 
 
 @borrowing
-def release(slots: IntArray, counts: IntArray, slot: int) -> None:
+def release(slots: RecordArray, m: LinkMemory, slot: int) -> None:
     """The slot is free again."""
-    slots[slot, NEXT] = counts[FREE]
-    counts[FREE] = slot
+    slots[slot].next = m.free
+    m.free = slot
 
 
 @borrowing
-def append(slots: IntArray, buckets: IntArray, bucket: int, slot: int) -> None:
+def append(slots: RecordArray, buckets: RecordArray, bucket: int, slot: int) -> None:
     """Put a slot last into a bucket."""
-    slots[slot, NEXT] = -1
-    if buckets[bucket, 0] < 0:
-        buckets[bucket, 0] = slot
+    slots[slot].next = -1
+    if buckets[bucket].first < 0:
+        buckets[bucket].first = slot
     else:
-        slots[buckets[bucket, 1], NEXT] = slot
-    buckets[bucket, 1] = slot
+        slots[buckets[bucket].last].next = slot
+    buckets[bucket].last = slot
 
 
 @borrowing
-def wait(slots: IntArray, buckets: IntArray, counts: IntArray, slot: int) -> None:
+def wait(slots: RecordArray, buckets: RecordArray, m: LinkMemory, slot: int) -> None:
     """The message joins the sender's queue."""
     append(slots, buckets, buckets.shape[0] - 1, slot)
-    counts[WAITING] += 1
+    m.waiting += 1
 
 
 @borrowing
-def wait_first(slots: IntArray, buckets: IntArray, counts: IntArray, slot: int) -> None:
+def wait_first(slots: RecordArray, buckets: RecordArray, m: LinkMemory, slot: int) -> None:
     """The message joins the sender's queue in front of all others."""
     queue = buckets.shape[0] - 1
-    slots[slot, NEXT] = buckets[queue, 0]
-    if buckets[queue, 0] < 0:
-        buckets[queue, 1] = slot
-    buckets[queue, 0] = slot
-    counts[WAITING] += 1
+    slots[slot].next = buckets[queue].first
+    if buckets[queue].first < 0:
+        buckets[queue].last = slot
+    buckets[queue].first = slot
+    m.waiting += 1
 
 
 @borrowing
-def fly(slots: IntArray, buckets: IntArray, counts: IntArray, slot: int, due: int) -> None:
+def fly(slots: RecordArray, buckets: RecordArray, m: LinkMemory, slot: int, due: int) -> None:
     """The message is on its way."""
-    slots[slot, DUE] = due
+    slots[slot].due = due
     append(slots, buckets, due % (buckets.shape[0] - 1), slot)
-    counts[FLYING] += 1
+    m.flying += 1
 
 
 @borrowing
-def leave_queue(slots: IntArray, buckets: IntArray, counts: IntArray) -> int:
+def leave_queue(slots: RecordArray, buckets: RecordArray, m: LinkMemory) -> int:
     """The slot of the message that has waited longest."""
     queue = buckets.shape[0] - 1
-    slot = int(buckets[queue, 0])
-    buckets[queue, 0] = slots[slot, NEXT]
-    counts[WAITING] -= 1
+    slot = int(buckets[queue].first)
+    buckets[queue].first = slots[slot].next
+    m.waiting -= 1
     return slot
 
 
@@ -388,14 +429,14 @@ def _first_after(rows: IntArray, column: int, first: int, end: int, time: int) -
 @borrowing
 def _play(traces: IntArray, p: LinkParameters, s: LinkState, key: Key, slot: int) -> None:
     """The message leaves the sender, and has the fate of the recorded row that is nearest before it."""
-    slots, counts = s.slots, s.counts
-    place = (slots[slot, SENT_AT] + trace_offset(key, p.period)) % p.period
+    slots, m = s.slots, s.memory[0]
+    place = (slots[slot].sent_at + trace_offset(key, p.period)) % p.period
     ticks = traces[_first_after(traces, 0, p.first_row, p.end_row, place) - 1, 1]
-    if counts[DARK] == 1 or ticks < 0:
-        counts[LOST + (BLACKOUT if counts[DARK] == 1 else TRACE)] += 1
-        release(slots, counts, slot)
+    if m.dark or ticks < 0:
+        s.lost[BLACKOUT if m.dark else TRACE] += 1
+        release(slots, m, slot)
     else:
-        fly(slots, s.buckets, counts, slot, counts[TICK] + ticks)
+        fly(slots, s.buckets, m, slot, m.tick + ticks)
 
 
 @borrowing
@@ -407,12 +448,12 @@ def _transmit(p: LinkParameters, s: LinkState, key: Key, slot: int, later: float
         slot: Of the message.
         later: Time after the link's tick at which it leaves [s].
     """
-    slots, payload, buckets, counts = s.slots, s.payload, s.buckets, s.counts
-    tick, index = slots[slot, SENT_AT], slots[slot, NUMBER]
-    lost, twice, held = _fate(p, counts[DARK] == 1, counts[CHAIN] == 1, key, tick, index)
+    slots, payload, buckets, m = s.slots, s.payload, s.buckets, s.memory[0]
+    tick, index = slots[slot].sent_at, slots[slot].number
+    lost, twice, held = _fate(p, m.dark, m.chain == 1, key, tick, index)
     if lost >= 0:
-        counts[LOST + lost] += 1
-        release(slots, counts, slot)
+        s.lost[lost] += 1
+        release(slots, m, slot)
         return
     share, share_too, held_too = 0.0, 0.0, False
     if p.jitter > 0.0 or twice:
@@ -422,15 +463,15 @@ def _transmit(p: LinkParameters, s: LinkState, key: Key, slot: int, later: float
             to_uniform(word_1),
             to_uniform(word_2) < p.reorder,
         )
-    fly(slots, buckets, counts, slot, counts[TICK] + _flight_time(p, share, held, later))
-    other = take(slots, counts) if twice else -1
+    fly(slots, buckets, m, slot, m.tick + _flight_time(p, share, held, later))
+    other = take(slots, m) if twice else -1
     if other >= 0:
-        counts[DUPLICATED] += 1
-        slots[other, COPY] = 1
+        m.duplicated += 1
+        slots[other].copy = True
         for k in range(payload.shape[1]):
             payload[other, k] = payload[slot, k]
-        due = counts[TICK] + _flight_time(p, share_too, held_too, later)
-        fly(slots, buckets, counts, other, due)
+        due = m.tick + _flight_time(p, share_too, held_too, later)
+        fly(slots, buckets, m, other, due)
 
 
 @borrowing
@@ -440,58 +481,56 @@ def _dark_by_plan(blackouts: IntArray, first: int, end: int, tick: int) -> bool:
 
 
 @borrowing
-def _dark_by_chance(
-    up: float, down: float, counts: IntArray, numbers: FloatArray, key: Key, tick: int
-) -> bool:
+def _dark_by_chance(up: float, down: float, m: LinkMemory, key: Key, tick: int) -> bool:
     """Exponential times of light and fixed ones of darkness, in continuous time; stationary from the first tick on."""
-    while numbers[DARK_TO] <= tick + DUST:
-        word_0, word_1, _, _ = draw(key, LINK_STATE, counts[RENEWALS], 1)
-        counts[RENEWALS] += 1
+    while m.dark_to <= tick + DUST:
+        word_0, word_1, _, _ = draw(key, LINK_STATE, m.renewals, 1)
+        m.renewals += 1
         light = -up * math.log1p(-to_uniform(word_0))
         place = to_uniform(word_1) * (up + down)
-        if numbers[DARK_TO] >= 0.0:
-            numbers[DARK_FROM] = numbers[DARK_TO] + light
+        if m.dark_to >= 0.0:
+            m.dark_from = m.dark_to + light
         else:
-            numbers[DARK_FROM] = tick + (place - down if place < down else light)
-        numbers[DARK_TO] = numbers[DARK_FROM] + down
-    return bool(numbers[DARK_FROM] <= tick + DUST)
+            m.dark_from = tick + (place - down if place < down else light)
+        m.dark_to = m.dark_from + down
+    return bool(m.dark_from <= tick + DUST)
 
 
 @borrowing
 def _settle(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None:
     """Begin a tick: what the channel is like at it, good or bad, dark or not."""
-    p, counts, numbers = t.rows[row], s.counts, s.numbers
-    counts[TICK], counts[INDEX] = tick, 0
-    if p.perfect and counts[WAITING] == 0:
+    p, m = t.rows[row], s.memory[0]
+    m.tick, m.index = tick, 0
+    if p.perfect and m.waiting == 0:
         return
     if p.bursts:
-        chance = p.bad_stay if counts[CHAIN] == 1 else p.bad_enter
-        if counts[CHAIN] < 0:
+        chance = p.bad_stay if m.chain == 1 else p.bad_enter
+        if m.chain < 0:
             chance = p.bad_share
-        counts[CHAIN] = 1 if uniform(key, LINK_STATE, tick, 0) < chance else 0
+        m.chain = 1 if uniform(key, LINK_STATE, tick, 0) < chance else 0
     dark = _dark_by_plan(t.pairs, p.first_blackout, p.end_blackout, tick)
     if p.up > 0.0:
-        dark = _dark_by_chance(p.up, p.down, counts, numbers, key, tick) or dark
-    counts[DARK] = 1 if dark else 0
+        dark = _dark_by_chance(p.up, p.down, m, key, tick) or dark
+    m.dark = dark
 
 
 @borrowing
-def _is_free(spacing: float, counts: IntArray, numbers: FloatArray) -> bool:
+def _is_free(spacing: float, m: LinkMemory) -> bool:
     """True if the sender may let a message go at this tick.
 
     Number m of a busy time leaves m spacings after the first.
     """
-    return bool(numbers[BEGAN] + counts[SERVED] * spacing <= counts[TICK] + DUST)
+    return bool(m.began + m.served * spacing <= m.tick + DUST)
 
 
 @borrowing
-def _note_age(counts: IntArray, numbers: FloatArray) -> None:
+def _note_age(m: LinkMemory) -> None:
     """End a tick: count the age of what is known."""
-    if not math.isnan(numbers[NEWEST]):
-        age = counts[TICK] - numbers[NEWEST]
-        numbers[AGE_MAX] = age if counts[AGES] == 0 else max(numbers[AGE_MAX], age)
-        numbers[AGE_SUM] += age
-        counts[AGES] += 1
+    if not math.isnan(m.newest):
+        age = m.tick - m.newest
+        m.age_max = age if m.ages == 0 else max(m.age_max, age)
+        m.age_sum += age
+        m.ages += 1
 
 
 @borrowing
@@ -504,10 +543,10 @@ def make_up(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None
         key: Of the draws.
         tick: The last one that is over; the first is 0.
     """
-    counts = s.counts
-    while counts[TICK] < tick:
-        _settle(t, row, s, key, counts[TICK] + 1)
-        _note_age(counts, s.numbers)
+    m = s.memory[0]
+    while m.tick < tick:
+        _settle(t, row, s, key, m.tick + 1)
+        _note_age(m)
 
 
 @compiled
@@ -519,25 +558,25 @@ def in_milliseconds(tick: int, dt: float) -> int:
 @borrowing
 def _grant(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None:
     """Let what waits leave at the recorded opportunities since the link's tick, up to this one, which is the next."""
-    p, counts, traces = t.rows[row], s.counts, t.pairs
+    p, m, traces = t.rows[row], s.memory[0], t.pairs
     offset = trace_offset(key, p.period)
     begin, end = in_milliseconds(tick - 1, p.dt) + offset, in_milliseconds(tick, p.dt) + offset
     start, place = begin - begin % p.period, begin % p.period
     k = _first_after(traces, 0, p.first_row, p.end_row, place)
-    while counts[WAITING] > 0:
+    while m.waiting > 0:
         now = start + traces[k, 0]
         if now > end:
             return
         bytes_left = p.opportunity
-        while bytes_left > 0 and counts[WAITING] > 0:
-            used = min(bytes_left, p.message_bytes - counts[GRANTED])
+        while bytes_left > 0 and m.waiting > 0:
+            used = min(bytes_left, p.message_bytes - m.granted)
             bytes_left -= used
-            counts[GRANTED] += used
-            if counts[GRANTED] == p.message_bytes:
-                counts[GRANTED] = 0
+            m.granted += used
+            if m.granted == p.message_bytes:
+                m.granted = 0
                 # a moment past the tick at least, so that what leaves after a tick arrives after it
                 later = max(0.001 * (now - offset) - (tick - 1) * p.dt, 2.0 * DUST * p.dt)
-                _transmit(p, s, key, leave_queue(s.slots, s.buckets, counts), later)
+                _transmit(p, s, key, leave_queue(s.slots, s.buckets, m), later)
         k += 1
         if k == p.end_row:
             k, start = p.first_row, start + p.period
@@ -552,16 +591,14 @@ def advance(t: LinkNumbers, row: int, s: LinkState, key: Key, tick: int) -> None
         s: Is changed.
         key, tick: Of the draws; tick 0 is the first.
     """
-    p, counts = t.rows[row], s.counts
+    p, m = t.rows[row], s.memory[0]
     make_up(t, row, s, key, tick - 1)
-    if counts[WAITING] > 0 and p.replay == OPPORTUNITIES:
+    if m.waiting > 0 and p.replay == OPPORTUNITIES:
         _grant(t, row, s, key, tick)
     _settle(t, row, s, key, tick)
-    while (
-        counts[WAITING] > 0 and p.replay != OPPORTUNITIES and _is_free(p.spacing, counts, s.numbers)
-    ):
-        counts[SERVED] += 1
-        slot = leave_queue(s.slots, s.buckets, counts)
+    while m.waiting > 0 and p.replay != OPPORTUNITIES and _is_free(p.spacing, m):
+        m.served += 1
+        slot = leave_queue(s.slots, s.buckets, m)
         if p.replay == FATES:
             _play(t.pairs, p, s, key, slot)
         else:
@@ -578,42 +615,33 @@ def send(t: LinkNumbers, row: int, s: LinkState, key: Key, payload: FloatArray) 
         key: As in `advance`.
         payload: Is copied; element 0 is the tick that its content is from. Shape (width,).
     """
-    p, slots, held, buckets, counts, numbers = (
-        t.rows[row],
-        s.slots,
-        s.payload,
-        s.buckets,
-        s.counts,
-        s.numbers,
-    )
-    index = counts[INDEX]
-    counts[INDEX] += 1
-    counts[SENT] += 1
-    busy = (
-        counts[WAITING] > 0 or p.replay == OPPORTUNITIES or not _is_free(p.spacing, counts, numbers)
-    )
-    begun = 1 if busy and counts[GRANTED] > 0 else 0  # the first that waits is leaving already
-    if busy and counts[WAITING] - begun >= p.queue:
-        counts[LOST + QUEUE] += 1
+    p, slots, held, buckets, m = t.rows[row], s.slots, s.payload, s.buckets, s.memory[0]
+    index = m.index
+    m.index += 1
+    m.sent += 1
+    busy = m.waiting > 0 or p.replay == OPPORTUNITIES or not _is_free(p.spacing, m)
+    begun = 1 if busy and m.granted > 0 else 0  # the first that waits is leaving already
+    if busy and m.waiting - begun >= p.queue:
+        s.lost[QUEUE] += 1
         if not p.newest:
             return
-        first = leave_queue(slots, buckets, counts)
-        release(slots, counts, leave_queue(slots, buckets, counts) if begun else first)
+        first = leave_queue(slots, buckets, m)
+        release(slots, m, leave_queue(slots, buckets, m) if begun else first)
         if begun:
-            wait_first(slots, buckets, counts, first)
-    slot = take(slots, counts)
+            wait_first(slots, buckets, m, first)
+    slot = take(slots, m)
     if slot < 0:
-        counts[LOST + FULL] += 1
+        s.lost[FULL] += 1
         return
     for k in range(held.shape[1]):
         held[slot, k] = payload[k]
-    slots[slot, SENT_AT], slots[slot, NUMBER], slots[slot, COPY] = counts[TICK], index, 0
+    slots[slot].sent_at, slots[slot].number, slots[slot].copy = m.tick, index, False
     if busy:
-        wait(slots, buckets, counts, slot)
+        wait(slots, buckets, m, slot)
         return
-    numbers[BEGAN], counts[SERVED] = counts[TICK], 1
+    m.began, m.served = m.tick, 1
     if p.perfect:
-        fly(slots, buckets, counts, slot, counts[TICK])
+        fly(slots, buckets, m, slot, m.tick)
     elif p.replay == FATES:
         _play(t.pairs, p, s, key, slot)
     else:
@@ -635,24 +663,24 @@ def receive(s: LinkState, out: FloatArray) -> int:
     Raises:
         ValueError: If `out` has too few rows.
     """
-    slots, payload, buckets, counts, numbers = s.slots, s.payload, s.buckets, s.counts, s.numbers
-    bucket = counts[TICK] % (buckets.shape[0] - 1)
-    n, slot = 0, buckets[bucket, 0]
+    slots, payload, buckets, m = s.slots, s.payload, s.buckets, s.memory[0]
+    bucket = m.tick % (buckets.shape[0] - 1)
+    n, slot = 0, buckets[bucket].first
     while slot >= 0:
         if n == out.shape[0]:
             raise ValueError("out has fewer rows than messages arrive")
         for k in range(payload.shape[1]):
             out[n, k] = payload[slot, k]
-        if not payload[slot, 0] <= numbers[NEWEST]:
-            numbers[NEWEST] = payload[slot, 0]
-        counts[DELIVERED] += 1
-        counts[ORIGINALS] += 1 - slots[slot, COPY]
-        counts[FLYING] -= 1
-        buckets[bucket, 0] = slots[slot, NEXT]
-        release(slots, counts, slot)
-        slot = buckets[bucket, 0]
+        if not payload[slot, 0] <= m.newest:
+            m.newest = payload[slot, 0]
+        m.delivered += 1
+        m.originals += 0 if slots[slot].copy else 1
+        m.flying -= 1
+        buckets[bucket].first = slots[slot].next
+        release(slots, m, slot)
+        slot = buckets[bucket].first
         n += 1
-    _note_age(counts, numbers)
+    _note_age(m)
     return n
 
 
@@ -675,11 +703,11 @@ def underway(s: LinkState, out: FloatArray) -> int:
     """Write the payloads of all that wait or fly into `out`, which has a row for each slot; how many there are."""
     n = 0
     for bucket in range(s.buckets.shape[0]):
-        slot = s.buckets[bucket, 0]
+        slot = s.buckets[bucket].first
         while slot >= 0:
             for k in range(s.payload.shape[1]):
                 out[n, k] = s.payload[slot, k]
-            slot = s.slots[slot, NEXT]
+            slot = s.slots[slot].next
             n += 1
     return n
 

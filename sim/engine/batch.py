@@ -19,12 +19,8 @@ from sim.engine.link_arrays import LinkArrays
 from sim.engine.mission import mission_constants, mission_state
 from sim.engine.run_keys import derive_keys
 from sim.engine.world_state import (
-    ANSWERED,
-    CARRIED,
-    LAST,
+    COMMAND,
     MESSAGE_SIZE,
-    U_X,
-    U_Y,
     BatchState,
     BatchTables,
     Precision,
@@ -236,9 +232,9 @@ class Batch:
             commands: Accelerations [m/s²], shape (worlds, vehicles, 2), finite; they cross the links, then (1)
                 bounds them.
         """
-        self.state.sent[:, :, ANSWERED] = self.state.ticks[:, None]
-        self.state.sent[:, :, U_X : U_Y + 1] = commands
-        self.state.sent[:, :, LAST], self.state.sent[:, :, CARRIED] = -1.0, 0.0
+        self.state.sent[:, :, COMMAND.answered] = self.state.ticks[:, None]
+        self.state.sent[:, :, COMMAND.u_x : COMMAND.u_y + 1] = commands
+        self.state.sent[:, :, COMMAND.last], self.state.sent[:, :, COMMAND.carried] = -1.0, 0.0
         self.advance()
 
     def advance(self, *, linked: bool = True) -> None:

@@ -5,8 +5,10 @@ What each link does in one table, what it remembers with axes for worlds and lin
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bus.messages import LinkKind, LinkSettings, LinkStatus
 from sim.channel.description import check_link, link_parameters, link_status, link_table, relink
@@ -68,7 +70,7 @@ class LinkArrays:
         wheel = max((p.longest for p in self._parameters), default=0) + 1
         kept = self._parameters or [link_parameters(LinkSettings(), scenario.dt)]  # for the shapes
         one = [link_state(p, width, room=self.room, wheel=wheel) for p in kept]
-        fresh = [np.stack(arrays)[: len(self.names)] for arrays in zip(*one, strict=True)]
+        fresh = [_stacked(arrays)[: len(self.names)] for arrays in zip(*one, strict=True)]
         self.states = LinkState._make(np.repeat(array[None], worlds, axis=0) for array in fresh)
         """Their states. Arrays with axes for worlds and links."""
 
@@ -98,15 +100,15 @@ class LinkArrays:
                     relink(was, self._state_of(world, k), now, room=room, wheel=wheel)
                     for k, (was, now) in enumerate(zip(old, self._parameters, strict=True))
                 ]
-                for world in range(len(self.states.counts))
+                for world in range(len(self.states.lost))
             ]
             every = [state for links in states for state in links]
             room = max(len(state.slots) for state in every)
             wheel = max(len(state.buckets) for state in every) - 1
         self.room = room
         self.table = link_table(self._parameters, self._owners)
-        by_world = [[np.stack(arrays) for arrays in zip(*links, strict=True)] for links in states]
-        self.states = LinkState._make(np.stack(arrays) for arrays in zip(*by_world, strict=True))
+        by_world = [[_stacked(arrays) for arrays in zip(*links, strict=True)] for links in states]
+        self.states = LinkState._make(_stacked(arrays) for arrays in zip(*by_world, strict=True))
 
     def _state_of(self, world: int, link: int) -> LinkState:
         return LinkState._make(array[world, link] for array in self.states)
@@ -128,6 +130,11 @@ def link_of(states: LinkState, world: int, link: int) -> LinkState:
         states.slots[world, link],
         states.payload[world, link],
         states.buckets[world, link],
-        states.counts[world, link],
-        states.numbers[world, link],
+        states.memory[world, link],
+        states.lost[world, link],
     )
+
+
+def _stacked(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Arrays of one type on a new first axis; `np.stack` by itself would leave structured ones no records."""
+    return np.stack(arrays, dtype=arrays[0].dtype)

@@ -9,11 +9,12 @@ from typing import Literal, NamedTuple, cast, get_args
 import numpy as np
 
 from bus.registry import SENSORS
+from bus.ticks import Look
 from sim.channel.link import LinkNumbers, LinkState
 from sim.engine.ground_tick import GroundConstants, GroundState
 from sim.engine.mission import MissionConstants, MissionState
 from sim.kernels.compile import FloatArray, IntArray
-from sim.kernels.records import RecordArray, record_type, records
+from sim.kernels.records import RecordArray, columns, record_type, records
 from sim.models.field import cover, empty_coverage
 from sim.models.inner_loop import TrackingRecord
 from sim.models.randomness import WordArray
@@ -21,17 +22,28 @@ from sim.models.wind import DisturbanceRow
 from sim.scenario.risk import carries_motions
 from sim.scenario.types import Scenario, Uav
 
-TAKEN, LOOK_X, LOOK_Y = range(3)
-"""Columns of `BatchState.received`: the tick at which it was taken, and the noisy p_a - p_g [m]."""
+LOOK = columns(Look)
+"""Columns of `BatchState.received`."""
 
-ANSWERED, U_X, U_Y, LAST, CARRIED = range(5)
-"""Columns of `BatchState.sent`: the tick that a command answers, -1 where there is none, and the acceleration [m/s²].
 
-Of one that carries motions, the tick in which the last of them begins, else -1; and how many it carries, which begin in
-that tick and those before it.
-"""
+class CommandRow(NamedTuple):
+    """What a command tells, in a row of numbers."""
 
-MESSAGE_SIZE = 5
+    answered: float
+    """The tick that it answers, -1 where there is none."""
+    u_x: float
+    u_y: float
+    """The acceleration [m/s²]."""
+    last: float
+    """Of one that carries motions, the tick in which the last of them begins, else -1."""
+    carried: float
+    """How many motions it carries, which begin in that tick and those before it."""
+
+
+COMMAND = columns(CommandRow)
+"""Columns of `BatchState.sent`."""
+
+MESSAGE_SIZE = max(len(LOOK), len(COMMAND))
 """Numbers in a message on a link of detections or commands."""
 
 

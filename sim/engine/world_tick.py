@@ -10,14 +10,8 @@ from sim.engine.ground_tick import drive_on, keep_before, perceive_ground
 from sim.engine.link_arrays import link_of
 from sim.engine.mission import note_mission
 from sim.engine.world_state import (
-    ANSWERED,
-    CARRIED,
-    LAST,
-    LOOK_X,
-    LOOK_Y,
-    TAKEN,
-    U_X,
-    U_Y,
+    COMMAND,
+    LOOK,
     BatchState,
     BatchTables,
     WorldParameters,
@@ -217,16 +211,16 @@ def receive_commands(t: BatchTables, s: BatchState, k: int) -> None:
         link = link_of(s.links, k, row)
         key = key_of(keys, t.links.owners[row, 0], t.links.owners[row, 1])
         begin_tick(t.links, row, link, key, tick)
-        if sent[v, ANSWERED] >= 0.0:
+        if sent[v, COMMAND.answered] >= 0.0:
             send(t.links, row, link, key, sent[v])
-            sent[v, ANSWERED] = -1.0
+            sent[v, COMMAND.answered] = -1.0
         for n in range(receive(link, inbox)):
-            last = int(inbox[n, LAST])
+            last = int(inbox[n, COMMAND.last])
             if t.receivers[v] and last >= 0:
-                _note_arrival(s.motions[k, v], last, int(inbox[n, CARRIED]))
-            if inbox[n, ANSWERED] > answered[v]:
-                answered[v] = int(inbox[n, ANSWERED])
-                acting[v, 0], acting[v, 1] = inbox[n, U_X], inbox[n, U_Y]
+                _note_arrival(s.motions[k, v], last, int(inbox[n, COMMAND.carried]))
+            if inbox[n, COMMAND.answered] > answered[v]:
+                answered[v] = int(inbox[n, COMMAND.answered])
+                acting[v, 0], acting[v, 1] = inbox[n, COMMAND.u_x], inbox[n, COMMAND.u_y]
                 if t.receivers[v] and last < 0:
                     flown = s.flown[k, v, 0]
                     flown.begins, flown.plain = NO_MOTION, 1
@@ -308,7 +302,7 @@ def deliver_detections(t: BatchTables, s: BatchState, k: int) -> None:
         key = key_of(keys, t.links.owners[u, 0], t.links.owners[u, 1])
         begin_tick(t.links, u, link, key, tick)
         if not math.isnan(found[u, 0]):
-            message[TAKEN], message[LOOK_X], message[LOOK_Y] = tick, found[u, 0], found[u, 1]
+            message[LOOK.taken], message[LOOK.x], message[LOOK.y] = tick, found[u, 0], found[u, 1]
             send(t.links, u, link, key, message)
         s.arrived[k, u] = receive(link, received[u])
 

@@ -4,15 +4,19 @@ A tick of the rows, once the world's is done and measured: `advance_rows`, then 
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from bus.layout import UavRow, UgvRow
-from sim.engine.world_state import LOOK_X, LOOK_Y, TAKEN, BatchState, BatchTables
+from sim.engine.world_state import (
+    LOOK,
+    BatchState,
+    BatchTables,
+)
 from sim.env.rewards import RewardWeights, UavTerms, full_error, uav_terms, ugv_terms
 from sim.kernels.compile import FloatArray, IntArray, inlined
-from sim.kernels.records import RecordArray, records
+from sim.kernels.records import RecordArray, columns, records
 from sim.models.vehicles import next_goal, norm
 from sim.scenario.types import Scenario, Ugv
 from sim.world import Look, World
@@ -80,11 +84,6 @@ class Moment(NamedTuple):
             list(world.received),
             world.state.measures.tolist(),
         )
-
-
-def columns(row: Any) -> Any:  # noqa: ANN401 - a type of named tuples, and one whose fields are whole numbers
-    """The place of each field of a row: a row whose values are their own places."""
-    return row._make(range(len(row._fields)))
 
 
 UAV, UGV = columns(UavRow), columns(UgvRow)
@@ -218,7 +217,7 @@ def _measure_uav(bt: BatchTables, bs: BatchState, s: RowState, k: int, u: int) -
     row[UAV_METRICS.error] = error
     row[UAV_METRICS.error_sum] += error
     for n in range(bs.arrived[k, u]):
-        row[UAV_METRICS.newest] = max(row[UAV_METRICS.newest], received[n, TAKEN])
+        row[UAV_METRICS.newest] = max(row[UAV_METRICS.newest], received[n, LOOK.taken])
 
 
 @inlined
@@ -350,12 +349,12 @@ def _observe_uav(
     row[UAV.age] = t.episode[0].ticks * dt if newest < 0.0 else time - newest * dt
     best = -1
     for n in range(bs.arrived[k, u]):
-        if best < 0 or received[n, TAKEN] > received[best, TAKEN]:
+        if best < 0 or received[n, LOOK.taken] > received[best, LOOK.taken]:
             best = n
     if best >= 0:
         row[UAV.detected] = 1.0
-        row[UAV.relative_x], row[UAV.relative_y] = received[best, LOOK_X], received[best, LOOK_Y]
-        row[UAV.age] = time - received[best, TAKEN] * dt
+        row[UAV.relative_x], row[UAV.relative_y] = received[best, LOOK.x], received[best, LOOK.y]
+        row[UAV.age] = time - received[best, LOOK.taken] * dt
 
 
 @inlined

@@ -20,7 +20,7 @@ def record_type(fields: type[Any]) -> np.dtype[np.void]:
     """The columns of a table of such named tuples or data classes: one for each field that is a number or a flag."""
     hints = get_type_hints(fields).items()
     columns = [(name, _KINDS[hint]) for name, hint in hints if hint in _KINDS]
-    return np.dtype(columns, align=True)
+    return np.dtype((np.record, np.dtype(columns, align=True)))
 
 
 def records(fields: type[Any], rows: Sequence[Any]) -> RecordArray:
@@ -30,3 +30,8 @@ def records(fields: type[Any], rows: Sequence[Any]) -> RecordArray:
     for name in kind.names or ():
         table[name] = [getattr(row, name) for row in rows]
     return table
+
+
+def columns(row: Any) -> Any:  # noqa: ANN401 - a type of named tuples, and one whose fields are whole numbers
+    """The place of each field of a row: a row whose values are their own places."""
+    return row._make(range(len(row._fields)))

@@ -60,14 +60,8 @@ from outrider.experiments.falsify.opponents import (
 from outrider.experiments.falsify.tick_distance import largest_between
 from sim.engine.batch import Batch
 from sim.engine.world_state import (
-    ANSWERED,
-    CARRIED,
-    LAST,
-    LOOK_X,
-    LOOK_Y,
-    TAKEN,
-    U_X,
-    U_Y,
+    COMMAND,
+    LOOK,
     BatchState,
     BatchTables,
 )
@@ -352,9 +346,9 @@ def fly_one(
             note_position(memory, tick, here.p_x, here.p_y)
             for n in range(s.arrived[0, 0]):
                 look = s.received[0, 0, n]
-                taken = int(look[TAKEN])
+                taken = int(look[LOOK.taken])
                 note_detection(
-                    p, memory, taken, tick, look[LOOK_X], look[LOOK_Y], here.p_x, here.p_y
+                    p, memory, taken, tick, look[LOOK.x], look[LOOK.y], here.p_x, here.p_y
                 )
         detections = memory.detections
         new = newest_detection(detections)
@@ -426,25 +420,27 @@ def fly_one(
         # what becomes of the command
         room.ring[tick % _RING, 0], room.ring[tick % _RING, 1] = u_x, u_y
         u_x, u_y = _disturb_command(c, p, room, random, tick, carrying)
-        sent[UAV, LAST], sent[UAV, CARRIED] = -1.0, 0.0
+        sent[UAV, COMMAND.last], sent[UAV, COMMAND.carried] = -1.0, 0.0
         if carrying:
             held, under = memory.plan[0], memory.underway.sent
             left = held.turn + held.cruise + held.brake
             pending = Pending(tick, d_ticks, allowed, d / c.r_v, left)
             lost, plots[UAV].losing = loses(losses, random, plots[UAV].losing, pending)
             keep_motion(s.motions[0, UAV], under[(tick + d_ticks) % under.shape[0]], tick)
-            sent[UAV, LAST], sent[UAV, CARRIED] = tick + d_ticks, 1.0
+            sent[UAV, COMMAND.last], sent[UAV, COMMAND.carried] = tick + d_ticks, 1.0
             if lost:
                 u_x = math.nan
-        sent[UAV, ANSWERED] = -1.0 if math.isnan(u_x) else tick
-        sent[UAV, U_X], sent[UAV, U_Y] = u_x, u_y
+        sent[UAV, COMMAND.answered] = -1.0 if math.isnan(u_x) else tick
+        sent[UAV, COMMAND.u_x], sent[UAV, COMMAND.u_y] = u_x, u_y
         # the UGV
         if next_share(random) < 0.01:
             redraw(random, plots, UGV, u_g)
             if c.ugv == ANY and next_share(random) < 0.2:
                 ugv = choose(random, c.ugv, len(UGVS))
-        sent[UGV, ANSWERED] = tick
-        sent[UGV, U_X], sent[UGV, U_Y] = ugv_command(ugv, x, y, here, w_x, w_y, plots, u_g)
+        sent[UGV, COMMAND.answered] = tick
+        sent[UGV, COMMAND.u_x], sent[UGV, COMMAND.u_y] = ugv_command(
+            ugv, x, y, here, w_x, w_y, plots, u_g
+        )
         # the motion, as the world steps it, but that the adversary chooses which detections are made, and with
         # which error
         _keep_states(s, before)
