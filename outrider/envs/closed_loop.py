@@ -4,7 +4,7 @@ World, links, filters, laws, drivers and rewards of a tick in one compiled pass.
 """
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -50,7 +50,7 @@ from sim.engine.world_state import Precision
 from sim.env.patch import CoveragePatch
 from sim.env.rewards import RewardWeights
 from sim.env.rows import UAV_METRICS, joined, row_state, row_tables
-from sim.kernels.compile import FloatArray, IntArray, compiling
+from sim.kernels.compile import FloatArray, IntArray, compiling, entry_point
 from sim.kernels.prefetch import disc_widths
 from sim.kernels.records import records
 from sim.models.randomness import PILOT
@@ -219,6 +219,7 @@ class ClosedLoop:
         coverage = self.batch.state.truth.coverage
         told_room = max(BLOCK_TILES, self.batch.state.ground.seen.shape[2]) if grounded else 0
         pixels = patch.pixels if patch else 1
+        self._compiled: Callable[..., object] | None = None
         self.state = LoopState(
             batch=self.batch.state,
             rows=row_state(
@@ -312,8 +313,17 @@ class ClosedLoop:
     def _run(
         self, worlds: IntArray, actions: FloatArray, ticks: int, *, beginning: bool = False
     ) -> None:
-        told = (self.parameters, self.tables, self.state, worlds, beginning, actions, ticks)
-        self.batch.workers.share(run_worlds, len(worlds), *told)
+        which, given = (
+            np.ascontiguousarray(worlds, dtype=np.int64),
+            np.ascontiguousarray(actions, dtype=np.float64),
+        )
+        told = (self.parameters, self.tables, self.state, which, beginning, given, ticks)
+        if self._compiled is None:
+            self._compiled = entry_point(run_worlds, *told, 0, 0)
+        self.batch.workers.share(self._compiled, len(worlds), *told)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_compiled": None}
 
     def metrics(self, uav: str) -> dict[str, FloatArray]:
         """A UAV's true standing in this episode, in each world; arrays of shape (worlds,).

@@ -1,4 +1,4 @@
-"""Many worlds on several cores: compiled loops over a range of worlds, each thread with a range of its own.
+"""Many worlds on several cores: compiled loops over a range of worlds, each thread takes ranges until none is left.
 
 Threads of Python, not of numba: compiled code gives the interpreter away while it runs, so nothing else is needed,
 the compile cache works as everywhere, and processes that fork or spawn meet no thread pool of a library.
@@ -11,7 +11,9 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 _LEAST = 16
-"""Worlds that are worth a thread: handing them over costs some 20 µs."""
+"""Worlds that are worth a call from a thread."""
+_PARTS = 8
+"""Ranges for each thread: a core that is slow for a while holds up the others by one of them at most."""
 
 
 def cores() -> int:
@@ -43,20 +45,26 @@ class WorkerThreads:
     def share(self, work: Callable[..., object], count: int, *arguments: object) -> None:
         """Call `work(*arguments, begin, end)` so that the ranges cover 0 to `count`, and wait for all of them.
 
+        Whichever thread is free takes the next range: cores are not equally fast, and flights not equally long.
+
         Raises:
-            Exception: The first that any of them raised.
+            Exception: One that any of them raised.
         """
         if count < 2 * _LEAST or self.threads == 1:
             work(*arguments, 0, count)
             return
-        parts = min(self.threads, count // _LEAST)
+        parts = min(_PARTS * self.threads, count // _LEAST)
         edges = [count * part // parts for part in range(parts + 1)]
-        others = [
-            self._executor().submit(work, *arguments, begin, end)
-            for begin, end in itertools.pairwise(edges[1:])
-        ]
+        ranges = iter(list(itertools.pairwise(edges)))
+
+        def take() -> None:
+            for begin, end in ranges:  # a list's iterator gives each to one thread
+                work(*arguments, begin, end)
+
+        helpers = min(self.threads, parts) - 1
+        others = [self._executor().submit(take) for _ in range(helpers)]
         try:
-            work(*arguments, 0, edges[1])
+            take()
         finally:
             for other in others:
                 other.exception()  # waits
