@@ -30,6 +30,9 @@ $(VENV)/.dev: $(VENV)/.run
 run: $(VENV)/.run ## fly the escort scenario as three processes over Zenoh (ARGS="..." for more)
 	@$(BIN)/outrider run $(ARGS)
 
+# Tests start many interpreters: each module is compiled to bytecode once, whatever the environment says.
+test long-test: export PYTHONDONTWRITEBYTECODE =
+
 test: $(VENV)/.dev ## install and run the test suite
 	$(BIN)/python -m pytest $(WORKERS) $(ARGS)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sim.kernels.compile import compiled, inlined, released
+from sim.kernels.compile import borrowing, compiled, inlined, released
 from sim.models.randomness import WordArray
 
 _IV = np.array(
@@ -52,8 +52,10 @@ def _mixed(a, b, c, d, x, y):
     return a, b, c, d
 
 
-@inlined
-def _compress(h, m, count, last, out):
+@borrowing
+def _compress(
+    h: WordArray, m: WordArray, count: np.uint64, last: np.uint64, out: WordArray
+) -> None:
     """One block: the state h and the message m, shape (16,), after `count` bytes, into `out`, shape (8,)."""
     v_0, v_1, v_2, v_3, v_4, v_5, v_6, v_7 = h[0], h[1], h[2], h[3], h[4], h[5], h[6], h[7]
     v_8, v_9, v_10, v_11, v_12, v_13 = _IV[0], _IV[1], _IV[2], _IV[3], _IV[4] ^ count, _IV[5]

@@ -1,5 +1,6 @@
 """UGVs without a UAV: the baseline that shows what the escort is worth."""
 
+import functools
 import json
 from pathlib import Path
 
@@ -36,14 +37,18 @@ from sim.scenario.types import LinkTable, Scenario, Wind
 from sim.scene.known import geometry_of
 from sim.server.flight import Flight
 
-ALONE = load_scenario("minefield", overrides=["uav=[]", "duration=15.0"])
+
+@functools.cache
+def alone() -> Scenario:
+    """The minefield without a UAV; loading it draws hazards, which is compiled: not where tests are collected."""
+    return load_scenario("minefield", overrides=["uav=[]", "duration=15.0"])
 
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Flight, Summary]:
     path = tmp_path_factory.mktemp("alone") / "run.mcap"
-    recorder = FlightRecorder(path, ALONE, 4)
-    flight, summary = fly(ALONE, 4, on_tick=recorder.tick)
+    recorder = FlightRecorder(path, alone(), 4)
+    flight, summary = fly(alone(), 4, on_tick=recorder.tick)
     recorder.close()
     return path, flight, summary
 
@@ -59,11 +64,11 @@ def positions(scenario: Scenario, seeds: list[int]) -> np.ndarray:
 
 def test_a_ugv_alone_has_one_trajectory_in_run_environment_and_batch(flown) -> None:
     _, flight, summary = flown
-    env = outrider.parallel_env(ALONE)
+    env = outrider.parallel_env(alone())
     observations, _ = env.reset(seed=4)
     assert sha256(record(env, pilots(env), observations)) == summary.trajectory_sha256
-    assert np.array_equal(positions(ALONE, [5, 4])[1], flight.world.position)
-    assert flight.world.position[0].tolist() != list(ALONE.ugv[0].position)
+    assert np.array_equal(positions(alone(), [5, 4])[1], flight.world.position)
+    assert flight.world.position[0].tolist() != list(alone().ugv[0].position)
 
 
 def test_a_ugv_alone_drives_as_one_whose_uav_says_nothing() -> None:
@@ -105,11 +110,11 @@ def test_every_view_shows_a_ugv_alone(flown) -> None:
     assert hub._scene is not None
     assert [vehicle.name for vehicle in hub._scene.vehicles] == ["ugv_0"]
     assert hub.status is not None
-    status = msgspec.structs.replace(hub.status, geometry=geometry_of(ALONE))
+    status = msgspec.structs.replace(hub.status, geometry=geometry_of(alone()))
     view = DriveView(status=status, truth=flight.truth())
     canvas = draw(view, "ugv_0", Trails(), width=60, height=20, wide=True)
     assert any(segment.text.strip() for row in range(20) for segment in canvas.row(row))
-    env = outrider.parallel_env(ALONE, render_mode="rgb_array")
+    env = outrider.parallel_env(alone(), render_mode="rgb_array")
     env.reset(seed=4)
     assert env.render() is not None
 
@@ -120,12 +125,12 @@ def test_a_recording_of_a_ugv_alone_is_flown_again_to_the_same_bits(flown) -> No
 
 
 def test_ugvs_alone_are_the_agents_of_every_environment() -> None:
-    assert outrider.parallel_env(ALONE).possible_agents == ["ugv_0"]
-    worlds = outrider.parallel_vector_env(ALONE, num_envs=2)
+    assert outrider.parallel_env(alone()).possible_agents == ["ugv_0"]
+    worlds = outrider.parallel_vector_env(alone(), num_envs=2)
     observations, _ = worlds.reset(seed=4)
     assert list(observations) == ["ugv_0"]
     with pytest.raises(ValueError, match=r"^agent = 'uav_0'; allowed: ugv_0$"):
-        outrider.single_env(ALONE)
+        outrider.single_env(alone())
 
 
 @pytest.mark.parametrize("option", ["law", "weighting", "path"])

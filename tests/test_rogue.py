@@ -90,12 +90,12 @@ def _try_seeds(
     The last row counts them.
     """
     hits[-1] = 0
+    purpose = (PILOT, DETECTION_CHANCE, DETECTION_NOISE)[way]
     for seed in range(begin, end):
+        tried = key_for(state, count, seed, purpose, ROW, m, out)
         if way == KEY:
-            tried = key_for(state, count, seed, PILOT, ROW, m, out)
             fits = tried[0] == key[0] and tried[1] == key[1]
         elif way == FLAGS:
-            tried = key_for(state, count, seed, DETECTION_CHANCE, ROW, m, out)
             low, high = (
                 0.0,
                 1.0,
@@ -110,7 +110,6 @@ def _try_seeds(
                     break
             fits = low < high
         else:
-            tried = key_for(state, count, seed, DETECTION_NOISE, ROW, m, out)
             fits, last, x, y = True, -1, 0.0, 0.0
             for n in range(ticks.shape[0]):
                 if not found[n]:
