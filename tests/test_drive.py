@@ -606,6 +606,19 @@ class Watching:
         return DriveView(status=a_status(), truth=a_truth(), driver="script", speed=0.2)
 
 
+def test_a_clock_that_ticks_while_the_screen_is_taken_down_draws_nothing() -> None:
+    from outrider.view.terminal.screen import DriveApp
+
+    async def leave() -> None:
+        app = DriveApp(Watching(), "flight")  # type: ignore[arg-type]
+        async with app.run_test() as pilot:
+            await pilot.pause()
+            await app.screen.remove_children()
+            app.show()
+
+    asyncio.run(leave())
+
+
 @pytest.mark.parametrize("columns", [44, 80, 120])
 def test_every_key_and_the_time_are_on_the_screen_however_narrow_it_is(columns: int) -> None:
     from textual.widgets import Static

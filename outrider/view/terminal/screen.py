@@ -118,6 +118,8 @@ class DriveApp(App[int]):
         if self._link.over:
             self.exit(self._code)
             return
+        if not self.query(TopView):
+            return  # the screen is being taken down, and the clock has ticked once more
         view = self._link.view()
         self._remember(view)
         told = banner(view, self._link.vehicle, leaving=self._link.leaving)
