@@ -199,6 +199,29 @@ def test_links_change_from_and_to_recorded_ones(first: str, then: str) -> None:
         assert got == flown()[0]
 
 
+@pytest.mark.parametrize("number", range(5))
+def test_a_message_that_has_begun_to_leave_begins_anew_in_another_size(number: int) -> None:
+    """An opportunity for 1,500 bytes every 0.1 s: one has passed after 0.1 s, 4,500 bytes need three more."""
+    settings = LinkSettings(trace="trace", message_bytes=3000)
+    link = Link(settings, dt=DT, key=a_key(number), traces=(a_trace("100\n"),))
+    link.send(0, "message", 0)
+    arrived = [link.arrivals(tick) for tick in range(3)]
+    link.change(msgspec.structs.replace(settings, message_bytes=4500))
+    arrived += [link.arrivals(tick) for tick in range(3, 12)]
+    (at,) = (tick for tick, messages in enumerate(arrived) if messages)
+    assert 0.3 < at * DT <= 0.4 + DT
+    assert conserved(link)
+
+
+def test_a_blackout_that_a_change_ends_takes_no_message_that_leaves_later() -> None:
+    dark = LinkSettings(trace="trace", blackouts=((0.0, 10.0),))
+    link = Link(dark, dt=DT, key=a_key(1), traces=(a_trace("20\n"),))
+    link.send(0, "message", 0)
+    assert link.arrivals(0) == []
+    link.change(msgspec.structs.replace(dark, blackouts=()))
+    assert link.arrivals(1) == ["message"]
+
+
 def test_an_operator_gives_a_link_a_recorded_one_that_was_read_and_no_other(tmp_path: Path) -> None:
     (tmp_path / "wifi.csv").write_text(TABLE)
     scenario = load_scenario(
