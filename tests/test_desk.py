@@ -98,9 +98,12 @@ def test_a_reset_begins_a_new_flight_with_its_own_seed_and_new_pilots(tmp_path: 
                 send(Control(action=Action.RESET, seed=seed))
                 status(lambda s, seed=seed: s.seed == seed and s.changes)
 
-        held = threading.Event()
+        def slowly() -> None:  # no flight but the last ends before its operator has acted
+            if run.server.flight.seed != 8:
+                time.sleep(0.02)
+
         end = operating(run, work)
-        flight = run.fly(lambda: held.wait(0.002) and None)
+        flight = run.fly(slowly)
         end()
         status = run.server.status(1.0)
     assert flight.complete
@@ -126,9 +129,11 @@ def test_the_speed_can_be_changed_while_flying_and_changes_no_bit(tmp_path: Path
             slow.append(status(lambda s: s.wanted_factor == 5.0).wanted_factor)
             send(Control(action=Action.SPEED))
             slow.append(status(lambda s: s.wanted_factor is None).wanted_factor)
+            done.set()
 
+        done = threading.Event()  # until then a tick takes long: the flight does not end before
         end = operating(run, work)
-        flight = run.fly()
+        flight = run.fly(lambda: done.wait(0.02) and None)
         end()
     assert slow == [5.0, None]
     assert flight.complete

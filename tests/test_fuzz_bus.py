@@ -15,6 +15,7 @@ import pytest
 import zenoh
 from mutations import REFUSALS, mutated
 
+from bus import session
 from bus.keys import (
     BRIEFING,
     COMMAND,
@@ -106,7 +107,15 @@ def publisher(session: Session, expression: str) -> zenoh.Publisher:
 
 
 @pytest.fixture
-def wire(tmp_path: Path) -> Iterator[Wire]:
+def wire(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Wire]:
+    """A busy machine may stop the reader for longer than a writer waits, or a link lives: here no message is lost."""
+    patience, lease = "queue/congestion_control/block/wait_before_close", "lease"
+    for settings, name, value in (
+        (session._COMMON, patience, 20_000_000),  # [µs]
+        (session._CLIENT, lease, 20_000),  # [ms]
+    ):
+        assert f"transport/link/tx/{name}" in settings
+        monkeypatch.setitem(settings, f"transport/link/tx/{name}", value)
     endpoint = f"unixsock-stream/{tmp_path / 'bus.sock'}"
     with (
         open_session(SIMULATOR, "run", listen=(endpoint,)) as simulator,

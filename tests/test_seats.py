@@ -228,6 +228,7 @@ def test_in_real_time_a_command_is_used_by_its_age_and_then_the_vehicle_brakes()
 
 def test_a_flight_can_be_paused_stepped_and_resumed(tmp_path: Path) -> None:
     seen: list[Status] = []
+    heard = threading.Event()
     with stage(tmp_path, 300) as run:
         run.start_both()
         operator = run.client("operator")
@@ -237,6 +238,7 @@ def test_a_flight_can_be_paused_stepped_and_resumed(tmp_path: Path) -> None:
             wait_until(lambda: controls.wanted)
             controls.send(Control(action=Action.PAUSE))
             paused = await_status(statuses, lambda status: status.paused)
+            heard.set()
             controls.send(Control(action=Action.STEP, ticks=5))
             stepped = await_status(
                 statuses, lambda status: status.paused and status.tick == paused.tick + 5
@@ -246,7 +248,8 @@ def test_a_flight_can_be_paused_stepped_and_resumed(tmp_path: Path) -> None:
 
         hand = threading.Thread(target=operate)
         hand.start()
-        flight = run.fly(lambda: time.sleep(0.001))
+        # slowly, so that the flight does not end before its operator is heard
+        flight = run.fly(lambda: heard.wait(0.02) and None)
         hand.join(30.0)
     assert len(seen) == 2
     assert flight.complete
