@@ -17,6 +17,7 @@ from processes import (
     flown_both_ways,
     flying,
     outrider,
+    python,
     run_json,
     wait_until,
 )
@@ -77,12 +78,23 @@ def test_ctrl_c_ends_all_processes_and_keeps_what_was_flown(tmp_path: Path) -> N
     assert summary["complete"] is False
     rows = (tmp_path / "trajectory.csv").read_text(encoding="utf-8").splitlines()
     assert len(rows) == 1 + summary["ticks"] + 1
+    assert {log.name: log.read_text() for log in tmp_path.glob("logs/*")} == {}
     files = words("coverage.npy flight.png summary.json trajectory.csv")
     assert sorted(path.name for path in tmp_path.iterdir()) == files
     assert not any(alive(child) for child in children)
     # what was flown is the beginning of the whole flight
     _, whole = fly(load_scenario("escort", overrides=[f"duration={summary['ticks'] * 0.05!r}"]), 7)
     assert whole.trajectory_sha256 == summary["trajectory_sha256"]
+
+
+def test_a_process_that_is_asked_to_end_while_it_ends_says_nothing() -> None:
+    code = (
+        "import atexit, os, signal, sys; from outrider.cli.main import main;"
+        "atexit.register(os.kill, os.getpid(), signal.SIGTERM); sys.argv = ['outrider', '--version']; main()"
+    )
+    ended = python(code)
+    assert ended.stdout.startswith("outrider ")
+    assert ended.stderr == ""
 
 
 @pytest.mark.parametrize("victim", ["uav", "ugv"])

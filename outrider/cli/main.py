@@ -197,7 +197,10 @@ def main() -> None:
     os.environ["PYTHONSAFEPATH"] = "1"
     logging.basicConfig(format="%(name)s: %(message)s", level=logging.WARNING)
     signal.signal(signal.SIGTERM, _end)
-    code = _run()
+    try:
+        code = _run()
+    finally:  # it ends: an exception in what the interpreter does then would only be written to its log
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
     if code == _INTERRUPTED:
         # A library's thread may be in the middle of something: C++ would abort where it ends with the interpreter.
         atexit._run_exitfuncs()
