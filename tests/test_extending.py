@@ -63,16 +63,13 @@ import contextlib, io, sys
 import msgspec
 
 from bus.keys import KEYS
-from outrider.cli.main import main
+from outrider.cli.main import run_command_line
 from outrider.style import law_color
 
 def said(*arguments):
-    sys.argv, text, code = ["outrider", *arguments], io.StringIO(), 0
+    sys.argv, text = ["outrider", *arguments], io.StringIO()
     with contextlib.redirect_stdout(text), contextlib.redirect_stderr(text):
-        try:
-            main()
-        except SystemExit as end:
-            code = end.code or 0
+        code = run_command_line()
     return code, " ".join(text.getvalue().replace("│", " ").split())
 
 def flown(**overrides):

@@ -28,8 +28,8 @@ def test_a_uav_pilot_loads_none_of_the_packages_that_its_filter_does_without():
 def test_checking_a_scenario_loads_no_compiler():
     told = _printed(
         "import sys; sys.argv = ['outrider', 'check', 'escort', '--set', 'law.name=certified']\n"
-        "from outrider.cli.main import main\n"
-        "try:\n    main()\nexcept SystemExit as ended:\n    print(ended.code, 'numba' in sys.modules)"
+        "from outrider.cli.main import run_command_line\n"
+        "print(run_command_line(), 'numba' in sys.modules)"
     )
     assert told.endswith("0 False")
     assert "can be flown" in told

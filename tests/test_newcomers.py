@@ -15,7 +15,7 @@ import typer
 from bus.errors import ScenarioError
 from bus.messages import Action, Control, LinkKind, LinkSettings, UavCommand
 from bus.registry import LAWS
-from outrider.cli.main import main, make_app
+from outrider.cli.main import make_app, run_command_line
 from outrider.cli.options import scenario_of
 from outrider.recording.reader import flight_of
 from outrider.recording.refly import external_uavs, restore
@@ -36,11 +36,9 @@ def command(monkeypatch, *words) -> int:
     monkeypatch.setattr("sim.kernels.compile.interpret", lambda: None)  # other tests compile
     before = signal.getsignal(signal.SIGTERM)
     try:
-        with pytest.raises(SystemExit) as ended:
-            main()
+        return run_command_line()
     finally:
         signal.signal(signal.SIGTERM, before)
-    return ended.value.code or 0
 
 
 def python(folder: Path, *words: str) -> "subprocess.CompletedProcess[str]":
@@ -376,16 +374,12 @@ def test_ctrl_c_is_told_in_one_line_however_early_it_comes(monkeypatch, capsys):
     def early():
         raise KeyboardInterrupt
 
-    left = []
-    monkeypatch.setattr("os._exit", left.append)
-    monkeypatch.setattr("atexit._run_exitfuncs", lambda: None)
     monkeypatch.setitem(module.COMMANDS, "doctor", early)
     for words in (("doctor",), ("scenarios",)):
         with monkeypatch.context() as m:
             if words == ("scenarios",):  # before the command's own code
                 m.setattr(module, "make_app", early)
             assert command(monkeypatch, *words) == 130
-    assert left == [130, 130]
     assert capsys.readouterr().err == "outrider: interrupted\n" * 2
 
 

@@ -87,14 +87,54 @@ def test_ctrl_c_ends_all_processes_and_keeps_what_was_flown(tmp_path: Path) -> N
     assert whole.trajectory_sha256 == summary["trajectory_sha256"]
 
 
+def _ending(before: str) -> "subprocess.CompletedProcess[str]":
+    """How a command ends where this has been run before it."""
+    code = f"import atexit, os, signal, sys, threading, time\nfrom outrider.cli.main import main\n{before}\n"
+    return python(f"{code}sys.argv = ['outrider', '--version']\nmain()\n", check=False)
+
+
 def test_a_process_that_is_asked_to_end_while_it_ends_says_nothing() -> None:
-    code = (
-        "import atexit, os, signal, sys; from outrider.cli.main import main;"
-        "atexit.register(os.kill, os.getpid(), signal.SIGTERM); sys.argv = ['outrider', '--version']; main()"
-    )
-    ended = python(code)
+    ended = _ending("atexit.register(os.kill, os.getpid(), signal.SIGTERM)")
     assert ended.stdout.startswith("outrider ")
-    assert ended.stderr == ""
+    assert (ended.stderr, ended.returncode) == ("", 0)
+
+
+def test_a_process_that_ends_waits_for_threads_and_calls_exit_handlers() -> None:
+    ended = _ending(
+        "def write(text):\n    time.sleep(0.2)\n    sys.stdout.write(text)\n"
+        "atexit.register(write, 'handler')\n"
+        "threading.Thread(target=write, args=('thread ',)).start()\n"
+    )
+    assert ended.stdout.endswith("thread handler")
+    assert (ended.stderr, ended.returncode) == ("", 0)
+
+
+def test_output_that_cannot_be_written_at_the_end_is_a_failure() -> None:
+    ended = _ending(
+        "class Full:\n    def flush(self):\n        raise OSError(28, 'No space left on device')\n"
+        "atexit.register(setattr, sys, 'stdout', Full())"
+    )
+    assert ended.returncode == 1
+
+
+_OPEN = """
+FILE = open("kept.csv", "w")
+
+def policy(*seen):
+    FILE.write("a row\\n")
+    return 0.0, 0.0
+"""
+
+
+@pytest.mark.parametrize("how", [[], ["--in-process"]])
+def test_a_file_that_a_policy_leaves_open_is_written_out(tmp_path: Path, how: list[str]) -> None:
+    (tmp_path / "mine.py").write_text(_OPEN)
+    changes = words("ugv.0.driver=policy custom.policy=mine:policy")
+    options = [word for change in changes for word in ("--set", change)]
+    command = ["run", "escort", "--duration", "1", "--no-files", *how, *options]
+    run = outrider(*command, cwd=tmp_path, fresh=True)
+    assert run.returncode == 0, run.stderr
+    assert (tmp_path / "kept.csv").read_text().count("a row") >= 20
 
 
 @pytest.mark.parametrize("victim", ["uav", "ugv"])

@@ -18,6 +18,7 @@ import numpy as np
 from agents.process import warm_up
 from bus.keys import Role
 from outrider.cli.main import main as command_line
+from outrider.cli.stopping import leave
 from outrider.running.forking import Request
 from sim.kernels.compile import compiling
 
@@ -83,9 +84,9 @@ def _serve(channel: socket.socket) -> list[int]:
         try:
             _, files, _, _ = socket.recv_fds(channel, 1, 4)
         except OSError:
-            sys.exit(1)
+            leave(1)
         if not files:
-            sys.exit(0)
+            leave(0)
         pid = _fork_orphan()
         if pid == 0:
             channel.close()

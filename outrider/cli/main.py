@@ -1,7 +1,7 @@
 """The command line's table, and what becomes of its errors: one clear line, and an exit code."""
 
-import atexit
 import functools
+import gc
 import logging
 import os
 import signal
@@ -9,7 +9,7 @@ import sys
 import traceback
 from collections.abc import Callable
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
 import typer
 
@@ -45,6 +45,7 @@ from outrider.cli import (
     suite,
     sweep,
 )
+from outrider.cli.stopping import leave
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "run": run.command,
@@ -188,8 +189,8 @@ def _computes(arguments: list[str]) -> bool:
     return arguments[:1] not in (["scenarios"], ["check"])
 
 
-def main() -> None:
-    """Run the command line."""
+def run_command_line() -> int:
+    """Run the command line, and tell its exit code."""
     if "--debug" in sys.argv[1:]:  # before or after the command's name; children find the variable
         sys.argv.remove("--debug")
         os.environ[_DEBUG] = "1"
@@ -197,14 +198,24 @@ def main() -> None:
     os.environ["PYTHONSAFEPATH"] = "1"
     logging.basicConfig(format="%(name)s: %(message)s", level=logging.WARNING)
     signal.signal(signal.SIGTERM, _end)
+    return _run()
+
+
+def main() -> NoReturn:
+    """Run the command line, and end this process."""
     try:
-        code = _run()
-    finally:  # it ends: an exception in what the interpreter does then would only be written to its log
+        code = run_command_line()
+    except SystemExit as ended:
+        if not isinstance(ended.code, int):
+            raise  # of code that is not ours
+        code = ended.code
+    if code != _INTERRUPTED and _runs_user_code():
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    if code == _INTERRUPTED:
-        # A library's thread may be in the middle of something: C++ would abort where it ends with the interpreter.
-        atexit._run_exitfuncs()
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
-    sys.exit(code)
+        gc.unfreeze()
+        sys.exit(code)  # what it has left open is freed, and so written out and closed
+    leave(code)
+
+
+def _runs_user_code() -> bool:
+    loader = sys.modules.get("outrider.running.user_code")
+    return loader is not None and loader.has_loaded()

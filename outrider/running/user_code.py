@@ -22,6 +22,12 @@ if TYPE_CHECKING:
 _ROW, _ACTION = (len(UgvRow._fields),), (2,)
 """Shapes of what a saved policy sees and answers."""
 _FORMS = f"allowed: {POLICY_FORMS}"
+_loaded: list[str] = []
+
+
+def has_loaded() -> bool:
+    """True if this process runs code that is not ours."""
+    return bool(_loaded)
 
 
 def _reason(error: BaseException) -> str:
@@ -57,6 +63,7 @@ def _named(name: str, what: str) -> Any:  # noqa: ANN401 - whatever it is
     module_name, separator, function_name = name.partition(":")
     if not (separator and module_name and function_name):
         raise ScenarioError(f"{what} = {name!r}: not of the form module:function")
+    _loaded.append(name)
     here = str(Path.cwd())
     if here not in sys.path:
         sys.path.append(here)  # behind all others: a file there takes no library's place
@@ -97,6 +104,7 @@ def load_policy(name: str, *, what: str = "policy") -> Any:  # noqa: ANN401 - a 
     """
     kind, separator, rest = name.partition(":")
     if separator and kind in SAVED_POLICIES:
+        _loaded.append(name)
         return resolve(SAVED_POLICIES[kind].load)(rest, f"{what} = {name!r}")
     if Path(name).suffix in (".zip", ".pt", ".onnx", ".fmu"):
         raise ScenarioError(f"{what} = {name!r}: of which library? {_FORMS}")
