@@ -6,6 +6,7 @@ Strict floating point, one cache for one source text.
 import contextlib
 import fcntl
 import functools
+import gc
 import hashlib
 import os
 import re
@@ -144,13 +145,24 @@ def _optimized_once(compile_version: Callable[..., Any], types: Any) -> Any:  # 
         library, "_optimize_functions"
     ):  # numba's own, so another version may do without it
         return compile_version(types)
-    with global_compiler_lock:  # so that nobody else's function is compiled meanwhile
+    with global_compiler_lock, _collecting_seldom():  # nobody else's function is compiled meanwhile
         passes = library._optimize_functions
         library._optimize_functions = _lay_out
         try:
             return compile_version(types)
         finally:
             library._optimize_functions = passes
+
+
+@contextlib.contextmanager
+def _collecting_seldom() -> Iterator[None]:
+    """Look for cycles among a compiler's many objects seldom: by default that is an eighth of the time."""
+    before = gc.get_threshold()
+    gc.set_threshold(50_000, 20, 100)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
 
 
 def _lay_out(library: Any, module: Any) -> None:  # noqa: ANN401 - numba's
