@@ -150,3 +150,22 @@ def test_a_recording_without_a_status_is_shown_all_the_same(
     assert hub.status is not None
     assert hub.status.geometry is not None
     assert hub.status.law == "certified"
+
+
+def test_the_end_of_a_flight_is_told_once_all_browsers_have_been_given_it(path: Path) -> None:
+    told: list[float] = []
+    clock = Clock()
+    tape = Tape(flight_of(path), 1.0, clock)
+    hub = Hub(tape, on_end=lambda: told.append(clock.now))
+    first, slow = hub.welcome(""), hub.welcome("")
+    for seconds, ends in ((30.0, 0), (1000.0, 1)):
+        clock.now += seconds
+        hub.take_in()
+        hub._tell_of_the_end()
+        hub.frame(first)
+        hub._tell_of_the_end()
+        assert len(told) == 0
+        hub.frame(slow)
+        for _ in range(2):
+            hub._tell_of_the_end()
+            assert len(told) == ends

@@ -89,7 +89,12 @@ def command(
             else:
                 ERR.print(f"the run {run} is shown at {line}", soft_wrap=True)
 
-        hub = Hub(Live(session), _law(law))
+        def on_end() -> None:
+            if listening >= 0:  # the parent waits for it
+                sys.stdout.write("over\n")
+                sys.stdout.flush()
+
+        hub = Hub(Live(session), _law(law), on_end)
         controls = (lambda: Controls(hub).show) if hub.source.may_steer else None
         serve(hub, opened, admission, controls=controls, ready=ready)
 

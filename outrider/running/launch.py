@@ -30,8 +30,8 @@ from sim.scenario.types import Scenario, Ugv
 
 _PATIENCE = 10.0
 """Time that a process may take to end when it was asked to [s]."""
-_LAST_FRAME = 0.2
-"""The page is still served so long after the end of the simulator [s], so that browsers show that the run is over."""
+_LAST_FRAME = 2.0
+"""The page is still served so long after the end of the simulator [s] at most, so that browsers show that it is."""
 _PORTS = range(20_000, 32_000)
 """Of this machine, below those that systems give to clients."""
 Transport = Literal["unix", "tcp", "tls"]
@@ -196,8 +196,7 @@ def launch(  # noqa: PLR0913 - options, each by keyword
         if server is not None and not respawn and not keep_forks:
             server.close()  # nothing more is forked
         outcome = _follow(processes, watcher, respawn=respawn)
-        if any(shown.ended is None for shown in pages):
-            time.sleep(_LAST_FRAME)
+        processes.await_last_frame()
         if outcome.summary is not None:
             for child in children:
                 child.wait(2.0 if outcome.summary.complete else 0.5)
@@ -252,6 +251,7 @@ class _Processes:
         self._uavs = {uav.name for uav in scenario.uav}
         self._files: dict[str, Path] = {}
         self._page: Child | None = None
+        self._shown: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         if secured:
             names = [uav.name for uav in scenario.uav], [ugv.name for ugv in scenario.ugv]
             given = (
@@ -323,19 +323,24 @@ class _Processes:
         ]
         arguments += ["--host", "127.0.0.1", "--listening", str(page.fileno())]
         arguments += ["--law", msgspec.json.encode(self._scenario.law).decode()]
-        lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._page = Child(
-            "dashboard", arguments, lines, (page.fileno(),), log=self._log("dashboard")
+            "dashboard", arguments, self._shown, (page.fileno(),), log=self._log("dashboard")
         )
         pages.append(self._page)
         page.close()  # it is the child's now: where that ends, nobody else keeps a browser waiting
         limit = time.monotonic() + _PATIENCE
         while not watcher.stop() and self.simulator.ended is None and time.monotonic() < limit:
             with contextlib.suppress(queue.Empty):
-                line = lines.get(timeout=0.1)
+                line = self._shown.get(timeout=0.1)
                 if line is not None:
                     watcher.on_event(f"the run is shown at {line.decode().strip()}")
                 return
+
+    def await_last_frame(self) -> None:
+        """Wait until the browsers show that the run is over, but not for long."""
+        if self._page is not None and self._page.ended is None:
+            with contextlib.suppress(queue.Empty):
+                self._shown.get(timeout=_LAST_FRAME)  # what it says, or its end
 
     def lost_page(self) -> str:
         """Why the dashboard has ended before the run, told once; empty: it has not."""

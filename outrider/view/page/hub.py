@@ -7,7 +7,7 @@ Nobody waits for a browser: one that has not drawn its last frames gets no new o
 
 import asyncio
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import msgspec
@@ -56,15 +56,19 @@ class Hub:
     Args:
         source: Where it is flown, or played.
         law: What the UAVs fly at first, where that is known.
+        on_end: Called when all browsers have been given the end of a flight.
     """
 
-    def __init__(self, source: Source, law: Law | None = None) -> None:
+    def __init__(
+        self, source: Source, law: Law | None = None, on_end: Callable[[], None] = lambda: None
+    ) -> None:
         self.source = source
         self.history = ChartData()
         self.status: Status | None = None
         self.first_law = law
         self.browsers: dict[int, Browser] = {}
         self.wheel = SharedWheel(source.control, source.drive)
+        self._on_end, self._end_is_told = on_end, False
         self._numbers = 0
         self._versions = {Truth: 0, Status: 0, CoverageMap: 0, GroundMap: 0}
         self._raw: dict[type[Message], msgspec.Raw] = {}
@@ -80,7 +84,15 @@ class Hub:
                     browser.due = max(browser.due, now - FRAME) + FRAME
                     browser.told = now
                     browser.turn.set()
+            self._tell_of_the_end()
             await asyncio.sleep(_POLL if self.browsers else _IDLE_POLL)
+
+    def _tell_of_the_end(self) -> None:
+        if self.status is None or not self.status.over:
+            self._end_is_told = False
+        elif not self._end_is_told and not any(map(self._has_news, self.browsers.values())):
+            self._end_is_told = True
+            self._on_end()
 
     def take_in(self) -> None:
         """Take what has come."""
