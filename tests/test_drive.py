@@ -471,9 +471,9 @@ def test_an_operator_drives_a_flight_in_real_time_and_nothing_jumps(tmp_path: Pa
             seen: list[VehicleTruth] = []
 
             def heads_west() -> bool:
-                letter = truths.next_waiting()
-                if letter is not None and isinstance(letter.message, Truth):
-                    seen.append(letter.message.vehicles["ugv_0"])
+                while (letter := truths.next_waiting()) is not None:
+                    if isinstance(letter.message, Truth):
+                        seen.append(letter.message.vehicles["ugv_0"])
                 return bool(seen) and seen[-1].velocity[0] < -0.15
 
             one.until_shown("waypoints drives ugv_0", "4.75 m")
