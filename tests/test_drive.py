@@ -453,7 +453,7 @@ def test_without_a_terminal_there_is_one_clear_line() -> None:
 def test_an_operator_drives_a_flight_in_real_time_and_nothing_jumps(tmp_path: Path) -> None:
     with scattered(tmp_path) as run:
         run.router()
-        simulator = run.simulator("--realtime", "4")
+        simulator = run.simulator("--realtime", "1")
         run.vehicles()
         files = tmp_path / "credentials"
         observer = Party(role=Role.OBSERVER, name="observer")

@@ -101,9 +101,8 @@ def test_a_process_that_is_asked_to_end_while_it_ends_says_nothing() -> None:
 
 def test_a_process_that_ends_waits_for_threads_and_calls_exit_handlers() -> None:
     ended = _ending(
-        "def write(text):\n    time.sleep(0.2)\n    sys.stdout.write(text)\n"
-        "atexit.register(write, 'handler')\n"
-        "threading.Thread(target=write, args=('thread ',)).start()\n"
+        "def late():\n    threading.main_thread().join()\n    time.sleep(0.2)\n    sys.stdout.write('thread ')\n"
+        "atexit.register(sys.stdout.write, 'handler')\nthreading.Thread(target=late).start()\n"
     )
     assert ended.stdout.endswith("thread handler")
     assert (ended.stderr, ended.returncode) == ("", 0)
