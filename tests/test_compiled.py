@@ -1,8 +1,11 @@
 """How our functions are compiled: strictly, into the cache, and to the numbers of the text as it is written."""
 
 import importlib
+import os
 import pkgutil
 import struct
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -16,6 +19,7 @@ from numba.core.errors import TypingError
 
 import agents.control
 from bus.registry import SENSORS
+from sim.kernels import linking
 from sim.kernels.compile import compiled
 
 MODULES = (
@@ -127,10 +131,84 @@ def _by_constants(number: float, times: int) -> float:
 
 def test_a_constant_that_a_caller_hands_over_makes_no_version_of_its_own(monkeypatch) -> None:
     """Each would be compiled with all that it calls in turn."""
-    for function in (_scaled, _by_constants):  # else they may come from an earlier session
+    scaled: Any = _scaled
+    for function in (scaled.linked, _by_constants):  # else they may come from an earlier session
         monkeypatch.setattr(function, "_cache", NullCache())
     assert _by_constants(1.5, 4) == 13.5
-    assert len(_scaled.overloads) == 1  # type: ignore[attr-defined]
+    assert len(scaled.linked.overloads) == 1
+
+
+def test_what_only_compiled_code_has_called_is_no_machine_code(monkeypatch) -> None:
+    scaled: Any = _scaled
+    assert _by_constants(1.5, 4) == 13.5
+    (version,) = scaled.linked.overloads.values()
+    assert version.library.get_pointer_to_function(version.fndesc.llvm_func_name) == 0
+    assert scaled(1.5, 4) == 6.0  # for Python it is compiled when Python calls it
+    (version,) = scaled.overloads.values()
+    assert version.library.get_pointer_to_function(version.fndesc.llvm_func_name) > 0
+
+
+CALLED = """
+import sys
+import numpy as np
+from sim.kernels.compile import borrowing, compiled, inlined
+
+@inlined
+def first(numbers):
+    return numbers[0]
+
+@borrowing
+def checked(numbers, least):
+    if first(numbers) < least:
+        raise ValueError("too small")
+    return first(numbers) * least
+
+@borrowing
+def fall(count, numbers):
+    return checked(numbers, 2.0) if count == 0 else fall(count - 1, numbers)
+
+@compiled
+def one(numbers):
+    return checked(numbers, 2.0) + fall(3, numbers)
+
+@compiled
+def other(numbers):
+    return fall(2, numbers) - 1.0
+
+call = {"one": one, "other": other}[sys.argv[1]]
+print(call(np.array([3.5])))
+try:
+    call(np.array([1.5]))
+except ValueError as error:
+    print(error)
+print(*(sum(each.linked.stats.cache_hits.values()) for each in (checked, fall)))
+"""
+
+
+def test_a_part_is_kept_for_callers_in_other_processes(tmp_path) -> None:
+    """Also one that calls itself, one that raises, and one that has another one within."""
+    (tmp_path / "called.py").write_text(CALLED, encoding="utf-8")
+
+    def call(name: str) -> list[str]:
+        environment = {"PYTHONPATH": os.pathsep.join(sys.path), "OUTRIDER_CACHE": str(tmp_path)}
+        words = [sys.executable, str(tmp_path / "called.py"), name]
+        ended = subprocess.run(
+            words, env=os.environ | environment, capture_output=True, text=True, check=True
+        )
+        assert not ended.stderr
+        return ended.stdout.splitlines()
+
+    assert call("one") == ["14.0", "too small", "0 0"]
+    assert call("one") == ["14.0", "too small", "0 0"]  # a whole needs no parts
+    assert call("other") == ["6.0", "too small", "0 1"]  # with all that it calls
+
+
+def test_another_numba_compiles_as_it_does(monkeypatch) -> None:
+    scaled, adds = compiled(_by_constants.py_func), compiled(_adds.py_func)  # type: ignore[attr-defined]
+    monkeypatch.setattr(linking, "_IS_KNOWN", False)
+    for function in (scaled, adds):
+        monkeypatch.setattr(function, "_cache", NullCache())
+    assert (scaled(1.5, 4), adds(1.0)) == (13.5, 2.0)
 
 
 @compiled

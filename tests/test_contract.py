@@ -130,6 +130,7 @@ ON_BOARD = {
     "sim.models.motion",
     "sim.models.randomness",
     "sim.kernels.compile",
+    "sim.kernels.linking",
     "sim.kernels.lanes",
     "sim.kernels.records",
 }

@@ -6,7 +6,6 @@ Strict floating point, one cache for one source text.
 import contextlib
 import fcntl
 import functools
-import gc
 import hashlib
 import os
 import re
@@ -113,74 +112,17 @@ def is_interpreted() -> bool:
 
 
 def _compile(function: _F, **options: Any) -> _F:  # noqa: ANN401 - numba's
-    """No `fastmath`: the bits must not depend on who calls.
-
-    No entry for C, which nobody uses and which takes time to compile.
-    """
+    """No `fastmath`: the bits must not depend on who calls."""
     if _interpreted:
         return function
     import numba  # noqa: PLC0415 - see `interpret`
 
-    njit: Any = numba.njit
-    chosen = {"cache": cache_folder() is not None, "error_model": "numpy", "no_cfunc_wrapper": True}
-    dispatcher = njit(**chosen, **options)(function)
-    if dispatcher is function:  # with NUMBA_DISABLE_JIT
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         return function
-    dispatcher.get_call_template = functools.partial(_any_number, dispatcher.get_call_template)
-    dispatcher.compile = functools.partial(_optimized_once, dispatcher.compile)
-    return cast("_F", dispatcher)
+    from sim.kernels.linking import dispatcher  # noqa: PLC0415 - it loads numba
 
-
-def _optimized_once(compile_version: Callable[..., Any], types: Any) -> Any:  # noqa: ANN401 - numba's
-    """Compiles one version without numba's passes over each function before it is linked.
-
-    What is linked is optimized as a whole in any case, and is as fast; the passes before take most of the time
-    where much is inlined: of 80 s for a tick of the closed loop they take 50, and without them all takes 46.
-    """
-    from numba.core.codegen import CPUCodeLibrary  # noqa: PLC0415 - see `interpret`
-    from numba.core.compiler_lock import global_compiler_lock  # noqa: PLC0415
-
-    library: Any = CPUCodeLibrary
-    if not hasattr(
-        library, "_optimize_functions"
-    ):  # numba's own, so another version may do without it
-        return compile_version(types)
-    with global_compiler_lock, _collecting_seldom():  # nobody else's function is compiled meanwhile
-        passes = library._optimize_functions
-        library._optimize_functions = _lay_out
-        try:
-            return compile_version(types)
-        finally:
-            library._optimize_functions = passes
-
-
-@contextlib.contextmanager
-def _collecting_seldom() -> Iterator[None]:
-    """Look for cycles among a compiler's many objects seldom: by default that is an eighth of the time."""
-    before = gc.get_threshold()
-    gc.set_threshold(50_000, 20, 100)
-    try:
-        yield
-    finally:
-        gc.set_threshold(*before)
-
-
-def _lay_out(library: Any, module: Any) -> None:  # noqa: ANN401 - numba's
-    """All that has to be done with a module before it is linked."""
-    module.data_layout = library._codegen._data_layout
-
-
-def _any_number(template: Callable[..., Any], arguments: tuple[Any, ...], named: Any) -> Any:  # noqa: ANN401 - numba's
-    """Tells a compiled caller of the one version that serves all constants it may hand over.
-
-    By itself numba would compile a version for each, with all that it calls in turn: 32 of `draw`.
-    """
-    from numba.core.types import unliteral  # noqa: PLC0415 - see `interpret`
-
-    plain: Any = unliteral
-    return template(
-        tuple(plain(one) for one in arguments), {name: plain(one) for name, one in named.items()}
-    )
+    is_kept = cache_folder() is not None
+    return cast("_F", dispatcher(function, cached=is_kept, error_model="numpy", **options))
 
 
 def compiled(function: _F) -> _F:
@@ -222,11 +164,11 @@ def entry_point(function: _F, *arguments: object) -> _F:
     a world whose tick takes one. Whoever calls often with arguments of fixed types looks once. Later arguments are
     not checked: arrays must have the same types, dimensions and layout.
     """
-    if _interpreted:
+    dispatcher: Any = function
+    if not hasattr(dispatcher, "get_overload"):  # it is left to the interpreter
         return function
     import numba  # noqa: PLC0415 - see `interpret`
 
-    dispatcher: Any = function
     typeof: Any = numba.typeof
     types = tuple(typeof(argument) for argument in arguments)
     dispatcher.compile(types)

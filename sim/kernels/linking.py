@@ -1,0 +1,155 @@
+"""Compiled functions as numba makes them: for Python, or as parts of others.
+
+By itself numba optimizes each function for itself, makes machine code of it and an entry for Python, whoever calls it.
+Most of ours are called by other compiled functions alone, which link them in and are optimized as a whole: what was
+made of the parts before is thrown away, and takes half of the time that compiling takes.
+"""
+
+import contextlib
+import functools
+import gc
+from collections.abc import Callable, Iterator
+from types import FunctionType
+from typing import Any
+
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.registry import CPUDispatcher, cpu_target
+from numba.core.types import Dispatcher, unliteral
+
+_Library: Any = JITCodeLibrary  # numba's classes have no types, or wrong ones
+_Dispatcher: Any = CPUDispatcher
+_plain: Any = unliteral
+
+_INSIDE = ("_optimize_functions", "_optimize_final_module", "_finalize_final_module")
+_IS_KNOWN = all(hasattr(JITCodeLibrary, name) for name in _INSIDE)
+"""Whether numba's insides, which another version may do without, are those that are dealt with here."""
+
+
+class _Whole(_Library):  # type: ignore[misc]
+    """What Python calls, with all of its parts: optimized once, after they are linked in."""
+
+    def _optimize_functions(self, module: Any) -> None:  # noqa: ANN401 - numba's
+        module.data_layout = self._codegen._data_layout
+
+
+class _Part(_Whole):
+    """What only compiled functions call: neither optimized for itself nor made into machine code."""
+
+    has_dynamic_globals = False
+    """It names the functions that it calls by their addresses here; nobody uses those, and optimizing drops them."""
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._verify_declare_only_symbols()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """None: 0."""
+        self._ensure_finalized()
+        return 0
+
+    def serialize_using_object_code(self) -> Any:  # noqa: ANN401 - numba's
+        """For the cache; there is no object code."""
+        return self.serialize_using_bitcode()
+
+
+@contextlib.contextmanager
+def _compiling_to(kind: type[_Whole]) -> Iterator[None]:
+    """While this lasts nobody else compiles, and numba compiles to code of this kind."""
+    with global_compiler_lock, _collecting_seldom():
+        codegen = cpu_target.target_context.codegen()
+        outside = vars(codegen).get("_library_class"), vars(codegen).get("set_env")
+        codegen._library_class, codegen.set_env = kind, functools.partial(_set_env, codegen)
+        try:
+            yield
+        finally:
+            for name, before in zip(("_library_class", "set_env"), outside, strict=True):
+                if before is None:
+                    delattr(codegen, name)
+                else:
+                    setattr(codegen, name, before)
+
+
+def _set_env(codegen: Any, name: str, environment: object) -> None:  # noqa: ANN401 - numba's
+    """What numba does with the objects that code refers to, where that code is machine code."""
+    if codegen._engine.get_global_value_address(name):
+        type(codegen).set_env(codegen, name, environment)
+
+
+@contextlib.contextmanager
+def _collecting_seldom() -> Iterator[None]:
+    """Look for cycles among a compiler's many objects seldom: by default that is an eighth of the time."""
+    before = gc.get_threshold()
+    gc.set_threshold(50_000, 20, 100)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+
+
+class _Linked(_Dispatcher):  # type: ignore[misc]
+    """One function, for compiled callers."""
+
+    def compile(self, types: Any) -> Any:  # noqa: ANN401 - numba's
+        """The version for arguments of these types."""
+        if not _IS_KNOWN:
+            return super().compile(types)
+        with _compiling_to(_Part):
+            return super().compile(types)
+
+    def get_call_template(self, arguments: tuple[Any, ...], named: dict[str, Any]) -> Any:  # noqa: ANN401 - numba's
+        """Tells a compiled caller of the one version that serves all constants it may hand over.
+
+        By itself numba would compile a version for each, with all that it calls in turn: 32 of `draw`.
+        """
+        plain = {name: _plain(one) for name, one in named.items()}
+        return super().get_call_template(tuple(_plain(one) for one in arguments), plain)
+
+
+class _Entry(_Dispatcher):  # type: ignore[misc]
+    """One function, for Python, and for compiled callers by its twin."""
+
+    def compile(self, types: Any) -> Any:  # noqa: ANN401 - numba's
+        """The version for arguments of these types."""
+        if not _IS_KNOWN:
+            return super().compile(types)
+        with _compiling_to(_Whole):
+            return super().compile(types)
+
+    @functools.cached_property
+    def linked(self) -> Any:  # noqa: ANN401 - numba's
+        """The same function for compiled callers."""
+        ours = self.py_func
+        named = ours.__code__, ours.__globals__, ours.__name__, ours.__defaults__, ours.__closure__
+        copy = FunctionType(*named)
+        copy.__module__, copy.__kwdefaults__ = ours.__module__, ours.__kwdefaults__
+        copy.__qualname__ = f"{ours.__qualname__}.linked"  # a place of its own in the cache
+        options = self.targetoptions | {"no_cpython_wrapper": True}
+        return _dispatcher(_Linked, copy, options, cached=type(self._cache).__name__ != "NullCache")
+
+    @property
+    def _numba_type_(self) -> Any:  # noqa: ANN401 - numba's
+        return Dispatcher(self.linked)
+
+
+def _dispatcher(kind: Any, function: Any, options: dict[str, Any], *, cached: bool) -> Any:  # noqa: ANN401 - numba's
+    made = kind(py_func=function, targetoptions=options)
+    if cached:
+        made.enable_caching()
+    return made
+
+
+def dispatcher(function: Callable[..., Any], *, cached: bool, **options: Any) -> Any:  # noqa: ANN401 - numba's
+    """A function that numba compiles when it is called, from Python or by another.
+
+    Args:
+        function: Of plain floats and arrays.
+        cached: Whether what is compiled is kept in numba's cache.
+        **options: numba's. No entry for C is made, which nobody uses and which takes time.
+    """
+    chosen = {"nopython": True, "no_cfunc_wrapper": True, **options}
+    inline = options.get("inline") == "always"  # no code of its own, in whoever calls it
+    return _dispatcher(CPUDispatcher if inline else _Entry, function, chosen, cached=cached)
