@@ -4,11 +4,12 @@ Arrays have an axis for vehicles, in name order. One seed, one secret and the sa
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from bus.messages import TILE_LETTERS, GroundBlock, Mission, MotionPlan, SeenTile
+from bus.ticks import Look
 from sim.engine.batch import Batch
 from sim.engine.links import Links
 from sim.engine.mission import hear_block, mission_of
@@ -24,17 +25,6 @@ from sim.kernels.compile import FloatArray, entry_point
 from sim.models.ground import TileArray, block_letters, tile_states
 from sim.models.motion import NO_MOTION, keep_motion, motion_row
 from sim.scenario.types import Scenario, Uav
-
-
-class Look(NamedTuple):
-    """A detection that has reached the UAV's computer."""
-
-    tick: int
-    """Time at which it was taken."""
-    x: float
-    y: float
-    """p_a - p_g with noise [m]."""
-
 
 _KEPT = ("scenario", "seed", "_batch", "names", "uavs", "parameters", "links", "_tick", "received")
 """The attributes that a copy takes over; it makes views of its own."""

@@ -18,7 +18,7 @@ from outrider.experiments.report.results import Material, read_material
 from outrider.experiments.sweep.columns import RESULTS
 from outrider.experiments.sweep.definition import describe_sweep
 from outrider.experiments.sweep.folder import SweepFolder
-from outrider.experiments.sweep.plan import Plan, lay_out
+from outrider.experiments.sweep.plan import SweepPlan, lay_out
 from outrider.style import law_color, law_mark
 
 
@@ -44,7 +44,7 @@ def test_the_interval_of_a_mean_is_student_s():
         mean_interval([])
 
 
-def plan_of(**given) -> Plan:
+def plan_of(**given) -> SweepPlan:
     described = {
         "laws": "linear,switching",
         "vary": ["links.detections.delay=0,0.5,1,2"],
@@ -54,7 +54,7 @@ def plan_of(**given) -> Plan:
     return lay_out(describe_sweep("escort", **described)[0])
 
 
-def made_up(plan: Plan, run: int) -> dict[str, object]:
+def made_up(plan: SweepPlan, run: int) -> dict[str, object]:
     """A row: switching breaks from 1 s on in all seeds but the first; linear at 2 s in one, and there a run failed."""
     head = plan.head(run)
     delay, seed = head.get("links.detections.delay") or 0.0, head["seed"]
@@ -75,7 +75,7 @@ def made_up(plan: Plan, run: int) -> dict[str, object]:
     return {**dict.fromkeys(RESULTS), **found, "run": run}
 
 
-def kept(path: Path, plan: Plan, rows, *, whole: bool = True) -> Path:
+def kept(path: Path, plan: SweepPlan, rows, *, whole: bool = True) -> Path:
     with SweepFolder(path, plan, command=f"outrider sweep --out {path.name}") as folder:
         folder.add(iter(rows))
         if whole:
@@ -83,7 +83,7 @@ def kept(path: Path, plan: Plan, rows, *, whole: bool = True) -> Path:
     return path
 
 
-def swept(path: Path, plan: Plan, runs: range | None = None) -> Path:
+def swept(path: Path, plan: SweepPlan, runs: range | None = None) -> Path:
     rows = (made_up(plan, run) for run in runs or range(plan.runs))
     return kept(path, plan, rows, whole=runs is None)
 

@@ -11,7 +11,7 @@ import pytest
 from bus.errors import BusError, ScenarioError
 from bus.messages import CoverageMap, GroundMap, Status, Truth
 from bus.ros2_access import PILOT
-from outrider.bridges.ros2.conversion import RunView, Track, seconds_of
+from outrider.bridges.ros2.conversion import PathTrack, RunView, seconds_of
 from outrider.bridges.ros2.interfaces import decode, encode, make, type_hash
 from outrider.bridges.ros2.topics import PILOT_TOPICS, TOPICS, messages_of, wire_topic
 from outrider.bridges.ros2.wire import (
@@ -146,7 +146,7 @@ def test_an_estimate_carries_its_covariance():
 
 
 def test_a_path_stays_short_and_begins_anew_with_another_flight():
-    track = Track()
+    track = PathTrack()
     for tick in range(5000):
         track.add(tick * 0.05, (tick * 0.11, 0.0))
     assert 250 <= len(track.times) <= 501

@@ -19,7 +19,7 @@ from bus.errors import PeerLost, ScenarioError
 from bus.profiles import PROFILES
 from outrider.experiments.sweep.definition import describe_sweep, shipped_sweeps
 from outrider.experiments.sweep.folder import SweepFolder, read_head, read_results
-from outrider.experiments.sweep.plan import Plan, lay_out
+from outrider.experiments.sweep.plan import SweepPlan, lay_out
 from outrider.experiments.sweep.running import fly_sweep, make_tasks, open_cluster
 from outrider.experiments.sweep.worker import fly_runs
 from outrider.running.flying import run
@@ -38,7 +38,7 @@ GRID = [*words("sweep escort --law linear,switching --vary detections.noise=0,0.
 LONG = words("--seeds 24 --set duration=20.0")
 
 
-def plan_of(source: str = "escort", **given) -> Plan:
+def plan_of(source: str = "escort", **given) -> SweepPlan:
     return lay_out(describe_sweep(source, **(given or (SMALL if source == "escort" else {})))[0])
 
 
@@ -50,7 +50,7 @@ def rows_of(folder: Path) -> dict[str, list[object]]:
     return rows
 
 
-def flown(folder: Path, plan: Plan, jobs: int = 2) -> dict[str, list[object]]:
+def flown(folder: Path, plan: SweepPlan, jobs: int = 2) -> dict[str, list[object]]:
     with SweepFolder(folder, plan, command="outrider sweep") as there:
         fly_sweep(plan, there, jobs=jobs)
         there.finish()

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from collections import Counter
 from importlib import import_module
 from pathlib import Path
 from typing import get_args
@@ -217,3 +218,17 @@ def test_the_circle_warning_names_the_bound_of_the_law() -> None:
     bound = largest_circle_rate(r_s, uav.max_speed, ugv.max_speed, uav.max_acceleration)
     (line,) = checks.scenario_warnings(scenario)
     assert f"{bound:.4f} rad/s" in line
+
+
+def test_no_file_and_no_public_class_has_the_name_of_another() -> None:
+    """Whoever looks for a name finds the one thing that has it."""
+    files = [path.name for path in PRODUCT if path.name != "__init__.py"]
+    classes = [
+        node.name
+        for path in PRODUCT
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    ]
+    twice = [name for name, count in Counter([*files, *classes]).items() if count > 1]
+    assert twice == []
+    assert len(classes) > 300

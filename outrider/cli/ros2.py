@@ -230,14 +230,14 @@ def _fly(
     from agents.process import fly
     from bus.session import open_session
     from outrider.bridges.ros2.ros_node import RosNode
-    from outrider.bridges.ros2.ros_pilot import Link, RosPilot
+    from outrider.bridges.ros2.ros_pilot import RosLink, RosPilot
     from outrider.cli.console import ERR, print_json
     from outrider.cli.stopping import stop_on_signals
 
     party, credential = _party_of(name, credentials)
     with open_session(party, run, connect=connect, credential=credential) as session:
         node = RosNode(session, domain=domain, name="outrider", namespace=f"/{name}")
-        link = Link(node, party)
+        link = RosLink(node, party)
         with stop_on_signals() as stop:
             if not link.there:
                 ERR.print(

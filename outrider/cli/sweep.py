@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from outrider.experiments.sweep.folder import SweepFolder
-    from outrider.experiments.sweep.plan import Plan
+    from outrider.experiments.sweep.plan import SweepPlan
 
 
 def command(
@@ -157,7 +157,7 @@ def _bar(what: str) -> "AbstractContextManager[Progress]":
     )
 
 
-def _fly(plan: "Plan", folder: "SweepFolder", jobs: int | None, client: Any) -> None:  # noqa: ANN401 - an extra's type
+def _fly(plan: "SweepPlan", folder: "SweepFolder", jobs: int | None, client: Any) -> None:  # noqa: ANN401 - an extra's type
     """Fly what is missing, with a bar.
 
     It fills with what runs cost, so that the time left is right for ticks of any length.
@@ -194,7 +194,9 @@ def _fly(plan: "Plan", folder: "SweepFolder", jobs: int | None, client: Any) -> 
         fly_sweep(plan, folder, jobs=workers, client=client, on_results=show)
 
 
-def _interrupted(plan: "Plan", folder: "SweepFolder", end: KeyboardInterrupt | SystemExit) -> None:
+def _interrupted(
+    plan: "SweepPlan", folder: "SweepFolder", end: KeyboardInterrupt | SystemExit
+) -> None:
     from outrider.cli.console import ERR
 
     folder.take_stock()  # what was written may not be counted yet

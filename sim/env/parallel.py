@@ -347,7 +347,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         dt = self.scenario.dt
         looks = self.world.received[uav]
         return tuple(
-            Detection(time=look.tick * dt, relative_position=(look.x, look.y)) for look in looks
+            Detection(time=look.taken * dt, relative_position=(look.x, look.y)) for look in looks
         )
 
     def ground(self, agent: str) -> tuple[SeenTile, ...]:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bus.layout import UavRow, UgvRow
+from bus.ticks import Look
 from sim.engine.world_state import (
     LOOK,
     BatchState,
@@ -19,7 +20,7 @@ from sim.kernels.compile import FloatArray, IntArray, inlined
 from sim.kernels.records import RecordArray, columns, records
 from sim.models.vehicles import next_goal, norm
 from sim.scenario.types import Scenario, Ugv
-from sim.world import Look, World
+from sim.world import World
 
 
 class UavMetrics(NamedTuple):

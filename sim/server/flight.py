@@ -41,12 +41,13 @@ from bus.messages import (
     VehicleTruth,
 )
 from bus.registry import LAWS
+from bus.ticks import Look
 from sim.kernels.compile import FloatArray
 from sim.models.ground import UNSEEN
 from sim.scenario.types import NO_UAV, Scenario
 from sim.server.assurance import Arrival, Assurance
 from sim.server.recorder import Recorder
-from sim.world import Look, World
+from sim.world import World
 
 
 @dataclass(slots=True)

@@ -30,7 +30,7 @@ _QUIET = 10.0
 
 
 @dataclass(slots=True, kw_only=True)
-class Slot:
+class VehicleSlot:
     """One vehicle's place. The first session that comes holds it until it goes; then the next one does."""
 
     name: str
@@ -85,10 +85,10 @@ class Slots:
         self._changes: dict[
             tuple[str, int], bool
         ] = {}  # where somebody came or went since they were last taken in
-        self._slots: dict[str, Slot] = {}
+        self._slots: dict[str, VehicleSlot] = {}
         for vehicle in flight.scenario.vehicles:
             role = Role.UAV if isinstance(vehicle, Uav) else Role.UGV
-            self._slots[vehicle.name] = Slot(
+            self._slots[vehicle.name] = VehicleSlot(
                 name=vehicle.name,
                 role=role,
                 briefings=session.outbox(BRIEFING[role], vehicle.name),
@@ -145,7 +145,7 @@ class Slots:
                     unreadable - slot.refused[UNREADABLE],
                 )
 
-    def _arrive(self, slot: Slot, place: int, arrivals: int) -> None:
+    def _arrive(self, slot: VehicleSlot, place: int, arrivals: int) -> None:
         slot.sessions[place] = arrivals
         if len(slot.sessions) > 1:
             self._refuse(
@@ -157,7 +157,7 @@ class Slots:
             return
         self._begin(slot)
 
-    def _begin(self, slot: Slot) -> None:
+    def _begin(self, slot: VehicleSlot) -> None:
         """A session takes the slot."""
         slot.owed = 0
         if slot.lost:
@@ -165,7 +165,7 @@ class Slots:
             self._flight.rejoin(slot.name)
             self._on_event(f"{slot.name} has joined again at tick {self._flight.world.tick}")
 
-    def _leave(self, slot: Slot, place: int) -> None:
+    def _leave(self, slot: VehicleSlot, place: int) -> None:
         held = slot.holder == place
         del slot.sessions[place]
         if not held:
@@ -176,7 +176,7 @@ class Slots:
         if slot.sessions:
             self._begin(slot)
 
-    def _refuse(self, slot: Slot, cause: str, fault: str, count: int = 1) -> None:
+    def _refuse(self, slot: VehicleSlot, cause: str, fault: str, count: int = 1) -> None:
         if not slot.refused[cause]:
             self._on_event(f"{slot.name}: {cause}: {fault}; refused, and from now on only counted")
         slot.refused[cause] += count

@@ -53,7 +53,7 @@ def sensor_frame(vehicle: str) -> str:
 
 
 @dataclass(slots=True)
-class Track:
+class PathTrack:
     """The way that a vehicle has come, thinned out: as many points however long it is."""
 
     times: list[float] = field(default_factory=list)
@@ -72,7 +72,7 @@ class Track:
             most: Points from which on every second one is forgotten.
         """
         if self.times and time < self.times[-1]:
-            self.times, self.positions, self.step = [], [], Track().step  # another flight
+            self.times, self.positions, self.step = [], [], PathTrack().step  # another flight
         if self.positions and math.dist(self.positions[-1], position) < self.step:
             return
         self.times.append(time)
@@ -92,7 +92,7 @@ class RunView:
     scene: Scene
     dt: float
     """Time between two ticks [s]."""
-    tracks: dict[str, Track] = field(default_factory=dict)
+    tracks: dict[str, PathTrack] = field(default_factory=dict)
     hazards: tuple[HazardOutline, ...] = ()
     """Of the flight: a recording tells them in its first map alone."""
     own: tuple[Any, ...] = ()
@@ -103,7 +103,7 @@ class RunView:
         match message:
             case Truth():
                 for name, vehicle in message.vehicles.items():
-                    self.tracks.setdefault(name, Track()).add(message.time, vehicle.position)
+                    self.tracks.setdefault(name, PathTrack()).add(message.time, vehicle.position)
             case GroundMap() if message.hazards:
                 self.hazards = message.hazards
 
@@ -240,7 +240,7 @@ def acceleration(truth: Truth, vehicle: str) -> Any:  # noqa: ANN401
 
 def path(view: RunView, truth: Truth, vehicle: str) -> Any:  # noqa: ANN401
     """The way that a vehicle has come."""
-    track = view.tracks.get(vehicle, Track())
+    track = view.tracks.get(vehicle, PathTrack())
     poses = [
         make("geometry_msgs/msg/PoseStamped", header=header(time), pose=_pose(position))
         for time, position in zip(track.times, track.positions, strict=True)

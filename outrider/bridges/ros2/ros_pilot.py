@@ -48,7 +48,7 @@ _COMMAND = {Role.UAV: UavCommand, Role.UGV: UgvCommand}
 _EMPTY = RunView(scene=Scene(title="", width=0.0, height=0.0, vehicles=(), escorts=()), dt=0.0)
 
 
-class Link:
+class RosLink:
     """The topics of one vehicle: what it is told goes out, what its node answers comes in.
 
     Args:
@@ -210,7 +210,7 @@ class RosPilot:
         told: Its briefing.
     """
 
-    def __init__(self, link: Link, told: Briefing) -> None:
+    def __init__(self, link: RosLink, told: Briefing) -> None:
         self._link = link
         self._waits: Callable[[], bool] | None = None
         link.brief(told)

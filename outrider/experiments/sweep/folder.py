@@ -16,7 +16,7 @@ import msgspec
 from bus.errors import ScenarioError
 from bus.files import read_regular
 from outrider.experiments.sweep.definition import Sweep
-from outrider.experiments.sweep.plan import Plan
+from outrider.experiments.sweep.plan import SweepPlan
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -151,7 +151,7 @@ class SweepFolder:
     """
 
     def __init__(
-        self, path: Path, plan: Plan, *, command: str, text: str = "", fresh: bool = False
+        self, path: Path, plan: SweepPlan, *, command: str, text: str = "", fresh: bool = False
     ) -> None:
         self.path, self._plan = path, plan
         self._columns = plan.columns

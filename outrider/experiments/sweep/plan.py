@@ -32,7 +32,7 @@ class SweepPoint:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
+class SweepPlan:
     """All of a sweep. Run number r is point r // seeds with seed number r % seeds."""
 
     sweep: Sweep
@@ -136,7 +136,7 @@ def lay_out(
     named: Collection[str] = (),
     allow_code: bool = False,
     told: Callable[[int, int], None] = lambda _done, _of: None,
-) -> Plan:
+) -> SweepPlan:
     """Load every point of a sweep: what cannot be flown shows before anything is.
 
     Args:
@@ -169,7 +169,7 @@ def lay_out(
             warnings |= dict.fromkeys(check_own_functions(scenario))
     known = [(point.block, point.law, point.fields, point.scenario) for point in points]
     everything = msgspec.msgpack.encode((sweep.seeds, sweep.first_seed, known))
-    return Plan(
+    return SweepPlan(
         sweep=sweep,
         points=tuple(points),
         columns={**FIRST, **kinds, **RESULTS},

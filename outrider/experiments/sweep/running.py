@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from bus.errors import PeerLost
 from outrider.experiments.sweep.folder import SweepFolder
-from outrider.experiments.sweep.plan import Plan
+from outrider.experiments.sweep.plan import SweepPlan
 from outrider.experiments.sweep.worker import fly_runs, installed_version
 from outrider.running.watchdog import interrupts_masked
 from sim.scenario.types import Scenario
@@ -42,7 +42,7 @@ def cost_of(scenario: Scenario) -> int:
     return scenario.ticks * max(1, len(scenario.uav))
 
 
-def make_tasks(plan: Plan, done: set[int], workers: int) -> list[SweepTask]:
+def make_tasks(plan: SweepPlan, done: set[int], workers: int) -> list[SweepTask]:
     """Cut what is still to be flown into tasks, in order.
 
     Args:
@@ -135,7 +135,7 @@ def _is_a_death(error: Exception) -> bool:
 
 
 def fly_sweep(
-    plan: Plan,
+    plan: SweepPlan,
     folder: SweepFolder,
     *,
     jobs: int,

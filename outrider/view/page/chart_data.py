@@ -15,8 +15,8 @@ _LATELY = 1.0
 Row = tuple[float | None, ...]
 
 
-class Losses:
-    """Losses of messages lately, from the counters of one status after the other."""
+class LossRates:
+    """Shares of messages that were lost lately, from the counters of one status after the other."""
 
     def __init__(self) -> None:
         self._told: deque[tuple[float, dict[str, LinkStatus]]] = deque()
@@ -87,7 +87,7 @@ class ChartData:
         """The row of the latest truth, whether it was kept or not."""
         self.vehicles: tuple[str, ...] = ()
         self.escorts: tuple[tuple[str, str], ...] = ()
-        self.losses = Losses()
+        self.losses = LossRates()
         self.generation = 0
         """Another number: the rows before are no longer those that are kept now."""
 
@@ -120,7 +120,7 @@ class ChartData:
             self.generation += 1
 
 
-def _row(truth: Truth, factor: float, dt: float, losses: Losses) -> Row:
+def _row(truth: Truth, factor: float, dt: float, losses: LossRates) -> Row:
     row: list[float | None] = [round(truth.time, 4), round(factor, 3)]
     for vehicle in truth.vehicles.values():
         row += (round(vehicle.position[0], 3), round(vehicle.position[1], 3))
