@@ -92,7 +92,7 @@ flights = st.lists(
     enabled=st.sampled_from([True, True, True, False]),
     order=st.randoms(use_true_random=False),
 )
-@settings(PROPERTY, max_examples=300)
+@settings(PROPERTY, max_examples=150)
 def test_whatever_the_network_does_to_detections_the_bits_are_those_of_what_has_arrived_in_order(
     flight, target, patience, enabled, order
 ):
@@ -332,7 +332,7 @@ def drawn_from_the_model(seed, count):
 
 @pytest.mark.parametrize("network", NETWORKS)
 def test_is_consistent_on_a_bad_network_when_the_ugv_moves_as_the_model_says(network):
-    flights, count = 60, 400
+    flights, count = 40, 400
     nees = []
     for seed in range(flights):
         noise = SIGMA * np.random.default_rng([seed, 1]).normal(size=(count, 2))
@@ -355,7 +355,7 @@ def test_is_consistent_on_a_bad_network_when_the_ugv_moves_as_the_model_says(net
     ],
 )
 def test_is_not_too_sure_of_a_real_ugv_on_a_bad_network(network, legs):
-    flights, count = 40, 700
+    flights, count = 20, 700
     nees, seen, refused = [], [], 0
     for seed in range(flights):
         truth, noise = drive(seed, count, legs), cut_noise(seed, count)
@@ -417,7 +417,7 @@ def test_a_ugv_that_turned_round_in_a_gap_is_let_in_again_however_long_the_gap(g
 
 @pytest.mark.parametrize("gap", [10.0, 60.0, 240.0])
 def test_is_not_too_sure_of_a_real_ugv_after_a_long_gap(gap):
-    flights, ticks = 40, round(gap / DT)
+    flights, ticks = 20, round(gap / DT)
     errors, covariances = [], []
     for seed in range(flights):
         truth, noise = drive(seed, 400 + ticks, (1.0, 80.0)), cut_noise(seed, 400)

@@ -21,8 +21,8 @@ from properties import PROPERTY
 from bus.keys import KEYS, Key
 
 EVERY_ROW = pytest.mark.parametrize("key", KEYS, ids=lambda key: key.message.__name__)
-MUTATIONS_PER_ROW = math.ceil(220_000 / len(KEYS))
-EXAMPLES_PER_ROW = 500
+MUTATIONS_PER_ROW = math.ceil(110_000 / len(KEYS))
+EXAMPLES_PER_ROW = 200
 
 
 @dataclass
