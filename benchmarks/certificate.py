@@ -317,7 +317,8 @@ def _flown(task: tuple[str, str, bool, int]) -> tuple[float, float, int, float]:
     )
     flight, said = Flight(scenario, seed), []
     flight.fly(
-        InProcess(make_pilots(scenario, seed)), on_tick=lambda: said.append(flight.reports[0])
+        InProcess(make_pilots(scenario, seed)),
+        on_tick=lambda: said.append(flight.answers.reports[0]),
     )
     distance, error = flight.recorder.escorts[:, 0, 0], flight.recorder.escorts[:, 0, 1]
     certified = [report is not None and bool(report.certified) for report in said]

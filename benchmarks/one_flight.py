@@ -46,9 +46,9 @@ def parts(flight: Flight, pilots: dict[str, Pilot]) -> dict[str, tuple[Any, str]
     found: dict[str, tuple[Any, str]] = {
         "observations": (flight, "observations"),
         "row of the record, with e(t)": (flight.recorder, "record"),
-        "commands taken, counted, applied": (flight, "apply"),
+        "commands taken and applied": (flight, "apply"),
         "- the world moves": (flight.world, "advance"),
-        "reports held against the truth": (flight, "_check_reports"),
+        "answers counted, reports held against the truth": (flight._answers, "settle"),
     }
     for name, pilot in pilots.items():
         found[f"pilot of {name}"] = pilot, "act"

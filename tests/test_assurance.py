@@ -303,8 +303,8 @@ def test_a_flight_s_certificate_is_broken_only_where_the_truth_keeps_what_is_dec
     scenario = load_scenario("escort", overrides=given | changes)
     flight = Flight(scenario, 7)
     flight.fly(LosesTheThread(make_pilots(scenario, 7)))
-    assert flight.assurance.certificate_broken == broken
-    assert flight.assurance.reasons["no reason at all"] == 4
+    assert flight.answers.assurance.certificate_broken == broken
+    assert flight.answers.assurance.reasons["no reason at all"] == 4
 
 
 def test_a_law_that_is_ordered_in_flight_excuses_the_tick_at_which_it_begins() -> None:
@@ -321,6 +321,6 @@ def test_a_law_that_is_ordered_in_flight_excuses_the_tick_at_which_it_begins() -
                     flight.order(Law(name="certified", weight_gain=10.0))
 
         flight.fly(Ordering(make_pilots(scenario, 7)))
-        return flight.assurance.certificate_broken
+        return flight.answers.assurance.certificate_broken
 
     assert (broken(None), broken(49), broken(48), broken(50)) == (4, 3, 4, 4)

@@ -43,12 +43,17 @@ def told(changes, seed, on_tick=None):
     said: list[bool | None] = []
 
     def note() -> None:
-        said.append(None if flight.reports[0] is None else flight.reports[0].certified)
+        said.append(
+            None if flight.answers.reports[0] is None else flight.answers.reports[0].certified
+        )
         if on_tick is not None:
             on_tick(flight)
 
     flight.fly(InProcess(make_pilots(scenario, seed)), on_tick=note)
-    counted = (flight.assurance.certified_while_lost, flight.assurance.certificate_broken)
+    counted = (
+        flight.answers.assurance.certified_while_lost,
+        flight.answers.assurance.certificate_broken,
+    )
     assert counted == (0, 0)
     return list(zip(said, flight.recorder.escorts[:-1, 0, 0].tolist(), strict=True))
 

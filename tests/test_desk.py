@@ -108,7 +108,7 @@ def test_a_reset_begins_a_new_flight_with_its_own_seed_and_new_pilots(tmp_path: 
         status = run.server.status(1.0)
     assert flight.complete
     assert (flight.seed, flight.episode) == (8, 2)
-    assert flight.first_missing is None
+    assert flight.answers.first_missing is None
     assert status.vehicles["uav_0"].lost == 0
     assert [seen.tick for seen in vehicles[0].seen] == list(
         range(400)
@@ -137,7 +137,7 @@ def test_the_speed_can_be_changed_while_flying_and_changes_no_bit(tmp_path: Path
         end()
     assert slow == [5.0, None]
     assert flight.complete
-    if flight.first_missing is None:
+    if flight.answers.first_missing is None:
         assert flight.recorder.sha256() == whole(600).recorder.sha256()
 
 
@@ -204,6 +204,6 @@ def test_a_vehicle_that_comes_back_knows_what_was_changed_and_said(victim, tmp_p
         run.start("uav_0" if victim == "ugv_0" else "ugv_0")
         run.start(victim, until=205, again=True)
         flight = run.fly(lambda: change(run.server.flight))
-    assert flight.first_missing is None
+    assert flight.answers.first_missing is None
     assert flight.recorder.sha256() == expected.recorder.sha256()
     assert flight.recorder.sha256() != whole(400).recorder.sha256()

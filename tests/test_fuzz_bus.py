@@ -238,7 +238,7 @@ def test_a_flood_of_garbage_is_counted_and_changes_nothing_of_a_flight(tmp_path:
     with flown(tmp_path / "flooded", flooded=True) as (flight, server, uav, events):
         vehicles = server.vehicles()
     assert flight.complete
-    assert flight.missing == flight.stale == {"uav_0": 0, "ugv_0": 0}
+    assert flight.answers.missing == flight.answers.stale == {"uav_0": 0, "ugv_0": 0}
     assert flight.recorder.sha256() == undisturbed
     assert vehicles["ugv_0"].refused == {"does not decode": TICKS * GARBAGE_PER_TICK}
     assert vehicles["uav_0"].refused == {"does not decode": TICKS}

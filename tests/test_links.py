@@ -110,8 +110,8 @@ def test_a_command_acts_late_and_is_held_and_then_the_vehicle_brakes() -> None:
     assert speeds[held] == pytest.approx(0.2 * 0.05 * (held + 1))
     assert speeds[held + 1] < speeds[held]
     assert speeds[-1] == 0.0
-    assert dark.missing["uav_0"] == 0  # its process was in time: the network was not
-    assert dark.first_missing == 0  # the UGV's was not
+    assert dark.answers.missing["uav_0"] == 0  # its process was in time: the network was not
+    assert dark.answers.first_missing == 0  # the UGV's was not
 
 
 def test_a_command_that_was_overtaken_is_not_flown_any_more() -> None:
@@ -172,7 +172,7 @@ def test_a_process_that_joins_again_is_told_what_had_arrived() -> None:
     for _ in range(300):
         flight.say("ugv_0", Drive(driver="me", velocity=(0.1, 0.0)))
         now = flight.observations()
-        flight.recorder.record(flight.reports)
+        flight.recorder.record(flight.answers.reports)
         for name, observation in now.items():
             seen[name].append(observation)
         flight.apply({name: pilot.act(now[name]) for name, pilot in crew.items()})

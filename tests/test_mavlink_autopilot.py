@@ -158,7 +158,7 @@ def test_one_that_stays_behind_is_waited_for_and_nothing_is_certified_meanwhile(
     assert len(held) >= along.pilot.held_ticks - 1
     assert along.reports[-1].certified is True
     assert distances(flight).max() < 4.75
-    assert flight.assurance.certificate_broken == 0
+    assert flight.answers.assurance.certificate_broken == 0
 
 
 def test_one_that_is_silent_or_not_armed_is_waited_for(along, monkeypatch):

@@ -169,12 +169,12 @@ def test_lost_commands_and_a_recorded_link_fly_one_trajectory_over_three_process
 def test_motions_beyond_the_vehicles_bound_are_counted_and_told_once(caplog) -> None:
     """As a pilot of somebody else's may send them; those of ours never are."""
     flight, _ = fly(LOST, 3)
-    assert flight.shortened == {"uav_0": 0, "ugv_0": 0}
+    assert flight.answers.shortened == {"uav_0": 0, "ugv_0": 0}
     too_far = msgspec.structs.replace(rest(8), turn=3, turning=(0.3, 0.4))
     flight = Flight(LOST, 3)
     for tick in range(2):
         flight.apply({"uav_0": UavCommand(tick=tick, acceleration=(0.0, 0.0), motions=(too_far,))})
-    assert flight.shortened == {"uav_0": 2, "ugv_0": 0}
+    assert flight.answers.shortened == {"uav_0": 2, "ugv_0": 0}
     assert caplog.text.count("its command for tick 0, 0.5 m/s², is longer than its bound 0.3") == 1
 
 

@@ -289,10 +289,13 @@ def test_answers_in_wrong_units_are_counted_or_told_once(tmp_path, monkeypatch, 
     own = {"duration": 2.0, "ugv.0.driver": "policy"}
     scenario = load_scenario("escort", overrides={**own, "custom.policy": "units:rows"})
     flight, summary = fly(scenario, 7)
-    assert flight.shortened == {"uav_0": 0, "ugv_0": 40}
+    assert flight.answers.shortened == {"uav_0": 0, "ugv_0": 40}
     assert summary.faults == {"ugv_0": {"command beyond its bound": 40}}
     flight, summary = fly(msgspec.structs.replace(scenario, custom=Custom(policy="units:wheel")), 7)
-    assert flight.shortened == {"uav_0": 0, "ugv_0": 0}  # it is kept within its bounds on board
+    assert flight.answers.shortened == {
+        "uav_0": 0,
+        "ugv_0": 0,
+    }  # it is kept within its bounds on board
     first, second = (record.getMessage() for record in caplog.records)
     assert first == (
         "ugv_0: its command for tick 0, 5 m/s², is longer than its bound 0.1 m/s² and is shortened "
@@ -305,7 +308,7 @@ def test_answers_in_wrong_units_are_counted_or_told_once(tmp_path, monkeypatch, 
 def test_no_law_of_ours_asks_for_more_than_its_bound(law):
     scenario = load_scenario("escort", overrides={"duration": 20.0, "law.name": law})
     flight, summary = fly(scenario, 7)
-    assert flight.shortened == {"uav_0": 0, "ugv_0": 0}
+    assert flight.answers.shortened == {"uav_0": 0, "ugv_0": 0}
     assert summary.faults == {}
 
 

@@ -107,7 +107,7 @@ def test_the_texts_of_ticks_are_the_bytes_of_their_messages(scenario: Scenario, 
     def follow() -> None:
         asked.append(flight.commands.copy())
         silent = flight.world.tick % 5 == 0
-        said.append(tuple(None if silent else report for report in flight.reports))
+        said.append(tuple(None if silent else report for report in flight.answers.reports))
 
     flight.fly(InProcess(make_pilots(scenario, 3)), on_tick=follow)
     texts, missed = TickTexts(flight), 0
@@ -130,7 +130,7 @@ def test_the_texts_of_ticks_are_the_bytes_of_their_messages(scenario: Scenario, 
 )
 def test_every_float_keeps_its_text(number: float) -> None:
     flight = Flight(ONE, 3)
-    flight.recorder.record(flight.reports)
+    flight.recorder.record(flight.answers.reports)
     flight.recorder.states[0, 0, :4] = number
     report = UavReport(estimate=(number, 0.0), covariance=(1.0, number, 1.0), age=0.0, refused=0)
     asked = np.full((1, 2, 2), number)

@@ -61,7 +61,7 @@ def test_sight_is_kept_and_certified_in_every_tick(network: list[str], seed: int
     until = int(np.flatnonzero(~np.isnan(flight.recorder.escorts[:, 0, 4]))[0])
     silent = {"the UAV has no estimate yet, or its command did not come": until}
     assert summary.uncertified == {cause: count for cause, count in silent.items() if count}
-    assert flight.assurance.certified == flight.assurance.ticks - until
+    assert flight.answers.assurance.certified == flight.answers.assurance.ticks - until
     assert summary.certified_while_lost == summary.certificate_broken == 0
 
 

@@ -36,7 +36,7 @@ def test_a_vehicle_that_comes_back_with_its_past_flies_the_same_bits(victim, tmp
     assert [seen.tick for seen in first.seen] == list(range(1234))
     assert [seen.tick for seen in later.seen] == list(range(1500))
     assert flight.recorder.sha256() == whole(1500).recorder.sha256()
-    assert flight.first_missing is None
+    assert flight.answers.first_missing is None
     assert (statuses[victim].lost, statuses[victim].rejoined) == (1, 1)
     assert run.events == [
         f"{victim} is lost at tick 1234",
@@ -51,7 +51,7 @@ def test_a_past_is_what_the_vehicle_has_perceived(tmp_path: Path) -> None:
     seen: dict[str, list[Any]] = {name: [] for name in pilots}
     for _ in range(300):
         observations = flight.observations()
-        flight.recorder.record(flight.reports)
+        flight.recorder.record(flight.answers.reports)
         for name, observation in observations.items():
             seen[name].append(observation)
         flight.apply(
@@ -102,13 +102,13 @@ def test_a_lost_vehicle_brakes_and_one_that_returns_is_told_nothing_it_has_misse
 
         run.fly(come_back)
     later = run.vehicles[2].seen
-    back = 101 + flight.missing["uav_0"]
+    back = 101 + flight.answers.missing["uav_0"]
     assert 300 <= back <= returned[0] + 1
     assert [seen.tick for seen in later[:back]] == list(range(back))
     assert sum(bool(seen.detections) for seen in later[:101]) > 50
     assert not any(seen.detections for seen in later[102:back])
     assert sum(bool(seen.detections) for seen in later[back:]) > 20
-    assert flight.first_missing == 101
+    assert flight.answers.first_missing == 101
     assert (abs(flight.recorder.states[165:back, 0, 2:4]) < 1e-9).all()
 
 
@@ -118,7 +118,7 @@ def test_a_vehicle_that_does_not_come_back_is_given_up_once(tmp_path: Path) -> N
         run.start("uav_0", until=20)
         flight = run.fly()
     assert flight.complete
-    assert flight.missing == {"uav_0": 39, "ugv_0": 0}
+    assert flight.answers.missing == {"uav_0": 39, "ugv_0": 0}
     assert [event for event in run.events if "has not come back within 0." in event] == run.events[
         1:
     ]
@@ -179,9 +179,9 @@ def test_real_time_keeps_the_clock_and_flies_the_lockstep_bits_if_all_are_in_tim
     assert (
         seconds >= 99 * 0.025 - 0.05
     )  # never faster than asked for; how much slower is the machine's affair
-    if flight.first_missing is None:
+    if flight.answers.first_missing is None:
         assert flight.recorder.sha256() == whole(100).recorder.sha256()
-    assert flight.missing["uav_0"] + flight.missing["ugv_0"] < 100
+    assert flight.answers.missing["uav_0"] + flight.answers.missing["ugv_0"] < 100
 
 
 def test_in_real_time_a_slow_vehicle_degrades_itself_only(tmp_path: Path) -> None:
@@ -222,8 +222,8 @@ def test_in_real_time_a_command_is_used_by_its_age_and_then_the_vehicle_brakes()
     assert step(None) == 0.05  # tick 7: 4 ticks old
     assert step(None) < 0.0  # tick 8
     assert step(3) <= 0.0  # tick 9: what comes too late is not flown
-    assert flight.first_missing == 1
-    assert flight.missing["ugv_0"] == 7
+    assert flight.answers.first_missing == 1
+    assert flight.answers.missing["ugv_0"] == 7
 
 
 def test_a_flight_can_be_paused_stepped_and_resumed(tmp_path: Path) -> None:
@@ -301,7 +301,7 @@ def test_a_flood_of_letters_neither_stops_the_clock_nor_the_end(payload, tmp_pat
             over.set()
             tap.join()
     assert flight.complete
-    assert flight.missing == {"uav_0": 0, "ugv_0": 8}
+    assert flight.answers.missing == {"uav_0": 0, "ugv_0": 8}
     assert elapsed < 15.0
     assert sum(refused.values()) > 100
     assert [seen.tick for seen in uav.seen] == list(range(8))
@@ -320,7 +320,7 @@ def test_a_vehicle_that_talks_to_another_run_is_late_in_its_own(tmp_path: Path) 
 
         flight = run.fly(talk)
         status = run.server.vehicles()["ugv_0"]
-    assert flight.missing == {"uav_0": 0, "ugv_0": 3}
+    assert flight.answers.missing == {"uav_0": 0, "ugv_0": 3}
     assert (flight.recorder.states[:, 1, 2:4] == 0.0).all()
     assert status.last_fault.startswith("no command for tick 2 after 0.")
     assert [event.split(":")[0] for event in run.events] == [

@@ -119,8 +119,8 @@ STRANGER = (
 def test_honest_vehicles_miss_nothing(tmp_path: Path) -> None:
     with flying(tmp_path, 20) as run:
         flight = run.fly()
-    assert flight.missing == {"uav_0": 0, "ugv_0": 0}
-    assert flight.first_missing is None
+    assert flight.answers.missing == {"uav_0": 0, "ugv_0": 0}
+    assert flight.answers.first_missing is None
     assert run.events == [STRANGER]
 
 
@@ -134,15 +134,15 @@ def test_an_answer_to_another_tick_or_a_second_one_is_counted_and_changes_nothin
     assert status.refused["answers another tick"] == 20
     assert status.refused["answers a tick twice"] >= 19  # the last one may come after the end
     assert "at tick" in status.last_fault
-    assert confused_flight.missing == {"uav_0": 0, "ugv_0": 0}
+    assert confused_flight.answers.missing == {"uav_0": 0, "ugv_0": 0}
     assert confused_flight.recorder.sha256() == honest_flight.recorder.sha256()
 
 
 def test_a_late_vehicle_is_named_with_the_tick_and_how_long(tmp_path: Path) -> None:
     with flying(tmp_path, 4, deadline=0.3, uav=silent) as run:
         flight = run.fly()
-    assert flight.missing == {"uav_0": 4, "ugv_0": 0}
-    assert flight.first_missing == 0
+    assert flight.answers.missing == {"uav_0": 4, "ugv_0": 0}
+    assert flight.answers.first_missing == 0
     assert re.fullmatch(r"uav_0 is late: no command for tick 0 after 0\.[345] s", run.events[0])
 
 
@@ -183,7 +183,7 @@ def test_a_vehicle_that_leaves_is_named_and_the_run_goes_on(tmp_path: Path) -> N
         uav.run = until_gone  # type: ignore[method-assign]
         flight = run.fly()
     assert flight.complete
-    assert flight.missing == {"uav_0": 25, "ugv_0": 0}
+    assert flight.answers.missing == {"uav_0": 25, "ugv_0": 0}
     assert run.events == [STRANGER, "uav_0 is lost at tick 5"]
 
 

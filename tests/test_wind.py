@@ -154,7 +154,7 @@ def test_wind_takes_the_uav_from_what_it_is_told_and_nothing_else(tmp_path) -> N
     assert not off[:, 1].any()
     assert summary.certified_share == 1.0
     assert summary.certified_while_lost == summary.certificate_broken == 0
-    status = flight.assurance.status()
+    status = flight.answers.assurance.status()
     before_the_last = np.hypot(off[:-1, 0, 0], off[:-1, 0, 1]).max()
     assert (status.tracking, status.tracking_error) == (declared, before_the_last)
     flight.recorder.write(tmp_path / "trajectory.csv")

@@ -126,7 +126,7 @@ def restore(recording: Recording) -> Flight:
         _put(flight, truth)
     for change in recording.changes:
         _repeat(flight, change.control)
-    flight.external = external_uavs(recording)
+    flight.answers.external = external_uavs(recording)
     return flight
 
 
@@ -178,11 +178,11 @@ def refly(recording: Recording) -> Reflight:
         _new_flight(recording),
     )  # the copy only hashes what was recorded
     difference = _difference(flight, recording.truths[0])
-    flight.recorder.record(flight.reports)
+    flight.recorder.record(flight.answers.reports)
     _put(copy, recording.truths[0])
     for _ in _commands(recording, flight):
         flight.world.step(flight.commands)
-        flight.recorder.record(flight.reports)
+        flight.recorder.record(flight.answers.reports)
         truth = recording.truths[flight.world.tick]
         copy.world.tick = truth.tick
         _put(copy, truth)

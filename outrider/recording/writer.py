@@ -158,7 +158,9 @@ class FlightRecorder:
                 (flight, tick, None, change) for change in flight.degradations[self._degradations :]
             )
             self._degradations = len(flight.degradations)
-        items.append((flight, tick, (flight.commands.tobytes(), tuple(flight.reports)), None))
+        items.append(
+            (flight, tick, (flight.commands.tobytes(), tuple(flight.answers.reports)), None)
+        )
         while self._early:
             self.event(self._early.pop(0))
         if tick >= self._next_map or tick >= self._next_status or flight.over:
@@ -208,9 +210,9 @@ class FlightRecorder:
         counted = {
             name: VehicleStatus(
                 present=True,
-                missing_commands=flight.missing[name],
-                stale_commands=flight.stale[name],
-                shortened_commands=flight.shortened[name],
+                missing_commands=flight.answers.missing[name],
+                stale_commands=flight.answers.stale[name],
+                shortened_commands=flight.answers.shortened[name],
             )
             for name in flight.world.names
         }
@@ -226,7 +228,7 @@ class FlightRecorder:
             law=flight.law.name,
             drivers=dict(flight.drivers),
             vehicles={**counted, **vehicles},
-            certificates=flight.assurance.status(),
+            certificates=flight.answers.assurance.status(),
             mission=flight.world.mission,
             warnings=promise_warnings(flight.flown, flight.world.links.table),
             links=flight.world.links.status(),

@@ -4,12 +4,11 @@ The same loop serves the pilots in this process and the three processes over the
 """
 
 import logging
-import math
 from array import array
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import msgspec
 import numpy as np
@@ -32,7 +31,6 @@ from bus.messages import (
     RelativeInformation,
     SeenTile,
     Truth,
-    UavCommand,
     UavObservation,
     UavReport,
     UgvCommand,
@@ -41,11 +39,10 @@ from bus.messages import (
     VehicleTruth,
 )
 from bus.registry import LAWS
-from bus.ticks import Look
 from sim.kernels.compile import FloatArray
 from sim.models.ground import UNSEEN
 from sim.scenario.types import NO_UAV, Scenario
-from sim.server.assurance import Arrival, Assurance
+from sim.server.answers import Answers
 from sim.server.recorder import Recorder
 from sim.world import World
 
@@ -60,20 +57,6 @@ class News:
 
 
 _NO_NEWS = News()
-
-
-class _Unchecked(NamedTuple):
-    """A tick whose reports have yet to be held against the truth, as it was then."""
-
-    tick: int
-    commands: list[Command | None]
-    """Of each UAV."""
-    received: list[list[Look]]
-    """The detections that had reached each."""
-    acted: list[list[float]]
-    """The acceleration that each vehicle has acted on [m/s²]."""
-    flown: list[int | None]
-    """The motion that each UAV flew in it."""
 
 
 class Exchange(Protocol):
@@ -92,8 +75,6 @@ class Exchange(Protocol):
 _LOG = logging.getLogger("outrider.sim")
 EXTERNAL = "external"
 """The law of a UAV, and the driver of a UGV, that is a program of the user's own."""
-_ROUNDING = 1e-9
-"""So much longer, as a share, a command may be by rounding alone."""
 _RADIO = 5
 _LOOK = 4
 """Numbers that are kept of a radio message and of a detection that have arrived."""
@@ -145,40 +126,16 @@ class Flight:
         self._news: dict[str, dict[int, News]] = defaultdict(dict)
         self.world = World(scenario, seed, secret=secret)
         self.recorder = Recorder(self.world)
-        self.missing: dict[str, int] = dict.fromkeys(self.world.names, 0)
-        """Ticks for which a vehicle had no new command."""
-        self.stale: dict[str, int] = dict.fromkeys(self.world.names, 0)
-        """Commands of a vehicle that were used after the tick they answer."""
-        self.shortened: dict[str, int] = dict.fromkeys(self.world.names, 0)
-        """Commands of a vehicle that were longer than its bound."""
-        self.external: set[str] = set()
-        """UAVs that a program of the user's own flies: it has seen its UGV and never reported an estimate.
-
-        The scenario's law, and its certificate, tell nothing of them.
-        """
         self.on_notice = on_notice
-        self.first_missing: int | None = None
-        """The first tick at which a vehicle's command was missing or stale."""
-        self.reports: list[UavReport | None] = [None] * len(self.world.uavs)
-        """The last report of each UAV."""
+        self._answers = Answers(scenario, self.world, self.recorder, on_notice)
         self.routes: dict[str, tuple[Vector, ...]] = {}
         """The way that each UGV has told that it plans, by its corners [m]; for observers."""
-        self._reporting = [False] * len(self.world.uavs)
-        self._assurance = Assurance(scenario)
-        self._unchecked: _Unchecked | None = None
         self.degradations: list[Change] = []
         """Changes of links in flight, with their ticks."""
         self._stopped = self._abandoned = False
         self._ticks = scenario.ticks
-        self._answered = dict.fromkeys(
-            self.world.names, -1
-        )  # the tick that each vehicle's newest command answers
-        self._bounds = dict(
-            zip(self.world.names, self.world.bounds[:, 1].tolist(), strict=True)
-        )  # u_max [m/s²]
         self._rows = {name: k for k, name in enumerate(self.world.names)}
         self._uav_row = {uav.name: k for k, uav in enumerate(self.world.uavs)}
-        self._pairs: list[tuple[int, int]] = [(a, g) for a, g in self.world.escorts.tolist()]
         self._radio: dict[
             str, tuple[RelativeInformation, ...]
         ] = {}  # what each UGV hears at this tick
@@ -202,10 +159,10 @@ class Flight:
         return self.world.commands
 
     @property
-    def assurance(self) -> Assurance:
-        """Checks the reports of the safety filters; up to the last tick."""
-        self._check_reports()
-        return self._assurance
+    def answers(self) -> Answers:
+        """All that is known of the vehicles' answers, up to the last tick."""
+        self._answers.settle()
+        return self._answers
 
     @property
     def flown(self) -> Scenario:
@@ -215,7 +172,7 @@ class Flight:
     @property
     def law_name(self) -> str:
         """The law for a person, as `law_title` gives it."""
-        return law_title(self.scenario, self.external)
+        return law_title(self.scenario, self.answers.external)
 
     @property
     def complete(self) -> bool:
@@ -251,16 +208,16 @@ class Flight:
         self.law = law
         for uav in self.world.uavs:
             self._news_of(uav.name).law = law
-            self.assurance.excuse(self._uav_row[uav.name])
+            self.answers.assurance.excuse(self._uav_row[uav.name])
 
     def rejoin(self, name: str) -> None:
         """A vehicle's process has joined again: a new pilot, which knows what it is told of its past."""
         if name in self._uav_row:
-            self.assurance.excuse(self._uav_row[name])
+            self.answers.assurance.excuse(self._uav_row[name])
 
     def watched(self) -> dict[str, UavReport]:
         """The last reports of the UAVs that a safety filter watches over."""
-        told = zip(self.world.uavs, self.reports, strict=True)
+        told = zip(self.world.uavs, self.answers.reports, strict=True)
         return {
             uav.name: report
             for uav, report in told
@@ -440,117 +397,39 @@ class Flight:
         within: list[list[float]] = rows[first:last].tolist()
         return within
 
-    def _count(self, name: str, command: Command | None) -> None:
-        """Note whether a vehicle's process was in time."""
-        tick = self.world.tick
-        if command is None:
-            self.missing[name] += 1
-        else:
-            self._answered[name] = command.tick
-            self.stale[name] += command.tick < tick
-            self._check_bound(name, command)
-        if self._answered[name] < tick and self.first_missing is None:
-            self.first_missing = tick
-
-    def _check_bound(self, name: str, command: Command) -> None:
-        """Count a command of which the bound of (1) shortens anything, and tell of the first; units may be wrong."""
-        asked, bound = [command.acceleration], self._bounds[name]
-        if isinstance(command, UavCommand):
-            for motion in command.motions:
-                asked += (motion.acceleration, motion.turning, motion.braking)
-        size = max(math.hypot(x, y) for x, y in asked)
-        if size <= bound * (1.0 + _ROUNDING):
-            return
-        self.shortened[name] += 1
-        if self.shortened[name] == 1:
-            self.on_notice(
-                f"{name}: its command for tick {command.tick}, {size:.4g} m/s², is longer than its "
-                f"bound {bound:.4g} m/s² and is shortened to it; more of these are only counted"
-            )
-
-    def _judge_report(self, uav: int, command: UavCommand, watched: bool) -> None:
-        """Take a UAV's report; a pilot of ours that has seen its UGV cannot lack it, so it tells whose pilot it is."""
-        report = self.reports[uav] = command.report
-        if report is not None and not (watched and report.certified is None):
-            self._reporting[uav] = True
-        if self._reporting[uav] or command.tick != self.world.tick or not self.world.received[uav]:
-            return
-        name = self.world.uavs[uav].name
-        if name not in self.external:
-            self.external.add(name)
-            self._assurance.disregard(uav)
-            self.on_notice(
-                f"{name} sees its UGV and reports no estimate: a program of your own flies it, "
-                f"of which the law {self.law.name} tells nothing"
-            )
-
     def apply(self, commands: Mapping[str, Command]) -> None:
         """Let these commands set out, and what has arrived act for one tick.
 
         What the UAVs radio arrives at the next one.
         """
         self._listen()
-        self._check_reports()
-        world, watched = self.world, LAWS[self.law.name].watched
+        world, answers, watched = self.world, self.answers, LAWS[self.law.name].watched
         if watched:
-            self.recorder.record(self.reports)  # what is said of this tick is held against it
+            self.recorder.record(answers.reports)  # what is said of this tick is held against it
         for k, name in enumerate(world.names):
             command = commands.get(name)
-            self._count(name, command)
             if command is not None:
-                motions = command.motions if isinstance(command, UavCommand) else ()
-                world.send(k, command.tick, command.acceleration, motions)
-                if isinstance(command, UgvCommand) and command.route is not None:
-                    self.routes[name] = command.route
-            uav = self._uav_row.get(name)
-            if uav is not None:
-                self.reports[uav] = None
-                if isinstance(command, UavCommand):
-                    self._judge_report(uav, command, watched)
-                    self._assurance.send(uav, command.tick, command.acceleration)
-                    for message in command.radio:
-                        self._radios[name].send(
-                            world.tick + 1, message, world.tick
-                        )  # heard at the next tick at the earliest
-                    for block in command.blocks:
-                        if self._grounded and self._is_told(k, block):
-                            self._radios[name].send(world.tick + 1, block, world.tick)
-                        else:
-                            self.refused_blocks[name] += 1
+                self._send(k, name, command)
         tick, received = world.tick, world.received
         world.advance()
-        if watched:
-            asked = [commands.get(world.names[a]) for a, _ in self._pairs]
-            flown = [world.flown(a) for a, _ in self._pairs]
-            self._unchecked = _Unchecked(tick, asked, received, world.commands.tolist(), flown)
+        answers.note(tick, commands, received, self.law.name, watched=watched)
 
-    def _check_reports(self) -> None:
-        """Hold what the UAVs have said of the last tick against the truth, once; best while the vehicles think."""
-        if self._unchecked is None:
+    def _send(self, k: int, name: str, command: Command) -> None:
+        """Let the command of the vehicle in row k, and what it radios, set out."""
+        world = self.world
+        if isinstance(command, UgvCommand):
+            world.send(k, command.tick, command.acceleration)
+            if command.route is not None:
+                self.routes[name] = command.route
             return
-        (tick, commands, received, acted, flown), self._unchecked = self._unchecked, None
-        states, escorts = self.recorder.states, self.recorder.escorts
-        for uav, (a, g) in enumerate(self._pairs):
-            command, arrivals = commands[uav], []
-            said = tick if command is None else command.tick
-            for taken, x, y in received[uav] if command is not None else ():
-                there = states[taken].tolist()  # without a command it has seen nothing of this tick
-                p_a, p_g = there[a], there[g]
-                error = math.hypot(x - (p_a[0] - p_g[0]), y - (p_a[1] - p_g[1]))
-                arrivals.append(Arrival(taken, error))
-            if self.scenario.disturbed:
-                (x, y), (t_x, t_y) = states[tick, a, :2], self.recorder.told[tick, a, :2]
-                self._assurance.track(uav, math.hypot(x - t_x, y - t_y))
-            self._assurance.take(
-                uav,
-                tick,
-                self.reports[uav],
-                distance=escorts.item(said, uav, 0),
-                arrivals=arrivals,
-                acts=(acted[a][0], acted[a][1]),
-                flown=flown[uav],
-                current=said == tick,
-            )
+        world.send(k, command.tick, command.acceleration, command.motions)
+        for message in command.radio:  # heard at the next tick at the earliest
+            self._radios[name].send(world.tick + 1, message, world.tick)
+        for block in command.blocks:
+            if self._grounded and self._is_told(k, block):
+                self._radios[name].send(world.tick + 1, block, world.tick)
+            else:
+                self.refused_blocks[name] += 1
 
     def _goes_on(self) -> bool:
         """True if nobody has stopped it meanwhile."""
@@ -562,8 +441,7 @@ class Flight:
         if not self._goes_on():
             return False
         exchange.publish(self.observations())
-        self.recorder.record(self.reports)  # this and the next while the vehicles think
-        self._check_reports()
+        self.recorder.record(self.answers.reports)  # while the vehicles think
         commands = exchange.collect(self.world.tick)
         if not self._goes_on():
             return False
@@ -580,7 +458,7 @@ class Flight:
         while not self.over and self.fly_tick(exchange):
             if on_tick is not None:
                 on_tick()
-        self.recorder.record(self.reports)
+        self.recorder.record(self.answers.reports)
         if not self._abandoned:
             exchange.publish(self.observations())
 
@@ -589,7 +467,7 @@ class Flight:
         world = self.world
         arrays = (world.position, world.velocity, world.acceleration, self.commands)
         rows = zip(*(rows.tolist() for rows in arrays), strict=True)
-        self.recorder.record(self.reports)
+        self.recorder.record(self.answers.reports)
         measures, detections = (
             self.recorder.escorts[world.tick, :, :2].tolist(),
             world.detections.tolist(),
@@ -612,7 +490,7 @@ class Flight:
                     detection=tuple(detections[k])
                     if detections[k][0] == detections[k][0]
                     else None,
-                    report=self.reports[k],
+                    report=self.answers.reports[k],
                 )
                 for k, uav in enumerate(world.uavs)
             ),
@@ -622,7 +500,7 @@ class Flight:
 def warm_up(scenario: Scenario) -> None:
     """Let all that a flight compiles be compiled or loaded, with a world that nobody sees."""
     flight = Flight(scenario, scenario.seed)
-    flight.recorder.record(flight.reports)
+    flight.recorder.record(flight.answers.reports)
     flight.apply({})
     flight.observations()
     for link in flight.world.links.of(LinkKind.RADIO).values():

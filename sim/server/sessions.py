@@ -296,9 +296,9 @@ class Slots:
         slot = self._slots[name]
         return VehicleStatus(
             present=slot.present,
-            missing_commands=self._flight.missing[name],
-            stale_commands=self._flight.stale[name],
-            shortened_commands=self._flight.shortened[name],
+            missing_commands=self._flight.answers.missing[name],
+            stale_commands=self._flight.answers.stale[name],
+            shortened_commands=self._flight.answers.shortened[name],
             lost=slot.lost,
             rejoined=slot.rejoined,
             refused=dict(slot.refused),

@@ -130,7 +130,7 @@ class Telemetry:
             uncertified={
                 name: report.uncertified for name, report in watched.items() if not report.certified
             },
-            certificates=flight.assurance.status(),
+            certificates=flight.answers.assurance.status(),
             mission=world.mission,
             warnings=self._warn(flight.flown, world.links.table),
             links=world.links.status(),

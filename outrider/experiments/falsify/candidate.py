@@ -47,7 +47,7 @@ class _Watch:
         self.certified = np.zeros(ticks, dtype=np.bool_)
 
     def see(self, flight: Flight) -> None:
-        report = flight.reports[0]
+        report = flight.answers.reports[0]
         self.certified[flight.world.tick - 1] = report is not None and bool(report.certified)
 
 
@@ -110,8 +110,8 @@ def flown(
         lost=bool(np.any(lost)),
         uncertified=certifies
         and not bool(np.all(watch.certified[int(watch.certified.argmax()) :])),
-        certified_while_lost=flight.assurance.certified_while_lost,
-        certificate_broken=flight.assurance.certificate_broken,
+        certified_while_lost=flight.answers.assurance.certified_while_lost,
+        certificate_broken=flight.answers.assurance.certificate_broken,
     )
     return scenario, flight, result
 
