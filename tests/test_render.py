@@ -134,7 +134,7 @@ def test_without_noise_there_is_no_panel_for_it():
 @pytest.mark.parametrize("ticks", [0, 1, 3])
 def test_a_flight_cut_short_is_drawn(ticks, tmp_path):
     flown = Flight(scenario(), 0)
-    flown.recorder.record(flown.reports)
+    flown.recorder.record(flown.answers.reports)
     if ticks:
         flown = fly(
             scenario(),
