@@ -154,9 +154,10 @@ def await_status(session, wanted, seconds=60.0):
 def fly_to(operator: Session, tick: int) -> None:
     """Let a run that has not begun fly so far, hold it there until that is known, and let it go on."""
     controls = operator.outbox(CONTROL)
-    wait_until(lambda: controls.wanted)  # the simulator is there to be told
+    compiled = 180.0  # s: what compiling from an empty cache takes beside other tests
+    wait_until(lambda: controls.wanted, compiled)  # the simulator is there to be told
     controls.send(Control(action=Action.STEP, ticks=tick))
-    await_status(operator, lambda status: status.paused and status.tick >= tick)
+    await_status(operator, lambda status: status.paused and status.tick >= tick, compiled)
     controls.send(Control(action=Action.RESUME))
     await_status(
         operator, lambda status: not status.paused
