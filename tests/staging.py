@@ -25,6 +25,7 @@ from outrider.running.flying import fly
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
+from sim.server.run_timing import Timing
 from sim.server.serving import Server
 
 GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"])
@@ -94,8 +95,16 @@ class Stage:
         self.server_session = stack.enter_context(
             open_session(simulator, "run", listen=(self.endpoint,), given=GIVEN)
         )
+        timing = Timing(
+            **{key: options.pop(key) for key in set(options) & {*Timing.__struct_fields__}}
+        )
         self.server = Server(
-            self.server_session, scenario, scenario.seed, on_event=self.events.append, **options
+            self.server_session,
+            scenario,
+            scenario.seed,
+            timing,
+            on_event=self.events.append,
+            **options,
         )
         self.vehicles: list[Vehicle] = []
         self._stack = stack

@@ -214,7 +214,7 @@ def test_an_episode_ends_by_itself_and_begins_anew_as_if_it_were_the_first() -> 
     options: dict[str, Any] = {
         "gradient": True,
         "estimate": True,
-        "patch": CoveragePatch(9, 0.5),
+        "coverage_patch": CoveragePatch(9, 0.5),
         "rewards": RewardWeights(seen=1.0),
     }
     used, fresh = ClosedLoop(scenario, 3, **options), ClosedLoop(scenario, 3, **options)

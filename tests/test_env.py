@@ -15,6 +15,8 @@ from refusals import refused
 
 from bus.errors import ScenarioError
 from bus.messages import Area, Law, UavBriefing, UgvBriefing
+from outrider.envs.single import single_env
+from outrider.envs.vector import parallel_vector_env, vector_env
 from sim.engine.briefing import briefing
 from sim.env.parallel import OutriderEnv, parallel_env
 from sim.env.spaces import FREE_ACCELERATION, extent_of
@@ -288,6 +290,13 @@ def test_nothing_works_before_the_first_reset_or_after_the_end():
 def test_bad_arguments_are_refused_in_one_line(options, words):
     with refused(ValueError, words):
         parallel_env(ONE, **options)
+
+
+@pytest.mark.parametrize("make", [parallel_env, vector_env, parallel_vector_env, single_env])
+def test_an_argument_of_another_name_is_refused_and_those_that_there_are_are_named(make):
+    count = {"num_envs": 2} if make in (vector_env, parallel_vector_env) else {}
+    with refused(TypeError, r"'durations': no such setting; allowed: .*duration, "):
+        make(ONE, **count, durations=2.0)
 
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, 0.12, math.nan, math.inf])

@@ -8,7 +8,7 @@ import pytest
 
 import outrider
 from outrider.envs.single import single_env
-from outrider.envs.vector import Worlds, vector_env
+from outrider.envs.vector import BATCH_DEFAULTS, vector_env
 from outrider.experiments.suite.board import BASELINES, leaderboard
 from outrider.experiments.suite.tasks import TASKS, Task, suite
 from outrider.registration import env_ids
@@ -58,8 +58,7 @@ def test_all_the_arguments_are_told() -> None:
             r"^\| `(\w+)` \| (`[^`]*`) \|", page("vector-environment"), flags=re.MULTILINE
         )
     }
-    taken = set(inspect.signature(Worlds.__init__).parameters) - {"self", "num_envs", "learners"}
-    assert told == taken
+    assert told == {"scenario"} | BATCH_DEFAULTS.keys()
 
 
 def test_the_defaults_told_are_those_taken() -> None:
@@ -70,8 +69,7 @@ def test_the_defaults_told_are_those_taken() -> None:
         inspect.signature(vector_env).parameters["scenario"].default
     ).replace("'", '"')
     assert told.pop("dtype") == "np.float64"
-    parameters = inspect.signature(Worlds.__init__).parameters
-    assert told == {name: repr(parameters[name].default) for name in told}
+    assert told == {name: repr(BATCH_DEFAULTS[name]) for name in told}
     assert inspect.signature(single_env).parameters["agent"].default == "uav_0"
 
 

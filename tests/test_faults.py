@@ -28,6 +28,7 @@ from bus.messages import Status
 from outrider.running import launch
 from outrider.running.flying import fly
 from sim.scenario.loading import load_scenario
+from sim.server.run_timing import Timing
 
 pytestmark = pytest.mark.usefixtures("nothing_left_behind")
 WHOLE = load_scenario("escort", overrides=[f"duration={SECONDS}"])
@@ -151,7 +152,14 @@ def test_a_vehicle_killed_before_the_first_tick_is_started_again(respawn, monkey
 
     monkeypatch.setattr(launch, "Child", Doomed)
     scenario, changes = load_scenario("escort", overrides=["duration=1.0"]), ["duration=1.0"]
-    outcome = launch.launch(scenario, "escort", changes, launch.NOBODY, out=None, respawn=respawn)
+    outcome = launch.launch(
+        scenario,
+        "escort",
+        changes,
+        launch.NOBODY,
+        launch.Output(),
+        timing=Timing(respawn=respawn),
+    )
     if respawn:
         assert outcome.summary is not None
         flown = fly(scenario, scenario.seed)[1].trajectory_sha256

@@ -126,7 +126,7 @@ def test_where_orphans_find_no_parent_each_process_is_started_by_itself(monkeypa
     monkeypatch.setattr(forking, "_adopting", lambda: nullcontext(False))
     monkeypatch.setattr(forking, "Forkserver", None)  # nobody starts one
     scenario, changes = load_scenario("escort", overrides=["duration=1.0"]), ["duration=1.0"]
-    outcome = launch.launch(scenario, "escort", changes, launch.NOBODY, out=None)
+    outcome = launch.launch(scenario, "escort", changes, launch.NOBODY, launch.Output())
     assert outcome.summary is not None
     assert outcome.summary.trajectory_sha256 == fly(scenario, scenario.seed)[1].trajectory_sha256
 

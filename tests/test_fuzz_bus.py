@@ -35,6 +35,7 @@ from bus.messages import UavCommand, UgvCommand
 from bus.session import Inbox, Session, open_session
 from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
+from sim.server.run_timing import Timing
 from sim.server.serving import Server
 
 STREAM = 20_000
@@ -214,7 +215,7 @@ def flown(folder: Path, *, flooded: bool) -> Iterator[tuple[Flight, Server, Vehi
     scenario = load_scenario("escort", overrides=[f"duration={TICKS * 0.05!r}"])
     with ExitStack() as stack:
         simulator = stack.enter_context(open_session(SIMULATOR, "run", listen=(endpoint,)))
-        server = Server(simulator, scenario, 3, on_event=events.append)
+        server = Server(simulator, scenario, 3, Timing(), on_event=events.append)
         ours = stack.enter_context(
             open_session(Party(role=Role.UAV, name="uav_0"), "run", connect=endpoint)
         )

@@ -9,6 +9,7 @@ import pytest
 
 from bus.messages import UgvObservation
 from sim.server.pace import Lockstep
+from sim.server.run_timing import Timing
 
 NAMES = ("uav_0", "ugv_0")
 SEEN = {
@@ -73,7 +74,7 @@ class Bus:
 
 
 def lockstep(bus: Any, on_event: Callable[[str], None], *, patience: float = 5.0) -> Lockstep:
-    return Lockstep(bus, bus, deadline=2.0, patience=patience, respawn=False, on_event=on_event)
+    return Lockstep(bus, bus, Timing(deadline=2.0, join_timeout=patience), on_event)
 
 
 BOTH = set(NAMES)

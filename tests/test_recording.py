@@ -54,6 +54,7 @@ from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.summary import summarize
 from sim.scenario.types import Detections, Scenario, Uav, Ugv
 from sim.server.flight import Flight
+from sim.server.run_timing import Timing
 from sim.server.serving import Server
 
 SCENARIO = escort(
@@ -567,7 +568,7 @@ def test_an_observer_records_a_run_in_progress_to_the_same_bits(tmp_path: Path) 
         with open_session(
             Party(role=Role.SIMULATOR, name=SIMULATOR_NAME), "recorded", listen=(endpoint,)
         ) as session:
-            server = Server(session, SCENARIO, SEED, join_timeout=60.0)
+            server = Server(session, SCENARIO, SEED, Timing(join_timeout=60.0))
             limit = time.monotonic() + 30.0
             while not server._telemetry._truth.wanted and time.monotonic() < limit:
                 time.sleep(0.02)

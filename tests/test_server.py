@@ -32,6 +32,7 @@ from bus.messages import (
 from bus.session import Outbox, Session, open_session
 from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
+from sim.server.run_timing import Timing
 from sim.server.serving import Server
 
 KIND: dict[Role, Callable[..., Command]] = {Role.UAV: UavCommand, Role.UGV: UgvCommand}
@@ -74,7 +75,9 @@ class Run:
         self.events: list[str] = []
         self.told: dict[str, list[object]] = {name: [] for name in answers}
         session = stack.enter_context(open_session(simulator, "run", listen=(endpoint,)))
-        self.server = Server(session, scenario, 3, deadline=deadline, on_event=self.events.append)
+        self.server = Server(
+            session, scenario, 3, Timing(deadline=deadline), on_event=self.events.append
+        )
         self.observer = stack.enter_context(
             open_session(Party(role=Role.OBSERVER, name="watcher"), "run", connect=endpoint)
         )

@@ -21,11 +21,12 @@ from outrider.bench.timing import Pair
 from outrider.running.child import environment_of
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.forking import Forkserver, forkserver
-from outrider.running.launch import NOBODY, Outcome, launch
+from outrider.running.launch import NOBODY, Outcome, Output, Wiring, launch
 from sim.kernels.threads import cores
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
 from sim.server.flight import Flight
+from sim.server.run_timing import Timing
 
 _SECONDS = 100.0
 """Length of a flight over three processes [s]: 2,000 ticks."""
@@ -66,7 +67,7 @@ def _launched(server: Forkserver | None, **settings: Any) -> float:  # noqa: ANN
     scenario = load_scenario("escort", overrides={"duration": _SECONDS})
     overrides = (f"duration={_SECONDS}",)
     shared: dict[str, Any] = {"forks": server, "keep_forks": server is not None}
-    return _flown(launch(scenario, "escort", overrides, NOBODY, out=None, **shared, **settings))
+    return _flown(launch(scenario, "escort", overrides, NOBODY, Output(), **shared, **settings))
 
 
 def lockstep(server: Forkserver | None) -> Pair:
@@ -77,12 +78,14 @@ def lockstep(server: Forkserver | None) -> Pair:
 
 def access_control(server: Forkserver | None) -> Pair:
     """Lockstep with credentials and access control, beside the same without."""
-    return _launched(server, secured=True), _launched(server, secured=False)
+    return _launched(server), _launched(server, wiring=Wiring(secured=False))
 
 
 def tls(server: Forkserver | None) -> Pair:
     """Lockstep over mutual TLS, beside the same over TCP with passwords."""
-    return _launched(server, transport="tls"), _launched(server, transport="tcp")
+    return _launched(server, wiring=Wiring(transport="tls")), _launched(
+        server, wiring=Wiring(transport="tcp")
+    )
 
 
 def pairs(count: int, server: Forkserver | None) -> Pair:
@@ -98,9 +101,8 @@ def pairs(count: int, server: Forkserver | None) -> Pair:
             str(path),
             (),
             NOBODY,
-            out=None,
-            deadline=120.0,
-            join_timeout=900.0,
+            Output(),
+            timing=Timing(deadline=120.0, join_timeout=900.0),
             forks=server,
             keep_forks=server is not None,
         )

@@ -145,7 +145,8 @@ def command(
             if in_process:
                 outcome = _fly_here(flown, kept, folder, picture, record, stop)
             else:
-                from outrider.running.launch import Watcher, launch
+                from outrider.running.launch import Output, Watcher, Wiring, launch
+                from sim.server.run_timing import Timing
 
                 with flight_progress(flown, "starting (the first start compiles)") as progress:
                     watcher = Watcher(
@@ -153,20 +154,21 @@ def command(
                         on_event=progress.say,
                         on_warnings=print_warnings,
                         stop=lambda: stop.count,
+                        page=page,
                     )
                     outcome = launch(
                         flown,
                         scenario,
                         overrides,
                         watcher,
-                        out=folder,
-                        picture=picture,
-                        record=record,
-                        realtime=realtime,
-                        deadline=deadline,
-                        respawn=respawn,
-                        pin=pin,
-                        page=page,
+                        Output(folder=folder, picture=picture, record=record),
+                        timing=Timing(
+                            realtime=realtime,
+                            deadline=deadline,
+                            join_timeout=120.0,
+                            respawn=respawn,
+                        ),
+                        wiring=Wiring(pin=pin),
                         secret=kept,
                         forks=forks,
                     )

@@ -128,6 +128,7 @@ def command(
     from sim.kernels.compile import compiling
     from sim.scenario.checks import scenario_warnings
     from sim.server.flight import warm_up
+    from sim.server.run_timing import Timing
     from sim.server.serving import Server
 
     if watchdog:
@@ -167,6 +168,9 @@ def command(
                 "no credentials: every process that reaches this endpoint may read and write everything",
                 soft_wrap=True,
             )
+    timing = Timing(
+        realtime=realtime, deadline=deadline, join_timeout=join_timeout, respawn=respawn
+    )
     servers: list[Server] = []
     recorder = _recorder(
         record, flown, kept, servers
@@ -190,11 +194,8 @@ def command(
                 session,
                 flown,
                 flown.seed,
+                timing,
                 secret=kept,
-                realtime=realtime,
-                deadline=deadline,
-                join_timeout=join_timeout,
-                respawn=respawn,
                 on_event=on_event,
                 stop=lambda: bool(stop),
                 warn=promise_warnings,

@@ -5,7 +5,7 @@ World, links, filters, laws, drivers and rewards of a tick in one compiled pass.
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import msgspec
 import numpy as np
@@ -46,10 +46,12 @@ from outrider.envs.closed_loop_tick import run_worlds
 from sim.engine.batch import Batch, Fresh, arrays_of
 from sim.engine.briefing import briefing, largest_tracking_error
 from sim.engine.link_arrays import LinkArrays
+from sim.engine.run_keys import check_secret
 from sim.engine.world_state import Precision
-from sim.env.patch import CoveragePatch
+from sim.env.patch import given_patch
 from sim.env.rewards import RewardWeights
 from sim.env.rows import UAV_METRICS, joined, row_state, row_tables
+from sim.env.settings import EPISODE_DEFAULTS, EpisodeSettings, completed
 from sim.kernels.compile import FloatArray, IntArray, compiling, entry_point
 from sim.kernels.prefetch import disc_widths
 from sim.kernels.records import records
@@ -86,6 +88,32 @@ def pilot_names(scenario: Scenario, vehicle: str) -> tuple[str, ...]:
     return tuple(COMPILED_DRIVERS)
 
 
+class LoopSettings(EpisodeSettings, total=False):
+    """What many worlds at once take; by default `LOOP_DEFAULTS`."""
+
+    estimate: bool
+    """Whether the UAVs' rows have the Kalman filter's estimate in the place of the raw detection."""
+    gradient: bool
+    """Whether the UAVs' rows end with `bus.layout.GradientCue`."""
+    safety_filter: bool
+    """Whether actions from outside go through the safety filter, as those of the law `certified` do."""
+    threads: int | None
+    """Processor cores that share the worlds; None: all that this process may use."""
+    precision: Precision
+    """`double`, or `single`: the coverage grids take half the memory, and the bits are no longer those of
+    `outrider.parallel_env`."""
+
+
+LOOP_DEFAULTS = LoopSettings(
+    **EPISODE_DEFAULTS,
+    estimate=False,
+    gradient=False,
+    safety_filter=False,
+    threads=None,
+    precision="double",
+)
+
+
 class ClosedLoop:
     """Many worlds of one scenario with everybody in them.
 
@@ -94,44 +122,27 @@ class ClosedLoop:
         worlds: How many.
         external: Vehicles whose actions come from outside, in the order of the actions.
         pilots: Who flies or drives the others, by name, instead of the scenario's law and drivers.
-        rewards: What the vehicles are paid for; e(t) is computed at every tick only if `uncovered` is paid, or
-            `error` is set.
-        error: Whether e(t) is computed at every tick in any case.
-        estimate: Whether the UAVs' rows have the filter's estimate in the place of the raw detection.
-        gradient: Whether the UAVs' rows end with `GradientCue`.
-        patch: Pictures of the UAVs' own maps.
-        safety_filter: Whether actions from outside go through the safety filter, as those of the law `certified` do.
-        end_on_sight_lost: Whether an episode terminates when sight is lost.
-        end_on_goals_reached: Whether it terminates when every UGV with goals has reached them all.
-        threads: Processor cores that share the worlds; by default all that this process may use.
-        secret: Of all random numbers, with each world's seed, as `sim.engine.run_keys.check_secret` returns it; empty:
-            none.
-        precision: Of the coverage grids.
+        error: Whether e(t) is computed at every tick; if `uncovered` is paid, it is in any case.
+        settings: `LoopSettings`.
 
     Raises:
         ScenarioError: If a vehicle has a law or a driver that cannot be flown in here.
         ValueError: If another argument is not allowed.
     """
 
-    def __init__(  # noqa: PLR0913 - options, each by keyword
+    def __init__(
         self,
         scenario: Scenario,
         worlds: int,
         *,
         external: Collection[str] = (),
         pilots: Mapping[str, str] | None = None,
-        rewards: RewardWeights | None = None,
         error: bool = False,
-        estimate: bool = False,
-        gradient: bool = False,
-        patch: CoveragePatch | None = None,
-        safety_filter: bool = False,
-        end_on_sight_lost: bool = True,
-        end_on_goals_reached: bool = False,
-        threads: int | None = None,
-        secret: str = "",
-        precision: Precision = "double",
+        **settings: Unpack[LoopSettings],
     ) -> None:
+        options = completed(settings, LOOP_DEFAULTS)
+        estimate, gradient = options["estimate"], options["gradient"]
+        patch = given_patch(options["coverage_patch"])
         self.scenario = scenario
         self.worlds = worlds
         self.names = tuple(vehicle.name for vehicle in scenario.vehicles)
@@ -142,21 +153,26 @@ class ClosedLoop:
         """UGVs in the order of theirs."""
         self.external = tuple(external)
         """Whose actions come from outside."""
-        weights = rewards or RewardWeights()
+        weights = options["rewards"] or RewardWeights()
         chosen = dict(pilots or {})
         for name in (*self.external, *chosen):
             if name not in self.names:
                 raise ValueError(f"vehicle = {name!r}; allowed: {', '.join(self.names)}")
         numbers = _PilotNumbers(
-            scenario, self.uavs, self.ugvs, set(self.external), chosen, shield=safety_filter
+            scenario,
+            self.uavs,
+            self.ugvs,
+            set(self.external),
+            chosen,
+            shield=options["safety_filter"],
         )
         self.batch = Batch(
             scenario,
             worlds,
             gains=weights.seen > 0.0,
-            threads=threads,
-            secret=secret,
-            precision=precision,
+            threads=options["threads"],
+            secret=check_secret(options["secret"]),
+            precision=options["precision"],
         )
         radio = self._radio = LinkArrays(scenario, (LinkKind.RADIO,), RADIO_SIZE, worlds)
         receiving = numbers.radio
@@ -177,8 +193,8 @@ class ClosedLoop:
         rows = row_tables(
             scenario,
             weights,
-            end_on_sight_lost=end_on_sight_lost,
-            end_on_goals=end_on_goals_reached,
+            end_on_sight_lost=options["end_on_sight_lost"],
+            end_on_goals=options["end_on_goals_reached"],
         )
         self.tables = LoopTables(
             batch=self.batch.tables,

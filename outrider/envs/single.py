@@ -4,14 +4,14 @@ It is world 0 of `outrider.vector_env` bit for bit, but an episode that ends sta
 """
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium.error import ResetNeeded
 
-from outrider.envs.vector import Observation, Worlds
+from outrider.envs.vector import BatchSettings, Observation, Worlds
 from sim.engine.mission import mission_numbers
 from sim.env.actions import take_actions
 from sim.env.seeds import Seeds
@@ -27,7 +27,7 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         scenario: A shipped name, a file, or a scenario.
         agent: Who learns.
         render_mode: None; there is no other.
-        settings: See `outrider.envs.vector.Worlds`.
+        settings: `outrider.envs.vector.BatchSettings`.
 
     Raises:
         ScenarioError: If the scenario cannot be flown.
@@ -42,7 +42,7 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         *,
         agent: str = "uav_0",
         render_mode: str | None = None,
-        **settings: Any,  # noqa: ANN401 - those of Worlds
+        **settings: Unpack[BatchSettings],
     ) -> None:
         if render_mode is not None:
             raise ValueError(

@@ -8,7 +8,7 @@ the new episode's first one, and the last one of the old episode is in `infos["f
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -19,16 +19,14 @@ from gymnasium.vector.utils import batch_space
 
 from bus.layout import GradientCue, UavRow, bounds
 from bus.messages import LinkStatus, Mission
-from outrider.envs.closed_loop import ClosedLoop, pilot_names
+from outrider.envs.closed_loop import LOOP_DEFAULTS, ClosedLoop, LoopSettings, pilot_names
 from outrider.envs.closed_loop_state import GUARD_METRICS
 from sim.engine.mission import mission_numbers, mission_of
-from sim.engine.run_keys import check_secret
-from sim.engine.world_state import Precision
 from sim.env.actions import take_batch
-from sim.env.patch import TILE_PATCH, CoveragePatch, check_tile_patch
-from sim.env.rewards import RewardWeights
+from sim.env.patch import check_tile_patch, given_patch
 from sim.env.rows import UGV, UGV_METRICS
 from sim.env.seeds import Seeds
+from sim.env.settings import ENV_DEFAULTS, EnvSettings, completed
 from sim.env.spaces import action_space, box, check_dtype, observation_space
 from sim.kernels.compile import FloatArray
 from sim.models.ground import TileArray, tile_patches
@@ -51,6 +49,17 @@ def _checked_count(num_envs: int) -> int:
     return count
 
 
+class BatchSettings(EnvSettings, LoopSettings, total=False):
+    """What the environments of many worlds take; by default `BATCH_DEFAULTS`."""
+
+    others: Mapping[str, str | Policy] | None
+    """Who flies or drives the vehicles that do not learn: a law or driver by name, or a policy for all worlds at once;
+    None: the scenario's law and drivers."""
+
+
+BATCH_DEFAULTS = BatchSettings(**{**ENV_DEFAULTS, **LOOP_DEFAULTS, "others": None})
+
+
 class Worlds:
     """The common part of both vector environments.
 
@@ -62,85 +71,57 @@ class Worlds:
         learners: Vehicles whose actions come from outside.
         others: Who flies or drives the other vehicles: a law or driver by name, or a policy for all worlds at
             once. By default the scenario's law and drivers.
-        duration: Length of an episode [s], instead of the scenario's.
-        rewards: What the vehicles are paid for.
-        end_on_sight_lost: Whether an episode terminates when a UAV loses sight.
-        end_on_goals_reached: Whether it terminates when every UGV that has goals has reached them all.
-        coverage_patch, tile_patch: As in `outrider.parallel_env`.
-        estimate: Whether a UAV observes the Kalman filter's estimate in the place of the raw detection.
-        gradient: Whether a UAV's row ends with `bus.layout.GradientCue`.
-        safety_filter: Whether the UAVs' actions go through the safety filter.
-        dtype: Of the observations.
-        threads: Processor cores that share the worlds.
-        secret: As in `outrider.parallel_env`.
-        precision: `double`, or `single`: the coverage grids take half the memory, and the bits are no longer those
-            of `outrider.parallel_env`.
+        settings: `BatchSettings`.
+
+    Raises:
+        ScenarioError: If the scenario cannot be flown.
+        ValueError: If another argument is not allowed.
+        TypeError: If there is no setting of that name.
     """
 
-    def __init__(  # noqa: PLR0913 - options, each by keyword
+    def __init__(
         self,
         scenario: str | Path | Scenario,
         num_envs: int,
         learners: Sequence[str] | None,
-        *,
-        others: Mapping[str, str | Policy] | None = None,
-        duration: float | None = None,
-        rewards: RewardWeights | None = None,
-        end_on_sight_lost: bool = True,
-        end_on_goals_reached: bool = False,
-        coverage_patch: CoveragePatch | tuple[int, float] | None = None,
-        tile_patch: int = TILE_PATCH,
-        estimate: bool = False,
-        gradient: bool = False,
-        safety_filter: bool = False,
-        dtype: type[np.floating] = np.float64,
-        threads: int | None = None,
-        secret: str = "",
-        precision: Precision = "double",
+        **settings: Unpack[BatchSettings],
     ) -> None:
+        options = completed(settings, BATCH_DEFAULTS)
         self.num_envs = _checked_count(num_envs)
-        check_dtype(dtype)
-        self.scenario = given_scenario(scenario, duration)
+        self._dtype = options["dtype"]
+        check_dtype(self._dtype)
+        self.scenario = given_scenario(scenario, options["duration"])
         names = [vehicle.name for vehicle in self.scenario.vehicles]
         self.learners = list(names if learners is None else learners)
         for name in self.learners:
             if name not in names:
                 raise ValueError(f"agent = {name!r}; allowed: {', '.join(names)}")
-        self._dtype = dtype
-        self._patch = None if coverage_patch is None else CoveragePatch(*coverage_patch)
-        if self._patch is not None:
-            self._patch.check()
-        side = check_tile_patch(tile_patch)
+        self._patch = given_patch(options["coverage_patch"])
+        side = check_tile_patch(options["tile_patch"])
         self._tile_patch = side if self.scenario.has_ground else 0
-        given = dict(others or {})
+        given = dict(options["others"] or {})
         self._policies = {
             name: pilot for name, pilot in given.items() if not isinstance(pilot, str)
         }
         named = {name: pilot for name, pilot in given.items() if isinstance(pilot, str)}
         self._check_others(given, named, names)
-        self._gradient = gradient
         self._hands = [*self.learners, *self._policies]
+        of_loop = {key: value for key, value in options.items() if key in LOOP_DEFAULTS}
         self.loop = ClosedLoop(
             self.scenario,
             self.num_envs,
             external=self._hands,
             pilots=named,
-            rewards=rewards,
-            estimate=estimate,
-            gradient=gradient,
-            patch=self._patch,
-            safety_filter=safety_filter,
-            end_on_sight_lost=end_on_sight_lost,
-            end_on_goals_reached=end_on_goals_reached,
-            threads=threads,
-            secret=check_secret(secret),
-            precision=precision,
+            **cast(LoopSettings, of_loop),
         )
         """The worlds themselves."""
-        self._shielded = safety_filter
+        self._gradient = options["gradient"]
+        self._shielded = options["safety_filter"]
         self._rows = {vehicle.name: k for k, vehicle in enumerate(self.scenario.vehicles)}
         self.action_spaces = {v.name: action_space(v) for v in self.scenario.vehicles}
-        self.observation_spaces = {name: self._space(name, estimate=estimate) for name in names}
+        self.observation_spaces = {
+            name: self._space(name, estimate=options["estimate"]) for name in names
+        }
         self._seeds = [Seeds(self.scenario.seed + k) for k in range(self.num_envs)]
         self._actions: FloatArray = np.zeros((self.num_envs, len(self._hands), 2))
         self._returns: FloatArray = np.zeros((self.num_envs, len(names)))
@@ -372,13 +353,13 @@ class OutriderVectorEnv(VectorEnv):
     """One vehicle learns in many worlds at once; the others fly and drive in the compiled loop.
 
     World k, once reset with a seed, is bit for bit `outrider.parallel_env` with that seed, the same actions, and
-    the others' pilots. Arguments beside these are those of `Worlds`.
+    the others' pilots.
 
     Args:
         scenario: A shipped name, a file, or a scenario.
         num_envs: How many worlds.
         agent: Who learns.
-        settings: See `Worlds`.
+        settings: `BatchSettings`.
 
     Raises:
         ScenarioError: If the scenario cannot be flown.
@@ -393,7 +374,7 @@ class OutriderVectorEnv(VectorEnv):
         *,
         num_envs: int,
         agent: str = "uav_0",
-        **settings: Any,  # noqa: ANN401 - those of Worlds
+        **settings: Unpack[BatchSettings],
     ) -> None:
         self.worlds = Worlds(scenario, num_envs, [agent], **settings)
         """The worlds, and what is true of them."""
@@ -469,7 +450,7 @@ class OutriderParallelVectorEnv:
         scenario: A shipped name, a file, or a scenario.
         num_envs: How many worlds.
         agents: Who learns; by default everybody.
-        settings: See `Worlds`.
+        settings: `BatchSettings`.
 
     Raises:
         ScenarioError: If the scenario cannot be flown.
@@ -488,7 +469,7 @@ class OutriderParallelVectorEnv:
         *,
         num_envs: int,
         agents: Sequence[str] | None = None,
-        **settings: Any,  # noqa: ANN401 - those of Worlds
+        **settings: Unpack[BatchSettings],
     ) -> None:
         self.worlds = Worlds(scenario, num_envs, agents, **settings)
         """The worlds, and what is true of them."""

@@ -27,6 +27,7 @@ from outrider.running.exit_reports import Report
 from outrider.running.forking import Forkserver, forkserver
 from outrider.running.summary import Process, Summary
 from sim.scenario.types import Scenario, Ugv
+from sim.server.run_timing import Timing
 
 _PATIENCE = 10.0
 """Time that a process may take to end when it was asked to [s]."""
@@ -88,6 +89,36 @@ class Outcome(msgspec.Struct, kw_only=True):
     """The failure on the way, for a person; empty where nothing did."""
 
 
+class Output(msgspec.Struct, frozen=True, kw_only=True):
+    """What the simulator writes."""
+
+    folder: Path | None = None
+    """For trajectory, picture and summary; None: none of them."""
+    picture: bool = True
+    """Whether it draws."""
+    record: Path | None = None
+    """Where it records every tick."""
+
+    def arguments(self) -> list[str]:
+        """The same on its command line."""
+        return [
+            *(["--out", str(self.folder)] if self.folder else []),
+            *([] if self.picture else ["--no-picture"]),
+            *(["--record", str(self.record)] if self.record else []),
+        ]
+
+
+class Wiring(msgspec.Struct, frozen=True, kw_only=True):
+    """How the processes of a run stand to each other. All but `pin` only to measure what it costs."""
+
+    pin: bool = True
+    """Whether the UAVs keep to one half of the processor cores and the others to the other half, if there are few."""
+    secured: bool = True
+    """Whether there are credentials and access control."""
+    transport: Transport = "unix"
+    """How they reach each other: `tcp` and `tls`, with certificates for passwords, use a port of this machine."""
+
+
 class Watcher(msgspec.Struct, frozen=True, kw_only=True):
     """Callbacks of whoever follows a run, and can end it."""
 
@@ -99,6 +130,9 @@ class Watcher(msgspec.Struct, frozen=True, kw_only=True):
     """Called with what stands in the way of the scenario's promise, a line each."""
     stop: Callable[[], int]
     """Counts who has asked for the end: once ends the run in order, twice at once."""
+    page: socket.socket | None = None
+    """A socket that listens, on which the run is shown in the browser; None: it is not. The page's process is no part
+    of the flight: where it fails, that is told, and the flight goes on."""
 
 
 NOBODY = Watcher(
@@ -109,23 +143,19 @@ NOBODY = Watcher(
 )
 
 
-def launch(  # noqa: PLR0913 - options, each by keyword
+_TIMING = Timing(join_timeout=120.0)
+_WIRING = Wiring()
+
+
+def launch(
     scenario: Scenario,
     source: str,
     overrides: Sequence[str],
     watcher: Watcher,
+    output: Output,
     *,
-    out: Path | None,
-    picture: bool = True,
-    record: Path | None = None,
-    realtime: float | None = None,
-    deadline: float = 10.0,
-    join_timeout: float = 120.0,
-    respawn: bool = False,
-    pin: bool = True,
-    secured: bool = True,
-    transport: Transport = "unix",
-    page: socket.socket | None = None,
+    timing: Timing = _TIMING,
+    wiring: Wiring = _WIRING,
     secret: str = "",
     forks: Forkserver | None = None,
     keep_forks: bool = False,
@@ -139,20 +169,9 @@ def launch(  # noqa: PLR0913 - options, each by keyword
         source: The same as a name or file, for the simulator's process.
         overrides: The same as `--set` arguments.
         watcher: Who follows the run.
-        out: Where the simulator writes.
-        picture: Whether it draws.
-        record: Where it records every tick.
-        realtime: Simulated seconds per second of wall time; None: lockstep.
-        deadline: How long it waits for the commands of one tick [s].
-        join_timeout: How long it waits for the vehicles [s].
-        respawn: Whether a vehicle's process that dies is started again.
-        pin: Whether the UAVs keep to one half of the processor cores and the others to the other half, if there
-            are few of them.
-        secured: Whether there are credentials and access control; False only to measure what they cost.
-        transport: `tcp` and `tls`, with certificates for passwords, use a port of this machine; only to measure
-            what they cost.
-        page: A socket that listens, on which the run is shown in the browser; None: it is not. The page's process
-            is no part of the flight: where it fails, that is told, and the flight goes on.
+        output: What is written.
+        timing: How it keeps time.
+        wiring: How its processes stand to each other.
         secret: Of the run, for the simulator's process alone; empty: none.
         forks: A forkserver that the caller has started; None: one is started here.
         keep_forks: Whether it serves other runs after this one; else it ends once nothing more is forked.
@@ -176,36 +195,39 @@ def launch(  # noqa: PLR0913 - options, each by keyword
             run,
             children,
             server,
-            pin=pin,
-            secured=secured,
-            transport=transport,
-            logs=out / "logs" if out else None,
-        )
-        timing = ["--deadline", str(deadline), "--join-timeout", str(join_timeout)]
-        pace = (["--realtime", str(realtime)] if realtime is not None else []) + (
-            ["--respawn"] if respawn else []
+            wiring,
+            logs=output.folder / "logs" if output.folder else None,
         )
         settings = [argument for override in overrides for argument in ("--set", override)]
-        output = (["--out", str(out)] if out else []) + ([] if picture else ["--no-picture"])
-        output += ["--record", str(record)] if record else []
-        processes.start_simulator(source, [*settings, *output, *timing, *pace], watcher, secret)
-        if page is not None and not watcher.stop() and processes.simulator.ended is None:
-            processes.show_on(page, pages, watcher)
+        processes.start_simulator(
+            source, [*settings, *output.arguments(), *_words(timing)], watcher, secret
+        )
+        if watcher.page is not None and not watcher.stop() and processes.simulator.ended is None:
+            processes.show_on(watcher.page, pages, watcher)
         if not watcher.stop():
             processes.start_vehicles(watcher)
-        if server is not None and not respawn and not keep_forks:
+        if server is not None and not timing.respawn and not keep_forks:
             server.close()  # nothing more is forked
-        outcome = _follow(processes, watcher, respawn=respawn)
+        outcome = _follow(processes, watcher, respawn=timing.respawn)
         processes.await_last_frame()
         if outcome.summary is not None:
             for child in children:
                 child.wait(2.0 if outcome.summary.complete else 0.5)
-            if not watcher.stop() and not respawn:  # one may have failed just before the end
+            if not watcher.stop() and not timing.respawn:  # one may have failed just before the end
                 failed = [child.exit_report() for child in children[1:] if child.ended]
                 outcome.fault = outcome.fault or next(iter(failed), "")
             who = [Process(name=child.name, pid=child.pid) for child in children]
             outcome.summary = msgspec.structs.replace(outcome.summary, processes=who)
         return outcome
+
+
+def _words(timing: Timing) -> list[str]:
+    """The same on the simulator's command line."""
+    return [
+        *("--deadline", str(timing.deadline), "--join-timeout", str(timing.join_timeout)),
+        *(["--realtime", str(timing.realtime)] if timing.realtime is not None else []),
+        *(["--respawn"] if timing.respawn else []),
+    ]
 
 
 class _Processes:
@@ -217,9 +239,7 @@ class _Processes:
         run: Its name.
         children: Where they are kept, so that they are ended whatever happens.
         forks: What forks them; None: each is started by itself.
-        pin: Whether they are given cores.
-        secured: Whether they are given credentials.
-        transport: How they reach each other.
+        wiring: How they stand to each other.
         logs: The folder for what each writes to standard error; None: it is not kept.
     """
 
@@ -230,10 +250,8 @@ class _Processes:
         run: str,
         children: list[Child],
         forks: Forkserver | None,
+        wiring: Wiring,
         *,
-        pin: bool,
-        secured: bool,
-        transport: Transport,
         logs: Path | None,
     ) -> None:
         self.children = children
@@ -242,21 +260,21 @@ class _Processes:
         self.lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         """Reports of the simulator, a line each."""
         self._scenario, self._folder, self._run = scenario, folder, run
-        self._pin = pin and can_be_kept_apart(len(scenario.vehicles))
+        self._pin = wiring.pin and can_be_kept_apart(len(scenario.vehicles))
         self._address: Path | tuple[str, int] = folder / "bus.sock"
         self._endpoint = f"unixsock-stream/{self._address}"
-        if transport != "unix":
+        if wiring.transport != "unix":
             self._address = ("127.0.0.1", free_port())
-            self._endpoint = f"{transport}/127.0.0.1:{self._address[1]}"
+            self._endpoint = f"{wiring.transport}/127.0.0.1:{self._address[1]}"
         self._uavs = {uav.name for uav in scenario.uav}
         self._files: dict[str, Path] = {}
         self._page: Child | None = None
         self._shown: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-        if secured:
+        if wiring.secured:
             names = [uav.name for uav in scenario.uav], [ugv.name for ugv in scenario.ugv]
             given = (
                 new_certificates(new_authority(run), *names)
-                if transport == "tls"
+                if wiring.transport == "tls"
                 else new_credentials(run, *names)
             )
             self._files = write_credentials(given, folder / "credentials")

@@ -6,7 +6,7 @@ what.
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -21,10 +21,11 @@ from sim.engine.mission import mission_numbers
 from sim.engine.run_keys import check_secret
 from sim.env.actions import take_actions
 from sim.env.episode import Episode
-from sim.env.patch import TILE_PATCH, CoveragePatch, OwnMaps, check_tile_patch
+from sim.env.patch import OwnMaps, check_tile_patch, given_patch
 from sim.env.rewards import RewardWeights
 from sim.env.rows import Moment
 from sim.env.seeds import Seeds
+from sim.env.settings import ENV_DEFAULTS, EnvSettings, completed
 from sim.env.spaces import action_space, check_dtype, observation_space
 from sim.env.state import state_array, state_space
 from sim.env.view import Rendering
@@ -37,8 +38,6 @@ from sim.world import World
 
 Array = npt.NDArray[Any]
 Observation = Array | dict[str, Array]
-
-_DEFAULT_REWARDS = RewardWeights()
 
 
 class OutriderEnv(ParallelEnv):  # type: ignore[misc]
@@ -81,22 +80,14 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
 
     Args:
         scenario: A shipped name, a file, or a scenario.
-        duration: Length of an episode [s], instead of the scenario's: then the episode is truncated.
-        rewards: What the vehicles are paid for.
-        end_on_sight_lost: Whether the episode terminates when a UAV is r_v or more from its UGV: the promise is broken.
-        end_on_goals_reached: Whether it terminates when every UGV that has goals has reached them all.
-        coverage_patch: Pixels and meters per pixel of a picture of the UAV's own map, which makes its observation a
-            dictionary with `row` and `coverage`; None: no picture.
         coverage_in_state: Whether min(C / C*, 1) of every cell, row by row from y = 0, ends the state.
-        tile_patch: Tiles on each side of a UGV's picture of the ground, an odd number; nothing without hazards.
-        dtype: Of observations and state. With float64 the paper's pilots fly the same bits as in `outrider.run`.
         render_mode: None, "rgb_array" or "human".
-        secret: Of all random numbers, with each episode's seed: 32 to 128 hexadecimal digits; empty: none, and who
-            sees what is drawn finds the seed.
+        settings: `sim.env.settings.EnvSettings`.
 
     Raises:
         ScenarioError: If the scenario cannot be flown, or its duration is no whole number of ticks.
         ValueError: If another argument is not allowed.
+        TypeError: If there is no setting of that name.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as PettingZoo declares it
@@ -106,36 +97,29 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         "is_parallelizable": True,
     }
 
-    def __init__(  # noqa: PLR0913 - options, each by keyword
+    def __init__(
         self,
         scenario: str | Path | Scenario = "escort",
         *,
-        duration: float | None = None,
-        rewards: RewardWeights = _DEFAULT_REWARDS,
-        end_on_sight_lost: bool = True,
-        end_on_goals_reached: bool = False,
-        coverage_patch: CoveragePatch | tuple[int, float] | None = None,
         coverage_in_state: bool = False,
-        tile_patch: int = TILE_PATCH,
-        dtype: type[np.floating] = np.float64,
         render_mode: str | None = None,
-        secret: str = "",
+        **settings: Unpack[EnvSettings],
     ) -> None:
+        options = completed(settings, ENV_DEFAULTS)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode = {render_mode!r}; allowed: None, 'human', 'rgb_array'")
+        dtype = self._dtype = options["dtype"]
         check_dtype(dtype)
-        self.scenario = given_scenario(scenario, duration)
+        self.scenario = given_scenario(scenario, options["duration"])
         """The scenario that is flown."""
         self.render_mode = render_mode
-        self.end_on_sight_lost = end_on_sight_lost
-        self.end_on_goals_reached = end_on_goals_reached
+        self.end_on_sight_lost = options["end_on_sight_lost"]
+        self.end_on_goals_reached = options["end_on_goals_reached"]
         self.coverage_in_state = coverage_in_state
-        self._patch = None if coverage_patch is None else CoveragePatch(*coverage_patch)
-        self._dtype = dtype
-        if self._patch is not None:
-            self._patch.check()
-        side = check_tile_patch(tile_patch)
+        self._patch = given_patch(options["coverage_patch"])
+        side = check_tile_patch(options["tile_patch"])
         self._tile_patch = side if self.scenario.has_ground else 0
+        rewards = options["rewards"] or RewardWeights()
         vehicles = self.scenario.vehicles
         self.possible_agents: list[str] = [vehicle.name for vehicle in vehicles]
         self.agents: list[str] = []
@@ -157,7 +141,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         """True if any link does anything to a message."""
         self.episode = 0
         """Number of the episode, from 1 with the first reset."""
-        self.secret = check_secret(secret)
+        self.secret = check_secret(options["secret"])
         """Of all random numbers, with the seed. For whoever made the environment, not for policies."""
         self._seeds = Seeds(self.scenario.seed)
         self._carried: dict[str, Sequence[MotionPlan]] = {}

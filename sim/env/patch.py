@@ -32,6 +32,19 @@ class CoveragePatch(NamedTuple):
             )
 
 
+def given_patch(given: CoveragePatch | tuple[int, float] | None) -> CoveragePatch | None:
+    """The picture that is asked for, if one is.
+
+    Raises:
+        ValueError: If it cannot be drawn.
+    """
+    if given is None:
+        return None
+    patch = CoveragePatch(*given)
+    patch.check()
+    return patch
+
+
 TILE_PATCH = 21
 """Tiles on each side of the picture of the ground that a UGV observes, by default."""
 

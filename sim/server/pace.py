@@ -7,6 +7,7 @@ from typing import NamedTuple, Protocol
 from bus.errors import PeerLost
 from bus.messages import Command, Observation
 from bus.session import Session
+from sim.server.run_timing import Timing
 from sim.server.sessions import Slots
 
 _LOOK_AROUND = 0.2
@@ -67,9 +68,7 @@ class Lockstep:
     Args:
         session: The simulator's session.
         slots: The vehicles' places.
-        deadline: How long the commands of one tick may take [s].
-        patience: How long a vehicle may take to come back where it is waited for, and the router to do so at all [s].
-        respawn: Whether the clock stands still for a vehicle that was lost.
+        timing: How long it waits, and for whom.
         on_event: Called with one line for a person.
     """
 
@@ -80,19 +79,19 @@ class Lockstep:
         self,
         session: Session,
         slots: Slots,
-        *,
-        deadline: float,
-        patience: float,
-        respawn: bool,
+        timing: Timing,
         on_event: Callable[[str], None],
     ) -> None:
         self._session = session
         self._slots = slots
-        self._deadline = deadline
-        self._patience = patience
-        self._respawn = respawn
+        self._deadline = timing.deadline
+        self._patience = timing.join_timeout
+        self._respawn = timing.respawn
         self._on_event = on_event
-        self._look_around, self._grace = min(deadline, _LOOK_AROUND), min(deadline, _GRACE)
+        self._look_around, self._grace = (
+            min(timing.deadline, _LOOK_AROUND),
+            min(timing.deadline, _GRACE),
+        )
         self._observations: Mapping[str, Observation] = {}
         self._awaited: dict[str, _Wait] = {}
         self._given_up: set[str] = set()

@@ -10,6 +10,7 @@ from sim.scenario.types import Scenario
 from sim.server.flight import Flight
 from sim.server.operator_controls import OperatorControls
 from sim.server.pace import Lockstep, Pace, RealTime
+from sim.server.run_timing import Timing
 from sim.server.sessions import Slots
 from sim.server.telemetry import Telemetry, Warn, no_warnings
 
@@ -21,28 +22,21 @@ class Server:
         session: The simulator's session.
         scenario: What is flown.
         seed: Of all random numbers, with the secret.
+        timing: How it keeps time.
         secret: Of the run, which stays in this process; empty: none.
-        realtime: Simulated seconds per second of wall time; None: lockstep, as fast as the vehicles answer.
-        deadline: In lockstep, how long to wait for the commands of one tick [s].
-        join_timeout: How long to wait for all vehicles at the start, for one that is to come back, and for the
-            router [s].
-        respawn: In lockstep, whether the clock stands still for a vehicle that was lost.
         on_event: Called with one line for a person: who joined, who was lost, who is late.
         stop: Asked now and then whether somebody wants the run to end.
         warn: What cannot be promised of a scenario whose links are now these, a line each: observers are told.
     """
 
-    def __init__(  # noqa: PLR0913 - options, each by keyword
+    def __init__(
         self,
         session: Session,
         scenario: Scenario,
         seed: int,
+        timing: Timing,
         *,
         secret: str = "",
-        realtime: float | None = None,
-        deadline: float = 10.0,
-        join_timeout: float = 30.0,
-        respawn: bool = False,
         on_event: Callable[[str], None] = lambda _line: None,
         stop: Callable[[], bool] = lambda: False,
         warn: Warn = no_warnings,
@@ -51,23 +45,18 @@ class Server:
         self.started = 0.0
         """Wall clock at the first tick [s]; in lockstep once all have answered in it, as pilots are made in there."""
         self._begun = False
-        self._join_timeout = join_timeout
+        self._join_timeout = timing.join_timeout
         self._stop = stop
         self._slots = Slots(session, self.flight, on_event)
 
         def make_pace(factor: float | None) -> Pace:
             if factor is not None:
                 return RealTime(self._slots, dt=scenario.dt, factor=factor, on_event=on_event)
-            return Lockstep(
-                session,
-                self._slots,
-                deadline=deadline,
-                patience=join_timeout,
-                respawn=respawn,
-                on_event=on_event,
-            )
+            return Lockstep(session, self._slots, timing, on_event)
 
-        self._operators = OperatorControls(session, self.flight, make_pace, realtime, on_event)
+        self._operators = OperatorControls(
+            session, self.flight, make_pace, timing.realtime, on_event
+        )
         self._telemetry = Telemetry(session, self.flight, self._slots, self._operators, warn)
         session.announce()
 
