@@ -313,7 +313,7 @@ def fly(
         AccessDenied: If the router does not know the credential.
         ScenarioError: If the briefing asks for what the pilot cannot fly.
     """
-    with compiling():
+    with compiling("uav" if party.role is Role.UAV else "ugv"):
         warm_up(party.role)  # before the token: nobody must wait for a compiler
     with open_session(party, run, connect=connect, credential=credential) as session:
         commands = session.outbox(COMMAND[party.role], party.name)

@@ -4,9 +4,11 @@ import os
 import queue
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any, ClassVar
 
 import pytest
 from processes import alive, child_of, children_of, command_line, flying, python, wait_until
@@ -17,6 +19,7 @@ from outrider.running.child import Child, environment_of
 from outrider.running.cores import cores_for
 from outrider.running.flying import fly
 from outrider.running.forking import Forkserver, forkserver
+from sim.kernels import compile as kernels
 from sim.scenario.loading import load_scenario
 
 SECRET = bytes(range(100, 116)).hex()
@@ -120,6 +123,74 @@ def test_a_forkserver_that_has_ended_is_one_line() -> None:
         server._process.kill()
         with pytest.raises(BusError, match=r"the process that forks the run's processes has ended"):
             _waiting(server)
+
+
+def test_it_tells_that_it_compiles_first_where_nothing_is_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with forkserver(environment_of("") | {"OUTRIDER_CACHE": str(tmp_path)}) as server:
+        assert server is not None
+        wait_until(lambda: server.ready(0.1) or server.is_compiling, 60.0)
+        assert server.is_compiling
+    monkeypatch.setattr(kernels, "cache_folder", lambda: tmp_path / "made")
+    assert kernels.is_nothing_compiled()
+    (tmp_path / "made" / "sim").mkdir(parents=True)
+    (tmp_path / "made" / "sim" / "tick.nbi").touch()
+    assert not kernels.is_nothing_compiled()
+
+
+@pytest.mark.usefixtures("forked_forkserver")
+def test_while_it_compiles_the_simulator_is_a_process_of_its_own_which_compiles_too(monkeypatch):
+    class Busy(forking.Forkserver):
+        """Compiles until the simulator has done so, and listens."""
+
+        forked: ClassVar[list[str]] = []
+
+        def ready(self, patience: float) -> bool:
+            is_ready = super().ready(patience) and any(launched)
+            self.is_compiling = not is_ready
+            return is_ready
+
+        def fork(self, command: Any, *given: Any, **named: Any) -> Any:
+            self.forked.append(command[4])
+            return super().fork(command, *given, **named)
+
+    launched: list[bool] = []
+    listens = launch._Processes._listens
+    monkeypatch.setattr(
+        launch._Processes, "_listens", lambda own: listens(own) and not launched.append(True)
+    )
+    monkeypatch.setattr(forking, "Forkserver", Busy)
+    scenario, changes = load_scenario("escort", overrides=["duration=1.0"]), ["duration=1.0"]
+    outcome = launch.launch(scenario, "escort", changes, launch.NOBODY, launch.Output())
+    assert Busy.forked == ["uav", "ugv"]
+    assert outcome.summary is not None
+    assert outcome.summary.trajectory_sha256 == fly(scenario, scenario.seed)[1].trajectory_sha256
+
+
+def test_what_is_compiled_at_once_waits_for_no_other_and_the_same_waits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kernels, "cache_folder", lambda: tmp_path)
+    entered = threading.Event()
+
+    def enter(*shares: Any) -> None:
+        with kernels.compiling(*shares):
+            entered.set()
+
+    for mine, other, waits in (
+        (("world",), ("uav", "ugv"), False),
+        (("world",), ("world",), True),
+        (("uav", "ugv"), ("ugv",), True),
+        ((), ("uav",), True),
+    ):
+        entered.clear()
+        with kernels.compiling(*mine):
+            thread = threading.Thread(target=enter, args=other)
+            thread.start()
+            assert entered.wait(0.2 if waits else 10.0) != waits
+        thread.join(10.0)
+        assert entered.is_set()
 
 
 def test_where_orphans_find_no_parent_each_process_is_started_by_itself(monkeypatch):

@@ -19,8 +19,8 @@ from agents.process import warm_up
 from bus.keys import Role
 from outrider.cli.main import main as command_line
 from outrider.cli.stopping import leave
-from outrider.running.forking import Request
-from sim.kernels.compile import compiling
+from outrider.running.forking import COMPILING, READY, Request
+from sim.kernels.compile import compiling, is_nothing_compiled
 
 PRELOADED = (
     "bus.session",
@@ -39,7 +39,7 @@ def preload() -> None:
     """Load and compile what a vehicle's process needs, so that a fork has it."""
     for name in PRELOADED:
         import_module(name)
-    with compiling():
+    with compiling("uav", "ugv"):
         for role in (Role.UAV, Role.UGV):
             warm_up(role)
     gc.freeze()  # the collector need not look at what is here, and so does not copy it in each fork
@@ -79,7 +79,7 @@ def _fork_orphan() -> int:
 
 def _serve(channel: socket.socket) -> list[int]:
     """Fork whenever files come, until whoever sends them has gone; returns in each forked process, with its files."""
-    channel.send(b"r")
+    channel.send(READY)
     while True:
         try:
             _, files, _, _ = socket.recv_fds(channel, 1, 4)
@@ -130,6 +130,8 @@ def _become(files: list[int]) -> None:
 def main() -> None:
     """Serve; in a forked process, be the command line."""
     channel = socket.socket(fileno=int(sys.argv[1]))
+    if is_nothing_compiled():
+        channel.send(COMPILING)
     preload()
     _become(_serve(channel))
     command_line()

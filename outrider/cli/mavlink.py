@@ -172,7 +172,7 @@ def _join(bus: _Bus, name: str, make: "MakePilot", served: "Served") -> None:
     from outrider.bridges.mavlink.offboard import Beside
     from sim.kernels.compile import compiling
 
-    with compiling():
+    with compiling("uav"):
         warm_up(Role.UAV, inner=lambda _observation: (0.0, 0.0))
     with Beside(served):
         fly(

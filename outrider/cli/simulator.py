@@ -149,7 +149,7 @@ def command(
     )
     secured = given is not None or credential is not None
     kept = secret_of(secret, wanted=secured and not events)  # a parent has decided
-    with compiling():
+    with compiling("world"):
         warm_up(flown)
     reports, promised = Reports(enabled=events), promise_warnings(flown)
     if events and promised:

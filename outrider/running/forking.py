@@ -30,6 +30,10 @@ _LONGEST_COMMAND = 4096
 """Room for the command line that `ps` shows of a forked process: it is that of the forkserver, written over."""
 
 
+READY, COMPILING = b"r", b"c"
+"""What a forkserver tells: all is loaded; the cache is empty, and it compiles first, for some ten seconds."""
+
+
 class Request(msgspec.Struct, frozen=True, kw_only=True):
     """Command, environment and cores of a process that is forked."""
 
@@ -114,6 +118,8 @@ class Forkserver:
     def __init__(self, environment: Mapping[str, str]) -> None:
         self._channel, theirs = socket.socketpair()
         self._is_ready = False
+        self.is_compiling = False
+        """True if it has told so, and has not told since that all is loaded."""
         with theirs:
             arguments = [str(theirs.fileno()), " " * _LONGEST_COMMAND]
             self._process = subprocess.Popen(
@@ -144,8 +150,8 @@ class Forkserver:
             BusError: If the forkserver has ended.
         """
         if not self._is_ready and select.select([self._channel], [], [], patience)[0]:
-            self._receive(1)
-            self._is_ready = True
+            self._is_ready = self._receive(1) == READY
+            self.is_compiling = not self._is_ready
         return self._is_ready
 
     def fork(

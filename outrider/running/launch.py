@@ -185,7 +185,7 @@ def launch(
         _ended_afterwards() as pages,
         _ended_afterwards() as children,
     ):
-        while server is not None and not server.ready(0.1):
+        while server is not None and not (server.ready(0.1) or server.is_compiling):
             if watcher.stop():
                 return Outcome()
         run = f"run-{os.getpid()}-{secrets.token_hex(4)}"
@@ -204,7 +204,7 @@ def launch(
         )
         if watcher.page is not None and not watcher.stop() and processes.simulator.ended is None:
             processes.show_on(watcher.page, pages, watcher)
-        if not watcher.stop():
+        if _is_loaded(server, processes.simulator, watcher):
             processes.start_vehicles(watcher)
         if server is not None and not timing.respawn and not keep_forks:
             server.close()  # nothing more is forked
@@ -219,6 +219,16 @@ def launch(
             who = [Process(name=child.name, pid=child.pid) for child in children]
             outcome.summary = msgspec.structs.replace(outcome.summary, processes=who)
         return outcome
+
+
+def _is_loaded(server: Forkserver | None, simulator: Child, watcher: Watcher) -> bool:
+    """Wait until vehicles can be forked; false if the run is to end, or has ended, before."""
+    while not watcher.stop():
+        if server is None or server.ready(0.1):
+            return True
+        if simulator.ended is not None:
+            return False
+    return False
 
 
 def _words(timing: Timing) -> list[str]:
@@ -293,7 +303,10 @@ class _Processes:
     def start_simulator(
         self, source: str, settings: list[str], watcher: Watcher, secret: str
     ) -> None:
-        """Start it and wait until its router listens: before that a client would only try in vain."""
+        """Start it and wait until its router listens: before that a client would only try in vain.
+
+        Where the forkserver compiles, it is an interpreter of its own, which compiles the world at the same time.
+        """
         arguments = [
             "simulator",
             source,
@@ -309,13 +322,14 @@ class _Processes:
             "--watchdog-folder",
             str(self._folder),
         ]
+        is_own = self._forks is not None and self._forks.is_compiling
         self.children.append(
             Child(
                 SIMULATOR_NAME,
                 arguments,
                 self.lines,
                 secret=secret,
-                forkserver=self._forks,
+                forkserver=None if is_own else self._forks,
                 log=self._log(SIMULATOR_NAME),
             )
         )

@@ -15,7 +15,7 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, Literal, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -175,13 +175,31 @@ def entry_point(function: _F, *arguments: object) -> _F:
     return cast("_F", dispatcher.get_overload(types))
 
 
+def is_nothing_compiled() -> bool:
+    """True if the cache is empty, or there is none: whoever computes compiles for a while first."""
+    folder = cache_folder()
+    return folder is None or not any(folder.rglob("*.nbi"))
+
+
+Share = Literal["world", "uav", "ugv", "rest"]
+"""What is compiled together, and has next to nothing in common with the others: they may be compiled at once."""
+_SHARES: tuple[Share, ...] = ("rest", "uav", "ugv", "world")
+
+
 @contextlib.contextmanager
-def compiling() -> Iterator[None]:
-    """While one process compiles, the others wait and then load what it has compiled."""
+def compiling(*shares: Share) -> Iterator[None]:
+    """While one process compiles, the others wait and then load what it has compiled.
+
+    Args:
+        shares: What it compiles; all of it by default.
+    """
     folder = None if _interpreted else cache_folder()
     if folder is None:
         yield
         return
-    with (folder / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with contextlib.ExitStack() as locks:
+        for share in _SHARES:  # in one order, so that nobody waits in a circle
+            if not shares or share in shares:
+                lock = locks.enter_context((folder / f"{share}.lock").open("w"))
+                fcntl.flock(lock, fcntl.LOCK_EX)
         yield
