@@ -3,6 +3,7 @@
 import itertools
 import math
 import struct
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -33,6 +34,7 @@ from outrider.experiments.traces import (
 from outrider.running.flying import fly
 from sim.scenario.loading import load_scenario
 
+ROOT = Path(__file__).parents[1]
 R, R_V, R_S, DESIRED, CELL, DT = 5.0, 4.75, 4.75 - 0.8**2 / 0.6, 2.0, 0.25, 0.05
 WIDTHS = {1: (1400, 760), 2: (1400, 480), 3: (1400, 700), 4: (1400, 1100), 5: (1400, 1100)}
 
@@ -101,6 +103,14 @@ def test_five_pictures_are_made(made):
         data = (out / f"figure-{number}.png").read_bytes()
         assert struct.unpack(">II", data[16:24]) == size
         assert 30_000 < len(data) < 400_000
+
+
+def test_the_claims_that_the_page_shows_are_those_that_the_figures_make(made):
+    page = (ROOT / "docs/explanation/paper.md").read_text(encoding="utf-8")
+    shown = page.split("<!-- claims -->")[1].split("<!-- /claims -->")[0]
+    rows = [line.split(" | ") for line in shown.strip().splitlines()[2:]]
+    told = [(row[0].removeprefix("| "), row[1], row[-1].removesuffix(" |")) for row in rows]
+    assert told == [(c.figure, c.claim, "yes" if c.holds else "**no**") for c in made[1]]
 
 
 def test_progress_rises_to_the_end(made):

@@ -149,19 +149,6 @@ def test_the_path_and_the_policy_shown_fly(tmp_path: Path, monkeypatch: pytest.M
     assert summary.max_distance > 2.5
 
 
-def test_the_claims_shown_are_those_that_the_figures_make(tmp_path: Path) -> None:
-    from outrider.experiments.paper_figures import make_figures
-
-    page = PAGES["docs/explanation/paper.md"]
-    shown = page.split("<!-- claims -->")[1].split("<!-- /claims -->")[0]
-    rows = [line.split(" | ") for line in shown.strip().splitlines()[2:]]
-    made = [
-        (claim.figure, claim.claim, "yes" if claim.holds else "**no**")
-        for claim in make_figures(tmp_path, on_progress=None)
-    ]
-    assert [(row[0].removeprefix("| "), row[1], row[-1].removesuffix(" |")) for row in rows] == made
-
-
 @pytest.mark.parametrize("page", PAGES)
 def test_links_within_the_repository_lead_somewhere(page: str) -> None:
     for target, heading in re.findall(r"\]\(([^)#:\s]*)(?:#([^)\s]*))?\)", prose(page)):
