@@ -123,11 +123,12 @@ class ClosedLoop:
         external: Vehicles whose actions come from outside, in the order of the actions.
         pilots: Who flies or drives the others, by name, instead of the scenario's law and drivers.
         error: Whether e(t) is computed at every tick; if `uncovered` is paid, it is in any case.
-        settings: `LoopSettings`.
+        settings: Options by keyword: `LoopSettings` says what each is.
 
     Raises:
         ScenarioError: If a vehicle has a law or a driver that cannot be flown in here.
         ValueError: If another argument is not allowed.
+        TypeError: If there is no setting of that name.
     """
 
     def __init__(

@@ -27,11 +27,12 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         scenario: A shipped name, a file, or a scenario.
         agent: Who learns.
         render_mode: None; there is no other.
-        settings: `outrider.envs.vector.BatchSettings`.
+        settings: Options by keyword: `outrider.envs.vector.BatchSettings` says what each is.
 
     Raises:
         ScenarioError: If the scenario cannot be flown.
         ValueError: If another argument is not allowed.
+        TypeError: If there is no setting of that name.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium has it

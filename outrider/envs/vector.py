@@ -71,7 +71,7 @@ class Worlds:
         learners: Vehicles whose actions come from outside.
         others: Who flies or drives the other vehicles: a law or driver by name, or a policy for all worlds at
             once. By default the scenario's law and drivers.
-        settings: `BatchSettings`.
+        settings: Options by keyword: `BatchSettings` says what each is.
 
     Raises:
         ScenarioError: If the scenario cannot be flown.
@@ -359,11 +359,12 @@ class OutriderVectorEnv(VectorEnv):
         scenario: A shipped name, a file, or a scenario.
         num_envs: How many worlds.
         agent: Who learns.
-        settings: `BatchSettings`.
+        settings: Options by keyword: `BatchSettings` says what each is.
 
     Raises:
         ScenarioError: If the scenario cannot be flown.
         ValueError: If another argument is not allowed.
+        TypeError: If there is no setting of that name.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012 - as Gymnasium has it
@@ -450,11 +451,12 @@ class OutriderParallelVectorEnv:
         scenario: A shipped name, a file, or a scenario.
         num_envs: How many worlds.
         agents: Who learns; by default everybody.
-        settings: `BatchSettings`.
+        settings: Options by keyword: `BatchSettings` says what each is.
 
     Raises:
         ScenarioError: If the scenario cannot be flown.
         ValueError: If another argument is not allowed.
+        TypeError: If there is no setting of that name.
     """
 
     metadata: ClassVar[dict[str, Any]] = {

@@ -82,7 +82,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
         scenario: A shipped name, a file, or a scenario.
         coverage_in_state: Whether min(C / C*, 1) of every cell, row by row from y = 0, ends the state.
         render_mode: None, "rgb_array" or "human".
-        settings: `sim.env.settings.EnvSettings`.
+        settings: Options by keyword: `sim.env.settings.EnvSettings` says what each is.
 
     Raises:
         ScenarioError: If the scenario cannot be flown, or its duration is no whole number of ticks.
