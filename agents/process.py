@@ -102,6 +102,13 @@ _UGV = _SOMEBODY | {
     "goal_tolerance": 0.05,
 }
 
+_SOMEONE = {"driver": "nobody"}
+_WORDS: tuple[list[dict[str, Any]], ...] = (
+    [],
+    [_SOMEONE | {"velocity": [0.1, 0.0]}],
+    [_SOMEONE | {"goal": [1.0, 1.0]}],
+)
+
 
 def _seen(tick: int) -> dict[str, Any]:
     return {"tick": tick, "time": tick * 0.05, "position": [5.0, 5.0], "velocity": [0.0, 0.0]}
@@ -115,9 +122,10 @@ def warm_up(role: Role, *, inner: "Inner | None" = None) -> None:
         inner: A UAV's control of one's own.
     """
     if role is Role.UGV:
-        ugv = ugv_maker()(msgspec.convert(_UGV, UgvBriefing))
-        for tick in range(3):
-            ugv.act(msgspec.convert(_seen(tick), UgvObservation))
+        for driver in ("waypoints", "teleop"):  # an operator may take the wheel of any
+            ugv = ugv_maker()(msgspec.convert(_UGV | {"driver": driver}, UgvBriefing))
+            for tick, words in enumerate(_WORDS):
+                ugv.act(msgspec.convert(_seen(tick) | {"operator": words}, UgvObservation))
         return
     for own in ({}, _WATCHED):
         uav: Any = uav_maker(inner=inner)(msgspec.convert(_UAV | own, UavBriefing))

@@ -6,7 +6,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -132,11 +132,17 @@ def test_it_tells_that_it_compiles_first_where_nothing_is_compiled(
         assert server is not None
         wait_until(lambda: server.ready(0.1) or server.is_compiling, 60.0)
         assert server.is_compiling
-    monkeypatch.setattr(kernels, "cache_folder", lambda: tmp_path / "made")
-    assert kernels.is_nothing_compiled()
-    (tmp_path / "made" / "sim").mkdir(parents=True)
-    (tmp_path / "made" / "sim" / "tick.nbi").touch()
-    assert not kernels.is_nothing_compiled()
+    monkeypatch.setattr(kernels, "cache_folder", lambda: tmp_path)
+    with suppress(KeyboardInterrupt), kernels.compiling("uav", "ugv"):
+        raise KeyboardInterrupt
+    assert not kernels.is_compiled("uav")  # it may have been half of it
+    with kernels.compiling():
+        pass
+    assert not kernels.is_compiled("uav")
+    with kernels.compiling("uav"):
+        pass
+    assert kernels.is_compiled("uav")
+    assert not kernels.is_compiled("uav", "ugv")
 
 
 @pytest.mark.usefixtures("forked_forkserver")

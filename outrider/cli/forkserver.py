@@ -20,7 +20,7 @@ from bus.keys import Role
 from outrider.cli.main import main as command_line
 from outrider.cli.stopping import leave
 from outrider.running.forking import COMPILING, READY, Request
-from sim.kernels.compile import compiling, is_nothing_compiled
+from sim.kernels.compile import compiling, is_compiled
 
 PRELOADED = (
     "bus.session",
@@ -130,7 +130,7 @@ def _become(files: list[int]) -> None:
 def main() -> None:
     """Serve; in a forked process, be the command line."""
     channel = socket.socket(fileno=int(sys.argv[1]))
-    if is_nothing_compiled():
+    if not is_compiled(Role.UAV.value, Role.UGV.value):
         channel.send(COMPILING)
     preload()
     _become(_serve(channel))

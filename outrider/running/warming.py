@@ -14,7 +14,7 @@ def warm_up_flight(scenario: Scenario | None = None) -> None:
     Args:
         scenario: What is to be flown; None: the default one.
     """
-    with compiling():
+    with compiling("world", "uav", "ugv"):
         warm_up(scenario or load_scenario())
         for role in (Role.UAV, Role.UGV):
             warm_up_pilot(role)

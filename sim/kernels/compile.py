@@ -175,15 +175,15 @@ def entry_point(function: _F, *arguments: object) -> _F:
     return cast("_F", dispatcher.get_overload(types))
 
 
-def is_nothing_compiled() -> bool:
-    """True if the cache is empty, or there is none: whoever computes compiles for a while first."""
-    folder = cache_folder()
-    return folder is None or not any(folder.rglob("*.nbi"))
-
-
-Share = Literal["world", "uav", "ugv", "rest"]
+Share = Literal["world", "uav", "ugv"]
 """What is compiled together, and has next to nothing in common with the others: they may be compiled at once."""
-_SHARES: tuple[Share, ...] = ("rest", "uav", "ugv", "world")
+_SHARES: tuple[Share, ...] = ("uav", "ugv", "world")
+
+
+def is_compiled(*shares: Share) -> bool:
+    """True if these shares have been compiled once, so that they are loaded from the cache."""
+    folder = cache_folder()
+    return folder is not None and all((folder / f"{one}.compiled").exists() for one in shares)
 
 
 @contextlib.contextmanager
@@ -191,7 +191,7 @@ def compiling(*shares: Share) -> Iterator[None]:
     """While one process compiles, the others wait and then load what it has compiled.
 
     Args:
-        shares: What it compiles; all of it by default.
+        shares: What it compiles; none: something else, which may have parts of each.
     """
     folder = None if _interpreted else cache_folder()
     if folder is None:
@@ -203,3 +203,5 @@ def compiling(*shares: Share) -> Iterator[None]:
                 lock = locks.enter_context((folder / f"{share}.lock").open("w"))
                 fcntl.flock(lock, fcntl.LOCK_EX)
         yield
+        for share in shares:
+            (folder / f"{share}.compiled").touch()

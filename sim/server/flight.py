@@ -497,12 +497,32 @@ class Flight:
         )
 
 
+_BUSY = LinkSettings(delay=0.4, jitter=0.3, bandwidth=5.0, queue=1)
+
+
 def warm_up(scenario: Scenario) -> None:
-    """Let all that a flight compiles be compiled or loaded, with a world that nobody sees."""
+    """Let all that a flight compiles be compiled or loaded, with a world that nobody sees.
+
+    Operators may change links in flight, with messages in their queues and under way.
+    """
     flight = Flight(scenario, scenario.seed)
+    world, links = flight.world, flight.world.links
+    carried = [
+        link for kind in (LinkKind.RADIO, LinkKind.OPERATOR) for link in links.of(kind).values()
+    ]
     flight.recorder.record(flight.answers.reports)
-    flight.apply({})
-    flight.observations()
-    for link in flight.world.links.of(LinkKind.RADIO).values():
-        link.send(flight.world.tick + 1, None, flight.world.tick)
-        link.arrivals(flight.world.tick + 1)
+    if scenario.has_ground:
+        block = GroundBlock(row=0, column=0, tiles=world.known_block(0, 0, 0))
+        for ugv in scenario.ugv:
+            world.hear_block(world.names.index(ugv.name), block)
+    for settings in (_BUSY, LinkSettings()):
+        for kind in LinkKind:
+            flight.degrade(kind, None, settings)
+        for _ in range(3):
+            flight.observations()
+            for k in range(len(world.names)):
+                world.send(k, world.tick, (0.0, 0.0))
+            for link in carried:
+                for _ in range(3):
+                    link.send(world.tick + 1, None, world.tick)
+            flight.apply({})
