@@ -14,6 +14,7 @@ from bus.access import Credential
 from bus.errors import BusError, PeerLost
 from bus.keys import BRIEFING, COMMAND, OBSERVATION, SIMULATOR_NAME, Party, Role
 from bus.messages import Command, UavBriefing, UavObservation, UgvBriefing, UgvObservation
+from bus.registry import DEFAULT_DRIVER, TELEOP
 from bus.session import Letter, Outbox, Session, open_session
 from sim.kernels.compile import compiling
 
@@ -122,7 +123,7 @@ def warm_up(role: Role, *, inner: "Inner | None" = None) -> None:
         inner: A UAV's control of one's own.
     """
     if role is Role.UGV:
-        for driver in ("waypoints", "teleop"):  # an operator may take the wheel of any
+        for driver in (DEFAULT_DRIVER, TELEOP):  # an operator may take the wheel of any
             ugv = ugv_maker()(msgspec.convert(_UGV | {"driver": driver}, UgvBriefing))
             for tick, words in enumerate(_WORDS):
                 ugv.act(msgspec.convert(_seen(tick) | {"operator": words}, UgvObservation))
