@@ -89,14 +89,14 @@ def pilot_names(scenario: Scenario, vehicle: str) -> tuple[str, ...]:
 
 
 class LoopSettings(EpisodeSettings, total=False):
-    """What many worlds at once take; by default `LOOP_DEFAULTS`."""
+    """Settings of many worlds at once; by default `LOOP_DEFAULTS`."""
 
     estimate: bool
-    """Whether the UAVs' rows have the Kalman filter's estimate in the place of the raw detection."""
+    """True: the UAVs' rows have the Kalman filter's estimate in the place of the raw detection."""
     gradient: bool
-    """Whether the UAVs' rows end with `bus.layout.GradientCue`."""
+    """True: the UAVs' rows end with `bus.layout.GradientCue`."""
     safety_filter: bool
-    """Whether actions from outside go through the safety filter, as those of the law `certified` do."""
+    """True: actions from outside go through the safety filter, as those of the law `certified` do."""
     threads: int | None
     """Processor cores that share the worlds; None: all that this process may use."""
     precision: Precision

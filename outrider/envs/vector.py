@@ -50,10 +50,10 @@ def _checked_count(num_envs: int) -> int:
 
 
 class BatchSettings(EnvSettings, LoopSettings, total=False):
-    """What the environments of many worlds take; by default `BATCH_DEFAULTS`."""
+    """Settings of the environments of many worlds; by default `BATCH_DEFAULTS`."""
 
     others: Mapping[str, str | Policy] | None
-    """Who flies or drives the vehicles that do not learn: a law or driver by name, or a policy for all worlds at once;
+    """Pilots of the vehicles that do not learn: a law or driver by name, or a policy for all worlds at once;
     None: the scenario's law and drivers."""
 
 

@@ -31,7 +31,7 @@ _LONGEST_COMMAND = 4096
 
 
 READY, COMPILING = b"r", b"c"
-"""What a forkserver tells: all is loaded; the pilots are not in the cache, and it compiles for some ten seconds."""
+"""A forkserver's words: all is loaded; the pilots are not in the cache, and it compiles for some ten seconds."""
 
 
 class Request(msgspec.Struct, frozen=True, kw_only=True):

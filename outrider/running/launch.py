@@ -90,14 +90,14 @@ class Outcome(msgspec.Struct, kw_only=True):
 
 
 class Output(msgspec.Struct, frozen=True, kw_only=True):
-    """What the simulator writes."""
+    """Files that the simulator writes."""
 
     folder: Path | None = None
     """For trajectory, picture and summary; None: none of them."""
     picture: bool = True
-    """Whether it draws."""
+    """True: it draws."""
     record: Path | None = None
-    """Where it records every tick."""
+    """The file in which it records every tick; None: it does not."""
 
     def arguments(self) -> list[str]:
         """The same on its command line."""
@@ -109,14 +109,14 @@ class Output(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Wiring(msgspec.Struct, frozen=True, kw_only=True):
-    """How the processes of a run stand to each other. All but `pin` only to measure what it costs."""
+    """Cores, access control and transport of a run's processes. All but `pin` only to measure what it costs."""
 
     pin: bool = True
-    """Whether the UAVs keep to one half of the processor cores and the others to the other half, if there are few."""
+    """True: the UAVs keep to one half of the processor cores and the others to the other half, if there are few."""
     secured: bool = True
-    """Whether there are credentials and access control."""
+    """True: there are credentials and access control."""
     transport: Transport = "unix"
-    """How they reach each other: `tcp` and `tls`, with certificates for passwords, use a port of this machine."""
+    """The way they reach each other: `tcp` and `tls`, with certificates for passwords, use a port of this machine."""
 
 
 class Watcher(msgspec.Struct, frozen=True, kw_only=True):
@@ -170,8 +170,8 @@ def launch(
         overrides: The same as `--set` arguments.
         watcher: Who follows the run.
         output: What is written.
-        timing: How it keeps time.
-        wiring: How its processes stand to each other.
+        timing: Its pace and patience.
+        wiring: Cores, access control and transport of its processes.
         secret: Of the run, for the simulator's process alone; empty: none.
         forks: A forkserver that the caller has started; None: one is started here.
         keep_forks: Whether it serves other runs after this one; else it ends once nothing more is forked.
@@ -249,7 +249,7 @@ class _Processes:
         run: Its name.
         children: Where they are kept, so that they are ended whatever happens.
         forks: What forks them; None: each is started by itself.
-        wiring: How they stand to each other.
+        wiring: Cores, access control and transport.
         logs: The folder for what each writes to standard error; None: it is not kept.
     """
 

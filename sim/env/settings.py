@@ -1,4 +1,4 @@
-"""What the environments can be told, each by keyword."""
+"""Settings of the environments, each given by keyword."""
 
 from collections.abc import Mapping
 from typing import TypedDict, TypeVar, cast
@@ -10,14 +10,14 @@ from sim.env.rewards import RewardWeights
 
 
 class EpisodeSettings(TypedDict, total=False):
-    """What an episode is, whoever steps it; by default `EPISODE_DEFAULTS`."""
+    """Settings of an episode, whoever steps it; by default `EPISODE_DEFAULTS`."""
 
     rewards: RewardWeights | None
-    """What the vehicles are paid for; None: what `RewardWeights()` says."""
+    """Weights of what the vehicles are paid for; None: `RewardWeights()`."""
     end_on_sight_lost: bool
-    """Whether an episode terminates when a UAV is r_v or more from its UGV: the promise is broken."""
+    """True: an episode terminates when a UAV is r_v or more from its UGV: the promise is broken."""
     end_on_goals_reached: bool
-    """Whether it terminates when every UGV that has goals has reached them all."""
+    """True: it terminates when every UGV that has goals has reached them all."""
     coverage_patch: CoveragePatch | tuple[int, float] | None
     """Pixels and meters per pixel of a picture of the UAV's own map, which makes its observation a dictionary with
     `row` and `coverage`; None: no picture."""
@@ -27,7 +27,7 @@ class EpisodeSettings(TypedDict, total=False):
 
 
 class EnvSettings(EpisodeSettings, total=False):
-    """What every environment takes; by default `ENV_DEFAULTS`."""
+    """Settings of every environment; by default `ENV_DEFAULTS`."""
 
     duration: float | None
     """Length of an episode [s], instead of the scenario's: then the episode is truncated."""
@@ -53,7 +53,7 @@ Settings = TypeVar("Settings", bound=Mapping[str, object])
 
 
 def completed(given: Settings, defaults: Settings) -> Settings:
-    """What is given, and of the rest the defaults.
+    """The settings that are given, and of the rest the defaults.
 
     Raises:
         TypeError: If something of another name is given, as where a function lists its arguments.

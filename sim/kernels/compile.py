@@ -176,7 +176,8 @@ def entry_point(function: _F, *arguments: object) -> _F:
 
 
 Share = Literal["world", "uav", "ugv"]
-"""What is compiled together, and has next to nothing in common with the others: they may be compiled at once."""
+"""Code that is compiled together. One share has next to nothing in common with the others: they may be compiled at
+once."""
 _SHARES: tuple[Share, ...] = ("uav", "ugv", "world")
 
 

@@ -23,18 +23,18 @@ _plain: Any = unliteral
 
 _INSIDE = ("_optimize_functions", "_optimize_final_module", "_finalize_final_module")
 _IS_KNOWN = all(hasattr(JITCodeLibrary, name) for name in _INSIDE)
-"""Whether numba's insides, which another version may do without, are those that are dealt with here."""
+"""True if numba's insides, which another version may do without, are those that are dealt with here."""
 
 
 class _Whole(_Library):  # type: ignore[misc]
-    """What Python calls, with all of its parts: optimized once, after they are linked in."""
+    """Code that Python calls, with all of its parts: optimized once, after they are linked in."""
 
     def _optimize_functions(self, module: Any) -> None:  # noqa: ANN401 - numba's
         module.data_layout = self._codegen._data_layout
 
 
 class _Part(_Whole):
-    """What only compiled functions call: neither optimized for itself nor made into machine code."""
+    """Code that only compiled functions call: neither optimized for itself nor made into machine code."""
 
     has_dynamic_globals = False
     """It names the functions that it calls by their addresses here; nobody uses those, and optimizing drops them."""

@@ -23,7 +23,7 @@ class _Tick(NamedTuple):
     received: list[list[Look]]
     law: str
     watched: bool
-    """Whether a safety filter watches over that law."""
+    """True if a safety filter watches over that law."""
 
 
 class Answers:
