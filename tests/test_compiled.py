@@ -7,6 +7,7 @@ import struct
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -19,6 +20,7 @@ from numba.core.errors import TypingError
 
 import agents.control
 from bus.registry import SENSORS
+from sim.kernels import compile as kernels
 from sim.kernels import linking
 from sim.kernels.compile import compiled
 
@@ -201,6 +203,14 @@ def test_a_part_is_kept_for_callers_in_other_processes(tmp_path) -> None:
     assert call("one") == ["14.0", "too small", "0 0"]
     assert call("one") == ["14.0", "too small", "0 0"]  # a whole needs no parts
     assert call("other") == ["6.0", "too small", "0 1"]  # with all that it calls
+
+
+@pytest.mark.parametrize("name", ["linking.py", "compile.py", "visibility.py"])
+def test_whatever_code_is_made_of_has_a_cache_of_its_own(name: str, monkeypatch) -> None:
+    before, read = kernels._source_digest(), Path.read_bytes
+    changed = lambda path: read(path) + b"#" * (path.name == name)  # noqa: E731
+    monkeypatch.setattr(Path, "read_bytes", changed)
+    assert kernels._source_digest() != before
 
 
 def test_another_numba_compiles_as_it_does(monkeypatch) -> None:

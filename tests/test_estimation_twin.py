@@ -175,7 +175,7 @@ def _compare_filters(state, pilots, estimate, case, fuses, where):
 
 @pytest.mark.parametrize("name", CASES)
 def test_at_every_tick_it_is_the_pilots_filter(name, fuses):
-    """Whether the pilot has worked ahead to it or not."""
+    """The pilot has worked ahead to it, or has not, at random."""
     case = CASES[name]
     rng = np.random.default_rng(len(name))
     own, ugv = _places(case, rng)

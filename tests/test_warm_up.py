@@ -71,7 +71,7 @@ steps += [
 def control(flight):
     if flight.world.tick % 5 == 0 and steps:
         steps.pop(0)(flight)
-        promise_warnings(flight.scenario)
+        promise_warnings(flight.flown, flight.world.links.table)  # as observers are told
 
 linking._Entry.compile = noted
 flight, _ = fly(scenario, 7, on_tick=control)

@@ -50,6 +50,7 @@ def _source_digest() -> str:
         for path in sorted((root / folder).rglob("*.py"))
     }
     made_of = {name for name, text in sources.items() if any(mark in text for mark in _MARKS)}
+    made_of.add("sim/kernels/linking.py")  # it says what is kept of each
     for name in tuple(made_of):  # what such a file imports may be a constant in its code
         made_of |= {
             f"{module.decode().replace('.', '/')}.py" for module in _IMPORT.findall(sources[name])

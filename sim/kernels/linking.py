@@ -74,7 +74,7 @@ def _compiling_to(kind: type[_Whole]) -> Iterator[None]:
 
 
 def _set_env(codegen: Any, name: str, environment: object) -> None:  # noqa: ANN401 - numba's
-    """What numba does with the objects that code refers to, where that code is machine code."""
+    """Hands code the objects that it refers to, as numba does, where that code is machine code."""
     if codegen._engine.get_global_value_address(name):
         type(codegen).set_env(codegen, name, environment)
 
@@ -90,15 +90,21 @@ def _collecting_seldom() -> Iterator[None]:
         gc.set_threshold(*before)
 
 
-class _Linked(_Dispatcher):  # type: ignore[misc]
-    """One function, for compiled callers."""
+class _Kept(_Dispatcher):  # type: ignore[misc]
+    """One function, whose versions are kept as code of one kind."""
+
+    _kind: type[_Whole]
 
     def compile(self, types: Any) -> Any:  # noqa: ANN401 - numba's
         """The version for arguments of these types."""
-        if not _IS_KNOWN:
+        with _compiling_to(self._kind) if _IS_KNOWN else contextlib.nullcontext():
             return super().compile(types)
-        with _compiling_to(_Part):
-            return super().compile(types)
+
+
+class _Linked(_Kept):
+    """One function, for compiled callers."""
+
+    _kind = _Part
 
     def get_call_template(self, arguments: tuple[Any, ...], named: dict[str, Any]) -> Any:  # noqa: ANN401 - numba's
         """Tells a compiled caller of the one version that serves all constants it may hand over.
@@ -109,15 +115,10 @@ class _Linked(_Dispatcher):  # type: ignore[misc]
         return super().get_call_template(tuple(_plain(one) for one in arguments), plain)
 
 
-class _Entry(_Dispatcher):  # type: ignore[misc]
+class _Entry(_Kept):
     """One function, for Python, and for compiled callers by its twin."""
 
-    def compile(self, types: Any) -> Any:  # noqa: ANN401 - numba's
-        """The version for arguments of these types."""
-        if not _IS_KNOWN:
-            return super().compile(types)
-        with _compiling_to(_Whole):
-            return super().compile(types)
+    _kind = _Whole
 
     @functools.cached_property
     def linked(self) -> Any:  # noqa: ANN401 - numba's
