@@ -1,8 +1,10 @@
 """BLAKE2b for whoever tries seeds by the million: as `sim.engine.run_keys` uses it, compiled (RFC 7693)."""
 
+import struct
+
 import numpy as np
 
-from sim.kernels.compile import borrowing, compiled, inlined, released
+from sim.kernels.compile import borrowing, inlined
 from sim.models.randomness import WordArray
 
 _IV = np.array(
@@ -29,89 +31,107 @@ _ORDER = np.array(
     ],
     dtype=np.uint64,  # unsigned: a compiled index that may be negative costs a comparison
 )
+_QUARTERS = (
+    *((0, 4, 8, 12), (1, 5, 9, 13), (2, 6, 10, 14), (3, 7, 11, 15)),
+    *((0, 5, 10, 15), (1, 6, 11, 12), (2, 7, 8, 13), (3, 4, 9, 14)),
+)
+"""The words of the state that are mixed, one after the other, in each round."""
 _ALL = np.uint64(2**64 - 1)
 _TOLD = 16
 """Bytes of seed, purpose and vehicle."""
 
 
-@inlined
-def _rotated(word: np.uint64, by: int) -> np.uint64:
-    return (word >> np.uint64(by)) | (word << np.uint64(64 - by))
+LANES = 64
+"""Seeds that are tried at once, as the words of vectors: a core adds eight of them in the time of one."""
+ROOM = (16 + 2 + 2) * LANES
+"""The numbers that sums are made in: the state, the words of the message that are not zero, the key."""
+_TOLD_AT, _KEY_AT = 16 * LANES, 18 * LANES
 
 
 @inlined
-def _mixed(a, b, c, d, x, y):
-    a = a + b + x
-    d = _rotated(d ^ a, 32)
-    c = c + d
-    b = _rotated(b ^ c, 24)
-    a = a + b + y
-    d = _rotated(d ^ a, 16)
-    c = c + d
-    b = _rotated(b ^ c, 63)
-    return a, b, c, d
+def _add(w: WordArray, a: int, word: np.uint64) -> None:
+    """Add a word of the message, of which all but two are zero."""
+    if word < 2:
+        for n in range(LANES):
+            w[a * LANES + n] += w[_TOLD_AT + np.int64(word) * LANES + n]
 
 
-@borrowing
-def _compress(
-    h: WordArray, m: WordArray, count: np.uint64, last: np.uint64, out: WordArray
-) -> None:
-    """One block: the state h and the message m, shape (16,), after `count` bytes, into `out`, shape (8,)."""
-    v_0, v_1, v_2, v_3, v_4, v_5, v_6, v_7 = h[0], h[1], h[2], h[3], h[4], h[5], h[6], h[7]
-    v_8, v_9, v_10, v_11, v_12, v_13 = _IV[0], _IV[1], _IV[2], _IV[3], _IV[4] ^ count, _IV[5]
-    v_14, v_15 = _IV[6] ^ last, _IV[7]
-    for r in range(12):
-        v_0, v_4, v_8, v_12 = _mixed(v_0, v_4, v_8, v_12, m[_ORDER[r, 0]], m[_ORDER[r, 1]])
-        v_1, v_5, v_9, v_13 = _mixed(v_1, v_5, v_9, v_13, m[_ORDER[r, 2]], m[_ORDER[r, 3]])
-        v_2, v_6, v_10, v_14 = _mixed(v_2, v_6, v_10, v_14, m[_ORDER[r, 4]], m[_ORDER[r, 5]])
-        v_3, v_7, v_11, v_15 = _mixed(v_3, v_7, v_11, v_15, m[_ORDER[r, 6]], m[_ORDER[r, 7]])
-        v_0, v_5, v_10, v_15 = _mixed(v_0, v_5, v_10, v_15, m[_ORDER[r, 8]], m[_ORDER[r, 9]])
-        v_1, v_6, v_11, v_12 = _mixed(v_1, v_6, v_11, v_12, m[_ORDER[r, 10]], m[_ORDER[r, 11]])
-        v_2, v_7, v_8, v_13 = _mixed(v_2, v_7, v_8, v_13, m[_ORDER[r, 12]], m[_ORDER[r, 13]])
-        v_3, v_4, v_9, v_14 = _mixed(v_3, v_4, v_9, v_14, m[_ORDER[r, 14]], m[_ORDER[r, 15]])
-    out[0], out[1], out[2], out[3] = (
-        h[0] ^ v_0 ^ v_8,
-        h[1] ^ v_1 ^ v_9,
-        h[2] ^ v_2 ^ v_10,
-        h[3] ^ v_3 ^ v_11,
-    )
-    out[4], out[5], out[6], out[7] = (
-        h[4] ^ v_4 ^ v_12,
-        h[5] ^ v_5 ^ v_13,
-        h[6] ^ v_6 ^ v_14,
-        h[7] ^ v_7 ^ v_15,
-    )
+@inlined
+def _mix(w: WordArray, a: int, b: int, c: int, d: int, x: np.uint64, y: np.uint64) -> None:
+    """BLAKE2b's G on words a to d of the state, with words x and y of the message; lane by lane."""
+    a_0, b_0, c_0, d_0 = a * LANES, b * LANES, c * LANES, d * LANES
+    _add(w, a, x)
+    for n in range(LANES):
+        w[a_0 + n] += w[b_0 + n]
+        turned = w[d_0 + n] ^ w[a_0 + n]
+        w[d_0 + n] = (turned >> np.uint64(32)) | (turned << np.uint64(32))
+        w[c_0 + n] += w[d_0 + n]
+        turned = w[b_0 + n] ^ w[c_0 + n]
+        w[b_0 + n] = (turned >> np.uint64(24)) | (turned << np.uint64(40))
+    _add(w, a, y)
+    for n in range(LANES):
+        w[a_0 + n] += w[b_0 + n]
+        turned = w[d_0 + n] ^ w[a_0 + n]
+        w[d_0 + n] = (turned >> np.uint64(16)) | (turned << np.uint64(48))
+        w[c_0 + n] += w[d_0 + n]
+        turned = w[b_0 + n] ^ w[c_0 + n]
+        w[b_0 + n] = (turned >> np.uint64(63)) | (turned << np.uint64(1))
 
 
-@compiled
-def _after(h: WordArray, m: WordArray, count: int) -> WordArray:
-    out = np.empty(8, dtype=np.uint64)
-    _compress(h, m, np.uint64(count), np.uint64(0), out)
-    return out
+def _turned(word: int, by: int) -> int:
+    return (word >> by | word << (64 - by)) & int(_ALL)
+
+
+def _after(h: list[int], m: list[int], count: int) -> list[int]:
+    """The state after a block of which the message goes on, with numbers of Python's own."""
+    v = h + [int(word) for word in _IV]
+    v[12] ^= count
+    for order in _ORDER.tolist():
+        for k, (a, b, c, d) in enumerate(_QUARTERS):
+            for turns, word in (((32, 24), m[order[2 * k]]), ((16, 63), m[order[2 * k + 1]])):
+                v[a] = (v[a] + v[b] + word) & int(_ALL)
+                v[d] = _turned(v[d] ^ v[a], turns[0])
+                v[c] = (v[c] + v[d]) & int(_ALL)
+                v[b] = _turned(v[b] ^ v[c], turns[1])
+    return [h[k] ^ v[k] ^ v[8 + k] for k in range(8)]
 
 
 def begun(secret: str) -> tuple[WordArray, int]:
     """The state with which the keys of all seeds begin, and the bytes up to their end."""
     key = bytes.fromhex(secret)
-    parameters = np.zeros(8, dtype=np.uint64)
-    parameters[0] = 16 | len(key) << 8 | 1 << 16 | 1 << 24
-    parameters[6] = int.from_bytes(b"outrider", "little")
-    if not key:
-        return _IV ^ parameters, _TOLD
-    return _after(
-        _IV ^ parameters, np.frombuffer(key.ljust(128, b"\0"), dtype="<u8").copy(), 128
-    ), 128 + _TOLD
+    state = [int(word) for word in _IV]
+    state[0] ^= 16 | len(key) << 8 | 1 << 16 | 1 << 24
+    state[6] ^= int.from_bytes(b"outrider", "little")
+    if key:
+        state = _after(state, list(struct.unpack("<16Q", key.ljust(128, b"\0"))), 128)
+    return np.array(state, dtype=np.uint64), _TOLD + 128 * bool(key)
+
+
+@borrowing
+def derive(h: WordArray, count: int, seed: int, purpose: int, vehicle: int, w: WordArray) -> None:
+    """Derive the keys of LANES seeds from `seed` on, for `key_of_lane`; all sums are made in `w`, shape (ROOM,)."""
+    for n in range(LANES):
+        for k in range(8):
+            w[k * LANES + n], w[(8 + k) * LANES + n] = h[k], _IV[k]
+        w[12 * LANES + n] ^= np.uint64(count)
+        w[14 * LANES + n] ^= _ALL
+        w[_TOLD_AT + n] = np.uint64(seed + n)
+        w[_TOLD_AT + LANES + n] = np.uint64(purpose) | np.uint64(vehicle) << np.uint64(32)
+    for r in range(12):
+        order = _ORDER[r]
+        _mix(w, 0, 4, 8, 12, order[0], order[1])
+        _mix(w, 1, 5, 9, 13, order[2], order[3])
+        _mix(w, 2, 6, 10, 14, order[4], order[5])
+        _mix(w, 3, 7, 11, 15, order[6], order[7])
+        _mix(w, 0, 5, 10, 15, order[8], order[9])
+        _mix(w, 1, 6, 11, 12, order[10], order[11])
+        _mix(w, 2, 7, 8, 13, order[12], order[13])
+        _mix(w, 3, 4, 9, 14, order[14], order[15])
+    for n in range(2 * LANES):
+        w[_KEY_AT + n] = h[n // LANES] ^ w[n] ^ w[8 * LANES + n]
 
 
 @inlined
-def key_for(h, count, seed, purpose, vehicle, m, out):
-    """The key of one seed, purpose and vehicle; `m`, shape (16,), of zeros, and `out`, shape (8,), are for its sums."""
-    m[0], m[1] = np.uint64(seed), np.uint64(purpose) | np.uint64(vehicle) << np.uint64(32)
-    _compress(h, m, np.uint64(count), _ALL, out)
-    return out[0], out[1]
-
-
-@released
-def one_key(state, count, seed, purpose, vehicle, m, out):
-    """`key_for`, for Python."""
-    return key_for(state, count, seed, purpose, vehicle, m, out)
+def key_of_lane(w, n):
+    """The key that `derive` has found for the n-th seed."""
+    return w[_KEY_AT + n], w[_KEY_AT + LANES + n]
