@@ -43,39 +43,35 @@ _TOLD = 16
 
 LANES = 64
 """Seeds that are tried at once, as the words of vectors: a core adds eight of them in the time of one."""
-ROOM = (16 + 2 + 2) * LANES
-"""The numbers that sums are made in: the state, the words of the message that are not zero, the key."""
-_TOLD_AT, _KEY_AT = 16 * LANES, 18 * LANES
+ROOM = (16 + 2 + 2, LANES)
+"""The shape of what sums are made in: the state, the words of the message that are not zero, the key."""
+_MESSAGE, _KEY = 16, 18
 
 
-@inlined
-def _add(w: WordArray, a: int, word: np.uint64) -> None:
-    """Add a word of the message, of which all but two are zero."""
-    if word < 2:
-        for n in range(LANES):
-            w[a * LANES + n] += w[_TOLD_AT + np.int64(word) * LANES + n]
+@borrowing
+def _turn(a: WordArray, b: WordArray, c: WordArray, d: WordArray, first: int, then: int) -> None:
+    """Half of BLAKE2b's G on four words, lane by lane; what is turned is turned by so many bits."""
+    r, s = np.uint64(first), np.uint64(then)
+    for n in range(LANES):
+        a[n] += b[n]
+        turned = d[n] ^ a[n]
+        d[n] = (turned >> r) | (turned << (np.uint64(64) - r))
+        c[n] += d[n]
+        turned = b[n] ^ c[n]
+        b[n] = (turned >> s) | (turned << (np.uint64(64) - s))
 
 
-@inlined
+@borrowing
 def _mix(w: WordArray, a: int, b: int, c: int, d: int, x: np.uint64, y: np.uint64) -> None:
-    """BLAKE2b's G on words a to d of the state, with words x and y of the message; lane by lane."""
-    a_0, b_0, c_0, d_0 = a * LANES, b * LANES, c * LANES, d * LANES
-    _add(w, a, x)
-    for n in range(LANES):
-        w[a_0 + n] += w[b_0 + n]
-        turned = w[d_0 + n] ^ w[a_0 + n]
-        w[d_0 + n] = (turned >> np.uint64(32)) | (turned << np.uint64(32))
-        w[c_0 + n] += w[d_0 + n]
-        turned = w[b_0 + n] ^ w[c_0 + n]
-        w[b_0 + n] = (turned >> np.uint64(24)) | (turned << np.uint64(40))
-    _add(w, a, y)
-    for n in range(LANES):
-        w[a_0 + n] += w[b_0 + n]
-        turned = w[d_0 + n] ^ w[a_0 + n]
-        w[d_0 + n] = (turned >> np.uint64(16)) | (turned << np.uint64(48))
-        w[c_0 + n] += w[d_0 + n]
-        turned = w[b_0 + n] ^ w[c_0 + n]
-        w[b_0 + n] = (turned >> np.uint64(63)) | (turned << np.uint64(1))
+    """G on words a to d of the state, with words x and y of the message, of which all but two are zero."""
+    if x < 2:
+        for n in range(LANES):
+            w[a, n] += w[_MESSAGE + np.int64(x), n]
+    _turn(w[a], w[b], w[c], w[d], 32, 24)
+    if y < 2:
+        for n in range(LANES):
+            w[a, n] += w[_MESSAGE + np.int64(y), n]
+    _turn(w[a], w[b], w[c], w[d], 16, 63)
 
 
 def _turned(word: int, by: int) -> int:
@@ -109,14 +105,14 @@ def begun(secret: str) -> tuple[WordArray, int]:
 
 @borrowing
 def derive(h: WordArray, count: int, seed: int, purpose: int, vehicle: int, w: WordArray) -> None:
-    """Derive the keys of LANES seeds from `seed` on, for `key_of_lane`; all sums are made in `w`, shape (ROOM,)."""
+    """Derive the keys of LANES seeds from `seed` on, for `key_of_lane`; all sums are made in `w`, shape ROOM."""
     for n in range(LANES):
         for k in range(8):
-            w[k * LANES + n], w[(8 + k) * LANES + n] = h[k], _IV[k]
-        w[12 * LANES + n] ^= np.uint64(count)
-        w[14 * LANES + n] ^= _ALL
-        w[_TOLD_AT + n] = np.uint64(seed + n)
-        w[_TOLD_AT + LANES + n] = np.uint64(purpose) | np.uint64(vehicle) << np.uint64(32)
+            w[k, n], w[8 + k, n] = h[k], _IV[k]
+        w[12, n] ^= np.uint64(count)
+        w[14, n] ^= _ALL
+        w[_MESSAGE, n] = np.uint64(seed + n)
+        w[_MESSAGE + 1, n] = np.uint64(purpose) | np.uint64(vehicle) << np.uint64(32)
     for r in range(12):
         order = _ORDER[r]
         _mix(w, 0, 4, 8, 12, order[0], order[1])
@@ -127,11 +123,12 @@ def derive(h: WordArray, count: int, seed: int, purpose: int, vehicle: int, w: W
         _mix(w, 1, 6, 11, 12, order[10], order[11])
         _mix(w, 2, 7, 8, 13, order[12], order[13])
         _mix(w, 3, 4, 9, 14, order[14], order[15])
-    for n in range(2 * LANES):
-        w[_KEY_AT + n] = h[n // LANES] ^ w[n] ^ w[8 * LANES + n]
+    for n in range(LANES):
+        w[_KEY, n] = h[0] ^ w[0, n] ^ w[8, n]
+        w[_KEY + 1, n] = h[1] ^ w[1, n] ^ w[9, n]
 
 
 @inlined
 def key_of_lane(w, n):
     """The key that `derive` has found for the n-th seed."""
-    return w[_KEY_AT + n], w[_KEY_AT + LANES + n]
+    return w[_KEY, n], w[_KEY + 1, n]

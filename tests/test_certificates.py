@@ -220,7 +220,7 @@ def test_certificates_are_renewed_while_the_router_goes_on(endpoint, monkeypatch
         open_session(UAV.party, RUN, connect=endpoint, credential=old) as early,
     ):
         assert passes(router, early)
-        while time.monotonic() < ends + 1.5:  # X.509 counts whole seconds
+        while time.monotonic() < ends + 1.1:  # X.509 counts whole seconds
             time.sleep(0.1)
         assert "has expired" in refusal(endpoint, old)
         new = known_as(identity())

@@ -177,6 +177,16 @@ def _compare_filters(state, pilots, estimate, case, fuses, where):
 def test_at_every_tick_it_is_the_pilots_filter(name, fuses):
     """The pilot has worked ahead to it, or has not, at random."""
     case = CASES[name]
+    _fly_beside(name, case._replace(ticks=min(case.ticks, 4000)), fuses)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", [name for name, case in CASES.items() if case.ticks > 4000])
+def test_at_every_tick_of_a_long_flight_it_is_the_pilots_filter(name, fuses):
+    _fly_beside(name, CASES[name], fuses)
+
+
+def _fly_beside(name, case, fuses):
     rng = np.random.default_rng(len(name))
     own, ugv = _places(case, rng)
     at = _arrivals(case, own, ugv, rng)

@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 import pytest
 from flights import R_S, R_V, distances
-from processes import OUTRIDER
+from processes import OUTRIDER, opened
 from tabular import words
 
 from bus.errors import PeerLost, ScenarioError
@@ -384,7 +384,7 @@ def test_nothing_found_is_no_file_and_exit_code_0(here, command):
 def test_ctrl_c_keeps_the_best(tmp_path: Path) -> None:
     arguments = words("falsify --law switching --undegraded --minutes 5 --jobs 2 --json")
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    process = subprocess.Popen([*OUTRIDER, *arguments], cwd=tmp_path, **pipes)
+    process = opened([*OUTRIDER, *arguments], cwd=tmp_path, **pipes)
     assert process.stderr is not None
     while "runs" not in process.stderr.readline():  # the first line of progress
         assert process.poll() is None

@@ -22,7 +22,7 @@ from bus.keys import KEYS, Key
 
 EVERY_ROW = pytest.mark.parametrize("key", KEYS, ids=lambda key: key.message.__name__)
 MUTATIONS_PER_ROW = math.ceil(110_000 / len(KEYS))
-EXAMPLES_PER_ROW = 200
+EXAMPLES_PER_ROW = 100
 
 
 @dataclass

@@ -16,6 +16,7 @@ from processes import (
     family,
     flown_both_ways,
     flying,
+    opened,
     outrider,
     python,
     run_json,
@@ -40,14 +41,18 @@ def _same_bits(name: str, seconds: float) -> None:
     assert len({process["pid"] for process in there["processes"]}) == 3
 
 
-@pytest.mark.parametrize("name", scenario_names())
-def test_three_processes_and_one_fly_the_same_bits(name: str) -> None:
-    _same_bits(name, 100.0 if name == "escort" else 10.0)
+@pytest.mark.parametrize(
+    ("name", "seconds"),
+    [("escort", 100.0), ("circle", 10.0), ("figure-3-switching", 10.0), ("scenario-2", 10.0)],
+)
+def test_three_processes_and_one_fly_the_same_bits(name: str, seconds: float) -> None:
+    """Those with hazards: tests/test_ground_flights.py."""
+    _same_bits(name, seconds)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", scenario_names())
-def test_three_processes_and_one_fly_the_same_bits_for_long(name: str) -> None:
+def test_three_processes_and_one_fly_the_same_bits_in_every_scenario(name: str) -> None:
     _same_bits(name, 100.0)
 
 
@@ -62,7 +67,7 @@ def test_another_seed_of_a_noisy_scenario_is_another_trajectory() -> None:
 def test_two_runs_at_once_do_not_meet() -> None:
     command = [*OUTRIDER, *words("run escort --duration 40 --json --no-files")]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-    runs = [subprocess.Popen(command, **pipes) for _ in range(2)]
+    runs = [opened(command, **pipes) for _ in range(2)]
     hashes = [json.loads(run.communicate(timeout=120)[0])["trajectory_sha256"] for run in runs]
     assert hashes[0] == hashes[1]
 

@@ -269,13 +269,15 @@ def test_many_small_files_are_merged_and_rows_that_are_there_twice_count_once(
     assert set(rows["error"]) == {None}
 
 
-def test_a_sweep_that_is_killed_goes_on_and_its_table_is_that_of_an_undisturbed_one(
+def test_a_sweep_that_is_killed_alone_takes_its_workers_along_and_goes_on_to_the_same_table(
     tmp_path, undisturbed
 ):
     command = [*OUTRIDER, *GRID, *LONG, "--jobs", "2", "--out"]
-    victim = started(*command, str(tmp_path / "killed"), fresh=True)
+    victim = started(*command, str(tmp_path / "killed"))
     wait_for(lambda: parts(tmp_path / "killed") >= 2, victim)
-    os.killpg(victim.pid, signal.SIGKILL)
+    victim.kill()
+    victim.wait()
+    assert session_ends(victim.pid)
     victim.communicate()
     kept = len(rows_of(tmp_path / "killed")["run"])
     assert 0 < kept < 96
@@ -307,16 +309,6 @@ def test_ctrl_c_keeps_what_is_done_says_how_to_go_on_and_leaves_no_process(tmp_p
         "on from there"
     )
     assert session_ends(process.pid)
-
-
-def test_workers_go_when_their_sweep_is_killed_alone(tmp_path):
-    command = [*OUTRIDER, *GRID, "--seeds", "200", "--out", str(tmp_path / "sweep"), "--jobs", "2"]
-    process = started(*command)
-    wait_for(lambda: parts(tmp_path / "sweep") >= 1, process)
-    process.kill()
-    process.wait()
-    assert session_ends(process.pid)
-    process.communicate()
 
 
 def _session(number: int) -> list[str]:

@@ -586,9 +586,10 @@ class Link:
 
     def _forget(self) -> None:
         """Drop the objects that nobody will get any more."""
-        memory: Any = self._state.memory[0]
-        copies = memory.duplicated - (memory.delivered - memory.originals)
-        left = memory.waiting + memory.flying
+        memory = self._state.memory  # column by column: a row costs 2 µs an attribute
+        delivered, originals = memory["delivered"].item(), memory["originals"].item()
+        copies = memory["duplicated"].item() - (delivered - originals)
+        left = memory["waiting"].item() + memory["flying"].item()
         if copies == 0 and len(self._objects) == left:
             return
         if not left:
