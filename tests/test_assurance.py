@@ -119,6 +119,26 @@ def test_a_certificate_may_end_where_an_assumption_fails_and_only_there(excused:
         assert assurance.certificate_broken == (0 if excused else 1), what
 
 
+def test_before_the_first_command_acts_nothing_excuses_a_certificate_that_ends() -> None:
+    assurance = Assurance(DELAYED)
+    for tick in (0, 1):
+        take(assurance, tick, tick == 0)
+    assert assurance.certificate_broken == 1
+
+
+def test_who_was_farther_than_declared_from_where_it_is_told_that_it_is_is_excused_for_good() -> (
+    None
+):
+    certificate = msgspec.structs.replace(DELAYED.certificate, tracking=0.2)
+    for off, broken in ((0.2, 1), (0.21, 0)):
+        assurance = Assurance(msgspec.structs.replace(DELAYED, certificate=certificate))
+        for tick in range(AT + 1):
+            if tick == 1:
+                assurance.track(0, off)
+            take(assurance, tick, tick < AT)
+        assert assurance.certificate_broken == broken
+
+
 def test_a_law_that_changes_and_a_process_that_joins_again_excuse_one_tick() -> None:
     for until, broken in ((AT, 0), (AT + 1, 1)):
         assurance = Assurance(DELAYED)

@@ -45,6 +45,12 @@ from outrider.envs.closed_loop_state import (
 from outrider.envs.closed_loop_tick import run_worlds
 from sim.engine.batch import Batch, Fresh, arrays_of
 from sim.engine.briefing import briefing, largest_tracking_error
+from sim.engine.certificate_counts import (
+    CertificateBounds,
+    certificate_bounds,
+    certificate_counts,
+    sent_commands,
+)
 from sim.engine.link_arrays import LinkArrays
 from sim.engine.run_keys import check_secret
 from sim.engine.world_state import Precision
@@ -208,8 +214,7 @@ class ClosedLoop:
             guarded=numbers.guarded.astype(np.int64),
             faults=numbers.faults.astype(np.int64),
             delays=numbers.delays,
-            ages=numbers.ages,
-            bounded=numbers.bounded.astype(np.int64),
+            bounds=numbers.bounds,
             receivers=np.array(
                 [self.ugvs.index(self.names[g]) for g in self.batch.tables.escorts[:, 1]],
                 dtype=np.int64,
@@ -249,7 +254,8 @@ class ClosedLoop:
                 (worlds, uavs if self.parameters.own_maps else 0, *coverage.shape[1:]),
                 dtype=coverage.dtype,
             ),
-            sent=np.zeros((worlds, uavs, numbers.longest + 1, 2)),
+            certificates=np.repeat(numbers.certificates[None], worlds, axis=0),
+            sent=np.repeat(numbers.sent[None], worlds, axis=0),
             laws=np.repeat(numbers.laws[None], worlds, axis=0),
             drivers=np.repeat(numbers.drivers[None], worlds, axis=0),
             law_states=_repeated((initial_state(),), worlds, uavs)[0],
@@ -350,8 +356,9 @@ class ClosedLoop:
         `certificate_broken` those that it did not certify although the one before was and all assumptions held: any is
         a fault of the certificate.
         """
-        rows, ticks = self.state.rows.uavs[:, self.uavs.index(uav)], self.state.batch.ticks
-        asked = np.maximum(rows[:, GUARD_METRICS.asked], 1.0)
+        row, ticks = self.uavs.index(uav), self.state.batch.ticks
+        rows, counts = self.state.rows.uavs[:, row], self.state.certificates[:, row]
+        watched = np.maximum(counts["ticks"], 1.0)
         counted = np.where(self.parameters.error, 1.0, np.nan)
         return {
             "ticks": ticks.astype(np.float64),
@@ -360,10 +367,10 @@ class ClosedLoop:
             "visibility_violations": rows[:, UAV_METRICS.violations].copy(),
             "coverage_error": rows[:, UAV_METRICS.error] * counted,
             "mean_error": rows[:, UAV_METRICS.error_sum] / (ticks + 1) * counted,
-            "intervened": rows[:, GUARD_METRICS.intervened] / asked,
-            "certified": rows[:, GUARD_METRICS.certified] / asked,
-            "certified_while_lost": rows[:, GUARD_METRICS.false].copy(),
-            "certificate_broken": rows[:, GUARD_METRICS.broken].copy(),
+            "intervened": counts["intervened"] / watched,
+            "certified": counts["certified"] / watched,
+            "certified_while_lost": counts["lost"].astype(np.float64),
+            "certificate_broken": counts["broken"].astype(np.float64),
         }
 
     def links(self, world: int) -> dict[str, LinkStatus]:
@@ -414,8 +421,13 @@ class _PilotNumbers:
         self.laws = records(LawParameters, laws)
         self.longest = max((promise.delay_ticks for promise in promises), default=0)
         self.delays = np.array([promise.delay_ticks for promise in promises], dtype=np.int64)
-        self.ages = np.array([promise.age_ticks for promise in promises], dtype=np.int64)
-        self.bounded = np.array([_is_bounded(scenario, one) for one in told_uavs], dtype=np.bool_)
+        bounds = [certificate_bounds(one.certificate, one.dt) for one in told_uavs]
+        self.bounds = records(CertificateBounds, bounds)
+        self.certificates = certificate_counts(len(uavs))
+        self.certificates["exact"] = [_is_bounded(scenario, one) for one in told_uavs]
+        self.sent = np.zeros((len(uavs), self.longest + 1, 3))
+        for sent, bound in zip(self.sent, bounds, strict=True):
+            sent[: bound.delay + 1] = sent_commands(bound)
         self.promises = records(Promise, promises)
         self.faults = np.array([bool(check_assumptions(one)) for one in promises], dtype=np.bool_)
         self.kalman = records(

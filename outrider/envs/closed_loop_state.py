@@ -31,19 +31,6 @@ class GuardMetrics(NamedTuple):
     """Of the last tick: whether it acted, and whether it was certified."""
     bound: float
     """The distance that it bounds [m]."""
-    obeyed: float
-    """True if the command that acted in the last tick was the one that was due."""
-    asked: float
-    intervened: float
-    certified: float
-    """Ticks in which it was asked, acted, and certified."""
-    false: float
-    """Ticks that were certified out of sight."""
-    broken: float
-    """Ticks that were not certified although the one before was and all assumptions held."""
-    suspected: float
-    since: float
-    """Those that are yet to be counted, and the last: as `Assumptions.suspect` of sim/server/assurance.py."""
 
 
 _FIRST = len(UAV_METRICS)
@@ -86,10 +73,8 @@ class LoopTables(NamedTuple):
     """For each UAV whether its certificate's assumptions fail. Shape (UAVs,)."""
     delays: IntArray
     """For each UAV the declared delay of its commands [ticks]. Shape (UAVs,)."""
-    ages: IntArray
-    """For each UAV the declared age of the newest detection [ticks]. Shape (UAVs,)."""
-    bounded: IntArray
-    """For each UAV whether no detection and no own position can have a larger error than is declared. Shape (UAVs,)."""
+    bounds: RecordArray
+    """`CertificateBounds` of each UAV. Shape (UAVs,)."""
     receivers: IntArray
     """For each UAV the row among the UGVs of the one that receives its radio. Shape (UAVs,)."""
     kalman: RecordArray
@@ -119,11 +104,10 @@ class LoopState(NamedTuple):
     """Observation rows, rewards and metrics."""
     maps: FloatArray
     """The UAVs' own maps, where they differ from the world's. Shape (worlds, UAVs or 0, rows, columns)."""
+    certificates: RecordArray
+    """`CertificateCounts` of each UAV. Shape (worlds, UAVs)."""
     sent: FloatArray
-    """The UAVs' last commands [m/s²], that of tick k in row k % (delay + 1).
-
-    Shape (worlds, UAVs, largest delay + 1, 2).
-    """
+    """The UAVs' last commands, as `sent_commands` keeps them. Shape (worlds, UAVs, largest delay + 1, 3)."""
     laws: RecordArray
     """`LawParameters` of each UAV, with the key of its pilot in this world. Shape (worlds, UAVs)."""
     drivers: RecordArray

@@ -33,10 +33,18 @@ from outrider.envs.closed_loop_state import (
 )
 from sim.channel.link import advance as begin_tick
 from sim.channel.link import receive, send
+from sim.engine.certificate_counts import (
+    Report,
+    note_action,
+    note_arrival,
+    note_report,
+    note_sent,
+)
 from sim.engine.link_arrays import link_of
 from sim.engine.mission import hear_block
 from sim.engine.world_state import (
     COMMAND,
+    LOOK,
     Told,
 )
 from sim.engine.world_tick import begin_world, measure, truth_of, world_tick
@@ -45,7 +53,6 @@ from sim.env.rows import UAV, UAV_METRICS, advance_rows, observe_rows
 from sim.kernels.compile import FloatArray, IntArray, inlined, released
 from sim.kernels.prefetch import fetch_disc, fetch_rows
 from sim.models.field import coverage_gradient
-from sim.models.motion import waited
 from sim.models.randomness import key_of
 from sim.models.vehicles import Motion
 
@@ -126,23 +133,11 @@ def _fly(
     if guarded:
         row[GUARD_METRICS.bound] = bound
         row[GUARD_METRICS.acted] = 1.0 if acts != INNER else 0.0
-        before, row[GUARD_METRICS.sure] = (
-            row[GUARD_METRICS.sure],
-            1.0 if code == NOTHING_AGAINST and t.faults[u] == 0 else 0.0,
-        )
-        if row[GUARD_METRICS.sure] != 0.0:
-            row[GUARD_METRICS.false] += row[UAV_METRICS.lost]
-        elif (
-            before != 0.0
-            and row[GUARD_METRICS.obeyed] != 0.0
-            and tick - row[UAV_METRICS.newest] <= t.ages[u]
-        ):
-            row[GUARD_METRICS.suspected] += t.bounded[u]
-            row[GUARD_METRICS.since] = tick
-            _confirm(t, row, u, tick - 1)
-        row[GUARD_METRICS.asked] += 1.0
-        row[GUARD_METRICS.intervened] += row[GUARD_METRICS.acted]
-        row[GUARD_METRICS.certified] += row[GUARD_METRICS.sure]
+        sure = code == NOTHING_AGAINST and t.faults[u] == 0
+        row[GUARD_METRICS.sure] = 1.0 if sure else 0.0
+        reports = target.known or t.hand[v] >= 0  # a pilot that has seen nothing reports nothing
+        said = Report(sure, reports and acts != INNER, row[UAV_METRICS.lost] != 0.0, True)
+        note_report(t.bounds[u], s.certificates[k, u], tick, said)
     sent = s.batch.sent[k, v]
     sent[COMMAND.answered], sent[COMMAND.u_x], sent[COMMAND.u_y] = tick, u_x, u_y
     sent[COMMAND.last], sent[COMMAND.carried] = -1.0, 0.0
@@ -276,6 +271,9 @@ def _perceive(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
             looks[u],
             arrived[u],
         )
+        if t.guarded[u]:
+            for n in range(arrived[u]):
+                note_arrival(t.bounds[u], s.certificates[k, u], int(looks[u, n, LOOK.taken]), 0.0)
         if t.thinking[u]:
             kalman = _kalman_of(s.kalman, k, u)
             kalman_step(t.kalman[u], kalman, tick, here.p_x, here.p_y, looks[u], arrived[u])
@@ -339,32 +337,17 @@ def _observe(p: LoopParameters, t: LoopTables, s: LoopState, k: int) -> None:
 
 
 @inlined
-def _confirm(t: LoopTables, row: FloatArray, u: int, tick: int) -> None:
-    """Count the certificates of UAV u that have ended, if the assumptions have held for long enough at this tick."""
-    if not t.promises[u].carries or tick >= row[GUARD_METRICS.since] + t.delays[u] - 1:
-        row[GUARD_METRICS.broken] += row[GUARD_METRICS.suspected]
-        row[GUARD_METRICS.suspected] = 0.0
-
-
-@inlined
-def _note_obedience(t: LoopTables, s: LoopState, k: int, u: int, tick: int) -> None:
-    """True if UAV u acted in this tick, which has just been flown, on the command that was due.
-
-    That is the one of as many ticks ago as is declared; before the first there is none, and nothing acts. Where
-    commands carry motions, whether one has begun within the outage that is declared.
-    """
-    v, size, sent = t.batch.escorts[u, 0], t.delays[u] + 1, s.sent[k, u]
-    if t.promises[u].carries:
-        row, wait = s.rows.uavs[k, u], waited(tick, s.batch.flown[k, v, 0].begins, t.delays[u])
-        row[GUARD_METRICS.obeyed] = 1.0 if wait < t.promises[u].outage_ticks else 0.0
-        if row[GUARD_METRICS.obeyed] == 0.0:
-            row[GUARD_METRICS.suspected] = 0.0
-        _confirm(t, row, u, tick)
-        return
-    now, due, acting = tick % size, (tick + 1) % size, s.batch.truth.commands[k, v]
-    sent[now, 0], sent[now, 1] = s.batch.sent[k, v, COMMAND.u_x], s.batch.sent[k, v, COMMAND.u_y]
-    same = sent[due, 0] == acting[0] and sent[due, 1] == acting[1]
-    s.rows.uavs[k, u, GUARD_METRICS.obeyed] = 1.0 if same else 0.0
+def _note_action(t: LoopTables, s: LoopState, k: int, u: int, tick: int) -> None:
+    """Count the action of UAV u in this tick, which has just been flown."""
+    v, b = t.batch.escorts[u, 0], t.bounds[u]
+    sent, command, acts = (
+        s.sent[k, u, : b.delay + 1],
+        s.batch.sent[k, v],
+        s.batch.truth.commands[k, v],
+    )
+    note_sent(sent, tick, command[COMMAND.u_x], command[COMMAND.u_y])
+    begins = s.batch.flown[k, v, 0].begins
+    note_action(b, s.certificates[k, u], sent, tick, acts[0], acts[1], begins)
 
 
 @inlined
@@ -425,7 +408,7 @@ def _fetch_rows(s: LoopState, k: int) -> None:
         (truth.detections, truth.gains, truth.measures, s.kalman.belief, s.rows.uavs, s.rows.ugvs),
         k,
     )
-    fetch_rows((s.laws, s.drivers, s.law_states, s.driver_states), k)
+    fetch_rows((s.laws, s.drivers, s.law_states, s.driver_states, s.certificates), k)
     fetch_rows((b.sent, s.rows.terms, s.rows.rewards, s.rows.terminated, s.rows.truncated), k)
     fetch_rows((b.ground.told, b.ground.pace, b.ground.before, b.mission.ugvs), k)
 
@@ -469,7 +452,7 @@ def run_worlds(
                     world_tick(t.batch, s.batch, k, True)
                     for u in range(t.batch.escorts.shape[0]):
                         if t.guarded[u]:
-                            _note_obedience(t, s, k, u, begun)
+                            _note_action(t, s, k, u, begun)
                 elif part == 1:
                     _perceive(p, t, s, k)
                 elif part == 2:

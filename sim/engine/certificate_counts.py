@@ -1,0 +1,226 @@
+"""Counts that tell whether a UAV's certificate is true: its reports, held against what truly is.
+
+Two of them must be 0 in every flight of every law and network: ticks that are certified while the UGV is out of
+sight, and certificates that end although everything holds that is declared. The simulator counts so for the vehicles
+of a run, and the closed loop for each of many worlds.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from bus.messages import DeclaredBounds
+from sim.channel.link import DUST, in_ticks
+from sim.kernels.compile import FloatArray, borrowing
+from sim.kernels.records import RecordArray, record_type
+from sim.models.motion import waited
+
+_ROUNDING = 1e-9
+"""A measured error that is larger than declared by no more than this [m] is as declared."""
+_NEVER = -(2**40)
+"""The tick of a detection, where none has arrived."""
+_NO_OUTAGE = -1
+
+
+class CertificateBounds(NamedTuple):
+    """What is declared of one UAV's detections and commands."""
+
+    error: float
+    """Largest error of a detection, as a vector's norm [m]; infinite: it has no bound."""
+    tracking: float
+    """Largest true distance of the UAV from where it is told that it is [m]; likewise."""
+    age: int
+    """Largest age of the newest detection that has arrived [ticks]."""
+    delay: int
+    """From the tick that a command answers to the one in which it acts [ticks]."""
+    outage: int
+    """From the beginning of a motion to that of the next at most [ticks]; -1: commands carry no motions."""
+
+
+class CertificateCounts:
+    """One UAV's counts and what they are made of, a row of a table."""
+
+    newest: int
+    """Tick of the newest detection that has arrived."""
+    exact: bool
+    """True while no detection had a larger error than declared."""
+    tracked: bool
+    """True while the UAV was as near as declared to where it was told that it is."""
+    obeyed: bool
+    """True if in the last tick that command acted, or such a motion was flown, as should have been."""
+    promised: bool
+    """True if the tick before was certified, and nothing excuses that this one is not."""
+    suspected: int
+    since: int
+    """Certificates that have ended while everything held, but where an outage may yet be seen; the last one's tick."""
+    longest_outage: int
+    """The longest time from the beginning of a motion to that of the next [ticks]."""
+    ticks: int
+    certified: int
+    intervened: int
+    """Ticks that are watched; those of them that were certified; those in which the filter acted."""
+    lost: int
+    """Ticks that were certified although the UGV was out of sight."""
+    broken: int
+    """Ticks that were not certified although the one before was and everything held."""
+
+
+class Report(NamedTuple):
+    """The claim of a safety filter at one tick, and what is true of it."""
+
+    certified: bool
+    """True if it says that sight is kept."""
+    intervened: bool
+    """True if it acted."""
+    lost: bool
+    """True if the UGV is out of sight, in the tick that is reported of."""
+    current: bool
+    """True if it is of this tick: with a clock that waits for nobody it may be of an earlier one, and without a report
+    it is of none.
+    """
+
+
+def certificate_bounds(declared: DeclaredBounds, dt: float) -> CertificateBounds:
+    """The bounds as they are counted with; dt [s] is the length of a tick."""
+
+    def within(bound: float | None) -> float:
+        return math.inf if bound is None else bound + _ROUNDING
+
+    outage = declared.outage
+    return CertificateBounds(
+        error=within(declared.error),
+        tracking=within(declared.tracking),
+        age=math.floor(declared.age / dt + DUST),
+        delay=in_ticks(declared.delay, dt),
+        outage=_NO_OUTAGE if outage is None else math.floor(outage / dt + DUST),
+    )
+
+
+def certificate_counts(uavs: int) -> RecordArray:
+    """Nothing has been counted. Shape (uavs,)."""
+    counts: RecordArray = np.zeros(uavs, record_type(CertificateCounts))
+    counts["newest"] = _NEVER
+    for name in ("exact", "tracked", "obeyed"):
+        counts[name] = True
+    return counts
+
+
+def sent_commands(bounds: CertificateBounds) -> FloatArray:
+    """Room for a UAV's last commands: the tick that each answers, and the acceleration [m/s²].
+
+    Before the first there is none, and nothing acts. Shape (delay + 1, 3).
+    """
+    rows = bounds.delay + 1
+    sent = np.zeros((rows, 3))
+    sent[:, 0] = np.arange(rows) - rows
+    return sent
+
+
+@borrowing
+def note_arrival(b: CertificateBounds, c: CertificateCounts, taken: int, error: float) -> None:
+    """A detection of the tick `taken` has reached the UAV; its error is so large [m]."""
+    c.newest = max(c.newest, taken)
+    c.exact = c.exact and error <= b.error
+
+
+@borrowing
+def note_sent(sent: FloatArray, answered: int, u_x: float, u_y: float) -> None:
+    """The UAV's command [m/s²] for the tick `answered` has set out."""
+    row = answered % sent.shape[0]
+    sent[row, 0], sent[row, 1], sent[row, 2] = answered, u_x, u_y
+
+
+@borrowing
+def _confirm(b: CertificateBounds, c: CertificateCounts, tick: int) -> None:
+    """Count what was suspected, if everything has held for long enough at this tick.
+
+    Where commands carry motions that is until the motion of the suspected tick's command may begin: a pilot knows of an
+    outage as soon as nothing that is under way can end it in time.
+    """
+    if b.outage == _NO_OUTAGE or tick >= c.since + b.delay - 1:
+        c.broken += c.suspected
+        c.suspected = 0
+
+
+@borrowing
+def note_report(b: CertificateBounds, c: CertificateCounts, tick: int, said: Report) -> None:
+    """Count a tick in which a safety filter watches over the UAV, after what has arrived at it."""
+    held = c.exact and c.tracked and c.obeyed and tick - c.newest <= b.age
+    c.ticks += 1
+    if said.intervened:
+        c.intervened += 1
+    if said.certified:
+        c.certified += 1
+        if said.lost:
+            c.lost += 1
+    elif said.current and c.promised and held:
+        c.suspected += 1
+        c.since = tick
+        _confirm(b, c, tick - 1)
+    c.promised = said.certified and said.current
+
+
+@borrowing
+def note_action(
+    b: CertificateBounds,
+    c: CertificateCounts,
+    sent: FloatArray,
+    tick: int,
+    u_x: float,
+    u_y: float,
+    begins: int,
+) -> None:
+    """A command [m/s²] acts in this tick, or a motion that began in the tick `begins`; NO_MOTION: none is flown."""
+    if b.outage != _NO_OUTAGE:
+        wait = waited(tick, begins, b.delay) + 1  # so long at least
+        c.longest_outage = max(c.longest_outage, wait)
+        c.obeyed = wait <= b.outage
+        if not c.obeyed:
+            c.suspected = 0
+        _confirm(b, c, tick)
+        return
+    due = tick - b.delay
+    row = due % sent.shape[0]
+    c.obeyed = sent[row, 0] == due and sent[row, 1] == u_x and sent[row, 2] == u_y
+
+
+@borrowing
+def begin_watch(counts: RecordArray, uav: int) -> None:
+    """A filter begins that remembers no detection, and has promised nothing."""
+    c = counts[uav]
+    c.newest, c.exact, c.promised = _NEVER, True, False
+
+
+@borrowing
+def count_tracking(bounds: RecordArray, counts: RecordArray, uav: int, off: float) -> None:
+    """One UAV truly is so far from where it is told that it is [m].
+
+    Once that is farther than declared, what is seen from there may be wrong for as long as it is remembered.
+    """
+    counts[uav].tracked = counts[uav].tracked and off <= bounds[uav].tracking
+
+
+@borrowing
+def count_arrival(
+    bounds: RecordArray, counts: RecordArray, uav: int, taken: int, error: float
+) -> None:
+    """`note_arrival` of one UAV, for Python."""
+    note_arrival(bounds[uav], counts[uav], taken, error)
+
+
+@borrowing
+def count_tick(
+    bounds: RecordArray,
+    counts: RecordArray,
+    sent: FloatArray,
+    uav: int,
+    tick: int,
+    said: Report,
+    acts: tuple[float, float],
+    begins: int,
+) -> None:
+    """`note_report` and `note_action` of one UAV, for Python."""
+    b, c = bounds[uav], counts[uav]
+    note_report(b, c, tick, said)
+    note_action(b, c, sent, tick, acts[0], acts[1], begins)
