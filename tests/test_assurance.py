@@ -119,6 +119,15 @@ def test_a_certificate_may_end_where_an_assumption_fails_and_only_there(excused:
         assert assurance.certificate_broken == (0 if excused else 1), what
 
 
+def test_however_old_detections_may_be_there_must_have_been_one() -> None:
+    certificate = msgspec.structs.replace(DELAYED.certificate, age=1e12)
+    for first, broken in (([Arrival(0, 0.0)], 1), ([], 0)):
+        assurance = Assurance(msgspec.structs.replace(DELAYED, certificate=certificate))
+        for tick in range(AT + 1):
+            take(assurance, tick, tick < AT, arrivals=[] if tick else first)
+        assert assurance.certificate_broken == broken
+
+
 def test_before_the_first_command_acts_nothing_excuses_a_certificate_that_ends() -> None:
     assurance = Assurance(DELAYED)
     for tick in (0, 1):

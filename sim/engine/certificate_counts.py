@@ -18,9 +18,11 @@ from sim.models.motion import waited
 
 _ROUNDING = 1e-9
 """A measured error that is larger than declared by no more than this [m] is as declared."""
-_NEVER = -(2**40)
+_NEVER = -(2**41)
 """The tick of a detection, where none has arrived."""
 _NO_OUTAGE = -1
+_FOREVER = 2.0**40
+"""The most ticks that a time may have."""
 
 
 class CertificateBounds(NamedTuple):
@@ -87,13 +89,16 @@ def certificate_bounds(declared: DeclaredBounds, dt: float) -> CertificateBounds
     def within(bound: float | None) -> float:
         return math.inf if bound is None else bound + _ROUNDING
 
+    def ticks(duration: float) -> int:
+        return math.floor(min(duration / dt + DUST, _FOREVER))
+
     outage = declared.outage
     return CertificateBounds(
         error=within(declared.error),
         tracking=within(declared.tracking),
-        age=math.floor(declared.age / dt + DUST),
+        age=ticks(declared.age),
         delay=in_ticks(declared.delay, dt),
-        outage=_NO_OUTAGE if outage is None else math.floor(outage / dt + DUST),
+        outage=_NO_OUTAGE if outage is None else ticks(outage),
     )
 
 
