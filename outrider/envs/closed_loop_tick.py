@@ -34,7 +34,7 @@ from outrider.envs.closed_loop_state import (
 from sim.channel.link import advance as begin_tick
 from sim.channel.link import receive, send
 from sim.engine.certificate_counts import (
-    Report,
+    CertificateClaim,
     note_action,
     note_arrival,
     note_report,
@@ -136,7 +136,7 @@ def _fly(
         sure = code == NOTHING_AGAINST and t.faults[u] == 0
         row[GUARD_METRICS.sure] = 1.0 if sure else 0.0
         reports = target.known or t.hand[v] >= 0  # a pilot that has seen nothing reports nothing
-        said = Report(sure, reports and acts != INNER, row[UAV_METRICS.lost] != 0.0, True)
+        said = CertificateClaim(sure, reports and acts != INNER, row[UAV_METRICS.lost] != 0.0, True)
         note_report(t.bounds[u], s.certificates[k, u], tick, said)
     sent = s.batch.sent[k, v]
     sent[COMMAND.answered], sent[COMMAND.u_x], sent[COMMAND.u_y] = tick, u_x, u_y

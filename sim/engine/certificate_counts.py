@@ -68,7 +68,7 @@ class CertificateCounts:
     """Ticks that were not certified although the one before was and everything held."""
 
 
-class Report(NamedTuple):
+class CertificateClaim(NamedTuple):
     """The claim of a safety filter at one tick, and what is true of it."""
 
     certified: bool
@@ -149,7 +149,9 @@ def _confirm(b: CertificateBounds, c: CertificateCounts, tick: int) -> None:
 
 
 @borrowing
-def note_report(b: CertificateBounds, c: CertificateCounts, tick: int, said: Report) -> None:
+def note_report(
+    b: CertificateBounds, c: CertificateCounts, tick: int, said: CertificateClaim
+) -> None:
     """Count a tick in which a safety filter watches over the UAV, after what has arrived at it."""
     held = c.exact and c.tracked and c.obeyed and tick - c.newest <= b.age
     c.ticks += 1
@@ -221,7 +223,7 @@ def count_tick(
     sent: FloatArray,
     uav: int,
     tick: int,
-    said: Report,
+    said: CertificateClaim,
     acts: tuple[float, float],
     begins: int,
 ) -> None:

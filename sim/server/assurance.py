@@ -9,7 +9,7 @@ from bus.messages import CertificateStatus, UavReport, Vector
 from sim.engine.briefing import declared
 from sim.engine.certificate_counts import (
     CertificateBounds,
-    Report,
+    CertificateClaim,
     begin_watch,
     certificate_bounds,
     certificate_counts,
@@ -67,7 +67,7 @@ class Assurance:
         self._disregarded = [False] * len(uavs)
         if uavs:
             tables, sent = (self._bounds, self._counts), self._sent[0]
-            nothing = Report(certified=False, intervened=False, lost=False, current=False)
+            nothing = CertificateClaim(certified=False, intervened=False, lost=False, current=False)
             self._arrive = entry_point(count_arrival, *tables, 0, 0, 0.0)
             self._tick = entry_point(count_tick, *tables, sent, 0, 0, nothing, (0.0, 0.0), 0)
             self._send = entry_point(note_sent, sent, 0, 0.0, 0.0)
@@ -172,7 +172,7 @@ class Assurance:
         else:
             self.reasons[_SILENT] += 1
             self._silent[uav] += 1
-        said = Report(certified, intervened, distance >= self._radius, current and says)
+        said = CertificateClaim(certified, intervened, distance >= self._radius, current and says)
         begins = NO_MOTION if flown is None else flown
         self._tick(self._bounds, self._counts, self._sent[uav], uav, tick, said, acts, begins)
 
