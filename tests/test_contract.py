@@ -132,6 +132,7 @@ ON_BOARD = {
     "sim.kernels.compile",
     "sim.kernels.linking",
     "sim.kernels.lanes",
+    "sim.kernels.lazy_packages",
     "sim.kernels.records",
 }
 """All that a vehicle carries of the simulator."""

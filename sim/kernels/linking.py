@@ -17,6 +17,10 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.types import Dispatcher, unliteral
 
+from sim.kernels.lazy_packages import enter
+
+enter("scipy.linalg")  # numba passes it on the way to one module, and nobody here needs the rest
+
 _Library: Any = JITCodeLibrary  # numba's classes have no types, or wrong ones
 _Dispatcher: Any = CPUDispatcher
 _plain: Any = unliteral
