@@ -42,11 +42,11 @@ from sim.server.flight import Flight
 
 RUNS, DURATION = 1000, 200.0
 SEEDS = 10
+NUMBERS = {name: PAPER_BOUNDS[name] for name in ("r_v", "v_a", "u_a", "v_g", "dt")}
 
 
 def radius() -> Iterator[str]:
     """The declared numbers and what follows from them."""
-    numbers = {name: PAPER_BOUNDS[name] for name in ("r_v", "v_a", "u_a", "v_g", "dt")}
     yield "| ε [m] | A [s] | τ_c [s] | R_h [m] | E [m] | r_cert [m] |"
     yield "|---|---|---|---|---|---|"
     rows = [
@@ -65,7 +65,7 @@ def radius() -> Iterator[str]:
         (0.3, 15.0, 1.0),
     ]
     for eps, age, delay in rows:
-        c = certificate(Declared(**numbers, eps=eps, age=age, delay=delay))
+        c = certificate(Declared(**NUMBERS, eps=eps, age=age, delay=delay))
         r_cert = certified_radius(c.handover, c.v_a, c.u_a, c.v_g, c.dt, delay)
         yield f"| {eps:g} | {age:g} | {delay:g} | {c.handover:.3f} | {c.reach:.2f} | {r_cert:.2f} |"
     yield ""
@@ -74,7 +74,7 @@ def radius() -> Iterator[str]:
     yield f"|---|{'---|' * len(errors)}"
     for delay in (0.0, 1.0):
         ages = [
-            largest_age(certificate(Declared(**numbers, eps=eps, age=0.05, delay=delay)))
+            largest_age(certificate(Declared(**NUMBERS, eps=eps, age=0.05, delay=delay)))
             for eps in errors
         ]
         yield f"| τ_c = {delay:g} s | {' | '.join(f'{age:.1f}' for age in ages)} |"
@@ -158,61 +158,42 @@ def guards() -> Iterator[str]:
 
 def outage() -> Iterator[str]:
     """The cost of B."""
-    numbers = {name: PAPER_BOUNDS[name] for name in ("r_v", "v_a", "u_a", "v_g", "dt")}
     waits = (0.05, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0)
     yield f"| B [s] | {' | '.join(f'{wait:g}' for wait in waits)} |"
     yield f"|---|{'---|' * len(waits)}"
     for eps, age, delay in ((0.3, 1.0, 0.0), (0.3, 5.0, 0.0), (0.3, 1.0, 0.5), (0.9, 1.0, 0.0)):
         found = [
-            certificate(Declared(**numbers, eps=eps, age=age, delay=delay, outage=wait))
+            certificate(Declared(**NUMBERS, eps=eps, age=age, delay=delay, outage=wait))
             for wait in waits
         ]
         told = f"ε {eps:g} m, A {age:g} s, τ_c {delay:g} s"
-        for name, row in (
-            ("R_h [m]", [f"{c.handover:.3f}" for c in found]),
-            ("E [m]", [f"{c.reach:.2f}" for c in found]),
-            ("r_cert [m]", [f"{_r_cert(c):.2f}" for c in found]),
-        ):
-            yield f"| {name} at {told} | {' | '.join(row).replace('nan', '–')} |"
+        yield from _bounds(told, found)
     for eps, delay in ((0.0, 0.0), (0.3, 0.0), (0.9, 0.0), (0.3, 1.0)):
-        ages = [
-            largest_age(
-                certificate(Declared(**numbers, eps=eps, age=0.05, delay=delay, outage=wait))
-            )
+        found = [
+            certificate(Declared(**NUMBERS, eps=eps, age=0.05, delay=delay, outage=wait))
             for wait in waits
         ]
-        row = " | ".join("–" if math.isnan(age) else f"{age:.1f}" for age in ages)
-        yield f"| largest A [s] at ε {eps:g} m, τ_c {delay:g} s | {row} |"
+        yield _oldest(f"ε {eps:g} m, τ_c {delay:g} s", found)
 
 
 def wind() -> Iterator[str]:
     """The cost of w, and its size."""
-    numbers = {name: PAPER_BOUNDS[name] for name in ("r_v", "v_a", "u_a", "v_g", "dt")}
     offs = (0.0, 0.1, 0.2, 0.3, 0.5, 0.8, 1.2)
     yield f"| w [m] | {' | '.join(f'{off:g}' for off in offs)} |"
     yield f"|---|{'---|' * len(offs)}"
     for eps, age, outage in ((0.3, 1.0, None), (0.3, 5.0, None), (0.3, 1.0, 2.0)):
         found = [
-            certificate(Declared(**numbers, eps=eps, age=age, outage=outage, tracking=off))
+            certificate(Declared(**NUMBERS, eps=eps, age=age, outage=outage, tracking=off))
             for off in offs
         ]
         told = f"ε {eps:g} m, A {age:g} s" + ("" if outage is None else f", B {outage:g} s")
-        for name, row in (
-            ("R_h [m]", [f"{c.handover:.3f}" for c in found]),
-            ("E [m]", [f"{c.reach:.2f}" for c in found]),
-            ("r_cert [m]", [f"{_r_cert(c):.2f}" for c in found]),
-        ):
-            yield f"| {name} at {told} | {' | '.join(row).replace('nan', '–')} |"
+        yield from _bounds(told, found)
     for eps, outage in ((0.0, None), (0.3, None), (0.9, None), (0.3, 2.0)):
-        ages = [
-            largest_age(
-                certificate(Declared(**numbers, eps=eps, age=0.05, outage=outage, tracking=off))
-            )
+        found = [
+            certificate(Declared(**NUMBERS, eps=eps, age=0.05, outage=outage, tracking=off))
             for off in offs
         ]
-        row = " | ".join("–" if math.isnan(age) else f"{age:.1f}" for age in ages)
-        told = f"ε {eps:g} m" + ("" if outage is None else f", B {outage:g} s")
-        yield f"| largest A [s] at {told} | {row} |"
+        yield _oldest(f"ε {eps:g} m" + ("" if outage is None else f", B {outage:g} s"), found)
     yield ""
     pushes = ((0.1, 0.0), (0.2, 0.0), (0.0, 0.2), (0.1, 0.2))
     heads = " | ".join(f"W {most:g} m/s², ε_a {own:g} m" for most, own in pushes)
@@ -221,9 +202,26 @@ def wind() -> Iterator[str]:
     for gains in ((1.0, 2.0), (2.25, 3.0), (4.0, 4.0), (1.0, 1.0), (1.0, 0.4)):
         loop, cells = InnerLoop(*gains, math.inf), []
         for push in pushes:
-            off, least = (of(loop, *push, numbers["dt"]) for of in (tracking_error, needed_reserve))
+            off, least = (of(loop, *push, NUMBERS["dt"]) for of in (tracking_error, needed_reserve))
             cells.append(f"{off:.3f} ({least:.3f})")
         yield f"| {gains[0]:g}, {gains[1]:g} | {' | '.join(cells)} |"
+
+
+def _bounds(told: str, found: list[Promise]) -> Iterator[str]:
+    """Rows of R_h, E and r_cert."""
+    for name, row in (
+        ("R_h [m]", [f"{c.handover:.3f}" for c in found]),
+        ("E [m]", [f"{c.reach:.2f}" for c in found]),
+        ("r_cert [m]", [f"{_r_cert(c):.2f}" for c in found]),
+    ):
+        yield f"| {name} at {told} | {' | '.join(row).replace('nan', '–')} |"
+
+
+def _oldest(told: str, found: list[Promise]) -> str:
+    """A row of the largest A."""
+    ages = [largest_age(c) for c in found]
+    row = " | ".join("–" if math.isnan(age) else f"{age:.1f}" for age in ages)
+    return f"| largest A [s] at {told} | {row} |"
 
 
 def _r_cert(c: Promise) -> float:

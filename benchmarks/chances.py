@@ -5,7 +5,6 @@ over the compiled link itself. Detections and packets are sent as a flight sends
 played literally, packet by packet, and knows nothing of windows or chains of states.
 """
 
-import math
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 from bus.messages import LinkSettings
 from bus.profiles import PROFILES
 from bus.ticks import ticks_within
+from outrider.experiments.intervals import wilson_interval
 from sim.channel.chances import (
     Chance,
     chance_of_age,
@@ -33,8 +33,8 @@ DT, TICKS = 0.05, 1200
 RECORDINGS = Path(__file__).resolve().parent.parent / "examples" / "networks"
 REPEATS = 6
 RISK = 0.01
-SURE = 2.5758293035489004
-"""Standard deviations of an interval that holds 99 % of a normal distribution."""
+SURE = 0.99
+"""Level of the intervals: the share of all cases in which they hold the chance."""
 
 
 Traces = tuple[RecordedLink, ...]
@@ -166,18 +166,9 @@ def outages_exceeded(
     return int(_interrupted(*link, seed, flights, ticks, delay_ticks, repeats, limit))
 
 
-def interval(count: int, flights: int) -> tuple[float, float]:
-    """Wilson's interval that holds the chance in 99 % of all cases."""
-    share, spread = count / flights, SURE * SURE / flights
-    middle = share + 0.5 * spread
-    half = SURE * math.sqrt((share * (1.0 - share) + 0.25 * spread) / flights)
-    low, high = (middle - half) / (1.0 + spread), (middle + half) / (1.0 + spread)
-    return (0.0 if count == 0 else low), (1.0 if count == flights else high)
-
-
 def agrees(chance: Chance, count: int, flights: int) -> bool:
     """True if an exact chance is within the interval, or a bound is not below it."""
-    low, high = interval(count, flights)
+    low, high = wilson_interval(count, flights, SURE)
     return chance.value is None or (
         low <= chance.value <= high if chance.exact else low <= chance.value
     )
@@ -194,7 +185,7 @@ class Row(NamedTuple):
 
     def line(self) -> str:
         """As the page has it."""
-        low, high = interval(self.count, self.flights)
+        low, high = wilson_interval(self.count, self.flights, SURE)
         value = "–" if self.chance.value is None else f"{self.chance.value:.5f}"
         kind = "exact" if self.chance.exact else "bound"
         frequency = f"{self.count / self.flights:.5f} | {low:.5f} to {high:.5f}"

@@ -72,6 +72,7 @@ def main() -> None:
         errors = " | ".join(f"{error:.1f}" for error, _ in flown)
         spent = 1e6 * min(tick for _, tick in flown)
         lines.append(f"| {law.name} | {numbers} | {errors} | {spent:.0f} |")
+    sys.stdout.write("\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":

@@ -303,7 +303,7 @@ SAVED_POLICIES = _table(
     ),
     SavedPolicyRow(name="torch", form="FILE.pt", load="outrider.running.user_code:load_torch"),
     SavedPolicyRow(name="onnx", form="FILE.onnx", load="outrider.running.user_code:load_onnx"),
-    SavedPolicyRow(name="fmu", form="FILE.fmu", load="outrider.bridges.fmi.driver:load_fmu"),
+    SavedPolicyRow(name="fmu", form="FILE.fmu", load="outrider.bridges.fmi.driver:FmuPolicy"),
 )
 """The libraries by name."""
 _FORMS = [f"{row.name}:{row.form}" for row in SAVED_POLICIES.values()]

@@ -48,7 +48,15 @@ from outrider.recording.reader import (
     truths,
 )
 from outrider.recording.refly import refly, restore
-from outrider.recording.schemas import TOPICS, head_of, inlined_schema, read_head, scenario_in
+from outrider.recording.schemas import (
+    COMMANDS,
+    TOPICS,
+    TRUTH,
+    head_of,
+    inlined_schema,
+    read_head,
+    scenario_in,
+)
 from outrider.recording.writer import FlightRecorder
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.summary import summarize
@@ -497,14 +505,14 @@ def _rewrite(path: Path, out: Path, *, tick: int) -> None:
     file = RecordingFile(out)
     file.begin(recording.head, recording.scenario)
     for truth in recording.truths:
-        file.truth(truth)
+        file.take(TRUTH, truth, truth.time)
         asked = recording.commands.get(truth.tick)
         if asked is not None and truth.tick == tick:
             asked = msgspec.structs.replace(
                 asked, accelerations={**asked.accelerations, "ugv_0": (0.01, -0.02)}
             )
         if asked is not None:
-            file.commands(asked, truth.time)
+            file.take(COMMANDS, asked, truth.time)
     file.close()
 
 

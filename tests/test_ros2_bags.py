@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import typer
 from flights import escort
+from stamps import seconds_of
 from typer.testing import CliRunner
 
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
@@ -23,11 +24,12 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from bus.errors import ScenarioError
 from bus.keys import COVERAGE, GROUND, STATUS, TRUTH
 from bus.messages import Status
-from outrider.bridges.ros2.conversion import seconds_of, view_of
+from outrider.bridges.ros2.conversion import view_of
 from outrider.bridges.ros2.interfaces import decode, encode, make, type_hash, type_store
 from outrider.bridges.ros2.ros_bag import RECORDS_QOS, RosBag, copy_flight
 from outrider.bridges.ros2.topics import TOPICS, messages_of
 from outrider.cli import record, replay
+from outrider.recording import schemas
 from outrider.recording.bag_records import RECORDS, RECORDS_TYPE
 from outrider.recording.observer import RunRecorder
 from outrider.recording.reader import coverages, flight_of, load, statuses
@@ -139,11 +141,11 @@ def test_odometry_in_a_bag_is_the_flights_to_the_last_bit(flown):
 
 def test_a_bag_holds_the_very_payloads_that_the_bridge_sends(flown):
     view = view_of(SCENARIO.name, geometry_of(SCENARIO))
-    sent = {one.topic: [one.payload] for one in messages_of(view, None)}
+    always = {name for row in TOPICS if row.period == 0.0 for _, name in row.names(view.scene)}
+    sent = {name: [payload] for name, payload in messages_of(view, None)}
     for truth in flight_of(flown.file).truths:
-        for one in messages_of(view, truth):
-            if one.row.period == 0.0:
-                sent.setdefault(one.topic, []).append(one.payload)
+        for name, payload in messages_of(view, truth, wanted=always):
+            sent.setdefault(name, []).append(payload)
     for topic, payloads in sent.items():
         assert [raw for _, _, raw in messages_in(flown.bag, topic)] == payloads, topic
 
@@ -398,7 +400,7 @@ def test_a_bag_that_tells_a_secret_is_its_owners_alone(tmp_path):
     for secret in ("", "7" * 32):
         with RosBag(tmp_path / f"bag{secret[:1]}") as bag:
             bag.begin(head_of(SCENARIO, SEED, secret=secret), SCENARIO)
-            bag.truth(Flight(SCENARIO, SEED).truth())
+            bag.take(schemas.TRUTH, Flight(SCENARIO, SEED).truth(), 0.0)
     private = tmp_path / "bag7"
     assert stat.S_IMODE(private.stat().st_mode) == 0o700
     assert {stat.S_IMODE(file.stat().st_mode) for file in private.iterdir()} == {0o600}

@@ -20,7 +20,7 @@ from bus.boxes import Outbox
 from bus.keys import CONTROL, COVERAGE, OPERATOR, SAMPLED_TRUTH, STATUS
 from bus.messages import Action, Control, CoverageMap, Limits, Status
 from bus.session import open_session
-from outrider.bridges.ros2.conversion import header
+from outrider.bridges.ros2.conversion import header, view_of
 from outrider.bridges.ros2.interfaces import decode, encode, make, request_of, response_of
 from outrider.bridges.ros2.observing import RosObserver
 from outrider.bridges.ros2.ros_commands import TWISTS, Refused, RosCommands, wish_of
@@ -162,7 +162,8 @@ def test_who_comes_late_gets_the_map_and_the_graph_shows_every_topic(tmp_path: P
             if reply.ok is not None
         ]
         shown = {parts[9].replace("%", "/"): parts for parts in tokens if parts[5] == "MP"}
-        wanted = {f"/fleet{name}" for row in TOPICS for _, name in row.names(observer.scene)}
+        scene = view_of(SCENARIO.name, geometry_of(SCENARIO)).scene
+        wanted = {f"/fleet{name}" for row in TOPICS for _, name in row.names(scene)}
         assert set(shown) == wanted
         assert "/".join(shown["/fleet/coverage"][10:12]) == "/".join(key.split("/")[-2:])
         assert {parts[7] for parts in tokens} == {"%fleet"}

@@ -11,6 +11,7 @@ import zenoh
 from processes import python, wait_until
 from staging import GIVEN as PLAIN
 from staging import raw_session
+from stamps import seconds_of
 
 from agents.process import fly, warm_up
 from agents.uav import UavPilot
@@ -25,7 +26,7 @@ from bus.messages import (
     UgvObservation,
 )
 from bus.session import open_session
-from outrider.bridges.ros2.conversion import header, seconds_of
+from outrider.bridges.ros2.conversion import header
 from outrider.bridges.ros2.interfaces import decode, encode, make
 from outrider.bridges.ros2.ros_node import RosNode
 from outrider.bridges.ros2.ros_pilot import RosLink, RosPilot

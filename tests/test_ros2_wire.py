@@ -7,11 +7,12 @@ import sys
 import msgspec
 import numpy as np
 import pytest
+from stamps import seconds_of
 
 from bus.errors import BusError, ScenarioError
 from bus.messages import CoverageMap, GroundMap, Status, Truth
 from bus.ros2_access import PILOT
-from outrider.bridges.ros2.conversion import PathTrack, RunView, seconds_of
+from outrider.bridges.ros2.conversion import PathTrack, RunView
 from outrider.bridges.ros2.interfaces import decode, encode, make, type_hash
 from outrider.bridges.ros2.topics import PILOT_TOPICS, TOPICS, messages_of, wire_topic
 from outrider.bridges.ros2.wire import (
@@ -64,10 +65,10 @@ def _view():
 
 
 def _by_topic(message, view=None):
-    return {
-        one.topic: decode(one.row.interface, one.payload)
-        for one in messages_of(view or _view(), message)
-    }
+    view = view or _view()
+    rows = {name: row for row in TOPICS for _, name in row.names(view.scene)}
+    told = messages_of(view, message)
+    return {name: decode(rows[name].interface, payload) for name, payload in told}
 
 
 def test_a_key_and_tokens_are_those_that_rmw_zenoh_makes():
@@ -259,15 +260,11 @@ def test_a_time_is_split_without_loss():
         assert 0 <= odometry.header.stamp.nanosec < 10**9
 
 
-def test_a_missing_extra_and_bad_options_are_one_line(monkeypatch, capsys):
-    from outrider.cli import main
-
+def test_a_missing_extra_and_bad_options_are_one_line(monkeypatch, command):
     def told(*words):
-        monkeypatch.setattr(sys, "argv", ["outrider", "ros2", *words])
-        with pytest.raises(SystemExit) as ended:
-            main.main()
-        (line,) = capsys.readouterr().err.splitlines()
-        return ended.value.code, line
+        ended = command("ros2", *words)
+        (line,) = ended.stderr.splitlines()
+        return ended.returncode, line
 
     assert told("--domain", "233") == (2, "outrider: --domain 233: allowed are 0 to 232")
     assert "'pilot'" in told("--namespace", "pilot")[1]

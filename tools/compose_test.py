@@ -384,9 +384,23 @@ class Docker:
         Raises:
             CheckFailed: If it fails or takes too long.
         """
-        what = " ".join(words[:6])
+        done = self.ended(*words, limit=limit, **more)
+        if check and done.returncode:
+            last = " / ".join((done.stderr.strip() or done.stdout.strip()).splitlines()[-4:])
+            what = " ".join(words[:6])
+            raise CheckFailed(f"docker {what} ... ended with {done.returncode}: {last}")
+        return done.stdout
+
+    def ended(
+        self, *words: str, limit: float = 60.0, **more: str
+    ) -> "subprocess.CompletedProcess[str]":
+        """Run `docker WORDS`, with more environment, to its end, good or bad.
+
+        Raises:
+            CheckFailed: If it takes too long.
+        """
         try:
-            done = subprocess.run(
+            return subprocess.run(
                 [self.program, *words],
                 cwd=ROOT,
                 env=self.environment | more,
@@ -397,11 +411,8 @@ class Docker:
                 check=False,
             )
         except subprocess.TimeoutExpired as error:
+            what = " ".join(words[:6])
             raise CheckFailed(f"docker {what} ... has not ended within {limit:g} s") from error
-        if check and done.returncode:
-            last = " / ".join((done.stderr.strip() or done.stdout.strip()).splitlines()[-4:])
-            raise CheckFailed(f"docker {what} ... ended with {done.returncode}: {last}")
-        return done.stdout
 
     def compose(self, *words: str, limit: float = 60.0, check: bool = True, **more: str) -> str:
         """Run `docker compose WORDS`."""
@@ -513,7 +524,7 @@ def same_flight(flown: Json, reference: Json) -> str:
 
 
 class Checks:
-    """The checks, in the order in which they run."""
+    """The checks, a public method each, in the order in which they run."""
 
     def __init__(self, docker: Docker) -> None:
         self.docker = docker
@@ -620,77 +631,11 @@ class Checks:
 
     def failure(self) -> str:
         """A flight that cannot be flown ends with the simulator's exit code."""
-        words = ["compose", "up", "--exit-code-from", "simulator"]
-        done = subprocess.run(
-            [self.docker.program, *words],
-            cwd=ROOT,
-            env=self.docker.environment | {"OUTRIDER_SCENARIO": "no-such-scenario"},
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=90,
-            check=False,
-        )
+        words = ("compose", "up", "--exit-code-from", "simulator")
+        done = self.docker.ended(*words, limit=90.0, OUTRIDER_SCENARIO="no-such-scenario")
         self.docker.down()
         expect(done.returncode == 2, f"exit code {done.returncode}")
         return "exit code 2"
-
-    def _disturbed(self, disturb: Callable[[], None], *, lost: str) -> str:
-        """Fly, disturb, and compare with the undisturbed flight."""
-        reference = self._reference(LONG)
-        with self.docker.flying(duration=LONG):
-            disturb()
-            code, log = self.docker.landed()
-        expect(code == 0, f"the simulator ended with {code}: {log[-300:]}")
-        found = re.search(rf"{lost} is lost(?: at tick (\d+))?", log)
-        expect(found is not None, f"the simulator has not noticed: {log[-300:]}")
-        told = same_flight(self.docker.summary(), reference)
-        at = found.group(1) if found else None
-        return f"lost at tick {at}; {told}" if at else told
-
-    def kill(self) -> str:
-        """The UAV's process is killed with SIGKILL, and Docker starts it again."""
-        return self._disturbed(lambda: void(self.docker.python("uav", KILL)), lost="uav_0")
-
-    def pause(self) -> str:
-        """The UAV's container stands still for 3 s."""
-
-        def disturb() -> None:
-            self.docker.compose("pause", "uav")
-            time.sleep(3)
-            self.docker.compose("unpause", "uav")
-
-        return self._disturbed(disturb, lost="uav_0")
-
-    def disconnect(self) -> str:
-        """The UGV's container is off its network for 3 s."""
-
-        def disturb() -> None:
-            docker, container, network = (
-                self.docker,
-                self.docker.container("ugv"),
-                f"{self.docker.project}_ugv",
-            )
-            docker("network", "disconnect", network, container)
-            time.sleep(3)
-            docker("network", "connect", "--alias", "ugv", network, container)
-
-        return self._disturbed(disturb, lost="ugv_0")
-
-    def router(self) -> str:
-        """The router's container is killed, and started again."""
-
-        def disturb() -> None:
-            container = self.docker.container("router")
-            self.docker("kill", container)
-            time.sleep(1)
-            self.docker("start", container)
-
-        return self._disturbed(disturb, lost="the router")
-
-    def router_crash(self) -> str:
-        """The router's process is killed with SIGKILL, and Docker starts it again."""
-        return self._disturbed(lambda: void(self.docker.python("router", KILL)), lost="the router")
 
     def networks(self) -> str:
         """The UAV's container reaches the router and nobody else."""
@@ -826,6 +771,63 @@ class Checks:
         return (
             f"{told}; of {crossing['bytes']} bytes nothing is readable; refused: {', '.join(found)}"
         )
+
+    def _disturbed(self, disturb: Callable[[], object], *, lost: str) -> str:
+        """Fly, disturb, and compare with the undisturbed flight."""
+        reference = self._reference(LONG)
+        with self.docker.flying(duration=LONG):
+            disturb()
+            code, log = self.docker.landed()
+        expect(code == 0, f"the simulator ended with {code}: {log[-300:]}")
+        found = re.search(rf"{lost} is lost(?: at tick (\d+))?", log)
+        expect(found is not None, f"the simulator has not noticed: {log[-300:]}")
+        told = same_flight(self.docker.summary(), reference)
+        at = found.group(1) if found else None
+        return f"lost at tick {at}; {told}" if at else told
+
+    def kill(self) -> str:
+        """The UAV's process is killed with SIGKILL, and Docker starts it again."""
+        return self._disturbed(lambda: self.docker.python("uav", KILL), lost="uav_0")
+
+    def pause(self) -> str:
+        """The UAV's container stands still for 3 s."""
+
+        def disturb() -> None:
+            self.docker.compose("pause", "uav")
+            time.sleep(3)
+            self.docker.compose("unpause", "uav")
+
+        return self._disturbed(disturb, lost="uav_0")
+
+    def disconnect(self) -> str:
+        """The UGV's container is off its network for 3 s."""
+
+        def disturb() -> None:
+            docker, container, network = (
+                self.docker,
+                self.docker.container("ugv"),
+                f"{self.docker.project}_ugv",
+            )
+            docker("network", "disconnect", network, container)
+            time.sleep(3)
+            docker("network", "connect", "--alias", "ugv", network, container)
+
+        return self._disturbed(disturb, lost="ugv_0")
+
+    def router(self) -> str:
+        """The router's container is killed, and started again."""
+
+        def disturb() -> None:
+            container = self.docker.container("router")
+            self.docker("kill", container)
+            time.sleep(1)
+            self.docker("start", container)
+
+        return self._disturbed(disturb, lost="the router")
+
+    def router_crash(self) -> str:
+        """The router's process is killed with SIGKILL, and Docker starts it again."""
+        return self._disturbed(lambda: self.docker.python("router", KILL), lost="the router")
 
     def realtime(self) -> str:
         """The real-time profile keeps the clock."""
@@ -1014,32 +1016,7 @@ class Checks:
         return f"{seconds:.1f} s, exit codes {', '.join(f'{name} {code}' for name, code in codes.items())}"
 
 
-def void(_: object) -> None:
-    """Nothing: for what is done for its effect."""
-
-
-ORDER = (
-    "build",
-    "credentials",
-    "escort",
-    "lossy",
-    "hazards",
-    "failure",
-    "networks",
-    "keys",
-    "tls",
-    "kill",
-    "pause",
-    "disconnect",
-    "router",
-    "router_crash",
-    "realtime",
-    "dashboard",
-    "ros2",
-    "mavlink",
-    "override",
-    "stop",
-)
+ORDER = tuple(name for name in vars(Checks) if not name.startswith("_"))
 
 
 def engine() -> str | None:

@@ -17,30 +17,26 @@ import tempfile
 import time
 from collections.abc import Callable
 
-from soak import OUTRIDER, family
+from soak import respawning, strike
 
 from outrider.running.flying import fly
 from sim.scenario.loading import load_scenario
 
 _PATIENCE = 300.0
 """A run that has not ended after so long [s] is stuck."""
+KILLS = (signal.SIGKILL, signal.SIGKILL, signal.SIGTERM)
+"""The blows of which a process dies."""
 
 Blow = Callable[["subprocess.Popen[bytes]"], str]
 
 
 def flown(duration: float, blow: Blow) -> tuple[str, dict[str, object], str, float]:
     """One run, disturbed: what was done to it, its summary, its standard error, and how long it took [s]."""
-    arguments = ["run", "escort", "--duration", str(duration), "--respawn", "--no-files", "--json"]
     started = time.monotonic()
     with (
         tempfile.TemporaryDirectory(prefix="o-") as folder,
         tempfile.TemporaryFile() as said,
-        subprocess.Popen(
-            [*OUTRIDER, *arguments],
-            stdout=subprocess.PIPE,
-            stderr=said,
-            env=os.environ | {"TMPDIR": folder},
-        ) as run,
+        respawning(duration, folder, said) as run,
     ):
         done = blow(run)
         out, _ = run.communicate(timeout=_PATIENCE)
@@ -57,17 +53,8 @@ def at(moment: float, rng: random.Random) -> Blow:
     def blow(run: "subprocess.Popen[bytes]") -> str:
         time.sleep(moment)
         while run.poll() is None:
-            victims = {pid: kind for pid, kind in family(run.pid).items() if kind in ("uav", "ugv")}
-            if victims:
-                pid, how = (
-                    rng.choice(sorted(victims)),
-                    rng.choice([signal.SIGKILL, signal.SIGKILL, signal.SIGTERM]),
-                )
-                try:
-                    os.kill(pid, how)
-                except ProcessLookupError:
-                    return ""
-                return f"{how.name} {victims[pid]}"
+            if done := strike(run.pid, rng, KILLS):
+                return done
             time.sleep(0.002)
         return ""
 

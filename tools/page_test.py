@@ -100,22 +100,21 @@ class Processes:
             if kind == "router"
             else ["--run", RUN, "--connect", self.endpoint]
         )
-        with (self._folder / f"{name or kind}.log").open("ab") as log:
+        name = name or kind
+        credential = self.files[self._party(name)]
+        return self._launch(name, kind, *arguments, "--credentials", credential, *where)
+
+    def _launch(self, name: str, *words: str) -> "subprocess.Popen[bytes]":
+        """A process of ours under a name, with a log of this name."""
+        with (self._folder / f"{name}.log").open("ab") as log:
             process = subprocess.Popen(
-                [
-                    *OUTRIDER,
-                    kind,
-                    *arguments,
-                    "--credentials",
-                    self.files[self._party(name or kind)],
-                    *where,
-                ],
+                [*OUTRIDER, *words],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
                 cwd=self._folder,
             )
-        self._running[name or kind] = process
+        self._running[name] = process
         return process
 
     @staticmethod
@@ -126,20 +125,8 @@ class Processes:
 
     def start_all(self, port: int, factor: float) -> None:
         """The whole run, the dashboard on this port, and beside it a flight that is recorded."""
-        words = [
-            "run",
-            "escort",
-            "--in-process",
-            "--no-files",
-            "--duration",
-            "25",
-            "--record",
-            str(self._folder / "run.mcap"),
-        ]
-        with (self._folder / "recording.log").open("ab") as log:
-            self._running["recording"] = subprocess.Popen(
-                [*OUTRIDER, *words], stdin=subprocess.DEVNULL, stdout=log, stderr=log
-            )
+        words = ("run", "escort", "--in-process", "--no-files", "--duration", "25")
+        self._launch("recording", *words, "--record", str(self._folder / "run.mcap"))
         self.start("router")
         wait_until(lambda: answers(int(self.endpoint.rpartition(":")[2])), "the router listens")
         self.simulator(factor)
@@ -166,11 +153,8 @@ class Processes:
         path, port = str(self._folder / "run.mcap"), free_port()
         if self._running.pop("recording").wait(60.0):
             raise Failed("nothing was recorded")
-        words = ["replay", path, "--dashboard", "--port", str(port), "--realtime", "0.5"]
-        with (self._folder / "replay.log").open("ab") as log:
-            self._running["replay"] = subprocess.Popen(
-                [*OUTRIDER, *words], stdin=subprocess.DEVNULL, stdout=log, stderr=log
-            )
+        words = ("--dashboard", "--port", str(port), "--realtime", "0.5")
+        self._launch("replay", "replay", path, *words)
 
     def simulator(self, factor: float) -> None:
         """A simulator that keeps the wall clock."""

@@ -17,7 +17,9 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
@@ -30,7 +32,27 @@ from sim.scenario.loading import load_scenario
 
 PAGE = os.sysconf("SC_PAGE_SIZE") / 2**20
 """MB."""
-OUTRIDER = [sys.executable, "-m", "outrider"]
+BLOWS = (signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGSTOP)
+"""What a vehicle's process is struck with; kills come twice as often."""
+
+
+def respawning(
+    duration: float, folder: str, errors: "IO[bytes] | int"
+) -> "subprocess.Popen[bytes]":
+    """A run of `escort` that starts lost vehicles anew.
+
+    Args:
+        duration: Simulated time [s].
+        folder: For its temporary files.
+        errors: Takes its standard error.
+    """
+    arguments = ["run", "escort", "--duration", str(duration), "--respawn", "--no-files", "--json"]
+    return subprocess.Popen(
+        [sys.executable, "-m", "outrider", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=errors,
+        env=os.environ | {"TMPDIR": folder},
+    )
 
 
 def words(pid: int) -> list[str]:
@@ -103,13 +125,13 @@ class Tracks:
         return told
 
 
-def strike(run: int, rng: random.Random) -> str:
-    """Do something to one of the vehicles' processes."""
+def strike(run: int, rng: random.Random, blows: Sequence[signal.Signals] = BLOWS) -> str:
+    """Do something to one of the vehicles' processes; what it was, "" if there is none or it has just gone."""
     victims = {pid: kind for pid, kind in family(run).items() if kind in ("uav", "ugv")}
     if not victims:
         return ""
     pid = rng.choice(sorted(victims))
-    blow = rng.choice([signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGSTOP])
+    blow = rng.choice(blows)
     try:
         os.kill(pid, blow)
         if blow is signal.SIGSTOP:
@@ -179,23 +201,8 @@ def main() -> int:
     options = parser.parse_args()
     rng = random.Random(options.seed)
     with tempfile.TemporaryDirectory(prefix="o-") as folder:
-        arguments = [
-            "run",
-            "escort",
-            "--duration",
-            str(options.duration),
-            "--respawn",
-            "--no-files",
-            "--json",
-        ]
-        environment = os.environ | {"TMPDIR": folder}
         started = time.monotonic()
-        with subprocess.Popen(
-            [*OUTRIDER, *arguments],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env=environment,
-        ) as run:
+        with respawning(options.duration, folder, subprocess.DEVNULL) as run:
             tracks, blows = watch(run, rng, options.every)
             out, _ = run.communicate(timeout=120)
         seconds = time.monotonic() - started

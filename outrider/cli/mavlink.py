@@ -27,8 +27,9 @@ if TYPE_CHECKING:
     from bus.access import Credential
     from bus.messages import Status
     from bus.session import Session
+    from outrider.bridges.mavlink.autopilot import AutopilotLink
     from outrider.bridges.mavlink.identity import VehicleSystem
-    from outrider.bridges.mavlink.offboard import Served
+    from outrider.bridges.mavlink.offboard import OffboardGateway
     from outrider.bridges.mavlink.run_gateway import RunGateway
     from outrider.bridges.mavlink.udp import Network
     from outrider.cli.stopping import Stop
@@ -165,16 +166,18 @@ class _Bus(NamedTuple):
     """[s]"""
 
 
-def _join(bus: _Bus, name: str, make: "MakePilot", served: "Served") -> None:
+def _join(
+    bus: _Bus, name: str, make: "MakePilot", gateway: "OffboardGateway | AutopilotLink"
+) -> None:
     """Fly a UAV until the run is over, and serve MAVLink beside it."""
     from agents.process import fly, warm_up
     from bus.keys import Party, Role
-    from outrider.bridges.mavlink.offboard import Beside
+    from outrider.bridges.mavlink.offboard import serving
     from sim.kernels.compile import compiling
 
     with compiling("uav"):
         warm_up(Role.UAV, inner=lambda _observation: (0.0, 0.0))
-    with Beside(served):
+    with serving(gateway):
         fly(
             Party(role=Role.UAV, name=name),
             make,

@@ -1,4 +1,4 @@
-"""95 % intervals for what sweeps and suites count and average."""
+"""Intervals, of 95 % if nothing else is said, for what sweeps and suites count and average."""
 
 import math
 from collections.abc import Sequence
@@ -12,12 +12,13 @@ from sim.kernels.compile import FloatArray
 _RESAMPLES = 2000
 
 
-def wilson_interval(hits: int, trials: int) -> tuple[float, float]:
+def wilson_interval(hits: int, trials: int, level: float = 0.95) -> tuple[float, float]:
     """The interval of a share, Wilson 1927: honest for few trials and for shares of 0 and 1.
 
     Args:
         hits: How often it happened.
         trials: Of how many.
+        level: Share of all cases in which the interval holds the chance.
 
     Raises:
         ValueError: If hits lies outside 0 to trials, or there are no trials.
@@ -26,7 +27,7 @@ def wilson_interval(hits: int, trials: int) -> tuple[float, float]:
         raise ValueError(
             f"hits = {hits} of trials = {trials}: allowed are 1 trial or more, and hits from 0 to trials"
         )
-    low, high = stats.binomtest(hits, trials).proportion_ci(method="wilson")
+    low, high = stats.binomtest(hits, trials).proportion_ci(level, method="wilson")
     return float(low), float(high)
 
 

@@ -13,19 +13,14 @@ from pathlib import Path
 import msgspec
 
 from bus.errors import ScenarioError
-from bus.messages import Change, CoverageMap, Drive, GroundMap, Status, Truth
+from bus.messages import CoverageMap, Drive, GroundMap, Message, Truth
 from outrider.recording.schemas import (
-    CHANGES,
     COMMANDS,
-    COVERAGE,
     EXTRA,
-    GROUND,
     PROFILE,
     SCENARIO,
-    STATUS,
     TOPICS,
     TRUTH,
-    Commands,
     Head,
     OperatorWord,
     Topic,
@@ -147,9 +142,27 @@ class RecordingFile:
         self._own[topic.name].log(self._encoder.encode(message), log_time=time_ns)
         return time_ns
 
-    def truth(self, truth: Truth) -> None:
-        """Take down a tick, for everybody."""
-        time_ns = self._put(TRUTH, truth, truth.time)
+    def take(self, topic: Topic, message: Message, seconds: float) -> None:
+        """Take down a message, for everybody; a flight's hazards once.
+
+        Args:
+            topic: Its channel.
+            message: Of the flight that has begun.
+            seconds: When, in simulated time.
+        """
+        if isinstance(message, GroundMap) and self._hazards_told:
+            message = msgspec.structs.replace(message, hazards=())
+        elif isinstance(message, GroundMap):
+            self._hazards_told = True
+            self._viewers.hazards(message.hazards)
+        time_ns = self._put(topic, message, seconds)
+        if isinstance(message, Truth):
+            self._show(message, time_ns)
+        elif isinstance(message, CoverageMap):
+            self._viewers.coverage(message, time_ns)
+
+    def _show(self, truth: Truth, time_ns: int) -> None:
+        """Show a tick to viewers."""
         escorts = {escort.uav: escort.ugv for escort in truth.escorts}
         if self._viewers.due(truth.time):
             places = {
@@ -196,10 +209,6 @@ class RecordingFile:
                     warning=not seen,
                 )
 
-    def commands(self, commands: Commands, seconds: float) -> None:
-        """Take down what was asked for during a tick that began at `seconds`."""
-        self._put(COMMANDS, commands, seconds)
-
     def word(self, ugv: str, tick: int, said: Drive, seconds: float) -> None:
         """Take down an operator's message that a UGV received at a tick, which began at `seconds`."""
         self._put(
@@ -207,27 +216,6 @@ class RecordingFile:
             OperatorWord(tick=tick, driver=said.driver, velocity=said.velocity, goal=said.goal),
             seconds,
         )
-
-    def change(self, change: Change, seconds: float) -> None:
-        """Take down what operators have changed, told at `seconds`."""
-        self._put(CHANGES, change, seconds)
-
-    def status(self, status: Status) -> None:
-        """Take down how the run stands."""
-        self._put(STATUS, status, status.time)
-
-    def coverage(self, ground: CoverageMap, seconds: float) -> None:
-        """Take down the ground at `seconds`."""
-        self._viewers.coverage(ground, self._put(COVERAGE, ground, seconds))
-
-    def ground(self, ground: GroundMap, seconds: float) -> None:
-        """Take down the ground with its hazards at `seconds`; the hazards themselves once in a flight."""
-        if not self._hazards_told:
-            self._hazards_told = True
-            self._viewers.hazards(ground.hazards)
-        else:
-            ground = msgspec.structs.replace(ground, hazards=())
-        self._put(GROUND, ground, seconds)
 
     def log(self, line: str, seconds: float, *, warning: bool = False) -> None:
         """Take down a line for a person."""

@@ -4,9 +4,10 @@ import time
 from typing import Protocol
 
 from bus import keys
-from bus.messages import Change, CoverageMap, GroundMap, Status, Truth
+from bus.messages import Change, CoverageMap, GroundMap, Message, Status, Truth
 from bus.session import Session
-from outrider.recording.schemas import Commands, Head, head_of, unknown_head
+from outrider.recording import schemas
+from outrider.recording.schemas import Commands, Head, Topic, head_of, unknown_head
 from sim.scenario.types import Scenario
 
 _INBOX_ROOM = 4096
@@ -33,23 +34,14 @@ class RunSink(Protocol):
     def begin(self, head: Head, scenario: Scenario | None) -> None:
         """A flight begins."""
 
-    def truth(self, truth: Truth) -> None:
-        """Take down a tick."""
+    def take(self, topic: Topic, message: Message, seconds: float) -> None:
+        """Take down a message of the flight that has begun.
 
-    def commands(self, commands: Commands, seconds: float) -> None:
-        """Take down what was asked for during a tick that began at `seconds`."""
-
-    def change(self, change: Change, seconds: float) -> None:
-        """Take down what operators have changed."""
-
-    def status(self, status: Status) -> None:
-        """Take down how the run stands."""
-
-    def coverage(self, ground: CoverageMap, seconds: float) -> None:
-        """Take down the ground."""
-
-    def ground(self, ground: GroundMap, seconds: float) -> None:
-        """Take down the ground with its hazards."""
+        Args:
+            topic: Its channel.
+            message: What was told.
+            seconds: When, in simulated time.
+        """
 
     def flush_if_due(self) -> None:
         """Hand over what waits."""
@@ -123,7 +115,7 @@ class RunRecorder:
             if isinstance(received.message, Status):
                 self._status = received.message
                 if self._episode >= 0:
-                    self._file.status(received.message)
+                    self._file.take(schemas.STATUS, received.message, received.message.time)
                     self._take_changes(received.message.changes)
                 over = received.message.over
                 self._over_since = (self._over_since or time.monotonic()) if over else None
@@ -137,16 +129,17 @@ class RunRecorder:
 
     def _take_changes(self, changes: tuple[Change, ...]) -> None:
         for change in _new_in(changes, self._changes):
-            self._file.change(change, self.newest_time)
+            self._file.take(schemas.CHANGES, change, self.newest_time)
         self._changes = changes
 
     def _put_map(self) -> None:
         if self._map is not None and self.newest_tick >= self._map.tick > 0:
-            self._file.coverage(self._map, self.newest_time * self._map.tick / self.newest_tick)
+            seconds = self.newest_time * self._map.tick / self.newest_tick
+            self._file.take(schemas.COVERAGE, self._map, seconds)
             self._map = None
         if self._ground is not None and self.newest_tick >= self._ground.tick > 0:
             seconds = self.newest_time * self._ground.tick / self.newest_tick
-            self._file.ground(self._ground, seconds)
+            self._file.take(schemas.GROUND, self._ground, seconds)
             self._ground = None
 
     def _take_truth(self, truth: Truth) -> None:
@@ -158,12 +151,11 @@ class RunRecorder:
             self.missing_ticks += truth.tick - self.newest_tick - 1
             if truth.tick == self.newest_tick + 1:
                 asked = {name: vehicle.command for name, vehicle in truth.vehicles.items()}
-                self._file.commands(
-                    Commands(tick=self.newest_tick, accelerations=asked), self.newest_time
-                )
+                told = Commands(tick=self.newest_tick, accelerations=asked)
+                self._file.take(schemas.COMMANDS, told, self.newest_time)
         self.ticks += 1
         self.newest_tick, self.newest_time = truth.tick, truth.time
-        self._file.truth(truth)
+        self._file.take(schemas.TRUTH, truth, truth.time)
         self._put_map()
 
     def _begin(self, truth: Truth) -> None:

@@ -23,7 +23,7 @@ from bus.messages import (
     VehicleStatus,
 )
 from outrider.recording.mcap_file import RecordingFile
-from outrider.recording.schemas import head_of
+from outrider.recording.schemas import CHANGES, COVERAGE, GROUND, STATUS, head_of
 from outrider.recording.tick_rows import TickTexts
 from outrider.running.assumptions import promise_warnings
 from sim.kernels.compile import FloatArray
@@ -314,13 +314,13 @@ class FlightRecorder:
         if isinstance(what, _Said):
             self._file.word(what.ugv, tick - 1, what.word, begun)
         elif isinstance(what, Change):
-            self._file.change(what, begun)
+            self._file.take(CHANGES, what, begun)
         elif isinstance(what, CoverageMap):
-            self._file.coverage(what, now)
+            self._file.take(COVERAGE, what, now)
         elif isinstance(what, GroundMap):
-            self._file.ground(what, now)
+            self._file.take(GROUND, what, now)
         elif isinstance(what, Status):
-            self._file.status(what)
+            self._file.take(STATUS, what, what.time)
         elif what is not None:
             self._file.log(what, now)
 
@@ -345,12 +345,11 @@ class FlightRecorder:
             before = World(
                 flight.scenario, flight.seed, secret=flight.secret
             )  # the ground as it was before anybody moved
-            self._file.coverage(
-                _map_of(before, flight.scenario, np.empty_like(before.coverage)), 0.0
-            )
+            covered = _map_of(before, flight.scenario, np.empty_like(before.coverage))
+            self._file.take(COVERAGE, covered, 0.0)
             ground = ground_map(before)
             if ground is not None:
-                self._file.ground(ground, 0.0)
+                self._file.take(GROUND, ground, 0.0)
 
 
 def _map_of(world: World, scenario: Scenario, scratch: FloatArray) -> CoverageMap:

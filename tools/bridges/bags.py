@@ -9,13 +9,13 @@ import json
 import os
 import shutil
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from ros2 import HERE, RCLPY, Row, Run, environment, outrider, run_foreign
+from checking import HERE, Row, environment, outrider, report
+from ros2 import RCLPY, Run, run_foreign
 
 READERS = ("rosbags>=0.11,<0.12", "mcap-ros2-support>=0.5.7", "ruamel.yaml")
 SCENARIO, DURATION = "minefield", 20
@@ -190,10 +190,4 @@ def findings(folder: Path) -> Iterator[Row]:
 
 
 if __name__ == "__main__":
-    good = True
-    with tempfile.TemporaryDirectory() as scratch:
-        for found in findings(Path(scratch)):
-            good = good and found.holds
-            mark = "holds" if found.holds else "DOES NOT HOLD"
-            print(f"| {found.what} | {found.value} | {mark} |", flush=True)  # noqa: T201
-    sys.exit(0 if good else 1)
+    sys.exit(report(findings))

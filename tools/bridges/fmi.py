@@ -11,15 +11,13 @@ import re
 import shutil
 import subprocess
 import sys
-import tempfile
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-HERE = Path(__file__).resolve().parent
-OTHERS = ROOT / ".venv-fmi"
+from checking import HERE, ROOT, Row, environment, report
+
 NEEDED = ("fmpy>=0.3.32,<0.4", "pythonfmu3>=0.3.4,<0.4")
 FLIGHT = ("escort", "--duration", 60, "--seed", 3)
 """Every unit's and every run's."""
@@ -27,25 +25,6 @@ CRASHES = {
     "raises in a step": ("raise RuntimeError('the wheel is off')", "the wheel is off"),
     "dies in a step": ("import os; os.kill(os.getpid(), 11)", "signal 11"),
 }
-
-
-class Row(NamedTuple):
-    """A finding."""
-
-    what: str
-    value: object
-    holds: bool
-
-
-def environment() -> Path:
-    """The environment of the other programs; its Python."""
-    python = OTHERS / "bin" / "python"
-    if not (OTHERS / ".bridge").exists():
-        subprocess.run([sys.executable, "-m", "venv", OTHERS], check=True)
-        quiet = ["-m", "pip", "install", "--quiet", "--quiet", "--disable-pip-version-check"]
-        subprocess.run([python, *quiet, *NEEDED, "--editable", ROOT], check=True)
-        (OTHERS / ".bridge").touch()
-    return python
 
 
 def called(
@@ -203,7 +182,9 @@ def built(python: Path, folder: Path, script: str, name: str = "fmi_wheel") -> P
 
 def findings(folder: Path) -> Iterator[Row]:
     """All checks; a folder for temporary things must be empty after them."""
-    python = environment()
+    python = environment("fmi", (*NEEDED, "--editable", ROOT)) / "python"
+    (folder / "tmp").mkdir()
+    os.environ["TMPDIR"] = str(folder / "tmp")
     here = flown("--in-process", "--out", folder / "flight")["trajectory_sha256"]
     yield from from_outside(folder, python)
     yield from from_c(folder, python)
@@ -213,21 +194,6 @@ def findings(folder: Path) -> Iterator[Row]:
     yield from crashed(folder, python)
 
 
-def run_checks() -> bool:
-    """Print all findings as a table; True if everything holds."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        os.chdir(folder)
-        (folder / "tmp").mkdir()
-        os.environ["TMPDIR"] = str(folder / "tmp")
-        good = True
-        for found in findings(folder):
-            good = good and found.holds
-            mark = "holds" if found.holds else "DOES NOT HOLD"
-            print(f"| {found.what} | {found.value} | {mark} |", flush=True)  # noqa: T201
-    return good
-
-
 if __name__ == "__main__":
     argparse.ArgumentParser(description=__doc__).parse_args()
-    sys.exit(0 if run_checks() else 1)
+    sys.exit(report(findings))

@@ -6,42 +6,19 @@ python tools/bridges/mavlink.py
 
 import argparse
 import json
-import os
 import socket
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from itertools import chain
+from contextlib import ExitStack
 from pathlib import Path
-from typing import NamedTuple
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-OTHERS = ROOT / ".venv-mavlink"
+from checking import HERE, Row, environment, outrider, report, started
+
 NEEDED = ("mavsdk>=4,<5", "MAVProxy>=1.8.70,<2", "pymavlink>=2.4.49,<3")
 DURATION = 100.0
 """Of the flight, simulated [s]: at twice real time the checks are over before its end."""
-
-
-class Row(NamedTuple):
-    """A finding."""
-
-    what: str
-    value: object
-    holds: bool
-
-
-def environment() -> Path:
-    """The environment of the other programs; its Python."""
-    python = OTHERS / "bin" / "python"
-    if not (OTHERS / ".bridge").exists():
-        subprocess.run([sys.executable, "-m", "venv", OTHERS], check=True)
-        quiet = ["-m", "pip", "install", "--quiet", "--quiet", "--disable-pip-version-check"]
-        subprocess.run([python, *quiet, *NEEDED], check=True)
-        (OTHERS / ".bridge").touch()
-    return python
 
 
 def free_port(kind: socket.SocketKind) -> int:
@@ -49,30 +26,6 @@ def free_port(kind: socket.SocketKind) -> int:
     with socket.socket(socket.AF_INET, kind) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
-
-
-@contextmanager
-def started(*words: object, log: Path, **settings: object) -> Iterator["subprocess.Popen[str]"]:
-    """A process in the background, ended in order in the end, or killed."""
-    with log.open("w") as file, log.with_suffix(".out").open("w") as out:
-        process = subprocess.Popen(
-            [str(word) for word in words], stdout=out, stderr=file, text=True, **settings
-        )
-        try:
-            yield process
-        finally:
-            if process.poll() is None:
-                process.terminate()
-            try:
-                process.wait(10.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-
-
-def outrider(*words: object) -> list[object]:
-    """A command of ours."""
-    return [sys.executable, "-m", "outrider", *words]
 
 
 def await_text(file: Path, text: str, patience: float = 120.0) -> None:
@@ -115,7 +68,7 @@ def unheard(folder: Path) -> Iterator[Row]:
     log = folder / "unheard.log"
     with ExitStack() as stack:
         simulator = stack.enter_context(
-            started(*outrider("simulator", "escort", "--no-picture", *begin), log=log)
+            started(log, outrider("simulator", "escort", "--no-picture", *begin))
         )
         await_text(log, "listening on")
         uav = ("--vehicle", "uav_0", "--in", f"udpin:127.0.0.1:{ports[0]}")
@@ -124,38 +77,36 @@ def unheard(folder: Path) -> Iterator[Row]:
             ("unheard-ugv", outrider("ugv", *to)),
             ("unheard-gateway", outrider("mavlink", *to, "--to", f"udpout:127.0.0.1:{ports[1]}")),
         ):
-            stack.enter_context(started(*words, log=folder / f"{name}.log"))
+            stack.enter_context(started(folder / f"{name}.log", words))
         simulator.wait(120.0)
     there = json.loads((folder / "unheard.out").read_text())
     alone = outrider("run", "escort", "--duration", 20, "--in-process", "--no-files", "--json")
-    words = [str(word) for word in alone]
-    here = json.loads(subprocess.run(words, capture_output=True, check=True).stdout)
+    here = json.loads(subprocess.run(alone, capture_output=True, check=True).stdout)
     same = there["trajectory_sha256"] == here["trajectory_sha256"]
     yield Row("unheard in lockstep: the same bits", there["trajectory_sha256"][:16], same)
 
 
-def along(folder: Path) -> Iterator[Row]:
+def along(folder: Path, python: Path) -> Iterator[Row]:
     """An autopilot flies along whose MAVLink is MAVSDK's server, and whose loop is a stand-in of ours.
 
     Raises:
         SystemExit: If a process does not do its part at all.
     """
-    python = environment()
     router = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
     port, log = free_port(socket.SOCK_DGRAM), folder / "along.log"
     changes = ("--realtime", 1, "--duration", 15, "--set", "certificate.tracking=0.3", "--json")
     begin = ("--listen", router, "--out", folder / "along", "--no-picture", *changes)
     to = ("--connect", router)
     with ExitStack() as stack:
-        simulator = stack.enter_context(started(*outrider("simulator", "escort", *begin), log=log))
+        simulator = stack.enter_context(started(log, outrider("simulator", "escort", *begin)))
         await_text(log, "listening on")
-        stack.enter_context(started(*outrider("ugv", *to), log=folder / "along-ugv.log"))
+        stack.enter_context(started(folder / "along-ugv.log", outrider("ugv", *to)))
         uav = ("--autopilot", "uav_0", "--in", f"udpin:127.0.0.1:{port}", "--json")
-        uav_log = folder / "along-uav.log"
-        process = stack.enter_context(started(*outrider("mavlink", *uav, *to), log=uav_log))
-        loop = ROOT / "tools" / "bridges" / "mavsdk_autopilot.py"
-        words = (python, loop, f"udpout://127.0.0.1:{port}")
-        stack.enter_context(started(*words, log=folder / "autopilot.log"))
+        process = stack.enter_context(
+            started(folder / "along-uav.log", outrider("mavlink", *uav, *to))
+        )
+        words = (python, HERE / "mavsdk_autopilot.py", f"udpout://127.0.0.1:{port}")
+        stack.enter_context(started(folder / "autopilot.log", words))
         simulator.wait(120.0)
         process.wait(20.0)
     told = json.loads((folder / "along-uav.out").read_text())
@@ -170,13 +121,12 @@ def along(folder: Path) -> Iterator[Row]:
     yield Row("sight kept", f"at most {summary['max_distance']:.2f} m", kept)
 
 
-def findings(folder: Path) -> Iterator[Row]:
-    """All checks, by real processes.
+def watched_and_flown(folder: Path, python: Path) -> Iterator[Row]:
+    """MAVSDK watches both vehicles and flies the UAV, while MAVProxy logs.
 
     Raises:
         SystemExit: If a process does not do its part at all.
     """
-    python = environment()
     keys = folder / "credentials"
     subprocess.run(
         outrider("credentials", keys, "--scenario", "escort"), check=True, capture_output=True
@@ -191,15 +141,13 @@ def findings(folder: Path) -> Iterator[Row]:
     with ExitStack() as stack:
         simulator = stack.enter_context(
             started(
-                *outrider(
-                    "simulator", "escort", "--listen", router, "--credentials", keys / "router.json"
+                folder / "simulator.log",
+                outrider(
+                    "simulator", "escort", "--listen", router, "--credentials", keys / "router.json",
+                    *changes, "--out", folder / "flight",
                 ),
-                *changes,
-                "--out",
-                folder / "flight",
-                log=folder / "simulator.log",
             )
-        )
+        )  # fmt: skip
         await_text(folder / "simulator.log", "listening on")
         start = [
             ("ugv", outrider("ugv", *joined("ugv_0"))),
@@ -219,7 +167,7 @@ def findings(folder: Path) -> Iterator[Row]:
             ),
         ]  # fmt: skip
         ours = {
-            name: stack.enter_context(started(*words, log=folder / f"{name}.log"))
+            name: stack.enter_context(started(folder / f"{name}.log", words))
             for name, words in start
         }
         await_text(folder / "gateway.log", "system 1 is uav_0")
@@ -229,11 +177,11 @@ def findings(folder: Path) -> Iterator[Row]:
             f"--logfile={folder / 'flight.tlog'}",
         )
         mavproxy = stack.enter_context(
-            started(*proxy, log=folder / "mavproxy.log", stdin=subprocess.DEVNULL, cwd=folder)
+            started(folder / "mavproxy.log", proxy, stdin=subprocess.DEVNULL, cwd=folder)
         )
         addresses = [f"udpin://127.0.0.1:{port}" for port in (watched, flown)]
         station = subprocess.run(
-            [python, ROOT / "tools" / "bridges" / "mavsdk_station.py", *addresses],
+            [python, HERE / "mavsdk_station.py", *addresses],
             capture_output=True, text=True, check=False, timeout=120.0,
         )  # fmt: skip
         if station.returncode:
@@ -255,19 +203,14 @@ def findings(folder: Path) -> Iterator[Row]:
         yield Row(f"{name} ends in order", f"refused: {told['refused']}", ended[name] == 0)
 
 
-def run_checks() -> bool:
-    """Print all findings as a table; True if everything holds."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        os.chdir(folder)
-        good = True
-        for found in chain(unheard(folder), along(folder), findings(folder)):
-            good = good and found.holds
-            mark = "holds" if found.holds else "DOES NOT HOLD"
-            print(f"| {found.what} | {found.value} | {mark} |", flush=True)  # noqa: T201
-    return good
+def findings(folder: Path) -> Iterator[Row]:
+    """All checks, by real processes."""
+    python = environment("mavlink", NEEDED) / "python"
+    yield from unheard(folder)
+    yield from along(folder, python)
+    yield from watched_and_flown(folder, python)
 
 
 if __name__ == "__main__":
     argparse.ArgumentParser(description=__doc__).parse_args()
-    sys.exit(0 if run_checks() else 1)
+    sys.exit(report(findings))

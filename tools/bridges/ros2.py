@@ -12,14 +12,14 @@ import shutil
 import socket
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import zenoh
+from checking import HERE, Row, environment, outrider, report, started
 
 from bus.access import client_settings, read_credential
 from outrider.bridges.ros2.interfaces import encode, make, type_hash
@@ -30,8 +30,6 @@ from outrider.running.launch import free_port
 from sim.scenario.loading import load_scenario
 from sim.scene.known import scene_of
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-HERE = ROOT / "tools" / "bridges"
 OTHERS = ("zenoh-ros2-sdk==0.1.8", "pyzeros==0.1.0")
 RCLPY = (
     "ros-rclpy==9.1.2", "ros-rmw-fastrtps-cpp==9.3.3", "ros-std-msgs", "ros-std-srvs", "ros-geometry-msgs",
@@ -48,46 +46,6 @@ REPOSITORIES = {
     ),
     "geometry2": ("tf2_msgs",),
 }  # fmt: skip
-
-
-class Row(NamedTuple):
-    """A finding."""
-
-    what: str
-    value: object
-    holds: bool
-
-
-def environment(name: str, packages: tuple[str, ...], python: str = sys.executable) -> Path:
-    """An environment of its own; its folder of programs."""
-    folder = ROOT / f".venv-{name}"
-    if not (folder / ".bridge").exists():
-        subprocess.run([python, "-m", "venv", folder], check=True)
-        quiet = ["-m", "pip", "install", "--quiet", "--quiet", "--disable-pip-version-check"]
-        subprocess.run([folder / "bin" / "python", *quiet, *packages], check=True)
-        (folder / ".bridge").touch()
-    return folder / "bin"
-
-
-def outrider(*words: object) -> list[str]:
-    """A command of ours."""
-    return [sys.executable, "-m", "outrider", *map(str, words)]
-
-
-@contextmanager
-def started(log: Path, words: list[str]) -> Iterator["subprocess.Popen[str]"]:
-    """A process in the background, ended in order in the end, or killed."""
-    with log.open("w") as file, log.with_suffix(".json").open("w") as out:
-        process = subprocess.Popen(words, stdout=out, stderr=file, text=True)
-        try:
-            yield process
-        finally:
-            process.terminate()
-            try:
-                process.wait(10.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
 
 
 class Run:
@@ -151,7 +109,7 @@ class Run:
 
     def told(self, name: str) -> dict[str, Any]:
         """Output of a process in the end."""
-        found: dict[str, Any] = json.loads((self.folder / f"{name}.json").read_text())
+        found: dict[str, Any] = json.loads((self.folder / f"{name}.out").read_text())
         return found
 
 
@@ -397,7 +355,7 @@ def _by_nodes(
                 DOMAIN,
                 form,
             ]
-            stack.enter_context(started(folder / f"node_{name}.log", [str(word) for word in words]))
+            stack.enter_context(started(folder / f"node_{name}.log", words))
         while run.simulator.poll() is None:
             for key, payload in bad:
                 flood.put(key, payload)
@@ -424,11 +382,4 @@ def findings(folder: Path) -> Iterator[Row]:
 
 
 if __name__ == "__main__":
-    good = True
-    with tempfile.TemporaryDirectory() as scratch:
-        os.chdir(scratch)  # pyzeros leaves its cache where it stands
-        for found in findings(Path(scratch)):
-            good = good and found.holds
-            mark = "holds" if found.holds else "DOES NOT HOLD"
-            print(f"| {found.what} | {found.value} | {mark} |", flush=True)  # noqa: T201
-    sys.exit(0 if good else 1)
+    sys.exit(report(findings))  # in a folder of its own: pyzeros leaves its cache where it stands

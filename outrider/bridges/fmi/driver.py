@@ -71,7 +71,9 @@ class _Instance:
 
 
 class FmuPolicy:
-    """A unit that has been read and tried; each UGV has an instance of its own.
+    """A unit, `FILE.fmu`, that has been read and tried; each UGV has an instance of its own.
+
+    fmpy is imported here, and never else.
 
     Args:
         path: The file.
@@ -214,8 +216,3 @@ def _values(seen: UgvRow, perceived: UgvObservation | None) -> Mapping[str, floa
         values |= zip((one.name for one in RADIO), told, strict=True)
     values["radio.new"] = bool(heard)
     return values
-
-
-def load_fmu(path: str, where: str) -> FmuPolicy:
-    """`FILE.fmu`, by fmpy, which is imported here, and never else."""
-    return FmuPolicy(path, where)

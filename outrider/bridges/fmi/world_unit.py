@@ -5,7 +5,7 @@ It tells what an observer is told. An operator's wish crosses the operator's lin
 
 from bus.errors import ScenarioError
 from bus.messages import Drive
-from bus.registry import DRIVERS, LAWS
+from bus.registry import DRIVERS
 from outrider.bridges.fmi.variables import OPERATOR, TRUE_ESCORT, TRUE_STATE, Variable, of
 from outrider.bridges.fmi.vehicle_unit import Values, check_inputs, tick_at
 from outrider.running.flying import InProcess, make_pilots
@@ -33,11 +33,6 @@ def check_world(scenario: Scenario) -> None:
                 f"{ugv.name}: the driver {ugv.driver!r} is another process, which a unit does not start; allowed: "
                 f"{', '.join(row.name for row in DRIVERS.values() if row.make)}"
             )
-    if scenario.uav and LAWS[scenario.law.name].own:
-        raise ScenarioError(
-            f"law.name = {scenario.law.name!r}: needs a function of your own, which a unit does not carry; allowed: "
-            "other laws"
-        )
 
 
 class WorldUnit:

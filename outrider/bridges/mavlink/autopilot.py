@@ -250,7 +250,9 @@ class AutopilotPilot:
         self._briefing = briefing
         self._link.max_speed = bounds(briefing.limits)[0]
         self._link.anchor = self._link.wanted = self._next = None
-        self._pilot = UavPilot(briefing, inner=self._inner)
+        self._pilot = pilot = UavPilot(briefing, inner=self._inner)
+        # The law's own pilot does what the process asks besides.
+        self.perceive, self.forget_commands = pilot.perceive, pilot.forget_commands
         return self
 
     def act(self, observation: UavObservation) -> UavCommand:
@@ -270,14 +272,6 @@ class AutopilotPilot:
             command.report, certified=None, uncertified="", certified_distance=None
         )
         return msgspec.structs.replace(command, report=nothing)
-
-    def perceive(self, observation: UavObservation) -> None:
-        """Take in what comes too late to be answered."""
-        self._pilot.perceive(observation)
-
-    def forget_commands(self) -> None:
-        """The last answers may not have been sent."""
-        self._pilot.forget_commands()
 
     def prepare(self) -> None:
         """The command is on its way: only now is the autopilot told. One that joins again acts on its past unheard."""

@@ -3,8 +3,8 @@
 import math
 import threading
 from collections.abc import Iterator, Mapping
-from types import TracebackType
-from typing import NamedTuple, Protocol
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, NamedTuple
 
 from agents.uav import UavPilot
 from bus.messages import UavBriefing, UavCommand, UavObservation, Vector
@@ -29,6 +29,9 @@ from outrider.bridges.mavlink.setpoints import (
     setpoint_control,
 )
 from outrider.bridges.mavlink.udp import Network, Peer
+
+if TYPE_CHECKING:
+    from outrider.bridges.mavlink.autopilot import AutopilotLink
 
 TOO_EARLY = "comes before the UAV has joined"
 _HOLD = 0.5
@@ -79,7 +82,10 @@ class OffboardPilot:
         self._hold = ticks_within(_HOLD if hold is None else hold, briefing.dt)
         self._setpoint = self._met = None
         self.briefing = briefing
-        self._pilot = UavPilot(briefing, inner=self._inner)
+        self._pilot = pilot = UavPilot(briefing, inner=self._inner)
+        # The law's own pilot does what the process asks besides.
+        self.perceive, self.forget_commands = pilot.perceive, pilot.forget_commands
+        self.prepare = pilot.prepare
         return self
 
     def want(self, setpoint: Setpoint) -> None:
@@ -96,18 +102,6 @@ class OffboardPilot:
             self.intervened_at = observation.time
         self.flown = Flown(observation, command, self._by_setpoint)
         return command
-
-    def perceive(self, observation: UavObservation) -> None:
-        """Take in what comes too late to be answered."""
-        self._pilot.perceive(observation)
-
-    def forget_commands(self) -> None:
-        """The last answers may not have been sent."""
-        self._pilot.forget_commands()
-
-    def prepare(self) -> None:
-        """Work ahead while nobody waits."""
-        self._pilot.prepare()
 
     def _inner(self, observation: UavObservation) -> Vector | None:
         wanted, briefing, mode = self._setpoint, self.briefing, self.mode
@@ -242,48 +236,25 @@ def _told(briefing: UavBriefing) -> Iterator[tuple[str, float]]:
     yield "VIS_RADIUS", briefing.visibility_radius
 
 
-class Served(Protocol):
-    """Anything that speaks MAVLink while a vehicle is flown."""
+@contextmanager
+def serving(gateway: "OffboardGateway | AutopilotLink") -> Iterator[None]:
+    """Serve MAVLink in a thread of its own while the vehicle is flown; its error is raised where the flight ends."""
+    closing, errors = threading.Event(), list[Exception]()
 
-    def refresh(self) -> None:
-        """Take in what was flown."""
-
-    def turn(self, patience: float) -> None:
-        """Take in what has come, after a wait of up to `patience` [s], and say what is due."""
-
-
-class Beside:
-    """Serves MAVLink in a thread of its own, while the vehicle is flown.
-
-    Args:
-        gateway: What is served.
-    """
-
-    def __init__(self, gateway: Served) -> None:
-        self._gateway = gateway
-        self._closing = threading.Event()
-        self._error: Exception | None = None
-        self._thread = threading.Thread(target=self._serve, name="outrider-mavlink", daemon=True)
-
-    def _serve(self) -> None:
+    def serve() -> None:
         try:
-            while not self._closing.is_set():
-                self._gateway.refresh()
-                self._gateway.turn(_TURN)
+            while not closing.is_set():
+                gateway.refresh()
+                gateway.turn(_TURN)
         except Exception as error:  # noqa: BLE001 - raised where the flight ends
-            self._error = error
+            errors.append(error)
 
-    def __enter__(self) -> "Beside":
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._closing.set()
-        self._thread.join()
-        if self._error is not None and error is None:
-            raise self._error
+    thread = threading.Thread(target=serve, name="outrider-mavlink", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        closing.set()
+        thread.join()
+    if errors:
+        raise errors[0]

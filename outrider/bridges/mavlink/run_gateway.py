@@ -33,25 +33,6 @@ _UNBOUNDED = 1.0
 _LAWS = tuple(LAWS)
 
 
-def systems_of(status: Status, *, first: int, height: float) -> list[VehicleSystem]:
-    """A system for each vehicle of a run, numbered in name order.
-
-    Args:
-        status: The run's, with its geometry.
-        first: Number of the first.
-        height: At which UAVs are told to fly [m].
-    """
-    geometry = status.geometry
-    if geometry is None:
-        return []
-    return [
-        VehicleSystem(
-            name, first + n, flies=name in geometry.uavs, origin=geometry.origin, height=height
-        )
-        for n, name in enumerate(sorted(status.vehicles))
-    ]
-
-
 class RunGateway(Gateway):
     """Tells all vehicles of a run to ground stations.
 
@@ -59,14 +40,21 @@ class RunGateway(Gateway):
         client: Reads the run, and speaks to it if its session is an operator's.
         network: Where it is told.
         status: The first one, with the run's geometry.
-        first: Number of the first vehicle's system.
+        first: Number of the first vehicle's system; the others follow in name order.
         height: At which UAVs are told to fly [m].
     """
 
     def __init__(
         self, client: RunClient, network: Network, status: Status, *, first: int, height: float
     ) -> None:
-        super().__init__(network, systems_of(status, first=first, height=height))
+        geometry, systems = status.geometry, list[VehicleSystem]()
+        if geometry is not None:
+            origin, uavs = geometry.origin, geometry.uavs
+            systems = [
+                VehicleSystem(name, number, flies=name in uavs, origin=origin, height=height)
+                for number, name in enumerate(sorted(status.vehicles), first)
+            ]
+        super().__init__(network, systems)
         self._client, self._status = client, status
         self._helm = Helm(client.control, client.drive)
         self._named = {system.name: system for system in self.systems.values()}

@@ -8,6 +8,7 @@ can be read in the other, and a twist in `uav_0/base_link` is the velocity in `m
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -15,7 +16,6 @@ import numpy as np
 
 from bus.messages import (
     CoverageMap,
-    Detection,
     EscortTruth,
     Geometry,
     GroundMap,
@@ -24,7 +24,6 @@ from bus.messages import (
     Message,
     Status,
     Truth,
-    UavReport,
     Vector,
     VehicleStatus,
 )
@@ -125,11 +124,6 @@ def stamp(seconds: float) -> Any:  # noqa: ANN401 - generated classes have no ty
     return make(
         "builtin_interfaces/msg/Time", sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9
     )
-
-
-def seconds_of(time: Any) -> float:  # noqa: ANN401 - likewise
-    """A stamp [s]."""
-    return float(time.sec) + 1e-9 * float(time.nanosec)
 
 
 def header(seconds: float, frame: str = MAP) -> Any:  # noqa: ANN401 - likewise
@@ -277,19 +271,10 @@ def true_detection(truth: Truth, uav: str) -> Any:  # noqa: ANN401
     return detection(truth.time, uav, escort.detection)
 
 
-def own_detection(uav: str, look: Detection) -> Any:  # noqa: ANN401
-    """A detection that has come to its computer."""
-    return detection(look.time, uav, look.relative_position)
-
-
-def _report_of(truth: Truth, uav: str) -> UavReport | None:
-    escort = escort_of(truth, uav)
-    return None if escort is None else escort.report
-
-
 def estimate(truth: Truth, uav: str) -> Any:  # noqa: ANN401
     """A UAV's estimate of its UGV's place, with its covariance; None: it says nothing."""
-    report = _report_of(truth, uav)
+    escort = escort_of(truth, uav)
+    report = None if escort is None else escort.report
     if report is None:
         return None
     return make(
@@ -358,7 +343,7 @@ def marker(
     *,
     frame: str,
     name: str,
-    number: int,
+    number: int = 0,
     shape: int,
     colour: Any,  # noqa: ANN401
     position: Vector = (0.0, 0.0),
@@ -402,7 +387,6 @@ def discs(view: RunView) -> Any:  # noqa: ANN401
         marker(
             frame=base_link(ring.around),
             name=f"{ring.around}/{ring.symbol}",
-            number=0,
             shape=_LINE_STRIP,
             colour=_colour(ring.color, 0.9),
             scale=(0.05, 0.0, 0.0),
@@ -414,7 +398,6 @@ def discs(view: RunView) -> Any:  # noqa: ANN401
         marker(
             frame=base_link(vehicle.name),
             name=f"{vehicle.name}/body",
-            number=0,
             shape=_CYLINDER,
             colour=_colour(vehicle.color, 1.0),
             scale=(0.4, 0.4, 0.15),
@@ -432,7 +415,6 @@ def discs(view: RunView) -> Any:  # noqa: ANN401
         marker(
             frame=MAP,
             name="area",
-            number=0,
             shape=_LINE_STRIP,
             colour=_colour(LIMIT, 0.5),
             scale=(0.05, 0.0, 0.0),
@@ -452,32 +434,14 @@ def hazards(view: RunView, told: GroundMap) -> Any:  # noqa: ANN401
     found = []
     for number, (outline, state) in enumerate(zip(view.hazards, told.states, strict=False)):
         colour = _colour(LIMIT if state > 1 else HAZARDS[outline.kind], 1.0 if state else FAINT)
+        mark = partial(marker, frame=MAP, name=outline.kind, number=number, colour=colour)
         if outline.radius > 0.0:
             side = 2.0 * outline.radius
-            found.append(
-                marker(
-                    frame=MAP,
-                    name=outline.kind,
-                    number=number,
-                    shape=_CYLINDER,
-                    colour=colour,
-                    position=outline.center,
-                    scale=(side, side, _FLAT),
-                )
-            )
+            found.append(mark(shape=_CYLINDER, position=outline.center, scale=(side, side, _FLAT)))
         else:
             first, *rest = outline.corners
             corners = [one for pair in pairwise(rest) for one in (first, *pair)]
-            found.append(
-                marker(
-                    frame=MAP,
-                    name=outline.kind,
-                    number=number,
-                    shape=_TRIANGLES,
-                    colour=colour,
-                    points=corners,
-                )
-            )
+            found.append(mark(shape=_TRIANGLES, points=corners))
     return make("visualization_msgs/msg/MarkerArray", markers=found)
 
 

@@ -4,7 +4,6 @@ import time
 from collections import Counter
 
 from bus.boxes import Inbox
-from bus.errors import BusError
 from bus.keys import COVERAGE, GROUND, SAMPLED_TRUTH, STATUS, TRUTH, Key
 from bus.messages import CoverageMap, GroundMap, Message, Status, Truth
 from bus.session import Session
@@ -58,17 +57,6 @@ class RosObserver:
         self.refusals = Refusals()
 
     @property
-    def scene(self) -> Scene:
-        """The run's vehicles and ground.
-
-        Raises:
-            BusError: If the simulator has told of none yet.
-        """
-        if self._view is None:
-            raise BusError("no scene yet: the simulator has told nothing")
-        return self._view.scene
-
-    @property
     def topics(self) -> dict[str, int]:
         """Messages sent, by topic."""
         now = {
@@ -116,8 +104,8 @@ class RosObserver:
         if isinstance(message, Status):
             self._view.own = (self._own_diagnostic(),)
         wanted = self._wanted(message)
-        for one in messages_of(self._view, message, wanted=wanted):
-            self._publishers[one.topic].send(one.payload)
+        for name, payload in messages_of(self._view, message, wanted=wanted):
+            self._publishers[name].send(payload)
 
     def _wanted(self, message: Message) -> set[str]:
         """Topics that are read, and due; of a tick that is told again those alone that are read since then."""
@@ -144,11 +132,11 @@ class RosObserver:
         view = view_of(status.scenario, status.geometry)
         if self._view is not None and self._view.scene == view.scene:
             return
-        self._close_publishers()
+        self.close()  # what was told of another run
         self._view = view
         self._declare(view.scene)
-        for one in messages_of(self._view, None):
-            self._publishers[one.topic].send(one.payload)
+        for name, payload in messages_of(self._view, None):
+            self._publishers[name].send(payload)
 
     def _declare(self, scene: Scene) -> None:
         for row in TOPICS:
@@ -168,13 +156,10 @@ class RosObserver:
             message=f"refused {self.refusals.fault}" if refused else "ok",
         )
 
-    def _close_publishers(self) -> None:
+    def close(self) -> None:
+        """Leave the graph."""
         self._sent = Counter(self.topics)
         for publisher in self._publishers.values():
             publisher.close()
         self._publishers.clear()
         self._rows.clear()
-
-    def close(self) -> None:
-        """Leave the graph."""
-        self._close_publishers()

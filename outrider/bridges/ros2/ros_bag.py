@@ -17,7 +17,7 @@ from typing import Any, Literal
 import msgspec
 
 from bus.errors import ScenarioError
-from bus.messages import Change, CoverageMap, Geometry, GroundMap, Message, Status, Truth
+from bus.messages import Geometry, Message, Status
 from outrider.bridges.ros2.conversion import RunView, view_of
 from outrider.bridges.ros2.interfaces import encode, make, require_extra, type_hash, type_store
 from outrider.bridges.ros2.topics import TOPICS, TopicRow, messages_of
@@ -32,7 +32,6 @@ from outrider.recording.schemas import (
     SCENARIO,
     STATUS,
     TRUTH,
-    Commands,
     Head,
     OperatorWord,
     Topic,
@@ -151,30 +150,6 @@ class RosBag:
         self._base = round(head.start * 1e9)
         self.take(SCENARIO, head, 0.0)
 
-    def truth(self, truth: Truth) -> None:
-        """Take down a tick."""
-        self.take(TRUTH, truth, truth.time)
-
-    def commands(self, commands: Commands, seconds: float) -> None:
-        """Take down what was asked for during a tick that began at `seconds`."""
-        self.take(COMMANDS, commands, seconds)
-
-    def change(self, change: Change, seconds: float) -> None:
-        """Take down what operators have changed, told at `seconds`."""
-        self.take(CHANGES, change, seconds)
-
-    def status(self, status: Status) -> None:
-        """Take down how the run stands."""
-        self.take(STATUS, status, status.time)
-
-    def coverage(self, ground: CoverageMap, seconds: float) -> None:
-        """Take down the ground at `seconds`."""
-        self.take(COVERAGE, ground, seconds)
-
-    def ground(self, ground: GroundMap, seconds: float) -> None:
-        """Take down the ground with its hazards at `seconds`."""
-        self.take(GROUND, ground, seconds)
-
     def flush_if_due(self) -> None:
         """Write some of what waits: a run that is faster than this is not held up, and loses nothing."""
         self.write_waiting(_SLICE)
@@ -222,8 +197,8 @@ class RosBag:
                 if row.source is not None:
                     self._rows.setdefault(row.source, {})[name] = row
         self._declare(RECORDS, RECORDS_TYPE, RECORDS_QOS)
-        for one in messages_of(view, None):
-            self._put(one.topic, time_ns, one.payload)
+        for name, payload in messages_of(view, None):
+            self._put(name, time_ns, payload)
 
     def _declare(self, name: str, interface: str, qos: Qos) -> None:
         if name not in self._connections:
@@ -249,8 +224,8 @@ class RosBag:
             if rows[name].period > 0.0:
                 self._due[name] = time_ns + round(rows[name].period * 1e9)
         if rows and self._view is not None:
-            for one in messages_of(self._view, message, wanted=wanted):
-                self._put(one.topic, time_ns, one.payload)
+            for name, payload in messages_of(self._view, message, wanted=wanted):
+                self._put(name, time_ns, payload)
 
     def _keep(self, topic: Topic, message: Message, time_ns: int) -> None:
         """Keep a message as it is: no two of them at one time, since a bag is read in the order of times."""

@@ -10,7 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping
 from functools import partial
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from bus.errors import BusError
 from bus.messages import Action, Control, Limits, Status, Vector
@@ -28,7 +28,7 @@ from outrider.bridges.ros2.interfaces import (
 from outrider.bridges.ros2.ros_node import RosNode
 from outrider.bridges.ros2.topics import wire_topic
 from outrider.bridges.ros2.wire import NEWEST, dds_type
-from outrider.view.operator import Helm
+from outrider.view.operator import Helm, RunClient
 
 _LOG = logging.getLogger("outrider.ros2")
 TWISTS = ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Twist")
@@ -134,23 +134,6 @@ def _velocity(told: Any, vehicle: str, limits: Limits) -> Vector:  # noqa: ANN40
     return float(moves.x), float(moves.y)
 
 
-class Speaker(Protocol):
-    """Says what an operator wants; `outrider.view.operator.RunClient` does."""
-
-    def control(self, control: Control) -> bool:
-        """Say something to the simulator; False if it cannot be said."""
-
-    def drive(self, vehicle: str, drive: Any) -> bool:  # noqa: ANN401 - a Drive
-        """Say something to a UGV; False if it cannot be said."""
-
-
-class _Wheel:
-    """Whose a UGV's wheel is."""
-
-    def __init__(self) -> None:
-        self.node, self.heard = b"", -math.inf
-
-
 class RosCommands:
     """Takes velocities and calls from ROS 2's nodes.
 
@@ -162,12 +145,13 @@ class RosCommands:
     """
 
     def __init__(
-        self, node: RosNode, client: Speaker, *, namespace: str, refusals: Refusals
+        self, node: RosNode, client: RunClient, *, namespace: str, refusals: Refusals
     ) -> None:
         self._node, self._client, self._namespace = node, client, namespace
         self._refusals = refusals
         self._helm = Helm(client.control, client.drive)
-        self._wheels: dict[str, _Wheel] = {}
+        # For each UGV the node that drives it, and when that was heard last [s].
+        self._wheels: dict[str, tuple[bytes, float]] = {}
         self._lock = threading.Lock()
         self._status: Status | None = None
         self._shown: set[str] = set()
@@ -211,12 +195,12 @@ class RosCommands:
                 self._refusals.add(refused)
 
     def _pass_on(self, wish: Wish, sender: bytes) -> None:
-        wheel = self._wheels.setdefault(wish.vehicle, _Wheel())
+        node, heard = self._wheels.get(wish.vehicle, (b"", -math.inf))
         now = time.monotonic()
-        begins = now - wheel.heard > _RELEASE
-        if not begins and sender != wheel.node:
+        begins = now - heard > _RELEASE
+        if not begins and sender != node:
             raise Refused("another node is at the wheel", wish.vehicle)
-        wheel.node, wheel.heard = sender, now
+        self._wheels[wish.vehicle] = sender, now
         driver = self._status.drivers.get(wish.vehicle, "") if self._status is not None else ""
         if begins and driver != TELEOP:
             self._helm.take(wish.vehicle, driver)

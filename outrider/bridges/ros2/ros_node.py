@@ -5,6 +5,7 @@ Beside the bus' own session the only place that speaks Zenoh.
 
 import itertools
 import logging
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -13,10 +14,9 @@ import zenoh.ext
 
 from bus.errors import BusError
 from bus.session import Session
-from outrider.bridges.ros2.wire import Attachment, Endpoint, Node, Qos, Stamper, WireTopic, gid_of
+from outrider.bridges.ros2.wire import RELIABLE, Attachment, Endpoint, Node, Qos, WireTopic, gid_of
 
 _LOG = logging.getLogger("outrider.ros2")
-SERVICE_QOS = Qos(depth=10)
 _REMOTE = zenoh.Locality.REMOTE
 
 Receive = Callable[[str, bytes, bytes], None]
@@ -35,7 +35,7 @@ class RosPublisher:
         self.found = 0
         """Number of times that somebody has begun to read it where nobody had."""
         self.sent = 0
-        self._stamper = Stamper(gid_of(token))
+        self._gid = gid_of(token)
         reliability = zenoh.Reliability.RELIABLE if qos.reliable else zenoh.Reliability.BEST_EFFORT
         plain = session.declare_publisher(
             key,
@@ -73,8 +73,9 @@ class RosPublisher:
         Raises:
             BusError: If the session is gone.
         """
+        beside = Attachment(sequence=self.sent + 1, time=time.time_ns(), gid=self._gid)
         try:
-            self._put(payload, attachment=self._stamper.next())
+            self._put(payload, attachment=beside.encoded())
         except zenoh.ZError as error:
             raise BusError(f"cannot send to ROS 2: {error}") from error
         self.sent += 1
@@ -142,9 +143,7 @@ class RosNode:
 
         self._kept.append(self._zenoh.declare_queryable(key, answer, complete=True))
         self._kept.append(
-            self._zenoh.liveliness().declare_token(
-                self._token(Endpoint.SERVICE, topic, SERVICE_QOS)
-            )
+            self._zenoh.liveliness().declare_token(self._token(Endpoint.SERVICE, topic, RELIABLE))
         )
 
     def close(self) -> None:

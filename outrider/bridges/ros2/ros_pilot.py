@@ -23,7 +23,7 @@ from bus.messages import (
     UavObservation,
     UgvCommand,
 )
-from outrider.bridges.ros2.conversion import MAP, RunView, base_link, stamp
+from outrider.bridges.ros2.conversion import MAP, base_link, detection, odometry, stamp
 from outrider.bridges.ros2.interfaces import decode, encode, make, type_hash
 from outrider.bridges.ros2.ros_commands import Refusals, Refused
 from outrider.bridges.ros2.ros_node import RosNode, RosPublisher
@@ -38,14 +38,12 @@ from outrider.bridges.ros2.topics import (
     wire_topic,
 )
 from outrider.bridges.ros2.wire import dds_type
-from sim.scene.model import Scene
 
 _LOG = logging.getLogger("outrider.ros2")
 _LOOK = 0.01
 """While it waits for an answer, it looks this often whether it need not wait any longer [s]."""
 _TEXT, _ACCEL = PILOT_COMMANDS
 _COMMAND = {Role.UAV: UavCommand, Role.UGV: UgvCommand}
-_EMPTY = RunView(scene=Scene(title="", width=0.0, height=0.0, vehicles=(), escorts=()), dt=0.0)
 
 
 class RosLink:
@@ -97,8 +95,8 @@ class RosLink:
         name = self._party.name
         if isinstance(seen, UavObservation):
             for look in seen.detections:
-                self._send(OWN_DETECTION, OWN_DETECTION.convert(_EMPTY, look, name))
-        self._send(OWN_ODOMETRY, OWN_ODOMETRY.convert(_EMPTY, seen, name))
+                self._send(OWN_DETECTION, detection(look.time, name, look.relative_position))
+        self._send(OWN_ODOMETRY, odometry(seen.time, name, seen.position, seen.velocity))
         self._send(OBSERVATION, _text(seen))
 
     def answer(self, waits: Callable[[], bool]) -> Command | None:

@@ -44,10 +44,11 @@ class TopicRow:
     each: Each = Each.RUN
     interface: str
     """Such as `nav_msgs/msg/Odometry`."""
-    qos: Qos
-    source: type[Message] | None
+    qos: Qos = RELIABLE
+    source: type[Message] | None = None
     """The message that it is made of; None: of what stays as it is."""
-    convert: Convert
+    convert: Convert = lambda _view, _message, _name: None
+    """By default there is nothing to convert: a vehicle's own node does it itself."""
     period: float = 0.0
     """Time between two of them at least [s]: of the wall clock, in a bag of the simulated one."""
     about: str
@@ -85,7 +86,6 @@ TOPICS: tuple[TopicRow, ...] = (
         name="tf_static",
         interface="tf2_msgs/msg/TFMessage",
         qos=LATCHED,
-        source=None,
         convert=lambda view, _message, _name: conversion.static_transforms(view),
         about="The UAVs' downward sensors: `uav_0/base_link` to `uav_0/sensor`, whose x axis looks at the ground.",
     ),
@@ -93,7 +93,6 @@ TOPICS: tuple[TopicRow, ...] = (
         name="odom",
         each=Each.VEHICLE,
         interface="nav_msgs/msg/Odometry",
-        qos=RELIABLE,
         source=Truth,
         convert=lambda _view, truth, name: conversion.true_odometry(truth, name),
         about="Where a vehicle truly is, and its velocity.",
@@ -102,7 +101,6 @@ TOPICS: tuple[TopicRow, ...] = (
         name="accel",
         each=Each.VEHICLE,
         interface="geometry_msgs/msg/AccelStamped",
-        qos=RELIABLE,
         source=Truth,
         convert=lambda _view, truth, name: conversion.acceleration(truth, name),
         about="The acceleration that was applied since the last tick, after the bounds.",
@@ -130,7 +128,6 @@ TOPICS: tuple[TopicRow, ...] = (
         name="estimate",
         each=Each.UAV,
         interface="geometry_msgs/msg/PoseWithCovarianceStamped",
-        qos=RELIABLE,
         source=Truth,
         convert=lambda _view, truth, name: conversion.estimate(truth, name),
         about="Where the UAV believes its UGV to be, with the covariance of its filter.",
@@ -139,7 +136,6 @@ TOPICS: tuple[TopicRow, ...] = (
         name="distance",
         each=Each.UAV,
         interface="std_msgs/msg/Float64",
-        qos=RELIABLE,
         source=Truth,
         convert=lambda _view, truth, name: conversion.distance(truth, name),
         about="True distance from the UAV to its UGV, in m.",
@@ -148,7 +144,6 @@ TOPICS: tuple[TopicRow, ...] = (
         name="coverage_error",
         each=Each.UAV,
         interface="std_msgs/msg/Float64",
-        qos=RELIABLE,
         source=Truth,
         convert=lambda _view, truth, name: conversion.coverage_error(truth, name),
         about="e(t) of (4), in m².",
@@ -157,7 +152,6 @@ TOPICS: tuple[TopicRow, ...] = (
         name="discs",
         interface="visualization_msgs/msg/MarkerArray",
         qos=LATCHED,
-        source=None,
         convert=lambda view, _message, _name: conversion.discs(view),
         about="Limit of sight, range of the sensor, the vehicles, edge of the area; moving with the frames.",
     ),
@@ -188,7 +182,6 @@ TOPICS: tuple[TopicRow, ...] = (
     TopicRow(
         name="diagnostics",
         interface="diagnostic_msgs/msg/DiagnosticArray",
-        qos=RELIABLE,
         source=Status,
         convert=lambda view, status, _name: conversion.diagnostics(status, view.own),
         about="The run, its links, its vehicles' processes; what is certified, and why not.",
@@ -200,9 +193,6 @@ OBSERVATION = TopicRow(
     name=f"{PILOT}/observation",
     each=Each.VEHICLE,
     interface="std_msgs/msg/String",
-    qos=RELIABLE,
-    source=None,
-    convert=lambda _view, _message, _name: None,
     about="All that the vehicle is told at a tick, as JSON: nothing is lost.",
 )
 BRIEFING = TopicRow(
@@ -210,28 +200,18 @@ BRIEFING = TopicRow(
     each=Each.VEHICLE,
     interface="std_msgs/msg/String",
     qos=LATCHED,
-    source=None,
-    convert=lambda _view, _message, _name: None,
     about="All that the vehicle was told when it joined, as JSON.",
 )
 OWN_ODOMETRY = TopicRow(
     name=f"{PILOT}/odom",
     each=Each.VEHICLE,
     interface="nav_msgs/msg/Odometry",
-    qos=RELIABLE,
-    source=None,
-    convert=lambda _view, seen, name: conversion.odometry(
-        seen.time, name, seen.position, seen.velocity
-    ),
     about="Position and velocity as the vehicle is told them.",
 )
 OWN_DETECTION = TopicRow(
     name=f"{PILOT}/detection",
     each=Each.UAV,
     interface="geometry_msgs/msg/PointStamped",
-    qos=RELIABLE,
-    source=None,
-    convert=lambda _view, look, name: conversion.own_detection(name, look),
     about="Each detection that has come to the UAV's computer.",
 )
 PILOT_TOPICS = (OBSERVATION, BRIEFING, OWN_ODOMETRY, OWN_DETECTION)
@@ -241,18 +221,12 @@ PILOT_COMMANDS = (
         name=f"{PILOT}/command",
         each=Each.VEHICLE,
         interface="std_msgs/msg/String",
-        qos=RELIABLE,
-        source=None,
-        convert=lambda _view, _message, _name: None,
         about="The whole command as JSON, with radio messages and motions: nothing is lost.",
     ),
     TopicRow(
         name=f"{PILOT}/accel",
         each=Each.VEHICLE,
         interface="geometry_msgs/msg/AccelStamped",
-        qos=RELIABLE,
-        source=None,
-        convert=lambda _view, _message, _name: None,
         about="The commanded acceleration; its stamp is that of the observation which it answers.",
     ),
 )
@@ -270,30 +244,14 @@ def wire_topic(interface: str, name: str, namespace: str = "") -> WireTopic:
     return WireTopic(name=f"{namespace}{name}", interface=interface, hash=type_hash(interface))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TopicMessage:
-    """A message for one topic."""
-
-    row: TopicRow
-    topic: str
-    """Its name, with namespace."""
-    payload: bytes
-    """CDR."""
-
-
 def messages_of(
-    view: RunView,
-    message: Message | None,
-    *,
-    namespace: str = "",
-    wanted: Iterable[str] | None = None,
-) -> Iterator[TopicMessage]:
-    """Converts one of our messages: one result for each topic that is made of it.
+    view: RunView, message: Message | None, *, wanted: Iterable[str] | None = None
+) -> Iterator[tuple[str, bytes]]:
+    """Converts one of our messages: the name of each topic that is made of it, without namespace, and the CDR for it.
 
     Args:
         view: The run that it is of.
         message: What the simulator tells; None: what stays as it is.
-        namespace: Before all names.
         wanted: Names of topics, without namespace; None: all.
     """
     view.follow(message)
@@ -306,6 +264,4 @@ def messages_of(
                 continue
             made = row.convert(view, message, vehicle)
             if made is not None:
-                yield TopicMessage(
-                    row=row, topic=f"{namespace}{name}", payload=encode(row.interface, made)
-                )
+                yield name, encode(row.interface, made)

@@ -6,7 +6,6 @@ carry the type's hash in the key; Humble does not, and its nodes are not reached
 
 import re
 import struct
-import time
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -31,7 +30,6 @@ class Endpoint(StrEnum):
     PUBLISHER = "MP"
     SUBSCRIPTION = "MS"
     SERVICE = "SS"
-    CLIENT = "SC"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +84,7 @@ class Node:
         )
 
     def endpoint_token(self, kind: Endpoint, number: int, topic: "WireTopic", qos: Qos) -> str:
-        """The liveliness token that shows a publisher, subscription, service or client in the graph.
+        """The liveliness token that shows a publisher, subscription or service in the graph.
 
         Args:
             kind: Of the endpoint.
@@ -141,18 +139,6 @@ class Attachment:
         if length != _GID_BYTES:
             return None
         return cls(sequence=sequence, time=source_time, gid=gid)
-
-
-class Stamper:
-    """Numbers the messages of one endpoint."""
-
-    def __init__(self, gid: bytes) -> None:
-        self._gid, self._sequence = gid, 0
-
-    def next(self) -> bytes:
-        """The attachment of the next message."""
-        self._sequence += 1
-        return Attachment(sequence=self._sequence, time=time.time_ns(), gid=self._gid).encoded()
 
 
 def gid_of(token: str) -> bytes:

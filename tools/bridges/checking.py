@@ -1,0 +1,81 @@
+"""What the programs of this folder share: environments of others' programs, processes, and a table of findings."""
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
+
+
+class Row(NamedTuple):
+    """A finding."""
+
+    what: str
+    value: object
+    holds: bool
+
+
+def environment(name: str, packages: Sequence[object], python: str = sys.executable) -> Path:
+    """An environment of its own, `.venv-NAME`, made on the first call; its folder of programs."""
+    folder = ROOT / f".venv-{name}"
+    if not (folder / ".bridge").exists():
+        subprocess.run([python, "-m", "venv", folder], check=True)
+        quiet = ["-m", "pip", "install", "--quiet", "--quiet", "--disable-pip-version-check"]
+        subprocess.run([folder / "bin" / "python", *quiet, *map(str, packages)], check=True)
+        (folder / ".bridge").touch()
+    return folder / "bin"
+
+
+def outrider(*words: object) -> list[str]:
+    """A command of ours."""
+    return [sys.executable, "-m", "outrider", *map(str, words)]
+
+
+@contextmanager
+def started(
+    log: Path,
+    words: Sequence[object],
+    **settings: Any,  # noqa: ANN401 - of subprocess.Popen
+) -> Iterator["subprocess.Popen[str]"]:
+    """A process in the background, ended in order in the end, or killed.
+
+    Args:
+        log: Takes its standard error; its standard output goes into the same name with `.out`.
+        words: Its command.
+        settings: Others of the process, such as its folder.
+    """
+    with log.open("w") as file, log.with_suffix(".out").open("w") as out:
+        process = subprocess.Popen(
+            [str(word) for word in words], stdout=out, stderr=file, text=True, **settings
+        )
+        try:
+            yield process
+        finally:
+            process.terminate()
+            try:
+                process.wait(10.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def report(findings: Callable[[Path], Iterator[Row]]) -> int:
+    """Print all findings as rows of a table; the exit code, 1 if one does not hold.
+
+    Args:
+        findings: Makes them in a temporary folder, which is the working directory too.
+    """
+    good = True
+    with tempfile.TemporaryDirectory() as scratch:
+        os.chdir(scratch)
+        for found in findings(Path(scratch)):
+            good = good and found.holds
+            mark = "holds" if found.holds else "DOES NOT HOLD"
+            print(f"| {found.what} | {found.value} | {mark} |", flush=True)  # noqa: T201
+    return 0 if good else 1
