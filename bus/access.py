@@ -34,7 +34,6 @@ from bus.keys import (
     Key,
     Party,
     Role,
-    any_vehicle,
     read_by,
     session_token,
     token,
@@ -296,8 +295,6 @@ def read_authority(path: Path) -> Authority:
 
 def _expressions(key: Key, party: Party, run: str) -> str:
     """The keys of one row that are this party's: a vehicle's own, all of them for anybody else."""
-    if key.vehicle is None:
-        return key.expression(run)
     return key.expression(run, party.name if party.role is key.vehicle else "*")
 
 
@@ -315,16 +312,11 @@ def grants(party: Party, run: str, *, ros2: bool = False) -> tuple[Grant, ...]:
         found.add(Grant(message="put", flow="ingress", keys=(own,)))
         # A publisher sends only if it is told that somebody has subscribed; the simulator subscribes to all
         # vehicles at once.
-        told = (own, any_vehicle(run, key.topic)) if key.vehicle is not None else (own,)
+        told = tuple(dict.fromkeys((own, key.expression(run, "*"))))
         found.add(Grant(message="declare_subscriber", flow="egress", keys=told))
     for key in read_by(party):
         own = _expressions(key, party, run)
-        wide = (
-            any_vehicle(run, key.topic)
-            if key.vehicle is not None and party.role is Role.SIMULATOR
-            else own
-        )
-        found.add(Grant(message="declare_subscriber", flow="ingress", keys=(wide,)))
+        found.add(Grant(message="declare_subscriber", flow="ingress", keys=(own,)))
         found.add(Grant(message="put", flow="egress", keys=(own,)))
     watched = token(run, "*" if party.role is Role.SIMULATOR else SIMULATOR_NAME, "*")
     own, places = (

@@ -76,13 +76,18 @@ class Outbox:
 class Inbox:
     """Reads one topic, in order. What does not decode is counted, logged and dropped."""
 
-    def __init__(self, wake: Callable[[], None], known: Mapping[str, tuple[str, Key]]) -> None:
+    def __init__(
+        self,
+        subscriber: "zenoh.Subscriber[zenoh.Handler[zenoh.Sample]]",
+        wake: Callable[[], None],
+        known: Mapping[str, tuple[str, Key]],
+    ) -> None:
+        self._subscriber: zenoh.Subscriber[zenoh.Handler[zenoh.Sample]] | None = subscriber
         self._wake = wake
         self._decoders = {  # sender, decoder and largest payload by key
             expression: (sender, msgspec.json.Decoder(key.message), key.largest)
             for expression, (sender, key) in known.items()
         }
-        self._subscriber: zenoh.Subscriber[zenoh.Handler[zenoh.Sample]] | None = None
         self._since: float | None = None
         self._poked = False
         self._peeked: Letter | None = None
@@ -90,10 +95,6 @@ class Inbox:
         """The number of messages of each sender that did not decode."""
         self.fault: dict[str, str] = {sender: "" for sender, _ in known.values()}
         """Why the last of them did not."""
-
-    def attach(self, subscriber: "zenoh.Subscriber[zenoh.Handler[zenoh.Sample]]") -> None:
-        """Read from this subscriber."""
-        self._subscriber = subscriber
 
     def _open_subscriber(self) -> "zenoh.Subscriber[zenoh.Handler[zenoh.Sample]]":
         if self._subscriber is None:

@@ -83,7 +83,7 @@ class Key:
     """Larger payloads [bytes] the router drops where the writer is not the simulator, and readers refuse unread."""
 
     def expression(self, run: str, vehicle: str = "") -> str:
-        """The key of one vehicle (or of none) in one run."""
+        """The key of one vehicle (or of none) in one run; `*` stands for any."""
         middle = f"{vehicle}/" if self.vehicle is not None else ""
         return f"{ROOT}/{run}/{middle}{self.topic}"
 
@@ -275,11 +275,6 @@ def session_owner(expression: str) -> tuple[str, str]:
     return parts[-3], parts[-1]
 
 
-def any_vehicle(run: str, topic: str) -> str:
-    """The keys of all vehicles for one topic; what the simulator subscribes to."""
-    return f"{ROOT}/{run}/*/{topic}"
-
-
 def largest_payloads(run: str) -> dict[int, tuple[str, ...]]:
     """The largest payload [bytes], and the keys of a run for which it is that, of all that is not the simulator's."""
     found: dict[int, tuple[str, ...]] = {}
@@ -288,11 +283,6 @@ def largest_payloads(run: str) -> dict[int, tuple[str, ...]]:
             expression = key.expression(run, "*")
             found[key.largest] = tuple(dict.fromkeys((*found.get(key.largest, ()), expression)))
     return found
-
-
-def vehicle_of(expression: str) -> str:
-    """The vehicle in a key of one."""
-    return expression.split("/")[-2]
 
 
 def _own(key: Key, party: Party, vehicle: str) -> bool:

@@ -18,11 +18,9 @@ from bus.errors import AccessDenied, BusError
 from bus.keys import (
     KEYS,
     PLACES,
-    ROOT,
     Delivery,
     Key,
     Party,
-    any_vehicle,
     check_reads,
     check_run_name,
     check_writes,
@@ -31,7 +29,6 @@ from bus.keys import (
     session_token,
     token,
     token_owner,
-    vehicle_of,
     written_by,
 )
 from bus.ros2_access import LARGEST
@@ -168,9 +165,7 @@ class Session:
         check_reads(key, self.party, vehicle)
         expression = key.expression(self.run, vehicle)
         kept = newest or (1 if key.delivery is Delivery.NEWEST else 0)
-        return self._subscribe(
-            expression, expression, {expression: (vehicle_of(expression), key)}, kept=kept
-        )
+        return self._subscribe(expression, expression, {expression: (vehicle, key)}, kept=kept)
 
     def inbox_of_all(self, keys: Mapping[str, Key]) -> Inbox:
         """One reader for the same topic of several vehicles, in the order of arrival.
@@ -183,11 +178,10 @@ class Session:
         """
         for vehicle, key in keys.items():
             check_reads(key, self.party, vehicle)
-        topic = next(iter(keys.values())).topic
         known = {key.expression(self.run, vehicle): (vehicle, key) for vehicle, key in keys.items()}
-        return self._subscribe(
-            any_vehicle(self.run, topic), f"{ROOT}/{self.run}/-/{topic}", known, kept=0
-        )
+        one = next(iter(keys.values()))
+        every, nobody = one.expression(self.run, "*"), one.expression(self.run, "-")
+        return self._subscribe(every, nobody, known, kept=0)
 
     def _subscribe(
         self,
@@ -204,12 +198,10 @@ class Session:
                         wake_expression, b"", allowed_destination=zenoh.Locality.SESSION_LOCAL
                     )
 
-        inbox = Inbox(wake, known)
         handler: Any = (
             zenoh.handlers.RingChannel(kept) if kept else zenoh.handlers.FifoChannel(_ROOM)
         )
-        subscriber = self._zenoh.declare_subscriber(expression, handler)
-        inbox.attach(subscriber)
+        inbox = Inbox(self._zenoh.declare_subscriber(expression, handler), wake, known)
         self._inboxes.append(inbox)
         return inbox
 

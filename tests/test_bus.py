@@ -29,7 +29,7 @@ from bus.keys import (
     check_writes,
 )
 from bus.messages import Detection, Message, UavCommand, UavObservation, UgvCommand
-from bus.session import Session, open_session
+from bus.session import Letter, Session, open_session
 
 NAMES = {role: role.value for role in Role} | {Role.UAV: "uav_0", Role.UGV: "ugv_0"}
 
@@ -58,7 +58,7 @@ def sessions(endpoint: str) -> Iterator[dict[Role, Session]]:
 
 
 @pytest.mark.parametrize("key", KEYS, ids=lambda key: key.message.__name__)
-def test_every_row_round_trips_to_its_reader_with_the_same_bits(sessions, key):
+def test_every_row_round_trips_to_its_reader_with_the_same_bits_and_its_vehicle(sessions, key):
     reader = key.readers[0]
     vehicle = NAMES.get(key.vehicle, "") if key.vehicle else ""
     inbox = sessions[reader].inbox(key, vehicle)
@@ -68,16 +68,16 @@ def test_every_row_round_trips_to_its_reader_with_the_same_bits(sessions, key):
         sent.append(msgspec.json.decode(payload, type=key.message))
         assert isinstance(sent[-1], Message)
         assert sent[-1] not in sent[:-1]
-        _send_until_read(outbox.send, sent, inbox.receive)
+        assert _send_until_read(outbox.send, sent, inbox.receive).sender == vehicle
 
 
-def _send_until_read(send, sent: list[Message], receive) -> None:
+def _send_until_read(send, sent: list[Message], receive) -> Letter:
     """Send the last of these until it is read: the first may go before the subscription has arrived."""
     for _ in range(50):
         send(sent[-1])
         while (letter := receive(0.2)) is not None:
             if letter.message == sent[-1]:
-                return
+                return letter
             assert letter.message in sent[:-1]  # it was sent again
     raise AssertionError("nothing arrived")
 
