@@ -82,6 +82,12 @@ def test_the_filter_shown_keeps_sight(tmp_path: Path) -> None:
     assert said == "commands were not let through; certified: True\n"
 
 
+def test_the_filter_shown_certifies(capsys: pytest.CaptureFixture[str]) -> None:
+    (shown,) = blocks("python", "docs/explanation/certificate.md")
+    exec(compile(shown, "certificate.md", "exec"), {})  # noqa: S102 - our own page
+    assert capsys.readouterr().out == "()\n0 1.42 m\n"
+
+
 def test_the_many_worlds_shown_fly(tmp_path: Path) -> None:
     (shown,) = blocks("python", "docs/how-to/environments.md")
     run = processes.python(shown, cwd=tmp_path)
