@@ -101,15 +101,20 @@ def _text(certificate: "x509.Certificate") -> str:
     return certificate.public_bytes(Encoding.PEM).decode()
 
 
-def _begin(name: str, days: float) -> "tuple[ec.EllipticCurvePrivateKey, x509.CertificateBuilder]":
+def _begin(
+    name: str, days: float, issuer: "x509.Name | None" = None
+) -> "tuple[ec.EllipticCurvePrivateKey, x509.CertificateBuilder]":
+    """A new key, and what its certificate begins with; without an issuer it is issued by itself."""
     from cryptography import x509  # noqa: PLC0415
     from cryptography.hazmat.primitives.asymmetric import ec  # noqa: PLC0415
     from cryptography.x509.oid import NameOID  # noqa: PLC0415
 
     key, now = ec.generate_private_key(ec.SECP256R1()), datetime.now(UTC)
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
     builder = (
         x509.CertificateBuilder()
-        .subject_name(x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)]))
+        .subject_name(subject)
+        .issuer_name(subject if issuer is None else issuer)
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
         .not_valid_before(now - _AHEAD)
@@ -145,10 +150,7 @@ def new_authority(run: str, *, days: float = AUTHORITY_DAYS) -> Authority:
         encipher_only=False,
         decipher_only=False,
     )
-    named = builder.issuer_name(
-        x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, f"Outrider {run} {serial}"[:64])])
-    )
-    made = named.add_extension(
+    made = builder.add_extension(
         x509.BasicConstraints(ca=True, path_length=0), critical=True
     ).add_extension(usage, critical=True)
     return Authority(run=run, certificate=_text(made.sign(key, hashes.SHA256())), key=_pem(key))
@@ -183,13 +185,11 @@ def issue(
         raise AccessDenied(
             f"the authority has expired on {issuer.not_valid_after_utc:%Y-%m-%d}: make all credentials anew"
         )
-    key, builder = _begin(name, min(days, left))
+    key, builder = _begin(name, min(days, left), issuer.subject)
     purpose = ExtendedKeyUsageOID.SERVER_AUTH if hosts else ExtendedKeyUsageOID.CLIENT_AUTH
-    builder = (
-        builder.issuer_name(issuer.subject)
-        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        .add_extension(x509.ExtendedKeyUsage([purpose]), critical=False)
-    )
+    builder = builder.add_extension(
+        x509.BasicConstraints(ca=False, path_length=None), critical=True
+    ).add_extension(x509.ExtendedKeyUsage([purpose]), critical=False)
     if hosts:
         builder = builder.add_extension(
             x509.SubjectAlternativeName([_host(host) for host in hosts]), critical=False

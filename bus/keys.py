@@ -108,74 +108,29 @@ class Grant(NamedTuple):
     """`allow`, or `deny`, which is stronger."""
 
 
-UAV_BRIEFING = Key(
-    topic="briefing",
-    vehicle=Role.UAV,
-    message=UavBriefing,
-    writer=Role.SIMULATOR,
-    readers=(Role.UAV,),
-    delivery=Delivery.EVERY,
-    largest=_LARGE,
-)
-UGV_BRIEFING = Key(
-    topic="briefing",
-    vehicle=Role.UGV,
-    message=UgvBriefing,
-    writer=Role.SIMULATOR,
-    readers=(Role.UGV,),
-    delivery=Delivery.EVERY,
-    largest=_LARGE,
-)
-UAV_OBSERVATION = Key(
-    topic="observation",
-    vehicle=Role.UAV,
-    message=UavObservation,
-    writer=Role.SIMULATOR,
-    readers=(Role.UAV,),
-    delivery=Delivery.EVERY,
-    largest=_LARGE,
-)
-UGV_OBSERVATION = Key(
-    topic="observation",
-    vehicle=Role.UGV,
-    message=UgvObservation,
-    writer=Role.SIMULATOR,
-    readers=(Role.UGV,),
-    delivery=Delivery.EVERY,
-    largest=_LARGE,
-)
-UAV_COMMAND = Key(
-    topic="command",
-    vehicle=Role.UAV,
-    message=UavCommand,
-    writer=Role.UAV,
-    readers=(Role.SIMULATOR,),
-    delivery=Delivery.EVERY,
-)
-UGV_COMMAND = Key(
-    topic="command",
-    vehicle=Role.UGV,
-    message=UgvCommand,
-    writer=Role.UGV,
-    readers=(Role.SIMULATOR,),
-    delivery=Delivery.EVERY,
-)
-OPERATOR = Key(
-    topic="operator",
-    vehicle=Role.UGV,
-    message=Drive,
-    writer=Role.OPERATOR,
-    readers=(Role.SIMULATOR,),
-    delivery=Delivery.EVERY,
-)
-CONTROL = Key(
-    topic="control",
-    vehicle=None,
-    message=Control,
-    writer=Role.OPERATOR,
-    readers=(Role.SIMULATOR,),
-    delivery=Delivery.EVERY,
-)
+def _to_vehicle(topic: str, vehicle: Role, message: type[Message]) -> Key:
+    """The simulator's messages to a vehicle: every one counts, and it may be large."""
+    return Key(
+        topic=topic,
+        vehicle=vehicle,
+        message=message,
+        writer=Role.SIMULATOR,
+        readers=(vehicle,),
+        delivery=Delivery.EVERY,
+        largest=_LARGE,
+    )
+
+
+def _to_simulator(topic: str, vehicle: Role | None, message: type[Message], writer: Role) -> Key:
+    """The messages of vehicles and operators to the simulator: every one counts."""
+    return Key(
+        topic=topic,
+        vehicle=vehicle,
+        message=message,
+        writer=writer,
+        readers=(Role.SIMULATOR,),
+        delivery=Delivery.EVERY,
+    )
 
 
 def _telemetry(topic: str, message: type[Message], largest: int = _LARGE) -> Key:
@@ -191,6 +146,14 @@ def _telemetry(topic: str, message: type[Message], largest: int = _LARGE) -> Key
     )
 
 
+UAV_BRIEFING = _to_vehicle("briefing", Role.UAV, UavBriefing)
+UGV_BRIEFING = _to_vehicle("briefing", Role.UGV, UgvBriefing)
+UAV_OBSERVATION = _to_vehicle("observation", Role.UAV, UavObservation)
+UGV_OBSERVATION = _to_vehicle("observation", Role.UGV, UgvObservation)
+UAV_COMMAND = _to_simulator("command", Role.UAV, UavCommand, Role.UAV)
+UGV_COMMAND = _to_simulator("command", Role.UGV, UgvCommand, Role.UGV)
+OPERATOR = _to_simulator("operator", Role.UGV, Drive, Role.OPERATOR)
+CONTROL = _to_simulator("control", None, Control, Role.OPERATOR)
 TRUTH = _telemetry("truth", Truth)
 SAMPLED_TRUTH = _telemetry("sampled-truth", Truth)
 """The truth for people's eyes: some ticks of it, as often as an eye can see."""

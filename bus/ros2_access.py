@@ -36,6 +36,7 @@ _ENDPOINT = "@ros2_lv/*/*/*/*/*/*/*/*/{name}/*/*/*"
 COMMANDS = f"*/**/{CMD_VEL}/{_TYPE}"
 """All velocities for UGVs, in every domain and namespace."""
 _CALLS = tuple(f"*/**/{service}/{_TYPE}" for service in SERVICES)
+_OTHER_WAY = {"ingress": "egress", "egress": "ingress"}
 
 
 def _late(*keys: str) -> tuple[str, ...]:
@@ -56,17 +57,13 @@ def _publishes(*keys: str) -> list[Grant]:
     ]
 
 
+def _other_end(grants: list[Grant]) -> list[Grant]:
+    """The rules of those with whom these let a party speak: what comes in from the one goes out to the other."""
+    return [grant._replace(flow=_OTHER_WAY[grant.flow]) for grant in grants]
+
+
 def _subscribes(*keys: str) -> list[Grant]:
-    return [
-        Grant("declare_subscriber", "ingress", keys),
-        Grant("put", "egress", keys),
-        Grant("query", "ingress", _late(*keys)),
-        Grant("declare_queryable", "egress", _late(*keys)),
-        Grant("reply", "egress", (*keys, *_late(*keys))),
-        Grant("declare_liveliness_subscriber", "ingress", _late(*keys)),
-        Grant("liveliness_query", "ingress", _late(*keys)),
-        Grant("liveliness_token", "egress", _late(*keys)),
-    ]
+    return _other_end(_publishes(*keys))
 
 
 _LOOKS = [
@@ -77,16 +74,17 @@ _DECLARES = [
     Grant("liveliness_token", "ingress", (_GRAPH,)),
     Grant("liveliness_token", "egress", (_GRAPH,)),
 ]
+_DRIVEN = [
+    Grant("declare_subscriber", "ingress", (COMMANDS,)),
+    Grant("put", "egress", (COMMANDS,)),
+    Grant("declare_queryable", "ingress", _CALLS),
+    Grant("query", "egress", _CALLS),
+    Grant("reply", "ingress", _CALLS),
+]
 _NOT_OWN = [
     Grant(message, flow, (_ANY_OWN,), "deny")
-    for message, flow in (
-        ("put", "ingress"),
-        ("put", "egress"),
-        ("declare_subscriber", "ingress"),
-        ("declare_subscriber", "egress"),
-        ("reply", "ingress"),
-        ("reply", "egress"),
-    )
+    for message in ("put", "declare_subscriber", "reply")
+    for flow in _OTHER_WAY
 ] + [
     Grant("liveliness_token", "ingress", (_ENDPOINT.format(name=f"$*%{PILOT}%$*"),), "deny"),
     Grant("query", "ingress", _late(_ANY_OWN), "deny"),
@@ -114,23 +112,11 @@ def _of_staff(role: Role) -> list[Grant]:
     if role in (Role.ROS2, Role.OPERATOR):
         found += _publishes(TOPICS)
     if role is Role.OPERATOR:
-        found += [
-            Grant("declare_subscriber", "ingress", (COMMANDS,)),
-            Grant("put", "egress", (COMMANDS,)),
-            Grant("declare_queryable", "ingress", _CALLS),
-            Grant("query", "egress", _CALLS),
-            Grant("reply", "ingress", _CALLS),
-        ]
+        found += _DRIVEN
     if role in (Role.ROS2_OBSERVER, Role.ROS2_OPERATOR):
         found += _subscribes(TOPICS)
     if role is Role.ROS2_OPERATOR:
-        found += [
-            Grant("put", "ingress", (COMMANDS,)),
-            Grant("declare_subscriber", "egress", (COMMANDS,)),
-            Grant("query", "ingress", _CALLS),
-            Grant("declare_queryable", "egress", _CALLS),
-            Grant("reply", "egress", _CALLS),
-        ]
+        found += _other_end(_DRIVEN)
     return [*found, *_LOOKS, *_DECLARES, *_NOT_OWN] if found else []
 
 
