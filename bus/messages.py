@@ -5,6 +5,7 @@ relative positions are p_delta = p_a - p_g, from the UGV to the UAV. No message 
 velocity, input or goal, and none to a UGV for the UAV's.
 """
 
+import math
 from enum import StrEnum
 from typing import Annotated, Any
 
@@ -38,6 +39,11 @@ class Limits(Message, frozen=True, kw_only=True):
     """v_max [m/s]."""
     max_acceleration: Positive | None
     """u_max [m/s²]."""
+
+
+def or_infinite(bound: float | None) -> float:
+    """A bound as a number: infinite where there is none."""
+    return math.inf if bound is None else float(bound)
 
 
 class Area(Message, frozen=True, kw_only=True):

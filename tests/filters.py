@@ -7,13 +7,13 @@ import numpy as np
 from draws import a_key
 from scipy.stats import chi2
 
-from agents.estimation.estimator import (
-    Estimate,
-    RelativeEstimator,
+from agents.estimation.estimator import Estimate, RelativeEstimator
+from agents.estimation.motion_model import (
     acceleration_deviation,
     cut_variance,
+    strayed_distance,
+    supposed_acceleration,
 )
-from agents.estimation.motion_model import strayed_distance, supposed_acceleration
 from bus.messages import Detection, Detector, Estimator, Limits
 from bus.ticks import looks_of
 from sim.models.randomness import DETECTION_NOISE, cut_normal_vector

@@ -11,13 +11,13 @@ from filterpy.kalman import KalmanFilter
 from filters import straying
 
 from agents.estimation.estimator import RelativeEstimator
-from agents.estimation.motion_model import acceleration_deviation, cut_variance, motion
-from agents.estimation.twin import (
-    kalman_estimate,
+from agents.estimation.motion_model import (
+    acceleration_deviation,
+    cut_variance,
     kalman_parameters,
-    kalman_state,
-    kalman_step,
+    motion,
 )
+from agents.estimation.twin import kalman_estimate, kalman_state, kalman_step
 from bus.messages import Detector, Estimator, Limits
 from bus.ticks import Look
 

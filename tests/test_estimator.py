@@ -25,8 +25,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from agents.estimation.estimator import acceleration_deviation as deviation_of
-from agents.estimation.estimator import cut_variance, motion
+from agents.estimation.motion_model import acceleration_deviation as deviation_of
+from agents.estimation.motion_model import cut_variance, motion
 from bus.messages import Estimator, Limits
 from bus.ticks import Look
 

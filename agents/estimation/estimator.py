@@ -21,22 +21,15 @@ import numpy as np
 from agents.estimation.kalman import BareFilter
 from agents.estimation.motion_model import (
     SURE,
-    acceleration_deviation,
-    cut_variance,
+    kalman_parameters,
     motion,
     strayed_distance,
-    supposed_acceleration,
 )
 from agents.estimation.past import SPAN, FilterHistory, PastTick
 from bus.messages import Detector, Estimator, Limits
 from bus.ticks import NO_TICK, Look
 from sim.kernels.compile import FloatArray
 from sim.models.vehicles import clip_norm
-
-_VARIANCE_FLOOR = 1e-12  # [m²], (1 µm)²: a detector without noise must not make S singular
-_FREE_SPEED = (
-    10.0  # [m/s], deviation of the first velocity per axis where the largest speed is not known
-)
 
 
 class Estimate(msgspec.Struct, frozen=True, kw_only=True):
@@ -88,25 +81,17 @@ class RelativeEstimator:
         Raises:
             ValueError: If dt is not positive and finite, or the span is negative.
         """
-        if not 0.0 < dt < math.inf:
-            raise ValueError(f"dt must be positive and finite, not {dt}")
-        self._settings = settings
-        self._dt = dt
-        self._speed = math.inf if target.max_speed is None else float(target.max_speed)
-        self._deviation = acceleration_deviation(target=target, manoeuvre=settings.manoeuvre, dt=dt)
-        self._acceleration = float(
-            supposed_acceleration(target=target, manoeuvre=settings.manoeuvre, dt=dt)
-        )
+        c = kalman_parameters(detector=detector, target=target, dt=dt, settings=settings)
+        self._parameters = c
         self._motions: dict[int, tuple[FloatArray, FloatArray]] = {}
-        self._variance = max(cut_variance(sigma=detector.noise, cut=detector.cut), _VARIANCE_FLOOR)
-        # A vehicle at full speed in a direction unknown: v²/2 per axis.
-        first = _FREE_SPEED**2 if target.max_speed is None else 0.5 * target.max_speed**2
-        self._first_covariance = np.diag([self._variance, self._variance, first, first])
+        self._first_covariance = np.diag(
+            [c.variance, c.variance, c.first_variance, c.first_variance]
+        )
         self._filter: Any = BareFilter(dim_x=4, dim_z=2)
         self._filter.x = np.zeros(4)
         self._filter.P = self._first_covariance.copy()
         self._filter.H = np.eye(2, 4)
-        self._filter.R = self._variance * np.eye(2)
+        self._filter.R = c.variance * np.eye(2)
         self._ahead: tuple[FloatArray, FloatArray, tuple[list[float], FloatArray]] | None = (
             None  # x, P and gain at the next tick
         )
@@ -216,7 +201,7 @@ class RelativeEstimator:
         """Grow older by so many ticks without a detection."""
         if self._age is not None:
             self._age += ticks
-            if ticks and self._settings.enabled:
+            if ticks and self._parameters.enabled:
                 self._predict(ticks, self._age)
 
     def _past(self, tick: int, taken: int) -> PastTick | None:
@@ -269,7 +254,7 @@ class RelativeEstimator:
 
         Neither the prediction nor the gain depends on what will be detected.
         """
-        if self._age is None or not self._settings.enabled or self._ahead is not None:
+        if self._age is None or not self._parameters.enabled or self._ahead is not None:
             return
         posterior = (self._filter.x, self._filter.P)
         self._predict(1, self._age + 1)
@@ -282,38 +267,34 @@ class RelativeEstimator:
         if ahead is not None and ticks == 1:
             self._filter.x, self._filter.P, self._weighed = ahead
             return
-        matrices = self._motions.get(ticks)
+        c, matrices = self._parameters, self._motions.get(ticks)
         if matrices is None:
-            matrices = self._motions[ticks] = motion(
-                ticks=ticks, dt=self._dt, deviation=self._deviation
-            )
+            matrices = self._motions[ticks] = motion(ticks=ticks, dt=c.dt, deviation=c.deviation)
         before = self._filter.P.item(0)
         self._filter.predict(*matrices)
-        if self._speed < math.inf:
-            strayed = strayed_distance(age * self._dt, self._speed, self._acceleration)
-            self._bound(
-                least=SURE * strayed, most=math.sqrt(before) + self._speed * ticks * self._dt
-            )
+        if c.speed < math.inf:
+            strayed = strayed_distance(age * c.dt, c.speed, c.acceleration)
+            self._bound(least=SURE * strayed, most=math.sqrt(before) + c.speed * ticks * c.dt)
 
     def _bound(self, *, least: float, most: float) -> None:
         """Keep the standard deviations per axis within bounds: the position's [m], and the velocity's up to v_g,max."""
         position = math.sqrt(self._filter.P.item(0))
-        velocity = math.sqrt(self._filter.P.item(10))
-        if not least <= position <= most or velocity > self._speed:
-            p, v = min(max(least, position), most) / position, min(1.0, self._speed / velocity)
+        velocity, speed = math.sqrt(self._filter.P.item(10)), self._parameters.speed
+        if not least <= position <= most or velocity > speed:
+            p, v = min(max(least, position), most) / position, min(1.0, speed / velocity)
             scale = np.array([p, p, v, v])
             self._filter.P = self._filter.P * np.outer(scale, scale)
 
     def _take(self, x: float, y: float) -> None:
         """Believe or refuse a detection of the UGV at (x, y) [m]."""
-        if not self._settings.enabled or self._age is None:
+        if not self._parameters.enabled or self._age is None:
             self._start(x, y)
         elif self._is_believable(x, y):
             self._correct(x, y)
         else:
             self._refused += 1
             self._refused_in_a_row += 1
-            if self._refused_in_a_row >= self._settings.patience:
+            if self._refused_in_a_row >= self._parameters.patience:
                 self._start(x, y)
 
     def _start(self, x: float, y: float) -> None:
@@ -325,22 +306,24 @@ class RelativeEstimator:
 
     def _is_believable(self, x: float, y: float) -> bool:
         r"""True if $\nu^T S^{-1} \nu$ is within the gate, $\nu = z - H\hat x$, $S = H P H^T + R$."""
-        state, P = self._filter.x, self._filter.P
+        state, P, c = self._filter.x, self._filter.P, self._parameters
         nu_x, nu_y = x - state.item(0), y - state.item(1)
-        s_xx, s_xy, s_yy = P.item(0) + self._variance, P.item(1), P.item(5) + self._variance
+        s_xx, s_xy, s_yy = P.item(0) + c.variance, P.item(1), P.item(5) + c.variance
         determinant = s_xx * s_yy - s_xy * s_xy
         squared: float = (
             s_yy * nu_x * nu_x - 2.0 * s_xy * nu_x * nu_y + s_xx * nu_y * nu_y
         ) / determinant
         self._innovation_squared = squared
-        return squared <= self._settings.gate
+        return squared <= c.gate
 
     def _correct(self, x: float, y: float) -> None:
         K, covariance = self._weighed or self._filter.weigh()
         p_x, p_y, v_x, v_y = self._filter.x.tolist()
         nu_x, nu_y = x - p_x, y - p_y
         v_x, v_y = clip_norm(
-            v_x + K[4] * nu_x + K[5] * nu_y, v_y + K[6] * nu_x + K[7] * nu_y, self._speed
+            v_x + K[4] * nu_x + K[5] * nu_y,
+            v_y + K[6] * nu_x + K[7] * nu_y,
+            self._parameters.speed,
         )
         self._filter.x = np.array(
             [p_x + K[0] * nu_x + K[1] * nu_y, p_y + K[2] * nu_x + K[3] * nu_y, v_x, v_y]
@@ -359,6 +342,6 @@ class RelativeEstimator:
             position=(x, y),
             velocity=(v_x, v_y),
             covariance=(P.item(0), P.item(1), P.item(5)),
-            age=self._age * self._dt,
+            age=self._age * self._parameters.dt,
             refused=self._refused + self._misdated,
         )

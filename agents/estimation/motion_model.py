@@ -1,10 +1,11 @@
 """The assumptions of the UAV's filter: a detection's noise, and the motion of a UGV of which only bounds are known."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from bus.messages import Limits
+from bus.messages import Detector, Estimator, Limits, or_infinite
 from sim.kernels.compile import FloatArray, compiled
 
 SURE = 1.0 / math.sqrt(8.0)
@@ -13,6 +14,39 @@ _TIRE_LIMIT = (
     9.81  # [m/s²], what tires on the ground can give; where neither of the UGV's bounds is known
 )
 _HOLD = 1.0  # [s], how long an acceleration lasts where the largest speed is not known
+_VARIANCE_FLOOR = 1e-12  # [m²], (1 µm)²: a detector without noise must not make S singular
+_FREE_SPEED = (
+    10.0  # [m/s], deviation of the first velocity per axis where the largest speed is not known
+)
+
+
+class KalmanParameters(NamedTuple):
+    """The numbers of one UAV's filter; from `kalman_parameters`."""
+
+    dt: float
+    """Length of a tick [s]."""
+    variance: float
+    """R: of a detection, per axis [m²]."""
+    first_variance: float
+    """Of the first velocity, per axis [m²/s²]."""
+    q_pp: float
+    """Q of one tick: position [m²]."""
+    q_pv: float
+    """Position and velocity [m²/s]."""
+    q_vv: float
+    """Velocity [m²/s²]."""
+    speed: float
+    """Largest speed of the UGV, v_g,max [m/s]; infinite where it is not known."""
+    acceleration: float
+    """The supposed acceleration of the UGV [m/s²]."""
+    deviation: float
+    """Of its random acceleration in one tick, per axis [m/s²]."""
+    gate: float
+    """Largest normalized innovation squared that is believed."""
+    patience: int
+    """Detections refused in a row after which the filter starts anew."""
+    enabled: bool
+    """False: the newest detection is taken as it is and held."""
 
 
 def cut_variance(*, sigma: float, cut: float | None) -> float:
@@ -121,3 +155,39 @@ def motion(*, ticks: int, dt: float, deviation: float) -> tuple[FloatArray, Floa
     q_pp, q_pv, q_vv = q * dt**4 * (n**3 / 3.0 - n / 12.0), q * dt**3 * n * n / 2.0, q * dt * dt * n
     Q: FloatArray = np.kron(np.array([[q_pp, q_pv], [q_pv, q_vv]]), both)
     return F, Q
+
+
+def kalman_parameters(
+    *, detector: Detector, target: Limits, dt: float, settings: Estimator
+) -> KalmanParameters:
+    """The numbers of one UAV's filter.
+
+    Args:
+        detector: The UAV's detector; its noise and cut make R.
+        target: The UGV's bounds.
+        dt: Length of a tick [s].
+        settings: Gate, patience, manoeuvre, and whether to filter at all.
+
+    Raises:
+        ValueError: If dt is not positive and finite.
+    """
+    if not 0.0 < dt < math.inf:
+        raise ValueError(f"dt must be positive and finite, not {dt}")
+    speed, manoeuvre = or_infinite(target.max_speed), settings.manoeuvre
+    deviation = acceleration_deviation(target=target, manoeuvre=manoeuvre, dt=dt)
+    _, Q = motion(ticks=1, dt=dt, deviation=deviation)
+    return KalmanParameters(
+        dt=float(dt),
+        variance=max(cut_variance(sigma=detector.noise, cut=detector.cut), _VARIANCE_FLOOR),
+        # A vehicle at full speed in a direction unknown: v²/2 per axis.
+        first_variance=_FREE_SPEED**2 if target.max_speed is None else 0.5 * speed**2,
+        q_pp=Q.item(0, 0),
+        q_pv=Q.item(0, 2),
+        q_vv=Q.item(2, 2),
+        speed=speed,
+        acceleration=float(supposed_acceleration(target=target, manoeuvre=manoeuvre, dt=dt)),
+        deviation=deviation,
+        gate=float(settings.gate),
+        patience=settings.patience,
+        enabled=settings.enabled,
+    )

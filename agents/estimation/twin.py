@@ -27,15 +27,7 @@ from numba.extending import intrinsic
 
 from agents.control.lookahead import Target
 from agents.control.uav_tick import LOOK
-from agents.estimation.estimator import RelativeEstimator
-from agents.estimation.motion_model import (
-    SURE,
-    acceleration_deviation,
-    motion,
-    strayed_distance,
-    supposed_acceleration,
-)
-from bus.messages import Detector, Estimator, Limits
+from agents.estimation.motion_model import SURE, KalmanParameters, strayed_distance
 from sim.kernels.compile import FloatArray, borrowing
 from sim.kernels.records import RecordArray, record_type
 from sim.models.vehicles import clip_norm
@@ -88,33 +80,6 @@ class Counts:
     """Later than the history reaches."""
 
 
-class KalmanParameters(NamedTuple):
-    """The numbers of one UAV's filter; from `kalman_parameters`."""
-
-    dt: float
-    """Length of a tick [s]."""
-    variance: float
-    """R: of a detection, per axis [m²]."""
-    first_variance: float
-    """Of the first velocity, per axis [m²/s²]."""
-    q_pp: float
-    """Q of one tick: position [m²]."""
-    q_pv: float
-    """Position and velocity [m²/s]."""
-    q_vv: float
-    """Velocity [m²/s²]."""
-    speed: float
-    """Largest speed of the UGV, v_g,max [m/s]; infinite where it is not known."""
-    acceleration: float
-    """The supposed acceleration of the UGV [m/s²]."""
-    gate: float
-    """Largest normalized innovation squared that is believed."""
-    patience: int
-    """Detections refused in a row after which the filter starts anew."""
-    enabled: bool
-    """False: the newest detection is taken as it is and held."""
-
-
 class KalmanState(NamedTuple):
     """The filter of one UAV; its arrays change in place. From `kalman_state`."""
 
@@ -126,40 +91,6 @@ class KalmanState(NamedTuple):
     """`Past` of the last ticks, each in row tick % depth. Shape (depth,)."""
     before: RecordArray
     """Likewise the `Belief` before what was detected then was taken up."""
-
-
-def kalman_parameters(
-    *, detector: Detector, target: Limits, dt: float, settings: Estimator
-) -> KalmanParameters:
-    """The numbers of the filter, from what the pilot's is made of.
-
-    Args:
-        detector: The UAV's detector.
-        target: The UGV's bounds.
-        dt: Length of a tick [s].
-        settings: Gate, patience, manoeuvre, and whether to filter at all.
-
-    Raises:
-        ValueError: If dt is not positive and finite.
-    """
-    first = RelativeEstimator(detector=detector, target=target, dt=dt, settings=settings).covariance
-    deviation = acceleration_deviation(target=target, manoeuvre=settings.manoeuvre, dt=dt)
-    _, Q = motion(ticks=1, dt=dt, deviation=deviation)
-    return KalmanParameters(
-        dt=float(dt),
-        variance=first.item(0, 0),
-        first_variance=first.item(2, 2),
-        q_pp=Q.item(0, 0),
-        q_pv=Q.item(0, 2),
-        q_vv=Q.item(2, 2),
-        speed=math.inf if target.max_speed is None else float(target.max_speed),
-        acceleration=float(
-            supposed_acceleration(target=target, manoeuvre=settings.manoeuvre, dt=dt)
-        ),
-        gate=float(settings.gate),
-        patience=settings.patience,
-        enabled=settings.enabled,
-    )
 
 
 def kalman_state(depth: int) -> KalmanState:
@@ -275,23 +206,11 @@ def _coast(parameters: KalmanParameters, b: Belief) -> None:
     c = parameters
     b.x += c.dt * b.v_x
     b.y += c.dt * b.v_y
-    before = b.p_pp
-    pp, pv, vp, vv = _predicted(
-        dt=c.dt,
-        q_pp=c.q_pp,
-        q_pv=c.q_pv,
-        q_vv=c.q_vv,
-        pp=before,
-        pv=b.p_pv,
-        vp=b.p_vp,
-        vv=b.p_vv,
-    )
+    pp, pv, vp, vv = _predicted(c, b)
     if c.speed < math.inf:
         strayed = strayed_distance(elapsed=b.age * c.dt, speed=c.speed, acceleration=c.acceleration)
-        most = math.sqrt(before) + c.speed * c.dt
-        pp, pv, vp, vv = _bounded(
-            least=SURE * strayed, most=most, speed=c.speed, pp=pp, pv=pv, vp=vp, vv=vv
-        )
+        most = math.sqrt(b.p_pp) + c.speed * c.dt
+        pp, pv, vp, vv = _bounded(SURE * strayed, most, c.speed, pp, pv, vp, vv)
     b.p_pp, b.p_pv, b.p_vp, b.p_vv = pp, pv, vp, vv
 
 
@@ -307,12 +226,11 @@ fma = cast("Callable[[float, float, float], float]", intrinsic(_fma))
 
 
 @borrowing
-def _predicted(
-    dt: float, q_pp: float, q_pv: float, q_vv: float, pp: float, pv: float, vp: float, vv: float
-) -> tuple[float, float, float, float]:
+def _predicted(c: KalmanParameters, b: Belief) -> tuple[float, float, float, float]:
     r"""The covariance of one axis a tick later: $F P F^T + Q$."""
-    a_pp, a_pv = fma(dt, vp, pp), fma(dt, vv, pv)
-    return fma(a_pv, dt, a_pp) + q_pp, a_pv + q_pv, fma(vv, dt, vp) + q_pv, vv + q_vv
+    dt, vp, vv = c.dt, b.p_vp, b.p_vv
+    a_pp, a_pv = fma(dt, vp, b.p_pp), fma(dt, vv, b.p_pv)
+    return fma(a_pv, dt, a_pp) + c.q_pp, a_pv + c.q_pv, fma(vv, dt, vp) + c.q_pv, vv + c.q_vv
 
 
 @borrowing
@@ -331,10 +249,9 @@ def _bounded(
 
 
 @borrowing
-def _weighed(
-    variance: float, pp: float, pv: float, vp: float, vv: float
-) -> tuple[float, float, float, float, float, float]:
+def _weighed(variance: float, b: Belief) -> tuple[float, float, float, float, float, float]:
     r"""Gain of one axis, and its covariance after a detection, $(I - KH) P (I - KH)^T + K R K^T$."""
+    pp, pv, vp, vv = b.p_pp, b.p_pv, b.p_vp, b.p_vv
     s = pp + variance
     inverse = s * (1.0 / (s * s))
     k_p, k_v = pp * inverse, vp * inverse
@@ -356,17 +273,17 @@ def _weighed(
 def _take(parameters: KalmanParameters, b: Belief, x: float, y: float) -> None:
     """Believe or refuse a detection of the UGV at (x, y) [m]."""
     if not parameters.enabled or not b.known:
-        _start(parameters=parameters, b=b, x=x, y=y)
+        _start(parameters, b, x, y)
         return
     nu_x, nu_y = x - b.x, y - b.y
     s = b.p_pp + parameters.variance
     if (s * nu_x * nu_x + s * nu_y * nu_y) / (s * s) <= parameters.gate:
-        _correct(parameters=parameters, b=b, nu_x=nu_x, nu_y=nu_y)
+        _correct(parameters, b, nu_x, nu_y)
         return
     b.by_gate += 1
     b.in_a_row += 1
     if b.in_a_row >= parameters.patience:
-        _start(parameters=parameters, b=b, x=x, y=y)
+        _start(parameters, b, x, y)
 
 
 @borrowing
@@ -374,25 +291,14 @@ def _start(parameters: KalmanParameters, b: Belief, x: float, y: float) -> None:
     """Know nothing but one detection at (x, y) [m]."""
     b.known = True
     b.x, b.y, b.v_x, b.v_y = x, y, 0.0, 0.0
-    b.p_pp, b.p_pv, b.p_vp, b.p_vv = (
-        parameters.variance,
-        0.0,
-        0.0,
-        parameters.first_variance,
-    )
+    b.p_pp, b.p_pv, b.p_vp, b.p_vv = parameters.variance, 0.0, 0.0, parameters.first_variance
     b.age = b.in_a_row = 0
 
 
 @borrowing
 def _correct(parameters: KalmanParameters, b: Belief, nu_x: float, nu_y: float) -> None:
     """Believe a detection that is (nu_x, nu_y) [m] from where the UGV was thought to be."""
-    k_p, k_v, pp, pv, vp, vv = _weighed(
-        variance=parameters.variance,
-        pp=b.p_pp,
-        pv=b.p_pv,
-        vp=b.p_vp,
-        vv=b.p_vv,
-    )
+    k_p, k_v, pp, pv, vp, vv = _weighed(parameters.variance, b)
     b.x += k_p * nu_x
     b.y += k_p * nu_y
     b.v_x, b.v_y = clip_norm(x=b.v_x + k_v * nu_x, y=b.v_y + k_v * nu_y, limit=parameters.speed)
