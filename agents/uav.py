@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from agents.control.guard import guard_state
@@ -16,7 +17,6 @@ from agents.control.laws import (
     OwnTerms,
     initial_state,
     law_parameters,
-    number,
 )
 from agents.control.lookahead import Target, lookahead_memory
 from agents.control.orbit import Path, check_path
@@ -35,6 +35,7 @@ from bus.messages import (
     UavObservation,
     UavReport,
     Vector,
+    or_infinite,
 )
 from bus.ticks import Look, looks_of
 from sim.kernels.compile import FloatArray, borrowing, entry_point
@@ -102,10 +103,9 @@ def _act(
     target: Target,
 ) -> tuple[float, float, int, int, float]:
     """Both parts of the tick in one call: handing over the memory costs as much as either of them."""
-    law, promise, arrived = laws[0], promises[0], seen.looks.shape[0]
-    tick, here, looks = seen.tick, seen.here, seen.looks
-    uav_perceive(law, promise, guarded, memory, seen.looked, tick, here, looks, arrived)
-    return uav_tick(law, promise, guarded, memory, own, tick, here, target, seen.flown)
+    _perceive(laws, promises, guarded, memory, seen)
+    tick, here = seen.tick, seen.here
+    return uav_tick(laws[0], promises[0], guarded, memory, own, tick, here, target, seen.flown)
 
 
 def radio_ticks(dt: float) -> int:
@@ -114,18 +114,16 @@ def radio_ticks(dt: float) -> int:
 
 
 def _report(estimate: Estimate, verdict: Verdict | None) -> UavReport:
-    if verdict is None:
-        return UavReport(
-            estimate=estimate.position,
-            covariance=estimate.covariance,
-            age=estimate.age,
-            refused=estimate.refused,
-        )
-    return UavReport(
+    report = UavReport(
         estimate=estimate.position,
         covariance=estimate.covariance,
         age=estimate.age,
         refused=estimate.refused,
+    )
+    if verdict is None:
+        return report
+    return msgspec.structs.replace(
+        report,
         certified=verdict.certified,
         uncertified=verdict.reason[:_LONGEST],
         intervened=verdict.intervened,
@@ -211,7 +209,7 @@ class UavPilot:
         return self._inner is not None or self._parameters.law in WATCHED
 
     def _check_own_functions(self) -> None:
-        law = self._parameters.law
+        law, limits = self._parameters.law, self._briefing.limits
         if law == WEIGHTED:
             if self._weighting is None:
                 raise ScenarioError(
@@ -223,10 +221,8 @@ class UavPilot:
                 raise ScenarioError(
                     "law.name = 'path': needs a path, given to the UAV as module:function"
                 )
-            bounds = (self._briefing.limits, self._briefing.target_limits)
-            (v_a, u_a), (v_g, _) = (
-                (number(b.max_speed), number(b.max_acceleration)) for b in bounds
-            )
+            v_a, u_a = (or_infinite(limits.max_speed), or_infinite(limits.max_acceleration))
+            v_g = or_infinite(self._briefing.target_limits.max_speed)
             check_path(self._path, _PATH_HORIZON, self._briefing.visibility_radius, v_a, v_g, u_a)
 
     def act(self, observation: UavObservation) -> UavCommand:
@@ -315,13 +311,14 @@ class UavPilot:
 
     def _own_terms(self, observation: UavObservation, estimate: Estimate | None) -> OwnTerms:
         """The answer of the user's own function at this tick, if the law asks it."""
-        if estimate is None or self._parameters.law not in (WEIGHTED, PATH):
+        law = self._parameters.law
+        if estimate is None:
             return _NOTHING_OWN
-        if self._weighting is not None and self._parameters.law == WEIGHTED:
+        if self._weighting is not None and law == WEIGHTED:
             (p_x, p_y), (g_x, g_y) = observation.position, estimate.position
             alpha, beta = self._weighting(norm(p_x - g_x, p_y - g_y), self._parameters.r_s)
             return OwnTerms(alpha=float(alpha), beta=float(beta))
-        if self._path is not None:
+        if self._path is not None and law == PATH:
             (v_x, v_y), (a_x, a_y) = self._path(observation.time)
             return OwnTerms(p_vx=float(v_x), p_vy=float(v_y), a_vx=float(a_x), a_vy=float(a_y))
         return _NOTHING_OWN

@@ -48,8 +48,10 @@ from agents.control.underway import (
     check_rest,
     doubt,
     due_end,
+    motion_in,
     off_by,
     send_motion,
+    set_motion,
     take_observation,
     take_rest,
     underway,
@@ -220,23 +222,10 @@ def note_commands(state: GuardState, commands: FloatArray) -> None:
 
 
 @borrowing
-def _motion_in(course: RecordArray, k: int) -> Motion:
-    """The state in which the tick of a row of the course begins."""
-    row = course[k]
-    return Motion(row.p_x, row.p_y, row.v_x, row.v_y)
-
-
-@borrowing
-def _set_motion(course: RecordArray, k: int, here: Motion) -> None:
-    row = course[k]
-    row.p_x, row.p_y, row.v_x, row.v_y = here.p_x, here.p_y, here.v_x, here.v_y
-
-
-@borrowing
 def _begin_course(promise: Promise, course: RecordArray, here: Motion) -> None:
     """Work the course out from this state on, under the commands in it."""
     for k in range(course.shape[0]):
-        _set_motion(course, k, here)
+        set_motion(course, k, here)
         here, _ = step_in_area(promise, here, course[k].u_x, course[k].u_y)
 
 
@@ -256,7 +245,7 @@ def _set_out(promise: Promise, state: GuardState, tick: int, here: Motion) -> bo
                 course[k].u_x, course[k].u_y = course[k + 1].u_x, course[k + 1].u_y
         flags.known = 0
     else:
-        off = off_by(here, _motion_in(course, 0))
+        off = off_by(here, motion_in(course, 0))
         if off == 0.0:
             return True
         if off <= AS_EXPECTED:
@@ -274,7 +263,7 @@ def _course_is_safe(promise: Promise, state: GuardState, tick: int) -> bool:
     """True if the UGV is surely in sight from now until the next command acts, if the commands under way act."""
     course, over = state.course, 0.0
     for k in range(course.shape[0]):
-        here = _motion_in(course, k)
+        here = motion_in(course, k)
         if not is_within(promise, state.detections, state.plan, tick + k, here.p_x, here.p_y, over):
             return False
         if k + 1 < course.shape[0]:
@@ -287,12 +276,12 @@ def _send(promise: Promise, state: GuardState, tick: int, u_x: float, u_y: float
     """Take a command among those under way; the course moves on by a tick."""
     course, flags = state.course, state.flags[0]
     last = course.shape[0] - 1
-    after, _ = step_in_area(promise, _motion_in(course, last), u_x, u_y)
+    after, _ = step_in_area(promise, motion_in(course, last), u_x, u_y)
     course[last].u_x, course[last].u_y = u_x, u_y
     for k in range(last):
-        _set_motion(course, k, _motion_in(course, k + 1))
+        set_motion(course, k, motion_in(course, k + 1))
         course[k].u_x, course[k].u_y = course[k + 1].u_x, course[k + 1].u_y
-    _set_motion(course, last, after)
+    set_motion(course, last, after)
     flags.tick, flags.known = tick, min(flags.known + 1, last + 1)
 
 
@@ -386,7 +375,7 @@ def guard(
     if contradicts_plan(c, state.detections, state.plan):
         flags.contradicted = 1
     last = state.course.shape[0] - 1
-    ahead = _motion_in(state.course, last)
+    ahead = motion_in(state.course, last)
     u_x, u_y, acts = safe_control(c, state.detections, state.plan, tick + last, ahead, u_x, u_y)
     if acts == BEST_EFFORT:
         flags.safe = 0

@@ -25,7 +25,7 @@ from agents.control.tracking import tracking_output, tracking_step
 from agents.control.visibility import promise_of, switching_radius
 from agents.control.weighting import combine, linear_weights, logarithmic_weights, switching_weights
 from bus.errors import ScenarioError
-from bus.messages import Law, UavBriefing
+from bus.messages import Law, UavBriefing, or_infinite
 from bus.registry import LAWS, SENSORS, LawRow, SensorRow
 from sim.kernels.compile import FloatArray, compiled
 from sim.kernels.records import RecordArray, record_type
@@ -123,11 +123,6 @@ def _row(table: Mapping[str, _Row], name: str, field: str) -> _Row:
         raise ScenarioError(f"{field} = {name!r}: unknown; allowed: {', '.join(table)}") from None
 
 
-def number(bound: float | None) -> float:
-    """A bound of a message as a number: infinite where there is none."""
-    return math.inf if bound is None else float(bound)
-
-
 def _room(briefing: UavBriefing) -> float:
     """r_v of the safety filter less the largest error of a detection, as far as one is declared [m]."""
     promise = promise_of(briefing)
@@ -142,8 +137,8 @@ def law_parameters(briefing: UavBriefing, law: Law) -> LawParameters:
         ScenarioError: If the law or the sensor is unknown, the law has no branch, or the UAV is too weak for r_s.
     """
     key_0, key_1 = words_of(briefing.key)
-    v_a, u_a = number(briefing.limits.max_speed), number(briefing.limits.max_acceleration)
-    v_g = number(briefing.target_limits.max_speed)
+    own, v_g = briefing.limits, or_infinite(briefing.target_limits.max_speed)
+    v_a, u_a = or_infinite(own.max_speed), or_infinite(own.max_acceleration)
     row = _row(LAWS, law.name, "law.name")
     v_ref = law.reference_speed if law.reference_speed is not None else v_a
     radius = switching_radius if row.needs_radius else raw_switching_radius

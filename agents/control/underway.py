@@ -39,15 +39,6 @@ AS_EXPECTED = 1e-10
 command is seen at once or has no consequence; a thousand ticks of this are less than `MARGIN`."""
 
 
-class ExpectedState(NamedTuple):
-    """A state that the UAV may be in when the next tick begins."""
-
-    p_x: float
-    p_y: float
-    v_x: float
-    v_y: float
-
-
 class Underway(NamedTuple):
     """A pilot's memory of its motions; arrays that change in place."""
 
@@ -56,7 +47,7 @@ class Underway(NamedTuple):
     flown: RecordArray
     """`MotionRecord` of what is flown now, and at the end of the course. (2,)"""
     expected: RecordArray
-    """`ExpectedState` at the next tick. (2,)"""
+    """`Motion` of the UAV when the next tick begins. (2,)"""
 
 
 def underway(delay_ticks: int) -> Underway:
@@ -64,8 +55,22 @@ def underway(delay_ticks: int) -> Underway:
     return Underway(
         sent=no_motions(delay_ticks + 2),
         flown=no_motions(2),
-        expected=np.zeros(2, dtype=record_type(ExpectedState)),
+        expected=np.zeros(2, dtype=record_type(Motion)),
     )
+
+
+@borrowing
+def motion_in(rows: RecordArray, k: int) -> Motion:
+    """The state of the UAV in a row of such."""
+    row = rows[k]
+    return Motion(row.p_x, row.p_y, row.v_x, row.v_y)
+
+
+@borrowing
+def set_motion(rows: RecordArray, k: int, here: Motion) -> None:
+    """Put a state of the UAV into a row of such."""
+    row = rows[k]
+    row.p_x, row.p_y, row.v_x, row.v_y = here.p_x, here.p_y, here.v_x, here.v_y
 
 
 @borrowing
@@ -75,8 +80,7 @@ def begin_underway(state: Underway) -> None:
         _clear(state.sent, k)
     for k in (_NOW, _END):
         _clear(state.flown, k)
-        due = state.expected[k]
-        due.p_x, due.p_y, due.v_x, due.v_y = 0.0, 0.0, 0.0, 0.0
+        set_motion(state.expected, k, Motion(0.0, 0.0, 0.0, 0.0))
 
 
 @borrowing
@@ -123,8 +127,8 @@ def off_by(here: Motion, due: Motion) -> float:
 @borrowing
 def is_expected(state: Underway, tick: int, here: Motion, flown: int) -> bool:
     """True if the UAV is in the state in which what it tells that it has flown has brought it from the tick before."""
-    due = state.expected[_BEGUN if flown == tick - 1 else _LOST]
-    return bool(off_by(here, Motion(due.p_x, due.p_y, due.v_x, due.v_y)) <= AS_EXPECTED)
+    due = motion_in(state.expected, _BEGUN if flown == tick - 1 else _LOST)
+    return bool(off_by(here, due) <= AS_EXPECTED)
 
 
 @borrowing
@@ -278,8 +282,7 @@ def send_motion(
             follow_on(state.sent, ahead, tick)
         w_x, w_y = motion_command(ahead[0], here.v_x, here.v_y, c.u_a, c.dt)
         there, _ = step_in_area(c, here, w_x, w_y)
-        due = state.expected[k]
-        due.p_x, due.p_y, due.v_x, due.v_y = there.p_x, there.p_y, there.v_x, there.v_y
+        set_motion(state.expected, k, there)
 
 
 @borrowing

@@ -20,7 +20,7 @@ from agents.control.handover import certificate, check_assumptions
 from agents.control.promise import Declared, Promise
 from agents.control.underway import carried
 from bus.errors import ScenarioError
-from bus.messages import MotionPlan, UavBriefing, UavObservation, Vector
+from bus.messages import MotionPlan, UavBriefing, UavObservation, Vector, or_infinite
 from bus.ticks import looks_of
 from sim.kernels.compile import compiled
 from sim.models.motion import NO_MOTION, motion_plan
@@ -68,26 +68,22 @@ def switching_radius(r_v: float, v_a: float, v_g: float, u_a: float) -> float:
 def promise_of(briefing: UavBriefing) -> Promise:
     """The certificate that a UAV can give on what it is told."""
     own, target, declared = briefing.limits, briefing.target_limits, briefing.certificate
-    bounds = [
-        math.inf if bound is None else bound
-        for bound in (own.max_speed, own.max_acceleration, target.max_speed)
-    ]
     return certificate(
         Declared(
             r_v=briefing.visibility_radius,
-            v_a=bounds[0],
-            u_a=bounds[1],
-            v_g=bounds[2],
+            v_a=or_infinite(own.max_speed),
+            u_a=or_infinite(own.max_acceleration),
+            v_g=or_infinite(target.max_speed),
             dt=briefing.dt,
-            eps=math.inf if declared.error is None else declared.error,
+            eps=or_infinite(declared.error),
             age=declared.age,
             delay=declared.delay,
             margin=declared.margin,
             width=briefing.area.width,
             height=briefing.area.height,
-            hold=math.inf if declared.hold is None else declared.hold,
+            hold=or_infinite(declared.hold),
             outage=declared.outage,
-            tracking=math.inf if declared.tracking is None else declared.tracking,
+            tracking=or_infinite(declared.tracking),
         )
     )
 
@@ -165,14 +161,9 @@ class SafetyFilter:
             observation: What `see` was called with last.
             acceleration: What the law, the person or the policy wants [m/s²].
         """
-        (p_x, p_y), (v_x, v_y), (u_x, u_y) = (
-            observation.position,
-            observation.velocity,
-            acceleration,
-        )
-        here, tick, flown = Motion(p_x, p_y, v_x, v_y), observation.tick, flown_in(observation)
-        done = guard(self.promise, self.state, tick, here, float(u_x), float(u_y), flown)
-        return self.verdict(tick, *done)
+        here, tick = Motion(*observation.position, *observation.velocity), observation.tick
+        u_x, u_y, flown = float(acceleration[0]), float(acceleration[1]), flown_in(observation)
+        return self.verdict(tick, *guard(self.promise, self.state, tick, here, u_x, u_y, flown))
 
     def motions(self, tick: int) -> tuple[MotionPlan, ...]:
         """The motions that this tick's command carries: its own last, before it those that may be missing."""

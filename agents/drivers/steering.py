@@ -1,7 +1,5 @@
 """The wheel that every driver turns: a velocity, a goal or a halt, always within the UGV's bounds."""
 
-import math
-
 from agents.drivers.waypoints import goal_control
 from bus.messages import UgvBriefing, UgvObservation
 from sim.kernels.compile import compiled
@@ -61,12 +59,12 @@ class Steering:
         return u_x, u_y
 
     def to_goal(
-        self, observation: UgvObservation, goal: tuple[float, float], *, speed: float = math.inf
+        self, observation: UgvObservation, goal: tuple[float, float]
     ) -> tuple[float, float]:
-        """The acceleration [m/s²] towards a goal [m], by the paper's driver, no faster than `speed` [m/s]."""
-        here, v_max = Motion(*observation.position, *observation.velocity), min(speed, self.v_max)
+        """The acceleration [m/s²] towards a goal [m], by the paper's driver."""
+        here = Motion(*observation.position, *observation.velocity)
         x, y = float(goal[0]), float(goal[1])
-        u_x, u_y = goal_control(here, x, y, v_max, self.u_max, self.dt)
+        u_x, u_y = goal_control(here, x, y, self.v_max, self.u_max, self.dt)
         return u_x, u_y
 
     def to_rest(self, observation: UgvObservation) -> tuple[float, float]:
