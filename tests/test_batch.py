@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 from flights import escort
-from worlds import LATE, SMALL
+from worlds import LATE, SMALL, step
 
 from bus.profiles import PROFILES
 from sim.engine.batch import Batch
@@ -71,9 +71,7 @@ def _fly_both(scenario, seeds, ticks, **settings):
             for v, (x, y) in enumerate(rows):
                 world.send(v, world.tick, (x, y))
             world.advance()
-            world.measure()
-        batch.step(commands)
-        batch.measure()
+        step(batch, commands)
         _same(batch, worlds)
     return batch, worlds
 
@@ -99,7 +97,7 @@ def test_world_k_of_a_batch_is_the_single_world_of_its_seed(name: str) -> None:
             for key, one in world.links.status().items()
             if not key.endswith(("radio", "operator"))
         }
-        assert batch.link_status(k) == expected
+        assert batch.links.status(k) == expected
 
 
 def test_the_bits_do_not_depend_on_the_number_of_worlds_or_threads() -> None:
@@ -110,12 +108,12 @@ def test_the_bits_do_not_depend_on_the_number_of_worlds_or_threads() -> None:
         batch = Batch(scenario, len(seeds), threads=threads)
         batch.begin(seeds)
         for row in commands:
-            batch.step(row)
+            step(batch, row)
         found.append(batch)
     alone = Batch(scenario, 1)
     alone.begin(seeds[69:])
     for row in commands:
-        alone.step(np.ascontiguousarray(row[69:]))
+        step(alone, np.ascontiguousarray(row[69:]))
     for one, other, last in zip(
         found[0].state.truth, found[1].state.truth, alone.state.truth, strict=True
     ):
@@ -133,8 +131,8 @@ def test_a_world_that_begins_anew_is_as_if_it_had_never_flown() -> None:
     fresh.begin([8, 2, 9])
     commands = np.full((3, 2, 2), 0.2)
     for _ in range(60):
-        batch.step(commands)
-        fresh.step(commands)
+        step(batch, commands)
+        step(fresh, commands)
     for array, other in zip(batch.state.truth, fresh.state.truth, strict=True):
         assert array[[0, 2]].tobytes() == other[[0, 2]].tobytes()
 

@@ -12,6 +12,7 @@ from draws import a_key
 from flights import degraded
 from processes import outrider, run_json
 from refusals import SMALL, refusal
+from worlds import step
 
 from bus.errors import ScenarioError
 from bus.messages import LinkKind, LinkSettings
@@ -269,16 +270,16 @@ def test_world_batch_and_environment_play_the_same() -> None:
     batch.begin(seeds)
     commands = np.random.default_rng(1).uniform(-0.2, 0.2, (200, 3, 2, 2))
     for row in commands:
-        batch.step(row)
+        step(batch, row)
         for world, own in zip(worlds, row.tolist(), strict=True):
             for v, command in enumerate(own):
                 world.send(v, world.tick, tuple(command))
             world.advance()
     for k, world in enumerate(worlds):
         assert batch.state.truth.position[k].tobytes() == world.position.tobytes()
-        status = batch.link_status(k)
+        status = batch.links.status(k)
         assert status == {name: world.links.status()[name] for name in status}
-    ages = {batch.link_status(k)["uav_0/detections"].mean_age for k in range(3)}
+    ages = {batch.links.status(k)["uav_0/detections"].mean_age for k in range(3)}
     assert len(ages) == 3  # each seed begins at another place
 
 

@@ -8,6 +8,8 @@ from flights import escort
 
 from bus.messages import Estimator, Law, ScriptStep
 from bus.profiles import PROFILES
+from sim.engine.batch import Batch
+from sim.engine.world_state import COMMAND
 from sim.env.rewards import RewardWeights
 from sim.scenario.types import Area, Certificate, Detections, LinkTable, Scenario, Uav, Ugv, Wind
 
@@ -115,6 +117,15 @@ LATE_LOOKS = msgspec.structs.replace(SCENARIO, links=LinkTable(detections=LATE))
 
 def random_actions(worlds: int, ticks: int, *, size: float = 0.3) -> np.ndarray:
     return np.random.default_rng(1).uniform(-size, size, (ticks, worlds, 2))
+
+
+def step(batch: Batch, commands: np.ndarray) -> None:
+    """All worlds of a batch advance by a tick in which these commands set out to cross the links."""
+    sent = batch.state.sent
+    sent[:, :, COMMAND.answered] = batch.state.ticks[:, None]
+    sent[:, :, COMMAND.u_x : COMMAND.u_y + 1] = commands
+    sent[:, :, COMMAND.last], sent[:, :, COMMAND.carried] = -1.0, 0.0
+    batch.advance()
 
 
 def equal(one: Any, other: Any) -> bool:

@@ -233,7 +233,7 @@ class ClosedLoop:
             looked=disc_widths(scenario.sensor.range, ground.tile),
             felt=disc_widths(ground.bumper, ground.tile),
         )
-        late = self.batch.longest_delay(LinkKind.DETECTIONS)
+        late = self.batch.links.longest(LinkKind.DETECTIONS)
         kalman = kalman_state(min(late, ticks_within(SPAN, dt)) + 1)
         guards = guard_state(numbers.longest, min(late + 1, max(1, math.ceil(_TRACK / dt))))
         uavs, ugvs = len(self.uavs), len(self.ugvs)
@@ -291,7 +291,7 @@ class ClosedLoop:
     @property
     def degraded(self) -> bool:
         """True if any link does anything to a message."""
-        return self.batch.degraded or not self._radio.perfect
+        return not (self.batch.links.perfect and self._radio.perfect)
 
     def begin(
         self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None = None
@@ -376,7 +376,7 @@ class ClosedLoop:
 
     def links(self, world: int) -> dict[str, LinkStatus]:
         """The counters of each link of one world so far, by `vehicle/kind`."""
-        return self.batch.link_status(world) | self._radio.status(world)
+        return self.batch.links.status(world) | self._radio.status(world)
 
     def bytes_per_world(self) -> int:
         """Memory that one more world needs [bytes]."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from bus.messages import LinkKind, LinkSettings, LinkStatus
+from bus.messages import LinkKind, LinkSettings
 from sim.channel.link import in_ticks
 from sim.engine.briefing import declared
 from sim.engine.ground_tick import ground_constants, ground_state
@@ -19,7 +19,6 @@ from sim.engine.link_arrays import LinkArrays
 from sim.engine.mission import mission_constants, mission_state
 from sim.engine.run_keys import derive_keys
 from sim.engine.world_state import (
-    COMMAND,
     MESSAGE_SIZE,
     BatchState,
     BatchTables,
@@ -36,14 +35,13 @@ from sim.engine.world_state import (
     told_of,
     world_parameters,
 )
-from sim.engine.world_tick import begin_world, measure, truth_of, world_tick
-from sim.kernels.compile import FloatArray, IntArray, entry_point, released
+from sim.engine.world_tick import begin_world, world_tick
+from sim.kernels.compile import IntArray, entry_point, released
 from sim.kernels.records import records
 from sim.kernels.threads import WorkerThreads
-from sim.models.hazard_fields import place_hazards, work_array
 from sim.models.motion import no_motions
 from sim.models.randomness import HAZARD_FIELDS, RUN_PURPOSES
-from sim.scenario.ground_tables import ground_tables
+from sim.scenario.ground_tables import ground_tables, place_fields
 from sim.scenario.risk import carries_motions
 from sim.scenario.types import Scenario
 
@@ -58,13 +56,6 @@ def _begin_worlds(t: BatchTables, s: BatchState, worlds: IntArray, begin: int, e
 def _step_worlds(t: BatchTables, s: BatchState, linked: bool, begin: int, end: int) -> None:
     for k in range(begin, end):
         world_tick(t, s, k, linked)
-
-
-@released
-def _measure_worlds(t: BatchTables, s: BatchState, begin: int, end: int) -> None:
-    for k in range(begin, end):
-        truth = truth_of(s.truth, k)
-        measure(t.world, truth.position, t.escorts, truth.coverage, truth.measures, True)
 
 
 def arrays_of(state: object) -> list[npt.NDArray[Any]]:
@@ -119,9 +110,10 @@ class Batch:
         self.parameters = world_parameters(scenario, gains=gains)
         self.workers = WorkerThreads(threads)
         """The threads that share the worlds."""
-        self._links = LinkArrays(
+        self.links = LinkArrays(
             scenario, (LinkKind.DETECTIONS, LinkKind.COMMANDS), MESSAGE_SIZE, worlds
         )
+        """Those of detections and commands."""
         first, escorts, vehicles = (
             first_state(scenario),
             escorts_of(scenario),
@@ -132,7 +124,7 @@ class Batch:
             world=records(WorldParameters, [self.parameters]),
             bounds=bounds_of(scenario),
             escorts=escorts,
-            links=self._links.table,
+            links=self.links.table,
             receivers=receivers_of(scenario),
             disturbances=disturbances_of(scenario),
             ground=ground_constants(scenario),
@@ -140,7 +132,7 @@ class Batch:
         )
         ground = ground_state(scenario, worlds)
         truth = WorldState._make(np.repeat(array[None], worlds, axis=0) for array in first)
-        room, rows = self._links.room, self._motion_rows()
+        room, rows = self.links.room, self._motion_rows()
         self.state = BatchState(
             keys=np.zeros((worlds, RUN_PURPOSES, vehicles, 2), dtype=np.uint64),
             ticks=np.zeros(worlds, dtype=np.int64),
@@ -154,7 +146,7 @@ class Batch:
             flown=no_motions(worlds, vehicles, 1),
             answered=np.full((worlds, vehicles), -1, dtype=np.int64),
             inbox=np.zeros((worlds, room, MESSAGE_SIZE)),
-            links=self._links.states,
+            links=self.links.states,
             ground=ground,
             mission=mission_state(ground),
         )
@@ -208,34 +200,11 @@ class Batch:
 
     def _place_hazards(self, worlds: IntArray) -> None:
         """Draw the hazards of the scenario's fields; every seed has others."""
-        tables, area, ground = ground_tables(self.scenario), self.scenario.area, self.state.ground
-        work = work_array(*tables.tiles.shape)
+        tables, ground = ground_tables(self.scenario), self.state.ground
         for k in worlds.tolist():
             first, second = self.state.keys[k, HAZARD_FIELDS, 0]  # as words, not Python's numbers
-            place_hazards(
-                tables.fields,
-                tables.stops,
-                tables.ways,
-                (area.width, area.height),
-                self.scenario.ground.tile,
-                (first, second),
-                ground.hazards[k],
-                len(self.scenario.hazard),
-                ground.tiles[k],
-                work,
-            )
-
-    def step(self, commands: npt.NDArray[np.float64]) -> None:
-        """All worlds advance by one tick.
-
-        Args:
-            commands: Accelerations [m/s²], shape (worlds, vehicles, 2), finite; they cross the links, then (1)
-                bounds them.
-        """
-        self.state.sent[:, :, COMMAND.answered] = self.state.ticks[:, None]
-        self.state.sent[:, :, COMMAND.u_x : COMMAND.u_y + 1] = commands
-        self.state.sent[:, :, COMMAND.last], self.state.sent[:, :, COMMAND.carried] = -1.0, 0.0
-        self.advance()
+            own = tables._replace(hazards=ground.hazards[k], tiles=ground.tiles[k])
+            place_fields(self.scenario, own, (first, second))
 
     def advance(self, *, linked: bool = True) -> None:
         """All worlds advance by one tick under the commands in `state.sent`, or in `state.truth.commands`.
@@ -252,37 +221,19 @@ class Batch:
     def _step(self) -> Callable[..., object]:
         return entry_point(_step_worlds, self.tables, self.state, True, 0, 1)
 
-    def measure(self) -> FloatArray:
-        """Distance [m] and e(t) [m²] of each UAV in each world, with the true p_g. Shape (worlds, UAVs, 2); a view."""
-        self.workers.share(_measure_worlds, self.worlds, self.tables, self.state)
-        return self.state.truth.measures
-
-    @property
-    def degraded(self) -> bool:
-        """True if any link does anything to a message."""
-        return not self._links.perfect
-
-    def longest_delay(self, kind: LinkKind) -> int:
-        """The longest time from a sending to an arrival by a link of this kind, with the wait in its queue [ticks]."""
-        return self._links.longest(kind)
-
-    def link_status(self, world: int) -> dict[str, LinkStatus]:
-        """Counters of each link of one world so far, by `vehicle/kind`."""
-        return self._links.status(world)
-
     def change_link(self, kind: LinkKind, vehicle: str, settings: LinkSettings) -> None:
         """Give a link other settings in all worlds, between two ticks: what is under way arrives as it would have.
 
         No world can begin anew afterwards.
         """
-        self._links.change(kind, vehicle, settings)
-        s, room = self.state, self._links.room
+        self.links.change(kind, vehicle, settings)
+        s, room = self.state, self.links.room
         received = np.zeros((*s.received.shape[:2], room, MESSAGE_SIZE))
         kept = min(room, s.received.shape[2])
         received[:, :, :kept] = s.received[:, :, :kept]
-        self.tables = self.tables._replace(links=self._links.table)
+        self.tables = self.tables._replace(links=self.links.table)
         self.state = s._replace(
             received=received,
             inbox=np.zeros((self.worlds, room, MESSAGE_SIZE)),
-            links=self._links.states,
+            links=self.links.states,
         )

@@ -53,8 +53,8 @@ class Links:
     @property
     def degraded(self) -> bool:
         """True if any of them does anything to a message."""
-        carried = all(link.perfect for links in self._of.values() for link in links.values())
-        return self._batch.degraded or not carried
+        carried = (link for links in self._of.values() for link in links.values())
+        return not (self._batch.links.perfect and all(link.perfect for link in carried))
 
     def change(self, kind: LinkKind, vehicle: str | None, settings: LinkSettings) -> None:
         """Give links other settings; what is under way arrives as it would have.
@@ -86,7 +86,7 @@ class Links:
         Args:
             vehicle: Of this one alone; None: of all.
         """
-        found = self._batch.link_status(0) | {
+        found = self._batch.links.status(0) | {
             f"{name}/{kind}": link.counters()
             for kind, links in self._of.items()
             for name, link in links.items()

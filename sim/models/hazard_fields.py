@@ -57,7 +57,7 @@ class HazardFieldRow(NamedTuple):
 
 
 def work_array(rows: int, columns: int) -> IntArray:
-    """Room for `place_hazards` on a map of so many tiles and a ring around them, to be used again and again."""
+    """Room for `place_hazards` on a map of so many tiles and a ring around them."""
     return np.zeros((4, (rows + 2) * (columns + 2)), dtype=np.int64)
 
 

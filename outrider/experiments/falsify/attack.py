@@ -487,7 +487,7 @@ def attack(
         `AttackResult` of each. Shape (runs,).
     """
     batch = Batch(scenario_of(promise, conditions), 1, threads=1)
-    late = batch.longest_delay(LinkKind.DETECTIONS) + 1
+    late = batch.links.longest(LinkKind.DETECTIONS) + 1
     memory, rest = guard_state(promise.delay_ticks, max(1, late)), empty_room()
     results, random = np.zeros(runs, record_type(AttackResult)), np.empty(1, np.uint64)
     world, ticks = (batch.tables, batch.state), round(duration / promise.dt)
