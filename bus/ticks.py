@@ -12,8 +12,11 @@ from bus.messages import Detection
 NO_TICK = -1
 """In place of a tick: a time stamp that is none of a tick."""
 
-_SHARE = 1e-6
-"""A time may be off by this share of a tick, by rounding in whoever made it."""
+DUST = 1e-6
+"""A time may be off by this share of a tick, by rounding in whoever made it: 0.35 s is seven ticks of 0.05 s."""
+
+MOST_TICKS = 2**40
+"""So many at most are counted with: those of a time that has no end."""
 
 
 class Look(NamedTuple):
@@ -38,10 +41,10 @@ def tick_of(time: float, dt: float) -> int:
         it for nothing.
     """
     ticks = time / dt
-    if not -_SHARE <= ticks < 2.0**53:
+    if not -DUST <= ticks < 2.0**53:
         return NO_TICK
     tick = round(ticks)
-    return tick if abs(ticks - tick) <= _SHARE else NO_TICK
+    return tick if abs(ticks - tick) <= DUST else NO_TICK
 
 
 def looks_of(detections: Iterable[Detection], dt: float) -> tuple[Look, ...]:
@@ -50,10 +53,10 @@ def looks_of(detections: Iterable[Detection], dt: float) -> tuple[Look, ...]:
 
 
 def ticks_within(duration: float, dt: float) -> int:
-    """The number of whole ticks in a duration [s]."""
-    return math.floor(duration / dt + _SHARE)
+    """The number of whole ticks in a duration [s]; `MOST_TICKS` where it has no end."""
+    return math.floor(min(duration / dt + DUST, MOST_TICKS))
 
 
 def first_tick_from(time: float, dt: float) -> int:
     """The first tick that is not before a time [s]."""
-    return math.ceil(time / dt - _SHARE)
+    return math.ceil(time / dt - DUST)

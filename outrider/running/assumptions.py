@@ -19,11 +19,11 @@ from agents.control.promise import Promise
 from agents.control.visibility import promise_of
 from bus.messages import MOST_CARRIED, LinkKind, LinkSettings, UavBriefing
 from bus.registry import LAWS
-from bus.ticks import first_tick_from
+from bus.ticks import DUST, first_tick_from
 from outrider.running.summary import PERHAPS_EVERY, in_flights
 from sim.channel.chances import Chance, chance_of_age, chance_of_error, chance_of_outage
-from sim.channel.description import arrival_share, arrivals_of, extra_delays, link_parameters
-from sim.channel.link import DUST, FATES, LinkParameters, in_ticks
+from sim.channel.description import arrival_share, arrivals_of, link_parameters, longest_delay
+from sim.channel.link import FATES, LinkParameters
 from sim.channel.places import delays_by_place
 from sim.engine.briefing import briefing, largest_tracking_error
 from sim.engine.briefing import declared as declared_bounds
@@ -189,9 +189,9 @@ class _Link:
         self.parameters: LinkParameters = link_parameters(
             settings, scenario.dt, traces=table.traces
         )
-        p, held = self.parameters, settings.reorder_delay if settings.reorder else 0.0
-        self.least = in_ticks(p.delay + (p.least if p.jitter > 0.0 else 0.0), p.dt)
-        self.most = in_ticks(p.delay + extra_delays(settings)[1] + held, p.dt)
+        p = self.parameters
+        self.least = first_tick_from(p.delay + (p.least if p.jitter > 0.0 else 0.0), p.dt)
+        self.most = first_tick_from(longest_delay(settings), p.dt)
 
     def named(self, *fields: str) -> str:
         """These fields with their values, but for those that are zero."""

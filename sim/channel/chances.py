@@ -33,9 +33,9 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.messages import LinkSettings
-from bus.ticks import ticks_within
+from bus.ticks import DUST, first_tick_from, ticks_within
 from sim.channel.description import arrival_share, extra_delays, link_parameters
-from sim.channel.link import DUST, OPPORTUNITIES, LinkParameters, in_ticks
+from sim.channel.link import OPPORTUNITIES, LinkParameters
 from sim.channel.places import delays_by_place, oldest_by_place, unseen_by_place, waits_by_place
 from sim.channel.recorded import RecordedLink
 from sim.kernels.compile import FloatArray
@@ -367,7 +367,7 @@ def _first(holds: Callable[[int], bool], least: int, most: int) -> int | None:
 def _in_time(settings: LinkSettings, p: LinkParameters) -> FloatArray:
     """The share of the messages that are not lost which arrive within 0, 1, ... ticks; the last is 1."""
     held = settings.reorder_delay if settings.reorder else 0.0
-    most = in_ticks(p.delay + extra_delays(settings)[1] + held, p.dt)
+    most = first_tick_from(p.delay + extra_delays(settings)[1] + held, p.dt)
     return np.array([*(arrival_share(p, ticks) for ticks in range(most)), 1.0])
 
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from bus.messages import LinkSettings, LinkStatus
+from bus.ticks import DUST, first_tick_from
 from sim.channel.link import (
     CAUSES,
-    DUST,
     FATES,
     NORMAL,
     NOTHING,
@@ -28,7 +28,6 @@ from sim.channel.link import (
     exchange,
     fly,
     fly_all,
-    in_ticks,
     jitter_share,
     leave_queue,
     link_state,
@@ -193,7 +192,7 @@ def _dark_ticks(
     """Rows (first dark tick, first tick after) in order; what overlaps is one."""
     rows: list[list[int]] = []
     for start, length in sorted(settings.blackouts):
-        first, after = in_ticks(start, dt), in_ticks(start + length, dt)
+        first, after = first_tick_from(start, dt), first_tick_from(start + length, dt)
         if rows and first <= rows[-1][1]:
             rows[-1][1] = max(rows[-1][1], after)
         else:
@@ -211,7 +210,7 @@ def _played(recorded: RecordedLink | None, delay: float, dt: float) -> tuple[int
         rows = np.stack([recording.times, np.zeros_like(recording.times)], axis=1)
         return OPPORTUNITIES, rows, int(recording.times[-1])
     rows = first_ticks(recording, delay, dt, DUST)
-    return FATES, rows, max(in_ticks(recording.duration, dt), 1)
+    return FATES, rows, max(first_tick_from(recording.duration, dt), 1)
 
 
 def link_parameters(
@@ -239,7 +238,7 @@ def link_parameters(
         decay = -math.expm1(-dt / settings.burst_length - dt / settings.burst_interval)
     held = settings.reorder_delay if settings.reorder > 0.0 else 0.0
     within_tick = dt if replay == OPPORTUNITIES else 0.0
-    longest = in_ticks(settings.delay + most + held + within_tick, dt)
+    longest = first_tick_from(settings.delay + most + held + within_tick, dt)
     if replay == FATES:
         longest = max(int(trace[:, 1].max()), 0)
     waits = settings.queue if settings.bandwidth > 0.0 else 0
@@ -332,7 +331,7 @@ def least_ticks(p: LinkParameters) -> int:
     waits = 0
     if p.spacing > 1.0 + DUST:
         waits = p.queue if p.newest else math.floor(p.queue * p.spacing)
-    least = waits + in_ticks(p.delay + (p.least if p.jitter > 0.0 else 0.0), p.dt)
+    least = waits + first_tick_from(p.delay + (p.least if p.jitter > 0.0 else 0.0), p.dt)
     return max(least, 1) if p.replay == OPPORTUNITIES else least
 
 

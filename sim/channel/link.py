@@ -31,6 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bus.ticks import DUST, first_tick_from
 from sim.kernels.compile import FloatArray, IntArray, borrowing, compiled
 from sim.kernels.records import RecordArray, record_type
 from sim.models.randomness import (
@@ -62,9 +63,6 @@ LOSS, BURST, BLACKOUT, QUEUE, FULL, TRACE = range(6)
 
 NOTHING, FATES, OPPORTUNITIES = range(3)
 """The kind of recording: none, a table of fates, or delivery opportunities."""
-
-DUST = 1e-6
-"""A time that is this much of a tick past a tick counts as on it: 0.35 s is seven ticks of 0.05 s."""
 
 _TAIL = 2.5
 
@@ -364,10 +362,7 @@ def leave_queue(slots: RecordArray, buckets: RecordArray, m: LinkMemory) -> int:
     return slot
 
 
-@compiled
-def in_ticks(duration: float, dt: float) -> int:
-    """The first tick that is not before this time [s]."""
-    return math.ceil(duration / dt - DUST)
+_first_tick_from = compiled(first_tick_from)
 
 
 @compiled
@@ -384,7 +379,7 @@ def _flight_time(p: LinkParameters, share: float, held: bool, later: float) -> i
     if p.jitter > 0.0:
         extra = jitter_quantile(p.shape, p.jitter, p.low + share * (p.high - p.low))
         extra = min(max(extra, p.least), p.most)
-    return in_ticks(p.delay + extra + (p.reorder_delay if held else 0.0) + later, p.dt)
+    return _first_tick_from(p.delay + extra + (p.reorder_delay if held else 0.0) + later, p.dt)
 
 
 @compiled

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.messages import LinkKind, LinkSettings
-from sim.channel.link import in_ticks
+from bus.ticks import first_tick_from
 from sim.engine.briefing import declared
 from sim.engine.ground_tick import ground_constants, ground_state
 from sim.engine.link_arrays import LinkArrays
@@ -159,7 +159,7 @@ class Batch:
         if not carries_motions(self.scenario):
             return 1
         told = (declared(self.scenario, uav.name) for uav in self.scenario.uav)
-        return 2 + max(in_ticks(one.delay, self.scenario.dt) for one in told)
+        return 2 + max(first_tick_from(one.delay, self.scenario.dt) for one in told)
 
     def begin(
         self, seeds: Sequence[int] | IntArray, worlds: Sequence[int] | IntArray | None = None

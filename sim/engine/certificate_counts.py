@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bus.messages import DeclaredBounds
-from sim.channel.link import DUST, in_ticks
+from bus.ticks import first_tick_from, ticks_within
 from sim.kernels.compile import FloatArray, borrowing
 from sim.kernels.records import RecordArray, record_type
 from sim.models.motion import waited
@@ -21,8 +21,6 @@ _ROUNDING = 1e-9
 _NEVER = -(2**41)
 """The tick of a detection, where none has arrived."""
 _NO_OUTAGE = -1
-_FOREVER = 2.0**40
-"""The most ticks that a time may have."""
 
 
 class CertificateBounds(NamedTuple):
@@ -89,16 +87,13 @@ def certificate_bounds(declared: DeclaredBounds, dt: float) -> CertificateBounds
     def within(bound: float | None) -> float:
         return math.inf if bound is None else bound + _ROUNDING
 
-    def ticks(duration: float) -> int:
-        return math.floor(min(duration / dt + DUST, _FOREVER))
-
     outage = declared.outage
     return CertificateBounds(
         error=within(declared.error),
         tracking=within(declared.tracking),
-        age=ticks(declared.age),
-        delay=in_ticks(declared.delay, dt),
-        outage=_NO_OUTAGE if outage is None else ticks(outage),
+        age=ticks_within(declared.age, dt),
+        delay=first_tick_from(declared.delay, dt),
+        outage=_NO_OUTAGE if outage is None else ticks_within(outage, dt),
     )
 
 
