@@ -26,6 +26,7 @@ the window's end bounds them: see `_none_in_time`.
 
 import functools
 import math
+import operator
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
@@ -33,8 +34,8 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.messages import LinkSettings
-from bus.ticks import DUST, first_tick_from, ticks_within
-from sim.channel.description import arrival_share, extra_delays, link_parameters
+from bus.ticks import DUST, ticks_within
+from sim.channel.description import arrival_share, link_parameters
 from sim.channel.link import OPPORTUNITIES, LinkParameters
 from sim.channel.places import delays_by_place, oldest_by_place, unseen_by_place, waits_by_place
 from sim.channel.recorded import RecordedLink
@@ -90,23 +91,20 @@ class _Channel(NamedTuple):
         light = self.up / (self.up + self.down) if self.up > 0.0 else 1.0
         return self.share * self.through * light
 
-    def push(self, mass: FloatArray, ticks: int = 1) -> FloatArray:
-        """The distribution so many ticks later. Shape (states, any)."""
-        if len(mass) == 1:
-            return mass
-        turn = np.linalg.matrix_power(self.turn, ticks)
-        return np.stack(
-            [sum(turn[i, j] * mass[i] for i in range(len(mass))) for j in range(len(mass))]
-        )
+    def push(self, mass: FloatArray) -> FloatArray:
+        """The distribution a tick later. Shape (states, any)."""
+        return mass if len(mass) == 1 else _mixed(self.turn.T, mass)
 
     def pull(self, value: FloatArray, ticks: int = 1) -> FloatArray:
         """The mean of what will be so many ticks later, by the state now. Shape (states, any)."""
         if len(value) == 1:
             return value
-        turn = np.linalg.matrix_power(self.turn, ticks)
-        return np.stack(
-            [sum(turn[i, j] * value[j] for j in range(len(value))) for i in range(len(value))]
-        )
+        return _mixed(np.linalg.matrix_power(self.turn, ticks), value)
+
+
+def _mixed(shares: FloatArray, rows: FloatArray) -> FloatArray:
+    """Sums of the rows, each by a row of shares."""
+    return np.stack([sum(map(operator.mul, row, rows)) for row in shares])
 
 
 def _channel(p: LinkParameters, dropout: float) -> _Channel:
@@ -364,11 +362,9 @@ def _first(holds: Callable[[int], bool], least: int, most: int) -> int | None:
     return above
 
 
-def _in_time(settings: LinkSettings, p: LinkParameters) -> FloatArray:
+def _in_time(p: LinkParameters) -> FloatArray:
     """The share of the messages that are not lost which arrive within 0, 1, ... ticks; the last is 1."""
-    held = settings.reorder_delay if settings.reorder else 0.0
-    most = first_tick_from(p.delay + extra_delays(settings)[1] + held, p.dt)
-    return np.array([*(arrival_share(p, ticks) for ticks in range(most)), 1.0])
+    return np.array([*(arrival_share(p, ticks) for ticks in range(p.longest)), 1.0])
 
 
 def _left(p: LinkParameters, ticks: int) -> _Mask:
@@ -462,7 +458,7 @@ def _ages(
     p = link_parameters(settings, dt, traces=traces)
     if settings.trace:
         return _played_ages(p, period, dropout, ticks)
-    left, in_time = _left(p, ticks), _in_time(settings, p)
+    left, in_time = _left(p, ticks), _in_time(p)
     reasons = _reasons(p, in_time)
     looks = np.arange(ticks) % period == 0
     queued = p.spacing > period + DUST
@@ -550,7 +546,7 @@ def _outages(
         return _played_outages(p, delay, repeats, ticks)
     if p.spacing > 1.0 + DUST:
         return "fewer packets leave than are sent, so that motions wait and are dropped"
-    left, in_time = _left(p, ticks), _in_time(settings, p)
+    left, in_time = _left(p, ticks), _in_time(p)
     plan = _Plan(
         functools.partial(_outage_window, in_time, delay, repeats),
         functools.partial(_outage_window, in_time, delay, repeats),
@@ -559,6 +555,12 @@ def _outages(
     )
     why = _because(_reasons(p, in_time[: delay + 1]))
     return _Counted(_channel(p, 0.0), (plan,), ticks, bool(left.all()), why, ticks - delay)
+
+
+def _chance(counted: _Counted | _Played | str, bound: float, dt: float) -> Chance:
+    if isinstance(counted, str):
+        return Chance(None, False, counted)
+    return counted.chance(ticks_within(bound, dt))
 
 
 @functools.lru_cache(maxsize=256)
@@ -587,9 +589,7 @@ def chance_of_age(
         traces: The recorded links that it may play.
     """
     counted = _ages(settings, dt, period_ticks, dropout, ticks, traces)
-    if isinstance(counted, str):
-        return Chance(None, False, counted)
-    return counted.chance(ticks_within(age, dt))
+    return _chance(counted, age, dt)
 
 
 @functools.lru_cache(maxsize=256)
@@ -621,9 +621,7 @@ def chance_of_outage(
         traces: The recorded links that it may play.
     """
     counted = _outages(settings, dt, delay_ticks, repeats, ticks, traces)
-    if isinstance(counted, str):
-        return Chance(None, False, counted)
-    return counted.chance(ticks_within(outage, dt))
+    return _chance(counted, outage, dt)
 
 
 def _seconds(counted: _Counted | _Played | str, what: str, risk: float, dt: float) -> Smallest:
