@@ -62,6 +62,12 @@ _SLOWEST = 1e-3
 _SHORTEST = 1e-3
 """Shortest mean time between two random blackouts [s]: each is drawn."""
 _JITTER_CUT = 5.0
+_NEEDS = (
+    ("burst_length", "burst_interval", "bursts without an end"),
+    ("blackout_interval", "blackout_length", "blackouts that do not last"),
+    ("reorder", "reorder_delay", "nothing is held back"),
+)
+"""Fields that are nothing without another one, that one, and what is wrong where it is 0."""
 
 
 def extra_delays(settings: LinkSettings) -> tuple[float, float]:
@@ -102,37 +108,17 @@ def link_faults(
             f"no such order{near(settings.keep, KEEPS)}",
             ", ".join(KEEPS),
         )
-    if settings.burst_length > 0.0 and settings.burst_interval == 0.0:
-        yield Fault(
-            f"{path}burst_interval",
-            0.0,
-            "bursts without an end",
-            f"above 0 s, since {path}burst_length is above 0",
-        )
-    if 0.0 < settings.blackout_interval < _SHORTEST:
-        yield Fault(
-            f"{path}blackout_interval",
-            settings.blackout_interval,
-            "too short",
-            f"0, or {_SHORTEST:g} s or more",
-        )
-    if settings.blackout_interval > 0.0 and settings.blackout_length == 0.0:
-        allowed = f"above 0 s, since {path}blackout_interval is above 0"
-        yield Fault(f"{path}blackout_length", 0.0, "blackouts that do not last", allowed)
-    if settings.reorder > 0.0 and settings.reorder_delay == 0.0:
-        yield Fault(
-            f"{path}reorder_delay",
-            0.0,
-            "nothing is held back",
-            f"above 0 s, since {path}reorder is above 0",
-        )
-    if 0.0 < settings.bandwidth < _SLOWEST:
-        yield Fault(
-            f"{path}bandwidth",
-            settings.bandwidth,
-            "too small",
-            f"0 for no limit, or {_SLOWEST:g} /s or more",
-        )
+    for cause, needed, wrong in _NEEDS:
+        if getattr(settings, cause) > 0.0 and getattr(settings, needed) == 0.0:
+            allowed = f"above 0 s, since {path}{cause} is above 0"
+            yield Fault(f"{path}{needed}", 0.0, wrong, allowed)
+    every, rate = settings.blackout_interval, settings.bandwidth
+    if 0.0 < every < _SHORTEST:
+        allowed = f"0, or {_SHORTEST:g} s or more"
+        yield Fault(f"{path}blackout_interval", every, "too short", allowed)
+    if 0.0 < rate < _SLOWEST:
+        allowed = f"0 for no limit, or {_SLOWEST:g} /s or more"
+        yield Fault(f"{path}bandwidth", rate, "too small", allowed)
     faults = list(trace_faults(settings, path, traces))
     yield from faults
     if faults:

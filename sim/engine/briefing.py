@@ -40,10 +40,8 @@ def _error(scenario: Scenario) -> float | None:
 
 def largest_tracking_error(scenario: Scenario, uav: Uav) -> float:
     """Largest true distance of a UAV from where it is told that it is, w [m]; infinite where that has no bound."""
-    wind = scenario.wind.largest
-    if wind == 0.0 and uav.own_error == 0.0:
-        return 0.0
-    return tracking_error(uav.tracking.loop, wind, uav.own_error, scenario.dt)
+    wind, loop = scenario.wind.largest, uav.tracking.loop
+    return tracking_error(loop, wind, uav.own_error, scenario.dt)
 
 
 def declared(scenario: Scenario, uav: str) -> DeclaredBounds:

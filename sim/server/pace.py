@@ -208,7 +208,7 @@ class Lockstep:
                         f"{name} has not come back within {waited:.1f} s; it brakes and the run goes on"
                     )
             else:
-                self._slots.name_late([name], tick, waited)
+                self._slots.name_late(name, tick, waited)
 
 
 class RealTime:

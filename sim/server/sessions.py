@@ -279,32 +279,29 @@ class Slots:
             return True
         return False
 
-    def name_late(self, names: list[str], tick: int, late: float) -> None:
-        """Say who has not answered by the deadline."""
-        now = time.monotonic()
-        for name in names:
-            slot = self._slots[name]
-            slot.fault = f"no command for tick {tick} after {late:.1f} s"
-            slot.late += 1
-            if now - slot.late_told >= _QUIET:
-                slot.late_told = now
-                often = f", for the {slot.late}th time" if slot.late > 1 else ""
-                self._on_event(f"{name} is late{often}: {slot.fault}")
-
-    def status(self, name: str) -> VehicleStatus:
-        """The status of a vehicle."""
-        slot = self._slots[name]
-        return VehicleStatus(
-            present=slot.present,
-            missing_commands=self._flight.answers.missing[name],
-            stale_commands=self._flight.answers.stale[name],
-            shortened_commands=self._flight.answers.shortened[name],
-            lost=slot.lost,
-            rejoined=slot.rejoined,
-            refused=dict(slot.refused),
-            last_fault=slot.fault,
-        )
+    def name_late(self, name: str, tick: int, late: float) -> None:
+        """Say that a vehicle has not answered by the deadline."""
+        slot, now = self._slots[name], time.monotonic()
+        slot.fault = f"no command for tick {tick} after {late:.1f} s"
+        slot.late += 1
+        if now - slot.late_told >= _QUIET:
+            slot.late_told = now
+            often = f", for the {slot.late}th time" if slot.late > 1 else ""
+            self._on_event(f"{name} is late{often}: {slot.fault}")
 
     def statuses(self) -> dict[str, VehicleStatus]:
         """The status of each vehicle."""
-        return {name: self.status(name) for name in self._slots}
+        answers = self._flight.answers
+        return {
+            name: VehicleStatus(
+                present=slot.present,
+                missing_commands=answers.missing[name],
+                stale_commands=answers.stale[name],
+                shortened_commands=answers.shortened[name],
+                lost=slot.lost,
+                rejoined=slot.rejoined,
+                refused=dict(slot.refused),
+                last_fault=slot.fault,
+            )
+            for name, slot in self._slots.items()
+        }
