@@ -23,7 +23,9 @@ from outrider.learning.learned import LearnedPolicy, make_view
 from outrider.learning.mlp import Mlp, load_policy, save_policy
 from outrider.learning.one_world import alone
 from outrider.learning.repeat import ActionRepeat
+from sim.models.ground import CLEAR
 from sim.scenario.loading import load_scenario
+from sim.scenario.types import Hazard
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 POLICY = EXAMPLES / "policies" / "uav_ppo.npz"
@@ -85,6 +87,23 @@ def test_it_flies_a_single_environment_as_it_flies_a_batch() -> None:
         worlds.step({"uav_0": actions})
         seen, *_ = env.step({"uav_0": action, "ugv_0": crew["ugv_0"](seen["ugv_0"])})
     assert env.unwrapped.metrics()["uav_0"]["distance"] == worlds.metrics()["uav_0"]["distance"][k]
+
+
+def test_alone_on_ground_with_hazards_the_ugvs_are_told_by_radio_as_in_the_batch() -> None:
+    wall = Hazard(kind="block", center=(9.0, 11.0), radius=0.5)
+    grounded, policy = msgspec.structs.replace(NOISY, hazard=(wall,)), LearnedPolicy.load(POLICY)
+    worlds = Worlds(grounded, 1, ["uav_0", "ugv_0"], **policy.setup)
+    env = alone(grounded, policy, safety_filter=False)
+    worlds.reset([SEEDS[0]], None)
+    env.reset(seed=SEEDS[0])
+    still = np.zeros(2)
+    for _ in range(100):
+        worlds.step(dict.fromkeys(worlds.learners, still[None]))
+        seen, *_ = env.step(dict.fromkeys(env.agents, still))
+    observed, tiles = worlds.observe("ugv_0"), seen["ugv_0"]["tiles"]
+    assert isinstance(observed, dict)
+    assert np.array_equal(observed["tiles"][0], tiles)
+    assert np.count_nonzero(tiles == CLEAR) > 50  # more than a bumper feels
 
 
 def test_it_sees_what_it_was_trained_on() -> None:

@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Any
 
 from agents.env_wrappers import EstimateWrapper, SafetyFilterWrapper
+from outrider.envs.escort_env import parallel_env
 from outrider.learning.learned import LearnedPolicy
-from sim.env.parallel import parallel_env
 from sim.scenario.types import Scenario
 
 
