@@ -34,6 +34,7 @@ from outrider.experiments.falsify.genome import SIZES, Candidate, decode, proof_
 from outrider.experiments.falsify.limits import SearchLimits, base_of, beyond_declared, needed_age
 from outrider.experiments.falsify.pool import Workers
 from outrider.experiments.falsify.saving import as_toml
+from outrider.running.extras import check_extra
 from outrider.running.flying import InProcess, fly, make_pilots
 from sim.scenario.checks import check_scenario
 from sim.scenario.loading import load_scenario
@@ -353,7 +354,7 @@ def test_bad_input_gets_one_line(case, here, command):
 def test_a_missing_extra_is_one_line_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cma", None)
     with pytest.raises(ScenarioError, match=r"pip install -e '\.\[falsify\]'"):
-        search.check_extra()
+        check_extra("falsify")
 
 
 def test_the_command_saves_and_tells_and_its_exit_code_says_what_was_expected(here, command):

@@ -22,6 +22,7 @@ from outrider.experiments.sweep.folder import SweepFolder, read_head, read_resul
 from outrider.experiments.sweep.plan import SweepPlan, lay_out
 from outrider.experiments.sweep.running import fly_sweep, make_tasks, open_cluster
 from outrider.experiments.sweep.worker import fly_runs
+from outrider.running import extras
 from outrider.running.flying import run
 from sim.scenario.loading import load_scenario, scenario_names
 
@@ -535,11 +536,10 @@ def test_bad_input_on_the_command_line_is_one_line_and_writes_nothing(here, comm
 
 
 def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(monkeypatch):
-    from outrider.experiments.sweep import extras
-
-    monkeypatch.setattr(
-        extras, "find_spec", lambda module: None if module == "distributed" else object()
-    )
-    extras.check_extras("joblib", "pyarrow")
+    lacking = ("distributed", "joblib")
+    monkeypatch.setattr(extras, "find_spec", lambda module: None if module in lacking else object())
+    extras.check_extra("sweep", "pyarrow")
+    with pytest.raises(ScenarioError, match=r"joblib is missing: pip install -e '\.\[sweep\]'"):
+        extras.check_extra("sweep")
     with pytest.raises(ScenarioError, match=r"distributed is missing: pip install -e '\.\[dask\]'"):
-        extras.check_extras("joblib", "pyarrow", "distributed")
+        extras.check_extra("dask")

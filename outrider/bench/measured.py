@@ -4,7 +4,6 @@ import statistics
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from functools import partial
-from importlib.util import find_spec
 from typing import NamedTuple
 
 import msgspec
@@ -12,6 +11,7 @@ import msgspec
 from bus.errors import ScenarioError
 from outrider.bench import beside, kernels, many, runs
 from outrider.bench.timing import Pair
+from outrider.running.extras import EXTRAS, missing_of
 
 Progress = Callable[[str, float], None]
 
@@ -41,10 +41,8 @@ class Layer(NamedTuple):
     """It is measured no more often than this: what takes minutes is measured once."""
     missing: str = ""
     """The words in the place of `reference` where there is no second number."""
-    needs: tuple[str, ...] = ()
-    """Packages of an extra without which the row is left out, unless it is asked for."""
     extra: str = ""
-    """That extra."""
+    """An extra without which the row is left out, unless it is asked for."""
     forked: bool = False
     """True if it flies over several processes, forked from one for all repeats."""
 
@@ -58,31 +56,12 @@ ROWS: dict[str, Layer] = {
     "access_control": Layer(
         runs.access_control, "ticks/s", "lockstep without credentials", forked=True
     ),
-    "tls": Layer(
-        runs.tls,
-        "ticks/s",
-        "lockstep over TCP with passwords",
-        needs=("cryptography",),
-        extra="tls",
-        forked=True,
-    ),
-    "ros2_idle": Layer(
-        beside.ros2_idle, "ticks/s", WITHOUT_BRIDGE, 3, needs=("rosbags", "xxhash"), extra="ros2"
-    ),
-    "ros2_read": Layer(
-        beside.ros2_read, "ticks/s", WITHOUT_BRIDGE, 3, needs=("rosbags", "xxhash"), extra="ros2"
-    ),
-    "mavlink_read": Layer(
-        beside.mavlink_read, "ticks/s", WITHOUT_BRIDGE, 3, needs=("pymavlink",), extra="mavlink"
-    ),
+    "tls": Layer(runs.tls, "ticks/s", "lockstep over TCP with passwords", extra="tls", forked=True),
+    "ros2_idle": Layer(beside.ros2_idle, "ticks/s", WITHOUT_BRIDGE, 3, extra="ros2"),
+    "ros2_read": Layer(beside.ros2_read, "ticks/s", WITHOUT_BRIDGE, 3, extra="ros2"),
+    "mavlink_read": Layer(beside.mavlink_read, "ticks/s", WITHOUT_BRIDGE, 3, extra="mavlink"),
     "run_in_process": Layer(runs.run_in_process, "ticks/s", "world_step"),
-    "sweep": Layer(
-        runs.sweep,
-        "runs/s",
-        "runs in one process, times cores",
-        needs=("joblib", "pyarrow"),
-        extra="sweep",
-    ),
+    "sweep": Layer(runs.sweep, "runs/s", "runs in one process, times cores", extra="sweep"),
     "env_step": Layer(kernels.env_step, "steps/s", "world_step"),
     "world_step": Layer(kernels.world_step, "steps/s", "its kernels alone, compiled"),
     "kernel_vs_numpy": Layer(kernels.kernel_vs_numpy, "passes/s", "plain NumPy"),
@@ -116,7 +95,7 @@ GROUPS = {"bridges": ("ros2_idle", "ros2_read", "mavlink_read")}
 
 
 def _can(layer: Layer) -> bool:
-    return all(find_spec(package) for package in layer.needs)
+    return not (layer.extra and missing_of(layer.extra))
 
 
 def _measure(name: str, repeats: int) -> Iterator[Pair]:
@@ -144,9 +123,9 @@ def measure(only: list[str], repeats: int, *, on_progress: Progress | None = Non
         raise ScenarioError(f"--only {unknown[0]}: no such row; allowed: {allowed}")
     for name in only:
         if not _can(ROWS[name]):
-            layer = ROWS[name]
+            extra = ROWS[name].extra
             raise ScenarioError(
-                f"--only {name}: needs {' and '.join(layer.needs)}: pip install -e '.[{layer.extra}]'"
+                f"--only {name}: needs {' and '.join(EXTRAS[extra])}: pip install -e '.[{extra}]'"
             )
     rows: list[Row] = []
     names = only or [name for name, layer in ROWS.items() if _can(layer)]

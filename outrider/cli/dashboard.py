@@ -61,14 +61,15 @@ def command(
     from bus.session import open_session
     from outrider.cli.console import ERR
     from outrider.cli.options import check_endpoints, staff_of
+    from outrider.running.extras import check_extra
     from outrider.running.watchdog import start_watchdog
-    from outrider.view.page.access.door import address_of, check_extra, choose_admission
+    from outrider.view.page.access.door import address_of, choose_admission
 
     if watchdog:
         start_watchdog()
     check_endpoints((connect,), secured=True, insecure=False)
     admission = choose_admission(host, token, wanted=not no_token)
-    check_extra()
+    check_extra("dashboard")
     from outrider.view.page.app import serve
     from outrider.view.page.controls.run_card import Controls
     from outrider.view.page.hub import Hub

@@ -6,6 +6,7 @@ from typing import Literal, NamedTuple
 import typer
 
 from outrider.cli.options import Json
+from outrider.running.extras import EXTRAS, missing_of
 
 State = Literal["ok", "missing", "wrong"]
 
@@ -19,24 +20,6 @@ class Finding(NamedTuple):
     told: str
 
 
-EXTRAS = {
-    "record": ("foxglove", "mcap"),
-    "drive": ("textual",),
-    "dashboard": ("nicegui",),
-    "window": ("pygame",),
-    "sweep": ("joblib", "pyarrow"),
-    "dask": ("distributed",),
-    "falsify": ("cma",),
-    "tls": ("cryptography",),
-    "ros2": ("rosbags", "xxhash"),
-    "mavlink": ("pymavlink",),
-    "fmi": ("fmpy", "pythonfmu3"),
-    "sb3": ("stable_baselines3", "torch"),
-    "torchrl": ("torchrl",),
-    "rllib": ("ray",),
-    "supersuit": ("supersuit",),
-}
-"""The packages of each extra, by the names under which it is imported."""
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "firefox", "microsoft-edge", "open")
 
 
@@ -79,11 +62,8 @@ def _cache() -> Iterator[Finding]:
 
 
 def _extras() -> Iterator[Finding]:
-    from importlib.util import find_spec
-
     for extra, modules in EXTRAS.items():
-        lacking = [module for module in modules if find_spec(module) is None]
-        if lacking:
+        if missing_of(extra):
             yield Finding(f"[{extra}]", "missing", f"pip install -e '.[{extra}]' in the clone")
         else:
             yield Finding(f"[{extra}]", "ok", ", ".join(modules))

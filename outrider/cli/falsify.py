@@ -167,7 +167,7 @@ def command(
     from outrider.cli.console import print_warnings
     from outrider.experiments.falsify.engines import Wanted
     from outrider.experiments.falsify.limits import SearchLimits, base_of, beyond_declared
-    from outrider.experiments.falsify.search import check_extra
+    from outrider.running.extras import check_extra
     from sim.kernels.threads import cores
 
     limits_given = (max_delay, max_loss, max_blackout, max_command_delay, noise)
@@ -206,7 +206,7 @@ def command(
     if attacks:
         _check_eps(eps)
     if flies:
-        check_extra()
+        check_extra("falsify")
         given, flown = flown, base_of(flown, limits)
         if flown.hold > given.hold:
             raised = (

@@ -35,9 +35,9 @@ def command(
 
     Example: outrider report sweeps/network --markdown
     """
-    from outrider.experiments.sweep.extras import check_extras
+    from outrider.running.extras import check_extra
 
-    check_extras("pyarrow")
+    check_extra("sweep", "pyarrow")
     if markdown and json:
         raise typer.BadParameter("--markdown and --json both want stdout; choose one")
     from rich.text import Text

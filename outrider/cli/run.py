@@ -197,9 +197,10 @@ def _page(wanted: bool, port: int) -> "AbstractContextManager[socket.socket | No
 
     if not wanted:
         return nullcontext()
-    from outrider.view.page.access.door import check_extra, open_socket
+    from outrider.running.extras import check_extra
+    from outrider.view.page.access.door import open_socket
 
-    check_extra()
+    check_extra("dashboard")
     return open_socket("127.0.0.1", port)
 
 

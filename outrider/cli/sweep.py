@@ -79,9 +79,11 @@ def command(
     Example: outrider sweep escort --law linear,switching --vary links.detections.delay=0,0.5,1 --seeds 20 --out
     sweeps/delay
     """
-    from outrider.experiments.sweep.extras import check_extras
+    from outrider.running.extras import check_extra
 
-    check_extras("joblib", "pyarrow", *(["distributed"] if dask else []))
+    check_extra("sweep")
+    if dask:
+        check_extra("dask")
     from outrider.cli.console import print_warnings
     from outrider.experiments.sweep.definition import describe_sweep
     from outrider.experiments.sweep.folder import SweepFolder

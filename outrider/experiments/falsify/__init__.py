@@ -2,6 +2,3 @@
 
 A UGV's motion, start states, noise and network events within declared limits.
 """
-
-EXTRA = ".[falsify]"
-"""The packages that have to be installed."""

@@ -9,14 +9,11 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from importlib.util import find_spec
 from itertools import islice
 from typing import Any
 
 import numpy as np
 
-from bus.errors import ScenarioError
-from outrider.experiments.falsify import EXTRA
 from outrider.experiments.falsify.candidate import CandidateResult, fly_candidate
 from outrider.experiments.falsify.genome import SIZES, Candidate, proof_cases
 from outrider.experiments.falsify.limits import SearchLimits
@@ -29,16 +26,6 @@ _ISLANDS, _POPULATION = 2, 16
 _SPREAD, _NEW_SPREAD = 0.15, 0.3
 """Standard deviation of the first generation, and of the first after a search that has come to its end."""
 _ELITE = 8
-
-
-def check_extra() -> None:
-    """Refuse to begin without CMA-ES.
-
-    Raises:
-        ScenarioError: With the command that installs it.
-    """
-    if find_spec("cma") is None:
-        raise ScenarioError(f"cma is missing: pip install -e '{EXTRA}'")
 
 
 class Budget:

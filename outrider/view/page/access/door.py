@@ -1,26 +1,12 @@
-"""Before the page is served: the socket it is served on, who may come in, and whether the extra is installed."""
+"""Before the page is served: the socket it is served on, and who may come in."""
 
 import re
 import secrets
 import socket
 from dataclasses import dataclass
-from importlib.util import find_spec
 
 from bus.errors import ScenarioError
 from outrider.view.page import LOOPBACK
-
-_NEEDED = ("nicegui",)
-
-
-def check_extra() -> None:
-    """Refuse to begin without what serves the page.
-
-    Raises:
-        ScenarioError: If it is not installed.
-    """
-    for module in _NEEDED:
-        if find_spec(module) is None:
-            raise ScenarioError(f"{module} is missing: pip install -e '.[dashboard]'")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
