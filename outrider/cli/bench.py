@@ -54,7 +54,7 @@ def command(
         if json:
             print_json({"file": str(scaling), "points": points})
         else:
-            OUT.print(f"{scaling}\n{scaling.with_suffix('.json')}", soft_wrap=True)
+            OUT.tell(f"{scaling}\n{scaling.with_suffix('.json')}")
         return
     if json:
         print_json({"rows": rows})

@@ -91,9 +91,8 @@ def command(
     law_told = f"law {scenario.law.name}" if scenario.uav else NO_UAV
     if certifiable not in (None, "always"):
         law_told += f", but sight is certified {certifiable}"
-    OUT.print(
-        f"{scenario.name}: can be flown ({vehicles}; {law_told}; {scenario.duration:g} s, {scenario.ticks} ticks)",
-        soft_wrap=True,
+    OUT.tell(
+        f"{scenario.name}: can be flown ({vehicles}; {law_told}; {scenario.duration:g} s, {scenario.ticks} ticks)"
     )
     if chances is not None and chances.line:
-        OUT.print(chances.line, soft_wrap=True)
+        OUT.tell(chances.line)

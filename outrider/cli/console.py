@@ -16,9 +16,19 @@ from bus.messages import LinkStatus
 from outrider.running.summary import Summary, in_flights
 from sim.scenario.types import Scenario
 
-# Nothing that comes from outside (paths, names, errors of the user's own code) is markup or an emoji.
-ERR = Console(stderr=True, highlight=False, markup=False, emoji=False)
-OUT = Console(highlight=False, markup=False, emoji=False)
+
+class Terminal(Console):
+    """A console on which nothing that comes from outside (paths, names, errors) is markup or an emoji."""
+
+    def __init__(self, *, stderr: bool = False) -> None:
+        super().__init__(stderr=stderr, highlight=False, markup=False, emoji=False)
+
+    def tell(self, text: str | Text) -> None:
+        """Print a line, however long: where it is too long for the window, the terminal breaks it."""
+        self.print(text, soft_wrap=True)
+
+
+ERR, OUT = Terminal(stderr=True), Terminal()
 
 
 def print_json(value: object) -> None:
@@ -37,7 +47,7 @@ def print_warnings(lines: Iterable[str]) -> None:
         alike.setdefault(re.sub(r"\d+", "0", line), []).append(line)
     for first, *others in alike.values():
         more = f" (and {len(others):,} more like it)" if others else ""
-        ERR.print(Text.assemble(("warning:", "yellow"), f" {first}{more}"), soft_wrap=True)
+        ERR.tell(Text.assemble(("warning:", "yellow"), f" {first}{more}"))
 
 
 class FlightProgress:
@@ -55,7 +65,7 @@ class FlightProgress:
 
     def say(self, line: str) -> None:
         """Print a line above the bar."""
-        self._progress.console.print(Text(line, style="yellow"), soft_wrap=True)
+        ERR.tell(Text(line, style="yellow"))
 
 
 @contextmanager
@@ -224,10 +234,8 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
     for row in rows:
         table.add_row(*row)
     OUT.print(table)
-    OUT.print(f"  trajectory_sha256 {summary.trajectory_sha256}", soft_wrap=True)
+    OUT.tell(f"  trajectory_sha256 {summary.trajectory_sha256}")
     if summary.secret:
-        OUT.print(
-            f"  secret {summary.secret}: with it and the seed the same flight again", soft_wrap=True
-        )
+        OUT.tell(f"  secret {summary.secret}: with it and the seed the same flight again")
     for file in files:
-        OUT.print(f"  {file}", soft_wrap=True)
+        OUT.tell(f"  {file}")

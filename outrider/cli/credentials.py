@@ -137,9 +137,7 @@ def command(
         return
     whose = {"router": "the router: everybody", "authority": "you alone: renews certificates"}
     for name, path in files.items():
-        OUT.print(
-            f"{path}  {'renewed ' if renew else ''}for {whose.get(name, name)}", soft_wrap=True
-        )
+        OUT.tell(f"{path}  {'renewed ' if renew else ''}for {whose.get(name, name)}")
 
 
 def _owner(text: str) -> tuple[int, int] | None:
@@ -263,5 +261,5 @@ def _check(folder: Path, *, json: bool) -> int:
         for row in told:
             until = f"until {str(row['ends'])[:10]} ({row['days']} days)  " if row["ends"] else ""
             good = "good" if row["good"] else "NOT GOOD"
-            OUT.print(f"{row['file']}  {good}  {until}{row['note']}", soft_wrap=True)
+            OUT.tell(f"{row['file']}  {good}  {until}{row['note']}")
     return int(not all(row["good"] for row in told))

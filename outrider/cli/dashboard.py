@@ -88,7 +88,7 @@ def command(
                 sys.stdout.write(line + "\n")
                 sys.stdout.flush()
             else:
-                ERR.print(f"the run {run} is shown at {line}", soft_wrap=True)
+                ERR.tell(f"the run {run} is shown at {line}")
 
         def on_end() -> None:
             if listening >= 0:  # the parent waits for it

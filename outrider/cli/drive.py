@@ -91,9 +91,7 @@ def _await_run(session: "Session", vehicle: str, stop: "Stop") -> "Status | None
     statuses = session.inbox(STATUS)
     letter = statuses.receive(1.0)
     if letter is None and not stop:
-        ERR.print(
-            f"waiting for the simulator of the run {session.run}; Ctrl-C leaves", soft_wrap=True
-        )
+        ERR.tell(f"waiting for the simulator of the run {session.run}; Ctrl-C leaves")
     while letter is None and not stop:
         letter = statuses.receive(0.5)
     statuses.close()
@@ -136,5 +134,5 @@ def _drive(session: "Session", vehicle: str, first: "Status", *, speed: float, b
             link.wait(5.0)
     with contextlib.suppress(OSError):  # the terminal may have gone
         for line in (*dict.fromkeys(warnings), link.farewell()):
-            ERR.print(line, soft_wrap=True)
+            ERR.tell(line)
     return end.code or app.return_value or app.return_code or 0

@@ -289,15 +289,11 @@ def _search(wanted: "Wanted", expect: Expect | None, *, json: bool) -> None:
     if fault is not None:
         raise fault
     if stop:
-        ERR.print(
-            f"outrider: interrupted after {found.runs:,} runs; what was found by then is told",
-            soft_wrap=True,
-        )
+        ERR.tell(f"outrider: interrupted after {found.runs:,} runs; what was found by then is told")
         raise typer.Exit(stop.exit_code)
     if expect is not None and (found.violations > 0) is (expect is Expect.NONE):
-        ERR.print(
-            f"outrider: --expect {expect}, but {found.violations:,} of {found.runs:,} runs are violations",
-            soft_wrap=True,
+        ERR.tell(
+            f"outrider: --expect {expect}, but {found.violations:,} of {found.runs:,} runs are violations"
         )
         raise typer.Exit(1)
 
@@ -332,7 +328,7 @@ def _progress(found: "Found") -> "Iterator[Callable[[str, float], None]]":
             progress.update(task, description=engine, completed=min(1.0, share), note=note)
             if not ERR.is_terminal and (now - said >= _LINE or (found.violations and not shown)):
                 said, shown = now, found.violations
-                ERR.print(f"{engine}: {note}", soft_wrap=True)
+                ERR.tell(f"{engine}: {note}")
 
         yield show
 
@@ -344,7 +340,7 @@ def _tell(found: "Found", *, json: bool) -> None:
         print_json(found.as_plain())
         return
     for line in _lines(found):
-        OUT.print(line, soft_wrap=True)
+        OUT.tell(line)
 
 
 def _lines(found: "Found") -> "Iterator[str]":

@@ -49,6 +49,6 @@ def command(
                 Text("yes", style="green") if claim.holds else Text("no", style="red"),
             )
         OUT.print(table)
-        OUT.print(f"  {out}/figure-1.png ... figure-5.png", soft_wrap=True)
+        OUT.tell(f"  {out}/figure-1.png ... figure-5.png")
     if not all(claim.holds for claim in claims):
         raise typer.Exit(1)

@@ -89,7 +89,4 @@ def export(
         told = {"file": str(file), "what": what.value, "agent": agent or None}
         print_json(told | {"scenario": flown.name, "seed": flown.seed, "step": flown.dt})
     else:
-        OUT.print(
-            f"{file}: {agent or 'the world'} of {flown.name}, steps of {flown.dt:g} s",
-            soft_wrap=True,
-        )
+        OUT.tell(f"{file}: {agent or 'the world'} of {flown.name}, steps of {flown.dt:g} s")

@@ -262,9 +262,8 @@ def _show(
             return {"vehicles": {}}
         gateway = RunGateway(client, network, status, first=first, height=height)
         named = {system.name: number for number, system in gateway.systems.items()}
-        ERR.print(
-            f"the run {run}: {', '.join(f'system {n} is {name}' for name, n in named.items())}",
-            soft_wrap=True,
+        ERR.tell(
+            f"the run {run}: {', '.join(f'system {n} is {name}' for name, n in named.items())}"
         )
         try:
             lost = _follow(session, client, gateway, stop)
@@ -288,7 +287,7 @@ def _await_run(client: "RunClient", run: str, stop: "Stop") -> "Status | None":
             return status
         if not told and time.monotonic() - since > 1.0:
             told = True
-            ERR.print(f"waiting for the simulator of the run {run}; Ctrl-C leaves", soft_wrap=True)
+            ERR.tell(f"waiting for the simulator of the run {run}; Ctrl-C leaves")
         time.sleep(_TURN)
     return None
 

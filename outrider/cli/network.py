@@ -77,7 +77,7 @@ def fit(
         return
     _print(found)
     if out is not None:
-        OUT.print(str(out), soft_wrap=True)
+        OUT.tell(str(out))
 
 
 def _print(found: "Fit") -> None:
@@ -86,11 +86,10 @@ def _print(found: "Fit") -> None:
     from outrider.cli.console import OUT, print_warnings
 
     told = ", ".join(f"{name} {1000.0 * value:.3g} ms" for name, value in found.delay.items())
-    OUT.print(
+    OUT.tell(
         f"{found.file}: {found.messages:,} messages, one every {found.interval:g} s\n"
         f"delay: {told}\n"
-        f"lost: {100.0 * found.lost:.3g} %, at most {found.longest_burst:g} s in a row\n",
-        soft_wrap=True,
+        f"lost: {100.0 * found.lost:.3g} %, at most {found.longest_burst:g} s in a row\n"
     )
     table = Table(title="Waits differ by this factor", title_justify="left")
     table.add_column("link")
@@ -99,5 +98,5 @@ def _print(found: "Fit") -> None:
     for name, factor in found.profiles.items():
         table.add_row(f"profile {name}", f"{factor:.2f}")
     OUT.print(table)
-    OUT.print(f"\n{found.toml}", soft_wrap=True)
+    OUT.tell(f"\n{found.toml}")
     print_warnings(found.notes)

@@ -275,7 +275,7 @@ def _user_of(
         if chosen is None and user not in flown:
             from outrider.cli.console import ERR
 
-            ERR.print(f"--{option} {own[option]}: so the {kind} is {user}", soft_wrap=True)
+            ERR.tell(f"--{option} {own[option]}: so the {kind} is {user}")
             return user
     return chosen
 

@@ -116,7 +116,7 @@ def command(
     if json:
         print_json(found)
     else:
-        ERR.print(f"{target}: {recorder.story()}", soft_wrap=True)
+        ERR.tell(f"{target}: {recorder.story()}")
     if lost:
         from bus.errors import PeerLost
 
@@ -188,4 +188,4 @@ def _repair(killed: Path, out: Path, *, json: bool) -> None:
         if saved.reason
         else "nothing was wrong with it"
     )
-    ERR.print(f"{out}: {saved.messages} messages of {killed} ({what})", soft_wrap=True)
+    ERR.tell(f"{out}: {saved.messages} messages of {killed} ({what})")

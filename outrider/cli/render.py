@@ -54,4 +54,4 @@ def command(
             speed=realtime,
             on_frame=lambda done, total: progress.update(task, completed=done, total=total),
         )
-    ERR.print(f"{out}: {out.stat().st_size / 1e6:.2f} MB", soft_wrap=True)
+    ERR.tell(f"{out}: {out.stat().st_size / 1e6:.2f} MB")

@@ -136,13 +136,10 @@ def _refly(recording: "Recording", *, json: bool) -> None:
         verdict = (
             ("the same to the last bit", "green") if same else (f"differs from {where}", "red")
         )
-        OUT.print(
-            Text.assemble(f"{recording.path}: {found.ticks} ticks flown again, ", verdict),
-            soft_wrap=True,
-        )
-        OUT.print(f"  trajectory_sha256 {found.trajectory_sha256}", soft_wrap=True)
+        OUT.tell(Text.assemble(f"{recording.path}: {found.ticks} ticks flown again, ", verdict))
+        OUT.tell(f"  trajectory_sha256 {found.trajectory_sha256}")
         if found.note:
-            OUT.print(f"  {found.note}", soft_wrap=True)
+            OUT.tell(f"  {found.note}")
     if not same:
         raise typer.Exit(1)
 
@@ -179,7 +176,7 @@ def _write_bag(recording: "Recording", folder: Path, *, json: bool) -> None:
     told = (
         f"{found['messages']} messages on {len(bag.topics)} topics, {size_of(folder) / 1e6:.2f} MB"
     )
-    ERR.print(f"{folder}: {told}", soft_wrap=True)
+    ERR.tell(f"{folder}: {told}")
 
 
 def _show(recording: "Recording", speed: float, port: int, token: str, *, wanted: bool) -> None:
@@ -204,7 +201,7 @@ def _show(recording: "Recording", speed: float, port: int, token: str, *, wanted
             opened,
             admission,
             controls=lambda: Player(hub, tape).show,
-            ready=lambda: ERR.print(line, soft_wrap=True),
+            ready=lambda: ERR.tell(line),
         )
 
 
@@ -264,17 +261,17 @@ def _tell(recording: "Recording", *, json: bool) -> None:
         print_json(told)
         return
     else:
-        OUT.print(
+        OUT.tell(
             f"{told['scenario']}, seed {told['seed']}: recorded by an observer, ticks {told['first_tick']} to "
             f"{told['last_tick']}"
         )
-        OUT.print(
+        OUT.tell(
             f"  distance: largest {told['max_distance']:.3f} m, mean {told['mean_distance']:.3f} m"
         )
     whole = "whole" if told["whole"] else f"not whole: {told['reason']}"
     missing = f", {told['missing_ticks']} ticks missing" if told["missing_ticks"] else ""
     size = f"{told['bytes'] / 1e6:.2f} MB, {told['bytes_per_minute'] / 1e6:.2f} MB per simulated minute"
-    OUT.print(f"  {recording.path}: {size}, {whole}{missing}", soft_wrap=True)
+    OUT.tell(f"  {recording.path}: {size}, {whole}{missing}")
 
 
 def _wall_time(recording: "Recording") -> float:

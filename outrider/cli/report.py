@@ -67,11 +67,11 @@ def command(
         print_json({**counts, "page": str(file), "pictures": files})
         return
     if material.missing:
-        ERR.print(
+        ERR.tell(
             Text.assemble(
                 ("not finished:", "yellow"), f" {material.missing:,} runs are still to be flown"
             )
         )
-    OUT.print(f"{material.rows:,} runs, {material.failed:,} failed\n  {file}", soft_wrap=True)
+    OUT.tell(f"{material.rows:,} runs, {material.failed:,} failed\n  {file}")
     for path in pictures.values():
-        OUT.print(f"  {path}", soft_wrap=True)
+        OUT.tell(f"  {path}")

@@ -121,7 +121,7 @@ def command(
     else:
         sent = sum(observer.topics.values())
         missing = f", {observer.missing_ticks} ticks missing" if every_tick else ""
-        ERR.print(f"{sent} messages on {len(observer.topics)} topics{missing}", soft_wrap=True)
+        ERR.tell(f"{sent} messages on {len(observer.topics)} topics{missing}")
     if lost:
         from bus.errors import PeerLost
 
@@ -180,9 +180,7 @@ def _follow(session: "Session", observer: "RosObserver", stop: "Stop") -> bool:
             return False
         if not told and observer.status is None and now - there < _AWAY:
             told = True
-            ERR.print(
-                f"waiting for the simulator of the run {session.run}; Ctrl-C leaves", soft_wrap=True
-            )
+            ERR.tell(f"waiting for the simulator of the run {session.run}; Ctrl-C leaves")
     return False
 
 
@@ -240,9 +238,7 @@ def _fly(
         link = RosLink(node, party)
         with stop_on_signals() as stop:
             if not link.there:
-                ERR.print(
-                    f"waiting for a ROS 2 node that reads /{name}/pilot/observation", soft_wrap=True
-                )
+                ERR.tell(f"waiting for a ROS 2 node that reads /{name}/pilot/observation")
             while not link.there and not stop:
                 time.sleep(0.05)
         if stop:
@@ -263,4 +259,4 @@ def _fly(
     if json:
         print_json(found)
     else:
-        ERR.print(f"{name}: {sent} commands of a ROS 2 node", soft_wrap=True)
+        ERR.tell(f"{name}: {sent} commands of a ROS 2 node")

@@ -68,7 +68,7 @@ def command(
             if given is None
             else ", ".join(credential.name for credential in given.parties)
         )
-        ERR.print(f"routing on {', '.join(endpoints)} for {who} in the run {name}", soft_wrap=True)
+        ERR.tell(f"routing on {', '.join(endpoints)} for {who} in the run {name}")
         if once:
             _until_over(session, stop)
         else:

@@ -265,7 +265,7 @@ def _end(outcome: "Outcome", stop: "Stop") -> None:
 
     if stop:
         if outcome.summary is None:
-            ERR.print("outrider: interrupted before the first tick; nothing was flown")
+            ERR.tell("outrider: interrupted before the first tick; nothing was flown")
         raise typer.Exit(stop.exit_code)
     if outcome.fault:
         raise PeerLost(outcome.fault)

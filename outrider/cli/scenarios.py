@@ -100,9 +100,8 @@ def new(
         text = f"#:schema {SCHEMA_FILE}\n{text}"
         file.with_name(SCHEMA_FILE).write_text(schema_text(), encoding="utf-8")
     file.write_text(text, encoding="utf-8")
-    OUT.print(
-        f"{file}: written; outrider check {shlex.quote(str(file))} says whether it can be flown",
-        soft_wrap=True,
+    OUT.tell(
+        f"{file}: written; outrider check {shlex.quote(str(file))} says whether it can be flown"
     )
 
 

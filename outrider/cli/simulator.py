@@ -159,14 +159,10 @@ def command(
         where = (
             f"using the router at {connect}" if connect else f"listening on {', '.join(endpoints)}"
         )
-        ERR.print(
-            f"{where}, run {run}: waiting for {', '.join(v.name for v in flown.vehicles)}",
-            soft_wrap=True,
-        )
+        ERR.tell(f"{where}, run {run}: waiting for {', '.join(v.name for v in flown.vehicles)}")
         if endpoints and given is None:
-            ERR.print(
-                "no credentials: every process that reaches this endpoint may read and write everything",
-                soft_wrap=True,
+            ERR.tell(
+                "no credentials: every process that reaches this endpoint may read and write everything"
             )
     timing = Timing(
         realtime=realtime, deadline=deadline, join_timeout=join_timeout, respawn=respawn

@@ -110,7 +110,7 @@ def command(
     else:
         OUT.print(_table(board))
     told = ERR if markdown else OUT
-    told.print(f"  secret {board.secret}: with --secret the same scores again", soft_wrap=True)
+    told.tell(f"  secret {board.secret}: with --secret the same scores again")
 
 
 def _tasks(whole: "Suite", only: list[str]) -> "Suite":

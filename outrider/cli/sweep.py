@@ -203,9 +203,7 @@ def _interrupted(
 
     folder.take_stock()  # what was written may not be counted yet
     kept = f"{len(folder.done):,} of {plan.runs:,} runs are kept in {folder.path}"
-    ERR.print(
-        f"outrider: interrupted; {kept}, and the same command goes on from there", soft_wrap=True
-    )
+    ERR.tell(f"outrider: interrupted; {kept}, and the same command goes on from there")
     raise typer.Exit(130 if isinstance(end, KeyboardInterrupt) else int(end.code or 0)) from end
 
 
@@ -216,21 +214,14 @@ def _tell(told: dict[str, Any], folder: "SweepFolder", where: Path, *, json: boo
         print_json(told)
     else:
         new = f"{told['flown']:,} of them now in {told['seconds']:.1f} s, {told['runs_per_second']:.1f} runs/s"
-        OUT.print(
-            f"{told['rows']:,} runs, {new}; in {folder.violated:,} the UGV was lost from sight",
-            soft_wrap=True,
+        OUT.tell(
+            f"{told['rows']:,} runs, {new}; in {folder.violated:,} the UGV was lost from sight"
         )
-        OUT.print(
-            f"  {told['file']}\n  outrider report {shlex.quote(str(where))} draws them",
-            soft_wrap=True,
-        )
+        OUT.tell(f"  {told['file']}\n  outrider report {shlex.quote(str(where))} draws them")
     if folder.failed:
         reason = next(_errors(folder), "")
         again = "the same command flies them again"
-        ERR.print(
-            f"outrider: {folder.failed} of {told['rows']:,} runs failed: {reason}; {again}",
-            soft_wrap=True,
-        )
+        ERR.tell(f"outrider: {folder.failed} of {told['rows']:,} runs failed: {reason}; {again}")
         raise typer.Exit(1)
 
 
