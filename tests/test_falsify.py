@@ -271,12 +271,11 @@ def test_a_worker_that_dies_is_told_in_one_line() -> None:
 # The attack
 
 
-def attacked(control, runs, *, duration=40.0, **wanted):
+def attacked(control, runs, *, duration=40.0, first=False, **wanted):
     tally = attacks.AttackTally()
+    budget = search.Budget(runs, None, lambda: first and tally.violations > 0)
     with Workers(1, attacks.warm) as workers:
-        attacks.run_attack(
-            workers, search.Budget(runs, None), tally, control=control, duration=duration, **wanted
-        )
+        attacks.run_attack(workers, budget, tally, control=control, duration=duration, **wanted)
     return tally
 
 

@@ -221,7 +221,6 @@ def run_attack(
     eps: float | None = None,
     seed: int = 1,
     duration: float = 200.0,
-    first: bool = False,
     on_task: Callable[[], None] = lambda: None,
 ) -> None:
     """Attack until the budget is used up.
@@ -234,16 +233,10 @@ def run_attack(
         eps: Only this error [m].
         seed: Of all draws.
         duration: Of each run [s]; longer where a tick is longer than the paper's, so that no run has fewer ticks.
-        first: Whether the first violation is enough.
         on_task: Is told after every few runs.
     """
-
-    def ends() -> bool:
-        return budget.ends() or (first and tally.violations > 0)
-
-    for found in workers.stream(
-        fly_attack, _calls(control, eps, seed, budget.runs, duration), ends
-    ):
+    calls = _calls(control, eps, seed, budget.runs, duration)
+    for found in workers.stream(fly_attack, calls, budget.ends):
         tally.take(found, new=found.runs == 1 and tally.runs == tally.combinations)
         on_task()
 
@@ -256,19 +249,11 @@ _NAMES = (
 
 def again(found: Attacked, seed: int) -> str:
     """The worst run as a line of Python that flies it again."""
-    changed = {
-        name: value
-        for name, value in found.conditions._asdict().items()
-        if value != Conditions._field_defaults[name]
-    }
-    changed = {
-        name: value
-        for name, value in changed.items()
-        if name not in ("law", "radius") or found.conditions.law
-    }
     told = ", ".join(
         f"{name}=math.inf" if value == math.inf else f"{name}={value!r}"
-        for name, value in changed.items()
+        for name, value in found.conditions._asdict().items()
+        if value != Conditions._field_defaults[name]
+        and (name not in ("law", "radius") or found.conditions.law)
     )
     conditions = f"c = Conditions({told})"
     bounds = "".join(f", {name}={value!r}" for name, value in found.bounds.items())

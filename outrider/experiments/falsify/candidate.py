@@ -40,17 +40,6 @@ _WHILE = 1.0
 """After an uncertified tick a promise counts again once it has stood for so long and for the commands' delay [s]."""
 
 
-class _Watch:
-    """At which ticks sight was certified to be kept from there on."""
-
-    def __init__(self, ticks: int) -> None:
-        self.certified = np.zeros(ticks, dtype=np.bool_)
-
-    def see(self, flight: Flight) -> None:
-        report = flight.answers.reports[0]
-        self.certified[flight.world.tick - 1] = report is not None and bool(report.certified)
-
-
 def promised(certified: npt.NDArray[np.bool_], patience: int) -> npt.NDArray[np.bool_]:
     """At which states the promise stands.
 
@@ -86,21 +75,22 @@ def flown(
         The scenario that flies the same by itself, the flight, and what came out.
     """
     scenario = decode(candidate, base, limits)
-    watch = _Watch(scenario.ticks)
+    certified = np.zeros(scenario.ticks, dtype=np.bool_)  # that sight is kept from there on
+
+    def see(flight: Flight) -> None:
+        report = flight.answers.reports[0]
+        certified[flight.world.tick - 1] = report is not None and bool(report.certified)
+
     if candidate.kind == "adversary":
-        flight, script = fly_adversary(scenario, tactics_of(candidate.vector, scenario), watch.see)
+        flight, script = fly_adversary(scenario, tactics_of(candidate.vector, scenario), see)
         scenario = with_script(scenario, script)
     else:
-        flight, _ = fly(scenario, scenario.seed, on_tick=watch.see)
+        flight, _ = fly(scenario, scenario.seed, on_tick=see)
     distance = flight.recorder.escorts[:, 0, 0]
     certifies = LAWS[scenario.law.name].watched
     patience = math.ceil((_WHILE + scenario.links.commands.delay) / scenario.dt)
-    stands = (
-        promised(watch.certified, patience) if certifies else np.ones(len(distance), dtype=np.bool_)
-    )
-    stands[:-1] |= (
-        watch.certified
-    )  # whatever has been before, a certified tick says that the UGV is in sight
+    stands = promised(certified, patience) if certifies else np.ones(len(distance), dtype=np.bool_)
+    stands[:-1] |= certified  # whatever has been before: such a tick says that the UGV is in sight
     lost = distance >= scenario.visibility.radius
     result = CandidateResult(
         number=candidate.number,
@@ -108,8 +98,7 @@ def flown(
         max_distance=float(distance.max()),
         violated=bool(np.any(lost & stands)),
         lost=bool(np.any(lost)),
-        uncertified=certifies
-        and not bool(np.all(watch.certified[int(watch.certified.argmax()) :])),
+        uncertified=certifies and not bool(np.all(certified[int(certified.argmax()) :])),
         certified_while_lost=flight.answers.assurance.certified_while_lost,
         certificate_broken=flight.answers.assurance.certificate_broken,
     )

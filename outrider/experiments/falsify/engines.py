@@ -155,29 +155,33 @@ def search(
         PeerLost: If a worker process dies.
     """
     wanted, began = found.wanted, time.monotonic()
+
+    def ends() -> bool:
+        return asked() or (wanted.first and found.violations > 0)
+
     try:
         if wanted.flies:
-            _fly(found, asked, on_run)
-        if wanted.attacks and not asked() and not (wanted.first and found.violations):
-            _attack(found, asked, on_run, began)
+            _fly(found, ends, on_run)
+        if wanted.attacks and not ends():
+            _attack(found, ends, on_run, began)
     finally:
         found.seconds = time.monotonic() - began
 
 
-def _fly(found: Found, asked: Callable[[], bool], on_run: Callable[[str, float], None]) -> None:
+def _fly(found: Found, ends: Callable[[], bool], on_run: Callable[[str, float], None]) -> None:
     wanted = found.wanted
     runs, minutes = wanted.runs, wanted.minutes
     if wanted.attacks:
         runs = None if runs is None else min(runs, max(_LEAST, runs // _SHARE))
         minutes = None if minutes is None else minutes * _SHARE_OF_TIME
-    budget = Budget(runs, None if minutes is None else 60.0 * minutes, asked)
-    one = Search(wanted.base, wanted.limits, wanted.seed, tally=found.flights, first=wanted.first)
+    budget = Budget(runs, None if minutes is None else 60.0 * minutes, ends)
+    one = Search(wanted.base, wanted.limits, wanted.seed, tally=found.flights)
     with Workers(wanted.jobs, warm_up_flight) as workers:
         one.run(workers, budget, lambda: on_run("flights", budget.share(found.flights.runs)))
 
 
 def _attack(
-    found: Found, asked: Callable[[], bool], on_run: Callable[[str, float], None], began: float
+    found: Found, ends: Callable[[], bool], on_run: Callable[[str, float], None], began: float
 ) -> None:
     wanted, tally = found.wanted, found.attacks
     runs = None if wanted.runs is None else wanted.runs - found.flights.runs
@@ -186,7 +190,7 @@ def _attack(
     budget = Budget(
         runs,
         None if wanted.minutes is None else 60.0 * wanted.minutes - (time.monotonic() - began),
-        asked,
+        ends,
     )
     with Workers(wanted.jobs, warm_attack) as workers:
         run_attack(
@@ -197,7 +201,6 @@ def _attack(
             eps=wanted.eps,
             seed=wanted.seed,
             duration=wanted.attack_duration,
-            first=wanted.first,
             on_task=lambda: on_run("attack", budget.share(tally.runs)),
         )
 

@@ -34,7 +34,7 @@ class Budget:
     Args:
         runs: None: no limit.
         seconds: Of wall time; None: no limit.
-        asked: Whether somebody wants the end.
+        asked: Whether it is to end all the same.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class Budget:
         return max(of_runs, self.elapsed / self._seconds if self._seconds else 0.0)
 
     def ends(self) -> bool:
-        """True if it is to stop at once: the time is over, or somebody wants the end."""
+        """True if the search is to stop at once: the time is over, or it is asked to."""
         return self._asked() or (self._seconds is not None and self.elapsed >= self._seconds)
 
     def left(self, runs: int) -> int | None:
@@ -153,13 +153,10 @@ class Search:
         limits: Within what is searched.
         seed: Of the search.
         tally: What is found, counted as it comes.
-        first: Whether the first violation is enough.
     """
 
-    def __init__(
-        self, base: Scenario, limits: SearchLimits, seed: int, *, tally: Tally, first: bool = False
-    ) -> None:
-        self._base, self._limits, self._seed, self._first = base, limits, seed, first
+    def __init__(self, base: Scenario, limits: SearchLimits, seed: int, *, tally: Tally) -> None:
+        self._base, self._limits, self._seed = base, limits, seed
         self.tally = tally
         self._number = 0
         self._begun = 0
@@ -177,11 +174,7 @@ class Search:
         tally, chances, size = self.tally, _chances(self._seed), _ISLANDS * _POPULATION
         cases = len(proof_cases())
         islands: list[_Island] = []
-
-        def ends() -> bool:
-            return budget.ends() or (self._first and tally.violations > 0)
-
-        while not ends() and budget.left(tally.runs) != 0:
+        while not budget.ends() and budget.left(tally.runs) != 0:
             explores = tally.runs < cases or budget.share(tally.runs) < _EXPLORED
             if not explores:
                 islands = self._islands(islands)
@@ -194,19 +187,15 @@ class Search:
             flown = {candidate.number: candidate for candidate in batch}
             results: list[CandidateResult] = []
             for result in workers.stream(
-                fly_candidate, ((one, self._base, self._limits) for one in batch), ends
+                fly_candidate, ((one, self._base, self._limits) for one in batch), budget.ends
             ):
                 tally.take(flown[result.number], result)
                 results.append(result)
                 on_run()
             if not explores and len(results) == size:
                 for k, island in enumerate(islands):
-                    island.tell(
-                        [
-                            result.score
-                            for result in results[k * _POPULATION : (k + 1) * _POPULATION]
-                        ]
-                    )
+                    own = results[k * _POPULATION : (k + 1) * _POPULATION]
+                    island.tell([result.score for result in own])
 
     def _candidate(self, kind: str, vector: tuple[float, ...], seed: int) -> Candidate:
         self._number += 1

@@ -34,9 +34,7 @@ def _network(scenario: Scenario) -> str:
 
 def _at(flight: Flight, tick: int) -> str:
     """Describes how both move at a tick, along the line between them."""
-    rows = {name: k for k, name in enumerate(flight.world.names)}
-    a, g = flight.recorder.states[tick, rows[flight.world.uavs[0].name]], None
-    g = flight.recorder.states[tick, rows[flight.world.uavs[0].escorts]]
+    a, g = flight.recorder.states[tick, flight.world.escorts[0]]
     x, y = float(a[0] - g[0]), float(a[1] - g[1])
     away = math.hypot(x, y) or 1.0
     flies, drives = (float(v[2] * x + v[3] * y) / away for v in (a, g))
