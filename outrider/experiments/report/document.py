@@ -104,13 +104,7 @@ def columns_of(panel: Panel) -> tuple[str, ...]:
 
 def certified_runs(material: Material) -> str:
     """Counts the runs that were certified at every tick, and how many of them lost the UGV; empty where none was."""
-    cells = [
-        panel.cell(law, value)
-        for panel in material.panels
-        for law in panel.laws
-        for value in panel.values
-    ]
-    runs = [row for cell in cells for row in cell.certified]
+    runs = [row for cell in material.cells for row in cell.certified]
     if not runs:
         return ""
     lost = sum(row["violated"] for row in runs)
@@ -218,7 +212,7 @@ def _table(panel: Panel) -> Iterator[str]:
 
 
 def _facts(material: Material) -> Iterator[str]:
-    violated = sum(cell.violated for panel in material.panels for cell in panel.cells.values())
+    violated = sum(cell.violated for cell in material.cells)
     seeds = sorted({head.sweep.seeds for head in material.heads})
     yield '<div class="facts">'
     for fact, what in (
@@ -235,29 +229,17 @@ def _facts(material: Material) -> Iterator[str]:
 
 def _settings(material: Material) -> Iterator[str]:
     for head in material.heads:
-        fixed = {**head.sweep.set}
-        if fixed:
+        changes = {f"Changed in all runs of {head.sweep.scenario}": head.sweep.set}
+        changes |= {f"In “{block.name}”": block.set for block in head.sweep.block}
+        for where, fixed in changes.items():
             told = ", ".join(f"{name} = {tick_of('', value)}" for name, value in fixed.items())
-            yield f"<p>Changed in all runs of {escape(head.sweep.scenario)}: {escape(told)}.</p>"
-        for block in head.sweep.block:
-            if block.set:
-                told = ", ".join(
-                    f"{name} = {tick_of('', value)}" for name, value in block.set.items()
-                )
-                yield f"<p>In “{escape(block.name)}”: {escape(told)}.</p>"
+            if told:
+                yield f"<p>{escape(where)}: {escape(told)}.</p>"
 
 
 def _caution(material: Material) -> str:
     """Bounds the rate of something that has not happened in so many runs."""
-    fewest = min(
-        (
-            len(cell.flown)
-            for panel in material.panels
-            for cell in panel.cells.values()
-            if cell.flown
-        ),
-        default=0,
-    )
+    fewest = min((len(cell.flown) for cell in material.cells if cell.flown), default=0)
     if not fewest:
         return "No run was flown to its end."
     rate = _percent(wilson_interval(0, fewest)[1])

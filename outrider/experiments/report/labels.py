@@ -2,6 +2,7 @@
 
 import math
 from pathlib import PurePath
+from typing import TypeGuard
 
 _LINK = {
     "delay": ("delay", "s"),
@@ -74,11 +75,16 @@ def number(value: float, digits: int = 3) -> str:
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 
+def is_number(value: object) -> TypeGuard[int | float]:
+    """True for a number; true and false are none."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
 def tick_of(field: str, value: object) -> str:
     """A value as it stands on the axis, without its unit: shares in per cent."""
     if value is None:
         return "none"
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if not is_number(value):
         text = str(value).lower() if isinstance(value, bool) else str(value)
         return PurePath(text).stem if field.endswith(".trace") else text
     return number(100.0 * value if _named(field)[1] == "%" else float(value))

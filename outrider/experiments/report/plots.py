@@ -162,12 +162,7 @@ def margins(material: Material) -> Figure:
 
     All runs as a line, the middle half as a bar, the median as a mark.
     """
-    everything = [
-        margin
-        for panel in material.panels
-        for cell in panel.cells.values()
-        for margin in cell.numbers("margin")
-    ]
+    everything = [margin for cell in material.cells for margin in cell.numbers("margin")]
     highest = max([*everything, 0.5])
     lowest = (
         max(min([*everything, 0.0]), -highest) - 0.1 * highest
@@ -248,12 +243,7 @@ def _band(
 
 def errors(material: Material) -> Figure:
     """The coverage error e(t) (4), averaged over the flight and the runs."""
-    means = [
-        fmean(found)
-        for panel in material.panels
-        for cell in panel.cells.values()
-        if (found := cell.numbers("mean_error"))
-    ]
+    means = [fmean(found) for cell in material.cells if (found := cell.numbers("mean_error"))]
     top = 1.25 * max([*means, 1.0])
 
     def draw(axes: Axes, panel: Panel, where: list[float], gap: float) -> None:
@@ -285,18 +275,14 @@ def errors(material: Material) -> Figure:
 
 def ages(material: Material) -> Figure | None:
     """The age of information of the links, all laws together; None where no run has told any."""
+    cells = material.cells
     kinds = {
         kind: look
         for kind, look in _KINDS.items()
-        if any(
-            cell.numbers(f"{kind}_mean_age")
-            for panel in material.panels
-            for cell in panel.cells.values()
-        )
+        if any(cell.numbers(f"{kind}_mean_age") for cell in cells)
     }
     if not kinds:
         return None
-    cells = [cell for panel in material.panels for cell in panel.cells.values()]
     top = 1.2 * max(
         1.0, *(age for cell in cells for kind in kinds for age in cell.numbers(f"{kind}_max_age"))
     )

@@ -12,7 +12,7 @@ import msgspec
 from bus.errors import ScenarioError
 from bus.registry import LAWS
 from outrider.experiments.intervals import wilson_interval
-from outrider.experiments.report.labels import label_of, value_of
+from outrider.experiments.report.labels import is_number, label_of, value_of
 from outrider.experiments.sweep.columns import RESULTS
 from outrider.experiments.sweep.folder import SweepHead, read_head, read_results
 
@@ -52,9 +52,8 @@ class Cell:
 
     def numbers(self, column: str) -> list[float]:
         """The finite numbers of a column."""
-        found = [
-            row.get(column) for row in self.flown
-        ]  # none in a sweep of a version that did not have it
+        # a sweep of an older version does not have every column
+        found = [row.get(column) for row in self.flown]
         return [value for value in found if value is not None and math.isfinite(value)]
 
 
@@ -78,7 +77,7 @@ class Panel:
     @property
     def ordered(self) -> bool:
         """True if the values are numbers, so that one is more than another."""
-        return all(isinstance(v, int | float) and not isinstance(v, bool) for v in self.values)
+        return all(map(is_number, self.values))
 
     def cell(self, law: str, value: object) -> Cell:
         """The runs of a law at a value; empty where none are flown."""
@@ -98,6 +97,11 @@ class Material:
     """Runs that are not flown yet."""
     law: tuple[str, ...]
     """Of all panels, in the order of the laws' table."""
+
+    @property
+    def cells(self) -> list[Cell]:
+        """Of all panels."""
+        return [cell for panel in self.panels for cell in panel.cells.values()]
 
 
 @dataclass(slots=True, kw_only=True)
@@ -121,9 +125,7 @@ def _ordered_laws(laws: set[str]) -> list[str]:
 def _rising(values: Sequence[Any]) -> list[Any]:
     """Each value once: numbers rising, then everything else as it came."""
     once = list(dict.fromkeys(values))
-    numbers = [
-        value for value in once if isinstance(value, int | float) and not isinstance(value, bool)
-    ]
+    numbers = [value for value in once if is_number(value)]
     return sorted(numbers) + [value for value in once if value not in numbers]
 
 
@@ -174,8 +176,8 @@ def _blocks(found: Sequence[tuple[Path, SweepHead, list[dict[str, Any]]]]) -> li
             if not any(_join(other, mine) for other in blocks[key]):
                 vary = dict.fromkeys(block.vary)
                 blocks[key].append(_Block(name=block.name, vary=vary, rows=mine, folder=folder))
-    names = [block.name for alike in blocks.values() for block in alike]
     merged = [block for alike in blocks.values() for block in alike]
+    names = [block.name for block in merged]
     for one in merged:
         if names.count(one.name) > 1:
             one.apart = f" ({one.folder})"
