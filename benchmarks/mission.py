@@ -19,8 +19,8 @@ from matplotlib.lines import Line2D
 from bus.messages import LinkSettings, Mission
 from bus.profiles import PROFILES
 from outrider.envs.closed_loop import ClosedLoop
+from outrider.experiments.suite.missions import mission_in
 from outrider.style import INK, LIMIT, UGV, law_color, new_figure, save
-from sim.engine.mission import mission_of
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import LinkTable, Scenario
 
@@ -53,11 +53,7 @@ def _flown(scenario: Scenario, seeds: int) -> tuple[list[Mission], int]:
     loop = ClosedLoop(scenario, seeds, end_on_sight_lost=False, end_on_goals_reached=True)
     loop.begin(list(range(seeds)))
     loop.fly()
-    tables, state = loop.tables.batch, loop.state.batch
-    found = [
-        mission_of(tables.mission, state.ground, state.mission, k, scenario.dt)
-        for k in range(seeds)
-    ]
+    found = [mission_in(loop, k) for k in range(seeds)]
     told = [loop.metrics(uav)["visibility_violations"] > 0.0 for uav in loop.uavs]
     loop.close()
     return found, int(np.any(told, axis=0).sum()) if told else 0
@@ -92,12 +88,18 @@ def _mean(values: list[float | None]) -> str:
     return f"{np.mean(known):.1f}" if known else "–"
 
 
+def _place(row: Row) -> tuple[float, str]:
+    """Where a row stands on the axis of laws and networks, and its colour."""
+    if row.law == NOBODY:
+        return 0.0, UGV[0]
+    shift = 0.26 * (NETWORKS.index(row.network) - 1)
+    return 1.0 + LAWS.index(row.law) + shift, law_color(row.law)
+
+
 def _times(axes: Axes, rows: Sequence[Row]) -> None:
     """Mission times of the flights that arrived, a point each, with their median; how many did not, above."""
-    places = {law: n for n, law in enumerate((NOBODY, *LAWS))}
     for row in rows:
-        shift = 0.0 if row.law == NOBODY else 0.26 * (NETWORKS.index(row.network) - 1)
-        x, color = places[row.law] + shift, UGV[0] if row.law == NOBODY else law_color(row.law)
+        x, color = _place(row)
         times = [one.mission_time for one in row.missions if one.mission_time is not None]
         filled = color if row.network == NETWORKS[0] else "white"
         mark = MARKS[row.network]
@@ -119,10 +121,8 @@ def _times(axes: Axes, rows: Sequence[Row]) -> None:
 
 def _hits(axes: Axes, rows: Sequence[Row]) -> None:
     """Share of the flights that hit a hazard, a bar each."""
-    places = {law: n for n, law in enumerate((NOBODY, *LAWS))}
     for row in rows:
-        shift = 0.0 if row.law == NOBODY else 0.26 * (NETWORKS.index(row.network) - 1)
-        x, color = places[row.law] + shift, UGV[0] if row.law == NOBODY else law_color(row.law)
+        x, color = _place(row)
         share = 100.0 * float(np.mean([one.hazards_hit > 0 for one in row.missions]))
         hatch = {"perfect": "", "satellite": "....", "jammed": "////"}[row.network]
         face = color if row.network == NETWORKS[0] else "white"

@@ -13,7 +13,7 @@ import numpy as np
 from bus.messages import Mission
 from outrider.envs.closed_loop import ClosedLoop, pilot_names
 from outrider.envs.vector import Policy, Worlds
-from outrider.experiments.suite.scoring import SETTINGS, Entry, Result, Team, result_of
+from outrider.experiments.suite.scoring import Entry, Result, Team, check_law, result_of
 from outrider.experiments.suite.tasks import NO_ESCORT, Task
 from sim.engine.mission import mission_of
 from sim.env.rewards import RewardWeights
@@ -69,7 +69,7 @@ def mission_score(mission: Mission, shortest: float) -> float:
     return 100.0 * pace * found / (1.0 + mission.hazards_hit)
 
 
-def _mission(loop: ClosedLoop, k: int) -> Mission:
+def mission_in(loop: ClosedLoop, k: int) -> Mission:
     """The mission of world k."""
     tables, state = loop.tables.batch, loop.state.batch
     return mission_of(tables.mission, state.ground, state.mission, k, loop.scenario.dt)
@@ -79,11 +79,7 @@ def _fly_law(
     task: Task, law: str, seeds: Sequence[int], secret: str
 ) -> tuple[list[Mission], ClosedLoop]:
     scenario = task.scenario
-    allowed = (NO_ESCORT, *pilot_names(scenario, scenario.uav[0].name))
-    if law not in allowed:
-        raise ValueError(
-            f"law = {law!r}: unknown; allowed: {', '.join(allowed)}, or a policy for all worlds at once"
-        )
+    check_law(law, (NO_ESCORT, *pilot_names(scenario, scenario.uav[0].name)))
     if law == NO_ESCORT:
         scenario = msgspec.structs.replace(scenario, uav=())
     loop = ClosedLoop(
@@ -100,17 +96,12 @@ def _fly_law(
         loop.fly()
     finally:
         loop.close()
-    return [_mission(loop, k) for k in range(len(seeds))], loop
+    return [mission_in(loop, k) for k in range(len(seeds))], loop
 
 
 def _fly_policies(
     task: Task, team: Team, seeds: Sequence[int], secret: str, settings: dict[str, Any]
 ) -> tuple[list[Mission], ClosedLoop]:
-    for name in settings:
-        if name not in SETTINGS:
-            raise ValueError(
-                f"{name}: cannot be set, it belongs to the task; allowed: {', '.join(SETTINGS)}"
-            )
     scenario = task.scenario
     chosen: dict[str, str | Policy | None] = {uav.name: team.uav for uav in scenario.uav}
     chosen |= {ugv.name: team.ugv for ugv in scenario.ugv}
@@ -139,7 +130,7 @@ def _fly_policies(
                 {name: pilot(worlds.observe(name)) for name, pilot in pilots.items()}
             )
             for k in np.flatnonzero(ended).tolist():
-                told.setdefault(k, _mission(worlds.loop, k))
+                told.setdefault(k, mission_in(worlds.loop, k))
     finally:
         worlds.loop.close()
     return [told[k] for k in range(len(seeds))], worlds.loop
@@ -157,7 +148,7 @@ def evaluate_mission(
     """Fly a mission with all seeds at once, and score it; arguments as of `scoring.evaluate`.
 
     Raises:
-        ValueError: If the law is unknown, a setting is not allowed, or a policy answers what is no action.
+        ValueError: If the law is unknown, or a policy answers what is no action.
     """
     if isinstance(entry, str):
         missions, loop = _fly_law(task, entry, seeds, secret)

@@ -143,14 +143,22 @@ def _fly(loop: ClosedLoop, advance: Callable[[], object]) -> _Meter:
     return meter
 
 
-def _fly_law(task: Task, law: str, seeds: Sequence[int], secret: str) -> _Meter:
-    scenario = task.scenario
-    uavs = [uav.name for uav in scenario.uav]
-    allowed = pilot_names(scenario, uavs[0])
+def check_law(law: str, allowed: Sequence[str]) -> None:
+    """Refuse a law that is none of these.
+
+    Raises:
+        ValueError: Then.
+    """
     if law not in allowed:
         raise ValueError(
             f"law = {law!r}: unknown; allowed: {', '.join(allowed)}, or a policy for all worlds at once"
         )
+
+
+def _fly_law(task: Task, law: str, seeds: Sequence[int], secret: str) -> _Meter:
+    scenario = task.scenario
+    uavs = [uav.name for uav in scenario.uav]
+    check_law(law, pilot_names(scenario, uavs[0]))
     loop = ClosedLoop(
         scenario, len(seeds), pilots=dict.fromkeys(uavs, law), error=True, secret=secret
     )
@@ -165,11 +173,6 @@ def _fly_law(task: Task, law: str, seeds: Sequence[int], secret: str) -> _Meter:
 def _fly_policy(
     task: Task, policy: Policy, seeds: Sequence[int], secret: str, settings: dict[str, Any]
 ) -> _Meter:
-    for name in settings:
-        if name not in SETTINGS:
-            raise ValueError(
-                f"{name}: cannot be set, it belongs to the task; allowed: {', '.join(SETTINGS)}"
-            )
     scenario = task.scenario
     uavs = [uav.name for uav in scenario.uav]
     worlds = Worlds(scenario, len(seeds), uavs, secret=secret, **settings)
@@ -258,6 +261,11 @@ def evaluate(
     kept = new_secret() if secret is None else check_secret(secret)
     if isinstance(entry, str) and settings:
         raise ValueError(f"{', '.join(settings)}: for policies alone, not for the law {entry!r}")
+    for setting in settings:
+        if setting not in SETTINGS:
+            raise ValueError(
+                f"{setting}: cannot be set, it belongs to the task; allowed: {', '.join(SETTINGS)}"
+            )
     if task.mission:
         from outrider.experiments.suite.missions import evaluate_mission  # noqa: PLC0415 - it stands on this file
 
