@@ -28,20 +28,14 @@ def command(
 
     Example: outrider bench --only lockstep
     """
-    from rich.progress import Progress
     from rich.table import Table
 
     from bus.errors import ScenarioError
-    from outrider.cli.console import ERR, OUT, print_json
+    from outrider.cli.console import OUT, print_json, share_progress
 
     if scaling is not None and (only or scaling.suffix.lower() != ".png"):
         raise ScenarioError(f"--scaling {scaling}: needs a file that ends in .png, and no --only")
-    with Progress(console=ERR, transient=True) as progress:
-        task = progress.add_task("measuring", total=1.0)
-
-        def tell(what: str, share: float) -> None:
-            progress.update(task, description=what, completed=share)
-
+    with share_progress("measuring") as tell:
         if scaling is not None:
             from outrider.bench.scaling import make_scaling
 

@@ -2,13 +2,20 @@
 
 import re
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 from rich.text import Text
 
@@ -68,17 +75,45 @@ class FlightProgress:
         ERR.tell(Text(line, style="yellow"))
 
 
+def blue(width: int = 40) -> BarColumn:
+    """The bar itself."""
+    return BarColumn(bar_width=width, complete_style="blue", finished_style="blue")
+
+
+def bar(*told: ProgressColumn, stays: bool = False, width: int = 40) -> Progress:
+    """A bar on stderr, if that is a terminal: what is done, how much of it, and what is told behind it.
+
+    Args:
+        told: The columns behind it.
+        stays: Whether it is left there in the end.
+        width: Of the bar [characters].
+    """
+    what = TextColumn("{task.description}", style="bold", markup=False)
+    return Progress(
+        *(what, blue(width), *told),
+        console=ERR,
+        transient=not stays,
+        disable=not ERR.is_terminal,
+    )
+
+
+@contextmanager
+def share_progress(what: str) -> Iterator[Callable[[str, float], None]]:
+    """A bar for work that tells what it does and which share of it all is done; gone afterwards."""
+    with Progress(console=ERR, transient=True, disable=not ERR.is_terminal) as progress:
+        task = progress.add_task(what, total=1.0)
+        yield lambda told, share: progress.update(task, description=told, completed=share)
+
+
 @contextmanager
 def flight_progress(scenario: Scenario, waiting: str) -> Iterator[FlightProgress]:
     """A progress bar for one flight, on stderr."""
     columns = (
-        TextColumn("{task.description}", style="bold", markup=False),
-        BarColumn(bar_width=40, complete_style="blue", finished_style="blue"),
         TextColumn("{task.percentage:>3.0f} %", markup=False),
         TextColumn("{task.fields[seconds]:>7.1f} s simulated", markup=False),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=ERR, transient=not ERR.is_terminal) as progress:
+    with bar(*columns, stays=True) as progress:
         task = progress.add_task(waiting, total=scenario.ticks, seconds=0.0)
         yield FlightProgress(progress, task, scenario.dt)
 

@@ -301,19 +301,17 @@ def _search(wanted: "Wanted", expect: Expect | None, *, json: bool) -> None:
 @contextmanager
 def _progress(found: "Found") -> "Iterator[Callable[[str, float], None]]":
     """A bar on a terminal, else a line now and then."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import TextColumn, TimeRemainingColumn
 
-    from outrider.cli.console import ERR
+    from outrider.cli.console import ERR, bar
 
     columns = (
-        TextColumn("{task.description}", style="bold", markup=False),
-        BarColumn(bar_width=30, complete_style="blue", finished_style="blue"),
         TextColumn("{task.fields[note]}", markup=False),
         TimeRemainingColumn(compact=True, elapsed_when_finished=True),
     )
     began = said = time.monotonic()
     shown = 0  # violations
-    with Progress(*columns, console=ERR, transient=True, disable=not ERR.is_terminal) as progress:
+    with bar(*columns, width=30) as progress:
         task = progress.add_task("starting", total=1.0, note="")
 
         def show(engine: str, share: float) -> None:

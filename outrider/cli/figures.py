@@ -20,21 +20,14 @@ def command(
 
     Example: outrider figures --out figures
     """
-    from rich.progress import Progress
     from rich.table import Table
     from rich.text import Text
 
-    from outrider.cli.console import ERR, OUT, print_json
+    from outrider.cli.console import OUT, print_json, share_progress
     from outrider.experiments.paper_figures import make_figures
 
-    with Progress(console=ERR, transient=True) as progress:
-        task = progress.add_task("drawing", total=1.0)
-        claims = make_figures(
-            out,
-            on_progress=lambda what, share: progress.update(
-                task, description=what, completed=share
-            ),
-        )
+    with share_progress("drawing") as show:
+        claims = make_figures(out, on_progress=show)
     if json:
         print_json({"claims": claims, "folder": str(out)})
     else:

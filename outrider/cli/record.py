@@ -135,19 +135,13 @@ def _sink(target: Path, *, bag: bool) -> "RunSink":
 
 def _follow(session: "Session", recorder: "RunRecorder", stop: "Stop") -> bool:
     """Record until the run is over or somebody wants the end; whether it was the router that went."""
-    from rich.progress import BarColumn, Progress, TextColumn
+    from rich.progress import TextColumn
 
-    from outrider.cli.console import ERR
+    from outrider.cli.console import bar
 
-    columns = (
-        TextColumn("{task.description}", style="bold", markup=False),
-        BarColumn(bar_width=40, complete_style="blue", finished_style="blue"),
-        TextColumn(
-            "{task.fields[seconds]:>7.1f} s simulated, {task.fields[missing]} ticks missing"
-        ),
-    )
+    told = "{task.fields[seconds]:>7.1f} s simulated, {task.fields[missing]} ticks missing"
     alone_since: float | None = None
-    with Progress(*columns, console=ERR, transient=True) as progress:
+    with bar(TextColumn(told)) as progress:
         task = progress.add_task("waiting for the run", total=None, seconds=0.0, missing=0)
         while not stop and not recorder.over:
             recorder.take(0.2)

@@ -207,16 +207,16 @@ def _show(recording: "Recording", speed: float, port: int, token: str, *, wanted
 
 def _play(recording: "Recording", speed: float) -> None:
     """Let simulated time pass at this speed."""
-    from rich.progress import BarColumn, Progress, TextColumn
+    from rich.progress import Progress, TextColumn
 
-    from outrider.cli.console import ERR
+    from outrider.cli.console import ERR, blue
     from outrider.cli.stopping import stop_on_signals
 
     truths = recording.truths
     begin, end = truths[0].time, truths[-1].time
     columns = (
         TextColumn("{task.fields[seconds]:>7.1f} s", markup=False),
-        BarColumn(bar_width=40, complete_style="blue", finished_style="blue"),
+        blue(),
         TextColumn("{task.fields[told]}"),
     )
     with Progress(*columns, console=ERR, transient=True) as progress, stop_on_signals() as stop:

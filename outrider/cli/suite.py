@@ -173,19 +173,12 @@ def _fly(
     secret: str,
     seeds: int,
 ) -> "Leaderboard":
-    from rich.progress import Progress
-
     from bus.errors import OutriderError
-    from outrider.cli.console import ERR
+    from outrider.cli.console import share_progress
     from outrider.experiments.suite.board import leaderboard
     from outrider.experiments.suite.tasks import SEEDS
 
-    with Progress(console=ERR, transient=True, disable=not ERR.is_terminal) as progress:
-        bar = progress.add_task("compiling, then flying", total=1.0)
-
-        def show(what: str, share: float) -> None:
-            progress.update(bar, description=what, completed=share)
-
+    with share_progress("compiling, then flying") as show:
         try:
             return leaderboard(
                 entries,

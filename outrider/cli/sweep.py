@@ -94,10 +94,10 @@ def command(
         sweep, laws=law, vary=vary or (), changes=changes or (), seeds=seeds, first_seed=first_seed
     )
     where = out or Path("sweeps") / Path(sweep).stem
-    with _bar("loading the points") as progress:
+    with _bar(stays=False) as progress:
         from outrider.experiments.sweep.plan import lay_out
 
-        task = progress.add_task("", total=None, note="")
+        task = progress.add_task("loading the points", total=None, note="")
         plan = lay_out(
             described,
             named=(*(changes or ()), *(vary or ())),
@@ -143,19 +143,15 @@ def _cluster(address: str, version: str) -> "AbstractContextManager[Any]":
     return open_cluster(address, version)
 
 
-def _bar(what: str) -> "AbstractContextManager[Progress]":
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+def _bar(*, stays: bool) -> "AbstractContextManager[Progress]":
+    from rich.progress import TextColumn, TimeRemainingColumn
 
-    from outrider.cli.console import ERR
+    from outrider.cli.console import bar
 
-    return Progress(
-        TextColumn(what, style="bold", markup=False),
-        BarColumn(bar_width=40, complete_style="blue", finished_style="blue"),
+    return bar(
         TextColumn("{task.fields[note]}", markup=False),
         TimeRemainingColumn(compact=True, elapsed_when_finished=True),
-        console=ERR,
-        transient=what != "flying",
-        disable=not ERR.is_terminal,
+        stays=stays,
     )
 
 
@@ -173,9 +169,9 @@ def _fly(plan: "SweepPlan", folder: "SweepFolder", jobs: int | None, client: Any
     done = folder.done
     kept = sum(costs[run // plan.sweep.seeds] for run in done)
     started, flown = time.monotonic(), 0
-    with _bar("flying") as progress:
+    with _bar(stays=True) as progress:
         bar = progress.add_task(
-            "",
+            "flying",
             total=sum(costs) * plan.sweep.seeds,
             completed=kept,
             note=f"{len(done):,} of {plan.runs:,} runs",

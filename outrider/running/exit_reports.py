@@ -1,8 +1,7 @@
 """Reports of the simulator's process to the process that started it: JSON lines on stdout."""
 
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -50,8 +49,3 @@ class Reports:
     def files(self, files: list[Path]) -> None:
         """These files are written."""
         self._write(Report(files=[str(file) for file in files]))
-
-    @contextmanager
-    def progress(self) -> Iterator["Reports"]:
-        """Stands where a progress bar would."""
-        yield self
