@@ -16,7 +16,7 @@ from bus.errors import BusError
 from bus.keys import Party, Role
 from bus.session import open_session
 from outrider.bench.timing import Pair
-from outrider.running.child import environment_of
+from outrider.running.child import environment_of, outrider_command
 
 _SECONDS = 300.0
 """Length of each flight [s]: 6,000 ticks, some seconds."""
@@ -25,7 +25,7 @@ _SECONDS = 300.0
 @contextmanager
 def _started(*words: str) -> Iterator["subprocess.Popen[bytes]"]:
     process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "outrider", *words],
+        outrider_command(*words),
         env=environment_of(""),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
@@ -49,17 +49,8 @@ def _rate(bridge: Callable[[ExitStack, str], None] | None = None) -> float:
     """
     with tempfile.TemporaryDirectory(prefix="outrider-beside-") as folder, ExitStack() as stack:
         endpoint = f"unixsock-stream/{Path(folder) / 'bus.sock'}"
-        simulator = stack.enter_context(
-            _started(
-                "simulator",
-                "escort",
-                "--duration",
-                str(_SECONDS),
-                "--listen",
-                endpoint,
-                "--json",
-            )
-        )
+        flight = ("simulator", "escort", "--duration", str(_SECONDS), "--json")
+        simulator = stack.enter_context(_started(*flight, "--listen", endpoint))
         while not Path(endpoint.partition("/")[2]).exists() and simulator.poll() is None:
             time.sleep(0.05)
         if bridge is not None:

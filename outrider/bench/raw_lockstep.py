@@ -60,19 +60,9 @@ def ticks_per_second(observation: bytes, answer: bytes, ticks: int, *, peers: in
                 )
                 for name in names
             ]
+            module = [sys.executable, "-P", "-m", "outrider.bench.raw_lockstep"]
             processes = [
-                subprocess.Popen(
-                    [
-                        sys.executable,
-                        "-P",
-                        "-m",
-                        "outrider.bench.raw_lockstep",
-                        name,
-                        endpoint,
-                        answer.hex(),
-                    ]
-                )
-                for name in names
+                subprocess.Popen([*module, name, endpoint, answer.hex()]) for name in names
             ]
             try:
                 for _ in names:

@@ -4,7 +4,6 @@ import json
 import os
 import statistics
 import subprocess
-import sys
 import tempfile
 import time
 from contextlib import AbstractContextManager
@@ -18,7 +17,7 @@ from outrider.bench.kernels import world_step
 from outrider.bench.pairs import pairs_toml
 from outrider.bench.raw_lockstep import ticks_per_second
 from outrider.bench.timing import Pair
-from outrider.running.child import environment_of
+from outrider.running.child import environment_of, outrider_command
 from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.forking import Forkserver, forkserver
 from outrider.running.launch import NOBODY, Outcome, Output, Wiring, launch
@@ -165,21 +164,10 @@ def _seconds_of(scenario: Scenario) -> float:
 def _one_tick(cache: str | None) -> float:
     """Wall time [s] of `outrider run` over a single tick: from its start to the end, so more than to its first tick."""
     environment = os.environ | ({"OUTRIDER_CACHE": cache} if cache else {})
-    arguments = [
-        sys.executable,
-        "-P",
-        "-m",
-        "outrider",
-        "run",
-        "escort",
-        "--duration",
-        "0.05",
-        "--no-files",
-        "--json",
-    ]
+    command = outrider_command("run", "escort", "--duration", "0.05", "--no-files", "--json")
     started = time.perf_counter()
     done = subprocess.run(
-        arguments, env=environment, stdin=subprocess.DEVNULL, capture_output=True, check=True
+        command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, check=True
     )
     seconds = time.perf_counter() - started
     json.loads(done.stdout)

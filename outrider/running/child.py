@@ -33,6 +33,11 @@ def environment_of(secret: str) -> dict[str, str]:
     return ours | ({_SECRET: secret} if secret else {})
 
 
+def outrider_command(*words: str) -> list[str]:
+    """The command line that runs our own command in a process of its own."""
+    return [sys.executable, "-P", "-m", "outrider", *words]
+
+
 class Child:
     """One process of the run, with the end of its standard error.
 
@@ -62,7 +67,7 @@ class Child:
         self._log = log
         self._notices: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._tail: deque[str] = deque(maxlen=_TAIL)
-        command = [sys.executable, "-P", "-m", "outrider", *arguments, "--watchdog"]
+        command = outrider_command(*arguments, "--watchdog")
         if forkserver is not None and not files:
             self._process: Forked | subprocess.Popen[bytes] = forkserver.fork(
                 command, environment_of(secret), cores, heard=lines is not None

@@ -300,6 +300,10 @@ class _Processes:
     def _known_as(self, name: str) -> list[str]:
         return ["--credentials", str(self._files[name])] if self._files else []
 
+    def _joining(self, name: str) -> list[str]:
+        """What a client of the router says on its command line."""
+        return ["--connect", self._endpoint, "--run", self._run, *self._known_as(name)]
+
     def start_simulator(
         self, source: str, settings: list[str], watcher: Watcher, secret: str
     ) -> None:
@@ -307,21 +311,9 @@ class _Processes:
 
         Where the forkserver compiles, it is an interpreter of its own, which compiles the world at the same time.
         """
-        arguments = [
-            "simulator",
-            source,
-            "--listen",
-            self._endpoint,
-            "--run",
-            self._run,
-            "--events",
-        ]
-        arguments += [
-            *self._known_as(ROUTER_FILE),
-            *settings,
-            "--watchdog-folder",
-            str(self._folder),
-        ]
+        arguments = ["simulator", source, "--listen", self._endpoint, "--run", self._run]
+        arguments += ["--events", *self._known_as(ROUTER_FILE), *settings]
+        arguments += ["--watchdog-folder", str(self._folder)]
         is_own = self._forks is not None and self._forks.is_compiling
         self.children.append(
             Child(
@@ -345,14 +337,7 @@ class _Processes:
 
     def show_on(self, page: socket.socket, pages: list[Child], watcher: Watcher) -> None:
         """Start the dashboard, and wait until it shows what comes: the first tick is part of it."""
-        arguments = [
-            "dashboard",
-            "--connect",
-            self._endpoint,
-            "--run",
-            self._run,
-            *self._known_as(OPERATOR_NAME),
-        ]
+        arguments = ["dashboard", *self._joining(OPERATOR_NAME)]
         arguments += ["--host", "127.0.0.1", "--listening", str(page.fileno())]
         arguments += ["--law", msgspec.json.encode(self._scenario.law).decode()]
         self._page = Child(
@@ -382,15 +367,6 @@ class _Processes:
         return f"{page.exit_report()}; the run goes on without its page"
 
     def _start(self, name: str) -> Child:
-        common = [
-            "--name",
-            name,
-            "--connect",
-            self._endpoint,
-            "--run",
-            self._run,
-            *self._known_as(name),
-        ]
         custom, is_uav = self._scenario.custom, name in self._uavs
         own = (
             [("--weighting", custom.weighting), ("--path", custom.path)]
@@ -400,7 +376,7 @@ class _Processes:
         given = [argument for option, value in own if value for argument in (option, value)]
         return Child(
             name,
-            ["uav" if is_uav else "ugv", *common, *given],
+            ["uav" if is_uav else "ugv", "--name", name, *self._joining(name), *given],
             forkserver=self._forks,
             cores=cores_for(is_uav=is_uav) if self._pin else frozenset(),
             log=self._log(name),
@@ -411,10 +387,8 @@ class _Processes:
         for vehicle in self._scenario.vehicles:
             if isinstance(vehicle, Ugv) and DRIVERS[vehicle.driver].outside:
                 known = " ".join(self._known_as(vehicle.name))
-                watcher.on_event(
-                    f"{vehicle.name} is yours: --connect {self._endpoint} --run {self._run} --name {vehicle.name} "
-                    f"{known}"
-                )
+                joining = f"--connect {self._endpoint} --run {self._run} --name {vehicle.name}"
+                watcher.on_event(f"{vehicle.name} is yours: {joining} {known}")
             else:
                 self.children.append(self._start(vehicle.name))
         self._give_cores()
