@@ -294,6 +294,8 @@ def check_own_functions(scenario: "Scenario") -> tuple[str, ...]:
     Raises:
         ScenarioError: If a function is not there or does not fit.
     """
+    if not own_code(scenario):
+        return ()
     from agents.control.orbit import check_path  # noqa: PLC0415 - nobody else needs the laws
     from agents.control.visibility import switching_radius  # noqa: PLC0415
     from agents.control.weighting import check_weighting  # noqa: PLC0415

@@ -164,9 +164,8 @@ def lay_out(
             SweepPoint(block=block.name, law=scenario.law.name, fields=fields, scenario=scenario)
         )
         warnings |= dict.fromkeys(scenario_warnings(scenario))
-        if scenario.custom != type(scenario.custom)():
-            check_code(scenario, named, source=sweep.scenario, allowed=allow_code)
-            warnings |= dict.fromkeys(check_own_functions(scenario))
+        check_code(scenario, named, source=sweep.scenario, allowed=allow_code)
+        warnings |= dict.fromkeys(check_own_functions(scenario))
     known = [(point.block, point.law, point.fields, point.scenario) for point in points]
     everything = msgspec.msgpack.encode((sweep.seeds, sweep.first_seed, known))
     return SweepPlan(
