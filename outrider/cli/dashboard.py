@@ -60,14 +60,14 @@ def command(
     from bus.keys import Role
     from bus.session import open_session
     from outrider.cli.console import ERR
-    from outrider.cli.options import check_endpoints, staff_of
+    from outrider.cli.options import check_endpoint, staff_of
     from outrider.running.extras import check_extra
     from outrider.running.watchdog import start_watchdog
     from outrider.view.page.access.door import address_of, choose_admission
 
     if watchdog:
         start_watchdog()
-    check_endpoints((connect,), secured=True, insecure=False)
+    check_endpoint(connect)
     admission = choose_admission(host, token, wanted=not no_token)
     check_extra("dashboard")
     from outrider.view.page.app import serve

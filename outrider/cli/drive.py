@@ -11,8 +11,7 @@ from outrider.cli.options import (
     Connect,
     CredentialFile,
     RunName,
-    check_endpoints,
-    credential_of,
+    join,
 )
 
 if TYPE_CHECKING:
@@ -52,8 +51,7 @@ def command(
     Example: outrider drive --connect tcp/127.0.0.1:17447 --credentials credentials/operator.json
     """
     from bus.errors import ScenarioError
-    from bus.keys import OPERATOR_NAME, Party, Role
-    from bus.session import open_session
+    from bus.keys import Role
     from outrider.cli.stopping import stop_on_signals
 
     try:
@@ -63,10 +61,7 @@ def command(
             f"drive: {error.name} is missing; it drives on Unix terminals only"
         ) from error
     check_terminal()
-    check_endpoints((connect,), secured=True, insecure=False)
-    credential = credential_of(credentials, Role.OPERATOR, OPERATOR_NAME)
-    operator = Party(role=Role.OPERATOR, name=OPERATOR_NAME)
-    with open_session(operator, run, connect=connect, credential=credential) as session:
+    with join(Role.OPERATOR, run, connect, credentials) as session:
         with stop_on_signals() as stop:
             first = _await_run(session, name, stop)
         if first is None:

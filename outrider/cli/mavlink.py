@@ -16,7 +16,7 @@ from outrider.cli.options import (
     Insecure,
     Json,
     RunName,
-    check_endpoints,
+    check_endpoint,
     credential_of,
     staff_of,
 )
@@ -124,7 +124,7 @@ def command(
     from outrider.cli.console import print_json
     from outrider.cli.stopping import stop_on_signals
 
-    check_endpoints((connect,), secured=True, insecure=False)
+    check_endpoint(connect)
     if vehicle and autopilot:
         raise typer.BadParameter("--vehicle or --autopilot, not both")
     told, asked = out or [], listen or []

@@ -12,10 +12,12 @@ from bus.registry import DRIVERS, LAWS, POLICY_FORMS, SAVED_POLICIES, described
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from contextlib import AbstractContextManager
 
     from bus.access import Credential
     from bus.keys import Party, Role
     from bus.registry import DriverRow, LawRow
+    from bus.session import Session
     from sim.scenario.types import Scenario
 
 ScenarioName = Annotated[str, typer.Argument(help="A shipped scenario's name, or a TOML file.")]
@@ -150,6 +152,13 @@ RealTime = Annotated[
         min=1e-3,
         max=1e4,
     ),
+]
+Deadline = Annotated[
+    float, typer.Option(help="Seconds to wait for the commands of one tick.", min=0.01)
+]
+FlightNumber = Annotated[
+    int | None,
+    typer.Option(help="Which flight of a run that was reset, from 0; the last one by default."),
 ]
 PagePort = Annotated[
     int,
@@ -337,6 +346,16 @@ def is_local(endpoint: str) -> bool:
     return protocol.startswith("unix") or host in ("127.0.0.1", "localhost", "::1")
 
 
+def check_endpoint(endpoint: str) -> None:
+    """Refuse what is no endpoint, by a ScenarioError that says what one looks like."""
+    protocol, separator, address = endpoint.partition("/")
+    if protocol not in _PROTOCOLS or not separator or not address:
+        raise ScenarioError(
+            f"endpoint {endpoint!r}: allowed are protocol/address, such as {DEFAULT_ENDPOINT}, "
+            f"with {', '.join(_PROTOCOLS)}"
+        )
+
+
 def check_endpoints(endpoints: tuple[str, ...], *, secured: bool, insecure: bool) -> None:
     """Refuse to let strangers in by mistake.
 
@@ -344,12 +363,7 @@ def check_endpoints(endpoints: tuple[str, ...], *, secured: bool, insecure: bool
         ScenarioError: If an endpoint is none, or can be reached from other machines while nothing protects it.
     """
     for endpoint in endpoints:
-        protocol, separator, address = endpoint.partition("/")
-        if protocol not in _PROTOCOLS or not separator or not address:
-            raise ScenarioError(
-                f"endpoint {endpoint!r}: allowed are protocol/address, such as {DEFAULT_ENDPOINT}, "
-                f"with {', '.join(_PROTOCOLS)}"
-            )
+        check_endpoint(endpoint)
         if not (secured or insecure or is_local(endpoint)):
             raise ScenarioError(
                 f"endpoint {endpoint}: other machines reach it, and there are no credentials; "
@@ -379,6 +393,19 @@ def staff_of(file: Path | None, role: "Role") -> "tuple[Party, Credential | None
             f"{file}: the credentials of {found.name} ({found.role}), not of an operator or observer"
         )
     return found.party, found
+
+
+def join(
+    role: "Role", run: str, connect: str, file: Path | None
+) -> "AbstractContextManager[Session]":
+    """The session of a run's operator, observer or bridge; errors as of `check_endpoint` and `credential_of`."""
+    from bus.keys import Party
+    from bus.session import open_session
+
+    check_endpoint(connect)
+    credential = credential_of(file, role, role.value)
+    party = Party(role=role, name=role.value)
+    return open_session(party, run, connect=connect, credential=credential)
 
 
 def credential_of(file: Path | None, role: "Role", name: str) -> "Credential | None":

@@ -14,7 +14,7 @@ from outrider.cli.options import (
     VirtualPath,
     Watchdog,
     Weighting,
-    check_endpoints,
+    check_endpoint,
     credential_of,
 )
 
@@ -51,7 +51,7 @@ def uav(
     from outrider.running.user_code import load_function
 
     _watch(watchdog)
-    check_endpoints((connect,), secured=True, insecure=False)
+    check_endpoint(connect)
     maker = uav_maker(
         weighting=load_function(weighting, what="weighting"),
         path=load_function(path, what="path"),
@@ -89,7 +89,7 @@ def ugv(
     from outrider.running.user_code import load_function
 
     _watch(watchdog)
-    check_endpoints((connect,), secured=True, insecure=False)
+    check_endpoint(connect)
     credential = credential_of(credentials, Role.UGV, name)
     maker = ugv_maker(policy=load_function(policy, what="policy"), policy_name=policy)
     fly(

@@ -14,8 +14,7 @@ from outrider.cli.options import (
     Json,
     RunName,
     Set,
-    check_endpoints,
-    credential_of,
+    join,
 )
 
 if TYPE_CHECKING:
@@ -81,8 +80,7 @@ def command(
     target = ros2 or out
     if target is None:
         raise typer.BadParameter("name the file to write, such as: outrider record run.mcap")
-    from bus.keys import OBSERVER_NAME, Party, Role
-    from bus.session import open_session
+    from bus.keys import Role
     from outrider.cli.console import ERR, print_json
     from outrider.cli.options import scenario_of
     from outrider.cli.stopping import stop_on_signals
@@ -93,13 +91,10 @@ def command(
         from outrider.bridges.ros2.ros_bag import check_target
 
         check_target(ros2)
-    check_endpoints((connect,), secured=True, insecure=False)
     known = scenario_of(scenario, changes=changes)[0] if scenario else None
-    credential = credential_of(credentials, Role.OBSERVER, OBSERVER_NAME)
-    party = Party(role=Role.OBSERVER, name=OBSERVER_NAME)
     with (
         stop_on_signals() as stop,
-        open_session(party, run, connect=connect, credential=credential) as session,
+        join(Role.OBSERVER, run, connect, credentials) as session,
     ):
         recorder = RunRecorder(session, _sink(target, bag=ros2 is not None), known)
         try:

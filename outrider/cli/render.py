@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from outrider.cli.options import FlightNumber
+
 
 def command(
     file: Annotated[Path, typer.Argument(help="A recording, also one whose process was killed.")],
@@ -28,10 +30,7 @@ def command(
             max=10_000.0,
         ),
     ] = 10.0,
-    flight: Annotated[
-        int | None,
-        typer.Option(help="Which flight of a run that was reset, from 0; the last one by default."),
-    ] = None,
+    flight: FlightNumber = None,
 ) -> None:
     """Draw a recorded flight: the picture of a whole run as PNG, or a film from above as GIF or MP4.
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from outrider.cli.options import Json, NoPageToken, PagePort, PageToken
+from outrider.cli.options import FlightNumber, Json, NoPageToken, PagePort, PageToken
 
 if TYPE_CHECKING:
     from outrider.recording.reader import Recording
@@ -55,10 +55,7 @@ def command(
             help="Write it as a rosbag2 bag into this new folder. Needs the extra [ros2].",
         ),
     ] = None,
-    flight: Annotated[
-        int | None,
-        typer.Option(help="Which flight of a run that was reset, from 0; the last one by default."),
-    ] = None,
+    flight: FlightNumber = None,
     json: Json = False,
 ) -> None:
     """Tell what is in a recording: the run's numbers, and whether the file is whole.

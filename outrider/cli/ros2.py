@@ -13,8 +13,9 @@ from outrider.cli.options import (
     CredentialFile,
     Json,
     RunName,
-    check_endpoints,
+    check_endpoint,
     credential_of,
+    join,
 )
 from outrider.cli.pilots import JoinTimeout
 
@@ -83,8 +84,7 @@ def command(
 
     Example: outrider ros2 --vehicle uav_0 --credentials credentials/uav_0.json
     """
-    from bus.keys import Party, Role
-    from bus.session import open_session
+    from bus.keys import Role
     from outrider.bridges.ros2.interfaces import require_extra
     from outrider.bridges.ros2.wire import check_domain, check_namespace
     from outrider.cli.console import ERR, print_json
@@ -93,18 +93,12 @@ def command(
     require_extra()
     check_domain(domain)
     space = check_namespace(namespace)
-    check_endpoints((connect,), secured=True, insecure=False)
     if vehicle:
         _refuse_with_vehicle(operator=operator, namespace=space, every_tick=every_tick)
         _fly(vehicle, connect, run, credentials, domain=domain, patience=join_timeout, json=json)
         return
     role = Role.OPERATOR if operator else Role.ROS2
-    party = Party(role=role, name=role.value)
-    credential = credential_of(credentials, party.role, party.name)
-    with (
-        stop_on_signals() as stop,
-        open_session(party, run, connect=connect, credential=credential) as session,
-    ):
+    with stop_on_signals() as stop, join(role, run, connect, credentials) as session:
         observer, lost = _observe(
             session, stop, domain=domain, namespace=space, every_tick=every_tick
         )
@@ -232,6 +226,7 @@ def _fly(
     from outrider.cli.console import ERR, print_json
     from outrider.cli.stopping import stop_on_signals
 
+    check_endpoint(connect)
     party, credential = _party_of(name, credentials)
     with open_session(party, run, connect=connect, credential=credential) as session:
         node = RosNode(session, domain=domain, name="outrider", namespace=f"/{name}")

@@ -8,6 +8,7 @@ import typer
 
 from outrider.cli.options import (
     AllowCode,
+    Deadline,
     DriverName,
     Duration,
     Json,
@@ -84,9 +85,7 @@ def command(
             help="Start a vehicle's process again if it dies; in lockstep the clock waits.",
         ),
     ] = False,
-    deadline: Annotated[
-        float, typer.Option(help="Seconds to wait for the commands of one tick.", min=0.01)
-    ] = 10.0,
+    deadline: Deadline = 10.0,
     out: Annotated[
         Path | None,
         typer.Option(

@@ -11,6 +11,7 @@ from outrider.cli.options import (
     DEFAULT_ENDPOINT,
     DEFAULT_RUN,
     CredentialFile,
+    Deadline,
     DriverName,
     Insecure,
     Json,
@@ -75,9 +76,7 @@ def command(
     network: NetworkName = "",
     changes: Set = None,
     realtime: RealTime = None,
-    deadline: Annotated[
-        float, typer.Option(help="Seconds to wait for the commands of one tick.", min=0.01)
-    ] = 10.0,
+    deadline: Deadline = 10.0,
     join_timeout: Annotated[
         float,
         typer.Option(
