@@ -178,6 +178,66 @@ def _escort(summary: Summary) -> Iterator[tuple[str, str | Text]]:
     yield "RMS error of the detections", _meters(summary.detection_rmse)
 
 
+def _certificate(summary: Summary) -> Iterator[tuple[str, str | Text]]:
+    """Rows about what was certified, and what it stands on."""
+    if summary.certified_share is not None:
+        share = f"{100.0 * summary.certified_share:.2f} % of the ticks"
+        acted = f", filter acted in {100.0 * (summary.intervened_share or 0.0):.1f} %"
+        yield "sight certified", _judged(share, summary.certified_share == 1.0) + acted
+    if summary.longest_outage is not None and summary.declared_outage is not None:
+        longest, most = summary.longest_outage, summary.declared_outage
+        waited = _judged(f"{longest:.2f} s", longest <= most) + f", declared {most:g} s"
+        yield "longest wait for a motion", waited
+    if summary.lost_chance is not None:
+        yield "by proof", f"once certified, lost {in_flights(summary.lost_chance)}"
+    if summary.tracking_error is not None:
+        off, bound = f"{summary.tracking_error:.3f} m", summary.declared_tracking
+        farthest = Text(f"{off} from where it is told")
+        if bound is not None:
+            farthest = _judged(off, summary.tracking_error <= bound) + f", declared {bound:.3f} m"
+        yield "farthest off by the wind", farthest
+
+
+def _judged(text: str, good: bool) -> Text:
+    return Text.assemble((text, "green" if good else "yellow"))
+
+
+def _rows(summary: Summary) -> Iterator[tuple[str | Text, str | Text]]:
+    """All rows of the table."""
+    cut = "" if summary.complete else " (cut short)"
+    yield "flown", f"{summary.ticks * summary.dt:.2f} s in {summary.ticks} ticks{cut}"
+    yield "speed", f"{summary.ticks_per_second:,.0f} ticks/s"
+    if summary.law is not None:
+        yield from _escort(summary)
+    if summary.realtime is not None:
+        kept = f"{summary.realtime_factor:.3f} of {summary.realtime:g}"
+        yield "real time", f"{kept}, {summary.late_ticks} ticks late"
+    for change in summary.changes:
+        yield f"operator at {change.tick * summary.dt:.2f} s", change.control.in_words()
+    yield from _certificate(summary)
+    if summary.hazards_hit is not None:
+        yield from _mission(summary)
+    for what, wrong in (
+        ("certified while lost", f"{summary.certified_while_lost} ticks"),
+        (
+            "certificate broken",
+            f"{summary.certificate_broken} times, although all assumptions held",
+        ),
+    ):
+        if getattr(summary, what.replace(" ", "_")):
+            told = f"{wrong}: the certificate is wrong"
+            yield Text(what, style="red"), Text(told, style="red")
+    for reason, count in summary.uncertified.items():
+        yield "not certified", f"{count} ticks: {reason}"
+    for name, status in summary.links.items():
+        if status.degraded:
+            yield f"link {name}", _link(status)
+    for name, counts in summary.faults.items():
+        yield f"faults of {name}", ", ".join(f"{cause} {count}" for cause, count in counts.items())
+    if summary.processes:
+        yield "processes", ", ".join(f"{one.name} ({one.pid})" for one in summary.processes)
+
+
 def print_summary(summary: Summary, files: list[Path]) -> None:
     """The table that a run ends with."""
     told = "no UAV" if summary.law is None else f"law {summary.law}"
@@ -188,85 +248,7 @@ def print_summary(summary: Summary, files: list[Path]) -> None:
     )
     table.add_column(style="bold")
     table.add_column(justify="right")
-    rows: list[tuple[str | Text, str | Text]] = [
-        (
-            "flown",
-            f"{summary.ticks * summary.dt:.2f} s in {summary.ticks} ticks"
-            + ("" if summary.complete else " (cut short)"),
-        ),
-        ("speed", f"{summary.ticks_per_second:,.0f} ticks/s"),
-    ]
-    if summary.law is not None:
-        rows += _escort(summary)
-    if summary.realtime is not None:
-        kept = f"{summary.realtime_factor:.3f} of {summary.realtime:g}, {summary.late_ticks} ticks late"
-        rows.append(("real time", kept))
-    for change in summary.changes:
-        rows.append((f"operator at {change.tick * summary.dt:.2f} s", change.control.in_words()))
-    if summary.certified_share is not None:
-        share, colour = (
-            f"{100.0 * summary.certified_share:.2f} % of the ticks",
-            "green" if summary.certified_share == 1.0 else "yellow",
-        )
-        rows.append(
-            (
-                "sight certified",
-                Text.assemble(
-                    (share, colour),
-                    f", filter acted in {100.0 * (summary.intervened_share or 0.0):.1f} %",
-                ),
-            )
-        )
-    if summary.longest_outage is not None and summary.declared_outage is not None:
-        longest, most = summary.longest_outage, summary.declared_outage
-        colour = "green" if longest <= most else "yellow"
-        waited = Text.assemble((f"{longest:.2f} s", colour), f", declared {most:g} s")
-        rows.append(("longest wait for a motion", waited))
-    if summary.lost_chance is not None:
-        rows.append(("by proof", f"once certified, lost {in_flights(summary.lost_chance)}"))
-    if summary.tracking_error is not None:
-        off, bound = f"{summary.tracking_error:.3f} m", summary.declared_tracking
-        farthest = Text(f"{off} from where it is told")
-        if bound is not None:
-            colour = "green" if summary.tracking_error <= bound else "yellow"
-            farthest = Text.assemble((off, colour), f", declared {bound:.3f} m")
-        rows.append(("farthest off by the wind", farthest))
-    if summary.hazards_hit is not None:
-        rows += _mission(summary)
-    if summary.certified_while_lost:
-        rows.append(
-            (
-                Text("certified while lost", style="red"),
-                Text(
-                    f"{summary.certified_while_lost} ticks: the certificate is wrong", style="red"
-                ),
-            )
-        )
-    if summary.certificate_broken:
-        broken = f"{summary.certificate_broken} times, although all assumptions held: the certificate is wrong"
-        rows.append((Text("certificate broken", style="red"), Text(broken, style="red")))
-    rows += [
-        ("not certified", f"{count} ticks: {reason}")
-        for reason, count in summary.uncertified.items()
-    ]
-    rows += [
-        (f"link {name}", _link(status)) for name, status in summary.links.items() if status.degraded
-    ]
-    for name, counts in summary.faults.items():
-        rows.append(
-            (f"faults of {name}", ", ".join(f"{cause} {count}" for cause, count in counts.items()))
-        )
-    rows += (
-        [
-            (
-                "processes",
-                ", ".join(f"{process.name} ({process.pid})" for process in summary.processes),
-            )
-        ]
-        if summary.processes
-        else []
-    )
-    for row in rows:
+    for row in _rows(summary):
         table.add_row(*row)
     OUT.print(table)
     OUT.tell(f"  trajectory_sha256 {summary.trajectory_sha256}")
