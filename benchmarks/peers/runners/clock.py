@@ -11,7 +11,9 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
+from typing import Any
 
 Step = Callable[[], object]
 
@@ -58,6 +60,27 @@ def _cores() -> tuple[float, float]:
     user, nice, system, idle, disk, irq, softirq, stolen = map(float, words[1:9])
     busy = user + nice + system + irq + softirq + stolen
     return busy, busy + idle + disk
+
+
+def random_steps(env: Any, count: int, seed: int) -> Step:  # noqa: ANN401 - this file knows no package
+    """A step of an environment of PettingZoo's parallel API with random actions of all agents, so many in turn.
+
+    A new episode begins where one has ended.
+    """
+    env.reset(seed=seed)
+    names = env.possible_agents
+    for name in names:
+        env.action_space(name).seed(seed)
+    actions = cycle(
+        [{name: env.action_space(name).sample() for name in names} for _ in range(count)]
+    )
+
+    def step() -> None:
+        if not env.agents:
+            env.reset()
+        env.step(next(actions))
+
+    return step
 
 
 def calls_per_second(step: Step, seconds: float) -> float:

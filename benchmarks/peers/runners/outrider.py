@@ -7,7 +7,7 @@ from itertools import cycle
 import numpy as np
 
 import outrider
-from runners.clock import Step, Variant, run
+from runners.clock import Step, Variant, random_steps, run
 
 SEED = 1
 ACTIONS = 256
@@ -15,21 +15,7 @@ ACTIONS = 256
 
 def parallel(**settings: object) -> Step:
     """`parallel_env.step` with random accelerations for all vehicles; a new episode where one has ended."""
-    env = outrider.parallel_env("escort", **settings)
-    env.reset(seed=SEED)
-    names = env.possible_agents
-    for name in names:
-        env.action_space(name).seed(SEED)
-    actions = cycle(
-        [{name: env.action_space(name).sample() for name in names} for _ in range(ACTIONS)]
-    )
-
-    def step() -> None:
-        if not env.agents:
-            env.reset()
-        env.step(next(actions))
-
-    return step
+    return random_steps(outrider.parallel_env("escort", **settings), ACTIONS, SEED)
 
 
 def vector(worlds: int, **settings: object) -> Step:
