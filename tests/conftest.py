@@ -1,6 +1,7 @@
 """Fixtures that several test modules use."""
 
 import os
+import signal
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -48,9 +49,14 @@ def command(
     """A command of ours in this process, which need not start: its exit code and what it wrote."""
     from outrider.cli import main
 
-    def call(*arguments: str) -> "CompletedProcess[str]":
-        monkeypatch.setattr(sys, "argv", ["outrider", *arguments])
-        code = main._run()
+    def call(*arguments: object) -> "CompletedProcess[str]":
+        monkeypatch.setattr(sys, "argv", ["outrider", *map(str, arguments)])
+        monkeypatch.setenv("PYTHONSAFEPATH", "")  # which it sets
+        before = signal.getsignal(signal.SIGTERM)
+        try:
+            code = main.run_command_line()
+        finally:
+            signal.signal(signal.SIGTERM, before)
         written = capsys.readouterr()
         return CompletedProcess(arguments, code, written.out, written.err)
 

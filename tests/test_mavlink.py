@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_newcomers import command
 
 from bus.errors import ScenarioError
 from bus.messages import (
@@ -461,14 +460,16 @@ def test_an_address_that_is_none_is_named(text):
         parse_address(text, listens=False)
 
 
-def test_strangers_are_not_let_in_by_mistake(monkeypatch, capsys):
-    assert command(monkeypatch, "mavlink", "--in", "udpin:0.0.0.0:14550") == 2
-    assert "say --insecure" in capsys.readouterr().err
+def test_strangers_are_not_let_in_by_mistake(command):
+    done = command("mavlink", "--in", "udpin:0.0.0.0:14550")
+    assert done.returncode == 2
+    assert "say --insecure" in done.stderr
 
 
-def test_a_missing_extra_is_one_line(monkeypatch, capsys):
+def test_a_missing_extra_is_one_line(monkeypatch, command):
     monkeypatch.setitem(sys.modules, "pymavlink.dialects.v20", None)
     monkeypatch.delitem(sys.modules, "outrider.bridges.mavlink.dialect")
     monkeypatch.delitem(sys.modules, "outrider.bridges.mavlink.udp")
-    assert command(monkeypatch, "mavlink") == 2
-    assert capsys.readouterr().err.count("\n") == 1
+    done = command("mavlink")
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1

@@ -1,7 +1,6 @@
 """What a first user meets: names that collide, brackets in paths and errors, a file to begin with, the doctor."""
 
 import json
-import signal
 import subprocess
 import sys
 import tomllib
@@ -11,11 +10,12 @@ import jsonschema
 import msgspec
 import pytest
 import typer
+from tabular import words
 
 from bus.errors import ScenarioError
 from bus.messages import Action, Control, LinkKind, LinkSettings, UavCommand
 from bus.registry import LAWS
-from outrider.cli.main import make_app, run_command_line
+from outrider.cli.main import make_app
 from outrider.cli.options import scenario_of
 from outrider.recording.reader import flight_of
 from outrider.recording.refly import external_uavs, restore
@@ -27,18 +27,6 @@ from sim.scenario.loading import load_scenario, scenario_names, shipped_text
 from sim.scenario.schema import field_docs, scenario_schema
 from sim.scenario.types import Custom, Scenario, Visibility
 from sim.server.flight import Flight
-
-
-def command(monkeypatch, *words) -> int:
-    """Run the command line in this process, and leave it as it was."""
-    monkeypatch.setattr(sys, "argv", ["outrider", *map(str, words)])
-    monkeypatch.setenv("PYTHONSAFEPATH", "")
-    monkeypatch.setattr("sim.kernels.compile.interpret", lambda: None)  # other tests compile
-    before = signal.getsignal(signal.SIGTERM)
-    try:
-        return run_command_line()
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def python(folder: Path, *words: str) -> "subprocess.CompletedProcess[str]":
@@ -56,6 +44,13 @@ def test_a_module_in_the_place_of_one_of_ours_is_named_in_one_line(tmp_path, nam
     (tmp_path / "train.py").write_text("import outrider\n")
     line = python(tmp_path, "train.py").stderr.splitlines()[-1]
     assert line.startswith(f"ImportError: {file} stands in the way of")
+
+
+def test_modules_in_the_place_of_ours_are_passed_by_where_the_folder_is_not_searched_first(
+    tmp_path,
+):
+    for name in ("agents", "bus", "sim"):
+        (tmp_path / f"{name}.py").touch()
     assert python(tmp_path, "-P", "-c", "import outrider").returncode == 0
     assert python(tmp_path, "-m", "outrider", "--version").returncode == 0
 
@@ -74,53 +69,45 @@ def test_a_foreign_module_on_the_python_path_ends_the_command_with_one_line(tmp_
     assert len(run.stderr.splitlines()) == 1
 
 
-def test_a_users_function_that_wants_a_module_of_our_name_is_told_so(tmp_path, monkeypatch, capsys):
-    (tmp_path / "bus.py").write_text("speed = 0.1\n")
-    (tmp_path / "wants_bus.py").write_text(
-        "from bus import speed\n\ndef wheel(o, b): return 0, 0\n"
-    )
-    monkeypatch.chdir(tmp_path)
-    words = ("run", "--in-process", "--driver", "policy", "--policy", "wants_bus:wheel")
-    assert command(monkeypatch, *words) == 2
-    line = capsys.readouterr().err
-    assert "bus.py beside it is not found: Outrider has that name" in line
-    assert len(line.splitlines()) == 1
+def test_a_users_function_that_wants_a_module_of_our_name_is_told_so(here, command):
+    (here / "bus.py").write_text("speed = 0.1\n")
+    (here / "wants_bus.py").write_text("from bus import speed\n\ndef wheel(o, b): return 0, 0\n")
+    done = command("run", "--in-process", *words("--driver policy --policy wants_bus:wheel"))
+    assert done.returncode == 2
+    assert "bus.py beside it is not found: Outrider has that name" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
 
 
-def test_brackets_in_a_path_are_no_markup(tmp_path, monkeypatch, capsys):
+def test_brackets_in_a_path_are_no_markup(tmp_path, command):
     out = tmp_path / "[" / "x]" / "[bold]"
-    words = ("run", "--in-process", "--duration", "1", "--no-picture", "--out", out)
-    assert command(monkeypatch, *words) == 0
-    assert str(out / "summary.json") in capsys.readouterr().out
+    done = command(*words("run --in-process --duration 1 --no-picture --out"), out)
+    assert done.returncode == 0
+    assert str(out / "summary.json") in done.stdout
 
 
 @pytest.mark.usefixtures("forked_forkserver")
-def test_brackets_in_an_error_of_a_policy_reach_the_terminal(tmp_path, monkeypatch, capsys):
-    (tmp_path / "frames.py").write_text(
+def test_brackets_in_an_error_of_a_policy_reach_the_terminal(here, command):
+    (here / "frames.py").write_text(
         "def wheel(o, b): raise ValueError('frame [/base_link] unknown, [m/s²]')\n"
     )
-    monkeypatch.chdir(tmp_path)
-    words = ("--duration", "1", "--no-files", "--driver", "policy", "--policy", "frames:wheel")
-    assert command(monkeypatch, "run", *words) == 1
-    told = capsys.readouterr().err
-    assert "frame [/base_link] unknown, [m/s²] (frames.py:1, in wheel)" in told
-    assert "Traceback" not in told
+    done = command(*words("run --duration 1 --no-files --driver policy --policy frames:wheel"))
+    assert done.returncode == 1
+    assert "frame [/base_link] unknown, [m/s²] (frames.py:1, in wheel)" in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 @pytest.mark.usefixtures("forked_forkserver")
 def test_debug_shows_the_traceback_of_a_vehicles_process_and_its_log_keeps_it(
-    tmp_path, monkeypatch, capsys
+    here, monkeypatch, command
 ):
-    (tmp_path / "deep.py").write_text(
+    (here / "deep.py").write_text(
         "def wheel(o, b):\n    return inner(o)\n\n\ndef inner(o):\n    return 1 / 0\n"
     )
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("OUTRIDER_DEBUG", "")  # so that it is as before afterwards
-    words = ("--duration", "1", "--no-picture", "--out", "flown", "--policy", "deep:wheel")
-    assert command(monkeypatch, "run", *words, "--debug") == 1
-    told = capsys.readouterr().err
-    log = (tmp_path / "flown" / "logs" / "ugv_0.log").read_text()
-    for text in (told, log):
+    own = words("--duration 1 --no-picture --out flown --policy deep:wheel --debug")
+    done = command("run", *own)
+    assert done.returncode == 1
+    for text in (done.stderr, (here / "flown" / "logs" / "ugv_0.log").read_text()):
         assert "Traceback (most recent call last):" in text
         assert "in inner" in text
         assert "ZeroDivisionError: division by zero (deep.py:6, in inner)" in text
@@ -135,24 +122,22 @@ def spin(t):
 
 @pytest.mark.parametrize("named_by", ["the command", "the file"])
 def test_check_tries_a_function_of_ones_own_as_run_does_and_says_where_it_does_not(
-    tmp_path, monkeypatch, capsys, named_by
+    here, command, named_by
 ):
-    (tmp_path / "spinning.py").write_text(TOO_FAST)
-    monkeypatch.chdir(tmp_path)
-    words = ["escort", "--duration", "1", "--path", "spinning:spin"]
+    (here / "spinning.py").write_text(TOO_FAST)
+    own = words("escort --duration 1 --path spinning:spin")
     if named_by == "the file":
         text = shipped_text("escort").replace('name = "certified"', 'name = "path"')
-        (tmp_path / "mine.toml").write_text(f'{text}\n[custom]\npath = "spinning:spin"\n')
-        assert command(monkeypatch, "check", "mine.toml") == 0
-        assert "loaded with --allow-code alone" in capsys.readouterr().err
-        words = ["mine.toml", "--duration", "1", "--allow-code"]
-    assert command(monkeypatch, "check", *words) == 0
-    checked = capsys.readouterr().err
-    flown = ("run", *words, "--in-process", "--no-files")
-    assert command(monkeypatch, *flown) == 0
-    warned = [line for line in capsys.readouterr().err.splitlines() if "warning" in line]
+        (here / "mine.toml").write_text(f'{text}\n[custom]\npath = "spinning:spin"\n')
+        checked = command("check", "mine.toml")
+        assert checked.returncode == 0
+        assert "loaded with --allow-code alone" in checked.stderr
+        own = words("mine.toml --duration 1 --allow-code")
+    checked, flown = command("check", *own), command("run", *own, "--in-process", "--no-files")
+    assert checked.returncode == flown.returncode == 0
+    warned = [line for line in flown.stderr.splitlines() if "warning" in line]
     assert warned
-    assert [line for line in checked.splitlines() if "warning" in line] == warned
+    assert [line for line in checked.stderr.splitlines() if "warning" in line] == warned
 
 
 def test_an_option_means_the_same_in_every_command():
@@ -170,19 +155,22 @@ def test_an_option_means_the_same_in_every_command():
     assert {name: seen for name, seen in kinds.items() if len(seen) > 1} == {}
 
 
-def test_an_error_in_a_weighting_of_ones_own_names_its_line(tmp_path, monkeypatch, capsys):
-    (tmp_path / "steep.py").write_text("def share(d, r_s):\n    return d.nothing\n")
-    monkeypatch.chdir(tmp_path)
-    words = ("run", "--in-process", "--no-files", "--weighting", "steep:share")
-    assert command(monkeypatch, *words) in (1, 2)
-    told = capsys.readouterr().err
-    assert "steep.py:2, in share" in told
-    assert "Traceback" not in told
+def test_an_error_in_a_weighting_of_ones_own_names_its_line(here, command):
+    (here / "steep.py").write_text("def share(d, r_s):\n    return d.nothing\n")
+    done = command(*words("run --in-process --no-files --weighting steep:share"))
+    assert done.returncode in (1, 2)
+    assert "steep.py:2, in share" in done.stderr
+    assert "Traceback" not in done.stderr
 
 
-def test_every_shipped_scenario_fits_the_schema_and_nonsense_does_not():
-    validator = jsonschema.Draft202012Validator(scenario_schema())
-    validator.check_schema(scenario_schema())
+@pytest.fixture(scope="module")
+def schema():
+    return scenario_schema()
+
+
+def test_every_shipped_scenario_fits_the_schema_and_nonsense_does_not(schema):
+    validator = jsonschema.Draft202012Validator(schema)
+    validator.check_schema(schema)
     for name in scenario_names():
         validator.validate(tomllib.loads(shipped_text(name)))
     assert validator.is_valid(
@@ -192,48 +180,50 @@ def test_every_shipped_scenario_fits_the_schema_and_nonsense_does_not():
         assert not validator.is_valid({**tomllib.loads(shipped_text("escort")), **change}), change
 
 
-def test_the_schema_tells_what_the_types_say_of_a_field():
-    assert (
-        scenario_schema()["$defs"]["Scenario"]["properties"]["dt"]["description"]
-        == (field_docs(Scenario)["dt"])
-    )
+def test_the_schema_tells_what_the_types_say_of_a_field(schema):
+    told = schema["$defs"]["Scenario"]["properties"]["dt"]["description"]
+    assert told == field_docs(Scenario)["dt"]
     assert field_docs(Visibility)["radius"] == "r_v [m]."
 
 
-def test_a_new_scenario_is_a_shipped_one_that_flies_and_replaces_nothing(
-    tmp_path, monkeypatch, capsys
-):
-    file = tmp_path / "mine.toml"
-    assert command(monkeypatch, "scenarios", "new", file, "--from", "circle") == 0
+def test_a_new_scenario_is_a_shipped_one_that_flies_and_replaces_nothing(tmp_path, command, schema):
+    file = tmp_path / "Käfig 1.toml"
+    made = command("scenarios", "new", file, "--from", "circle")
+    assert made.returncode == 0
+    assert f"outrider check '{file}' says" in made.stdout  # so that it can be copied
     assert load_scenario(file, overrides={"name": "circle"}) == load_scenario("circle")
-    schema = json.loads((tmp_path / "scenario.schema.json").read_text())
-    assert schema == json.loads(json.dumps(scenario_schema()))
-    assert command(monkeypatch, "scenarios", "new", file) == 2
-    assert "--force" in capsys.readouterr().err
+    beside = json.loads((tmp_path / "scenario.schema.json").read_text())
+    assert beside == json.loads(json.dumps(schema))
+    again = command("scenarios", "new", file)
+    assert again.returncode == 2
+    assert "--force" in again.stderr
     assert "circle" in file.read_text()
-    assert command(monkeypatch, "scenarios", "show", "circel") == 2
-    assert "circle" in capsys.readouterr().err
+    wrong = command("scenarios", "show", "circel")
+    assert wrong.returncode == 2
+    assert "circle" in wrong.stderr
 
 
-def test_the_doctor_finds_what_is_here_and_what_is_not(monkeypatch, capsys):
+def test_the_doctor_finds_what_is_here_and_what_is_not(monkeypatch, command):
     from outrider.cli import doctor
 
     monkeypatch.setitem(doctor.EXTRAS, "tls", ("no_such_library",))
-    assert command(monkeypatch, "doctor", "--json") == 0
-    found = {row["what"]: row for row in json.loads(capsys.readouterr().out)["findings"]}
+    done = command("doctor", "--json")
+    assert done.returncode == 0
+    found = {row["what"]: row for row in json.loads(done.stdout)["findings"]}
     assert found["packages"]["state"] == "ok"
     assert found["[tls]"]["state"] == "missing"
     assert "pip install -e '.[tls]'" in found["[tls]"]["told"]
     assert found["[record]"]["state"] == "ok"
 
 
-def test_the_doctor_fails_where_nothing_can_fly(monkeypatch, capsys):
+def test_the_doctor_fails_where_nothing_can_fly(monkeypatch, command):
     from outrider.cli import doctor
 
     broken = doctor.Finding("packages", "wrong", "not installed: numpy")
     monkeypatch.setattr(doctor, "CHECKS", (lambda: iter([broken]),))
-    assert command(monkeypatch, "doctor") == 1
-    assert "not installed: numpy" in capsys.readouterr().out
+    done = command("doctor")
+    assert done.returncode == 1
+    assert "not installed: numpy" in done.stdout
 
 
 def test_the_shell_completes_commands():
@@ -371,22 +361,16 @@ def test_a_pilot_of_ours_that_sees_nothing_is_not_taken_for_one_of_the_users():
     assert summary.uncertified == {"the UAV has no estimate yet, or its command did not come": 60}
 
 
-def test_ctrl_c_is_told_in_one_line_however_early_it_comes(monkeypatch, capsys):
+def test_ctrl_c_is_told_in_one_line_however_early_it_comes(monkeypatch, command):
     from outrider.cli import main as module
 
     def early():
         raise KeyboardInterrupt
 
     monkeypatch.setitem(module.COMMANDS, "doctor", early)
-    for words in (("doctor",), ("scenarios",)):
+    for name in ("doctor", "scenarios"):
         with monkeypatch.context() as m:
-            if words == ("scenarios",):  # before the command's own code
+            if name == "scenarios":  # before the command's own code
                 m.setattr(module, "make_app", early)
-            assert command(monkeypatch, *words) == 130
-    assert capsys.readouterr().err == "outrider: interrupted\n" * 2
-
-
-def test_what_is_to_be_typed_next_can_be_copied(tmp_path, monkeypatch, capsys):
-    file = tmp_path / "Käfig 1.toml"
-    assert command(monkeypatch, "scenarios", "new", file) == 0
-    assert f"outrider check '{file}' says" in capsys.readouterr().out
+            done = command(name)
+        assert (done.returncode, done.stderr) == (130, "outrider: interrupted\n")
