@@ -151,7 +151,7 @@ def test_the_spaces_contain_what_is_returned_always(
 ):
     env = parallel_env(
         linked(SCENARIOS[scenario], profile),
-        duration=1.5,
+        duration=0.8,
         end_on_sight_lost=False,
         coverage_patch=PATCH if pictures else None,
         dtype=dtype,
@@ -599,7 +599,7 @@ def test_each_world_of_a_batch_is_as_it_is_alone_across_the_ends_of_episodes(mak
         assert same(row_of(seen, k), one.reset(seed=3 + k)[0])
     same_step = env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     to_begin, finals = [False] * len(alone), 0
-    for _ in range(25):
+    for _ in range(16):
         actions = rng.uniform(-0.3, 0.3, (3, 2))
         seen, _, terminations, truncations, infos = env.step(actions)
         assert env.observation_space.contains(seen)
@@ -617,7 +617,7 @@ def test_each_world_of_a_batch_is_as_it_is_alone_across_the_ends_of_episodes(mak
             else:
                 to_begin[k] = end
             assert same(row_of(seen, k), now)
-    assert finals == (sum(25 // ticks for ticks in TICKS) if same_step else 0)
+    assert finals == (sum(16 // ticks for ticks in TICKS) if same_step else 0)
 
 
 def test_worlds_that_are_reset_by_hand_begin_and_the_others_do_not():

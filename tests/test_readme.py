@@ -4,10 +4,11 @@ import json
 import re
 import shlex
 from pathlib import Path
+from typing import Any
 
-import processes
 import pytest
 import typer
+from tabular import words
 
 import outrider
 from bus.messages import LinkKind
@@ -74,24 +75,25 @@ def test_the_links_shown_can_be_flown(tmp_path: Path) -> None:
     assert settings.of("uav_0", LinkKind.DETECTIONS).blackouts == ((30.0, 5.0),)
 
 
-def test_the_filter_shown_keeps_sight(tmp_path: Path) -> None:
-    (shown,) = blocks("python", "docs/how-to/keep-sight.md")
-    run = processes.python(shown, cwd=tmp_path)
-    count, said = run.stdout.split(" ", 1)
+def printed(page: str, capsys: pytest.CaptureFixture[str]) -> str:
+    """What the only Python of a page prints."""
+    (shown,) = blocks("python", page)
+    exec(compile(shown, page, "exec"), {})  # noqa: S102
+    return capsys.readouterr().out
+
+
+def test_the_filter_shown_keeps_sight(capsys: pytest.CaptureFixture[str]) -> None:
+    count, said = printed("docs/how-to/keep-sight.md", capsys).split(" ", 1)
     assert int(count) > 100
     assert said == "commands were not let through; certified: True\n"
 
 
 def test_the_filter_shown_certifies(capsys: pytest.CaptureFixture[str]) -> None:
-    (shown,) = blocks("python", "docs/explanation/certificate.md")
-    exec(compile(shown, "certificate.md", "exec"), {})  # noqa: S102 - our own page
-    assert capsys.readouterr().out == "()\n0 1.42 m\n"
+    assert printed("docs/explanation/certificate.md", capsys) == "()\n0 1.42 m\n"
 
 
-def test_the_many_worlds_shown_fly(tmp_path: Path) -> None:
-    (shown,) = blocks("python", "docs/how-to/environments.md")
-    run = processes.python(shown, cwd=tmp_path)
-    assert float(run.stdout) > 100.0
+def test_the_many_worlds_shown_fly(capsys: pytest.CaptureFixture[str]) -> None:
+    assert float(printed("docs/how-to/environments.md", capsys)) > 100.0
 
 
 def test_the_commands_and_options_shown_exist() -> None:
@@ -116,23 +118,12 @@ def test_the_commands_and_options_shown_exist() -> None:
     assert {"run", "simulator", "uav", "ugv", "scenarios", "figures", "bench", "suite"} <= shown
 
 
-def test_the_weighting_shown_flies(tmp_path: Path) -> None:
+def test_the_weighting_shown_flies(here: Path, command: Any) -> None:
     shown = next(block for block in blocks("python", "README.md") if "def careful" in block)
     assert shown.partition("\n")[2] in PAGES["docs/how-to/own-code.md"]
-    (tmp_path / "mine.py").write_text(shown, encoding="utf-8")
-    arguments = [
-        "run",
-        "--in-process",
-        "--law",
-        "weighted",
-        "--weighting",
-        "mine:careful",
-        "--duration",
-        "5",
-        "--no-files",
-        "--json",
-    ]
-    run = processes.outrider(*arguments, cwd=tmp_path)
+    (here / "careful_as_shown.py").write_text(shown, encoding="utf-8")
+    own = words("--law weighted --weighting careful_as_shown:careful --duration 5")
+    run = command("run", "--in-process", *own, "--no-files", "--json")
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout)["visibility_violations"] == 0
 

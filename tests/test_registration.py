@@ -15,6 +15,7 @@ from gymnasium.wrappers import TimeLimit
 from processes import python
 from refusals import refused
 
+import outrider
 from outrider.envs.single import SingleEnv
 from outrider.envs.vector import OutriderVectorEnv
 from outrider.experiments.suite.tasks import MISSIONS, TASKS
@@ -138,9 +139,7 @@ def test_names_alone_load_nothing_heavy_and_a_name_with_its_module_in_front_need
 
 def test_every_name_of_the_front_door_is_the_same_thing_twice() -> None:
     """A module of the same name would take its place once it is loaded."""
-    code = (
-        "import outrider as o; print(all(getattr(o, n) is getattr(o, n) and callable(getattr(o, n)) for n in "
-        "o.__all__))"
-    )
-    done = python(code)
-    assert done.stdout.strip() == "True"
+    for name in outrider.__all__:
+        found = getattr(outrider, name)
+        assert callable(found), name
+        assert getattr(outrider, name) is found, name

@@ -56,21 +56,26 @@ def limits(axes):
     return [text.get_text() for text in axes.texts]
 
 
-def test_picture_is_a_png_of_its_size_and_light_enough_for_a_web_page(flight, tmp_path):
-    draw_flight(flight, tmp_path / "flight.png")
-    assert png_size(tmp_path / "flight.png") == SIZE
-    assert 20_000 < (tmp_path / "flight.png").stat().st_size < 400_000
+@pytest.fixture(scope="module")
+def drawn(flight, tmp_path_factory):
+    path = tmp_path_factory.mktemp("drawn") / "flight.png"
+    draw_flight(flight, path)
+    return path
 
 
-def test_same_flight_gives_the_same_bytes_whatever_the_users_settings_are(flight, tmp_path):
-    draw_flight(flight, tmp_path / "a.png")
+def test_picture_is_a_png_of_its_size_and_light_enough_for_a_web_page(drawn):
+    assert png_size(drawn) == SIZE
+    assert 20_000 < drawn.stat().st_size < 400_000
+
+
+def test_same_flight_gives_the_same_bytes_whatever_the_users_settings_are(flight, drawn, tmp_path):
     with mpl.rc_context(
         {"font.size": 20.0, "axes.facecolor": "black", "savefig.dpi": 50, "text.usetex": False}
     ):
         before = dict(mpl.rcParams)
         draw_flight(flight, tmp_path / "b.png")
         assert dict(mpl.rcParams) == before
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    assert drawn.read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
 def test_a_run_loads_no_matplotlib_and_drawing_no_pyplot():

@@ -179,8 +179,12 @@ def test_the_markdown_table_has_every_value_and_law(material):
     assert text.count(" s | linear | ") + text.count(" | 0 | linear") >= 3
 
 
-def test_the_page_needs_nothing_beside_itself(material, tmp_path):
-    pictures = draw_all(material, tmp_path)
+@pytest.fixture(scope="module")
+def pictures(material, tmp_path_factory) -> dict[str, Path]:
+    return draw_all(material, tmp_path_factory.mktemp("pictures"))
+
+
+def test_the_page_needs_nothing_beside_itself(material, pictures):
     assert set(pictures) == {"violations", "margins", "errors", "ages"}
     text = page(material, pictures, "outrider report sweeps/delay")
     assert text.count('src="data:image/png;base64,') == 4
@@ -191,13 +195,10 @@ def test_the_page_needs_nothing_beside_itself(material, tmp_path):
     assert "made up <b>" not in text
 
 
-def test_the_same_material_gives_the_same_pictures(material, tmp_path):
-    first, again = tmp_path / "first", tmp_path / "again"
-    first.mkdir()
-    again.mkdir()
-    for name, path in draw_all(material, first).items():
-        assert path.read_bytes() == draw_all(material, again)[name].read_bytes()
-        break
+def test_the_same_material_gives_the_same_pictures(material, pictures, tmp_path):
+    again = draw_all(material, tmp_path)
+    assert again.keys() == pictures.keys()
+    assert all(again[name].read_bytes() == path.read_bytes() for name, path in pictures.items())
 
 
 def test_laws_in_folders_of_their_own_are_one_experiment(tmp_path):

@@ -13,11 +13,11 @@ import msgspec
 import pytest
 import zenoh
 from processes import wait_until
-from staging import GIVEN, PILOT, Vehicle, await_status, stage, whole
+from staging import GIVEN, PILOT, Vehicle, operating, stage, whole
 
 from agents import process
-from bus.keys import BRIEFING, COMMAND, CONTROL, OBSERVATION, STATUS, Party, Role
-from bus.messages import Action, Control, Status, UavCommand, UgvCommand
+from bus.keys import BRIEFING, COMMAND, CONTROL, OBSERVATION, Party, Role
+from bus.messages import Action, Control, UavCommand, UgvCommand
 from bus.session import open_session
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Scenario
@@ -186,16 +186,16 @@ def test_real_time_keeps_the_clock_and_flies_the_lockstep_bits_if_all_are_in_tim
 
 def test_in_real_time_a_slow_vehicle_degrades_itself_only(tmp_path: Path) -> None:
     """The UAV takes 0.1 s for an answer where a tick lasts 0.025 s: its commands are used late, the UGV's in time."""
-    with stage(tmp_path, 160, realtime=2.0) as run:
+    with stage(tmp_path, 100, realtime=2.0) as run:
         uav = run.start("uav_0", on_tick=lambda _tick: time.sleep(0.1))
         run.start("ugv_0")
         flight = run.fly()
         status = run.server.vehicles()
-    assert len(uav.seen) < 80  # it answers the newest, and does not fall further and further behind
-    assert uav.seen[-1].tick > 140
+    assert len(uav.seen) < 50  # it answers the newest, and does not fall further and further behind
+    assert uav.seen[-1].tick > 80
     assert flight.complete
     assert status["uav_0"].stale_commands >= 3
-    assert status["uav_0"].missing_commands > 60
+    assert status["uav_0"].missing_commands > 40
     assert status["ugv_0"].missing_commands < 20
 
 
@@ -227,31 +227,22 @@ def test_in_real_time_a_command_is_used_by_its_age_and_then_the_vehicle_brakes()
 
 
 def test_a_flight_can_be_paused_stepped_and_resumed(tmp_path: Path) -> None:
-    seen: list[Status] = []
     heard = threading.Event()
+
+    def work(send: Any, awaited: Any) -> None:
+        send(Control(action=Action.PAUSE))
+        paused = awaited(lambda status: status.paused)
+        heard.set()
+        send(Control(action=Action.STEP, ticks=5))
+        awaited(lambda status: status.paused and status.tick == paused.tick + 5)
+        send(Control(action=Action.RESUME))
+
     with stage(tmp_path, 300) as run:
         run.start_both()
-        operator = run.client("operator")
-        controls, statuses = operator.outbox(CONTROL), operator.inbox(STATUS)
-
-        def operate() -> None:
-            wait_until(lambda: controls.wanted)
-            controls.send(Control(action=Action.PAUSE))
-            paused = await_status(statuses, lambda status: status.paused)
-            heard.set()
-            controls.send(Control(action=Action.STEP, ticks=5))
-            stepped = await_status(
-                statuses, lambda status: status.paused and status.tick == paused.tick + 5
-            )
-            seen.extend((paused, stepped))
-            controls.send(Control(action=Action.RESUME))
-
-        hand = threading.Thread(target=operate)
-        hand.start()
+        end = operating(run, work)
         # slowly, so that the flight does not end before its operator is heard
         flight = run.fly(lambda: heard.wait(0.02) and None)
-        hand.join(30.0)
-    assert len(seen) == 2
+        end()
     assert flight.complete
     assert flight.recorder.sha256() == whole(300).recorder.sha256()
 
@@ -277,7 +268,7 @@ def test_a_flood_of_letters_neither_stops_the_clock_nor_the_end(payload, tmp_pat
     It is late like any other, and the session closes while it goes on.
     """
     over = threading.Event()
-    with stage(tmp_path, 4, deadline=0.3) as run:
+    with stage(tmp_path, 2, deadline=0.3) as run:
         ugv = run.client("ugv_0")
         ugv.announce()
         uav = run.start("uav_0")
@@ -301,10 +292,10 @@ def test_a_flood_of_letters_neither_stops_the_clock_nor_the_end(payload, tmp_pat
             over.set()
             tap.join()
     assert flight.complete
-    assert flight.answers.missing == {"uav_0": 0, "ugv_0": 4}
+    assert flight.answers.missing == {"uav_0": 0, "ugv_0": 2}
     assert elapsed < 15.0
     assert sum(refused.values()) > 100
-    assert [seen.tick for seen in uav.seen] == list(range(4))
+    assert [seen.tick for seen in uav.seen] == [0, 1]
     assert "ugv_0 is late: no command for tick 0 after 0.3 s" in run.events
 
 

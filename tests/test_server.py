@@ -142,9 +142,9 @@ def test_an_answer_to_another_tick_or_a_second_one_is_counted_and_changes_nothin
 
 
 def test_a_late_vehicle_is_named_with_the_tick_and_how_long(tmp_path: Path) -> None:
-    with flying(tmp_path, 4, deadline=0.3, uav=silent) as run:
+    with flying(tmp_path, 2, deadline=0.3, uav=silent) as run:
         flight = run.fly()
-    assert flight.answers.missing == {"uav_0": 4, "ugv_0": 0}
+    assert flight.answers.missing == {"uav_0": 2, "ugv_0": 0}
     assert flight.answers.first_missing == 0
     assert re.fullmatch(r"uav_0 is late: no command for tick 0 after 0\.[345] s", run.events[0])
 

@@ -273,8 +273,8 @@ def test_many_small_files_are_merged_and_rows_that_are_there_twice_count_once(
 def test_a_sweep_that_is_killed_alone_takes_its_workers_along_and_goes_on_to_the_same_table(
     tmp_path, undisturbed
 ):
-    command = [*OUTRIDER, *GRID, *LONG, "--jobs", "2", "--out"]
-    victim = started(*command, str(tmp_path / "killed"))
+    command = [*OUTRIDER, *GRID, *LONG, "--jobs", "2", "--out", str(tmp_path / "killed")]
+    victim = started(*command)
     wait_for(lambda: parts(tmp_path / "killed") >= 2, victim)
     victim.kill()
     victim.wait()
@@ -283,7 +283,7 @@ def test_a_sweep_that_is_killed_alone_takes_its_workers_along_and_goes_on_to_the
     kept = len(rows_of(tmp_path / "killed")["run"])
     assert 0 < kept < 96
     assert not (tmp_path / "killed" / "results.parquet").exists()
-    again = outrider(*command[len(OUTRIDER) :], str(tmp_path / "killed"), "--json")
+    again = outrider(*GRID, *LONG, "--jobs", "1", "--out", str(tmp_path / "killed"), "--json")
     assert again.returncode == 0, again.stderr
     told = json.loads(again.stdout)
     assert (told["rows"], told["failed"], told["flown"]) == (96, 0, 96 - kept)
@@ -363,22 +363,24 @@ def test_a_run_that_raises_is_a_row_with_its_error_and_the_others_go_on(tmp_path
 def test_on_a_cluster_a_worker_may_die_and_the_rows_are_those_of_this_machine(
     undisturbed, tmp_path
 ):
+    from distributed import Client
+
     info = tmp_path / "scheduler.json"
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "start_new_session": True}
-    local = ["--host", "127.0.0.1", "--no-dashboard"]
-    program = [sys.executable, "-m"]
-    file = ["--scheduler-file", str(info)]
-    scheduler = [*program, "distributed.cli.dask_scheduler", *local, "--port", "0", *file]
-    worker = [*program, "distributed.cli.dask_worker", *file, *local, "--nthreads", "1"]
-    processes = [subprocess.Popen(scheduler, **quiet)]
+    common = ["--scheduler-file", str(info), "--host", "127.0.0.1", "--no-dashboard"]
+    alone = ["--no-nanny", "--nthreads", "1", "--local-directory", str(tmp_path)]
+
+    def dask(what: str, *arguments: str) -> "subprocess.Popen[str]":
+        code = f"from distributed.cli.dask_{what} import main; main()"
+        return opened([sys.executable, "-c", code, *common, *arguments], **quiet)
+
+    processes = [dask("scheduler", "--port", "0")]
     try:
         wait_for(info.exists, processes[0])
-        processes += [
-            subprocess.Popen([*worker, "--no-nanny", "--local-directory", str(tmp_path)], **quiet)
-            for _ in range(2)
-        ]
+        processes += [dask("worker", *alone) for _ in range(2)]
         address = json.loads(info.read_text())["address"]
-        _await_workers(address, 2)
+        with Client(address, timeout=60) as client:
+            client.wait_for_workers(2, timeout=60)
         command = [*OUTRIDER, *GRID, *LONG, "--dask", address, "--json", "--out"]
         sweep = opened(
             [*command, str(tmp_path / "far")],
@@ -396,13 +398,6 @@ def test_on_a_cluster_a_worker_may_die_and_the_rows_are_those_of_this_machine(
             process.kill()
             process.wait()
     assert rows_of(tmp_path / "far") == undisturbed
-
-
-def _await_workers(address: str, count: int) -> None:
-    code = (
-        f"from distributed import Client; Client({address!r}).wait_for_workers({count}, timeout=60)"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=90, capture_output=True)
 
 
 def test_no_cluster_is_one_line(monkeypatch):

@@ -1,6 +1,7 @@
 """The registry: every row can be flown, and its names stand nowhere else."""
 
 import ast
+import functools
 import re
 from collections import Counter
 from importlib import import_module
@@ -13,7 +14,6 @@ import pytest
 from flights import escort, parameters
 
 from agents.control.laws import OwnTerms, weights
-from agents.control.visibility import switching_radius
 from agents.drivers import parameters as parameters_of_drivers
 from bus.keys import KEYS, Key
 from bus.messages import LinkKind
@@ -34,7 +34,6 @@ from bus.registry import (
 from outrider.cli import options
 from sim.models.field import sensor_quality, sensor_slope
 from sim.scenario import checks
-from sim.scenario.checks import largest_circle_rate
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Custom, LinkTable, Ugv, VehicleLinks
 
@@ -53,6 +52,11 @@ CHOSEN = {
 """Files that name a few of them on purpose, and why: an experiment's choice, which no new row changes."""
 
 
+@functools.cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def _names_in(node: ast.AST) -> list[str]:
     if isinstance(node, ast.Tuple | ast.List | ast.Set):
         parts = node.elts
@@ -69,10 +73,9 @@ def _docstrings(tree: ast.AST) -> set[ast.AST]:
     return {node.value for node in ast.walk(tree) if isinstance(node, ast.Expr)}
 
 
-def copies(source: str) -> list[str]:
+def copies(tree: ast.AST) -> list[str]:
     """Literals of a file, but docstrings, that list names of laws, drivers or saved policies."""
-    tree, found = ast.parse(source), []
-    prose = _docstrings(tree)
+    prose, found = _docstrings(tree), []
     for node in ast.walk(tree):
         names = [] if node in prose else _names_in(node)
         least = 3 if isinstance(node, ast.Constant) else 2
@@ -93,15 +96,13 @@ def copies(source: str) -> list[str]:
     ],
 )
 def test_a_copied_list_of_names_would_be_found(text: str) -> None:
-    assert copies(text)
-    assert not copies('"""Of linear, switching and circle."""')
+    assert copies(ast.parse(text))
+    assert not copies(ast.parse('"""Of linear, switching and circle."""'))
 
 
 def test_no_list_of_laws_drivers_sensors_or_saved_policies_stands_outside_the_registry() -> None:
     found = {
-        str(path.relative_to(ROOT)): lines
-        for path in PRODUCT
-        if (lines := copies(path.read_text(encoding="utf-8")))
+        str(path.relative_to(ROOT)): lines for path in PRODUCT if (lines := copies(parsed(path)))
     }
     assert {file: lines for file, lines in found.items() if file not in CHOSEN} == {}
     assert set(CHOSEN) == set(found)  # an excuse that is no longer needed goes
@@ -135,7 +136,7 @@ def test_a_row_without_its_branch_flies_no_other_law() -> None:
 
 
 def test_every_compiled_driver_has_its_branch() -> None:
-    tree = ast.parse((ROOT / "agents" / "drivers" / "ugv_tick.py").read_text(encoding="utf-8"))
+    tree = parsed(ROOT / "agents" / "drivers" / "ugv_tick.py")
     asked = [
         node.comparators[0].id
         for node in ast.walk(tree)
@@ -209,24 +210,13 @@ def test_a_law_that_needs_no_switching_radius_flies_where_there_is_none() -> Non
         assert refused is row.needs_radius, row.name
 
 
-def test_the_circle_warning_names_the_bound_of_the_law() -> None:
-    scenario = load_scenario("circle-too-fast")
-    uav, ugv = scenario.uav[0], scenario.ugv[0]
-    r_s = switching_radius(
-        scenario.visibility.radius, uav.max_speed, ugv.max_speed, uav.max_acceleration
-    )
-    bound = largest_circle_rate(r_s, uav.max_speed, ugv.max_speed, uav.max_acceleration)
-    (line,) = checks.scenario_warnings(scenario)
-    assert f"{bound:.4f} rad/s" in line
-
-
 def test_no_file_and_no_public_class_has_the_name_of_another() -> None:
     """Whoever looks for a name finds the one thing that has it."""
     files = [path.name for path in PRODUCT if path.name != "__init__.py"]
     classes = [
         node.name
         for path in PRODUCT
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(parsed(path))
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
     ]
     twice = [name for name, count in Counter([*files, *classes]).items() if count > 1]

@@ -12,6 +12,7 @@ from draws import a_key
 from flights import degraded
 from processes import outrider, run_json
 from refusals import SMALL, refusal
+from tabular import words
 from worlds import step
 
 from bus.errors import ScenarioError
@@ -433,6 +434,12 @@ def written(settings: LinkSettings, interval: float) -> RecordedLink:
     return a_trace("sent,delay\n" + "\n".join(rows))
 
 
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Profiles are compared over few messages: which comes nearest is not asked."""
+    monkeypatch.setattr("outrider.experiments.network.samples._MESSAGES", 500)
+
+
 def test_the_fit_finds_the_settings_of_a_drawn_link_and_its_profile() -> None:
     poor = PROFILES["wifi-poor"]
     fit, _ = fit_link(written(poor, 0.05))
@@ -469,31 +476,24 @@ def test_the_fit_tells_blackouts_and_lonely_losses_apart() -> None:
         ("blackout_interval", 0.5),  # three standard deviations: there are only some forty
     ):
         assert getattr(found, field) == pytest.approx(getattr(wanted, field), rel=within), field
+
+
+def test_the_fit_of_a_steady_link_is_its_delay_and_nothing_else(few: None) -> None:
     steady = fit_link(a_trace("sent,delay\n0,0.25\n0.1,0.25\n0.2,0.25\n"))[0]
     assert steady.settings == LinkSettings(delay=0.25)
 
 
-def test_the_command_fits_a_mahimahi_file_and_draws_it(tmp_path: Path) -> None:
-    (tmp_path / "drive").write_text("\n".join(str(k * k) for k in range(1, 60)))
-    told = outrider(
-        "network",
-        "fit",
-        "drive",
-        "--message-bytes",
-        "90",
-        "--out",
-        "fit.png",
-        "--json",
-        cwd=tmp_path,
-    )
+def test_the_command_fits_a_mahimahi_file_and_draws_it(here: Path, command: Any, few: None) -> None:
+    (here / "drive").write_text("\n".join(str(k * k) for k in range(1, 60)))
+    told = command(*words("network fit drive --message-bytes 90 --out fit.png --json"))
     assert told.returncode == 0, told.stderr
     fit = json.loads(told.stdout)
     assert fit["lost"] == 0.0
     assert fit["delay"]["most"] < 0.119
     assert "Mbit/s on average; longest time without an opportunity 117 ms" in fit["notes"][-1]
-    assert (tmp_path / "fit.png").read_bytes().startswith(b"\x89PNG")
-    (tmp_path / "drive").write_text("sent,delay\n0,lost\n")
-    told = outrider("network", "fit", "drive", cwd=tmp_path, fresh=True)
+    assert (here / "fit.png").read_bytes().startswith(b"\x89PNG")
+    (here / "drive").write_text("sent,delay\n0,lost\n")
+    told = command("network", "fit", "drive")
     assert told.returncode == 2
     assert told.stderr == (
         "outrider: drive: no message arrives; allowed: a recording with one that does\n"
