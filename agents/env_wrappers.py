@@ -9,12 +9,17 @@ from gymnasium import spaces
 from pettingzoo.utils import BaseParallelWrapper  # type: ignore[import-untyped]
 
 from agents.control.visibility import SafetyFilter
-from agents.estimation.estimator import RelativeEstimator
+from agents.estimation.estimator import RelativeEstimator, estimator_of
 from bus.layout import Row, UavRow, uav_observation
 from bus.messages import UavBriefing, UavObservation
 from bus.ticks import looks_of
 
 _RELATIVE = [UavRow._fields.index("relative_x"), UavRow._fields.index("relative_y")]
+
+
+def _briefings(env: Any) -> dict[str, UavBriefing]:  # noqa: ANN401 - PettingZoo has no types
+    told = {agent: env.unwrapped.briefing(agent) for agent in env.possible_agents}
+    return {agent: one for agent, one in told.items() if isinstance(one, UavBriefing)}
 
 
 class EstimateWrapper(BaseParallelWrapper):  # type: ignore[misc]
@@ -31,11 +36,7 @@ class EstimateWrapper(BaseParallelWrapper):  # type: ignore[misc]
     def __init__(self, env: Any) -> None:  # noqa: ANN401 - PettingZoo has no types
         super().__init__(env)
         self._filters: dict[str, RelativeEstimator] = {}
-        self._briefings: dict[str, UavBriefing] = {}
-        for agent in env.possible_agents:
-            told = env.unwrapped.briefing(agent)
-            if isinstance(told, UavBriefing):
-                self._briefings[agent] = told
+        self._briefings = _briefings(env)
         self._spaces = {
             agent: self._without_bounds(env.observation_space(agent)) for agent in self._briefings
         }
@@ -61,15 +62,7 @@ class EstimateWrapper(BaseParallelWrapper):  # type: ignore[misc]
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Begin an episode, with new filters."""
         observations, infos = self.env.reset(seed=seed, options=options)
-        self._filters = {
-            agent: RelativeEstimator(
-                detector=told.detector,
-                target=told.target_limits,
-                dt=told.dt,
-                settings=told.estimator,
-            )
-            for agent, told in self._briefings.items()
-        }
+        self._filters = {agent: estimator_of(told) for agent, told in self._briefings.items()}
         return self._estimated(observations), infos
 
     def step(self, actions: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
@@ -91,9 +84,8 @@ class EstimateWrapper(BaseParallelWrapper):  # type: ignore[misc]
         """The row with the estimate in it, once there is one."""
         observation = uav_observation(row, dt=self._briefings[agent].dt)
         (p_x, p_y), world = observation.position, self.env.unwrapped
-        found = (
-            world.received(agent) if world.degraded else observation.detections
-        )  # the row has room for one
+        # The row has room for one.
+        found = world.received(agent) if world.degraded else observation.detections
         estimate = self._filters[agent].update(
             tick=observation.tick,
             own_position=(p_x, p_y),
@@ -129,10 +121,7 @@ class SafetyFilterWrapper(BaseParallelWrapper):  # type: ignore[misc]
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Begin an episode, with new filters."""
         observations, infos = self.env.reset(seed=seed, options=options)
-        told = {agent: self.env.unwrapped.briefing(agent) for agent in self.env.possible_agents}
-        self.filters = {
-            agent: SafetyFilter(one) for agent, one in told.items() if isinstance(one, UavBriefing)
-        }
+        self.filters = {agent: SafetyFilter(told) for agent, told in _briefings(self.env).items()}
         self._see(observations)
         return observations, infos
 

@@ -25,7 +25,7 @@ from agents.control.telling import GroundTeller
 from agents.control.uav_tick import UavMemory, uav_perceive, uav_tick
 from agents.control.visibility import SafetyFilter, Verdict, flown_in, promise_of
 from agents.control.weighting import Weighting, check_weighting
-from agents.estimation.estimator import Estimate, RelativeEstimator
+from agents.estimation.estimator import Estimate, estimator_of
 from bus.errors import ScenarioError
 from bus.messages import (
     Law,
@@ -169,12 +169,7 @@ class UavPilot:
                 briefing.area.cell,
                 briefing.desired_coverage,
             )
-        self.estimator = RelativeEstimator(
-            detector=briefing.detector,
-            target=briefing.target_limits,
-            dt=briefing.dt,
-            settings=briefing.estimator,
-        )
+        self.estimator = estimator_of(briefing)
         promise = promise_of(briefing)
         self._promises = records(Promise, [promise])
         self._law_memory = initial_state(), lookahead_memory()

@@ -26,7 +26,7 @@ from agents.estimation.motion_model import (
     strayed_distance,
 )
 from agents.estimation.past import SPAN, FilterHistory, PastTick
-from bus.messages import Detector, Estimator, Limits
+from bus.messages import Detector, Estimator, Limits, UavBriefing
 from bus.ticks import NO_TICK, Look
 from sim.kernels.compile import FloatArray
 from sim.models.vehicles import clip_norm
@@ -39,9 +39,7 @@ class Estimate(msgspec.Struct, frozen=True, kw_only=True):
     velocity: tuple[float, float]  # [m/s], never longer than v_g,max
     covariance: tuple[float, float, float]  # xx, xy, yy of the position [m²]
     age: float  # since the newest believed detection [s]
-    refused: (
-        int  # detections refused, by the gate (as if all had come in order) or for the wrong time
-    )
+    refused: int  # detections, by the gate (as if all had come in order) or for the wrong time
 
 
 class RelativeEstimator:
@@ -92,12 +90,9 @@ class RelativeEstimator:
         self._filter.P = self._first_covariance.copy()
         self._filter.H = np.eye(2, 4)
         self._filter.R = c.variance * np.eye(2)
-        self._ahead: tuple[FloatArray, FloatArray, tuple[list[float], FloatArray]] | None = (
-            None  # x, P and gain at the next tick
-        )
-        self._weighed: tuple[list[float], FloatArray] | None = (
-            None  # gain and covariance for a detection at this one
-        )
+        # Gain, and covariance after it, for a detection at this tick; and before them x and P for the next one.
+        self._weighed: tuple[list[float], FloatArray] | None = None
+        self._ahead: tuple[FloatArray, FloatArray, tuple[list[float], FloatArray]] | None = None
         self._history = FilterHistory(span=span, dt=dt)
         self._now: PastTick | None = None  # None: never called
         self._age: int | None = None  # ticks; None: nothing was ever believed
@@ -345,3 +340,13 @@ class RelativeEstimator:
             age=self._age * self._parameters.dt,
             refused=self._refused + self._misdated,
         )
+
+
+def estimator_of(briefing: UavBriefing) -> RelativeEstimator:
+    """The filter of one UAV on what it is told."""
+    return RelativeEstimator(
+        detector=briefing.detector,
+        target=briefing.target_limits,
+        dt=briefing.dt,
+        settings=briefing.estimator,
+    )

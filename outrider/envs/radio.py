@@ -5,7 +5,7 @@ from typing import Any
 import msgspec
 
 from agents.control.telling import GroundTeller
-from agents.estimation.estimator import RelativeEstimator
+from agents.estimation.estimator import estimator_of
 from agents.uav import radio_ticks
 from bus.messages import (
     GroundBlock,
@@ -32,12 +32,7 @@ class Radio:
             for name in env.possible_agents
             if isinstance(one := env.briefing(name), UavBriefing)
         ]
-        self._filters = {
-            one.vehicle: RelativeEstimator(
-                detector=one.detector, target=one.target_limits, dt=one.dt, settings=one.estimator
-            )
-            for one in told
-        }
+        self._filters = {one.vehicle: estimator_of(one) for one in told}
         self._escorts = {uav.name: uav.escorts for uav in env.scenario.uav}
         self._links = env.world.links.of(LinkKind.RADIO)
         self._tellers = {one.vehicle: GroundTeller(one) for one in told}
