@@ -3,6 +3,7 @@
 import gc
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
@@ -29,11 +30,10 @@ class Pilot(Protocol):
     """A pilot as the loop sees it; the key table says which messages it gets.
 
     It may have four methods more: `prepare()`, called once its command is on its way, to work ahead while nobody
-    waits; `perceive(observation)`, called with what it was too slow to answer; `forget_commands()`, called when
-    answers of its own
-    were not sent, or may not have been: those that it gave to its past when its process has joined again; and
-    `attend(waits)`, called once all of its past has been acted on, with a function that tells whether the answer to the
-    newest observation is still awaited, for a pilot that must wait for somebody itself.
+    waits; `perceive(observation)`, called with what it was too slow to answer; `forget_commands()`, called when answers
+    of its own were not sent, or may not have been: those that it gave to its past when its process has joined again;
+    and `attend(waits)`, called once all of its past has been acted on, with a function that tells whether the answer to
+    the newest observation is still awaited, for a pilot that must wait for somebody itself.
     """
 
     def act(self, observation: Any) -> Command | None:  # noqa: ANN401 - a UAV's or a UGV's observation
@@ -59,10 +59,7 @@ def uav_maker(
     """
     from agents.uav import UavPilot  # noqa: PLC0415 - with its filter, most of a start, which a UGV can do without
 
-    def make(briefing: UavBriefing) -> Pilot:
-        return UavPilot(briefing, weighting=weighting, path=path, inner=inner)
-
-    return make
+    return partial(UavPilot, weighting=weighting, path=path, inner=inner)
 
 
 def ugv_maker(*, policy: Policy | None = None, policy_name: str = "policy") -> MakePilot:
@@ -74,10 +71,7 @@ def ugv_maker(*, policy: Policy | None = None, policy_name: str = "policy") -> M
     """
     from agents.ugv import UgvPilot  # noqa: PLC0415 - likewise
 
-    def make(briefing: UgvBriefing) -> Pilot:
-        return UgvPilot(briefing, policy=policy, policy_name=policy_name)
-
-    return make
+    return partial(UgvPilot, policy=policy, policy_name=policy_name)
 
 
 _SOMEBODY = {
@@ -204,10 +198,8 @@ class _Slot:
                 self._first = seen.tick + 1
             if not told.more:
                 if self._first > 0:
-                    _forget_commands(pilot)
-                attend = getattr(pilot, "attend", None)
-                if attend is not None:
-                    attend(self._awaits)
+                    _call_if_there(pilot, "forget_commands")
+                _call_if_there(pilot, "attend", self._awaits)
                 self._flight = (letter.session, told.episode)
                 gc.freeze()  # what is here stays: the collector need not look at it again
                 return pilot
@@ -252,18 +244,18 @@ class _Slot:
         return True
 
 
-def _forget_commands(pilot: Pilot) -> None:
-    forget = getattr(pilot, "forget_commands", None)
-    if forget is not None:
-        forget()
+def _call_if_there(pilot: Pilot, method: str, *arguments: Any) -> None:  # noqa: ANN401 - the method's
+    """Call one of the methods that a pilot may have, if it has it."""
+    if hasattr(pilot, method):
+        getattr(pilot, method)(*arguments)
 
 
 def _answer(pilot: Pilot, seen: list[Any], commands: Outbox, name: str) -> bool:
     """Answer the newest observation; those that came before it are too late to be answered, but not to be seen.
 
-    One that is missed is acted on unheard, so that the pilot stays as it would be: in lockstep a process that
-    joins again may
-    find the next tick there already. A pilot that has missed more is slower than the clock, and only perceives them.
+    One that is missed is acted on unheard, so that the pilot stays as it would be: in lockstep a process that joins
+    again may find the next tick there already. A pilot that has missed more is slower than the clock, and only
+    perceives them.
 
     Returns:
         Whether the pilot had an answer.
@@ -278,7 +270,7 @@ def _answer(pilot: Pilot, seen: list[Any], commands: Outbox, name: str) -> bool:
         for observation in missed:
             take(observation)
     if missed:
-        _forget_commands(pilot)
+        _call_if_there(pilot, "forget_commands")
     command = pilot.act(seen[-1])
     if command is None:
         return False
@@ -288,9 +280,7 @@ def _answer(pilot: Pilot, seen: list[Any], commands: Outbox, name: str) -> bool:
         raise BusError(
             f"{name}: the pilot's answer to tick {seen[-1].tick} cannot be sent: {error}"
         ) from error
-    prepare = getattr(pilot, "prepare", None)
-    if prepare is not None:
-        prepare()
+    _call_if_there(pilot, "prepare")
     return True
 
 
