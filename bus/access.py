@@ -23,8 +23,6 @@ from bus.certificates import AUTHORITY_DAYS, PARTY_DAYS, ROUTER_HOSTS, Authority
 from bus.errors import AccessDenied, BusError
 from bus.files import read_regular
 from bus.keys import (
-    OBSERVER_NAME,
-    OPERATOR_NAME,
     PLACES,
     ROS2_ROLES,
     ROS2_STAFF,
@@ -168,8 +166,7 @@ def new_certificates(
 
 def _roles(uavs: Iterable[str], ugvs: Iterable[str], *, ros2: bool) -> list[tuple[str, Role]]:
     roles = [(name, Role.UAV) for name in uavs] + [(name, Role.UGV) for name in ugvs]
-    roles += [(name, STAFF[name]) for name in (SIMULATOR_NAME, OPERATOR_NAME, OBSERVER_NAME)]
-    roles += ROS2_STAFF.items() if ros2 else ()
+    roles += [*STAFF.items(), *(ROS2_STAFF.items() if ros2 else ())]
     names = [name for name, _ in roles]
     for name in names:
         if names.count(name) > 1 or name in (ROUTER_FILE, AUTHORITY_FILE):
@@ -242,9 +239,8 @@ def _read(path: Path, kind: type[_Kind], what: str) -> _Kind:
     try:
         status = path.stat()
         mode = stat.S_IMODE(status.st_mode)
-        if (
-            mode & 0o077 and status.st_uid == os.geteuid()
-        ):  # a container's secrets are another user's, and theirs to protect
+        # A container's secrets are another user's, and theirs to protect.
+        if mode & 0o077 and status.st_uid == os.geteuid():
             raise AccessDenied(
                 f"{path}: others can read these credentials (mode {mode:o}); chmod 600 it"
             )

@@ -62,9 +62,8 @@ class Outbox:
         """
         payload = self._encoder.encode(message)
         try:
-            self._decoder.decode(
-                payload
-            )  # what the reader will do: NaN has become null, 1e308 is out of bounds
+            # What the reader will do: NaN has become null, 1e308 is out of bounds.
+            self._decoder.decode(payload)
         except msgspec.ValidationError as error:
             raise ValueError(f"{self._topic}: {error}") from error
         try:
@@ -202,11 +201,7 @@ class Inbox:
         reason = "".join(
             letter if letter.isprintable() else ascii(letter)[1:-1] for letter in reason[:500]
         )
-        self.refused[sender] += 1
         self.fault[sender] = reason
-        if (
-            self.refused[sender] & (self.refused[sender] - 1) == 0
-        ):  # the 1st, 2nd, 4th, 8th ...: a flood must not fill a log
-            _LOG.warning(
-                "refused a message on %s: %s (%d so far)", expression, reason, self.refused[sender]
-            )
+        self.refused[sender] = count = self.refused[sender] + 1
+        if count & (count - 1) == 0:  # the 1st, 2nd, 4th, 8th ...: a flood must not fill a log
+            _LOG.warning("refused a message on %s: %s (%d so far)", expression, reason, count)

@@ -47,7 +47,6 @@ _OFF_WALL = 1e-6
 Rounding must not make the vehicle touch it.
 """
 
-
 _SPEEDS = (1.0, 0.6, 0.35, 0.2)
 """Shares of v_a at which a plan may return; a fast one runs too far where the way is short."""
 
@@ -384,9 +383,8 @@ def _return_at(promise: Promise, known: Known, tick: int, here: Motion, speed: f
             turn = max(1, math.ceil(change / (c.u_a * c.dt) - ROUNDING))
             q_x = here.p_x + 0.5 * (here.v_x + w_x) * turn * c.dt
             q_y = here.p_y + 0.5 * (here.v_y + w_y) * turn * c.dt
-        left = ((z.x - q_x) * w_x + (z.y - q_y) * w_y) / (
-            speed * speed * c.dt
-        ) - 0.5 * stop  # ticks at constant speed
+        along = (z.x - q_x) * w_x + (z.y - q_y) * w_y
+        left = along / (speed * speed * c.dt) - 0.5 * stop  # ticks at constant speed
         if not left >= 0.0:
             return _nothing()
         cruise = int(left)
@@ -466,9 +464,8 @@ def _may_go_on(
     """True if the UGV is surely within r_v now, and until the next tick where a wall keeps the UAV `over` [m] back."""
     c = promise
     within = plan[0].valid != 0 or farthest(c, known, tick, here.p_x, here.p_y, c.r_v) <= c.r_v
-    if (
-        within and over > 0.0
-    ):  # within the tick the bound is at most that of the point beyond the wall
+    if within and over > 0.0:
+        # within the tick the bound is at most that of the point beyond the wall
         room = c.r_v - over
         within = farthest(c, known, tick + 1, then.p_x, then.p_y, room) <= room
     return within

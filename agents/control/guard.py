@@ -333,9 +333,8 @@ def _guard_motions(
     if code == UNSAFE_COURSE:
         code = UNCHECKED_MOTION
     if code in (CERTIFIED, NO_PLAN, UNCHECKED_MOTION) and wait > c.outage_ticks:
-        code = (
-            OUTAGE  # also if it is yet to come, but no motion that is under way can begin any more
-        )
+        # Also if it is yet to come, but no motion that is under way can begin any more.
+        code = OUTAGE
     return u_x, u_y, acts, code
 
 

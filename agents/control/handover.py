@@ -40,10 +40,8 @@ def rest_to_rest(way: float, v_a: float, u_a: float, dt: float) -> tuple[int, in
     """
     if way <= 0.0:
         return 0, 0, 0.0
-    full, moving = (
-        max(1, math.ceil(v_a / (u_a * dt) - ROUNDING)),
-        math.ceil(way / (v_a * dt) - ROUNDING),
-    )
+    full = max(1, math.ceil(v_a / (u_a * dt) - ROUNDING))
+    moving = math.ceil(way / (v_a * dt) - ROUNDING)
     if moving >= full:
         return full, moving - full, way / (moving * dt)
     half = max(1, math.ceil(math.sqrt(way / u_a) / dt - ROUNDING))
@@ -70,9 +68,8 @@ def motion_stays_within(
         return False
     ticks = 2 * turn + cruise
     if 0.5 * (radius + way + rho) <= limit - drift * ticks:
-        return (
-            True  # the less of two bounds is no more than their mean, which is the same all the way
-        )
+        # The less of two bounds is no more than their mean, which is the same all the way.
+        return True
     speed = way / max(1, turn + cruise)  # metres in a tick
     x, v = 0.0, 0.0
     for k in range(1, ticks + 1):

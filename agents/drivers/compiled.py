@@ -21,7 +21,7 @@ from agents.drivers.tile_map import (
 from agents.drivers.ugv_tick import UgvMemory, ugv_tick
 from agents.drivers.wander import wander_pace
 from bus.errors import ScenarioError
-from bus.messages import MOST_CORNERS, UgvBriefing, UgvObservation, Vector
+from bus.messages import MOST_CORNERS, UgvBriefing, UgvObservation, Vector, or_infinite
 from bus.registry import BOLD, DRIVERS
 from bus.ticks import NO_TICK, first_tick_from, tick_of
 from sim.kernels.compile import FloatArray, borrowing, entry_point
@@ -63,8 +63,8 @@ def driver_parameters(briefing: UgvBriefing, driver: str) -> DriverParameters:
         dt=wheel.dt,
         width=width,
         height=height,
-        v_max=float(limits.max_speed or math.inf) if unbounded else wheel.v_max,
-        u_max=float(limits.max_acceleration or math.inf) if unbounded else wheel.u_max,
+        v_max=or_infinite(limits.max_speed) if unbounded else wheel.v_max,
+        u_max=or_infinite(limits.max_acceleration) if unbounded else wheel.u_max,
         tolerance=float(briefing.goal_tolerance),
         speed=float(speed),
         margin=float(margin),

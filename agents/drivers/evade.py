@@ -30,9 +30,8 @@ _FORGOTTEN = 5.0  # after so long without a message [s] the last one says nothin
 _LEAD = 1.0, 10.0  # least and largest lead [s], for a UGV that turns at once or hardly at all
 _SLOT = 5.0  # one sharp turn in so many leads
 _DASH = 4.0  # out of a corner it drives along a wall for so many leads
-_BEGIN, _SIDE, _ANGLE, _WALL, _SPOT = range(
-    2, 7
-)  # indices of the draws of a slot; 0 and 1 are the wanderer's
+# Indices of the draws of a slot; 0 and 1 are the wanderer's.
+_BEGIN, _SIDE, _ANGLE, _WALL, _SPOT = range(2, 7)
 
 
 @borrowing

@@ -57,9 +57,8 @@ def _pair(answer: object) -> tuple[float, float] | None:
         array = np.asarray(answer)
         if array.shape != (2,) or array.dtype.kind not in "fiu":
             return None
-        with np.errstate(
-            over="ignore"
-        ):  # a long double may be too large: it is infinite then, and refused
+        # A long double may be too large: it is infinite then, and refused.
+        with np.errstate(over="ignore"):
             x, y = array.astype(np.float64).tolist()
     except Exception:  # noqa: BLE001 - what turns an answer into an array is the policy's own code, as a tensor's
         return None
@@ -163,12 +162,10 @@ def _parameters(function: Callable[..., object]) -> set[str]:
 class PolicyDriver:
     """Asks the policy at each observation.
 
-    What a function answers is kept within the UGV's bounds: longer than u_max it is shortened, and where it would
-    go beyond
-    v_max it is turned off there. What was predicted from a row is passed on as it is, and the bounds of (1) act on
-    it in the
-    world, so it moves the UGV here to the bit as it does in the environment. What the policy remembers is its own
-    affair: a process that joins again calls it with all observations from the first.
+    What a function answers is kept within the UGV's bounds: longer than u_max it is shortened, and where it would go
+    beyond v_max it is turned off there. What was predicted from a row is passed on as it is, and the bounds of (1) act
+    on it in the world, so it moves the UGV here to the bit as it does in the environment. What the policy remembers is
+    its own affair: a process that joins again calls it with all observations from the first.
 
     Args:
         briefing: What the UGV is told when it joins.
@@ -180,9 +177,7 @@ class PolicyDriver:
         self._briefing = briefing
         self._steering = Steering(briefing)
         self._sees_rows = isinstance(policy, RowPolicy)
-        self._policy = (
-            policy if not isinstance(policy, RowPolicy) else self._predictor(policy, name)
-        )
+        self._policy = self._predictor(policy, name) if isinstance(policy, RowPolicy) else policy
         self._name = name
         self._warm = self._slow = self._long = False
 

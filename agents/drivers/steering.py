@@ -1,7 +1,7 @@
 """The wheel that every driver turns: a velocity, a goal or a halt, always within the UGV's bounds."""
 
 from agents.drivers.waypoints import goal_control
-from bus.messages import UgvBriefing, UgvObservation
+from bus.messages import UgvBriefing, UgvObservation, or_infinite
 from sim.kernels.compile import compiled
 from sim.models.vehicles import Motion, brake, clip_norm, norm
 
@@ -29,10 +29,6 @@ def velocity_control(
     return clip_norm((w_x - v_x) / dt, (w_y - v_y) / dt, u_max)
 
 
-def _bound(limit: float | None) -> float:
-    return LARGEST if limit is None else min(float(limit), LARGEST)
-
-
 class Steering:
     """Turns what a driver wants into an acceleration that keeps both bounds. Remembers nothing.
 
@@ -41,9 +37,9 @@ class Steering:
     """
 
     def __init__(self, briefing: UgvBriefing) -> None:
-        self.v_max = _bound(briefing.limits.max_speed)
+        self.v_max = min(or_infinite(briefing.limits.max_speed), LARGEST)
         """[m/s]"""
-        self.u_max = _bound(briefing.limits.max_acceleration)
+        self.u_max = min(or_infinite(briefing.limits.max_acceleration), LARGEST)
         """[m/s²]"""
         self.dt = float(briefing.dt)
         """Length of a tick [s]."""

@@ -10,14 +10,14 @@ from sim.kernels.compile import FloatArray, compiled
 
 SURE = 1.0 / math.sqrt(8.0)
 """Least deviation of the position per metre that the UGV may have strayed while it was not seen."""
-_TIRE_LIMIT = (
-    9.81  # [m/s²], what tires on the ground can give; where neither of the UGV's bounds is known
-)
-_HOLD = 1.0  # [s], how long an acceleration lasts where the largest speed is not known
-_VARIANCE_FLOOR = 1e-12  # [m²], (1 µm)²: a detector without noise must not make S singular
-_FREE_SPEED = (
-    10.0  # [m/s], deviation of the first velocity per axis where the largest speed is not known
-)
+_TIRE_LIMIT = 9.81
+"""What tires on the ground can give [m/s²]; where neither of the UGV's bounds is known."""
+_HOLD = 1.0
+"""How long an acceleration lasts where the largest speed is not known [s]."""
+_VARIANCE_FLOOR = 1e-12
+"""(1 µm)² [m²]: a detector without noise must not make S singular."""
+_FREE_SPEED = 10.0
+"""Deviation of the first velocity per axis where the largest speed is not known [m/s]."""
 
 
 class KalmanParameters(NamedTuple):
