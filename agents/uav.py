@@ -295,9 +295,8 @@ class UavPilot:
         """Take another law; map, filter and the state of the law before stay."""
         self._parameters = law_parameters(self._briefing, law)
         self._check_own_functions()
-        self.filter = (
-            self._make_filter() if self.filter is None or not self._watched else self.filter
-        )
+        if self.filter is None or not self._watched:
+            self.filter = self._make_filter()
         self._take_on()
 
     def prepare(self) -> None:

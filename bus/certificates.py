@@ -123,12 +123,8 @@ def _begin(
     return key, builder
 
 
-def new_authority(run: str, *, days: float = AUTHORITY_DAYS) -> Authority:
-    """An authority of one's own for the certificates of one run.
-
-    Args:
-        run: Its name.
-        days: How long it holds; no certificate that it makes holds longer.
+def new_authority(run: str) -> Authority:
+    """An authority of one's own for the certificates of one run; none that it makes holds longer than itself.
 
     Raises:
         BusError: If the extra [tls] is missing.
@@ -138,7 +134,7 @@ def new_authority(run: str, *, days: float = AUTHORITY_DAYS) -> Authority:
     from cryptography.hazmat.primitives import hashes  # noqa: PLC0415
 
     serial = f"{x509.random_serial_number():x}"[:8]  # two authorities of one run can be told apart
-    key, builder = _begin(f"Outrider {run} {serial}"[:64], days)
+    key, builder = _begin(f"Outrider {run} {serial}"[:64], AUTHORITY_DAYS)
     usage = x509.KeyUsage(
         digital_signature=False,
         content_commitment=False,

@@ -35,7 +35,7 @@ from agents.drivers.planning import (
     search_on,
     take_plan,
 )
-from agents.drivers.tile_map import begin_ground, ground_memory, note_block, note_tiles
+from agents.drivers.tile_map import ground_memory, note_block, note_tiles
 from bus.messages import Area, Limits, UgvBriefing, UgvGround
 from sim.models.ground import BLOCK, CLEAR, FOUND, ROUGH, TOUCH, UNSEEN
 from sim.models.vehicles import Motion, brake, norm, step_vehicle
@@ -201,9 +201,6 @@ def test_the_bumper_outweighs_the_radio_and_the_radios_block_its_clear() -> None
     note_block(memory, 1, 1, np.full(64, CLEAR, np.uint8))  # most of it is outside
     assert (memory.tiles[8, 8:] == CLEAR).all()
     assert (memory.tiles == UNSEEN).sum() == 90 - 64 - 2
-    begin_ground(memory)
-    assert not memory.tiles.any()
-    assert not memory.sure.any()
 
 
 def test_a_map_of_negative_size_is_refused() -> None:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from bus.messages import BLOCK_SIDE
 from sim.kernels.compile import FloatArray, IntArray, borrowing
-from sim.kernels.records import RecordArray, record_type
+from sim.kernels.records import RecordArray, records
 from sim.models.ground import BLOCK, UNSEEN, TileArray
 
 _NEVER = -1
@@ -84,37 +84,29 @@ def ground_memory(rows: int, columns: int, delay: int = 0) -> GroundMemory:
             f"rows, columns and delay must not be negative, not {rows}, {columns} and {delay}"
         )
     size = rows * columns
-    memory = GroundMemory(
-        tiles=np.zeros((rows, columns), dtype=np.uint8),
-        sure=np.zeros((rows, columns), dtype=np.uint8),
-        draft=np.zeros(size, dtype=np.uint8),
-        way=np.zeros(size, dtype=np.uint8),
-        cost=np.zeros(size),
-        heap=np.zeros(size, dtype=np.int32),
-        place=np.zeros(size, dtype=np.int32),
-        commands=np.zeros((delay, 2)),
-        flags=np.zeros(1, dtype=record_type(GroundFlags)),
+    flags = GroundFlags(
+        goal=0,
+        planned=_NEVER,
+        target=_NEVER,
+        stale=1,
+        searching=0,
+        aim=_NEVER,
+        open=0,
+        plans=0,
+        called=_NEVER,
+        settled=np.inf,
     )
-    begin_ground(memory)
-    return memory
-
-
-@borrowing
-def begin_ground(memory: GroundMemory) -> None:
-    """Make a memory as fresh as one from `ground_memory`, in place: an episode begins."""
-    rows, columns = memory.tiles.shape
-    for i in range(rows):
-        for j in range(columns):
-            memory.tiles[i, j], memory.sure[i, j] = UNSEEN, 0
-    for n in range(rows * columns):
-        memory.draft[n], memory.way[n], memory.cost[n] = UNSEEN, UNSEEN, np.inf
-        memory.heap[n], memory.place[n] = 0, _NEVER
-    for k in range(memory.commands.shape[0]):
-        memory.commands[k, 0], memory.commands[k, 1] = 0.0, 0.0
-    flags = memory.flags[0]
-    flags.goal, flags.planned, flags.target, flags.aim = 0, _NEVER, _NEVER, _NEVER
-    flags.searching, flags.open, flags.plans = 0, 0, 0
-    flags.stale, flags.called, flags.settled = 1, _NEVER, np.inf
+    return GroundMemory(
+        tiles=np.full((rows, columns), UNSEEN, dtype=np.uint8),
+        sure=np.zeros((rows, columns), dtype=np.uint8),
+        draft=np.full(size, UNSEEN, dtype=np.uint8),
+        way=np.full(size, UNSEEN, dtype=np.uint8),
+        cost=np.full(size, np.inf),
+        heap=np.zeros(size, dtype=np.int32),
+        place=np.full(size, _NEVER, dtype=np.int32),
+        commands=np.zeros((delay, 2)),
+        flags=records(GroundFlags, [flags]),
+    )
 
 
 @borrowing
