@@ -28,6 +28,7 @@ from agents.control.weighting import Weighting, check_weighting
 from agents.estimation.estimator import Estimate, estimator_of
 from bus.errors import ScenarioError
 from bus.messages import (
+    LONGEST_TEXT,
     Law,
     RelativeInformation,
     UavBriefing,
@@ -58,9 +59,6 @@ _NO_TARGET = Target(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 _NO_LOOKS = np.zeros((0, 3))
 _NOWHERE = Motion(0.0, 0.0, 0.0, 0.0)
-
-_LONGEST = 500
-"""Letters of a text on the bus."""
 
 
 class _Seen(NamedTuple):
@@ -125,7 +123,7 @@ def _report(estimate: Estimate, verdict: Verdict | None) -> UavReport:
     return msgspec.structs.replace(
         report,
         certified=verdict.certified,
-        uncertified=verdict.reason[:_LONGEST],
+        uncertified=verdict.reason[:LONGEST_TEXT],
         intervened=verdict.intervened,
         certified_distance=verdict.distance if math.isfinite(verdict.distance) else None,
     )

@@ -11,7 +11,7 @@ import zenoh
 
 from bus.errors import BusError
 from bus.keys import Key
-from bus.messages import Message
+from bus.messages import LONGEST_TEXT, Message
 
 _LOG = logging.getLogger("outrider.bus")
 WAKE_PERIOD = 0.1
@@ -198,9 +198,8 @@ class Inbox:
         )
 
     def _refuse(self, sender: str, expression: str, reason: str) -> None:
-        reason = "".join(
-            letter if letter.isprintable() else ascii(letter)[1:-1] for letter in reason[:500]
-        )
+        told = reason[:LONGEST_TEXT]
+        reason = "".join(one if one.isprintable() else ascii(one)[1:-1] for one in told)
         self.fault[sender] = reason
         self.refused[sender] = count = self.refused[sender] + 1
         if count & (count - 1) == 0:  # the 1st, 2nd, 4th, 8th ...: a flood must not fill a log

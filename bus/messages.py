@@ -20,7 +20,9 @@ NonNegative = Annotated[float, Meta(ge=0.0, le=1e12)]
 Positive = Annotated[float, Meta(gt=0.0, le=1e12)]
 Tick = Annotated[int, Meta(ge=0, le=2**53)]
 Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,31}$(?!\n)")]
-Text = Annotated[str, Meta(max_length=500)]
+LONGEST_TEXT = 500
+"""Letters of a text."""
+Text = Annotated[str, Meta(max_length=LONGEST_TEXT)]
 PilotKey = Annotated[str, Meta(pattern=r"^[0-9a-f]{32}$(?!\n)")]
 """128 bits: a string, as not every language's JSON keeps whole numbers of more than 53."""
 Vector = tuple[Coordinate, Coordinate]

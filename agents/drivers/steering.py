@@ -49,10 +49,7 @@ class Steering:
     ) -> tuple[float, float]:
         """The acceleration [m/s²] towards a wanted velocity [m/s], which is shortened to v_max where it is longer."""
         (v_x, v_y), (w_x, w_y) = observation.velocity, wanted
-        u_x, u_y = velocity_control(
-            v_x, v_y, float(w_x), float(w_y), self.v_max, self.u_max, self.dt
-        )
-        return u_x, u_y
+        return velocity_control(v_x, v_y, float(w_x), float(w_y), self.v_max, self.u_max, self.dt)
 
     def to_goal(
         self, observation: UgvObservation, goal: tuple[float, float]
@@ -60,14 +57,12 @@ class Steering:
         """The acceleration [m/s²] towards a goal [m], by the paper's driver."""
         here = Motion(*observation.position, *observation.velocity)
         x, y = float(goal[0]), float(goal[1])
-        u_x, u_y = goal_control(here, x, y, self.v_max, self.u_max, self.dt)
-        return u_x, u_y
+        return goal_control(here, x, y, self.v_max, self.u_max, self.dt)
 
     def to_rest(self, observation: UgvObservation) -> tuple[float, float]:
         """The acceleration [m/s²] that stops the UGV as soon as it can."""
         v_x, v_y = observation.velocity
-        u_x, u_y = brake(v_x, v_y, self.u_max, self.dt)
-        return u_x, u_y
+        return brake(v_x, v_y, self.u_max, self.dt)
 
     def within(
         self, observation: UgvObservation, wanted: tuple[float, float]

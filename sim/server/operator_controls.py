@@ -6,7 +6,7 @@ import msgspec
 
 from bus.errors import ScenarioError
 from bus.keys import CONTROL, OPERATOR
-from bus.messages import Action, Change, Control, Drive
+from bus.messages import LONGEST_TEXT, Action, Change, Control, Drive
 from bus.registry import DRIVERS
 from bus.session import Session
 from sim.scenario.checks import check_scenario
@@ -15,8 +15,6 @@ from sim.server.pace import Pace
 
 _REFUSALS = 5
 """So many of them are kept."""
-_LONGEST = 500
-"""Letters of a text on the bus."""
 
 MakePace = Callable[[float | None], Pace]
 """The course of time at a factor; None is lockstep."""
@@ -105,7 +103,7 @@ class OperatorControls:
             refusal = f"an operator's {control.action} is refused: {error}"
             self.refusals = [
                 *self.refusals,
-                f"tick {self._flight.world.tick}: {refusal}"[:_LONGEST],
+                f"tick {self._flight.world.tick}: {refusal}"[:LONGEST_TEXT],
             ][-_REFUSALS:]
             self._on_event(refusal)
             return

@@ -10,7 +10,14 @@ from dataclasses import dataclass, field
 import msgspec
 
 from bus.keys import BRIEFING, COMMAND, OBSERVATION, Key, Role
-from bus.messages import Command, Observation, UavCommand, UgvCommand, VehicleStatus
+from bus.messages import (
+    LONGEST_TEXT,
+    Command,
+    Observation,
+    UavCommand,
+    UgvCommand,
+    VehicleStatus,
+)
 from bus.session import Letter, Outbox, Session
 from sim.engine.briefing import briefing
 from sim.scenario.types import Uav
@@ -180,7 +187,7 @@ class Slots:
         if not slot.refused[cause]:
             self._on_event(f"{slot.name}: {cause}: {fault}; refused, and from now on only counted")
         slot.refused[cause] += count
-        slot.fault = fault[:500]
+        slot.fault = fault[:LONGEST_TEXT]
 
     @property
     def absent(self) -> list[str]:
