@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bus.messages import TILE_LETTERS, GroundBlock, Mission, MotionPlan, SeenTile
+from bus.messages import TILE_LETTERS, CoverageMap, GroundBlock, Mission, MotionPlan, SeenTile
 from bus.ticks import Look
 from sim.engine.batch import Batch
 from sim.engine.links import Links
@@ -229,3 +229,16 @@ class World:
         """
         self._measure(*self._measured)
         return self.state.measures
+
+    def coverage_map(self, scratch: FloatArray | None = None) -> CoverageMap:
+        """The coverage for observers, a byte a cell: 255 where nothing is left to be seen.
+
+        Args:
+            scratch: As large as the grid, changed; without it an array is made, which costs more than the sums in it.
+        """
+        rows, columns = self.coverage.shape
+        share = np.multiply(self.coverage, 255.0 / self.parameters.desired, out=scratch)
+        cells = np.minimum(share, 255.0, out=share).astype(np.uint8).tobytes()
+        return CoverageMap(
+            tick=self.tick, rows=rows, columns=columns, cell=self.parameters.cell, cells=cells
+        )

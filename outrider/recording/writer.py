@@ -181,7 +181,7 @@ class FlightRecorder:
             self._next_map = tick + max(
                 1, round(max(_MAP_PERIOD, _MAP_PERIOD * cells / _MAP_CELLS) / flight.scenario.dt)
             )
-            self._items.append((flight, tick, None, self._map_of(flight.world, flight.scenario)))
+            self._items.append((flight, tick, None, self._map_of(flight.world)))
             ground = ground_map(flight.world, self._hazards, flight.routes)
             if ground is not None:
                 self._hazards = ground.hazards
@@ -198,10 +198,10 @@ class FlightRecorder:
         else:
             self._items.append((self._flight, max(tick, self._flight.world.tick), None, line))
 
-    def _map_of(self, world: World, scenario: Scenario) -> CoverageMap:
+    def _map_of(self, world: World) -> CoverageMap:
         if self._scratch.shape != world.coverage.shape:
             self._scratch = np.empty_like(world.coverage)
-        return _map_of(world, scenario, self._scratch)
+        return world.coverage_map(self._scratch)
 
     def _status(self, flight: Flight) -> Status:
         now, (before, tick) = time.monotonic(), self._pace
@@ -345,25 +345,7 @@ class FlightRecorder:
             before = World(
                 flight.scenario, flight.seed, secret=flight.secret
             )  # the ground as it was before anybody moved
-            covered = _map_of(before, flight.scenario, np.empty_like(before.coverage))
-            self._file.take(COVERAGE, covered, 0.0)
+            self._file.take(COVERAGE, before.coverage_map(), 0.0)
             ground = ground_map(before)
             if ground is not None:
                 self._file.take(GROUND, ground, 0.0)
-
-
-def _map_of(world: World, scenario: Scenario, scratch: FloatArray) -> CoverageMap:
-    """The ground as bytes.
-
-    Args:
-        world: Of which.
-        scenario: Of which.
-        scratch: As large as the ground; a new array of that size for each map costs more than the sums in it.
-    """
-    rows, columns = scratch.shape
-    np.multiply(world.coverage, 255.0 / scenario.coverage.desired, out=scratch)
-    np.minimum(scratch, 255.0, out=scratch)
-    cells = scratch.astype(np.uint8).tobytes()
-    return CoverageMap(
-        tick=world.tick, rows=rows, columns=columns, cell=scenario.area.cell, cells=cells
-    )

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 
 from bus.keys import COVERAGE, GROUND, SAMPLED_TRUTH, STATUS, TRUTH
-from bus.messages import CoverageMap, Status
+from bus.messages import Status
 from bus.session import Session
 from sim.scenario.types import LinkTable, Scenario
 from sim.scene.known import geometry_of
@@ -95,7 +95,7 @@ class Telemetry:
         if self._status.wanted:
             self._status.send(self.status(now))
         if self._map.wanted:
-            self._map.send(self._coverage_map())
+            self._map.send(self._flight.world.coverage_map())
         if self._ground.wanted and (now >= self._ground_due or at_once):
             self._ground_due = now + _GROUND_PERIOD - 0.5 * _PERIOD
             ground = ground_map(self._flight.world, self._hazards, self._flight.routes)
@@ -136,16 +136,4 @@ class Telemetry:
             links=world.links.status(),
             vehicles=self._slots.statuses(),
             over=flight.over,
-        )
-
-    def _coverage_map(self) -> CoverageMap:
-        world = self._flight.world
-        rows, columns = world.coverage.shape
-        share = (world.coverage * (255.0 / world.parameters.desired)).clip(0.0, 255.0).astype("u1")
-        return CoverageMap(
-            tick=world.tick,
-            rows=rows,
-            columns=columns,
-            cell=world.parameters.cell,
-            cells=share.tobytes(),
         )
