@@ -88,11 +88,6 @@ class Assurance:
         return self._sum("certified")
 
     @property
-    def interventions(self) -> int:
-        """Those in which a filter acted instead of the law."""
-        return self._sum("intervened")
-
-    @property
     def certified_while_lost(self) -> int:
         """Ticks that were certified although the UGV was out of sight then.
 
@@ -184,7 +179,7 @@ class Assurance:
         return CertificateStatus(
             ticks=self.ticks,
             certified=self.certified,
-            intervened=self.interventions,
+            intervened=self._sum("intervened"),
             uncertified=dict(self.reasons),
             certified_while_lost=self.certified_while_lost,
             certificate_broken=self.certificate_broken,

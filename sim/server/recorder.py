@@ -18,8 +18,20 @@ from sim.kernels.records import RecordArray
 from sim.world import World
 
 _ROOM = 1024
-_CERTIFIED = 6
-"""Column of `Recorder.escorts`."""
+_VEHICLE = ("x [m]", "y [m]", "vx [m/s]", "vy [m/s]", "ux [m/s2]", "uy [m/s2]")
+"""Columns of `Recorder.states`; the last two are of the command that is applied during the tick."""
+_ESCORT = (
+    "distance [m]",
+    "coverage_error [m2]",
+    "detected_x [m]",
+    "detected_y [m]",
+    "estimate_x [m]",
+    "estimate_y [m]",
+    "certified",
+    "certified_distance [m]",
+)
+"""Columns of `Recorder.escorts`."""
+_CERTIFIED = _ESCORT.index("certified")
 
 
 def _certificate(report: UavReport) -> tuple[float, float]:
@@ -71,12 +83,8 @@ class Recorder:
         self.rows = 0
         """Number of states taken down: one more than complete ticks, once the flight is over."""
         vehicles, uavs = len(world.names), len(world.uavs)
-        self._states: FloatArray = np.empty(
-            (_ROOM, vehicles, 6)
-        )  # p, v at k; then the command applied during k
-        self._escorts: FloatArray = np.empty(
-            (_ROOM, uavs, 8)
-        )  # distance, e, detection, estimate, certified, bound
+        self._states: FloatArray = np.empty((_ROOM, vehicles, len(_VEHICLE)))
+        self._escorts: FloatArray = np.empty((_ROOM, uavs, len(_ESCORT)))
         self._truth = world.arrays[0].world, world.escorts, world.state
         self._take_down = entry_point(_take_down, *self._truth, self._states, self._escorts, 0)
         told = vehicles if world.scenario.disturbed else 0
@@ -168,20 +176,12 @@ class Recorder:
         Numbers survive exactly, none is an empty field. Only where wind or a wrong own position may take a UAV from
         where it is told that it is, the last columns tell that.
         """
+        uavs = [uav.name for uav in self._world.uavs]
         header = ["tick", "time [s]"]
-        for name in self._world.names:
-            header += [
-                f"{name}.{field}"
-                for field in ("x [m]", "y [m]", "vx [m/s]", "vy [m/s]", "ux [m/s2]", "uy [m/s2]")
-            ]
-        for uav in self._world.uavs:
-            header += [f"{uav.name}.{field}" for field in ("distance [m]", "coverage_error [m2]")]
-            header += [f"{uav.name}.{field}" for field in ("detected_x [m]", "detected_y [m]")]
-            header += [f"{uav.name}.{field}" for field in ("estimate_x [m]", "estimate_y [m]")]
-            header += [f"{uav.name}.{field}" for field in ("certified", "certified_distance [m]")]
+        header += [f"{name}.{field}" for name in self._world.names for field in _VEHICLE]
+        header += [f"{name}.{field}" for name in uavs for field in _ESCORT]
         if self._told.size:
-            for uav in self._world.uavs:
-                header += [f"{uav.name}.{field}" for field in ("told_x [m]", "told_y [m]")]
+            header += [f"{name}.told_{axis} [m]" for name in uavs for axis in "xy"]
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(header)
