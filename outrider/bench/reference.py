@@ -11,7 +11,6 @@ import numpy.typing as npt
 from sim.models.field import HILL, PLATEAU
 
 FloatGrid = npt.NDArray[np.float64]
-BoolGrid = npt.NDArray[np.bool_]
 
 _QUALITY = {
     HILL: lambda rho, peak, reach: peak / reach**4 * (rho**2 - reach**2) ** 2,
@@ -93,11 +92,3 @@ def coverage_gradient(
     return float((weight * (p_ax - x)).sum() * cell**2), float(
         (weight * (p_ay - y)).sum() * cell**2
     )
-
-
-def uncovered(
-    coverage: FloatGrid, p_gx: float, p_gy: float, r_o: float, desired: float, cell: float
-) -> BoolGrid:
-    """The cells that fulfil conditions 1 and 2 of (7)."""
-    x, y = centres(coverage, cell)
-    return (coverage < desired) & ((x - p_gx) ** 2 + (y - p_gy) ** 2 < r_o**2)
