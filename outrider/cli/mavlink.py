@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from outrider.bridges.mavlink.identity import VehicleSystem
     from outrider.bridges.mavlink.offboard import OffboardGateway
     from outrider.bridges.mavlink.run_gateway import RunGateway
-    from outrider.bridges.mavlink.udp import Network
+    from outrider.bridges.mavlink.udp import Address, Network
     from outrider.cli.stopping import Stop
     from outrider.view.operator import RunClient
 
@@ -131,10 +131,10 @@ def command(
     if out is None and listen is None:
         told = [] if autopilot else [_OFFBOARD if vehicle else _OUT]
         asked = [_AUTOPILOT] if autopilot else []
-    _check_listening(asked, insecure=insecure)
+    listening = {text: parse_address(text, listens=True) for text in asked}
+    _check_listening(listening, insecure=insecure)
     network = Network(
-        [parse_address(text, listens=False) for text in told],
-        [parse_address(text, listens=True) for text in asked],
+        [parse_address(text, listens=False) for text in told], list(listening.values())
     )
     began = time.monotonic()
     try:
@@ -220,19 +220,19 @@ def _fly_along(network: "Network", name: str, bus: _Bus) -> dict[str, object]:
     return {"vehicles": {name: 0 if peer is None else peer.system}, **found, **pilot.counts()}
 
 
-def _check_listening(addresses: list[str], *, insecure: bool) -> None:
+def _check_listening(addresses: "dict[str, Address]", *, insecure: bool) -> None:
     """Refuse to let strangers in by mistake: MAVLink knows no passwords.
 
     Raises:
         ScenarioError: If other machines reach an address.
     """
     from bus.errors import ScenarioError
+    from outrider.view.page import LOOPBACK
 
-    for address in addresses:
-        host = address.split(":")[1] if address.count(":") == 2 else ""
-        if host not in ("127.0.0.1", "localhost", "") and not insecure:
+    for text, address in addresses.items():
+        if not (insecure or address.host in LOOPBACK):
             raise ScenarioError(
-                f"--in {address}: other machines reach it, and MAVLink knows no passwords; say --insecure if they may"
+                f"--in {text}: other machines reach it, and MAVLink knows no passwords; say --insecure if they may"
             )
 
 

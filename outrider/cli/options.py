@@ -341,9 +341,11 @@ _PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream")
 
 def is_local(endpoint: str) -> bool:
     """True if only processes of this machine can reach an endpoint."""
+    from outrider.view.page import LOOPBACK
+
     protocol, _, address = endpoint.partition("/")
     host = address.rpartition(":")[0].strip("[]")
-    return protocol.startswith("unix") or host in ("127.0.0.1", "localhost", "::1")
+    return protocol.startswith("unix") or host in LOOPBACK
 
 
 def check_endpoint(endpoint: str) -> None:

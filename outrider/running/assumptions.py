@@ -31,7 +31,7 @@ from sim.kernels.compile import IntArray
 from sim.scenario.types import LinkTable, Scenario, Uav
 
 _RARE = 1e-6
-"""Events that are expected less often than this in a whole flight is not told."""
+"""Events that are expected less often than this in a whole flight are not told."""
 _MOST_PLAYED = 5_000
 """Ticks of Mahimahi's opportunities that are looked at; a process that does not compile plays them too."""
 
