@@ -178,6 +178,12 @@ class LinkSettings(Message, frozen=True, kw_only=True):
     message_bytes: Annotated[int, Meta(ge=1, le=1_000_000)] = 1000
     """Size of a message where a Mahimahi file is played [bytes]: each of its lines lets 1,500 bytes leave."""
 
+    def unlike(self, other: "LinkSettings | None" = None) -> dict[str, Any]:
+        """The fields in which it differs from another link, by default a perfect one, as plain values."""
+        theirs = msgspec.to_builtins(other or LinkSettings())
+        mine = msgspec.to_builtins(self)
+        return {name: value for name, value in mine.items() if value != theirs[name]}
+
 
 class LinkStatus(Message, frozen=True, kw_only=True):
     """The counters of a link: sent + duplicated = delivered + lost + waiting + flying."""
@@ -573,11 +579,8 @@ class Control(Message, frozen=True, kw_only=True):
             case Action.DRIVER:
                 return f"driver {self.driver} in {self.vehicle or 'every UGV'}"
             case Action.LINK:
-                told = msgspec.to_builtins(self.settings or LinkSettings())
-                plain = msgspec.to_builtins(LinkSettings())
-                changed = [
-                    f"{name} {value}" for name, value in told.items() if value != plain[name]
-                ]
+                settings = self.settings or LinkSettings()
+                changed = [f"{name} {value}" for name, value in settings.unlike().items()]
                 whose = self.vehicle or "every vehicle"
                 return f"link {self.link} of {whose}: {', '.join(changed) or 'perfect'}"
             case Action.SPEED:

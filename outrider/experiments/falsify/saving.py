@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from bus.messages import LinkKind, LinkSettings
+from bus.messages import LinkKind
 from sim.scenario.types import LinkTable, Scenario
 
 _WIDTH = 120
@@ -33,27 +33,16 @@ def _value(value: object) -> str:
     return str(value)
 
 
-def _changed(settings: LinkSettings) -> dict[str, Any]:
-    """The settings in which a link differs from a perfect one."""
-    plain = msgspec.to_builtins(settings)
-    return {
-        key: value
-        for key, value in plain.items()
-        if value != msgspec.to_builtins(LinkSettings())[key]
-    }
-
-
 def _links(links: LinkTable) -> Iterator[str]:
     kinds = [str(kind) for kind in LinkKind]
     for kind in kinds:
-        settings = _changed(getattr(links, kind))
+        settings = getattr(links, kind).unlike()
         if settings:
             yield from _table(f"[links.{kind}]", settings)
     for own in links.only:
         yield f'[[links.only]]\nvehicle = "{own.vehicle}"'
         for kind in kinds:  # fields that are not written are as everybody's
-            mine, theirs = (msgspec.to_builtins(getattr(table, kind)) for table in (own, links))
-            differs = {key: value for key, value in mine.items() if value != theirs[key]}
+            differs = getattr(own, kind).unlike(getattr(links, kind))
             if differs:
                 yield f"{kind} = {_value(differs)}"
         yield ""

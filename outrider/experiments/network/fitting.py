@@ -114,12 +114,9 @@ def wait_factor(one: Sample, other: Sample) -> float:
 
 def as_toml(settings: LinkSettings) -> str:
     """The fields that differ from a perfect link, as a scenario writes them."""
-    perfect = msgspec.to_builtins(LinkSettings())
-    told = msgspec.to_builtins(settings).items()
     lines = [
         f"{field} = {msgspec.json.encode(value).decode()}"
-        for field, value in told
-        if value != perfect[field]
+        for field, value in settings.unlike().items()
     ]
     return "\n".join(["[links.detections]    # or commands, operator, radio", *lines])
 
@@ -222,9 +219,8 @@ def _jittered(shape: str, most: float, x: FloatArray) -> LinkSettings:
 
 def _quantiles(settings: LinkSettings) -> FloatArray:
     least, most = extra_delays(settings)
-    return _extra_quantiles(
-        SHAPES[settings.jitter_shape], settings.jitter, least, most, _LEVELS
-    ) + (settings.delay)
+    shape = SHAPES[settings.jitter_shape]
+    return settings.delay + _extra_quantiles(shape, settings.jitter, least, most, _LEVELS)
 
 
 @compiled
