@@ -10,13 +10,13 @@ About three minutes for `attack`, one for each other.
 
 import dataclasses
 import math
-import sys
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from markdown_tables import head, print_chosen
 
 from agents.drivers.cautious import (
     Bounds,
@@ -447,8 +447,7 @@ def attack(runs: int = RUNS) -> Iterator[str]:
 
 def broken(runs: int = 500) -> Iterator[str]:
     """Fly wrong filters against an adversary at the wheel."""
-    yield "| filter | flights that enter a tile not known to be drivable |"
-    yield "|---|---|"
+    yield head("filter | flights that enter a tile not known to be drivable")
     for name, check in {"none": is_safe, **BROKEN}.items():
         caught = sum(fly(pushed_trial(k), k, check).entered > 0 for k in range(runs))
         yield f"| {name} | {caught} of {runs} |"
@@ -533,8 +532,4 @@ TABLES = {"attack": attack, "broken": broken, "arrivals": arrivals, "speed": spe
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2 or sys.argv[1] not in TABLES:
-        sys.exit(f"{__doc__}\ntable = {' '.join(sys.argv[1:])!r}; allowed: {', '.join(TABLES)}")
-    for line in TABLES[sys.argv[1]]():
-        sys.stdout.write(f"{line}\n")
-        sys.stdout.flush()
+    print_chosen(TABLES, __doc__)

@@ -13,9 +13,10 @@ profiles: whole flights over each shipped network profile: share of ticks certif
 
 import itertools
 import math
-import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+
+from markdown_tables import head, print_chosen
 
 from agents.control.handover import certificate, certified_radius, largest_age
 from agents.control.promise import Declared, Promise
@@ -47,8 +48,7 @@ NUMBERS = {name: PAPER_BOUNDS[name] for name in ("r_v", "v_a", "u_a", "v_g", "dt
 
 def radius() -> Iterator[str]:
     """The declared numbers and what follows from them."""
-    yield "| ε [m] | A [s] | τ_c [s] | R_h [m] | E [m] | r_cert [m] |"
-    yield "|---|---|---|---|---|---|"
+    yield head("ε [m] | A [s] | τ_c [s] | R_h [m] | E [m] | r_cert [m]")
     rows = [
         (0.0, 0.05, 0.0),
         (0.3, 0.05, 0.0),
@@ -70,8 +70,7 @@ def radius() -> Iterator[str]:
         yield f"| {eps:g} | {age:g} | {delay:g} | {c.handover:.3f} | {c.reach:.2f} | {r_cert:.2f} |"
     yield ""
     errors = (0.0, 0.3, 0.6, 0.9, 1.2, 1.5)
-    yield f"| largest A [s] at ε [m] | {' | '.join(f'{eps:g}' for eps in errors)} |"
-    yield f"|---|{'---|' * len(errors)}"
+    yield head(f"largest A [s] at ε [m] | {' | '.join(f'{eps:g}' for eps in errors)}")
     for delay in (0.0, 1.0):
         ages = [
             largest_age(certificate(Declared(**NUMBERS, eps=eps, age=0.05, delay=delay)))
@@ -145,8 +144,7 @@ def guards() -> Iterator[str]:
     add("the filter, commands 1 s late", Conditions(delay=1.0), 0.3)
     add("the filter, in a small room", Conditions(area=AREAS.small), 0.3)
     columns = "lose sight | certified while lost | certificate broken | largest d [m] | mean d [m]"
-    yield f"| guard and conditions, {RUNS:,} runs | {columns} |"
-    yield "|---|---|---|---|---|---|"
+    yield head(f"guard and conditions, {RUNS:,} runs | {columns}")
     for name, rows in _fly(tasks):
         told = [
             f"{int((rows[column] > 0).sum())}" if "filter" in name else "–"
@@ -159,8 +157,7 @@ def guards() -> Iterator[str]:
 def outage() -> Iterator[str]:
     """The cost of B."""
     waits = (0.05, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0)
-    yield f"| B [s] | {' | '.join(f'{wait:g}' for wait in waits)} |"
-    yield f"|---|{'---|' * len(waits)}"
+    yield head(f"B [s] | {' | '.join(f'{wait:g}' for wait in waits)}")
     for eps, age, delay in ((0.3, 1.0, 0.0), (0.3, 5.0, 0.0), (0.3, 1.0, 0.5), (0.9, 1.0, 0.0)):
         found = [
             certificate(Declared(**NUMBERS, eps=eps, age=age, delay=delay, outage=wait))
@@ -179,8 +176,7 @@ def outage() -> Iterator[str]:
 def wind() -> Iterator[str]:
     """The cost of w, and its size."""
     offs = (0.0, 0.1, 0.2, 0.3, 0.5, 0.8, 1.2)
-    yield f"| w [m] | {' | '.join(f'{off:g}' for off in offs)} |"
-    yield f"|---|{'---|' * len(offs)}"
+    yield head(f"w [m] | {' | '.join(f'{off:g}' for off in offs)}")
     for eps, age, outage in ((0.3, 1.0, None), (0.3, 5.0, None), (0.3, 1.0, 2.0)):
         found = [
             certificate(Declared(**NUMBERS, eps=eps, age=age, outage=outage, tracking=off))
@@ -197,8 +193,7 @@ def wind() -> Iterator[str]:
     yield ""
     pushes = ((0.1, 0.0), (0.2, 0.0), (0.0, 0.2), (0.1, 0.2))
     heads = " | ".join(f"W {most:g} m/s², ε_a {own:g} m" for most, own in pushes)
-    yield f"| k_p [1/s²], k_d [1/s]; w [m] (reserve [m/s²]) at | {heads} |"
-    yield f"|---|{'---|' * len(pushes)}"
+    yield head(f"k_p [1/s²], k_d [1/s]; w [m] (reserve [m/s²]) at | {heads}")
     for gains in ((1.0, 2.0), (2.25, 3.0), (4.0, 4.0), (1.0, 1.0), (1.0, 0.4)):
         loop, cells = InnerLoop(*gains, math.inf), []
         for push in pushes:
@@ -261,8 +256,7 @@ def motions() -> Iterator[str]:
             kept = kept._replace(outage=1.0)
         tasks.append((name, kept, 0.3, 0.0))
     columns = "B [s] | lose sight | certified while lost | certificate broken | ticks not certified | mean d [m]"
-    yield f"| commands that carry motions, {RUNS:,} runs | {columns} |"
-    yield "|---|---|---|---|---|---|---|"
+    yield head(f"commands that carry motions, {RUNS:,} runs | {columns}")
     for (name, rows), (_, conditions, _, _) in zip(_fly(tasks), tasks, strict=True):
         counts = [int((rows[k] > 0).sum()) for k in ("certified_lost", "broken")]
         lost = int((rows["max_distance"] >= 4.75).sum())
@@ -280,8 +274,7 @@ def commands() -> Iterator[str]:
         for share in margins
     ]
     columns = "0 | 1 | 1.5 | 2 | certified while lost | certificate broken | ticks not certified"
-    yield f"| commands; runs of {RUNS:,} that lose sight with a margin of | {columns} |"
-    yield "|---|---|---|---|---|---|---|---|"
+    yield head(f"commands; runs of {RUNS:,} that lose sight with a margin of | {columns}")
     for name, group in itertools.groupby(_fly(tasks), key=lambda one: one[0]):
         rows = [one[1] for one in group]
         lost = " | ".join(str(int((one["max_distance"] >= 4.75).sum())) for one in rows)
@@ -327,8 +320,7 @@ def _flown(task: tuple[str, str, bool, int]) -> tuple[float, float, int, float]:
 def profiles() -> Iterator[str]:
     """Whole flights against a UGV that evades, over each shipped profile."""
     columns = "ticks certified | certified while lost | mean e(t) [m²] | largest d [m]"
-    yield f"| profile, {SEEDS} flights of 160 s | on | commands carry | {columns} |"
-    yield "|---|---|---|---|---|---|---|"
+    yield head(f"profile, {SEEDS} flights of 160 s | on | commands carry | {columns}")
     cases = [("detections", False), *itertools.product(("commands", "both"), (False, True))]
     tasks = [
         (profile, links, carries, seed)
@@ -356,8 +348,4 @@ TABLES: dict[str, Callable[[], Iterator[str]]] = {
 }
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2 or sys.argv[1] not in TABLES:
-        sys.exit(f"{__doc__}\ntable = {' '.join(sys.argv[1:])!r}; allowed: {', '.join(TABLES)}")
-    for line in TABLES[sys.argv[1]]():
-        sys.stdout.write(f"{line}\n")
-        sys.stdout.flush()
+    print_chosen(TABLES, __doc__)

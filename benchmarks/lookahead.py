@@ -9,6 +9,7 @@ import time
 from collections.abc import Sequence
 
 import msgspec
+from markdown_tables import head
 from rich.console import Console
 from rich.progress import track
 
@@ -59,12 +60,8 @@ def main() -> None:
     parser.add_argument("--flights", type=int, default=6, help="for each law and driver")
     given = parser.parse_args()
     seeds = range(FIRST_SEED, FIRST_SEED + given.flights)
-    lines = [
-        "| law | horizon [s] | candidates | "
-        + " | ".join(f"`{d}`" for d in DRIVERS)
-        + " | µs a tick |",
-        "|---|---|---|" + "---|" * len(DRIVERS) + "---|",
-    ]
+    drivers = " | ".join(f"`{driver}`" for driver in DRIVERS)
+    lines = [head(f"law | horizon [s] | candidates | {drivers} | µs a tick")]
     console = Console(file=sys.stderr)
     for law in track(LAWS, "flying", console=console):
         flown = [fly(law, driver, seeds) for driver in DRIVERS]

@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from markdown_tables import head
 
 from agents.uav import UavPilot
 from outrider.bench.kernels import world_stepper
@@ -105,11 +106,7 @@ def main(words: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--flights", type=int, default=6, help="how many (%(default)s)")
     found = measure(parser.parse_args(words).flights)
-    lines = [
-        "| part | µs |",
-        "|---|---|",
-        *(f"| {name} | {us:.1f} |" for name, us in found.items()),
-    ]
+    lines = [head("part | µs"), *(f"| {name} | {us:.1f} |" for name, us in found.items())]
     lines += [f"| ratio | {found[WORLD] / found[WHOLE]:.2f} |"]
     sys.stdout.write("\n".join(lines) + "\n")
 

@@ -13,6 +13,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from markdown_tables import head
 
 from outrider.bench.kernels import ground
 from outrider.bench.many import RATE, WORLDS
@@ -205,14 +206,10 @@ def main(words: list[str] | None = None) -> None:
     if given.json:
         sys.stdout.write(json.dumps({"floor": least, "microseconds": found}) + "\n")
         return
-    lines = ["| arrangement | µs a world-step | world-steps/s |", "|---|---|---|"]
+    lines = [head("arrangement | µs a world-step | world-steps/s")]
     lines += [f"| {name} | {us:.2f} | {1e6 / us:,.0f} |" for name, us in found.items()]
-    lines += [
-        "",
-        "| floor | |",
-        "|---|---|",
-        *(f"| {name} | {value:,} |" for name, value in least.items()),
-    ]
+    lines += ["", "| floor | |", "|---|---|"]
+    lines += [f"| {name} | {value:,} |" for name, value in least.items()]
     sys.stdout.write("\n".join(lines) + "\n")
 
 
