@@ -28,7 +28,7 @@ from outrider.recording.schemas import (
     operator_topic,
 )
 from outrider.recording.tick_rows import Tick
-from outrider.recording.viewers import Viewers
+from outrider.recording.viewers import Place, Viewers
 from sim.scenario.types import Scenario
 
 try:  # an extra
@@ -62,6 +62,11 @@ class _Sink:
         except OSError as error:
             self.fault = OSError(error.errno, error.strerror or str(error), str(self._path))
         return len(data)
+
+    def check(self) -> None:
+        """Raise what a write has failed with."""
+        if self.fault is not None:
+            raise self.fault
 
     def flush(self) -> None:
         """Nothing waits here."""
@@ -134,8 +139,7 @@ class RecordingFile:
         return time_ns
 
     def _put(self, topic: Topic, message: msgspec.Struct, seconds: float) -> int:
-        if self._sink.fault is not None:
-            raise self._sink.fault
+        self._sink.check()
         time_ns = self._clock(seconds)
         if topic.name not in self._own:
             self._add(topic)
@@ -157,20 +161,12 @@ class RecordingFile:
             self._viewers.hazards(message.hazards)
         time_ns = self._put(topic, message, seconds)
         if isinstance(message, Truth):
-            self._show(message, time_ns)
+            vehicles, escorts = message.vehicles.items(), message.escorts
+            places = ((name, (*one.position, *one.velocity)) for name, one in vehicles)
+            pairs = {escort.uav: escort.ugv for escort in escorts}
+            self._show(message.time, time_ns, places, pairs, [one.distance for one in escorts])
         elif isinstance(message, CoverageMap):
             self._viewers.coverage(message, time_ns)
-
-    def _show(self, truth: Truth, time_ns: int) -> None:
-        """Show a tick to viewers."""
-        escorts = {escort.uav: escort.ugv for escort in truth.escorts}
-        if self._viewers.due(truth.time):
-            places = {
-                name: (*vehicle.position, *vehicle.velocity)
-                for name, vehicle in truth.vehicles.items()
-            }
-            self._viewers.show(truth.time, places, escorts, time_ns)
-        self._watch(escorts, (escort.distance for escort in truth.escorts), truth.time)
 
     def tick(self, tick: Tick, names: Sequence[str], escorts: Mapping[str, str]) -> None:
         """Take down a tick whose messages are text already, and the commands of the one before, for everybody.
@@ -180,24 +176,25 @@ class RecordingFile:
             names: Of the vehicles, in the order of its states.
             escorts: Each UAV, and the UGV it escorts.
         """
-        if self._sink.fault is not None:
-            raise self._sink.fault
+        self._sink.check()
         if tick.commands:
             self._own[COMMANDS.name].log(tick.commands, log_time=self._clock(tick.begun))
         time_ns = self._clock(tick.time)
         self._own[TRUTH.name].log(tick.truth, log_time=time_ns)
-        if self._viewers.due(tick.time):
-            places = {
-                name: (x, y, v_x, v_y)
-                for name, (x, y, v_x, v_y) in zip(names, tick.states.tolist(), strict=True)
-            }
-            self._viewers.show(tick.time, places, escorts, time_ns)
-        self._watch(escorts, tick.distances, tick.time)
+        places = zip(names, tick.states.tolist(), strict=True)
+        self._show(tick.time, time_ns, places, escorts, tick.distances)
 
-    def _watch(
-        self, escorts: Mapping[str, str], distances: Iterable[float], seconds: float
+    def _show(
+        self,
+        seconds: float,
+        time_ns: int,
+        places: Iterable[tuple[str, Place]],
+        escorts: Mapping[str, str],
+        distances: Sequence[float],
     ) -> None:
-        """Say when a UAV loses sight of its UGV, and when it sees it again."""
+        """Show a tick to viewers, and say when a UAV loses sight of its UGV, and when it sees it again."""
+        if self._viewers.due(seconds):
+            self._viewers.show(seconds, dict(places), escorts, time_ns)
         for uav, distance in zip(escorts, distances, strict=True):
             if (distance >= self._r_v) != (uav in self._lost):
                 self._lost ^= {uav}
@@ -228,8 +225,7 @@ class RecordingFile:
             OSError: If it does not take it.
         """
         self._writer.flush()
-        if self._sink.fault is not None:
-            raise self._sink.fault
+        self._sink.check()
         self._due = time.monotonic() + FLUSH_PERIOD
 
     def flush_if_due(self) -> None:
@@ -245,5 +241,4 @@ class RecordingFile:
         """
         self._writer.close()
         self._sink.close()
-        if self._sink.fault is not None:
-            raise self._sink.fault
+        self._sink.check()

@@ -7,7 +7,7 @@ from bus import keys
 from bus.messages import Change, CoverageMap, GroundMap, Message, Status, Truth
 from bus.session import Session
 from outrider.recording import schemas
-from outrider.recording.schemas import Commands, Head, Topic, head_of, unknown_head
+from outrider.recording.schemas import Commands, Head, Topic, head_of
 from sim.scenario.types import Scenario
 
 _INBOX_ROOM = 4096
@@ -63,13 +63,14 @@ class RunRecorder:
         self._file = file
         self._scenario = scenario
         self._truths = session.inbox(keys.TRUTH, newest=_INBOX_ROOM)
-        self._maps = session.inbox(keys.COVERAGE, newest=64)
-        self._grounds = session.inbox(keys.GROUND, newest=16)
+        self._maps = {
+            schemas.COVERAGE: session.inbox(keys.COVERAGE, newest=64),
+            schemas.GROUND: session.inbox(keys.GROUND, newest=16),
+        }
         self._statuses = session.inbox(keys.STATUS, newest=64)
         self._status: Status | None = None
         self._changes: tuple[Change, ...] = ()  # the last that were told
-        self._map: CoverageMap | None = None  # waits for its tick's truth
-        self._ground: GroundMap | None = None  # likewise
+        self._waiting: dict[Topic, CoverageMap | GroundMap] = {}  # for their ticks' truths
         self._over_since: float | None = None
         self._busy = False
         self._episode = -1
@@ -119,28 +120,22 @@ class RunRecorder:
                     self._take_changes(received.message.changes)
                 over = received.message.over
                 self._over_since = (self._over_since or time.monotonic()) if over else None
-        while (received := self._maps.next_waiting()) is not None:
-            if isinstance(received.message, CoverageMap):
-                self._map = received.message
-        while (received := self._grounds.next_waiting()) is not None:
-            if isinstance(received.message, GroundMap):
-                self._ground = received.message
-        self._put_map()
+        for topic, inbox in self._maps.items():
+            while (received := inbox.next_waiting()) is not None:
+                if isinstance(received.message, CoverageMap | GroundMap):
+                    self._waiting[topic] = received.message
+        self._put_maps()
 
     def _take_changes(self, changes: tuple[Change, ...]) -> None:
         for change in _new_in(changes, self._changes):
             self._file.take(schemas.CHANGES, change, self.newest_time)
         self._changes = changes
 
-    def _put_map(self) -> None:
-        if self._map is not None and self.newest_tick >= self._map.tick > 0:
-            seconds = self.newest_time * self._map.tick / self.newest_tick
-            self._file.take(schemas.COVERAGE, self._map, seconds)
-            self._map = None
-        if self._ground is not None and self.newest_tick >= self._ground.tick > 0:
-            seconds = self.newest_time * self._ground.tick / self.newest_tick
-            self._file.take(schemas.GROUND, self._ground, seconds)
-            self._ground = None
+    def _put_maps(self) -> None:
+        for topic, ground in list(self._waiting.items()):
+            if self.newest_tick >= ground.tick > 0:
+                self._file.take(topic, ground, self.newest_time * ground.tick / self.newest_tick)
+                del self._waiting[topic]
 
     def _take_truth(self, truth: Truth) -> None:
         if self._episode < 0 or truth.tick < self.newest_tick:
@@ -156,26 +151,16 @@ class RunRecorder:
         self.ticks += 1
         self.newest_tick, self.newest_time = truth.tick, truth.time
         self._file.take(schemas.TRUTH, truth, truth.time)
-        self._put_map()
+        self._put_maps()
 
     def _begin(self, truth: Truth) -> None:
         self._episode += 1
         if self._episode == 0:
             self.first_tick = truth.tick
         start = self._file.next_start if self._episode else 0.0
-        status = self._status
-        seed = status.seed if status is not None else 0
-        if self._scenario is not None:
-            self._file.begin(
-                head_of(self._scenario, seed, episode=self._episode, start=start), self._scenario
-            )
-        else:
-            self._file.begin(
-                unknown_head(
-                    status.scenario if status else "", seed, episode=self._episode, start=start
-                ),
-                None,
-            )
+        name, seed = ("", 0) if self._status is None else (self._status.scenario, self._status.seed)
+        head = head_of(self._scenario, seed, name=name, episode=self._episode, start=start)
+        self._file.begin(head, self._scenario)
 
     def counts(self) -> dict[str, object]:
         """Counts of what has come."""

@@ -173,10 +173,8 @@ def refly(recording: Recording) -> Reflight:
     Raises:
         ScenarioError: If the file does not tell the scenario, or does not begin with the first tick.
     """
-    flight, copy = (
-        _new_flight(recording),
-        _new_flight(recording),
-    )  # the copy only hashes what was recorded
+    flight = _new_flight(recording)
+    copy = _new_flight(recording)  # only hashes what was recorded
     difference = _difference(flight, recording.truths[0])
     flight.recorder.record(flight.answers.reports)
     _put(copy, recording.truths[0])

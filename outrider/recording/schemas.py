@@ -150,40 +150,35 @@ def _infinite(value: object, path: str) -> list[str]:
 
 
 def head_of(
-    scenario: Scenario, seed: int, *, secret: str = "", episode: int = 0, start: float = 0.0
+    scenario: Scenario | None,
+    seed: int,
+    *,
+    name: str = "",
+    secret: str = "",
+    episode: int = 0,
+    start: float = 0.0,
 ) -> Head:
-    """The head of a flight whose scenario is known.
+    """The head of a flight.
 
     Args:
-        scenario: What is flown.
+        scenario: What is flown; None: an observer is not told.
         seed: Of all random numbers.
+        name: Of the scenario, where it is not given.
         secret: Of the run, where it is known.
         episode: Which flight of the run.
         start: Where its tick 0 lies on the file's clock [s].
     """
-    plain: dict[str, Any] = msgspec.to_builtins(scenario)
+    plain: dict[str, Any] | None = msgspec.to_builtins(scenario)
     return Head(
         outrider=version("outrider"),
         episode=episode,
         start=start,
-        name=scenario.name,
+        name=name if scenario is None else scenario.name,
         seed=seed,
         secret=secret,
         platform=platform_row(),
         scenario=plain,
         infinite=tuple(_infinite(plain, "")),
-    )
-
-
-def unknown_head(name: str, seed: int, *, episode: int = 0, start: float = 0.0) -> Head:
-    """The head of a run of which an observer knows no more than its name and seed; as `head_of`."""
-    return Head(
-        outrider=version("outrider"),
-        episode=episode,
-        start=start,
-        name=name,
-        seed=seed,
-        platform=platform_row(),
     )
 
 

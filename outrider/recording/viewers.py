@@ -33,8 +33,8 @@ _MOST_HAZARDS = 500
 _UAV_HEIGHT, _UGV_HEIGHT = 1.0, 0.1
 """The heights at which viewers show them [m]; the world itself is flat."""
 
-Places = Mapping[str, tuple[float, float, float, float]]
-"""Position [m] and velocity [m/s] of each vehicle: x, y, v_x, v_y."""
+Place = Sequence[float]
+"""Position [m] and velocity [m/s] of a vehicle: x, y, v_x, v_y."""
 
 
 def _color(code: str, opacity: float = 1.0) -> messages.Color:
@@ -137,7 +137,9 @@ class Viewers:
         """True if they want to be shown this simulated time [s]."""
         return time >= self._next_view
 
-    def show(self, time: float, places: Places, escorts: Mapping[str, str], time_ns: int) -> None:
+    def show(
+        self, time: float, places: Mapping[str, Place], escorts: Mapping[str, str], time_ns: int
+    ) -> None:
         """Show where everybody is.
 
         Args:
@@ -160,7 +162,7 @@ class Viewers:
     def _place(
         self,
         name: str,
-        place: tuple[float, float, float, float],
+        place: Place,
         is_uav: bool,
         stamp: messages.Timestamp,
         time_ns: int,

@@ -181,7 +181,10 @@ class FlightRecorder:
             self._next_map = tick + max(
                 1, round(max(_MAP_PERIOD, _MAP_PERIOD * cells / _MAP_CELLS) / flight.scenario.dt)
             )
-            self._items.append((flight, tick, None, self._map_of(flight.world)))
+            if self._scratch.shape != flight.world.coverage.shape:
+                self._scratch = np.empty_like(flight.world.coverage)
+            covered = flight.world.coverage_map(self._scratch)
+            self._items.append((flight, tick, None, covered))
             ground = ground_map(flight.world, self._hazards, flight.routes)
             if ground is not None:
                 self._hazards = ground.hazards
@@ -197,11 +200,6 @@ class FlightRecorder:
             self._early.append(line)  # vehicles join before anything is flown
         else:
             self._items.append((self._flight, max(tick, self._flight.world.tick), None, line))
-
-    def _map_of(self, world: World) -> CoverageMap:
-        if self._scratch.shape != world.coverage.shape:
-            self._scratch = np.empty_like(world.coverage)
-        return world.coverage_map(self._scratch)
 
     def _status(self, flight: Flight) -> Status:
         now, (before, tick) = time.monotonic(), self._pace
@@ -342,9 +340,8 @@ class FlightRecorder:
         for written in self._texts.of(tick - 1, still, [[None] * len(flight.world.uavs)]):
             self._file.tick(written._replace(commands=b""), flight.world.names, self._escorts)
         if tick == 1:
-            before = World(
-                flight.scenario, flight.seed, secret=flight.secret
-            )  # the ground as it was before anybody moved
+            # The ground as it was before anybody moved.
+            before = World(flight.scenario, flight.seed, secret=flight.secret)
             self._file.take(COVERAGE, before.coverage_map(), 0.0)
             ground = ground_map(before)
             if ground is not None:
