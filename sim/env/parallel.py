@@ -23,7 +23,6 @@ from sim.env.actions import take_actions
 from sim.env.episode import Episode
 from sim.env.patch import OwnMaps, check_tile_patch, given_patch
 from sim.env.rewards import RewardWeights
-from sim.env.rows import Moment
 from sim.env.seeds import Seeds
 from sim.env.settings import ENV_DEFAULTS, EnvSettings, completed
 from sim.env.spaces import action_space, check_dtype, observation_space
@@ -381,7 +380,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
 
     def _follow(self) -> None:
         if self._view is not None:
-            self._view.follow(self.world, Moment.of(self.world))
+            self._view.follow(self.world)
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """A picture of this moment, shape (rows, columns, 3); with the mode "human" it is shown in a window instead.
@@ -395,7 +394,7 @@ class OutriderEnv(ParallelEnv):  # type: ignore[misc]
                 "render() draws nothing: the environment was made without render_mode='human' or 'rgb_array'"
             )
             return None
-        return self._view.render(self.world, Moment.of(self.world))
+        return self._view.render(self.world)
 
     def close(self) -> None:
         """Close the window, if there is one."""

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from bus.layout import UavRow, UgvRow
-from bus.ticks import Look
 from sim.engine.world_state import (
     LOOK,
     BatchState,
@@ -20,7 +19,6 @@ from sim.kernels.compile import FloatArray, IntArray, inlined
 from sim.kernels.records import RecordArray, columns, records
 from sim.models.vehicles import next_goal, norm
 from sim.scenario.types import Scenario, Ugv
-from sim.world import World
 
 
 class UavMetrics(NamedTuple):
@@ -61,30 +59,6 @@ class UgvMetrics(NamedTuple):
     new_hits: float
     new_still: float
     """Of them those of this tick."""
-
-
-class Moment(NamedTuple):
-    """The truth at one tick, as plain floats: rows as in the world's arrays."""
-
-    tick: int
-    time: float
-    position: list[list[float]]
-    velocity: list[list[float]]
-    received: list[list[Look]]
-    measures: list[list[float]]
-    """Distance [m] and e(t) [m²] of each UAV."""
-
-    @classmethod
-    def of(cls, world: World) -> "Moment":
-        """The moment that the world is at, as it was measured last."""
-        return cls(
-            world.tick,
-            world.time,
-            world.position.tolist(),
-            world.velocity.tolist(),
-            list(world.received),
-            world.state.measures.tolist(),
-        )
 
 
 UAV, UGV = columns(UavRow), columns(UgvRow)

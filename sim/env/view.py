@@ -6,7 +6,6 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.messages import Vector
-from sim.env.rows import Moment
 from sim.scene.known import scene_of
 from sim.scene.told_tiles import ground_map
 from sim.world import World
@@ -38,44 +37,44 @@ class Rendering:
         """A copy of an environment draws on a canvas and in a window of its own."""
         return self.__dict__ | {"_frames": None, "_window": None}
 
-    def follow(self, world: World, moment: Moment) -> None:
+    def follow(self, world: World) -> None:
         """Take in the next tick, and show it where a person looks; tick 0 begins anew."""
-        if moment.tick == 0:
+        if world.tick == 0:
             self._tracks, self._routes = [], {}
             if world.scenario.has_ground:
                 self._frames = None  # its hazards may be others
-        self._tracks.append(moment.position)
+        self._tracks.append(world.position.tolist())
         if self._mode == "human":
-            self.render(world, moment)
+            self.render(world)
 
     def show_route(self, ugv: str, route: tuple[Vector, ...]) -> None:
         """The way that a UGV plans, by its corners [m], until it plans another."""
         self._routes[ugv] = route
 
-    def render(self, world: World, moment: Moment) -> npt.NDArray[np.uint8] | None:
+    def render(self, world: World) -> npt.NDArray[np.uint8] | None:
         """The picture of this moment; None where it is shown to a person instead.
 
         Raises:
             OutriderError: If there is no display, or no pygame.
         """
         if self._mode == "human":
-            self._show(world, moment)
+            self._show(world)
             return None
-        return self._draw(world, moment)
+        return self._draw(world)
 
-    def _draw(self, world: World, moment: Moment) -> npt.NDArray[np.uint8]:
+    def _draw(self, world: World) -> npt.NDArray[np.uint8]:
         from sim.scene.frames import Frames  # noqa: PLC0415 - matplotlib is loaded when someone looks
 
         hazards = ground_map(world, routes=self._routes)
         if self._frames is None:
             self._frames = Frames(scene_of(world.scenario), width=_WIDTH, hazards=hazards)
         ways = np.array(self._tracks)
-        errors = [measure[1] for measure in moment.measures]
+        distances, errors = world.state.measures.T.tolist()
         frame = self._frames.draw(
             {name: ways[:, k] for k, name in enumerate(world.names)},
             np.minimum(world.coverage / world.parameters.desired, 1.0),
-            time=moment.time,
-            distance=max((measure[0] for measure in moment.measures), default=None),
+            time=world.time,
+            distance=max(distances, default=None),
             r_v=world.parameters.r_v,
             facts=f"{'sum of ' if len(errors) > 1 else ''}e(t) = {sum(errors):.0f} m²"
             if errors
@@ -84,13 +83,13 @@ class Rendering:
         )
         return frame[:, :, :3].copy()
 
-    def _show(self, world: World, moment: Moment) -> None:
+    def _show(self, world: World) -> None:
         from sim.env.window import Window  # noqa: PLC0415 - so is pygame
 
         if self._window is None:
             self._window = Window(f"Outrider: {world.scenario.name}", self._rate)
         if not self._window.closed:
-            self._window.show(self._draw(world, moment))
+            self._window.show(self._draw(world))
 
     def close(self) -> None:
         """Close the window; the next picture opens another."""
