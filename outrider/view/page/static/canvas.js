@@ -27,6 +27,26 @@ export function ticks(low, high, count) {
   return found;
 }
 
+// A colour as a pixel: RGBA, little-endian.
+export function pixel(color, opacity = 1) {
+  const value = parseInt(color.slice(1), 16);
+  return ((Math.round(255 * opacity) << 24) | ((value & 255) << 16) | (value & 0xff00) | (value >> 16)) >>> 0;
+}
+
+// Turn the bytes of a grid into a picture, each into its pixel of the table; row 0 is y = 0.
+export function paint(image, { columns, rows }, cells, table) {
+  const bytes = atob(cells);
+  if (image.width !== columns || image.height !== rows) [image.width, image.height] = [columns, rows];
+  const context = image.getContext("2d");
+  const pixels = context.createImageData(columns, rows);
+  const words = new Uint32Array(pixels.data.buffer);
+  for (let row = 0; row < rows; row += 1) {
+    const to = (rows - 1 - row) * columns;
+    for (let column = 0; column < columns; column += 1) words[to + column] = table[bytes.charCodeAt(row * columns + column)];
+  }
+  context.putImageData(pixels, 0, 0);
+}
+
 export function colorOf(list, index) {
   return list[index % list.length];
 }

@@ -1,6 +1,6 @@
 // The map: ground, tracks, vehicles, the limits of sight, and a close-up of the UGV with its estimate.
 
-import { FONT, colorOf, fit, ticks } from "./canvas.js";
+import { FONT, colorOf, fit, paint, ticks } from "./canvas.js";
 import { Hazards } from "./hazards.js";
 
 const KEPT_DETECTIONS = 40;
@@ -69,24 +69,10 @@ export class Ground {
     return { left: within(x - width / 2, area.width - width), bottom: within(y - height / 2, area.height - height), width, height };
   }
 
-  // Turn the bytes of a coverage map into a picture; row 0 is y = 0.
+  // Take a coverage map.
   takeMap(map) {
-    const { columns, rows } = map;
-    const bytes = atob(map.cells);
-    if (this.image.width !== columns || this.image.height !== rows) {
-      this.image.width = columns;
-      this.image.height = rows;
-    }
-    const context = this.image.getContext("2d");
-    const pixels = context.createImageData(columns, rows);
-    const table = this.store.shades;
-    const words = new Uint32Array(pixels.data.buffer);
-    for (let row = 0; row < rows; row += 1) {
-      const to = (rows - 1 - row) * columns;
-      for (let column = 0; column < columns; column += 1) words[to + column] = table[bytes.charCodeAt(row * columns + column)];
-    }
-    context.putImageData(pixels, 0, 0);
-    this.size = { width: columns * map.cell, height: rows * map.cell };
+    paint(this.image, map, map.cells, this.store.shades);
+    this.size = { width: map.columns * map.cell, height: map.rows * map.cell };
   }
 
   area() {

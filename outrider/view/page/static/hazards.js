@@ -1,5 +1,7 @@
 // The ground with hazards: a veil over what the UGVs do not know, and the hazards on it; unknown ones are faint.
 
+import { paint, pixel } from "./canvas.js";
+
 const HATCH = 7; // between two lines on rough ground [px]
 const [UNKNOWN, HIT] = [0, 2]; // states of a hazard; 1: a UGV knows of it
 
@@ -10,23 +12,10 @@ export class Hazards {
     this.map = null;
   }
 
-  // Take what observers are told of the ground; row 0 is y = 0.
+  // Take what observers are told of the ground.
   take(map) {
-    const { columns, rows } = map;
     const { tiles } = this.store.colors;
-    const words = Uint32Array.from(tiles, ([color, opacity]) => {
-      const value = parseInt(color.slice(1), 16);
-      return ((Math.round(255 * opacity) << 24) | ((value & 255) << 16) | (value & 0xff00) | (value >> 16)) >>> 0;
-    });
-    const bytes = atob(map.tiles);
-    [this.image.width, this.image.height] = [columns, rows];
-    const context = this.image.getContext("2d");
-    const pixels = context.createImageData(columns, rows);
-    const to = new Uint32Array(pixels.data.buffer);
-    for (let row = 0; row < rows; row += 1)
-      for (let column = 0; column < columns; column += 1)
-        to[(rows - 1 - row) * columns + column] = words[bytes.charCodeAt(row * columns + column)];
-    context.putImageData(pixels, 0, 0);
+    paint(this.image, map, map.tiles, Uint32Array.from(tiles, ([color, opacity]) => pixel(color, opacity)));
     this.map = map;
     this.states = Uint8Array.from(atob(map.states), (letter) => letter.charCodeAt(0));
   }

@@ -1,5 +1,6 @@
 // The page's own part: it keeps what the frames bring, and shows it.
 
+import { pixel } from "./canvas.js";
 import { Charts, PER_ESCORT } from "./charts.js";
 import { Ground, keepDetections } from "./ground.js";
 import { openLink } from "./link.js";
@@ -42,10 +43,7 @@ function setText(element, text) {
 function takeHello({ colors, steer }) {
   store.steer = steer;
   store.colors = colors;
-  store.shades = Uint32Array.from(colors.covered, (color) => {
-    const value = parseInt(color.slice(1), 16);
-    return ((255 << 24) | ((value & 255) << 16) | (value & 0xff00) | (value >> 16)) >>> 0; // little-endian RGBA
-  });
+  store.shades = Uint32Array.from(colors.covered, (color) => pixel(color));
 }
 
 function takeStatus(status) {
