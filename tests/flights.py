@@ -1,15 +1,17 @@
 """Scenarios for the tests of laws and worlds, and a UAV's law without its pilot."""
 
 import hashlib
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from agents.control.laws import LawParameters, law_parameters
-from bus.messages import Law, UavBriefing
+from bus.messages import Command, Law, Observation, UavBriefing
 from bus.profiles import PROFILES
 from outrider.envs.env_pilots import pilots
-from outrider.running.flying import fly
+from outrider.running.flying import InProcess, Pilot, fly
 from outrider.running.summary import Summary
 from sim.engine.briefing import briefing
 from sim.env.parallel import parallel_env
@@ -98,6 +100,21 @@ def flown_in_both(scenario: Scenario, seed: int) -> tuple[FloatArray, Flight, Su
     flight, summary = fly(scenario, seed)
     assert sha256(states) == summary.trajectory_sha256
     return states, flight, summary
+
+
+class Piloted(InProcess):
+    """The pilots, but one vehicle's observations are answered by a program of somebody's own."""
+
+    def __init__(self, pilots: Mapping[str, Pilot], vehicle: str, act: Callable[[Any], Command]):
+        super().__init__({name: pilot for name, pilot in pilots.items() if name != vehicle})
+        self._vehicle, self._act = vehicle, act
+
+    def publish(self, observations: Mapping[str, Observation]) -> None:
+        super().publish({name: observations[name] for name in self._pilots})
+        self._seen = observations[self._vehicle]
+
+    def collect(self, tick: int) -> dict[str, Command]:
+        return {self._vehicle: self._act(self._seen), **super().collect(tick)}
 
 
 EVADED = ("law.name=certified", "ugv.0.driver=evade", "duration=10.0")

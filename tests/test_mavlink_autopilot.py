@@ -5,7 +5,7 @@ import math
 
 import msgspec
 import pytest
-from flights import distances
+from flights import Piloted, distances
 from test_mavlink import Station, of
 
 from bus.errors import ScenarioError
@@ -20,7 +20,7 @@ from outrider.bridges.mavlink.autopilot import (
 from outrider.bridges.mavlink.dialect import mavlink
 from outrider.bridges.mavlink.gateway import BEYOND_BOUNDS, NOT_FINITE
 from outrider.bridges.mavlink.udp import UNREADABLE, Address, Network
-from outrider.running.flying import InProcess, fly, make_pilots
+from outrider.running.flying import fly, make_pilots
 from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
 
@@ -77,24 +77,18 @@ class Along:
         self.autopilot.asked += of(told, "COMMAND_LONG")
         flight, pilots = Flight(self.scenario, 0), make_pilots(self.scenario, 0)
         self.pilot.make(pilots["uav_0"]._briefing)
-        run = self
 
-        class Exchange(InProcess):
-            def publish(self, observations):
-                self.seen = observations["uav_0"]
-                super().publish({"ugv_0": observations["ugv_0"]})
+        def act(seen):
+            each_tick(seen.tick)
+            self.link.turn(0.0)
+            command = self.pilot.act(seen)
+            self.reports.append(command.report)
+            self.pilot.prepare()
+            self.link.refresh()
+            self.autopilot.live(moves=moves(seen.tick))
+            return command
 
-            def collect(self, tick):
-                each_tick(tick)
-                run.link.turn(0.0)
-                command = run.pilot.act(self.seen)
-                run.reports.append(command.report)
-                run.pilot.prepare()
-                run.link.refresh()
-                run.autopilot.live(moves=moves(tick))
-                return {"uav_0": command, **super().collect(tick)}
-
-        flight.fly(Exchange(pilots))
+        flight.fly(Piloted(pilots, "uav_0", act))
         return flight
 
     def close(self):

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from flights import distances
+from flights import Piloted, distances
 from processes import python
 from test_contract import ON_BOARD
 from test_mavlink import Station, of, second_station, texts
@@ -30,7 +30,7 @@ from outrider.bridges.mavlink.setpoints import (
     read_setpoint,
 )
 from outrider.bridges.mavlink.udp import UNREADABLE, Address, Network
-from outrider.running.flying import InProcess, fly, make_pilots
+from outrider.running.flying import fly, make_pilots
 from outrider.running.summary import summarize
 from sim.scenario.loading import load_scenario
 from sim.server.flight import Flight
@@ -107,18 +107,12 @@ class Run:
         flight = Flight(self.scenario, 0)
         pilots = make_pilots(self.scenario, 0)
         self.pilot.make(pilots["uav_0"]._briefing)
-        pilot = self.pilot
 
-        class Exchange(InProcess):
-            def publish(self, observations):
-                self.seen = observations["uav_0"]
-                super().publish({"ugv_0": observations["ugv_0"]})
+        def act(seen):
+            each_tick(seen.tick)
+            return self.pilot.act(seen)
 
-            def collect(self, tick):
-                each_tick(tick)
-                return {"uav_0": pilot.act(self.seen), **super().collect(tick)}
-
-        flight.fly(Exchange(pilots))
+        flight.fly(Piloted(pilots, "uav_0", act))
         return flight, summarize(flight, seconds=1.0)
 
     def close(self):

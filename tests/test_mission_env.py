@@ -4,7 +4,7 @@ import hashlib
 import json
 import math
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from runpy import run_path
 from typing import Any
@@ -12,20 +12,21 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from flights import Piloted
 from refusals import refused
 from worlds import equal, row_of, small
 
 import outrider
 from agents.drivers.policy import PolicyDriver
 from bus.errors import ScenarioError
-from bus.messages import Command, Mission, UgvBriefing, UgvCommand
+from bus.messages import Mission, UgvBriefing, UgvCommand, UgvObservation
 from outrider.envs.env_pilots import pilots
 from outrider.experiments.intervals import interquartile_interval
 from outrider.experiments.suite.board import leaderboard
 from outrider.experiments.suite.missions import mission_score, shortest_time
 from outrider.experiments.suite.scoring import Team
 from outrider.experiments.suite.tasks import MISSIONS, SEEDS, TASKS, Task
-from outrider.running.flying import InProcess, make_pilots
+from outrider.running.flying import make_pilots
 from sim.engine.briefing import briefing
 from sim.env.parallel import parallel_env as bare_env
 from sim.models.ground import BLOCK, CLEAR, OUTSIDE, ROUGH, UNSEEN
@@ -156,16 +157,10 @@ def test_a_policy_sees_over_the_bus_the_tiles_that_it_saw_in_the_environment() -
     assert isinstance(told, UgvBriefing)
     driver = PolicyDriver(told, policy=here, name="tiny:drive")
 
-    class AtTheWheel(InProcess):
-        def publish(self, observations: Mapping[str, Any]) -> None:
-            super().publish({"uav_0": observations["uav_0"]})
-            self.seen = observations["ugv_0"]
+    def act(seen: UgvObservation) -> UgvCommand:
+        return UgvCommand(tick=seen.tick, acceleration=driver.drive(seen))
 
-        def collect(self, tick: int) -> dict[str, Command]:
-            own = UgvCommand(tick=tick, acceleration=driver.drive(self.seen))
-            return {**super().collect(tick), "ugv_0": own}
-
-    Flight(scenario, 5).fly(AtTheWheel(make_pilots(scenario, 5)))
+    Flight(scenario, 5).fly(Piloted(make_pilots(scenario, 5), "ugv_0", act))
     assert len(there.seen) == len(here.seen)
     assert all(equal(one, other) for one, other in zip(there.seen, here.seen, strict=True))
     assert any((one["tiles"] == BLOCK).any() for one in here.seen)

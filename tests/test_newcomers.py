@@ -10,6 +10,7 @@ import jsonschema
 import msgspec
 import pytest
 import typer
+from flights import Piloted
 from tabular import words
 
 from bus.errors import ScenarioError
@@ -20,7 +21,7 @@ from outrider.cli.options import scenario_of
 from outrider.recording.reader import flight_of
 from outrider.recording.refly import external_uavs, restore
 from outrider.recording.writer import FlightRecorder
-from outrider.running.flying import InProcess, fly, make_pilots
+from outrider.running.flying import fly, make_pilots
 from outrider.running.summary import summarize
 from outrider.view.flight_picture import flight_figure
 from sim.scenario.loading import load_scenario, scenario_names, shipped_text
@@ -327,20 +328,13 @@ class Hover:
         return UavCommand(tick=observation.tick, acceleration=(-0.2 * x - v_x, -0.2 * y - v_y))
 
 
-class OwnExchange(InProcess):
-    """Flies the scenario's UGV and a UAV of the user's own."""
-
-    def collect(self, tick):
-        commands = super().collect(tick)
-        return commands | {"uav_0": Hover().act(self._observations["uav_0"])}
-
-
 def test_a_uav_of_ones_own_is_not_titled_with_the_law_that_it_does_not_fly(tmp_path):
     told = []
     scenario = load_scenario("escort", overrides={"duration": 5.0})
     flight = Flight(scenario, 7, on_notice=told.append)
     recorder = FlightRecorder(tmp_path / "own.mcap", scenario, 7)
-    flight.fly(OwnExchange(make_pilots(scenario, 7)), on_tick=lambda: recorder.tick(flight))
+    exchange = Piloted(make_pilots(scenario, 7), "uav_0", Hover().act)
+    flight.fly(exchange, on_tick=lambda: recorder.tick(flight))
     recorder.close()
     summary = summarize(flight, seconds=1.0)
     assert (summary.law, summary.certified_share, summary.uncertified) == ("external", None, {})

@@ -8,6 +8,7 @@ import signal
 import struct
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -21,7 +22,8 @@ import msgspec
 import pytest
 import typer
 from flights import HERE, escort
-from processes import opened, python
+from processes import opened, python, wait_until
+from staging import stage
 from typer.testing import CliRunner
 from worlds import SCENARIOS
 
@@ -31,11 +33,11 @@ pytest.importorskip("mcap", reason="the extra [record] is not installed")
 from mcap.reader import make_reader
 
 from bus.errors import ScenarioError
-from bus.keys import KEYS, SIMULATOR_NAME, Party, Role
+from bus.keys import KEYS
 from bus.messages import Law, UavCommand
-from bus.session import open_session
 from outrider.cli import record, render, replay
 from outrider.recording.mcap_file import RecordingFile
+from outrider.recording.observer import RunRecorder
 from outrider.recording.reader import (
     Damage,
     Recording,
@@ -63,8 +65,6 @@ from outrider.running.flying import InProcess, fly, make_pilots
 from outrider.running.summary import summarize
 from sim.scenario.types import Detections, Scenario, Uav, Ugv
 from sim.server.flight import Flight
-from sim.server.run_timing import Timing
-from sim.server.serving import Server
 
 SCENARIO = escort(
     "logarithmic",
@@ -567,26 +567,21 @@ def test_a_disk_that_fills_up_does_not_end_the_flight_and_is_told(tmp_path: Path
 
 
 def test_an_observer_records_a_run_in_progress_to_the_same_bits(tmp_path: Path) -> None:
-    endpoint, path = f"unixsock-stream/{tmp_path}/s", tmp_path / "run.mcap"
-    body = _PILOT.replace("ENDPOINT", repr(endpoint))
-    pilots = [opened([sys.executable, "-c", body, name]) for name in ("uav_0", "ugv_0")]
-    observer = opened(
-        [sys.executable, "-c", _OBSERVER.replace("ENDPOINT", repr(endpoint)), str(path)]
-    )
-    try:
-        with open_session(
-            Party(role=Role.SIMULATOR, name=SIMULATOR_NAME), "recorded", listen=(endpoint,)
-        ) as session:
-            server = Server(session, SCENARIO, SEED, Timing(join_timeout=60.0))
-            limit = time.monotonic() + 30.0
-            while not server._telemetry._truth.wanted and time.monotonic() < limit:
-                time.sleep(0.02)
-            flight = server.fly()
-            assert observer.wait(30.0) == 0
-    finally:
-        for process in (*pilots, observer):
-            process.kill()
-            process.wait()
+    path = tmp_path / "run.mcap"
+    with stage(tmp_path, 0, scenario=msgspec.structs.replace(SCENARIO, seed=SEED)) as run:
+        recorder = RunRecorder(run.client("observer"), RecordingFile(path), None)
+
+        def observe() -> None:
+            while not recorder.over:
+                recorder.take(0.2)
+            recorder.close()
+
+        observer = threading.Thread(target=observe)
+        observer.start()
+        run.start_both()
+        wait_until(lambda: run.server._telemetry._truth.wanted)
+        flight = run.fly()
+        observer.join(30.0)
     recording = flight_of(path)
     assert recording.missing_ticks == 0
     assert len(recording.truths) == flight.recorder.ticks + 1
@@ -597,30 +592,6 @@ def test_an_observer_records_a_run_in_progress_to_the_same_bits(tmp_path: Path) 
     assert refly(known).trajectory_sha256 == flight.recorder.sha256()
     assert call("replay", str(path), "--json").exit_code == 0
     assert call("render", str(path), "-o", str(tmp_path / "x.png")).exit_code == 0
-
-
-_PILOT = """
-import sys
-from agents.process import fly, uav_maker, ugv_maker
-from bus.keys import Party, Role
-name = sys.argv[1]
-role = Role(name[:3])
-maker = uav_maker() if role is Role.UAV else ugv_maker()
-fly(Party(role=role, name=name), maker, connect=ENDPOINT, run="recorded", join_timeout=60.0)
-"""
-_OBSERVER = """
-import sys, time
-from pathlib import Path
-from bus.keys import OBSERVER_NAME, Party, Role
-from bus.session import open_session
-from outrider.recording.mcap_file import RecordingFile
-from outrider.recording.observer import RunRecorder
-with open_session(Party(role=Role.OBSERVER, name=OBSERVER_NAME), "recorded", connect=ENDPOINT) as session:
-    recorder = RunRecorder(session, RecordingFile(Path(sys.argv[1])), None)
-    while not recorder.over:
-        recorder.take(0.2)
-    recorder.close()
-"""
 
 
 def test_a_picture_and_a_film_are_drawn(flown: tuple[Path, Flight], tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ And what operators said, with its tick.
 
 import math
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -17,7 +16,8 @@ from refusals import refused
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
 pytest.importorskip("mcap", reason="the extra [record] is not installed")
 
-from bus.keys import COVERAGE, GROUND, STATUS, TRUTH
+from observed import Observer
+
 from bus.messages import (
     Action,
     Change,
@@ -27,14 +27,12 @@ from bus.messages import (
     Law,
     LinkKind,
     LinkSettings,
-    Status,
     Truth,
     UavReport,
     UgvObservation,
     VehicleTruth,
 )
 from outrider.recording.mcap_file import RecordingFile
-from outrider.recording.observer import RunRecorder
 from outrider.recording.reader import entries, flight_of, load
 from outrider.recording.refly import refly, restore
 from outrider.recording.schemas import (
@@ -260,38 +258,16 @@ def test_their_schemas_stand_alone(message: type[Any]) -> None:
     assert set(schema["properties"]) == set(message.__struct_fields__)
 
 
-class Box:
-    """An inbox whose letters are there already."""
-
-    def __init__(self) -> None:
-        self.messages: list[Any] = []
-
-    def next_waiting(self) -> Any:
-        return SimpleNamespace(message=self.messages.pop(0)) if self.messages else None
-
-    def receive(self, patience: float) -> Any:
-        return self.next_waiting()
-
-
 def test_an_observer_writes_each_change_once(tmp_path: Path) -> None:
-    boxes = {key: Box() for key in (TRUTH, COVERAGE, GROUND, STATUS)}
-    session: Any = SimpleNamespace(inbox=lambda key, newest: boxes[key])
-    recorder = RunRecorder(session, RecordingFile(tmp_path / "run.mcap"), ONE)
-    flight = Flight(ONE, 3)
+    observer, flight = Observer(RecordingFile(tmp_path / "run.mcap"), ONE), Flight(ONE, 3)
     changes = [
         Change(tick=k // 2, control=Control(action=Action.STEP, ticks=1 + k % 3)) for k in range(60)
     ]
     for told in (0, 0, 1, 3, 3, 18, 22, 41, 60, 60):  # a status holds the last 20
-        boxes[TRUTH].messages.append(flight.truth())
-        shown = tuple(changes[max(0, told - 20) : told])
-        flying = {"scenario": "said", "seed": 3, "tick": 0, "ticks": 1, "vehicles": {}}
-        boxes[STATUS].messages.append(
-            Status(**flying, time=0.0, realtime_factor=1.0, changes=shown)
-        )
-        recorder.take(0.0)
-        recorder.take(0.0)
+        observer.take(flight, changes=tuple(changes[max(0, told - 20) : told]))
+        observer.recorder.take(0.0)
         flight.apply({})
-    recorder.close()
+    observer.recorder.close()
     assert load(tmp_path / "run.mcap")[0].changes == changes
 
 

@@ -18,12 +18,11 @@ from typer.testing import CliRunner
 pytest.importorskip("foxglove", reason="the extra [record] is not installed")
 pytest.importorskip("rosbags", reason="the extra [ros2] is not installed")
 
+from observed import Observer
 from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from bus.errors import ScenarioError
-from bus.keys import COVERAGE, GROUND, STATUS, TRUTH
-from bus.messages import Status
 from outrider.bridges.ros2.conversion import view_of
 from outrider.bridges.ros2.interfaces import decode, encode, make, type_hash, type_store
 from outrider.bridges.ros2.ros_bag import RECORDS_QOS, RosBag, copy_flight
@@ -31,7 +30,6 @@ from outrider.bridges.ros2.topics import TOPICS, messages_of
 from outrider.cli import record, replay
 from outrider.recording import schemas
 from outrider.recording.bag_records import RECORDS, RECORDS_TYPE
-from outrider.recording.observer import RunRecorder
 from outrider.recording.reader import coverages, flight_of, load, statuses
 from outrider.recording.refly import refly
 from outrider.recording.schemas import head_of
@@ -343,37 +341,16 @@ def test_without_the_extra_it_is_named(flown, tmp_path, monkeypatch):
         RosBag(tmp_path / "bag")
 
 
-class Box:
-    """An inbox whose messages are there already."""
-
-    def __init__(self):
-        self.messages = []
-
-    def next_waiting(self):
-        return SimpleNamespace(message=self.messages.pop(0)) if self.messages else None
-
-    def receive(self, _patience):
-        return self.next_waiting()
-
-
 def observed(folder, scenario, flights=2, ticks=4):
     """A bag of a run that is reset, as an observer records it who is told the geometry late."""
-    boxes = {key: Box() for key in (TRUTH, COVERAGE, GROUND, STATUS)}
-    session = SimpleNamespace(inbox=lambda key, newest: boxes[key])
-    recorder = RunRecorder(session, RosBag(folder), scenario)
+    observer = Observer(RosBag(folder), scenario)
     for _ in range(flights):
         flight = Flight(SCENARIO, SEED)
         for tick in range(ticks):
-            boxes[TRUTH].messages.append(flight.truth())
             told = geometry_of(SCENARIO) if tick >= 2 else None
-            fields = {"scenario": SCENARIO.name, "seed": SEED, "ticks": ticks, "vehicles": {}}
-            boxes[STATUS].messages.append(
-                Status(**fields, tick=tick, time=flight.world.time, realtime_factor=1.0,
-                       geometry=told)
-            )  # fmt: skip
-            recorder.take(0.0)
+            observer.take(flight, tick=tick, time=flight.world.time, ticks=ticks, geometry=told)
             flight.apply({})
-    return recorder
+    return observer.recorder
 
 
 @pytest.mark.parametrize("known", [True, False])
