@@ -8,14 +8,13 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from flights import distances
+from flights import distances, told
 
 from agents.control.visibility import SafetyFilter, promise_of
 from agents.env_wrappers import SafetyFilterWrapper
-from bus.messages import Detection, LinkSettings, UavBriefing, UavObservation
+from bus.messages import Detection, LinkSettings, UavObservation
 from outrider.running.assumptions import promise_warnings
 from outrider.running.flying import fly
-from sim.engine.briefing import briefing
 from sim.env.parallel import parallel_env
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Certificate, LinkTable, Scenario
@@ -26,12 +25,6 @@ R_V = 4.75
 def watched(*overrides: str, driver: str = "evade", duration: float = 120.0) -> Scenario:
     flown = ["law.name=certified", f"ugv.0.driver={driver}", f"duration={duration}"]
     return load_scenario("escort", overrides=[*flown, "area.cell=0.5", *overrides])
-
-
-def told(scenario: Scenario) -> UavBriefing:
-    message = briefing(scenario, "uav_0", scenario.seed)
-    assert isinstance(message, UavBriefing)
-    return message
 
 
 DARK = [

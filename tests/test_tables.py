@@ -1,7 +1,6 @@
 """The registry: every row can be flown, and its names stand nowhere else."""
 
 import ast
-import functools
 import re
 from collections import Counter
 from importlib import import_module
@@ -52,9 +51,10 @@ CHOSEN = {
 """Files that name a few of them on purpose, and why: an experiment's choice, which no new row changes."""
 
 
-@functools.cache
-def parsed(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
+@pytest.fixture(scope="module")
+def trees() -> dict[Path, ast.Module]:
+    """The product's files, parsed once, and not kept longer: they are large."""
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in PRODUCT}
 
 
 def _names_in(node: ast.AST) -> list[str]:
@@ -78,6 +78,8 @@ def copies(tree: ast.AST) -> list[str]:
     prose, found = _docstrings(tree), []
     for node in ast.walk(tree):
         names = [] if node in prose else _names_in(node)
+        if len(names) < 2:
+            continue
         least = 3 if isinstance(node, ast.Constant) else 2
         for table in (LAWS, DRIVERS, SAVED_POLICIES, SENSORS):
             listed = [name for name in dict.fromkeys(names) if name in table]
@@ -100,9 +102,11 @@ def test_a_copied_list_of_names_would_be_found(text: str) -> None:
     assert not copies(ast.parse('"""Of linear, switching and circle."""'))
 
 
-def test_no_list_of_laws_drivers_sensors_or_saved_policies_stands_outside_the_registry() -> None:
+def test_no_list_of_laws_drivers_sensors_or_saved_policies_stands_outside_the_registry(trees):
     found = {
-        str(path.relative_to(ROOT)): lines for path in PRODUCT if (lines := copies(parsed(path)))
+        str(path.relative_to(ROOT)): lines
+        for path, tree in trees.items()
+        if (lines := copies(tree))
     }
     assert {file: lines for file, lines in found.items() if file not in CHOSEN} == {}
     assert set(CHOSEN) == set(found)  # an excuse that is no longer needed goes
@@ -135,8 +139,8 @@ def test_a_row_without_its_branch_flies_no_other_law() -> None:
     assert np.isnan(weights(missing, OwnTerms(), 1.0)).all()
 
 
-def test_every_compiled_driver_has_its_branch() -> None:
-    tree = parsed(ROOT / "agents" / "drivers" / "ugv_tick.py")
+def test_every_compiled_driver_has_its_branch(trees: dict[Path, ast.Module]) -> None:
+    tree = trees[ROOT / "agents" / "drivers" / "ugv_tick.py"]
     asked = [
         node.comparators[0].id
         for node in ast.walk(tree)
@@ -210,13 +214,13 @@ def test_a_law_that_needs_no_switching_radius_flies_where_there_is_none() -> Non
         assert refused is row.needs_radius, row.name
 
 
-def test_no_file_and_no_public_class_has_the_name_of_another() -> None:
+def test_no_file_and_no_public_class_has_the_name_of_another(trees: dict[Path, ast.Module]) -> None:
     """Whoever looks for a name finds the one thing that has it."""
     files = [path.name for path in PRODUCT if path.name != "__init__.py"]
     classes = [
         node.name
-        for path in PRODUCT
-        for node in ast.walk(parsed(path))
+        for tree in trees.values()
+        for node in ast.walk(tree)
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
     ]
     twice = [name for name, count in Counter([*files, *classes]).items() if count > 1]

@@ -434,10 +434,8 @@ def written(settings: LinkSettings, interval: float) -> RecordedLink:
     return a_trace("sent,delay\n" + "\n".join(rows))
 
 
-@pytest.fixture
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Profiles are compared over few messages: which comes nearest is not asked."""
-    monkeypatch.setattr("outrider.experiments.network.samples._MESSAGES", 500)
+FEW = "outrider.experiments.network.samples._MESSAGES", 500
+"""For fits of which it is not asked which profile comes nearest."""
 
 
 def test_the_fit_finds_the_settings_of_a_drawn_link_and_its_profile() -> None:
@@ -460,12 +458,14 @@ def test_the_fit_finds_the_settings_of_a_drawn_link_and_its_profile() -> None:
     assert 'jitter_shape = "pareto"' in fit.toml
 
 
-def test_the_fit_tells_blackouts_and_lonely_losses_apart() -> None:
+def test_the_fit_tells_blackouts_and_lonely_losses_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     wanted = LinkSettings(
         delay=0.1, jitter=0.02, jitter_shape="normal", jitter_cut=0.1, loss=0.02,
         blackout_length=0.4, blackout_interval=20.0,
     )  # fmt: skip
-    found = fit_link(written(wanted, 0.04))[0].settings
+    recorded = written(wanted, 0.04)
+    monkeypatch.setattr(*FEW)
+    found = fit_link(recorded)[0].settings
     assert found.jitter_shape == "normal"
     assert found.burst_length == 0.0
     for field, within in (
@@ -478,12 +478,14 @@ def test_the_fit_tells_blackouts_and_lonely_losses_apart() -> None:
         assert getattr(found, field) == pytest.approx(getattr(wanted, field), rel=within), field
 
 
-def test_the_fit_of_a_steady_link_is_its_delay_and_nothing_else(few: None) -> None:
+def test_the_fit_of_a_steady_link_is_its_delay_and_nothing_else(monkeypatch) -> None:
+    monkeypatch.setattr(*FEW)
     steady = fit_link(a_trace("sent,delay\n0,0.25\n0.1,0.25\n0.2,0.25\n"))[0]
     assert steady.settings == LinkSettings(delay=0.25)
 
 
-def test_the_command_fits_a_mahimahi_file_and_draws_it(here: Path, command: Any, few: None) -> None:
+def test_the_command_fits_a_mahimahi_file_and_draws_it(here, command, monkeypatch) -> None:
+    monkeypatch.setattr(*FEW)
     (here / "drive").write_text("\n".join(str(k * k) for k in range(1, 60)))
     told = command(*words("network fit drive --message-bytes 90 --out fit.png --json"))
     assert told.returncode == 0, told.stderr
