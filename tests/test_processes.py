@@ -243,9 +243,9 @@ def test_processes_started_one_by_one_fly_the_same_bits() -> None:
 
 def test_a_vehicle_that_never_comes_is_named() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    run = outrider("simulator", "escort", "--listen", endpoint, "--join-timeout", "1")
+    run = outrider("simulator", "escort", "--listen", endpoint, "--join-timeout", "0.2")
     assert run.returncode == 1
-    assert "uav_0 and ugv_0 did not join within 1 s" in run.stderr
+    assert "uav_0 and ugv_0 did not join within 0.2 s" in run.stderr
     assert "Traceback" not in run.stderr
 
 

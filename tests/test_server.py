@@ -154,12 +154,12 @@ def test_a_vehicle_without_a_command_holds_its_last_one_and_then_brakes(tmp_path
         if tick < 3:
             outbox.send(UavCommand(tick=tick, acceleration=(0.2, 0.0)))
 
-    with flying(tmp_path, 9, deadline=0.25, uav=fading) as run:
+    with flying(tmp_path, 7, deadline=0.25, uav=fading) as run:
         flight = run.fly()
-    applied = flight.recorder.states[:9, 0, 4]
+    applied = flight.recorder.states[:7, 0, 4]
     assert applied[:5].tolist() == [0.2] * 5  # three of its own, two held: hold = 0.1 s
     assert (applied[5:] < 0.0).any()
-    assert np.hypot(*flight.recorder.states[9, 0, 2:4]) < 0.2 * 5 * 0.05
+    assert np.hypot(*flight.recorder.states[7, 0, 2:4]) < 0.2 * 5 * 0.05
 
 
 def test_a_vehicle_that_leaves_is_named_and_the_run_goes_on(tmp_path: Path) -> None:
