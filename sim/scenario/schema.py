@@ -1,9 +1,10 @@
 """The JSON Schema of a scenario's file, made from its types and from the documentation of their fields."""
 
 import ast
+import functools
 import inspect
 import itertools
-import textwrap
+from types import ModuleType
 from typing import Any
 
 import msgspec
@@ -22,8 +23,9 @@ def field_docs(struct: type[msgspec.Struct]) -> dict[str, str]:
     for cls in reversed(struct.__mro__):
         if cls in (object, msgspec.Struct) or not issubclass(cls, msgspec.Struct):
             continue
-        (table,) = ast.parse(textwrap.dedent(inspect.getsource(cls))).body
-        for before, after in itertools.pairwise(getattr(table, "body", ())):
+        for before, after in itertools.pairwise(
+            _classes(inspect.getmodule(cls))[cls.__name__].body
+        ):
             if (
                 isinstance(before, ast.AnnAssign)
                 and isinstance(before.target, ast.Name)
@@ -32,6 +34,13 @@ def field_docs(struct: type[msgspec.Struct]) -> dict[str, str]:
             ):
                 found[before.target.id] = " ".join(str(after.value.value).split())
     return found
+
+
+@functools.cache
+def _classes(module: ModuleType | None) -> dict[str, ast.ClassDef]:
+    """The classes of a module, as they are written."""
+    written = ast.parse(inspect.getsource(module)).body if module is not None else []
+    return {one.name: one for one in written if isinstance(one, ast.ClassDef)}
 
 
 def scenario_schema() -> dict[str, Any]:
