@@ -10,8 +10,19 @@ from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any, ClassVar
 
+import msgspec
 import pytest
-from processes import alive, child_of, children_of, command_line, flying, python, wait_until
+from processes import (
+    alive,
+    child_of,
+    children_of,
+    command_line,
+    family,
+    flying,
+    kind_of,
+    python,
+    wait_until,
+)
 
 from bus.errors import BusError
 from outrider.running import forking, launch
@@ -199,13 +210,28 @@ def test_what_is_compiled_at_once_waits_for_no_other_and_the_same_waits(
         assert entered.is_set()
 
 
-def test_where_orphans_find_no_parent_each_process_is_started_by_itself(monkeypatch):
+def test_where_orphans_find_no_parent_each_process_is_started_by_itself_and_shows_no_secret(
+    monkeypatch,
+):
     monkeypatch.setattr(forking, "_adopting", lambda: nullcontext(False))
     monkeypatch.setattr(forking, "Forkserver", None)  # nobody starts one
+    monkeypatch.setenv("OUTRIDER_SECRET", SECRET)
+    shown = {}
+
+    def look() -> int:
+        for pid in family(os.getpid()):
+            with suppress(OSError):  # it may just have ended
+                environment = Path(f"/proc/{pid}/environ").read_text(errors="replace")
+                shown[kind_of(pid)] = SECRET in environment + command_line(pid)
+        return 0
+
     scenario, changes = load_scenario("escort", overrides=["duration=1.0"]), ["duration=1.0"]
-    outcome = launch.launch(scenario, "escort", changes, launch.NOBODY, launch.Output())
+    watcher = msgspec.structs.replace(launch.NOBODY, stop=look)
+    outcome = launch.launch(scenario, "escort", changes, watcher, launch.Output(), secret=SECRET)
+    assert shown == {"simulator": False, "uav": False, "ugv": False}
     assert outcome.summary is not None
-    assert outcome.summary.trajectory_sha256 == fly(scenario, scenario.seed)[1].trajectory_sha256
+    told = fly(scenario, scenario.seed, secret=SECRET)[1]
+    assert outcome.summary.trajectory_sha256 == told.trajectory_sha256
 
 
 @pytest.mark.usefixtures("nothing_left_behind")

@@ -21,16 +21,32 @@ _NOTICE = "outrider.policy: "
 """The beginning of a line in a pilot's log that tells of the user's own code."""
 _TRACEBACK = "Traceback (most recent call last):"
 _SECRET = "OUTRIDER_SECRET"  # noqa: S105 - a variable's name
-"""The place where the simulator's process finds the run's secret."""
+"""The place where a simulator's process that was forked finds the run's secret."""
 
 
 def environment_of(secret: str) -> dict[str, str]:
     """A child's environment: ours, without our run's secret unless it is for it.
 
-    A command line would show it to everybody.
+    A forked process has it in its memory alone; of an interpreter that is started all processes of its user can read
+    the environment, a vehicle's among them, as all users can read its command line.
     """
     ours = {name: value for name, value in os.environ.items() if name != _SECRET}
     return ours | ({_SECRET: secret} if secret else {})
+
+
+@contextlib.contextmanager
+def _readable(secret: str) -> Iterator[tuple[int, ...]]:
+    """An open file from which a child reads a secret, once; none where there is no secret."""
+    if not secret:
+        yield ()
+        return
+    reader, writer = os.pipe()
+    os.write(writer, secret.encode())
+    os.close(writer)
+    try:
+        yield (reader,)
+    finally:
+        os.close(reader)
 
 
 def outrider_command(*words: str) -> list[str]:
@@ -73,15 +89,16 @@ class Child:
                 command, environment_of(secret), cores, heard=lines is not None
             )
         else:
-            self._process = subprocess.Popen(
-                command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.DEVNULL if lines is None else subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                pass_fds=files,
-                env=environment_of(secret),
-                start_new_session=True,  # Ctrl-C reaches us alone; we end the children in order
-            )
+            with _readable(secret) as told:
+                self._process = subprocess.Popen(
+                    [*command, *(f"--secret=@/dev/fd/{file}" for file in told)],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.DEVNULL if lines is None else subprocess.PIPE,
+                    stderr=subprocess.PIPE,
+                    pass_fds=(*files, *told),
+                    env=environment_of(""),
+                    start_new_session=True,  # Ctrl-C reaches us alone; we end the children in order
+                )
         self._readers = [
             threading.Thread(target=self._listen, args=(self._process.stderr,), daemon=True)
         ]
