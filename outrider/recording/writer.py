@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from bus.messages import (
@@ -205,32 +206,14 @@ class FlightRecorder:
         now, (before, tick) = time.monotonic(), self._pace
         self._pace = (now, flight.world.tick)
         vehicles = self._vehicles() if self._vehicles is not None else {}
-        counted = {
-            name: VehicleStatus(
-                present=True,
-                missing_commands=flight.answers.missing[name],
-                stale_commands=flight.answers.stale[name],
-                shortened_commands=flight.answers.shortened[name],
-            )
-            for name in flight.world.names
-        }
-        return Status(
-            scenario=flight.scenario.name,
-            seed=flight.seed,
-            tick=flight.world.tick,
-            ticks=flight.scenario.ticks,
-            time=flight.world.time,
+        status = flight.status()
+        return msgspec.structs.replace(
+            status,
             realtime_factor=max(0, flight.world.tick - tick)
             * flight.scenario.dt
             / max(now - before, 1e-6),
-            law=flight.law.name,
-            drivers=dict(flight.drivers),
-            vehicles={**counted, **vehicles},
-            certificates=flight.answers.assurance.status(),
-            mission=flight.world.mission,
             warnings=promise_warnings(flight.flown, flight.world.links.table),
-            links=flight.world.links.status(),
-            over=flight.over,
+            vehicles={**status.vehicles, **vehicles},
         )
 
     def close(self) -> None:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from bus.messages import Command, UavCommand, UavReport
+from bus.messages import Command, UavCommand, UavReport, VehicleStatus
 from bus.ticks import Look
 from sim.scenario.types import Scenario
 from sim.server.assurance import Arrival, Assurance
@@ -69,6 +69,15 @@ class Answers:
         self._bounds = dict(zip(world.names, world.bounds[:, 1].tolist(), strict=True))  # [m/s²]
         self._pairs: list[tuple[int, int]] = [(a, g) for a, g in world.escorts.tolist()]
         self._unsettled: _Tick | None = None
+
+    def counted(self, name: str) -> VehicleStatus:
+        """The counts of a vehicle that has joined."""
+        return VehicleStatus(
+            present=True,
+            missing_commands=self.missing[name],
+            stale_commands=self.stale[name],
+            shortened_commands=self.shortened[name],
+        )
 
     def note(
         self,

@@ -30,9 +30,9 @@ from bus.messages import (
     Observation,
     RelativeInformation,
     SeenTile,
+    Status,
     Truth,
     UavObservation,
-    UavReport,
     UgvCommand,
     UgvObservation,
     Vector,
@@ -215,14 +215,33 @@ class Flight:
         if name in self._uav_row:
             self.answers.assurance.excuse(self._uav_row[name])
 
-    def watched(self) -> dict[str, UavReport]:
-        """The last reports of the UAVs that a safety filter watches over."""
+    def status(self) -> Status:
+        """How the flight stands; at which pace, and how its vehicles' processes are, is added by who knows."""
         told = zip(self.world.uavs, self.answers.reports, strict=True)
-        return {
+        watched = {
             uav.name: report
             for uav, report in told
             if report is not None and report.certified is not None
         }
+        return Status(
+            scenario=self.scenario.name,
+            seed=self.seed,
+            tick=self.world.tick,
+            ticks=self.scenario.ticks,
+            time=self.world.time,
+            realtime_factor=0.0,
+            law=self.law.name,
+            drivers=dict(self.drivers),
+            certified={name: bool(report.certified) for name, report in watched.items()},
+            uncertified={
+                name: report.uncertified for name, report in watched.items() if not report.certified
+            },
+            certificates=self.answers.assurance.status(),
+            mission=self.world.mission,
+            links=self.world.links.status(),
+            vehicles={name: self.answers.counted(name) for name in self.world.names},
+            over=self.over,
+        )
 
     def news(self, tick: int) -> dict[str, News]:
         """The news of a tick, by vehicle; only those that were told something."""

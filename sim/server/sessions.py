@@ -300,11 +300,9 @@ class Slots:
         """The status of each vehicle."""
         answers = self._flight.answers
         return {
-            name: VehicleStatus(
+            name: msgspec.structs.replace(
+                answers.counted(name),
                 present=slot.present,
-                missing_commands=answers.missing[name],
-                stale_commands=answers.stale[name],
-                shortened_commands=answers.shortened[name],
                 lost=slot.lost,
                 rejoined=slot.rejoined,
                 refused=dict(slot.refused),

@@ -6,6 +6,8 @@ The truth, the map and the status, to whoever listens, and never in the tick's w
 import time
 from collections.abc import Callable
 
+import msgspec
+
 from bus.keys import COVERAGE, GROUND, SAMPLED_TRUTH, STATUS, TRUTH
 from bus.messages import Status
 from bus.session import Session
@@ -108,32 +110,17 @@ class Telemetry:
         before, tick = self._last
         self._last = (now, world.tick)
         elapsed = now - before
-        watched = flight.watched()
-        return Status(
-            scenario=flight.scenario.name,
-            seed=flight.seed,
-            tick=world.tick,
-            ticks=flight.scenario.ticks,
-            time=world.time,
+        return msgspec.structs.replace(
+            flight.status(),
             realtime_factor=(world.tick - tick) * flight.scenario.dt / elapsed
             if before and elapsed > 0.0
             else 0.0,
             wanted_factor=self._operators.pace.factor,
             late_ticks=self._operators.late_ticks,
             paused=self._operators.paused,
-            law=flight.law.name,
-            drivers=dict(flight.drivers),
             changes=tuple(self._operators.changes)[-_SHOWN:],
             refusals=tuple(self._operators.refusals),
             geometry=self._geometry,
-            certified={name: bool(report.certified) for name, report in watched.items()},
-            uncertified={
-                name: report.uncertified for name, report in watched.items() if not report.certified
-            },
-            certificates=flight.answers.assurance.status(),
-            mission=world.mission,
             warnings=self._warn(flight.flown, world.links.table),
-            links=world.links.status(),
             vehicles=self._slots.statuses(),
-            over=flight.over,
         )
