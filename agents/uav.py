@@ -3,11 +3,8 @@
 import math
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple
 
-import msgspec
-import numpy as np
-
+from agents.control.certificate import INNER, NO_DETECTION
 from agents.control.guard import guard_state
 from agents.control.laws import (
     PATH,
@@ -18,14 +15,21 @@ from agents.control.laws import (
     initial_state,
     law_parameters,
 )
-from agents.control.lookahead import Target, lookahead_memory
+from agents.control.lookahead import lookahead_memory
 from agents.control.orbit import Path, check_path
 from agents.control.promise import Promise
 from agents.control.telling import GroundTeller
 from agents.control.uav_tick import UavMemory, uav_perceive, uav_tick
 from agents.control.visibility import SafetyFilter, Verdict, flown_in, promise_of
 from agents.control.weighting import Weighting, check_weighting
-from agents.estimation.estimator import Estimate, estimator_of
+from agents.estimation.estimator import LookRows, estimator_of
+from agents.estimation.filtering import (
+    DONE,
+    KalmanState,
+    kalman_begin,
+    kalman_estimate,
+    kalman_go_on,
+)
 from bus.errors import ScenarioError
 from bus.messages import (
     LONGEST_TEXT,
@@ -38,7 +42,7 @@ from bus.messages import (
     Vector,
     or_infinite,
 )
-from bus.ticks import Look, looks_of
+from bus.registry import LAWS
 from sim.kernels.compile import FloatArray, borrowing, entry_point
 from sim.kernels.records import RecordArray, records
 from sim.models.field import cover, coverage_error, empty_coverage
@@ -55,39 +59,25 @@ _PATH_HORIZON = 600.0
 
 _NOTHING_OWN = OwnTerms()
 
-_NO_TARGET = Target(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_Seen = tuple[int, int, int, float, float, float, float]
+"""An observation, as compiled code takes it: ticks for which the ground below has been looked at since the last one,
+tick, the motion flown as in `agents.control.guard.guard`, position [m] and velocity [m/s]."""
 
-_NO_LOOKS = np.zeros((0, 3))
-_NOWHERE = Motion(0.0, 0.0, 0.0, 0.0)
+_NOTHING_SEEN: _Seen = (0, 0, 0, 0.0, 0.0, 0.0, 0.0)
 
+_Command = tuple[float, float, int, int, float]
+"""As `agents.control.uav_tick.uav_tick` returns it."""
 
-class _Seen(NamedTuple):
-    """An observation, as compiled code takes it."""
+_Acted = tuple[int, bool, float, float, float, int, int, _Command]
+"""The outcome of `_act`: what the filter needs, as `agents.estimation.filtering.kalman_go_on` says it; unless it is
+`DONE`, the rest means nothing. Whether the UGV was ever seen, where it is believed to be [m], the variance of that per
+axis [m²], ticks since the newest believed detection, detections refused so far. The command, where it was asked for."""
 
-    looked: int
-    """Ticks for which the ground below has been looked at since the last one."""
-    tick: int
-    here: Motion
-    looks: FloatArray
-    """Detections. Shape (rows, 3)."""
-    flown: int
-    """As in `agents.control.guard.guard`."""
+_OWN = frozenset(row.code for row in LAWS.values() if row.own)
+"""Codes of the laws that ask a function of the user's own."""
 
-
-_NOTHING_SEEN = _Seen(0, 0, _NOWHERE, _NO_LOOKS, 0)
-
-
-@borrowing
-def _perceive(
-    laws: RecordArray,
-    promises: RecordArray,
-    guarded: bool,
-    memory: UavMemory,
-    seen: _Seen,
-) -> None:
-    law, promise, arrived = laws[0], promises[0], seen.looks.shape[0]
-    looked, tick, here, looks = seen.looked, seen.tick, seen.here, seen.looks
-    uav_perceive(law, promise, guarded, memory, looked, tick, here, looks, arrived)
+PERCEIVE, DECIDE, BOTH = 1, 2, 3
+"""The parts of a tick: to take the observation in, and to make the command."""
 
 
 @borrowing
@@ -96,14 +86,38 @@ def _act(
     promises: RecordArray,
     guarded: bool,
     memory: UavMemory,
-    seen: _Seen,
+    filters: RecordArray,
+    kalman: KalmanState,
     own: OwnTerms,
-    target: Target,
-) -> tuple[float, float, int, int, float]:
-    """Both parts of the tick in one call: handing over the memory costs as much as either of them."""
-    _perceive(laws, promises, guarded, memory, seen)
-    tick, here = seen.tick, seen.here
-    return uav_tick(laws[0], promises[0], guarded, memory, own, tick, here, target, seen.flown)
+    seen: _Seen,
+    looks: FloatArray,
+    parts: tuple[int, int],
+) -> _Acted:
+    """A tick in one call, since handing over the memory costs as much as either part of it.
+
+    Where the filter needs a product of matrices it ends there, to be called again without the first part.
+
+    Args:
+        laws, promises, guarded, memory: As in `uav_tick`.
+        filters, kalman: Parameters and memory of the Kalman filter.
+        own: As in `uav_tick`.
+        seen: The observation.
+        looks: Its detections. Shape (rows, 3).
+        parts: How many rows of these count, and which parts of the tick are asked for.
+    """
+    looked, tick, flown, p_x, p_y, v_x, v_y = seen
+    here, (count, part) = Motion(p_x, p_y, v_x, v_y), parts
+    law, promise = laws[0], promises[0]
+    if part & PERCEIVE:
+        uav_perceive(law, promise, guarded, memory, looked, tick, here, looks, count)
+        kalman_begin(kalman, tick, p_x, p_y, looks, count)
+    needs = kalman_go_on(filters[0], kalman)
+    command = 0.0, 0.0, INNER, NO_DETECTION, 0.0
+    if needs == DONE and part & DECIDE:
+        target = kalman_estimate(kalman)
+        command = uav_tick(law, promise, guarded, memory, own, tick, here, target, flown)
+    b = kalman.belief[0]
+    return needs, b.known, b.x, b.y, b.p_pp, b.age, kalman.counts[0].refused, command
 
 
 def radio_ticks(dt: float) -> int:
@@ -111,17 +125,17 @@ def radio_ticks(dt: float) -> int:
     return max(1, round(_RADIO_PERIOD / dt))
 
 
-def _report(estimate: Estimate, verdict: Verdict | None) -> UavReport:
-    report = UavReport(
-        estimate=estimate.position,
-        covariance=estimate.covariance,
-        age=estimate.age,
-        refused=estimate.refused,
-    )
+def _report(acted: _Acted, dt: float, verdict: Verdict | None) -> UavReport:
+    _, _, g_x, g_y, variance, age, refused, _ = acted
     if verdict is None:
-        return report
-    return msgspec.structs.replace(
-        report,
+        return UavReport(
+            estimate=(g_x, g_y), covariance=(variance, 0.0, variance), age=age * dt, refused=refused
+        )
+    return UavReport(
+        estimate=(g_x, g_y),
+        covariance=(variance, 0.0, variance),
+        age=age * dt,
+        refused=refused,
         certified=verdict.certified,
         uncertified=verdict.reason[:LONGEST_TEXT],
         intervened=verdict.intervened,
@@ -179,10 +193,12 @@ class UavPilot:
         """The sender of the ground's blocks."""
         self._tick: int | None = None
         self._radio_ticks = radio_ticks(briefing.dt)
+        self._looks = LookRows(briefing.dt)
         self._take_on()
-        seen, target = _NOTHING_SEEN, _NO_TARGET
-        self._perceive = entry_point(_perceive, *self._fixed, seen)
-        self._act = entry_point(_act, *self._fixed, seen, _NOTHING_OWN, target)
+        rows, count = self._looks.take(())
+        self._act = entry_point(
+            _act, *self._fixed, _NOTHING_OWN, _NOTHING_SEEN, rows, (count, BOTH)
+        )
 
     def _take_on(self) -> None:
         """The law and the filter that there are now, as compiled code takes them."""
@@ -192,6 +208,7 @@ class UavPilot:
             self._promises,
             self.filter is not None,
             UavMemory(self.coverage, *self._law_memory, guard),
+            *self.estimator.arrays,
         )
 
     def _make_filter(self) -> SafetyFilter | None:
@@ -230,64 +247,60 @@ class UavPilot:
             self.filter.forget_commands()
 
     def _answer(self, observation: UavObservation) -> UavCommand:
+        tick = observation.tick
         if observation.law is not None:
             self._fly(observation.law)
-        looks = looks_of(observation.detections, self._briefing.dt)
-        estimate = self._estimate(observation, looks)
-        target = _NO_TARGET if estimate is None else self._target(estimate)
-        seen = self._seen(observation, looks)
         wanted = None if self._inner is None else self._inner(observation)
         verdict: Verdict | None = None
-        if wanted is None or self.filter is None:
-            own = self._own_terms(observation, estimate)
-            acted = self._act(*self._fixed, seen, own, target)
-            u_x, u_y = acted[:2]
-            if self.filter is not None:
-                verdict = self.filter.verdict(observation.tick, *acted)
-        else:
-            self._perceive(*self._fixed, seen)
+        if wanted is not None and self.filter is not None:
+            acted = self._take(observation, PERCEIVE)
             verdict = self.filter.filter(observation, wanted)
-            u_x, u_y = verdict.acceleration
+            acceleration = verdict.acceleration
+        else:
+            own, part = _NOTHING_OWN, BOTH
+            if self._parameters.law in _OWN:
+                acted = self._take(observation, PERCEIVE)
+                own, part = self._own_terms(observation, acted), DECIDE
+            acted = self._take(observation, part, own)
+            acceleration = acted[-1][:2]
+            if self.filter is not None:
+                verdict = self.filter.verdict(tick, *acted[-1])
+        _, known, g_x, g_y, *_ = acted
         motions = () if verdict is None else verdict.motions
-        if estimate is None:
-            return UavCommand(tick=observation.tick, acceleration=(u_x, u_y), motions=motions)
+        if not known:
+            return UavCommand(tick=tick, acceleration=acceleration, motions=motions)
         return UavCommand(
-            tick=observation.tick,
-            acceleration=(u_x, u_y),
+            tick=tick,
+            acceleration=acceleration,
             motions=motions,
-            radio=self._radio(observation, estimate),
-            blocks=self.teller.blocks(observation.tick, estimate.position),
-            report=_report(estimate, verdict),
+            radio=() if tick % self._radio_ticks else self._radio(observation, g_x, g_y),
+            blocks=self.teller.blocks(tick, (g_x, g_y)),
+            report=_report(acted, self._briefing.dt, verdict),
         )
 
     def perceive(self, observation: UavObservation) -> None:
         """Take an observation into the map and the filters that comes too late to be answered."""
-        looks = looks_of(observation.detections, self._briefing.dt)
-        self._estimate(observation, looks)
-        self._perceive(*self._fixed, self._seen(observation, looks))
+        self._take(observation, PERCEIVE)
 
-    def _estimate(self, observation: UavObservation, looks: tuple[Look, ...]) -> Estimate | None:
-        self.teller.note(observation.ground)
-        return self.estimator.update(
-            tick=observation.tick, own_position=observation.position, looks=looks
-        )
-
-    def _target(self, estimate: Estimate) -> Target:
-        """The filter's belief, as compiled code takes it."""
-        variance = estimate.covariance[0]
-        return Target(
-            True, *estimate.position, *estimate.velocity, variance, self.estimator.velocity_variance
-        )
-
-    def _seen(self, observation: UavObservation, looks: tuple[Look, ...]) -> _Seen:
-        """An observation as compiled code takes it."""
-        tick, before, rows = observation.tick, self._tick, _NO_LOOKS
-        self._tick = tick
-        if looks and self.filter is not None:
-            rows = np.array(looks, dtype=np.float64)
-        here = Motion(*observation.position, *observation.velocity)
+    def _take(
+        self, observation: UavObservation, parts: int, own: OwnTerms = _NOTHING_OWN
+    ) -> _Acted:
+        """One part of a tick or both, with the products of matrices that the filter needs on the way."""
+        tick, before, estimator = observation.tick, self._tick, self.estimator
+        if parts & PERCEIVE:
+            if observation.ground:
+                self.teller.note(observation.ground)
+            estimator.get_ready(tick)
+            self._tick = tick
         looked = 0 if before is None else tick - before
-        return _Seen(looked, tick, here, rows, flown_in(observation))
+        flown = flown_in(observation)
+        seen = looked, tick, flown, *observation.position, *observation.velocity
+        rows, count = self._looks.take(observation.detections)
+        acted = self._act(*self._fixed, own, seen, rows, (count, parts))
+        while acted[0] != DONE:
+            estimator.work_out(acted[0])
+            acted = self._act(*self._fixed, own, seen, rows, (count, parts & DECIDE))
+        return acted
 
     def _fly(self, law: Law) -> None:
         """Take another law; map, filter and the state of the law before stay."""
@@ -301,27 +314,22 @@ class UavPilot:
         """Work ahead for the next observation, while the simulator is busy; changes nothing but when it is done."""
         self.estimator.prepare()
 
-    def _own_terms(self, observation: UavObservation, estimate: Estimate | None) -> OwnTerms:
-        """The answer of the user's own function at this tick, if the law asks it."""
-        law = self._parameters.law
-        if estimate is None:
-            return _NOTHING_OWN
-        if self._weighting is not None and law == WEIGHTED:
-            (p_x, p_y), (g_x, g_y) = observation.position, estimate.position
+    def _own_terms(self, observation: UavObservation, acted: _Acted) -> OwnTerms:
+        """The answer of the user's own function at this tick."""
+        _, known, g_x, g_y, *_ = acted
+        if known and self._weighting is not None and self._parameters.law == WEIGHTED:
+            p_x, p_y = observation.position
             alpha, beta = self._weighting(norm(p_x - g_x, p_y - g_y), self._parameters.r_s)
             return OwnTerms(alpha=float(alpha), beta=float(beta))
-        if self._path is not None and law == PATH:
+        if known and self._path is not None and self._parameters.law == PATH:
             (v_x, v_y), (a_x, a_y) = self._path(observation.time)
             return OwnTerms(p_vx=float(v_x), p_vy=float(v_y), a_vx=float(a_x), a_vy=float(a_y))
         return _NOTHING_OWN
 
     def _radio(
-        self, observation: UavObservation, estimate: Estimate
+        self, observation: UavObservation, g_x: float, g_y: float
     ) -> tuple[RelativeInformation, ...]:
-        if observation.tick % self._radio_ticks:
-            return ()
-        c = self._parameters
-        (p_x, p_y), (g_x, g_y) = observation.position, estimate.position
+        c, (p_x, p_y) = self._parameters, observation.position
         error = coverage_error(self.coverage, g_x, g_y, c.r_o, c.desired, c.cell)
         return (
             RelativeInformation(

@@ -56,7 +56,7 @@ def parts(flight: Flight, pilots: dict[str, Pilot]) -> dict[str, tuple[Any, str]
         if isinstance(pilot, UavPilot):
             kalman: Any = pilot.estimator._filter
             found |= {
-                "- estimate": (pilot.estimator, "update"),
+                "- covariance and gain for the next tick": (pilot.estimator, "get_ready"),
                 "- of it filterpy's prediction": (kalman, "predict"),
                 "- of it filterpy's gain and covariance": (kalman, "weigh"),
                 "- law, map and safety filter, compiled": (pilot, "_act"),

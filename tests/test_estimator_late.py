@@ -27,9 +27,8 @@ from hypothesis import strategies as st
 from properties import PROPERTY
 from scipy.stats import chi2
 
-from agents.estimation.estimator import RelativeEstimator
+from agents.estimation.estimator import SPAN, RelativeEstimator
 from agents.estimation.motion_model import acceleration_deviation
-from agents.estimation.past import SPAN, FilterHistory
 from bus.messages import Detection, Detector, Estimator, Limits
 from bus.ticks import looks_of
 
@@ -256,20 +255,23 @@ def test_where_the_filter_was_not_called_it_does_not_know_its_place_and_refuses(
     assert call(begun_late, 51, detection(20, (20.0, 20.0))) is None
 
 
+def kept(**chosen):
+    told = {"detector": Detector(period=DT), "target": UGV, "settings": Estimator()}
+    return len(RelativeEstimator(**told, **chosen).arrays[1].past) - 1
+
+
 def test_the_past_that_is_kept_is_bounded():
     with pytest.raises(ValueError, match="span"):
-        RelativeEstimator(
-            detector=Detector(period=DT), target=UGV, dt=DT, settings=Estimator(), span=-1.0
-        )
-    assert FilterHistory(span=60.0, dt=0.05).ticks == 1200
-    assert FilterHistory(span=math.inf, dt=5e-324).ticks == 100_000
+        kept(dt=DT, span=-1.0)
+    assert kept(dt=0.05, span=60.0) == 1200
+    assert kept(dt=5e-324, span=math.inf) == 100_000
     estimator = make()
     for k in range(1500):
         call(estimator, k)
-    history = estimator._history
-    assert history.find(298) is None
-    oldest = history.find(299)
-    assert len(history.after(oldest)) == 1200
+    call(estimator, 1500, detection(299, (20.0, 20.0)))
+    assert (estimator.too_old, estimator.state.any()) == (1, False)
+    call(estimator, 1500, detection(300, (20.0, 20.0)))
+    assert (estimator.too_old, estimator.state.any()) == (1, True)
 
 
 # Consistency

@@ -8,10 +8,12 @@ import sys
 from importlib import import_module
 from typing import Any
 
+import numpy as np
+
 from sim.kernels.compile import FloatArray
 from sim.kernels.lazy_packages import enter
 
-__all__ = ["BareFilter", "KalmanFilter"]
+__all__ = ["AxisFilter", "KalmanFilter"]
 
 
 def _log_density(*arguments: Any, **named: Any) -> float:  # noqa: ANN401 - filterpy's
@@ -42,33 +44,48 @@ KalmanFilter: Any = _load()
 """The class `filterpy.kalman.KalmanFilter`."""
 
 
-class BareFilter(KalmanFilter):  # type: ignore[misc]
-    """filterpy's filter without what nobody here asks it for: copies of every step, innovation and likelihood.
+class AxisFilter(KalmanFilter):  # type: ignore[misc]
+    """filterpy's filter of one axis, for its products of matrices: its state is position and velocity, it sees the first.
 
-    A pilot calls it in every tick, and half of filterpy's time goes into those. What is left are filterpy's own
-    operations on its own arrays in its own order, so the bits are those of its `predict` and `update`.
+    A pilot asks for them in every tick, and half of filterpy's time goes into what nobody here needs: copies of every
+    step, innovation and likelihood. What is left are filterpy's own operations in their order, so the bits are those of
+    its `predict` and `update`. The state itself is kept elsewhere: no product here depends on it.
+
+    Args:
+        variance: R: of a detection [m²].
+        P, P_prior, P_post: The covariance of the axis, the predicted one, and the one after a detection. Shape (2, 2).
+        K: The gain. Shape (2, 1). But for `P` they are written into, in place.
     """
 
-    x: FloatArray
-    P: FloatArray
+    def __init__(
+        self,
+        *,
+        variance: float,
+        P: FloatArray,
+        P_prior: FloatArray,
+        P_post: FloatArray,
+        K: FloatArray,
+    ) -> None:
+        super().__init__(dim_x=2, dim_z=1)
+        self.P, self.P_prior, self.P_post, self.K = P, P_prior, P_post, K
+        self.R, self._variance = np.array([[variance]]), variance
+        self._KR, self._K_T, self._I_KH = np.zeros((2, 1)), K.T, np.eye(2)
+        self._I_KH_T = self._I_KH.T
 
     def predict(self, F: FloatArray, Q: FloatArray) -> None:
-        """The state and its covariance one step on, without control and without fading memory."""
-        self.x = F.dot(self.x)
-        self.P = F.dot(self.P).dot(F.T) + Q
+        """`P_prior` from `P`: the covariance one step on, without control and without fading memory."""
+        np.add(F.dot(self.P).dot(F.T), Q, out=self.P_prior)
 
-    def weigh(self) -> tuple[list[float], FloatArray]:
-        """The gain K, row by row, and the covariance after it, as `update` works them out. Changes nothing.
+    def weigh(self, P: FloatArray) -> None:
+        """`K` and `P_post` from this covariance, as `update` works them out: neither depends on what is measured.
 
-        Neither depends on what is measured. The first two components of the state are: H picks them out, so
-        products with it are read off. The 2 x 2 matrix is inverted here, as LAPACK costs half of filterpy's update.
+        H picks the position out, so products with it are read off. 1 / S is rounded as in the inverse of the 2 x 2
+        matrix S of both axes.
         """
-        P, R, inverse = self.P, self.R, self.SI
-        s_xx, s_xy = P.item(0) + R.item(0), P.item(1) + R.item(1)
-        s_yx, s_yy = P.item(4) + R.item(2), P.item(5) + R.item(3)
-        scale = 1.0 / (s_xx * s_yy - s_xy * s_yx)
-        inverse[0, 0], inverse[0, 1] = s_yy * scale, -s_xy * scale
-        inverse[1, 0], inverse[1, 1] = -s_yx * scale, s_xx * scale
-        K = P.dot(self.H.T).dot(inverse)
-        I_KH = self._I - K.dot(self.H)
-        return K.ravel().tolist(), I_KH.dot(P).dot(I_KH.T) + K.dot(R).dot(K.T)
+        S, R = P.item(0) + self._variance, self._variance
+        inverse = S * (1.0 / (S * S))
+        k_p, k_v = P.item(0) * inverse, P.item(2) * inverse
+        K, KR, I_KH = self.K, self._KR, self._I_KH
+        K[0, 0], K[1, 0], KR[0, 0], KR[1, 0] = k_p, k_v, k_p * R, k_v * R
+        I_KH[0, 0], I_KH[1, 0] = 1.0 - k_p, 0.0 - k_v
+        np.add(I_KH.dot(P).dot(self._I_KH_T), KR.dot(self._K_T), out=self.P_post)

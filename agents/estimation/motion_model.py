@@ -135,10 +135,9 @@ def strayed_distance(elapsed: float, speed: float, acceleration: float) -> float
 
 
 def motion(*, ticks: int, dt: float, deviation: float) -> tuple[FloatArray, FloatArray]:
-    r"""F and Q of the motion over n ticks, with an acceleration of its own held over each of them.
+    r"""F and Q of the motion of one axis over n ticks, with an acceleration of its own held over each of them.
 
-    $$ Q = \sigma_u^2 \begin{bmatrix} dt^4 (n^3/3 - n/12) & dt^3 n^2/2 \\ dt^3 n^2/2 & dt^2 n \end{bmatrix}
-       \otimes I_2 $$
+    $$ Q = \sigma_u^2 \begin{bmatrix} dt^4 (n^3/3 - n/12) & dt^3 n^2/2 \\ dt^3 n^2/2 & dt^2 n \end{bmatrix} $$
 
     is what n predictions over one tick each add up to.
 
@@ -148,13 +147,11 @@ def motion(*, ticks: int, dt: float, deviation: float) -> tuple[FloatArray, Floa
         deviation: σ_u of one tick's acceleration per axis [m/s²].
 
     Returns:
-        F and Q, 4 x 4.
+        F and Q, 2 x 2: position before velocity.
     """
-    n, q, both = float(ticks), deviation * deviation, np.eye(2)
-    F: FloatArray = np.kron(np.array([[1.0, n * dt], [0.0, 1.0]]), both)
+    n, q = float(ticks), deviation * deviation
     q_pp, q_pv, q_vv = q * dt**4 * (n**3 / 3.0 - n / 12.0), q * dt**3 * n * n / 2.0, q * dt * dt * n
-    Q: FloatArray = np.kron(np.array([[q_pp, q_pv], [q_pv, q_vv]]), both)
-    return F, Q
+    return np.array([[1.0, n * dt], [0.0, 1.0]]), np.array([[q_pp, q_pv], [q_pv, q_vv]])
 
 
 def kalman_parameters(
@@ -182,8 +179,8 @@ def kalman_parameters(
         # A vehicle at full speed in a direction unknown: v²/2 per axis.
         first_variance=_FREE_SPEED**2 if target.max_speed is None else 0.5 * speed**2,
         q_pp=Q.item(0, 0),
-        q_pv=Q.item(0, 2),
-        q_vv=Q.item(2, 2),
+        q_pv=Q.item(0, 1),
+        q_vv=Q.item(1, 1),
         speed=speed,
         acceleration=float(supposed_acceleration(target=target, manoeuvre=manoeuvre, dt=dt)),
         deviation=deviation,

@@ -27,9 +27,9 @@ from agents.control.visibility import promise_of
 from agents.drivers.compiled import driver_memory, driver_parameters, told_ground, told_route
 from agents.drivers.parameters import COMPILED_DRIVERS, DriverParameters
 from agents.drivers.tile_map import GroundMemory
+from agents.estimation.estimator import SPAN
+from agents.estimation.filtering import KalmanState, kalman_state
 from agents.estimation.motion_model import KalmanParameters, kalman_parameters
-from agents.estimation.past import SPAN
-from agents.estimation.twin import KalmanState, kalman_state
 from agents.uav import radio_ticks
 from bus.errors import ScenarioError
 from bus.layout import GradientCue

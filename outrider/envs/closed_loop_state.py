@@ -6,7 +6,7 @@ from agents.control.guard import GuardState
 from agents.control.lookahead import LookaheadMemory
 from agents.control.telling import BLOCK_WORDS, TellingMemory
 from agents.drivers.tile_map import GroundMemory
-from agents.estimation.twin import KalmanState
+from agents.estimation.filtering import KalmanState
 from bus.layout import UavRow
 from sim.channel.link import LinkNumbers, LinkState
 from sim.engine.world_state import BatchState, BatchTables

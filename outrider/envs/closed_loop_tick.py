@@ -22,7 +22,8 @@ from agents.control.underway import Underway, hand_over
 from agents.drivers.parameters import Route
 from agents.drivers.tile_map import GroundMemory, note_block, note_tiles
 from agents.drivers.ugv_tick import UgvMemory, ugv_tick
-from agents.estimation.twin import KalmanState, kalman_estimate, kalman_step
+from agents.estimation.filtering import KalmanState, kalman_estimate
+from agents.estimation.twin import kalman_step
 from outrider.envs.closed_loop_state import (
     GRADIENT_X,
     GRADIENT_Y,
@@ -72,7 +73,14 @@ def _guard_of(t: LoopTables, s: GuardState, k: int, u: int) -> GuardState:
 
 @inlined
 def _kalman_of(s: KalmanState, k: int, u: int) -> KalmanState:
-    return KalmanState(s.belief[k, u], s.counts[k, u], s.past[k, u], s.before[k, u])
+    return KalmanState(
+        s.belief[k, u],
+        s.counts[k, u],
+        s.step[k, u],
+        s.products[k, u],
+        s.past[k, u],
+        s.before[k, u],
+    )
 
 
 @inlined
