@@ -19,7 +19,7 @@ from outrider.running.flying import InProcess, make_pilots
 from outrider.running.summary import Summary, summarize
 from sim.scenario.loading import load_scenario
 from sim.scenario.types import Certificate, LinkTable, Scenario
-from sim.server.assurance import Arrival, Assurance
+from sim.server.assurance import Assurance
 from sim.server.flight import Flight
 
 DELAYED = load_scenario(
@@ -64,7 +64,7 @@ def take(assurance: Assurance, tick: int, certified: bool | None, **given: Any) 
     report = None if certified is None else said(certified, reason="" if certified else "because")
     arguments = {
         "distance": 1.0,
-        "arrivals": [Arrival(tick, 0.3)],
+        "arrivals": [(tick, 0.3)],
         "acts": command(tick - 2),
         **given,
     }
@@ -90,20 +90,20 @@ EXCUSES: dict[str, dict[int, dict[str, Any]]] = {
     "the command of the tick before acted": {AT - 1: {"acts": command(AT - 4)}},
     "no detection for longer than declared": {tick: {"arrivals": []} for tick in range(AT + 1)},
     "a detection arrives that is older than declared": {
-        tick: {"arrivals": [Arrival(tick - 11, 0.0)]} for tick in range(AT + 1)
+        tick: {"arrivals": [(tick - 11, 0.0)]} for tick in range(AT + 1)
     },
-    "a larger error than declared": {AT: {"arrivals": [Arrival(AT, 0.31)]}},
-    "a larger error than declared long before": {0: {"arrivals": [Arrival(0, 0.31)]}},
+    "a larger error than declared": {AT: {"arrivals": [(AT, 0.31)]}},
+    "a larger error than declared long before": {0: {"arrivals": [(0, 0.31)]}},
     "the report is of an earlier tick": {AT: {"current": False}},
     "the report before was of an earlier tick": {AT - 1: {"current": False}},
 }
 NO_EXCUSES: dict[str, dict[int, dict[str, Any]]] = {
     "nothing": {},
     "an age of exactly what is declared": {tick: {"arrivals": []} for tick in range(1, AT + 1)}
-    | {0: {"arrivals": [Arrival(-4, 0.0)]}},
-    "an error of exactly what is declared": {AT: {"arrivals": [Arrival(AT, 0.3)]}},
+    | {0: {"arrivals": [(-4, 0.0)]}},
+    "an error of exactly what is declared": {AT: {"arrivals": [(AT, 0.3)]}},
     "an old detection that comes after newer ones": {
-        AT: {"arrivals": [Arrival(AT - 10, 0.0), Arrival(AT - 30, 0.0)]}
+        AT: {"arrivals": [(AT - 10, 0.0), (AT - 30, 0.0)]}
     },
     "another command acts in the tick itself": {AT: {"acts": (0.0, 0.0)}},
     "a command was late long before": {1: {"acts": (5.0, 5.0)}},
@@ -121,7 +121,7 @@ def test_a_certificate_may_end_where_an_assumption_fails_and_only_there(excused:
 
 def test_however_old_detections_may_be_there_must_have_been_one() -> None:
     certificate = msgspec.structs.replace(DELAYED.certificate, age=1e12)
-    for first, broken in (([Arrival(0, 0.0)], 1), ([], 0)):
+    for first, broken in (([(0, 0.0)], 1), ([], 0)):
         assurance = Assurance(msgspec.structs.replace(DELAYED, certificate=certificate))
         for tick in range(AT + 1):
             take(assurance, tick, tick < AT, arrivals=[] if tick else first)
@@ -160,7 +160,7 @@ def test_a_law_that_changes_and_a_process_that_joins_again_excuse_one_tick() -> 
 
 def test_a_filter_that_begins_in_flight_answers_for_no_detection_of_before() -> None:
     assurance = Assurance(DELAYED)
-    take(assurance, 0, True, arrivals=[Arrival(0, 9.0)])
+    take(assurance, 0, True, arrivals=[(0, 9.0)])
     for tick in range(10, 20):  # the law has not been watched meanwhile
         take(assurance, tick, tick < 15)
     assert assurance.certificate_broken == 1

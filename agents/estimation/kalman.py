@@ -45,7 +45,7 @@ KalmanFilter: Any = _load()
 
 
 class AxisFilter(KalmanFilter):  # type: ignore[misc]
-    """filterpy's filter of one axis, for its products of matrices: its state is position and velocity, it sees the first.
+    """filterpy's filter of one axis, for its products of matrices: position and velocity, of which H picks the first.
 
     A pilot asks for them in every tick, and half of filterpy's time goes into what nobody here needs: copies of every
     step, innovation and likelihood. What is left are filterpy's own operations in their order, so the bits are those of

@@ -18,7 +18,7 @@ from sim.models.motion import waited
 
 _ROUNDING = 1e-9
 """A measured error that is larger than declared by no more than this [m] is as declared."""
-_NEVER = -(2**41)
+NEVER = -(2**41)
 """The tick of a detection, where none has arrived."""
 _NO_OUTAGE = -1
 
@@ -100,7 +100,7 @@ def certificate_bounds(declared: DeclaredBounds, dt: float) -> CertificateBounds
 def certificate_counts(uavs: int) -> RecordArray:
     """Nothing has been counted. Shape (uavs,)."""
     counts: RecordArray = np.zeros(uavs, record_type(CertificateCounts))
-    counts["newest"] = _NEVER
+    counts["newest"] = NEVER
     for name in ("exact", "tracked", "obeyed"):
         counts[name] = True
     return counts
@@ -191,7 +191,7 @@ def note_action(
 def begin_watch(counts: RecordArray, uav: int) -> None:
     """A filter begins that remembers no detection, and has promised nothing."""
     c = counts[uav]
-    c.newest, c.exact, c.promised = _NEVER, True, False
+    c.newest, c.exact, c.promised = NEVER, True, False
 
 
 @borrowing
@@ -204,25 +204,26 @@ def count_tracking(bounds: RecordArray, counts: RecordArray, uav: int, off: floa
 
 
 @borrowing
-def count_arrival(
-    bounds: RecordArray, counts: RecordArray, uav: int, taken: int, error: float
-) -> None:
-    """`note_arrival` of one UAV, for Python."""
-    note_arrival(bounds[uav], counts[uav], taken, error)
-
-
-@borrowing
 def count_tick(
     bounds: RecordArray,
     counts: RecordArray,
     sent: FloatArray,
     uav: int,
     tick: int,
-    said: CertificateClaim,
+    arrived: tuple[int, float],
+    said: tuple[bool, bool, bool, bool],
     acts: tuple[float, float],
     begins: int,
 ) -> None:
-    """`note_report` and `note_action` of one UAV, for Python."""
+    """`note_arrival`, `note_report` and `note_action` of one UAV, for Python.
+
+    Args:
+        bounds, counts, sent, uav, tick: Of the UAV in this row.
+        arrived: The newest tick of all detections that have reached it at this tick, and the largest error [m].
+        said: A `CertificateClaim`.
+        acts, begins: As in `note_action`.
+    """
     b, c = bounds[uav], counts[uav]
-    note_report(b, c, tick, said)
+    note_arrival(b, c, arrived[0], arrived[1])
+    note_report(b, c, tick, CertificateClaim(said[0], said[1], said[2], said[3]))
     note_action(b, c, sent, tick, acts[0], acts[1], begins)

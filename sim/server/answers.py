@@ -1,18 +1,24 @@
 """The vehicles' answers: counted, held against their bounds, and their reports against the truth."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
-from bus.messages import Command, UavCommand, UavReport, VehicleStatus
+from bus.messages import Command, MotionPlan, UavCommand, UavReport, VehicleStatus
 from bus.ticks import Look
 from sim.scenario.types import Scenario
-from sim.server.assurance import Arrival, Assurance
+from sim.server.assurance import Assurance
 from sim.server.recorder import Recorder
 from sim.world import World
 
 _ROUNDING = 1e-9
 """So much longer, as a share, a command may be by rounding alone."""
+
+
+def _largest(motions: Iterable[MotionPlan]) -> float:
+    """The longest acceleration of these motions [m/s²]."""
+    asked = ((one.acceleration, one.turning, one.braking) for one in motions)
+    return max(math.hypot(x, y) for three in asked for x, y in three)
 
 
 class _Tick(NamedTuple):
@@ -104,8 +110,7 @@ class Answers:
         if self._unsettled is None:
             return
         last, self._unsettled = self._unsettled, None
-        for name in self._world.names:
-            self._count(last.tick, name, last.commands.get(name))
+        self._count(last.tick, last.commands)
         for uav, (a, _) in enumerate(self._pairs):
             command = last.commands.get(self._world.names[a])
             self.reports[uav] = None
@@ -115,30 +120,30 @@ class Answers:
         if last.watched:
             self._check_reports(last)
 
-    def _count(self, tick: int, name: str, command: Command | None) -> None:
-        """Note whether a vehicle's process was in time."""
-        if command is None:
-            self.missing[name] += 1
-        else:
-            self._newest[name] = command.tick
-            self.stale[name] += command.tick < tick
-            self._check_bound(name, command)
-        if self._newest[name] < tick and self.first_missing is None:
-            self.first_missing = tick
+    def _count(self, tick: int, commands: Mapping[str, Command]) -> None:
+        """Note whether each vehicle's process was in time, and whether it asked for more than its bound."""
+        for name, bound in self._bounds.items():
+            command = commands.get(name)
+            if command is None:
+                self.missing[name] += 1
+            else:
+                answered = self._newest[name] = command.tick
+                if answered < tick:
+                    self.stale[name] += 1
+                size = math.hypot(*command.acceleration)
+                if isinstance(command, UavCommand) and command.motions:
+                    size = max(size, _largest(command.motions))
+                if size > bound * (1.0 + _ROUNDING):
+                    self._tell_shortened(name, command.tick, size, bound)
+            if self._newest[name] < tick and self.first_missing is None:
+                self.first_missing = tick
 
-    def _check_bound(self, name: str, command: Command) -> None:
+    def _tell_shortened(self, name: str, tick: int, size: float, bound: float) -> None:
         """Count a command of which the bound of (1) shortens anything, and tell of the first; units may be wrong."""
-        size, bound = math.hypot(*command.acceleration), self._bounds[name]
-        if isinstance(command, UavCommand):
-            for motion in command.motions:
-                for x, y in (motion.acceleration, motion.turning, motion.braking):
-                    size = max(size, math.hypot(x, y))
-        if size <= bound * (1.0 + _ROUNDING):
-            return
         self.shortened[name] += 1
         if self.shortened[name] == 1:
             self._on_notice(
-                f"{name}: its command for tick {command.tick}, {size:.4g} m/s², is longer than its "
+                f"{name}: its command for tick {tick}, {size:.4g} m/s², is longer than its "
                 f"bound {bound:.4g} m/s² and is shortened to it; more of these are only counted"
             )
 
@@ -160,29 +165,26 @@ class Answers:
 
     def _check_reports(self, last: _Tick) -> None:
         """Hold what the UAVs have said of a tick against the truth."""
-        states, escorts, acted = (
-            self._recorder.states,
-            self._recorder.escorts,
-            self._world.commands.tolist(),
-        )
+        recorder, acted = self._recorder, self._world.commands
+        states = recorder.states
         for uav, (a, g) in enumerate(self._pairs):
             command, arrivals = last.commands.get(self._world.names[a]), []
             said = last.tick if command is None else command.tick
             for taken, x, y in last.received[uav] if command is not None else ():
-                there = states[taken].tolist()  # without a command it has seen nothing of this tick
-                p_a, p_g = there[a], there[g]
-                error = math.hypot(x - (p_a[0] - p_g[0]), y - (p_a[1] - p_g[1]))
-                arrivals.append(Arrival(taken, error))
+                # without a command it has seen nothing of this tick
+                d_x = states.item(taken, a, 0) - states.item(taken, g, 0)
+                d_y = states.item(taken, a, 1) - states.item(taken, g, 1)
+                arrivals.append((taken, math.hypot(x - d_x, y - d_y)))
             if self._disturbed:
-                (x, y), (t_x, t_y) = states[last.tick, a, :2], self._recorder.told[last.tick, a, :2]
+                (x, y), (t_x, t_y) = states[last.tick, a, :2], recorder.told[last.tick, a, :2]
                 self.assurance.track(uav, math.hypot(x - t_x, y - t_y))
             self.assurance.take(
                 uav,
                 last.tick,
                 self.reports[uav],
-                distance=escorts.item(said, uav, 0),
+                distance=recorder.distance(said, uav),
                 arrivals=arrivals,
-                acts=(acted[a][0], acted[a][1]),
+                acts=(acted.item(a, 0), acted.item(a, 1)),
                 flown=self._world.flown(a),
                 current=said == last.tick,
             )

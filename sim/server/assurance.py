@@ -3,17 +3,15 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from bus.messages import CertificateStatus, UavReport, Vector
 from sim.engine.briefing import declared
 from sim.engine.certificate_counts import (
+    NEVER,
     CertificateBounds,
-    CertificateClaim,
     begin_watch,
     certificate_bounds,
     certificate_counts,
-    count_arrival,
     count_tick,
     count_tracking,
     note_sent,
@@ -28,15 +26,6 @@ _SILENT = "the UAV has no estimate yet, or its command did not come"
 """Why a tick is not certified of which no filter has said anything."""
 _NOBODY = -2
 """The last tick that was watched, before the first: the one before tick 0 is -1."""
-
-
-class Arrival(NamedTuple):
-    """A detection that has reached a UAV's computer."""
-
-    taken: int
-    """Tick at which it was taken."""
-    error: float
-    """Norm of its error, by the true relative position at that tick [m]."""
 
 
 class Assurance:
@@ -67,9 +56,8 @@ class Assurance:
         self._disregarded = [False] * len(uavs)
         if uavs:
             tables, sent = (self._bounds, self._counts), self._sent[0]
-            nothing = CertificateClaim(certified=False, intervened=False, lost=False, current=False)
-            self._arrive = entry_point(count_arrival, *tables, 0, 0, 0.0)
-            self._tick = entry_point(count_tick, *tables, sent, 0, 0, nothing, (0.0, 0.0), 0)
+            nothing = (0, 0.0), (False, False, False, False), (0.0, 0.0)
+            self._tick = entry_point(count_tick, *tables, sent, 0, 0, *nothing, 0)
             self._send = entry_point(note_sent, sent, 0, 0.0, 0.0)
             self._track = entry_point(count_tracking, *tables, 0, 0.0)
             self._begin = entry_point(begin_watch, self._counts, 0)
@@ -134,7 +122,7 @@ class Assurance:
         report: UavReport | None,
         *,
         distance: float,
-        arrivals: Sequence[Arrival] = (),
+        arrivals: Sequence[tuple[int, float]] = (),
         acts: Vector = (0.0, 0.0),
         flown: int | None = None,
         current: bool = True,
@@ -146,7 +134,8 @@ class Assurance:
             tick: Which.
             report: What it says; None if no command came, or one without a report.
             distance: The true one at the tick that is reported of [m].
-            arrivals: What has reached it at this tick.
+            arrivals: The detections that have reached it at this tick: when each was taken, and the norm of its error,
+                by the true relative position then [m].
             acts: The command that acts in this tick [m/s²].
             flown: The tick in which the motion began that is flown in this tick; None: none is.
             current: Whether the report is of this tick; with a clock that waits for nobody it may be of an earlier one.
@@ -157,8 +146,9 @@ class Assurance:
         if self._last[uav] != tick - 1:  # not watched just before: the filter is new
             self._begin(self._counts, uav)
         self._last[uav] = tick
+        newest, farthest = NEVER, 0.0
         for taken, error in arrivals:
-            self._arrive(self._bounds, self._counts, uav, taken, error)
+            newest, farthest = max(newest, taken), max(farthest, error)
         certified = intervened = False
         if report is not None and report.certified is not None:
             certified, intervened = report.certified, report.intervened
@@ -167,9 +157,10 @@ class Assurance:
         else:
             self.reasons[_SILENT] += 1
             self._silent[uav] += 1
-        said = CertificateClaim(certified, intervened, distance >= self._radius, current and says)
-        begins = NO_MOTION if flown is None else flown
-        self._tick(self._bounds, self._counts, self._sent[uav], uav, tick, said, acts, begins)
+        arrived, begins = (newest, farthest), NO_MOTION if flown is None else flown
+        said = certified, intervened, distance >= self._radius, current and says
+        tables = self._bounds, self._counts, self._sent[uav]
+        self._tick(*tables, uav, tick, arrived, said, acts, begins)
 
     def status(self) -> CertificateStatus | None:
         """All of it as a message; None where no filter has watched over anything."""

@@ -6,9 +6,9 @@ The same loop serves the pilots in this process and the three processes over the
 import logging
 from array import array
 from collections import defaultdict
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import msgspec
 import numpy as np
@@ -57,6 +57,31 @@ class News:
 
 
 _NO_NEWS = News()
+
+
+class _Observations(Mapping[str, Observation]):
+    """Each vehicle's observation of a tick, made when it is asked for: the first is on its way before the next is made.
+
+    Args:
+        names: The vehicles.
+        make: Makes the observation of one.
+    """
+
+    def __init__(self, names: tuple[str, ...], make: Callable[[str], Observation]) -> None:
+        self._names, self._make = names, make
+        self._made: dict[str, Observation] = {}
+
+    def __getitem__(self, name: str) -> Observation:
+        made = self._made.get(name)
+        if made is None:
+            made = self._made[name] = self._make(name)
+        return made
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
 
 
 class Exchange(Protocol):
@@ -136,6 +161,7 @@ class Flight:
         self._ticks = scenario.ticks
         self._rows = {name: k for k, name in enumerate(self.world.names)}
         self._uav_row = {uav.name: k for k, uav in enumerate(self.world.uavs)}
+        self._pairs = [(uav.name, uav.escorts) for uav in self.world.uavs]
         self._radio: dict[
             str, tuple[RelativeInformation, ...]
         ] = {}  # what each UGV hears at this tick
@@ -267,27 +293,27 @@ class Flight:
             words = link.arrivals(tick)
             if words:
                 self._news_of(name).operator = tuple(words)
-        for name, k in self._uav_row.items():
-            for look in self.world.received[k]:
+        for (name, _), looks in zip(self._pairs, self.world.received, strict=True):
+            for look in looks:
                 self._arrived[name].extend((tick, *look))
         if self._grounded:
             self._perceive_ground(tick)
         self._radio = {}
-        for uav in self.world.uavs:
-            arrived = self._radios[uav.name].arrivals(tick)
-            blocks = tuple(one for one in arrived if isinstance(one, GroundBlock))
-            if blocks:
-                heard = self._blocks[uav.escorts]
-                heard[tick] = (*heard.get(tick, ()), *blocks)
-                for block in blocks:
-                    self.world.hear_block(self._rows[uav.escorts], block)
-            messages = [one for one in arrived if isinstance(one, RelativeInformation)]
-            if messages:
-                self._radio[uav.escorts] = (*self._radio.get(uav.escorts, ()), *messages)
-                for message in messages:
-                    self._arrived[uav.escorts].extend(
-                        (tick, message.time, *message.relative_position, message.coverage_error)
-                    )
+        for uav, ugv in self._pairs:
+            arrived = self._radios[uav].arrivals(tick)
+            if arrived:
+                self._hear(tick, ugv, arrived)
+
+    def _hear(self, tick: int, ugv: str, arrived: list[Any]) -> None:
+        """A UGV receives what its UAV has radioed."""
+        for one in arrived:
+            if isinstance(one, GroundBlock):
+                self._blocks[ugv][tick] = (*self._blocks[ugv].get(tick, ()), one)
+                self.world.hear_block(self._rows[ugv], one)
+            elif isinstance(one, RelativeInformation):
+                self._radio[ugv] = (*self._radio.get(ugv, ()), one)
+                numbers = (tick, one.time, *one.relative_position, one.coverage_error)
+                self._arrived[ugv].extend(numbers)
 
     def _perceive_ground(self, tick: int) -> None:
         for k, name in enumerate(self.world.names):
@@ -304,9 +330,8 @@ class Flight:
         self,
         name: str,
         tick: int,
-        state: list[float],
-        looks: tuple[Detection, ...],
-        radio: tuple[RelativeInformation, ...],
+        state: tuple[Vector, Vector],
+        perceived: tuple[Any, ...],
         *,
         flown: int | None = None,
         known: bool = True,
@@ -318,23 +343,21 @@ class Flight:
             name: The vehicle.
             tick: When.
             state: Its position [m] and velocity [m/s], as it is told them.
-            looks: What a UAV has detected.
-            radio: What a UGV has heard.
+            perceived: What a UAV has detected; what a UGV has heard.
             flown: The motion that a UAV's receiver flew in the tick before; None: none.
             known: Whether its process was there to hear: otherwise its own motion, law and driver and nothing else.
             over: Whether no command is awaited.
         """
         news = self._news[name].get(tick, _NO_NEWS) if self._news else _NO_NEWS
-        x, y, v_x, v_y = state
-        time = tick * self.world.parameters.dt
+        grounded = self._grounded and known
         if name in self._uav_row:
             return UavObservation(
                 tick=tick,
-                time=time,
-                position=(x, y),
-                velocity=(v_x, v_y),
-                detections=looks if known else (),
-                ground=self._ground[name].get(tick, ()) if known else (),
+                time=tick * self.world.parameters.dt,
+                position=state[0],
+                velocity=state[1],
+                detections=perceived if known else (),
+                ground=self._ground[name].get(tick, ()) if grounded else (),
                 flown=flown,
                 law=news.law,
                 over=over,
@@ -342,35 +365,39 @@ class Flight:
             )
         return UgvObservation(
             tick=tick,
-            time=time,
-            position=(x, y),
-            velocity=(v_x, v_y),
-            radio=radio if known else (),
-            blocks=self._blocks[name].get(tick, ()) if known else (),
-            ground=self._ground[name].get(tick, ()) if known else (),
+            time=tick * self.world.parameters.dt,
+            position=state[0],
+            velocity=state[1],
+            radio=perceived if known else (),
+            blocks=self._blocks[name].get(tick, ()) if grounded else (),
+            ground=self._ground[name].get(tick, ()) if grounded else (),
             operator=news.operator if known else (),
             driver=news.driver,
             over=over,
             episode=self.episode,
         )
 
-    def observations(self) -> dict[str, Observation]:
-        """The observation of each vehicle at this tick: its own row and nothing else."""
+    def observations(self) -> Mapping[str, Observation]:
+        """The observation of each vehicle at this tick, made when it is asked for, before the world moves on."""
         self._listen()
-        world = self.world
-        tick, over, dt = world.tick, self.over, world.parameters.dt
-        positions, velocities = (array.tolist() for array in world.told)
-        seen: dict[str, Observation] = {}
-        for k, name in enumerate(world.names):
-            row = self._uav_row.get(name)
-            received = world.received[row] if row is not None else ()
-            looks = [Detection(time=t * dt, relative_position=(x, y)) for t, x, y in received]
-            radio, state = self._radio.get(name, ()), positions[k] + velocities[k]
-            flown = world.flown(k)
-            seen[name] = self._observation(
-                name, tick, state, tuple(looks), radio, flown=flown, over=over
-            )
-        return seen
+        return _Observations(self.world.names, self._observe)
+
+    def _observe(self, name: str) -> Observation:
+        world, k, row = self.world, self._rows[name], self._uav_row.get(name)
+        position, velocity = world.told.position, world.told.velocity
+        state = (
+            (position.item(k, 0), position.item(k, 1)),
+            (velocity.item(k, 0), velocity.item(k, 1)),
+        )
+        if row is None:
+            heard = self._radio.get(name, ())
+            return self._observation(name, world.tick, state, heard, over=self.over)
+        dt = world.parameters.dt
+        looks = [
+            Detection(time=t * dt, relative_position=(x, y)) for t, x, y in world.received[row]
+        ]
+        flown = world.flown(k)
+        return self._observation(name, world.tick, state, tuple(looks), flown=flown, over=self.over)
 
     def past(
         self, name: str, begin: int, end: int, unheard: Collection[int]
@@ -385,29 +412,27 @@ class Flight:
                 and nothing else.
         """
         states = self.recorder.told[begin:end, self._rows[name]].tolist()
-        looks: dict[int, tuple[Detection, ...]] = {}
-        radio: dict[int, tuple[RelativeInformation, ...]] = {}
+        perceived: dict[int, tuple[Any, ...]] = {}
         if name in self._uav_row:
             dt = self.world.parameters.dt
             for tick, taken, x, y in self._arrived_between(name, _LOOK, begin, end):
                 look = Detection(time=taken * dt, relative_position=(x, y))
-                looks[int(tick)] = (*looks.get(int(tick), ()), look)
+                perceived[int(tick)] = (*perceived.get(int(tick), ()), look)
         else:
             for tick, time, x, y, error in self._arrived_between(name, _RADIO, begin, end):
                 message = RelativeInformation(
                     time=time, relative_position=(x, y), coverage_error=error
                 )
-                radio[int(tick)] = (*radio.get(int(tick), ()), message)
+                perceived[int(tick)] = (*perceived.get(int(tick), ()), message)
         return tuple(
             self._observation(
                 name,
                 tick,
-                state,
-                looks.get(tick, ()),
-                radio.get(tick, ()),
+                ((x, y), (v_x, v_y)),
+                perceived.get(tick, ()),
                 known=tick not in unheard,
             )
-            for tick, state in enumerate(states, begin)
+            for tick, (x, y, v_x, v_y) in enumerate(states, begin)
         )
 
     def _arrived_between(self, name: str, width: int, begin: int, end: int) -> list[list[float]]:
@@ -538,7 +563,7 @@ def warm_up(scenario: Scenario) -> None:
         for kind in LinkKind:
             flight.degrade(kind, None, settings)
         for _ in range(3):
-            flight.observations()
+            dict(flight.observations())
             for k in range(len(world.names)):
                 world.send(k, world.tick, (0.0, 0.0))
             for link in carried:

@@ -149,6 +149,10 @@ class Recorder:
         """
         return self._escorts[: self.rows]
 
+    def distance(self, tick: int, uav: int) -> float:
+        """Distance of a UAV from its UGV at a tick that has been taken down [m]."""
+        return self._escorts.item(tick, uav, 0)
+
     def sha256(self, ticks: int | None = None) -> str:
         """The trajectory's hash over the first `ticks` complete ticks (all of them by default).
 
