@@ -163,7 +163,7 @@ class _Slot:
         self._presence = _Presence()
         self._briefings = session.inbox(BRIEFING[party.role], party.name)
         self._observations = session.inbox(OBSERVATION[party.role], party.name, newest=_ROOM)
-        self._flight: tuple[str, int] = ("", 0)  # who has briefed it for which flight
+        self._flight: tuple[object, int] = (None, 0)  # who has briefed it for which flight
         self._first = 0  # the first tick of it that is still to be seen
         session.watch(SIMULATOR_NAME, self._presence.change)
         session.announce()
@@ -263,13 +263,16 @@ def _answer(pilot: Pilot, seen: list[Any], commands: Outbox, name: str) -> bool:
     Raises:
         BusError: If the pilot's command is nonsense.
     """
-    missed = seen[:-1]
-    waits = hasattr(pilot, "attend")  # for somebody else, whose answer to it would come too late
-    take = pilot.act if len(missed) == 1 and not waits else getattr(pilot, "perceive", None)
-    if take is not None:
-        for observation in missed:
-            take(observation)
-    if missed:
+    if len(seen) > 1:
+        missed = seen[:-1]
+        waits = hasattr(
+            pilot, "attend"
+        )  # for somebody else, whose answer to it would come too late
+        act = len(missed) == 1 and not waits
+        take = pilot.act if act else getattr(pilot, "perceive", None)
+        if take is not None:
+            for observation in missed:
+                take(observation)
         _call_if_there(pilot, "forget_commands")
     command = pilot.act(seen[-1])
     if command is None:

@@ -193,6 +193,9 @@ class UavPilot:
         """The sender of the ground's blocks."""
         self._tick: int | None = None
         self._radio_ticks = radio_ticks(briefing.dt)
+        c = self._parameters
+        self._fixed_error = c.r_o, c.desired, c.cell
+        self._error = entry_point(coverage_error, self.coverage, 0.0, 0.0, *self._fixed_error)
         self._looks = LookRows(briefing.dt)
         self._take_on()
         rows, count = self._looks.take(())
@@ -329,8 +332,8 @@ class UavPilot:
     def _radio(
         self, observation: UavObservation, g_x: float, g_y: float
     ) -> tuple[RelativeInformation, ...]:
-        c, (p_x, p_y) = self._parameters, observation.position
-        error = coverage_error(self.coverage, g_x, g_y, c.r_o, c.desired, c.cell)
+        p_x, p_y = observation.position
+        error = self._error(self.coverage, g_x, g_y, *self._fixed_error)
         return (
             RelativeInformation(
                 time=observation.time,

@@ -4,7 +4,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import zenoh
@@ -18,16 +18,24 @@ WAKE_PERIOD = 0.1
 """A waiting reader looks up this often [s], for deadlines and for peers that come and go."""
 
 
-class Letter(msgspec.Struct, frozen=True, kw_only=True):
+class Letter(NamedTuple):
     """A message that has arrived."""
 
     sender: str
     """The vehicle in its key; empty where there is none."""
-    session: str
-    """The session that sent it, as it says itself; empty where it does not say."""
-    place: int | None
-    """The number of that session among those of its party, as it says itself; None where it does not say."""
     message: Message
+    source: zenoh.SourceInfo | None
+    """The session that sent it, as it says itself; None where it does not say."""
+
+    @property
+    def session(self) -> zenoh.ZenohId | None:
+        """The session's identity: no other is equal to it."""
+        return None if self.source is None else self.source.source_id.zid
+
+    @property
+    def place(self) -> int | None:
+        """The number of the session among those of its party."""
+        return None if self.source is None else self.source.source_sn
 
 
 class Outbox:
@@ -84,7 +92,7 @@ class Inbox:
         self._subscriber: zenoh.Subscriber[zenoh.Handler[zenoh.Sample]] | None = subscriber
         self._wake = wake
         self._decoders = {  # sender, decoder and largest payload by key
-            expression: (sender, msgspec.json.Decoder(key.message), key.largest)
+            zenoh.KeyExpr(expression): (sender, msgspec.json.Decoder(key.message), key.largest)
             for expression, (sender, key) in known.items()
         }
         self._since: float | None = None
@@ -173,34 +181,24 @@ class Inbox:
             self._wake()
 
     def _open(self, sample: zenoh.Sample) -> Letter | None:
-        size = len(sample.payload)
-        expression = str(sample.key_expr)
-        known = self._decoders.get(expression)
-        if not size or known is None:
+        payload, key = sample.payload.to_bytes(), sample.key_expr
+        known = self._decoders.get(key)
+        if not payload or known is None:
             return None  # a wake-up; nobody of this run; or a pattern, which nobody writes who means well
         sender, decoder, largest = known
-        if size > largest:
-            self._refuse(sender, expression, f"{size} bytes; allowed up to {largest}")
+        if len(payload) > largest:
+            self._refuse(sender, key, f"{len(payload)} bytes; allowed up to {largest}")
             return None
         try:
-            message = decoder.decode(sample.payload.to_bytes())
+            return Letter(sender, decoder.decode(payload), sample.source_info)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            self._refuse(sender, expression, str(error))
+            self._refuse(sender, key, str(error))
             return None
-        source = sample.source_info
-        if source is None:
-            return Letter(sender=sender, session="", place=None, message=message)
-        return Letter(
-            sender=sender,
-            session=str(source.source_id.zid),
-            place=source.source_sn,
-            message=message,
-        )
 
-    def _refuse(self, sender: str, expression: str, reason: str) -> None:
+    def _refuse(self, sender: str, key: zenoh.KeyExpr, reason: str) -> None:
         told = reason[:LONGEST_TEXT]
         reason = "".join(one if one.isprintable() else ascii(one)[1:-1] for one in told)
         self.fault[sender] = reason
         self.refused[sender] = count = self.refused[sender] + 1
         if count & (count - 1) == 0:  # the 1st, 2nd, 4th, 8th ...: a flood must not fill a log
-            _LOG.warning("refused a message on %s: %s (%d so far)", expression, reason, count)
+            _LOG.warning("refused a message on %s: %s (%d so far)", key, reason, count)

@@ -136,6 +136,8 @@ class Lockstep:
                 if self._slots.take(letter, tick, commands, oldest=tick):
                     awaited.pop(letter.sender, None)
                     self._cut_off.pop(letter.sender, None)
+                    if not awaited:
+                        break
                 if (
                     time.monotonic() < look
                 ):  # a flood of letters must not keep us from looking around
