@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from bus.errors import ScenarioError
 from outrider.cli.options import Json
 
 
@@ -30,7 +31,6 @@ def command(
     """
     from rich.table import Table
 
-    from bus.errors import ScenarioError
     from outrider.cli.console import OUT, print_json, share_progress
 
     if scaling is not None and (only or scaling.suffix.lower() != ".png"):

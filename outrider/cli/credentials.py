@@ -1,11 +1,14 @@
 """`outrider credentials`: who may take part in a run."""
 
+import os
 from collections.abc import Iterable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bus.errors import AccessDenied, ScenarioError
 from outrider.cli.options import DEFAULT_RUN, Json, RunName
 
 if TYPE_CHECKING:
@@ -90,10 +93,7 @@ def command(
 
     Example: outrider credentials credentials --scenario escort --run flight
     """
-    import os
-
     from bus.access import new_credentials, write_credentials
-    from bus.errors import ScenarioError
     from outrider.cli.console import OUT, print_json
 
     _refuse(
@@ -141,8 +141,6 @@ def command(
 
 
 def _owner(text: str) -> tuple[int, int] | None:
-    from bus.errors import ScenarioError
-
     if not text:
         return None
     user, _, group = text.partition(":")
@@ -190,7 +188,6 @@ def _renew(
         replace_credentials,
     )
     from bus.certificates import AUTHORITY_DAYS, PARTY_DAYS, ROUTER_HOSTS, hosts_of, issue
-    from bus.errors import AccessDenied
 
     authority = read_authority(folder / f"{AUTHORITY_FILE}.json")
     router = read_credentials(folder / f"{ROUTER_FILE}.json")
@@ -218,11 +215,8 @@ def _renew(
 
 def _check(folder: Path, *, json: bool) -> int:
     """Tell of every file in a folder whether it is good, and how long."""
-    from datetime import UTC, datetime
-
     from bus.access import ROUTER_FILE, read_credential, read_credentials
     from bus.certificates import Identity, check_identity, expiry_warning
-    from bus.errors import AccessDenied
     from outrider.cli.console import OUT, print_json
 
     if not folder.is_dir():

@@ -6,20 +6,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from outrider.cli.options import (
-    DEFAULT_ENDPOINT,
-    DEFAULT_RUN,
-    Connect,
-    CredentialFile,
-    Json,
-    RunName,
-    Set,
-    join,
-)
+from bus.errors import PeerLost
+from bus.keys import Role
+from outrider.cli import options
+from outrider.cli.stopping import Stop, stop_on_signals
 
 if TYPE_CHECKING:
     from bus.session import Session
-    from outrider.cli.stopping import Stop
     from outrider.recording.observer import RunRecorder, RunSink
 
 
@@ -43,17 +36,17 @@ def command(
             "Needs the extra [ros2].",
         ),
     ] = None,
-    connect: Connect = DEFAULT_ENDPOINT,
-    run: RunName = DEFAULT_RUN,
-    credentials: CredentialFile = None,
+    connect: options.Connect = options.DEFAULT_ENDPOINT,
+    run: options.RunName = options.DEFAULT_RUN,
+    credentials: options.CredentialFile = None,
     scenario: Annotated[
         str,
         typer.Option(
             help="What is flown there, name or file: with it the flight can be drawn and flown again."
         ),
     ] = "",
-    changes: Set = None,
-    json: Json = False,
+    changes: options.Set = None,
+    json: options.Json = False,
 ) -> None:
     """Record a run in progress into an MCAP file: an observer, who disturbs nobody. Ends with the run, or at Ctrl-C.
 
@@ -80,10 +73,7 @@ def command(
     target = ros2 or out
     if target is None:
         raise typer.BadParameter("name the file to write, such as: outrider record run.mcap")
-    from bus.keys import Role
     from outrider.cli.console import ERR, print_json
-    from outrider.cli.options import scenario_of
-    from outrider.cli.stopping import stop_on_signals
     from outrider.recording.bag_records import size_of
     from outrider.recording.observer import RunRecorder
 
@@ -91,10 +81,10 @@ def command(
         from outrider.bridges.ros2.ros_bag import check_target
 
         check_target(ros2)
-    known = scenario_of(scenario, changes=changes)[0] if scenario else None
+    known = options.scenario_of(scenario, changes=changes)[0] if scenario else None
     with (
         stop_on_signals() as stop,
-        join(Role.OBSERVER, run, connect, credentials) as session,
+        options.join(Role.OBSERVER, run, connect, credentials) as session,
     ):
         recorder = RunRecorder(session, _sink(target, bag=ros2 is not None), known)
         try:
@@ -113,8 +103,6 @@ def command(
     else:
         ERR.tell(f"{target}: {recorder.story()}")
     if lost:
-        from bus.errors import PeerLost
-
         raise PeerLost(f"the router at {connect} has gone; what came before it went is in {target}")
 
 
@@ -128,7 +116,7 @@ def _sink(target: Path, *, bag: bool) -> "RunSink":
     return RecordingFile(target)
 
 
-def _follow(session: "Session", recorder: "RunRecorder", stop: "Stop") -> bool:
+def _follow(session: "Session", recorder: "RunRecorder", stop: Stop) -> bool:
     """Record until the run is over or somebody wants the end; whether it was the router that went."""
     from rich.progress import TextColumn
 

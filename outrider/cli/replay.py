@@ -4,9 +4,12 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import msgspec
 import typer
 
 from outrider.cli.options import FlightNumber, Json, NoPageToken, PagePort, PageToken
+from outrider.cli.stopping import stop_on_signals
+from outrider.running.extras import check_extra
 
 if TYPE_CHECKING:
     from outrider.recording.reader import Recording
@@ -146,7 +149,6 @@ def _write_bag(recording: "Recording", folder: Path, *, json: bool) -> None:
 
     from outrider.bridges.ros2.ros_bag import RosBag, copy_flight
     from outrider.cli.console import ERR, print_json
-    from outrider.cli.stopping import stop_on_signals
     from outrider.recording.bag_records import size_of
 
     with (
@@ -179,7 +181,6 @@ def _write_bag(recording: "Recording", folder: Path, *, json: bool) -> None:
 def _show(recording: "Recording", speed: float, port: int, token: str, *, wanted: bool) -> None:
     """Serve the page until somebody ends it."""
     from outrider.cli.console import ERR
-    from outrider.running.extras import check_extra
     from outrider.view.page.access.door import address_of, choose_admission, open_socket
 
     admission = choose_admission("127.0.0.1", token, wanted=wanted)
@@ -207,7 +208,6 @@ def _play(recording: "Recording", speed: float) -> None:
     from rich.progress import Progress, TextColumn
 
     from outrider.cli.console import ERR, blue
-    from outrider.cli.stopping import stop_on_signals
 
     truths = recording.truths
     begin, end = truths[0].time, truths[-1].time
@@ -233,8 +233,6 @@ def _play(recording: "Recording", speed: float) -> None:
 
 
 def _tell(recording: "Recording", *, json: bool) -> None:
-    import msgspec
-
     from outrider.cli.console import OUT, print_json, print_summary
     from outrider.recording.refly import from_the_start, restore
     from outrider.running.summary import certificate_fields, mission_fields, summarize

@@ -7,25 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from outrider.cli.options import (
-    DEFAULT_ENDPOINT,
-    DEFAULT_RUN,
-    CredentialFile,
-    Deadline,
-    DriverName,
-    Insecure,
-    Json,
-    LawName,
-    NetworkName,
-    RealTime,
-    Record,
-    RunName,
-    Secret,
-    Set,
-    Watchdog,
-    check_endpoints,
-    credential_of,
-)
+from bus.keys import SIMULATOR_NAME, Party, Role
+from outrider.cli import options
+from outrider.cli.stopping import stop_on_signals
 
 if TYPE_CHECKING:
     from bus.access import Credential, CredentialSet
@@ -43,7 +27,9 @@ def command(
     ] = "escort",
     listen: Annotated[
         list[str] | None,
-        typer.Option(help=f"Host the router, on this endpoint; {DEFAULT_ENDPOINT} by default."),
+        typer.Option(
+            help=f"Host the router, on this endpoint; {options.DEFAULT_ENDPOINT} by default."
+        ),
     ] = None,
     connect: Annotated[
         str,
@@ -52,9 +38,9 @@ def command(
             envvar="OUTRIDER_CONNECT",
         ),
     ] = "",
-    run: RunName = DEFAULT_RUN,
-    credentials: CredentialFile = None,
-    insecure: Insecure = False,
+    run: options.RunName = options.DEFAULT_RUN,
+    credentials: options.CredentialFile = None,
+    insecure: options.Insecure = False,
     seed: Annotated[
         int | None,
         typer.Option(
@@ -64,19 +50,19 @@ def command(
             envvar="OUTRIDER_SEED",
         ),
     ] = None,
-    secret: Secret = "",
+    secret: options.Secret = "",
     duration: Annotated[
         float | None,
         typer.Option(
             help="Simulated time in s, instead of the scenario's.", envvar="OUTRIDER_DURATION"
         ),
     ] = None,
-    law: LawName = None,
-    driver: DriverName = None,
-    network: NetworkName = "",
-    changes: Set = None,
-    realtime: RealTime = None,
-    deadline: Deadline = 10.0,
+    law: options.LawName = None,
+    driver: options.DriverName = None,
+    network: options.NetworkName = "",
+    changes: options.Set = None,
+    realtime: options.RealTime = None,
+    deadline: options.Deadline = 10.0,
     join_timeout: Annotated[
         float,
         typer.Option(
@@ -89,7 +75,7 @@ def command(
         bool,
         typer.Option("--respawn", help="Let the clock stand still until a lost vehicle is back."),
     ] = False,
-    record: Record = None,
+    record: options.Record = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -97,12 +83,12 @@ def command(
         ),
     ] = None,
     picture: Annotated[bool, typer.Option(help="Draw the picture too.")] = True,
-    json: Json = False,
+    json: options.Json = False,
     events: Annotated[
         bool,
         typer.Option(hidden=True, help="Report on stdout as JSON lines, for a parent process."),
     ] = False,
-    watchdog: Watchdog = False,
+    watchdog: options.Watchdog = False,
     watchdog_folder: Annotated[
         Path | None, typer.Option(hidden=True, help="Removed when the parent has gone.")
     ] = None,
@@ -114,11 +100,8 @@ def command(
 
     Example: outrider simulator escort --listen tcp/127.0.0.1:17447 --out runs/mine
     """
-    from bus.keys import SIMULATOR_NAME, Party, Role
     from bus.session import open_session
     from outrider.cli.console import ERR, flight_progress, print_json, print_summary, print_warnings
-    from outrider.cli.options import scenario_of, secret_of
-    from outrider.cli.stopping import stop_on_signals
     from outrider.running.assumptions import promise_warnings
     from outrider.running.exit_reports import Reports
     from outrider.running.summary import summarize
@@ -132,7 +115,7 @@ def command(
 
     if watchdog:
         start_watchdog(watchdog_folder)
-    flown, _ = scenario_of(
+    flown, _ = options.scenario_of(
         scenario,
         seed=seed,
         duration=duration,
@@ -141,13 +124,13 @@ def command(
         changes=changes,
         network=network,
     )
-    endpoints = () if connect else tuple(listen or (DEFAULT_ENDPOINT,))
+    endpoints = () if connect else tuple(listen or (options.DEFAULT_ENDPOINT,))
     given, credential = _credentials(credentials, hosts=not connect)
-    check_endpoints(
+    options.check_endpoints(
         endpoints or (connect,), secured=given is not None or bool(connect), insecure=insecure
     )
     secured = given is not None or credential is not None
-    kept = secret_of(secret, wanted=secured and not events)  # a parent has decided
+    kept = options.secret_of(secret, wanted=secured and not events)  # a parent has decided
     with compiling("world"):
         warm_up(flown)
     reports, promised = Reports(enabled=events), promise_warnings(flown)
@@ -256,8 +239,7 @@ def _credentials(
 ) -> "tuple[CredentialSet | None, Credential | None]":
     """Credentials by which the router inside knows its clients, or that of a client of another router."""
     from bus.access import read_credentials
-    from bus.keys import SIMULATOR_NAME, Role
 
     if hosts:
         return (None if file is None else read_credentials(file)), None
-    return None, credential_of(file, Role.SIMULATOR, SIMULATOR_NAME)
+    return None, options.credential_of(file, Role.SIMULATOR, SIMULATOR_NAME)

@@ -3,17 +3,17 @@
 import shlex
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from outrider.cli.options import AllowCode, Duration, Json, Set
+from outrider.running.extras import check_extra
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from contextlib import AbstractContextManager
-
     from rich.progress import Progress
 
     from outrider.experiments.sweep.folder import SweepFolder
@@ -79,8 +79,6 @@ def command(
     Example: outrider sweep escort --law linear,switching --vary links.detections.delay=0,0.5,1 --seeds 20 --out
     sweeps/delay
     """
-    from outrider.running.extras import check_extra
-
     check_extra("sweep")
     if dask:
         check_extra("dask")
@@ -133,9 +131,7 @@ def command(
     _tell(told, folder, where, json=json)
 
 
-def _cluster(address: str, version: str) -> "AbstractContextManager[Any]":
-    from contextlib import nullcontext
-
+def _cluster(address: str, version: str) -> AbstractContextManager[Any]:
     if not address:
         return nullcontext()
     from outrider.experiments.sweep.running import open_cluster
@@ -221,7 +217,7 @@ def _tell(told: dict[str, Any], folder: "SweepFolder", where: Path, *, json: boo
         raise typer.Exit(1)
 
 
-def _errors(folder: "SweepFolder") -> "Iterator[str]":
+def _errors(folder: "SweepFolder") -> Iterator[str]:
     from outrider.experiments.sweep.folder import read_head, read_results
 
     head = read_head(folder.path)
