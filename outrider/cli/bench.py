@@ -35,21 +35,20 @@ def command(
 
     if scaling is not None and (only or scaling.suffix.lower() != ".png"):
         raise ScenarioError(f"--scaling {scaling}: needs a file that ends in .png, and no --only")
-    with share_progress("measuring") as tell:
-        if scaling is not None:
-            from outrider.bench.scaling import make_scaling
-
-            points = make_scaling(scaling, on_progress=tell)
-        else:
-            from outrider.bench.measured import measure
-
-            rows = measure(only or [], repeats, on_progress=tell)
     if scaling is not None:
+        from outrider.bench.scaling import make_scaling
+
+        with share_progress("measuring") as tell:
+            points = make_scaling(scaling, on_progress=tell)
         if json:
             print_json({"file": str(scaling), "points": points})
         else:
             OUT.tell(f"{scaling}\n{scaling.with_suffix('.json')}")
         return
+    from outrider.bench.measured import measure
+
+    with share_progress("measuring") as tell:
+        rows = measure(only or [], repeats, on_progress=tell)
     if json:
         print_json({"rows": rows})
         return

@@ -4,16 +4,12 @@ import os
 from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from bus.errors import AccessDenied, ScenarioError
 from outrider.cli.options import DEFAULT_RUN, Json, RunName
-
-if TYPE_CHECKING:
-    from bus.access import CredentialSet
-    from bus.certificates import Authority
 
 
 def command(
@@ -93,7 +89,8 @@ def command(
 
     Example: outrider credentials credentials --scenario escort --run flight
     """
-    from bus.access import new_credentials, write_credentials
+    from bus.access import new_certificates, new_credentials, write_credentials
+    from bus.certificates import PARTY_DAYS, new_authority
     from outrider.cli.console import OUT, print_json
 
     _refuse(
@@ -118,10 +115,13 @@ def command(
 
         flown = load_scenario(scenario)
         names = ([uav.name for uav in flown.uav], [ugv.name for ugv in flown.ugv])
-        given, authority = (
-            _certificates(run, *names, router or (), days, ros2=ros2)
-            if tls
-            else (new_credentials(run, *names, ros2=ros2), None)
+        authority = new_authority(run) if tls else None
+        given = (
+            new_credentials(run, *names, ros2=ros2)
+            if authority is None
+            else new_certificates(
+                authority, *names, hosts=router or (), days=days or PARTY_DAYS, ros2=ros2
+            )
         )
         files = write_credentials(given, folder, authority)
     if user is not None:
@@ -153,24 +153,6 @@ def _refuse(combinations: dict[str, bool]) -> None:
     for words, found in combinations.items():
         if found:
             raise typer.BadParameter(f"{words}: these options do not go together")
-
-
-def _certificates(
-    run: str,
-    uavs: Iterable[str],
-    ugvs: Iterable[str],
-    hosts: Iterable[str],
-    days: float | None,
-    *,
-    ros2: bool,
-) -> "tuple[CredentialSet, Authority]":
-    from bus.access import new_certificates
-    from bus.certificates import PARTY_DAYS, new_authority
-
-    authority = new_authority(run)
-    return new_certificates(
-        authority, uavs, ugvs, hosts=tuple(hosts), days=days or PARTY_DAYS, ros2=ros2
-    ), authority
 
 
 def _renew(

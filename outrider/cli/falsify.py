@@ -272,7 +272,7 @@ def _check_out(out: Path | None) -> None:
 
 
 def _search(wanted: "Wanted", expect: Expect | None, *, json: bool) -> None:
-    from outrider.cli.console import ERR
+    from outrider.cli.console import ERR, OUT, print_json
     from outrider.experiments.falsify.engines import Found, save, search
 
     found, fault = Found(wanted), None
@@ -283,7 +283,11 @@ def _search(wanted: "Wanted", expect: Expect | None, *, json: bool) -> None:
         except PeerLost as error:  # what has been found by then is told all the same
             fault = error
         save(found)
-    _tell(found, json=json)
+    if json:
+        print_json(found.as_plain())
+    else:
+        for line in _lines(found):
+            OUT.tell(line)
     if fault is not None:
         raise fault
     if stop:
@@ -299,17 +303,11 @@ def _search(wanted: "Wanted", expect: Expect | None, *, json: bool) -> None:
 @contextmanager
 def _progress(found: "Found") -> Iterator[Callable[[str, float], None]]:
     """A bar on a terminal, else a line now and then."""
-    from rich.progress import TextColumn, TimeRemainingColumn
+    from outrider.cli.console import ERR, runs_bar
 
-    from outrider.cli.console import ERR, bar
-
-    columns = (
-        TextColumn("{task.fields[note]}", markup=False),
-        TimeRemainingColumn(compact=True, elapsed_when_finished=True),
-    )
     began = said = time.monotonic()
     shown = 0  # violations
-    with bar(*columns, width=30) as progress:
+    with runs_bar(width=30) as progress:
         task = progress.add_task("starting", total=1.0, note="")
 
         def show(engine: str, share: float) -> None:
@@ -327,16 +325,6 @@ def _progress(found: "Found") -> Iterator[Callable[[str, float], None]]:
                 ERR.tell(f"{engine}: {note}")
 
         yield show
-
-
-def _tell(found: "Found", *, json: bool) -> None:
-    from outrider.cli.console import OUT, print_json
-
-    if json:
-        print_json(found.as_plain())
-        return
-    for line in _lines(found):
-        OUT.tell(line)
 
 
 def _lines(found: "Found") -> Iterator[str]:

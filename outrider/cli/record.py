@@ -1,6 +1,7 @@
 """`outrider record`: the record of a run in progress, and the repair of one that was killed."""
 
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -92,14 +93,9 @@ def command(
         finally:
             with ERR.status(f"ending {target}"):
                 recorder.close()
-    found = {
-        **recorder.counts(),
-        "file": str(target),
-        "bytes": size_of(target),
-        "router_lost": lost,
-    }
     if json:
-        print_json(found)
+        told = {"file": str(target), "bytes": size_of(target), "router_lost": lost}
+        print_json(recorder.counts() | told)
     else:
         ERR.tell(f"{target}: {recorder.story()}")
     if lost:
@@ -151,14 +147,7 @@ def _repair(killed: Path, out: Path, *, json: bool) -> None:
 
     saved = repair(killed, out)
     if json:
-        print_json(
-            {
-                "file": str(out),
-                "messages": saved.messages,
-                "lost_bytes": saved.lost_bytes,
-                "reason": saved.reason,
-            }
-        )
+        print_json({"file": str(out), **asdict(saved)})
         return
     what = (
         f"{saved.reason}, {saved.lost_bytes} bytes lost"

@@ -110,7 +110,7 @@ def _refly(recording: "Recording", *, json: bool) -> None:
 
     with ERR.status("flying it again"):
         found = refly(recording)
-    same, where = found.difference is None, found.difference
+    same = found.difference is None
     if json:
         told: dict[str, Any] = {
             "file": str(recording.path),
@@ -118,24 +118,15 @@ def _refly(recording: "Recording", *, json: bool) -> None:
             "ticks": found.ticks,
             "trajectory_sha256": found.trajectory_sha256,
             "recorded_sha256": found.recorded_sha256,
-            "difference": None
-            if where is None
-            else {
-                "tick": where.tick,
-                "vehicle": where.vehicle,
-                "field": where.field,
-                "recorded": where.recorded,
-                "flown": where.flown,
-            },
+            "difference": found.difference,
             "note": found.note,
             **certificate_fields(recording.certificates),
             **mission_fields(recording.mission),
         }
         print_json(told)
     else:
-        verdict = (
-            ("the same to the last bit", "green") if same else (f"differs from {where}", "red")
-        )
+        differs = f"differs from {found.difference}"
+        verdict = ("the same to the last bit", "green") if same else (differs, "red")
         OUT.tell(Text.assemble(f"{recording.path}: {found.ticks} ticks flown again, ", verdict))
         OUT.tell(f"  trajectory_sha256 {found.trajectory_sha256}")
         if found.note:

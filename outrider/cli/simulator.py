@@ -103,7 +103,7 @@ def command(
     from bus.session import open_session
     from outrider.cli.console import ERR, flight_progress, print_json, print_summary, print_warnings
     from outrider.running.assumptions import promise_warnings
-    from outrider.running.exit_reports import Reports
+    from outrider.running.exit_reports import Report, Reports
     from outrider.running.summary import summarize
     from outrider.running.watchdog import start_watchdog
     from outrider.view.output import write_flight
@@ -135,7 +135,7 @@ def command(
         warm_up(flown)
     reports, promised = Reports(enabled=events), promise_warnings(flown)
     if events and promised:
-        reports.warn(promised)  # of the scenario itself the parent has told
+        reports.write(Report(warnings=promised))  # of the scenario itself the parent has told
     if not events:
         print_warnings((*scenario_warnings(flown), *promised))
         where = (
@@ -206,10 +206,11 @@ def command(
                         late_ticks=late_ticks,
                         changes=server.changes,
                     )
-                    reports.summary(summary)  # first of all, so that a full disk does not take it
+                    # first of all, so that a full disk does not take it
+                    reports.write(Report(summary=summary))
                     files = write_flight(flight, summary, out, picture=picture) if out else []
                     files += [record] if record is not None else []
-                    reports.files(files)
+                    reports.write(Report(files=[str(file) for file in files]))
                     if json:
                         print_json(summary)
                     elif not events:

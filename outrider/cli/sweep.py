@@ -14,8 +14,6 @@ from outrider.cli.options import AllowCode, Duration, Json, Set
 from outrider.running.extras import check_extra
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
-
     from outrider.experiments.sweep.folder import SweepFolder
     from outrider.experiments.sweep.plan import SweepPlan
 
@@ -82,7 +80,7 @@ def command(
     check_extra("sweep")
     if dask:
         check_extra("dask")
-    from outrider.cli.console import print_warnings
+    from outrider.cli.console import print_warnings, runs_bar
     from outrider.experiments.sweep.definition import describe_sweep
     from outrider.experiments.sweep.folder import SweepFolder
 
@@ -92,7 +90,7 @@ def command(
         sweep, laws=law, vary=vary or (), changes=changes or (), seeds=seeds, first_seed=first_seed
     )
     where = out or Path("sweeps") / Path(sweep).stem
-    with _bar(stays=False) as progress:
+    with runs_bar() as progress:
         from outrider.experiments.sweep.plan import lay_out
 
         task = progress.add_task("loading the points", total=None, note="")
@@ -139,18 +137,6 @@ def _cluster(address: str, version: str) -> AbstractContextManager[Any]:
     return open_cluster(address, version)
 
 
-def _bar(*, stays: bool) -> "AbstractContextManager[Progress]":
-    from rich.progress import TextColumn, TimeRemainingColumn
-
-    from outrider.cli.console import bar
-
-    return bar(
-        TextColumn("{task.fields[note]}", markup=False),
-        TimeRemainingColumn(compact=True, elapsed_when_finished=True),
-        stays=stays,
-    )
-
-
 def _fly(plan: "SweepPlan", folder: "SweepFolder", jobs: int | None, client: Any) -> None:  # noqa: ANN401 - an extra's type
     """Fly what is missing, with a bar.
 
@@ -158,6 +144,7 @@ def _fly(plan: "SweepPlan", folder: "SweepFolder", jobs: int | None, client: Any
     """
     from joblib import cpu_count
 
+    from outrider.cli.console import runs_bar
     from outrider.experiments.sweep.running import cost_of, fly_sweep
 
     workers = jobs or (sum(client.ncores().values()) if client is not None else cpu_count())
@@ -165,7 +152,7 @@ def _fly(plan: "SweepPlan", folder: "SweepFolder", jobs: int | None, client: Any
     done = folder.done
     kept = sum(costs[run // plan.sweep.seeds] for run in done)
     started, flown = time.monotonic(), 0
-    with _bar(stays=True) as progress:
+    with runs_bar(stays=True) as progress:
         bar = progress.add_task(
             "flying",
             total=sum(costs) * plan.sweep.seeds,
