@@ -118,17 +118,13 @@ class FlightRecorder:
         self._items: deque[_Item] = deque()
         self._done = threading.Event()
         self._fault: Exception | None = None
-        self._flight: Flight | None = (
-            None  # the one that the flight's thread is at; _written is the writer's
-        )
+        # The one that the flight's thread is at; _written is the writer's.
+        self._flight: Flight | None = None
         self._degradations = 0  # of the flight, those that are in the file
         self._written: Flight | None = None
         self._texts: TickTexts
         self._escorts: dict[str, str] = {}
         self._early: list[str] = []
-        self._next_map = self._next_status = 0
-        self._hazards: tuple[HazardOutline, ...] | None = None
-        self._pace = (time.monotonic(), 0)
         self._scratch: FloatArray = np.empty((0, 0))
         self._file.begin(head_of(scenario, seed, secret=secret), scenario)
         self._head = (scenario, seed, secret, 0)
@@ -171,7 +167,7 @@ class FlightRecorder:
 
     def _take_up(self, flight: Flight) -> None:
         self._flight, self._next_map, self._next_status = flight, 0, 0
-        self._hazards = None
+        self._hazards: tuple[HazardOutline, ...] | None = None
         self._degradations = 0
         self._pace = (time.monotonic(), 0)
 
