@@ -3,19 +3,13 @@
 import time
 from contextlib import closing, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from bus.keys import SIMULATOR_NAME, Party, Role
 from outrider.cli import options
 from outrider.cli.stopping import stop_on_signals
-
-if TYPE_CHECKING:
-    from bus.access import Credential, CredentialSet
-    from outrider.recording.writer import FlightRecorder
-    from sim.scenario.types import Scenario
-    from sim.server.serving import Server
 
 
 def command(
@@ -100,6 +94,7 @@ def command(
 
     Example: outrider simulator escort --listen tcp/127.0.0.1:17447 --out runs/mine
     """
+    from bus.access import read_credentials
     from bus.session import open_session
     from outrider.cli.console import ERR, flight_progress, print_json, print_summary, print_warnings
     from outrider.running.assumptions import promise_warnings
@@ -125,7 +120,12 @@ def command(
         network=network,
     )
     endpoints = () if connect else tuple(listen or (options.DEFAULT_ENDPOINT,))
-    given, credential = _credentials(credentials, hosts=not connect)
+    # By which the router inside knows its clients, or the router elsewhere knows this one.
+    given, credential = None, None
+    if connect:
+        credential = options.credential_of(credentials, Role.SIMULATOR, SIMULATOR_NAME)
+    elif credentials is not None:
+        given = read_credentials(credentials)
     options.check_endpoints(
         endpoints or (connect,), secured=given is not None or bool(connect), insecure=insecure
     )
@@ -149,10 +149,11 @@ def command(
     timing = Timing(
         realtime=realtime, deadline=deadline, join_timeout=join_timeout, respawn=respawn
     )
-    servers: list[Server] = []
-    recorder = _recorder(
-        record, flown, kept, servers
-    )  # a file that cannot be written shows before anybody joins
+    recorder = None
+    if record is not None:  # a file that cannot be written shows before anybody joins
+        from outrider.recording.writer import FlightRecorder
+
+        recorder = FlightRecorder(record, flown, flown.seed, secret=kept)
     with stop_on_signals() as stop:
         party = Party(role=Role.SIMULATOR, name=SIMULATOR_NAME)
         with (
@@ -178,7 +179,8 @@ def command(
                 stop=lambda: bool(stop),
                 warn=promise_warnings,
             )
-            servers.append(server)
+            if recorder is not None:
+                recorder.vehicles = server.vehicles
             shown = 0.0
 
             def on_tick() -> None:
@@ -216,31 +218,3 @@ def command(
                     elif not events:
                         print_summary(summary, files)
     raise typer.Exit(stop.exit_code)
-
-
-def _recorder(
-    path: Path | None, flown: "Scenario", secret: str, servers: "list[Server]"
-) -> "FlightRecorder | None":
-    """Records the flight; the server whose vehicles it asks for comes later."""
-    if path is None:
-        return None
-    from outrider.recording.writer import FlightRecorder
-
-    return FlightRecorder(
-        path,
-        flown,
-        flown.seed,
-        secret=secret,
-        vehicles=lambda: servers[0].vehicles() if servers else {},
-    )
-
-
-def _credentials(
-    file: Path | None, *, hosts: bool
-) -> "tuple[CredentialSet | None, Credential | None]":
-    """Credentials by which the router inside knows its clients, or that of a client of another router."""
-    from bus.access import read_credentials
-
-    if hosts:
-        return (None if file is None else read_credentials(file)), None
-    return None, options.credential_of(file, Role.SIMULATOR, SIMULATOR_NAME)

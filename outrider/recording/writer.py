@@ -98,7 +98,6 @@ class FlightRecorder:
         scenario: What is flown.
         seed: Of all random numbers.
         secret: Of the run; a file that tells one is for its owner alone.
-        vehicles: Tells how the vehicles' processes stand; without it only what the flight itself counts.
 
     Raises:
         OSError: If the file cannot be written.
@@ -111,9 +110,9 @@ class FlightRecorder:
         seed: int,
         *,
         secret: str = "",
-        vehicles: Callable[[], Mapping[str, VehicleStatus]] | None = None,
     ) -> None:
-        self._vehicles = vehicles
+        self.vehicles: Callable[[], Mapping[str, VehicleStatus]] = dict
+        """Tells how the vehicles' processes stand; by default nothing beside what the flight itself counts."""
         self._file = RecordingFile(path)
         self._items: deque[_Item] = deque()
         self._done = threading.Event()
@@ -201,7 +200,6 @@ class FlightRecorder:
     def _status(self, flight: Flight) -> Status:
         now, (before, tick) = time.monotonic(), self._pace
         self._pace = (now, flight.world.tick)
-        vehicles = self._vehicles() if self._vehicles is not None else {}
         status = flight.status()
         return msgspec.structs.replace(
             status,
@@ -209,7 +207,7 @@ class FlightRecorder:
             * flight.scenario.dt
             / max(now - before, 1e-6),
             warnings=promise_warnings(flight.flown, flight.world.links.table),
-            vehicles={**status.vehicles, **vehicles},
+            vehicles={**status.vehicles, **self.vehicles()},
         )
 
     def close(self) -> None:
