@@ -91,11 +91,6 @@ class ChartData:
         self.generation = 0
         """Another number: the rows before are no longer those that are kept now."""
 
-    def clear(self) -> None:
-        """Forget everything: another flight begins."""
-        self.rows, self.newest, self._stride = [], (), _FIRST_STRIDE
-        self.generation += 1
-
     def add(self, truth: Truth, factor: float, dt: float) -> None:
         """Take down a truth.
 
@@ -110,7 +105,8 @@ class ChartData:
             self.newest and truth.time < (self.newest[0] or 0.0)
         ):
             self.vehicles, self.escorts = vehicles, escorts
-            self.clear()
+            self.rows, self._stride = [], _FIRST_STRIDE  # another flight begins
+            self.generation += 1
         self.newest = _row(truth, factor, dt, self.losses)
         if not self.rows or truth.time - (self.rows[-1][0] or 0.0) >= self._stride - 1e-9:
             self.rows.append(self.newest)
