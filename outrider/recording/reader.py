@@ -288,7 +288,7 @@ def _entries_of_parts(files: list[Path], damage: Damage) -> Iterator[Entry]:
             return
 
 
-def _entries_of_file(path: Path, damage: Damage | None = None) -> Iterator[Entry]:
+def _entries_of_file(path: Path, damage: Damage) -> Iterator[Entry]:
     names: dict[int, str] = {}
     for record in stream(path, damage):
         if isinstance(record, records.Channel):

@@ -80,7 +80,7 @@ class Teleoperation:
         vehicle: Which UGV.
         speed: How fast a pressed key drives [m/s].
         back: Who gets the wheel in the end; empty: who had it before.
-        status: The first one, if it has been read already.
+        status: The first one.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class Teleoperation:
         *,
         speed: float,
         back: str = "",
-        status: Status | None = None,
+        status: Status,
     ) -> None:
         self.vehicle = vehicle
         self._client = RunClient(session, status)
