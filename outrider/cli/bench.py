@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from bus.errors import ScenarioError
 from outrider.cli.options import Json
 
 
@@ -30,26 +31,24 @@ def command(
     """
     from rich.table import Table
 
-    from bus.errors import ScenarioError
     from outrider.cli.console import OUT, print_json, share_progress
 
     if scaling is not None and (only or scaling.suffix.lower() != ".png"):
         raise ScenarioError(f"--scaling {scaling}: needs a file that ends in .png, and no --only")
-    with share_progress("measuring") as tell:
-        if scaling is not None:
-            from outrider.bench.scaling import make_scaling
-
-            points = make_scaling(scaling, on_progress=tell)
-        else:
-            from outrider.bench.measured import measure
-
-            rows = measure(only or [], repeats, on_progress=tell)
     if scaling is not None:
+        from outrider.bench.scaling import make_scaling
+
+        with share_progress("measuring") as tell:
+            points = make_scaling(scaling, on_progress=tell)
         if json:
             print_json({"file": str(scaling), "points": points})
         else:
             OUT.tell(f"{scaling}\n{scaling.with_suffix('.json')}")
         return
+    from outrider.bench.measured import measure
+
+    with share_progress("measuring") as tell:
+        rows = measure(only or [], repeats, on_progress=tell)
     if json:
         print_json({"rows": rows})
         return

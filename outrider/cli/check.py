@@ -4,19 +4,7 @@ from typing import Annotated
 
 import typer
 
-from outrider.cli.options import (
-    AllowCode,
-    DriverName,
-    Duration,
-    Json,
-    LawName,
-    NetworkName,
-    PolicyName,
-    Seed,
-    Set,
-    VirtualPath,
-    Weighting,
-)
+from outrider.cli import options
 
 _LISTED = 12
 """Vehicles are named up to so many."""
@@ -24,17 +12,17 @@ _LISTED = 12
 
 def command(
     file: Annotated[str, typer.Argument(help="A TOML file, or a shipped scenario's name.")],
-    seed: Seed = None,
-    duration: Duration = None,
-    law: LawName = None,
-    driver: DriverName = None,
-    changes: Set = None,
-    weighting: Weighting = "",
-    path: VirtualPath = "",
-    policy: PolicyName = "",
-    network: NetworkName = "",
-    allow_code: AllowCode = False,
-    json: Json = False,
+    seed: options.Seed = None,
+    duration: options.Duration = None,
+    law: options.LawName = None,
+    driver: options.DriverName = None,
+    changes: options.Set = None,
+    weighting: options.Weighting = "",
+    path: options.VirtualPath = "",
+    policy: options.PolicyName = "",
+    network: options.NetworkName = "",
+    allow_code: options.AllowCode = False,
+    json: options.Json = False,
 ) -> None:
     """Validate what `outrider run` would fly: exit code 0, or 2 and one line naming file, field and value.
 
@@ -46,13 +34,12 @@ def command(
     Example: outrider check my-scenario.toml --network wifi-poor
     """
     from outrider.cli.console import OUT, print_json, print_warnings
-    from outrider.cli.options import scenario_of
     from outrider.running.assumptions import how_certifiable, odds, promise_warnings
     from outrider.running.user_code import check_own_functions, foreign_code
     from sim.scenario.checks import scenario_warnings
     from sim.scenario.types import NO_UAV
 
-    scenario, overrides = scenario_of(
+    scenario, overrides = options.scenario_of(
         file,
         seed=seed,
         duration=duration,

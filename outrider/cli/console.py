@@ -97,6 +97,13 @@ def bar(*told: ProgressColumn, stays: bool = False, width: int = 40) -> Progress
     )
 
 
+def runs_bar(*, stays: bool = False, width: int = 40) -> Progress:
+    """A bar for many runs, with the field `note` and the time left behind it; otherwise as `bar`."""
+    left = TimeRemainingColumn(compact=True, elapsed_when_finished=True)
+    note = TextColumn("{task.fields[note]}", markup=False)
+    return bar(note, left, stays=stays, width=width)
+
+
 @contextmanager
 def share_progress(what: str) -> Iterator[Callable[[str, float], None]]:
     """A bar for work that tells what it does and which share of it all is done; gone afterwards."""

@@ -1,16 +1,15 @@
 """`outrider credentials`: who may take part in a run."""
 
+import os
 from collections.abc import Iterable
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from bus.errors import AccessDenied, ScenarioError
 from outrider.cli.options import DEFAULT_RUN, Json, RunName
-
-if TYPE_CHECKING:
-    from bus.access import CredentialSet
-    from bus.certificates import Authority
 
 
 def command(
@@ -90,10 +89,8 @@ def command(
 
     Example: outrider credentials credentials --scenario escort --run flight
     """
-    import os
-
-    from bus.access import new_credentials, write_credentials
-    from bus.errors import ScenarioError
+    from bus.access import new_certificates, new_credentials, write_credentials
+    from bus.certificates import PARTY_DAYS, new_authority
     from outrider.cli.console import OUT, print_json
 
     _refuse(
@@ -118,10 +115,13 @@ def command(
 
         flown = load_scenario(scenario)
         names = ([uav.name for uav in flown.uav], [ugv.name for ugv in flown.ugv])
-        given, authority = (
-            _certificates(run, *names, router or (), days, ros2=ros2)
-            if tls
-            else (new_credentials(run, *names, ros2=ros2), None)
+        authority = new_authority(run) if tls else None
+        given = (
+            new_credentials(run, *names, ros2=ros2)
+            if authority is None
+            else new_certificates(
+                authority, *names, hosts=router or (), days=days or PARTY_DAYS, ros2=ros2
+            )
         )
         files = write_credentials(given, folder, authority)
     if user is not None:
@@ -141,8 +141,6 @@ def command(
 
 
 def _owner(text: str) -> tuple[int, int] | None:
-    from bus.errors import ScenarioError
-
     if not text:
         return None
     user, _, group = text.partition(":")
@@ -155,24 +153,6 @@ def _refuse(combinations: dict[str, bool]) -> None:
     for words, found in combinations.items():
         if found:
             raise typer.BadParameter(f"{words}: these options do not go together")
-
-
-def _certificates(
-    run: str,
-    uavs: Iterable[str],
-    ugvs: Iterable[str],
-    hosts: Iterable[str],
-    days: float | None,
-    *,
-    ros2: bool,
-) -> "tuple[CredentialSet, Authority]":
-    from bus.access import new_certificates
-    from bus.certificates import PARTY_DAYS, new_authority
-
-    authority = new_authority(run)
-    return new_certificates(
-        authority, uavs, ugvs, hosts=tuple(hosts), days=days or PARTY_DAYS, ros2=ros2
-    ), authority
 
 
 def _renew(
@@ -190,7 +170,6 @@ def _renew(
         replace_credentials,
     )
     from bus.certificates import AUTHORITY_DAYS, PARTY_DAYS, ROUTER_HOSTS, hosts_of, issue
-    from bus.errors import AccessDenied
 
     authority = read_authority(folder / f"{AUTHORITY_FILE}.json")
     router = read_credentials(folder / f"{ROUTER_FILE}.json")
@@ -218,11 +197,8 @@ def _renew(
 
 def _check(folder: Path, *, json: bool) -> int:
     """Tell of every file in a folder whether it is good, and how long."""
-    from datetime import UTC, datetime
-
     from bus.access import ROUTER_FILE, read_credential, read_credentials
     from bus.certificates import Identity, check_identity, expiry_warning
-    from bus.errors import AccessDenied
     from outrider.cli.console import OUT, print_json
 
     if not folder.is_dir():

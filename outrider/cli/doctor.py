@@ -1,5 +1,7 @@
 """`outrider doctor`: what this machine has of what Outrider can use."""
 
+import socket
+import sys
 from collections.abc import Callable, Iterator
 from typing import Literal, NamedTuple
 
@@ -25,7 +27,6 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "firefox", "microso
 
 def _python() -> Iterator[Finding]:
     import platform
-    import sys
 
     version = platform.python_version()
     good = sys.version_info >= (3, 11)
@@ -70,8 +71,6 @@ def _extras() -> Iterator[Finding]:
 
 
 def _ports() -> Iterator[Finding]:
-    import socket
-
     for port, what in ((17447, "router"), (8080, "page")):
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

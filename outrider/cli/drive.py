@@ -5,25 +5,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from outrider.cli.options import (
-    DEFAULT_ENDPOINT,
-    DEFAULT_RUN,
-    Connect,
-    CredentialFile,
-    RunName,
-    join,
-)
+from bus.errors import ScenarioError
+from bus.keys import STATUS, Role
+from bus.messages import Status
+from outrider.cli import options
+from outrider.cli.stopping import Stop, stop_on_signals
 
 if TYPE_CHECKING:
-    from bus.messages import Status
     from bus.session import Session
-    from outrider.cli.stopping import Stop
 
 
 def command(
-    connect: Connect = DEFAULT_ENDPOINT,
-    run: RunName = DEFAULT_RUN,
-    credentials: CredentialFile = None,
+    connect: options.Connect = options.DEFAULT_ENDPOINT,
+    run: options.RunName = options.DEFAULT_RUN,
+    credentials: options.CredentialFile = None,
     name: Annotated[str, typer.Option(help="The UGV's name in the scenario.")] = "ugv_0",
     speed: Annotated[
         float, typer.Option(help="How fast a pressed key drives, in m/s.", min=0.05, max=20.0)
@@ -50,10 +45,6 @@ def command(
 
     Example: outrider drive --connect tcp/127.0.0.1:17447 --credentials credentials/operator.json
     """
-    from bus.errors import ScenarioError
-    from bus.keys import Role
-    from outrider.cli.stopping import stop_on_signals
-
     try:
         from outrider.view.terminal.terminal import check_terminal
     except ImportError as error:
@@ -61,7 +52,7 @@ def command(
             f"drive: {error.name} is missing; it drives on Unix terminals only"
         ) from error
     check_terminal()
-    with join(Role.OPERATOR, run, connect, credentials) as session:
+    with options.join(Role.OPERATOR, run, connect, credentials) as session:
         with stop_on_signals() as stop:
             first = _await_run(session, name, stop)
         if first is None:
@@ -71,15 +62,12 @@ def command(
         raise typer.Exit(code)
 
 
-def _await_run(session: "Session", vehicle: str, stop: "Stop") -> "Status | None":
+def _await_run(session: "Session", vehicle: str, stop: Stop) -> Status | None:
     """The first status; None if a signal came before it.
 
     Raises:
         ScenarioError: If the run has no such UGV.
     """
-    from bus.errors import ScenarioError
-    from bus.keys import STATUS
-    from bus.messages import Status
     from outrider.cli.console import ERR
     from outrider.view.terminal.teleoperation import ugvs_of
 
@@ -102,9 +90,8 @@ def _are(names: tuple[str, ...]) -> str:
     return f"is {names[0]}" if len(names) == 1 else f"are {', '.join(names)}"
 
 
-def _drive(session: "Session", vehicle: str, first: "Status", *, speed: float, back: str) -> int:
+def _drive(session: "Session", vehicle: str, first: Status, *, speed: float, back: str) -> int:
     """Drive until the operator leaves; the exit code."""
-    from bus.errors import ScenarioError
     from outrider.view.terminal.terminal import ending, know_colours, quiet_logs
 
     know_colours()

@@ -2,6 +2,7 @@
 
 import shlex
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
@@ -9,12 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bus.errors import PeerLost
 from bus.registry import LAWS
 from outrider.cli.options import AllowCode, Json, ScenarioName, Set
+from outrider.cli.stopping import stop_on_signals
+from outrider.running.extras import check_extra
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from outrider.experiments.falsify.engines import Found, Wanted
     from sim.scenario.types import Scenario
 
@@ -167,7 +169,6 @@ def command(
     from outrider.cli.console import print_warnings
     from outrider.experiments.falsify.engines import Wanted
     from outrider.experiments.falsify.limits import SearchLimits, base_of, beyond_declared
-    from outrider.running.extras import check_extra
     from sim.kernels.threads import cores
 
     limits_given = (max_delay, max_loss, max_blackout, max_command_delay, noise)
@@ -271,9 +272,7 @@ def _check_out(out: Path | None) -> None:
 
 
 def _search(wanted: "Wanted", expect: Expect | None, *, json: bool) -> None:
-    from bus.errors import PeerLost
-    from outrider.cli.console import ERR
-    from outrider.cli.stopping import stop_on_signals
+    from outrider.cli.console import ERR, OUT, print_json
     from outrider.experiments.falsify.engines import Found, save, search
 
     found, fault = Found(wanted), None
@@ -284,7 +283,11 @@ def _search(wanted: "Wanted", expect: Expect | None, *, json: bool) -> None:
         except PeerLost as error:  # what has been found by then is told all the same
             fault = error
         save(found)
-    _tell(found, json=json)
+    if json:
+        print_json(found.as_plain())
+    else:
+        for line in _lines(found):
+            OUT.tell(line)
     if fault is not None:
         raise fault
     if stop:
@@ -298,19 +301,13 @@ def _search(wanted: "Wanted", expect: Expect | None, *, json: bool) -> None:
 
 
 @contextmanager
-def _progress(found: "Found") -> "Iterator[Callable[[str, float], None]]":
+def _progress(found: "Found") -> Iterator[Callable[[str, float], None]]:
     """A bar on a terminal, else a line now and then."""
-    from rich.progress import TextColumn, TimeRemainingColumn
+    from outrider.cli.console import ERR, runs_bar
 
-    from outrider.cli.console import ERR, bar
-
-    columns = (
-        TextColumn("{task.fields[note]}", markup=False),
-        TimeRemainingColumn(compact=True, elapsed_when_finished=True),
-    )
     began = said = time.monotonic()
     shown = 0  # violations
-    with bar(*columns, width=30) as progress:
+    with runs_bar(width=30) as progress:
         task = progress.add_task("starting", total=1.0, note="")
 
         def show(engine: str, share: float) -> None:
@@ -330,17 +327,7 @@ def _progress(found: "Found") -> "Iterator[Callable[[str, float], None]]":
         yield show
 
 
-def _tell(found: "Found", *, json: bool) -> None:
-    from outrider.cli.console import OUT, print_json
-
-    if json:
-        print_json(found.as_plain())
-        return
-    for line in _lines(found):
-        OUT.tell(line)
-
-
-def _lines(found: "Found") -> "Iterator[str]":
+def _lines(found: "Found") -> Iterator[str]:
     from outrider.running.user_code import foreign_code
 
     wanted, flights, attacks = found.wanted, found.flights, found.attacks

@@ -6,7 +6,9 @@ from typing import Annotated
 
 import typer
 
-from outrider.cli.options import DriverName, Duration, Json, LawName, NetworkName, Seed, Set
+from bus.errors import ScenarioError
+from bus.keys import Role
+from outrider.cli import options
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -42,13 +44,13 @@ def export(
     agent: Annotated[
         str, typer.Option(help="The vehicle's name in the scenario; the first by default.")
     ] = "",
-    seed: Seed = None,
-    duration: Duration = None,
-    law: LawName = None,
-    driver: DriverName = None,
-    network: NetworkName = "",
-    changes: Set = None,
-    json: Json = False,
+    seed: options.Seed = None,
+    duration: options.Duration = None,
+    law: options.LawName = None,
+    driver: options.DriverName = None,
+    network: options.NetworkName = "",
+    changes: options.Set = None,
+    json: options.Json = False,
 ) -> None:
     """Write a co-simulation unit: a vehicle's pilot or driver, or the world with all of them.
 
@@ -59,13 +61,10 @@ def export(
 
     Example: outrider fmu export world escort --seed 3 --out world.fmu
     """
-    from bus.errors import ScenarioError
-    from bus.keys import Role
     from outrider.bridges.fmi.export import export_vehicle, export_world
     from outrider.cli.console import ERR, OUT, print_json
-    from outrider.cli.options import scenario_of
 
-    flown, _ = scenario_of(
+    flown, _ = options.scenario_of(
         scenario,
         seed=seed,
         duration=duration,

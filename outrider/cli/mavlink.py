@@ -8,31 +8,23 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from outrider.cli.options import (
-    DEFAULT_ENDPOINT,
-    DEFAULT_RUN,
-    Connect,
-    CredentialFile,
-    Insecure,
-    Json,
-    RunName,
-    check_endpoint,
-    credential_of,
-    staff_of,
-)
+from bus.errors import PeerLost, ScenarioError
+from bus.keys import SAMPLED_TRUTH, STATUS, Party, Role
+from bus.messages import Origin, Status
+from outrider.cli import options
 from outrider.cli.pilots import JoinTimeout
+from outrider.cli.stopping import Stop, stop_on_signals
+from outrider.view.page import LOOPBACK
 
 if TYPE_CHECKING:
     from agents.process import MakePilot
     from bus.access import Credential
-    from bus.messages import Status
     from bus.session import Session
     from outrider.bridges.mavlink.autopilot import AutopilotLink
     from outrider.bridges.mavlink.identity import VehicleSystem
     from outrider.bridges.mavlink.offboard import OffboardGateway
     from outrider.bridges.mavlink.run_gateway import RunGateway
     from outrider.bridges.mavlink.udp import Address, Network
-    from outrider.cli.stopping import Stop
     from outrider.view.operator import RunClient
 
 _OUT, _OFFBOARD = "udpout:127.0.0.1:14550", "udpout:127.0.0.1:14540"
@@ -81,9 +73,9 @@ def command(
             help="Join as this UAV, and let a real autopilot fly along: its telemetry in, its setpoints out.",
         ),
     ] = "",
-    connect: Connect = DEFAULT_ENDPOINT,
-    run: RunName = DEFAULT_RUN,
-    credentials: CredentialFile = None,
+    connect: options.Connect = options.DEFAULT_ENDPOINT,
+    run: options.RunName = options.DEFAULT_RUN,
+    credentials: options.CredentialFile = None,
     first: Annotated[
         int,
         typer.Option(
@@ -95,8 +87,8 @@ def command(
         typer.Option(help="Height in m at which UAVs are told to fly: a run is flat.", min=0.0),
     ] = 10.0,
     join_timeout: JoinTimeout = 30.0,
-    insecure: Insecure = False,
-    json: Json = False,
+    insecure: options.Insecure = False,
+    json: options.Json = False,
 ) -> None:
     """Show a run to MAVLink ground stations while it is flown, one system a vehicle, or fly a UAV of it over MAVLink.
 
@@ -117,14 +109,11 @@ def command(
 
     Example: outrider mavlink --vehicle uav_0 --to udpout:127.0.0.1:14540 --credentials credentials/uav_0.json
     """
-    from bus.keys import Role
-    from bus.messages import Origin
     from outrider.bridges.mavlink.identity import VehicleSystem
     from outrider.bridges.mavlink.udp import Network, parse_address
     from outrider.cli.console import print_json
-    from outrider.cli.stopping import stop_on_signals
 
-    check_endpoint(connect)
+    options.check_endpoint(connect)
     if vehicle and autopilot:
         raise typer.BadParameter("--vehicle or --autopilot, not both")
     told, asked = out or [], listen or []
@@ -140,7 +129,9 @@ def command(
     try:
         if vehicle or autopilot:
             name = vehicle or autopilot
-            bus = _Bus(connect, run, credential_of(credentials, Role.UAV, name), join_timeout)
+            bus = _Bus(
+                connect, run, options.credential_of(credentials, Role.UAV, name), join_timeout
+            )
             system = VehicleSystem(name, first, flies=True, origin=Origin(), height=height)
             found = _fly(network, system, bus) if vehicle else _fly_along(network, name, bus)
         else:
@@ -171,7 +162,6 @@ def _join(
 ) -> None:
     """Fly a UAV until the run is over, and serve MAVLink beside it."""
     from agents.process import fly, warm_up
-    from bus.keys import Party, Role
     from outrider.bridges.mavlink.offboard import serving
     from sim.kernels.compile import compiling
 
@@ -226,9 +216,6 @@ def _check_listening(addresses: "dict[str, Address]", *, insecure: bool) -> None
     Raises:
         ScenarioError: If other machines reach an address.
     """
-    from bus.errors import ScenarioError
-    from outrider.view.page import LOOPBACK
-
     for text, address in addresses.items():
         if not (insecure or address.host in LOOPBACK):
             raise ScenarioError(
@@ -241,19 +228,17 @@ def _show(
     connect: str,
     run: str,
     credentials: Path | None,
-    stop: "Stop",
+    stop: Stop,
     first: int,
     height: float,
 ) -> dict[str, object]:
     """Tell a run until it is over or somebody wants the end; what was told."""
-    from bus.errors import PeerLost
-    from bus.keys import SAMPLED_TRUTH, STATUS, Role
     from bus.session import open_session
     from outrider.bridges.mavlink.run_gateway import RunGateway
     from outrider.cli.console import ERR
     from outrider.view.operator import RunClient
 
-    party, credential = staff_of(credentials, Role.OBSERVER)
+    party, credential = options.staff_of(credentials, Role.OBSERVER)
     with open_session(party, run, connect=connect, credential=credential) as session:
         client = RunClient(session, read=(STATUS, SAMPLED_TRUTH))
         status = _await_run(client, run, stop)
@@ -274,7 +259,7 @@ def _show(
     return {"vehicles": named, **gateway.counts()}
 
 
-def _await_run(client: "RunClient", run: str, stop: "Stop") -> "Status | None":
+def _await_run(client: "RunClient", run: str, stop: Stop) -> Status | None:
     """The first status that tells of the vehicles; None if a signal came before it."""
     from outrider.cli.console import ERR
 
@@ -292,7 +277,7 @@ def _await_run(client: "RunClient", run: str, stop: "Stop") -> "Status | None":
     return None
 
 
-def _follow(session: "Session", client: "RunClient", gateway: "RunGateway", stop: "Stop") -> bool:
+def _follow(session: "Session", client: "RunClient", gateway: "RunGateway", stop: Stop) -> bool:
     """Tell the run until it is over or somebody wants the end; whether it was the router that went."""
     from outrider.view.operator import SILENCE
 

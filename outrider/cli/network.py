@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bus.errors import ScenarioError
 from outrider.cli.options import Json
 
 if TYPE_CHECKING:
@@ -49,7 +50,6 @@ def fit(
 
     Example: outrider network fit drive.csv --out fit.png
     """
-    from bus.errors import ScenarioError
     from bus.files import read_regular
     from outrider.cli.console import ERR, OUT, print_json
     from outrider.experiments.network.fitting import fit_link

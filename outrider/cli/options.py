@@ -1,22 +1,23 @@
 """Options that several commands share, and how they become a scenario."""
 
+import os
 import re
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import msgspec
 import typer
 
-from bus.errors import ScenarioError
+from bus.errors import AccessDenied, ScenarioError
+from bus.keys import OPERATOR_NAME, Party, Role, check_run_name
 from bus.profiles import PROFILES
-from bus.registry import DRIVERS, LAWS, POLICY_FORMS, SAVED_POLICIES, described
+from bus.registry import DRIVERS, LAWS, POLICY_FORMS, SAVED_POLICIES, DriverRow, LawRow, described
+from outrider.view.page import LOOPBACK
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from contextlib import AbstractContextManager
-
     from bus.access import Credential
-    from bus.keys import Party, Role
-    from bus.registry import DriverRow, LawRow
     from bus.session import Session
     from sim.scenario.types import Scenario
 
@@ -100,8 +101,6 @@ Watchdog = Annotated[
 
 
 def _run_name(name: str) -> str:
-    from bus.keys import check_run_name
-
     try:
         return check_run_name(name)
     except ValueError as error:
@@ -221,7 +220,6 @@ def scenario_of(
         ScenarioError: If it cannot be flown.
     """
     # a vehicle's process, which shares these options, must not load it
-    from bus.registry import DRIVERS, LAWS
     from sim.scenario.loading import load_scenario
 
     overrides = list(changes or ())
@@ -255,11 +253,11 @@ def scenario_of(
 
 
 def _user_of(
-    own: "Mapping[str, str]",
+    own: Mapping[str, str],
     kind: str,
-    rows: "Mapping[str, LawRow] | Mapping[str, DriverRow]",
+    rows: Mapping[str, LawRow] | Mapping[str, DriverRow],
     chosen: str | None,
-    flown: "set[str]",
+    flown: set[str],
 ) -> str | None:
     """The law or driver that uses the function which the user has named, so that none is ignored.
 
@@ -341,8 +339,6 @@ _PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream")
 
 def is_local(endpoint: str) -> bool:
     """True if only processes of this machine can reach an endpoint."""
-    from outrider.view.page import LOOPBACK
-
     protocol, _, address = endpoint.partition("/")
     host = address.rpartition(":")[0].strip("[]")
     return protocol.startswith("unix") or host in LOOPBACK
@@ -373,7 +369,7 @@ def check_endpoints(endpoints: tuple[str, ...], *, secured: bool, insecure: bool
             )
 
 
-def staff_of(file: Path | None, role: "Role") -> "tuple[Party, Credential | None]":
+def staff_of(file: Path | None, role: Role) -> "tuple[Party, Credential | None]":
     """The operator or the observer of a run, whoever the file is of, and its credentials.
 
     Args:
@@ -384,8 +380,6 @@ def staff_of(file: Path | None, role: "Role") -> "tuple[Party, Credential | None
         AccessDenied: If the file is somebody else's.
     """
     from bus.access import read_credential
-    from bus.errors import AccessDenied
-    from bus.keys import OPERATOR_NAME, Party, Role
 
     found = credential_of(None, role, role.value) if file is None else read_credential(file)
     if found is None:
@@ -398,10 +392,9 @@ def staff_of(file: Path | None, role: "Role") -> "tuple[Party, Credential | None
 
 
 def join(
-    role: "Role", run: str, connect: str, file: Path | None
+    role: Role, run: str, connect: str, file: Path | None
 ) -> "AbstractContextManager[Session]":
     """The session of a run's operator, observer or bridge; errors as of `check_endpoint` and `credential_of`."""
-    from bus.keys import Party
     from bus.session import open_session
 
     check_endpoint(connect)
@@ -410,19 +403,14 @@ def join(
     return open_session(party, run, connect=connect, credential=credential)
 
 
-def credential_of(file: Path | None, role: "Role", name: str) -> "Credential | None":
+def credential_of(file: Path | None, role: Role, name: str) -> "Credential | None":
     """By what this process is known: from its file, or its password from OUTRIDER_PASSWORD; None without either.
 
     Raises:
         AccessDenied: If the file is not this party's.
         ScenarioError: If the password cannot be one.
     """
-    import os
-
-    import msgspec
-
     from bus.access import Credential, read_credential
-    from bus.errors import AccessDenied
 
     if file is not None:
         found = read_credential(file)

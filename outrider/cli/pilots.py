@@ -4,19 +4,8 @@ from typing import Annotated
 
 import typer
 
-from outrider.cli.options import (
-    DEFAULT_ENDPOINT,
-    DEFAULT_RUN,
-    Connect,
-    CredentialFile,
-    PolicyName,
-    RunName,
-    VirtualPath,
-    Watchdog,
-    Weighting,
-    check_endpoint,
-    credential_of,
-)
+from bus.keys import Party, Role
+from outrider.cli import options
 
 JoinTimeout = Annotated[
     float,
@@ -29,16 +18,16 @@ JoinTimeout = Annotated[
 
 
 def uav(
-    connect: Connect = DEFAULT_ENDPOINT,
+    connect: options.Connect = options.DEFAULT_ENDPOINT,
     name: Annotated[
         str, typer.Option(help="The UAV's name in the scenario.", envvar="OUTRIDER_NAME")
     ] = "uav_0",
-    run: RunName = DEFAULT_RUN,
-    credentials: CredentialFile = None,
+    run: options.RunName = options.DEFAULT_RUN,
+    credentials: options.CredentialFile = None,
     join_timeout: JoinTimeout = 30.0,
-    weighting: Weighting = "",
-    path: VirtualPath = "",
-    watchdog: Watchdog = False,
+    weighting: options.Weighting = "",
+    path: options.VirtualPath = "",
+    watchdog: options.Watchdog = False,
 ) -> None:
     """Fly one UAV: join the run, answer every observation with a command, leave when it is over.
 
@@ -47,16 +36,15 @@ def uav(
     Example: outrider uav --connect tcp/127.0.0.1:17447 --name uav_0
     """
     from agents.process import fly, uav_maker
-    from bus.keys import Party, Role
     from outrider.running.user_code import load_function
 
     _watch(watchdog)
-    check_endpoint(connect)
+    options.check_endpoint(connect)
     maker = uav_maker(
         weighting=load_function(weighting, what="weighting"),
         path=load_function(path, what="path"),
     )
-    credential = credential_of(credentials, Role.UAV, name)
+    credential = options.credential_of(credentials, Role.UAV, name)
     fly(
         Party(role=Role.UAV, name=name),
         maker,
@@ -68,15 +56,15 @@ def uav(
 
 
 def ugv(
-    connect: Connect = DEFAULT_ENDPOINT,
+    connect: options.Connect = options.DEFAULT_ENDPOINT,
     name: Annotated[
         str, typer.Option(help="The UGV's name in the scenario.", envvar="OUTRIDER_NAME")
     ] = "ugv_0",
-    run: RunName = DEFAULT_RUN,
-    credentials: CredentialFile = None,
+    run: options.RunName = options.DEFAULT_RUN,
+    credentials: options.CredentialFile = None,
     join_timeout: JoinTimeout = 30.0,
-    policy: PolicyName = "",
-    watchdog: Watchdog = False,
+    policy: options.PolicyName = "",
+    watchdog: options.Watchdog = False,
 ) -> None:
     """Drive one UGV: join the run, answer every observation with a command, leave when it is over.
 
@@ -85,12 +73,11 @@ def ugv(
     Example: outrider ugv --connect tcp/127.0.0.1:17447 --name ugv_0
     """
     from agents.process import fly, ugv_maker
-    from bus.keys import Party, Role
     from outrider.running.user_code import load_function
 
     _watch(watchdog)
-    check_endpoint(connect)
-    credential = credential_of(credentials, Role.UGV, name)
+    options.check_endpoint(connect)
+    credential = options.credential_of(credentials, Role.UGV, name)
     maker = ugv_maker(policy=load_function(policy, what="policy"), policy_name=policy)
     fly(
         Party(role=Role.UGV, name=name),

@@ -1,25 +1,19 @@
 """`outrider record`: the record of a run in progress, and the repair of one that was killed."""
 
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from outrider.cli.options import (
-    DEFAULT_ENDPOINT,
-    DEFAULT_RUN,
-    Connect,
-    CredentialFile,
-    Json,
-    RunName,
-    Set,
-    join,
-)
+from bus.errors import PeerLost
+from bus.keys import Role
+from outrider.cli import options
+from outrider.cli.stopping import Stop, stop_on_signals
 
 if TYPE_CHECKING:
     from bus.session import Session
-    from outrider.cli.stopping import Stop
     from outrider.recording.observer import RunRecorder, RunSink
 
 
@@ -43,17 +37,17 @@ def command(
             "Needs the extra [ros2].",
         ),
     ] = None,
-    connect: Connect = DEFAULT_ENDPOINT,
-    run: RunName = DEFAULT_RUN,
-    credentials: CredentialFile = None,
+    connect: options.Connect = options.DEFAULT_ENDPOINT,
+    run: options.RunName = options.DEFAULT_RUN,
+    credentials: options.CredentialFile = None,
     scenario: Annotated[
         str,
         typer.Option(
             help="What is flown there, name or file: with it the flight can be drawn and flown again."
         ),
     ] = "",
-    changes: Set = None,
-    json: Json = False,
+    changes: options.Set = None,
+    json: options.Json = False,
 ) -> None:
     """Record a run in progress into an MCAP file: an observer, who disturbs nobody. Ends with the run, or at Ctrl-C.
 
@@ -80,10 +74,7 @@ def command(
     target = ros2 or out
     if target is None:
         raise typer.BadParameter("name the file to write, such as: outrider record run.mcap")
-    from bus.keys import Role
     from outrider.cli.console import ERR, print_json
-    from outrider.cli.options import scenario_of
-    from outrider.cli.stopping import stop_on_signals
     from outrider.recording.bag_records import size_of
     from outrider.recording.observer import RunRecorder
 
@@ -91,10 +82,10 @@ def command(
         from outrider.bridges.ros2.ros_bag import check_target
 
         check_target(ros2)
-    known = scenario_of(scenario, changes=changes)[0] if scenario else None
+    known = options.scenario_of(scenario, changes=changes)[0] if scenario else None
     with (
         stop_on_signals() as stop,
-        join(Role.OBSERVER, run, connect, credentials) as session,
+        options.join(Role.OBSERVER, run, connect, credentials) as session,
     ):
         recorder = RunRecorder(session, _sink(target, bag=ros2 is not None), known)
         try:
@@ -102,19 +93,12 @@ def command(
         finally:
             with ERR.status(f"ending {target}"):
                 recorder.close()
-    found = {
-        **recorder.counts(),
-        "file": str(target),
-        "bytes": size_of(target),
-        "router_lost": lost,
-    }
     if json:
-        print_json(found)
+        told = {"file": str(target), "bytes": size_of(target), "router_lost": lost}
+        print_json(recorder.counts() | told)
     else:
         ERR.tell(f"{target}: {recorder.story()}")
     if lost:
-        from bus.errors import PeerLost
-
         raise PeerLost(f"the router at {connect} has gone; what came before it went is in {target}")
 
 
@@ -128,7 +112,7 @@ def _sink(target: Path, *, bag: bool) -> "RunSink":
     return RecordingFile(target)
 
 
-def _follow(session: "Session", recorder: "RunRecorder", stop: "Stop") -> bool:
+def _follow(session: "Session", recorder: "RunRecorder", stop: Stop) -> bool:
     """Record until the run is over or somebody wants the end; whether it was the router that went."""
     from rich.progress import TextColumn
 
@@ -163,14 +147,7 @@ def _repair(killed: Path, out: Path, *, json: bool) -> None:
 
     saved = repair(killed, out)
     if json:
-        print_json(
-            {
-                "file": str(out),
-                "messages": saved.messages,
-                "lost_bytes": saved.lost_bytes,
-                "reason": saved.reason,
-            }
-        )
+        print_json({"file": str(out), **asdict(saved)})
         return
     what = (
         f"{saved.reason}, {saved.lost_bytes} bytes lost"

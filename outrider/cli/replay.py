@@ -4,9 +4,12 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import msgspec
 import typer
 
 from outrider.cli.options import FlightNumber, Json, NoPageToken, PagePort, PageToken
+from outrider.cli.stopping import stop_on_signals
+from outrider.running.extras import check_extra
 
 if TYPE_CHECKING:
     from outrider.recording.reader import Recording
@@ -107,7 +110,7 @@ def _refly(recording: "Recording", *, json: bool) -> None:
 
     with ERR.status("flying it again"):
         found = refly(recording)
-    same, where = found.difference is None, found.difference
+    same = found.difference is None
     if json:
         told: dict[str, Any] = {
             "file": str(recording.path),
@@ -115,24 +118,15 @@ def _refly(recording: "Recording", *, json: bool) -> None:
             "ticks": found.ticks,
             "trajectory_sha256": found.trajectory_sha256,
             "recorded_sha256": found.recorded_sha256,
-            "difference": None
-            if where is None
-            else {
-                "tick": where.tick,
-                "vehicle": where.vehicle,
-                "field": where.field,
-                "recorded": where.recorded,
-                "flown": where.flown,
-            },
+            "difference": found.difference,
             "note": found.note,
             **certificate_fields(recording.certificates),
             **mission_fields(recording.mission),
         }
         print_json(told)
     else:
-        verdict = (
-            ("the same to the last bit", "green") if same else (f"differs from {where}", "red")
-        )
+        differs = f"differs from {found.difference}"
+        verdict = ("the same to the last bit", "green") if same else (differs, "red")
         OUT.tell(Text.assemble(f"{recording.path}: {found.ticks} ticks flown again, ", verdict))
         OUT.tell(f"  trajectory_sha256 {found.trajectory_sha256}")
         if found.note:
@@ -146,7 +140,6 @@ def _write_bag(recording: "Recording", folder: Path, *, json: bool) -> None:
 
     from outrider.bridges.ros2.ros_bag import RosBag, copy_flight
     from outrider.cli.console import ERR, print_json
-    from outrider.cli.stopping import stop_on_signals
     from outrider.recording.bag_records import size_of
 
     with (
@@ -179,7 +172,6 @@ def _write_bag(recording: "Recording", folder: Path, *, json: bool) -> None:
 def _show(recording: "Recording", speed: float, port: int, token: str, *, wanted: bool) -> None:
     """Serve the page until somebody ends it."""
     from outrider.cli.console import ERR
-    from outrider.running.extras import check_extra
     from outrider.view.page.access.door import address_of, choose_admission, open_socket
 
     admission = choose_admission("127.0.0.1", token, wanted=wanted)
@@ -207,7 +199,6 @@ def _play(recording: "Recording", speed: float) -> None:
     from rich.progress import Progress, TextColumn
 
     from outrider.cli.console import ERR, blue
-    from outrider.cli.stopping import stop_on_signals
 
     truths = recording.truths
     begin, end = truths[0].time, truths[-1].time
@@ -233,8 +224,6 @@ def _play(recording: "Recording", speed: float) -> None:
 
 
 def _tell(recording: "Recording", *, json: bool) -> None:
-    import msgspec
-
     from outrider.cli.console import OUT, print_json, print_summary
     from outrider.recording.refly import from_the_start, restore
     from outrider.running.summary import certificate_fields, mission_fields, summarize

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from outrider.cli.options import Json
+from outrider.running.extras import check_extra
 
 
 def command(
@@ -35,8 +36,6 @@ def command(
 
     Example: outrider report sweeps/network --markdown
     """
-    from outrider.running.extras import check_extra
-
     check_extra("sweep", "pyarrow")
     if markdown and json:
         raise typer.BadParameter("--markdown and --json both want stdout; choose one")

@@ -6,34 +6,25 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from outrider.cli.options import (
-    DEFAULT_ENDPOINT,
-    DEFAULT_RUN,
-    Connect,
-    CredentialFile,
-    Json,
-    RunName,
-    check_endpoint,
-    credential_of,
-    join,
-)
+from bus.errors import PeerLost, ScenarioError
+from bus.keys import SIMULATOR_NAME, Party, Role
+from outrider.cli import options
 from outrider.cli.pilots import JoinTimeout
+from outrider.cli.stopping import Stop, stop_on_signals
 
 if TYPE_CHECKING:
     from bus.access import Credential
-    from bus.keys import Party
     from bus.session import Session
     from outrider.bridges.ros2.observing import RosObserver
-    from outrider.cli.stopping import Stop
 
 _AWAY = 3.0
 """The time after which a router that is away has gone for good, and so has the simulator of a run that is over [s]."""
 
 
 def command(
-    connect: Connect = DEFAULT_ENDPOINT,
-    run: RunName = DEFAULT_RUN,
-    credentials: CredentialFile = None,
+    connect: options.Connect = options.DEFAULT_ENDPOINT,
+    run: options.RunName = options.DEFAULT_RUN,
+    credentials: options.CredentialFile = None,
     domain: Annotated[
         int, typer.Option(help="ROS 2's domain id, 0 to 232.", envvar="ROS_DOMAIN_ID")
     ] = 0,
@@ -62,7 +53,7 @@ def command(
             help="Publish the truth of every tick; by default some 40 a second of wall time.",
         ),
     ] = False,
-    json: Json = False,
+    json: options.Json = False,
 ) -> None:
     """Show a run to ROS 2 nodes, with no bridge in between: it speaks the wire format of rmw_zenoh on the run's router.
 
@@ -84,11 +75,9 @@ def command(
 
     Example: outrider ros2 --vehicle uav_0 --credentials credentials/uav_0.json
     """
-    from bus.keys import Role
     from outrider.bridges.ros2.interfaces import require_extra
     from outrider.bridges.ros2.wire import check_domain, check_namespace
     from outrider.cli.console import ERR, print_json
-    from outrider.cli.stopping import stop_on_signals
 
     require_extra()
     check_domain(domain)
@@ -98,7 +87,7 @@ def command(
         _fly(vehicle, connect, run, credentials, domain=domain, patience=join_timeout, json=json)
         return
     role = Role.OPERATOR if operator else Role.ROS2
-    with stop_on_signals() as stop, join(role, run, connect, credentials) as session:
+    with stop_on_signals() as stop, options.join(role, run, connect, credentials) as session:
         observer, lost = _observe(
             session, stop, domain=domain, namespace=space, every_tick=every_tick
         )
@@ -117,16 +106,13 @@ def command(
         missing = f", {observer.missing_ticks} ticks missing" if every_tick else ""
         ERR.tell(f"{sent} messages on {len(observer.topics)} topics{missing}")
     if lost:
-        from bus.errors import PeerLost
-
         raise PeerLost(f"the router at {connect} has gone")
 
 
 def _observe(
-    session: "Session", stop: "Stop", *, domain: int, namespace: str, every_tick: bool
+    session: "Session", stop: Stop, *, domain: int, namespace: str, every_tick: bool
 ) -> "tuple[RosObserver, bool]":
     """Publish until the run is over or somebody wants the end; whether it was the router that went."""
-    from bus.keys import Role
     from outrider.bridges.ros2.observing import RosObserver
     from outrider.bridges.ros2.ros_commands import RosCommands
     from outrider.bridges.ros2.ros_node import RosNode
@@ -150,8 +136,7 @@ def _observe(
         node.close()
 
 
-def _follow(session: "Session", observer: "RosObserver", stop: "Stop") -> bool:
-    from bus.keys import SIMULATOR_NAME
+def _follow(session: "Session", observer: "RosObserver", stop: Stop) -> bool:
     from outrider.cli.console import ERR
 
     simulators: set[int] = set()
@@ -193,8 +178,6 @@ def _refuse_with_vehicle(*, operator: bool, namespace: str, every_tick: bool) ->
 def _party_of(name: str, credentials: Path | None) -> "tuple[Party, Credential | None]":
     """The vehicle, by its credentials; without them by how its name begins."""
     from bus.access import read_credential
-    from bus.errors import ScenarioError
-    from bus.keys import Party, Role
 
     kinds = {role: role.value for role in (Role.UAV, Role.UGV)}
     if credentials is not None:
@@ -205,7 +188,7 @@ def _party_of(name: str, credentials: Path | None) -> "tuple[Party, Credential |
         raise ScenarioError(
             f"--vehicle {name}: a UAV or a UGV? without its credentials its name must begin with uav or ugv"
         )
-    return Party(role=role, name=name), credential_of(credentials, role, name)
+    return Party(role=role, name=name), options.credential_of(credentials, role, name)
 
 
 def _fly(
@@ -224,9 +207,8 @@ def _fly(
     from outrider.bridges.ros2.ros_node import RosNode
     from outrider.bridges.ros2.ros_pilot import RosLink, RosPilot
     from outrider.cli.console import ERR, print_json
-    from outrider.cli.stopping import stop_on_signals
 
-    check_endpoint(connect)
+    options.check_endpoint(connect)
     party, credential = _party_of(name, credentials)
     with open_session(party, run, connect=connect, credential=credential) as session:
         node = RosNode(session, domain=domain, name="outrider", namespace=f"/{name}")

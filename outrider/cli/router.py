@@ -4,37 +4,33 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from outrider.cli.options import (
-    DEFAULT_ENDPOINT,
-    DEFAULT_RUN,
-    Insecure,
-    RouterCredentials,
-    RunName,
-    check_endpoints,
-)
+from bus.errors import ScenarioError
+from bus.keys import OBSERVER_NAME, SIMULATOR_NAME, STATUS, Party, Role
+from bus.messages import Status
+from outrider.cli import options
+from outrider.cli.stopping import Stop, stop_on_signals
 
 if TYPE_CHECKING:
     from bus.session import Session
-    from outrider.cli.stopping import Stop
 
 
 def command(
     listen: Annotated[
         list[str] | None,
         typer.Option(
-            help=f"Endpoint to listen on; {DEFAULT_ENDPOINT} by default; may be repeated.",
+            help=f"Endpoint to listen on; {options.DEFAULT_ENDPOINT} by default; may be repeated.",
             envvar="OUTRIDER_LISTEN",
         ),
     ] = None,
-    credentials: RouterCredentials = None,
-    run: RunName = DEFAULT_RUN,
+    credentials: options.RouterCredentials = None,
+    run: options.RunName = options.DEFAULT_RUN,
     once: Annotated[
         bool,
         typer.Option(
             "--once", help="End with the run: when its simulator has said that it is over."
         ),
     ] = False,
-    insecure: Insecure = False,
+    insecure: options.Insecure = False,
 ) -> None:
     """Route messages between the processes of a run, and let each have its own keys only.
 
@@ -44,16 +40,13 @@ def command(
     Example: outrider router --listen tcp/0.0.0.0:17447 --credentials credentials/router.json
     """
     from bus.access import read_credentials
-    from bus.errors import ScenarioError
-    from bus.keys import OBSERVER_NAME, Party, Role
     from bus.session import open_session
     from outrider.cli.console import ERR
-    from outrider.cli.stopping import stop_on_signals
 
-    endpoints = tuple(listen or (DEFAULT_ENDPOINT,))
+    endpoints = tuple(listen or (options.DEFAULT_ENDPOINT,))
     given = None if credentials is None else read_credentials(credentials)
-    check_endpoints(endpoints, secured=given is not None, insecure=insecure)
-    if given is not None and run not in (given.run, DEFAULT_RUN):
+    options.check_endpoints(endpoints, secured=given is not None, insecure=insecure)
+    if given is not None and run not in (given.run, options.DEFAULT_RUN):
         raise ScenarioError(
             f"--run {run}: the credentials in {credentials} are for the run {given.run}"
         )
@@ -75,12 +68,9 @@ def command(
             stop.wait()
 
 
-def _until_over(session: "Session", stop: "Stop") -> None:
+def _until_over(session: "Session", stop: Stop) -> None:
     """Until the simulator has said that the run is over, and has gone: one that dies may come back."""
     import threading
-
-    from bus.keys import SIMULATOR_NAME, STATUS
-    from bus.messages import Status
 
     present = threading.Event()
     session.watch(

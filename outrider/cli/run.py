@@ -1,55 +1,39 @@
 """`outrider run`: the main job."""
 
+import socket
 import time
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from outrider.cli.options import (
-    AllowCode,
-    Deadline,
-    DriverName,
-    Duration,
-    Json,
-    LawName,
-    NetworkName,
-    PagePort,
-    PolicyName,
-    RealTime,
-    Record,
-    ScenarioName,
-    Secret,
-    Seed,
-    Set,
-    VirtualPath,
-    Weighting,
-)
+from bus.errors import PeerLost
+from bus.registry import DRIVERS
+from outrider.cli import options
+from outrider.cli.stopping import Stop, stop_on_signals
+from outrider.running.extras import check_extra
 
 if TYPE_CHECKING:
-    import socket
-    from contextlib import AbstractContextManager
-
     from outrider.cli.console import FlightProgress
-    from outrider.cli.stopping import Stop
     from outrider.running.forking import Forkserver
     from outrider.running.launch import Outcome
     from sim.scenario.types import Scenario
 
 
 def command(
-    scenario: ScenarioName = "escort",
-    seed: Seed = None,
-    secret: Secret = "",
-    duration: Duration = None,
-    law: LawName = None,
-    driver: DriverName = None,
-    changes: Set = None,
-    weighting: Weighting = "",
-    path: VirtualPath = "",
-    policy: PolicyName = "",
-    network: NetworkName = "",
-    allow_code: AllowCode = False,
+    scenario: options.ScenarioName = "escort",
+    seed: options.Seed = None,
+    secret: options.Secret = "",
+    duration: options.Duration = None,
+    law: options.LawName = None,
+    driver: options.DriverName = None,
+    changes: options.Set = None,
+    weighting: options.Weighting = "",
+    path: options.VirtualPath = "",
+    policy: options.PolicyName = "",
+    network: options.NetworkName = "",
+    allow_code: options.AllowCode = False,
     in_process: Annotated[
         bool, typer.Option("--in-process", help="Without a bus, all in this process.")
     ] = False,
@@ -59,8 +43,8 @@ def command(
             help="Give the UAVs one half of the processor cores: faster, unless the machine is busy otherwise."
         ),
     ] = True,
-    record: Record = None,
-    realtime: RealTime = None,
+    record: options.Record = None,
+    realtime: options.RealTime = None,
     lockstep: Annotated[
         bool,
         typer.Option(
@@ -77,7 +61,7 @@ def command(
             "--realtime or --lockstep says otherwise. Needs the extra [dashboard].",
         ),
     ] = False,
-    port: PagePort = 8080,
+    port: options.PagePort = 8080,
     respawn: Annotated[
         bool,
         typer.Option(
@@ -85,7 +69,7 @@ def command(
             help="Start a vehicle's process again if it dies; in lockstep the clock waits.",
         ),
     ] = False,
-    deadline: Deadline = 10.0,
+    deadline: options.Deadline = 10.0,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -95,7 +79,7 @@ def command(
     ] = None,
     files: Annotated[bool, typer.Option(help="Write files at all.")] = True,
     picture: Annotated[bool, typer.Option(help="Draw the picture.")] = True,
-    json: Json = False,
+    json: options.Json = False,
 ) -> None:
     """Fly a scenario as three operating-system processes over Zenoh: simulator, UAV and UGV.
 
@@ -114,22 +98,19 @@ def command(
     if dashboard and not lockstep and realtime is None:
         realtime = 1.0
     with _forkserver(wanted=not in_process) as forks:  # it loads meanwhile
-        from bus.registry import DRIVERS
         from outrider.cli.console import flight_progress, print_json, print_summary, print_warnings
-        from outrider.cli.options import scenario_of, secret_of
-        from outrider.cli.stopping import stop_on_signals
         from outrider.running.user_code import check_code, check_own_functions
         from outrider.view.output import default_folder, write_summary
         from sim.scenario.checks import scenario_warnings
 
         own = {"weighting": weighting, "path": path, "policy": policy, "network": network}
-        flown, overrides = scenario_of(
+        flown, overrides = options.scenario_of(
             scenario, seed=seed, duration=duration, law=law, driver=driver, changes=changes, **own
         )
         strangers = any(DRIVERS[ugv.driver].outside for ugv in flown.ugv)
         if in_process and strangers:
             raise typer.BadParameter("--driver external is another process; leave --in-process out")
-        kept = secret_of(secret, wanted=strangers)
+        kept = options.secret_of(secret, wanted=strangers)
         check_code(flown, overrides, source=scenario, allowed=allow_code)
         # what does not fit shows here, not in a child
         print_warnings((*scenario_warnings(flown), *check_own_functions(flown)))
@@ -182,21 +163,16 @@ def command(
 
 
 def _forkserver(*, wanted: bool) -> "AbstractContextManager[Forkserver | None]":
-    from contextlib import nullcontext
-
     from outrider.running.child import environment_of
     from outrider.running.forking import forkserver
 
     return forkserver(environment_of("")) if wanted else nullcontext()
 
 
-def _page(wanted: bool, port: int) -> "AbstractContextManager[socket.socket | None]":
+def _page(wanted: bool, port: int) -> AbstractContextManager[socket.socket | None]:
     """The socket for the page: what stands in its way shows before the flight."""
-    from contextlib import nullcontext
-
     if not wanted:
         return nullcontext()
-    from outrider.running.extras import check_extra
     from outrider.view.page.access.door import open_socket
 
     check_extra("dashboard")
@@ -209,7 +185,7 @@ def _fly_here(
     folder: Path | None,
     picture: bool,
     record: Path | None,
-    stop: "Stop",
+    stop: Stop,
 ) -> "Outcome":
     from outrider.cli.console import flight_progress, print_warnings
     from outrider.running.assumptions import promise_warnings
@@ -258,8 +234,7 @@ def _fly_here(
     return outcome
 
 
-def _end(outcome: "Outcome", stop: "Stop") -> None:
-    from bus.errors import PeerLost
+def _end(outcome: "Outcome", stop: Stop) -> None:
     from outrider.cli.console import ERR
 
     if stop:

@@ -1,6 +1,7 @@
 """`outrider scenarios`: what is shipped, what it says, and a file of one's own to begin with."""
 
 import shlex
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -63,8 +64,6 @@ def show(name: Name = "escort") -> None:
 
     Example: outrider scenarios show figure-3-switching
     """
-    import sys
-
     from sim.scenario.loading import shipped_text
 
     sys.stdout.write(shipped_text(name))
@@ -111,8 +110,6 @@ def schema() -> None:
 
     Example: outrider scenarios schema > scenario.schema.json
     """
-    import sys
-
     from sim.scenario.schema import schema_text
 
     sys.stdout.write(schema_text())

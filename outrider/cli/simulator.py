@@ -3,35 +3,13 @@
 import time
 from contextlib import closing, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from outrider.cli.options import (
-    DEFAULT_ENDPOINT,
-    DEFAULT_RUN,
-    CredentialFile,
-    Deadline,
-    DriverName,
-    Insecure,
-    Json,
-    LawName,
-    NetworkName,
-    RealTime,
-    Record,
-    RunName,
-    Secret,
-    Set,
-    Watchdog,
-    check_endpoints,
-    credential_of,
-)
-
-if TYPE_CHECKING:
-    from bus.access import Credential, CredentialSet
-    from outrider.recording.writer import FlightRecorder
-    from sim.scenario.types import Scenario
-    from sim.server.serving import Server
+from bus.keys import SIMULATOR_NAME, Party, Role
+from outrider.cli import options
+from outrider.cli.stopping import stop_on_signals
 
 
 def command(
@@ -43,7 +21,9 @@ def command(
     ] = "escort",
     listen: Annotated[
         list[str] | None,
-        typer.Option(help=f"Host the router, on this endpoint; {DEFAULT_ENDPOINT} by default."),
+        typer.Option(
+            help=f"Host the router, on this endpoint; {options.DEFAULT_ENDPOINT} by default."
+        ),
     ] = None,
     connect: Annotated[
         str,
@@ -52,9 +32,9 @@ def command(
             envvar="OUTRIDER_CONNECT",
         ),
     ] = "",
-    run: RunName = DEFAULT_RUN,
-    credentials: CredentialFile = None,
-    insecure: Insecure = False,
+    run: options.RunName = options.DEFAULT_RUN,
+    credentials: options.CredentialFile = None,
+    insecure: options.Insecure = False,
     seed: Annotated[
         int | None,
         typer.Option(
@@ -64,19 +44,19 @@ def command(
             envvar="OUTRIDER_SEED",
         ),
     ] = None,
-    secret: Secret = "",
+    secret: options.Secret = "",
     duration: Annotated[
         float | None,
         typer.Option(
             help="Simulated time in s, instead of the scenario's.", envvar="OUTRIDER_DURATION"
         ),
     ] = None,
-    law: LawName = None,
-    driver: DriverName = None,
-    network: NetworkName = "",
-    changes: Set = None,
-    realtime: RealTime = None,
-    deadline: Deadline = 10.0,
+    law: options.LawName = None,
+    driver: options.DriverName = None,
+    network: options.NetworkName = "",
+    changes: options.Set = None,
+    realtime: options.RealTime = None,
+    deadline: options.Deadline = 10.0,
     join_timeout: Annotated[
         float,
         typer.Option(
@@ -89,7 +69,7 @@ def command(
         bool,
         typer.Option("--respawn", help="Let the clock stand still until a lost vehicle is back."),
     ] = False,
-    record: Record = None,
+    record: options.Record = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -97,12 +77,12 @@ def command(
         ),
     ] = None,
     picture: Annotated[bool, typer.Option(help="Draw the picture too.")] = True,
-    json: Json = False,
+    json: options.Json = False,
     events: Annotated[
         bool,
         typer.Option(hidden=True, help="Report on stdout as JSON lines, for a parent process."),
     ] = False,
-    watchdog: Watchdog = False,
+    watchdog: options.Watchdog = False,
     watchdog_folder: Annotated[
         Path | None, typer.Option(hidden=True, help="Removed when the parent has gone.")
     ] = None,
@@ -114,13 +94,11 @@ def command(
 
     Example: outrider simulator escort --listen tcp/127.0.0.1:17447 --out runs/mine
     """
-    from bus.keys import SIMULATOR_NAME, Party, Role
+    from bus.access import read_credentials
     from bus.session import open_session
     from outrider.cli.console import ERR, flight_progress, print_json, print_summary, print_warnings
-    from outrider.cli.options import scenario_of, secret_of
-    from outrider.cli.stopping import stop_on_signals
     from outrider.running.assumptions import promise_warnings
-    from outrider.running.exit_reports import Reports
+    from outrider.running.exit_reports import Report, Reports
     from outrider.running.summary import summarize
     from outrider.running.watchdog import start_watchdog
     from outrider.view.output import write_flight
@@ -132,7 +110,7 @@ def command(
 
     if watchdog:
         start_watchdog(watchdog_folder)
-    flown, _ = scenario_of(
+    flown, _ = options.scenario_of(
         scenario,
         seed=seed,
         duration=duration,
@@ -141,18 +119,23 @@ def command(
         changes=changes,
         network=network,
     )
-    endpoints = () if connect else tuple(listen or (DEFAULT_ENDPOINT,))
-    given, credential = _credentials(credentials, hosts=not connect)
-    check_endpoints(
+    endpoints = () if connect else tuple(listen or (options.DEFAULT_ENDPOINT,))
+    # By which the router inside knows its clients, or the router elsewhere knows this one.
+    given, credential = None, None
+    if connect:
+        credential = options.credential_of(credentials, Role.SIMULATOR, SIMULATOR_NAME)
+    elif credentials is not None:
+        given = read_credentials(credentials)
+    options.check_endpoints(
         endpoints or (connect,), secured=given is not None or bool(connect), insecure=insecure
     )
     secured = given is not None or credential is not None
-    kept = secret_of(secret, wanted=secured and not events)  # a parent has decided
+    kept = options.secret_of(secret, wanted=secured and not events)  # a parent has decided
     with compiling("world"):
         warm_up(flown)
     reports, promised = Reports(enabled=events), promise_warnings(flown)
     if events and promised:
-        reports.warn(promised)  # of the scenario itself the parent has told
+        reports.write(Report(warnings=promised))  # of the scenario itself the parent has told
     if not events:
         print_warnings((*scenario_warnings(flown), *promised))
         where = (
@@ -166,10 +149,11 @@ def command(
     timing = Timing(
         realtime=realtime, deadline=deadline, join_timeout=join_timeout, respawn=respawn
     )
-    servers: list[Server] = []
-    recorder = _recorder(
-        record, flown, kept, servers
-    )  # a file that cannot be written shows before anybody joins
+    recorder = None
+    if record is not None:  # a file that cannot be written shows before anybody joins
+        from outrider.recording.writer import FlightRecorder
+
+        recorder = FlightRecorder(record, flown, flown.seed, secret=kept)
     with stop_on_signals() as stop:
         party = Party(role=Role.SIMULATOR, name=SIMULATOR_NAME)
         with (
@@ -195,7 +179,8 @@ def command(
                 stop=lambda: bool(stop),
                 warn=promise_warnings,
             )
-            servers.append(server)
+            if recorder is not None:
+                recorder.vehicles = server.vehicles
             shown = 0.0
 
             def on_tick() -> None:
@@ -223,41 +208,13 @@ def command(
                         late_ticks=late_ticks,
                         changes=server.changes,
                     )
-                    reports.summary(summary)  # first of all, so that a full disk does not take it
+                    # first of all, so that a full disk does not take it
+                    reports.write(Report(summary=summary))
                     files = write_flight(flight, summary, out, picture=picture) if out else []
                     files += [record] if record is not None else []
-                    reports.files(files)
+                    reports.write(Report(files=[str(file) for file in files]))
                     if json:
                         print_json(summary)
                     elif not events:
                         print_summary(summary, files)
     raise typer.Exit(stop.exit_code)
-
-
-def _recorder(
-    path: Path | None, flown: "Scenario", secret: str, servers: "list[Server]"
-) -> "FlightRecorder | None":
-    """Records the flight; the server whose vehicles it asks for comes later."""
-    if path is None:
-        return None
-    from outrider.recording.writer import FlightRecorder
-
-    return FlightRecorder(
-        path,
-        flown,
-        flown.seed,
-        secret=secret,
-        vehicles=lambda: servers[0].vehicles() if servers else {},
-    )
-
-
-def _credentials(
-    file: Path | None, *, hosts: bool
-) -> "tuple[CredentialSet | None, Credential | None]":
-    """Credentials by which the router inside knows its clients, or that of a client of another router."""
-    from bus.access import read_credentials
-    from bus.keys import SIMULATOR_NAME, Role
-
-    if hosts:
-        return (None if file is None else read_credentials(file)), None
-    return None, credential_of(file, Role.SIMULATOR, SIMULATOR_NAME)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bus.errors import OutriderError, ScenarioError, told_with_place
 from outrider.cli.options import Json, Secret, names_in
 
 if TYPE_CHECKING:
@@ -114,7 +115,6 @@ def command(
 
 
 def _tasks(whole: "Suite", only: list[str]) -> "Suite":
-    from bus.errors import ScenarioError
     from outrider.experiments.suite.tasks import Suite
     from sim.input.faults import near
 
@@ -128,7 +128,6 @@ def _tasks(whole: "Suite", only: list[str]) -> "Suite":
 
 
 def _entries(laws: list[str], policies: list[str], tasks: "Suite") -> "dict[str, Entry]":
-    from bus.errors import ScenarioError
     from outrider.envs.closed_loop import pilot_names
     from outrider.experiments.suite.board import BASELINES, MISSION_BASELINES
     from outrider.experiments.suite.tasks import NO_ESCORT
@@ -158,8 +157,6 @@ class _Own:
         self._name, self._policy = name, policy
 
     def __call__(self, seen: "Observation") -> "ArrayLike":
-        from bus.errors import OutriderError, told_with_place
-
         try:
             return self._policy(seen)
         except Exception as error:
@@ -173,7 +170,6 @@ def _fly(
     secret: str,
     seeds: int,
 ) -> "Leaderboard":
-    from bus.errors import OutriderError
     from outrider.cli.console import share_progress
     from outrider.experiments.suite.board import leaderboard
     from outrider.experiments.suite.tasks import SEEDS

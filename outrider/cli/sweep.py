@@ -3,19 +3,17 @@
 import shlex
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from outrider.cli.options import AllowCode, Duration, Json, Set
+from outrider.running.extras import check_extra
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from contextlib import AbstractContextManager
-
-    from rich.progress import Progress
-
     from outrider.experiments.sweep.folder import SweepFolder
     from outrider.experiments.sweep.plan import SweepPlan
 
@@ -79,12 +77,10 @@ def command(
     Example: outrider sweep escort --law linear,switching --vary links.detections.delay=0,0.5,1 --seeds 20 --out
     sweeps/delay
     """
-    from outrider.running.extras import check_extra
-
     check_extra("sweep")
     if dask:
         check_extra("dask")
-    from outrider.cli.console import print_warnings
+    from outrider.cli.console import print_warnings, runs_bar
     from outrider.experiments.sweep.definition import describe_sweep
     from outrider.experiments.sweep.folder import SweepFolder
 
@@ -94,7 +90,7 @@ def command(
         sweep, laws=law, vary=vary or (), changes=changes or (), seeds=seeds, first_seed=first_seed
     )
     where = out or Path("sweeps") / Path(sweep).stem
-    with _bar(stays=False) as progress:
+    with runs_bar() as progress:
         from outrider.experiments.sweep.plan import lay_out
 
         task = progress.add_task("loading the points", total=None, note="")
@@ -133,26 +129,12 @@ def command(
     _tell(told, folder, where, json=json)
 
 
-def _cluster(address: str, version: str) -> "AbstractContextManager[Any]":
-    from contextlib import nullcontext
-
+def _cluster(address: str, version: str) -> AbstractContextManager[Any]:
     if not address:
         return nullcontext()
     from outrider.experiments.sweep.running import open_cluster
 
     return open_cluster(address, version)
-
-
-def _bar(*, stays: bool) -> "AbstractContextManager[Progress]":
-    from rich.progress import TextColumn, TimeRemainingColumn
-
-    from outrider.cli.console import bar
-
-    return bar(
-        TextColumn("{task.fields[note]}", markup=False),
-        TimeRemainingColumn(compact=True, elapsed_when_finished=True),
-        stays=stays,
-    )
 
 
 def _fly(plan: "SweepPlan", folder: "SweepFolder", jobs: int | None, client: Any) -> None:  # noqa: ANN401 - an extra's type
@@ -162,6 +144,7 @@ def _fly(plan: "SweepPlan", folder: "SweepFolder", jobs: int | None, client: Any
     """
     from joblib import cpu_count
 
+    from outrider.cli.console import runs_bar
     from outrider.experiments.sweep.running import cost_of, fly_sweep
 
     workers = jobs or (sum(client.ncores().values()) if client is not None else cpu_count())
@@ -169,7 +152,7 @@ def _fly(plan: "SweepPlan", folder: "SweepFolder", jobs: int | None, client: Any
     done = folder.done
     kept = sum(costs[run // plan.sweep.seeds] for run in done)
     started, flown = time.monotonic(), 0
-    with _bar(stays=True) as progress:
+    with runs_bar(stays=True) as progress:
         bar = progress.add_task(
             "flying",
             total=sum(costs) * plan.sweep.seeds,
@@ -221,7 +204,7 @@ def _tell(told: dict[str, Any], folder: "SweepFolder", where: Path, *, json: boo
         raise typer.Exit(1)
 
 
-def _errors(folder: "SweepFolder") -> "Iterator[str]":
+def _errors(folder: "SweepFolder") -> Iterator[str]:
     from outrider.experiments.sweep.folder import read_head, read_results
 
     head = read_head(folder.path)

@@ -14,19 +14,7 @@ import msgspec
 
 from bus.errors import ScenarioError
 from bus.messages import CoverageMap, Drive, GroundMap, Message, Truth
-from outrider.recording.schemas import (
-    COMMANDS,
-    EXTRA,
-    PROFILE,
-    SCENARIO,
-    TOPICS,
-    TRUTH,
-    Head,
-    OperatorWord,
-    Topic,
-    inlined_schema,
-    operator_topic,
-)
+from outrider.recording import schemas
 from outrider.recording.tick_rows import Tick
 from outrider.recording.viewers import Place, Viewers
 from sim.scenario.types import Scenario
@@ -35,7 +23,7 @@ try:  # an extra
     import foxglove
     from foxglove.mcap import MCAPWriteOptions
 except ImportError as absent:
-    raise ScenarioError(EXTRA) from absent
+    raise ScenarioError(schemas.EXTRA) from absent
 
 FLUSH_PERIOD = 0.25
 """Wall time between two flushes [s]: with the thread's own period, what a kill can cost stays under half a second."""
@@ -97,11 +85,14 @@ class RecordingFile:
         self._sink = _Sink(path)
         self._context = foxglove.Context()
         options = MCAPWriteOptions(
-            profile=PROFILE, disable_seeking=True, compression_level=_LEVEL, compression_threads=0
+            profile=schemas.PROFILE,
+            disable_seeking=True,
+            compression_level=_LEVEL,
+            compression_threads=0,
         )
         self._writer = foxglove.open_mcap(self._sink, context=self._context, writer_options=options)
         self._own: dict[str, foxglove.Channel] = {}
-        for topic in TOPICS:
+        for topic in schemas.TOPICS:
             self._add(topic)
         self._viewers = Viewers(self._context)
         self._encoder = msgspec.json.Encoder()
@@ -111,12 +102,12 @@ class RecordingFile:
         self._lost: set[str] = set()
         self._hazards_told = False
 
-    def _add(self, topic: Topic) -> None:
+    def _add(self, topic: schemas.Topic) -> None:
         self._own[topic.name] = foxglove.Channel(
-            topic.name, schema=inlined_schema(topic.message), context=self._context
+            topic.name, schema=schemas.inlined_schema(topic.message), context=self._context
         )
 
-    def begin(self, head: Head, scenario: Scenario | None) -> None:
+    def begin(self, head: schemas.Head, scenario: Scenario | None) -> None:
         """A flight begins; it is in the file at once. A file that tells a secret is its owner's alone."""
         if head.secret:
             self._sink.keep_private()
@@ -125,7 +116,7 @@ class RecordingFile:
         self._lost = set()
         self._hazards_told = False
         self._viewers.begin(scenario)
-        self._put(SCENARIO, head, 0.0)
+        self._put(schemas.SCENARIO, head, 0.0)
         self.flush()
 
     @property
@@ -138,7 +129,7 @@ class RecordingFile:
         self._last = max(self._last, time_ns)
         return time_ns
 
-    def _put(self, topic: Topic, message: msgspec.Struct, seconds: float) -> int:
+    def _put(self, topic: schemas.Topic, message: msgspec.Struct, seconds: float) -> int:
         self._sink.check()
         time_ns = self._clock(seconds)
         if topic.name not in self._own:
@@ -146,7 +137,7 @@ class RecordingFile:
         self._own[topic.name].log(self._encoder.encode(message), log_time=time_ns)
         return time_ns
 
-    def take(self, topic: Topic, message: Message, seconds: float) -> None:
+    def take(self, topic: schemas.Topic, message: Message, seconds: float) -> None:
         """Take down a message, for everybody; a flight's hazards once.
 
         Args:
@@ -178,9 +169,9 @@ class RecordingFile:
         """
         self._sink.check()
         if tick.commands:
-            self._own[COMMANDS.name].log(tick.commands, log_time=self._clock(tick.begun))
+            self._own[schemas.COMMANDS.name].log(tick.commands, log_time=self._clock(tick.begun))
         time_ns = self._clock(tick.time)
-        self._own[TRUTH.name].log(tick.truth, log_time=time_ns)
+        self._own[schemas.TRUTH.name].log(tick.truth, log_time=time_ns)
         places = zip(names, tick.states.tolist(), strict=True)
         self._show(tick.time, time_ns, places, escorts, tick.distances)
 
@@ -209,8 +200,10 @@ class RecordingFile:
     def word(self, ugv: str, tick: int, said: Drive, seconds: float) -> None:
         """Take down an operator's message that a UGV received at a tick, which began at `seconds`."""
         self._put(
-            operator_topic(ugv),
-            OperatorWord(tick=tick, driver=said.driver, velocity=said.velocity, goal=said.goal),
+            schemas.operator_topic(ugv),
+            schemas.OperatorWord(
+                tick=tick, driver=said.driver, velocity=said.velocity, goal=said.goal
+            ),
             seconds,
         )
 

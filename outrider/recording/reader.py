@@ -26,24 +26,8 @@ from bus.messages import (
     Status,
     Truth,
 )
+from outrider.recording import schemas
 from outrider.recording.bag_records import RECORDS, bag_files, record_in, size_of
-from outrider.recording.schemas import (
-    CHANGES,
-    COMMANDS,
-    COVERAGE,
-    EXTRA,
-    GROUND,
-    SCENARIO,
-    STATUS,
-    TRUTH,
-    Commands,
-    Head,
-    OperatorWord,
-    Topic,
-    read_head,
-    scenario_in,
-    ugv_of,
-)
 from sim.scenario.types import Scenario
 
 try:  # an extra
@@ -55,7 +39,7 @@ try:  # an extra
     from mcap.opcode import Opcode
     from mcap.writer import Writer
 except ImportError as absent:
-    raise ScenarioError(EXTRA) from absent
+    raise ScenarioError(schemas.EXTRA) from absent
 
 Sent = TypeVar("Sent", bound=Message)
 
@@ -304,7 +288,7 @@ def _entries_of_parts(files: list[Path], damage: Damage) -> Iterator[Entry]:
             return
 
 
-def _entries_of_file(path: Path, damage: Damage | None = None) -> Iterator[Entry]:
+def _entries_of_file(path: Path, damage: Damage) -> Iterator[Entry]:
     names: dict[int, str] = {}
     for record in stream(path, damage):
         if isinstance(record, records.Channel):
@@ -343,11 +327,11 @@ def decoded(path: Path, entry: Entry, decoder: "msgspec.json.Decoder[Sent]") -> 
         ) from error
 
 
-def _all(path: Path, topic: Topic, kind: type[Sent], flight: int | None) -> Iterator[Sent]:
+def _all(path: Path, topic: schemas.Topic, kind: type[Sent], flight: int | None) -> Iterator[Sent]:
     decoder = msgspec.json.Decoder(kind)
     number = -1
-    for entry in entries(path, (SCENARIO.name, topic.name)):
-        if entry.topic == SCENARIO.name:
+    for entry in entries(path, (schemas.SCENARIO.name, topic.name)):
+        if entry.topic == schemas.SCENARIO.name:
             number += 1
         elif flight is None or flight == number:
             yield decoded(path, entry, decoder)
@@ -363,25 +347,25 @@ def truths(path: Path, *, flight: int | None = None) -> Iterator[Truth]:
     Raises:
         ScenarioError: If the file cannot be read.
     """
-    return _all(path, TRUTH, Truth, flight)
+    return _all(path, schemas.TRUTH, Truth, flight)
 
 
 def coverages(path: Path, *, flight: int | None = None) -> Iterator[CoverageMap]:
     """Every map of the ground; as `truths`."""
-    return _all(path, COVERAGE, CoverageMap, flight)
+    return _all(path, schemas.COVERAGE, CoverageMap, flight)
 
 
 def grounds(path: Path, *, flight: int) -> Iterator[GroundMap]:
     """Every map of the ground with its hazards of one flight, each with them; as `truths`."""
     hazards = None
-    for ground in _all(path, GROUND, GroundMap, flight):
+    for ground in _all(path, schemas.GROUND, GroundMap, flight):
         hazards = ground.hazards if hazards is None else hazards
         yield msgspec.structs.replace(ground, hazards=hazards)
 
 
 def statuses(path: Path, *, flight: int | None = None) -> Iterator[Status]:
     """Every Status; as `truths`."""
-    return _all(path, STATUS, Status, flight)
+    return _all(path, schemas.STATUS, Status, flight)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -391,11 +375,11 @@ class Recording:
     path: Path
     number: int
     """The flight's number in the file, from 0."""
-    head: Head
+    head: schemas.Head
     truths: list[Truth] = field(default_factory=list)
-    commands: dict[int, Commands] = field(default_factory=dict)
+    commands: dict[int, schemas.Commands] = field(default_factory=dict)
     """By tick."""
-    words: list[tuple[str, OperatorWord]] = field(default_factory=list)
+    words: list[tuple[str, schemas.OperatorWord]] = field(default_factory=list)
     """UGV and message of each operator's command, in the order in which they were received."""
     changes: list[Change] = field(default_factory=list)
     """The operators' changes; of a run that an observer recorded, pauses and speeds too."""
@@ -422,7 +406,7 @@ class Recording:
         Raises:
             ScenarioError: If the file does not tell, or this version cannot fly it.
         """
-        return scenario_in(self.head, file=str(self.path))
+        return schemas.scenario_in(self.head, file=str(self.path))
 
     @property
     def missing_ticks(self) -> int:
@@ -440,28 +424,28 @@ def load(path: Path) -> list[Recording]:
     """
     damage = Damage()
     flights: list[Recording] = []
-    topics = (TRUTH, COMMANDS, STATUS, CHANGES)
+    topics = (schemas.TRUTH, schemas.COMMANDS, schemas.STATUS, schemas.CHANGES)
     decoders: dict[str, msgspec.json.Decoder[Any]] = {
         topic.name: msgspec.json.Decoder(topic.message) for topic in topics
     }
-    words = msgspec.json.Decoder(OperatorWord)
+    words = msgspec.json.Decoder(schemas.OperatorWord)
     seen = 0
     for entry in entries(path, damage=damage):
         seen += 1
-        if entry.topic == SCENARIO.name:
-            head = read_head(entry.data, file=str(path))
+        if entry.topic == schemas.SCENARIO.name:
+            head = schemas.read_head(entry.data, file=str(path))
             flights.append(Recording(path=path, number=len(flights), head=head, damage=damage))
             continue
-        ugv = ugv_of(entry.topic)
+        ugv = schemas.ugv_of(entry.topic)
         decoder = words if ugv is not None else decoders.get(entry.topic)
         if decoder is None or not flights:
             continue
         message = decoded(path, entry, decoder)
         if isinstance(message, Truth):
             flights[-1].truths.append(message)
-        elif isinstance(message, Commands):
+        elif isinstance(message, schemas.Commands):
             flights[-1].commands[message.tick] = message
-        elif isinstance(message, OperatorWord):
+        elif isinstance(message, schemas.OperatorWord):
             flights[-1].words.append((ugv or "", message))
         elif isinstance(message, Change):
             flights[-1].changes.append(message)
@@ -476,7 +460,7 @@ def load(path: Path) -> list[Recording]:
         what = (
             "nothing whole is in it"
             if not seen
-            else f"no {SCENARIO.name} in it: not a recording of Outrider's"
+            else f"no {schemas.SCENARIO.name} in it: not a recording of Outrider's"
         )
         raise ScenarioError(f"{path}: {what} ({why})")
     return flights
@@ -536,22 +520,20 @@ def repair(path: Path, out: Path) -> Repair:
     if first is None:
         raise ScenarioError(f"{path}: nothing whole is in it ({damage.reason})")
     messages = 0
-    schemas, channels = {0: 0}, dict[int, int]()
+    kinds, channels = {0: 0}, dict[int, int]()
     with out.open("wb") as file:
         writer = Writer(file)
         writer.start(
             profile=getattr(first, "profile", ""), library=f"outrider repair of {path.name}"
         )
         for record in found:
-            if isinstance(record, records.Schema) and record.id not in schemas:
-                schemas[record.id] = writer.register_schema(
-                    record.name, record.encoding, record.data
-                )
+            if isinstance(record, records.Schema) and record.id not in kinds:
+                kinds[record.id] = writer.register_schema(record.name, record.encoding, record.data)
             elif isinstance(record, records.Channel) and record.id not in channels:
                 channels[record.id] = writer.register_channel(
                     record.topic,
                     record.message_encoding,
-                    schemas.get(record.schema_id, 0),
+                    kinds.get(record.schema_id, 0),
                     dict(record.metadata),
                 )
             elif isinstance(record, records.Message) and record.channel_id in channels:

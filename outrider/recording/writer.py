@@ -98,7 +98,6 @@ class FlightRecorder:
         scenario: What is flown.
         seed: Of all random numbers.
         secret: Of the run; a file that tells one is for its owner alone.
-        vehicles: Tells how the vehicles' processes stand; without it only what the flight itself counts.
 
     Raises:
         OSError: If the file cannot be written.
@@ -111,24 +110,20 @@ class FlightRecorder:
         seed: int,
         *,
         secret: str = "",
-        vehicles: Callable[[], Mapping[str, VehicleStatus]] | None = None,
     ) -> None:
-        self._vehicles = vehicles
+        self.vehicles: Callable[[], Mapping[str, VehicleStatus]] = dict
+        """Tells how the vehicles' processes stand; by default nothing beside what the flight itself counts."""
         self._file = RecordingFile(path)
         self._items: deque[_Item] = deque()
         self._done = threading.Event()
         self._fault: Exception | None = None
-        self._flight: Flight | None = (
-            None  # the one that the flight's thread is at; _written is the writer's
-        )
+        # The one that the flight's thread is at; _written is the writer's.
+        self._flight: Flight | None = None
         self._degradations = 0  # of the flight, those that are in the file
         self._written: Flight | None = None
         self._texts: TickTexts
         self._escorts: dict[str, str] = {}
         self._early: list[str] = []
-        self._next_map = self._next_status = 0
-        self._hazards: tuple[HazardOutline, ...] | None = None
-        self._pace = (time.monotonic(), 0)
         self._scratch: FloatArray = np.empty((0, 0))
         self._file.begin(head_of(scenario, seed, secret=secret), scenario)
         self._head = (scenario, seed, secret, 0)
@@ -171,7 +166,7 @@ class FlightRecorder:
 
     def _take_up(self, flight: Flight) -> None:
         self._flight, self._next_map, self._next_status = flight, 0, 0
-        self._hazards = None
+        self._hazards: tuple[HazardOutline, ...] | None = None
         self._degradations = 0
         self._pace = (time.monotonic(), 0)
 
@@ -205,7 +200,6 @@ class FlightRecorder:
     def _status(self, flight: Flight) -> Status:
         now, (before, tick) = time.monotonic(), self._pace
         self._pace = (now, flight.world.tick)
-        vehicles = self._vehicles() if self._vehicles is not None else {}
         status = flight.status()
         return msgspec.structs.replace(
             status,
@@ -213,7 +207,7 @@ class FlightRecorder:
             * flight.scenario.dt
             / max(now - before, 1e-6),
             warnings=promise_warnings(flight.flown, flight.world.links.table),
-            vehicles={**status.vehicles, **vehicles},
+            vehicles={**status.vehicles, **self.vehicles()},
         )
 
     def close(self) -> None:

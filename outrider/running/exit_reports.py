@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import msgspec
 
@@ -13,10 +12,15 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One line; exactly one field is set."""
 
     tick: int | None = None
+    """The flight has come to it."""
     event: str | None = None
-    warnings: list[str] | None = None
+    """Something a person should know."""
+    warnings: Sequence[str] | None = None
+    """Why what is flown will not do what one may expect."""
     summary: Summary | None = None
+    """The flight is over."""
     files: list[str] | None = None
+    """These are written."""
 
 
 class Reports:
@@ -25,27 +29,16 @@ class Reports:
     def __init__(self, *, enabled: bool) -> None:
         self._enabled = enabled
 
-    def _write(self, report: Report) -> None:
+    def write(self, report: Report) -> None:
+        """Tell the parent."""
         if self._enabled:
             sys.stdout.buffer.write(msgspec.json.encode(report) + b"\n")
             sys.stdout.buffer.flush()
 
     def show(self, tick: int) -> None:
         """The flight has come to this tick."""
-        self._write(Report(tick=tick))
+        self.write(Report(tick=tick))
 
     def say(self, line: str) -> None:
         """Something a person should know."""
-        self._write(Report(event=line))
-
-    def warn(self, lines: Sequence[str]) -> None:
-        """Why what is flown will not do what one may expect."""
-        self._write(Report(warnings=list(lines)))
-
-    def summary(self, summary: Summary) -> None:
-        """The flight is over."""
-        self._write(Report(summary=summary))
-
-    def files(self, files: list[Path]) -> None:
-        """These files are written."""
-        self._write(Report(files=[str(file) for file in files]))
+        self.write(Report(event=line))

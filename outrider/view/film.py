@@ -133,16 +133,8 @@ def _write_gif(
     frames: "Iterator[np.ndarray[Any, Any]]", out: Path, fps: int, *, hazards: bool
 ) -> None:
     palette = _palette(hazards=hazards)
-
-    def reduced() -> Iterator[Image.Image]:
-        for frame in frames:
-            yield (
-                Image.fromarray(frame)
-                .convert("RGB")
-                .quantize(palette=palette, dither=Image.Dither.NONE)
-            )
-
-    pictures = reduced()
+    colored = (Image.fromarray(frame).convert("RGB") for frame in frames)
+    pictures = (one.quantize(palette=palette, dither=Image.Dither.NONE) for one in colored)
     first = next(pictures)
     held = round(1000.0 / fps)
     with out.open("wb") as file:

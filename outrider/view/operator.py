@@ -7,19 +7,9 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
+from bus import keys
 from bus.boxes import Outbox
 from bus.errors import BusError
-from bus.keys import (
-    CONTROL,
-    COVERAGE,
-    GROUND,
-    OPERATOR,
-    SAMPLED_TRUTH,
-    SIMULATOR_NAME,
-    STATUS,
-    Key,
-    Role,
-)
 from bus.messages import (
     Action,
     Control,
@@ -36,7 +26,7 @@ from bus.session import Session
 
 SILENCE = 2.0
 """Without a status for so long [s] something is wrong."""
-READ = (STATUS, SAMPLED_TRUTH, COVERAGE, GROUND)
+READ = (keys.STATUS, keys.SAMPLED_TRUTH, keys.COVERAGE, keys.GROUND)
 """Topics of a client that draws a run."""
 _PACE = 6
 """Status messages, about a second of them, over which the real-time factor is taken."""
@@ -52,7 +42,7 @@ class RunClient:
     """
 
     def __init__(
-        self, session: Session, status: Status | None = None, *, read: Sequence[Key] = READ
+        self, session: Session, status: Status | None = None, *, read: Sequence[keys.Key] = READ
     ) -> None:
         self._session = session
         self._inboxes = [session.inbox(key, newest=1) for key in read]
@@ -69,9 +59,9 @@ class RunClient:
         self.seen_simulator = False
         self.fault = ""
         """Why the last message could not be sent; empty: it was."""
-        self.may_steer = session.party.role is Role.OPERATOR
-        self._controls = session.outbox(CONTROL) if self.may_steer else None
-        session.watch(SIMULATOR_NAME, self._see_simulator)
+        self.may_steer = session.party.role is keys.Role.OPERATOR
+        self._controls = session.outbox(keys.CONTROL) if self.may_steer else None
+        session.watch(keys.SIMULATOR_NAME, self._see_simulator)
         self._sender = threading.Thread(target=self._send, name="outrider-operator", daemon=True)
         self._sender.start()
 
@@ -146,7 +136,7 @@ class RunClient:
         if not self.may_steer:
             return False
         if vehicle not in self._outboxes:
-            self._outboxes[vehicle] = self._session.outbox(OPERATOR, vehicle)
+            self._outboxes[vehicle] = self._session.outbox(keys.OPERATOR, vehicle)
         return self._say(self._outboxes[vehicle], drive)
 
     def _say(self, outbox: Outbox, message: Message) -> bool:

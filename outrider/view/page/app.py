@@ -87,14 +87,7 @@ def serve(
 def application(
     hub: Hub, admission: Admission, *, controls: BuildControls | None, ready: Callable[[], None]
 ) -> ASGIApp:
-    """All that is served, with what guards it; once a process, as NiceGUI is there once.
-
-    Args:
-        hub: What is shown.
-        admission: What a browser must know.
-        controls: Builds what can be touched in a page; None: nothing.
-        ready: Called when browsers can come.
-    """
+    """All that is served, with what guards it; once a process, as NiceGUI is there once. Arguments as of `serve`."""
     visitors = Visitors()
 
     @contextlib.asynccontextmanager

@@ -9,6 +9,9 @@ from bus.messages import EscortTruth, LinkStatus, Status, Truth
 _FIRST_STRIDE = 0.1
 """Simulated time between two rows at first [s]; doubles whenever the history is full."""
 
+_ROOM = 2400
+"""So many rows are kept at most."""
+
 _LATELY = 1.0
 """Simulated time over which the share of lost messages is taken at least [s]."""
 
@@ -74,13 +77,9 @@ class ChartData:
     A row is: time [s], real-time factor; x and y of each vehicle [m]; then for each escort the distance [m], e(t) [m²],
     the error of the estimate [m] and the age of its newest detection [s] (None without one), the share of detections
     lost lately, and 1 where there is a blackout.
-
-    Args:
-        room: How many rows there are at most.
     """
 
-    def __init__(self, room: int = 2400) -> None:
-        self._room = room
+    def __init__(self) -> None:
         self._stride = _FIRST_STRIDE
         self.rows: list[Row] = []
         self.newest: Row = ()
@@ -90,11 +89,6 @@ class ChartData:
         self.losses = LossRates()
         self.generation = 0
         """Another number: the rows before are no longer those that are kept now."""
-
-    def clear(self) -> None:
-        """Forget everything: another flight begins."""
-        self.rows, self.newest, self._stride = [], (), _FIRST_STRIDE
-        self.generation += 1
 
     def add(self, truth: Truth, factor: float, dt: float) -> None:
         """Take down a truth.
@@ -110,11 +104,12 @@ class ChartData:
             self.newest and truth.time < (self.newest[0] or 0.0)
         ):
             self.vehicles, self.escorts = vehicles, escorts
-            self.clear()
+            self.rows, self._stride = [], _FIRST_STRIDE  # another flight begins
+            self.generation += 1
         self.newest = _row(truth, factor, dt, self.losses)
         if not self.rows or truth.time - (self.rows[-1][0] or 0.0) >= self._stride - 1e-9:
             self.rows.append(self.newest)
-        if len(self.rows) > self._room:
+        if len(self.rows) > _ROOM:
             self.rows = self.rows[::2]
             self._stride *= 2.0
             self.generation += 1

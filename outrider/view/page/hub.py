@@ -34,6 +34,15 @@ _CHANGES = 20
 """So many changes a status tells at most."""
 
 
+_PARTS: dict[type[Message], str] = {
+    Truth: "truth",
+    Status: "status",
+    CoverageMap: "map",
+    GroundMap: "ground",
+}
+"""The messages of which a browser gets the newest, by their names in a frame."""
+
+
 class Browser:
     """One page that looks on."""
 
@@ -42,7 +51,8 @@ class Browser:
         self.turn = asyncio.Event()
         self.due = self.told = 0.0
         self.in_hand = 0
-        self.truth = self.status = self.map = self.ground = 0  # versions that it has
+        self.versions = dict.fromkeys(_PARTS, 0)
+        """Those that it has."""
         self.generation, self.rows = -1, 0
 
     def is_due(self, now: float, news: bool) -> bool:
@@ -70,7 +80,7 @@ class Hub:
         self.wheel = SharedWheel(source.control, source.drive)
         self._on_end, self._end_is_told = on_end, False
         self._numbers = 0
-        self._versions = {Truth: 0, Status: 0, CoverageMap: 0, GroundMap: 0}
+        self._versions = dict.fromkeys(_PARTS, 0)
         self._raw: dict[type[Message], msgspec.Raw] = {}
 
     async def follow(self) -> None:
@@ -110,14 +120,10 @@ class Hub:
 
     def _keep(self, message: Message) -> None:
         kind = type(message)
-        encoded = msgspec.json.encode(message)
-        if (
-            kind in (CoverageMap, GroundMap)
-            and kind in self._raw
-            and bytes(self._raw[kind]) == encoded
-        ):
+        encoded = msgspec.Raw(msgspec.json.encode(message))
+        if kind in (CoverageMap, GroundMap) and self._raw.get(kind) == encoded:
             return
-        self._raw[kind] = msgspec.Raw(encoded)
+        self._raw[kind] = encoded
         self._versions[kind] += 1
 
     @property
@@ -171,23 +177,18 @@ class Hub:
         self.wheel.leave(browser.number)
 
     def _has_news(self, browser: Browser) -> bool:
-        have = (browser.truth, browser.status, browser.map, browser.ground)
-        return have != tuple(self._versions.values())
+        return browser.versions != self._versions
 
     def frame(self, browser: Browser) -> bytes:
         """All that is new for this browser, as JSON."""
         frame: dict[str, Any] = {"kind": "frame", "state": self._state(browser)}
-        versions = self._versions
-        if browser.truth != versions[Truth]:
-            frame["truth"], frame["now"] = self._raw[Truth], self.history.newest
-        if browser.status != versions[Status]:
-            frame["status"] = self._raw[Status]
+        for kind, version in self._versions.items():
+            if browser.versions[kind] != version:
+                frame[_PARTS[kind]], browser.versions[kind] = self._raw[kind], version
+        if "truth" in frame:
+            frame["now"] = self.history.newest
+        if "status" in frame:
             frame["links"] = None if self.status is None else said_of_links(self.status)
-        if browser.map != versions[CoverageMap]:
-            frame["map"] = self._raw[CoverageMap]
-        if browser.ground != versions[GroundMap]:
-            frame["ground"] = self._raw[GroundMap]
-        browser.truth, browser.status, browser.map, browser.ground = versions.values()
         history = self.history
         if browser.generation != history.generation:
             frame["history"] = {"vehicles": history.vehicles, "escorts": history.escorts}
@@ -201,13 +202,9 @@ class Hub:
         return msgspec.json.encode(frame)
 
     def _state(self, browser: Browser) -> dict[str, Any]:
-        standing, wheel = self.source.standing, self.wheel
+        wheel = self.wheel
         return {
-            "level": standing.level,
-            "line": standing.line,
-            "router": standing.router,
-            "simulator": standing.simulator,
-            "replay": standing.replay,
+            **msgspec.structs.asdict(self.source.standing),
             "factor": self.source.factor,
             "browsers": len(self.browsers),
             "wheel": "mine"

@@ -24,15 +24,11 @@ _PERIOD = 0.1
 _NARROW = WIDTH + 20
 """Below this width the map makes room for the numbers [cells]."""
 
-HEADINGS = {
-    "up": Heading.NORTH,
-    "w": Heading.NORTH,
-    "down": Heading.SOUTH,
-    "s": Heading.SOUTH,
-    "left": Heading.WEST,
-    "a": Heading.WEST,
-    "right": Heading.EAST,
-    "d": Heading.EAST,
+_HEADINGS = {
+    "up,w,W": Heading.NORTH,
+    "down,s,S": Heading.SOUTH,
+    "left,a,A": Heading.WEST,
+    "right,d,D": Heading.EAST,
 }
 """The meaning of the keys; with caps lock too."""
 
@@ -69,13 +65,8 @@ class DriveApp(App[int]):
     """
     BINDINGS: ClassVar[list[BindingType]] = [
         *(
-            Binding(key, f"press('{heading.name}')", show=False)
-            for key, heading in HEADINGS.items()
-        ),
-        *(
-            Binding(key.upper(), f"press('{heading.name}')", show=False)
-            for key, heading in HEADINGS.items()
-            if len(key) == 1
+            Binding(keys, f"press('{heading.name}')", show=False)
+            for keys, heading in _HEADINGS.items()
         ),
         Binding("space", "brake", show=False),
         Binding("plus,equals_sign", "faster(1)", show=False),

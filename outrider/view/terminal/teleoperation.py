@@ -80,7 +80,7 @@ class Teleoperation:
         vehicle: Which UGV.
         speed: How fast a pressed key drives [m/s].
         back: Who gets the wheel in the end; empty: who had it before.
-        status: The first one, if it has been read already.
+        status: The first one.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class Teleoperation:
         *,
         speed: float,
         back: str = "",
-        status: Status | None = None,
+        status: Status,
     ) -> None:
         self.vehicle = vehicle
         self._client = RunClient(session, status)
@@ -99,7 +99,8 @@ class Teleoperation:
         self._lock = threading.Lock()
         self._nudge, self._over = threading.Event(), threading.Event()
         self._back, self._before, self._heir = back, "", ""
-        self._leaving = False
+        self.leaving = False
+        """True if the end has been asked for."""
         # Whether the wheel must be handed back, and whether it was ours already.
         self._taken = self._granted = False
         # Whether a brake must be sent, and whether the last message was a velocity.
@@ -118,12 +119,7 @@ class Teleoperation:
 
     def leave(self) -> None:
         """Ask for the end, the wheel handed back; may be called from a signal's handler."""
-        self._leaving = True
-
-    @property
-    def leaving(self) -> bool:
-        """True if the end has been asked for."""
-        return self._leaving
+        self.leaving = True
 
     @property
     def over(self) -> bool:
@@ -201,7 +197,7 @@ class Teleoperation:
 
     def _run(self) -> None:
         try:
-            while not self._leaving:
+            while not self.leaving:
                 with self._lock:
                     self._turn(time.monotonic())
                 self._nudge.wait(_LOOK)

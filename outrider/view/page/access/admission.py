@@ -121,7 +121,8 @@ class Guard:
                 if self._takes(ticket)
                 else _form(401, "This address has been used: it opens once.")
             )
-        given = await _token_in_form(receive) if asked and scope["method"] == "POST" else ""
+        form = await _body(receive) if asked and scope["method"] == "POST" else b""
+        given = _field(form.decode("utf-8", "replace"), "token")
         if not given:
             return _form(401)
         verdict, wait = await self._attempts.judge((scope.get("client") or ("", 0))[0], given)
@@ -177,10 +178,6 @@ def _ticket_in(scope: Scope) -> str:
     if scope["type"] != "http" or scope["path"] != "/":
         return ""
     return _field(scope.get("query_string", b"").decode("latin-1"), "ticket")
-
-
-async def _token_in_form(receive: Receive) -> str:
-    return _field((await _body(receive)).decode("utf-8", "replace"), "token")
 
 
 def _field(text: str, name: str) -> str:

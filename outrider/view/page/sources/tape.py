@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import msgspec
 
-from bus.messages import Control, Drive, Message, Status, Truth
+from bus.messages import Control, CoverageMap, Drive, GroundMap, Message, Status, Truth
 from bus.registry import DEFAULT_LAW
 from outrider.recording.reader import Recording, coverages, grounds, statuses
 from outrider.view.page.sources.protocol import Playing, SourceState
@@ -39,14 +39,13 @@ class Tape:
         self._clock = clock
         self._truths = recording.truths
         self._times = [truth.time for truth in self._truths]
-        self._maps = _thinned(coverages(recording.path, flight=recording.number))
-        self._grounds = _thinned(grounds(recording.path, flight=recording.number))
-        self._ground_ticks = [ground.tick for ground in self._grounds]
-        self._map_ticks = [ground.tick for ground in self._maps]
+        self._maps: tuple[list[CoverageMap] | list[GroundMap], ...] = (
+            _thinned(coverages(recording.path, flight=recording.number)),
+            _thinned(grounds(recording.path, flight=recording.number)),
+        )
         self._statuses = _thinned(statuses(recording.path, flight=recording.number)) or [
             _unknown_status(recording)
         ]
-        self._status_times = [status.time for status in self._statuses]
         # The last ones are told when the flight is over, and count ticks that were not flown.
         self._factors = [
             (told.time, told.realtime_factor)
@@ -62,7 +61,8 @@ class Tape:
         self._at = self._times[0]
         self._looked: float | None = None
         self._told = 0.0
-        self._truth = self._map = self._ground = self._status_given = -1  # what was given last
+        self._truth = self._status_given = -1  # what was given last
+        self._maps_given = [-1 for _ in self._maps]
         self._given = self._at
 
     @property
@@ -114,14 +114,11 @@ class Tape:
         if now - self._told >= _PERIOD or not self.playing:
             self._told = now
             yield self._status(self._truths[index])
-        ground = bisect_right(self._map_ticks, self._truths[index].tick) - 1
-        if ground != self._map and ground >= 0:
-            self._map = ground
-            yield self._maps[ground]
-        hazards = bisect_right(self._ground_ticks, self._truths[index].tick) - 1
-        if hazards != self._ground and hazards >= 0:
-            self._ground = hazards
-            yield self._grounds[hazards]
+        for kind, maps in enumerate(self._maps):
+            newest = bisect_right(maps, self._truths[index].tick, key=lambda told: told.tick) - 1
+            if newest not in (-1, self._maps_given[kind]):
+                self._maps_given[kind] = newest
+                yield maps[newest]
 
     def _on_the_way_to(self, index: int) -> Iterator[Status | Truth]:
         """The truths from where the tape was (its start if it was wound back) to this one, and statuses between."""
@@ -139,7 +136,7 @@ class Tape:
             yield truth
 
     def _status_index(self, at: float) -> int:
-        return max(0, bisect_right(self._status_times, at + 1e-9) - 1)
+        return max(0, bisect_right(self._statuses, at + 1e-9, key=lambda told: told.time) - 1)
 
     def _status(self, truth: Truth) -> Status:
         self._status_given = self._status_index(truth.time)
