@@ -115,7 +115,7 @@ class Routed(InProcess):
         self._forged = forged
 
     def publish(self, observations: Any) -> None:
-        self.told.append(msgspec.json.encode(observations))
+        self.told.append(msgspec.json.encode(dict(observations)))
         super().publish(observations)
 
     def collect(self, tick: int) -> Any:
