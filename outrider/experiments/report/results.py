@@ -83,6 +83,10 @@ class Panel:
         """The runs of a law at a value; empty where none are flown."""
         return self.cells.get((law, value), Cell())
 
+    def numbers(self, value: object, column: str) -> list[float]:
+        """The finite numbers of a column at a value, of all laws."""
+        return [number for law in self.laws for number in self.cell(law, value).numbers(column)]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Material:
