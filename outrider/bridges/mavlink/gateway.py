@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from outrider.bridges.mavlink.dialect import MavMessage, mavlink
+from outrider.bridges.mavlink.dialect import MavMessage, mavlink, packed
 from outrider.bridges.mavlink.identity import AUTOPILOT, VehicleSystem
 from outrider.bridges.mavlink.udp import UNREADABLE, Network, Peer
 
@@ -40,6 +40,9 @@ RATES: Mapping[int, float] = {
     mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET: 5.0,
 }
 """Rate of each message about each system, by its number [1/s] of wall time."""
+
+Numbers = tuple[int | None, int | None]
+"""Of a mode, main and sub, as somebody wants them; None where it is no whole number."""
 
 
 class Order(NamedTuple):
@@ -122,9 +125,9 @@ class Gateway:
         del peer, system, value
         self.refuse(NOT_ALLOWED, f"parameter {name} can only be read")
 
-    def order(self, peer: Peer, system: VehicleSystem, order: Order) -> int:
-        """Obey a command; MAVLink's result."""
-        del peer, system, order
+    def change_mode(self, peer: Peer, system: VehicleSystem, mode: Numbers) -> int:
+        """Change the mode to the one of these numbers, main and sub; MAVLink's result."""
+        del peer, system, mode
         return UNSUPPORTED
 
     def setpoint(self, peer: Peer, system: VehicleSystem, message: MavMessage) -> None:
@@ -166,7 +169,7 @@ class Gateway:
     def send(self, system: VehicleSystem, message: MavMessage, peer: Peer | None = None) -> None:
         """Send a message from a system, to one party or to all."""
         to = None if peer is None else peer.address
-        self.network.send(system.packed(message), message.get_type(), to)
+        self.network.send(packed(message, system.sender), message.get_type(), to)
 
     def say(self, system: VehicleSystem, text: str, *, warns: bool = False) -> None:
         """Say a text for people."""
@@ -248,8 +251,7 @@ class Gateway:
                 self._answer_command(peer, system, message)
             case "SET_MODE":
                 mode = message.custom_mode
-                parts = (1.0, float(mode >> 16 & 255), float(mode >> 24), 0.0, 0.0, 0.0, 0.0)
-                self.order(peer, system, Order(mavlink.MAV_CMD_DO_SET_MODE, parts))
+                self.change_mode(peer, system, (mode >> 16 & 255, mode >> 24))
             case "PARAM_REQUEST_LIST" | "PARAM_REQUEST_READ":
                 self._tell_parameters(peer, system, message)
             case "PARAM_SET":
@@ -285,8 +287,12 @@ class Gateway:
                 result = self._request(peer, system, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
                 result = self._pace(system, order)
+            case mavlink.MAV_CMD_COMPONENT_ARM_DISARM:  # it moves as long as the run
+                result = ACCEPTED if order.whole(1) == 1 else DENIED
+            case mavlink.MAV_CMD_DO_SET_MODE:
+                result = self.change_mode(peer, system, (order.whole(2), order.whole(3)))
             case _:
-                result = self.order(peer, system, order)
+                result = UNSUPPORTED
         if result == UNSUPPORTED:
             self.refused[f"command {NOT_SUPPORTED}"] += 1  # the answer says it
         answer = mavlink.MAVLink_command_ack_message(
