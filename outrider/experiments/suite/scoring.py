@@ -2,7 +2,8 @@
 
 import copy
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
@@ -19,6 +20,7 @@ from sim.env.rows import UAV_METRICS
 from sim.env.seeds import Seeds
 from sim.kernels.compile import FloatArray
 from sim.models.field import coverage_error
+from sim.scenario.types import Scenario
 
 
 class Team(NamedTuple):
@@ -131,11 +133,36 @@ def name_of(entry: Entry, name: str) -> str:
     return name or own
 
 
-def _fly(loop: ClosedLoop, advance: Callable[[], object]) -> _Meter:
-    meter = _Meter(loop)
+@contextmanager
+def begun(
+    scenario: Scenario,
+    pilots: Mapping[str, str | Policy | None],
+    seeds: Sequence[int],
+    secret: str,
+    settings: dict[str, Any],
+) -> Iterator[Worlds]:
+    """A world for each seed, at its start; each policy is a copy of its own, as it may have a memory.
+
+    Args:
+        scenario: What is flown.
+        pilots: Laws, drivers and policies by vehicle; None: the scenario's own.
+        seeds, secret: Of the random numbers.
+        settings: Of `outrider.vector_env`.
+    """
+    others = {name: copy.deepcopy(pilot) for name, pilot in pilots.items() if pilot is not None}
+    worlds = Worlds(scenario, len(seeds), [], others=others, secret=secret, **settings)
+    try:
+        worlds.reset(list(seeds), None)
+        yield worlds
+    finally:
+        worlds.loop.close()
+
+
+def _fly(worlds: Worlds) -> _Meter:
+    meter = _Meter(worlds.loop)
     meter.note()
-    for _ in range(loop.scenario.ticks):
-        advance()
+    for _ in range(worlds.scenario.ticks):
+        worlds.step({})
         if not meter.in_sight.any():
             break  # what was said at the tick at which the last of them lost sight has been said
         meter.note()
@@ -153,40 +180,6 @@ def check_law(law: str, allowed: Sequence[str]) -> None:
         raise ValueError(
             f"law = {law!r}: unknown; allowed: {', '.join(allowed)}, or a policy for all worlds at once"
         )
-
-
-def _fly_law(task: Task, law: str, seeds: Sequence[int], secret: str) -> _Meter:
-    scenario = task.scenario
-    uavs = [uav.name for uav in scenario.uav]
-    check_law(law, pilot_names(scenario, uavs[0]))
-    loop = ClosedLoop(
-        scenario, len(seeds), pilots=dict.fromkeys(uavs, law), error=True, secret=secret
-    )
-    nothing = np.zeros((len(seeds), 0, 2))
-    try:
-        loop.begin(seeds)
-        return _fly(loop, lambda: loop.step(nothing))
-    finally:
-        loop.close()
-
-
-def _fly_policy(
-    task: Task, policy: Policy, seeds: Sequence[int], secret: str, settings: dict[str, Any]
-) -> _Meter:
-    scenario = task.scenario
-    uavs = [uav.name for uav in scenario.uav]
-    worlds = Worlds(scenario, len(seeds), uavs, secret=secret, **settings)
-    pilots = {
-        uav: copy.deepcopy(policy) for uav in uavs
-    }  # a policy may have a memory: one for each UAV and each task
-    try:
-        worlds.reset(list(seeds), None)
-        return _fly(
-            worlds.loop,
-            lambda: worlds.step({uav: pilot(worlds.observe(uav)) for uav, pilot in pilots.items()}),
-        )
-    finally:
-        worlds.loop.close()
 
 
 def result_of(
@@ -272,11 +265,13 @@ def evaluate(
         return evaluate_mission(task, entry, seeds, name=name, secret=kept, settings=settings)
     if isinstance(entry, Team):
         raise ValueError("a team: for missions alone; allowed: a law by name, or a policy")
+    scenario = task.scenario
+    uavs = [uav.name for uav in scenario.uav]
     if isinstance(entry, str):
-        meter = _fly_law(task, entry, seeds, kept)
-    else:
-        meter = _fly_policy(task, entry, seeds, kept, settings)
-    scores = (100.0 * meter.seen / (task.scenario.ticks + 1)).tolist()
+        check_law(entry, pilot_names(scenario, uavs[0]))
+    with begun(scenario, dict.fromkeys(uavs, entry), seeds, kept, settings) as worlds:
+        meter = _fly(worlds)
+    scores = (100.0 * meter.seen / (scenario.ticks + 1)).tolist()
     return result_of(
         Result,
         task,
