@@ -115,7 +115,7 @@ def evaluate_mission(
             missions = [mission_in(worlds.loop, k) for k in range(len(seeds))]
         else:
             missions = _fly(worlds)
-        flown = list(worlds.metrics().values())
+        flown = worlds.metrics()
     shortest = shortest_time(scenario)
     finds = sum(mission.finds for mission in missions)
     return result_of(
@@ -123,12 +123,13 @@ def evaluate_mission(
         task,
         entry,
         [mission_score(mission, shortest) for mission in missions],
+        flown,
         name=name,
         secret=secret,
         mean_error=math.nan,
-        lost=int(np.any([one["visibility_violations"] > 0.0 for one in flown], axis=0).sum()),
-        certified_while_lost=sum(int(one["certified_while_lost"].sum()) for one in flown),
-        certificate_broken=sum(int(one["certificate_broken"].sum()) for one in flown),
+        lost=int(
+            np.any([one["visibility_violations"] > 0.0 for one in flown.values()], axis=0).sum()
+        ),
         arrived=sum(mission.arrived for mission in missions),
         mission_time=_mean([mission.mission_time for mission in missions]),
         hazards_hit=sum(mission.hazards_hit for mission in missions),

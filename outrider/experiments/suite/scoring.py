@@ -86,8 +86,6 @@ class _Meter:
         """Sum of e(t) over the ticks in sight [m²], the mean of the UAVs."""
         self.ticks: npt.NDArray[np.int64] = np.zeros(loop.worlds, dtype=np.int64)
         """In sight."""
-        self.certified_while_lost = self.certificate_broken = 0
-        """Ticks that the safety filters certified wrongly."""
 
     def note(self) -> None:
         """Take in the tick that all worlds are at."""
@@ -107,13 +105,6 @@ class _Meter:
         self.errors[which] += error.mean(axis=1)
         self.ticks[which] += 1
 
-    def note_certificates(self) -> None:
-        """Take in what was certified, once all is flown."""
-        for uav in self._loop.uavs:
-            told = self._loop.metrics(uav)
-            self.certified_while_lost += int(told["certified_while_lost"].sum())
-            self.certificate_broken += int(told["certificate_broken"].sum())
-
     def _unseen(self, x: float, y: float) -> float:
         """E(t) [m²] with the UGV at (x, y) [m], had no UAV seen anything.
 
@@ -125,12 +116,6 @@ class _Meter:
                 self._untouched, x, y, self._r_o, self._desired, self._cell
             )
         return found
-
-
-def name_of(entry: Entry, name: str) -> str:
-    """The name of an entry in tables: the one that is given, or its own."""
-    own = entry if isinstance(entry, str) else getattr(entry, "__name__", type(entry).__name__)
-    return name or own
 
 
 @contextmanager
@@ -166,7 +151,6 @@ def _fly(worlds: Worlds) -> _Meter:
         if not meter.in_sight.any():
             break  # what was said at the tick at which the last of them lost sight has been said
         meter.note()
-    meter.note_certificates()
     return meter
 
 
@@ -187,6 +171,7 @@ def result_of(
     task: Task,
     entry: Entry,
     scores: Sequence[float],
+    flown: Mapping[str, Mapping[str, FloatArray]],
     *,
     name: str,
     secret: str,
@@ -198,20 +183,24 @@ def result_of(
         kind: Of result.
         task, entry: What was flown, and by whom.
         scores: In the order of the seeds.
-        name: Of the entry, for tables.
+        flown: What the worlds told of each UAV in the end.
+        name: Of the entry, for tables; empty: its own.
         secret: Of the episodes' random numbers.
         told: The other fields of that kind of result.
     """
     score, low, high = mean_interval(scores)
+    own = entry if isinstance(entry, str) else getattr(entry, "__name__", type(entry).__name__)
     return kind(
         task=task.name,
-        entry=name_of(entry, name),
+        entry=name or own,
         score=score,
         low=max(0.0, low),
         high=min(100.0, high),
         scores=tuple(scores),
         episodes=len(scores),
         secret=secret,
+        certified_while_lost=sum(int(one["certified_while_lost"].sum()) for one in flown.values()),
+        certificate_broken=sum(int(one["certificate_broken"].sum()) for one in flown.values()),
         **told,
     )
 
@@ -270,17 +259,16 @@ def evaluate(
     if isinstance(entry, str):
         check_law(entry, pilot_names(scenario, uavs[0]))
     with begun(scenario, dict.fromkeys(uavs, entry), seeds, kept, settings) as worlds:
-        meter = _fly(worlds)
+        meter, flown = _fly(worlds), worlds.metrics()
     scores = (100.0 * meter.seen / (scenario.ticks + 1)).tolist()
     return result_of(
         Result,
         task,
         entry,
         scores,
+        flown,
         name=name,
         secret=kept,
         mean_error=math.fsum((meter.errors / meter.ticks).tolist()) / len(seeds),
         lost=int((~meter.in_sight).sum()),
-        certified_while_lost=meter.certified_while_lost,
-        certificate_broken=meter.certificate_broken,
     )
