@@ -29,7 +29,7 @@ from bus.session import open_session
 from outrider.bridges.ros2.conversion import header
 from outrider.bridges.ros2.interfaces import decode, encode, make
 from outrider.bridges.ros2.ros_node import RosNode
-from outrider.bridges.ros2.ros_pilot import RosLink, RosPilot
+from outrider.bridges.ros2.ros_pilot import RosPilot
 from outrider.bridges.ros2.topics import BRIEFING, OBSERVATION, PILOT_COMMANDS, wire_topic
 from outrider.bridges.ros2.wire import Attachment
 
@@ -103,17 +103,17 @@ def accelerate(seconds: float, value: tuple[float, float], frame: str = "map") -
     return make(ACCEL.interface, header=header(seconds, frame), accel=accel)
 
 
-def bridge(endpoint: str, vehicle: str, links: list[RosLink]) -> None:
+def bridge(endpoint: str, vehicle: str, links: list[RosPilot]) -> None:
     """The process `outrider ros2 --vehicle`, as a thread."""
     credential = GIVEN.of(vehicle)
     with open_session(credential.party, "run", connect=endpoint, credential=credential) as session:
         node = RosNode(session, domain=3, name="outrider", namespace=f"/{vehicle}")
-        link = RosLink(node, credential.party)
+        link = RosPilot(node, credential.party)
         links.append(link)
         wait_until(lambda: link.there)
         fly(
             credential.party,
-            lambda told: RosPilot(link, told),
+            link.make,
             connect=endpoint,
             run="run",
             credential=credential,
@@ -131,7 +131,7 @@ def test_a_ros_2_node_flies_the_trajectory_of_the_pilot_in_this_process(
     for role in (Role.UAV, Role.UGV):
         warm_up(role)  # nobody must wait for a compiler
     with staging.stage(tmp_path, 60) as stage:
-        links: list[RosLink] = []
+        links: list[RosPilot] = []
         thread = threading.Thread(target=bridge, args=(stage.endpoint, vehicle, links))
         thread.start()
         foreign = Foreign(stage.endpoint, vehicle, exact=exact)
@@ -167,8 +167,8 @@ def test_a_node_that_is_late_keeps_nobody_waiting_and_one_that_has_gone_ends_the
     )
     with session as opened:
         node = RosNode(opened, domain=3, name="outrider")
-        link = RosLink(node, PLAIN.of("uav_0").party, patience=0.05)
-        link.tell(
+        link = RosPilot(node, PLAIN.of("uav_0").party, patience=0.05)
+        link.perceive(
             msgspec.convert(
                 {"tick": 4, "time": 0.2, "position": [0, 0], "velocity": [0, 0]}, UavObservation
             )
