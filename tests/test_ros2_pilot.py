@@ -32,6 +32,8 @@ from outrider.bridges.ros2.ros_node import RosNode
 from outrider.bridges.ros2.ros_pilot import RosPilot
 from outrider.bridges.ros2.topics import BRIEFING, OBSERVATION, PILOT_COMMANDS, wire_topic
 from outrider.bridges.ros2.wire import Attachment
+from sim.engine.briefing import briefing
+from sim.scenario.loading import load_scenario
 
 GIVEN = new_credentials("run", ["uav_0"], ["ugv_0"], ros2=True)
 TEXT, ACCEL = PILOT_COMMANDS
@@ -168,11 +170,10 @@ def test_a_node_that_is_late_keeps_nobody_waiting_and_one_that_has_gone_ends_the
     with session as opened:
         node = RosNode(opened, domain=3, name="outrider")
         link = RosPilot(node, PLAIN.of("uav_0").party, patience=0.05)
-        link.perceive(
-            msgspec.convert(
-                {"tick": 4, "time": 0.2, "position": [0, 0], "velocity": [0, 0]}, UavObservation
-            )
+        seen = msgspec.convert(
+            {"tick": 4, "time": 0.2, "position": [0, 0], "velocity": [0, 0]}, UavObservation
         )
+        link.perceive(seen)
         assert link.answer(lambda: False) is None
         with pytest.raises(PeerLost, match="the ROS 2 node that flew uav_0 has gone"):
             link.answer(lambda: True)
@@ -190,6 +191,9 @@ def test_a_node_that_is_late_keeps_nobody_waiting_and_one_that_has_gone_ends_the
         assert answer is not None
         assert (answer.tick, answer.acceleration) == (4, (0.1, 0.0))
         assert seconds_of(header(0.2).stamp) == 0.2
+        link.attend(lambda: True)
+        again = link.make(briefing(load_scenario("escort"), "uav_0", 0))
+        assert again.act(seen) is None  # of its past, which nobody waits for
         link.close()
         node.close()
 

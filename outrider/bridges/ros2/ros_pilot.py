@@ -3,7 +3,6 @@
 The process joins as that vehicle, with that vehicle's credentials, and knows what that vehicle may know.
 """
 
-import logging
 import math
 import threading
 import time
@@ -39,7 +38,6 @@ from outrider.bridges.ros2.topics import (
 )
 from outrider.bridges.ros2.wire import dds_type
 
-_LOG = logging.getLogger("outrider.ros2")
 _LOOK = 0.01
 """While it waits for an answer, it looks this often whether it need not wait any longer [s]."""
 _TEXT, _ACCEL = PILOT_COMMANDS

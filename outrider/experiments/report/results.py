@@ -13,10 +13,7 @@ from bus.errors import ScenarioError
 from bus.registry import LAWS
 from outrider.experiments.intervals import wilson_interval
 from outrider.experiments.report.labels import is_number, label_of, value_of
-from outrider.experiments.sweep.columns import RESULTS
 from outrider.experiments.sweep.folder import SweepHead, read_head, read_results
-
-_OWN = ("run", "law", "seed", *RESULTS)
 
 
 @dataclass(slots=True)
